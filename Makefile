@@ -1,0 +1,41 @@
+# Two commands: `make demo` shows what loi does, `make test` sets up everything and checks it.
+# Both work with nothing but Python 3.11 or later, pip and make; they build .venv here.
+
+PYTHON ?= python3
+PIP := .venv/bin/python -m pip --disable-pip-version-check
+
+.PHONY: install develop demo test lint bench clean
+
+install: .venv/.installed
+develop: .venv/.developed
+
+demo: .venv/.installed
+	.venv/bin/loi demo
+
+test: .venv/.developed lint
+	.venv/bin/python -m pytest -n auto
+
+lint: .venv/.developed
+	.venv/bin/ruff format --check .
+	.venv/bin/ruff check .
+	.venv/bin/mypy
+	.venv/bin/lint-imports --no-logo
+	.venv/bin/codespell
+
+bench: .venv/.developed
+	.venv/bin/python -m benchmarks.loss
+
+clean:
+	rm -rf .venv demo build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+
+.venv/bin/python:
+	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "loi needs Python 3.11 or later; try make PYTHON=python3.11")'
+	$(PYTHON) -m venv .venv
+
+.venv/.installed: .venv/bin/python pyproject.toml constraints.txt
+	$(PIP) install -q -c constraints.txt -e .
+	touch $@
+
+.venv/.developed: .venv/.installed
+	$(PIP) install -q -c constraints.txt -e '.[dev]'
+	touch $@

@@ -1,0 +1,1 @@
+"""The jax adapter of loi."""

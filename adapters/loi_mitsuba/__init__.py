@@ -1,0 +1,1 @@
+"""The mitsuba adapter of loi."""

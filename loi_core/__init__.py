@@ -1,0 +1,33 @@
+"""`loi`: locally orderless images as a loss for inverse rendering, on any array library and any renderer."""
+
+from loi_core.fit import FitResult, FitStep, Free, fit
+from loi_core.histograms import inner_images, isophotes, local_histograms
+from loi_core.objectives import GaussianPyramid, ImageObjective, LOIObjective, Objective, PixelL2
+from loi_core.registry import available_renderers, load_renderer
+from loi_core.renderer import Parameters, ProjectingRenderer, Pullback, Renderer
+from loi_core.scales import ScaleSpace
+
+__version__ = "0.1.0"
+
+__all__ = [
+    "FitResult",
+    "FitStep",
+    "Free",
+    "GaussianPyramid",
+    "ImageObjective",
+    "LOIObjective",
+    "Objective",
+    "Parameters",
+    "PixelL2",
+    "ProjectingRenderer",
+    "Pullback",
+    "Renderer",
+    "ScaleSpace",
+    "__version__",
+    "available_renderers",
+    "fit",
+    "inner_images",
+    "isophotes",
+    "load_renderer",
+    "local_histograms",
+]

@@ -1,0 +1,84 @@
+"""The few helpers that make one piece of code run on every array library."""
+
+from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+import numpy as np
+from array_api_compat import array_namespace, device, is_array_api_obj, is_numpy_array, to_device
+
+from loi_core.errors import ImageTypeError
+
+__all__ = [
+    "Array",
+    "Namespace",
+    "as_floating",
+    "device",
+    "epsilon",
+    "from_numpy",
+    "is_numpy_array",
+    "library_name",
+    "namespace",
+    "to_numpy",
+]
+
+Array: TypeAlias = Any
+"""An array of any library of the array API standard: NumPy, torch, JAX, array_api_strict, CuPy, ..."""
+
+Namespace: TypeAlias = Any
+"""The functions of the array API standard for one library."""
+
+
+def namespace(array: Array) -> Namespace:
+    """The array API namespace of `array`."""
+    return array_namespace(array)
+
+
+def library_name(array: Array) -> str:
+    """Name of the library that `array` belongs to, for messages and cache keys."""
+    return str(namespace(array).__name__).removeprefix("array_api_compat.")
+
+
+def epsilon(array: Array) -> float:
+    """Machine epsilon of the dtype of `array`."""
+    return float(namespace(array).finfo(array.dtype).eps)
+
+
+def from_numpy(values: np.ndarray[Any, Any], like: Array) -> Array:
+    """`values` as an array of the library, dtype and device of `like`."""
+    xp = namespace(like)
+    return xp.asarray(values, dtype=like.dtype, device=device(like))
+
+
+def to_numpy(array: Array) -> np.ndarray[Any, Any]:
+    """`array` as NumPy, on the host: for reports and files, never inside a loss."""
+    if is_numpy_array(array) or not is_array_api_obj(array):
+        return np.asarray(array)
+    if hasattr(array, "detach"):  # torch refuses to export a tensor that records gradients
+        array = array.detach()
+    return np.from_dlpack(to_device(array, "cpu")) if hasattr(array, "__dlpack__") else np.asarray(array)
+
+
+def as_floating(name: str, array: Array) -> Array:
+    """`array` itself, once it is known to be a real floating-point array.
+
+    Raises
+    ------
+    ImageTypeError
+        For anything that is not an array, and for integer, boolean, complex, object and masked arrays.
+    """
+    if isinstance(array, np.ma.MaskedArray):
+        msg = f"`{name}` is a NumPy masked array; fill it (`.filled(nan)`) and pass nan_policy='mask'"
+        raise ImageTypeError(msg)
+    if not is_array_api_obj(array):
+        msg = f"`{name}` must be an array of an array API library, got {type(array).__name__}"
+        raise ImageTypeError(msg)
+    if is_numpy_array(array):
+        floating = array.dtype.kind == "f"  # the compat test refuses dtypes that NumPy alone has (object, str)
+    else:
+        floating = namespace(array).isdtype(array.dtype, "real floating")
+    if not floating:
+        mend = "divide 8-bit images by 255" if "int" in str(array.dtype) else "convert it first"
+        msg = f"`{name}` must hold real floating-point values, got dtype {array.dtype}; {mend}"
+        raise ImageTypeError(msg)
+    return array

@@ -1,0 +1,74 @@
+"""The state of a fit in a file, so that one that was stopped can go on as if it had not been."""
+
+from __future__ import annotations
+
+import zipfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from loi_core.errors import ParameterError
+from loi_core.files import atomic_path
+
+__all__ = ["Checkpoint", "load_checkpoint", "save_checkpoint"]
+
+Host: TypeAlias = np.ndarray[Any, Any]
+GROUPS = ("params", "first", "second", "best_params")
+NUMBERS = ("step", "count", "best_step", "best_value", "history")
+
+
+@dataclass(frozen=True)
+class Checkpoint:
+    """Everything that a fit needs to go on; arrays are on the host."""
+
+    step: int
+    count: int
+    best_step: int
+    best_value: float
+    params: Mapping[str, Host]
+    first: Mapping[str, Host]
+    second: Mapping[str, Host]
+    best_params: Mapping[str, Host]
+    history: Host
+
+
+def save_checkpoint(path: Path, state: Checkpoint) -> None:
+    """Write `state` to `path` (.npz), whole or not at all."""
+    arrays: dict[str, Any] = {name: np.asarray(getattr(state, name)) for name in NUMBERS}
+    for group in GROUPS:
+        arrays |= {f"{group}/{name}": value for name, value in getattr(state, group).items()}
+    with atomic_path(path) as temporary, temporary.open("wb") as stream:
+        np.savez(stream, allow_pickle=False, **arrays)
+
+
+def load_checkpoint(path: Path) -> Checkpoint:
+    """Read what :func:`save_checkpoint` wrote.
+
+    Raises
+    ------
+    ParameterError
+        If the file is not a whole checkpoint. Nothing in it is executed.
+    """
+    try:
+        with np.load(path, allow_pickle=False) as stored:
+            arrays = {name: stored[name] for name in stored.files}
+        groups = {
+            group: {
+                name.removeprefix(f"{group}/"): value for name, value in arrays.items() if name.startswith(f"{group}/")
+            }
+            for group in GROUPS
+        }
+        return Checkpoint(
+            step=int(arrays["step"]),
+            count=int(arrays["count"]),
+            best_step=int(arrays["best_step"]),
+            best_value=float(arrays["best_value"]),
+            history=np.asarray(arrays["history"], dtype=np.float64).reshape(-1, 5),
+            **groups,
+        )
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+        msg = f"`checkpoint` {path} is not a checkpoint of a fit ({type(error).__name__}); delete it to start anew"
+        raise ParameterError(msg) from error

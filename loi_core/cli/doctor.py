@@ -1,0 +1,136 @@
+"""``loi doctor``: what works on this machine, and for each thing that does not, the command that mends it."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import os
+import platform
+import sys
+import warnings
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any, Final, Literal
+
+from loi_core import __version__
+from loi_core.registry import available_renderers
+
+__all__ = ["Finding", "examine", "findings"]
+
+State = Literal["ok", "missing", "broken", "note"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One thing that was looked at.
+
+    Attributes
+    ----------
+    name : str
+    state : {"ok", "missing", "broken", "note"}
+        "missing" is an optional thing that is not there; "broken" one that is there and does not work.
+    detail : str
+        Version, or what is wrong.
+    mend : str
+        The command that mends it; empty if nothing needs mending.
+    """
+
+    name: str
+    state: State
+    detail: str
+    mend: str = ""
+
+
+REQUIRED: Final = {
+    "numpy": "numpy",
+    "array-api-compat": "array_api_compat",
+    "pillow": "PIL",
+    "matplotlib": "matplotlib",
+    "OpenEXR": "OpenEXR",
+    "tqdm": "tqdm",
+}
+BACKENDS: Final = {"torch": "torch", "jax": "jax", "mitsuba": "mitsuba"}
+
+
+def examine(*, as_json: bool) -> bool:
+    """Print all findings; False if something is broken."""
+    found = findings()
+    if as_json:
+        print(json.dumps([asdict(one) for one in found], indent=2))
+    else:
+        width = max(len(one.name) for one in found)
+        for one in found:
+            print(f"{one.name:<{width}}  {one.state:<7}  {one.detail}")
+            if one.mend:
+                print(f"{'':<{width}}  mend:    {one.mend}")
+    return not any(one.state == "broken" for one in found)
+
+
+def findings() -> list[Finding]:
+    """Look at Python, the packages, the backends, the processor and the GPU."""
+    found = [
+        Finding("loi", "ok", f"{__version__} in {os.path.dirname(os.path.dirname(os.path.dirname(__file__)))}"),  # noqa: PTH120
+        Finding("python", "ok", f"{platform.python_version()} at {sys.executable}"),
+        Finding("platform", "ok", f"{platform.system()} {platform.machine()}"),
+        Finding("threads", "ok", _threads()),
+    ]
+    found += [
+        _package(name, module, "pip install --force-reinstall loi", required=True) for name, module in REQUIRED.items()
+    ]
+    for name, module in BACKENDS.items():
+        found.append(_package(name, module, f"pip install 'loi[{name}]'", required=False))
+    found.append(_gpu())
+    for one in available_renderers():
+        if one.state == "ready":
+            found.append(Finding(f"renderer {one.name}", "ok", f"{one.package} {one.version}"))
+        else:
+            found.append(Finding(f"renderer {one.name}", "broken", one.problem, f"pip uninstall {one.package}"))
+    return found
+
+
+def _threads() -> str:
+    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    limits = [
+        f"{name}={os.environ[name]}" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS") if name in os.environ
+    ]
+    return f"{usable} usable of {os.cpu_count()}" + (f", limited by {', '.join(limits)}" if limits else "")
+
+
+def _package(name: str, module: str, mend: str, *, required: bool) -> Finding:
+    try:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        if (error.name or "").split(".")[0] == module:
+            return Finding(name, "broken" if required else "missing", "not installed", mend)
+        return Finding(name, "broken", f"{error}", mend)
+    except Exception as error:  # noqa: BLE001 - a half-installed package may raise anything on import
+        return Finding(name, "broken", f"{type(error).__name__}: {error}".splitlines()[0], mend)
+    try:
+        return Finding(name, "ok", version(name))
+    except PackageNotFoundError:
+        return Finding(name, "ok", "version unknown")
+
+
+def _gpu() -> Finding:
+    """A GPU as an installed backend sees it; no driver is asked directly."""
+    probes: dict[str, Callable[[Any], str]] = {"torch": _torch_gpu, "jax": _jax_gpu}
+    for name, probe in probes.items():
+        try:
+            seen = probe(importlib.import_module(name))
+        except Exception:  # noqa: BLE001, S112 - the backend's own finding says what is wrong with it
+            continue
+        if seen:
+            return Finding("gpu", "ok", f"{seen} (by {name})")
+    return Finding("gpu", "note", "none seen by torch or jax; everything runs on the processor")
+
+
+def _torch_gpu(torch: Any) -> str:
+    return str(torch.cuda.get_device_name(0)) if torch.cuda.is_available() else ""
+
+
+def _jax_gpu(jax: Any) -> str:
+    devices = [one for one in jax.devices() if one.platform != "cpu"]
+    return str(devices[0].device_kind) if devices else ""

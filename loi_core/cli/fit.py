@@ -1,0 +1,100 @@
+"""``loi fit``."""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from tqdm import tqdm
+
+from loi_core.experiment import Trial, run_scene
+from loi_core.report import write_page, write_results
+from loi_core.report.plots import LABELS
+from loi_core.scene import Scene, load_scene
+
+__all__ = ["CHECKPOINT_FILE", "fit_scene", "run_and_write"]
+
+CHECKPOINT_FILE: Final = "checkpoint.npz"
+
+
+def fit_scene(path: Path, output: Path | None, *, resume: bool, as_json: bool) -> bool:
+    """Fit a scene file and write its results; False if a fit ended early."""
+    scene = load_scene(path, output=output)
+    result = run_and_write(scene, resume=resume)
+    page = write_page(scene.output)
+    if as_json:
+        print(json.dumps(result | {"report": str(page)}, indent=2))
+    else:
+        print_summary(result)
+        print(f"\nreport: {page}")
+    return not any(trial["error"] for trial in result["trials"])
+
+
+def run_and_write(scene: Scene, *, resume: bool = False) -> dict[str, Any]:
+    """Fit a scene with progress bars on standard error, write all but the page, and return the summary."""
+    bars = _Bars(scene.fit.steps)
+    try:
+        trials: list[Trial] = run_scene(
+            scene, checkpoint=scene.output / CHECKPOINT_FILE, resume=resume, progress=bars.step
+        )
+    finally:
+        bars.close()
+    for trial in trials:
+        if trial.error:
+            print(f"loi: {trial.objective}: {trial.error}", file=sys.stderr)
+    return write_results(scene, trials)
+
+
+def print_summary(result: Mapping[str, Any]) -> None:
+    """The summary of one scene as a small table."""
+    names = sorted({name for trial in result["trials"] for name in trial.get("parameter_errors", {})})
+    heads = [result["title"], "PSNR dB", "seconds", *(f"|d {name}|" for name in names)]
+    rows = [heads]
+    for trial in result["trials"]:
+        errors = trial.get("parameter_errors", {})
+        rows.append(
+            [
+                LABELS.get(trial["objective"], trial["objective"]),
+                _shown(trial.get("psnr"), ".2f"),
+                _shown(trial.get("seconds"), ".1f"),
+                *(_shown(errors.get(name), ".4g") for name in names),
+            ]
+        )
+    widths = [max(len(row[column]) for row in rows) for column in range(len(heads))]
+    for row in rows:
+        first, *rest = (
+            cell.ljust(width) if k == 0 else cell.rjust(width)
+            for k, (cell, width) in enumerate(zip(row, widths, strict=True))
+        )
+        print("  ".join([first, *rest]))
+
+
+def _shown(value: Any, spec: str) -> str:
+    return format(value, spec) if isinstance(value, int | float) else "-"
+
+
+class _Bars:
+    """One progress bar per objective, on standard error; silent where that is not a terminal."""
+
+    def __init__(self, steps: int) -> None:
+        self._steps = steps
+        self._bar: tqdm[Any] | None = None
+        self._name = ""
+
+    def step(self, name: str, step: int, value: float) -> None:
+        """Move the bar of this objective to this step."""
+        if self._bar is None or name != self._name:
+            self.close()
+            self._name = name
+            self._bar = tqdm(total=self._steps, initial=step, desc=f"{LABELS.get(name, name):>17}", disable=None)
+        self._bar.set_postfix_str(f"{value:.3g}", refresh=False)
+        self._bar.update()
+
+    def close(self) -> None:
+        """Leave the bar as it is and end its line."""
+        if self._bar is not None:
+            self._bar.close()
+            self._bar = None

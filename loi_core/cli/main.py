@@ -1,0 +1,92 @@
+"""Parsing of the command line, and the exit codes: 0 done, 1 the work failed, 2 the call was wrong."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+from loi_core import __version__
+from loi_core.errors import FitError, LoiError, RendererError
+
+__all__ = ["DONE", "FAILED", "WRONG_CALL", "main"]
+
+DONE: Final = 0
+FAILED: Final = 1
+WRONG_CALL: Final = 2
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Run ``loi`` with these arguments (those of the process by default); returns the exit code."""
+    try:
+        options = _parser().parse_args(arguments)
+    except SystemExit as stop:  # argparse has printed the help, the version, or what is wrong
+        return stop.code if isinstance(stop.code, int) else WRONG_CALL
+    try:
+        return _run(options)
+    except KeyboardInterrupt:
+        return _say("interrupted", FAILED)
+    except BrokenPipeError:  # `loi ... | head` has read enough
+        sys.stderr.close()
+        return DONE
+    except LoiError as error:
+        return _say(str(error), FAILED if isinstance(error, FitError | RendererError) else WRONG_CALL)
+    except OSError as error:
+        return _say(f"{error.filename or 'the file system'}: {error.strerror or error}", FAILED)
+
+
+def _run(options: argparse.Namespace) -> int:
+    # Each command imports what it needs, so that `loi --version` does not wait for a plotting library.
+    if options.command == "fit":
+        from loi_core.cli.fit import fit_scene
+
+        return DONE if fit_scene(options.scene, options.output, resume=options.resume, as_json=options.json) else FAILED
+    if options.command == "demo":
+        from loi_core.cli.demo import run_demo
+
+        return DONE if run_demo(options.output, as_json=options.json) else FAILED
+    if options.command == "report":
+        from loi_core.report import write_page
+
+        print(write_page(options.folder))
+        return DONE
+    if options.command == "renderers":
+        from loi_core.cli.renderers import list_renderers
+
+        list_renderers(as_json=options.json)
+        return DONE
+    from loi_core.cli.doctor import examine
+
+    return DONE if examine(as_json=options.json) else FAILED
+
+
+def _say(message: str, code: int) -> int:
+    print(f"loi: {message}", file=sys.stderr)
+    return code
+
+
+def _parser() -> argparse.ArgumentParser:
+    parser = argparse.ArgumentParser(
+        prog="loi", description="Locally orderless images as a loss for inverse rendering."
+    )
+    parser.add_argument("--version", action="version", version=f"loi {__version__}")
+    commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+
+    demo = commands.add_parser("demo", help="recover two scenes from images, beside pixel L2 and a pyramid")
+    demo.add_argument("--output", type=Path, default=Path("demo"), help="folder for the results (default: demo)")
+
+    fit = commands.add_parser("fit", help="fit a scene to its target image")
+    fit.add_argument("scene", type=Path, metavar="SCENE.toml", help="the scene file")
+    fit.add_argument("--output", type=Path, help="folder for the results, instead of the scene's own")
+    fit.add_argument("--resume", action="store_true", help="go on where an earlier fit stopped")
+
+    report = commands.add_parser("report", help="make report.html anew from a result folder")
+    report.add_argument("folder", type=Path, metavar="DIR")
+
+    renderers = commands.add_parser("renderers", help="which renderers are installed")
+    doctor = commands.add_parser("doctor", help="what works here, and the mend for what does not")
+    for command in (demo, fit, renderers, doctor):
+        command.add_argument("--json", action="store_true", help="print the answer as JSON")
+    return parser

@@ -1,0 +1,141 @@
+"""Running a scene: one fit per objective from the same start, watched, and measured against the target."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, TypeAlias
+
+import numpy as np
+
+from loi_core.arrays import Array, to_numpy
+from loi_core.errors import FitError, SceneError
+from loi_core.fit import FitInterruptedError, FitResult, FitStep, fit, starting_parameters
+from loi_core.renderer import Parameters
+from loi_core.scene import Scene
+
+__all__ = ["Progress", "Trial", "initial_image", "psnr", "run_scene"]
+
+FRAMES: Final = 8  # pictures of the way that a report shows
+
+Progress: TypeAlias = Callable[[str, int, float], None]
+"""Called as ``progress(objective, step, value)`` after every step of every fit."""
+
+Host: TypeAlias = np.ndarray[Any, Any]
+
+
+@dataclass
+class Trial:
+    """One objective's fit.
+
+    Attributes
+    ----------
+    objective : str
+        Its name in the scene.
+    result : FitResult or None
+        None if the very first step failed.
+    initial : array, shape (H, W, C)
+        The image at the start.
+    psnr : dict of float
+        Step to PSNR of its image against the target, in dB; steps of an earlier, resumed run are not in it.
+    frames : list of (int, array)
+        Steps and images along the way.
+    error : str
+        Why the fit ended early; empty if it did not.
+    """
+
+    objective: str
+    result: FitResult | None = None
+    initial: Host = field(default_factory=lambda: np.zeros((1, 1, 3)))
+    psnr: dict[int, float] = field(default_factory=dict)
+    frames: list[tuple[int, Host]] = field(default_factory=list)
+    error: str = ""
+
+    @property
+    def seconds(self) -> float:
+        """Time that the steps took together."""
+        return sum(one.seconds for one in self.result.history) if self.result else 0.0
+
+
+def psnr(image: Host, target: Host) -> float:
+    """Peak signal-to-noise ratio in dB, for a peak of 1; infinite for equal images."""
+    error = float(np.mean((np.asarray(image, dtype=np.float64) - target) ** 2))
+    return math.inf if error == 0.0 else -10.0 * math.log10(error)
+
+
+def run_scene(
+    scene: Scene, *, checkpoint: Path | None = None, resume: bool = False, progress: Progress | None = None
+) -> list[Trial]:
+    """Fit a scene with each of its objectives.
+
+    A fit that fails, or Ctrl-C, ends with what has been reached so far: the trial says so in ``error``, and after
+    Ctrl-C the remaining objectives are not tried. Only the first objective keeps a checkpoint.
+
+    Raises
+    ------
+    LoiError
+        If the scene's options are not allowed; nothing has been rendered then.
+    """
+    trials: list[Trial] = []
+    for index, (name, objective) in enumerate(scene.objectives.items()):
+        trial = Trial(name)
+        watcher = _Watcher(scene, trial, progress)
+        trial.initial = initial_image(scene)
+        trials.append(trial)
+        try:
+            trial.result = fit(
+                scene.renderer,
+                objective,
+                steps=scene.fit.steps,
+                learning_rate=scene.fit.learning_rate,
+                seed=scene.fit.seed,
+                decay=scene.fit.decay,
+                optimise=scene.optimise,
+                checkpoint=checkpoint if index == 0 else None,
+                resume=resume,
+                callback=watcher,
+            )
+        except FitError as error:
+            trial.error = str(error)
+            trial.result = error.result if isinstance(error.result, FitResult) else None
+        except FitInterruptedError as stop:
+            trial.error = "interrupted"
+            trial.result = stop.result
+            break
+    return trials
+
+
+def initial_image(scene: Scene) -> Host:
+    """What the scene renders at its starting parameters.
+
+    Raises
+    ------
+    SceneError
+        If it does not have the target's shape.
+    """
+    params = starting_parameters(scene.renderer, scene.optimise)
+    image = to_numpy(scene.renderer.render(params, seed=scene.fit.seed))
+    if image.shape != scene.target.shape:
+        msg = f"{scene.path}: the renderer makes images of shape {image.shape}, the target has {scene.target.shape}"
+        raise SceneError(msg)
+    return image
+
+
+@dataclass
+class _Watcher:
+    """The callback that keeps what a report shows."""
+
+    scene: Scene
+    trial: Trial
+    progress: Progress | None
+
+    def __call__(self, step: FitStep, _: Parameters, image: Array) -> None:
+        seen = to_numpy(image)
+        self.trial.psnr[step.step] = psnr(seen, self.scene.target)
+        shown = {round(k * (self.scene.fit.steps - 1) / (FRAMES - 1)) for k in range(FRAMES)}
+        if step.step in shown:
+            self.trial.frames.append((step.step, seen.copy()))
+        if self.progress is not None:
+            self.progress(self.trial.objective, step.step, step.value)

@@ -1,0 +1,123 @@
+"""Reading and writing images: PNG, JPEG, EXR and NPY, as floating-point arrays (H, W, 3)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, Final, TypeAlias
+
+import numpy as np
+
+from loi_core.errors import ImageFileError
+from loi_core.files import atomic_path
+
+__all__ = ["IMAGE_SUFFIXES", "FloatImage", "read_image", "write_png"]
+
+FloatImage: TypeAlias = np.ndarray[Any, np.dtype[np.float64]]
+
+IMAGE_SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".exr", ".npy")
+MAX_PIXELS: Final = 64 * 1024 * 1024  # beyond this a file is taken for damage or an attack, not for a target
+
+
+def read_image(path: Path) -> FloatImage:
+    """An image file as RGB.
+
+    Parameters
+    ----------
+    path : Path
+        PNG and JPEG are divided by their greatest value, so 8 and 16 bits come out in [0, 1]; nothing is
+        linearised. EXR and NPY come out as stored; an NPY must be (H, W), (H, W, 1), (H, W, 3) or (H, W, 4).
+        Opacity, if any, is kept only by NPY and PNG, as a fourth channel; grey becomes three equal channels.
+
+    Returns
+    -------
+    array, shape (H, W, 3) or (H, W, 4), float64
+
+    Raises
+    ------
+    ImageFileError
+        If the file is missing, damaged, of another kind, or larger than 64 megapixels. Nothing in it is
+        executed.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in IMAGE_SUFFIXES:
+        msg = f"{path}: images must end in {', '.join(IMAGE_SUFFIXES)}"
+        raise ImageFileError(msg)
+    if not path.is_file():
+        msg = f"{path}: no such image file"
+        raise ImageFileError(msg)
+    readers = {".npy": _read_npy, ".exr": _read_exr}
+    try:
+        image = readers.get(suffix, _read_pillow)(path)
+    except ImageFileError:
+        raise
+    except Exception as error:  # decoders raise what they like on damaged files; all of it means the same here
+        detail = (str(error).splitlines() or [""])[0]
+        msg = f"{path}: not a readable {suffix[1:].upper()} image ({type(error).__name__}: {detail})"
+        raise ImageFileError(msg) from error
+    return _as_colour(path, image)
+
+
+def write_png(path: Path, image: np.ndarray[Any, Any]) -> None:
+    """Write an image, shape (H, W, 3), values clipped to [0, 1], as an 8-bit PNG, whole or not at all."""
+    from PIL import Image
+
+    clipped = np.clip(np.nan_to_num(np.asarray(image, dtype=np.float64)), 0.0, 1.0)
+    with atomic_path(path) as temporary:
+        Image.fromarray(np.rint(clipped * 255.0).astype(np.uint8)).save(temporary, format="PNG")
+
+
+def _check_size(path: Path, height: int, width: int) -> None:
+    if height * width > MAX_PIXELS:
+        msg = f"{path}: {width} x {height} pixels are more than the {MAX_PIXELS} that are read"
+        raise ImageFileError(msg)
+
+
+def _read_pillow(path: Path) -> np.ndarray[Any, Any]:
+    from PIL import Image
+
+    with Image.open(path, formats=["PNG", "JPEG"]) as picture:
+        _check_size(path, picture.height, picture.width)
+        if picture.mode.startswith("I"):  # 16-bit grey
+            return np.asarray(picture, dtype=np.float64) / 65535.0
+        has_opacity = picture.mode in ("RGBA", "LA", "PA") or "transparency" in picture.info
+        return np.asarray(picture.convert("RGBA" if has_opacity else "RGB"), dtype=np.float64) / 255.0
+
+
+def _read_npy(path: Path) -> np.ndarray[Any, Any]:
+    array = np.load(path, mmap_mode="r", allow_pickle=False)
+    if array.ndim not in (2, 3) or array.dtype.kind not in "fiu":
+        msg = f"{path}: an NPY image must be real numbers of shape (H, W) or (H, W, C), got {array.dtype} {array.shape}"
+        raise ImageFileError(msg)
+    _check_size(path, *array.shape[:2])
+    if array.dtype.kind in "iu":
+        return np.asarray(array, dtype=np.float64) / float(np.iinfo(array.dtype).max)
+    return np.array(array, dtype=np.float64)
+
+
+def _read_exr(path: Path) -> np.ndarray[Any, Any]:
+    import OpenEXR
+
+    with OpenEXR.File(str(path), header_only=True) as header:
+        window = header.header()["dataWindow"]
+    width, height = (int(high - low + 1) for low, high in zip(*window, strict=True))
+    _check_size(path, height, width)
+    with OpenEXR.File(str(path)) as stored:
+        channels = stored.channels()
+        for name in ("RGB", "RGBA"):
+            if name in channels:
+                return np.asarray(channels[name].pixels, dtype=np.float64)[..., :3]
+        if "Y" in channels:
+            return np.asarray(channels["Y"].pixels, dtype=np.float64)
+    msg = f"{path}: an EXR image must have the channels R, G, B or Y, it has {', '.join(sorted(channels))}"
+    raise ImageFileError(msg)
+
+
+def _as_colour(path: Path, image: np.ndarray[Any, Any]) -> FloatImage:
+    if image.ndim == 2:
+        image = image[..., None]
+    if image.shape[2] == 1:
+        image = np.repeat(image, 3, axis=2)
+    if image.shape[2] not in (3, 4) or image.size == 0:
+        msg = f"{path}: images must have 1, 3 or 4 channels and be not empty, got shape {image.shape}"
+        raise ImageFileError(msg)
+    return image

@@ -1,0 +1,8 @@
+"""Image objectives: the paper's loss and its rivals, all with ``value``, ``value_and_grad`` and ``terms``."""
+
+from loi_core.objectives.base import ImageObjective, Objective
+from loi_core.objectives.loi import LOIObjective
+from loi_core.objectives.pixel import PixelL2
+from loi_core.objectives.pyramid import GaussianPyramid
+
+__all__ = ["GaussianPyramid", "ImageObjective", "LOIObjective", "Objective", "PixelL2"]

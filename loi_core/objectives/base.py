@@ -1,0 +1,195 @@
+"""What every image objective shares: its interface, and the handling of layouts, libraries and bad pixels."""
+
+from __future__ import annotations
+
+import abc
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Final, Generic, Protocol, TypeVar, runtime_checkable
+
+from loi_core.arrays import Array, as_floating, device, from_numpy, is_numpy_array, library_name, namespace
+from loi_core.errors import ImageTypeError
+from loi_core.layout import Layout, check_channel_axis
+from loi_core.nonfinite import NanPolicy, check_nan_policy, require_finite
+
+__all__ = ["Evaluation", "ImageObjective", "Objective"]
+
+MAX_PREPARED: Final = 4  # kinds of image (shape, dtype, device) that one objective keeps the reference ready for
+
+PreparedT = TypeVar("PreparedT")
+KeyT = TypeVar("KeyT")
+
+
+@runtime_checkable
+class Objective(Protocol):
+    """A number that says how far an image is from a reference, and its gradient."""
+
+    def value(self, image: Array) -> Array:
+        """The objective, as a 0-d array of the image's library, dtype and device."""
+
+    def value_and_grad(self, image: Array) -> tuple[Array, Array]:
+        """The objective and its gradient by the image; the gradient has the image's shape."""
+
+
+@dataclass(frozen=True)
+class Evaluation(Generic[KeyT]):
+    """What one evaluation on planes gives: terms that sum to the value, and the gradient if it was asked for."""
+
+    terms: dict[KeyT, Array]
+    gradient: Array | None
+
+
+@dataclass(frozen=True)
+class _Ready(Generic[PreparedT]):
+    """The reference as one array library, dtype and device sees it."""
+
+    planes: Array
+    finite: Array | None
+    prepared: PreparedT
+
+
+class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
+    """Base of the objectives that compare an image with a reference of the same shape.
+
+    Parameters
+    ----------
+    reference : array, shape (*batch, H, W, C)
+        Real floating point. A NumPy array serves images of every library; one of another library serves
+        images of that library. Fewer batch axes than the image are broadcast. It is copied; later writes to it
+        change nothing.
+    channel_axis : int or None
+        Where the channels are, in the reference and in the images; None if there are none, (*batch, H, W).
+        Count from the end (-3 for channels first) when reference and images differ in batch axes.
+    nan_policy : {"raise", "mask"}
+        "raise" stops at the first NaN or infinite pixel. "mask" lets such pixels, of either image, weigh nothing:
+        they are taken as equal to the reference, and their gradient is 0.
+
+    Notes
+    -----
+    Batches are averaged: the value is one number, the mean over the images of the batch.
+    """
+
+    def __init__(self, reference: Array, *, channel_axis: int | None = -1, nan_policy: NanPolicy = "raise") -> None:
+        self._channel_axis = check_channel_axis(channel_axis)
+        self._nan_policy = check_nan_policy(nan_policy)
+        as_floating("reference", reference)
+        self._reference_layout = Layout.of("reference", reference.shape, self._channel_axis)
+        if self._nan_policy == "raise":
+            require_finite("reference", reference)
+        xp = namespace(reference)
+        self._reference = xp.asarray(reference, copy=True)
+        self._ready: dict[tuple[Any, ...], _Ready[PreparedT]] = {}
+
+    @property
+    def reference(self) -> Array:
+        """The reference as it was given, in its own library and dtype."""
+        return self._reference
+
+    @property
+    def channel_axis(self) -> int | None:
+        """Where the channels are."""
+        return self._channel_axis
+
+    @property
+    def nan_policy(self) -> NanPolicy:
+        """What happens to pixels that are not finite."""
+        return self._nan_policy
+
+    def value(self, image: Array) -> Array:
+        """The objective at `image`.
+
+        Parameters
+        ----------
+        image : array, shape (*batch, H, W, C)
+            Real floating point, of any library of the array API standard.
+
+        Returns
+        -------
+        array, shape ()
+            Of the image's library, dtype and device.
+
+        Raises
+        ------
+        ImageTypeError, ImageError
+            If the type or shape does not fit the reference.
+        NonFiniteImageError
+            Under ``nan_policy="raise"``, if a pixel is NaN or infinite.
+        """
+        return _total(self._evaluate_image(image, gradient=False)[0].terms)
+
+    def value_and_grad(self, image: Array) -> tuple[Array, Array]:
+        """The objective at `image` and its gradient, an array like `image`. Errors as in :meth:`value`."""
+        evaluation, gradient = self._evaluate_image(image, gradient=True)
+        return _total(evaluation.terms), gradient
+
+    def terms(self, image: Array) -> dict[KeyT, Array]:
+        """The parts of the value, which sum to it. Errors as in :meth:`value`."""
+        return self._evaluate_image(image, gradient=False)[0].terms
+
+    @abc.abstractmethod
+    def _prepare(self, reference: Array) -> PreparedT:
+        """All that depends on the reference alone; `reference` has shape (N, H, W)."""
+
+    @abc.abstractmethod
+    def _evaluate(self, planes: Array, prepared: PreparedT, *, gradient: bool) -> Evaluation[KeyT]:
+        """Terms, averaged over all planes and pixels, and their gradient; `planes` has shape (N, H, W)."""
+
+    def _evaluate_image(self, image: Array, *, gradient: bool) -> tuple[Evaluation[KeyT], Array]:
+        as_floating("image", image)
+        layout = Layout.of("image", image.shape, self._channel_axis)
+        ready = self._ready_for(image, layout)
+        planes = layout.to_planes(image)
+        seen: Array | None = None
+        if self._nan_policy == "raise":
+            require_finite("image", image)
+        else:
+            xp = namespace(planes)
+            seen = xp.isfinite(planes) & ready.finite
+            planes = xp.where(seen, planes, ready.planes)
+        evaluation = self._evaluate(planes, ready.prepared, gradient=gradient)
+        cotangent = evaluation.gradient
+        if cotangent is None:
+            return evaluation, None
+        if seen is not None:
+            xp = namespace(cotangent)
+            cotangent = xp.where(seen, cotangent, xp.zeros_like(cotangent))
+        return evaluation, layout.to_image(cotangent)
+
+    def _ready_for(self, image: Array, layout: Layout) -> _Ready[PreparedT]:
+        key = (library_name(image), str(image.dtype), str(device(image)), layout.shape)
+        if key not in self._ready:
+            if len(self._ready) >= MAX_PREPARED:
+                self._ready.pop(next(iter(self._ready)))
+            self._ready[key] = self._make_ready(image, layout)
+        return self._ready[key]
+
+    def _make_ready(self, image: Array, layout: Layout) -> _Ready[PreparedT]:
+        planes = layout.broadcast_planes("image", self._reference_like(image), self._reference_layout)
+        xp = namespace(planes)
+        finite: Array | None = None
+        if self._nan_policy == "mask":
+            finite = xp.isfinite(planes)
+            planes = xp.where(finite, planes, xp.zeros_like(planes))
+        return _Ready(planes, finite, self._prepare(planes))
+
+    def _reference_like(self, image: Array) -> Array:
+        if is_numpy_array(self._reference):
+            return from_numpy(self._reference, image)
+        if library_name(self._reference) != library_name(image):
+            msg = (
+                f"`image` is an array of {library_name(image)}, the reference of {library_name(self._reference)}; "
+                f"give the reference as NumPy to serve every library"
+            )
+            raise ImageTypeError(msg)
+        if device(self._reference) != device(image):
+            msg = f"`image` is on device {device(image)}, the reference on {device(self._reference)}"
+            raise ImageTypeError(msg)
+        return namespace(image).astype(self._reference, image.dtype)
+
+
+def _total(terms: Mapping[Any, Array]) -> Array:
+    parts = list(terms.values())
+    total = parts[0]
+    for part in parts[1:]:
+        total = total + part
+    return total

@@ -1,0 +1,88 @@
+"""The multi-scale rival: squared differences at every level of a Gaussian pyramid (Adelson et al. 1984)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from loi_core.arrays import Array, from_numpy, namespace
+from loi_core.errors import OptionError
+from loi_core.kernels import blur_matrix
+from loi_core.nonfinite import NanPolicy
+from loi_core.objectives.base import Evaluation, ImageObjective
+from loi_core.operators import DenseBlur
+
+__all__ = ["GaussianPyramid"]
+
+REDUCE_SCALE = 1.0  # standard deviation of the binomial (1, 4, 6, 4, 1) / 16 that a pyramid blurs with
+
+
+@dataclass(frozen=True)
+class _Prepared:
+    reductions: list[DenseBlur]
+    levels: list[Array]
+
+
+class GaussianPyramid(ImageObjective[_Prepared, int]):
+    """Sum over pyramid levels of the mean squared difference at that level.
+
+    Each level is the one before, blurred by a Gaussian of one pixel under reflection and halved.
+
+    Parameters
+    ----------
+    reference : array, shape (*batch, H, W, C)
+        Real floating point; see :class:`ImageObjective`, as for `channel_axis` and `nan_policy`.
+    levels : int, optional
+        Number of levels, the full resolution included; by default, down to a shorter side of 2 pixels.
+    """
+
+    def __init__(
+        self,
+        reference: Array,
+        levels: int | None = None,
+        *,
+        channel_axis: int | None = -1,
+        nan_policy: NanPolicy = "raise",
+    ) -> None:
+        super().__init__(reference, channel_axis=channel_axis, nan_policy=nan_policy)
+        shorter = min(self._reference_layout.height, self._reference_layout.width)
+        most = max(1, int(math.log2(shorter)))
+        if levels is None:
+            levels = most
+        if isinstance(levels, bool) or not isinstance(levels, int | np.integer) or not 1 <= levels <= most:
+            msg = f"`levels` must be a whole number from 1 to {most} for this image size, got {levels!r}"
+            raise OptionError(msg)
+        self._levels = int(levels)
+
+    def _prepare(self, reference: Array) -> _Prepared:
+        height, width = reference.shape[-2:]
+        reductions, levels = [], [reference]
+        for _ in range(self._levels - 1):
+            rows = blur_matrix(height, REDUCE_SCALE, "reflect")[::2]
+            columns = blur_matrix(width, REDUCE_SCALE, "reflect")[::2]
+            reductions.append(DenseBlur(from_numpy(rows, reference), from_numpy(columns, reference)))
+            levels.append(reductions[-1].apply(levels[-1]))
+            height, width = rows.shape[0], columns.shape[0]
+        return _Prepared(reductions, levels)
+
+    def _evaluate(self, planes: Array, prepared: _Prepared, *, gradient: bool) -> Evaluation[int]:
+        xp = namespace(planes)
+        # The pyramid is linear: the pyramid of the difference is the difference of the pyramids.
+        differences = [planes - prepared.levels[0]]
+        for reduction in prepared.reductions:
+            differences.append(reduction.apply(differences[-1]))
+        weights = [1.0 / math.prod(level.shape) for level in differences]
+        terms = {
+            index: xp.sum(level * level) * weight
+            for index, (level, weight) in enumerate(zip(differences, weights, strict=True))
+        }
+        if not gradient:
+            return Evaluation(terms, None)
+        cotangent = differences[-1] * (2.0 * weights[-1])
+        for level, weight, reduction in zip(
+            differences[-2::-1], weights[-2::-1], reversed(prepared.reductions), strict=True
+        ):
+            cotangent = level * (2.0 * weight) + reduction.adjoint(cotangent)
+        return Evaluation(terms, cotangent)

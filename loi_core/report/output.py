@@ -1,0 +1,105 @@
+"""The result folder of a scene: every file written whole or not at all."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from loi_core.arrays import to_numpy
+from loi_core.experiment import Trial, psnr
+from loi_core.files import write_bytes, write_text
+from loi_core.images import write_png
+from loi_core.report.plots import convergence_plot
+from loi_core.scene import Scene
+
+__all__ = ["RESULT_FILE", "summary", "write_results"]
+
+RESULT_FILE: Final = "result.json"
+
+
+def write_results(scene: Scene, trials: Sequence[Trial]) -> dict[str, Any]:
+    """Write all results of a scene to its output folder, except for the page; return the summary.
+
+    ``parameters.json``, ``history.csv``, ``initial.png``, ``final.png``, ``target.png``, ``error.png`` and
+    ``frames/`` are those of the first objective; every other has ``final.png``, ``error.png``, ``history.csv`` and
+    ``parameters.json`` in ``compare/NAME``. ``convergence.png`` and ``result.json`` hold all of them.
+    """
+    folder = scene.output
+    for index, trial in enumerate(trials):
+        own = folder if index == 0 else folder / "compare" / trial.objective
+        if index == 0:
+            write_png(folder / "target.png", scene.target)
+            write_png(folder / "initial.png", trial.initial)
+        if trial.result is None:
+            continue
+        final = to_numpy(trial.result.image)
+        write_png(own / "final.png", final)
+        write_png(own / "error.png", np.abs(final - scene.target))
+        write_text(own / "history.csv", _history(trial))
+        best = {name: to_numpy(value).tolist() for name, value in trial.result.best_params.items()}
+        write_text(own / "parameters.json", json.dumps(best, indent=2) + "\n")
+        if index == 0:
+            _write_frames(folder / "frames", trial)
+    write_bytes(folder / "convergence.png", convergence_plot(trials))
+    result = summary(scene, trials)
+    write_text(folder / RESULT_FILE, json.dumps(result, indent=2, allow_nan=False) + "\n")
+    return result
+
+
+def summary(scene: Scene, trials: Sequence[Trial]) -> dict[str, Any]:
+    """What came out, as plain values for JSON; numbers that are not finite become null."""
+    return {
+        "title": scene.title,
+        "scene": scene.path.name,
+        "output": str(scene.output),
+        "steps": scene.fit.steps,
+        "trials": [_one(scene, trial) for trial in trials],
+    }
+
+
+def _one(scene: Scene, trial: Trial) -> dict[str, Any]:
+    entry: dict[str, Any] = {"objective": trial.objective, "error": trial.error or None}
+    if trial.result is None:
+        return entry
+    best = {name: to_numpy(value) for name, value in trial.result.best_params.items()}
+    return entry | {
+        "value": _finite(trial.result.best_value),
+        "best_step": trial.result.best_step,
+        "steps_done": len(trial.result.history),
+        "seconds": round(trial.seconds, 3),
+        "psnr": _finite(psnr(to_numpy(trial.result.image), scene.target)),
+        "psnr_initial": _finite(psnr(trial.initial, scene.target)),
+        "parameters": {name: best[name].tolist() for name in scene.optimise},
+        "parameter_errors": {name: float(np.abs(best[name] - true).max()) for name, true in scene.truth.items()},
+    }
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _write_frames(folder: Path, trial: Trial) -> None:
+    current = {folder / f"{step:06d}.png": frame for step, frame in trial.frames}
+    for path, frame in current.items():
+        write_png(path, frame)
+    for stale in set(folder.glob("*.png")) - set(current):  # of an earlier run with other steps
+        stale.unlink()
+
+
+def _history(trial: Trial) -> str:
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(["step", "value", "gradient_norm", "rate", "seconds", "psnr"])
+    for one in trial.result.history if trial.result else ():
+        quality = trial.psnr.get(one.step)
+        shown = "" if quality is None else f"{quality:.4f}"
+        writer.writerow(
+            [one.step, repr(one.value), repr(one.gradient_norm), f"{one.rate:.6g}", f"{one.seconds:.5f}", shown]
+        )
+    return stream.getvalue()

@@ -1,0 +1,133 @@
+"""One self-contained HTML page for a result folder, and one for several."""
+
+from __future__ import annotations
+
+import base64
+import json
+from collections.abc import Mapping, Sequence
+from html import escape
+from pathlib import Path
+from typing import Any, Final
+
+from loi_core.errors import SceneError
+from loi_core.files import write_text
+from loi_core.report.output import RESULT_FILE
+from loi_core.report.plots import LABELS
+
+__all__ = ["write_index", "write_page"]
+
+SAME_START: Final = "every objective from the same start with the same optimiser"
+STYLE: Final = """
+:root { color-scheme: light dark; --line: #8884; --soft: #8882; --accent: #c2410c; }
+body { font: 16px/1.5 system-ui, sans-serif; max-width: 64rem; margin: 2rem auto; padding: 0 1rem; }
+h1 { font-size: 1.6rem; margin-bottom: .2rem; } h2 { font-size: 1.15rem; margin-top: 2.2rem; }
+p.lead { margin-top: 0; opacity: .8; }
+.row { display: flex; flex-wrap: wrap; gap: .8rem; } figure { margin: 0; }
+figcaption { font-size: .85rem; opacity: .8; }
+.row img { width: 14.5rem; image-rendering: pixelated; border: 1px solid var(--line); background: #000; }
+.film img { width: 7rem; } img.plot { max-width: 100%; background: #fff; border-radius: .3rem; }
+.ours figcaption { color: var(--accent); font-weight: 600; opacity: 1; }
+table { border-collapse: collapse; } th, td { padding: .3rem .8rem; border-bottom: 1px solid var(--line); }
+th { text-align: left; background: var(--soft); } td.n { text-align: right; font-variant-numeric: tabular-nums; }
+"""
+
+
+def write_page(folder: Path) -> Path:
+    """Make ``report.html`` from what a result folder holds; returns its path.
+
+    Raises
+    ------
+    SceneError
+        If the folder does not hold the results of a scene.
+    """
+    page = folder / "report.html"
+    write_text(page, _document(_read(folder)["title"], _section(folder)))
+    return page
+
+
+def write_index(page: Path, folders: Sequence[Path], title: str) -> Path:
+    """Make one page of several result folders; returns its path. Errors as in :func:`write_page`."""
+    write_text(page, _document(title, "\n".join(_section(folder) for folder in folders)))
+    return page
+
+
+def _read(folder: Path) -> dict[str, Any]:
+    path = folder / RESULT_FILE
+    try:
+        result = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(result["title"], str) or not isinstance(result["trials"], list):
+            raise TypeError
+    except FileNotFoundError:
+        msg = f"{folder}: no {RESULT_FILE} there; give a folder that `loi fit` has written"
+        raise SceneError(msg) from None
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        msg = f"{path}: not the result of `loi fit`"
+        raise SceneError(msg) from error
+    return dict(result)
+
+
+def _document(title: str, body: str) -> str:
+    return (
+        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
+        f'<meta name="viewport" content="width=device-width, initial-scale=1"><style>{STYLE}</style></head>\n'
+        f"<body>\n{body}\n</body></html>\n"
+    )
+
+
+def _section(folder: Path) -> str:
+    result = _read(folder)
+    trials = result["trials"]
+    first = trials[0]["objective"] if trials else ""
+    start = [_figure(folder / "initial.png", "start"), _figure(folder / "target.png", "target")]
+    finals, errors = [], []
+    for index, trial in enumerate(trials):
+        own = folder if index == 0 else folder / "compare" / trial["objective"]
+        label = LABELS.get(trial["objective"], trial["objective"])
+        ours = ' class="ours"' if index == 0 else ""
+        finals.append(_figure(own / "final.png", label, ours))
+        errors.append(_figure(own / "error.png", f"{label}: |final - target|", ours))
+    film = [_figure(path, f"step {int(path.stem)}") for path in sorted((folder / "frames").glob("*.png"))]
+    plot = _figure(folder / "convergence.png", "", image_class="plot")
+    return "\n".join(
+        [
+            f"<h1>{escape(result['title'])}</h1>",
+            f'<p class="lead">{escape(result["scene"])}, {int(result["steps"])} steps; {SAME_START}</p>',
+            f'<div class="row">{"".join(start)}</div>',
+            f'<h2>Where each objective ended</h2><div class="row">{"".join(finals)}</div>',
+            f'<div class="row">{"".join(errors)}</div>',
+            f"<h2>Numbers</h2>{_table(trials)}",
+            f"<h2>Convergence</h2>{plot}",
+            f'<h2>The way of {escape(LABELS.get(first, first))}</h2><div class="row film">{"".join(film)}</div>',
+        ]
+    )
+
+
+def _figure(path: Path, caption: str, attributes: str = "", *, image_class: str = "") -> str:
+    if not path.is_file():
+        return ""
+    data = base64.b64encode(path.read_bytes()).decode("ascii")
+    kind = f' class="{image_class}"' if image_class else ""
+    image = f'<img{kind} alt="{escape(caption)}" src="data:image/png;base64,{data}">'
+    return f"<figure{attributes}>{image}<figcaption>{escape(caption)}</figcaption></figure>"
+
+
+def _table(trials: Sequence[Mapping[str, Any]]) -> str:
+    names = sorted({name for trial in trials for name in trial.get("parameter_errors", {})})
+    heads = ["objective", "PSNR, dB", "best step", "seconds", *(f"error of {name}" for name in names), ""]
+    rows = []
+    for trial in trials:
+        errors = trial.get("parameter_errors", {})
+        cells = [
+            _number(trial.get("psnr"), ".2f"),
+            _number(trial.get("best_step"), "d"),
+            _number(trial.get("seconds"), ".1f"),
+            *(_number(errors.get(name), ".4g") for name in names),
+        ]
+        label = escape(LABELS.get(trial["objective"], trial["objective"]))
+        numbers = "".join(f'<td class="n">{cell}</td>' for cell in cells)
+        rows.append(f"<tr><td>{label}</td>{numbers}<td>{escape(trial.get('error') or '')}</td></tr>")
+    return f"<table><tr>{''.join(f'<th>{escape(head)}</th>' for head in heads)}</tr>{''.join(rows)}</table>"
+
+
+def _number(value: Any, spec: str) -> str:
+    return format(value, spec) if isinstance(value, int | float) else "-"

@@ -1,0 +1,277 @@
+"""Scene files: what is rendered, what the image should look like, what may move, and how it is compared."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from inspect import Parameter, signature
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from loi_core.errors import LoiError, OptionError, SceneError
+from loi_core.fit import Free, check_fit_options
+from loi_core.images import FloatImage, read_image
+from loi_core.objectives import GaussianPyramid, ImageObjective, LOIObjective, PixelL2
+from loi_core.registry import load_renderer
+from loi_core.renderer import Renderer
+from loi_core.scales import ScaleSpace
+
+__all__ = ["OBJECTIVES", "FitOptions", "Scene", "load_scene"]
+
+OBJECTIVES: Final = ("loi", "pixel_l2", "gaussian_pyramid")
+
+TOP_KEYS: Final = ("target", "output", "title", "renderer", "optimise", "scales", "objective", "fit")
+FREE_KEYS: Final = ("initial", "lower", "upper", "learning_rate", "truth")
+SCALE_KEYS: Final = ("preset", "sigma", "alpha", "beta", "bounds", "boundary", "p")
+OBJECTIVE_KEYS: Final = ("name", "compare", "accuracy", "nan_policy")
+FIT_KEYS: Final = ("steps", "learning_rate", "decay", "seed")
+
+
+@dataclass(frozen=True)
+class FitOptions:
+    """The ``[fit]`` table; the arguments of :func:`loi_core.fit` of the same names."""
+
+    steps: int = 200
+    learning_rate: float = 1.0
+    decay: Any = "cosine"
+    seed: int = 0
+
+
+@dataclass(frozen=True)
+class Scene:
+    """A scene file, read, checked and made into objects.
+
+    Attributes
+    ----------
+    path : Path
+        The file.
+    title : str
+        For the report.
+    output : Path
+        Folder of the results.
+    renderer : Renderer
+        As its factory made it.
+    target : array, shape (H, W, 3), float64
+        The image to match.
+    objectives : dict
+        By name; the first is the one that the scene is fitted with, the others are compared with it.
+    optimise : dict of Free
+        What may move.
+    truth : dict of arrays
+        True values of parameters, where the scene gives them; only ever used to report errors.
+    fit : FitOptions
+        Steps, rates and seed.
+    """
+
+    path: Path
+    title: str
+    output: Path
+    renderer: Renderer
+    target: FloatImage
+    objectives: dict[str, ImageObjective[Any, Any]]
+    optimise: dict[str, Free]
+    truth: dict[str, np.ndarray[Any, Any]]
+    fit: FitOptions = field(default_factory=FitOptions)
+
+
+def load_scene(path: Path, *, output: Path | None = None) -> Scene:
+    """Read a scene file and everything that it names.
+
+    Parameters
+    ----------
+    path : Path
+        A TOML file; paths in it are relative to its folder.
+    output : Path, optional
+        Overrides the file's own output folder.
+
+    Raises
+    ------
+    SceneError
+        For a missing or damaged file, an unknown key, or a wrong type or value: one line that names it.
+    LoiError
+        For what it names: an image that cannot be read, a renderer that is not installed, a scale out of range.
+    """
+    document = _read_toml(path)
+    where = _Where(path)
+    where.known("", document, TOP_KEYS)
+    for key in ("target", "renderer", "optimise"):
+        if key not in document:
+            raise where.error("", f"`{key}` is missing; a scene needs target, [renderer] and [optimise.NAME]")
+    folder = path.parent
+    target = read_image(folder / where.text("", document, "target"))[..., :3]
+    renderer = _renderer(where, where.table("", document, "renderer"), folder, target)
+    optimise, truth = _optimise(where, where.table("", document, "optimise"), renderer)
+    scales = _scales(where, where.table("", document, "scales"), target)
+    objectives = _objectives(where, where.table("", document, "objective"), target, scales)
+    name = where.text("", document, "output") if "output" in document else f"{path.stem}-result"
+    return Scene(
+        path=path,
+        title=where.text("", document, "title") if "title" in document else path.stem,
+        output=folder / name if output is None else output,
+        renderer=renderer,
+        target=target,
+        objectives=objectives,
+        optimise=optimise,
+        truth=truth,
+        fit=_fit_options(where, where.table("", document, "fit")),
+    )
+
+
+@dataclass(frozen=True)
+class _Where:
+    """Reads values out of a scene's tables; its errors name the file, the table and the key."""
+
+    path: Path
+
+    def error(self, table: str, message: str) -> SceneError:
+        return SceneError(f"{self.path}: {f'[{table}] ' if table else ''}{message}")
+
+    def known(self, name: str, table: Mapping[str, Any], keys: tuple[str, ...]) -> None:
+        for key in table:
+            if key not in keys:
+                near = get_close_matches(key, keys, 1)
+                hint = f"did you mean `{near[0]}`?" if near else f"known are {', '.join(keys)}"
+                raise self.error(name, f"unknown key `{key}`; {hint}")
+
+    def table(self, name: str, parent: Mapping[str, Any], key: str) -> Mapping[str, Any]:
+        value = parent.get(key, {})
+        if not isinstance(value, Mapping):
+            raise self.error(name, f"`{key}` must be a table, got {value!r:.60}")
+        return value
+
+    def text(self, name: str, table: Mapping[str, Any], key: str) -> str:
+        value = table[key]
+        if not isinstance(value, str) or not value or "\0" in value:
+            raise self.error(name, f"`{key}` must be a text that is not empty, got {value!r:.60}")
+        return value
+
+
+def _read_toml(path: Path) -> Mapping[str, Any]:
+    try:
+        return tomllib.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError:
+        msg = f"{path}: no such scene file"
+        raise SceneError(msg) from None
+    except (OSError, UnicodeDecodeError, ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError
+        msg = f"{path}: not a readable TOML file ({str(error).splitlines()[0] if str(error) else error!r})"
+        raise SceneError(msg) from error
+
+
+def _renderer(where: _Where, table: Mapping[str, Any], folder: Path, target: FloatImage) -> Renderer:
+    if "name" not in table:
+        raise where.error("renderer", "`name` is missing")
+    name = where.text("renderer", table, "name")
+    factory = load_renderer(name)
+    options = {key: value for key, value in table.items() if key not in ("name", "images")}
+    images = where.table("renderer", table, "images")
+    for key in images:
+        if key in options:
+            raise where.error("renderer.images", f"`{key}` is given in [renderer] as well")
+        options[key] = read_image(folder / where.text("renderer.images", images, key))
+    accepted = signature(factory).parameters
+    if not any(one.kind is Parameter.VAR_KEYWORD for one in accepted.values()):
+        where.known("renderer", options, tuple(accepted))
+    for key, size in (("height", target.shape[0]), ("width", target.shape[1])):
+        if key in accepted:  # a renderer that has to be told its size gets the target's
+            options.setdefault(key, size)
+    try:
+        return factory(**options)
+    except LoiError as error:
+        raise where.error("renderer", str(error)) from error
+    except Exception as error:  # a third party's factory may raise anything; the scene is what the user can mend
+        raise where.error("renderer", f"{name} refused: {type(error).__name__}: {error}") from error
+
+
+def _optimise(
+    where: _Where, table: Mapping[str, Any], renderer: Renderer
+) -> tuple[dict[str, Free], dict[str, np.ndarray[Any, Any]]]:
+    params = renderer.parameters()
+    if not table:
+        raise where.error("optimise", f"must name at least one parameter of {', '.join(params)}")
+    where.known("optimise", table, tuple(params))
+    free, truth = {}, {}
+    for name in table:
+        entry = where.table("optimise", table, name)
+        heading = f"optimise.{name}"
+        where.known(heading, entry, FREE_KEYS)
+        for key in ("initial", "lower", "upper", "truth"):
+            if key in entry:
+                _numbers(where, heading, key, entry[key], tuple(params[name].shape))
+        rate = entry.get("learning_rate")
+        if rate is not None and (isinstance(rate, bool) or not isinstance(rate, int | float) or not 0 < rate < np.inf):
+            raise where.error(heading, f"`learning_rate` must be a finite number, more than 0, got {rate!r}")
+        free[name] = Free(entry.get("initial"), entry.get("lower"), entry.get("upper"), rate)
+        if "truth" in entry:
+            truth[name] = np.broadcast_to(np.asarray(entry["truth"], dtype=np.float64), tuple(params[name].shape))
+    return free, truth
+
+
+def _numbers(where: _Where, heading: str, key: str, value: object, shape: tuple[int, ...]) -> None:
+    try:
+        array = np.asarray(value)
+    except ValueError:
+        array = np.asarray(None)
+    if array.dtype.kind not in "fi":
+        raise where.error(heading, f"`{key}` must be numbers, got {value!r:.60}")
+    if array.shape not in ((), shape):
+        raise where.error(heading, f"`{key}` must be one number or have shape {shape}, got shape {array.shape}")
+    if np.any(np.isnan(array)):
+        raise where.error(heading, f"`{key}` must not be nan, got {value!r:.60}")
+
+
+def _scales(where: _Where, table: Mapping[str, Any], target: FloatImage) -> ScaleSpace:
+    where.known("scales", table, SCALE_KEYS)
+    given = [key for key in ("sigma", "alpha", "beta") if key in table]
+    options = {key: value for key, value in table.items() if key not in ("preset", "sigma", "alpha", "beta")}
+    try:
+        if "preset" in table:
+            if given:
+                raise where.error("scales", f"`preset` and `{given[0]}` exclude each other; give one of them")
+            base = ScaleSpace.paper(table["preset"])
+        else:
+            base = ScaleSpace.for_image(*target.shape[:2])
+        chosen = {key: table.get(key, getattr(base, key)) for key in ("sigma", "alpha", "beta")}
+        return ScaleSpace(**chosen, **options)
+    except OptionError as error:
+        raise where.error("scales", str(error)) from error
+
+
+def _objectives(
+    where: _Where, table: Mapping[str, Any], target: FloatImage, scales: ScaleSpace
+) -> dict[str, ImageObjective[Any, Any]]:
+    where.known("objective", table, OBJECTIVE_KEYS)
+    compare = table.get("compare", [])
+    if not isinstance(compare, list):
+        raise where.error("objective", f"`compare` must be a list of names, got {compare!r:.60}")
+    names = [table.get("name", "loi"), *compare]
+    for name in names:
+        if name not in OBJECTIVES:
+            raise where.error("objective", f"objectives are {', '.join(OBJECTIVES)}, got {name!r}")
+    policy = table.get("nan_policy", "raise")
+    accuracy = table.get("accuracy", "exact")
+    made: dict[str, ImageObjective[Any, Any]] = {}
+    try:
+        for name in dict.fromkeys(names):
+            if name == "loi":
+                made[name] = LOIObjective(target, scales, accuracy, nan_policy=policy)
+            elif name == "pixel_l2":
+                made[name] = PixelL2(target, nan_policy=policy)
+            else:
+                made[name] = GaussianPyramid(target, nan_policy=policy)
+    except LoiError as error:
+        raise where.error("objective", str(error)) from error
+    return made
+
+
+def _fit_options(where: _Where, table: Mapping[str, Any]) -> FitOptions:
+    where.known("fit", table, FIT_KEYS)
+    options = FitOptions(**table)
+    try:
+        check_fit_options(options.steps, options.learning_rate, options.seed, options.decay)
+    except OptionError as error:
+        raise where.error("fit", str(error)) from error
+    return options
