@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, TypeAlias
 
 import numpy as np
-from array_api_compat import array_namespace, device, is_array_api_obj, is_numpy_array, to_device
+from array_api_compat import array_namespace, device, is_array_api_obj, is_numpy_array, is_torch_array
 
 from loi_core.errors import ImageTypeError
 
@@ -52,11 +52,9 @@ def from_numpy(values: np.ndarray[Any, Any], like: Array) -> Array:
 
 def to_numpy(array: Array) -> np.ndarray[Any, Any]:
     """`array` as NumPy, on the host: for reports and files, never inside a loss."""
-    if is_numpy_array(array) or not is_array_api_obj(array):
-        return np.asarray(array)
-    if hasattr(array, "detach"):  # torch refuses to export a tensor that records gradients
-        array = array.detach()
-    return np.from_dlpack(to_device(array, "cpu")) if hasattr(array, "__dlpack__") else np.asarray(array)
+    if is_torch_array(array):  # torch alone refuses to export what records gradients or lies on another device
+        return np.asarray(array.detach().cpu())
+    return np.asarray(array)
 
 
 def as_floating(name: str, array: Array) -> Array:

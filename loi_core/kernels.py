@@ -15,8 +15,7 @@ from loi_core.scales import Boundary
 
 __all__ = ["blur_matrix", "gaussian_taps"]
 
-# float64 throughout; NumPy's own annotations lose the dtype in arithmetic
-Matrix: TypeAlias = np.ndarray[Any, Any]
+Matrix: TypeAlias = np.ndarray[tuple[int, ...], np.dtype[np.float64]]
 
 NEGLIGIBLE = 8.6  # exp(-8.6**2 / 2) < 2**-53: a tap this many sigmas out vanishes beside the central one
 
@@ -36,8 +35,9 @@ def gaussian_taps(scale: float, radius: int) -> Matrix:
         return np.where(offsets == 0.0, 1.0, 0.0)
     with np.errstate(under="ignore", over="ignore"):
         # Divide first: squaring a tiny scale would underflow to 0 and give 0 / 0 at the centre.
-        taps = np.exp(-0.5 * (offsets / scale) ** 2)
-    return taps / taps.sum()
+        taps: Matrix = np.exp(-0.5 * (offsets / scale) ** 2)
+    normalised: Matrix = taps / taps.sum()
+    return normalised
 
 
 def blur_matrix(size: int, scale: float, boundary: Boundary, taps: int | None = None) -> Matrix:
@@ -81,7 +81,8 @@ def _zero_padded(size: int, scale: float, cut: int) -> Matrix:
         kernel = np.exp(-0.5 * (np.arange(reach + 1) / scale) ** 2) / (math.sqrt(2.0 * math.pi) * scale)
     row = np.zeros(size)
     row[: reach + 1] = kernel
-    return row[_distances(size)[0]]
+    matrix: Matrix = row[_distances(size)[0]]
+    return matrix
 
 
 def _reflected(size: int, scale: float, cut: int, *, exact: bool) -> Matrix:
@@ -95,4 +96,5 @@ def _reflected(size: int, scale: float, cut: int, *, exact: bool) -> Matrix:
         kernel = gaussian_taps(scale, cut)
         folded = np.bincount(np.arange(-cut, cut + 1) % period, weights=kernel, minlength=period)
     direct, mirrored = _distances(size)
-    return folded[direct] + folded[mirrored % period]
+    matrix: Matrix = folded[direct] + folded[mirrored % period]
+    return matrix

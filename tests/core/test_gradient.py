@@ -1,0 +1,112 @@
+"""The gradient is written once, by hand; three independent ways of getting it agree with it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import array_api_strict
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import torch
+
+from loi_core import GaussianPyramid, LOIObjective, PixelL2, ScaleSpace
+from loi_core.objectives import ImageObjective
+from tests.helpers import SCALES, directional_difference, images, relative_error
+
+SHAPE = (24, 19, 3)
+
+
+def objectives(reference: Any) -> dict[str, ImageObjective[Any, Any]]:
+    made: dict[str, ImageObjective[Any, Any]] = {key: LOIObjective(reference, scales) for key, scales in SCALES.items()}
+    return made | {"pixel": PixelL2(reference), "pyramid": GaussianPyramid(reference)}
+
+
+NAMES = [*SCALES, "pixel", "pyramid"]
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_gradient_equals_central_differences_in_float64(name: str) -> None:
+    # |x| has a kink wherever a difference of CDFs crosses 0, and a step that straddles one measures no derivative.
+    # Extents mix thousands of differences, so the step must be small; at 1e-7 rounding leaves about 1e-8.
+    image, reference = images(SHAPE, seed=3)
+    objective = objectives(reference)[name]
+    _, gradient = objective.value_and_grad(image)
+    for seed in range(3):
+        direction = np.random.default_rng(seed).standard_normal(SHAPE)
+        slope = float(np.sum(gradient * direction))
+        measured = directional_difference(objective.value, image, direction, 1e-7)
+        assert abs(measured - slope) < 1e-6 * np.linalg.norm(gradient)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_gradient_equals_torch_autograd_through_the_same_forward_code(name: str) -> None:
+    image, reference = images(SHAPE, seed=4)
+    _, gradient = objectives(reference)[name].value_and_grad(image)
+    leaf = torch.tensor(image, requires_grad=True)
+    objectives(torch.tensor(reference))[name].value(leaf).backward()
+    assert leaf.grad is not None
+    assert relative_error(leaf.grad.numpy(), gradient) < 1e-10
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_gradient_equals_jax_grad_through_the_same_forward_code(name: str) -> None:
+    image, reference = images(SHAPE, seed=5)
+    _, gradient = objectives(reference)[name].value_and_grad(image)
+    objective = objectives(jnp.asarray(reference))[name]
+    planes = jnp.moveaxis(jnp.asarray(image), -1, 0)
+    prepared = objective._prepare(jnp.moveaxis(jnp.asarray(reference), -1, 0))
+
+    def forward(stack: Any) -> Any:
+        return sum(objective._evaluate(stack, prepared, gradient=False).terms.values())
+
+    traced = jnp.moveaxis(jax.grad(forward)(planes), 0, -1)
+    assert relative_error(np.asarray(traced), gradient) < 1e-10
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_everything_runs_on_the_array_api_alone(name: str) -> None:
+    image, reference = images((2, *SHAPE), seed=6)
+    value, gradient = objectives(reference)[name].value_and_grad(image)
+    strict = objectives(array_api_strict.asarray(reference))[name]
+    strict_value, strict_gradient = strict.value_and_grad(array_api_strict.asarray(image))
+    assert float(strict_value) == pytest.approx(float(value), rel=1e-13)
+    assert relative_error(np.asarray(strict_gradient), gradient) < 1e-12
+    assert sum(map(float, strict.terms(array_api_strict.asarray(image)).values())) == pytest.approx(float(value))
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_float32_stays_near_the_float64_gradient(name: str) -> None:
+    image, reference = images(SHAPE, seed=7)
+    value, gradient = objectives(reference)[name].value_and_grad(image)
+    single_value, single_gradient = objectives(reference)[name].value_and_grad(image.astype(np.float32))
+    assert single_gradient.dtype == np.float32
+    assert single_value.dtype == np.float32
+    assert float(single_value) == pytest.approx(float(value), rel=1e-5)
+    # A sign flips where a difference of CDFs is within the rounding of float32 of 0: a share of about 1e-6 over the
+    # spread of the differences, 1e-2 and more here, each flip changing a gradient entry by its own size.
+    assert relative_error(single_gradient, gradient) < 1e-3
+
+
+def test_a_gradient_reaches_across_a_gap() -> None:
+    reference = np.zeros((48, 48, 1))
+    reference[30:36, 30:36] = 1.0
+    image = np.zeros((48, 48, 1))
+    image[8:14, 8:14] = 1.0
+    scales = ScaleSpace(1, (1, 5, 15), 0.125)
+    _, gradient = LOIObjective(reference, scales).value_and_grad(image)
+    _, rival = PixelL2(reference).value_and_grad(image)
+    ahead, behind = (slice(14, 15), slice(8, 14)), (slice(7, 8), slice(8, 14))  # just past the object's two edges
+    # To move the object towards the reference is to brighten ahead of it; that must pay more than behind it.
+    assert gradient[ahead].sum() < gradient[behind].sum()
+    assert rival[ahead].sum() == rival[behind].sum() == 0.0
+
+
+def test_the_gradient_is_zero_at_the_reference() -> None:
+    reference, _ = images(SHAPE, seed=8)
+    for dtype in (np.float64, np.float32):
+        value, gradient = LOIObjective(reference, SCALES["paper path"]).value_and_grad(reference.astype(dtype))
+        if dtype is np.float64:
+            assert float(value) == 0.0
+        assert not np.any(gradient)

@@ -1,0 +1,155 @@
+"""Bad images are refused in one line that says what came and what is allowed; bad pixels follow the policy."""
+
+from __future__ import annotations
+
+import pickle
+from typing import Any
+
+import array_api_strict
+import numpy as np
+import pytest
+import torch
+
+from loi_core import GaussianPyramid, LOIObjective, PixelL2, ScaleSpace
+from loi_core.errors import ImageError, ImageTypeError, LoiError, NonFiniteImageError, OptionError
+from tests.helpers import images
+
+SCALES = ScaleSpace(1, (1, 3), 0.2)
+REFERENCE = np.full((6, 5, 3), 0.5)
+
+
+@pytest.mark.parametrize(
+    ("image", "error", "says"),
+    [
+        (np.zeros((6, 5, 3), dtype=np.uint8), ImageTypeError, "dtype uint8; divide 8-bit images by 255"),
+        (np.zeros((6, 5, 3), dtype=bool), ImageTypeError, "dtype bool"),
+        (np.zeros((6, 5, 3), dtype=complex), ImageTypeError, "dtype complex128"),
+        (np.zeros((6, 5, 3), dtype=object), ImageTypeError, "dtype object"),
+        (np.ma.zeros((6, 5, 3)), ImageTypeError, "masked array"),
+        ([[0.0]], ImageTypeError, "got list"),
+        (None, ImageTypeError, "got NoneType"),
+        (np.zeros((6, 5)), ImageError, r"at least 3 axes.*got shape \(6, 5\).*channel_axis=None"),
+        (np.zeros((5, 6, 3)), ImageError, r"\(5, 6, 3\).*does not fit the reference's shape \(6, 5, 3\)"),
+        (np.zeros((6, 5, 1)), ImageError, "does not fit"),
+        (np.zeros((0, 6, 5, 3)), ImageError, "must not be empty"),
+        (torch.zeros(6, 5, 3, dtype=torch.int64), ImageTypeError, "torch.int64"),
+    ],
+)
+def test_bad_images_are_refused_by_name(image: Any, error: type[LoiError], says: str) -> None:
+    with pytest.raises(error, match=f"`image`.*{says}") as caught:
+        LOIObjective(REFERENCE, SCALES).value_and_grad(image)
+    assert isinstance(caught.value, ValueError | TypeError)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_reference_of_another_library_is_refused_with_the_mend() -> None:
+    objective = PixelL2(torch.zeros(6, 5, 3))
+    with pytest.raises(ImageTypeError, match="array of numpy, the reference of torch; give the reference as NumPy"):
+        objective.value(REFERENCE)
+
+
+def test_a_numpy_reference_serves_every_library_and_dtype() -> None:
+    image, reference = images((6, 5, 3), seed=1)
+    objective = LOIObjective(reference, SCALES)
+    wanted = float(objective.value(image))
+    assert float(objective.value(torch.tensor(image))) == pytest.approx(wanted, rel=1e-12)
+    assert float(objective.value(array_api_strict.asarray(image))) == pytest.approx(wanted, rel=1e-12)
+    single = objective.value_and_grad(torch.tensor(image, dtype=torch.float32))
+    assert single[0].dtype == single[1].dtype == torch.float32
+    assert float(single[0]) == pytest.approx(wanted, rel=1e-5)
+
+
+def test_the_reference_is_copied() -> None:
+    image, reference = images((6, 5, 3), seed=2)
+    objective = LOIObjective(reference, SCALES)
+    wanted = float(LOIObjective(reference.copy(), SCALES).value(image))
+    reference[:] = 0.0
+    assert float(objective.value(image)) == wanted
+
+
+def test_the_image_is_not_written_to() -> None:
+    image, reference = images((6, 5, 3), seed=2)
+    image.flags.writeable = False
+    for objective in (LOIObjective(reference, SCALES), PixelL2(reference), GaussianPyramid(reference)):
+        objective.value_and_grad(image)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"accuracy": "best"}, "`accuracy` must be one of 'exact', 'balanced', 'fast', or a relative error"),
+        ({"accuracy": 1.5}, "`accuracy`.*got 1.5"),
+        ({"channel_axis": "last"}, "`channel_axis`"),
+        ({"channel_axis": 3}, r"`channel_axis` is 3, but `reference` has shape \(6, 5, 3\)"),
+        ({"nan_policy": "ignore"}, "`nan_policy` must be one of 'raise', 'mask', got 'ignore'"),
+        ({"scales": 5}, "`scales` must be a ScaleSpace, got int"),
+    ],
+)
+def test_bad_options_are_refused_by_name(options: dict[str, Any], says: str) -> None:
+    with pytest.raises(ValueError, match=says) as caught:
+        LOIObjective(REFERENCE, **options)
+    assert isinstance(caught.value, OptionError | ImageError)
+
+
+@pytest.mark.parametrize("levels", [0, 9, True, 2.0])
+def test_pyramid_levels_fit_the_image(levels: Any) -> None:
+    with pytest.raises(OptionError, match="`levels` must be a whole number from 1 to 2"):
+        GaussianPyramid(REFERENCE, levels=levels)
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
+def test_raise_counts_the_bad_pixels_and_finds_the_first(bad: float) -> None:
+    image = REFERENCE.copy()
+    image[2, 3, 1] = image[4, 0, 0] = bad
+    with pytest.raises(NonFiniteImageError, match=r"`image` has 2 non-finite values of 90.*= \(2, 3, 1\)") as caught:
+        LOIObjective(REFERENCE, SCALES).value(image)
+    assert (caught.value.count, caught.value.first) == (2, (2, 3, 1))
+    assert isinstance(caught.value, ValueError)
+    again = pickle.loads(pickle.dumps(caught.value))  # noqa: S301 - our own, as a worker process would send it
+    assert (str(again), again.count) == (str(caught.value), 2)
+    with pytest.raises(NonFiniteImageError, match="`reference` has"):
+        LOIObjective(image, SCALES)
+
+
+@pytest.mark.parametrize("where", ["image", "reference", "both"])
+def test_masked_pixels_weigh_nothing(where: str) -> None:
+    image, reference = images((6, 5, 3), seed=4)
+    hole = (slice(1, 3), slice(2, 4), 1)
+    bad_image, bad_reference = image.copy(), reference.copy()
+    if where != "reference":
+        bad_image[hole] = np.nan
+    if where != "image":
+        bad_reference[hole] = np.inf
+    for make in (lambda r: LOIObjective(r, SCALES, nan_policy="mask"), lambda r: PixelL2(r, nan_policy="mask")):
+        value, gradient = make(bad_reference).value_and_grad(bad_image)
+        assert np.isfinite(value)
+        assert np.all(np.isfinite(gradient))
+        assert not np.any(gradient[hole])
+    # Where both are finite, masking changes nothing.
+    whole = LOIObjective(reference, SCALES, nan_policy="mask").value_and_grad(image)
+    np.testing.assert_array_equal(whole[1], LOIObjective(reference, SCALES).value_and_grad(image)[1])
+
+
+def test_an_image_with_no_finite_pixel_has_no_distance_and_no_gradient() -> None:
+    value, gradient = LOIObjective(REFERENCE, SCALES, nan_policy="mask").value_and_grad(np.full((6, 5, 3), np.nan))
+    assert float(value) == 0.0
+    assert not np.any(gradient)
+
+
+@pytest.mark.parametrize(("level", "reference", "sign"), [(1.5, 0.2, 1.0), (-0.5, 0.8, -1.0)])
+def test_a_clipped_value_keeps_the_gradient_that_points_back_inside(
+    level: float, reference: float, sign: float
+) -> None:
+    objective = LOIObjective(np.full((6, 5, 1), reference), SCALES)
+    _, gradient = objective.value_and_grad(np.full((6, 5, 1), level))
+    assert np.all(np.sign(gradient) == sign)
+
+
+def test_a_clipped_value_loses_the_gradient_that_points_outside() -> None:
+    # The reference is brighter than the bound allows to see: a value beyond it must not be driven further out.
+    dark, bright = np.full((4, 4, 1), 1.0), np.full((4, 4, 1), 0.7)
+    image = bright.copy()
+    image[0, 0] = 1.2
+    _, gradient = LOIObjective(dark, ScaleSpace(0, 5, 0.2)).value_and_grad(image)
+    assert gradient[1, 1, 0] < 0.0  # inside: brighter is better
+    assert gradient[0, 0, 0] >= 0.0

@@ -1,0 +1,96 @@
+"""A ScaleSpace says what is compared, and names every value that it does not take."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from loi_core import ScaleSpace
+from loi_core.errors import LoiError, ScaleError
+
+
+def test_presets_are_those_of_the_paper() -> None:
+    vector, path, raster = (ScaleSpace.paper(name) for name in ("vector", "path", "raster"))
+    assert (vector.alpha, vector.sigma, vector.beta) == ((1, 5, 15), (1, 5, 15, 45), (0.125,))
+    assert (path.alpha, path.sigma, path.beta) == ((1, 5, 15, 45), (1, 5), (0.125,))
+    assert (raster.alpha, raster.sigma, raster.beta) == ((1, 5, 15, 45), (0, 5), (0.03125,))
+    assert {scales.boundary for scales in (vector, path, raster)} == {"reflect"}
+
+
+@given(st.floats(1e-3, 5.0), st.floats(-3.0, 3.0), st.floats(0.1, 5.0))
+def test_levels_are_spaced_by_beta_and_cover_the_bounds_with_tails(beta: float, low: float, width: float) -> None:
+    scales = ScaleSpace(1, 1, beta, bounds=(low, low + width))
+    levels = scales.levels(beta)
+    assert levels.dtype == np.float64
+    assert scales.spacing(beta) == beta
+    np.testing.assert_allclose(np.diff(levels), beta, rtol=1e-9, atol=1e-12)
+    assert levels[0] <= low - 4 * beta + 1e-8 * beta
+    assert levels[-1] >= low + width + 4 * beta - 1e-8 * beta
+    np.testing.assert_allclose(0.5 * (levels[0] + levels[-1]), low + 0.5 * width, atol=1e-9)
+
+
+@pytest.mark.parametrize("size", [(1, 1), (1, 7), (3, 3), (96, 128), (1080, 1920)])
+def test_for_image_reaches_across_the_image(size: tuple[int, int]) -> None:
+    scales = ScaleSpace.for_image(*size)
+    assert max(scales.alpha) == pytest.approx(max(1.0, 0.35 * max(size)), abs=0.01)
+    assert list(scales.alpha) == sorted(scales.alpha)
+
+
+def test_scales_are_frozen_hashable_and_replaceable() -> None:
+    scales = ScaleSpace([0, 5], np.float64(3.0), 0.25)
+    assert scales == ScaleSpace((0.0, 5.0), (3.0,), (0.25,))
+    assert hash(scales) == hash(ScaleSpace((0, 5), 3, 0.25))
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        scales.sigma = (1.0,)  # type: ignore[misc]  # the point of the test
+    assert dataclasses.replace(scales, boundary="zero").boundary == "zero"
+    assert scales.keys == [(3.0, 0.25, 0.0), (3.0, 0.25, 5.0)]
+
+
+BAD: list[tuple[str, dict[str, Any]]] = [
+    ("sigma", {"sigma": -1}),
+    ("sigma", {"sigma": ()}),
+    ("sigma", {"sigma": "5"}),
+    ("sigma", {"sigma": [1, None]}),
+    ("sigma", {"sigma": (1, 1)}),
+    ("sigma", {"sigma": float("nan")}),
+    ("alpha", {"alpha": float("inf")}),
+    ("alpha", {"alpha": True}),
+    ("beta", {"beta": 0}),
+    ("beta", {"beta": [0.1, -0.1]}),
+    ("bounds", {"bounds": (1, 0)}),
+    ("bounds", {"bounds": (0, 1, 2)}),
+    ("bounds", {"bounds": 1}),
+    ("bounds", {"bounds": (0, float("inf"))}),
+    ("boundary", {"boundary": "mirror"}),
+    ("p", {"p": 0}),
+    ("tails", {"tails": -1}),
+    ("convention", {"convention": "other"}),
+    ("kernel_size", {"kernel_size": 5}),
+    ("kernel_size", {"convention": "released", "kernel_size": 0}),
+    ("beta", {"convention": "released", "kernel_size": 5, "beta": (0.1, 0.2)}),
+]
+
+
+@pytest.mark.parametrize(("name", "change"), BAD)
+def test_every_wrong_value_is_named(name: str, change: dict[str, Any]) -> None:
+    with pytest.raises(ScaleError, match=f"^`{name}` ") as caught:
+        ScaleSpace(**({"sigma": 1, "alpha": 1, "beta": 0.1} | change))
+    assert isinstance(caught.value, ValueError)
+    assert isinstance(caught.value, LoiError)
+    assert "\n" not in str(caught.value)
+
+
+def test_wrong_arguments_of_the_presets_are_named() -> None:
+    with pytest.raises(ScaleError, match="`preset` must be one of 'vector', 'path', 'raster', got 'photo'"):
+        ScaleSpace.paper("photo")  # type: ignore[arg-type]  # the point of the test
+    with pytest.raises(ScaleError, match="`height`"):
+        ScaleSpace.for_image(0, 5)
+    with pytest.raises(ScaleError, match="`width`"):
+        ScaleSpace.for_image(5, 2.5)  # type: ignore[arg-type]  # the point of the test
+    with pytest.raises(ScaleError, match="`bins`"):
+        ScaleSpace.released(1, 1, 0, 5)

@@ -1,0 +1,144 @@
+"""The command line: the demo recovers what it hides, the doctor and the listing tell the truth."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from loi_core import __version__, registry
+from loi_core.cli import doctor, main
+from loi_core.errors import RendererNotFoundError
+from loi_core.renderers import Disks
+
+
+@pytest.fixture(scope="module")
+def demo(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    folder = tmp_path_factory.mktemp("demo")
+    done = subprocess.run(
+        [sys.executable, "-m", "loi_core", "demo", "--output", str(folder), "--json"], capture_output=True, check=True
+    )
+    return dict(json.loads(done.stdout))
+
+
+def errors(demo: dict[str, Any], scene: int, objective: str) -> dict[str, float]:
+    trials = demo["scenes"][scene]["trials"]
+    found: dict[str, float] = next(one["parameter_errors"] for one in trials if one["objective"] == objective)
+    return found
+
+
+def test_demo_finds_the_disks_within_a_quarter_pixel(demo: dict[str, Any]) -> None:
+    assert errors(demo, 0, "loi")["positions"] < 0.25
+
+
+def test_demo_finds_the_photograph(demo: dict[str, Any]) -> None:
+    found = errors(demo, 1, "loi")
+    assert found["translation"] < 0.5
+    assert found["rotation"] < 0.5
+    assert found["scale"] < 0.01 * 0.9
+
+
+@pytest.mark.parametrize(("scene", "name"), [(0, "positions"), (1, "translation")])
+def test_demo_shows_pixels_failing_from_the_same_start(demo: dict[str, Any], scene: int, name: str) -> None:
+    assert errors(demo, scene, "pixel_l2")[name] > 20.0
+    first, second = demo["scenes"][scene]["trials"][:2]
+    assert first["psnr_initial"] == second["psnr_initial"]
+    assert first["psnr"] > second["psnr"] + 5.0
+
+
+def test_demo_ends_in_one_page_of_pictures(demo: dict[str, Any]) -> None:
+    page = Path(demo["report"])
+    assert page.name == "index.html"
+    assert page.read_text().count("data:image/png;base64,") > 30
+
+
+def test_demo_scenes_can_be_fitted_again(demo: dict[str, Any]) -> None:
+    scene = Path(demo["report"]).parent / "disks" / "scene.toml"
+    text = re.sub(r"steps = \d+", "steps = 2", scene.read_text())
+    scene.write_text(text)
+    assert main(["fit", str(scene)]) == 0
+
+
+@pytest.mark.parametrize(
+    ("arguments", "code"),
+    [(["--version"], 0), (["--help"], 0), (["fit", "--help"], 0), ([], 2), (["fly"], 2), (["fit"], 2)],
+)
+def test_calls_of_the_wrong_form_exit_2(arguments: list[str], code: int, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(arguments) == code
+    assert "Traceback" not in capsys.readouterr().err
+
+
+def test_version_is_the_one_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
+    main(["--version"])
+    assert capsys.readouterr().out.strip() == f"loi {__version__}"
+
+
+def test_doctor_finds_what_is_there(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["doctor", "--json"]) == 0
+    found = {one["name"]: one for one in json.loads(capsys.readouterr().out)}
+    for name in ("python", "numpy", "array-api-compat", "torch", "jax", "renderer disks", "renderer warp", "threads"):
+        assert found[name]["state"] == "ok", found[name]
+    assert main(["doctor"]) == 0
+    assert "renderer disks" in capsys.readouterr().out
+
+
+def test_doctor_names_the_mend_for_what_is_missing_or_broken(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "crooked.py").write_text("raise ImportError('libcrooked.so: no such file')\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.setattr(doctor, "BACKENDS", {"torch": "no_such_module", "jax": "crooked"})
+    assert main(["doctor", "--json"]) == 1
+    found = {one["name"]: one for one in json.loads(capsys.readouterr().out)}
+    assert (found["torch"]["state"], found["torch"]["mend"]) == ("missing", "pip install 'loi[torch]'")
+    assert found["jax"]["state"] == "broken"
+    assert "libcrooked.so" in found["jax"]["detail"]
+
+
+def test_renderers_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["renderers", "--json"]) == 0
+    listed = {one["name"]: one for one in json.loads(capsys.readouterr().out)}
+    assert listed["disks"] == {
+        "name": "disks",
+        "package": "loi",
+        "version": __version__,
+        "target": "loi_core.renderers:Disks",
+        "state": "ready",
+        "problem": "",
+    }
+    assert registry.load_renderer("disks") is Disks
+
+
+def test_a_bad_plugin_is_reported_by_name_and_isolated(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    (tmp_path / "plugin_that_raises.py").write_text("raise RuntimeError('no licence\\nsecond line')\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    points = [
+        EntryPoint("good", "loi_core.renderers:Disks", registry.GROUP),
+        EntryPoint("raises", "plugin_that_raises:make", registry.GROUP),
+        EntryPoint("absent", "no_such_module:make", registry.GROUP),
+        EntryPoint("number", "math:pi", registry.GROUP),
+        EntryPoint("twice", "loi_core.renderers:Disks", registry.GROUP),
+        EntryPoint("twice", "loi_core.renderers:Warp", registry.GROUP),
+        EntryPoint("again", "loi_core.renderers:Warp", registry.GROUP),
+        EntryPoint("again", "loi_core.renderers:Warp", registry.GROUP),
+    ]
+    monkeypatch.setattr(registry, "entry_points", lambda group: points)
+    states = [(one.name, one.state) for one in registry.available_renderers()]
+    assert states == [
+        *[("absent", "broken"), ("again", "ready"), ("good", "ready"), ("number", "broken"), ("raises", "broken")],
+        *[("twice", "clash"), ("twice", "clash")],
+    ]
+    problems = {one.name: one.problem for one in registry.available_renderers()}
+    assert problems["raises"] == "RuntimeError: no licence"
+    assert "not a factory" in problems["number"]
+    assert registry.load_renderer("good") is Disks
+    for name, says in (("raises", "no licence"), ("twice", "claimed by"), ("none", "no renderer is called 'none'")):
+        with pytest.raises(RendererNotFoundError, match=says) as caught:
+            registry.load_renderer(name)
+        assert isinstance(caught.value, LookupError)

@@ -1,0 +1,198 @@
+"""A fit descends, keeps bounds and the best iterate, can stop and go on, and fails without losing anything."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import array_api_strict
+import numpy as np
+import pytest
+
+from loi_core import Free, LOIObjective, PixelL2, ScaleSpace, fit
+from loi_core.errors import FitError, LoiError, OptionError, ParameterError
+from loi_core.fit import FitInterruptedError, FitStep
+from loi_core.renderers import Disks
+from tests.helpers import Host
+
+TARGET = np.array([[22.0, 9.0]])
+START = np.array([[8.0, 23.0]])
+SCENE = Disks(32, 32, TARGET, 5.0, [[0.9, 0.6, 0.1]], confine=True)
+REFERENCE = SCENE.render(SCENE.parameters())
+SCALES = ScaleSpace(1, (3, 9), 0.125)
+
+
+class Bowl:
+    """The simplest renderer of all: its image is its parameter, in any array library."""
+
+    def __init__(self, xp: Any = np) -> None:
+        self.xp = xp
+        self.start = xp.zeros((2, 2, 1), dtype=xp.float64)
+
+    def parameters(self) -> dict[str, Any]:
+        return {"pixels": self.xp.asarray(self.start, copy=True), "unused": self.xp.zeros((), dtype=self.xp.float64)}
+
+    def render(self, params: dict[str, Any], *, seed: int = 0) -> Any:
+        return params["pixels"]
+
+    def render_vjp(self, params: dict[str, Any], *, seed: int = 0) -> Any:
+        return params["pixels"], lambda g: {"pixels": g, "unused": self.xp.zeros((), dtype=self.xp.float64)}
+
+
+def run(steps: int = 60, **options: Any) -> Any:
+    free = {"positions": Free(START, 0.0, 32.0)}
+    arguments: dict[str, Any] = {"steps": steps, "learning_rate": 1.5, "optimise": free} | options
+    return fit(SCENE, LOIObjective(REFERENCE, SCALES), **arguments)
+
+
+def test_a_disk_is_found_from_a_start_without_overlap_where_pixels_fail() -> None:
+    result = run()
+    assert np.abs(result.best_params["positions"] - TARGET).max() < 0.05
+    lost = fit(SCENE, PixelL2(REFERENCE), steps=60, learning_rate=1.5, optimise={"positions": Free(START, 0.0, 32.0)})
+    assert np.abs(lost.best_params["positions"] - TARGET).max() > 5.0
+
+
+def test_only_what_is_asked_for_moves() -> None:
+    result = run(steps=3)
+    for name in ("radii", "colours"):
+        np.testing.assert_array_equal(result.params[name], SCENE.parameters()[name])
+
+
+def test_the_best_iterate_is_the_least_of_the_history_and_its_image_fits() -> None:
+    result = run(steps=25, decay="none")
+    values = [one.value for one in result.history]
+    assert len(values) == 25
+    assert result.best_value <= min(values)
+    np.testing.assert_array_equal(result.image, SCENE.render(result.best_params))
+    assert float(LOIObjective(REFERENCE, SCALES).value(result.image)) == result.best_value
+
+
+def test_bounds_are_kept() -> None:
+    result = fit(
+        Bowl(),
+        PixelL2(np.full((2, 2, 1), 5.0)),
+        steps=100,
+        learning_rate=0.5,
+        optimise={"pixels": Free(lower=-1.0, upper=[[[1.0], [2.0]], [[3.0], [9.0]]])},
+    )
+    np.testing.assert_allclose(result.params["pixels"].ravel(), [1.0, 2.0, 3.0, 5.0], atol=0.3)
+    assert result.params["pixels"].ravel()[:3].tolist() == [1.0, 2.0, 3.0]
+
+
+def test_a_fit_needs_nothing_but_the_array_api() -> None:
+    reference = array_api_strict.full((2, 2, 1), 0.5)
+    result = fit(Bowl(array_api_strict), PixelL2(reference), steps=80, learning_rate=0.1, optimise=["pixels"])
+    np.testing.assert_allclose(np.asarray(result.best_params["pixels"]), 0.5, atol=1e-3)
+
+
+def test_the_same_seed_gives_the_same_fit() -> None:
+    first, second = run(steps=10, seed=3), run(steps=10, seed=3)
+    np.testing.assert_array_equal(first.params["positions"], second.params["positions"])
+    assert [one.value for one in first.history] == [one.value for one in second.history]
+
+
+def test_each_step_renders_with_its_own_seed() -> None:
+    seeds: list[int] = []
+
+    class Seeded(Bowl):
+        def render_vjp(self, params: dict[str, Any], *, seed: int = 0) -> Any:
+            seeds.append(seed)
+            return super().render_vjp(params)
+
+    fit(Seeded(), PixelL2(np.ones((2, 2, 1))), steps=4, learning_rate=0.1, seed=10)
+    assert seeds == [10, 11, 12, 13]
+
+
+def test_a_callback_sees_every_step_and_can_end_the_fit() -> None:
+    seen: list[int] = []
+
+    def watch(step: FitStep, params: dict[str, Host], image: Host) -> bool:
+        seen.append(step.step)
+        np.testing.assert_array_equal(image, SCENE.render(params))
+        return step.step == 4
+
+    assert len(run(steps=10, callback=watch).history) == 5
+    assert seen == [0, 1, 2, 3, 4]
+
+
+def test_a_fit_that_was_stopped_goes_on_as_if_it_had_not_been(tmp_path: Path) -> None:
+    whole = run(steps=40)
+    file = tmp_path / "state.npz"
+
+    def stop(step: FitStep, params: Any, image: Any) -> None:
+        if step.step == 17:
+            raise KeyboardInterrupt
+
+    with pytest.raises(FitInterruptedError) as caught:
+        run(steps=40, checkpoint=file, callback=stop)
+    assert caught.value.result is not None
+    assert len(caught.value.result.history) == 18
+    resumed = run(steps=40, checkpoint=file, resume=True)
+    np.testing.assert_array_equal(resumed.params["positions"], whole.params["positions"])
+    np.testing.assert_array_equal(resumed.best_params["positions"], whole.best_params["positions"])
+    assert [one.value for one in resumed.history] == [one.value for one in whole.history]
+    assert [path.name for path in tmp_path.iterdir()] == ["state.npz"]
+
+
+def test_a_checkpoint_that_does_not_fit_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "state.npz"
+    file.write_bytes(b"not a checkpoint")
+    with pytest.raises(ParameterError, match="is not a checkpoint of a fit"):
+        run(steps=3, checkpoint=file, resume=True)
+    run(steps=3, checkpoint=file)
+    with pytest.raises(ParameterError, match="`checkpoint` holds other parameters"):
+        fit(Bowl(), PixelL2(np.ones((2, 2, 1))), steps=3, learning_rate=1, checkpoint=file, resume=True)
+    with pytest.raises(OptionError, match="`steps` is 2, but the checkpoint is already at step 3"):
+        run(steps=2, checkpoint=file, resume=True)
+
+
+class Breaking(Bowl):
+    """Renders NaN, or pulls back NaN, from the third step on."""
+
+    def __init__(self, how: str) -> None:
+        super().__init__()
+        self.how, self.calls = how, 0
+
+    def render_vjp(self, params: dict[str, Any], *, seed: int = 0) -> Any:
+        self.calls += 1
+        broken = np.nan if self.calls >= 3 else 1.0
+        image, pullback = super().render_vjp(params)
+        if self.how == "image":
+            return image * broken, pullback
+        return image, lambda g: {name: value * broken for name, value in pullback(g).items()}
+
+
+@pytest.mark.parametrize(("how", "says"), [("image", "step 2: the render is not finite"), ("pull", "gradient of 'pix")])
+def test_a_non_finite_step_stops_the_fit_with_the_best_so_far(how: str, says: str) -> None:
+    with pytest.raises(FitError, match=says) as caught:
+        fit(Breaking(how), PixelL2(np.ones((2, 2, 1))), steps=9, learning_rate=0.1)
+    assert isinstance(caught.value, ArithmeticError)
+    result: Any = caught.value.result
+    assert len(result.history) == 2
+    assert np.all(np.isfinite(result.best_params["pixels"]))
+    assert result.best_value < 1.0
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"steps": 0}, "`steps` must be a whole number, 1 or more, got 0"),
+        ({"steps": 2.5}, "`steps`"),
+        ({"learning_rate": -1}, "`learning_rate` must be a finite number, more than 0, got -1"),
+        ({"seed": -1}, "`seed`"),
+        ({"decay": "linear"}, "`decay` must be one of 'cosine', 'none', got 'linear'"),
+        ({"optimise": ["colour"]}, "'colour', which the renderer does not have; it has colours, positions, radii"),
+        ({"optimise": []}, "`optimise` must name at least one parameter"),
+        ({"optimise": "positions"}, "`optimise` must be names"),
+        ({"optimise": {"positions": 1}}, "must be a Free, got int"),
+        ({"optimise": {"positions": Free([1, 2, 3])}}, r"`initial` of 'positions' must be a number or have shape"),
+        ({"optimise": {"positions": Free(np.nan)}}, "`initial` of 'positions' must be finite"),
+        ({"optimise": {"positions": Free(lower=5, upper=1)}}, "`lower` of 'positions' must not exceed `upper`"),
+        ({"optimise": {"positions": Free(lower=30)}}, "`initial` of 'positions' must lie within its bounds"),
+        ({"optimise": {"positions": Free(learning_rate=0)}}, "`learning_rate of 'positions'`"),
+    ],
+)
+def test_wrong_arguments_are_named(options: dict[str, Any], says: str) -> None:
+    with pytest.raises(ValueError, match=says) as caught:
+        run(**options)
+    assert isinstance(caught.value, LoiError)

@@ -1,0 +1,131 @@
+"""Image files come in as documented, go out whole, and are refused in one line when they are not images."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+from PIL import Image
+
+from loi_core.errors import ImageFileError, LoiError
+from loi_core.files import atomic_path, write_text
+from loi_core.images import read_image, write_png
+
+RGB = np.random.default_rng(0).integers(0, 256, (5, 7, 3), dtype=np.uint8)
+
+
+def test_png_comes_back_as_it_went_out(tmp_path: Path) -> None:
+    write_png(tmp_path / "a.png", RGB / 255.0)
+    np.testing.assert_array_equal(read_image(tmp_path / "a.png"), RGB / 255.0)
+
+
+def test_what_cannot_be_shown_is_clipped_on_writing(tmp_path: Path) -> None:
+    image = np.array([[[-1.0, 2.0, np.nan]]])
+    write_png(tmp_path / "a.png", image)
+    assert read_image(tmp_path / "a.png").tolist() == [[[0.0, 1.0, 0.0]]]
+
+
+def test_grey_opacity_and_sixteen_bits_are_understood(tmp_path: Path) -> None:
+    Image.fromarray(RGB[..., 0]).save(tmp_path / "grey.png")
+    np.testing.assert_array_equal(read_image(tmp_path / "grey.png"), np.repeat(RGB[..., :1] / 255.0, 3, axis=2))
+    Image.fromarray(np.concatenate([RGB, RGB[..., :1]], axis=-1)).save(tmp_path / "rgba.png")
+    assert read_image(tmp_path / "rgba.png").shape == (5, 7, 4)
+    deep = RGB[..., 0].astype(np.uint16) * 257
+    Image.fromarray(deep).save(tmp_path / "deep.png")
+    np.testing.assert_allclose(read_image(tmp_path / "deep.png")[..., 0], RGB[..., 0] / 255.0)
+
+
+def test_jpeg_is_read_within_its_compression(tmp_path: Path) -> None:
+    Image.fromarray(np.full((16, 16, 3), 100, dtype=np.uint8)).save(tmp_path / "a.jpg", quality=95)
+    np.testing.assert_allclose(read_image(tmp_path / "a.jpg"), 100 / 255.0, atol=2 / 255)
+
+
+def test_exr_and_npy_keep_their_values(tmp_path: Path) -> None:
+    radiance = (RGB / 16.0).astype(np.float32)
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with OpenEXR.File(header, {"RGB": radiance}) as file:
+        file.write(str(tmp_path / "a.exr"))
+    with OpenEXR.File(header, {"Y": np.ascontiguousarray(radiance[..., 0])}) as file:
+        file.write(str(tmp_path / "y.exr"))
+    np.save(tmp_path / "a.npy", radiance)
+    np.testing.assert_array_equal(read_image(tmp_path / "a.exr"), radiance)
+    np.testing.assert_array_equal(read_image(tmp_path / "a.npy"), radiance)
+    np.testing.assert_array_equal(read_image(tmp_path / "y.exr")[..., 2], radiance[..., 0])
+
+
+def bomb() -> bytes:
+    """A PNG of a few bytes that claims 30000 x 30000 pixels."""
+
+    def chunk(kind: bytes, data: bytes) -> bytes:
+        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+
+    header = struct.pack(">IIBBBBB", 30000, 30000, 8, 2, 0, 0, 0)
+    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(bytes(9))) + chunk(b"IEND", b"")
+
+
+def damaged(folder: Path) -> dict[str, bytes]:
+    write_png(folder / "whole.png", RGB / 255.0)
+    np.save(folder / "whole.npy", np.zeros((4, 4, 3)))
+    np.save(folder / "pickled.npy", np.array([{"a": 1}], dtype=object), allow_pickle=True)
+    np.save(folder / "text.npy", np.array([["a", "b"]]))
+    np.save(folder / "deep.npy", np.zeros((2, 2, 2, 2)))
+    np.save(folder / "two.npy", np.zeros((2, 2, 2)))
+    return {
+        "cut.png": (folder / "whole.png").read_bytes()[:60],
+        "cut.npy": (folder / "whole.npy").read_bytes()[:150],
+        "pickled.npy": (folder / "pickled.npy").read_bytes(),
+        "text.npy": (folder / "text.npy").read_bytes(),
+        "deep.npy": (folder / "deep.npy").read_bytes(),
+        "two.npy": (folder / "two.npy").read_bytes(),
+        "empty.png": b"",
+        "renamed.jpg": b"GIF89a",
+        "noise.exr": b"\x76\x2f\x31\x01" + bytes(40),
+        "bomb.png": bomb(),
+    }
+
+
+DAMAGED = (
+    *("cut.png", "cut.npy", "pickled.npy", "text.npy", "deep.npy", "two.npy"),
+    *("empty.png", "renamed.jpg", "noise.exr", "bomb.png"),
+)
+
+
+@pytest.mark.parametrize("name", DAMAGED)
+def test_damaged_files_are_refused_by_name(name: str, tmp_path: Path) -> None:
+    content = damaged(tmp_path)[name]
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(ImageFileError, match=name) as caught:
+        read_image(tmp_path / name)
+    assert isinstance(caught.value, OSError)
+    assert isinstance(caught.value, LoiError)
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_files_and_other_kinds_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ImageFileError, match="no such image file"):
+        read_image(tmp_path / "none.png")
+    with pytest.raises(ImageFileError, match=r"images must end in \.png, \.jpg, \.jpeg, \.exr, \.npy"):
+        read_image(tmp_path / "a.gif")
+    (tmp_path / "folder.png").mkdir()
+    with pytest.raises(ImageFileError):
+        read_image(tmp_path / "folder.png")
+
+
+def test_files_are_written_whole_or_not_at_all(tmp_path: Path) -> None:
+    file = tmp_path / "sub" / "a.txt"
+    write_text(file, "old")
+
+    def fail_half_way() -> None:
+        with atomic_path(file) as temporary:
+            temporary.write_text("half")
+            message = "half way"
+            raise RuntimeError(message)
+
+    with pytest.raises(RuntimeError, match="half way"):
+        fail_half_way()
+    assert file.read_text() == "old"
+    assert [path.name for path in file.parent.iterdir()] == ["a.txt"]

@@ -1,0 +1,192 @@
+"""Scene files: what they may say, and one line for everything that they may not."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from loi_core import GaussianPyramid, LOIObjective, PixelL2, ScaleSpace
+from loi_core.cli import main
+from loi_core.errors import LoiError, SceneError
+from loi_core.images import write_png
+from loi_core.renderers import Disks
+from loi_core.scene import load_scene
+
+SCENE = """\
+target = "target.png"
+output = "result"
+
+[renderer]
+name = "disks"
+positions = [[10, 6]]
+radii = [3]
+colours = [[0.9, 0.2, 0.1]]
+confine = true
+
+[optimise.positions]
+initial = [[4, 12]]
+lower = 0
+upper = 16
+truth = [[10, 6]]
+
+[scales]
+sigma = 1
+alpha = [2, 6]
+beta = 0.125
+
+[objective]
+compare = ["pixel_l2"]
+
+[fit]
+steps = 6
+learning_rate = 1
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    scene = Disks(16, 16, [[10, 6]], 3.0, [[0.9, 0.2, 0.1]])
+    write_png(tmp_path / "target.png", scene.render(scene.parameters()))
+    (tmp_path / "scene.toml").write_text(SCENE)
+    return tmp_path
+
+
+def test_a_scene_becomes_objects(folder: Path) -> None:
+    scene = load_scene(folder / "scene.toml")
+    assert isinstance(scene.renderer, Disks)
+    assert scene.renderer.parameters()["radii"].tolist() == [3.0]
+    assert scene.target.shape == (16, 16, 3)
+    assert scene.output == folder / "result"
+    assert list(scene.objectives) == ["loi", "pixel_l2"]
+    loi = scene.objectives["loi"]
+    assert isinstance(loi, LOIObjective)
+    assert loi.scales == ScaleSpace(1, (2, 6), 0.125)
+    assert isinstance(scene.objectives["pixel_l2"], PixelL2)
+    assert scene.optimise["positions"].initial == [[4, 12]]
+    assert scene.truth["positions"].tolist() == [[10.0, 6.0]]
+    assert (scene.fit.steps, scene.fit.decay) == (6, "cosine")
+
+
+def test_what_a_scene_leaves_out_has_a_default(folder: Path) -> None:
+    text = SCENE[: SCENE.index("[scales]")].replace('output = "result"\n', "")
+    (folder / "scene.toml").write_text(text)
+    scene = load_scene(folder / "scene.toml")
+    assert scene.output == folder / "scene-result"
+    assert list(scene.objectives) == ["loi"]
+    assert scene.objectives["loi"].scales == ScaleSpace.for_image(16, 16)  # type: ignore[attr-defined]  # a LOIObjective
+
+
+def test_presets_rivals_and_boundaries_can_be_named(folder: Path) -> None:
+    text = SCENE.replace("sigma = 1\nalpha = [2, 6]\nbeta = 0.125", 'preset = "path"\nboundary = "zero"')
+    text = text.replace('compare = ["pixel_l2"]', 'name = "gaussian_pyramid"\ncompare = ["loi"]')
+    (folder / "scene.toml").write_text(text)
+    scene = load_scene(folder / "scene.toml")
+    assert [type(one) for one in scene.objectives.values()] == [GaussianPyramid, LOIObjective]
+    assert scene.objectives["loi"].scales == ScaleSpace.paper("path", boundary="zero")  # type: ignore[attr-defined]
+
+
+MISTAKES: list[tuple[str, str, str]] = [
+    ('target = "target.png"', "", "`target` is missing"),
+    ('target = "target.png"', "target = 3", "`target` must be a text"),
+    ('target = "target.png"', 'target = "none.png"', "none.png: no such image file"),
+    ('target = "target.png"', 'targt = "target.png"', "unknown key `targt`; did you mean `target`?"),
+    ('target = "target.png"', 'target = "scene.toml"', "images must end in .png"),
+    ('output = "result"', "output = 1", "`output` must be a text"),
+    ('name = "disks"', 'name = "spheres"', "no renderer is called 'spheres'; installed are disks, warp"),
+    ('name = "disks"', "", "[renderer] `name` is missing"),
+    ("radii = [3]", "radius = [3]", "[renderer] unknown key `radius`"),
+    ("radii = [3]", "radii = [3, 4]", "[renderer] `radii` must have shape (1,), got (2,)"),
+    ("radii = [3]", 'radii = [3]\nimages = "x"', "`images` must be a table"),
+    ("radii = [3]", "radii = [3]\nheight = 20", "(20, 16, 3), the target has (16, 16, 3)"),
+    ("[optimise.positions]", "[optimise.position]", "[optimise] unknown key `position`; did you mean `positions`?"),
+    ("initial = [[4, 12]]", "initial = [4, 12]", "[optimise.positions] `initial` must be one number or have shape"),
+    ("initial = [[4, 12]]", 'initial = "left"', "[optimise.positions] `initial` must be numbers"),
+    ("initial = [[4, 12]]", "initial = [[4, 99]]", "`initial` of 'positions' must lie within its bounds"),
+    ("lower = 0", "lower = 99", "`lower` of 'positions' must not exceed `upper`"),
+    ("lower = 0", "lowest = 0", "[optimise.positions] unknown key `lowest`"),
+    ("lower = 0", "lower = nan", "`lower` must not be nan"),
+    ("lower = 0", "learning_rate = 0", "`learning_rate` must be a finite number, more than 0"),
+    ("sigma = 1", "sigma = -1", "[scales] `sigma` must be a finite number, 0 or more, got -1"),
+    ("sigma = 1", 'preset = "path"', "[scales] `preset` and `alpha` exclude each other"),
+    ("beta = 0.125", 'boundary = "mirror"', "[scales] `boundary` must be one of"),
+    ("beta = 0.125", "gamma = 2", "[scales] unknown key `gamma`"),
+    ('compare = ["pixel_l2"]', 'compare = "pixel_l2"', "[objective] `compare` must be a list"),
+    ('compare = ["pixel_l2"]', 'compare = ["ssim"]', "[objective] objectives are loi, pixel_l2, gaussian_pyramid"),
+    ('compare = ["pixel_l2"]', 'accuracy = "perfect"', "[objective] `accuracy` must be one of"),
+    ('compare = ["pixel_l2"]', 'nan_policy = "keep"', "[objective] `nan_policy` must be one of"),
+    ("steps = 6", "steps = 0", "[fit] `steps` must be a whole number"),
+    ("steps = 6", "step = 6", "[fit] unknown key `step`; did you mean `steps`?"),
+    ("learning_rate = 1", 'learning_rate = "fast"', "[fit] `learning_rate` must be a finite number"),
+    ("learning_rate = 1", "learning_rate = 1 1", "not a readable TOML file"),
+    ("[fit]", "[[fit]]", "`fit` must be a table"),
+]
+
+
+@pytest.mark.parametrize(("old", "new", "says"), MISTAKES, ids=[f"{new or 'no ' + old}" for old, new, _ in MISTAKES])
+def test_a_wrong_scene_is_one_line_exit_2_and_nothing_written(
+    folder: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, says: str
+) -> None:
+    assert old in SCENE
+    (folder / "scene.toml").write_text(SCENE.replace(old, new, 1))
+    before = sorted(folder.rglob("*"))
+    assert main(["fit", str(folder / "scene.toml")]) == 2
+    out, err = capsys.readouterr()
+    assert says in err
+    assert err.startswith("loi: ")
+    assert err.count("\n") == 1
+    assert out == ""
+    assert sorted(folder.rglob("*")) == before
+
+
+def test_a_missing_or_binary_scene_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(SceneError, match="no such scene file"):
+        load_scene(tmp_path / "none.toml")
+    (tmp_path / "binary.toml").write_bytes(bytes(range(256)))
+    with pytest.raises(SceneError, match="not a readable TOML file") as caught:
+        load_scene(tmp_path / "binary.toml")
+    assert isinstance(caught.value, LoiError)
+
+
+def test_fit_writes_everything_and_says_it_as_json(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["fit", str(folder / "scene.toml"), "--json"]) == 0
+    said: dict[str, Any] = json.loads(capsys.readouterr().out)
+    result = folder / "result"
+    assert Path(said["report"]) == result / "report.html"
+    files = {str(path.relative_to(result)) for path in result.rglob("*") if path.is_file()}
+    assert files >= {
+        *("parameters.json", "history.csv", "result.json", "report.html", "checkpoint.npz", "convergence.png"),
+        *("initial.png", "final.png", "target.png", "error.png"),
+        *("compare/pixel_l2/final.png", "compare/pixel_l2/history.csv", "frames/000000.png"),
+    }
+    best = json.loads((result / "parameters.json").read_text())
+    assert best["positions"] == said["trials"][0]["parameters"]["positions"]
+    assert (result / "history.csv").read_text().splitlines()[0] == "step,value,gradient_norm,rate,seconds,psnr"
+    assert len((result / "history.csv").read_text().splitlines()) == 7
+    page = (result / "report.html").read_text()
+    assert page.count("data:image/png;base64,") >= 8
+    assert "http://" not in page
+    assert "https://" not in page
+    assert said["trials"][0]["parameter_errors"]["positions"] < 8.0
+    assert not any(result.rglob(".*"))
+
+
+def test_a_report_can_be_made_again_and_only_from_results(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    main(["fit", str(folder / "scene.toml"), "--output", str(folder / "elsewhere")])
+    page = folder / "elsewhere" / "report.html"
+    before = page.read_text()
+    page.unlink()
+    assert main(["report", str(folder / "elsewhere")]) == 0
+    assert page.read_text() == before
+    assert main(["report", str(folder)]) == 2
+    assert "no result.json there" in capsys.readouterr().err
+
+
+def test_a_fit_can_be_resumed(folder: Path) -> None:
+    main(["fit", str(folder / "scene.toml")])
+    whole = np.load(folder / "result" / "checkpoint.npz")["params/positions"]
+    assert main(["fit", str(folder / "scene.toml"), "--resume"]) == 0
+    np.testing.assert_array_equal(np.load(folder / "result" / "checkpoint.npz")["params/positions"], whole)
