@@ -1,0 +1,87 @@
+"""Makes the pictures of the README: ``python docs/figures.py DEMO``, where DEMO is a folder written by ``loi demo``."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from loi_core import ScaleSpace, inner_images, isophotes, local_histograms
+from loi_core.images import read_image
+
+IMAGES: Final = Path(__file__).parent / "images"
+COLUMNS: Final = (
+    ("start", "initial.png"),
+    ("target", "target.png"),
+    ("pixel L2", "compare/pixel_l2/final.png"),
+    ("Gaussian pyramid", "compare/gaussian_pyramid/final.png"),
+    ("loi", "final.png"),
+)
+
+
+def show_demo(demo: Path) -> None:
+    """Both scenes of the demo: where they start, what is wanted, and where each objective ends."""
+    figure = Figure(figsize=(11.0, 4.3), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(2, len(COLUMNS), height_ratios=[1.0, 0.78])
+    for row, name in enumerate(("disks", "photograph")):
+        for column, (title, file) in enumerate(COLUMNS):
+            _picture(axes[row, column], read_image(demo / name / file))
+            if row == 0:
+                axes[row, column].set_title(title, fontweight="bold" if title == "loi" else "normal")
+        trials = json.loads((demo / name / "result.json").read_text())["trials"]
+        for column, objective in ((2, "pixel_l2"), (3, "gaussian_pyramid"), (4, "loi")):
+            quality = next(one["psnr"] for one in trials if one["objective"] == objective)
+            axes[row, column].set_xlabel(f"{quality:.1f} dB")
+    figure.savefig(IMAGES / "demo.png", dpi=90)
+
+
+def show_scales(demo: Path) -> None:
+    """The three scales on the photograph of the demo."""
+    image = read_image(demo / "photograph" / "target.png").mean(axis=-1)
+    scales = ScaleSpace(sigma=(0, 2, 6), alpha=(3, 8, 20), beta=0.08)
+    inner = inner_images(image, scales, channel_axis=None)
+    density = isophotes(image, scales, sigma=0, beta=0.08, channel_axis=None)
+    levels = scales.levels(0.08)
+    figure = Figure(figsize=(11.0, 6.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.subplots(3, 4, width_ratios=[0.55, 1, 1, 1])
+    texts = (
+        ("inner scale sigma", "blur the image:\nhow fine is a pixel?"),
+        ("tonal scale beta", "split it by intensity:\neach pixel becomes a\nsoft histogram"),
+        ("extent scale alpha", "gather the histograms of a\nneighbourhood (here, around\nthe cross); compare those"),
+    )
+    for row, (name, text) in enumerate(texts):
+        axes[row, 0].axis("off")
+        axes[row, 0].text(0.0, 0.62, name, fontweight="bold", transform=axes[row, 0].transAxes)
+        axes[row, 0].text(0.0, 0.22, text, fontsize=9, transform=axes[row, 0].transAxes)
+    for axis, sigma in zip(axes[0, 1:], scales.sigma, strict=True):
+        _picture(axis, inner[sigma])
+        axis.set_title(f"sigma = {sigma:g}", fontsize=10)
+    for axis, level in zip(axes[1, 1:], (0.1, 0.3, 0.6), strict=True):
+        index = int(np.argmin(np.abs(levels - level)))
+        _picture(axis, density[index], cmap="magma", vmax=density.max())
+        axis.set_title(f"how much each pixel is {levels[index]:.2f}", fontsize=10)
+    row, column = 34, 84
+    for axis, alpha in zip(axes[2, 1:], scales.alpha, strict=True):
+        local = local_histograms(image, scales, sigma=0, beta=0.08, alpha=alpha, channel_axis=None)
+        axis.bar(levels, local[:, row, column] * scales.spacing(0.08), width=0.07, color="#c2410c")
+        axis.set(xlim=(-0.2, 1.1), yticks=[], xlabel="intensity")
+        axis.set_title(f"alpha = {alpha:g}", fontsize=10)
+    axes[0, 1].plot(column, row, "+", color="#c2410c", markersize=14, markeredgewidth=2)
+    figure.savefig(IMAGES / "scales.png", dpi=90)
+
+
+def _picture(axis: Any, image: Any, cmap: str = "gray", vmax: float = 1.0) -> None:
+    axis.imshow(image, cmap=cmap, vmin=0.0, vmax=vmax, interpolation="nearest")
+    axis.set(xticks=[], yticks=[])
+
+
+if __name__ == "__main__":
+    show_demo(Path(sys.argv[1]))
+    show_scales(Path(sys.argv[1]))

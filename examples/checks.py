@@ -1,0 +1,106 @@
+"""Prints the measured error beside every tolerance that the loss promises: ``python -m examples.checks``.
+
+Run it from the root of the repository, with the development extras installed.
+"""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any, Final
+
+import array_api_strict
+import jax
+import jax.numpy as jnp
+import numpy as np
+import torch
+from scipy import stats
+
+from loi_core import LOIObjective, ScaleSpace
+
+STORED: Final = Path(__file__).parents[1] / "tests" / "data" / "released_loss.npz"
+SHAPE: Final = (24, 19, 3)
+SPACES: Final = {
+    "paper vector": ScaleSpace.paper("vector"),
+    "paper path": ScaleSpace.paper("path"),
+    "paper raster": ScaleSpace.paper("raster"),
+    "path, zero boundary": ScaleSpace.paper("path", boundary="zero"),
+    "released": ScaleSpace.released((1, 5), (1, 5, 15), 8, 61),
+}
+
+
+def relative(got: Any, wanted: Any) -> float:
+    """Norm of the difference over that of what was wanted."""
+    return float(np.linalg.norm(np.asarray(got) - wanted) / np.linalg.norm(wanted))
+
+
+def gradient_errors(image: Any, reference: Any, scales: ScaleSpace) -> dict[str, float]:
+    """Errors of the analytic gradient against differences, torch, JAX and array_api_strict."""
+    objective = LOIObjective(reference, scales)
+    _, gradient = objective.value_and_grad(image)
+    direction = np.random.default_rng(1).standard_normal(SHAPE)
+    near = objective.value(image + 1e-7 * direction) - objective.value(image - 1e-7 * direction)
+    far = objective.value(image + 2e-7 * direction) - objective.value(image - 2e-7 * direction)
+    slope = float(np.sum(gradient * direction))
+    leaf = torch.tensor(image, requires_grad=True)
+    LOIObjective(torch.tensor(reference), scales).value(leaf).backward()
+    assert leaf.grad is not None
+    traced = LOIObjective(jnp.asarray(reference), scales)
+    prepared = traced._prepare(jnp.moveaxis(jnp.asarray(reference), -1, 0))
+    jaxed = jax.grad(lambda x: sum(traced._evaluate(x, prepared, gradient=False).terms.values()))(
+        jnp.moveaxis(jnp.asarray(image), -1, 0)
+    )
+    strict = LOIObjective(array_api_strict.asarray(reference), scales)
+    return {
+        "central differences": abs((8 * near - far) / 12e-7 - slope) / float(np.linalg.norm(gradient)),
+        "torch autograd": relative(leaf.grad, gradient),
+        "JAX grad": relative(jnp.moveaxis(jaxed, 0, -1), gradient),
+        "array_api_strict": relative(strict.value_and_grad(array_api_strict.asarray(image))[1], gradient),
+    }
+
+
+def rows() -> list[tuple[str, float, float]]:
+    """Name, measured value and tolerance of every check."""
+    image, reference = np.random.default_rng(3).uniform(0.02, 0.98, (2, *SHAPE))
+    bounds = {"central differences": 1e-6, "torch autograd": 1e-10, "JAX grad": 1e-10, "array_api_strict": 1e-12}
+    worst = dict.fromkeys(bounds, 0.0)
+    for scales in SPACES.values():
+        for name, error in gradient_errors(image, reference, scales).items():
+            worst[name] = max(worst[name], error)
+    table = [(f"gradient against {name}", worst[name], bound) for name, bound in bounds.items()]
+    stored = np.load(STORED, allow_pickle=False)
+    for case in ("a", "d"):
+        config = json.loads(str(stored[f"{case}_config"]))
+        scales = ScaleSpace.released(config["sigma"], config["alpha"], config["nb"], config["ks"])
+        objective = LOIObjective(stored[f"{case}_reference"].astype(np.float64), scales)
+        value, gradient = objective.value_and_grad(stored[f"{case}_image"].astype(np.float64))
+        wanted = float(stored[f"{case}_loss"])
+        table.append((f"released loss, case {case}", abs(float(value) / wanted - 1.0), 1e-5))
+        table.append((f"released gradient, case {case}", relative(gradient, stored[f"{case}_grad"]), 1e-3))
+    flat = LOIObjective(reference[..., :1], ScaleSpace(0, 1e6, 1e-3)).value(image[..., :1])
+    distance = stats.wasserstein_distance(image[..., 0].ravel(), reference[..., 0].ravel())
+    table.append(("whole image against scipy's Wasserstein distance, beta 1e-3", abs(float(flat) - distance), 1e-3))
+    return [*table, ("seconds to import loi_core after numpy", import_seconds(), 0.3)]
+
+
+def import_seconds() -> float:
+    """Least of five times to import the core in a new process that has NumPy already."""
+    code = "import numpy, time; t = time.perf_counter(); import loi_core; print(time.perf_counter() - t)"
+    runs = [subprocess.run([sys.executable, "-c", code], capture_output=True, check=True) for _ in range(5)]
+    return min(float(one.stdout) for one in runs)
+
+
+def main() -> int:
+    """Print the table; 1 if a tolerance is not kept."""
+    jax.config.update("jax_enable_x64", True)  # type: ignore[no-untyped-call]  # untyped in JAX
+    table = rows()
+    print("| check | measured | tolerance |\n| --- | --- | --- |")
+    for name, measured, bound in table:
+        print(f"| {name} | {measured:.1e} | {bound:.0e} |")
+    return int(any(measured >= bound for _, measured, bound in table))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
