@@ -7,6 +7,7 @@ would catch: a wrong value is a ``ValueError``, a wrong type a ``TypeError``, an
 from __future__ import annotations
 
 __all__ = [
+    "ConformanceError",
     "FitError",
     "ImageError",
     "ImageFileError",
@@ -100,3 +101,24 @@ class FitError(LoiError, ArithmeticError):
     def __init__(self, message: str, result: object = None) -> None:
         super().__init__(message)
         self.result = result
+
+
+class ConformanceError(LoiError, AssertionError):
+    """A renderer or objective failed a check of :mod:`loi_core.testing`.
+
+    Attributes
+    ----------
+    check : str
+        Name of the check.
+    rule : str
+        The rule of the contract that was broken.
+    """
+
+    def __init__(self, check: str, rule: str, finding: str) -> None:
+        super().__init__(f"{check}: {finding} (rule: {rule})")
+        self.check = check
+        self.rule = rule
+        self.finding = finding
+
+    def __reduce__(self) -> tuple[type[ConformanceError], tuple[str, str, str]]:
+        return type(self), (self.check, self.rule, self.finding)
