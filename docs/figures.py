@@ -31,10 +31,10 @@ def show_demo(demo: Path) -> None:
     axes = figure.subplots(2, len(COLUMNS), height_ratios=[1.0, 0.78])
     for row, name in enumerate(("disks", "photograph")):
         for column, (title, file) in enumerate(COLUMNS):
-            _picture(axes[row, column], read_image(demo / name / file))
+            _picture(axes[row, column], read_image(demo / name / "result" / file))
             if row == 0:
                 axes[row, column].set_title(title, fontweight="bold" if title == "loi" else "normal")
-        trials = json.loads((demo / name / "result.json").read_text())["trials"]
+        trials = json.loads((demo / name / "result" / "result.json").read_text())["trials"]
         for column, objective in ((2, "pixel_l2"), (3, "gaussian_pyramid"), (4, "loi")):
             quality = next(one["psnr"] for one in trials if one["objective"] == objective)
             axes[row, column].set_xlabel(f"{quality:.1f} dB")

@@ -1,6 +1,7 @@
 """`loi`: locally orderless images as a loss for inverse rendering, on any array library and any renderer."""
 
-from loi_core.fit import FitResult, FitStep, Free, fit
+from loi_core.fit import FitResult, FitStep, fit
+from loi_core.free import Free
 from loi_core.histograms import inner_images, isophotes, local_histograms
 from loi_core.objectives import GaussianPyramid, ImageObjective, LOIObjective, Objective, PixelL2
 from loi_core.registry import available_renderers, load_renderer

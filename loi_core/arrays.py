@@ -13,9 +13,11 @@ __all__ = [
     "Array",
     "Namespace",
     "as_floating",
+    "detached",
     "device",
     "epsilon",
     "from_numpy",
+    "is_array_api_obj",
     "is_numpy_array",
     "library_name",
     "namespace",
@@ -53,8 +55,15 @@ def from_numpy(values: np.ndarray[Any, Any], like: Array) -> Array:
 def to_numpy(array: Array) -> np.ndarray[Any, Any]:
     """`array` as NumPy, on the host: for reports and files, never inside a loss."""
     if is_torch_array(array):  # torch alone refuses to export what records gradients or lies on another device
-        return np.asarray(array.detach().cpu())
+        array = array.detach().cpu()
+        # NumPy has no bfloat16.
+        return np.asarray(array.float() if "bfloat16" in str(array.dtype) else array)
     return np.asarray(array)
+
+
+def detached(array: Array) -> Array:
+    """`array` cut off from what a framework records for its own gradients; the same numbers."""
+    return array.detach() if is_torch_array(array) else array
 
 
 def as_floating(name: str, array: Array) -> Array:
@@ -75,6 +84,9 @@ def as_floating(name: str, array: Array) -> Array:
         floating = array.dtype.kind == "f"  # the compat test refuses dtypes that NumPy alone has (object, str)
     else:
         floating = namespace(array).isdtype(array.dtype, "real floating")
+    if floating and is_numpy_array(array) and not array.dtype.isnative:
+        msg = f"`{name}` must be in this machine's byte order, got dtype {array.dtype}; use array.astype(float)"
+        raise ImageTypeError(msg)
     if not floating:
         mend = "divide 8-bit images by 255" if "int" in str(array.dtype) else "convert it first"
         msg = f"`{name}` must hold real floating-point values, got dtype {array.dtype}; {mend}"

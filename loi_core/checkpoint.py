@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -24,6 +25,7 @@ NUMBERS = ("step", "count", "best_step", "best_value", "history")
 class Checkpoint:
     """Everything that a fit needs to go on; arrays are on the host."""
 
+    settings: Mapping[str, str]
     step: int
     count: int
     best_step: int
@@ -38,20 +40,30 @@ class Checkpoint:
 def save_checkpoint(path: Path, state: Checkpoint) -> None:
     """Write `state` to `path` (.npz), whole or not at all."""
     arrays: dict[str, Any] = {name: np.asarray(getattr(state, name)) for name in NUMBERS}
+    arrays["settings"] = np.asarray(json.dumps(dict(state.settings)))
     for group in GROUPS:
         arrays |= {f"{group}/{name}": value for name, value in getattr(state, group).items()}
     with atomic_path(path) as temporary, temporary.open("wb") as stream:
         np.savez(stream, allow_pickle=False, **arrays)
 
 
-def load_checkpoint(path: Path) -> Checkpoint:
-    """Read what :func:`save_checkpoint` wrote.
+def load_checkpoint(path: Path, settings: Mapping[str, str]) -> Checkpoint:
+    """Read what :func:`save_checkpoint` wrote, for a fit with these settings.
 
     Raises
     ------
     ParameterError
-        If the file is not a whole checkpoint. Nothing in it is executed.
+        If the file is not a whole checkpoint, or one of a fit with other settings. Nothing in it is executed.
     """
+    state = _load(path)
+    for name, value in settings.items():
+        if state.settings.get(name) != value:
+            msg = f"`checkpoint` was made with {name} = {state.settings.get(name)}, this fit has {value}"
+            raise ParameterError(msg)
+    return state
+
+
+def _load(path: Path) -> Checkpoint:
     try:
         with np.load(path, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
@@ -62,6 +74,7 @@ def load_checkpoint(path: Path) -> Checkpoint:
             for group in GROUPS
         }
         return Checkpoint(
+            settings=dict(json.loads(str(arrays["settings"]))),
             step=int(arrays["step"]),
             count=int(arrays["count"]),
             best_step=int(arrays["best_step"]),
@@ -69,6 +82,6 @@ def load_checkpoint(path: Path) -> Checkpoint:
             history=np.asarray(arrays["history"], dtype=np.float64).reshape(-1, 5),
             **groups,
         )
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+    except (OSError, ValueError, KeyError, TypeError, EOFError, NotImplementedError, zipfile.BadZipFile) as error:
         msg = f"`checkpoint` {path} is not a checkpoint of a fit ({type(error).__name__}); delete it to start anew"
         raise ParameterError(msg) from error

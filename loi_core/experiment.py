@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -12,13 +13,15 @@ import numpy as np
 
 from loi_core.arrays import Array, to_numpy
 from loi_core.errors import FitError, SceneError
-from loi_core.fit import FitInterruptedError, FitResult, FitStep, fit, starting_parameters
+from loi_core.fit import FitInterruptedError, FitResult, FitStep, fit
+from loi_core.free import starting_parameters
 from loi_core.renderer import Parameters
 from loi_core.scene import Scene
 
-__all__ = ["Progress", "Trial", "initial_image", "psnr", "run_scene"]
+__all__ = ["HISTORY_FILE", "Progress", "Trial", "frame_steps", "initial_image", "psnr", "run_scene"]
 
 FRAMES: Final = 8  # pictures of the way that a report shows
+HISTORY_FILE: Final = "history.csv"
 
 Progress: TypeAlias = Callable[[str, int, float], None]
 """Called as ``progress(objective, step, value)`` after every step of every fit."""
@@ -39,7 +42,7 @@ class Trial:
     initial : array, shape (H, W, C)
         The image at the start.
     psnr : dict of float
-        Step to PSNR of its image against the target, in dB; steps of an earlier, resumed run are not in it.
+        Step to PSNR of its image against the target, in dB.
     frames : list of (int, array)
         Steps and images along the way.
     error : str
@@ -82,6 +85,8 @@ def run_scene(
     for index, (name, objective) in enumerate(scene.objectives.items()):
         trial = Trial(name)
         watcher = _Watcher(scene, trial, progress)
+        if resume and index == 0:
+            trial.psnr = _earlier_psnr(scene.output / HISTORY_FILE)
         trial.initial = initial_image(scene)
         trials.append(trial)
         try:
@@ -105,6 +110,20 @@ def run_scene(
             trial.result = stop.result
             break
     return trials
+
+
+def _earlier_psnr(path: Path) -> dict[int, float]:
+    """The PSNR column of the history of a fit that is resumed; empty where there is none that can be read."""
+    try:
+        with path.open(encoding="utf-8", newline="") as stream:
+            return {int(row["step"]): float(row["psnr"]) for row in csv.DictReader(stream) if row["psnr"]}
+    except (OSError, ValueError, KeyError, TypeError):
+        return {}
+
+
+def frame_steps(steps: int) -> set[int]:
+    """The steps whose images a report of a fit of so many steps shows."""
+    return {round(k * (steps - 1) / (FRAMES - 1)) for k in range(FRAMES)}
 
 
 def initial_image(scene: Scene) -> Host:
@@ -134,8 +153,7 @@ class _Watcher:
     def __call__(self, step: FitStep, _: Parameters, image: Array) -> None:
         seen = to_numpy(image)
         self.trial.psnr[step.step] = psnr(seen, self.scene.target)
-        shown = {round(k * (self.scene.fit.steps - 1) / (FRAMES - 1)) for k in range(FRAMES)}
-        if step.step in shown:
+        if step.step in frame_steps(self.scene.fit.steps):
             self.trial.frames.append((step.step, seen.copy()))
         if self.progress is not None:
             self.progress(self.trial.objective, step.step, step.value)

@@ -8,7 +8,9 @@ import tempfile
 from collections.abc import Iterator
 from pathlib import Path
 
-__all__ = ["atomic_path", "write_bytes", "write_text"]
+from loi_core.errors import OptionError
+
+__all__ = ["atomic_path", "check_writable", "write_bytes", "write_text"]
 
 
 @contextlib.contextmanager
@@ -29,6 +31,17 @@ def atomic_path(path: Path) -> Iterator[Path]:
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def check_writable(name: str, folder: Path) -> None:
+    """Raise :class:`OptionError` unless files can be put into `folder`, or it can be made."""
+    place = folder.absolute()
+    while not place.exists() and place != place.parent:
+        place = place.parent
+    if not place.is_dir() or not os.access(place, os.W_OK | os.X_OK):
+        why = "cannot be written to" if place.is_dir() else "is not a folder"
+        msg = f"`{name}` must lead to a folder that can be written to, but {place} {why}"
+        raise OptionError(msg)
 
 
 def write_bytes(path: Path, content: bytes) -> None:

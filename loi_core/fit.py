@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
+import json
 import math
+import os
 import time
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, field, replace
-from numbers import Real
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Literal, TypeAlias, get_args
 
 import numpy as np
 
-from loi_core.arrays import Array, from_numpy, namespace, to_numpy
+from loi_core.arrays import Array, detached, from_numpy, is_array_api_obj, namespace, to_numpy
 from loi_core.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
-from loi_core.errors import FitError, NonFiniteImageError, OptionError, ParameterError
+from loi_core.errors import FitError, LoiError, NonFiniteImageError, OptionError, ParameterError, RendererError
+from loi_core.files import check_writable
+from loi_core.free import Bounds, Free, bounds_of, check_rate, free_parameters, own_parameters, starting_parameters
 from loi_core.nonfinite import count_non_finite
 from loi_core.objectives.base import Objective
 from loi_core.optimiser import Moments, adam_step
 from loi_core.renderer import Parameters, ProjectingRenderer, Renderer
+from loi_core.values import whole_number
 
 __all__ = [
     "Callback",
@@ -36,26 +42,6 @@ Decay = Literal["cosine", "none"]
 
 FINAL_RATE: Final = 1e-3  # where a cosine decay ends, as a share of the learning rate
 CHECKPOINT_STEPS: Final = 25
-
-
-@dataclass(frozen=True)
-class Free:
-    """How one parameter may move in a fit.
-
-    Attributes
-    ----------
-    initial : array, optional
-        Where it starts; where the renderer has it by default. Shape of the parameter, or a number for all of it.
-    lower, upper : array, optional
-        Bounds, inclusive, of the same kinds of shape; unbounded by default.
-    learning_rate : float, optional
-        In the parameter's own unit; that of the fit by default.
-    """
-
-    initial: Any = None
-    lower: Any = None
-    upper: Any = None
-    learning_rate: float | None = None
 
 
 @dataclass(frozen=True)
@@ -189,7 +175,8 @@ def fit(
     checkpoint : path, optional
         File (.npz) in which the state is kept every 25 steps and at the end, written whole or not at all.
     resume : bool
-        Whether to go on from `checkpoint` if it exists. The fit then ends as if it had never stopped.
+        Whether to go on from `checkpoint` if it exists. The fit then ends as if it had never stopped; a
+        checkpoint of other settings, or of another objective or scene, is refused.
     callback : callable, optional
         ``callback(step, params, image)`` after every step; returning True ends the fit.
 
@@ -202,48 +189,47 @@ def fit(
     OptionError, ParameterError
         If an argument is not allowed.
     FitError
-        If the loss or gradient stops being finite; its ``result`` holds the best parameters so far.
+        If the loss or gradient stops being finite, or the renderer fails after the first step; its ``result``
+        holds the best parameters so far.
+    RendererError
+        If the renderer breaks the contract on the first step.
     FitInterruptedError
         On Ctrl-C; likewise.
     """
     check_fit_options(steps, learning_rate, seed, decay)
-    free = _free_parameters(optimise, renderer.parameters())
+    path = _checkpoint_path(checkpoint)
+    free = free_parameters(optimise, own_parameters(renderer))
     params = starting_parameters(renderer, free)
-    lower = {name: _limit(name, "lower", params[name], entry.lower) for name, entry in free.items()}
-    upper = {name: _limit(name, "upper", params[name], entry.upper) for name, entry in free.items()}
-    _check_bounds(params, lower, upper)
+    bounds = bounds_of(params, free)
     rates = {name: learning_rate if one.learning_rate is None else one.learning_rate for name, one in free.items()}
+    settings = _settings(steps, seed, decay, rates, bounds)
     run = _Run(params, Moments.zeros({name: params[name] for name in free}))
-    path = None if checkpoint is None else Path(checkpoint)
     if path is not None and resume and path.exists():
-        run = _resumed(load_checkpoint(path), run, steps, renderer, seed)
+        run = _resumed(load_checkpoint(path, settings), run, renderer, objective, seed)
     try:
         while run.step < steps:
             started = time.perf_counter()
-            step = run.step
+            step, seen = run.step, run.params
             share = _rate(decay, step, steps)
-            image, value, gradient = _evaluate(renderer, objective, run, free, seed + step)
+            image, value, gradient = _evaluate(renderer, objective, run, rates, seed + step)
             run.see(step, value, image)
-            norm = math.sqrt(sum(float(np.sum(np.square(to_numpy(gradient[name])))) for name in free))
-            moved, run.moments = adam_step(
-                run.params, gradient, run.moments, {name: share * rate for name, rate in rates.items()}
-            )
-            moved = _clipped(moved, lower, upper)
-            if isinstance(renderer, ProjectingRenderer):
-                moved = renderer.project(moved)
-            seen, run.params, run.step = run.params, moved, step + 1
-            run.history.append(FitStep(step, value, norm, share, time.perf_counter() - started))
+            norm = math.sqrt(sum(float(np.sum(np.square(to_numpy(one)))) for one in gradient.values()))
+            moved, moments = adam_step(seen, gradient, run.moments, {name: share * rates[name] for name in rates})
+            moved = _projected(renderer, bounds.clip(moved), run)
+            entry = FitStep(step, value, norm, share, time.perf_counter() - started)
+            # All at once, so that Ctrl-C falls before a step or after it, never within.
+            run.moments, run.params, run.step, run.history = moments, moved, step + 1, [*run.history, entry]
             if path is not None and run.step % CHECKPOINT_STEPS == 0:
-                save_checkpoint(path, _snapshot(run))
-            if callback is not None and callback(run.history[-1], seen, image):
+                save_checkpoint(path, _snapshot(run, settings))
+            if callback is not None and callback(entry, seen, image):
                 break
         _see_last(renderer, objective, run, seed)
     except KeyboardInterrupt:
         if path is not None and run.best_params is not None:
-            save_checkpoint(path, _snapshot(run))
+            save_checkpoint(path, _snapshot(run, settings))
         raise FitInterruptedError(run.result()) from None
     if path is not None:
-        save_checkpoint(path, _snapshot(run))
+        save_checkpoint(path, _snapshot(run, settings))
     result = run.result()
     if result is None:  # pragma: no cover - steps >= 1 has seen at least one value
         msg = "the fit saw no value"
@@ -252,33 +238,70 @@ def fit(
 
 
 def _evaluate(
-    renderer: Renderer, objective: Objective, run: _Run, free: Mapping[str, Free], seed: int
+    renderer: Renderer, objective: Objective, run: _Run, free: Iterable[str], seed: int
 ) -> tuple[Array, float, Parameters]:
-    image, pullback = renderer.render_vjp(run.params, seed=seed)
-    try:
+    """Image, value and gradient by the free parameters, each known to be finite and of the right shape."""
+    with _keeping(run, "rendering"):
+        image, pullback = renderer.render_vjp(run.params, seed=seed)
+    image = detached(image)
+    with _keeping(run, "the objective"):
         value, cotangent = objective.value_and_grad(image)
-    except NonFiniteImageError as error:
-        msg = f"step {run.step}: the render is not finite: {error}"
-        raise FitError(msg, run.result()) from error
-    number = float(value)
+    number = float(detached(value))
     if not math.isfinite(number):
         msg = f"step {run.step}: the objective is {number}; the best parameters so far are in `result`"
         raise FitError(msg, run.result())
-    gradient = pullback(cotangent)
-    for name in free:
-        bad = count_non_finite(gradient[name])
+    with _keeping(run, "the pullback"):
+        pulled = pullback(cotangent)
+        gradient = {name: _cotangent_of(name, pulled, run.params[name]) for name in free}
+    for name, slope in gradient.items():
+        bad = count_non_finite(slope)
         if bad:
             msg = f"step {run.step}: the gradient of {name!r} has {bad} non-finite values; see `result`"
             raise FitError(msg, run.result())
     return image, number, gradient
 
 
+def _cotangent_of(name: str, pulled: object, parameter: Array) -> Array:
+    if not isinstance(pulled, Mapping) or name not in pulled:
+        msg = f"the pullback gave no cotangent for {name!r}"
+        raise RendererError(msg)
+    slope = pulled[name]
+    if not is_array_api_obj(slope) or tuple(slope.shape) != tuple(parameter.shape):
+        got = f"shape {tuple(slope.shape)}" if is_array_api_obj(slope) else type(slope).__name__
+        msg = f"the cotangent of {name!r} must be an array of shape {tuple(parameter.shape)}, got {got}"
+        raise RendererError(msg)
+    return namespace(parameter).astype(detached(slope), parameter.dtype)
+
+
+def _projected(renderer: Renderer, params: Parameters, run: _Run) -> Parameters:
+    if not isinstance(renderer, ProjectingRenderer):
+        return params
+    with _keeping(run, "the projection"):
+        return renderer.project(params)
+
+
+@contextlib.contextmanager
+def _keeping(run: _Run, what: str) -> Iterator[None]:
+    """Whatever breaks after the first step must not take the best parameters with it."""
+    try:
+        yield
+    except Exception as error:
+        result = run.result()
+        if result is None and isinstance(error, LoiError) and not isinstance(error, NonFiniteImageError):
+            raise  # nothing is lost yet, and the error says what is wrong with the call
+        finding = f"{what} failed: {type(error).__name__}"
+        if isinstance(error, NonFiniteImageError):
+            finding = "the render is not finite"
+        msg = f"step {run.step}: {finding}: {error}"
+        raise FitError(msg, result) from error
+
+
 def _see_last(renderer: Renderer, objective: Objective, run: _Run, seed: int) -> None:
     """The last step has moved the parameters; they count only if their value is known."""
-    image = renderer.render(run.params, seed=seed + run.step)
     try:
-        value = float(objective.value(image))
-    except NonFiniteImageError:
+        image = detached(renderer.render(run.params, seed=seed + run.step))
+        value = float(detached(objective.value(image)))
+    except LoiError:
         return  # the best iterate stands
     if math.isfinite(value):
         run.see(run.step, value, image)
@@ -290,110 +313,48 @@ def _rate(decay: Decay, step: int, steps: int) -> float:
     return FINAL_RATE + (1.0 - FINAL_RATE) * 0.5 * (1.0 + math.cos(math.pi * step / (steps - 1)))
 
 
-def _clipped(params: Parameters, lower: Mapping[str, Array], upper: Mapping[str, Array]) -> Parameters:
-    result = dict(params)
-    for name, limit in lower.items():
-        xp = namespace(result[name])
-        result[name] = xp.minimum(xp.maximum(result[name], limit), upper[name])
-    return result
-
-
 def check_fit_options(steps: object, learning_rate: object, seed: object, decay: object) -> None:
     """Raise :class:`OptionError` unless :func:`fit` takes these values."""
-    if isinstance(steps, bool) or not isinstance(steps, int | np.integer) or steps < 1:
-        msg = f"`steps` must be a whole number, 1 or more, got {steps!r}"
-        raise OptionError(msg)
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        msg = f"`seed` must be a whole number, 0 or more, got {seed!r}"
-        raise OptionError(msg)
-    _check_rate("learning_rate", learning_rate)
-    if decay not in get_args(Decay):
-        msg = f"`decay` must be one of {', '.join(map(repr, get_args(Decay)))}, got {decay!r}"
-        raise OptionError(msg)
-
-
-def _check_rate(name: str, rate: object) -> None:
-    number = isinstance(rate, Real) and not isinstance(rate, bool | np.bool_)
-    if not number or not math.isfinite(float(rate)) or float(rate) <= 0:  # type: ignore[arg-type]  # a Real here
-        msg = f"`{name}` must be a finite number, more than 0, got {rate!r}"
-        raise OptionError(msg)
-
-
-def _free_parameters(optimise: object, params: Parameters) -> dict[str, Free]:
-    if optimise is None:
-        optimise = list(params)
-    if isinstance(optimise, str) or not isinstance(optimise, Mapping | Iterable):
-        msg = f"`optimise` must be names of parameters, or a dict of Free, got {optimise!r}"
-        raise OptionError(msg)
-    free = dict(optimise) if isinstance(optimise, Mapping) else {name: Free() for name in optimise}
-    if not free:
-        msg = "`optimise` must name at least one parameter, got none"
-        raise OptionError(msg)
-    for name, entry in free.items():
-        if name not in params:
-            msg = f"`optimise` names {name!r}, which the renderer does not have; it has {', '.join(sorted(params))}"
-            raise ParameterError(msg)
-        if not isinstance(entry, Free):
-            msg = f"`optimise[{name!r}]` must be a Free, got {type(entry).__name__}"
+    for name, value, least in (("steps", steps, 1), ("seed", seed, 0)):
+        number = whole_number(value)
+        if number is None or number < least:
+            msg = f"`{name}` must be a whole number, {least} or more, got {value!r:.60}"
             raise OptionError(msg)
-        if entry.learning_rate is not None:
-            _check_rate(f"learning_rate of {name!r}", entry.learning_rate)
-    return free
+    check_rate("learning_rate", learning_rate)
+    if not isinstance(decay, str) or decay not in get_args(Decay):
+        msg = f"`decay` must be one of {', '.join(map(repr, get_args(Decay)))}, got {decay!r:.60}"
+        raise OptionError(msg)
 
 
-def starting_parameters(renderer: Renderer, free: Mapping[str, Free]) -> Parameters:
-    """The renderer's parameters, with the initial values of the free ones put in.
-
-    Raises
-    ------
-    ParameterError
-        If an initial value has a wrong shape or is not finite.
-    """
-    params = renderer.parameters()
-    for name, entry in free.items():
-        if entry.initial is not None:
-            params[name] = _like(name, "initial", params[name], entry.initial)
-            if count_non_finite(params[name]):
-                msg = f"`initial` of {name!r} must be finite, got {entry.initial!r:.60}"
-                raise ParameterError(msg)
-    return params
+def _checkpoint_path(checkpoint: object) -> Path | None:
+    if checkpoint is None:
+        return None
+    if not isinstance(checkpoint, str | os.PathLike) or Path(checkpoint).is_dir():
+        msg = f"`checkpoint` must be the path of a file, got {checkpoint!r:.60}"
+        raise OptionError(msg)
+    check_writable("checkpoint", Path(checkpoint).parent)
+    return Path(checkpoint)
 
 
-def _limit(name: str, side: str, parameter: Array, limit: object) -> Array:
-    return _like(name, side, parameter, (-math.inf if side == "lower" else math.inf) if limit is None else limit)
+def _settings(steps: int, seed: int, decay: str, rates: Mapping[str, float], bounds: Bounds) -> dict[str, str]:
+    """What must be the same for a fit to go on as if it had not stopped, by name."""
+    limits = {name: [to_numpy(side[name]).tolist() for side in (bounds.lower, bounds.upper)] for name in rates}
+    return {
+        "steps": str(int(steps)),
+        "seed": str(int(seed)),
+        "decay": decay,
+        "learning rates": json.dumps({name: float(rate) for name, rate in rates.items()}),
+        "bounds": hashlib.sha256(json.dumps(limits).encode()).hexdigest()[:12],
+    }
 
 
-def _like(name: str, what: str, parameter: Array, value: object) -> Array:
-    """`value` as an array like `parameter`, a single number standing for all of it."""
-    shape = tuple(parameter.shape)
-    try:
-        array = np.asarray(to_numpy(value), dtype=np.float64)
-    except (TypeError, ValueError):
-        msg = f"`{what}` of {name!r} must be numbers, got {value!r:.60}"
-        raise ParameterError(msg) from None
-    if array.shape not in ((), shape):
-        msg = f"`{what}` of {name!r} must be a number or have shape {shape}, got shape {array.shape}"
-        raise ParameterError(msg)
-    return from_numpy(np.broadcast_to(array, shape).copy(), parameter)
-
-
-def _check_bounds(params: Parameters, lower: Mapping[str, Array], upper: Mapping[str, Array]) -> None:
-    for name, low in lower.items():
-        floor, ceiling, start = to_numpy(low), to_numpy(upper[name]), to_numpy(params[name])
-        if not np.all(floor <= ceiling):
-            msg = f"`lower` of {name!r} must not exceed `upper`, got {floor.tolist()} and {ceiling.tolist()}"
-            raise ParameterError(msg)
-        if not np.all((floor <= start) & (start <= ceiling)):
-            msg = f"`initial` of {name!r} must lie within its bounds, got {start.tolist()!r:.80}"
-            raise ParameterError(msg)
-
-
-def _snapshot(run: _Run) -> Checkpoint:
+def _snapshot(run: _Run, settings: Mapping[str, str]) -> Checkpoint:
     def host(params: Parameters | None) -> dict[str, np.ndarray[Any, Any]]:
         return {name: np.asarray(to_numpy(value)) for name, value in (params or {}).items()}
 
     rows = [(one.step, one.value, one.gradient_norm, one.rate, one.seconds) for one in run.history]
     return Checkpoint(
+        settings=settings,
         step=run.step,
         count=run.moments.count,
         best_step=run.best_step,
@@ -406,7 +367,7 @@ def _snapshot(run: _Run) -> Checkpoint:
     )
 
 
-def _resumed(saved: Checkpoint, fresh: _Run, steps: int, renderer: Renderer, seed: int) -> _Run:
+def _resumed(saved: Checkpoint, fresh: _Run, renderer: Renderer, objective: Objective, seed: int) -> _Run:
     def live(stored: Mapping[str, Any], like: Parameters, what: str) -> Parameters:
         if {name: value.shape for name, value in stored.items()} != {
             name: tuple(value.shape) for name, value in like.items()
@@ -415,22 +376,30 @@ def _resumed(saved: Checkpoint, fresh: _Run, steps: int, renderer: Renderer, see
             raise ParameterError(msg)
         return {name: from_numpy(value, like[name]) for name, value in stored.items()}
 
-    if saved.step > steps:
-        msg = f"`steps` is {steps}, but the checkpoint is already at step {saved.step}"
-        raise OptionError(msg)
     moments = fresh.moments
-    run = replace(
-        fresh,
-        params=live(saved.params, fresh.params, "parameters"),
-        moments=Moments(
+    run = _Run(
+        live(saved.params, fresh.params, "parameters"),
+        Moments(
             live(saved.first, moments.first, "free parameters"),
             live(saved.second, moments.second, "free parameters"),
             saved.count,
         ),
-        step=saved.step,
-        history=[FitStep(int(row[0]), *map(float, row[1:])) for row in saved.history],
+        saved.step,
+        [FitStep(int(row[0]), *map(float, row[1:])) for row in saved.history],
     )
+    for name, value in fresh.params.items():
+        if name not in moments.first and not np.array_equal(saved.params[name], to_numpy(value)):
+            msg = f"`checkpoint` was made with another scene: {name!r}, which does not move, differs"
+            raise ParameterError(msg)
     run.best_params = live(saved.best_params, fresh.params, "parameters")
     run.best_value, run.best_step = saved.best_value, saved.best_step
-    run.best_image = renderer.render(run.best_params, seed=seed + run.best_step)
+    run.best_image = detached(renderer.render(run.best_params, seed=seed + run.best_step))
+    value = float(detached(objective.value(run.best_image)))
+    # Loosely, since libraries may sum in another order from one run to the next.
+    if not math.isclose(value, saved.best_value, rel_tol=1e-4, abs_tol=1e-12):
+        msg = (
+            f"`checkpoint` was made with another objective, reference or scene: its best value is "
+            f"{saved.best_value:.6g}, here the same parameters give {value:.6g}; start without resume"
+        )
+        raise ParameterError(msg)
     return run

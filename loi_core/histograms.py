@@ -6,7 +6,7 @@ from loi_core.arrays import Array, as_floating, from_numpy, namespace
 from loi_core.errors import ScaleError
 from loi_core.layout import Layout, check_channel_axis
 from loi_core.nonfinite import require_finite
-from loi_core.operators import gaussian_blur
+from loi_core.operators import blur_about, gaussian_blur
 from loi_core.scales import ScaleSpace
 from loi_core.tonal import clip, isophote_density
 
@@ -92,4 +92,4 @@ def _checked(image: Array, channel_axis: int | None) -> Layout:
 def _inner(clipped: Array, scales: ScaleSpace, sigma: float) -> Array:
     height, width = clipped.shape[-2:]
     blur = gaussian_blur(height, width, sigma, scales.boundary, like=clipped, taps=scales.inner_taps)
-    return blur.apply(clipped)
+    return blur_about(blur, clipped, scales.padding)

@@ -15,6 +15,7 @@ __all__ = ["IMAGE_SUFFIXES", "FloatImage", "read_image", "write_png"]
 FloatImage: TypeAlias = np.ndarray[Any, np.dtype[np.float64]]
 
 IMAGE_SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".exr", ".npy")
+PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
 MAX_PIXELS: Final = 64 * 1024 * 1024  # beyond this a file is taken for damage or an attack, not for a target
 
 
@@ -24,9 +25,10 @@ def read_image(path: Path) -> FloatImage:
     Parameters
     ----------
     path : Path
-        PNG and JPEG are divided by their greatest value, so 8 and 16 bits come out in [0, 1]; nothing is
-        linearised. EXR and NPY come out as stored; an NPY must be (H, W), (H, W, 1), (H, W, 3) or (H, W, 4).
-        Opacity, if any, is kept only by NPY and PNG, as a fourth channel; grey becomes three equal channels.
+        PNG and JPEG come out in [0, 1], turned as their EXIF orientation says; nothing is linearised. PNGs of
+        16 bits must be grey. EXR and floating-point NPY come out as stored; an NPY must be (H, W), (H, W, 1),
+        (H, W, 3) or (H, W, 4), and is divided by its greatest value if it is uint8 or uint16. Opacity is kept
+        only by NPY and PNG, as a fourth channel; grey becomes three equal channels.
 
     Returns
     -------
@@ -73,10 +75,16 @@ def _check_size(path: Path, height: int, width: int) -> None:
 
 
 def _read_pillow(path: Path) -> np.ndarray[Any, Any]:
-    from PIL import Image
+    from PIL import Image, ImageOps
 
-    with Image.open(path, formats=["PNG", "JPEG"]) as picture:
-        _check_size(path, picture.height, picture.width)
+    with path.open("rb") as stream:
+        head = stream.read(26)
+    if head.startswith(PNG_SIGNATURE) and head[24:25] == b"\x10" and head[25:26] != b"\x00":
+        msg = f"{path}: PNGs of 16 bits in colour are not read, Pillow would cut them to 8; use EXR or NPY"
+        raise ImageFileError(msg)
+    with Image.open(path, formats=["PNG", "JPEG"]) as stored:
+        _check_size(path, stored.height, stored.width)
+        picture = ImageOps.exif_transpose(stored)  # as every viewer shows it
         if picture.mode.startswith("I"):  # 16-bit grey
             return np.asarray(picture, dtype=np.float64) / 65535.0
         has_opacity = picture.mode in ("RGBA", "LA", "PA") or "transparency" in picture.info
@@ -85,13 +93,15 @@ def _read_pillow(path: Path) -> np.ndarray[Any, Any]:
 
 def _read_npy(path: Path) -> np.ndarray[Any, Any]:
     array = np.load(path, mmap_mode="r", allow_pickle=False)
-    if array.ndim not in (2, 3) or array.dtype.kind not in "fiu":
-        msg = f"{path}: an NPY image must be real numbers of shape (H, W) or (H, W, C), got {array.dtype} {array.shape}"
+    if array.ndim not in (2, 3) or not (array.dtype.kind == "f" or array.dtype in (np.uint8, np.uint16)):
+        msg = (
+            f"{path}: an NPY image must be floating point, uint8 or uint16, of shape (H, W) or (H, W, C), "
+            f"got {array.dtype} {array.shape}"
+        )
         raise ImageFileError(msg)
     _check_size(path, *array.shape[:2])
-    if array.dtype.kind in "iu":
-        return np.asarray(array, dtype=np.float64) / float(np.iinfo(array.dtype).max)
-    return np.array(array, dtype=np.float64)
+    scale = 1.0 if array.dtype.kind == "f" else float(np.iinfo(array.dtype).max)
+    return np.asarray(array, dtype=np.float64) / scale
 
 
 def _read_exr(path: Path) -> np.ndarray[Any, Any]:
@@ -102,13 +112,15 @@ def _read_exr(path: Path) -> np.ndarray[Any, Any]:
     width, height = (int(high - low + 1) for low, high in zip(*window, strict=True))
     _check_size(path, height, width)
     with OpenEXR.File(str(path)) as stored:
-        channels = stored.channels()
-        for name in ("RGB", "RGBA"):
-            if name in channels:
-                return np.asarray(channels[name].pixels, dtype=np.float64)[..., :3]
-        if "Y" in channels:
-            return np.asarray(channels["Y"].pixels, dtype=np.float64)
-    msg = f"{path}: an EXR image must have the channels R, G, B or Y, it has {', '.join(sorted(channels))}"
+        names = []
+        for number in range(len(stored.parts)):
+            channels = stored.channels(number)
+            for name in ("RGB", "RGBA", "Y"):
+                if name in channels:
+                    pixels = np.asarray(channels[name].pixels, dtype=np.float64)
+                    return pixels if name == "Y" else pixels[..., :3]
+            names += list(channels)
+    msg = f"{path}: an EXR image must have the channels R, G, B or Y, it has {', '.join(sorted(names))}"
     raise ImageFileError(msg)
 
 

@@ -6,16 +6,20 @@ from dataclasses import dataclass
 
 from loi_core.arrays import Array, namespace
 from loi_core.errors import ImageError, OptionError
+from loi_core.values import whole_number
 
 __all__ = ["Layout", "check_channel_axis"]
 
 
 def check_channel_axis(channel_axis: object) -> int | None:
     """`channel_axis` itself, once it is known to be an int or None."""
-    if channel_axis is not None and (isinstance(channel_axis, bool) or not isinstance(channel_axis, int)):
+    if channel_axis is None:
+        return None
+    axis = whole_number(channel_axis)
+    if axis is None:
         msg = f"`channel_axis` must be an axis number, or None for images without channels, got {channel_axis!r}"
         raise OptionError(msg)
-    return channel_axis
+    return axis
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ NanPolicy = Literal["raise", "mask"]
 def check_nan_policy(policy: object) -> NanPolicy:
     """`policy` itself, once it is known to be allowed."""
     for allowed in get_args(NanPolicy):
-        if policy == allowed:
+        if isinstance(policy, str) and policy == allowed:
             return allowed  # type: ignore[no-any-return]  # get_args is untyped; it yields the literals above
     msg = f"`nan_policy` must be one of {', '.join(map(repr, get_args(NanPolicy)))}, got {policy!r}"
     raise OptionError(msg)
@@ -26,7 +26,7 @@ def check_nan_policy(policy: object) -> NanPolicy:
 def count_non_finite(array: Array) -> int:
     """How many values of `array` are NaN or infinite."""
     xp = namespace(array)
-    return int(xp.sum(xp.astype(~xp.isfinite(array), xp.int64)))
+    return int(xp.sum(xp.astype(~xp.isfinite(array), xp.int32)))  # JAX has no int64 unless asked
 
 
 def require_finite(name: str, image: Array) -> None:

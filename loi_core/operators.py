@@ -13,7 +13,7 @@ from loi_core.arrays import Array, from_numpy, namespace
 from loi_core.kernels import blur_matrix
 from loi_core.scales import Boundary
 
-__all__ = ["Blur", "DenseBlur", "IdentityBlur", "gaussian_blur"]
+__all__ = ["Blur", "DenseBlur", "IdentityBlur", "blur_about", "gaussian_blur"]
 
 
 class Blur(Protocol):
@@ -69,6 +69,11 @@ def _sandwich(left: Array, planes: Array, right: Array) -> Array:
     # One tall product along the last axis is several times faster than a product per plane.
     across = xp.matmul(xp.reshape(planes, (-1, width)), right.T)
     return xp.matmul(left, xp.reshape(across, (*stack, height, right.shape[0])))
+
+
+def blur_about(blur: Blur, planes: Array, padding: float) -> Array:
+    """`planes` blurred as if `padding`, not 0, lay outside them. Its adjoint is that of the blur."""
+    return blur.apply(planes) if padding == 0.0 else blur.apply(planes - padding) + padding
 
 
 def gaussian_blur(

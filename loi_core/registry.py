@@ -104,7 +104,7 @@ def _origin(point: EntryPoint) -> tuple[str, str]:
 def _try(point: EntryPoint) -> tuple[Any, str]:
     try:
         factory = point.load()
-    except Exception as error:  # noqa: BLE001 - a plugin may raise anything, and must not take the listing down
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - a plugin may raise anything; the listing must go on
         return None, f"{type(error).__name__}: {error}".splitlines()[0]
     if not callable(factory):
         return None, f"{point.value} is a {type(factory).__name__}, not a factory that can be called"

@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from numbers import Real
 from typing import Final, Literal, get_args
 
 import numpy as np
 
 from loi_core.errors import ScaleError
+from loi_core.values import real_number, whole_number
 
 __all__ = ["Boundary", "Convention", "Preset", "ScaleSpace"]
 
@@ -25,6 +25,7 @@ PAPER_PRESETS: Final[dict[str, dict[str, tuple[float, ...]]]] = {
     "raster": {"sigma": (0, 5), "alpha": (1, 5, 15, 45), "beta": (0.03125,)},
 }
 
+MAX_LEVELS: Final = 2**16  # more than 16 bits hold; a finer beta is a slip, and would ask for terabytes
 RELEASED_TAILS: Final = 4.0  # the released code spreads its levels over [-4 beta, 1 + 4 beta]
 
 
@@ -46,7 +47,7 @@ class ScaleSpace:
         gradient is kept where it points back inside.
     boundary : {"reflect", "zero"}
         What lies outside the image. "reflect" mirrors at the edge of the border pixels and conserves mass;
-        "zero" is black, loses mass at the border, and lets objects leave the frame.
+        "zero" is black, or the bound nearest to it; it loses mass at the border, and objects leave the frame.
     p : float
         Order of the distance between two cumulative histograms, ``|difference| ** (1 / p)`` (eq. 5).
     tails : float
@@ -100,6 +101,11 @@ class ScaleSpace:
         if convention == "released" and len(self.beta) != 1:
             msg = f"`beta` must be one value under the released convention, got {beta!r}"
             raise ScaleError(msg)
+        span = self.bounds[1] - self.bounds[0]
+        for scale in self.beta:
+            if not span / scale + 2.0 * self.tails <= MAX_LEVELS or (convention == "released" and span < scale):
+                msg = f"`beta` must divide the bounds into at least 1 and at most {MAX_LEVELS} levels, got {scale!r}"
+                raise ScaleError(msg)
 
     @classmethod
     def paper(cls, preset: Preset, *, boundary: Boundary = "reflect") -> ScaleSpace:
@@ -122,7 +128,7 @@ class ScaleSpace:
         objects fast in places that only nearly fit; neither is needed to reach far.
         """
         for name, size in (("height", height), ("width", width)):
-            if isinstance(size, bool) or not isinstance(size, int | np.integer) or size < 1:
+            if (whole_number(size) or 0) < 1:
                 msg = f"`{name}` must be a whole number of pixels, 1 or more, got {size!r}"
                 raise ScaleError(msg)
         widest = 0.35 * max(height, width)
@@ -136,11 +142,11 @@ class ScaleSpace:
         """The conventions of the code that the paper's authors released, to reproduce their numbers.
 
         `bins` levels at the centres of equal bins over [-4 beta, 1 + 4 beta] with beta = 1 / `bins`; black
-        outside the image; extent kernels of `kernel_size` taps and inner kernels of ``max(3, 4 * max(sigma))``
-        taps, both made odd and normalised; densities that are not multiplied by the spacing; and a mean over
-        everything, scales included.
+        outside the image, and values limited to [0, 1]; extent kernels of `kernel_size` taps and inner kernels
+        of ``max(3, 4 * max(sigma))`` taps, both made odd and normalised; densities that are not multiplied by
+        the spacing; and a mean over everything, scales included.
         """
-        if isinstance(bins, bool) or not isinstance(bins, int | np.integer) or bins < 1:
+        if (whole_number(bins) or 0) < 1:
             msg = f"`bins` must be a whole number of 1 or more, got {bins!r}"
             raise ScaleError(msg)
         return cls(
@@ -152,6 +158,11 @@ class ScaleSpace:
             convention="released",
             kernel_size=kernel_size,
         )
+
+    @property
+    def padding(self) -> float:
+        """The intensity outside the image under the boundary "zero"; 0 under reflection, where it is not used."""
+        return min(max(0.0, self.bounds[0]), self.bounds[1]) if self.boundary == "zero" else 0.0
 
     @property
     def inner_taps(self) -> int | None:
@@ -209,15 +220,15 @@ def _odd(taps: int) -> int:
 
 
 def _number(name: str, value: object, *, zero: bool) -> float:
-    number = float(value) if isinstance(value, Real) and not isinstance(value, bool | np.bool_) else math.nan
+    number = real_number(value)
     if not math.isfinite(number) or number < 0 or (number == 0 and not zero):
-        msg = f"`{name}` must be a finite number, {'0 or more' if zero else 'more than 0'}, got {value!r}"
+        msg = f"`{name}` must be a finite number, {'0 or more' if zero else 'more than 0'}, got {value!r:.60}"
         raise ScaleError(msg)
     return number
 
 
 def _scales(name: str, values: object, *, zero: bool) -> tuple[float, ...]:
-    if not isinstance(values, Iterable) or isinstance(values, str | bytes):
+    if not isinstance(values, Iterable) or isinstance(values, str | bytes) or getattr(values, "shape", None) == ():
         values = (values,)
     scales = tuple(_number(name, value, zero=zero) for value in values)
     if not scales:
@@ -232,11 +243,11 @@ def _scales(name: str, values: object, *, zero: bool) -> tuple[float, ...]:
 def _bounds(bounds: object) -> tuple[float, float]:
     low = high = math.nan
     if isinstance(bounds, Iterable) and not isinstance(bounds, str | bytes):
-        values = [float(value) if isinstance(value, Real) else math.nan for value in bounds]
+        values = [real_number(value) for value in bounds]
         if len(values) == 2:
             low, high = values
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
-        msg = f"`bounds` must be two finite intensities (low, high) with low < high, got {bounds!r}"
+        msg = f"`bounds` must be two finite intensities (low, high) with low < high, got {bounds!r:.60}"
         raise ScaleError(msg)
     return low, high
 
@@ -254,7 +265,8 @@ def _kernel_size(kernel_size: object, convention: str) -> int | None:
             msg = f"`kernel_size` goes with the released convention only, got {kernel_size!r}"
             raise ScaleError(msg)
         return None
-    if isinstance(kernel_size, bool) or not isinstance(kernel_size, int | np.integer) or kernel_size < 1:
+    taps = whole_number(kernel_size)
+    if taps is None or taps < 1:
         msg = f"`kernel_size` must be a whole number of taps, 1 or more, got {kernel_size!r}"
         raise ScaleError(msg)
-    return int(kernel_size)
+    return taps

@@ -13,12 +13,15 @@ from typing import Any, Final
 import numpy as np
 
 from loi_core.errors import LoiError, OptionError, SceneError
-from loi_core.fit import Free, check_fit_options
+from loi_core.files import check_writable
+from loi_core.fit import check_fit_options
+from loi_core.free import Free, bounds_of, starting_parameters
 from loi_core.images import FloatImage, read_image
 from loi_core.objectives import GaussianPyramid, ImageObjective, LOIObjective, PixelL2
-from loi_core.registry import load_renderer
+from loi_core.registry import RendererFactory, load_renderer
 from loi_core.renderer import Renderer
 from loi_core.scales import ScaleSpace
+from loi_core.values import real_number
 
 __all__ = ["OBJECTIVES", "FitOptions", "Scene", "load_scene"]
 
@@ -108,10 +111,12 @@ def load_scene(path: Path, *, output: Path | None = None) -> Scene:
     scales = _scales(where, where.table("", document, "scales"), target)
     objectives = _objectives(where, where.table("", document, "objective"), target, scales)
     name = where.text("", document, "output") if "output" in document else f"{path.stem}-result"
+    results = folder / name if output is None else output
+    _check_output(where, results)
     return Scene(
         path=path,
         title=where.text("", document, "title") if "title" in document else path.stem,
-        output=folder / name if output is None else output,
+        output=results,
         renderer=renderer,
         target=target,
         objectives=objectives,
@@ -161,6 +166,14 @@ def _read_toml(path: Path) -> Mapping[str, Any]:
         raise SceneError(msg) from error
 
 
+def _check_output(where: _Where, results: Path) -> None:
+    if "\0" in str(results):
+        raise where.error("", "`output` must be a path, got one with a null character")
+    check_writable("output", results)
+    if results.resolve() == where.path.parent.resolve():
+        raise where.error("", "`output` must be a folder of its own, not that of the scene and its images")
+
+
 def _renderer(where: _Where, table: Mapping[str, Any], folder: Path, target: FloatImage) -> Renderer:
     if "name" not in table:
         raise where.error("renderer", "`name` is missing")
@@ -172,11 +185,11 @@ def _renderer(where: _Where, table: Mapping[str, Any], folder: Path, target: Flo
         if key in options:
             raise where.error("renderer.images", f"`{key}` is given in [renderer] as well")
         options[key] = read_image(folder / where.text("renderer.images", images, key))
-    accepted = signature(factory).parameters
-    if not any(one.kind is Parameter.VAR_KEYWORD for one in accepted.values()):
+    accepted = _accepted(factory)
+    if accepted is not None and not any(one.kind is Parameter.VAR_KEYWORD for one in accepted.values()):
         where.known("renderer", options, tuple(accepted))
     for key, size in (("height", target.shape[0]), ("width", target.shape[1])):
-        if key in accepted:  # a renderer that has to be told its size gets the target's
+        if accepted is not None and key in accepted:  # a renderer that has to be told its size gets the target's
             options.setdefault(key, size)
     try:
         return factory(**options)
@@ -184,6 +197,14 @@ def _renderer(where: _Where, table: Mapping[str, Any], folder: Path, target: Flo
         raise where.error("renderer", str(error)) from error
     except Exception as error:  # a third party's factory may raise anything; the scene is what the user can mend
         raise where.error("renderer", f"{name} refused: {type(error).__name__}: {error}") from error
+
+
+def _accepted(factory: RendererFactory) -> Mapping[str, Parameter] | None:
+    """The arguments that a factory declares; None for compiled ones that declare nothing."""
+    try:
+        return signature(factory).parameters
+    except (TypeError, ValueError):
+        return None
 
 
 def _optimise(
@@ -202,25 +223,29 @@ def _optimise(
             if key in entry:
                 _numbers(where, heading, key, entry[key], tuple(params[name].shape))
         rate = entry.get("learning_rate")
-        if rate is not None and (isinstance(rate, bool) or not isinstance(rate, int | float) or not 0 < rate < np.inf):
-            raise where.error(heading, f"`learning_rate` must be a finite number, more than 0, got {rate!r}")
+        if rate is not None and not 0.0 < real_number(rate) < np.inf:
+            raise where.error(heading, f"`learning_rate` must be a finite number, more than 0, got {rate!r:.60}")
         free[name] = Free(entry.get("initial"), entry.get("lower"), entry.get("upper"), rate)
         if "truth" in entry:
             truth[name] = np.broadcast_to(np.asarray(entry["truth"], dtype=np.float64), tuple(params[name].shape))
+    bounds_of(starting_parameters(renderer, free), free)  # a start outside its bounds is told now, not after a render
     return free, truth
 
 
 def _numbers(where: _Where, heading: str, key: str, value: object, shape: tuple[int, ...]) -> None:
-    try:
-        array = np.asarray(value)
-    except ValueError:
-        array = np.asarray(None)
-    if array.dtype.kind not in "fi":
+    flat: list[Any] = [value]
+    while any(isinstance(one, list) for one in flat):
+        flat = [inner for one in flat for inner in (one if isinstance(one, list) else [one])]
+    if not flat or any(isinstance(one, bool) or not isinstance(one, int | float) for one in flat):
         raise where.error(heading, f"`{key}` must be numbers, got {value!r:.60}")
+    if any(np.isnan(real_number(one)) for one in flat) or (key == "truth" and not np.all(np.isfinite(flat))):
+        raise where.error(heading, f"`{key}` must be {'finite' if key == 'truth' else 'numbers'}, got {value!r:.60}")
+    try:
+        array = np.asarray(value, dtype=np.float64)
+    except ValueError:
+        raise where.error(heading, f"`{key}` must have shape {shape}, got rows of different lengths") from None
     if array.shape not in ((), shape):
         raise where.error(heading, f"`{key}` must be one number or have shape {shape}, got shape {array.shape}")
-    if np.any(np.isnan(array)):
-        raise where.error(heading, f"`{key}` must not be nan, got {value!r:.60}")
 
 
 def _scales(where: _Where, table: Mapping[str, Any], target: FloatImage) -> ScaleSpace:

@@ -65,6 +65,13 @@ def test_demo_scenes_can_be_fitted_again(demo: dict[str, Any]) -> None:
     assert main(["fit", str(scene)]) == 0
 
 
+def test_the_demo_refuses_a_place_that_cannot_hold_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "file").touch()
+    for place in (tmp_path / "file", tmp_path / "file" / "below", tmp_path / "a\0b"):
+        assert main(["demo", "--output", str(place)]) == 2
+        assert "`--output` must" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("arguments", "code"),
     [(["--version"], 0), (["--help"], 0), (["fit", "--help"], 0), ([], 2), (["fly"], 2), (["fit"], 2)],
@@ -117,10 +124,12 @@ def test_renderers_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_a_bad_plugin_is_reported_by_name_and_isolated(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "plugin_that_raises.py").write_text("raise RuntimeError('no licence\\nsecond line')\n")
+    (tmp_path / "plugin_that_quits.py").write_text("raise SystemExit(3)\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     points = [
         EntryPoint("good", "loi_core.renderers:Disks", registry.GROUP),
         EntryPoint("raises", "plugin_that_raises:make", registry.GROUP),
+        EntryPoint("quits", "plugin_that_quits:make", registry.GROUP),
         EntryPoint("absent", "no_such_module:make", registry.GROUP),
         EntryPoint("number", "math:pi", registry.GROUP),
         EntryPoint("twice", "loi_core.renderers:Disks", registry.GROUP),
@@ -131,8 +140,8 @@ def test_a_bad_plugin_is_reported_by_name_and_isolated(monkeypatch: pytest.Monke
     monkeypatch.setattr(registry, "entry_points", lambda group: points)
     states = [(one.name, one.state) for one in registry.available_renderers()]
     assert states == [
-        *[("absent", "broken"), ("again", "ready"), ("good", "ready"), ("number", "broken"), ("raises", "broken")],
-        *[("twice", "clash"), ("twice", "clash")],
+        *[("absent", "broken"), ("again", "ready"), ("good", "ready"), ("number", "broken"), ("quits", "broken")],
+        *[("raises", "broken"), ("twice", "clash"), ("twice", "clash")],
     ]
     problems = {one.name: one.problem for one in registry.available_renderers()}
     assert problems["raises"] == "RuntimeError: no licence"

@@ -8,9 +8,10 @@ from typing import Any
 import array_api_strict
 import numpy as np
 import pytest
+import torch
 
 from loi_core import Free, LOIObjective, PixelL2, ScaleSpace, fit
-from loi_core.errors import FitError, LoiError, OptionError, ParameterError
+from loi_core.errors import FitError, LoiError, OptionError, ParameterError, RendererError
 from loi_core.fit import FitInterruptedError, FitStep
 from loi_core.renderers import Disks
 from tests.helpers import Host
@@ -91,6 +92,118 @@ def test_the_same_seed_gives_the_same_fit() -> None:
     assert [one.value for one in first.history] == [one.value for one in second.history]
 
 
+def test_the_rate_decays_like_half_a_cosine_and_is_the_parameters_own() -> None:
+    rates = [one.rate for one in run(steps=9).history]
+    np.testing.assert_allclose(rates, 1e-3 + (1 - 1e-3) * 0.5 * (1 + np.cos(np.pi * np.arange(9) / 8)))
+    assert [one.rate for one in run(steps=3, decay="none").history] == [1.0] * 3
+    target = PixelL2(np.full((2, 2, 1), 100.0))
+    for rate in (0.25, 2.0):  # the first step of Adam is the rate itself
+        result = fit(Bowl(), target, steps=1, learning_rate=9.0, optimise={"pixels": Free(learning_rate=rate)})
+        np.testing.assert_allclose(result.params["pixels"], rate)
+
+
+def test_the_parameters_after_the_last_step_count() -> None:
+    result = fit(Bowl(), PixelL2(np.full((2, 2, 1), 100.0)), steps=3, learning_rate=1.0, optimise=["pixels"])
+    assert result.best_step == 3
+    np.testing.assert_array_equal(result.best_params["pixels"], result.params["pixels"])
+
+
+def test_a_renderer_that_knows_what_is_legal_is_asked_after_every_step() -> None:
+    class Whole(Bowl):
+        def project(self, params: dict[str, Any]) -> dict[str, Any]:
+            return {name: np.round(value) for name, value in params.items()}
+
+    result = fit(Whole(), PixelL2(np.full((2, 2, 1), 100.0)), steps=5, learning_rate=1.4, decay="none")
+    assert result.params["pixels"].tolist() == np.full((2, 2, 1), 5.0).tolist()
+
+
+def bad_pullback(gradient: Any) -> Bowl:
+    class Bad(Bowl):
+        def render_vjp(self, params: dict[str, Any], *, seed: int = 0) -> Any:
+            return params["pixels"], lambda g: gradient
+
+    return Bad()
+
+
+@pytest.mark.parametrize(
+    ("gradient", "says"),
+    [
+        ({"unused": np.zeros(())}, "the pullback gave no cotangent for 'pixels'"),
+        (3.0, "the pullback gave no cotangent"),
+        ({"pixels": np.zeros((2, 2))}, r"'pixels' must be an array of shape \(2, 2, 1\), got shape \(2, 2\)"),
+        ({"pixels": 1.0}, "must be an array of shape .*, got float"),
+    ],
+)
+def test_a_renderer_that_breaks_the_contract_is_told_how(gradient: Any, says: str) -> None:
+    with pytest.raises(RendererError, match=says):
+        fit(bad_pullback(gradient), PixelL2(np.ones((2, 2, 1))), steps=3, learning_rate=1, optimise=["pixels"])
+
+
+@pytest.mark.parametrize("params", [{}, {"a": np.zeros(3, dtype=int)}, {"a": 1.0}, 5])
+def test_parameters_that_cannot_be_optimised_are_refused(params: Any) -> None:
+    class Bad(Bowl):
+        def parameters(self) -> Any:
+            return params
+
+    with pytest.raises(RendererError, match=r"Bad\.parameters\(\)"):
+        fit(Bad(), PixelL2(np.ones((2, 2, 1))), steps=3, learning_rate=1)
+
+
+def test_parameters_keep_their_dtype_and_shape() -> None:
+    class Mixed(Bowl):
+        def parameters(self) -> dict[str, Any]:
+            return {"level": np.zeros((), dtype=np.float32)}
+
+        def render(self, params: dict[str, Any], *, seed: int = 0) -> Any:
+            return np.full((2, 2, 1), float(params["level"]))
+
+        def render_vjp(self, params: dict[str, Any], *, seed: int = 0) -> Any:
+            return self.render(params), lambda g: {"level": np.asarray(g.sum())}
+
+    level = fit(Mixed(), PixelL2(np.ones((2, 2, 1))), steps=30, learning_rate=0.1).best_params["level"]
+    assert isinstance(level, np.ndarray)
+    assert (level.dtype, level.shape) == (np.float32, ())
+    assert float(level) == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_renderer_that_fails_later_leaves_the_best_so_far() -> None:
+    class Failing(Bowl):
+        calls = 0
+
+        def render_vjp(self, params: dict[str, Any], *, seed: int = 0) -> Any:
+            Failing.calls += 1
+            if Failing.calls == 4:
+                message = "out of samples"
+                raise RuntimeError(message)
+            return super().render_vjp(params)
+
+    with pytest.raises(FitError, match="step 3: rendering failed: RuntimeError: out of samples") as caught:
+        fit(Failing(), PixelL2(np.ones((2, 2, 1))), steps=9, learning_rate=0.1)
+    result: Any = caught.value.result
+    assert len(result.history) == 3
+
+
+def test_a_torch_renderer_leaves_no_graph_behind() -> None:
+    class Torch(Bowl):
+        level = torch.nn.Parameter(torch.zeros(()))
+
+        def parameters(self) -> dict[str, Any]:
+            return {"level": self.level}
+
+        def render(self, params: dict[str, Any], *, seed: int = 0) -> Any:
+            return params["level"].expand(2, 2, 1)
+
+        def render_vjp(self, params: dict[str, Any], *, seed: int = 0) -> Any:
+            level = params["level"].detach().requires_grad_()
+            image = level.expand(2, 2, 1)
+            return image, lambda g: {"level": torch.autograd.grad(image, level, g, retain_graph=True)[0]}
+
+    result = fit(Torch(), PixelL2(np.ones((2, 2, 1), dtype=np.float32)), steps=30, learning_rate=0.1)
+    for value in (*result.params.values(), *result.best_params.values(), result.image):
+        assert not value.requires_grad
+    assert float(result.best_params["level"]) == pytest.approx(1.0, abs=0.05)
+
+
 def test_each_step_renders_with_its_own_seed() -> None:
     seeds: list[int] = []
 
@@ -140,10 +253,36 @@ def test_a_checkpoint_that_does_not_fit_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ParameterError, match="is not a checkpoint of a fit"):
         run(steps=3, checkpoint=file, resume=True)
     run(steps=3, checkpoint=file)
-    with pytest.raises(ParameterError, match="`checkpoint` holds other parameters"):
+    with pytest.raises(ParameterError, match="`checkpoint` was made with learning rates"):
         fit(Bowl(), PixelL2(np.ones((2, 2, 1))), steps=3, learning_rate=1, checkpoint=file, resume=True)
-    with pytest.raises(OptionError, match="`steps` is 2, but the checkpoint is already at step 3"):
+    with pytest.raises(ParameterError, match="`checkpoint` was made with steps = 3, this fit has 2"):
         run(steps=2, checkpoint=file, resume=True)
+    with pytest.raises(OptionError, match="`checkpoint` must be the path of a file"):
+        run(steps=3, checkpoint=tmp_path)
+    with pytest.raises(OptionError, match="`checkpoint` must lead to a folder"):
+        run(steps=3, checkpoint=file / "below.npz")
+
+
+def test_ctrl_c_within_a_step_falls_before_it(tmp_path: Path) -> None:
+    class Interrupted(Disks):
+        calls = 0
+
+        def project(self, params: dict[str, Host]) -> dict[str, Host]:
+            Interrupted.calls += 1
+            if Interrupted.calls == 7:
+                raise KeyboardInterrupt
+            return super().project(params)
+
+    def go(scene: Disks, **options: Any) -> Any:
+        free = {"positions": Free(START, 0.0, 32.0)}
+        return fit(scene, LOIObjective(REFERENCE, SCALES), steps=12, learning_rate=1.5, optimise=free, **options)
+
+    whole = go(SCENE)
+    file = tmp_path / "state.npz"
+    with pytest.raises(FitInterruptedError):
+        go(Interrupted(32, 32, TARGET, 5.0, [[0.9, 0.6, 0.1]], confine=True), checkpoint=file)
+    resumed = go(SCENE, checkpoint=file, resume=True)
+    np.testing.assert_array_equal(resumed.params["positions"], whole.params["positions"])
 
 
 class Breaking(Bowl):

@@ -39,6 +39,37 @@ def test_grey_opacity_and_sixteen_bits_are_understood(tmp_path: Path) -> None:
     np.testing.assert_allclose(read_image(tmp_path / "deep.png")[..., 0], RGB[..., 0] / 255.0)
 
 
+def test_sixteen_bits_in_colour_are_refused_rather_than_cut(tmp_path: Path) -> None:
+    header = struct.pack(">IIBBBBB", 1, 1, 16, 2, 0, 0, 0)
+    (tmp_path / "deep.png").write_bytes(png(header, bytes(7)))
+    with pytest.raises(ImageFileError, match="PNGs of 16 bits in colour are not read"):
+        read_image(tmp_path / "deep.png")
+
+
+def test_jpeg_is_turned_as_every_viewer_shows_it(tmp_path: Path) -> None:
+    picture = Image.fromarray(np.zeros((8, 16, 3), dtype=np.uint8))
+    exif = picture.getexif()
+    exif[0x0112] = 6
+    picture.save(tmp_path / "a.jpg", exif=exif)
+    assert read_image(tmp_path / "a.jpg").shape == (16, 8, 3)
+
+
+def test_integers_of_unknown_scale_are_refused(tmp_path: Path) -> None:
+    np.save(tmp_path / "u8.npy", RGB)
+    np.testing.assert_array_equal(read_image(tmp_path / "u8.npy"), RGB / 255.0)
+    np.save(tmp_path / "i64.npy", RGB.astype(np.int64))
+    with pytest.raises(ImageFileError, match="must be floating point, uint8 or uint16"):
+        read_image(tmp_path / "i64.npy")
+
+
+def test_an_exr_without_colour_says_what_it_has(tmp_path: Path) -> None:
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    with OpenEXR.File(header, {"depth": np.zeros((4, 4), dtype=np.float32)}) as file:
+        file.write(str(tmp_path / "d.exr"))
+    with pytest.raises(ImageFileError, match="it has depth"):
+        read_image(tmp_path / "d.exr")
+
+
 def test_jpeg_is_read_within_its_compression(tmp_path: Path) -> None:
     Image.fromarray(np.full((16, 16, 3), 100, dtype=np.uint8)).save(tmp_path / "a.jpg", quality=95)
     np.testing.assert_allclose(read_image(tmp_path / "a.jpg"), 100 / 255.0, atol=2 / 255)
@@ -57,14 +88,14 @@ def test_exr_and_npy_keep_their_values(tmp_path: Path) -> None:
     np.testing.assert_array_equal(read_image(tmp_path / "y.exr")[..., 2], radiance[..., 0])
 
 
-def bomb() -> bytes:
-    """A PNG of a few bytes that claims 30000 x 30000 pixels."""
+def png(header: bytes, data: bytes) -> bytes:
+    """A PNG with this header chunk and these uncompressed rows."""
 
-    def chunk(kind: bytes, data: bytes) -> bytes:
-        return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+    def chunk(kind: bytes, content: bytes) -> bytes:
+        return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
 
-    header = struct.pack(">IIBBBBB", 30000, 30000, 8, 2, 0, 0, 0)
-    return b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(bytes(9))) + chunk(b"IEND", b"")
+    signature = b"\x89PNG\r\n\x1a\n"
+    return signature + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(data)) + chunk(b"IEND", b"")
 
 
 def damaged(folder: Path) -> dict[str, bytes]:
@@ -84,7 +115,7 @@ def damaged(folder: Path) -> dict[str, bytes]:
         "empty.png": b"",
         "renamed.jpg": b"GIF89a",
         "noise.exr": b"\x76\x2f\x31\x01" + bytes(40),
-        "bomb.png": bomb(),
+        "bomb.png": png(struct.pack(">IIBBBBB", 30000, 30000, 8, 2, 0, 0, 0), bytes(9)),
     }
 
 

@@ -108,7 +108,7 @@ MISTAKES: list[tuple[str, str, str]] = [
     ("initial = [[4, 12]]", "initial = [[4, 99]]", "`initial` of 'positions' must lie within its bounds"),
     ("lower = 0", "lower = 99", "`lower` of 'positions' must not exceed `upper`"),
     ("lower = 0", "lowest = 0", "[optimise.positions] unknown key `lowest`"),
-    ("lower = 0", "lower = nan", "`lower` must not be nan"),
+    ("lower = 0", "lower = nan", "`lower` must be numbers, got nan"),
     ("lower = 0", "learning_rate = 0", "`learning_rate` must be a finite number, more than 0"),
     ("sigma = 1", "sigma = -1", "[scales] `sigma` must be a finite number, 0 or more, got -1"),
     ("sigma = 1", 'preset = "path"', "[scales] `preset` and `alpha` exclude each other"),
@@ -123,6 +123,23 @@ MISTAKES: list[tuple[str, str, str]] = [
     ("learning_rate = 1", 'learning_rate = "fast"', "[fit] `learning_rate` must be a finite number"),
     ("learning_rate = 1", "learning_rate = 1 1", "not a readable TOML file"),
     ("[fit]", "[[fit]]", "`fit` must be a table"),
+    ('output = "result"', 'output = "."', "`output` must be a folder of its own"),
+    ('output = "result"', 'output = "target.png"', "`output` must lead to a folder that can be written to"),
+    ('output = "result"', 'output = "a\\u0000b"', "`output` must be a text"),
+    ("confine = true", 'confine = "no"', "[renderer] `confine` must be true or false, got 'no'"),
+    ("radii = [3]", "radii = [-3]", "[renderer] `radii` must be 0 or more, got -3"),
+    ("radii = [3]", "radii = [true]", "[renderer] `radii` must be numbers"),
+    ("radii = [3]", 'positions = [["a", "b"]]\nradii = [3]', "not a readable TOML file"),
+    ("truth = [[10, 6]]", "truth = inf", "`truth` must be finite, got inf"),
+    ("initial = [[4, 12]]", "initial = [[4, true]]", "`initial` must be numbers"),
+    ("initial = [[4, 12]]", "initial = [[4, 12], [1]]", "rows of different lengths"),
+    ("sigma = 1", "sigma = 1" + "0" * 400, "[scales] `sigma` must be a finite number"),
+    ("beta = 0.125", "beta = 1e-9", "[scales] `beta` must divide the bounds into at least 1 and at most 65536 levels"),
+    ("beta = 0.125", "bounds = [false, true]", "[scales] `bounds` must be two finite intensities"),
+    ("learning_rate = 1", "learning_rate = 1" + "0" * 400, "[fit] `learning_rate` must be a finite number"),
+    ("lower = 0", "learning_rate = 1" + "0" * 400, "`learning_rate` must be a finite number"),
+    ('compare = ["pixel_l2"]', "accuracy = 1" + "0" * 400, "[objective] `accuracy` must be one of"),
+    ("[fit]", '"a\\nb" = 1\n[fit]', "unknown key `a b`"),
 ]
 
 
@@ -185,8 +202,75 @@ def test_a_report_can_be_made_again_and_only_from_results(folder: Path, capsys: 
     assert "no result.json there" in capsys.readouterr().err
 
 
-def test_a_fit_can_be_resumed(folder: Path) -> None:
+def test_a_fit_can_be_resumed_and_keeps_its_pictures_and_history(folder: Path) -> None:
     main(["fit", str(folder / "scene.toml")])
-    whole = np.load(folder / "result" / "checkpoint.npz")["params/positions"]
+    result = folder / "result"
+    whole = np.load(result / "checkpoint.npz")["params/positions"]
+    pictures = {path.name for path in (result / "frames").iterdir()}
+    history = (result / "history.csv").read_text()
     assert main(["fit", str(folder / "scene.toml"), "--resume"]) == 0
-    np.testing.assert_array_equal(np.load(folder / "result" / "checkpoint.npz")["params/positions"], whole)
+    np.testing.assert_array_equal(np.load(result / "checkpoint.npz")["params/positions"], whole)
+    assert {path.name for path in (result / "frames").iterdir()} == pictures
+    assert (result / "history.csv").read_text() == history
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("steps = 6", "steps = 9", "`checkpoint` was made with steps = 6, this fit has 9"),
+        ("learning_rate = 1", "learning_rate = 2", "`checkpoint` was made with learning rates"),
+        ("upper = 16", "upper = 15", "`checkpoint` was made with bounds"),
+        ("sigma = 1", "sigma = 2", "another objective, reference or scene"),
+        ("radii = [3]", "radii = [4]", "another scene: 'radii', which does not move, differs"),
+    ],
+)
+def test_a_checkpoint_of_another_fit_is_refused(
+    folder: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, says: str
+) -> None:
+    main(["fit", str(folder / "scene.toml")])
+    (folder / "scene.toml").write_text(SCENE.replace(old, new))
+    capsys.readouterr()
+    assert main(["fit", str(folder / "scene.toml"), "--resume"]) == 2
+    assert says in capsys.readouterr().err
+
+
+def test_files_that_are_not_ours_stay(folder: Path) -> None:
+    mine = folder / "result" / "frames" / "mine.png"
+    mine.parent.mkdir(parents=True)
+    mine.write_bytes(b"mine")
+    assert main(["fit", str(folder / "scene.toml")]) == 0
+    assert mine.read_bytes() == b"mine"
+
+
+def test_a_failed_fit_says_so_and_shows_nothing_of_an_earlier_one(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    main(["fit", str(folder / "scene.toml")])
+
+    kept = Disks.render_vjp
+    monkeypatch.setattr(Disks, "render", lambda self, params, *, seed=0: kept(self, params)[0])
+    monkeypatch.setattr(Disks, "render_vjp", lambda self, params, *, seed=0: (kept(self, params)[0] * np.nan, None))
+    assert main(["fit", str(folder / "scene.toml")]) == 1
+    assert "step 0: the render is not finite" in capsys.readouterr().err
+    result = folder / "result"
+    assert not (result / "final.png").exists()
+    assert not list((result / "frames").iterdir())
+    assert "not finite" in (result / "report.html").read_text()
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        *("{}", "[]", "3", "[" * 100000, '{"title": "a", "scene": "b", "steps": 1, "trials": []}'),
+        *(
+            f'{{"title": "a", "scene": "b", "steps": 1, "trials": [{one}]}}'
+            for one in ("3", "{}", '{"objective": "../x"}')
+        ),
+        '{"title": "a", "scene": "b", "steps": "q", "trials": [{"objective": "loi"}]}',
+    ],
+)
+def test_a_foreign_result_file_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str], content: str) -> None:
+    (tmp_path / "result.json").write_text(content)
+    assert main(["report", str(tmp_path)]) == 2
+    assert "not the result of `loi fit`" in capsys.readouterr().err
+    assert not (tmp_path / "report.html").exists()

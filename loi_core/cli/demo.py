@@ -10,7 +10,8 @@ from typing import Any, Final
 import numpy as np
 
 from loi_core.cli.fit import print_summary, run_and_write
-from loi_core.files import write_text
+from loi_core.errors import OptionError
+from loi_core.files import check_writable, write_text
 from loi_core.images import FloatImage, read_image, write_png
 from loi_core.renderers import Disks, Warp
 from loi_core.report import write_index, write_page
@@ -24,7 +25,7 @@ EXPOSURE: Final = -0.4  # stops; the target is darker than the picture it shows
 DISKS_SCENE: Final = """\
 title = "Three disks"
 target = "target.png"
-output = "."
+output = "result"
 
 [renderer]
 name = "disks"
@@ -53,7 +54,7 @@ learning_rate = 2
 PHOTOGRAPH_SCENE: Final = """\
 title = "A photograph, darker and noisy"
 target = "target.png"
-output = "."
+output = "result"
 
 [renderer]
 name = "warp"
@@ -102,18 +103,23 @@ steps = 200
 
 def run_demo(output: Path, *, as_json: bool) -> bool:
     """Make both scenes in `output`, fit them, and write one page of pictures; False if a fit ended early."""
+    if "\0" in str(output):
+        msg = "`--output` must be a path, got one with a null character"
+        raise OptionError(msg)
+    check_writable("--output", output)
     folders = [output / "disks", output / "photograph"]
     make_disks(folders[0])
     make_photograph(folders[1])
     results: list[dict[str, Any]] = []
     for folder in folders:
-        result = run_and_write(load_scene(folder / "scene.toml"))
-        write_page(folder)
+        scene = load_scene(folder / "scene.toml")
+        result = run_and_write(scene)
+        write_page(scene.output)
         results.append(result)
         if not as_json:
             print_summary(result)
             print()
-    page = write_index(output / "index.html", folders, "loi demo")
+    page = write_index(output / "index.html", [folder / "result" for folder in folders], "loi demo")
     if as_json:
         print(json.dumps({"scenes": results, "report": str(page)}, indent=2))
     else:

@@ -44,7 +44,7 @@ def run_and_write(scene: Scene, *, resume: bool = False) -> dict[str, Any]:
         bars.close()
     for trial in trials:
         if trial.error:
-            print(f"loi: {trial.objective}: {trial.error}", file=sys.stderr)
+            print(f"loi: {trial.objective}: {' '.join(trial.error.split())}", file=sys.stderr)
     return write_results(scene, trials)
 
 

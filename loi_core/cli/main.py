@@ -31,6 +31,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except BrokenPipeError:  # `loi ... | head` has read enough
         sys.stderr.close()
         return DONE
+    except MemoryError:
+        return _say("not enough memory; use fewer or coarser scales, or a smaller image", FAILED)
     except LoiError as error:
         return _say(str(error), FAILED if isinstance(error, FitError | RendererError) else WRONG_CALL)
     except OSError as error:
@@ -63,7 +65,7 @@ def _run(options: argparse.Namespace) -> int:
 
 
 def _say(message: str, code: int) -> int:
-    print(f"loi: {message}", file=sys.stderr)
+    print(f"loi: {' '.join(message.split())}", file=sys.stderr)  # one line, whatever a file or plugin put into it
     return code
 
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Generic, Protocol, TypeVar, runtime_checkable
 
-from loi_core.arrays import Array, as_floating, device, from_numpy, is_numpy_array, library_name, namespace
-from loi_core.errors import ImageTypeError
+from loi_core.arrays import Array, as_floating, detached, device, from_numpy, is_numpy_array, library_name, namespace
+from loi_core.errors import ImageError, ImageTypeError
 from loi_core.layout import Layout, check_channel_axis
 from loi_core.nonfinite import NanPolicy, check_nan_policy, require_finite
 
@@ -61,8 +61,8 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
         Where the channels are, in the reference and in the images; None if there are none, (*batch, H, W).
         Count from the end (-3 for channels first) when reference and images differ in batch axes.
     nan_policy : {"raise", "mask"}
-        "raise" stops at the first NaN or infinite pixel. "mask" lets such pixels, of either image, weigh nothing:
-        they are taken as equal to the reference, and their gradient is 0.
+        "raise" stops at the first NaN or infinite pixel. "mask" takes such pixels, of either image, as equal to
+        the reference; they add nothing, their gradient is 0, and the mean is still over all pixels.
 
     Notes
     -----
@@ -72,7 +72,7 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
     def __init__(self, reference: Array, *, channel_axis: int | None = -1, nan_policy: NanPolicy = "raise") -> None:
         self._channel_axis = check_channel_axis(channel_axis)
         self._nan_policy = check_nan_policy(nan_policy)
-        as_floating("reference", reference)
+        reference = detached(as_floating("reference", reference))
         self._reference_layout = Layout.of("reference", reference.shape, self._channel_axis)
         if self._nan_policy == "raise":
             require_finite("reference", reference)
@@ -119,7 +119,8 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
 
     def value_and_grad(self, image: Array) -> tuple[Array, Array]:
         """The objective at `image` and its gradient, an array like `image`. Errors as in :meth:`value`."""
-        evaluation, gradient = self._evaluate_image(image, gradient=True)
+        # The gradient is ours; a framework that recorded the way to it would only waste time and memory.
+        evaluation, gradient = self._evaluate_image(detached(image), gradient=True)
         return _total(evaluation.terms), gradient
 
     def terms(self, image: Array) -> dict[KeyT, Array]:
@@ -156,6 +157,13 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
         return evaluation, layout.to_image(cotangent)
 
     def _ready_for(self, image: Array, layout: Layout) -> _Ready[PreparedT]:
+        fewer = layout.channel_axis is not None and len(layout.shape) != len(self._reference_layout.shape)
+        if fewer and (self._channel_axis or 0) >= 0:
+            msg = (
+                f"`channel_axis` must count from the end (-3 for channels first) when batches differ; it is "
+                f"{self._channel_axis}, `image` has shape {layout.shape}, the reference {self._reference_layout.shape}"
+            )
+            raise ImageError(msg)
         key = (library_name(image), str(image.dtype), str(device(image)), layout.shape)
         if key not in self._ready:
             if len(self._ready) >= MAX_PREPARED:

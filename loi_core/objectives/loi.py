@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from numbers import Real
 from typing import Final
-
-import numpy as np
 
 from loi_core.arrays import Array, from_numpy, namespace
 from loi_core.distance import cost, cost_slope, tie_threshold
 from loi_core.errors import OptionError, ScaleError
 from loi_core.nonfinite import NanPolicy
 from loi_core.objectives.base import Evaluation, ImageObjective
-from loi_core.operators import Blur, gaussian_blur
+from loi_core.operators import Blur, blur_about, gaussian_blur
 from loi_core.scales import ScaleSpace
 from loi_core.tonal import clip, clip_pullback, soft_cdf, soft_cdf_and_slope
+from loi_core.values import real_number
 
 __all__ = ["ACCURACIES", "LOIObjective", "ScaleKey", "gradient_tolerance"]
 
@@ -35,11 +33,11 @@ def gradient_tolerance(accuracy: str | float) -> float:
     """
     if isinstance(accuracy, str) and accuracy in ACCURACIES:
         return ACCURACIES[accuracy]
-    number = isinstance(accuracy, Real) and not isinstance(accuracy, bool | np.bool_)
-    if number and 0.0 <= float(accuracy) < 1.0:
-        return float(accuracy)
+    number = real_number(accuracy)
+    if 0.0 <= number < 1.0:
+        return number
     names = ", ".join(map(repr, ACCURACIES))
-    msg = f"`accuracy` must be one of {names}, or a relative error in [0, 1), got {accuracy!r}"
+    msg = f"`accuracy` must be one of {names}, or a relative error in [0, 1), got {accuracy!r:.60}"
     raise OptionError(msg)
 
 
@@ -131,7 +129,7 @@ class LOIObjective(ImageObjective[_Prepared, ScaleKey]):
         clipped = clip(reference, *scales.bounds)
         cdf = {}
         for sigma in scales.sigma:
-            intensity = inner[sigma].apply(clipped)
+            intensity = blur_about(inner[sigma], clipped, scales.padding)
             for beta in scales.beta:
                 cdf[beta, sigma] = soft_cdf(intensity, levels[beta], beta, scales.mass(beta))
         return _Prepared(levels, inner, extent, cdf)
@@ -143,7 +141,7 @@ class LOIObjective(ImageObjective[_Prepared, ScaleKey]):
         terms: dict[ScaleKey, Array] = {}
         total = xp.zeros_like(planes) if gradient else None
         for sigma in scales.sigma:
-            intensity = prepared.inner[sigma].apply(clipped)
+            intensity = blur_about(prepared.inner[sigma], clipped, scales.padding)
             cotangent = xp.zeros_like(intensity) if gradient else None
             for beta in scales.beta:
                 levels, mass = prepared.levels[beta], scales.mass(beta)

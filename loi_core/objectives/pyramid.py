@@ -5,14 +5,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-import numpy as np
-
 from loi_core.arrays import Array, from_numpy, namespace
 from loi_core.errors import OptionError
 from loi_core.kernels import blur_matrix
 from loi_core.nonfinite import NanPolicy
 from loi_core.objectives.base import Evaluation, ImageObjective
 from loi_core.operators import DenseBlur
+from loi_core.values import whole_number
 
 __all__ = ["GaussianPyramid"]
 
@@ -51,10 +50,11 @@ class GaussianPyramid(ImageObjective[_Prepared, int]):
         most = max(1, int(math.log2(shorter)))
         if levels is None:
             levels = most
-        if isinstance(levels, bool) or not isinstance(levels, int | np.integer) or not 1 <= levels <= most:
+        count = whole_number(levels)
+        if count is None or not 1 <= count <= most:
             msg = f"`levels` must be a whole number from 1 to {most} for this image size, got {levels!r}"
             raise OptionError(msg)
-        self._levels = int(levels)
+        self._levels = count
 
     def _prepare(self, reference: Array) -> _Prepared:
         height, width = reference.shape[-2:]

@@ -8,6 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from loi_core.errors import ParameterError
+from loi_core.values import whole_number
 
 __all__ = ["FloatArray", "check_dtype", "check_image", "check_parameters", "check_size", "floats"]
 
@@ -17,10 +18,13 @@ FloatArray: TypeAlias = np.ndarray[Any, np.dtype[np.float64]]
 def floats(name: str, value: object, shape: tuple[int | None, ...]) -> FloatArray:
     """`value` as a new float64 array of `shape`, in which None stands for any length."""
     try:
-        array = np.array(value, dtype=np.float64)
-    except (TypeError, ValueError):
+        given = np.asarray(value)
+    except ValueError:  # rows of different lengths
+        given = np.asarray(None)
+    if given.dtype.kind not in "fiu":
         msg = f"`{name}` must be numbers of shape {_spell(shape)}, got {value!r:.60}"
-        raise ParameterError(msg) from None
+        raise ParameterError(msg)
+    array = given.astype(np.float64)
     if array.ndim != len(shape) or any(want not in (None, got) for want, got in zip(shape, array.shape, strict=True)):
         msg = f"`{name}` must have shape {_spell(shape)}, got {array.shape}"
         raise ParameterError(msg)
@@ -40,10 +44,11 @@ def check_dtype(value: object) -> np.dtype[Any]:
 
 def check_size(name: str, value: object) -> int:
     """`value` as an int, once it is known to be a number of pixels."""
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
+    size = whole_number(value)
+    if size is None or size < 1:
         msg = f"`{name}` must be a whole number of pixels, 1 or more, got {value!r}"
         raise ParameterError(msg)
-    return int(value)
+    return size
 
 
 def check_image(name: str, value: object, channels: tuple[int, ...]) -> FloatArray:

@@ -7,10 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from loi_core.errors import ParameterError
 from loi_core.renderers.checks import FloatArray, check_dtype, check_parameters, check_size, floats
 
 __all__ = ["Disks"]
 
+LEAST_RADIUS = 0.1
 GOLDEN_ANGLE = 2.399963
 SEPARATION_ROUNDS = 10  # sweeps that push overlapping disks apart; chains of touching disks need a few
 
@@ -85,7 +87,13 @@ class Disks:
         }
         self._background = floats("background", background, (3,))
         self._dtype = check_dtype(dtype)
-        self._confine = bool(confine)
+        if not isinstance(confine, bool):
+            msg = f"`confine` must be true or false, got {confine!r}"
+            raise ParameterError(msg)
+        if np.any(self._scene["radii"] < 0.0):
+            msg = f"`radii` must be 0 or more, got {self._scene['radii'].min():g}"
+            raise ParameterError(msg)
+        self._confine = confine
 
     def parameters(self) -> dict[str, FloatArray]:
         """``positions`` (n, 2), ``radii`` (n,) and ``colours`` (n, 3), of the scene's dtype."""
@@ -132,8 +140,12 @@ class Disks:
         return image.astype(self._dtype), pullback
 
     def project(self, params: dict[str, FloatArray]) -> dict[str, FloatArray]:
-        """`params` with every disk in the frame and apart from the others, if the scene asks for it."""
+        """`params` with radii of a tenth of a pixel or more, and the disks confined if the scene asks for it.
+
+        A disk without area would have no gradient, and could never come back.
+        """
         scene = check_parameters(params, self._scene)
+        scene["radii"] = np.maximum(scene["radii"], LEAST_RADIUS)
         if self._confine:
             scene["positions"] = _confined(scene["positions"], scene["radii"], self._width, self._height)
         return {name: value.astype(self._dtype) for name, value in scene.items()}

@@ -11,6 +11,8 @@ from loi_core.renderers.checks import FloatArray, check_dtype, check_image, chec
 
 __all__ = ["Warp"]
 
+LEAST_SCALE = 0.01
+
 
 class Warp:
     """A picture over a background, moved, turned and scaled about its own centre.
@@ -116,6 +118,12 @@ class Warp:
             return {name: value.astype(self._dtype) for name, value in result.items()}
 
         return image.astype(self._dtype), pullback
+
+    def project(self, params: dict[str, FloatArray]) -> dict[str, FloatArray]:
+        """`params` with a scale of a hundredth or more: a picture without area would have no gradient."""
+        pose = check_parameters(params, self._scene)
+        pose["scale"] = np.maximum(pose["scale"], LEAST_SCALE)
+        return {name: np.asarray(value, dtype=self._dtype) for name, value in pose.items()}
 
     def _window(self, translation: FloatArray, scale: float, cos: float, sin: float) -> tuple[slice, slice]:
         """Rows and columns of the background that the picture, rim included, can touch."""

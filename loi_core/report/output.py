@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -12,15 +13,16 @@ from typing import Any, Final
 import numpy as np
 
 from loi_core.arrays import to_numpy
-from loi_core.experiment import Trial, psnr
+from loi_core.experiment import HISTORY_FILE, Trial, frame_steps, psnr
 from loi_core.files import write_bytes, write_text
 from loi_core.images import write_png
 from loi_core.report.plots import convergence_plot
 from loi_core.scene import Scene
 
-__all__ = ["RESULT_FILE", "summary", "write_results"]
+__all__ = ["RESULT_FILE", "frames", "summary", "write_results"]
 
 RESULT_FILE: Final = "result.json"
+FRAME_NAME: Final = re.compile(r"[0-9]{6,}\.png")
 
 
 def write_results(scene: Scene, trials: Sequence[Trial]) -> dict[str, Any]:
@@ -37,15 +39,16 @@ def write_results(scene: Scene, trials: Sequence[Trial]) -> dict[str, Any]:
             write_png(folder / "target.png", scene.target)
             write_png(folder / "initial.png", trial.initial)
         if trial.result is None:
+            _forget(own)
             continue
         final = to_numpy(trial.result.image)
         write_png(own / "final.png", final)
         write_png(own / "error.png", np.abs(final - scene.target))
-        write_text(own / "history.csv", _history(trial))
+        write_text(own / HISTORY_FILE, _history(trial))
         best = {name: to_numpy(value).tolist() for name, value in trial.result.best_params.items()}
         write_text(own / "parameters.json", json.dumps(best, indent=2) + "\n")
         if index == 0:
-            _write_frames(folder / "frames", trial)
+            _writeframes(folder / "frames", scene, trial)
     write_bytes(folder / "convergence.png", convergence_plot(trials))
     result = summary(scene, trials)
     write_text(folder / RESULT_FILE, json.dumps(result, indent=2, allow_nan=False) + "\n")
@@ -76,20 +79,35 @@ def _one(scene: Scene, trial: Trial) -> dict[str, Any]:
         "psnr": _finite(psnr(to_numpy(trial.result.image), scene.target)),
         "psnr_initial": _finite(psnr(trial.initial, scene.target)),
         "parameters": {name: best[name].tolist() for name in scene.optimise},
-        "parameter_errors": {name: float(np.abs(best[name] - true).max()) for name, true in scene.truth.items()},
+        "parameter_errors": {name: _finite(np.abs(best[name] - true).max()) for name, true in scene.truth.items()},
     }
 
 
-def _finite(value: float) -> float | None:
+def _finite(value: Any) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _write_frames(folder: Path, trial: Trial) -> None:
-    current = {folder / f"{step:06d}.png": frame for step, frame in trial.frames}
-    for path, frame in current.items():
-        write_png(path, frame)
-    for stale in set(folder.glob("*.png")) - set(current):  # of an earlier run with other steps
-        stale.unlink()
+def _forget(folder: Path) -> None:
+    """Remove what an earlier run left, so that it is not taken for the outcome of this one."""
+    for name in ("final.png", "error.png", "parameters.json", HISTORY_FILE):
+        (folder / name).unlink(missing_ok=True)
+    for frame in frames(folder / "frames").values():
+        frame.unlink()
+
+
+def _writeframes(folder: Path, scene: Scene, trial: Trial) -> None:
+    for step, frame in trial.frames:
+        write_png(folder / f"{step:06d}.png", frame)
+    done = len(trial.result.history) if trial.result else 0
+    for step, path in frames(folder).items():
+        # A resumed fit keeps the pictures of its first part; those of a run with other steps must go.
+        if step not in frame_steps(scene.fit.steps) or step >= done:
+            path.unlink()
+
+
+def frames(folder: Path) -> dict[int, Path]:
+    """The pictures of the way in a folder, by step."""
+    return {int(path.stem): path for path in sorted(folder.glob("*.png")) if FRAME_NAME.fullmatch(path.name)}
 
 
 def _history(trial: Trial) -> str:

@@ -11,8 +11,9 @@ from typing import Any, Final
 
 from loi_core.errors import SceneError
 from loi_core.files import write_text
-from loi_core.report.output import RESULT_FILE
+from loi_core.report.output import RESULT_FILE, frames
 from loi_core.report.plots import LABELS
+from loi_core.scene import OBJECTIVES
 
 __all__ = ["write_index", "write_page"]
 
@@ -55,15 +56,35 @@ def _read(folder: Path) -> dict[str, Any]:
     path = folder / RESULT_FILE
     try:
         result = json.loads(path.read_text(encoding="utf-8"))
-        if not isinstance(result["title"], str) or not isinstance(result["trials"], list):
-            raise TypeError
     except FileNotFoundError:
         msg = f"{folder}: no {RESULT_FILE} there; give a folder that `loi fit` has written"
         raise SceneError(msg) from None
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, RecursionError):
+        result = None
+    if not _is_result(result):
         msg = f"{path}: not the result of `loi fit`"
-        raise SceneError(msg) from error
+        raise SceneError(msg)
     return dict(result)
+
+
+def _is_result(result: Any) -> bool:
+    """Whether this has all that a page shows, of the right types."""
+    if not isinstance(result, dict) or not all(isinstance(result.get(key), str) for key in ("title", "scene")):
+        return False
+    trials = result.get("trials")
+    return (
+        isinstance(result.get("steps"), int)
+        and isinstance(trials, list)
+        and bool(trials)
+        and all(map(_is_trial, trials))
+    )
+
+
+def _is_trial(trial: Any) -> bool:
+    if not isinstance(trial, dict) or trial.get("objective") not in OBJECTIVES:
+        return False
+    errors = trial.get("parameter_errors", {})
+    return isinstance(trial.get("error"), str | None) and isinstance(errors, dict)
 
 
 def _document(title: str, body: str) -> str:
@@ -86,7 +107,7 @@ def _section(folder: Path) -> str:
         ours = ' class="ours"' if index == 0 else ""
         finals.append(_figure(own / "final.png", label, ours))
         errors.append(_figure(own / "error.png", f"{label}: |final - target|", ours))
-    film = [_figure(path, f"step {int(path.stem)}") for path in sorted((folder / "frames").glob("*.png"))]
+    film = [_figure(path, f"step {step}") for step, path in frames(folder / "frames").items()]
     plot = _figure(folder / "convergence.png", "", image_class="plot")
     return "\n".join(
         [
@@ -119,7 +140,7 @@ def _table(trials: Sequence[Mapping[str, Any]]) -> str:
         errors = trial.get("parameter_errors", {})
         cells = [
             _number(trial.get("psnr"), ".2f"),
-            _number(trial.get("best_step"), "d"),
+            _number(trial.get("best_step"), ".0f"),
             _number(trial.get("seconds"), ".1f"),
             *(_number(errors.get(name), ".4g") for name in names),
         ]
@@ -130,4 +151,4 @@ def _table(trials: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _number(value: Any, spec: str) -> str:
-    return format(value, spec) if isinstance(value, int | float) else "-"
+    return format(value, spec) if isinstance(value, int | float) and not isinstance(value, bool) else "-"

@@ -121,7 +121,7 @@ class MutatesCotangent(Sound):
     def render_vjp(self, params: Params, *, seed: int = 0) -> Any:
         image, pullback = super().render_vjp(params)
 
-        def writing(cotangent: Host) -> Params:
+        def writing(cotangent: Any) -> Params:
             result = pullback(cotangent)
             cotangent[0, 0, 0] = 0.0
             return result

@@ -110,3 +110,14 @@ def test_the_gradient_is_zero_at_the_reference() -> None:
         if dtype is np.float64:
             assert float(value) == 0.0
         assert not np.any(gradient)
+
+
+@pytest.mark.parametrize("dtype", [np.float32, np.float64])
+def test_a_difference_that_rounding_could_have_made_is_a_tie(dtype: Any) -> None:
+    # One ulp of noise is no signal: its sign would be all that is left of it, at full size.
+    reference = images(SHAPE, seed=9)[0].astype(dtype)
+    noisy = np.nextafter(reference, np.where(np.random.default_rng(1).uniform(size=SHAPE) < 0.5, 0, 1).astype(dtype))
+    assert np.any(noisy != reference)
+    objective = LOIObjective(reference, SCALES["paper path"])
+    assert not np.any(objective.value_and_grad(noisy)[1])
+    assert np.any(objective.value_and_grad(reference + dtype(1e-2))[1])

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import torch
 
-from loi_core import GaussianPyramid, LOIObjective, PixelL2, ScaleSpace
+from loi_core import GaussianPyramid, LOIObjective, PixelL2, ScaleSpace, isophotes
 from loi_core.errors import ImageError, ImageTypeError, LoiError, NonFiniteImageError, OptionError
 from tests.helpers import images
 
@@ -153,3 +153,38 @@ def test_a_clipped_value_loses_the_gradient_that_points_outside() -> None:
     _, gradient = LOIObjective(dark, ScaleSpace(0, 5, 0.2)).value_and_grad(image)
     assert gradient[1, 1, 0] < 0.0  # inside: brighter is better
     assert gradient[0, 0, 0] >= 0.0
+
+
+def test_zero_padding_is_the_bound_nearest_to_black() -> None:
+    image = np.full((9, 9, 1), 1.2)
+    scales = ScaleSpace(4, 0, 0.05, bounds=(1, 2), boundary="zero")
+    density = isophotes(image, scales, sigma=4, beta=0.05)
+    np.testing.assert_allclose(density.sum(axis=0) * 0.05, 1.0, atol=1e-4)
+    assert ScaleSpace(1, 1, 0.1, boundary="zero").padding == 0.0
+
+
+def test_a_positive_channel_axis_does_not_guess_which_axis_is_the_batch() -> None:
+    reference = np.random.default_rng(0).uniform(size=(3, 8, 8))
+    batch = np.stack([reference] * 3)
+    with pytest.raises(ImageError, match="`channel_axis` must count from the end"):
+        LOIObjective(reference, SCALES, channel_axis=0).value(batch)
+    assert float(LOIObjective(reference, SCALES, channel_axis=-3).value(batch)) == 0.0
+
+
+def test_a_torch_gradient_carries_no_graph() -> None:
+    image = torch.rand(6, 5, 3, requires_grad=True)
+    objective = LOIObjective(torch.rand(6, 5, 3, requires_grad=True), SCALES)
+    value, gradient = objective.value_and_grad(image)
+    assert not value.requires_grad
+    assert not gradient.requires_grad
+    assert objective.value(image).requires_grad  # autograd through the forward code stays possible
+
+
+@pytest.mark.parametrize("scalar", [3, 3.0, np.float32(3), np.array(3.0), torch.tensor(3.0)])
+def test_numbers_of_any_library_are_scales(scalar: Any) -> None:
+    assert ScaleSpace(scalar, scalar, 0.1) == ScaleSpace(3.0, 3.0, 0.1)
+
+
+def test_images_in_foreign_byte_order_are_refused() -> None:
+    with pytest.raises(ImageTypeError, match="byte order"):
+        LOIObjective(REFERENCE, SCALES).value(REFERENCE.astype(">f8"))
