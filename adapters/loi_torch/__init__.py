@@ -1,1 +1,5 @@
-"""The torch adapter of loi."""
+"""`loi` for PyTorch: the loss as a module and as a function, and two renderers."""
+
+from loi_torch.loss import LOILoss, loi_loss
+
+__all__ = ["LOILoss", "loi_loss"]

@@ -127,6 +127,25 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
         """The parts of the value, which sum to it. Errors as in :meth:`value`."""
         return self._evaluate_image(image, gradient=False)[0].terms
 
+    def prepare(self, shape: tuple[int, ...], like: Array) -> None:
+        """Make the reference ready for images of `shape` that are arrays like `like`; evaluating does so by itself."""
+        self._ready_for(like, Layout.of("image", shape, self._channel_axis))
+
+    def evaluate_unchecked(self, image: Array, like: Array, *, gradient: bool) -> tuple[Array, Array | None]:
+        """Value, and gradient if asked for, of an image whose pixels cannot be looked at, such as a JAX tracer.
+
+        Parameters
+        ----------
+        image : array, shape (*batch, H, W, C)
+            Its type and shape are checked, its values are not: under ``nan_policy="raise"`` the caller sees to them.
+        like : array
+            A concrete array of the image's library, dtype and device, for which the reference is prepared.
+        gradient : bool
+            Whether the gradient is wanted; None comes in its place otherwise.
+        """
+        evaluation, slope = self._evaluate_image(image, gradient=gradient, like=like)
+        return _total(evaluation.terms), slope
+
     @abc.abstractmethod
     def _prepare(self, reference: Array) -> PreparedT:
         """All that depends on the reference alone; `reference` has shape (N, H, W)."""
@@ -135,14 +154,17 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
     def _evaluate(self, planes: Array, prepared: PreparedT, *, gradient: bool) -> Evaluation[KeyT]:
         """Terms, averaged over all planes and pixels, and their gradient; `planes` has shape (N, H, W)."""
 
-    def _evaluate_image(self, image: Array, *, gradient: bool) -> tuple[Evaluation[KeyT], Array]:
+    def _evaluate_image(
+        self, image: Array, *, gradient: bool, like: Array | None = None
+    ) -> tuple[Evaluation[KeyT], Array]:
         as_floating("image", image)
         layout = Layout.of("image", image.shape, self._channel_axis)
-        ready = self._ready_for(image, layout)
+        ready = self._ready_for(image if like is None else like, layout)
         planes = layout.to_planes(image)
         seen: Array | None = None
         if self._nan_policy == "raise":
-            require_finite("image", image)
+            if like is None:
+                require_finite("image", image)
         else:
             xp = namespace(planes)
             seen = xp.isfinite(planes) & ready.finite
@@ -156,7 +178,7 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
             cotangent = xp.where(seen, cotangent, xp.zeros_like(cotangent))
         return evaluation, layout.to_image(cotangent)
 
-    def _ready_for(self, image: Array, layout: Layout) -> _Ready[PreparedT]:
+    def _ready_for(self, like: Array, layout: Layout) -> _Ready[PreparedT]:
         fewer = layout.channel_axis is not None and len(layout.shape) != len(self._reference_layout.shape)
         if fewer and (self._channel_axis or 0) >= 0:
             msg = (
@@ -164,15 +186,15 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
                 f"{self._channel_axis}, `image` has shape {layout.shape}, the reference {self._reference_layout.shape}"
             )
             raise ImageError(msg)
-        key = (library_name(image), str(image.dtype), str(device(image)), layout.shape)
+        key = (library_name(like), str(like.dtype), str(device(like)), layout.shape)
         if key not in self._ready:
             if len(self._ready) >= MAX_PREPARED:
                 self._ready.pop(next(iter(self._ready)))
-            self._ready[key] = self._make_ready(image, layout)
+            self._ready[key] = self._make_ready(like, layout)
         return self._ready[key]
 
-    def _make_ready(self, image: Array, layout: Layout) -> _Ready[PreparedT]:
-        planes = layout.broadcast_planes("image", self._reference_like(image), self._reference_layout)
+    def _make_ready(self, like: Array, layout: Layout) -> _Ready[PreparedT]:
+        planes = layout.broadcast_planes("image", self._reference_like(like), self._reference_layout)
         xp = namespace(planes)
         finite: Array | None = None
         if self._nan_policy == "mask":

@@ -9,6 +9,7 @@ import numpy as np
 
 from loi_core.errors import ParameterError
 from loi_core.renderers.checks import FloatArray, check_dtype, check_parameters, check_size, floats
+from loi_core.renderers.coverage import disk_coverage
 
 __all__ = ["Disks"]
 
@@ -157,48 +158,13 @@ class Disks:
             return None
         x = np.arange(columns.start, columns.stop + 1) - float(centre[0])
         y = np.arange(rows.start, rows.stop + 1) - float(centre[1])
-        area, by_x, by_y, by_radius = (_per_pixel(part) for part in _quadrant(x[None, :], y[:, None], radius))
-        # Moving the disk right is moving the pixels left.
-        return _Stamp(rows, columns, np.clip(area, 0.0, 1.0), -by_x, -by_y, by_radius)
+        return _Stamp(rows, columns, *disk_coverage(x[None, :], y[:, None], np.full((1, 1), radius)))
 
 
 def _touched(centre: float, radius: float, size: int) -> slice:
     """The pixels of an axis that [centre - radius, centre + radius] meets."""
     start, stop = (min(max(edge, 0.0), float(size)) for edge in (centre - radius, centre + radius))
     return slice(int(np.floor(start)), int(np.ceil(stop)))
-
-
-def _per_pixel(corners: FloatArray) -> FloatArray:
-    """Integrals over pixels, (h, w), of what is integrated up to each of their corners, (h + 1, w + 1)."""
-    return np.diff(np.diff(corners, axis=0), axis=1)
-
-
-def _quadrant(x: FloatArray, y: FloatArray, radius: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Area of a disk about the origin to the left of `x` and above `y`, and its derivatives.
-
-    Returns
-    -------
-    area, by_x, by_y, by_radius : arrays of the broadcast shape of `x` and `y`
-    """
-    x, y = np.clip(x, -radius, radius), np.clip(y, -radius, radius)
-    half_x = np.sqrt(radius * radius - x * x)  # half the vertical chord at x
-    half_y = np.sqrt(radius * radius - y * y)
-
-    def below_arc(at: FloatArray) -> FloatArray:
-        """Integral of the half chord from 0 to `at`."""
-        height = np.sqrt(np.maximum(radius * radius - at * at, 0.0))
-        return 0.5 * (at * height + radius * radius * np.arcsin(np.clip(at / radius, -1.0, 1.0)))
-
-    # At abscissa t the chord from -h(t) to h(t) is cut at y where |t| < half_y; beyond, it lies wholly on one side.
-    middle = np.clip(x, -half_y, half_y)
-    cut = below_arc(middle) + below_arc(half_y) + y * (middle + half_y)
-    whole = below_arc(np.minimum(x, -half_y)) + below_arc(np.maximum(x, half_y))
-    whole = whole - below_arc(np.asarray(-radius)) - below_arc(half_y)
-    area = cut + np.where(y >= 0.0, 2.0 * whole, 0.0)
-    by_x = np.maximum(np.minimum(y, half_x) + half_x, 0.0)
-    by_y = np.maximum(np.minimum(x, half_y) + half_y, 0.0)
-    # The area is homogeneous of degree 2 in (x, y, radius), so Euler's theorem gives the last derivative.
-    return area, by_x, by_y, (2.0 * area - x * by_x - y * by_y) / radius
 
 
 def _confined(positions: FloatArray, radii: FloatArray, width: int, height: int) -> FloatArray:

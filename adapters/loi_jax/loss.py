@@ -1,0 +1,107 @@
+"""The loss for JAX's transformations: the core computes value and gradient, ``custom_vjp`` hands on the gradient."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from loi_core import LOIObjective, ScaleSpace
+from loi_core.nonfinite import NanPolicy
+
+__all__ = ["loi_loss"]
+
+REDUCED = (jnp.float16, jnp.bfloat16)
+
+
+def loi_loss(
+    reference: Any,
+    scales: ScaleSpace | None = None,
+    accuracy: str | float = "exact",
+    *,
+    channel_axis: int | None = -1,
+    nan_policy: NanPolicy = "raise",
+) -> Callable[[jax.Array], jax.Array]:
+    """The locally orderless image loss against a reference, as a function of the image.
+
+    Parameters
+    ----------
+    reference : array, shape (*batch, H, W, C)
+        What the image should look like; JAX or NumPy, concrete, not a tracer.
+    scales : ScaleSpace, optional
+        The scales to compare; ``ScaleSpace.for_image(H, W)`` by default.
+    accuracy, channel_axis, nan_policy
+        See :class:`loi_core.LOIObjective`.
+
+    Returns
+    -------
+    callable
+        From an image, shape (*batch, H, W, C), to a scalar. Works under ``jit``, ``grad`` and ``vmap`` in any
+        order, and is traced once for each shape and dtype.
+
+    Notes
+    -----
+    Traced values cannot raise errors: under ``jit`` and ``vmap`` an image that is not finite gives the value NaN and
+    a gradient of NaN with ``nan_policy="raise"``, which ``fit`` and ``jax.debug_nans`` catch. float16 and bfloat16
+    are compared in float32. Forward mode (``jvp``, ``jacfwd``) is refused by JAX, as for every ``custom_vjp``.
+    """
+    host = np.asarray(reference)
+    if host.dtype.kind == "V" or str(host.dtype) in ("bfloat16", "float16"):
+        host = host.astype(np.float32)
+    # Checked here, with the core's messages; what is kept is NumPy, which no trace can leak into.
+    objective = LOIObjective(host, scales, accuracy, channel_axis, nan_policy)
+    traceable = _Traceable(objective)
+
+    @jax.custom_vjp
+    def loss(image: jax.Array) -> jax.Array:
+        return traceable.value(image)
+
+    def forward(image: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return traceable.value_and_grad(image)
+
+    def backward(gradient: jax.Array, upstream: jax.Array) -> tuple[jax.Array]:
+        return ((upstream * gradient).astype(gradient.dtype),)
+
+    loss.defvjp(forward, backward)
+
+    def named(image: jax.Array) -> jax.Array:
+        """The loss of `image`."""
+        return loss(jnp.asarray(image))
+
+    return named
+
+
+class _Traceable:
+    """The core's evaluation without what a tracer cannot do: raising, and filling a cache."""
+
+    def __init__(self, objective: LOIObjective) -> None:
+        self._objective = objective
+
+    def value(self, image: jax.Array) -> jax.Array:
+        return self._evaluate(image, gradient=False)[0]
+
+    def value_and_grad(self, image: jax.Array) -> tuple[jax.Array, jax.Array]:
+        return self._evaluate(image, gradient=True)
+
+    def _evaluate(self, image: jax.Array, *, gradient: bool) -> tuple[jax.Array, Any]:
+        dtype = image.dtype
+        if dtype in REDUCED:
+            image = image.astype(jnp.float32)
+        if not isinstance(image, jax.core.Tracer):
+            if gradient:
+                value, slope = self._objective.value_and_grad(image)
+                return value, slope.astype(dtype)
+            return self._objective.value(image), None
+        with jax.ensure_compile_time_eval():  # so that what is prepared is concrete, and outlives this trace
+            like = jnp.zeros((), dtype=image.dtype)
+            self._objective.prepare(image.shape, like)
+        value, slope = self._objective.evaluate_unchecked(image, like, gradient=gradient)
+        if self._objective.nan_policy == "raise":
+            # Blurring spreads a NaN anyway, but clipping may swallow an infinity.
+            poison = jnp.where(jnp.all(jnp.isfinite(image)), 0.0, jnp.nan).astype(image.dtype)
+            value = value + poison
+            slope = None if slope is None else slope + poison
+        return value, None if slope is None else slope.astype(dtype)

@@ -1,0 +1,144 @@
+"""The loss for torch's autograd: the core computes value and gradient, autograd is handed the gradient."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.autograd.function import FunctionCtx, once_differentiable
+
+from loi_core import LOIObjective, ScaleSpace
+from loi_core.errors import ImageTypeError
+from loi_core.nonfinite import NanPolicy
+
+__all__ = ["LOILoss", "loi_loss"]
+
+REDUCED = (torch.float16, torch.bfloat16)
+
+
+class LOILoss(torch.nn.Module):
+    """The locally orderless image loss as a module: image in, scalar out.
+
+    Parameters
+    ----------
+    reference : Tensor or NumPy array, shape (*batch, H, W, C)
+        What the image should look like; kept as the buffer ``reference``, so it moves with ``.to`` and is saved in
+        the state dict.
+    scales : ScaleSpace, optional
+        The scales to compare; ``ScaleSpace.for_image(H, W)`` by default.
+    accuracy : {"exact", "balanced", "fast"} or float
+        See :class:`loi_core.LOIObjective`.
+    channel_axis : int or None
+        Where the channels are: -3 for torch's usual (N, C, H, W), -1 for (N, H, W, C).
+    nan_policy : {"raise", "mask"}
+        What happens to pixels that are not finite.
+
+    Notes
+    -----
+    float16 and bfloat16 images are compared in float32, under autocast as well, and the loss is float32; the gradient
+    comes back in the image's dtype. Under ``torch.compile`` the loss is one graph break. Its gradient cannot be
+    differentiated again: second derivatives raise an error instead of being silently zero.
+    """
+
+    reference: Tensor
+
+    def __init__(
+        self,
+        reference: Any,
+        scales: ScaleSpace | None = None,
+        accuracy: str | float = "exact",
+        *,
+        channel_axis: int | None = -1,
+        nan_policy: NanPolicy = "raise",
+    ) -> None:
+        super().__init__()
+        # The core checks the arguments, and copies: later writes of the caller to `reference` change nothing.
+        objective = LOIObjective(reference, scales, accuracy, channel_axis, nan_policy)
+        self._options: dict[str, Any] = {
+            "scales": objective.scales,
+            "accuracy": accuracy,
+            "channel_axis": channel_axis,
+            "nan_policy": nan_policy,
+        }
+        self.register_buffer("reference", torch.as_tensor(objective.reference))
+        self._objective: LOIObjective | None = None
+        self._state: tuple[Any, ...] = ()
+
+    @property
+    def scales(self) -> ScaleSpace:
+        """The scales that are compared."""
+        scales: ScaleSpace = self._options["scales"]
+        return scales
+
+    @torch.compiler.disable  # type: ignore[untyped-decorator]  # untyped in torch
+    def forward(self, image: Tensor) -> Tensor:
+        """The loss of `image`, a tensor of shape (); errors as :meth:`loi_core.LOIObjective.value`."""
+        return _apply(image, self._current())
+
+    def extra_repr(self) -> str:
+        """The scales, for ``print``."""
+        return f"{self.scales}"
+
+    def _current(self) -> LOIObjective:
+        # `.to` replaces the buffer and load_state_dict writes into it; either must be seen.
+        state = (id(self.reference), self.reference._version, self.reference.device, self.reference.dtype)
+        if self._objective is None or state != self._state:
+            reference = self.reference.float() if self.reference.dtype in REDUCED else self.reference
+            self._objective, self._state = LOIObjective(reference, **self._options), state
+        return self._objective
+
+    def __getstate__(self) -> dict[str, Any]:
+        # What is prepared can be prepared again; copies and pickles need not carry it.
+        return {**self.__dict__, "_objective": None, "_state": ()}
+
+
+def loi_loss(
+    image: Tensor,
+    reference: Any,
+    scales: ScaleSpace | None = None,
+    accuracy: str | float = "exact",
+    *,
+    channel_axis: int | None = -1,
+    nan_policy: NanPolicy = "raise",
+) -> Tensor:
+    """The locally orderless image loss of one image, a tensor of shape ().
+
+    Parameters are those of :class:`LOILoss`, which prepares the reference once and is the better choice in a loop.
+    """
+    if isinstance(reference, Tensor) and reference.dtype in REDUCED:
+        reference = reference.float()
+    return _apply(image, LOIObjective(reference, scales, accuracy, channel_axis, nan_policy))
+
+
+def _apply(image: Tensor, objective: LOIObjective) -> Tensor:
+    if not isinstance(image, Tensor):
+        msg = f"`image` must be a torch tensor, got {type(image).__name__}"
+        raise ImageTypeError(msg)
+    with torch.autocast(image.device.type, enabled=False):
+        precise = image.float() if image.dtype in REDUCED else image
+        if torch.is_grad_enabled() and precise.requires_grad:
+            value: Tensor = _Loss.apply(precise, objective)[0]  # type: ignore[no-untyped-call]  # untyped in torch
+        else:
+            value = objective.value(precise)
+    return value
+
+
+class _Loss(torch.autograd.Function):
+    """Value and gradient in one pass; backward only scales the gradient."""
+
+    @staticmethod
+    def forward(image: Tensor, objective: LOIObjective) -> tuple[Tensor, Tensor]:
+        return objective.value_and_grad(image)
+
+    @staticmethod
+    def setup_context(ctx: FunctionCtx, _: tuple[Any, ...], output: tuple[Tensor, Tensor]) -> None:
+        ctx.mark_non_differentiable(output[1])
+        ctx.save_for_backward(output[1])
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, upstream: Tensor, _: Tensor) -> tuple[Tensor, None]:
+        """Scale the gradient; differentiating this again is an error, since the gradient is a constant to autograd."""
+        (gradient,) = ctx.saved_tensors
+        return upstream * gradient, None
