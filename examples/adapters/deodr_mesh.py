@@ -22,7 +22,8 @@ from loi_core.renderers.checks import FloatArray, check_parameters, check_size, 
 __all__ = ["DeodrMesh", "sphere"]
 
 EDGE_WIDTH: Final = 1.0  # pixels over which DEODR blends an outline into what is behind it
-NEAREST: Final = 1e-2  # DEODR clips nothing, so a vertex at the camera would land anywhere in the image
+NEAREST: Final = 1e-2  # world units; DEODR clips nothing, so a vertex at the camera would land anywhere
+FARTHEST: Final = 32000.0  # pixels; DEODR counts them in 16 bits and writes outside the image when they overflow
 
 
 class DeodrMesh:
@@ -119,7 +120,11 @@ class DeodrMesh:
             msg = f"`translation` must keep all vertices at z >= {NEAREST}, got one at z = {depths.min():.6g}"
             raise ParameterError(msg)
         slopes = points[:, :2] / depths[:, None]
-        scene = self._scene(self._focal * slopes + 0.5 * np.array([self._width, self._height]), depths, pose["colours"])
+        corners = self._focal * slopes + 0.5 * np.array([self._width, self._height])
+        if np.abs(corners).max() > FARTHEST:
+            msg = f"`translation` must keep all vertices within {FARTHEST:.0f} pixels, got {np.abs(corners).max():.6g}"
+            raise ParameterError(msg)
+        scene = self._scene(corners, depths, pose["colours"])
         with _reported():
             image, _ = scene.render(EDGE_WIDTH)
 
