@@ -21,32 +21,42 @@ SEEDS = st.integers(0, 2**31)
 def mesh(seed: int = 0, **options: Any) -> DeodrMesh:
     """A coloured sphere in a random pose, wholly or partly in the frame or next to it."""
     rng = np.random.default_rng(seed)
-    pose = {"translation": (*rng.uniform(-2, 2, 2), rng.uniform(4, 8)), "rotation": rng.standard_normal(3)}
+    pose: dict[str, Any] = {
+        "translation": (*rng.uniform(-2, 2, 2), rng.uniform(4, 8)),
+        "rotation": rng.standard_normal(3),
+    }
     pose["rotation"] *= float(seed % 5 > 0)  # no rotation at all is where formulas divide by the angle
-    look = {"colours": COLOURS, "background": (0.1, 0.2, 0.3)}
+    look: dict[str, Any] = {"colours": COLOURS, "background": (0.1, 0.2, 0.3)}
     return DeodrMesh(48, 56, VERTICES, FACES, **(look | pose | options))
+
+
+def noise(seed: int, shape: tuple[int, ...]) -> Host:
+    return np.random.default_rng(seed).standard_normal(shape)
+
+
+def gradient_error(renderer: DeodrMesh, params: dict[str, Any], name: str, seed: int) -> float:
+    """Of the pullback's slope along a random direction, against differences, by the size of what goes into it."""
+    image, pullback = renderer.render_vjp(params)
+    cotangent, direction = noise(seed + 1, image.shape), noise(seed + 2, params[name].shape)
+
+    def along(value: Host) -> float:
+        return float(np.sum(cotangent * renderer.render({**params, name: value})))
+
+    slope = float(np.sum(pullback(cotangent)[name] * direction))
+    measured = [directional_difference(along, params[name], direction, step) for step in (1e-6, 1e-7)]
+    return min(abs(one - slope) for one in measured) / float(np.linalg.norm(cotangent) * np.linalg.norm(direction))
 
 
 @given(SEEDS)
 def test_pullback_equals_finite_differences(seed: int) -> None:
     renderer = mesh(seed)
     params = renderer.parameters()
-    image, pullback = renderer.render_vjp(params)
-    cotangent = np.random.default_rng(seed + 1).standard_normal(image.shape)
-    gradient = pullback(cotangent)
-    assert list(gradient) == list(params)
-    for name, start in params.items():
-        direction = np.random.default_rng(seed + 2).standard_normal(start.shape)
-
-        def along(value: Host, name: str = name) -> float:
-            return float(np.sum(cotangent * renderer.render({**params, name: value})))
-
-        slope = float(np.sum(gradient[name] * direction))
-        # The image is not smooth where an outline crosses the centre of a pixel. A small step rarely straddles such a
-        # place, two of different size hardly ever both do. Rounding over the step leaves about 1e-7.
-        measured = [directional_difference(along, start, direction, step) for step in (1e-6, 1e-7)]
-        scale = float(np.linalg.norm(gradient[name]) * np.linalg.norm(direction))
-        assert min(abs(one - slope) for one in measured) <= 1e-6 * scale
+    assert list(renderer.render_vjp(params)[1](np.zeros((48, 56, 3)))) == list(params)
+    for name in params:
+        # The image has a kink wherever an outline crosses the centre of a pixel. About one pose in two hundred has one
+        # within the step, which says nothing about the gradient; poses beside it then hardly ever all do.
+        beside = ({**params, "translation": params["translation"] + shift} for shift in (0.0, 1e-3, 2e-3))
+        assert any(gradient_error(renderer, pose, name, seed) <= 5e-7 for pose in beside)
 
 
 @given(SEEDS)
@@ -54,7 +64,7 @@ def test_pullback_is_linear_and_unmoved_by_what_is_rendered_since(seed: int) -> 
     renderer = mesh(seed)
     params = renderer.parameters()
     image, pullback = renderer.render_vjp(params)
-    one, other = np.random.default_rng(seed).standard_normal((2, *image.shape))
+    one, other = noise(seed, (2, *image.shape))
     first, second = pullback(one), pullback(other)
     moved = {**params, "translation": params["translation"] + 0.3}
     renderer.render_vjp(moved)[1](one)
@@ -73,7 +83,7 @@ def test_nothing_is_changed_and_the_image_is_determined(seed: int) -> None:
     params = renderer.parameters()
     kept = {name: value.copy() for name, value in params.items()}
     image, pullback = renderer.render_vjp(params)
-    cotangent = np.random.default_rng(seed).standard_normal(image.shape)
+    cotangent = noise(seed, image.shape)
     cotangent.setflags(write=False)
     gradient = pullback(cotangent)
     np.testing.assert_array_equal(renderer.render(params, seed=7), image)
