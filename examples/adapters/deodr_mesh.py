@@ -61,7 +61,8 @@ class DeodrMesh:
     Notes
     -----
     DEODR leaves the image and the adjoint's sums in its scene. Every render here makes a scene of its own, which only
-    its pullback ever sees again, so renders and pullbacks may be called in any order.
+    its pullback ever sees again, so renders and pullbacks may be called in any order. Of DEODR only the rasterizer is
+    used: the adjoint of its camera class (0.2.3) applies a rotation where it should apply the inverse.
     """
 
     def __init__(
