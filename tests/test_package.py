@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import subprocess
 import sys
 import tomllib
 import zipfile
@@ -13,22 +11,10 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[1]
+from tests.environments import ROOT, fresh_python, run
+
 PACKAGES = {"loi_core", "loi_torch", "loi_jax", "loi_mitsuba"}
 FRAMEWORKS = ("torch", "jax", "mitsuba", "drjit", "matplotlib", "PIL", "scipy")
-
-
-def run(*arguments: str | Path, **environment: str) -> str:
-    return subprocess.run(
-        list(map(str, arguments)), check=True, capture_output=True, text=True, env={**os.environ, **environment}
-    ).stdout
-
-
-@pytest.fixture(scope="module")
-def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("dist")
-    run(sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", folder, ROOT)
-    return next(folder.glob("loi-*.whl"))
 
 
 def test_the_wheel_holds_the_four_packages_and_nothing_else(wheel: Path) -> None:
@@ -47,12 +33,7 @@ def test_the_wheel_holds_the_four_packages_and_nothing_else(wheel: Path) -> None
 
 @pytest.fixture(scope="module")
 def fresh(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The Python of an empty environment into which the wheel alone, with what it requires, was installed."""
-    folder = tmp_path_factory.mktemp("fresh")
-    run(sys.executable, "-m", "venv", folder)
-    python = folder / "bin" / "python"
-    run(python, "-m", "pip", "install", "-q", "--disable-pip-version-check", "-c", ROOT / "constraints.txt", wheel)
-    return python
+    return fresh_python(tmp_path_factory.mktemp("fresh"), wheel)
 
 
 def test_the_wheel_works_in_an_empty_environment(fresh: Path, tmp_path: Path) -> None:

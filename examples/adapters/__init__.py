@@ -1,0 +1,1 @@
+"""Adapters of other people's renderers, to copy from."""

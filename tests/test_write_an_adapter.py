@@ -1,0 +1,80 @@
+"""The page on writing an adapter does what it says: its text, packaged and installed as it stands, works."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.environments import ROOT, fresh_python, run
+
+PAGE = (ROOT / "docs" / "write-an-adapter.md").read_text()
+FILES = dict(re.findall(r'^```\w+ title="([^"]+)"\n(.*?)^```$', PAGE, re.MULTILINE | re.DOTALL))
+COMMANDS = [line for block in re.findall(r"^```sh\n(.*?)^```$", PAGE, re.M | re.S) for line in block.splitlines()]
+TRUTH = [50.0, 44.0]
+
+
+def test_every_block_of_the_page_is_a_file_or_a_command() -> None:
+    assert list(FILES) == ["loi_blob.py", "pyproject.toml", "find.py", "scene.toml", "check.py"]
+    assert COMMANDS == ["pip install .", "loi renderers", "python find.py", "loi fit scene.toml", "python check.py"]
+    assert PAGE.count("```") == 2 * (len(FILES) + 3)
+
+
+def test_the_renderer_has_under_thirty_lines() -> None:
+    assert len([line for line in FILES["loi_blob.py"].splitlines() if line.strip()]) < 30
+
+
+class Shell:
+    """A folder with the page's files, and the environment in which its commands run."""
+
+    def __init__(self, folder: Path, python: Path) -> None:
+        self.folder = folder
+        self._path = f"{python.parent}{os.pathsep}{os.environ['PATH']}"
+
+    def __call__(self, command: str) -> str:
+        # Nothing of the repository may be seen: neither its folder nor, through PYTHONPATH, its packages.
+        pinned = str(ROOT / "constraints.txt")
+        return run("sh", "-c", command, cwd=self.folder, PATH=self._path, PYTHONPATH="", PIP_CONSTRAINT=pinned)
+
+
+@pytest.fixture(scope="module")
+def shell(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Shell:
+    folder = tmp_path_factory.mktemp("blob")
+    for name, text in FILES.items():
+        (folder / name).write_text(text)
+    shell = Shell(folder, fresh_python(tmp_path_factory.mktemp("plugin"), wheel))
+    shell(COMMANDS[0])
+    return shell
+
+
+def test_it_is_listed_as_ready(shell: Shell) -> None:
+    assert re.search(r"^blob +loi-blob 0\.1\.0 +ready ", shell("loi renderers"), re.MULTILINE)
+    listed = {one["name"]: one for one in json.loads(shell("loi renderers --json"))}
+    assert listed["blob"] == {
+        "name": "blob",
+        "package": "loi-blob",
+        "version": "0.1.0",
+        "target": "loi_blob:Blob",
+        "state": "ready",
+        "problem": "",
+    }
+    assert listed["disks"]["state"] == listed["warp"]["state"] == "ready"
+
+
+def test_it_is_fitted_from_python_and_from_a_scene_file(shell: Shell) -> None:
+    found = [float(word) for word in shell("python find.py").split()]
+    np.testing.assert_allclose(found, TRUTH, atol=0.05)
+    shell("loi fit scene.toml")
+    result = json.loads((shell.folder / "scene-result" / "result.json").read_text())
+    assert result["trials"][0]["parameter_errors"]["centre"] < 0.05
+    assert (shell.folder / "scene-result" / "report.html").exists()
+
+
+@pytest.mark.skipif(find_spec("loi_core.testing") is None, reason="the conformance kit is not there yet")
+def test_it_passes_the_conformance_kit(shell: Shell) -> None:
+    shell("python check.py")
