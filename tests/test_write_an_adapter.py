@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import re
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -75,6 +74,5 @@ def test_it_is_fitted_from_python_and_from_a_scene_file(shell: Shell) -> None:
     assert (shell.folder / "scene-result" / "report.html").exists()
 
 
-@pytest.mark.skipif(find_spec("loi_core.testing") is None, reason="the conformance kit is not there yet")
 def test_it_passes_the_conformance_kit(shell: Shell) -> None:
     shell("python check.py")
