@@ -1,0 +1,147 @@
+"""The torch module hands the core's gradient to autograd, unchanged, wherever torch may carry it."""
+
+from __future__ import annotations
+
+import copy
+import io
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from loi_torch import LOILoss, loi_loss
+
+from loi_core import LOIObjective, ScaleSpace
+from loi_core.errors import ImageError, ImageTypeError, NonFiniteImageError
+from loi_core.testing import check_objective
+from tests.helpers import images
+
+SCALES = ScaleSpace.paper("path")
+IMAGE, REFERENCE = images((2, 17, 23, 3), seed=1)
+VALUE, GRADIENT = LOIObjective(REFERENCE, SCALES).value_and_grad(IMAGE)
+
+
+def leaf(image: Any = IMAGE, **options: Any) -> torch.Tensor:
+    return torch.tensor(image, requires_grad=True, **options)
+
+
+def test_backward_gives_the_gradient_of_the_core() -> None:
+    image = leaf()
+    value = LOILoss(REFERENCE, SCALES)(image)
+    assert value.shape == ()
+    tripled: Any = 3.0 * value
+    tripled.backward()
+    assert value.item() == pytest.approx(float(VALUE), rel=1e-14)
+    assert image.grad is not None
+    np.testing.assert_allclose(image.grad, 3.0 * GRADIENT, rtol=1e-12, atol=1e-18)
+
+
+def test_channels_may_come_first() -> None:
+    image = leaf(np.moveaxis(IMAGE, -1, -3).copy())
+    LOILoss(np.moveaxis(REFERENCE, -1, -3), SCALES, channel_axis=-3)(image).backward()
+    assert image.grad is not None
+    np.testing.assert_allclose(image.grad, np.moveaxis(GRADIENT, -1, -3), rtol=1e-12, atol=1e-18)
+
+
+def test_the_function_equals_the_module() -> None:
+    image = leaf()
+    loi_loss(image, torch.tensor(REFERENCE), SCALES).backward()
+    assert image.grad is not None
+    np.testing.assert_allclose(image.grad, GRADIENT, rtol=1e-12, atol=1e-18)
+
+
+def test_functional_gradients_work() -> None:
+    gradient = torch.func.grad(LOILoss(REFERENCE, SCALES))(torch.tensor(IMAGE))
+    np.testing.assert_allclose(gradient, GRADIENT, rtol=1e-12, atol=1e-18)
+
+
+@pytest.mark.filterwarnings("ignore:The .grad attribute of a Tensor that is not a leaf")  # of torch's own compiler
+def test_compiled_code_may_call_it() -> None:
+    loss = LOILoss(REFERENCE, SCALES)
+    compiled = torch.compile(lambda image: 2.0 * loss(1.0 * image), backend="aot_eager")
+    image = leaf()
+    compiled(image).backward()
+    assert image.grad is not None
+    np.testing.assert_allclose(image.grad, 2.0 * GRADIENT, rtol=1e-12, atol=1e-18)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.bfloat16])
+@pytest.mark.parametrize("autocast", [False, True])
+def test_low_precision_is_compared_in_float32(dtype: torch.dtype, autocast: bool) -> None:
+    image = leaf(dtype=dtype)
+    with torch.autocast("cpu", dtype=torch.bfloat16, enabled=autocast):
+        value = LOILoss(REFERENCE, SCALES)(image)
+    value.backward()
+    wanted, gradient = LOIObjective(REFERENCE, SCALES).value_and_grad(image.detach().float().numpy())
+    assert value.dtype == torch.float32
+    assert value.item() == pytest.approx(float(wanted), rel=1e-5)
+    assert image.grad is not None
+    assert image.grad.dtype == dtype
+    # The gradient is rounded to the image's dtype; in float16 what is below 6e-8, half its least step, is lost.
+    rtol = 2.0 * torch.finfo(dtype).eps + 1e-3
+    np.testing.assert_allclose(image.grad.float(), gradient, rtol=rtol, atol=3.1e-8 if dtype == torch.float16 else 1e-9)
+
+
+def test_moving_loading_and_copying_are_followed() -> None:
+    image, other = torch.tensor(IMAGE), images(IMAGE.shape, seed=9)[0]
+    loss = LOILoss(REFERENCE, SCALES)
+    assert loss(image).item() == pytest.approx(float(VALUE))
+    loss.load_state_dict(LOILoss(other, SCALES).state_dict())
+    wanted = float(LOIObjective(other, SCALES).value(IMAGE))
+    assert loss(image).item() == pytest.approx(wanted)
+    assert copy.deepcopy(loss)(image).item() == pytest.approx(wanted)
+    stream = io.BytesIO()
+    torch.save(loss, stream)
+    stream.seek(0)
+    assert torch.load(stream, weights_only=False)(image).item() == pytest.approx(wanted)
+    assert loss.to(torch.float32)(image.float()).dtype == torch.float32
+    assert [name for name, _ in loss.named_buffers()] == ["reference"]
+    assert "sigma=(1.0, 5.0)" in repr(loss)
+
+
+def test_what_is_prepared_outside_autograd_serves_inside() -> None:
+    loss = LOILoss(REFERENCE, SCALES)
+    with torch.no_grad():
+        assert not loss(leaf()).requires_grad
+    image = leaf()
+    loss(image).backward()
+    assert image.grad is not None
+
+
+def test_second_derivatives_are_refused_rather_than_zero() -> None:
+    image = leaf()
+    gradient: Any
+    (gradient,) = torch.autograd.grad(LOILoss(REFERENCE, SCALES)(image), image, create_graph=True)
+    with pytest.raises(RuntimeError):
+        gradient.sum().backward()
+
+
+def test_errors_are_those_of_the_core() -> None:
+    loss = LOILoss(REFERENCE, SCALES)
+    with pytest.raises(ImageTypeError, match="`image` must be a torch tensor, got ndarray"):
+        loss(IMAGE)
+    with pytest.raises(ImageError, match="does not fit"):
+        loss(torch.zeros(2, 5, 5, 3))
+    bad = torch.tensor(IMAGE)
+    bad[0, 1, 2, 0] = torch.nan
+    with pytest.raises(NonFiniteImageError, match=r"1 non-finite value of .*= \(0, 1, 2, 0\)"):
+        loss(bad)
+    assert LOILoss(REFERENCE, SCALES, nan_policy="mask")(bad).isfinite()
+
+
+@pytest.mark.parametrize("dtype", ["float64", "float32"])
+def test_the_objective_conforms_on_torch_arrays(dtype: str) -> None:
+    check_objective(
+        lambda reference: LOIObjective(reference, SCALES),
+        asarray=torch.asarray,
+        dtype=dtype,
+        rtol=1e-2 if dtype == "float64" else 5e-2,
+    )
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
+def test_a_gpu_gives_the_same_gradient() -> None:
+    image = torch.tensor(IMAGE, device="cuda", requires_grad=True)
+    LOILoss(REFERENCE, SCALES).to("cuda")(image).backward()
+    assert image.grad is not None
+    np.testing.assert_allclose(image.grad.cpu(), GRADIENT, rtol=1e-9, atol=1e-16)

@@ -1,0 +1,182 @@
+"""Every backend gives the same loss and gradient, for whatever hypothesis can think of.
+
+The bound
+---------
+A loss is a mean over pixels of sums over L levels of spacing times |A F|, with F a difference of CDFs in [0, 1] and
+A a blur whose rows sum to at most 1. Rounding to eps changes a CDF by at most (8 + 2) eps: eight levels carry a
+pixel's mass, and each exponential is off by an ulp for its argument and one for itself. Blurs and sums average what
+they are given, adding n eps at worst for n terms summed one after the other, and about sqrt(n) eps as libraries sum.
+With n below 400 here, 64 eps of the range of the levels bounds the loss.
+
+A gradient is a sum of signs of A F, times slopes of order 1 / beta, and as exact, except where a sign changes because
+|A F| is within rounding of 0. The tie rule turns such signs to 0 alike on all backends, except in a sliver about its
+threshold. There one sign, of weight w, may differ by 2, which changes the 1-norm of the gradient by at most
+2 w max |slope| at its level, since the columns of A sum to at most 1. So gradients are compared in the 1-norm, and
+these changes are added up over the entries of A F that lie in the sliver, as computed on the NumPy backend.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import array_api_strict
+import jax
+import jax.numpy as jnp
+import loi_jax
+import loi_torch
+import numpy as np
+import pytest
+import torch
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from loi_core import LOIObjective, ScaleSpace
+from loi_core.distance import TIE_ROUNDINGS
+from loi_core.layout import Layout
+from loi_core.operators import blur_about
+from loi_core.tonal import clip, soft_cdf_and_slope
+from tests.helpers import Host
+
+ROUNDINGS = 64.0
+CONTENTS = ("flat", "ramp", "step", "noise", "hdr", "saturated")
+Pair = tuple[Host, Host]
+
+
+def strict(image: Host, reference: Host, scales: ScaleSpace) -> Pair:
+    objective = LOIObjective(array_api_strict.asarray(reference), scales)
+    value, gradient = objective.value_and_grad(array_api_strict.asarray(image))
+    return np.asarray(value), np.asarray(gradient)
+
+
+def torch_core(image: Host, reference: Host, scales: ScaleSpace) -> Pair:
+    value, gradient = LOIObjective(torch.tensor(reference), scales).value_and_grad(torch.tensor(image))
+    return value.numpy(), gradient.numpy()
+
+
+def torch_autograd(image: Host, reference: Host, scales: ScaleSpace) -> Pair:
+    leaf: Any = torch.tensor(image, requires_grad=True)
+    value = loi_torch.LOILoss(torch.tensor(reference), scales)(leaf)
+    value.backward()
+    assert leaf.grad is not None
+    return value.detach().numpy(), leaf.grad.numpy()
+
+
+def jax_eager(image: Host, reference: Host, scales: ScaleSpace) -> Pair:
+    both: Any = jax.value_and_grad(loi_jax.loi_loss(reference, scales))
+    value, gradient = both(jnp.asarray(image))
+    return np.asarray(value), np.asarray(gradient)
+
+
+BACKENDS: dict[str, Callable[[Host, Host, ScaleSpace], Pair]] = {
+    "array_api_strict": strict,
+    "torch": torch_core,
+    "torch autograd": torch_autograd,
+    "JAX": jax_eager,
+}
+
+
+@st.composite
+def contents(draw: st.DrawFn, shape: tuple[int, ...]) -> Host:
+    """An image of one of the kinds that renderers make."""
+    kind = draw(st.sampled_from(CONTENTS))
+    rng = np.random.default_rng(draw(st.integers(0, 2**31)))
+    rows, columns = np.linspace(0, 1, shape[-3])[:, None, None], np.linspace(0, 1, shape[-2])[None, :, None]
+    makers: dict[str, Callable[[], Host]] = {
+        "flat": lambda: np.full(shape, rng.uniform()),
+        "ramp": lambda: np.broadcast_to(0.7 * rows * rng.uniform() + 0.3 * columns, shape),
+        "step": lambda: np.broadcast_to(np.where(columns > rng.uniform(), 0.8, 0.1) + 0.0 * rows, shape),
+        "noise": lambda: rng.uniform(size=shape),
+        "hdr": lambda: rng.exponential(size=shape) * 10.0 ** rng.integers(-2, 5),
+        "saturated": lambda: rng.integers(0, 2, size=shape),
+    }
+    return np.ascontiguousarray(makers[kind](), dtype=np.float64)
+
+
+@st.composite
+def problems(draw: st.DrawFn) -> tuple[Host, Host, ScaleSpace, str]:
+    """Two images of one shape, scales, and a dtype."""
+    batch = draw(st.sampled_from([(), (), (1,), (2,), (2, 1)]))
+    size = st.integers(1, 14)
+    shape = (*batch, draw(size), draw(size), draw(st.integers(1, 4)))
+    scale = st.sampled_from([0.0, 0.3, 1.0, 2.5, 5.0, 15.0, 100.0])
+    some = st.lists(scale, min_size=1, max_size=3, unique=True)
+    presets = [ScaleSpace.paper("vector"), ScaleSpace.paper("path"), ScaleSpace.for_image(*shape[-3:-1])]
+    scales = draw(
+        st.one_of(
+            st.sampled_from([*presets, ScaleSpace.released((1, 5), (1, 5), 8, 21)]),
+            st.builds(
+                ScaleSpace,
+                some,
+                some,
+                st.sampled_from([0.05, 0.125, 0.4]),
+                boundary=st.sampled_from(["reflect", "zero"]),
+                bounds=st.sampled_from([(0.0, 1.0), (-0.5, 2.0)]),
+            ),
+        )
+    )
+    return draw(contents(shape)), draw(contents(shape)), scales, draw(st.sampled_from(["float64", "float32"]))
+
+
+def slivers(image: Host, reference: Host, scales: ScaleSpace) -> float:
+    """By how much the 1-norm of a gradient may change where libraries take different sides of the tie threshold."""
+    layout = Layout.of("image", image.shape, -1)
+    planes = layout.to_planes(image)
+    prepared = LOIObjective(reference, scales)._prepare(layout.to_planes(reference))
+    eps = float(np.finfo(image.dtype).eps)
+    change = 0.0
+    for sigma, beta in itertools.product(scales.sigma, scales.beta):
+        intensity = blur_about(prepared.inner[sigma], clip(planes, *scales.bounds), scales.padding)
+        cdf, slope = soft_cdf_and_slope(intensity, prepared.levels[beta], beta, scales.mass(beta))
+        steepest = np.abs(slope).max(axis=(-2, -1))
+        total = scales.mass(beta) / scales.spacing(beta)
+        for alpha in scales.alpha:
+            size = np.abs(prepared.extent[alpha].apply(cdf - prepared.cdf[beta, sigma])) / (eps * total)
+            # Rounding of A F itself is 64 eps at the very most; within that, any side is possible.
+            near = np.count_nonzero((size > 0.0) & (size < TIE_ROUNDINGS + ROUNDINGS), axis=(-2, -1))
+            change += (
+                2.0 * float(np.sum(near * steepest)) * scales.level_weight(beta) * scales.scale_weight / image.size
+            )
+    return change
+
+
+def allowed(image: Host, reference: Host, scales: ScaleSpace) -> tuple[float, float]:
+    """Largest differences of the loss, and of the gradient in the 1-norm; see the text above."""
+    eps = float(np.finfo(image.dtype).eps)
+    loss = gradient = 0.0
+    for _, beta, _ in scales.keys:
+        total = scales.mass(beta) / scales.spacing(beta)
+        weight = scales.level_weight(beta) * scales.scale_weight
+        loss += ROUNDINGS * eps * total * weight * scales.level_count(beta)
+        gradient += ROUNDINGS * eps * total * weight * scales.level_count(beta) / beta
+    return loss, gradient + slivers(image, reference, scales)
+
+
+TIE = np.full((3, 3, 1), 0.5)
+STEP = np.repeat(np.array([0.1, 0.1, 0.8]), 3).reshape(3, 3, 1)
+
+
+@given(problems())
+@example((TIE, TIE, ScaleSpace(1, (1, 5), 0.125), "float32"))
+@example((STEP, STEP[::-1].copy(), ScaleSpace(0, (1, 5), 0.125), "float32"))
+def test_every_backend_gives_the_loss_and_gradient_of_numpy(problem: tuple[Host, Host, ScaleSpace, str]) -> None:
+    image, reference, scales, dtype = problem
+    image, reference = image.astype(dtype), reference.astype(dtype)
+    value, gradient = LOIObjective(reference, scales).value_and_grad(image)
+    loss_bound, gradient_bound = allowed(image, reference, scales)
+    for name, backend in BACKENDS.items():
+        other, slopes = backend(image, reference, scales)
+        assert other.dtype == slopes.dtype == np.dtype(dtype), name
+        assert slopes.shape == image.shape, name
+        assert abs(float(other) - float(value)) <= loss_bound, name
+        assert float(np.abs(slopes - gradient).sum()) <= gradient_bound, name
+
+
+@pytest.mark.parametrize(("dtype", "factor"), [("float64", 1e-6), ("float32", 1e-1)])
+def test_the_bound_is_far_below_the_gradient(dtype: str, factor: float) -> None:
+    # A backend whose gradient were off by this share would be caught on any ordinary pair of images.
+    image, reference = np.random.default_rng(0).uniform(size=(2, 12, 12, 3)).astype(dtype)
+    for scales in (ScaleSpace.paper("path"), ScaleSpace.for_image(12, 12), ScaleSpace.released((1, 5), (1, 5), 8, 21)):
+        gradient = LOIObjective(reference, scales).value_and_grad(image)[1]
+        assert allowed(image, reference, scales)[1] < factor * float(np.abs(gradient).sum())
