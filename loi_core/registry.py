@@ -11,7 +11,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
-from typing import Any, Final, Literal, TypeAlias
+from typing import Final, Literal, TypeAlias
 
 from loi_core.errors import RendererNotFoundError
 from loi_core.renderer import Renderer
@@ -33,35 +33,37 @@ class RendererInfo:
         What scenes call it.
     package, version : str
         The distribution that announces it.
+    backend : str
+        What it computes with: the factory's attribute ``backend``, or else the extra that its entry point asks for;
+        empty if neither says.
     target : str
         The factory, ``module:object``.
-    state : {"ready", "broken", "clash"}
-        "broken" if the factory cannot be imported or called; "clash" if several distributions claim the name.
+    state : {"ready", "missing", "broken", "clash"}
+        "missing" if a package is not there that an extra would install; "broken" if the factory cannot be imported
+        or called for another reason; "clash" if several distributions claim the name.
     problem : str
         One line on what is wrong; empty if it is ready.
+    mend : str
+        The command that mends it; empty if it is ready.
     """
 
     name: str
     package: str
     version: str
+    backend: str
     target: str
-    state: Literal["ready", "broken", "clash"]
+    state: Literal["ready", "missing", "broken", "clash"]
     problem: str = ""
+    mend: str = ""
 
 
 def available_renderers() -> list[RendererInfo]:
     """Every announced renderer, sorted by name. Each factory is imported to see whether it can be."""
-    listed = []
-    for name, points in _announced(entry_points(group=GROUP)).items():
-        for point in points:
-            package, version = _origin(point)
-            if len(points) > 1:
-                others = ", ".join(sorted(_origin(other)[0] for other in points))
-                listed.append(RendererInfo(name, package, version, point.value, "clash", f"claimed by {others}"))
-                continue
-            problem = _try(point)[1]
-            listed.append(RendererInfo(name, package, version, point.value, "broken" if problem else "ready", problem))
-    return listed
+    return [
+        _examine(point, [_origin(other)[0] for other in points])[1]
+        for points in _announced(entry_points(group=GROUP)).values()
+        for point in points
+    ]
 
 
 def load_renderer(name: str) -> RendererFactory:
@@ -70,23 +72,43 @@ def load_renderer(name: str) -> RendererFactory:
     Raises
     ------
     RendererNotFoundError
-        If no distribution, or more than one, announces it, or its factory cannot be imported.
+        If no distribution, or more than one, announces it, or its factory cannot be imported; with the mend.
     """
     announced = _announced(entry_points(group=GROUP))
     if name not in announced:
         msg = f"no renderer is called {name!r}; installed are {', '.join(announced) or 'none'}"
         raise RendererNotFoundError(msg)
     points = announced[name]
-    if len(points) > 1:
-        owners = " and ".join(sorted(f"{_origin(point)[0]} ({point.value})" for point in points))
-        msg = f"renderer {name!r} is claimed by {owners}; uninstall all but one"
-        raise RendererNotFoundError(msg)
-    factory: RendererFactory | None
-    factory, problem = _try(points[0])
+    factory, info = _examine(points[0], [_origin(point)[0] for point in points])
     if factory is None:
-        msg = f"renderer {name!r} of {_origin(points[0])[0]} cannot be loaded: {problem}"
+        msg = f"renderer {name!r} of {info.package} cannot be used: {info.problem}; {info.mend}"
         raise RendererNotFoundError(msg)
     return factory
+
+
+def _examine(point: EntryPoint, claims: list[str]) -> tuple[RendererFactory | None, RendererInfo]:
+    """The factory of one entry point, or None, and what there is to say about it."""
+    package, version = _origin(point)
+    extra = point.extras[0] if point.extras else ""
+    target = f"{point.module}:{point.attr}"
+    if len(claims) > 1:
+        mend = f"pip uninstall all but one of {', '.join(sorted(claims))}"
+        info = RendererInfo(point.name, package, version, extra, target, "clash", f"{len(claims)} claim it", mend)
+        return None, info
+    try:
+        factory = point.load()
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - a plugin may raise anything; the listing must go on
+        problem = " ".join(f"{type(error).__name__}: {error}".split())
+        if extra and isinstance(error, ModuleNotFoundError):
+            mend = f"pip install '{package}[{extra}]'"
+            return None, RendererInfo(point.name, package, version, extra, target, "missing", problem, mend)
+    else:
+        if callable(factory):
+            backend = getattr(factory, "backend", extra)
+            return factory, RendererInfo(point.name, package, version, str(backend), target, "ready")
+        problem = f"{target} is a {type(factory).__name__}, not a factory that can be called"
+    mend = f"pip install --upgrade --force-reinstall {package}"
+    return None, RendererInfo(point.name, package, version, extra, target, "broken", problem, mend)
 
 
 def _announced(points: Iterable[EntryPoint]) -> dict[str, list[EntryPoint]]:
@@ -99,13 +121,3 @@ def _announced(points: Iterable[EntryPoint]) -> dict[str, list[EntryPoint]]:
 
 def _origin(point: EntryPoint) -> tuple[str, str]:
     return (point.dist.name, point.dist.version) if point.dist is not None else ("unknown", "")
-
-
-def _try(point: EntryPoint) -> tuple[Any, str]:
-    try:
-        factory = point.load()
-    except (Exception, SystemExit) as error:  # noqa: BLE001 - a plugin may raise anything; the listing must go on
-        return None, f"{type(error).__name__}: {error}".splitlines()[0]
-    if not callable(factory):
-        return None, f"{point.value} is a {type(factory).__name__}, not a factory that can be called"
-    return factory, ""

@@ -115,9 +115,11 @@ def test_renderers_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
         "name": "disks",
         "package": "loi",
         "version": __version__,
+        "backend": "numpy",
         "target": "loi_core.renderers:Disks",
         "state": "ready",
         "problem": "",
+        "mend": "",
     }
     assert registry.load_renderer("disks") is Disks
 
@@ -132,6 +134,7 @@ def test_a_bad_plugin_is_reported_by_name_and_isolated(monkeypatch: pytest.Monke
         EntryPoint("quits", "plugin_that_quits:make", registry.GROUP),
         EntryPoint("absent", "no_such_module:make", registry.GROUP),
         EntryPoint("number", "math:pi", registry.GROUP),
+        EntryPoint("extra", "no_such_module:make [gpu]", registry.GROUP),
         EntryPoint("twice", "loi_core.renderers:Disks", registry.GROUP),
         EntryPoint("twice", "loi_core.renderers:Warp", registry.GROUP),
         EntryPoint("again", "loi_core.renderers:Warp", registry.GROUP),
@@ -140,14 +143,21 @@ def test_a_bad_plugin_is_reported_by_name_and_isolated(monkeypatch: pytest.Monke
     monkeypatch.setattr(registry, "entry_points", lambda group: points)
     states = [(one.name, one.state) for one in registry.available_renderers()]
     assert states == [
-        *[("absent", "broken"), ("again", "ready"), ("good", "ready"), ("number", "broken"), ("quits", "broken")],
-        *[("raises", "broken"), ("twice", "clash"), ("twice", "clash")],
+        *[("absent", "broken"), ("again", "ready"), ("extra", "missing"), ("good", "ready"), ("number", "broken")],
+        *[("quits", "broken"), ("raises", "broken"), ("twice", "clash"), ("twice", "clash")],
     ]
     problems = {one.name: one.problem for one in registry.available_renderers()}
-    assert problems["raises"] == "RuntimeError: no licence"
+    assert problems["raises"] == "RuntimeError: no licence second line"
     assert "not a factory" in problems["number"]
+    mends = {one.name: one.mend for one in registry.available_renderers()}
+    assert mends["extra"] == "pip install 'unknown[gpu]'"
+    assert mends["good"] == ""
+    assert "pip install" in mends["raises"]
     assert registry.load_renderer("good") is Disks
-    for name, says in (("raises", "no licence"), ("twice", "claimed by"), ("none", "no renderer is called 'none'")):
+    for name, says in (
+        *(("raises", "no licence"), ("twice", "2 claim it; pip uninstall"), ("none", "no renderer is called 'none'")),
+        ("extra", "pip install 'unknown\\[gpu\\]'"),
+    ):
         with pytest.raises(RendererNotFoundError, match=says) as caught:
             registry.load_renderer(name)
         assert isinstance(caught.value, LookupError)

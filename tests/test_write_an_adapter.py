@@ -52,15 +52,17 @@ def shell(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Shell:
 
 
 def test_it_is_listed_as_ready(shell: Shell) -> None:
-    assert re.search(r"^blob +loi-blob 0\.1\.0 +ready ", shell("loi renderers"), re.MULTILINE)
+    assert re.search(r"^blob +- +ready +loi-blob 0\.1\.0 ", shell("loi renderers"), re.MULTILINE)
     listed = {one["name"]: one for one in json.loads(shell("loi renderers --json"))}
     assert listed["blob"] == {
         "name": "blob",
         "package": "loi-blob",
         "version": "0.1.0",
+        "backend": "",
         "target": "loi_blob:Blob",
         "state": "ready",
         "problem": "",
+        "mend": "",
     }
     assert listed["disks"]["state"] == listed["warp"]["state"] == "ready"
 

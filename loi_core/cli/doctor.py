@@ -82,10 +82,8 @@ def findings() -> list[Finding]:
         found.append(_package(name, module, f"pip install 'loi[{name}]'", required=False))
     found.append(_gpu())
     for one in available_renderers():
-        if one.state == "ready":
-            found.append(Finding(f"renderer {one.name}", "ok", f"{one.package} {one.version}"))
-        else:
-            found.append(Finding(f"renderer {one.name}", "broken", one.problem, f"pip uninstall {one.package}"))
+        state: State = {"ready": "ok", "missing": "missing"}.get(one.state, "broken")  # type: ignore[assignment]  # literals
+        found.append(Finding(f"renderer {one.name}", state, one.problem or f"{one.package} {one.version}", one.mend))
     return found
 
 

@@ -17,4 +17,7 @@ def list_renderers(*, as_json: bool) -> None:
         print(json.dumps([asdict(one) for one in listed], indent=2))
         return
     for one in listed:
-        print(f"{one.name:<16} {one.package} {one.version:<10} {one.state:<7} {one.problem or one.target}")
+        what = f"{one.package} {one.version}  {one.problem or one.target}"
+        print(f"{one.name:<16} {one.backend or '-':<8} {one.state:<7} {what}")
+        if one.mend:
+            print(f"{'':<16} mend: {one.mend}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
@@ -63,6 +64,8 @@ class Disks:
     between pixels. Far from the target, where the pull of any loss is faint, that alone decides the direction.
     Only pixels near a disk are touched, so the cost grows with the area covered.
     """
+
+    backend: ClassVar[str] = "numpy"
 
     def __init__(
         self,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import ClassVar
 
 import numpy as np
 
@@ -44,6 +45,8 @@ class Warp:
     The picture is sampled bilinearly with premultiplied opacity. Nothing prefilters it: below a scale of about
     one half it aliases.
     """
+
+    backend: ClassVar[str] = "numpy"
 
     def __init__(
         self,

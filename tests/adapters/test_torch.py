@@ -27,10 +27,9 @@ def leaf(image: Any = IMAGE, **options: Any) -> torch.Tensor:
 
 def test_backward_gives_the_gradient_of_the_core() -> None:
     image = leaf()
-    value = LOILoss(REFERENCE, SCALES)(image)
+    value: Any = LOILoss(REFERENCE, SCALES)(image)
     assert value.shape == ()
-    tripled: Any = 3.0 * value
-    tripled.backward()
+    (3.0 * value).backward()
     assert value.item() == pytest.approx(float(VALUE), rel=1e-14)
     assert image.grad is not None
     np.testing.assert_allclose(image.grad, 3.0 * GRADIENT, rtol=1e-12, atol=1e-18)
