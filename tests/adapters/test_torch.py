@@ -44,7 +44,8 @@ def test_channels_may_come_first() -> None:
 
 def test_the_function_equals_the_module() -> None:
     image = leaf()
-    loi_loss(image, torch.tensor(REFERENCE), SCALES).backward()
+    value: Any = loi_loss(image, torch.tensor(REFERENCE), SCALES)
+    value.backward()
     assert image.grad is not None
     np.testing.assert_allclose(image.grad, GRADIENT, rtol=1e-12, atol=1e-18)
 
