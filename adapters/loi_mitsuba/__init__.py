@@ -3,8 +3,11 @@
 Import this package before `mitsuba`: Dr.Jit loads LLVM while it is imported, and may have to be told which one.
 """
 
+# ruff: noqa: E402 - LLVM is chosen before anything imports Dr.Jit
 from loi_mitsuba.llvm import LLVMChoice, LLVMError, choose_llvm, prepare
 
-prepare()  # before anything that imports Dr.Jit
+prepare()
 
-__all__ = ["LLVMChoice", "LLVMError", "choose_llvm", "prepare"]
+from loi_mitsuba.loss import BackendMissingError, LOILoss
+
+__all__ = ["BackendMissingError", "LLVMChoice", "LLVMError", "LOILoss", "choose_llvm", "prepare"]
