@@ -8,6 +8,23 @@ from loi_mitsuba.llvm import LLVMChoice, LLVMError, choose_llvm, prepare
 
 prepare()
 
+from loi_mitsuba.entries import Entry, list_entries
+from loi_mitsuba.handles import Rotate, Scale, Translate
 from loi_mitsuba.loss import BackendMissingError, LOILoss
+from loi_mitsuba.renderer import MitsubaRenderer, SceneLoadError
 
-__all__ = ["BackendMissingError", "LLVMChoice", "LLVMError", "LOILoss", "choose_llvm", "prepare"]
+__all__ = [
+    "BackendMissingError",
+    "Entry",
+    "LLVMChoice",
+    "LLVMError",
+    "LOILoss",
+    "MitsubaRenderer",
+    "Rotate",
+    "Scale",
+    "SceneLoadError",
+    "Translate",
+    "choose_llvm",
+    "list_entries",
+    "prepare",
+]
