@@ -8,6 +8,7 @@ from loi_mitsuba.llvm import LLVMChoice, LLVMError, choose_llvm, prepare
 
 prepare()
 
+from loi_mitsuba.cautions import GradientWarning
 from loi_mitsuba.entries import Entry, list_entries
 from loi_mitsuba.handles import Rotate, Scale, Translate
 from loi_mitsuba.loss import BackendMissingError, LOILoss
@@ -16,6 +17,7 @@ from loi_mitsuba.renderer import MitsubaRenderer, SceneLoadError
 __all__ = [
     "BackendMissingError",
     "Entry",
+    "GradientWarning",
     "LLVMChoice",
     "LLVMError",
     "LOILoss",

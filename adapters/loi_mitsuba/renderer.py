@@ -13,6 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 from loi_core.errors import LoiError, OptionError, ParameterError
+from loi_mitsuba.cautions import warn_of_moving
 from loi_mitsuba.entries import find_entry, find_shape, list_entries, numbers
 from loi_mitsuba.handles import Handle, Host, Rotate, Scale, Translate, posed
 
@@ -107,7 +108,7 @@ class MitsubaRenderer:
         self._start: dict[str, Host] = {}
         self._posed: list[_Posed] = []
         self._resolve()
-        self._check_sensor()
+        self._check_moving()
 
     @property
     def scene(self) -> Any:
@@ -187,12 +188,12 @@ class MitsubaRenderer:
                 msg = f"`parameters` must not set one entry twice, got {', '.join(map(repr, names))}"
                 raise ParameterError(msg)
 
-    def _check_sensor(self) -> None:
-        moving = [
-            key
-            for key in [*self._keys.values(), *(one.key for one in self._posed)]
-            if isinstance(self._params.properties[key][2], mi.Shape)
-        ]
+    def _check_moving(self) -> None:
+        """Refuse or warn where the gradient of moving shapes is missing."""
+        keys = [*self._keys.values(), *(one.key for one in self._posed)]
+        nodes = [self._params.properties[key][2] for key in keys]
+        moving = [node for node in nodes if isinstance(node, mi.Shape)]
+        warn_of_moving(self._scene, moving)
         kind = self._sensor.class_name()
         if moving and getattr(self._integrator, "sppp", 0) != 0 and kind != "PerspectiveCamera":
             msg = (
