@@ -162,6 +162,4 @@ def _problem(params: SceneParameters, key: str) -> str:
 def _fixed(node: Any) -> str:
     if isinstance(node, mi.Sensor):
         return "Mitsuba gives no gradient for sensors; move the scene instead"
-    return (
-        f"Mitsuba's gradient for moving a {node.class_name()} is missing or wrong; use a small sphere with an area emitter"
-    )
+    return f"Mitsuba's gradient for moving a {node.class_name()} is missing or wrong; use a small sphere with an area emitter"

@@ -218,7 +218,7 @@ def _soname(path: Path) -> str | None:
     try:
         with path.open("rb") as file, mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as data:
             return _soname_in(data) if data[: len(_ELF64_LITTLE_ENDIAN)] == _ELF64_LITTLE_ENDIAN else None
-    except (OSError, ValueError, struct.error):  # unreadable, empty, or cut short
+    except (OSError, ValueError, OverflowError, struct.error):  # unreadable, empty, cut short, or nonsense
         return None
 
 

@@ -123,7 +123,8 @@ class LOILoss:
             raise ImageTypeError(msg)
         if not dr.grad_enabled(image):
             return _flat(type(image.array), self._objective.value(EXPORTS[self._backend](image)))
-        return dr.custom(_Evaluate, image, self)
+        # Evaluated out here: an error inside the operation would reach the caller as a RuntimeError that hides it.
+        return dr.custom(_Loss, image, *self.value_and_grad(image))
 
     def value_and_grad(self, image: Tensor) -> tuple[Float, Tensor]:
         """The loss, detached, and its gradient by the image, a tensor like it. Errors as of a call."""
@@ -132,11 +133,11 @@ class LOILoss:
         return _flat(type(image.array), value), type(image)(flat, shape=image.shape)
 
 
-class _Evaluate(dr.CustomOp):
-    """Value and gradient in one pass; derivatives in either direction only scale that gradient."""
+class _Loss(dr.CustomOp):
+    """A value whose gradient is known; derivatives in either direction only scale that gradient."""
 
-    def eval(self, image: Tensor, loss: LOILoss) -> Float:
-        value, self.gradient = loss.value_and_grad(image)
+    def eval(self, image: Tensor, value: Float, gradient: Tensor) -> Float:  # noqa: ARG002 - what it is attached to
+        self.gradient = gradient
         return value
 
     def forward(self) -> None:

@@ -134,9 +134,7 @@ class MitsubaRenderer:
             )
         return np.array(image.numpy(), dtype=np.float32, order="C")
 
-    def render_vjp(
-        self, params: Mapping[str, Any], *, seed: int = 0
-    ) -> tuple[Host, Callable[[Any], dict[str, Host]]]:
+    def render_vjp(self, params: Mapping[str, Any], *, seed: int = 0) -> tuple[Host, Callable[[Any], dict[str, Host]]]:
         """The image and its pullback, which may be called again, also after other renders. Errors as of `render`."""
         image = self.render(params, seed=seed)
         kept = {name: np.array(value, dtype=np.float32) for name, value in params.items()}
