@@ -35,8 +35,8 @@ def warn_of_moving(scene: Any, shapes: list[Any]) -> None:
     for shape in shapes:
         if isinstance(shape, mi.Mesh) and _split_edges(shape):
             msg = (
-                f"mesh {shape.id()!r} stores the vertices of an edge more than once, and Mitsuba counts the gradient of "
-                f"such an edge as often; merge equal vertices (and set face_normals for flat shading)"
+                f"mesh {shape.id()!r} stores the vertices of an edge more than once, and Mitsuba counts the gradient "
+                f"of such an edge as often; merge equal vertices (and set face_normals for flat shading)"
             )
             warnings.warn(msg, GradientWarning, stacklevel=4)
 

@@ -90,10 +90,9 @@ def find_shape(scene: Scene, name: str) -> tuple[str, Any]:
             if name in (folder, readable[folder]) and not _problem(params, key):
                 return key, node
             shapes.append(readable[folder])
-        elif folder and name in (folder, readable[folder]):
-            if isinstance(node, mi.Sensor | mi.Emitter):
-                msg = f"{name!r} cannot be moved: {_fixed(node)}"
-                raise ParameterError(msg)
+        elif folder and name in (folder, readable[folder]) and isinstance(node, mi.Sensor | mi.Emitter):
+            msg = f"{name!r} cannot be moved: {_fixed(node)}"
+            raise ParameterError(msg)
     msg = f"the scene has no shape {name!r} that can be moved; it has: {', '.join(dict.fromkeys(shapes)) or 'none'}"
     raise ParameterError(msg)
 
@@ -162,4 +161,5 @@ def _problem(params: SceneParameters, key: str) -> str:
 def _fixed(node: Any) -> str:
     if isinstance(node, mi.Sensor):
         return "Mitsuba gives no gradient for sensors; move the scene instead"
-    return f"Mitsuba's gradient for moving a {node.class_name()} is missing or wrong; use a small sphere with an area emitter"
+    kind = node.class_name()
+    return f"Mitsuba's gradient for moving a {kind} is missing or wrong; use a small sphere with an area emitter"

@@ -162,8 +162,8 @@ def _already_loaded() -> LLVMChoice:
     if 0 < version < OLDEST:
         path = choose_llvm().path  # if there is no better one, its error says more than ours would
         msg = (
-            f"Dr.Jit has loaded LLVM {version} already, and needs {OLDEST} or later; import loi_mitsuba before drjit and "
-            f"mitsuba, or set {VARIABLE}={path}"
+            f"Dr.Jit has loaded LLVM {version} already, and needs {OLDEST} or later; import loi_mitsuba before drjit "
+            f"and mitsuba, or set {VARIABLE}={path}"
         )
         raise LLVMError(msg)
     known = version if version > 0 else None  # none at all: the variants on a GPU and the scalar ones do without

@@ -133,7 +133,7 @@ class LOILoss:
         return _flat(type(image.array), value), type(image)(flat, shape=image.shape)
 
 
-class _Loss(dr.CustomOp):
+class _Loss(dr.CustomOp):  # type: ignore[misc]  # Dr.Jit's types are not read, see pyproject.toml
     """A value whose gradient is known; derivatives in either direction only scale that gradient."""
 
     def eval(self, image: Tensor, value: Float, gradient: Tensor) -> Float:  # noqa: ARG002 - what it is attached to

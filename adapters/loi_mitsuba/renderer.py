@@ -175,10 +175,10 @@ class MitsubaRenderer:
         for key, names in by_shape.items():
             handle = self._targets[names[0]]
             box = find_shape(self._scene, handle.shape)[1].bbox()  # type: ignore[union-attr]  # a handle
-            centre = np.array(box.center(), dtype=np.float64).reshape(3)
+            x, y, z = np.array(box.center(), dtype=np.float64).reshape(3).tolist()
             value = self._params[key]
             start = value if isinstance(value, mi.Transform4f) else dr.unravel(mi.Point3f, value)
-            self._posed.append(_Posed(key, tuple(names), tuple(centre.tolist()), dr.detach(start)))
+            self._posed.append(_Posed(key, tuple(names), (x, y, z), dr.detach(start)))
         used = [*self._keys.values(), *by_shape]
         for key in used:
             if used.count(key) > 1:

@@ -9,7 +9,9 @@ import pytest
 if importlib.util.find_spec("mitsuba") is None:  # pragma: no cover - depends on the environment
     collect_ignore_glob = ["test_*.py"]
 else:
-    import loi_mitsuba  # noqa: F401 - before mitsuba, so that Dr.Jit gets the LLVM that works
+    import loi_mitsuba  # noqa: F401 - before Dr.Jit, so that it gets an LLVM that works
+
+    # isort: split
     import drjit as dr
     import mitsuba as mi
 

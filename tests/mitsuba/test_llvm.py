@@ -8,9 +8,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import pytest
-
 import loi_mitsuba
+import pytest
 from loi_mitsuba import llvm
 
 OLD = [
@@ -95,7 +94,7 @@ def test_the_order_of_sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
         return [tmp_path / name for name in names]
 
     monkeypatch.delenv(llvm.VARIABLE, raising=False)
-    monkeypatch.setattr(llvm.platform, "system", lambda: "Linux")
+    monkeypatch.setattr("platform.system", lambda: "Linux")
     monkeypatch.setattr(llvm, "_system_folders", lambda: [tmp_path])
     monkeypatch.setattr(llvm, "_wheel_files", lambda stem: [])
     with pytest.raises(llvm.LLVMError, match="needs LLVM 16 or later, none was found; pip install karellen-llvm-core"):

@@ -11,10 +11,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
+from loi_mitsuba import LOILoss
 
 from loi_core import LOIObjective, ScaleSpace
 from loi_core.errors import ImageError, ImageTypeError, NonFiniteImageError, OptionError
-from loi_mitsuba import LOILoss
 from tests.helpers import Host, images, relative_error
 
 SCALES = ScaleSpace(1, (1, 5), 0.125)
@@ -178,5 +178,5 @@ def test_a_missing_backend_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "torch", None)
     reference = images(SHAPE, 10)[1]
     assert LOILoss(reference, SCALES).backend == "numpy"
-    with pytest.raises(ImportError, match="`backend` is 'torch', which cannot be imported .*pip install 'loi.torch.'"):
+    with pytest.raises(ImportError, match=r"`backend` is 'torch', which cannot be imported .*pip install 'loi.torch.'"):
         LOILoss(reference, SCALES, backend="torch")
