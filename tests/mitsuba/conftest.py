@@ -7,7 +7,7 @@ import importlib.util
 import pytest
 
 if importlib.util.find_spec("mitsuba") is None:  # pragma: no cover - depends on the environment
-    collect_ignore_glob = ["test_*.py"]
+    collect_ignore_glob = ["*.py"]
 else:
     import loi_mitsuba  # noqa: F401 - before Dr.Jit, so that it gets an LLVM that works
 
