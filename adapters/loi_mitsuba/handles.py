@@ -1,0 +1,160 @@
+"""Handles on the pose of a shape: what a parameter of a renderer may move, other than an entry of the scene."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from numbers import Real
+from typing import Any, TypeAlias
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from loi_core.errors import ParameterError
+
+__all__ = ["Handle", "Host", "Rotate", "Scale", "Translate", "posed"]
+
+Host: TypeAlias = np.ndarray[Any, np.dtype[np.float32]]
+Vector: TypeAlias = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class Translate:
+    """Moves a shape from where the scene has it.
+
+    The parameter is an offset (x, y, z) in units of the world, shape (3,); with `axis`, the distance along it, 0-d.
+
+    Parameters
+    ----------
+    shape : str
+        The shape's id or readable name. An area light is moved by its shape.
+    axis : sequence of 3 floats, optional
+        Direction, of any length.
+    """
+
+    shape: str
+    axis: Sequence[float] | None = None
+
+    def __post_init__(self) -> None:
+        if self.axis is not None:
+            object.__setattr__(self, "axis", _direction("axis", self.axis))
+
+    def initial(self) -> Host:
+        """The value at which the shape is where the scene has it."""
+        return np.zeros(3 if self.axis is None else (), np.float32)
+
+
+@dataclass(frozen=True)
+class Rotate:
+    """Turns a shape about an axis; the parameter is an angle in degrees, 0-d.
+
+    Parameters
+    ----------
+    shape : str
+        The shape's id or readable name.
+    axis : sequence of 3 floats
+        Direction, of any length.
+    pivot : sequence of 3 floats, optional
+        A point on the axis; the centre of the shape's bounding box, where the scene has it, by default.
+    """
+
+    shape: str
+    axis: Sequence[float]
+    pivot: Sequence[float] | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "axis", _direction("axis", self.axis))
+        if self.pivot is not None:
+            object.__setattr__(self, "pivot", _vector("pivot", self.pivot))
+
+    def initial(self) -> Host:
+        """The value at which the shape is as the scene has it."""
+        return np.zeros((), np.float32)
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Scales a shape alike in all directions; the parameter is a factor, 0-d, more than 0.
+
+    Parameters
+    ----------
+    shape : str
+        The shape's id or readable name.
+    pivot : sequence of 3 floats, optional
+        The point that stays; the centre of the shape's bounding box, where the scene has it, by default.
+    """
+
+    shape: str
+    pivot: Sequence[float] | None = None
+
+    def __post_init__(self) -> None:
+        if self.pivot is not None:
+            object.__setattr__(self, "pivot", _vector("pivot", self.pivot))
+
+    def initial(self) -> Host:
+        """The value at which the shape is as large as the scene has it."""
+        return np.ones((), np.float32)
+
+
+Handle: TypeAlias = Translate | Rotate | Scale
+
+
+def posed(handles: Sequence[tuple[Handle, Any]], centre: Vector) -> Any:
+    """The transform that several handles on one shape make together.
+
+    The shape is scaled first, then turned, in the order in which the handles are given, then moved, so that a turn
+    does not swing it around the place it was moved from.
+
+    Parameters
+    ----------
+    handles : sequence of (handle, mi.Float)
+        Each with its value; a flat array.
+    centre : 3 floats
+        The pivot of handles that have none of their own.
+
+    Returns
+    -------
+    mi.Transform4f
+        Attached to the values.
+    """
+    total = mi.Transform4f()
+    for handle, value in sorted(handles, key=lambda one: _order(one[0])):
+        if isinstance(handle, Translate):
+            offset = dr.unravel(mi.Vector3f, value) if handle.axis is None else _along(handle.axis) * value
+            total = mi.Transform4f().translate(offset) @ total
+            continue
+        pivot = mi.Vector3f(*(centre if handle.pivot is None else handle.pivot))
+        if isinstance(handle, Rotate):
+            local = mi.Transform4f().rotate(_along(handle.axis), value)
+        else:
+            local = mi.Transform4f().scale(mi.Vector3f(value))
+        total = mi.Transform4f().translate(pivot) @ local @ mi.Transform4f().translate(-pivot) @ total
+    return total
+
+
+def _order(handle: Handle) -> int:
+    return (Scale, Rotate, Translate).index(type(handle))
+
+
+def _along(axis: Sequence[float]) -> Any:
+    return mi.Vector3f(*axis)
+
+
+def _vector(name: str, value: object) -> Vector:
+    if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str) and len(value) == 3:
+        x, y, z = (float(one) if isinstance(one, Real) else math.nan for one in value)
+        if math.isfinite(x + y + z):
+            return x, y, z
+    msg = f"`{name}` must be three finite numbers, got {value!r}"
+    raise ParameterError(msg)
+
+
+def _direction(name: str, value: object) -> Vector:
+    x, y, z = _vector(name, value)
+    length = math.hypot(x, y, z)
+    if length == 0.0:
+        msg = f"`{name}` must be a direction, got {value!r}"
+        raise ParameterError(msg)
+    return x / length, y / length, z / length

@@ -1,0 +1,330 @@
+"""Any Mitsuba scene as a renderer: named parameters to an image, and a pullback."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final, TypeAlias
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from loi_core.errors import LoiError, OptionError, ParameterError
+from loi_mitsuba.cautions import warn_of_moving
+from loi_mitsuba.entries import find_entry, find_shape, list_entries, numbers
+from loi_mitsuba.handles import Handle, Host, Rotate, Scale, Translate, posed
+
+__all__ = ["MitsubaRenderer", "SceneLoadError", "Target"]
+
+Target: TypeAlias = str | Handle
+"""What a parameter stands for: an entry of the scene by name, or a handle on a shape."""
+
+VARIANTS: Final = ("cuda_ad_rgb", "llvm_ad_rgb")
+OWN_INTEGRATOR: Final = "scene"
+DERIVATIVES: Final = ("sppc", "sppp", "sppi")  # continuous, primary visibility, indirect visibility
+
+
+class SceneLoadError(LoiError, ValueError):
+    """Mitsuba cannot load the scene."""
+
+
+@dataclass(frozen=True)
+class _Posed:
+    """A shape that handles move."""
+
+    key: str
+    names: tuple[str, ...]
+    centre: tuple[float, float, float]
+    start: Any  # vertex positions as a Point3f, or the transform
+
+
+class MitsubaRenderer:
+    """A Mitsuba scene whose named parameters can be fitted; keeps the contract of :class:`loi_core.Renderer`.
+
+    Parameters
+    ----------
+    scene : dict, path or mi.Scene
+        For ``mi.load_dict``, of an XML file, or loaded. A loaded scene is the caller's own: its parameters are set
+        on every call.
+    parameters : dict of str or handle
+        What each parameter stands for, by its name: an entry of the scene (:func:`list_entries` shows all), or
+        :class:`Translate`, :class:`Rotate` or :class:`Scale` of a shape. Several handles may share a shape.
+    integrator : dict, mi.Integrator or "scene", optional
+        "scene" takes the scene's own. By default direct light with projective sampling, without guiding, which costs
+        more than it is worth on a processor.
+    spp : int
+        Samples per pixel of the image.
+    spp_grad : int, optional
+        Samples per pixel of each part of the gradient that the integrator has not turned off by 0. By default the
+        integrator's own ``sppc``, ``sppp`` and ``sppi`` if it has been given any, else `spp`.
+    sensor : int
+        Which of the scene's sensors looks.
+
+    Raises
+    ------
+    SceneLoadError
+        If Mitsuba cannot load the scene.
+    ParameterError
+        If a target is not there or has no gradient; the message says what to do instead.
+    OptionError
+        If another argument is not allowed.
+
+    Notes
+    -----
+    Values are float32 NumPy arrays. The image and its gradient use seeds of their own, so that their errors are
+    independent and the gradient of a loss is not biased by their product. If no variant has been set, it is
+    ``cuda_ad_rgb`` where there is a GPU, or else ``llvm_ad_rgb``.
+
+    Examples
+    --------
+    >>> renderer = MitsubaRenderer(                             # doctest: +SKIP
+    ...     "scene.xml", {"place": Translate("sphere_0"), "colour": "lamp.emitter.radiance.value"}, spp=32
+    ... )
+    >>> fit(renderer, LOIObjective(photo), steps=200, learning_rate=0.02)   # doctest: +SKIP
+    """
+
+    def __init__(
+        self,
+        scene: Any,
+        parameters: Mapping[str, Target],
+        *,
+        integrator: Any = None,
+        spp: int = 16,
+        spp_grad: int | None = None,
+        sensor: int = 0,
+    ) -> None:
+        _use_variant()
+        self._spp = _samples("spp", spp)
+        self._scene = _load(scene)
+        self._params = mi.traverse(self._scene)
+        self._targets = _check_targets(parameters)
+        self._sensor = _sensor(self._scene, sensor)
+        self._integrator = _integrator(self._scene, integrator)
+        self._spp_grad = _gradient_samples(self._integrator, self._spp, spp_grad)
+        self._keys: dict[str, str] = {}
+        self._start: dict[str, Host] = {}
+        self._posed: list[_Posed] = []
+        self._resolve()
+        self._check_moving()
+
+    @property
+    def scene(self) -> Any:
+        """The scene, an ``mi.Scene``; its parameters are those of the last call."""
+        return self._scene
+
+    def parameters(self) -> dict[str, Host]:
+        """Every parameter as the scene had it when it was loaded: float32, new arrays on each call."""
+        return {name: value.copy() for name, value in self._start.items()}
+
+    def render(self, params: Mapping[str, Any], *, seed: int = 0) -> Host:
+        """The image, shape (H, W, C), float32.
+
+        Raises
+        ------
+        ParameterError
+            If `params` has not exactly the parameters' names, shapes, and finite values.
+        """
+        self._set(self._leaves(params))
+        with dr.suspend_grad():
+            image = self._integrator.render(
+                self._scene, self._sensor, _seeds(seed)[0], self._spp, develop=True, evaluate=True
+            )
+        return np.array(image.numpy(), dtype=np.float32, order="C")
+
+    def render_vjp(self, params: Mapping[str, Any], *, seed: int = 0) -> tuple[Host, Callable[[Any], dict[str, Host]]]:
+        """The image and its pullback, which may be called again, also after other renders. Errors as of `render`."""
+        image = self.render(params, seed=seed)
+        kept = {name: np.array(value, dtype=np.float32) for name, value in params.items()}
+
+        def pullback(cotangent: Any) -> dict[str, Host]:
+            arriving = np.array(cotangent, dtype=np.float32, order="C")
+            if arriving.shape != image.shape:
+                msg = f"`cotangent` must have the image's shape {image.shape}, got {arriving.shape}"
+                raise ParameterError(msg)
+            leaves = self._leaves(kept)
+            dr.enable_grad(list(leaves.values()))
+            self._set(leaves)
+            # Within this scope nothing flows on into the parameters' own graph before all parts of the gradient,
+            # some of which Mitsuba carries back one after the other, have arrived there.
+            with dr.isolate_grad():
+                self._integrator.render_backward(
+                    self._scene, self._params, mi.TensorXf(arriving), self._sensor, _seeds(seed)[1], self._spp_grad
+                )
+            gradient = {name: _host(dr.grad(leaf), kept[name].shape) for name, leaf in leaves.items()}
+            dr.disable_grad(list(leaves.values()))
+            self._set(self._leaves(kept))  # no graph is left behind in the scene
+            return gradient
+
+        return image, pullback
+
+    def _resolve(self) -> None:
+        """Find what the targets stand for, and where everything is at the start."""
+        entries = list_entries(self._scene)
+        by_shape: defaultdict[str, list[str]] = defaultdict(list)
+        for name, target in self._targets.items():
+            if isinstance(target, str):
+                key = find_entry(entries, target).key
+                self._keys[name] = key
+                self._start[name] = _host(numbers(self._params[key]), find_entry(entries, target).shape)
+            else:
+                by_shape[find_shape(self._scene, target.shape)[0]].append(name)
+                self._start[name] = target.initial()
+        for key, names in by_shape.items():
+            handle = self._targets[names[0]]
+            box = find_shape(self._scene, handle.shape)[1].bbox()  # type: ignore[union-attr]  # a handle
+            x, y, z = np.array(box.center(), dtype=np.float64).reshape(3).tolist()
+            value = self._params[key]
+            start = value if isinstance(value, mi.Transform4f) else dr.unravel(mi.Point3f, value)
+            self._posed.append(_Posed(key, tuple(names), (x, y, z), dr.detach(start)))
+        used = [*self._keys.values(), *by_shape]
+        for key in used:
+            if used.count(key) > 1:
+                names = [name for name in self._targets if self._keys.get(name) == key or name in by_shape.get(key, ())]
+                msg = f"`parameters` must not set one entry twice, got {', '.join(map(repr, names))}"
+                raise ParameterError(msg)
+
+    def _check_moving(self) -> None:
+        """Refuse or warn where the gradient of moving shapes is missing."""
+        keys = [*self._keys.values(), *(one.key for one in self._posed)]
+        nodes = [self._params.properties[key][2] for key in keys]
+        moving = [node for node in nodes if isinstance(node, mi.Shape)]
+        warn_of_moving(self._scene, moving)
+        kind = self._sensor.class_name()
+        if moving and getattr(self._integrator, "sppp", 0) != 0 and kind != "PerspectiveCamera":
+            msg = (
+                f"`sensor` is a {kind}, and Mitsuba has the gradient of a silhouette in view for perspective only; use "
+                f"a narrow perspective, or an integrator with sppp=0 if nothing that moves is in view"
+            )
+            raise ParameterError(msg)
+
+    def _leaves(self, params: Mapping[str, Any]) -> dict[str, Any]:
+        """`params`, checked, as flat arrays of Dr.Jit."""
+        if set(params) != set(self._start):
+            msg = f"`params` must have exactly the names {sorted(self._start)}, got {sorted(params)}"
+            raise ParameterError(msg)
+        leaves = {}
+        for name, start in self._start.items():
+            value = np.array(params[name], dtype=np.float32, order="C")
+            if value.shape != start.shape:
+                msg = f"`{name}` must have shape {start.shape}, got {value.shape}"
+                raise ParameterError(msg)
+            if not np.all(np.isfinite(value)):
+                msg = f"`{name}` must be finite, got {int((~np.isfinite(value)).sum())} values that are not"
+                raise ParameterError(msg)
+            if isinstance(self._targets[name], Scale) and value <= 0:
+                msg = f"`{name}` scales a shape and must be more than 0, got {float(value):g}"
+                raise ParameterError(msg)
+            leaves[name] = mi.Float(value.reshape(-1))
+        return leaves
+
+    def _set(self, leaves: Mapping[str, Any]) -> None:
+        """Put values into the scene. All are, on every call, so that none is left from the call before."""
+        for name, key in self._keys.items():
+            self._params[key] = _like(self._params[key], leaves[name], self._start[name].shape)
+        for one in self._posed:
+            handles = [(self._targets[name], leaves[name]) for name in one.names]
+            moved = posed(handles, one.centre) @ one.start  # type: ignore[arg-type]  # handles, all of them
+            self._params[one.key] = dr.ravel(moved) if isinstance(moved, mi.Point3f) else moved
+        self._params.update()
+
+
+def _use_variant() -> None:
+    variant = mi.variant()
+    if variant is None:
+        mi.set_variant(*VARIANTS)
+    elif "_ad_" not in variant:
+        msg = f"Mitsuba's variant {variant!r} has no gradients; call mi.set_variant('llvm_ad_rgb')"
+        raise OptionError(msg)
+
+
+def _load(scene: Any) -> Any:
+    # Merging equal objects, as Mitsuba does by itself, would make one parameter change several of them.
+    if isinstance(scene, mi.Scene):
+        return scene
+    try:
+        if isinstance(scene, dict):
+            loaded = mi.load_dict(scene, optimize=False)
+        elif isinstance(scene, str | Path):
+            loaded = mi.load_file(str(scene), optimize=False)
+        else:
+            loaded = scene
+    except RuntimeError as error:
+        msg = f"`scene` cannot be loaded: {' '.join(str(error).split())}"
+        raise SceneLoadError(msg) from None
+    if not isinstance(loaded, mi.Scene):
+        msg = f"`scene` must be a dict, the path of an XML file, or an mi.Scene, got a {type(loaded).__name__}"
+        raise OptionError(msg)
+    return loaded
+
+
+def _check_targets(parameters: object) -> dict[str, Target]:
+    if not isinstance(parameters, Mapping) or not parameters:
+        msg = f"`parameters` must be a dict of names and what they stand for, at least one, got {parameters!r:.80}"
+        raise ParameterError(msg)
+    for name, target in parameters.items():
+        if not isinstance(name, str) or not isinstance(target, str | Translate | Rotate | Scale):
+            msg = f"`parameters[{name!r}]` must be an entry's name, Translate, Rotate or Scale, got {target!r:.80}"
+            raise ParameterError(msg)
+    return dict(parameters)
+
+
+def _sensor(scene: Any, index: int) -> Any:
+    sensors = scene.sensors()
+    if isinstance(index, bool) or not isinstance(index, int | np.integer) or not 0 <= index < len(sensors):
+        msg = f"`sensor` must be the number of one of the scene's {len(sensors)} sensors, from 0, got {index!r}"
+        raise OptionError(msg)
+    return sensors[index]
+
+
+def _integrator(scene: Any, integrator: Any) -> Any:
+    if integrator is None:
+        integrator = {"type": "direct_projective", "guiding": "none"}
+    elif isinstance(integrator, str) and integrator == OWN_INTEGRATOR:
+        integrator = scene.integrator()
+    if isinstance(integrator, dict):
+        integrator = mi.load_dict(integrator)
+    if not isinstance(integrator, mi.Integrator):
+        msg = f"`integrator` must be a dict, an mi.Integrator or 'scene', got {integrator!r:.60}"
+        raise OptionError(msg)
+    return integrator
+
+
+def _gradient_samples(integrator: Any, spp: int, spp_grad: int | None) -> int:
+    """What to ask Mitsuba for: 0 leaves the integrator's own counts, any other number overrides those above 0."""
+    if spp_grad is not None:
+        return _samples("spp_grad", spp_grad)
+    return 0 if any(getattr(integrator, name, None) for name in DERIVATIVES) else spp
+
+
+def _samples(name: str, value: object) -> int:
+    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
+        msg = f"`{name}` must be a whole number of samples, 1 or more, got {value!r}"
+        raise OptionError(msg)
+    return int(value)
+
+
+def _seeds(seed: int) -> tuple[int, int]:
+    """Independent seeds for the image and for its gradient, the same for the same `seed` everywhere."""
+    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
+        msg = f"`seed` must be a whole number, 0 or more, got {seed!r}"
+        raise OptionError(msg)
+    first, second = np.random.SeedSequence(int(seed)).generate_state(2)
+    return int(first), int(second)
+
+
+def _host(value: Any, shape: tuple[int, ...]) -> Host:
+    return np.array(value, dtype=np.float32, order="C").reshape(shape)
+
+
+def _like(current: Any, flat: Any, shape: tuple[int, ...]) -> Any:
+    """The flat array `flat`, in C order of `shape`, as a value of the type of `current`."""
+    if dr.is_tensor_v(current):
+        return type(current)(flat, shape=shape)
+    if isinstance(current, mi.Transform4f):
+        # By gathering: an entry of a flat array, as `flat[3]`, is a plain number without a gradient.
+        rows = [[dr.gather(type(flat), flat, 4 * row + column) for column in range(4)] for row in range(4)]
+        return mi.Transform4f(mi.Matrix4f(rows))
+    return type(current)(flat) if dr.depth_v(current) == 1 else dr.unravel(type(current), flat, order="C")

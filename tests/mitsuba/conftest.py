@@ -1,0 +1,26 @@
+"""One variant and one thread for all tests of the Mitsuba adapter, and none of them where Mitsuba is not installed."""
+
+from __future__ import annotations
+
+import importlib.util
+
+import pytest
+
+if importlib.util.find_spec("mitsuba") is None:  # pragma: no cover - depends on the environment
+    collect_ignore_glob = ["*.py"]
+else:
+    import loi_mitsuba  # noqa: F401 - before Dr.Jit, so that it gets an LLVM that works
+
+    # isort: split
+    import drjit as dr
+    import mitsuba as mi
+
+    mi.set_variant("llvm_ad_rgb")
+    dr.set_thread_count(1)
+    mi.set_log_level(mi.LogLevel.Error)  # Mitsuba logs advice about every new projective integrator
+
+
+@pytest.fixture(autouse=True)
+def _same_variant() -> None:
+    """Tests that change the variant do so for themselves only."""
+    mi.set_variant("llvm_ad_rgb")
