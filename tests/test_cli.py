@@ -89,7 +89,17 @@ def test_version_is_the_one_of_the_package(capsys: pytest.CaptureFixture[str]) -
 def test_doctor_finds_what_is_there(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["doctor", "--json"]) == 0
     found = {one["name"]: one for one in json.loads(capsys.readouterr().out)}
-    for name in ("python", "numpy", "array-api-compat", "torch", "jax", "renderer disks", "renderer warp", "threads"):
+    for name in (
+        "python",
+        "numpy",
+        "torch",
+        "jax",
+        "renderer disks",
+        "renderer warp",
+        "renderer mitsuba",
+        "LLVM",
+        "threads",
+    ):
         assert found[name]["state"] == "ok", found[name]
     assert main(["doctor"]) == 0
     assert "renderer disks" in capsys.readouterr().out

@@ -45,7 +45,8 @@ def test_the_wheel_works_in_an_empty_environment(fresh: Path, tmp_path: Path) ->
     )
     run(fresh, "-c", code)
     listed = json.loads(run(fresh.parent / "loi", "renderers", "--json"))
-    assert [one["name"] for one in listed if one["state"] == "ready"] == ["disks", "warp"]
+    assert {one["name"]: one["state"] for one in listed} == {"disks": "ready", "mitsuba": "missing", "warp": "ready"}
+    assert [one["mend"] for one in listed] == ["", "pip install 'loi[mitsuba]'", ""]
     states = {one["name"]: one["state"] for one in json.loads(run(fresh.parent / "loi", "doctor", "--json"))}
     assert states["torch"] == states["jax"] == states["mitsuba"] == "missing"
     installed = run(fresh, "-m", "pip", "list", "--format=freeze", "--disable-pip-version-check")

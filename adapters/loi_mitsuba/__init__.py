@@ -14,6 +14,14 @@ from loi_mitsuba.handles import Rotate, Scale, Translate
 from loi_mitsuba.loss import BackendMissingError, LOILoss
 from loi_mitsuba.renderer import MitsubaRenderer, SceneLoadError
 
+
+def diagnose() -> list[tuple[str, str]]:
+    """What ``loi doctor`` shows of this adapter: name and finding."""
+    choice = prepare()
+    version = "a version not known yet" if choice.version is None else str(choice.version)
+    return [("LLVM", f"{version}, from {choice.source}: {choice.reason}")]
+
+
 __all__ = [
     "BackendMissingError",
     "Entry",
@@ -27,6 +35,7 @@ __all__ = [
     "SceneLoadError",
     "Translate",
     "choose_llvm",
+    "diagnose",
     "list_entries",
     "prepare",
 ]

@@ -50,7 +50,8 @@ REQUIRED: Final = {
     "OpenEXR": "OpenEXR",
     "tqdm": "tqdm",
 }
-BACKENDS: Final = {"torch": "torch", "jax": "jax", "mitsuba": "mitsuba"}
+# Each through its adapter: loi_mitsuba, for one, has to come before mitsuba, to choose the LLVM.
+BACKENDS: Final = {"torch": "loi_torch", "jax": "loi_jax", "mitsuba": "loi_mitsuba"}
 
 
 def examine(*, as_json: bool) -> bool:
@@ -80,6 +81,9 @@ def findings() -> list[Finding]:
     ]
     for name, module in BACKENDS.items():
         found.append(_package(name, module, f"pip install 'loi[{name}]'", required=False))
+        if found[-1].state == "ok":
+            diagnose = getattr(sys.modules[module], "diagnose", list)
+            found += [Finding(one, "ok", detail) for one, detail in diagnose()]
     found.append(_gpu())
     for one in available_renderers():
         state: State = {"ready": "ok", "missing": "missing"}.get(one.state, "broken")  # type: ignore[assignment]  # literals
@@ -101,7 +105,7 @@ def _package(name: str, module: str, mend: str, *, required: bool) -> Finding:
             warnings.simplefilter("ignore")
             importlib.import_module(module)
     except ModuleNotFoundError as error:
-        if (error.name or "").split(".")[0] == module:
+        if (error.name or "").split(".")[0] in (name, module):
             return Finding(name, "broken" if required else "missing", "not installed", mend)
         return Finding(name, "broken", f"{error}", mend)
     except Exception as error:  # noqa: BLE001 - a half-installed package may raise anything on import
