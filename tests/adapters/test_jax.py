@@ -6,10 +6,10 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
-import loi_jax
 import numpy as np
 import pytest
 
+import loi_jax
 from loi_core import LOIObjective, ScaleSpace
 from loi_core.errors import ImageError, NonFiniteImageError
 from loi_core.testing import check_objective

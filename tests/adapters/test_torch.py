@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
-from loi_torch import LOILoss, loi_loss
 
 from loi_core import LOIObjective, ScaleSpace
 from loi_core.errors import ImageError, ImageTypeError, NonFiniteImageError
 from loi_core.testing import check_objective
+from loi_torch import LOILoss, loi_loss
 from tests.helpers import images
 
 SCALES = ScaleSpace.paper("path")

@@ -4,9 +4,9 @@ The bound
 ---------
 A loss is a mean over pixels of sums over L levels of spacing times |A F|, with F a difference of CDFs in [0, 1] and
 A a blur whose rows sum to at most 1. Rounding to eps changes a CDF by at most (8 + 2) eps: eight levels carry a
-pixel's mass, and each exponential is off by an ulp for its argument and one for itself. Blurs and sums average what
-they are given, adding n eps at worst for n terms summed one after the other, and about sqrt(n) eps as libraries sum.
-With n below 400 here, 64 eps of the range of the levels bounds the loss.
+pixel's mass, and each exponential is off by an ulp for its argument and one for itself. Blurs and means average what
+they are given, so the errors of many entries do not add up; their own roundings add less than the entry's. 16 eps of
+the range of the levels bounds the loss.
 
 A gradient is a sum of signs of A F, times slopes of order 1 / beta, and as exact, except where a sign changes because
 |A F| is within rounding of 0. The tie rule turns such signs to 0 alike on all backends, except in a sliver about its
@@ -21,17 +21,22 @@ import itertools
 from collections.abc import Callable
 from typing import Any
 
+import loi_mitsuba  # before Dr.Jit, so that it gets an LLVM that works
+
+# isort: split
 import array_api_strict
+import drjit as dr
 import jax
 import jax.numpy as jnp
-import loi_jax
-import loi_torch
+import mitsuba as mi
 import numpy as np
 import pytest
 import torch
 from hypothesis import example, given
 from hypothesis import strategies as st
 
+import loi_jax
+import loi_torch
 from loi_core import LOIObjective, ScaleSpace
 from loi_core.distance import TIE_ROUNDINGS
 from loi_core.layout import Layout
@@ -39,9 +44,10 @@ from loi_core.operators import blur_about
 from loi_core.tonal import clip, soft_cdf_and_slope
 from tests.helpers import Host
 
-ROUNDINGS = 64.0
+ROUNDINGS = 16.0
 CONTENTS = ("flat", "ramp", "step", "noise", "hdr", "saturated")
 Pair = tuple[Host, Host]
+Problem = tuple[Host, Host, ScaleSpace, str]
 
 
 def strict(image: Host, reference: Host, scales: ScaleSpace) -> Pair:
@@ -69,11 +75,21 @@ def jax_eager(image: Host, reference: Host, scales: ScaleSpace) -> Pair:
     return np.asarray(value), np.asarray(gradient)
 
 
+def drjit_autodiff(image: Host, reference: Host, scales: ScaleSpace) -> Pair:
+    mi.set_variant("llvm_ad_rgb")
+    tensor = mi.TensorXf(image)
+    dr.enable_grad(tensor)
+    value = loi_mitsuba.LOILoss(reference, scales)(tensor)
+    dr.backward(value)
+    return value.numpy()[0], dr.grad(tensor).numpy()
+
+
 BACKENDS: dict[str, Callable[[Host, Host, ScaleSpace], Pair]] = {
     "array_api_strict": strict,
     "torch": torch_core,
     "torch autograd": torch_autograd,
     "JAX": jax_eager,
+    "Dr.Jit": drjit_autodiff,
 }
 
 
@@ -95,7 +111,7 @@ def contents(draw: st.DrawFn, shape: tuple[int, ...]) -> Host:
 
 
 @st.composite
-def problems(draw: st.DrawFn) -> tuple[Host, Host, ScaleSpace, str]:
+def problems(draw: st.DrawFn) -> Problem:
     """Two images of one shape, scales, and a dtype."""
     batch = draw(st.sampled_from([(), (), (1,), (2,), (2, 1)]))
     size = st.integers(1, 14)
@@ -133,7 +149,7 @@ def slivers(image: Host, reference: Host, scales: ScaleSpace) -> float:
         total = scales.mass(beta) / scales.spacing(beta)
         for alpha in scales.alpha:
             size = np.abs(prepared.extent[alpha].apply(cdf - prepared.cdf[beta, sigma])) / (eps * total)
-            # Rounding of A F itself is 64 eps at the very most; within that, any side is possible.
+            # Rounding of A F itself is 16 eps at the very most; within that, any side is possible.
             near = np.count_nonzero((size > 0.0) & (size < TIE_ROUNDINGS + ROUNDINGS), axis=(-2, -1))
             change += (
                 2.0 * float(np.sum(near * steepest)) * scales.level_weight(beta) * scales.scale_weight / image.size
@@ -160,12 +176,14 @@ STEP = np.repeat(np.array([0.1, 0.1, 0.8]), 3).reshape(3, 3, 1)
 @given(problems())
 @example((TIE, TIE, ScaleSpace(1, (1, 5), 0.125), "float32"))
 @example((STEP, STEP[::-1].copy(), ScaleSpace(0, (1, 5), 0.125), "float32"))
-def test_every_backend_gives_the_loss_and_gradient_of_numpy(problem: tuple[Host, Host, ScaleSpace, str]) -> None:
+def test_every_backend_gives_the_loss_and_gradient_of_numpy(problem: Problem) -> None:
     image, reference, scales, dtype = problem
     image, reference = image.astype(dtype), reference.astype(dtype)
     value, gradient = LOIObjective(reference, scales).value_and_grad(image)
     loss_bound, gradient_bound = allowed(image, reference, scales)
     for name, backend in BACKENDS.items():
+        if name == "Dr.Jit" and dtype == "float64":
+            continue  # its tensors hold float32 only in the variants that people use
         other, slopes = backend(image, reference, scales)
         assert other.dtype == slopes.dtype == np.dtype(dtype), name
         assert slopes.shape == image.shape, name

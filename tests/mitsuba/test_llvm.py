@@ -8,8 +8,9 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import loi_mitsuba
 import pytest
+
+import loi_mitsuba
 from loi_mitsuba import llvm
 
 OLD = [

@@ -11,10 +11,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from loi_mitsuba import LOILoss
 
 from loi_core import LOIObjective, ScaleSpace
 from loi_core.errors import ImageError, ImageTypeError, NonFiniteImageError, OptionError
+from loi_mitsuba import LOILoss
 from tests.helpers import Host, images, relative_error
 
 SCALES = ScaleSpace(1, (1, 5), 0.125)

@@ -11,10 +11,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
-from loi_mitsuba import GradientWarning, MitsubaRenderer, Rotate, Scale, SceneLoadError, Translate, list_entries
 
 from loi_core import Free, LOIObjective, Renderer, fit
 from loi_core.errors import OptionError, ParameterError
+from loi_mitsuba import GradientWarning, MitsubaRenderer, Rotate, Scale, SceneLoadError, Translate, list_entries
 from tests.helpers import Host, relative_error
 from tests.mitsuba.scenes import HEIGHT, WIDTH, box, shadow_scene
 

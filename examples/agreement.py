@@ -1,0 +1,62 @@
+"""How far the backends are apart: ``python -m examples.agreement [EXAMPLES]``, from the root of the repository.
+
+Draws the problems of ``tests/conformance/test_backends.py`` and prints, for each backend and dtype, the worst
+difference from NumPy in loss and gradient, and that as a share of the bound which the tests assert.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import defaultdict
+
+import jax
+import numpy as np
+from hypothesis import HealthCheck, Phase, given, settings
+
+from loi_core import LOIObjective
+from tests.conformance.test_backends import BACKENDS, Problem, allowed, problems
+
+
+def main() -> int:
+    """Print the table; 1 if a bound is not kept."""
+    examples = int(sys.argv[1]) if len(sys.argv) > 1 else 300
+    jax.config.update("jax_enable_x64", True)  # type: ignore[no-untyped-call]  # untyped in JAX
+    worst: dict[tuple[str, str], list[float]] = defaultdict(lambda: [0.0] * 4)
+    count: dict[str, int] = defaultdict(int)
+
+    @settings(
+        max_examples=examples,
+        deadline=None,
+        database=None,
+        phases=[Phase.generate],
+        suppress_health_check=list(HealthCheck),
+    )
+    @given(problems())
+    def measure(problem: Problem) -> None:
+        image, reference, scales, dtype = problem
+        image, reference = image.astype(dtype), reference.astype(dtype)
+        count[dtype] += 1
+        value, gradient = LOIObjective(reference, scales).value_and_grad(image)
+        loss_bound, gradient_bound = allowed(image, reference, scales)
+        size = max(float(np.abs(gradient).sum()), 1e-30)
+        for name, backend in BACKENDS.items():
+            if name == "Dr.Jit" and dtype == "float64":
+                continue
+            other, slopes = backend(image, reference, scales)
+            loss, slope = abs(float(other) - float(value)), float(np.abs(slopes - gradient).sum())
+            found = (loss / max(abs(float(value)), 1e-30), loss / loss_bound, slope / size, slope / gradient_bound)
+            if float(value) == 0.0:
+                found = (0.0, found[1], 0.0, found[3])
+            worst[name, dtype] = [max(pair) for pair in zip(worst[name, dtype], found, strict=True)]
+
+    measure()
+    print(f"{sum(count.values())} problems: {', '.join(f'{number} in {dtype}' for dtype, number in count.items())}\n")
+    print("| backend | dtype | loss, relative | of its bound | gradient, relative 1-norm | of its bound |")
+    print("| --- | --- | --- | --- | --- | --- |")
+    for (name, dtype), (loss, loss_share, slope, slope_share) in sorted(worst.items()):
+        print(f"| {name} | {dtype} | {loss:.1e} | {loss_share:.2f} | {slope:.1e} | {slope_share:.2f} |")
+    return int(any(max(row[1], row[3]) > 1.0 for row in worst.values()))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
