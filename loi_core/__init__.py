@@ -1,5 +1,6 @@
 """`loi`: locally orderless images as a loss for inverse rendering, on any array library and any renderer."""
 
+from loi_core.errors import FitError, LoiError, NonFiniteImageError
 from loi_core.fit import FitResult, FitStep, fit
 from loi_core.free import Free
 from loi_core.histograms import inner_images, isophotes, local_histograms
@@ -11,12 +12,15 @@ from loi_core.scales import ScaleSpace
 __version__ = "0.1.0"
 
 __all__ = [
+    "FitError",
     "FitResult",
     "FitStep",
     "Free",
     "GaussianPyramid",
     "ImageObjective",
     "LOIObjective",
+    "LoiError",
+    "NonFiniteImageError",
     "Objective",
     "Parameters",
     "PixelL2",
