@@ -18,11 +18,11 @@ from typing import Any, Final
 import mitsuba as mi
 import numpy as np
 import pytest
-from loi_mitsuba import MitsubaRenderer, Translate
 from scipy import stats
 
 from loi_core import LOIObjective
 from loi_core.renderers import Disks
+from loi_mitsuba import MitsubaRenderer, Translate
 from tests.helpers import Host
 
 WIDTH, HEIGHT = 32, 24
