@@ -83,7 +83,9 @@ def _quadrant(x: Array, y: Array, radius: Array) -> tuple[Array, Array, Array, A
 
     def below_arc(at: Array) -> Array:
         """Integral of the half chord from 0 to `at`."""
-        return 0.5 * (at * half_chord(at) + radius * radius * xp.asin(xp.clip(at / radius, -1.0, 1.0)))
+        height = half_chord(at)
+        # The angle is asin(at / radius), but where that is near 1 it would magnify the rounding of its argument.
+        return 0.5 * (at * height + radius * radius * xp.atan2(at, height))
 
     # At abscissa t the chord from -h(t) to h(t) is cut at y where |t| < half_y; beyond, it lies wholly on one side.
     middle = xp.minimum(xp.maximum(x, -half_y), half_y)
