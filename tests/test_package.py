@@ -45,8 +45,21 @@ def test_the_wheel_works_in_an_empty_environment(fresh: Path, tmp_path: Path) ->
     )
     run(fresh, "-c", code)
     listed = json.loads(run(fresh.parent / "loi", "renderers", "--json"))
-    assert {one["name"]: one["state"] for one in listed} == {"disks": "ready", "mitsuba": "missing", "warp": "ready"}
-    assert [one["mend"] for one in listed] == ["", "pip install 'loi[mitsuba]'", ""]
+    assert {one["name"]: one["state"] for one in listed} == {
+        "disks": "ready",
+        "disks-jax": "missing",
+        "disks-torch": "missing",
+        "mitsuba": "missing",
+        "warp": "ready",
+        "warp-torch": "missing",
+    }
+    mends = {one["name"]: one["mend"] for one in listed if one["state"] == "missing"}
+    assert mends == {
+        "disks-jax": "pip install 'loi[jax]'",
+        "disks-torch": "pip install 'loi[torch]'",
+        "mitsuba": "pip install 'loi[mitsuba]'",
+        "warp-torch": "pip install 'loi[torch]'",
+    }
     states = {one["name"]: one["state"] for one in json.loads(run(fresh.parent / "loi", "doctor", "--json"))}
     assert states["torch"] == states["jax"] == states["mitsuba"] == "missing"
     installed = run(fresh, "-m", "pip", "list", "--format=freeze", "--disable-pip-version-check")

@@ -96,7 +96,11 @@ MISTAKES: list[tuple[str, str, str]] = [
     ('target = "target.png"', 'targt = "target.png"', "unknown key `targt`; did you mean `target`?"),
     ('target = "target.png"', 'target = "scene.toml"', "images must end in .png"),
     ('output = "result"', "output = 1", "`output` must be a text"),
-    ('name = "disks"', 'name = "spheres"', "no renderer is called 'spheres'; installed are disks, mitsuba, warp"),
+    (
+        'name = "disks"',
+        'name = "spheres"',
+        "no renderer is called 'spheres'; installed are disks, disks-jax, disks-torch, mitsuba, warp, warp-torch",
+    ),
     ('name = "disks"', "", "[renderer] `name` is missing"),
     ("radii = [3]", "radius = [3]", "[renderer] unknown key `radius`"),
     ("radii = [3]", "radii = [3, 4]", "[renderer] `radii` must have shape (1,), got (2,)"),
