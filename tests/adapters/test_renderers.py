@@ -7,14 +7,14 @@ import sys
 from typing import Any
 
 import jax
-import loi_jax.renderers
-import loi_torch.renderers
 import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import loi_jax.renderers
+import loi_torch.renderers
 from loi_core import LOIObjective, ProjectingRenderer, Renderer, ScaleSpace, fit, renderers
 from loi_core.arrays import from_numpy, library_name, to_numpy
 from loi_core.errors import ParameterError

@@ -5,8 +5,8 @@ The bound
 A loss is a mean over pixels of sums over L levels of spacing times |A F|, with F a difference of CDFs in [0, 1] and
 A a blur whose rows sum to at most 1. Rounding to eps changes a CDF by at most (8 + 2) eps: eight levels carry a
 pixel's mass, and each exponential is off by an ulp for its argument and one for itself. Blurs and means average what
-they are given, so the errors of many entries do not add up; their own roundings add less than the entry's. 16 eps of
-the range of the levels bounds the loss.
+they are given, so the errors of many entries do not add up; their own roundings, and those of the sum over levels,
+add less than the entry's twice over. 32 eps of the range of the levels bounds the loss.
 
 A gradient is a sum of signs of A F, times slopes of order 1 / beta, and as exact, except where a sign changes because
 |A F| is within rounding of 0. The tie rule turns such signs to 0 alike on all backends, except in a sliver about its
@@ -44,7 +44,7 @@ from loi_core.operators import blur_about
 from loi_core.tonal import clip, soft_cdf_and_slope
 from tests.helpers import Host
 
-ROUNDINGS = 16.0
+ROUNDINGS = 32.0
 CONTENTS = ("flat", "ramp", "step", "noise", "hdr", "saturated")
 Pair = tuple[Host, Host]
 Problem = tuple[Host, Host, ScaleSpace, str]
@@ -149,7 +149,7 @@ def slivers(image: Host, reference: Host, scales: ScaleSpace) -> float:
         total = scales.mass(beta) / scales.spacing(beta)
         for alpha in scales.alpha:
             size = np.abs(prepared.extent[alpha].apply(cdf - prepared.cdf[beta, sigma])) / (eps * total)
-            # Rounding of A F itself is 16 eps at the very most; within that, any side is possible.
+            # Rounding of A F itself is 32 eps at the very most; within that, any side is possible.
             near = np.count_nonzero((size > 0.0) & (size < TIE_ROUNDINGS + ROUNDINGS), axis=(-2, -1))
             change += (
                 2.0 * float(np.sum(near * steepest)) * scales.level_weight(beta) * scales.scale_weight / image.size
