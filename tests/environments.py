@@ -12,8 +12,10 @@ ROOT = Path(__file__).parents[1]
 
 def run(*arguments: str | Path, cwd: Path | None = None, **environment: str) -> str:
     """The standard output of a command that has to succeed; its standard error is in the failure."""
+    # What importing loi_mitsuba in this process has chosen must not be chosen for another environment.
+    inherited = {name: value for name, value in os.environ.items() if name != "DRJIT_LIBLLVM_PATH"}
     done = subprocess.run(
-        list(map(str, arguments)), capture_output=True, text=True, cwd=cwd, env={**os.environ, **environment}
+        list(map(str, arguments)), capture_output=True, text=True, cwd=cwd, env={**inherited, **environment}
     )
     assert done.returncode == 0, f"{arguments} ended with {done.returncode}:\n{done.stdout}\n{done.stderr}"
     return done.stdout

@@ -4,8 +4,14 @@ Import this package before `mitsuba`: Dr.Jit loads LLVM while it is imported, an
 """
 
 # ruff: noqa: E402 - LLVM is chosen before anything imports Dr.Jit
+import importlib.util
+
 from loi_mitsuba.llvm import LLVMChoice, LLVMError, choose_llvm, prepare
 
+# Without Mitsuba there is nothing to prepare, and "not installed" says more than that there is no LLVM.
+if importlib.util.find_spec("mitsuba") is None:
+    msg = "No module named 'mitsuba'"
+    raise ModuleNotFoundError(msg, name="mitsuba")
 prepare()
 
 from loi_mitsuba.cautions import GradientWarning
