@@ -4,7 +4,7 @@
 PYTHON ?= python3
 PIP := .venv/bin/python -m pip --disable-pip-version-check
 
-.PHONY: install develop demo test lint clean
+.PHONY: install develop demo test lint bench clean
 
 install: .venv/.installed
 develop: .venv/.developed
@@ -21,6 +21,9 @@ lint: .venv/.developed
 	.venv/bin/mypy
 	.venv/bin/lint-imports --no-logo
 	.venv/bin/codespell
+
+bench: .venv/.developed
+	.venv/bin/python -m benchmarks.adapters
 
 clean:
 	rm -rf .venv demo build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

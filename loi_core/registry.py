@@ -11,6 +11,7 @@ from collections import defaultdict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
+from inspect import Parameter, signature
 from typing import Final, Literal, TypeAlias
 
 from loi_core.errors import RendererNotFoundError
@@ -103,12 +104,26 @@ def _examine(point: EntryPoint, claims: list[str]) -> tuple[RendererFactory | No
             mend = f"pip install '{package}[{extra}]'"
             return None, RendererInfo(point.name, package, version, extra, target, "missing", problem, mend)
     else:
-        if callable(factory):
+        problem = _unusable(factory, target)
+        if not problem:
             backend = getattr(factory, "backend", extra)
             return factory, RendererInfo(point.name, package, version, str(backend), target, "ready")
-        problem = f"{target} is a {type(factory).__name__}, not a factory that can be called"
     mend = f"pip install --upgrade --force-reinstall {package}"
     return None, RendererInfo(point.name, package, version, extra, target, "broken", problem, mend)
+
+
+def _unusable(factory: object, target: str) -> str:
+    """Why scenes cannot call this, which they do with options by keyword; empty if they can."""
+    if not callable(factory):
+        return f"{target} is a {type(factory).__name__}, not a factory that can be called"
+    try:
+        parameters = signature(factory).parameters.values()
+    except (TypeError, ValueError):  # compiled factories need not say what they take
+        return ""
+    for one in parameters:
+        if one.kind is Parameter.POSITIONAL_ONLY and one.default is Parameter.empty:
+            return f"{target} takes `{one.name}` by position only; the options of a scene come by keyword"
+    return ""
 
 
 def _announced(points: Iterable[EntryPoint]) -> dict[str, list[EntryPoint]]:

@@ -140,6 +140,7 @@ def test_renderers_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
 def test_a_bad_plugin_is_reported_by_name_and_isolated(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     (tmp_path / "plugin_that_raises.py").write_text("raise RuntimeError('no licence\\nsecond line')\n")
     (tmp_path / "plugin_that_quits.py").write_text("raise SystemExit(3)\n")
+    (tmp_path / "plugin_with_an_odd_signature.py").write_text("def make(options, /): ...\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     points = [
         EntryPoint("good", "loi_core.renderers:Disks", registry.GROUP),
@@ -147,6 +148,7 @@ def test_a_bad_plugin_is_reported_by_name_and_isolated(monkeypatch: pytest.Monke
         EntryPoint("quits", "plugin_that_quits:make", registry.GROUP),
         EntryPoint("absent", "no_such_module:make", registry.GROUP),
         EntryPoint("number", "math:pi", registry.GROUP),
+        EntryPoint("odd", "plugin_with_an_odd_signature:make", registry.GROUP),
         EntryPoint("extra", "no_such_module:make [gpu]", registry.GROUP),
         EntryPoint("twice", "loi_core.renderers:Disks", registry.GROUP),
         EntryPoint("twice", "loi_core.renderers:Warp", registry.GROUP),
@@ -157,11 +159,12 @@ def test_a_bad_plugin_is_reported_by_name_and_isolated(monkeypatch: pytest.Monke
     states = [(one.name, one.state) for one in registry.available_renderers()]
     assert states == [
         *[("absent", "broken"), ("again", "ready"), ("extra", "missing"), ("good", "ready"), ("number", "broken")],
-        *[("quits", "broken"), ("raises", "broken"), ("twice", "clash"), ("twice", "clash")],
+        *[("odd", "broken"), ("quits", "broken"), ("raises", "broken"), ("twice", "clash"), ("twice", "clash")],
     ]
     problems = {one.name: one.problem for one in registry.available_renderers()}
     assert problems["raises"] == "RuntimeError: no licence second line"
     assert "not a factory" in problems["number"]
+    assert "takes `options` by position only" in problems["odd"]
     mends = {one.name: one.mend for one in registry.available_renderers()}
     assert mends["extra"] == "pip install 'unknown[gpu]'"
     assert mends["good"] == ""

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from examples.adapters.deodr_mesh import DeodrMesh, sphere
 from loi_core import Free, LOIObjective, Objective, PixelL2, Renderer, ScaleSpace, fit
 from loi_core.errors import ImageError, LoiError, ParameterError, RendererError
+from loi_core.testing import check_renderer
 from tests.helpers import Host, directional_difference
 
 VERTICES, FACES, COLOURS = sphere()
@@ -162,3 +163,7 @@ def placed(*translation: float) -> Host:
 def cotangent_of_shape(*shape: int) -> dict[str, Host]:
     scene = mesh()
     return scene.render_vjp(scene.parameters())[1](np.ones(shape))
+
+
+def test_it_passes_the_conformance_kit() -> None:
+    check_renderer(mesh(3))
