@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import re
 import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
-from inspect import Parameter, signature
+from inspect import Parameter, formatannotation, signature
 from pathlib import Path
 from typing import Any, Final
 
@@ -186,6 +187,9 @@ def _renderer(where: _Where, table: Mapping[str, Any], folder: Path, target: Flo
             raise where.error("renderer.images", f"`{key}` is given in [renderer] as well")
         options[key] = read_image(folder / where.text("renderer.images", images, key))
     accepted = _accepted(factory)
+    for key, argument in (accepted or {}).items():
+        if isinstance(options.get(key), str) and _is_path(argument):
+            options[key] = folder / where.text("renderer", options, key)
     if accepted is not None and not any(one.kind is Parameter.VAR_KEYWORD for one in accepted.values()):
         where.known("renderer", options, tuple(accepted))
     for key, size in (("height", target.shape[0]), ("width", target.shape[1])):
@@ -205,6 +209,12 @@ def _accepted(factory: RendererFactory) -> Mapping[str, Parameter] | None:
         return signature(factory).parameters
     except (TypeError, ValueError):
         return None
+
+
+def _is_path(argument: Parameter) -> bool:
+    """Whether a factory says that this argument is, or may be, a path."""
+    # By the annotation's text: often it is one, and may name what only type checkers import.
+    return re.search(r"\bPath\b", formatannotation(argument.annotation)) is not None
 
 
 def _optimise(

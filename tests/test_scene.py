@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
@@ -15,6 +15,9 @@ from loi_core.errors import LoiError, SceneError
 from loi_core.images import write_png
 from loi_core.renderers import Disks
 from loi_core.scene import load_scene
+
+if TYPE_CHECKING:
+    KnownToTypeCheckers = str
 
 SCENE = """\
 target = "target.png"
@@ -87,6 +90,27 @@ def test_presets_rivals_and_boundaries_can_be_named(folder: Path) -> None:
     scene = load_scene(folder / "scene.toml")
     assert [type(one) for one in scene.objectives.values()] == [GaussianPyramid, LOIObjective]
     assert scene.objectives["loi"].scales == ScaleSpace.paper("path", boundary="zero")  # type: ignore[attr-defined]
+
+
+def test_an_option_that_may_be_a_path_is_relative_to_the_scene(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    got: dict[str, Any] = {}
+
+    def factory(
+        mesh: str | Path, note: KnownToTypeCheckers, cache: Path | None = None, other: Path | None = None
+    ) -> Disks:
+        got.update(mesh=mesh, note=note, cache=cache, other=other)
+        return Disks(16, 16, [[10, 6]], 3.0, [[0.9, 0.2, 0.1]])
+
+    options = 'mesh = "a/b.obj"\nnote = "a/b"\ncache = "/c"'
+    (folder / "scene.toml").write_text(
+        SCENE[: SCENE.index("positions")] + options + SCENE[SCENE.index("\n\n[optimise") :]
+    )
+    monkeypatch.setattr("loi_core.scene.load_renderer", lambda name: factory)
+    load_scene(folder / "scene.toml")
+    assert got == {"mesh": folder / "a/b.obj", "note": "a/b", "cache": Path("/c"), "other": None}
+    factory.__annotations__ = {"mesh": str | Path, "note": str, "cache": Path}  # not as text
+    load_scene(folder / "scene.toml")
+    assert got == {"mesh": folder / "a/b.obj", "note": "a/b", "cache": Path("/c"), "other": None}
 
 
 MISTAKES: list[tuple[str, str, str]] = [

@@ -14,7 +14,7 @@ import numpy as np
 
 from loi_core.errors import ParameterError
 
-__all__ = ["Entry", "find_entry", "find_shape", "list_entries", "numbers"]
+__all__ = ["Entry", "Scene", "find_entry", "find_shape", "list_entries", "numbers"]
 
 Scene: TypeAlias = Any
 SceneParameters: TypeAlias = Any

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from numbers import Real
-from typing import Any, TypeAlias
+from collections.abc import Mapping, Sequence
+from dataclasses import MISSING, dataclass, fields
+from typing import Any, Final, TypeAlias
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from loi_core.errors import ParameterError
+from loi_core.values import real_number
 
-__all__ = ["Handle", "Host", "Rotate", "Scale", "Translate", "posed"]
+__all__ = ["Handle", "Host", "Rotate", "Scale", "Translate", "from_table", "posed"]
 
 Host: TypeAlias = np.ndarray[Any, np.dtype[np.float32]]
 Vector: TypeAlias = tuple[float, float, float]
@@ -100,6 +100,36 @@ class Scale:
 
 Handle: TypeAlias = Translate | Rotate | Scale
 
+KINDS: Final[dict[str, type[Handle]]] = {kind.__name__: kind for kind in (Translate, Rotate, Scale)}
+
+
+def from_table(table: Mapping[str, Any]) -> Handle:
+    """The handle that a table of a scene file spells: ``{ Rotate = "ball", axis = [0, 1, 0] }``.
+
+    Its class is a key whose value is the shape; the other keys are the class's other arguments.
+
+    Raises
+    ------
+    ParameterError
+        If it names no class or several, an argument that the class does not have, or lacks one that it needs.
+    """
+    named = [key for key in table if key in KINDS]
+    if len(named) != 1:
+        msg = f"a handle has one key of {', '.join(KINDS)}, got {', '.join(map(str, table)) or 'none'}"
+        raise ParameterError(msg)
+    kind = KINDS[named[0]]
+    options = {key: value for key, value in table.items() if key != named[0]}
+    arguments = {one.name: one.default for one in fields(kind) if one.name != "shape"}
+    for key in options:
+        if key not in arguments:
+            msg = f"unknown key `{key}`; {kind.__name__} takes {', '.join(arguments)}"
+            raise ParameterError(msg)
+    for key, default in arguments.items():
+        if default is MISSING and key not in options:
+            msg = f"{kind.__name__} needs `{key}`"
+            raise ParameterError(msg)
+    return kind(table[named[0]], **options)
+
 
 def posed(handles: Sequence[tuple[Handle, Any]], centre: Vector) -> Any:
     """The transform that several handles on one shape make together.
@@ -144,10 +174,10 @@ def _along(axis: Sequence[float]) -> Any:
 
 def _vector(name: str, value: object) -> Vector:
     if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str) and len(value) == 3:
-        x, y, z = (float(one) if isinstance(one, Real) else math.nan for one in value)
-        if math.isfinite(x + y + z):
+        x, y, z = map(real_number, value)
+        if all(map(math.isfinite, (x, y, z))):
             return x, y, z
-    msg = f"`{name}` must be three finite numbers, got {value!r}"
+    msg = f"`{name}` must be three finite numbers, got {value!r:.60}"
     raise ParameterError(msg)
 
 
@@ -155,6 +185,6 @@ def _direction(name: str, value: object) -> Vector:
     x, y, z = _vector(name, value)
     length = math.hypot(x, y, z)
     if length == 0.0:
-        msg = f"`{name}` must be a direction, got {value!r}"
+        msg = f"`{name}` must be a direction, got {value!r:.60}"
         raise ParameterError(msg)
     return x / length, y / length, z / length

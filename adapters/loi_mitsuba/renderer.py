@@ -14,8 +14,8 @@ import numpy as np
 
 from loi_core.errors import LoiError, OptionError, ParameterError
 from loi_mitsuba.cautions import warn_of_moving
-from loi_mitsuba.entries import find_entry, find_shape, list_entries, numbers
-from loi_mitsuba.handles import Handle, Host, Rotate, Scale, Translate, posed
+from loi_mitsuba.entries import Scene, find_entry, find_shape, list_entries, numbers
+from loi_mitsuba.handles import Handle, Host, Rotate, Scale, Translate, from_table, posed
 
 __all__ = ["MitsubaRenderer", "SceneLoadError", "Target"]
 
@@ -51,7 +51,8 @@ class MitsubaRenderer:
         on every call.
     parameters : dict of str or handle
         What each parameter stands for, by its name: an entry of the scene (:func:`list_entries` shows all), or
-        :class:`Translate`, :class:`Rotate` or :class:`Scale` of a shape. Several handles may share a shape.
+        :class:`Translate`, :class:`Rotate` or :class:`Scale` of a shape. Several handles may share a shape. Scene
+        files, which have no classes, spell a handle as a table, ``{ Translate = "ball", axis = [1, 0, 0] }``.
     integrator : dict, mi.Integrator or "scene", optional
         "scene" takes the scene's own. By default direct light with projective sampling, without guiding, which costs
         more than it is worth on a processor.
@@ -88,8 +89,8 @@ class MitsubaRenderer:
 
     def __init__(
         self,
-        scene: Any,
-        parameters: Mapping[str, Target],
+        scene: dict[str, Any] | str | Path | Scene,  # scene files take from here that it may be a path
+        parameters: Mapping[str, Target | Mapping[str, Any]],
         *,
         integrator: Any = None,
         spp: int = 16,
@@ -264,11 +265,18 @@ def _check_targets(parameters: object) -> dict[str, Target]:
     if not isinstance(parameters, Mapping) or not parameters:
         msg = f"`parameters` must be a dict of names and what they stand for, at least one, got {parameters!r:.80}"
         raise ParameterError(msg)
-    for name, target in parameters.items():
+    targets = {}
+    for name, given in parameters.items():
+        try:
+            target = from_table(given) if isinstance(given, Mapping) else given
+        except ParameterError as error:
+            msg = f"`parameters[{name!r}]`: {error}"
+            raise ParameterError(msg) from None
         if not isinstance(name, str) or not isinstance(target, str | Translate | Rotate | Scale):
             msg = f"`parameters[{name!r}]` must be an entry's name, Translate, Rotate or Scale, got {target!r:.80}"
             raise ParameterError(msg)
-    return dict(parameters)
+        targets[name] = target
+    return targets
 
 
 def _sensor(scene: Any, index: int) -> Any:

@@ -1,0 +1,130 @@
+"""Scene files can fit Mitsuba scenes: by entries and by handles, from wherever the command is called."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from loi_core.cli import main
+from loi_core.errors import SceneError
+from loi_core.images import write_png
+from loi_core.scene import load_scene
+from loi_mitsuba import MitsubaRenderer, Rotate, Scale, Translate
+
+GOAL = [0.9, -0.5, 0.0]
+
+XML = """<scene version="3.0.0">
+<sensor type="perspective"><float name="fov" value="40"/>
+    <transform name="to_world"><lookat origin="0, 0, 8" target="0, 0, 0" up="0, 1, 0"/></transform>
+    <film type="hdrfilm"><integer name="width" value="32"/><integer name="height" value="24"/>
+        <boolean name="sample_border" value="true"/></film></sensor>
+<shape type="sphere" id="ball"><float name="radius" value="0.5"/><bsdf type="diffuse"/></shape>
+<emitter type="constant"/>
+</scene>"""
+
+SCENE = """\
+target = "target.png"
+
+[renderer]
+name = "mitsuba"
+scene = "scene.xml"
+spp = 8
+
+[renderer.parameters]
+place = { Translate = "ball" }
+
+[optimise.place]
+initial = [-0.9, 0.6, 0.0]
+lower = [-2, -1.5, 0]
+upper = [2, 1.5, 0]
+truth = [0.9, -0.5, 0.0]
+
+[scales]
+beta = 0.25
+
+[fit]
+steps = 40
+learning_rate = 0.15
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "scene.xml").write_text(XML)
+    (tmp_path / "scene.toml").write_text(SCENE)
+    renderer = MitsubaRenderer(tmp_path / "scene.xml", {"place": Translate("ball")}, spp=256)
+    write_png(tmp_path / "target.png", renderer.render({"place": np.array(GOAL)}))
+    return tmp_path
+
+
+def test_a_handle_moves_a_shape_to_where_the_target_has_it(
+    folder: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path_factory.mktemp("elsewhere"))
+    assert main(["fit", str(folder / "scene.toml")]) == 0
+    found = json.loads((folder / "scene-result" / "parameters.json").read_text())
+    # A pixel is 0.24 units of the world there.
+    np.testing.assert_allclose(found["place"], GOAL, atol=0.1)
+
+
+def test_tables_are_the_handles_of_the_same_names(folder: Path) -> None:
+    targets: dict[str, tuple[dict[str, Any], Any]] = {
+        "move": ({"Translate": "ball"}, Translate("ball")),
+        "slide": ({"Translate": "ball", "axis": [0, 2, 0]}, Translate("ball", axis=[0, 1, 0])),
+        "turn": ({"Rotate": "ball", "axis": [0, 0, 1]}, Rotate("ball", axis=[0, 0, 1])),
+        "swing": ({"Rotate": "ball", "axis": [1, 0, 0], "pivot": [0, 1, 0]}, Rotate("ball", [1, 0, 0], [0, 1, 0])),
+        "size": ({"Scale": "ball", "pivot": [1, 0, 0]}, Scale("ball", pivot=[1, 0, 0])),
+    }
+    tables = MitsubaRenderer(folder / "scene.xml", {name: table for name, (table, _) in targets.items()})
+    classes = MitsubaRenderer(folder / "scene.xml", {name: handle for name, (_, handle) in targets.items()})
+    assert tables._targets == classes._targets
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("{ Translate =", "{ translate =", "a handle has one key of Translate, Rotate, Scale, got translate"),
+        ("{ Translate =", "{ Rotate =", "Rotate needs `axis`"),
+        (
+            '"ball" }',
+            '"ball", Scale = "ball" }',
+            "a handle has one key of Translate, Rotate, Scale, got Translate, Scale",
+        ),
+        ('"ball" }', '"ball", axes = [1, 0, 0] }', "unknown key `axes`; Translate takes axis"),
+        ('"ball" }', '"ball", axis = [1, 0] }', "`axis` must be three finite numbers, got [1, 0]"),
+        ('"ball" }', '"ball", axis = [1, 0, true] }', "`axis` must be three finite numbers, got [1, 0, True]"),
+    ],
+)
+def test_a_wrong_table_is_named(folder: Path, old: str, new: str, says: str) -> None:
+    (folder / "scene.toml").write_text(SCENE.replace(old, new))
+    with pytest.raises(SceneError) as caught:
+        load_scene(folder / "scene.toml")
+    assert f"[renderer] `parameters['place']`: {says}" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_scene_that_is_not_there_is_named(folder: Path) -> None:
+    (folder / "scene.toml").write_text(SCENE.replace("scene.xml", "nothing.xml"))
+    with pytest.raises(SceneError, match=r"\[renderer\] `scene` cannot be loaded: .*nothing\.xml"):
+        load_scene(folder / "scene.toml")
+
+
+def test_the_example_of_the_guide_can_be_read(folder: Path) -> None:
+    guide = (Path(__file__).parents[2] / "docs" / "mitsuba.md").read_text()
+    text = guide.split("```toml\n")[1].split("```")[0].replace("photo.exr", "target.png")
+    (folder / "scene.xml").write_text(
+        XML.replace(
+            "<emitter",
+            '<shape type="cube" id="box"><boolean name="face_normals" value="true"/></shape>'
+            '<shape type="rectangle" id="floor"><bsdf type="diffuse"/></shape><emitter',
+        )
+    )
+    (folder / "guide.toml").write_text(text)
+    with pytest.warns(match="stores the vertices of an edge more than once"):
+        scene = load_scene(folder / "guide.toml")
+    assert list(scene.renderer.parameters()) == ["place", "turn", "colour"]
+    assert list(scene.optimise) == ["place", "colour"]
