@@ -30,7 +30,7 @@ OLDEST: Final = 16
 SEEN_TO_WORK: Final = (19, 22, 23)
 WHEEL: Final = "karellen-llvm-core"
 WHEEL_RUNTIME: Final = ("libunwind", "libc++abi", "libc++")  # in the order in which they need each other
-MEND: Final = f"pip install {WHEEL}, or set {VARIABLE} to a libLLVM of version {OLDEST} or later"
+WHEEL_MACHINE: Final = "x86_64"  # there are no wheels for others
 
 _VERSIONED = re.compile(r"libLLVM(?:-|\.so\.)(\d+)")
 _LIBRARY = re.compile(r"libLLVM(?:-\d[\w.+-]*)?\.so(?:\.\d[\w.+-]*)?")
@@ -126,7 +126,7 @@ def choose_llvm() -> LLVMChoice:
         if version is not None and version >= OLDEST:
             return LLVMChoice(path, version, WHEEL, f"the system has none of version {OLDEST} or later{passed}")
     have = f"the system has {' and '.join(sorted(set(too_old)))} only" if too_old else "none was found"
-    msg = f"Mitsuba needs LLVM {OLDEST} or later, {have}; {MEND}"
+    msg = f"Mitsuba needs LLVM {OLDEST} or later, {have}; {_mend()}, or set {VARIABLE} to it"
     raise LLVMError(msg)
 
 
@@ -150,9 +150,17 @@ def _asked(asked: str) -> LLVMChoice:
     version = library_version(path)
     if version is None or version < OLDEST:
         what = "a file of unknown version" if version is None else f"LLVM {version}"
-        msg = f"`{VARIABLE}` must name LLVM {OLDEST} or later, got {asked!r}, {what}; unset it and pip install {WHEEL}"
+        msg = f"`{VARIABLE}` must name LLVM {OLDEST} or later, got {asked!r}, {what}; unset it and {_mend()}"
         raise LLVMError(msg)
     return LLVMChoice(path, version, VARIABLE, f"{VARIABLE} names it")
+
+
+def _mend() -> str:
+    return (
+        f"pip install {WHEEL}"
+        if platform.machine() == WHEEL_MACHINE
+        else f"install LLVM {OLDEST} or later of your system"
+    )
 
 
 def _already_loaded() -> LLVMChoice:

@@ -96,10 +96,15 @@ def test_the_order_of_sources(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
 
     monkeypatch.delenv(llvm.VARIABLE, raising=False)
     monkeypatch.setattr("platform.system", lambda: "Linux")
+    monkeypatch.setattr("platform.machine", lambda: "x86_64")
     monkeypatch.setattr(llvm, "_system_folders", lambda: [tmp_path])
     monkeypatch.setattr(llvm, "_wheel_files", lambda stem: [])
     with pytest.raises(llvm.LLVMError, match="needs LLVM 16 or later, none was found; pip install karellen-llvm-core"):
         llvm.choose_llvm()
+    with monkeypatch.context() as patch:
+        patch.setattr("platform.machine", lambda: "aarch64")  # for which there is no wheel
+        with pytest.raises(llvm.LLVMError, match="none was found; install LLVM 16 or later of your system, or set"):
+            llvm.choose_llvm()
     make("libLLVM-15.so.1", "libLLVM-14.so", "libLLVMDemangle.so")
     with pytest.raises(llvm.LLVMError, match="the system has LLVM 14 and LLVM 15 only"):
         llvm.choose_llvm()
