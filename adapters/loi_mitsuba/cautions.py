@@ -17,13 +17,30 @@ class GradientWarning(UserWarning):
     """Part of the gradient that was asked for is missing or wrong."""
 
 
-def warn_of_moving(scene: Any, shapes: list[Any]) -> None:
-    """Warn where moving `shapes` has a gradient that Mitsuba's projective sampling misses or counts twice.
+def warn_of_moving(scene: Any, integrator: Any, shapes: list[Any]) -> None:
+    """Warn where moving `shapes` has a gradient that Mitsuba misses or counts twice.
 
-    It finds the rays that graze a shape and asks how bright what lies behind is. Hardly any ray hits a point, so
-    shadows of point, spot and directional lights have no gradient at all. And it takes every edge of a mesh that
-    belongs to one triangle for a border, so an edge whose vertices are stored twice counts twice.
+    An integrator without projective sampling differentiates what lies inside the outlines of shapes and shadows, not
+    that the outlines move. Projective sampling finds the rays that graze a shape and asks how bright what lies behind
+    is. It looks at the scene's own shapes only, not into groups. Hardly any ray hits a point, so shadows of point,
+    spot and directional lights have no gradient at all. And it takes every edge of a mesh that belongs to one
+    triangle for a border, so an edge whose vertices are stored twice counts twice.
     """
+    if shapes and not hasattr(integrator, "sppp"):  # only projective integrators count samples of outlines
+        msg = (
+            "a shape moves, and the integrator has no gradient of moving silhouettes and shadows; use "
+            "direct_projective or prb_projective"
+        )
+        warnings.warn(msg, GradientWarning, stacklevel=4)
+        return
+    own = scene.shapes()
+    for shape in shapes:
+        if shape not in own:
+            msg = (
+                f"shape {shape.id()!r} moves in a shapegroup, and the motion of its instances' silhouettes and shadows "
+                f"has no gradient; put the shape into the scene itself"
+            )
+            warnings.warn(msg, GradientWarning, stacklevel=4)
     delta = [emitter for emitter in scene.emitters() if mi.has_flag(emitter.flags(), mi.EmitterFlags.Delta)]
     if shapes and delta:
         kinds = " and ".join(sorted({emitter.class_name() for emitter in delta}))

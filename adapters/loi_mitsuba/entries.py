@@ -50,7 +50,7 @@ def list_entries(scene: Scene) -> dict[str, Entry]:
     params = mi.traverse(scene)
     readable = _readable(params)
     listed = {}
-    for key in params.keys():  # noqa: SIM118 - iterating over it yields pairs
+    for key in params.properties:  # iterating over `params` itself yields pairs
         folder, _, last = key.rpartition(".")
         name = f"{readable[folder]}.{last}" if folder else last
         listed[name] = Entry(name, key, _shape(params[key]), _problem(params, key))
@@ -83,7 +83,7 @@ def find_shape(scene: Scene, name: str) -> tuple[str, Any]:
     params = mi.traverse(scene)
     readable = _readable(params)
     shapes = []
-    for key in params.keys():  # noqa: SIM118
+    for key in params.properties:
         folder, _, last = key.rpartition(".")
         node = params.properties[key][2]
         if isinstance(node, mi.Shape) and last in ("vertex_positions", "to_world"):
@@ -107,8 +107,8 @@ def _readable(params: SceneParameters) -> dict[str, str]:
     """Readable names of the objects that entries belong to, by their keys."""
     names: dict[str, str] = {}
     counts: defaultdict[str, int] = defaultdict(int)
-    taken = {part for key in params.keys() for part in key.split(".")}  # noqa: SIM118
-    for key in params.keys():  # noqa: SIM118
+    taken = {part for key in params.properties for part in key.split(".")}
+    for key in params.properties:
         parts = key.split(".")[:-1]
         nodes = _ancestors(params, params.properties[key][2])
         for depth in range(1, len(parts) + 1):

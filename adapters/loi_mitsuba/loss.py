@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Any, Final, Literal, TypeAlias, get_args
 
 import drjit as dr
+import mitsuba as mi
 
 from loi_core import LOIObjective, ScaleSpace
 from loi_core.arrays import Array, namespace
@@ -50,7 +51,8 @@ class LOILoss:
     nan_policy : {"raise", "mask"}
         What happens to pixels that are not finite.
     backend : {"torch", "numpy", "jax"}, optional
-        The array library that does the work; torch if it is installed, or else NumPy.
+        The array library that does the work. By default torch if it is installed, and computes on GPUs if Mitsuba's
+        variant does, or else NumPy.
 
     Raises
     ------
@@ -117,10 +119,7 @@ class LOILoss:
         NonFiniteImageError
             Under ``nan_policy="raise"``, if a pixel is NaN or infinite.
         """
-        if not (dr.is_tensor_v(image) and dr.is_diff_v(image) and dr.is_float_v(image)):
-            name = f"{type(image).__module__}.{type(image).__name__}"
-            msg = f"`image` must be a TensorXf of a variant with gradients (llvm_ad_..., cuda_ad_...), got a {name}"
-            raise ImageTypeError(msg)
+        _check_tensor(image)
         if not dr.grad_enabled(image):
             return _flat(type(image.array), self._objective.value(EXPORTS[self._backend](image)))
         # Evaluated out here: an error inside the operation would reach the caller as a RuntimeError that hides it.
@@ -128,6 +127,7 @@ class LOILoss:
 
     def value_and_grad(self, image: Tensor) -> tuple[Float, Tensor]:
         """The loss, detached, and its gradient by the image, a tensor like it. Errors as of a call."""
+        _check_tensor(image)
         value, gradient = self._objective.value_and_grad(EXPORTS[self._backend](dr.detach(image)))
         flat = _flat(type(image.array), gradient)
         return _flat(type(image.array), value), type(image)(flat, shape=image.shape)
@@ -155,20 +155,35 @@ def _flat(kind: Any, array: Array) -> Float:
     return kind(namespace(array).reshape(array, (-1,)))
 
 
+def _check_tensor(image: object) -> None:
+    if not (dr.is_tensor_v(image) and dr.is_diff_v(image) and dr.is_float_v(image)):
+        name = f"{type(image).__module__}.{type(image).__name__}"
+        msg = f"`image` must be a TensorXf of a variant with gradients (llvm_ad_..., cuda_ad_...), got a {name}"
+        raise ImageTypeError(msg)
+
+
 def _check_backend(backend: object) -> Backend:
     if backend is None:
-        try:
-            importlib.import_module("torch")
-        except ImportError:
-            return "numpy"
-        return "torch"
+        return _default_backend()
     for known in get_args(Backend):
-        if backend == known:
+        if isinstance(backend, str) and backend == known:
             try:
                 importlib.import_module(known)
             except ImportError as error:
                 msg = f"`backend` is {known!r}, which cannot be imported ({error}); pip install 'loi[{known}]'"
                 raise BackendMissingError(msg) from None
             return known  # type: ignore[no-any-return]  # one of the literals
-    msg = f"`backend` must be one of {', '.join(map(repr, get_args(Backend)))} or None, got {backend!r}"
+    msg = f"`backend` must be one of {', '.join(map(repr, get_args(Backend)))} or None, got {backend!r:.60}"
     raise OptionError(msg)
+
+
+def _default_backend() -> Backend:
+    try:
+        torch = importlib.import_module("torch")
+    except ImportError:
+        return "numpy"
+    # A torch that was built for processors only cannot take an image on a GPU. JAX, which could, is not chosen unless
+    # asked for: it would reserve most of the GPU's memory, which Mitsuba needs.
+    if str(mi.variant()).startswith("cuda") and not torch.cuda.is_available():
+        return "numpy"
+    return "torch"

@@ -13,6 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 from loi_core.errors import LoiError, OptionError, ParameterError
+from loi_core.values import whole_number
 from loi_mitsuba.cautions import warn_of_moving
 from loi_mitsuba.entries import Scene, find_entry, find_shape, list_entries, numbers
 from loi_mitsuba.handles import Handle, Host, Rotate, Scale, Translate, from_table, posed
@@ -25,6 +26,7 @@ Target: TypeAlias = str | Handle
 VARIANTS: Final = ("cuda_ad_rgb", "llvm_ad_rgb")
 OWN_INTEGRATOR: Final = "scene"
 DERIVATIVES: Final = ("sppc", "sppp", "sppi")  # continuous, primary visibility, indirect visibility
+MOST_SAMPLES: Final = 2**32 - 1  # in one image; Mitsuba counts them in 32 bits
 
 
 class SceneLoadError(LoiError, ValueError):
@@ -59,8 +61,9 @@ class MitsubaRenderer:
     spp : int
         Samples per pixel of the image.
     spp_grad : int, optional
-        Samples per pixel of each part of the gradient that the integrator has not turned off by 0. By default the
-        integrator's own ``sppc``, ``sppp`` and ``sppi`` if it has been given any, else `spp`.
+        Samples per pixel of each part of the gradient that the integrator has not turned off by 0. By default `spp`,
+        unless the integrator has been given any of ``sppc``, ``sppp`` and ``sppi``: then its own, and those that it
+        has not been given are the sample count of the sensor's sampler.
     sensor : int
         Which of the scene's sensors looks.
 
@@ -97,14 +100,15 @@ class MitsubaRenderer:
         spp_grad: int | None = None,
         sensor: int = 0,
     ) -> None:
-        _use_variant()
-        self._spp = _samples("spp", spp)
+        self._variant = _use_variant()
         self._scene = _load(scene)
         self._params = mi.traverse(self._scene)
         self._targets = _check_targets(parameters)
         self._sensor = _sensor(self._scene, sensor)
         self._integrator = _integrator(self._scene, integrator)
-        self._spp_grad = _gradient_samples(self._integrator, self._spp, spp_grad)
+        most = MOST_SAMPLES // _pixels(self._sensor.film())
+        self._spp = _samples("spp", spp, most)
+        self._spp_grad = _gradient_samples(self._integrator, self._spp, spp_grad, most)
         self._keys: dict[str, str] = {}
         self._start: dict[str, Host] = {}
         self._posed: list[_Posed] = []
@@ -127,6 +131,8 @@ class MitsubaRenderer:
         ------
         ParameterError
             If `params` has not exactly the parameters' names, shapes, and finite values.
+        OptionError
+            If `seed` is not allowed, or Mitsuba's variant is not that under which the scene was loaded.
         """
         self._set(self._leaves(params))
         with dr.suspend_grad():
@@ -138,26 +144,30 @@ class MitsubaRenderer:
     def render_vjp(self, params: Mapping[str, Any], *, seed: int = 0) -> tuple[Host, Callable[[Any], dict[str, Host]]]:
         """The image and its pullback, which may be called again, also after other renders. Errors as of `render`."""
         image = self.render(params, seed=seed)
+        shape = image.shape
         kept = {name: np.array(value, dtype=np.float32) for name, value in params.items()}
 
         def pullback(cotangent: Any) -> dict[str, Host]:
-            arriving = np.array(cotangent, dtype=np.float32, order="C")
-            if arriving.shape != image.shape:
-                msg = f"`cotangent` must have the image's shape {image.shape}, got {arriving.shape}"
-                raise ParameterError(msg)
+            arriving = _numbers("cotangent", cotangent, shape)
             leaves = self._leaves(kept)
-            dr.enable_grad(list(leaves.values()))
-            self._set(leaves)
-            # Within this scope nothing flows on into the parameters' own graph before all parts of the gradient,
-            # some of which Mitsuba carries back one after the other, have arrived there.
-            with dr.isolate_grad():
-                self._integrator.render_backward(
-                    self._scene, self._params, mi.TensorXf(arriving), self._sensor, _seeds(seed)[1], self._spp_grad
-                )
-            gradient = {name: _host(dr.grad(leaf), kept[name].shape) for name, leaf in leaves.items()}
-            dr.disable_grad(list(leaves.values()))
-            self._set(self._leaves(kept))  # no graph is left behind in the scene
-            return gradient
+            try:
+                with dr.resume_grad():  # the caller may have suspended gradients
+                    dr.enable_grad(list(leaves.values()))
+                    self._set(leaves)
+                    # Within this scope nothing flows on into the parameters' own graph before all parts of the
+                    # gradient, some of which Mitsuba carries back one after the other, have arrived there.
+                    with dr.isolate_grad():
+                        self._integrator.render_backward(
+                            self._scene,
+                            self._params,
+                            mi.TensorXf(arriving),
+                            self._sensor,
+                            _seeds(seed)[1],
+                            self._spp_grad,
+                        )
+                    return {name: _host(dr.grad(leaf), kept[name].shape) for name, leaf in leaves.items()}
+            finally:
+                self._set(self._leaves(kept))  # no graph is left behind in the scene, also where Mitsuba failed
 
         return image, pullback
 
@@ -190,9 +200,11 @@ class MitsubaRenderer:
     def _check_moving(self) -> None:
         """Refuse or warn where the gradient of moving shapes is missing."""
         keys = [*self._keys.values(), *(one.key for one in self._posed)]
+        # A shape has entries that do not move it, such as the colours of its vertices.
+        keys = [key for key in keys if self._params.flags(key) & mi.ParamFlags.Discontinuous]
         nodes = [self._params.properties[key][2] for key in keys]
         moving = [node for node in nodes if isinstance(node, mi.Shape)]
-        warn_of_moving(self._scene, moving)
+        warn_of_moving(self._scene, self._integrator, moving)
         kind = self._sensor.class_name()
         if moving and getattr(self._integrator, "sppp", 0) != 0 and kind != "PerspectiveCamera":
             msg = (
@@ -203,15 +215,17 @@ class MitsubaRenderer:
 
     def _leaves(self, params: Mapping[str, Any]) -> dict[str, Any]:
         """`params`, checked, as flat arrays of Dr.Jit."""
+        if mi.variant() != self._variant:
+            msg = (
+                f"Mitsuba's variant is {mi.variant()!r}, the scene's is {self._variant!r}; call mi.set_variant with it"
+            )
+            raise OptionError(msg)
         if set(params) != set(self._start):
             msg = f"`params` must have exactly the names {sorted(self._start)}, got {sorted(params)}"
             raise ParameterError(msg)
         leaves = {}
         for name, start in self._start.items():
-            value = np.array(params[name], dtype=np.float32, order="C")
-            if value.shape != start.shape:
-                msg = f"`{name}` must have shape {start.shape}, got {value.shape}"
-                raise ParameterError(msg)
+            value = _numbers(name, params[name], start.shape)
             if not np.all(np.isfinite(value)):
                 msg = f"`{name}` must be finite, got {int((~np.isfinite(value)).sum())} values that are not"
                 raise ParameterError(msg)
@@ -232,13 +246,14 @@ class MitsubaRenderer:
         self._params.update()
 
 
-def _use_variant() -> None:
-    variant = mi.variant()
-    if variant is None:
+def _use_variant() -> str:
+    if mi.variant() is None:
         mi.set_variant(*VARIANTS)
-    elif "_ad_" not in variant:
+    variant = str(mi.variant())
+    if "_ad_" not in variant:
         msg = f"Mitsuba's variant {variant!r} has no gradients; call mi.set_variant('llvm_ad_rgb')"
         raise OptionError(msg)
+    return variant
 
 
 def _load(scene: Any) -> Any:
@@ -253,7 +268,7 @@ def _load(scene: Any) -> Any:
         else:
             loaded = scene
     except RuntimeError as error:
-        msg = f"`scene` cannot be loaded: {' '.join(str(error).split())}"
+        msg = f"`scene` cannot be loaded: {_one_line(error)}"
         raise SceneLoadError(msg) from None
     if not isinstance(loaded, mi.Scene):
         msg = f"`scene` must be a dict, the path of an XML file, or an mi.Scene, got a {type(loaded).__name__}"
@@ -281,10 +296,21 @@ def _check_targets(parameters: object) -> dict[str, Target]:
 
 def _sensor(scene: Any, index: int) -> Any:
     sensors = scene.sensors()
-    if isinstance(index, bool) or not isinstance(index, int | np.integer) or not 0 <= index < len(sensors):
-        msg = f"`sensor` must be the number of one of the scene's {len(sensors)} sensors, from 0, got {index!r}"
+    if not sensors:
+        msg = "`scene` has no sensor"
         raise OptionError(msg)
-    return sensors[index]
+    number = whole_number(index)
+    if number is None or not 0 <= number < len(sensors):
+        msg = f"`sensor` must be the number of one of the scene's {len(sensors)} sensors, from 0, got {index!r:.60}"
+        raise OptionError(msg)
+    return sensors[number]
+
+
+def _pixels(film: Any) -> int:
+    """How many pixels are sampled, with the border if the film has one."""
+    border = 2 * film.rfilter().border_size() if film.sample_border() else 0
+    width, height = film.crop_size()
+    return int((width + border) * (height + border))
 
 
 def _integrator(scene: Any, integrator: Any) -> Any:
@@ -293,34 +319,60 @@ def _integrator(scene: Any, integrator: Any) -> Any:
     elif isinstance(integrator, str) and integrator == OWN_INTEGRATOR:
         integrator = scene.integrator()
     if isinstance(integrator, dict):
-        integrator = mi.load_dict(integrator)
+        try:
+            integrator = mi.load_dict(integrator)
+        except RuntimeError as error:
+            msg = f"`integrator` cannot be loaded: {_one_line(error)}"
+            raise OptionError(msg) from None
     if not isinstance(integrator, mi.Integrator):
         msg = f"`integrator` must be a dict, an mi.Integrator or 'scene', got {integrator!r:.60}"
         raise OptionError(msg)
     return integrator
 
 
-def _gradient_samples(integrator: Any, spp: int, spp_grad: int | None) -> int:
+def _one_line(error: RuntimeError) -> str:
+    """What Mitsuba says, without the trace of the Python in which some of its plugins are written."""
+    said, _, trace = str(error).strip().partition("Traceback (most recent call last):")
+    return " ".join([*said.split(), *" ".join(trace.splitlines()[-1:]).split()])
+
+
+def _gradient_samples(integrator: Any, spp: int, spp_grad: int | None, most: int) -> int:
     """What to ask Mitsuba for: 0 leaves the integrator's own counts, any other number overrides those above 0."""
     if spp_grad is not None:
-        return _samples("spp_grad", spp_grad)
+        return _samples("spp_grad", spp_grad, most)
     return 0 if any(getattr(integrator, name, None) for name in DERIVATIVES) else spp
 
 
-def _samples(name: str, value: object) -> int:
-    if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < 1:
-        msg = f"`{name}` must be a whole number of samples, 1 or more, got {value!r}"
+def _samples(name: str, value: object, most: int) -> int:
+    samples = whole_number(value)
+    if samples is None or not 1 <= samples <= most:
+        msg = f"`{name}` must be a whole number of samples from 1 to {most} for this film, got {value!r:.60}"
         raise OptionError(msg)
-    return int(value)
+    return samples
 
 
 def _seeds(seed: int) -> tuple[int, int]:
     """Independent seeds for the image and for its gradient, the same for the same `seed` everywhere."""
-    if isinstance(seed, bool) or not isinstance(seed, int | np.integer) or seed < 0:
-        msg = f"`seed` must be a whole number, 0 or more, got {seed!r}"
+    number = whole_number(seed)
+    if number is None or number < 0:
+        msg = f"`seed` must be a whole number, 0 or more, got {seed!r:.60}"
         raise OptionError(msg)
-    first, second = np.random.SeedSequence(int(seed)).generate_state(2)
+    first, second = np.random.SeedSequence(number).generate_state(2)
     return int(first), int(second)
+
+
+def _numbers(name: str, value: Any, shape: tuple[int, ...]) -> Host:
+    """`value` as a new float32 array, once it is known to be numbers of `shape`."""
+    try:
+        with np.errstate(over="ignore"):  # what is too large for float32 becomes infinite
+            array = np.array(value, dtype=np.float32, order="C")
+    except (TypeError, ValueError):
+        msg = f"`{name}` must be numbers of shape {shape}, got {value!r:.60}"
+        raise ParameterError(msg) from None
+    if array.shape != shape:
+        msg = f"`{name}` must have shape {shape}, got {array.shape}"
+        raise ParameterError(msg)
+    return array
 
 
 def _host(value: Any, shape: tuple[int, ...]) -> Host:

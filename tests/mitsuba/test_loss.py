@@ -168,6 +168,8 @@ def test_wrong_arguments_are_named() -> None:
         loss(image)
     with pytest.raises(ImageTypeError, match="TensorXi"):
         loss(mi.TensorXi([1]))
+    with pytest.raises(ImageTypeError, match=r"got a numpy\.ndarray"):
+        loss.value_and_grad(image)
     with pytest.raises(ImageError, match="image"):
         loss(mi.TensorXf(image[:5].astype(np.float32)))
     with pytest.raises(OptionError, match="`backend` must be one of 'torch', 'numpy', 'jax' or None, got 'cupy'"):
@@ -180,3 +182,12 @@ def test_a_missing_backend_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     assert LOILoss(reference, SCALES).backend == "numpy"
     with pytest.raises(ImportError, match=r"`backend` is 'torch', which cannot be imported .*pip install 'loi.torch.'"):
         LOILoss(reference, SCALES, backend="torch")
+
+
+def test_a_torch_that_cannot_see_the_gpu_is_not_chosen_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
+    reference = images(SHAPE, 11)[1]
+    monkeypatch.setattr(mi, "variant", lambda: "cuda_ad_rgb")
+    for sees, wanted in ((False, "numpy"), (True, "torch")):
+        monkeypatch.setattr("torch.cuda.is_available", lambda sees=sees: sees)
+        assert LOILoss(reference, SCALES).backend == wanted
+    assert LOILoss(reference, SCALES, backend="torch").backend == "torch"  # asked for is asked for

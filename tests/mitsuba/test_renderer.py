@@ -88,8 +88,42 @@ def test_an_image_depends_on_parameters_and_seed_alone(renderer: MitsubaRenderer
 def test_nothing_attached_is_left_in_the_scene(renderer: MitsubaRenderer) -> None:
     image, pullback = renderer.render_vjp(renderer.parameters())
     pullback(image)
-    params = mi.traverse(renderer.scene)
-    assert not any(dr.grad_enabled(params[key]) for key in params.keys())  # noqa: SIM118 - iterating yields pairs
+    assert not attached(renderer.scene)
+
+
+def test_nothing_attached_is_left_where_mitsuba_fails(
+    renderer: MitsubaRenderer, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    image, pullback = renderer.render_vjp(renderer.parameters(), seed=2)
+    wanted = pullback(image)
+
+    def failing(*_: Any, **__: Any) -> None:
+        assert attached(renderer.scene)
+        msg = "out of memory"
+        raise RuntimeError(msg)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(type(renderer._integrator), "render_backward", failing)
+        with pytest.raises(RuntimeError, match="out of memory"):
+            pullback(image)
+    assert not attached(renderer.scene)
+    for name, value in pullback(image).items():
+        np.testing.assert_allclose(value, wanted[name], rtol=1e-4, atol=1e-4)  # sums by atomic adds, in any order
+
+
+def test_a_caller_that_has_suspended_gradients_gets_them_all_the_same(renderer: MitsubaRenderer) -> None:
+    _, pullback = renderer.render_vjp(renderer.parameters(), seed=4)
+    wanted = pullback(random_cotangent())
+    with dr.suspend_grad():
+        gradient = pullback(random_cotangent())
+    assert np.any(wanted["place"])
+    for name, value in gradient.items():
+        np.testing.assert_allclose(value, wanted[name], rtol=1e-4, atol=1e-4)  # sums by atomic adds, in any order
+
+
+def attached(scene: Any) -> bool:
+    params = mi.traverse(scene)
+    return any(dr.grad_enabled(params[key]) for key in params.properties)
 
 
 def test_the_pullback_is_linear(renderer: MitsubaRenderer) -> None:
@@ -288,6 +322,28 @@ def test_shadows_without_a_gradient_are_warned_of(light: dict[str, Any], kind: s
     MitsubaRenderer(shadow_scene(lamp=light), {"floor": PARAMETERS["floor"]})  # nothing moves: no warning
 
 
+def test_integrators_without_outlines_are_warned_of() -> None:
+    with pytest.warns(GradientWarning, match="has no gradient of moving silhouettes and shadows; use direct_proj"):
+        renderer = MitsubaRenderer(shadow_scene(), {"place": Translate("ball")}, integrator={"type": "direct"})
+    gradient = renderer.render_vjp(renderer.parameters())[1](random_cotangent())
+    assert not np.any(gradient["place"])  # the ball is out of view, so its shadow is all there is: the warning is true
+
+
+def test_shapes_in_groups_are_warned_of() -> None:
+    group = {"type": "shapegroup", "ball": {"type": "sphere"}}
+    scene = shadow_scene(group=group, one={"type": "instance", "of": {"type": "ref", "id": "group"}})
+    with pytest.warns(GradientWarning, match="shape 'ball' moves in a shapegroup, .*has no gradient; put the shape"):
+        MitsubaRenderer(scene, {"place": Translate("group.ball")})
+
+
+def test_colours_of_vertices_do_not_move_a_mesh() -> None:
+    coloured = box((1.0, 0.6, 0.0), 0.4)
+    coloured.add_attribute("vertex_color", 3, [0.5] * 24)
+    scene = shadow_scene(box=coloured, sensor={"type": "orthographic"}, lamp={"type": "point", "position": [0, 12, 0]})
+    renderer = MitsubaRenderer(scene, {"colours": "box.vertex_color"})  # neither refused nor warned of
+    assert renderer.parameters()["colours"].shape == (24,)
+
+
 def test_meshes_that_count_twice_are_warned_of() -> None:
     with pytest.warns(GradientWarning, match="mesh 'cube' stores the vertices of an edge more than once"):
         MitsubaRenderer(shadow_scene(cube={"type": "cube"}), {"place": Translate("cube")})
@@ -335,6 +391,9 @@ def test_a_silhouette_in_view_needs_perspective() -> None:
 @pytest.mark.parametrize(
     ("change", "says"),
     [
+        ({"place": "left"}, r"`place` must be numbers of shape \(3,\), got 'left'"),
+        ({"place": [[1.0], [1.0, 2.0]]}, r"`place` must be numbers of shape \(3,\)"),
+        ({"size": 1e300}, "`size` must be finite, got 1 values that are not"),  # in float32
         ({"place": np.zeros(2)}, r"`place` must have shape \(3,\), got \(2,\)"),
         ({"floor": np.array([0, np.nan, 1])}, "`floor` must be finite, got 1 values that are not"),
         ({"size": np.array(0.0)}, "`size` scales a shape and must be more than 0, got 0"),
@@ -349,9 +408,16 @@ def test_wrong_values_are_named(renderer: MitsubaRenderer, change: Any, says: st
 def test_wrong_options_are_named(renderer: MitsubaRenderer, tmp_path: Path) -> None:
     names = {"light": PARAMETERS["light"]}
     for options, says in (
-        ({"spp": 0}, "`spp` must be a whole number of samples, 1 or more, got 0"),
+        ({"spp": 0}, "`spp` must be a whole number of samples from 1 to 1398101 for this film, got 0"),
+        ({"spp": 1398102}, "for this film, got 1398102"),  # 2**32 samples in 64 x 48 pixels
+        ({"spp_grad": 2**33}, "`spp_grad` must be a whole number of samples from 1 to 1398101"),
         ({"spp_grad": 1.5}, "`spp_grad` must be a whole number"),
         ({"sensor": 1}, "one of the scene's 1 sensors, from 0, got 1"),
+        ({"integrator": {"type": "nothing"}}, '`integrator` cannot be loaded: .*"nothing" not found'),
+        (
+            {"integrator": {"type": "direct_projective", "guiding": "x"}},
+            '`integrator` cannot be loaded: [^\n]*Exception: "guiding" must be set to "none", "grid", or "octree"$',
+        ),
         ({"integrator": "path"}, "`integrator` must be a dict, an mi.Integrator or 'scene', got 'path'"),
     ):
         with pytest.raises(OptionError, match=says):
@@ -360,13 +426,15 @@ def test_wrong_options_are_named(renderer: MitsubaRenderer, tmp_path: Path) -> N
         OptionError, match=r"`scene` must be a dict, the path of an XML file, or an mi.Scene, got a int"
     ):
         MitsubaRenderer(3, names)
+    with pytest.raises(OptionError, match="`scene` has no sensor"):
+        MitsubaRenderer({"type": "scene"}, names)
     with pytest.raises(SceneLoadError, match=r"`scene` cannot be loaded: .*no_such_shape"):
         MitsubaRenderer({"type": "scene", "a": {"type": "no_such_shape"}}, names)
     with pytest.raises(SceneLoadError, match=r"nothing.xml"):
         MitsubaRenderer(tmp_path / "nothing.xml", names)
     with pytest.raises(OptionError, match="`seed` must be a whole number, 0 or more, got -1"):
         renderer.render(renderer.parameters(), seed=-1)
-    with pytest.raises(ParameterError, match=r"`cotangent` must have the image's shape \(48, 64, 3\), got \(3,\)"):
+    with pytest.raises(ParameterError, match=r"`cotangent` must have shape \(48, 64, 3\), got \(3,\)"):
         renderer.render_vjp(renderer.parameters())[1](np.zeros(3))
     with pytest.raises(ParameterError, match="`axis` must be a direction"):
         Rotate("ball", (0, 0, 0))
@@ -378,6 +446,12 @@ def test_a_variant_without_gradients_is_refused() -> None:
     mi.set_variant("scalar_rgb")
     with pytest.raises(OptionError, match=r"'scalar_rgb' has no gradients; call mi.set_variant"):
         MitsubaRenderer({}, {"a": "b"})
+
+
+def test_another_variant_than_the_scene_s_is_named(renderer: MitsubaRenderer) -> None:
+    mi.set_variant("llvm_ad_spectral")
+    with pytest.raises(OptionError, match="variant is 'llvm_ad_spectral', the scene's is 'llvm_ad_rgb'"):
+        renderer.render(renderer.parameters())
 
 
 def test_the_loss_and_mi_render_need_no_renderer() -> None:
