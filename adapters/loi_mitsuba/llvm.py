@@ -126,7 +126,7 @@ def choose_llvm() -> LLVMChoice:
         if version is not None and version >= OLDEST:
             return LLVMChoice(path, version, WHEEL, f"the system has none of version {OLDEST} or later{passed}")
     have = f"the system has {' and '.join(sorted(set(too_old)))} only" if too_old else "none was found"
-    msg = f"Mitsuba needs LLVM {OLDEST} or later, {have}; {_mend()}, or set {VARIABLE} to it"
+    msg = f"Mitsuba needs LLVM {OLDEST} or later, {have}; {_mend()}, or set {VARIABLE} to one"
     raise LLVMError(msg)
 
 

@@ -177,9 +177,9 @@ class MitsubaRenderer:
         by_shape: defaultdict[str, list[str]] = defaultdict(list)
         for name, target in self._targets.items():
             if isinstance(target, str):
-                key = find_entry(entries, target).key
-                self._keys[name] = key
-                self._start[name] = _host(numbers(self._params[key]), find_entry(entries, target).shape)
+                entry = find_entry(entries, target)
+                self._keys[name] = entry.key
+                self._start[name] = _host(numbers(self._params[entry.key]), entry.shape)
             else:
                 by_shape[find_shape(self._scene, target.shape)[0]].append(name)
                 self._start[name] = target.initial()
