@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import itertools
+import sys
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import array_api_strict
@@ -11,9 +14,12 @@ import pytest
 import torch
 
 from loi_core import Free, LOIObjective, PixelL2, ScaleSpace, fit
+from loi_core.checkpoint import Checkpoint
 from loi_core.errors import FitError, LoiError, OptionError, ParameterError, RendererError
 from loi_core.fit import FitInterruptedError, FitStep
+from loi_core.optimiser import Moments
 from loi_core.renderers import Disks
+from loi_core.state import State
 from tests.helpers import Host
 
 TARGET = np.array([[22.0, 9.0]])
@@ -283,6 +289,84 @@ def test_ctrl_c_within_a_step_falls_before_it(tmp_path: Path) -> None:
         go(Interrupted(32, 32, TARGET, 5.0, [[0.9, 0.6, 0.1]], confine=True), checkpoint=file)
     resumed = go(SCENE, checkpoint=file, resume=True)
     np.testing.assert_array_equal(resumed.params["positions"], whole.params["positions"])
+
+
+def interrupted_after(count: int) -> Any:
+    """A trace function that raises KeyboardInterrupt after so many instructions of the loop and of its state."""
+    left = count
+
+    def trace(frame: FrameType, event: str, _: object) -> Any:
+        nonlocal left
+        if Path(frame.f_code.co_filename).name not in ("fit.py", "state.py"):
+            return None
+        frame.f_trace_opcodes = True
+        if event == "opcode":
+            left -= 1
+            if left == 0:
+                raise KeyboardInterrupt
+        return trace
+
+    return trace
+
+
+def test_ctrl_c_at_any_instruction_leaves_the_state_after_whole_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    saved: list[Checkpoint] = []
+    loop = sys.modules["loi_core.fit"]  # `loi_core.fit` is the function
+    monkeypatch.setattr(loop, "CHECKPOINT_STEPS", 1)
+    monkeypatch.setattr(loop, "save_checkpoint", lambda path, state: saved.append(state))
+
+    def go(trace: Any) -> Any:
+        before = sys.gettrace()
+        saved.clear()
+        try:
+            sys.settrace(trace)
+            return fit(
+                Bowl(), PixelL2(np.ones((2, 2, 1))), steps=3, learning_rate=0.1, optimise=["pixels"], checkpoint="x"
+            )
+        finally:
+            sys.settrace(before)
+
+    whole = go(sys.gettrace())
+    after = {state.step: state for state in saved}
+    start = Bowl().parameters()["pixels"]
+    params = [start, *(after[step].params["pixels"] for step in (1, 2, 3))]
+    steps_kept: set[int] = set()
+    for count in itertools.count(1):
+        try:
+            go(interrupted_after(count))
+            break
+        except FitInterruptedError as stop:
+            if stop.result is None:
+                assert not saved
+                continue
+            last = saved[-1]
+            steps_kept.add(last.step)
+            assert [one.value for one in stop.result.history] == [one.value for one in whole.history[: last.step]]
+            np.testing.assert_array_equal(last.history[:, 1], [one.value for one in stop.result.history])
+            assert last.best_step in (last.step, last.step - 1)
+            for got, wanted in (
+                (stop.result.params["pixels"], params[last.step]),
+                (last.params["pixels"], params[last.step]),
+                (last.best_params["pixels"], params[last.best_step]),
+            ):
+                np.testing.assert_array_equal(got, wanted)
+            assert last.count == last.step
+            if last.step:
+                np.testing.assert_array_equal(last.first["pixels"], after[last.step].first["pixels"])
+                np.testing.assert_array_equal(last.second["pixels"], after[last.step].second["pixels"])
+        except KeyboardInterrupt:
+            assert not saved  # before the first step
+    assert steps_kept == {0, 1, 2, 3}
+
+
+def test_a_step_does_not_copy_the_history() -> None:
+    state = State({}, Moments({}, {}))
+    for step in range(4):
+        before, state = state, state.stepped(FitStep(step, 0.0, 0.0, 1.0, 0.0), {}, state.moments)
+        assert state.log is before.log
+        assert [one.step for one in before.history] == list(range(step))
+    again = before.stepped(FitStep(9, 0.0, 0.0, 1.0, 0.0), {}, before.moments)
+    assert [one.step for one in again.history] == [0, 1, 2, 9]
 
 
 class Breaking(Bowl):
