@@ -16,14 +16,14 @@ from loi_core.arrays import Array, detached, is_array_api_obj, namespace, to_num
 from loi_core.checkpoint import load_checkpoint, save_checkpoint
 from loi_core.errors import FitError, LoiError, NonFiniteImageError, OptionError, RendererError
 from loi_core.files import check_writable
-from loi_core.free import Free, bounds_of, check_rate, free_parameters, own_parameters, starting_parameters
+from loi_core.free import Bounds, Free, bounds_of, check_rate, free_parameters, own_parameters, starting_parameters
 from loi_core.nonfinite import count_non_finite
 from loi_core.objectives.base import Objective
 from loi_core.optimiser import Moments, adam_step
 from loi_core.renderer import Parameters, ProjectingRenderer, Renderer
 from loi_core.resuming import resumed, settings_of, snapshot
 from loi_core.state import FitResult, FitStep, State
-from loi_core.values import whole_number
+from loi_core.values import real_number, whole_number
 
 __all__ = [
     "Callback",
@@ -50,11 +50,12 @@ Callback: TypeAlias = Callable[[FitStep, Parameters, Array], bool | None]
 class FitInterruptedError(KeyboardInterrupt):
     """Ctrl-C during a fit; ``result`` holds what it had reached.
 
-    Derived from ``KeyboardInterrupt`` alone, so that nothing which catches ordinary errors swallows it.
+    Its message says so if the checkpoint could not be written. Derived from ``KeyboardInterrupt`` alone, so that
+    nothing which catches ordinary errors swallows it.
     """
 
-    def __init__(self, result: FitResult | None) -> None:
-        super().__init__("the fit was interrupted")
+    def __init__(self, result: FitResult | None, lost: str = "") -> None:
+        super().__init__(f"interrupted; {lost}" if lost else "interrupted")
         self.result = result
 
 
@@ -78,7 +79,8 @@ def fit(
     Parameters
     ----------
     renderer : Renderer
-        Anything that keeps the contract. If it has ``project``, that is called after every step.
+        Anything that keeps the contract. If it has ``project``, that is called after every step, for
+        the parameters that may move; their bounds hold all the same.
     objective : Objective
         Anything with ``value`` and ``value_and_grad``.
     steps : int
@@ -108,33 +110,40 @@ def fit(
     OptionError, ParameterError
         If an argument is not allowed.
     FitError
-        If the loss or gradient stops being finite, or the renderer fails after the first step; its ``result``
-        holds the best parameters so far.
+        If the loss or gradient stops being finite, or the renderer fails or the checkpoint cannot be written after
+        the first step; its ``result`` holds the best parameters so far.
     RendererError
         If the renderer breaks the contract on the first step.
     FitInterruptedError
         On Ctrl-C; likewise.
     """
     check_fit_options(steps, learning_rate, seed, decay)
+    # NumPy's own numbers would wrap around in a sum, or widen the dtype of what they are multiplied with.
+    steps, seed = int(steps), int(seed)
     path = _checkpoint_path(checkpoint)
     free = free_parameters(optimise, own_parameters(renderer))
     params = starting_parameters(renderer, free)
     bounds = bounds_of(params, free)
-    rates = {name: learning_rate if one.learning_rate is None else one.learning_rate for name, one in free.items()}
+    rates = {
+        name: real_number(learning_rate if one.learning_rate is None else one.learning_rate)
+        for name, one in free.items()
+    }
     settings = settings_of(steps, seed, decay, rates, bounds)
     # The state is only ever replaced whole, so that Ctrl-C falls before a step or after it, never within.
     state = State(params, Moments.zeros({name: params[name] for name in free}))
-    if path is not None and resume and path.exists():
-        state = resumed(load_checkpoint(path, settings), state, renderer, objective, seed)
     try:
+        if path is not None and resume and path.exists():
+            state = resumed(load_checkpoint(path, settings), state, renderer, objective, seed)
         while state.step < steps:
             started = time.perf_counter()
             seen, share = state.params, _rate(decay, state.step, steps)
             image, value, gradient = _evaluate(renderer, objective, state, rates, seed + state.step)
             state = state.seen(value, image)
-            norm = math.sqrt(sum(float(np.sum(np.square(to_numpy(one)))) for one in gradient.values()))
+            # In float64, since squares leave the range of narrower dtypes while the gradient is well within it.
+            squares = (np.square(to_numpy(one), dtype=np.float64) for one in gradient.values())
+            norm = math.sqrt(sum(float(np.sum(one)) for one in squares))
             moved, moments = adam_step(seen, gradient, state.moments, {name: share * rates[name] for name in rates})
-            moved = _projected(renderer, bounds.clip(moved), state)
+            moved = _legal(renderer, bounds, moved, state)
             entry = FitStep(state.step, value, norm, share, time.perf_counter() - started)
             state = state.stepped(entry, moved, moments)
             if state.step % CHECKPOINT_STEPS == 0:
@@ -142,20 +151,25 @@ def fit(
             if callback is not None and callback(entry, seen, image):
                 break
         state = _last_seen(renderer, objective, state, seed)
-    except KeyboardInterrupt:
         _save(path, state, settings)
-        raise FitInterruptedError(state.result()) from None
-    _save(path, state, settings)
-    result = state.result()
-    if result is None:  # pragma: no cover - steps >= 1 has seen at least one value
-        msg = "the fit saw no value"
-        raise FitError(msg)
-    return result
+        result = state.result()
+        if result is None:  # pragma: no cover - steps >= 1 has seen at least one value
+            msg = "the fit saw no value"
+            raise FitError(msg)
+        return result
+    except KeyboardInterrupt:
+        lost = ""
+        try:
+            _save(path, state, settings)
+        except FitError as error:
+            lost = str(error)
+        raise FitInterruptedError(state.result(), lost) from None
 
 
 def _save(path: Path | None, state: State, settings: Mapping[str, str]) -> None:
     if path is not None and state.best is not None:
-        save_checkpoint(path, snapshot(state, state.best, settings))
+        with _keeping(state, "writing the checkpoint"):
+            save_checkpoint(path, snapshot(state, state.best, settings))
 
 
 def _evaluate(
@@ -167,13 +181,13 @@ def _evaluate(
     image = detached(image)
     with _keeping(state, "the objective"):
         value, cotangent = objective.value_and_grad(image)
-    number = float(detached(value))
+        number = float(detached(value))
     if not math.isfinite(number):
         msg = f"step {state.step}: the objective is {number}; the best parameters so far are in `result`"
         raise FitError(msg, state.result())
     with _keeping(state, "the pullback"):
         pulled = pullback(cotangent)
-        gradient = {name: _cotangent_of(name, pulled, state.params[name]) for name in free}
+        gradient = {name: _like("cotangent", "pullback", name, pulled, state.params[name]) for name in free}
     for name, slope in gradient.items():
         bad = count_non_finite(slope)
         if bad:
@@ -182,23 +196,31 @@ def _evaluate(
     return image, number, gradient
 
 
-def _cotangent_of(name: str, pulled: object, parameter: Array) -> Array:
-    if not isinstance(pulled, Mapping) or name not in pulled:
-        msg = f"the pullback gave no cotangent for {name!r}"
+def _like(what: str, source: str, name: str, given: object, parameter: Array) -> Array:
+    """Parameter `name` out of what a renderer gave, of the parameter's dtype."""
+    if not isinstance(given, Mapping) or name not in given:
+        msg = f"the {source} gave no {what} for {name!r}"
         raise RendererError(msg)
-    slope = pulled[name]
-    if not is_array_api_obj(slope) or tuple(slope.shape) != tuple(parameter.shape):
-        got = f"shape {tuple(slope.shape)}" if is_array_api_obj(slope) else type(slope).__name__
-        msg = f"the cotangent of {name!r} must be an array of shape {tuple(parameter.shape)}, got {got}"
+    array = given[name]
+    if not is_array_api_obj(array) or tuple(array.shape) != tuple(parameter.shape):
+        got = f"shape {tuple(array.shape)}" if is_array_api_obj(array) else type(array).__name__
+        msg = f"the {what} of {name!r} must be an array of shape {tuple(parameter.shape)}, got {got}"
         raise RendererError(msg)
-    return namespace(parameter).astype(detached(slope), parameter.dtype)
+    return namespace(parameter).astype(detached(array), parameter.dtype)
 
 
-def _projected(renderer: Renderer, params: Parameters, state: State) -> Parameters:
+def _legal(renderer: Renderer, bounds: Bounds, moved: Parameters, state: State) -> Parameters:
+    """The free parameters within their bounds, after the renderer has made them legal; the others as they were.
+
+    A renderer knows neither bounds nor what is free: it may, say, part two disks of which one is to stay.
+    """
+    moved = bounds.clip(moved)
     if not isinstance(renderer, ProjectingRenderer):
-        return params
+        return moved
     with _keeping(state, "the projection"):
-        return renderer.project(params)
+        legal = renderer.project(moved)
+        free = {name: _like("value", "projection", name, legal, moved[name]) for name in bounds.lower}
+    return bounds.clip(moved | free)
 
 
 @contextlib.contextmanager
@@ -219,11 +241,12 @@ def _keeping(state: State, what: str) -> Iterator[None]:
 
 def _last_seen(renderer: Renderer, objective: Objective, state: State, seed: int) -> State:
     """The last step has moved the parameters; they count only if their value is known."""
-    try:
-        image = detached(renderer.render(state.params, seed=seed + state.step))
-        value = float(detached(objective.value(image)))
-    except LoiError:
-        return state  # the best iterate stands
+    with _keeping(state, "measuring the last step"):
+        try:
+            image = detached(renderer.render(state.params, seed=seed + state.step))
+            value = float(detached(objective.value(image)))
+        except LoiError:
+            return state  # refused for what they are: the best iterate stands
     return state.seen(value, image) if math.isfinite(value) else state
 
 

@@ -26,10 +26,10 @@ def settings_of(steps: int, seed: int, decay: str, rates: Mapping[str, float], b
     """What must be the same for a fit to go on as if it had not stopped, by name."""
     limits = {name: [to_numpy(side[name]).tolist() for side in (bounds.lower, bounds.upper)] for name in rates}
     return {
-        "steps": str(int(steps)),
-        "seed": str(int(seed)),
+        "steps": str(steps),
+        "seed": str(seed),
         "decay": decay,
-        "learning rates": json.dumps({name: float(rate) for name, rate in rates.items()}),
+        "learning rates": json.dumps(dict(rates)),
         "bounds": hashlib.sha256(json.dumps(limits).encode()).hexdigest()[:12],
     }
 

@@ -104,7 +104,7 @@ class State:
         return tuple(self.log[: self.step])
 
     def seen(self, value: float, image: Array) -> State:
-        """This state, once the value and the image of its parameters are known."""
+        """The same state, once the value and the image of its parameters are known."""
         if self.best is not None and not value < self.best.value:
             return self
         return replace(self, best=Best(self.params, value, self.step, image))
