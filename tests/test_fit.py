@@ -333,6 +333,7 @@ def test_numbers_of_numpy_are_taken_for_what_they_are() -> None:
             return super().render_vjp(params)
 
     options: Any = {"steps": np.uint8(3), "learning_rate": np.float64(0.1), "seed": np.uint8(255)}
+    options["optimise"] = {"pixels": Free(learning_rate=np.float32(0.1))}  # type: ignore[arg-type]  # as it comes
     result = fit(Single(), PixelL2(np.ones((2, 2, 1))), **options)
     assert result.params["pixels"].dtype == np.float32
     assert seeds == [255, 256, 257]
@@ -421,8 +422,9 @@ def test_a_damaged_checkpoint_is_refused_wherever_the_damage_is(tmp_path: Path) 
     run(steps=3, checkpoint=file)
     whole, state = file.read_bytes(), load_checkpoint(file, {})
     refused = 0
-    for place in range(0, len(whole), 7):
-        file.write_bytes(whole[:place] + bytes([whole[place] ^ 8]) + whole[place + 1 :])
+    flags = whole.index(b"PK\x01\x02") + 8  # their first bit says that a password is needed
+    for place, bit in ((flags, 1), *((place, 8) for place in range(0, len(whole), 7))):
+        file.write_bytes(whole[:place] + bytes([whole[place] ^ bit]) + whole[place + 1 :])
         try:
             load_checkpoint(file, state.settings)
         except ParameterError:
