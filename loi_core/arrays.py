@@ -56,9 +56,10 @@ def to_numpy(array: Array) -> np.ndarray[Any, Any]:
     """`array` as NumPy, on the host: for reports and files, never inside a loss."""
     if is_torch_array(array):  # torch alone refuses to export what records gradients or lies on another device
         array = array.detach().cpu()
-        # NumPy has no bfloat16.
-        return np.asarray(array.float() if "bfloat16" in str(array.dtype) else array)
-    return np.asarray(array)
+        array = array.float() if "bfloat16" in str(array.dtype) else array
+    host = np.asarray(array)
+    # NumPy has no bfloat16; what JAX gives for it can be neither written to a file nor computed with safely.
+    return host.astype(np.float32) if "bfloat16" in str(host.dtype) else host
 
 
 def detached(array: Array) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -65,7 +64,8 @@ def load_checkpoint(path: Path, settings: Mapping[str, str]) -> Checkpoint:
 
 def _load(path: Path) -> Checkpoint:
     try:
-        with np.load(path, allow_pickle=False) as stored:
+        # Opened here, since NumPy leaves a damaged file open.
+        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
             arrays = {name: stored[name] for name in stored.files}
         groups = {
             group: {
@@ -73,7 +73,7 @@ def _load(path: Path) -> Checkpoint:
             }
             for group in GROUPS
         }
-        return Checkpoint(
+        state = Checkpoint(
             settings=dict(json.loads(str(arrays["settings"]))),
             step=int(arrays["step"]),
             count=int(arrays["count"]),
@@ -82,6 +82,12 @@ def _load(path: Path) -> Checkpoint:
             history=np.asarray(arrays["history"], dtype=np.float64).reshape(-1, 5),
             **groups,
         )
-    except (OSError, ValueError, KeyError, TypeError, EOFError, NotImplementedError, zipfile.BadZipFile) as error:
-        msg = f"`checkpoint` {path} is not a checkpoint of a fit ({type(error).__name__}); delete it to start anew"
-        raise ParameterError(msg) from error
+    except Exception as error:  # damage may show in any layer: the file, zip, its compression, NumPy, JSON
+        raise _foreign(path, type(error).__name__) from error
+    if not 0 <= state.best_step <= state.step == state.count == len(state.history):
+        raise _foreign(path, "its counts of steps disagree")
+    return state
+
+
+def _foreign(path: Path, why: str) -> ParameterError:
+    return ParameterError(f"`checkpoint` {path} is not a checkpoint of a fit ({why}); delete it to start anew")

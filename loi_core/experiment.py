@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, TypeAlias
@@ -81,13 +81,12 @@ def run_scene(
     LoiError
         If the scene's options are not allowed; nothing has been rendered then.
     """
+    initial = initial_image(scene)
+    earlier = _earlier_psnr(scene.output / HISTORY_FILE) if resume else {}
     trials: list[Trial] = []
     for index, (name, objective) in enumerate(scene.objectives.items()):
-        trial = Trial(name)
+        trial = Trial(name, initial=initial)
         watcher = _Watcher(scene, trial, progress)
-        if resume and index == 0:
-            trial.psnr = _earlier_psnr(scene.output / HISTORY_FILE)
-        trial.initial = initial_image(scene)
         trials.append(trial)
         try:
             trial.result = fit(
@@ -106,19 +105,29 @@ def run_scene(
             trial.error = str(error)
             trial.result = error.result if isinstance(error.result, FitResult) else None
         except FitInterruptedError as stop:
-            trial.error = "interrupted"
+            trial.error = str(stop)
             trial.result = stop.result
             break
+        finally:
+            if index == 0 and trial.result is not None:
+                trial.psnr = _known_psnr(trial.result, earlier) | trial.psnr
     return trials
 
 
-def _earlier_psnr(path: Path) -> dict[int, float]:
-    """The PSNR column of the history of a fit that is resumed; empty where there is none that can be read."""
+def _earlier_psnr(path: Path) -> dict[tuple[int, float], float]:
+    """PSNR by step and value from the history of an earlier fit; empty where there is none that can be read."""
     try:
         with path.open(encoding="utf-8", newline="") as stream:
-            return {int(row["step"]): float(row["psnr"]) for row in csv.DictReader(stream) if row["psnr"]}
+            rows = [row for row in csv.DictReader(stream) if row["psnr"]]
+        return {(int(row["step"]), float(row["value"])): float(row["psnr"]) for row in rows}
     except (OSError, ValueError, KeyError, TypeError):
         return {}
+
+
+def _known_psnr(result: FitResult, earlier: Mapping[tuple[int, float], float]) -> dict[int, float]:
+    """PSNR by step, where the earlier fit had the same value: else that history is not of the fit resumed."""
+    keys = ((one.step, one.value) for one in result.history)
+    return {key[0]: earlier[key] for key in keys if key in earlier}
 
 
 def frame_steps(steps: int) -> set[int]:

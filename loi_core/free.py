@@ -75,7 +75,7 @@ def own_parameters(renderer: Renderer) -> Parameters:
 
 
 def free_parameters(optimise: object, params: Parameters) -> dict[str, Free]:
-    """What `optimise` of :func:`loi_core.fit` asks for.
+    """What `optimise` of :func:`loi_core.fit` asks for, in the order of `params`.
 
     Raises
     ------
@@ -95,7 +95,9 @@ def free_parameters(optimise: object, params: Parameters) -> dict[str, Free]:
         if not isinstance(name, Hashable) or name not in params:
             msg = f"`optimise` names {name!r}, which the renderer does not have; it has {', '.join(sorted(params))}"
             raise ParameterError(msg)
-    free = dict(optimise) if isinstance(optimise, Mapping) else {name: Free() for name in listed}
+    asked = dict(optimise) if isinstance(optimise, Mapping) else {name: Free() for name in listed}
+    # In the renderer's order: that of a set differs from process to process, and a checkpoint would not be known again.
+    free = {name: asked[name] for name in params if name in asked}
     for name, entry in free.items():
         if not isinstance(entry, Free):
             msg = f"`optimise[{name!r}]` must be a Free, got {type(entry).__name__}"

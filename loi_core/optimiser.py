@@ -19,7 +19,7 @@ FLOOR: Final = 1e-15
 
 @dataclass(frozen=True)
 class Moments:
-    """Running means of the gradient and of its square, and how many steps they hold."""
+    """Running means of the gradient and of its square, in float32 at least, and how many steps they hold."""
 
     first: Parameters
     second: Parameters
@@ -28,7 +28,7 @@ class Moments:
     @classmethod
     def zeros(cls, params: Parameters) -> Moments:
         """Moments before the first step."""
-        zeros = {name: namespace(value).zeros_like(value) for name, value in params.items()}
+        zeros = {name: namespace(value).zeros_like(_wide(value)) for name, value in params.items()}
         return cls(zeros, dict(zeros))
 
 
@@ -49,10 +49,17 @@ def adam_step(
     count = moments.count + 1
     first, second, moved = dict(moments.first), dict(moments.second), dict(params)
     for name, rate in rates.items():
-        slope: Array = gradient[name]
+        slope = _wide(gradient[name])
         first[name] = FIRST_DECAY * first[name] + (1.0 - FIRST_DECAY) * slope
         second[name] = SECOND_DECAY * second[name] + (1.0 - SECOND_DECAY) * slope * slope
         mean = first[name] / (1.0 - FIRST_DECAY**count)
         spread = (second[name] / (1.0 - SECOND_DECAY**count)) ** 0.5
-        moved[name] = params[name] - rate * mean / (spread + FLOOR)
+        value: Array = params[name]
+        moved[name] = namespace(value).astype(_wide(value) - rate * mean / (spread + FLOOR), value.dtype)
     return moved, Moments(first, second, count)
+
+
+def _wide(array: Array) -> Array:
+    """`array` in float32 at least: in 16 bits squares of small gradients are 0, and so is the floor under them."""
+    xp = namespace(array)
+    return xp.astype(array, xp.float32) if xp.finfo(array.dtype).bits < 32 else array

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import csv
+import itertools
 import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,6 +14,7 @@ import pytest
 from loi_core import GaussianPyramid, LOIObjective, PixelL2, ScaleSpace
 from loi_core.cli import main
 from loi_core.errors import LoiError, SceneError
+from loi_core.experiment import run_scene
 from loi_core.images import write_png
 from loi_core.renderers import Disks
 from loi_core.scene import load_scene
@@ -240,6 +243,34 @@ def test_a_fit_can_be_resumed_and_keeps_its_pictures_and_history(folder: Path) -
     np.testing.assert_array_equal(np.load(result / "checkpoint.npz")["params/positions"], whole)
     assert {path.name for path in (result / "frames").iterdir()} == pictures
     assert (result / "history.csv").read_text() == history
+
+
+def test_the_quality_of_another_fit_is_not_taken_for_that_of_the_one_resumed(folder: Path) -> None:
+    main(["fit", str(folder / "scene.toml")])
+    history = folder / "result" / "history.csv"
+    rows = history.read_text().splitlines()
+    kept, foreign = rows[3].split(","), rows[4].split(",")
+    foreign[1] = repr(2.0 * float(foreign[1]))
+    history.write_text("\n".join([*rows[:4], ",".join(foreign), *rows[5:]]))
+    main(["fit", str(folder / "scene.toml"), "--resume"])
+    with history.open() as stream:
+        quality = [row["psnr"] for row in csv.DictReader(stream)]
+    assert quality[2] == kept[-1]
+    assert quality[3] == ""
+
+
+def test_ctrl_c_once_a_fit_is_done_keeps_it(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls, kept = itertools.count(), Disks.render_vjp
+
+    def render(self: Disks, params: Any, *, seed: int = 0) -> Any:
+        if next(calls) == 8:  # after the picture of the start, six steps, and that after the last
+            raise KeyboardInterrupt
+        return kept(self, params, seed=seed)
+
+    monkeypatch.setattr(Disks, "render_vjp", render)
+    trials = run_scene(load_scene(folder / "scene.toml"))
+    assert [(one.objective, one.error) for one in trials] == [("loi", ""), ("pixel_l2", "interrupted")]
+    assert trials[0].result is not None
 
 
 @pytest.mark.parametrize(

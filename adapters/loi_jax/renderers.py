@@ -13,7 +13,7 @@ import numpy as np
 from loi_core import renderers as core
 from loi_core.arrays import to_numpy
 from loi_core.errors import ParameterError
-from loi_core.renderers.checks import FloatArray, check_parameters, check_size, floats
+from loi_core.renderers.checks import FloatArray, check_parameters
 from loi_core.renderers.coverage import canvas_coverage
 
 __all__ = ["Disks"]
@@ -60,8 +60,6 @@ class Disks:
             msg = "`dtype` 'float64' needs JAX's 64-bit mode; set JAX_ENABLE_X64=1, or give dtype='float32'"
             raise ParameterError(msg)
         self._dtype = dtype
-        self._size = check_size("height", height), check_size("width", width)
-        self._background = floats("background", background, (3,))
 
     def parameters(self) -> Arrays:
         """``positions`` (n, 2), ``radii`` (n,) and ``colours`` (n, 3), of the scene's dtype."""
@@ -71,14 +69,14 @@ class Disks:
         """The image, shape (height, width, 3); `seed` is not needed, nothing is random."""
         scene = self._checked(params)
         with jax.enable_x64():
-            image: jax.Array = _render(scene, self._background, self._size, self._dtype)
+            image: jax.Array = _render(scene, self._core.background, self._core.size, self._dtype)
         return image
 
     def render_vjp(self, params: Arrays, *, seed: int = 0) -> tuple[jax.Array, Callable[[jax.Array], Arrays]]:
         """The image and its pullback; see :class:`loi_core.Renderer`."""
         scene = self._checked(params)
         with jax.enable_x64():
-            image, pull = _render_vjp(scene, self._background, self._size, self._dtype)
+            image, pull = _render_vjp(scene, self._core.background, self._core.size, self._dtype)
 
         def pullback(cotangent: jax.Array) -> Arrays:
             with jax.enable_x64():

@@ -14,7 +14,7 @@ from torch.autograd.function import FunctionCtx, once_differentiable
 from loi_core import renderers as core
 from loi_core.arrays import to_numpy
 from loi_core.errors import ParameterError
-from loi_core.renderers.checks import FloatArray, check_image, check_parameters, check_size, floats
+from loi_core.renderers.checks import FloatArray, check_image, check_parameters
 from loi_core.renderers.coverage import canvas_coverage
 
 __all__ = ["Disks", "Warp"]
@@ -61,9 +61,8 @@ class Disks:
         self._core = core.Disks(height, width, positions, radii, colours, background, dtype=dtype, confine=confine)
         self._dtype: torch.dtype = getattr(torch, dtype)
         self._device = _check_device(device)
-        rows, columns = check_size("height", height), check_size("width", width)
-        plain = torch.tensor(floats("background", background, (3,)), device=self._device)
-        self._canvas = plain.expand(rows, columns, 3)
+        rows, columns = self._core.size
+        self._canvas = torch.tensor(self._core.background, device=self._device).expand(rows, columns, 3)
         self._rows = torch.arange(rows + 1, dtype=torch.float64, device=self._device)
         self._columns = torch.arange(columns + 1, dtype=torch.float64, device=self._device)
 

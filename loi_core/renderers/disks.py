@@ -52,6 +52,13 @@ class Disks:
         Whether :meth:`project` keeps every disk whole in the frame and apart from the others. Under another disk,
         or outside the frame, a disk has no gradient, so it cannot get away by itself.
 
+    Attributes
+    ----------
+    size : tuple of int
+        Height and width of the image in pixels.
+    background : array, shape (3,), float64
+        Linear RGB.
+
     Raises
     ------
     ParameterError
@@ -79,8 +86,7 @@ class Disks:
         dtype: str = "float64",
         confine: bool = False,
     ) -> None:
-        self._height = check_size("height", height)
-        self._width = check_size("width", width)
+        self.size = check_size("height", height), check_size("width", width)
         centres = floats("positions", positions, (None, 2))
         count = centres.shape[0]
         spread = np.full(count, radii) if np.ndim(radii) == 0 else radii
@@ -89,7 +95,7 @@ class Disks:
             "radii": floats("radii", spread, (count,)),
             "colours": floats("colours", colours, (count, 3)),
         }
-        self._background = floats("background", background, (3,))
+        self.background = floats("background", background, (3,))
         self._dtype = check_dtype(dtype)
         if not isinstance(confine, bool):
             msg = f"`confine` must be true or false, got {confine!r}"
@@ -112,7 +118,7 @@ class Disks:
     ) -> tuple[FloatArray, Callable[[FloatArray], dict[str, FloatArray]]]:
         """The image and its pullback; see :class:`loi_core.Renderer`."""
         scene = check_parameters(params, self._scene)
-        image = np.broadcast_to(self._background, (self._height, self._width, 3)).copy()
+        image = np.broadcast_to(self.background, (*self.size, 3)).copy()
         stamps: list[_Stamp | None] = []
         beneath: list[FloatArray | None] = []
         for centre, radius, colour in zip(scene["positions"], scene["radii"], scene["colours"], strict=True):
@@ -151,12 +157,13 @@ class Disks:
         scene = check_parameters(params, self._scene)
         scene["radii"] = np.maximum(scene["radii"], LEAST_RADIUS)
         if self._confine:
-            scene["positions"] = _confined(scene["positions"], scene["radii"], self._width, self._height)
+            scene["positions"] = _confined(scene["positions"], scene["radii"], self.size)
         return {name: value.astype(self._dtype) for name, value in scene.items()}
 
     def _stamp(self, centre: FloatArray, radius: float) -> _Stamp | None:
-        columns = _touched(float(centre[0]), radius, self._width)
-        rows = _touched(float(centre[1]), radius, self._height)
+        height, width = self.size
+        columns = _touched(float(centre[0]), radius, width)
+        rows = _touched(float(centre[1]), radius, height)
         if radius <= 0.0 or columns.start >= columns.stop or rows.start >= rows.stop:
             return None
         x = np.arange(columns.start, columns.stop + 1) - float(centre[0])
@@ -170,10 +177,10 @@ def _touched(centre: float, radius: float, size: int) -> slice:
     return slice(int(np.floor(start)), int(np.ceil(stop)))
 
 
-def _confined(positions: FloatArray, radii: FloatArray, width: int, height: int) -> FloatArray:
+def _confined(positions: FloatArray, radii: FloatArray, size: tuple[int, int]) -> FloatArray:
     """Centres moved by little that brings every disk into the frame and parts each overlapping pair."""
     count = positions.shape[0]
-    frame = np.array([width, height], dtype=np.float64)
+    frame = np.array(size[::-1], dtype=np.float64)
     margin = np.minimum(radii[:, None], 0.5 * frame)
     positions = np.clip(positions, margin, frame - margin)
     # Two disks in exactly the same place have no direction to part in: each pair gets one of its own.
