@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any, TypeAlias
 
 import numpy as np
-from array_api_compat import array_namespace, device, is_array_api_obj, is_numpy_array, is_torch_array
+from array_api_compat import array_namespace, device, is_array_api_obj, is_jax_array, is_numpy_array, is_torch_array
 
 from loi_core.errors import ImageTypeError
 
@@ -21,6 +21,7 @@ __all__ = [
     "is_numpy_array",
     "library_name",
     "namespace",
+    "runs_eagerly_on_host",
     "to_numpy",
 ]
 
@@ -50,6 +51,13 @@ def from_numpy(values: np.ndarray[Any, Any], like: Array) -> Array:
     """`values` as an array of the library, dtype and device of `like`."""
     xp = namespace(like)
     return xp.asarray(values, dtype=like.dtype, device=device(like))
+
+
+def runs_eagerly_on_host(array: Array) -> bool:
+    """Whether operations on arrays like this run one by one, on the processor: then small arrays stay in its caches."""
+    if is_jax_array(array):
+        return False
+    return is_numpy_array(array) or "cpu" in str(device(array)).lower()
 
 
 def to_numpy(array: Array) -> np.ndarray[Any, Any]:

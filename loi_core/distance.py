@@ -48,9 +48,8 @@ def cost_slope(difference: Array, p: float, tie: float) -> Array:
     For p > 1 the slope of the cost is infinite at 0; the tie keeps it finite.
     """
     xp = namespace(difference)
-    up = xp.astype(difference > tie, difference.dtype)
-    down = xp.astype(difference < -tie, difference.dtype)
-    sign = up - down
+    # What is left beyond the ties has the sign; comparisons would take twice the passes over memory.
+    sign = xp.sign(difference - xp.clip(difference, -tie, tie))
     if p == 1.0:
         return sign
     magnitude = xp.abs(difference)

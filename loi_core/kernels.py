@@ -1,100 +1,241 @@
-"""One-dimensional Gaussian blurs on a finite axis, as matrices in float64.
+"""One-dimensional Gaussian blurs between samplings of one axis, as matrices in float64.
 
-A blur of a finite axis is linear, so it is a matrix; its rows can hold any boundary rule, and its transpose is
-its exact adjoint. Two-dimensional Gaussians are the product of two of these.
+A blur of a finite axis is linear, so it is a matrix; its rows can hold any boundary rule, and its transpose is its
+exact adjoint. Its outputs need not lie on the pixels, and neither need its inputs: Gaussians after Gaussians are
+Gaussians, so a wide blur may pass through coarser samplings and still be exact to rounding (see
+:func:`coarsest_spacing`). Two-dimensional Gaussians are the product of two of these.
 """
 
 from __future__ import annotations
 
 import math
-from typing import Any, TypeAlias
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Final, TypeAlias
 
 import numpy as np
 
 from loi_core.scales import Boundary
 
-__all__ = ["blur_matrix", "gaussian_taps"]
+__all__ = ["AxisBlur", "AxisGrid", "Matrix", "blur_matrix", "coarsest_spacing", "reach", "rung_variance"]
 
 Matrix: TypeAlias = np.ndarray[tuple[int, ...], np.dtype[np.float64]]
 
-NEGLIGIBLE = 8.6  # exp(-8.6**2 / 2) < 2**-53: a tap this many sigmas out vanishes beside the central one
+FLAT: Final = 2.7
+"""From this many axis lengths on, a reflected Gaussian is flat to 2 exp(-(pi FLAT)**2 / 2) < 1e-15."""
+
+SERIES: Final = 0.5
+"""From this many axis lengths on, a reflected Gaussian is summed as a cosine series."""
+
+SMOOTH: Final = 2.0
+"""From this many samples on, the sum of a sampled Gaussian is its integral, to 2 exp(-2 (pi SMOOTH)**2) < 1e-33."""
+
+VARIANCE: Final = 4.0 / 3.0
+"""Variance of what a rung of a cascade holds, in squared spacings and in units of :func:`_needed`; see there."""
 
 
-def gaussian_taps(scale: float, radius: int) -> Matrix:
-    """Samples of a Gaussian at the integers -radius ... radius, normalised to sum 1.
+def reach(eps: float) -> float:
+    """After how many standard deviations a Gaussian is below `eps` / 2 of its peak."""
+    return math.sqrt(2.0 * math.log(2.0 / eps))
 
-    Parameters
+
+@dataclass(frozen=True)
+class AxisGrid:
+    """A uniform sampling of an axis: the centres of equal cells that cover all of its pixels.
+
+    Attributes
     ----------
-    scale : float
-        Standard deviation in samples, 0 or more; 0 gives a single 1.
-    radius : int
-        How many samples lie on either side of the centre.
+    size : int
+        Pixels of the axis. They lie at 0, 1, ..., size - 1; the axis reaches from -0.5 to size - 0.5.
+    cells : int
+        Number of samples; `size` of them are the pixels themselves.
     """
-    offsets = np.arange(-radius, radius + 1, dtype=np.float64)
-    if scale == 0.0:
-        return np.where(offsets == 0.0, 1.0, 0.0)
-    with np.errstate(under="ignore", over="ignore"):
-        # Divide first: squaring a tiny scale would underflow to 0 and give 0 / 0 at the centre.
-        taps: Matrix = np.exp(-0.5 * (offsets / scale) ** 2)
-    normalised: Matrix = taps / taps.sum()
-    return normalised
+
+    size: int
+    cells: int
+
+    @property
+    def spacing(self) -> float:
+        """Distance between two samples, in pixels."""
+        return self.size / self.cells
+
+    @cached_property
+    def positions(self) -> Matrix:
+        """Where the samples are, in pixels; shape (cells,)."""
+        return (np.arange(self.cells) + 0.5) * self.spacing - 0.5
+
+    def __str__(self) -> str:
+        return str(self.cells)
+
+
+@dataclass(frozen=True)
+class AxisBlur:
+    """A Gaussian blur from one sampling of an axis to another.
+
+    Attributes
+    ----------
+    source, target : AxisGrid
+        Samplings of the same axis.
+    scale : float
+        Standard deviation in pixels; 0 is the identity and needs `target` to be `source`.
+    boundary : {"reflect", "zero"}
+        "reflect" mirrors about the edge of the first and last pixel (half-sample symmetric), any number of times:
+        rows sum to 1, and if the samplings are equal so do columns. "zero" pads with zeros.
+    taps : int, optional
+        Odd length at which the kernel is cut before it is normalised; needs `source` to be the pixels.
+    cut : float
+        Where the kernel ends if `taps` does not say: after this many standard deviations.
+    """
+
+    source: AxisGrid
+    target: AxisGrid
+    scale: float
+    boundary: Boundary
+    taps: int | None = None
+    cut: float = reach(float(np.finfo(np.float64).eps))
+
+    @property
+    def is_identity(self) -> bool:
+        """Whether nothing changes."""
+        return self.scale == 0.0
+
+    @property
+    def transposes(self) -> bool:
+        """Whether the matrix is symmetric."""
+        return self.source == self.target
+
+    @property
+    def radius(self) -> float:
+        """How far the kernel reaches, in pixels."""
+        if self.taps is not None:
+            return float(self.taps // 2)
+        if self._is_wide:
+            return math.inf
+        return self.cut * self.scale
+
+    def matrix(self) -> Matrix:
+        """All of it, shape (target.cells, source.cells)."""
+        return self.entries(range(self.target.cells), range(self.source.cells))
+
+    def entries(self, rows: range, columns: range) -> Matrix:
+        """A contiguous part of the matrix, shape (len(rows), len(columns))."""
+        here = self.target.positions[rows.start : rows.stop, None]
+        there = self.source.positions[None, columns.start : columns.stop]
+        if self.taps is None:
+            return self._weights(here, there)
+        # A cut kernel may end in a step; its values between two pixels are taken from the two.
+        low, high = np.floor(here), np.ceil(here)
+        part = here - low
+        return (1.0 - part) * self._weights(low, there) + part * self._weights(high, there)
+
+    def support(self, rows: range) -> range:
+        """Columns outside which :meth:`entries` of these rows are 0."""
+        return self._touched(self.target, rows, self.source)
+
+    def support_of_columns(self, columns: range) -> range:
+        """Rows outside which :meth:`entries` of these columns are 0."""
+        return self._touched(self.source, columns, self.target)
+
+    @property
+    def _is_wide(self) -> bool:
+        return self.boundary == "reflect" and self.taps is None and self.scale >= SERIES * self.source.size
+
+    def _touched(self, grid: AxisGrid, indices: range, other: AxisGrid) -> range:
+        radius = self.radius + (1.0 if self.taps is not None else 0.0)
+        if math.isinf(radius):
+            return range(other.cells)
+        low = float(grid.positions[indices.start]) - radius
+        high = float(grid.positions[indices.stop - 1]) + radius
+        if self.boundary == "reflect":
+            # What lies beyond an edge is seen in its mirror.
+            low, high = min(low, 2 * grid.size - 1 - high), max(high, -1 - low)
+        first = math.ceil((low + 0.5) / other.spacing - 0.5 - 1e-9)
+        last = math.floor((high + 0.5) / other.spacing - 0.5 + 1e-9)
+        return range(min(max(first, 0), other.cells - 1), min(max(last + 1, 1), other.cells))
+
+    def _weights(self, here: Matrix, there: Matrix) -> Matrix:
+        if self.is_identity:
+            return np.where(here == there, 1.0, 0.0)
+        if self._is_wide:
+            return self._series(here, there)
+        weights = self._gaussian(here - there)
+        if self.boundary == "reflect":
+            # A mirrored axis repeats with period 2 size; each sample is seen directly and in the mirror.
+            period = 2 * self.source.size
+            mirrored = here + there + 1.0
+            weights = weights + self._gaussian(mirrored)
+            for turn in range(1, math.ceil((self.radius + 1.0) / period) + 1):
+                for shift in (-turn * period, turn * period):
+                    weights = weights + self._gaussian(here - there + shift) + self._gaussian(mirrored + shift)
+        result: Matrix = weights / self._total(here)
+        return result
+
+    def _gaussian(self, distance: Matrix) -> Matrix:
+        with np.errstate(under="ignore", over="ignore"):
+            # Divide first: squaring a tiny scale would underflow to 0 and give 0 / 0 at the centre.
+            values = np.exp(-0.5 * (distance / self.scale) ** 2)
+        result: Matrix = np.where(np.abs(distance) <= self.radius, values, 0.0)
+        return result
+
+    def _total(self, here: Matrix) -> Matrix | float:
+        """What the kernel about `here` sums to over an unbounded sampling like the source."""
+        if self.taps is not None:
+            return float(self._gaussian(np.arange(-(self.taps // 2), self.taps // 2 + 1, dtype=np.float64)).sum())
+        spacing = self.source.spacing
+        if self.scale >= SMOOTH * spacing:
+            return math.sqrt(2.0 * math.pi) * self.scale / spacing
+        away = math.ceil(self.cut * SMOOTH) + 1
+        phase = (here + 0.5) / spacing - 0.5
+        offsets = (phase - np.floor(phase) - np.arange(-away, away + 1)) * spacing
+        return self._gaussian(offsets).sum(axis=1, keepdims=True)
+
+    def _series(self, here: Matrix, there: Matrix) -> Matrix:
+        """The reflected Gaussian as a sum of cosines, which for wide kernels has few terms and always decays."""
+        size = self.source.size
+        total = np.ones(np.broadcast_shapes(here.shape, there.shape))
+        order = 1
+        while self.scale < FLAT * size / order:
+            weight = 2.0 * math.exp(-0.5 * (math.pi * order * self.scale / size) ** 2)
+            wave = math.pi * order / size
+            total += weight * np.cos(wave * (here + 0.5)) * np.cos(wave * (there + 0.5))
+            order += 1
+        result: Matrix = total / self.source.cells
+        return result
+
+
+def coarsest_spacing(scale: float, eps: float) -> float:
+    """The coarsest sampling, in pixels, on which a Gaussian of `scale` may be interrupted and lose nothing but `eps`.
+
+    Two Gaussians of variances a and b, one after the other with a sampling of spacing s between them, are the
+    Gaussian of variance a + b times a ripple of relative size ``2 exp(-2 pi**2 c / s**2)``, c = a b / (a + b), whatever
+    the distance (complete the square, then Poisson summation). So the tails keep their relative accuracy, and signs
+    survive. The first of the two holds VARIANCE times what the ripple needs (:func:`rung_variance`), which leaves
+    enough for the second, and for another rung of at least twice the spacing.
+    """
+    need = _needed(eps)
+    # a = VARIANCE need s**2 and b = scale**2 - a; c >= need s**2 asks for s <= this.
+    return scale * math.sqrt((1.0 - 1.0 / VARIANCE) / (VARIANCE * need))
+
+
+def rung_variance(spacing: float, eps: float) -> float:
+    """Variance, in squared pixels, that a cascade has blurred by when it is sampled at `spacing`."""
+    return VARIANCE * _needed(eps) * spacing**2
+
+
+def _needed(eps: float) -> float:
+    """The c / s**2 of :func:`coarsest_spacing` at which the ripple is `eps` / 2."""
+    return math.log(4.0 / eps) / (2.0 * math.pi**2)
 
 
 def blur_matrix(size: int, scale: float, boundary: Boundary, taps: int | None = None) -> Matrix:
-    """The matrix that blurs an axis of `size` samples with a Gaussian.
+    """The matrix that blurs an axis of `size` pixels with a Gaussian: float64, shape (size, size), symmetric.
 
     Parameters
     ----------
     size : int
-        Number of samples of the axis, 1 or more.
-    scale : float
-        Standard deviation in samples; 0 gives the identity.
-    boundary : {"reflect", "zero"}
-        "reflect" mirrors about the edge of the first and last sample (half-sample symmetric), any number of
-        times: rows and columns sum to 1. "zero" pads with zeros.
-    taps : int, optional
-        Odd length at which the kernel is cut before it is normalised; as long as matters in float64 by default.
-
-    Returns
-    -------
-    array, shape (size, size), float64
-        Symmetric, so its own adjoint.
+        Number of pixels of the axis, 1 or more.
+    scale, boundary, taps
+        See :class:`AxisBlur`.
     """
-    cut = math.ceil(NEGLIGIBLE * scale) if taps is None else taps // 2
-    if boundary == "zero":
-        return _zero_padded(size, scale, cut)
-    return _reflected(size, scale, cut, exact=taps is None)
-
-
-def _distances(size: int) -> tuple[np.ndarray[Any, np.dtype[np.intp]], np.ndarray[Any, np.dtype[np.intp]]]:
-    index = np.arange(size)
-    return np.abs(index[:, None] - index[None, :]), index[:, None] + index[None, :] + 1
-
-
-def _zero_padded(size: int, scale: float, cut: int) -> Matrix:
-    # The kernel may be far longer than the axis: only offsets within the axis are stored, and the sum that
-    # normalises it is, beyond 2 samples of width, sqrt(2 pi) scale to better than 1e-30 (Poisson summation).
-    reach = min(cut, size - 1)
-    if cut == reach or scale <= 2.0 or cut < NEGLIGIBLE * scale - 1:
-        kernel = gaussian_taps(scale, cut)[cut : cut + reach + 1]
-    else:
-        kernel = np.exp(-0.5 * (np.arange(reach + 1) / scale) ** 2) / (math.sqrt(2.0 * math.pi) * scale)
-    row = np.zeros(size)
-    row[: reach + 1] = kernel
-    matrix: Matrix = row[_distances(size)[0]]
-    return matrix
-
-
-def _reflected(size: int, scale: float, cut: int, *, exact: bool) -> Matrix:
-    # A mirrored axis repeats with period 2 size. Folding the kernel into one period handles kernels of any
-    # length; each sample is then seen directly and in the mirror.
-    period = 2 * size
-    if exact and scale >= 2.0 * period:
-        # Poisson summation: the folded kernel differs from flat by 2 exp(-2 (pi scale / period)**2) < 1e-34.
-        folded = np.full(period, 1.0 / period)
-    else:
-        kernel = gaussian_taps(scale, cut)
-        folded = np.bincount(np.arange(-cut, cut + 1) % period, weights=kernel, minlength=period)
-    direct, mirrored = _distances(size)
-    matrix: Matrix = folded[direct] + folded[mirrored % period]
-    return matrix
+    pixels = AxisGrid(size, size)
+    return AxisBlur(pixels, pixels, scale, boundary, taps).matrix()

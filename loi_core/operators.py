@@ -1,19 +1,28 @@
-"""Blurs of stacks of planes, behind the one interface through which the losses use them.
+"""Blurs of stacks of planes, as products with small matrices: the same code on every array library.
 
-How a blur is computed may change with the scale, the size and the accuracy asked for; the losses only ever apply
-it, apply its adjoint, and ask how the samples of its output are to be averaged.
+Per axis a blur is a matrix that is zero away from a band, so it is applied in blocks: some rows at a time, on the
+part of the axis that they see. Narrow kernels take narrow blocks and cost little per pixel; where the kernel is as
+wide as the axis one block remains, the dense matrix. Which blocks are best is reckoned from their sizes.
 """
 
 from __future__ import annotations
 
+import functools
+import itertools
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Final, Protocol
+
+import numpy as np
 
 from loi_core.arrays import Array, from_numpy, namespace
-from loi_core.kernels import blur_matrix
+from loi_core.kernels import AxisBlur, AxisGrid, Matrix
 from loi_core.scales import Boundary
 
-__all__ = ["Blur", "DenseBlur", "IdentityBlur", "blur_about", "gaussian_blur"]
+__all__ = ["Blur", "DenseBlur", "GaussianBlur", "PlaneBlur", "PlaneGrid", "blur_about", "gaussian_blur"]
+
+BLOCK_SIZES: Final = (16, 32, 64, 128, 256, 512)
+MAX_BLOCKS: Final = 64
+PANEL: Final = 16  # a product with fewer rows or columns than this costs about as much as with this many
 
 
 class Blur(Protocol):
@@ -27,21 +36,189 @@ class Blur(Protocol):
 
 
 @dataclass(frozen=True)
-class IdentityBlur:
-    """The blur of scale 0: nothing changes."""
+class PlaneGrid:
+    """A sampling of the pixels of a plane."""
+
+    rows: AxisGrid
+    columns: AxisGrid
+
+    @classmethod
+    def pixels(cls, height: int, width: int) -> PlaneGrid:
+        """The pixels themselves."""
+        return cls(AxisGrid(height, height), AxisGrid(width, width))
+
+    @property
+    def cells(self) -> int:
+        """Number of samples."""
+        return self.rows.cells * self.columns.cells
+
+    def __str__(self) -> str:
+        return f"{self.rows}x{self.columns}"
+
+
+@dataclass(frozen=True)
+class PlaneBlur:
+    """A Gaussian blur from one sampling of a plane to another: what is to be computed, not yet how."""
+
+    rows: AxisBlur
+    columns: AxisBlur
+
+    @property
+    def source(self) -> PlaneGrid:
+        """Where its input is sampled."""
+        return PlaneGrid(self.rows.source, self.columns.source)
+
+    @property
+    def target(self) -> PlaneGrid:
+        """Where its output is sampled."""
+        return PlaneGrid(self.rows.target, self.columns.target)
+
+    @property
+    def is_identity(self) -> bool:
+        """Whether nothing changes."""
+        return self.rows.is_identity and self.columns.is_identity
+
+    @property
+    def columns_first(self) -> bool:
+        """Whether the horizontal axis comes first, which is where there is less to do then."""
+        return self._work(columns_first=True) <= self._work(columns_first=False)
+
+    @property
+    def work(self) -> float:
+        """Multiplications and additions for one plane, forwards; the adjoint takes about as many."""
+        return min(self._work(columns_first=True), self._work(columns_first=False))
+
+    def _work(self, *, columns_first: bool) -> float:
+        if self.is_identity:
+            return 0.0
+        rows, columns = _blocking(self.rows).work, _blocking(self.columns).work
+        if columns_first:
+            return columns * self.rows.source.cells + rows * self.columns.target.cells
+        return rows * self.columns.source.cells + columns * self.rows.target.cells
+
+
+@dataclass(frozen=True)
+class _Blocking:
+    """Which rows of an axis' matrix are applied together."""
+
+    blocks: tuple[range, ...]
+    work: float  # multiplications and additions for one line of the axis
+
+
+@functools.lru_cache(maxsize=1024)
+def _blocking(blur: AxisBlur) -> _Blocking:
+    """The blocks that take the least work."""
+    return min((_blocks_of(blur, size) for size in BLOCK_SIZES), key=lambda blocking: blocking.work)
+
+
+def _blocks_of(blur: AxisBlur, size: int) -> _Blocking:
+    cells = blur.target.cells
+    count = min(max(1, round(cells / size)), MAX_BLOCKS)
+    edges = [cells * index // count for index in range(count + 1)]
+    blocks = tuple(range(start, stop) for start, stop in itertools.pairwise(edges))
+    work = sum(2.0 * max(len(block), PANEL) * (len(blur.support(block)) + PANEL) for block in blocks)
+    return _Blocking(blocks, work)
+
+
+@dataclass(frozen=True)
+class _Block:
+    """Some rows of a matrix, and the part of the axis that they see."""
+
+    start: int
+    stop: int
+    matrix: Array
+
+
+@dataclass(frozen=True)
+class _AxisProduct:
+    """A matrix, in blocks of rows."""
+
+    blocks: tuple[_Block, ...]
+
+    @classmethod
+    def forward(cls, blur: AxisBlur, like: Array) -> _AxisProduct:
+        blocks = []
+        for rows in _blocking(blur).blocks:
+            columns = blur.support(rows)
+            blocks.append(_block(columns, blur.entries(rows, columns), like))
+        return cls(tuple(blocks))
+
+    @classmethod
+    def backward(cls, blur: AxisBlur, like: Array) -> _AxisProduct:
+        mirror = AxisBlur(blur.target, blur.source, blur.scale, blur.boundary, blur.taps, blur.cut)
+        blocks = []
+        for columns in _blocking(mirror).blocks:
+            rows = blur.support_of_columns(columns)
+            blocks.append(_block(rows, blur.entries(rows, columns).T, like))
+        return cls(tuple(blocks))
+
+    def along_rows(self, planes: Array) -> Array:
+        """The product with the vertical axis of planes, shape (..., H, W)."""
+        xp = namespace(planes)
+        parts = [xp.matmul(block.matrix, planes[..., block.start : block.stop, :]) for block in self.blocks]
+        return parts[0] if len(parts) == 1 else xp.concat(parts, axis=-2)
+
+    def along_columns(self, planes: Array) -> Array:
+        """The product with the horizontal axis of planes, shape (..., H, W)."""
+        xp = namespace(planes)
+        stack = planes.shape[:-1]
+        parts = []
+        for block in self.blocks:
+            # One tall product is several times faster than a product per plane.
+            seen = xp.reshape(planes[..., block.start : block.stop], (-1, block.stop - block.start))
+            parts.append(xp.reshape(xp.matmul(seen, block.matrix.T), (*stack, block.matrix.shape[0])))
+        return parts[0] if len(parts) == 1 else xp.concat(parts, axis=-1)
+
+
+def _block(seen: range, matrix: Matrix, like: Array) -> _Block:
+    return _Block(seen.start, seen.stop, from_numpy(np.ascontiguousarray(matrix), like))
+
+
+class GaussianBlur:
+    """A blur that is ready to run on arrays like one array.
+
+    Parameters
+    ----------
+    blur : PlaneBlur
+        What to compute.
+    like : array
+        Its library, dtype and device are those of the matrices.
+    """
+
+    def __init__(self, blur: PlaneBlur, like: Array) -> None:
+        self._blur = blur
+        self._columns_first = blur.columns_first
+        self._rows, self._rows_back = self._axis(blur.rows, like)
+        if blur.columns == blur.rows:
+            self._columns, self._columns_back = self._rows, self._rows_back
+        else:
+            self._columns, self._columns_back = self._axis(blur.columns, like)
+
+    @staticmethod
+    def _axis(blur: AxisBlur, like: Array) -> tuple[_AxisProduct, _AxisProduct]:
+        forward = _AxisProduct.forward(blur, like)
+        return forward, forward if blur.transposes else _AxisProduct.backward(blur, like)
 
     def apply(self, planes: Array) -> Array:
-        """`planes` itself."""
-        return planes
+        """The blurred planes, shape (..., h, w)."""
+        if self._blur.is_identity:
+            return planes
+        if self._columns_first:
+            return self._rows.along_rows(self._columns.along_columns(planes))
+        return self._columns.along_columns(self._rows.along_rows(planes))
 
     def adjoint(self, planes: Array) -> Array:
-        """`planes` itself."""
-        return planes
+        """The transpose of :meth:`apply`: planes of shape (..., h, w) to shape (..., H, W)."""
+        if self._blur.is_identity:
+            return planes
+        if self._columns_first:
+            return self._columns_back.along_columns(self._rows_back.along_rows(planes))
+        return self._rows_back.along_rows(self._columns_back.along_columns(planes))
 
 
 @dataclass(frozen=True)
 class DenseBlur:
-    """A separable blur as one dense matrix per axis.
+    """A separable linear map as one dense matrix per axis.
 
     Attributes
     ----------
@@ -66,7 +243,6 @@ class DenseBlur:
 def _sandwich(left: Array, planes: Array, right: Array) -> Array:
     xp = namespace(planes)
     *stack, height, width = planes.shape
-    # One tall product along the last axis is several times faster than a product per plane.
     across = xp.matmul(xp.reshape(planes, (-1, width)), right.T)
     return xp.matmul(left, xp.reshape(across, (*stack, height, right.shape[0])))
 
@@ -79,7 +255,7 @@ def blur_about(blur: Blur, planes: Array, padding: float) -> Array:
 def gaussian_blur(
     height: int, width: int, scale: float, boundary: Boundary, *, like: Array, taps: int | None = None
 ) -> Blur:
-    """The Gaussian blur of planes of `height` by `width` pixels.
+    """The Gaussian blur of planes of `height` by `width` pixels, for arrays like `like`.
 
     Parameters
     ----------
@@ -87,15 +263,12 @@ def gaussian_blur(
         Size of the planes.
     scale : float
         Standard deviation in pixels; 0 gives the identity.
-    boundary : {"reflect", "zero"}
-        See :func:`loi_core.kernels.blur_matrix`.
+    boundary, taps
+        See :class:`loi_core.kernels.AxisBlur`.
     like : array
         Its library, dtype and device are those of the operator.
-    taps : int, optional
-        Odd length at which the kernel is cut; as long as matters in float64 by default.
     """
-    if scale == 0.0:
-        return IdentityBlur()
-    rows = from_numpy(blur_matrix(height, scale, boundary, taps), like)
-    columns = rows if width == height else from_numpy(blur_matrix(width, scale, boundary, taps), like)
-    return DenseBlur(rows, columns)
+    pixels = PlaneGrid.pixels(height, width)
+    rows = AxisBlur(pixels.rows, pixels.rows, scale, boundary, taps)
+    columns = AxisBlur(pixels.columns, pixels.columns, scale, boundary, taps)
+    return GaussianBlur(PlaneBlur(rows, columns), like)

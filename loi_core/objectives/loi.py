@@ -6,19 +6,23 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from loi_core.arrays import Array, from_numpy, namespace
+from loi_core.arrays import Array, epsilon, from_numpy, namespace, runs_eagerly_on_host
 from loi_core.distance import cost, cost_slope, tie_threshold
 from loi_core.errors import OptionError, ScaleError
 from loi_core.nonfinite import NanPolicy
 from loi_core.objectives.base import Evaluation, ImageObjective
-from loi_core.operators import Blur, blur_about, gaussian_blur
+from loi_core.operators import Blur, GaussianBlur, blur_about
+from loi_core.plan import InnerPlan, Plan, TonalPlan, make_plan
 from loi_core.scales import ScaleSpace
-from loi_core.tonal import clip, clip_pullback, soft_cdf, soft_cdf_and_slope
+from loi_core.tonal import accumulate, clip, clip_pullback, level_weights, weights_and_slopes
 from loi_core.values import real_number
 
 __all__ = ["ACCURACIES", "LOIObjective", "ScaleKey", "gradient_tolerance"]
 
 ScaleKey = tuple[float, float, float]
+
+CHUNK_ON_HOST: Final = 2**20  # elements: 4 MiB in float32, a few of which lie in the caches of a core
+CHUNK: Final = 2**24  # elements: where operations are fused or run on an accelerator, large ones are better
 
 ACCURACIES: Final = {"exact": 0.0, "balanced": 1e-2, "fast": 5e-2}
 
@@ -42,13 +46,96 @@ def gradient_tolerance(accuracy: str | float) -> float:
 
 
 @dataclass(frozen=True)
-class _Prepared:
-    """The reference's CDFs and the operators of every scale."""
+class _Levels:
+    """Some levels of one tonal scale, of which the first few are only accumulated."""
 
-    levels: dict[float, Array]
-    inner: dict[float, Blur]
-    extent: dict[float, Blur]
-    cdf: dict[tuple[float, float], Array]  # by (beta, sigma); shape (L, N, H, W)
+    values: Array
+    count: int
+    skipped: int
+
+
+@dataclass(frozen=True)
+class _Tonal:
+    beta: float
+    plan: TonalPlan
+    values: Array
+
+    @classmethod
+    def of(cls, scales: ScaleSpace, plan: TonalPlan, like: Array) -> _Tonal:
+        return cls(plan.beta, plan, from_numpy(scales.levels(plan.beta)[: plan.last], like))
+
+    def split(self, most: int) -> list[_Levels]:
+        """All levels, at most so many together."""
+        parts = []
+        for start in range(0, self.plan.last, most):
+            stop = min(start + most, self.plan.last)
+            skipped = min(max(self.plan.first, start), stop) - start
+            parts.append(_Levels(self.values[start:stop], stop - start, skipped))
+        return parts
+
+
+@dataclass(frozen=True)
+class _ChunkedTonal:
+    beta: float
+    chunks: list[_Levels]
+
+
+@dataclass(frozen=True)
+class _Extent:
+    alpha: float
+    rung: int
+    blur: Blur
+
+
+@dataclass(frozen=True)
+class _Inner:
+    """The operators of one inner scale and the reference's CDFs there."""
+
+    sigma: float
+    blur: Blur
+    rungs: tuple[Blur, ...]
+    extents: tuple[_Extent, ...]
+    total: int  # planes, over which the terms are averaged
+    planes: int  # how many planes are handled together
+    tonal: list[_ChunkedTonal]
+    cdf: list[list[Array]]  # by tonal scale and chunk of levels, shape (L, N, h, w)
+
+    @classmethod
+    def of(cls, scales: ScaleSpace, plan: InnerPlan, tonal: list[_Tonal], clipped: Array) -> _Inner:
+        blur = GaussianBlur(plan.blur, clipped)
+        total = clipped.shape[0]
+        intensity = blur_about(blur, clipped, scales.padding)
+        levels, planes = _chunk(max(each.plan.last for each in tonal), total, plan.grid.cells, clipped)
+        chunked = [_ChunkedTonal(each.beta, each.split(levels)) for each in tonal]
+        cdf = []
+        for each in chunked:
+            running = None
+            kept = []
+            for part in each.chunks:
+                weights = level_weights(intensity, part.values, each.beta, scales.mass(each.beta))
+                sums, running = accumulate(weights, running)
+                kept.append(namespace(sums).asarray(sums[part.skipped :, ...], copy=True))
+            cdf.append(kept)
+        extents = tuple(
+            _Extent(extent.alpha, extent.rung, GaussianBlur(extent.blur, clipped)) for extent in plan.extents
+        )
+        rungs = tuple(GaussianBlur(rung, clipped) for rung in plan.rungs)
+        return cls(plan.sigma, blur, rungs, extents, total, planes, chunked, cdf)
+
+
+@dataclass(frozen=True)
+class _Prepared:
+    """The operators and the reference, by inner scale."""
+
+    inner: tuple[_Inner, ...]
+
+
+def _chunk(levels: int, planes: int, cells: int, like: Array) -> tuple[int, int]:
+    """How many levels of how many planes to handle together, so that they fit the cache, or at least the memory."""
+    elements = CHUNK_ON_HOST if runs_eagerly_on_host(like) else CHUNK
+    if levels * cells <= elements:
+        return levels, max(1, min(planes, elements // (levels * cells)))
+    return max(1, elements // cells), 1
 
 
 class LOIObjective(ImageObjective[_Prepared, ScaleKey]):
@@ -114,25 +201,32 @@ class LOIObjective(ImageObjective[_Prepared, ScaleKey]):
         """What each scale adds to the value: ``{(alpha, beta, sigma): 0-d array}``; they sum to the value."""
         return super().terms(image)
 
+    def plan(self, height: int | None = None, width: int | None = None, *, eps: float | None = None) -> Plan:
+        """What is computed for each scale, at which cost and error; ``print`` shows it.
+
+        Parameters
+        ----------
+        height, width : int, optional
+            Size of the images; the reference's by default.
+        eps : float, optional
+            Machine epsilon of the images' dtype; the reference's by default.
+        """
+        layout = self._reference_layout
+        return make_plan(
+            self._scales,
+            layout.height if height is None else height,
+            layout.width if width is None else width,
+            tolerance=self._tolerance,
+            eps=epsilon(self._reference) if eps is None else eps,
+        )
+
     def _prepare(self, reference: Array) -> _Prepared:
         scales = self._scales
         height, width = reference.shape[-2:]
-        levels = {beta: from_numpy(scales.levels(beta), reference) for beta in scales.beta}
-        inner = {
-            sigma: gaussian_blur(height, width, sigma, scales.boundary, like=reference, taps=scales.inner_taps)
-            for sigma in scales.sigma
-        }
-        extent = {
-            alpha: gaussian_blur(height, width, alpha, scales.boundary, like=reference, taps=scales.extent_taps)
-            for alpha in scales.alpha
-        }
+        plan = self.plan(height, width, eps=epsilon(reference))
         clipped = clip(reference, *scales.bounds)
-        cdf = {}
-        for sigma in scales.sigma:
-            intensity = blur_about(inner[sigma], clipped, scales.padding)
-            for beta in scales.beta:
-                cdf[beta, sigma] = soft_cdf(intensity, levels[beta], beta, scales.mass(beta))
-        return _Prepared(levels, inner, extent, cdf)
+        tonal = [_Tonal.of(scales, tonal, reference) for tonal in plan.tonal]
+        return _Prepared(tuple(_Inner.of(scales, inner, tonal, clipped) for inner in plan.inner))
 
     def _evaluate(self, planes: Array, prepared: _Prepared, *, gradient: bool) -> Evaluation[ScaleKey]:
         scales = self._scales
@@ -140,42 +234,88 @@ class LOIObjective(ImageObjective[_Prepared, ScaleKey]):
         clipped = clip(planes, *scales.bounds)
         terms: dict[ScaleKey, Array] = {}
         total = xp.zeros_like(planes) if gradient else None
-        for sigma in scales.sigma:
-            intensity = blur_about(prepared.inner[sigma], clipped, scales.padding)
-            cotangent = xp.zeros_like(intensity) if gradient else None
-            for beta in scales.beta:
-                levels, mass = prepared.levels[beta], scales.mass(beta)
-                if gradient:
-                    cdf, slope = soft_cdf_and_slope(intensity, levels, beta, mass)
-                else:
-                    cdf, slope = soft_cdf(intensity, levels, beta, mass), None
-                difference = cdf - prepared.cdf[beta, sigma]
-                pulled = None
-                for alpha in scales.alpha:
-                    term, back = self._compare(difference, prepared.extent[alpha], beta, gradient=gradient)
-                    terms[alpha, beta, sigma] = term
-                    if gradient:
-                        pulled = back if pulled is None else pulled + back
-                if gradient:
-                    cotangent = cotangent + xp.sum(pulled * slope, axis=0)
+        for inner in prepared.inner:
+            intensity = blur_about(inner.blur, clipped, scales.padding)
+            cotangents = []
+            for start in range(0, intensity.shape[0], inner.planes):
+                part = range(start, min(start + inner.planes, intensity.shape[0]))
+                cotangent = self._compare(intensity[part.start : part.stop, ...], inner, part, terms, gradient=gradient)
+                cotangents.append(cotangent)
             if gradient:
-                total = total + prepared.inner[sigma].adjoint(cotangent)
+                cotangent = cotangents[0] if len(cotangents) == 1 else xp.concat(cotangents, axis=0)
+                total += inner.blur.adjoint(cotangent)
         if gradient:
             total = clip_pullback(planes, total, *scales.bounds)
-        return Evaluation(terms, total)
+        return Evaluation({key: terms[key] for key in scales.keys}, total)
 
-    def _compare(self, difference: Array, extent: Blur, beta: float, *, gradient: bool) -> tuple[Array, Array | None]:
-        """One term (eq. 5) of a difference of CDFs, shape (L, N, H, W), and its cotangent, before the extent blur.
+    def _compare(
+        self, intensity: Array, inner: _Inner, part: range, terms: dict[ScaleKey, Array], *, gradient: bool
+    ) -> Array | None:
+        """Add the terms (eq. 5) of some planes at one inner scale, shape (N, h, w); their cotangent by `intensity`.
+
+        A few levels at a time, so that what is at work stays small and near.
+        """
+        scales = self._scales
+        xp = namespace(intensity)
+        cotangent = xp.zeros_like(intensity) if gradient else None
+        for tonal, references in zip(inner.tonal, inner.cdf, strict=True):
+            mass = scales.mass(tonal.beta)
+            tie = tie_threshold(intensity, mass / scales.spacing(tonal.beta))
+            cdf_sum = slope_sum = None
+            for levels, reference in zip(tonal.chunks, references, strict=True):
+                slope = None
+                if gradient:
+                    weights, slopes = weights_and_slopes(intensity, levels.values, tonal.beta, mass)
+                    slope, slope_sum = accumulate(slopes, slope_sum)
+                    del slopes
+                else:
+                    weights = level_weights(intensity, levels.values, tonal.beta, mass)
+                cdf, cdf_sum = accumulate(weights, cdf_sum)
+                del weights
+                if levels.skipped == levels.count:
+                    continue
+                difference = cdf[levels.skipped :, ...]
+                difference -= reference[:, part.start : part.stop, ...]
+                pulled = self._compare_levels(difference, inner, tonal.beta, tie, terms, gradient=gradient)
+                if gradient:
+                    pulled *= slope[levels.skipped :, ...]
+                    cotangent += xp.sum(pulled, axis=0)
+        return cotangent
+
+    def _compare_levels(
+        self, difference: Array, inner: _Inner, beta: float, tie: float, terms: dict[ScaleKey, Array], *, gradient: bool
+    ) -> Array | None:
+        """Add the terms of a difference of CDFs, shape (L, N, h, w); the cotangent by it.
 
         Blurring and accumulating commute, so the difference is blurred once instead of each histogram.
         """
         scales = self._scales
         xp = namespace(difference)
-        blurred = extent.apply(difference)
-        pixels = math.prod(blurred.shape[1:])
-        weight = scales.scale_weight * scales.level_weight(beta) / pixels
-        term = xp.sum(cost(blurred, scales.p)) * weight
+        rungs = [difference]
+        for rung in inner.rungs:
+            rungs.append(rung.apply(rungs[-1]))
+        pulled: list[Array | None] = [None] * len(rungs)
+        for extent in inner.extents:
+            blurred = extent.blur.apply(rungs[extent.rung])
+            weight = scales.scale_weight * scales.level_weight(beta) / (inner.total * math.prod(blurred.shape[-2:]))
+            key = (extent.alpha, beta, inner.sigma)
+            term = xp.sum(cost(blurred, scales.p)) * weight
+            terms[key] = terms[key] + term if key in terms else term
+            if gradient:
+                slope = cost_slope(blurred, scales.p, tie)
+                slope *= weight
+                back = extent.blur.adjoint(slope)
+                pulled[extent.rung] = _plus(pulled[extent.rung], back)
         if not gradient:
-            return term, None
-        tie = tie_threshold(blurred, scales.mass(beta) / scales.spacing(beta))
-        return term, extent.adjoint(cost_slope(blurred, scales.p, tie) * weight)
+            return None
+        for index in range(len(inner.rungs), 0, -1):
+            if pulled[index] is not None:
+                pulled[index - 1] = _plus(pulled[index - 1], inner.rungs[index - 1].adjoint(pulled[index]))
+        return pulled[0]
+
+
+def _plus(total: Array | None, part: Array) -> Array:
+    if total is None:
+        return part
+    total += part
+    return total

@@ -1,0 +1,319 @@
+"""What is computed for each scale, and where: decided from sizes alone, before any array is seen.
+
+Three things make it cheap, and none costs accuracy beyond what was asked for:
+
+* A wide blur passes through a coarser sampling, a *rung*, where the rest of it is cheap. Wider extents start from the
+  rungs of narrower ones. This is exact to rounding (:func:`loi_core.kernels.coarsest_spacing`).
+* What a wide extent has blurred changes slowly, so its mean over pixels may be taken over a coarser *sampling*.
+  There lies the error: where the difference of two histograms changes sign, the line between is only found to within
+  a cell.
+* A wide inner scale makes an image that changes slowly, so all that follows may happen on a coarser sampling.
+
+Levels at the far tails, which no intensity within the bounds moves by more than a share of the tolerance, are left
+out of the comparison.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from loi_core.kernels import FLAT, AxisBlur, AxisGrid, coarsest_spacing, reach, rung_variance
+from loi_core.operators import PlaneBlur, PlaneGrid
+from loi_core.scales import ScaleSpace
+from loi_core.tonal import soft_cdf_and_slope
+
+__all__ = ["ExtentPlan", "InnerPlan", "Plan", "TonalPlan", "make_plan"]
+
+QUADRATURE: Final = 0.1
+"""Relative gradient error of one extent sampled at spacing s: QUADRATURE (s / l)**1.5, with l how slowly it changes.
+
+The power is that of lines that cross cells of side s, each misplaced by a share of s; the constant is measured
+(docs/accuracy.md).
+"""
+
+SHARE: Final = 0.9
+"""Which share of the tolerance the samplings may use, if the errors of the scales are independent."""
+
+SMALLEST: Final = 32
+"""A sampling for balanced accuracy keeps at least this many cells along the shorter side."""
+
+NEGLIGIBLE: Final = 0.1
+"""A level is left out if it makes less than this share of the tolerance in the gradient of every intensity."""
+
+INNER: Final = 0.4
+"""Spacing of a sampling in units of the inner scale of what is sampled: ripples of 2 exp(-2 (pi / INNER)**2) < 1e-50
+in the image, which its isophotes sharpen."""
+
+
+@dataclass(frozen=True)
+class ExtentPlan:
+    """One extent: which rung it starts from, what is left to blur, and the sampling that is compared.
+
+    Attributes
+    ----------
+    alpha : float
+        The extent scale, in pixels.
+    rung : int
+        0 for the sampling of the inner scale, k for the k-th of its rungs.
+    blur : PlaneBlur
+        From there to where histograms are compared.
+    error : float
+        Estimated relative error of this scale's gradient.
+    """
+
+    alpha: float
+    rung: int
+    blur: PlaneBlur
+    error: float
+
+
+@dataclass(frozen=True)
+class InnerPlan:
+    """One inner scale: its sampling, its rungs, and its extents."""
+
+    sigma: float
+    blur: PlaneBlur
+    rungs: tuple[PlaneBlur, ...]
+    extents: tuple[ExtentPlan, ...]
+
+    @property
+    def grid(self) -> PlaneGrid:
+        """Where isophotes are computed."""
+        return self.blur.target
+
+    @property
+    def work(self) -> float:
+        """Multiplications and additions for one level of one channel, there and back."""
+        return 2.0 * (sum(rung.work for rung in self.rungs) + sum(extent.blur.work for extent in self.extents))
+
+
+@dataclass(frozen=True)
+class TonalPlan:
+    """One tonal scale: which of its levels are compared; those below are accumulated only."""
+
+    beta: float
+    count: int
+    first: int
+    last: int
+
+
+@dataclass(frozen=True)
+class Plan:
+    """What an objective computes for images of one size, for each scale; ``print`` shows it.
+
+    Attributes
+    ----------
+    height, width : int
+        Size of the images, in pixels.
+    tolerance : float
+        Relative error of the gradient that was asked for.
+    eps : float
+        Machine epsilon that "exact" refers to.
+    inner : tuple of InnerPlan
+        One for each sigma.
+    tonal : tuple of TonalPlan
+        One for each beta.
+    """
+
+    height: int
+    width: int
+    tolerance: float
+    eps: float
+    inner: tuple[InnerPlan, ...]
+    tonal: tuple[TonalPlan, ...]
+
+    @property
+    def work(self) -> float:
+        """Multiplications and additions of the blurs for one channel: all levels and scales, there and back."""
+        levels = sum(tonal.last - tonal.first for tonal in self.tonal)
+        return levels * sum(inner.work for inner in self.inner)
+
+    @property
+    def error(self) -> float:
+        """Estimated relative error of the gradient, if the errors of the scales are independent."""
+        errors = [extent.error for inner in self.inner for extent in inner.extents]
+        return math.sqrt(sum(error**2 for error in errors)) / len(errors)
+
+    def __str__(self) -> str:
+        pixels = self.height * self.width
+        levels = ", ".join(
+            f"{tonal.last - tonal.first} of {tonal.count} levels at beta {tonal.beta:g}" for tonal in self.tonal
+        )
+        lines = [
+            f"{self.height}x{self.width} pixels, tolerance {self.tolerance:g}, eps {self.eps:.1g}; {levels}",
+            f"{'sigma':>7} {'alpha':>7}  {'isophotes on':>12}  {'blurred on':>11}  {'compared on':>11}  "
+            + f"{'operations a pixel':>18}  {'error':>7}",
+        ]
+        for inner in self.inner:
+            grids = [inner.grid, *(rung.target for rung in inner.rungs)]
+            rungs = [0.0, *(rung.work for rung in inner.rungs)]
+            paid = 0
+            for extent in inner.extents:
+                work = extent.blur.work + sum(rungs[paid + 1 : extent.rung + 1])
+                paid = max(paid, extent.rung)
+                lines.append(
+                    f"{inner.sigma:7g} {extent.alpha:7g}  {inner.grid!s:>12}  {grids[extent.rung]!s:>11}"
+                    f"  {extent.blur.target!s:>11}  {2.0 * work / pixels:18.1f}  {extent.error:7.1e}"
+                )
+        lines.append(
+            f"per channel {self.work / 1e6:.3g} million operations for the blurs; estimated error {self.error:.1e}"
+        )
+        return "\n".join(lines)
+
+
+def make_plan(scales: ScaleSpace, height: int, width: int, *, tolerance: float, eps: float) -> Plan:
+    """The cheapest plan known that keeps a tolerance.
+
+    Parameters
+    ----------
+    scales : ScaleSpace
+        The scales to compare.
+    height, width : int
+        Size of the images, in pixels.
+    tolerance : float
+        Relative error of the gradient, 0 or more; 0 is exact to rounding.
+    eps : float
+        Machine epsilon of the dtype to compute in.
+    """
+    if scales.p != 1.0:
+        # |F| ** (1 / p) is steepest at 0, just where samplings err.
+        tolerance = 0.0
+    planner = _Planner(scales, PlaneGrid.pixels(height, width), tolerance, eps)
+    inner = tuple(planner.inner(sigma) for sigma in scales.sigma)
+    return Plan(height, width, tolerance, eps, inner, tuple(_levels(scales, beta, tolerance) for beta in scales.beta))
+
+
+def _levels(scales: ScaleSpace, beta: float, tolerance: float) -> TonalPlan:
+    levels = scales.levels(beta)
+    inside = np.linspace(*scales.bounds, 4 * len(levels) + 1)
+    slopes = soft_cdf_and_slope(inside, levels, beta, scales.mass(beta))[1]
+    moved = np.max(np.abs(slopes) / np.sum(np.abs(slopes), axis=0), axis=1)
+    (kept,) = np.nonzero(moved >= NEGLIGIBLE * tolerance)
+    if tolerance == 0.0 or len(kept) == 0:
+        return TonalPlan(beta, len(levels), 0, len(levels))
+    return TonalPlan(beta, len(levels), int(kept[0]), int(kept[-1]) + 1)
+
+
+@dataclass(frozen=True)
+class _Planner:
+    scales: ScaleSpace
+    pixels: PlaneGrid
+    tolerance: float
+    eps: float
+
+    def inner(self, sigma: float) -> InnerPlan:
+        grid = self._inner_grid(sigma)
+        blur = self._blur(self.pixels, grid, sigma, self.scales.inner_taps)
+        rungs: list[PlaneBlur] = []
+        variances = [0.0]
+        extents = {}
+        for alpha in sorted(self.scales.alpha):
+            target, error = self._target(grid, sigma, alpha)
+            grids = [grid, *(rung.target for rung in rungs)]
+            ways = [
+                (index, None, self._blur(grids[index], target, self._rest(alpha, variances[index]), self._taps))
+                for index in range(len(grids))
+                if index == 0 or self._may_leave(grids[index], alpha)
+            ]
+            ways += [
+                (len(rungs) + 1, rung, self._blur(rung.target, target, self._rest(alpha, variance), None))
+                for rung, variance in self._new_rungs(grids[-1], variances[-1], alpha)
+            ]
+            index, rung, rest = min(ways, key=lambda way: way[2].work + (way[1].work if way[1] else 0.0))
+            if rung is not None:
+                rungs.append(rung)
+                variances.append(variances[-1] + rung.rows.scale**2)
+            extents[alpha] = ExtentPlan(alpha, index, rest, error)
+        return InnerPlan(sigma, blur, tuple(rungs), tuple(extents[alpha] for alpha in self.scales.alpha))
+
+    @property
+    def _taps(self) -> int | None:
+        return self.scales.extent_taps
+
+    @property
+    def _cascades(self) -> bool:
+        # A cut kernel is no Gaussian; and without reflection, a rung would lose what it blurs beyond the edge.
+        return self.scales.boundary == "reflect" and self._taps is None
+
+    @property
+    def _ratio(self) -> float:
+        """Largest spacing of a sampling in units of how slowly what is sampled changes."""
+        terms = len(self.scales.sigma) * len(self.scales.alpha)
+        return min((SHARE * self.tolerance * math.sqrt(terms) / QUADRATURE) ** (2.0 / 3.0), 0.8)
+
+    def _inner_grid(self, sigma: float) -> PlaneGrid:
+        if self._is_flat(sigma) and self._taps is None:
+            return self._sampled(self.pixels, math.inf)
+        if self.tolerance == 0.0 or not self._cascades or sigma == 0.0:
+            return self.pixels
+        spacing = INNER * sigma
+        if 0.0 in self.scales.alpha:  # compared where it is, so the sampling is that of a comparison
+            spacing = min(spacing, self._ratio * sigma / 2.0)
+        return self._sampled(self.pixels, self._limited(spacing))
+
+    def _target(self, grid: PlaneGrid, sigma: float, alpha: float) -> tuple[PlaneGrid, float]:
+        """Where an extent is compared, and the error of doing so."""
+        if self._is_flat(alpha) and self._taps is None:
+            return self._sampled(grid, math.inf), 0.0
+        # Isophotes of a blurred image change about twice as fast as the image.
+        slowness = math.hypot(alpha, sigma / 2.0)
+        spacing = self._limited(self._ratio * slowness)
+        if alpha == 0.0:
+            target = grid
+        elif self.tolerance == 0.0 or spacing < 1.5:
+            target = self.pixels
+        else:
+            target = self._sampled(self.pixels, spacing)
+        if target.cells == self.pixels.cells:
+            return target, 0.0
+        coarsest = max(target.rows.spacing, target.columns.spacing)
+        return target, QUADRATURE * (coarsest / slowness) ** 1.5
+
+    def _limited(self, spacing: float) -> float:
+        shorter = min(self.pixels.rows.size, self.pixels.columns.size)
+        return min(spacing, shorter / SMALLEST * max(1.0, self.tolerance / 1e-2) ** (2.0 / 3.0))
+
+    def _is_flat(self, scale: float) -> bool:
+        longer = max(self.pixels.rows.size, self.pixels.columns.size)
+        return self.scales.boundary == "reflect" and scale >= FLAT * longer
+
+    def _new_rungs(self, grid: PlaneGrid, variance: float, alpha: float) -> list[tuple[PlaneBlur, float]]:
+        """Rungs below `grid` from which `alpha` can be reached, with the variance that they then hold."""
+        if alpha == 0.0 or not self._cascades:
+            return []
+        found = []
+        spacing = coarsest_spacing(alpha, self.eps)
+        for _ in range(3):
+            coarser = self._sampled(self.pixels, spacing)
+            held = rung_variance(spacing, self.eps)
+            if 4 * coarser.cells <= grid.cells and spacing >= 2.0 and variance < held < alpha**2:
+                found.append((self._blur(grid, coarser, math.sqrt(held - variance), None), held))
+            spacing /= math.sqrt(2.0)
+        return found
+
+    def _may_leave(self, grid: PlaneGrid, alpha: float) -> bool:
+        spacing = max(grid.rows.spacing, grid.columns.spacing)
+        return rung_variance(spacing, self.eps) < alpha**2 and spacing <= coarsest_spacing(alpha, self.eps)
+
+    @staticmethod
+    def _rest(alpha: float, variance: float) -> float:
+        return math.sqrt(alpha**2 - variance)
+
+    @staticmethod
+    def _sampled(grid: PlaneGrid, spacing: float) -> PlaneGrid:
+        """`grid`, or the coarser sampling of the same plane whose spacing is at most this."""
+        rows, columns = (
+            AxisGrid(axis.size, min(axis.cells, max(1, math.ceil(axis.size / spacing - 1e-9))))
+            for axis in (grid.rows, grid.columns)
+        )
+        return PlaneGrid(rows, columns)
+
+    def _blur(self, source: PlaneGrid, target: PlaneGrid, scale: float, taps: int | None) -> PlaneBlur:
+        cut = reach(self.eps)
+        rows = AxisBlur(source.rows, target.rows, scale, self.scales.boundary, taps, cut)
+        columns = AxisBlur(source.columns, target.columns, scale, self.scales.boundary, taps, cut)
+        return PlaneBlur(rows, columns)
