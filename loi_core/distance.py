@@ -7,6 +7,7 @@ is 0. Without it, converged regions would send full-size gradients of random sig
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 from loi_core.arrays import Array, epsilon, namespace
@@ -48,10 +49,18 @@ def cost_slope(difference: Array, p: float, tie: float) -> Array:
     For p > 1 the slope of the cost is infinite at 0; the tie keeps it finite.
     """
     xp = namespace(difference)
-    # What is left beyond the ties has the sign; comparisons would take twice the passes over memory.
-    sign = xp.sign(difference - xp.clip(difference, -tie, tie))
+    # What is left beyond the ties, made so large that clipping leaves its sign: comparisons, and `sign` where a library
+    # sees to NaN by itself, take two to four times the passes over memory.
+    sign = difference - xp.clip(difference, -tie, tie)
+    sign *= _larger_than_any(difference)
+    sign = xp.clip(sign, -1.0, 1.0)
     if p == 1.0:
         return sign
     magnitude = xp.abs(difference)
     safe = xp.where(magnitude > tie, magnitude, xp.ones_like(magnitude))
     return sign * safe ** (1.0 / p - 1.0) / p
+
+
+def _larger_than_any(difference: Array) -> float:
+    """What makes a difference of CDFs that is not 0 exceed 1: such differences are 0 or above eps**2."""
+    return math.pow(epsilon(difference), -3.0)

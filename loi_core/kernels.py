@@ -62,7 +62,8 @@ class AxisGrid:
     @cached_property
     def positions(self) -> Matrix:
         """Where the samples are, in pixels; shape (cells,)."""
-        return (np.arange(self.cells) + 0.5) * self.spacing - 0.5
+        centres: Matrix = (np.arange(self.cells, dtype=np.float64) + 0.5) * self.spacing - 0.5
+        return centres
 
     def __str__(self) -> str:
         return str(self.cells)
@@ -167,7 +168,8 @@ class AxisBlur:
             for turn in range(1, math.ceil((self.radius + 1.0) / period) + 1):
                 for shift in (-turn * period, turn * period):
                     weights = weights + self._gaussian(here - there + shift) + self._gaussian(mirrored + shift)
-        result: Matrix = weights / self._total(here)
+        with np.errstate(under="ignore"):
+            result: Matrix = weights / self._total(here)
         return result
 
     def _gaussian(self, distance: Matrix) -> Matrix:
@@ -177,17 +179,23 @@ class AxisBlur:
         result: Matrix = np.where(np.abs(distance) <= self.radius, values, 0.0)
         return result
 
+    @property
+    def _integral(self) -> float:
+        """What the kernel sums to over a sampling that is fine beside it."""
+        return math.sqrt(2.0 * math.pi) * self.scale / self.source.spacing
+
     def _total(self, here: Matrix) -> Matrix | float:
         """What the kernel about `here` sums to over an unbounded sampling like the source."""
         if self.taps is not None:
             return float(self._gaussian(np.arange(-(self.taps // 2), self.taps // 2 + 1, dtype=np.float64)).sum())
         spacing = self.source.spacing
         if self.scale >= SMOOTH * spacing:
-            return math.sqrt(2.0 * math.pi) * self.scale / spacing
+            return self._integral
         away = math.ceil(self.cut * SMOOTH) + 1
         phase = (here + 0.5) / spacing - 0.5
         offsets = (phase - np.floor(phase) - np.arange(-away, away + 1)) * spacing
-        return self._gaussian(offsets).sum(axis=1, keepdims=True)
+        total: Matrix = self._gaussian(offsets).sum(axis=1, keepdims=True)
+        return total
 
     def _series(self, here: Matrix, there: Matrix) -> Matrix:
         """The reflected Gaussian as a sum of cosines, which for wide kernels has few terms and always decays."""
@@ -199,7 +207,8 @@ class AxisBlur:
             wave = math.pi * order / size
             total += weight * np.cos(wave * (here + 0.5)) * np.cos(wave * (there + 0.5))
             order += 1
-        result: Matrix = total / self.source.cells
+        # As everywhere, the weights sum to 1 over the samples, not over the integral.
+        result: Matrix = total / (self._total(here) * self.source.cells / self._integral)
         return result
 
 

@@ -20,7 +20,7 @@ from loi_core.scales import Boundary
 
 __all__ = ["Blur", "DenseBlur", "GaussianBlur", "PlaneBlur", "PlaneGrid", "blur_about", "gaussian_blur"]
 
-BLOCK_SIZES: Final = (16, 32, 64, 128, 256, 512)
+BLOCK_SIZES: Final = (32, 64, 128, 256, 512)
 MAX_BLOCKS: Final = 64
 PANEL: Final = 16  # a product with fewer rows or columns than this costs about as much as with this many
 

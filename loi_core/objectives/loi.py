@@ -105,7 +105,7 @@ class _Inner:
         blur = GaussianBlur(plan.blur, clipped)
         total = clipped.shape[0]
         intensity = blur_about(blur, clipped, scales.padding)
-        levels, planes = _chunk(max(each.plan.last for each in tonal), total, plan.grid.cells, clipped)
+        levels, planes = _chunk(max(each.plan.last for each in tonal), total, plan.finest, clipped)
         chunked = [_ChunkedTonal(each.beta, each.split(levels)) for each in tonal]
         cdf = []
         for each in chunked:
@@ -263,7 +263,7 @@ class LOIObjective(ImageObjective[_Prepared, ScaleKey]):
             tie = tie_threshold(intensity, mass / scales.spacing(tonal.beta))
             cdf_sum = slope_sum = None
             for levels, reference in zip(tonal.chunks, references, strict=True):
-                slope = None
+                slope: Array = None
                 if gradient:
                     weights, slopes = weights_and_slopes(intensity, levels.values, tonal.beta, mass)
                     slope, slope_sum = accumulate(slopes, slope_sum)

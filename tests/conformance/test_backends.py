@@ -40,8 +40,8 @@ import loi_torch
 from loi_core import LOIObjective, ScaleSpace
 from loi_core.distance import TIE_ROUNDINGS
 from loi_core.layout import Layout
-from loi_core.operators import blur_about
-from loi_core.tonal import clip, soft_cdf_and_slope
+from loi_core.operators import blur_about, gaussian_blur
+from loi_core.tonal import clip, soft_cdf, soft_cdf_and_slope
 from tests.helpers import Host
 
 ROUNDINGS = 32.0
@@ -139,16 +139,22 @@ def slivers(image: Host, reference: Host, scales: ScaleSpace) -> float:
     """By how much the 1-norm of a gradient may change where libraries take different sides of the tie threshold."""
     layout = Layout.of("image", image.shape, -1)
     planes = layout.to_planes(image)
-    prepared = LOIObjective(reference, scales)._prepare(layout.to_planes(reference))
+    height, width = planes.shape[-2:]
     eps = float(np.finfo(image.dtype).eps)
     change = 0.0
     for sigma, beta in itertools.product(scales.sigma, scales.beta):
-        intensity = blur_about(prepared.inner[sigma], clip(planes, *scales.bounds), scales.padding)
-        cdf, slope = soft_cdf_and_slope(intensity, prepared.levels[beta], beta, scales.mass(beta))
+        inner = gaussian_blur(height, width, sigma, scales.boundary, like=planes, taps=scales.inner_taps)
+        levels, mass = scales.levels(beta).astype(planes.dtype), scales.mass(beta)
+        cdf, slope = soft_cdf_and_slope(
+            blur_about(inner, clip(planes, *scales.bounds), scales.padding), levels, beta, mass
+        )
+        wanted = clip(layout.to_planes(reference), *scales.bounds)
+        difference = cdf - soft_cdf(blur_about(inner, wanted, scales.padding), levels, beta, mass)
         steepest = np.abs(slope).max(axis=(-2, -1))
-        total = scales.mass(beta) / scales.spacing(beta)
+        total = mass / scales.spacing(beta)
         for alpha in scales.alpha:
-            size = np.abs(prepared.extent[alpha].apply(cdf - prepared.cdf[beta, sigma])) / (eps * total)
+            extent = gaussian_blur(height, width, alpha, scales.boundary, like=planes, taps=scales.extent_taps)
+            size = np.abs(extent.apply(difference)) / (eps * total)
             # Rounding of A F itself is 32 eps at the very most; within that, any side is possible.
             near = np.count_nonzero((size > 0.0) & (size < TIE_ROUNDINGS + ROUNDINGS), axis=(-2, -1))
             change += (
