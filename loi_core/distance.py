@@ -43,22 +43,23 @@ def cost(difference: Array, p: float) -> Array:
     return magnitude if p == 1.0 else magnitude ** (1.0 / p)
 
 
-def cost_slope(difference: Array, p: float, tie: float) -> Array:
-    """Derivative of :func:`cost`, with 0 wherever ``|difference| <= tie``.
+def cost_slope(difference: Array, p: float, tie: float, weight: float = 1.0) -> Array:
+    """`weight` times the derivative of :func:`cost`, with 0 wherever ``|difference| <= tie``.
 
     For p > 1 the slope of the cost is infinite at 0; the tie keeps it finite.
     """
     xp = namespace(difference)
     # What is left beyond the ties, made so large that clipping leaves its sign: comparisons, and `sign` where a library
     # sees to NaN by itself, take two to four times the passes over memory.
-    sign = difference - xp.clip(difference, -tie, tie)
-    sign *= _larger_than_any(difference)
-    sign = xp.clip(sign, -1.0, 1.0)
+    slope = difference - xp.clip(difference, -tie, tie)
+    slope *= _larger_than_any(difference)
+    slope = xp.clip(slope, -weight, weight)
     if p == 1.0:
-        return sign
+        return slope
     magnitude = xp.abs(difference)
     safe = xp.where(magnitude > tie, magnitude, xp.ones_like(magnitude))
-    return sign * safe ** (1.0 / p - 1.0) / p
+    slope *= safe ** (1.0 / p - 1.0) / p
+    return slope
 
 
 def _larger_than_any(difference: Array) -> float:

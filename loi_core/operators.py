@@ -122,11 +122,16 @@ def _blocks_of(blur: AxisBlur, size: int) -> _Blocking:
 
 @dataclass(frozen=True)
 class _Block:
-    """Some rows of a matrix, and the part of the axis that they see."""
+    """Some rows of a matrix, the part of the axis that they see, and both ways to multiply with them."""
 
-    start: int
-    stop: int
-    matrix: Array
+    seen: slice
+    left: Array
+    right: Array
+
+    @classmethod
+    def of(cls, seen: range, matrix: Matrix, like: Array) -> _Block:
+        left = from_numpy(np.ascontiguousarray(matrix), like)
+        return cls(slice(seen.start, seen.stop), left, from_numpy(np.ascontiguousarray(matrix.T), like))
 
 
 @dataclass(frozen=True)
@@ -140,7 +145,7 @@ class _AxisProduct:
         blocks = []
         for rows in _blocking(blur).blocks:
             columns = blur.support(rows)
-            blocks.append(_block(columns, blur.entries(rows, columns), like))
+            blocks.append(_Block.of(columns, blur.entries(rows, columns), like))
         return cls(tuple(blocks))
 
     @classmethod
@@ -149,29 +154,18 @@ class _AxisProduct:
         blocks = []
         for columns in _blocking(mirror).blocks:
             rows = blur.support_of_columns(columns)
-            blocks.append(_block(rows, blur.entries(rows, columns).T, like))
+            blocks.append(_Block.of(rows, blur.entries(rows, columns).T, like))
         return cls(tuple(blocks))
 
     def along_rows(self, planes: Array) -> Array:
         """The product with the vertical axis of planes, shape (..., H, W)."""
-        xp = namespace(planes)
-        parts = [xp.matmul(block.matrix, planes[..., block.start : block.stop, :]) for block in self.blocks]
-        return parts[0] if len(parts) == 1 else xp.concat(parts, axis=-2)
+        parts = [block.left @ planes[..., block.seen, :] for block in self.blocks]
+        return parts[0] if len(parts) == 1 else namespace(planes).concat(parts, axis=-2)
 
     def along_columns(self, planes: Array) -> Array:
         """The product with the horizontal axis of planes, shape (..., H, W)."""
-        xp = namespace(planes)
-        stack = planes.shape[:-1]
-        parts = []
-        for block in self.blocks:
-            # One tall product is several times faster than a product per plane.
-            seen = xp.reshape(planes[..., block.start : block.stop], (-1, block.stop - block.start))
-            parts.append(xp.reshape(xp.matmul(seen, block.matrix.T), (*stack, block.matrix.shape[0])))
-        return parts[0] if len(parts) == 1 else xp.concat(parts, axis=-1)
-
-
-def _block(seen: range, matrix: Matrix, like: Array) -> _Block:
-    return _Block(seen.start, seen.stop, from_numpy(np.ascontiguousarray(matrix), like))
+        parts = [planes[..., block.seen] @ block.right for block in self.blocks]
+        return parts[0] if len(parts) == 1 else namespace(planes).concat(parts, axis=-1)
 
 
 class GaussianBlur:

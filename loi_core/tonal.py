@@ -9,6 +9,7 @@ written to, and means ``a = a * b`` where they cannot.
 from __future__ import annotations
 
 import math
+from typing import Final
 
 from loi_core.arrays import Array, namespace
 
@@ -22,6 +23,9 @@ __all__ = [
     "soft_cdf_and_slope",
     "weights_and_slopes",
 ]
+
+
+ROOT_TWO: Final = math.sqrt(2.0)
 
 
 def clip(intensity: Array, low: float, high: float) -> Array:
@@ -86,7 +90,7 @@ def weights_and_slopes(intensity: Array, levels: Array, beta: float, mass: float
     offsets = _offsets(intensity, levels, beta)
     weights = _density(offsets, beta, mass)
     offsets *= weights
-    offsets /= beta
+    offsets *= ROOT_TWO / beta
     return weights, offsets
 
 
@@ -104,15 +108,12 @@ def accumulate(stack: Array, start: Array | None = None) -> tuple[Array, Array]:
 
 
 def _offsets(intensity: Array, levels: Array, beta: float) -> Array:
-    xp = namespace(intensity)
-    column = xp.reshape(levels, (-1, *(1,) * intensity.ndim))
-    offsets = column - intensity
-    offsets /= beta
+    """How far each level is from the intensity, in units of beta times the root of 2."""
+    offsets = namespace(intensity).reshape(levels, (-1, *(1,) * intensity.ndim)) - intensity
+    offsets *= 1.0 / (ROOT_TWO * beta)
     return offsets
 
 
 def _density(offsets: Array, beta: float, mass: float) -> Array:
-    exponent = offsets * offsets
-    exponent *= -0.5
-    exponent += math.log(mass / (math.sqrt(2.0 * math.pi) * beta))
+    exponent = math.log(mass / (math.sqrt(2.0 * math.pi) * beta)) - offsets * offsets
     return namespace(offsets).exp(exponent)

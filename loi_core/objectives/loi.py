@@ -302,9 +302,7 @@ class LOIObjective(ImageObjective[_Prepared, ScaleKey]):
             term = xp.sum(cost(blurred, scales.p)) * weight
             terms[key] = terms[key] + term if key in terms else term
             if gradient:
-                slope = cost_slope(blurred, scales.p, tie)
-                slope *= weight
-                back = extent.blur.adjoint(slope)
+                back = extent.blur.adjoint(cost_slope(blurred, scales.p, tie, weight))
                 pulled[extent.rung] = _plus(pulled[extent.rung], back)
         if not gradient:
             return None
