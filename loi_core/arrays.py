@@ -21,6 +21,7 @@ __all__ = [
     "is_numpy_array",
     "library_name",
     "namespace",
+    "outlives_its_context",
     "runs_eagerly_on_host",
     "to_numpy",
 ]
@@ -51,6 +52,13 @@ def from_numpy(values: np.ndarray[Any, Any], like: Array) -> Array:
     """`values` as an array of the library, dtype and device of `like`."""
     xp = namespace(like)
     return xp.asarray(values, dtype=like.dtype, device=device(like))
+
+
+def outlives_its_context(array: Array) -> bool:
+    """Whether `array`, just made, may be used later: not so in torch's inference mode, nor while JAX traces."""
+    if is_torch_array(array):
+        return not array.is_inference()
+    return not type(array).__name__.endswith("Tracer")
 
 
 def runs_eagerly_on_host(array: Array) -> bool:

@@ -9,12 +9,15 @@ from __future__ import annotations
 
 import functools
 import itertools
+import math
+import threading
+from collections import OrderedDict
 from dataclasses import dataclass
-from typing import Final, Protocol
+from typing import Final, Protocol, TypeAlias
 
 import numpy as np
 
-from loi_core.arrays import Array, from_numpy, namespace
+from loi_core.arrays import Array, device, from_numpy, library_name, namespace, outlives_its_context
 from loi_core.kernels import AxisBlur, AxisGrid, Matrix
 from loi_core.scales import Boundary
 
@@ -22,6 +25,7 @@ __all__ = ["Blur", "DenseBlur", "GaussianBlur", "PlaneBlur", "PlaneGrid", "blur_
 
 BLOCK_SIZES: Final = (32, 64, 128, 256, 512)
 MAX_BLOCKS: Final = 64
+CACHED_ELEMENTS: Final = 2**24  # 64 MiB in float32, and as much memory on every device together
 PANEL: Final = 16  # a product with fewer rows or columns than this costs about as much as with this many
 
 
@@ -167,6 +171,65 @@ class _AxisProduct:
         parts = [planes[..., block.seen] @ block.right for block in self.blocks]
         return parts[0] if len(parts) == 1 else namespace(planes).concat(parts, axis=-1)
 
+    @property
+    def elements(self) -> int:
+        """Numbers that it holds."""
+        return sum(2 * math.prod(block.left.shape) for block in self.blocks)
+
+
+_Key: TypeAlias = tuple[AxisBlur, str, str, str]
+
+
+class _Cache:
+    """Matrices by blur, library, dtype and device, up to a number of elements; those longest unused go first."""
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._held = 0
+        self._pairs: OrderedDict[_Key, tuple[_AxisProduct, _AxisProduct]] = OrderedDict()
+        self._lock = threading.Lock()
+
+    def get(self, key: _Key) -> tuple[_AxisProduct, _AxisProduct] | None:
+        with self._lock:
+            if key in self._pairs:
+                self._pairs.move_to_end(key)
+            return self._pairs.get(key)
+
+    def put(self, key: _Key, pair: tuple[_AxisProduct, _AxisProduct]) -> None:
+        with self._lock:
+            if key in self._pairs or _elements(pair) > self._most:
+                return
+            self._pairs[key] = pair
+            self._held += _elements(pair)
+            while self._held > self._most:
+                self._held -= _elements(self._pairs.popitem(last=False)[1])
+
+    @property
+    def held(self) -> int:
+        """Elements of what is kept."""
+        return self._held
+
+
+def _elements(pair: tuple[_AxisProduct, _AxisProduct]) -> int:
+    forward, backward = pair
+    return forward.elements + (0 if backward is forward else backward.elements)
+
+
+_CACHE: Final = _Cache(CACHED_ELEMENTS)
+
+
+def _products(blur: AxisBlur, like: Array) -> tuple[_AxisProduct, _AxisProduct]:
+    """The matrix and its transpose, for arrays like `like`."""
+    key = (blur, library_name(like), str(like.dtype), str(device(like)))
+    found = _CACHE.get(key)
+    if found is not None:
+        return found
+    forward = _AxisProduct.forward(blur, like)
+    pair = (forward, forward if blur.transposes else _AxisProduct.backward(blur, like))
+    if outlives_its_context(forward.blocks[0].left):
+        _CACHE.put(key, pair)
+    return pair
+
 
 class GaussianBlur:
     """A blur that is ready to run on arrays like one array.
@@ -182,16 +245,8 @@ class GaussianBlur:
     def __init__(self, blur: PlaneBlur, like: Array) -> None:
         self._blur = blur
         self._columns_first = blur.columns_first
-        self._rows, self._rows_back = self._axis(blur.rows, like)
-        if blur.columns == blur.rows:
-            self._columns, self._columns_back = self._rows, self._rows_back
-        else:
-            self._columns, self._columns_back = self._axis(blur.columns, like)
-
-    @staticmethod
-    def _axis(blur: AxisBlur, like: Array) -> tuple[_AxisProduct, _AxisProduct]:
-        forward = _AxisProduct.forward(blur, like)
-        return forward, forward if blur.transposes else _AxisProduct.backward(blur, like)
+        self._rows, self._rows_back = _products(blur.rows, like)
+        self._columns, self._columns_back = _products(blur.columns, like)
 
     def apply(self, planes: Array) -> Array:
         """The blurred planes, shape (..., h, w)."""

@@ -45,8 +45,14 @@ Measured as well.
 WORTHWHILE: Final = 4.0 / 3.0
 """Spacings below this save less than they cost."""
 
-SMALLEST: Final = 32
-"""A sampling for balanced accuracy keeps at least this many cells along the shorter side."""
+SMALLEST: Final = 64
+"""A sampling keeps at least this many cells along the shorter side for a tolerance of BALANCED, twice for half that.
+
+Differences of much blurred images change sign along straight lines; beside an axis, a line is misplaced as a whole, by
+up to half a cell.
+"""
+
+BALANCED: Final = 1e-2
 
 NEGLIGIBLE: Final = 0.1
 """A level is left out if it makes less than this share of the tolerance in the gradient of every intensity."""
@@ -291,7 +297,8 @@ class _Planner:
 
     def _limited(self, spacing: float) -> float:
         shorter = min(self.pixels.rows.size, self.pixels.columns.size)
-        return min(spacing, shorter / SMALLEST * max(1.0, math.pow(self.tolerance / 1e-2, 2.0 / 3.0)))
+        looser = self.tolerance / BALANCED
+        return min(spacing, shorter / SMALLEST * min(looser, math.pow(looser, 2.0 / 3.0)))
 
     def _is_flat(self, scale: float) -> bool:
         longer = max(self.pixels.rows.size, self.pixels.columns.size)

@@ -1,0 +1,152 @@
+"""An accuracy is a promise about the gradient, and a plan says how it is kept."""
+
+from __future__ import annotations
+
+import math
+import tracemalloc
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from loi_core import LOIObjective, ScaleSpace
+from loi_core.kernels import AxisBlur, AxisGrid, coarsest_spacing, rung_variance
+from loi_core.operators import _CACHE, PlaneGrid
+from loi_core.plan import make_plan
+from loi_core.testing import check_objective
+from tests.core.contents import CONTENTS
+from tests.core.direct import direct
+from tests.helpers import Host
+
+EPS = float(np.finfo(np.float64).eps)
+SIDES = st.integers(16, 120)
+PRESETS = st.sampled_from(["vector", "path", "raster", "for image", "released"])
+SEEDS = st.integers(0, 2**31)
+KINDS = st.sampled_from(sorted(CONTENTS))
+
+
+def scales_of(preset: str, height: int, width: int) -> ScaleSpace:
+    if preset == "for image":
+        return ScaleSpace.for_image(height, width)
+    if preset == "released":
+        return ScaleSpace.released((1, 5), (1, 5, 15, 45), 8, 61)
+    return ScaleSpace.paper(preset)  # type: ignore[arg-type]  # one of the literals
+
+
+def relative(found: Host, wanted: Host) -> float:
+    return float(np.linalg.norm(found - wanted)) / max(float(np.linalg.norm(wanted)), 1e-300)
+
+
+@given(KINDS, PRESETS, st.sampled_from(["reflect", "zero"]), st.integers(1, 40), st.integers(1, 40), SEEDS)
+def test_exact_is_the_direct_sum(kind: str, preset: str, boundary: str, height: int, width: int, seed: int) -> None:
+    image, reference = CONTENTS[kind]((height, width, 2), np.random.default_rng(seed))
+    scales = scales_of(preset, height, width)
+    if preset not in ("released", "for image"):
+        scales = ScaleSpace.paper(preset, boundary=boundary)  # type: ignore[arg-type]  # literals
+    value, gradient, unsure = direct(image, reference, scales)
+    found, slope = LOIObjective(reference, scales).value_and_grad(image)
+    assert float(found) == pytest.approx(value, rel=1e-12, abs=1e-15)
+    assert np.abs(slope - gradient).sum() <= 1e-12 * np.abs(gradient).sum() + unsure + 1e-15
+
+
+@given(
+    KINDS, PRESETS, st.sampled_from([("balanced", 1e-2), ("fast", 5e-2), (0.2, 0.2), (1e-3, 1e-3)]), SIDES, SIDES, SEEDS
+)
+def test_every_accuracy_keeps_its_promise(
+    kind: str, preset: str, accuracy: tuple[str | float, float], height: int, width: int, seed: int
+) -> None:
+    image, reference = CONTENTS[kind]((height, width, 1), np.random.default_rng(seed))
+    scales = scales_of(preset, height, width)
+    wanted = LOIObjective(reference, scales).value_and_grad(image)[1]
+    found = LOIObjective(reference, scales, accuracy[0]).value_and_grad(image)[1]
+    assert relative(found, wanted) <= accuracy[1]
+
+
+@pytest.mark.parametrize("accuracy", ["balanced", "fast"])
+@pytest.mark.parametrize("preset", ["path", "vector", "for image"])
+def test_the_gradient_is_that_of_the_value_at_every_accuracy(accuracy: str, preset: str) -> None:
+    shape = (48, 64, 1)
+    check_objective(lambda reference: LOIObjective(reference, scales_of(preset, *shape[:2]), accuracy), shape=shape)
+
+
+@given(st.floats(1.0, 60.0), st.integers(2, 300), st.sampled_from([EPS, 2.0**-23]))
+def test_a_blur_through_a_rung_is_the_blur_in_its_tails_too(scale: float, size: int, eps: float) -> None:
+    spacing = coarsest_spacing(scale, eps)
+    pixels, rung = AxisGrid(size, size), AxisGrid(size, math.ceil(size / spacing))
+    held = rung_variance(spacing, eps)
+    if spacing < 2.0:
+        return
+    there = AxisBlur(pixels, rung, math.sqrt(held), "reflect", cut=20.0).matrix()
+    back = AxisBlur(rung, pixels, math.sqrt(scale**2 - held), "reflect", cut=20.0).matrix()
+    wanted = AxisBlur(pixels, pixels, scale, "reflect", cut=20.0).matrix()
+    seen = wanted > 1e-30 * wanted.max()
+    # The ripple of one sampling, the normalisation of the rest from the coarse one, and the sums' own rounding.
+    np.testing.assert_allclose((back @ there)[seen], wanted[seen], rtol=2.0 * eps + 64.0 * EPS)
+
+
+@pytest.mark.parametrize("scale", [45.0, 1e6])
+def test_an_extent_wider_than_the_image_is_compared_once(scale: float) -> None:
+    plan = make_plan(ScaleSpace(1.0, scale, 0.125), 12, 16, tolerance=0.0, eps=EPS)
+    assert plan.inner[0].extents[0].blur.target == PlaneGrid(AxisGrid(12, 1), AxisGrid(16, 1))
+
+
+@given(PRESETS, st.integers(1, 300), st.integers(1, 300))
+def test_exact_plans_compare_every_pixel_and_every_level(preset: str, height: int, width: int) -> None:
+    plan = make_plan(scales_of(preset, height, width), height, width, tolerance=0.0, eps=2.0**-23)
+    assert plan.error == 0.0
+    assert all((tonal.first, tonal.last) == (0, tonal.count) for tonal in plan.tonal)
+    for inner in plan.inner:
+        for extent in inner.extents:
+            flat = extent.alpha >= 2.7 * max(height, width) or inner.sigma >= 2.7 * max(height, width)
+            assert flat or extent.blur.target == PlaneGrid.pixels(height, width)
+
+
+@given(PRESETS, st.sampled_from([16, 64, 256, 1024, 2048]), st.floats(1e-4, 0.3))
+def test_a_looser_tolerance_never_takes_more_work(preset: str, side: int, tolerance: float) -> None:
+    scales = scales_of(preset, side, side)
+    exact, loose = (make_plan(scales, side, side, tolerance=each, eps=2.0**-23) for each in (0.0, tolerance))
+    assert loose.work <= exact.work
+
+
+def test_orders_of_distance_that_samplings_would_spoil_fall_back_to_exact() -> None:
+    scales = ScaleSpace(1.0, (5.0, 15.0), 0.125, p=2.0)
+    assert make_plan(scales, 128, 128, tolerance=0.05, eps=EPS) == make_plan(scales, 128, 128, tolerance=0.0, eps=EPS)
+
+
+def test_work_grows_in_proportion_to_the_pixels() -> None:
+    small, large = (make_plan(ScaleSpace.paper("path"), n, n, tolerance=1e-2, eps=2.0**-23).work for n in (256, 2048))
+    assert large / small <= 1.15 * 64
+
+
+def test_a_plan_prints_what_runs_for_every_scale() -> None:
+    scales = ScaleSpace.paper("path")
+    lines = str(LOIObjective(np.zeros((64, 96, 3)), scales, "balanced").plan()).splitlines()
+    rows = [line.split() for line in lines[2:-1]]
+    assert [(float(row[0]), float(row[1])) for row in rows] == [(s, a) for s in scales.sigma for a in scales.alpha]
+
+
+def test_memory_at_work_stays_below_four_stacks_of_levels() -> None:
+    shape = (256, 256, 3)
+    rng = np.random.default_rng(3)
+    image, reference = (rng.uniform(size=shape).astype(np.float32) for _ in range(2))
+    scales = ScaleSpace.paper("path")
+    stack = scales.level_count(0.125) * image.nbytes
+    tracemalloc.start()
+    try:
+        objective = LOIObjective(reference, scales, "balanced")
+        objective.value_and_grad(image)
+        tracemalloc.reset_peak()
+        objective.value_and_grad(image)
+        held, peak = tracemalloc.get_traced_memory()
+    finally:
+        tracemalloc.stop()
+    assert held < peak <= 4 * stack
+
+
+def test_operators_are_kept_within_a_bound() -> None:
+    for size in range(40, 60):
+        LOIObjective(np.zeros((size, size, 1)), ScaleSpace.paper("path")).value(np.zeros((size, size, 1)))
+    before = _CACHE.held
+    LOIObjective(np.ones((59, 59, 1)), ScaleSpace.paper("path")).value(np.zeros((59, 59, 1)))
+    assert 0 < before == _CACHE.held <= 2**24
