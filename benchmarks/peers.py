@@ -27,7 +27,7 @@ import loi_jax
 import loi_torch
 from loi_core import LOIObjective, ScaleSpace
 
-__all__ = ["ACCURACIES", "PRESETS", "RENDERED", "Call", "ConvLOI", "Image", "Row", "all_rows", "images"]
+__all__ = ["PRESETS", "RENDERED", "Call", "ConvLOI", "Image", "Row", "all_rows", "images"]
 
 PRESETS: Final = {
     "path": ScaleSpace.paper("path"),
@@ -73,9 +73,14 @@ class Row:
     size: tuple[int, int] | None = None
 
     @property
+    def names(self) -> tuple[str, str, str, str]:
+        """What tells it from the others: library, what, preset and device."""
+        return self.library, self.what, self.preset, self.device
+
+    @property
     def key(self) -> str:
-        """Its name on the command line of the process that measures its memory."""
-        return "|".join((self.library, self.what, self.preset, self.device))
+        """The same as one word, for command lines."""
+        return "|".join(self.names)
 
 
 def images(height: int, width: int) -> tuple[Image, Image]:

@@ -3,7 +3,8 @@
 Run from the root of the repository: ``python -m benchmarks.speed``. Prints Markdown tables; ``--csv`` writes the rows.
 
 - Every row is prepared and warmed up. Then all rows of a size take turns, so that drift hits them alike; slow rows sit
-  out some of the turns. A row that is expected to take more than ``--limit`` seconds is left out, and says so.
+  out some of the turns. A row that, from its time at the size before, would take more than ``--limit`` seconds is left
+  out, and says so.
 - Peak memory is that of a process of its own. It loads the library by evaluating a tiny image, makes the inputs, and
   reports by how much the largest resident memory then grows over two evaluations and what comes before them: the
   reference's histograms count, the inputs do not. On a GPU it is what the framework has allocated there.
@@ -12,6 +13,7 @@ Run from the root of the repository: ``python -m benchmarks.speed``. Prints Mark
 from __future__ import annotations
 
 import argparse
+import contextlib
 import csv
 import gc
 import io
@@ -39,6 +41,7 @@ SIZES: Final = ("128", "256x192", "256", "512", "1024", "2048")
 QUICK_SIZES: Final = ("128", "256x192")
 COMPARED: Final = ((192, 256), (512, 512), (1024, 1024))  # where the project has set itself bars
 FEWEST, MOST = 3, 50  # evaluations of a row
+SETTLE: Final = 0.05  # seconds; idle threads of the library before go on spinning, and would take this one's cores
 KEPT: Final = 2**20  # pixels up to which all rows of a size stay in memory together
 AGREEMENT: Final = 1e-3  # of the plain convolutions, whose kernels end early, with the exact loss
 MIB: Final = 2.0**20
@@ -81,8 +84,8 @@ class Results(list[Result]):
 
     def find(self, size: Size, library: str, what: str, preset: str = "", device: str = "cpu") -> Result | None:
         """One row, if it is there."""
-        key = Row(library, what, _never, preset, device).key
-        return next((result for result in self if result.size == size and result.row.key == key), None)
+        names = (library, what, preset, device)
+        return next((result for result in self if result.size == size and result.row.names == names), None)
 
     def peer(self, size: Size, device: str) -> float | None:
         """The time of pytorch-msssim."""
@@ -90,13 +93,9 @@ class Results(list[Result]):
 
     def kinds(self) -> Iterator[tuple[Row, list[Result]]]:
         """Every kind of row with its results that have a time, smallest image first."""
-        for row in {result.row.key: result.row for result in self}.values():
-            timed = [result for result in self if result.row.key == row.key and result.milliseconds is not None]
+        for row in {result.row.names: result.row for result in self}.values():
+            timed = [result for result in self if result.row.names == row.names and result.milliseconds is not None]
             yield row, sorted(timed, key=lambda result: result.pixels)
-
-
-def _never(*_: object) -> Call:
-    raise AssertionError
 
 
 class Runner:
@@ -121,6 +120,7 @@ class Runner:
     def once(self) -> float:
         """Seconds of one evaluation."""
         call = self.prepare()
+        time.sleep(SETTLE)
         started = time.perf_counter()
         call()
         return time.perf_counter() - started
@@ -142,7 +142,8 @@ class Runner:
 
 def measure(size: Size, options: argparse.Namespace, known: Results) -> Results:
     """All rows at one size."""
-    results = Results(Result(size, row) for row in all_rows() if row.size in (None, size))
+    rows = [row for row in all_rows() if any(word in row.key for word in options.rows)]
+    results = Results(Result(size, row) for row in rows if row.size in (None, size))
     runners = []
     for result in results:
         result.note = _obstacle(result, known, options.limit)
@@ -152,13 +153,8 @@ def measure(size: Size, options: argparse.Namespace, known: Results) -> Results:
             result.peak, result.note = _measured_memory(result, options.limit)
             if result.note:
                 continue
-        runner = Runner(result)
-        try:
-            runner.rehearse(options.seconds)
-        except ImportError:
-            result.note = "not installed"
-            continue
-        runners.append(runner)
+        runners.append(Runner(result))
+        runners[-1].rehearse(options.seconds)
     turns = max((runner.wanted for runner in runners), default=0)
     for turn in range(turns):
         for runner in runners:
@@ -179,15 +175,15 @@ def _obstacle(result: Result, known: Results, limit: float) -> str:
         return "not installed"
     if min(result.size) < row.smallest:
         return f"needs {row.smallest} pixels a side"
-    smaller = [each for kind, timed in known.kinds() if kind.key == row.key for each in timed]
-    smaller = [each for each in smaller if each.pixels < result.pixels]
-    if smaller and smaller[-1].milliseconds is not None:
-        expected = 1e-3 * smaller[-1].milliseconds * result.pixels / smaller[-1].pixels
+    smaller = [each for each in known if each.row.names == row.names and each.pixels < result.pixels]
+    if any(each.note.startswith("failed") for each in smaller):
+        return "left out: failed at a smaller size"
+    timed = [each for each in smaller if each.milliseconds is not None]
+    if timed:
+        expected = 1e-3 * (timed[-1].milliseconds or 0.0) * result.pixels / timed[-1].pixels
         if expected > limit:
             return f"left out: {expected:.0f} s or more expected, limit {limit:g} s"
-    unmeasured = [each for each in known if each.row.key == row.key and each.pixels < result.pixels]
-    given_up = next((each.note for each in unmeasured if each.note.startswith(("left out", "failed"))), "")
-    return "left out, as at a smaller size" if given_up else ""
+    return ""
 
 
 def _measured_memory(result: Result, limit: float) -> tuple[float | None, str]:
@@ -231,8 +227,9 @@ def _peak(row: Row, *, start: bool) -> float:
         largest = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
         return float(largest) if sys.platform == "darwin" else 1024.0 * largest
     # Linux: ru_maxrss would begin at the size of the process that started this one, and cannot be set back.
-    if start and forget.exists():
-        forget.write_text("5")
+    if start:
+        with contextlib.suppress(OSError):  # some containers do not let a process do this
+            forget.write_text("5")
     (line,) = (line for line in status.read_text().splitlines() if line.startswith("VmHWM"))
     return 1024.0 * float(line.split()[1])
 
@@ -317,7 +314,8 @@ def bars(results: Results) -> list[dict[str, str]]:
         line("balanced, JAX under jit / torch", size, _over(ours(size, library="jax"), ours(size)), 2.0)
     for size in COMPARED:
         found = results.find(size, "torch", "balanced", "path")
-        line("balanced, peak memory / stack of levels", size, found and _over(found.peak, found.stack), 4.0)
+        peak = _over(found.peak, found.stack) if found else None
+        line("balanced, peak memory / stack of levels", size, peak, 4.0)
     renders = [each.milliseconds for each in results if each.row.library == "mitsuba"]
     render = renders[0] if renders else None
     line("balanced / one render and backward of Mitsuba", RENDERED, _over(ours(RENDERED), render), 0.5)
@@ -406,6 +404,7 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--csv", type=Path, metavar="FILE", help="also write the rows to this file, after every size")
     parser.add_argument("--seconds", type=float, help="of measuring for each row; 2 by default, 0.2 with --quick")
     parser.add_argument("--limit", type=float, default=20.0, help="seconds that one evaluation may take; 20 by default")
+    parser.add_argument("--rows", nargs="+", default=[""], metavar="WORD", help="only rows whose names contain a WORD")
     parser.add_argument("--memory-of", metavar="ROW", help=argparse.SUPPRESS)  # how this script calls itself
     options = parser.parse_args(arguments)
     if options.sizes is None:
