@@ -7,7 +7,8 @@ Run from the root of the repository: ``python -m benchmarks.speed``. Prints Mark
   out, and says so.
 - Peak memory is that of a process of its own. It loads the library by evaluating a tiny image, makes the inputs, and
   reports by how much the largest resident memory then grows over two evaluations and what comes before them: the
-  reference's histograms count, the inputs do not. On a GPU it is what the framework has allocated there.
+  reference's histograms count, and so does compiling; the inputs do not. On a GPU it is what the framework has
+  allocated there.
 """
 
 from __future__ import annotations
@@ -40,8 +41,8 @@ ROOT: Final = Path(__file__).parents[1]
 SIZES: Final = ("128", "256x192", "256", "512", "1024", "2048")
 QUICK_SIZES: Final = ("128", "256x192")
 COMPARED: Final = ((192, 256), (512, 512), (1024, 1024))  # where the project has set itself bars
-FEWEST, MOST = 3, 50  # evaluations of a row
-SETTLE: Final = 0.05  # seconds; idle threads of the library before go on spinning, and would take this one's cores
+FEWEST, MOST = 3, 11  # evaluations of a row
+SETTLE: Final = 0.2  # seconds in which idle threads of the library before stop spinning; they take this one's cores
 KEPT: Final = 2**20  # pixels up to which all rows of a size stay in memory together
 AGREEMENT: Final = 1e-3  # of the plain convolutions, whose kernels end early, with the exact loss
 MIB: Final = 2.0**20
@@ -106,6 +107,7 @@ class Runner:
         self.call: Call | None = None
         self.seconds: list[float] = []
         self.wanted = 1
+        self.estimate = 0.0
 
     def prepare(self) -> Call:
         """Prepare and warm up; rows of large images are prepared again each time, or they would fill the memory."""
@@ -118,17 +120,19 @@ class Runner:
         return call
 
     def once(self) -> float:
-        """Seconds of one evaluation."""
+        """Seconds of one evaluation, alone on the machine and, if it is short, with threads awake and caches warm."""
         call = self.prepare()
         time.sleep(SETTLE)
+        if self.estimate < SETTLE:
+            call()
         started = time.perf_counter()
         call()
         return time.perf_counter() - started
 
     def rehearse(self, budget: float) -> None:
         """The first evaluation that is timed decides how many follow."""
-        estimate = self.once()
-        self.wanted = min(max(round(budget / estimate), FEWEST), MOST)
+        self.estimate = self.once()
+        self.wanted = min(max(round(budget / self.estimate), FEWEST), MOST)
 
     def takes_turn(self, turn: int, turns: int) -> bool:
         """Whether this is one of the wanted evaluations, which are spread evenly over the turns."""
@@ -169,8 +173,7 @@ def _obstacle(result: Result, known: Results, limit: float) -> str:
     """Why a row is not measured, or nothing."""
     row = result.row
     try:
-        # What is missing is missing at every size.
-        row.start(row, *images(*(result.size if row.size else (row.smallest, row.smallest))))
+        row.start(row, *images(row.smallest, row.smallest))  # what is missing is missing at every size
     except ImportError:
         return "not installed"
     if min(result.size) < row.smallest:
@@ -202,7 +205,7 @@ def _measured_memory(result: Result, limit: float) -> tuple[float | None, str]:
 
 def memory_of(row: Row, size: Size) -> float:
     """By how many bytes the peak grows over the inputs; for a process that does nothing else."""
-    tiny = row.start(row, *images(*(row.size or (row.smallest, row.smallest))))()
+    tiny = row.start(row, *images(row.smallest, row.smallest))()
     tiny()
     del tiny
     prepare = row.start(row, *images(*size))
@@ -249,7 +252,7 @@ def check_plain_convolutions() -> None:
 
 def copy_bandwidth() -> float:
     """Bytes that a copy reads and writes in a second: the median of several of 128 MiB."""
-    source = torch.zeros(2**25)
+    source = torch.ones(2**25)  # zeros might share one page of memory
     target = torch.empty_like(source)
     seconds = []
     for _ in range(12):
