@@ -185,7 +185,7 @@ def _obstacle(result: Result, known: Results, limit: float) -> str:
     if timed:
         expected = 1e-3 * (timed[-1].milliseconds or 0.0) * result.pixels / timed[-1].pixels
         if expected > limit:
-            return f"left out: {expected:.0f} s or more expected, limit {limit:g} s"
+            return f"left out: {expected:.2g} s or more expected, limit {limit:g} s"
     return ""
 
 
