@@ -22,8 +22,9 @@ lint: .venv/.developed
 	.venv/bin/lint-imports --no-logo
 	.venv/bin/codespell
 
-bench: .venv/.developed
+bench: .venv/.benched
 	.venv/bin/python -m benchmarks.adapters
+	.venv/bin/python -m benchmarks.speed
 
 clean:
 	rm -rf .venv demo build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
@@ -38,4 +39,8 @@ clean:
 
 .venv/.developed: .venv/.installed
 	$(PIP) install -q -c constraints.txt -e '.[dev]'
+	touch $@
+
+.venv/.benched: .venv/.developed
+	$(PIP) install -q -c constraints.txt -e '.[dev,bench]'
 	touch $@

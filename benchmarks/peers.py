@@ -1,0 +1,349 @@
+"""What ``benchmarks.speed`` times: the loss on every framework, other image losses, and a render, for scale.
+
+Every row is started in two steps: its inputs are put where it wants them, and only then is it prepared. What lies
+between is what a row needs beyond its inputs. A row whose library is missing raises ImportError.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Final, TypeAlias
+
+# Two frameworks share a GPU here; JAX would take three quarters of it to itself.
+os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
+
+# isort: split
+import jax
+import jax.numpy as jnp
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn import functional
+
+import loi_jax
+import loi_torch
+from loi_core import LOIObjective, ScaleSpace
+
+__all__ = ["PRESETS", "RENDERED", "Call", "ConvLOI", "Image", "Row", "all_rows", "images"]
+
+PRESETS: Final = {
+    "path": ScaleSpace.paper("path"),
+    "released": ScaleSpace.released((1, 5), (1, 5, 15, 45), 8, 121),
+}
+ACCURACIES: Final = ("exact", "balanced", "fast")
+RENDERED: Final = (192, 256)  # height and width of the one render
+SAMPLES: Final = 16  # per pixel
+MS_SSIM_SIDE: Final = 176  # five scales, the coarsest of which has to hold a window of 11 pixels
+TRUNCATE: Final = 4.0  # standard deviations, after which SciPy, for one, ends its kernels
+
+Image: TypeAlias = np.ndarray[tuple[int, ...], np.dtype[np.float32]]
+Call: TypeAlias = Callable[[], object]
+Prepare: TypeAlias = Callable[[], Call]
+
+
+@dataclass(frozen=True)
+class Row:
+    """One thing to time.
+
+    Attributes
+    ----------
+    library, what : str
+        What the tables call it.
+    start : callable
+        From the row, image and reference, both of shape (H, W, 3), to a function that prepares one evaluation.
+    preset : str
+        Of :data:`PRESETS`; empty for what has no such scales.
+    device : str
+        "cpu" or "cuda".
+    smallest : int
+        The shortest side that it accepts, in pixels.
+    size : (int, int), optional
+        The only height and width at which it is timed.
+    """
+
+    library: str
+    what: str
+    start: Callable[[Row, Image, Image], Prepare]
+    preset: str = ""
+    device: str = "cpu"
+    smallest: int = 32
+    size: tuple[int, int] | None = None
+
+    @property
+    def names(self) -> tuple[str, str, str, str]:
+        """What tells it from the others: library, what, preset and device."""
+        return self.library, self.what, self.preset, self.device
+
+    @property
+    def key(self) -> str:
+        """The same as one word, for command lines."""
+        return "|".join(self.names)
+
+
+def images(height: int, width: int) -> tuple[Image, Image]:
+    """An image and a reference, shape (H, W, 3), that are alike enough for SSIM to be positive."""
+    noise, reference = np.random.default_rng(0).uniform(size=(2, height, width, 3)).astype(np.float32)
+    return 0.3 * noise + 0.7 * reference, reference
+
+
+def all_rows() -> list[Row]:
+    """Every row, also those whose library is missing."""
+    rows = []
+    cuda = ["cuda"] if torch.cuda.is_available() else []
+    for preset in PRESETS:
+        for accuracy in ACCURACIES:
+            rows += [Row("torch", accuracy, _torch_loi, preset, device) for device in ["cpu", *cuda]]
+            rows += [Row("numpy", accuracy, _numpy_loi, preset)]
+            rows += [Row("jax", accuracy, _jax_loi, preset, device) for device in _jax_devices()]
+        rows += [Row("torch", "plain conv2d", _conv_loi, preset, device) for device in ["cpu", *cuda]]
+    for device in ["cpu", *cuda]:
+        rows += [
+            Row("pytorch-msssim", "MS-SSIM", _msssim, device=device, smallest=MS_SSIM_SIDE),
+            Row("torchmetrics", "MS-SSIM", _torchmetrics, device=device, smallest=MS_SSIM_SIDE),
+            Row("kornia", "MS-SSIM", _kornia_msssim, device=device),
+            Row("kornia", "pyramid, L2", _kornia_pyramid, device=device, smallest=64),
+            Row("torch", "AlexNet-sized features, random weights", _features, device=device, smallest=64),
+        ]
+    rows += [Row("mitsuba", f"render and backward, {SAMPLES} spp", _mitsuba, size=RENDERED)]
+    return rows
+
+
+def _jax_devices() -> list[str]:
+    try:
+        return ["cpu", "cuda"] if jax.devices("gpu") else ["cpu"]
+    except RuntimeError:  # what JAX says where there is none
+        return ["cpu"]
+
+
+def _torch_step(leaf: Tensor, loss: Callable[[Tensor], Tensor]) -> Call:
+    """Loss and gradient through autograd, waited for."""
+
+    def step() -> None:
+        leaf.grad = None
+        loss(leaf).backward()  # type: ignore[no-untyped-call]  # untyped in torch
+        if leaf.is_cuda:
+            torch.cuda.synchronize()
+
+    return step
+
+
+def _torch_loi(row: Row, image: Image, reference: Image) -> Prepare:
+    leaf = torch.tensor(image, device=row.device, requires_grad=True)
+    target = torch.tensor(reference, device=row.device)
+    return lambda: _torch_step(leaf, loi_torch.LOILoss(target, PRESETS[row.preset], row.what))
+
+
+def _numpy_loi(row: Row, image: Image, reference: Image) -> Prepare:
+    def prepare() -> Call:
+        objective = LOIObjective(reference, PRESETS[row.preset], row.what)
+        return lambda: objective.value_and_grad(image)
+
+    return prepare
+
+
+def _jax_loi(row: Row, image: Image, reference: Image) -> Prepare:
+    device = jax.devices("gpu" if row.device == "cuda" else "cpu")[0]
+    array = jax.device_put(jnp.asarray(image), device)
+    wait: Any = jax.block_until_ready
+
+    def prepare() -> Call:
+        compiled = jax.jit(jax.value_and_grad(loi_jax.loi_loss(reference, PRESETS[row.preset], row.what)))
+
+        def step() -> None:
+            with jax.default_device(device):  # where the reference is prepared
+                wait(compiled(array))
+
+        return step
+
+    return prepare
+
+
+def _channels_first(row: Row, image: Image, reference: Image) -> tuple[Tensor, Tensor]:
+    """Image, with gradient, and reference as torch's libraries want them: shape (1, 3, H, W)."""
+    leaf, target = (
+        torch.tensor(np.ascontiguousarray(np.moveaxis(each, -1, 0))[None], device=row.device)
+        for each in (image, reference)
+    )
+    return leaf.requires_grad_(), target
+
+
+def _against(row: Row, image: Image, reference: Image, loss: Callable[[Tensor, Tensor], Tensor]) -> Prepare:
+    leaf, target = _channels_first(row, image, reference)
+    return lambda: _torch_step(leaf, lambda given: loss(given, target))
+
+
+def _msssim(row: Row, image: Image, reference: Image) -> Prepare:
+    from pytorch_msssim import ms_ssim
+
+    return _against(row, image, reference, lambda x, y: 1.0 - ms_ssim(x, y, data_range=1.0))
+
+
+def _torchmetrics(row: Row, image: Image, reference: Image) -> Prepare:
+    from torchmetrics.functional.image import multiscale_structural_similarity_index_measure as ms_ssim
+
+    return _against(row, image, reference, lambda x, y: 1.0 - ms_ssim(x, y, data_range=1.0))
+
+
+def _kornia_msssim(row: Row, image: Image, reference: Image) -> Prepare:
+    from kornia.losses import MS_SSIMLoss
+
+    return _against(row, image, reference, MS_SSIMLoss().to(row.device))
+
+
+def _kornia_pyramid(row: Row, image: Image, reference: Image) -> Prepare:
+    from kornia.geometry.transform import build_pyramid
+
+    levels = int(math.log2(min(image.shape[:2]))) - 3  # down to a shorter side of 8 to 16 pixels
+
+    def loss(x: Tensor, y: Tensor) -> Tensor:
+        pairs = zip(build_pyramid(x, levels), build_pyramid(y, levels), strict=True)
+        return torch.stack([functional.mse_loss(a, b) for a, b in pairs]).sum()
+
+    return _against(row, image, reference, loss)
+
+
+class AlexNetDistance(torch.nn.Module):
+    """Distance of features in the shape of LPIPS with AlexNet; the weights are random, since only time is compared."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        conv, pool = torch.nn.Conv2d, torch.nn.MaxPool2d(3, 2)
+        self.stages = torch.nn.ModuleList(
+            torch.nn.Sequential(*stage, torch.nn.ReLU())
+            for stage in (
+                (conv(3, 64, 11, stride=4, padding=2),),
+                (pool, conv(64, 192, 5, padding=2)),
+                (pool, conv(192, 384, 3, padding=1)),
+                (conv(384, 256, 3, padding=1),),
+                (conv(256, 256, 3, padding=1),),
+            )
+        )
+        self.weights = torch.nn.ModuleList(conv(width, 1, 1, bias=False) for width in (64, 192, 384, 256, 256))
+        self.requires_grad_(False)
+
+    def forward(self, image: Tensor, reference: Tensor) -> Tensor:
+        """The distance, shape (): squared differences of normalised features, weighted, averaged over pixels."""
+        total = image.new_zeros(())
+        x, y = 2.0 * image - 1.0, 2.0 * reference - 1.0
+        for stage, weights in zip(self.stages, self.weights, strict=True):
+            x, y = stage(x), stage(y)
+            difference = functional.normalize(x, dim=1) - functional.normalize(y, dim=1)
+            total = total + weights(difference**2).mean()
+        return total
+
+
+def _features(row: Row, image: Image, reference: Image) -> Prepare:
+    return _against(row, image, reference, AlexNetDistance().to(row.device))
+
+
+class ConvLOI(torch.nn.Module):
+    """The loss as one would write it down: a convolution per axis and histogram, and autograd for the gradient.
+
+    The histograms of the reference are kept. Kernels end after four standard deviations, unless the preset says how
+    long they are.
+
+    Parameters
+    ----------
+    reference : Tensor, shape (H, W, C)
+        What the image should look like.
+    scales : ScaleSpace
+        With p = 1 and one beta.
+    """
+
+    def __init__(self, reference: Tensor, scales: ScaleSpace) -> None:
+        super().__init__()
+        self.scales = scales
+        (self.beta,) = scales.beta
+        levels = torch.tensor(scales.levels(self.beta), dtype=torch.float32, device=reference.device)
+        self.levels = levels[:, None, None, None]
+        with torch.no_grad():
+            self.targets = [[*self.histograms(isophotes)] for isophotes in self.isophotes(reference)]
+
+    def forward(self, image: Tensor) -> Tensor:
+        """The loss of an image of shape (H, W, C), a tensor of shape ()."""
+        total = image.new_zeros(())
+        for isophotes, targets in zip(self.isophotes(image), self.targets, strict=True):
+            for histogram, target in zip(self.histograms(isophotes), targets, strict=True):
+                distance = (histogram - target).abs().sum(dim=0).mean()
+                total = total + self.scales.scale_weight * self.scales.level_weight(self.beta) * distance
+        return total
+
+    def isophotes(self, image: Tensor) -> list[Tensor]:
+        """For every inner scale the soft assignment to levels, shape (L, C, H, W)."""
+        planes = image.movedim(-1, 0)[None].clamp(*self.scales.bounds)
+        density = self.scales.mass(self.beta) / (math.sqrt(2.0 * math.pi) * self.beta)
+        found = []
+        for sigma in self.scales.sigma:
+            offsets = (self.levels - self.blur(planes, sigma, self.scales.inner_taps)) / self.beta
+            found.append(density * torch.exp(-0.5 * offsets**2))
+        return found
+
+    def histograms(self, isophotes: Tensor) -> list[Tensor]:
+        """For every extent the cumulative histograms, shape (L, C, H, W)."""
+        taps = self.scales.extent_taps
+        return [self.blur(isophotes, alpha, taps).cumsum(dim=0) for alpha in self.scales.alpha]
+
+    def blur(self, planes: Tensor, scale: float, taps: int | None) -> Tensor:
+        """A Gaussian blur of planes, shape (N, C, H, W), by a convolution per axis."""
+        radius = math.ceil(TRUNCATE * scale) if taps is None else taps // 2
+        steps = torch.arange(-radius, radius + 1, dtype=torch.float32, device=planes.device)
+        kernel = torch.exp(-0.5 * (steps / scale) ** 2)
+        kernel = kernel / kernel.sum()
+        channels = planes.shape[1]
+        for axis, shape in ((-2, (-1, 1)), (-1, (1, -1))):
+            weight = kernel.reshape(1, 1, *shape).expand(channels, -1, -1, -1)
+            planes = functional.conv2d(self.pad(planes, axis, radius), weight, groups=channels)
+        return planes
+
+    def pad(self, planes: Tensor, axis: int, radius: int) -> Tensor:
+        """`planes` continued along an axis: mirrored about its edges, as often as it takes, or black."""
+        if self.scales.boundary == "zero":
+            return functional.pad(planes, (0, 0, radius, radius) if axis == -2 else (radius, radius))
+        size = planes.shape[axis]
+        steps = torch.arange(-radius, size + radius, device=planes.device) % (2 * size)
+        return planes.index_select(axis, torch.minimum(steps, 2 * size - 1 - steps))
+
+
+def _conv_loi(row: Row, image: Image, reference: Image) -> Prepare:
+    leaf = torch.tensor(image, device=row.device, requires_grad=True)
+    target = torch.tensor(reference, device=row.device)
+    return lambda: _torch_step(leaf, ConvLOI(target, PRESETS[row.preset]))
+
+
+def _mitsuba(row: Row, image: Image, reference: Image) -> Prepare:  # noqa: ARG001  # a render starts from no image
+    import loi_mitsuba  # before mitsuba, so that Dr.Jit gets an LLVM that works
+
+    # isort: split
+    import mitsuba as mi
+
+    mi.set_variant("llvm_ad_rgb")
+    mi.set_log_level(mi.LogLevel.Error)  # a warning about what enters the view would land amid the tables
+    height, width, _ = image.shape
+    place = mi.ScalarTransform4f
+    scene = {
+        "type": "scene",
+        "sensor": {
+            "type": "perspective",
+            "fov": 45,
+            "to_world": place().look_at([0, 6, 6], [0, 0, 0], [0, 1, 0]),
+            "film": {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": "box"}},
+        },
+        "floor": {"type": "rectangle", "to_world": place().rotate([1, 0, 0], -90).scale(8)},
+        "ball": {"type": "sphere", "to_world": place().translate([0, 5, 0]).scale(0.4)},  # above what is in view
+        "lamp": {
+            "type": "sphere",
+            "to_world": place().translate([0, 12, 0]).scale(0.7),
+            "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 100.0}},
+        },
+    }
+
+    def prepare() -> Call:
+        integrator = {"type": "direct_projective", "guiding": "none", "sppp": 0}  # the ball is out of view
+        handles = {"place": loi_mitsuba.Translate("ball")}
+        renderer = loi_mitsuba.MitsubaRenderer(scene, handles, integrator=integrator, spp=SAMPLES)
+        return lambda: renderer.render_vjp(renderer.parameters())[1](image)
+
+    return prepare
