@@ -51,8 +51,9 @@ def cost_slope(difference: Array, p: float, tie: float, weight: float = 1.0) -> 
     xp = namespace(difference)
     # What is left beyond the ties, made so large that clipping leaves its sign: comparisons, and `sign` where a library
     # sees to NaN by itself, take two to four times the passes over memory.
-    slope = difference - xp.clip(difference, -tie, tie)
-    slope *= _larger_than_any(difference)
+    slope = xp.clip(difference, -tie, tie)
+    slope -= difference
+    slope *= -_larger_than_any(difference)
     slope = xp.clip(slope, -weight, weight)
     if p == 1.0:
         return slope
