@@ -1,4 +1,4 @@
-"""How far each accuracy is from exact: ``python -m benchmarks.accuracy [SIDE ...]``, from the root of the repository.
+"""How far each accuracy is from exact: ``python -m benchmarks.accuracy [SIDE ...] [PRESET ...]``, from the root.
 
 For square images of each side, in float64: the worst relative error of the gradient (2-norm) over the kinds of images
 of ``tests/core/contents.py`` and some seeds, by preset, as a share of what was promised. Prints a Markdown table; the
@@ -48,13 +48,14 @@ def worst(side: int, scales: ScaleSpace) -> dict[str, tuple[float, str]]:
 
 def main() -> int:
     """Print the table, a row as soon as it is known."""
-    sides = [int(argument) for argument in sys.argv[1:]] or SIDES
+    sides = [int(argument) for argument in sys.argv[1:] if argument.isdigit()] or SIDES
+    presets = [argument for argument in sys.argv[1:] if argument in PRESETS] or PRESETS
     kept = True
     print("| side | preset | " + " | ".join(f"{name}: error / promise | worst on" for name in ACCURACIES) + " |")
     print("| --- | --- |" + " --- | --- |" * len(ACCURACIES))
     for side in sides:
-        for name, scales in PRESETS.items():
-            found = worst(side, scales(side))
+        for name in presets:
+            found = worst(side, PRESETS[name](side))
             kept = kept and all(share <= 1.0 for share, _ in found.values())
             cells = " | ".join(f"{share:.2f} | {kind}" for share, kind in found.values())
             print(f"| {side} | {name} | {cells} |", flush=True)
