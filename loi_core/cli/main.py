@@ -108,7 +108,7 @@ def _parser() -> argparse.ArgumentParser:
     )
     tradeoff.add_argument("--backend", nargs="+", default=[], metavar="NAME", help="measure these (default: all)")
     tradeoff.add_argument("--output", type=Path, default=Path("tradeoff"), help="folder (default: tradeoff)")
-    tradeoff.add_argument("--seconds", type=float, default=1.0, help="time to repeat each setting for (default: 1)")
+    tradeoff.add_argument("--seconds", type=float, default=0.5, help="how long to repeat each setting (default: 0.5)")
 
     renderers = commands.add_parser("renderers", help="which renderers are installed")
     doctor = commands.add_parser("doctor", help="what works here, and the mend for what does not")

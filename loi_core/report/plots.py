@@ -50,18 +50,21 @@ def tradeoff_plot(found: Tradeoff) -> bytes:
             rows = [row for row, _ in shown if row.setting.backend == name and bool(row.setting.change) == change]
             axes.plot(
                 [1e3 * row.seconds for row in rows],
-                [max(row.error, LEAST) for row in rows],
+                [max(row.judged, LEAST) for row in rows],
                 marker,
                 color=BACKEND_COLOURS[number % len(BACKEND_COLOURS)],
                 label=f"{name}, other scales" if change else name,
             )
-    front = sorted((1e3 * row.seconds, max(row.error, LEAST), str(row.setting)) for row, mark in shown if mark)
+    front = sorted((1e3 * row.seconds, max(row.judged, LEAST), str(row.setting)) for row, mark in shown if mark)
     axes.step([one[0] for one in front], [one[1] for one in front], where="post", color="#c2410c", label="Pareto set")
     for milliseconds, error, name in front:
         axes.annotate(name, (milliseconds, error), xytext=(6, 6), textcoords="offset points", fontsize=8)
     if found.noise is not None and found.noise.least is not None:
         axes.axhline(found.noise.least, color="#64748b", linestyle=":", label="noise of the renderer's gradient")
-    axes.set(xscale="log", yscale="log", xlabel="value and gradient, ms", ylabel="relative error of the gradient")
+    whose = "parameters'" if any(row.parameter_error is not None for row, _ in shown) else "image's"
+    axes.set(
+        xscale="log", yscale="log", xlabel="value and gradient, ms", ylabel=f"relative error of the {whose} gradient"
+    )
     axes.set_title(f"{found.problem.name}; errors below {LEAST:g} are drawn there")
     axes.grid(visible=True, alpha=0.25)
     axes.spines[["top", "right"]].set_visible(False)

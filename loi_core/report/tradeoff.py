@@ -166,10 +166,10 @@ def _notes(found: Tradeoff) -> list[str]:
     lines = [
         "ms: median of value and gradient. MiB: growth of the process's peak memory. error: of the image's gradient,",
         "relative, against exact in float64 on NumPy with all scales; other scales are another loss.",
-        "*: in the Pareto set, nothing is both faster and as accurate.",
     ]
     if _has_parameters(found):
-        lines.append("of parameters: the same of the parameters' gradient, the largest.")
+        lines.append("of parameters: the same of the gradient of the parameter where it is largest; it is what counts.")
+    lines.append("*: in the Pareto set, nothing is both faster and as accurate.")
     if found.interrupted:
         lines.append("Interrupted: the table is not complete.")
     return lines
@@ -190,26 +190,22 @@ def _advice(found: Tradeoff) -> str:
         return ""
     row, advice = found.recommendation
     what = f"{row.setting}, {1e3 * row.seconds:.4g} ms"
+    error = f"{advice.error:.1e}"
+    if row.parameter_error is not None:
+        error += " in the parameters' gradient"
     if advice.noise is not None:
-        error, noise = f"{advice.error:.1e}", f"{advice.noise:.1e}"
-        where = "" if found.noise is None or found.noise.samples is None else f" at {found.noise.samples} samples"
+        own = None if found.noise is None else found.noise.samples
+        noise = f"the renderer's own noise{'' if own is None else f' at {own} samples'}, {advice.noise:.1e}"
         if advice.met:
-            return (
-                f"{what}. Its error in the parameters' gradient, {error}, hides under the renderer's own noise{where}, "
-                f"{noise}: it is at most {HIDDEN:.2f} of it."
-            )
-        return (
-            f"{what}, the most accurate. Its error, {error}, does not hide under the renderer's noise{where}, {noise}."
-        )
+            return f"{what}. Its error, {error}, is less than {HIDDEN:.0%} of {noise}, and hides under it."
+        return f"{what}, the most accurate. Its error, {error}, does not hide under {noise}."
+    bound = f"what balanced promises, {advice.allowed:g}"
+    if not advice.met:
+        return f"{what}, the most accurate. No error is within {bound}; its own is {error}."
     why = (
         "nothing is random here" if found.stochastic is False else "without a renderer there is no noise to hide under"
     )
-    if advice.met:
-        return (
-            f"{what}, the cheapest with an error, {advice.error:.1e}, within what balanced promises, "
-            f"{advice.allowed:g}; {why}."
-        )
-    return f"{what}, the most accurate; no error is within what balanced promises, {advice.allowed:g}."
+    return f"{what}. It is the cheapest with an error, {error}, within {bound}; {why}."
 
 
 def _body(folder: Path, found: Tradeoff) -> str:

@@ -82,6 +82,11 @@ class Row:
     parameter_error: float | None = None
     problem: str = ""
 
+    @property
+    def judged(self) -> float:
+        """The error to choose by: of what a fit moves, if that is known; it may be larger than the image's or less."""
+        return self.error if self.parameter_error is None else self.parameter_error
+
 
 def measure_setting(target: str, setting: Setting, image: Host, reference: Host, seconds: float) -> Sample | str:
     """Measure one setting.

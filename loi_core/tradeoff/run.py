@@ -91,7 +91,7 @@ class Tradeoff:
     def pareto(self) -> tuple[bool, ...]:
         """For each row whether no other is better in time or error and at least as good in the other."""
         measured = [index for index, row in enumerate(self.rows) if not row.problem]
-        marks = pareto_set([(self.rows[index].seconds, self.rows[index].error) for index in measured])
+        marks = pareto_set([(self.rows[index].seconds, self.rows[index].judged) for index in measured])
         marked = {index for index, mark in zip(measured, marks, strict=True) if mark}
         return tuple(index in marked for index in range(len(self.rows)))
 
@@ -100,16 +100,12 @@ class Tradeoff:
         """The cheapest row with an error that is small enough, among those that compare all scales."""
         noise = self.noise.least if self.noise else None
         rows = [row for row in self.rows if not row.problem and not row.setting.change]
-        if noise is None:
-            errors = [row.error for row in rows]
-        else:
-            errors = [row.error if row.parameter_error is None else row.parameter_error for row in rows]
-        found = recommend([(row.seconds, error) for row, error in zip(rows, errors, strict=True)], noise)
+        found = recommend([(row.seconds, row.judged) for row in rows], noise)
         return None if found is None else (rows[found.index], found)
 
 
 def measure(
-    problem: Problem, backends: Sequence[str] = (), *, seconds: float = 1.0, progress: Progress | None = None
+    problem: Problem, backends: Sequence[str] = (), *, seconds: float = 0.5, progress: Progress | None = None
 ) -> Tradeoff:
     """Measure all settings on all backends; Ctrl-C ends it with what is done.
 
