@@ -33,7 +33,18 @@ ROW = {
     *("memory_bytes", "error", "parameter_error", "pareto", "problem"),
 }
 ANSWER = {
-    *("problem", "machine", "rows", "missing", "stochastic", "noises", "recommendation", "interrupted", "report"),
+    *(
+        "problem",
+        "machine",
+        "load",
+        "rows",
+        "missing",
+        "stochastic",
+        "noises",
+        "recommendation",
+        "interrupted",
+        "report",
+    ),
 }
 
 BROKEN = """\
@@ -369,6 +380,20 @@ def test_a_larger_image_takes_more_memory() -> None:
     assert large.memory is not None
     # The reference alone is kept as 17 cumulative levels of float64.
     assert large.memory - small.memory > 17 * 192 * 192 * 3 * 8
+
+
+def test_a_busy_machine_is_told(
+    plugins: Plugins,
+    pair: list[str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(run, "measure_setting", lambda *_: rows.Sample("cpu", 1.0, 1, None, np.ones((12, 10, 3))))
+    for load, told in ((1e3, True), (0.0, False)):
+        monkeypatch.setattr("os.getloadavg", lambda load=load: (load, 0.0, 0.0))
+        assert main(["tradeoff", *pair, "--output", str(tmp_path / "out")]) == 0
+        assert ("The machine was busy" in capsys.readouterr().out) == told
 
 
 def grain_scene(folder: Path, plugins: Plugins, lines: str = "") -> Path:

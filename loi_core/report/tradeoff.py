@@ -22,6 +22,7 @@ __all__ = ["RESULT_FILE", "plain", "tradeoff_lines", "write_tradeoff"]
 
 RESULT_FILE: Final = "tradeoff.json"
 TEXTS: Final = 4  # columns of the main table that are not numbers
+BUSY: Final = 0.5  # load for each core beyond which times are not to be trusted
 
 
 def write_tradeoff(folder: Path, found: Tradeoff) -> dict[str, Any]:
@@ -49,6 +50,7 @@ def plain(found: Tradeoff) -> dict[str, Any]:
             "scales": asdict(problem.scales),
         },
         "machine": machine(),
+        "load": found.load,
         "rows": [_row(row, pareto=mark) for row, mark in zip(found.rows, found.pareto, strict=True)],
         "missing": [asdict(one) for one in found.missing],
         "stochastic": found.stochastic,
@@ -62,8 +64,11 @@ def plain(found: Tradeoff) -> dict[str, Any]:
 
 def machine() -> str:
     """The machine in words: what times depend on, as far as Python knows."""
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    return f"{cores} cores of {platform.machine()}, {platform.system()}, Python {platform.python_version()}"
+    return f"{_cores()} cores of {platform.machine()}, {platform.system()}, Python {platform.python_version()}"
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def tradeoff_lines(found: Tradeoff) -> list[str]:
@@ -170,6 +175,8 @@ def _notes(found: Tradeoff) -> list[str]:
     if _has_parameters(found):
         lines.append("of parameters: the same of the gradient of the parameter where it is largest; it is what counts.")
     lines.append("*: in the Pareto set, nothing is both faster and as accurate.")
+    if found.load is not None and found.load > BUSY * _cores():
+        lines.append(f"The machine was busy when this began, with a load of {found.load:.1f}: times are too long.")
     if found.interrupted:
         lines.append("Interrupted: the table is not complete.")
     return lines

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TypeAlias
@@ -72,6 +73,8 @@ class Tradeoff:
         That of the renderer at several samples per pixel; empty if nothing is random.
     interrupted : bool
         Whether Ctrl-C ended it early.
+    load : float or None
+        How many processes kept the machine busy in the minute before; None where the system does not tell.
     """
 
     problem: Problem
@@ -80,6 +83,7 @@ class Tradeoff:
     stochastic: bool | None = None
     noises: tuple[Noise, ...] = ()
     interrupted: bool = False
+    load: float | None = None
 
     @property
     def noise(self) -> Noise | None:
@@ -133,7 +137,7 @@ def measure(
     if size == 0.0:
         msg = "`image` has no gradient of the loss, so there is no error to measure; give one that differs"
         raise OptionError(msg)
-    meter = _Meter(Tradeoff(problem, missing=missing), seconds, progress, len(settings))
+    meter = _Meter(Tradeoff(problem, missing=missing, load=_load()), seconds, progress, len(settings))
     try:
         pulled = meter.measure_scene(exact)
         for setting in settings:
@@ -178,6 +182,13 @@ class _Meter:
                 other = scene if count == own else load_scene(scene.path, output=scene.output, samples=count)
                 self.found = replace(self.found, noises=(*self.found.noises, renderer_noise(other, self.seconds)))
         return PulledBack(scene, exact)
+
+
+def _load() -> float | None:
+    try:
+        return os.getloadavg()[0]
+    except (AttributeError, OSError):  # not on Windows, nor in every container
+        return None
 
 
 def _plan(scales: ScaleSpace, wanted: Sequence[str]) -> tuple[dict[str, str], list[Setting], tuple[Missing, ...]]:
