@@ -84,7 +84,7 @@ def _colours(path: Path) -> FloatImage:
 
 def _of_scene(name: str, folder: Path, output: Path) -> Problem:
     path = Path(name)
-    if name in BUNDLED and not path.exists():
+    if name in BUNDLED:
         path = folder / name / "scene.toml"
         BUNDLED[name](path.parent)
     elif path.suffix != ".toml":
