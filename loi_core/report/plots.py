@@ -58,7 +58,8 @@ def tradeoff_plot(found: Tradeoff) -> bytes:
     front = sorted((1e3 * row.seconds, max(row.judged, LEAST), str(row.setting)) for row, mark in shown if mark)
     axes.step([one[0] for one in front], [one[1] for one in front], where="post", color="#c2410c", label="Pareto set")
     for milliseconds, error, name in front:
-        axes.annotate(name, (milliseconds, error), xytext=(4, 4), textcoords="offset points", fontsize=8, rotation=20)
+        place = {"xytext": (3, -3), "textcoords": "offset points", "rotation": -25, "rotation_mode": "anchor"}
+        axes.annotate(name, (milliseconds, error), fontsize=8, va="top", **place)
     if found.noise is not None and found.noise.least is not None:
         axes.axhline(found.noise.least, color="#64748b", linestyle=":", label="noise of the renderer's gradient")
     whose = "parameters'" if any(row.parameter_error is not None for row, _ in shown) else "image's"
@@ -66,10 +67,10 @@ def tradeoff_plot(found: Tradeoff) -> bytes:
         xscale="log", yscale="log", xlabel="value and gradient, ms", ylabel=f"relative error of the {whose} gradient"
     )
     axes.set_title(f"{found.problem.name}; errors below {LEAST:g} are drawn there")
-    axes.margins(0.1)  # room for the names
+    axes.margins(x=0.2, y=0.15)  # room for the names
     axes.grid(visible=True, alpha=0.25)
     axes.spines[["top", "right"]].set_visible(False)
-    axes.legend(frameon=False, fontsize=8)
+    axes.legend(frameon=False, fontsize=8, loc="lower left")
     return _png(figure)
 
 
