@@ -7,6 +7,7 @@ would catch: a wrong value is a ``ValueError``, a wrong type a ``TypeError``, an
 from __future__ import annotations
 
 __all__ = [
+    "BackendNotFoundError",
     "ConformanceError",
     "FitError",
     "ImageError",
@@ -83,6 +84,10 @@ class RendererError(LoiError, RuntimeError):
 
 class RendererNotFoundError(LoiError, LookupError):
     """No renderer of that name is installed, or the one that is cannot be loaded."""
+
+
+class BackendNotFoundError(LoiError, LookupError):
+    """No backend of that name is installed, or the one that is cannot be loaded."""
 
 
 class SceneError(LoiError, ValueError):

@@ -1,8 +1,9 @@
-"""Which renderers are installed: the entry-point group ``loi.renderers``.
+"""Which renderers and backends are installed: the entry-point groups ``loi.renderers`` and ``loi.backends``.
 
-A distribution announces a renderer with an entry point whose name is the renderer's name and whose object is a
-factory: called with the options of a scene, it returns something that keeps the contract of
-:class:`loi_core.Renderer`. A plugin that cannot be loaded is reported by name and never hides the others.
+A distribution announces one with an entry point whose name is what it is called by and whose object is a factory. A
+renderer's is called with the options of a scene and returns something that keeps the contract of
+:class:`loi_core.Renderer`; a backend's is called without arguments and returns a
+:class:`loi_core.backends.Backend`. A plugin that cannot be loaded is reported by name and never hides the others.
 """
 
 from __future__ import annotations
@@ -12,26 +13,39 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib.metadata import EntryPoint, entry_points
 from inspect import Parameter, signature
-from typing import Final, Literal, TypeAlias
+from typing import Any, Final, Literal, TypeAlias
 
-from loi_core.errors import RendererNotFoundError
+from loi_core.backends import Backend
+from loi_core.errors import BackendNotFoundError, RendererNotFoundError
 from loi_core.renderer import Renderer
 
-__all__ = ["GROUP", "RendererFactory", "RendererInfo", "available_renderers", "load_renderer"]
+__all__ = [
+    "BACKEND_GROUP",
+    "GROUP",
+    "BackendFactory",
+    "PluginInfo",
+    "RendererFactory",
+    "available_backends",
+    "available_renderers",
+    "load_backend",
+    "load_renderer",
+]
 
 GROUP: Final = "loi.renderers"
+BACKEND_GROUP: Final = "loi.backends"
 
 RendererFactory: TypeAlias = Callable[..., Renderer]
+BackendFactory: TypeAlias = Callable[[], Backend]
 
 
 @dataclass(frozen=True)
-class RendererInfo:
-    """One announced renderer.
+class PluginInfo:
+    """One announced renderer or backend.
 
     Attributes
     ----------
     name : str
-        What scenes call it.
+        What scenes and commands call it.
     package, version : str
         The distribution that announces it.
     backend : str
@@ -58,13 +72,14 @@ class RendererInfo:
     mend: str = ""
 
 
-def available_renderers() -> list[RendererInfo]:
+def available_renderers() -> list[PluginInfo]:
     """Every announced renderer, sorted by name. Each factory is imported to see whether it can be."""
-    return [
-        _examine(point, [_origin(other)[0] for other in points])[1]
-        for points in _announced(entry_points(group=GROUP)).values()
-        for point in points
-    ]
+    return _available(GROUP)
+
+
+def available_backends() -> list[PluginInfo]:
+    """Every announced backend, sorted by name. Each factory is imported to see whether it can be."""
+    return _available(BACKEND_GROUP)
 
 
 def load_renderer(name: str) -> RendererFactory:
@@ -75,26 +90,51 @@ def load_renderer(name: str) -> RendererFactory:
     RendererNotFoundError
         If no distribution, or more than one, announces it, or its factory cannot be imported; with the mend.
     """
-    announced = _announced(entry_points(group=GROUP))
-    if name not in announced:
-        msg = f"no renderer is called {name!r}; installed are {', '.join(announced) or 'none'}"
-        raise RendererNotFoundError(msg)
-    points = announced[name]
-    factory, info = _examine(points[0], [_origin(point)[0] for point in points])
-    if factory is None:
-        msg = f"renderer {name!r} of {info.package} cannot be used: {info.problem}; {info.mend}"
-        raise RendererNotFoundError(msg)
+    factory: RendererFactory = _load(GROUP, "renderer", name, RendererNotFoundError)
     return factory
 
 
-def _examine(point: EntryPoint, claims: list[str]) -> tuple[RendererFactory | None, RendererInfo]:
+def load_backend(name: str) -> BackendFactory:
+    """The factory of the backend called `name`.
+
+    Raises
+    ------
+    BackendNotFoundError
+        If no distribution, or more than one, announces it, or its factory cannot be imported; with the mend.
+    """
+    factory: BackendFactory = _load(BACKEND_GROUP, "backend", name, BackendNotFoundError)
+    return factory
+
+
+def _available(group: str) -> list[PluginInfo]:
+    return [
+        _examine(point, [_origin(other)[0] for other in points])[1]
+        for points in _announced(entry_points(group=group)).values()
+        for point in points
+    ]
+
+
+def _load(group: str, kind: str, name: str, failure: type[LookupError]) -> Any:
+    announced = _announced(entry_points(group=group))
+    if name not in announced:
+        msg = f"no {kind} is called {name!r}; installed are {', '.join(announced) or 'none'}"
+        raise failure(msg)
+    points = announced[name]
+    factory, info = _examine(points[0], [_origin(point)[0] for point in points])
+    if factory is None:
+        msg = f"{kind} {name!r} of {info.package} cannot be used: {info.problem}; {info.mend}"
+        raise failure(msg)
+    return factory
+
+
+def _examine(point: EntryPoint, claims: list[str]) -> tuple[Callable[..., Any] | None, PluginInfo]:
     """The factory of one entry point, or None, and what there is to say about it."""
     package, version = _origin(point)
     extra = point.extras[0] if point.extras else ""
     target = f"{point.module}:{point.attr}"
     if len(claims) > 1:
         mend = f"pip uninstall all but one of {', '.join(sorted(claims))}"
-        info = RendererInfo(point.name, package, version, extra, target, "clash", f"{len(claims)} claim it", mend)
+        info = PluginInfo(point.name, package, version, extra, target, "clash", f"{len(claims)} claim it", mend)
         return None, info
     try:
         factory = point.load()
@@ -102,18 +142,18 @@ def _examine(point: EntryPoint, claims: list[str]) -> tuple[RendererFactory | No
         problem = " ".join(f"{type(error).__name__}: {error}".split())
         if extra and isinstance(error, ModuleNotFoundError):
             mend = f"pip install '{package}[{extra}]'"
-            return None, RendererInfo(point.name, package, version, extra, target, "missing", problem, mend)
+            return None, PluginInfo(point.name, package, version, extra, target, "missing", problem, mend)
     else:
         problem = _unusable(factory, target)
         if not problem:
             backend = getattr(factory, "backend", extra)
-            return factory, RendererInfo(point.name, package, version, str(backend), target, "ready")
+            return factory, PluginInfo(point.name, package, version, str(backend), target, "ready")
     mend = f"pip install --upgrade --force-reinstall {package}"
-    return None, RendererInfo(point.name, package, version, extra, target, "broken", problem, mend)
+    return None, PluginInfo(point.name, package, version, extra, target, "broken", problem, mend)
 
 
 def _unusable(factory: object, target: str) -> str:
-    """Why scenes cannot call this, which they do with options by keyword; empty if they can."""
+    """Why this cannot be called, which happens with options by keyword if at all; empty if it can."""
     if not callable(factory):
         return f"{target} is a {type(factory).__name__}, not a factory that can be called"
     try:

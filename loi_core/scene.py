@@ -22,7 +22,7 @@ from loi_core.objectives import GaussianPyramid, ImageObjective, LOIObjective, P
 from loi_core.registry import RendererFactory, load_renderer
 from loi_core.renderer import Renderer
 from loi_core.scales import ScaleSpace
-from loi_core.values import real_number
+from loi_core.values import real_number, whole_number
 
 __all__ = ["OBJECTIVES", "FitOptions", "Scene", "load_scene"]
 
@@ -61,6 +61,8 @@ class Scene:
         As its factory made it.
     target : array, shape (H, W, 3), float64
         The image to match.
+    scales : ScaleSpace
+        Those of the file, for whichever objective compares them.
     objectives : dict
         By name; the first is the one that the scene is fitted with, the others are compared with it.
     optimise : dict of Free
@@ -69,6 +71,8 @@ class Scene:
         True values of parameters, where the scene gives them; only ever used to report errors.
     fit : FitOptions
         Steps, rates and seed.
+    samples : int, optional
+        Samples per pixel, if the renderer takes them as an option ``spp``.
     """
 
     path: Path
@@ -76,13 +80,15 @@ class Scene:
     output: Path
     renderer: Renderer
     target: FloatImage
+    scales: ScaleSpace
     objectives: dict[str, ImageObjective[Any, Any]]
     optimise: dict[str, Free]
     truth: dict[str, np.ndarray[Any, Any]]
     fit: FitOptions = field(default_factory=FitOptions)
+    samples: int | None = None
 
 
-def load_scene(path: Path, *, output: Path | None = None) -> Scene:
+def load_scene(path: Path, *, output: Path | None = None, samples: int | None = None) -> Scene:
     """Read a scene file and everything that it names.
 
     Parameters
@@ -91,6 +97,8 @@ def load_scene(path: Path, *, output: Path | None = None) -> Scene:
         A TOML file; paths in it are relative to its folder.
     output : Path, optional
         Overrides the file's own output folder.
+    samples : int, optional
+        Overrides the renderer's samples per pixel; only for a scene whose own ``samples`` is not None.
 
     Raises
     ------
@@ -107,7 +115,7 @@ def load_scene(path: Path, *, output: Path | None = None) -> Scene:
             raise where.error("", f"`{key}` is missing; a scene needs target, [renderer] and [optimise.NAME]")
     folder = path.parent
     target = read_image(folder / where.text("", document, "target"))[..., :3]
-    renderer = _renderer(where, where.table("", document, "renderer"), folder, target)
+    renderer, spp = _renderer(where, where.table("", document, "renderer"), folder, target, samples)
     optimise, truth = _optimise(where, where.table("", document, "optimise"), renderer)
     scales = _scales(where, where.table("", document, "scales"), target)
     objectives = _objectives(where, where.table("", document, "objective"), target, scales)
@@ -120,10 +128,12 @@ def load_scene(path: Path, *, output: Path | None = None) -> Scene:
         output=results,
         renderer=renderer,
         target=target,
+        scales=scales,
         objectives=objectives,
         optimise=optimise,
         truth=truth,
         fit=_fit_options(where, where.table("", document, "fit")),
+        samples=spp,
     )
 
 
@@ -175,7 +185,10 @@ def _check_output(where: _Where, results: Path) -> None:
         raise where.error("", "`output` must be a folder of its own, not that of the scene and its images")
 
 
-def _renderer(where: _Where, table: Mapping[str, Any], folder: Path, target: FloatImage) -> Renderer:
+def _renderer(
+    where: _Where, table: Mapping[str, Any], folder: Path, target: FloatImage, samples: int | None
+) -> tuple[Renderer, int | None]:
+    """The renderer of a scene, and its samples per pixel if that is an option."""
     if "name" not in table:
         raise where.error("renderer", "`name` is missing")
     name = where.text("renderer", table, "name")
@@ -195,12 +208,16 @@ def _renderer(where: _Where, table: Mapping[str, Any], folder: Path, target: Flo
     for key, size in (("height", target.shape[0]), ("width", target.shape[1])):
         if accepted is not None and key in accepted:  # a renderer that has to be told its size gets the target's
             options.setdefault(key, size)
+    if samples is not None:
+        options["spp"] = samples
     try:
-        return factory(**options)
+        renderer = factory(**options)
     except LoiError as error:
         raise where.error("renderer", str(error)) from error
     except Exception as error:  # a third party's factory may raise anything; the scene is what the user can mend
         raise where.error("renderer", f"{name} refused: {type(error).__name__}: {error}") from error
+    declared = (accepted or {}).get("spp")
+    return renderer, whole_number(options.get("spp", declared.default if declared else None))
 
 
 def _accepted(factory: RendererFactory) -> Mapping[str, Parameter] | None:

@@ -66,6 +66,18 @@ def test_the_wheel_works_in_an_empty_environment(fresh: Path, tmp_path: Path) ->
     assert not re.search(r"^(torch|jax|mitsuba|scipy)==", installed, re.MULTILINE)
 
 
+def test_the_wheel_measures_what_accuracy_costs_in_an_empty_environment(fresh: Path, tmp_path: Path) -> None:
+    code = "import numpy as np; np.save('a.npy', np.eye(12)); np.save('b.npy', np.eye(12)[::-1])"
+    run(fresh, "-c", code, cwd=tmp_path)
+    images = ("--image", "a.npy", "--reference", "b.npy")
+    found = json.loads(run(fresh.parent / "loi", "tradeoff", *images, "--seconds", "1e-3", "--json", cwd=tmp_path))
+    assert {row["backend"] for row in found["rows"] if row["problem"] is None} == {"numpy"}
+    assert {one["name"]: one["mend"] for one in found["missing"]} == {
+        "jax": "pip install 'loi[jax]'",
+        "torch": "pip install 'loi[torch]'",
+    }
+
+
 def test_importing_the_core_loads_no_framework() -> None:
     code = f"import sys, loi_core; print([n for n in {FRAMEWORKS!r} if n in sys.modules])"
     assert run(sys.executable, "-c", code).strip() == "[]"

@@ -54,6 +54,19 @@ def _run(options: argparse.Namespace) -> int:
 
         print(write_page(options.folder))
         return DONE
+    if options.command == "tradeoff":
+        from loi_core.cli.tradeoff import show_tradeoff
+
+        done = show_tradeoff(
+            image=options.image,
+            reference=options.reference,
+            scene=options.scene,
+            backends=options.backend,
+            output=options.output,
+            seconds=options.seconds,
+            as_json=options.json,
+        )
+        return DONE if done else FAILED
     if options.command == "renderers":
         from loi_core.cli.renderers import list_renderers
 
@@ -87,8 +100,18 @@ def _parser() -> argparse.ArgumentParser:
     report = commands.add_parser("report", help="make report.html anew from a result folder")
     report.add_argument("folder", type=Path, metavar="DIR")
 
+    tradeoff = commands.add_parser("tradeoff", help="what accuracy costs here, in time and memory")
+    tradeoff.add_argument("--image", type=Path, help="image to compare with --reference")
+    tradeoff.add_argument("--reference", type=Path, help="what the image should look like")
+    tradeoff.add_argument(
+        "--scene", metavar="SCENE", help="scene file, or disks or photograph (default: photograph, as in the demo)"
+    )
+    tradeoff.add_argument("--backend", nargs="+", default=[], metavar="NAME", help="measure these (default: all)")
+    tradeoff.add_argument("--output", type=Path, default=Path("tradeoff"), help="folder (default: tradeoff)")
+    tradeoff.add_argument("--seconds", type=float, default=0.5, help="how long to repeat each setting (default: 0.5)")
+
     renderers = commands.add_parser("renderers", help="which renderers are installed")
     doctor = commands.add_parser("doctor", help="what works here, and the mend for what does not")
-    for command in (demo, fit, renderers, doctor):
+    for command in (demo, fit, tradeoff, renderers, doctor):
         command.add_argument("--json", action="store_true", help="print the answer as JSON")
     return parser

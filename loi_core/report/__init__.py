@@ -2,5 +2,6 @@
 
 from loi_core.report.output import write_results
 from loi_core.report.page import write_index, write_page
+from loi_core.report.tradeoff import tradeoff_lines, write_tradeoff
 
-__all__ = ["write_index", "write_page", "write_results"]
+__all__ = ["tradeoff_lines", "write_index", "write_page", "write_results", "write_tradeoff"]

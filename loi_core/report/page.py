@@ -15,7 +15,7 @@ from loi_core.report.output import RESULT_FILE, frames
 from loi_core.report.plots import LABELS
 from loi_core.scene import OBJECTIVES
 
-__all__ = ["write_index", "write_page"]
+__all__ = ["document", "figure", "write_index", "write_page"]
 
 SAME_START: Final = "every objective from the same start with the same optimiser"
 STYLE: Final = """
@@ -42,13 +42,13 @@ def write_page(folder: Path) -> Path:
         If the folder does not hold the results of a scene.
     """
     page = folder / "report.html"
-    write_text(page, _document(_read(folder)["title"], _section(folder)))
+    write_text(page, document(_read(folder)["title"], _section(folder)))
     return page
 
 
 def write_index(page: Path, folders: Sequence[Path], title: str) -> Path:
     """Make one page of several result folders; returns its path. Errors as in :func:`write_page`."""
-    write_text(page, _document(title, "\n".join(_section(folder) for folder in folders)))
+    write_text(page, document(title, "\n".join(_section(folder) for folder in folders)))
     return page
 
 
@@ -87,7 +87,8 @@ def _is_trial(trial: Any) -> bool:
     return isinstance(trial.get("error"), str | None) and isinstance(errors, dict)
 
 
-def _document(title: str, body: str) -> str:
+def document(title: str, body: str) -> str:
+    """A whole HTML page around `body`."""
     return (
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
         f'<meta name="viewport" content="width=device-width, initial-scale=1"><style>{STYLE}</style></head>\n'
@@ -99,16 +100,16 @@ def _section(folder: Path) -> str:
     result = _read(folder)
     trials = result["trials"]
     first = trials[0]["objective"] if trials else ""
-    start = [_figure(folder / "initial.png", "start"), _figure(folder / "target.png", "target")]
+    start = [figure(folder / "initial.png", "start"), figure(folder / "target.png", "target")]
     finals, errors = [], []
     for index, trial in enumerate(trials):
         own = folder if index == 0 else folder / "compare" / trial["objective"]
         label = LABELS.get(trial["objective"], trial["objective"])
         ours = ' class="ours"' if index == 0 else ""
-        finals.append(_figure(own / "final.png", label, ours))
-        errors.append(_figure(own / "error.png", f"{label}: |final - target|", ours))
-    film = [_figure(path, f"step {step}") for step, path in frames(folder / "frames").items()]
-    plot = _figure(folder / "convergence.png", "", image_class="plot")
+        finals.append(figure(own / "final.png", label, ours))
+        errors.append(figure(own / "error.png", f"{label}: |final - target|", ours))
+    film = [figure(path, f"step {step}") for step, path in frames(folder / "frames").items()]
+    plot = figure(folder / "convergence.png", "", image_class="plot")
     return "\n".join(
         [
             f"<h1>{escape(result['title'])}</h1>",
@@ -123,7 +124,8 @@ def _section(folder: Path) -> str:
     )
 
 
-def _figure(path: Path, caption: str, attributes: str = "", *, image_class: str = "") -> str:
+def figure(path: Path, caption: str, attributes: str = "", *, image_class: str = "") -> str:
+    """A PNG with a caption, in the page itself; nothing if there is no such file."""
     if not path.is_file():
         return ""
     data = base64.b64encode(path.read_bytes()).decode("ascii")

@@ -1,26 +1,25 @@
-"""The convergence plot, as PNG bytes."""
+"""Plots, as PNG bytes."""
 
 from __future__ import annotations
 
 import io
 from collections.abc import Sequence
-from typing import Final
+from typing import Any, Final
 
 from loi_core.experiment import Trial
+from loi_core.tradeoff import Tradeoff
 
-__all__ = ["LABELS", "convergence_plot"]
+__all__ = ["LABELS", "convergence_plot", "tradeoff_plot"]
 
 LABELS: Final = {"loi": "loi (ours)", "pixel_l2": "pixel L2", "gaussian_pyramid": "Gaussian pyramid"}
 COLOURS: Final = {"loi": "#c2410c", "pixel_l2": "#64748b", "gaussian_pyramid": "#0369a1"}
+BACKEND_COLOURS: Final = ("#0369a1", "#15803d", "#7e22ce", "#64748b", "#a16207")
+LEAST: Final = 1e-16  # where an error of 0 is drawn
 
 
 def convergence_plot(trials: Sequence[Trial]) -> bytes:
     """Objective over its first value, and PSNR against the target, by step, as a PNG."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(9.0, 3.2), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = _figure(9.0, 3.2)
     descent, quality = figure.subplots(1, 2)
     for trial in trials:
         if trial.result is None or not trial.result.history:
@@ -38,6 +37,53 @@ def convergence_plot(trials: Sequence[Trial]) -> bytes:
         axes.spines[["top", "right"]].set_visible(False)
         if axes.lines:
             axes.legend(frameon=False)
+    return _png(figure)
+
+
+def tradeoff_plot(found: Tradeoff) -> bytes:
+    """Error of the gradient by time, both logarithmic, with the Pareto set joined and named, as a PNG."""
+    figure = _figure(9.0, 5.0)
+    axes = figure.subplots()
+    shown = [(row, mark) for row, mark in zip(found.rows, found.pareto, strict=True) if not row.problem]
+    for number, name in enumerate(dict.fromkeys(row.setting.backend for row, _ in shown)):
+        for change, marker in ((False, "o"), (True, "x")):
+            rows = [row for row, _ in shown if row.setting.backend == name and bool(row.setting.change) == change]
+            axes.plot(
+                [1e3 * row.seconds for row in rows],
+                [max(row.judged, LEAST) for row in rows],
+                marker,
+                color=BACKEND_COLOURS[number % len(BACKEND_COLOURS)],
+                label=f"{name}, other scales" if change else name,
+            )
+    front = sorted((1e3 * row.seconds, max(row.judged, LEAST), str(row.setting)) for row, mark in shown if mark)
+    axes.step([one[0] for one in front], [one[1] for one in front], where="post", color="#c2410c", label="Pareto set")
+    for milliseconds, error, name in front:
+        place = {"xytext": (3, -3), "textcoords": "offset points", "rotation": -25, "rotation_mode": "anchor"}
+        axes.annotate(name, (milliseconds, error), fontsize=8, va="top", **place)
+    if found.noise is not None and found.noise.least is not None:
+        axes.axhline(found.noise.least, color="#64748b", linestyle=":", label="noise of the renderer's gradient")
+    whose = "parameters'" if any(row.parameter_error is not None for row, _ in shown) else "image's"
+    axes.set(
+        xscale="log", yscale="log", xlabel="value and gradient, ms", ylabel=f"relative error of the {whose} gradient"
+    )
+    axes.set_title(f"{found.problem.name}; errors below {LEAST:g} are drawn there")
+    axes.margins(x=0.2, y=0.15)  # room for the names
+    axes.grid(visible=True, alpha=0.25)
+    axes.spines[["top", "right"]].set_visible(False)
+    axes.legend(frameon=False, fontsize=8, loc="lower left")
+    return _png(figure)
+
+
+def _figure(width: float, height: float) -> Any:
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(width, height), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def _png(figure: Any) -> bytes:
     stream = io.BytesIO()
     figure.savefig(stream, format="png", dpi=110)
     return stream.getvalue()

@@ -128,3 +128,15 @@ def test_the_example_of_the_guide_can_be_read(folder: Path) -> None:
         scene = load_scene(folder / "guide.toml")
     assert list(scene.renderer.parameters()) == ["place", "turn", "colour"]
     assert list(scene.optimise) == ["place", "colour"]
+
+
+def test_the_samples_of_a_scene_are_known_and_can_be_overridden(folder: Path) -> None:
+    scene = load_scene(folder / "scene.toml")
+    assert scene.samples == 8
+    few, many = load_scene(folder / "scene.toml", samples=1), load_scene(folder / "scene.toml", samples=64)
+    assert (few.samples, many.samples) == (1, 64)
+    noises = []
+    for one in (few, many):
+        first, second = (one.renderer.render(one.renderer.parameters(), seed=seed) for seed in (0, 1))
+        noises.append(np.linalg.norm(first - second))
+    assert noises[0] > 4.0 * noises[1]  # a factor of 8, if samples are independent
