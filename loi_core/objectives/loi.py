@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from loi_core.arrays import Array, epsilon, from_numpy, namespace, runs_eagerly_on_host
+from loi_core.arrays import Array, epsilon, from_numpy, namespace, runs_eagerly_on_host, sum_of_all
 from loi_core.distance import cost, cost_slope, tie_threshold
 from loi_core.errors import OptionError, ScaleError
 from loi_core.nonfinite import NanPolicy
@@ -291,7 +291,6 @@ class LOIObjective(ImageObjective[_Prepared, ScaleKey]):
         Blurring and accumulating commute, so the difference is blurred once instead of each histogram.
         """
         scales = self._scales
-        xp = namespace(difference)
         rungs = [difference]
         for rung in inner.rungs:
             rungs.append(rung.apply(rungs[-1]))
@@ -300,7 +299,7 @@ class LOIObjective(ImageObjective[_Prepared, ScaleKey]):
             blurred = extent.blur.apply(rungs[extent.rung])
             weight = scales.scale_weight * scales.level_weight(beta) / (inner.total * math.prod(blurred.shape[-2:]))
             key = (extent.alpha, beta, inner.sigma)
-            term = xp.sum(cost(blurred, scales.p)) * weight
+            term = sum_of_all(cost(blurred, scales.p)) * weight
             terms[key] = terms[key] + term if key in terms else term
             if gradient:
                 back = extent.blur.adjoint(cost_slope(blurred, scales.p, tie, weight))

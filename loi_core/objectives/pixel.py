@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from loi_core.arrays import Array, namespace
+from loi_core.arrays import Array, sum_of_all
 from loi_core.objectives.base import Evaluation, ImageObjective
 
 __all__ = ["PixelL2"]
@@ -20,8 +20,7 @@ class PixelL2(ImageObjective[Array, str]):
         return reference
 
     def _evaluate(self, planes: Array, prepared: Array, *, gradient: bool) -> Evaluation[str]:
-        xp = namespace(planes)
         weight = 1.0 / math.prod(planes.shape)
         difference = planes - prepared
-        term = xp.sum(difference * difference) * weight
+        term = sum_of_all(difference * difference) * weight
         return Evaluation({"l2": term}, difference * (2.0 * weight) if gradient else None)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from loi_core.arrays import Array, from_numpy, namespace
+from loi_core.arrays import Array, from_numpy, sum_of_all
 from loi_core.errors import OptionError
 from loi_core.kernels import blur_matrix
 from loi_core.nonfinite import NanPolicy
@@ -68,14 +68,13 @@ class GaussianPyramid(ImageObjective[_Prepared, int]):
         return _Prepared(reductions, levels)
 
     def _evaluate(self, planes: Array, prepared: _Prepared, *, gradient: bool) -> Evaluation[int]:
-        xp = namespace(planes)
         # The pyramid is linear: the pyramid of the difference is the difference of the pyramids.
         differences = [planes - prepared.levels[0]]
         for reduction in prepared.reductions:
             differences.append(reduction.apply(differences[-1]))
         weights = [1.0 / math.prod(level.shape) for level in differences]
         terms = {
-            index: xp.sum(level * level) * weight
+            index: sum_of_all(level * level) * weight
             for index, (level, weight) in enumerate(zip(differences, weights, strict=True))
         }
         if not gradient:
