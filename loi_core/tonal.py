@@ -19,7 +19,6 @@ __all__ = [
     "clip_pullback",
     "isophote_density",
     "level_weights",
-    "soft_cdf",
     "soft_cdf_and_slope",
     "weights_and_slopes",
 ]
@@ -64,13 +63,10 @@ def isophote_density(intensity: Array, levels: Array, beta: float) -> Array:
     return _density(_offsets(intensity, levels, beta), beta, 1.0)
 
 
-def soft_cdf(intensity: Array, levels: Array, beta: float, mass: float) -> Array:
-    """Cumulative soft histogram: ``cumsum_i N(k_i; intensity, beta^2) * mass``, shape (L, ...)."""
-    return accumulate(level_weights(intensity, levels, beta, mass))[0]
-
-
 def soft_cdf_and_slope(intensity: Array, levels: Array, beta: float, mass: float) -> tuple[Array, Array]:
-    """:func:`soft_cdf` and its derivative by the intensity, both of shape (L, ...).
+    """Cumulative soft histogram, ``cumsum_i N(k_i; intensity, beta^2) * mass``, and its derivative by the intensity.
+
+    Both of shape (L, ...).
 
     The slope is summed from the bottom like the CDF itself. Far above the intensity its terms cancel there, once,
     to (nearly) 0; pulling a cotangent back through the cumulative sum instead would leave that cancellation to

@@ -47,37 +47,11 @@ def gradient_tolerance(accuracy: str | float) -> float:
 
 @dataclass(frozen=True)
 class _Levels:
-    """Some levels of one tonal scale, of which the first few are only accumulated."""
+    """Some levels of one tonal scale, the first few only accumulated, and the reference's CDF at the others."""
 
     values: Array
-    count: int
     skipped: int
-
-
-@dataclass(frozen=True)
-class _Tonal:
-    beta: float
-    plan: TonalPlan
-    values: Array
-
-    @classmethod
-    def of(cls, scales: ScaleSpace, plan: TonalPlan, like: Array) -> _Tonal:
-        return cls(plan.beta, plan, from_numpy(scales.levels(plan.beta)[: plan.last], like))
-
-    def split(self, most: int) -> list[_Levels]:
-        """All levels, at most so many together."""
-        parts = []
-        for start in range(0, self.plan.last, most):
-            stop = min(start + most, self.plan.last)
-            skipped = min(max(self.plan.first, start), stop) - start
-            parts.append(_Levels(self.values[start:stop], stop - start, skipped))
-        return parts
-
-
-@dataclass(frozen=True)
-class _ChunkedTonal:
-    beta: float
-    chunks: list[_Levels]
+    cdf: Array  # shape (L, N, h, w)
 
 
 @dataclass(frozen=True)
@@ -97,30 +71,20 @@ class _Inner:
     extents: tuple[_Extent, ...]
     total: int  # planes, over which the terms are averaged
     planes: int  # how many planes are handled together
-    tonal: list[_ChunkedTonal]
-    cdf: list[list[Array]]  # by tonal scale and chunk of levels, shape (L, N, h, w)
+    levels: dict[float, list[_Levels]]  # by tonal scale, those that are handled together
 
     @classmethod
-    def of(cls, scales: ScaleSpace, plan: InnerPlan, tonal: list[_Tonal], clipped: Array) -> _Inner:
+    def of(cls, scales: ScaleSpace, plan: InnerPlan, tonal: tuple[TonalPlan, ...], clipped: Array) -> _Inner:
         blur = GaussianBlur(plan.blur, clipped)
         total = clipped.shape[0]
         intensity = blur_about(blur, clipped, scales.padding)
-        levels, planes = _chunk(max(each.plan.last for each in tonal), total, plan.finest, clipped)
-        chunked = [_ChunkedTonal(each.beta, each.split(levels)) for each in tonal]
-        cdf = []
-        for each in chunked:
-            running = None
-            kept = []
-            for part in each.chunks:
-                weights = level_weights(intensity, part.values, each.beta, scales.mass(each.beta))
-                sums, running = accumulate(weights, running)
-                kept.append(namespace(sums).asarray(sums[part.skipped :, ...], copy=True))
-            cdf.append(kept)
+        most, planes = _chunk(max(each.last for each in tonal), total, plan.finest, clipped)
+        levels = {each.beta: _split(scales, each, most, intensity) for each in tonal}
         extents = tuple(
             _Extent(extent.alpha, extent.rung, GaussianBlur(extent.blur, clipped)) for extent in plan.extents
         )
         rungs = tuple(GaussianBlur(rung, clipped) for rung in plan.rungs)
-        return cls(plan.sigma, blur, rungs, extents, total, planes, chunked, cdf)
+        return cls(plan.sigma, blur, rungs, extents, total, planes, levels)
 
 
 @dataclass(frozen=True)
@@ -128,6 +92,20 @@ class _Prepared:
     """The operators and the reference, by inner scale."""
 
     inner: tuple[_Inner, ...]
+
+
+def _split(scales: ScaleSpace, plan: TonalPlan, most: int, intensity: Array) -> list[_Levels]:
+    """The levels of one tonal scale, at most so many together, and the CDF of the reference's `intensity` there."""
+    values = from_numpy(scales.levels(plan.beta)[: plan.last], intensity)
+    running = None
+    parts = []
+    for start in range(0, plan.last, most):
+        stop = min(start + most, plan.last)
+        skipped = min(max(plan.first, start), stop) - start
+        part = values[start:stop]
+        cdf, running = accumulate(level_weights(intensity, part, plan.beta, scales.mass(plan.beta)), running)
+        parts.append(_Levels(part, skipped, namespace(cdf).asarray(cdf[skipped:, ...], copy=True)))
+    return parts
 
 
 def _chunk(levels: int, planes: int, cells: int, like: Array) -> tuple[int, int]:
@@ -226,8 +204,7 @@ class LOIObjective(ImageObjective[_Prepared, ScaleKey]):
         height, width = reference.shape[-2:]
         plan = self.plan(height, width, eps=epsilon(reference))
         clipped = clip(reference, *scales.bounds)
-        tonal = [_Tonal.of(scales, tonal, reference) for tonal in plan.tonal]
-        return _Prepared(tuple(_Inner.of(scales, inner, tonal, clipped) for inner in plan.inner))
+        return _Prepared(tuple(_Inner.of(scales, inner, plan.tonal, clipped) for inner in plan.inner))
 
     def _evaluate(self, planes: Array, prepared: _Prepared, *, gradient: bool) -> Evaluation[ScaleKey]:
         scales = self._scales
@@ -259,25 +236,25 @@ class LOIObjective(ImageObjective[_Prepared, ScaleKey]):
         scales = self._scales
         xp = namespace(intensity)
         cotangent = xp.zeros_like(intensity) if gradient else None
-        for tonal, references in zip(inner.tonal, inner.cdf, strict=True):
-            mass = scales.mass(tonal.beta)
-            tie = tie_threshold(intensity, mass / scales.spacing(tonal.beta))
+        for beta, parts in inner.levels.items():
+            mass = scales.mass(beta)
+            tie = tie_threshold(intensity, mass / scales.spacing(beta))
             cdf_sum = slope_sum = None
-            for levels, reference in zip(tonal.chunks, references, strict=True):
+            for levels in parts:
                 slope: Array = None
                 if gradient:
-                    weights, slopes = weights_and_slopes(intensity, levels.values, tonal.beta, mass)
+                    weights, slopes = weights_and_slopes(intensity, levels.values, beta, mass)
                     slope, slope_sum = accumulate(slopes, slope_sum)
                     del slopes
                 else:
-                    weights = level_weights(intensity, levels.values, tonal.beta, mass)
+                    weights = level_weights(intensity, levels.values, beta, mass)
                 cdf, cdf_sum = accumulate(weights, cdf_sum)
                 del weights
-                if levels.skipped == levels.count:
+                if levels.skipped == levels.values.shape[0]:
                     continue
                 difference = cdf[levels.skipped :, ...]
-                difference -= reference[:, part.start : part.stop, ...]
-                pulled = self._compare_levels(difference, inner, tonal.beta, tie, terms, gradient=gradient)
+                difference -= levels.cdf[:, part.start : part.stop, ...]
+                pulled = self._compare_levels(difference, inner, beta, tie, terms, gradient=gradient)
                 if gradient:
                     pulled *= slope[levels.skipped :, ...]
                     cotangent += xp.sum(pulled, axis=0)

@@ -45,7 +45,7 @@ from loi_core.arrays import sum_of_all
 from loi_core.distance import TIE_ROUNDINGS
 from loi_core.layout import Layout
 from loi_core.operators import blur_about, gaussian_blur
-from loi_core.tonal import clip, soft_cdf, soft_cdf_and_slope
+from loi_core.tonal import clip, soft_cdf_and_slope
 from tests.helpers import Host
 
 ROUNDINGS = 32.0
@@ -159,7 +159,7 @@ def slivers(image: Host, reference: Host, scales: ScaleSpace) -> float:
             blur_about(inner, clip(planes, *scales.bounds), scales.padding), levels, beta, mass
         )
         wanted = clip(layout.to_planes(reference), *scales.bounds)
-        difference = cdf - soft_cdf(blur_about(inner, wanted, scales.padding), levels, beta, mass)
+        difference = cdf - soft_cdf_and_slope(blur_about(inner, wanted, scales.padding), levels, beta, mass)[0]
         steepest = np.abs(slope).max(axis=(-2, -1))
         total = mass / scales.spacing(beta)
         for alpha in scales.alpha:
