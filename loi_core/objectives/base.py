@@ -87,7 +87,7 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
         reference = detached(as_floating("reference", reference))
         self._reference_layout = Layout.of("reference", reference.shape, self._channel_axis)
         if self._nan_policy == "raise":
-            require_finite("reference", reference)
+            require_finite("reference", reference, self._channel_axis)
         xp = namespace(reference)
         self._reference = xp.asarray(reference, copy=True)
         self._ready: dict[tuple[Any, ...], _Ready[PreparedT]] = {}
@@ -181,7 +181,7 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
         seen: Array | None = None
         if self._nan_policy == "raise":
             if like is None:
-                require_finite("image", image)
+                require_finite("image", image, self._channel_axis)
         else:
             xp = namespace(planes)
             seen = xp.isfinite(planes) & ready.finite
