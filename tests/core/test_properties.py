@@ -99,7 +99,7 @@ def test_for_p_of_1_and_more_a_detour_is_never_shorter(problem: Problem, seed: i
     image, reference, scales = typed(problem)
     if scales.convention == "paper":
         scales = ScaleSpace(scales.sigma, scales.alpha, scales.beta, scales.bounds, scales.boundary, p=p)
-    between = np.random.default_rng(seed).uniform(-0.5, 1.5, image.shape).astype(image.dtype)
+    between = np.asarray(np.random.default_rng(seed).uniform(-0.5, 1.5, image.shape), dtype=image.dtype)
     direct = distance(image, reference, scales)
     detour = distance(image, between, scales) + distance(between, reference, scales)
     eps = float(np.finfo(image.dtype).eps)
