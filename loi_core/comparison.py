@@ -4,7 +4,7 @@ Only what can differ is computed, where operations run one by one on the host an
 
 * Where the blurred image equals that of the reference, so do the isophotes. The difference of the two stacks of CDFs
   is 0 outside a window, its blurs are 0 outside a somewhat larger one, and so is what is pulled back.
-* Levels that lie further below or above all intensities than a tie allows are ties, and no level below them matters.
+* Levels far enough below or above all intensities are ties (:func:`loi_core.distance.tie_threshold`).
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import math
 from dataclasses import dataclass
 from typing import Final, TypeAlias
 
-from loi_core.arrays import Array, epsilon, from_numpy, namespace, runs_eagerly_on_host, sum_of_all
+from loi_core.arrays import Array, epsilon, from_numpy, namespace, runs_eagerly_on_host, sum_of_all, values_may_decide
 from loi_core.distance import cost, cost_slope, tie_threshold
 from loi_core.kernels import reach
 from loi_core.operators import GaussianBlur, blur_about
@@ -176,10 +176,10 @@ class InnerComparison:
         for beta, groups in self.levels.items():
             mass = self.scales.mass(beta)
             tie = tie_threshold(intensity, mass / self.scales.spacing(beta))
-            margin = reach(epsilon(intensity)) * beta  # what a level so far away holds, with the rounding of CDFs, is a tie
+            below, above = self._margins(beta, epsilon(intensity))
             cdf_sum = slope_sum = None
             for group in groups:
-                levels = group.within(scope.least - margin, scope.low - margin, scope.high + margin)
+                levels = group.within(scope.least - below, scope.low - below, scope.high + above)
                 if levels is None:
                     continue
                 slope: Array = None
@@ -201,10 +201,20 @@ class InnerComparison:
                     cotangent += xp.sum(pulled, axis=0)
         return felt.paste(cotangent, *intensity.shape[-2:]) if gradient else None
 
+    def _margins(self, beta: float, eps: float) -> tuple[float, float]:
+        """How far below and above all intensities a level is a tie, in units of intensity.
+
+        Below, a CDF holds tails only. Above, it holds all of the total, which is the same for every intensity up to
+        the ripple of a sum of samples about an integral, 2 exp(-2 (pi beta / spacing)**2): 5e-9 for levels beta apart.
+        """
+        margin = reach(eps) * beta
+        ripple = 2.0 * math.exp(-2.0 * (math.pi * beta / self.scales.spacing(beta)) ** 2)
+        return margin, margin if ripple <= eps else math.inf
+
     def _scope(self, intensity: Array, reference: Array, *, gradient: bool) -> _Scope | None:
         """What of some planes has to be looked at; None if nothing does."""
         whole = Window.whole(*intensity.shape[-2:])
-        if not runs_eagerly_on_host(intensity):
+        if not values_may_decide(intensity):
             return _Scope(_Route.of(whole, self.rungs, self.extents), whole)
         differing = window_of(intensity != reference)
         if differing is None:
@@ -250,15 +260,15 @@ class InnerComparison:
         if not gradient:
             return None
         for index in range(len(self.rungs), 0, -1):
-            part, window = pulled[index], route.pulled[index]
-            if part is not None and window is not None:
+            part, wanted = pulled[index], route.pulled[index]
+            if part is not None and wanted is not None:
                 rung = self.rungs[index - 1]
-                pull(index - 1, rung.adjoint(part, window), rung.reached_back(window))
+                pull(index - 1, rung.adjoint(part, wanted), rung.reached_back(wanted))
         return pulled[0]
 
 
 def _plus(total: Array | None, wanted: Window, part: Array, window: Window) -> Array:
-    """What lies in `wanted` of a sum of planes: `total` there, if there is one yet, and `part`, which lies in `window`."""
+    """A sum of planes in `wanted`: `total`, if there is one yet, and `part`, which lies in `window`."""
     if total is None:
         return part if window == wanted else window.paste(part, *wanted.shape, wanted)
     if window == wanted:

@@ -133,11 +133,10 @@ class LOIObjective(ImageObjective[_Prepared, ScaleKey]):
         xp = namespace(planes)
         clipped = clip(planes, *scales.bounds)
         terms = {key: xp.zeros((), dtype=planes.dtype, device=device(planes)) for key in scales.keys}
-        total = xp.zeros_like(planes) if gradient else None
-        for inner in prepared:
-            cotangent = inner.add(clipped, terms, gradient=gradient)
-            if gradient:
-                total += cotangent
-        if gradient:
-            total = clip_pullback(planes, total, *scales.bounds)
-        return Evaluation(terms, total)
+        cotangents = [inner.add(clipped, terms, gradient=gradient) for inner in prepared]
+        if not gradient:
+            return Evaluation(terms, None)
+        total: Array = cotangents[0]
+        for cotangent in cotangents[1:]:
+            total += cotangent
+        return Evaluation(terms, clip_pullback(planes, total, *scales.bounds))
