@@ -12,6 +12,7 @@ from loi_core.objectives.base import Evaluation, ImageObjective
 from loi_core.plan import Plan, make_plan
 from loi_core.scales import ScaleSpace
 from loi_core.tonal import clip, clip_pullback
+from loi_core.tone import LogTone
 from loi_core.values import real_number
 
 __all__ = ["ACCURACIES", "LOIObjective", "ScaleKey", "gradient_tolerance"]
@@ -60,6 +61,9 @@ class LOIObjective(ImageObjective[_Prepared, ScaleKey]):
         Where the channels are; None for images without channels.
     nan_policy : {"raise", "mask"}
         What happens to pixels that are not finite.
+    tone : LogTone, optional
+        A tone curve for images of high dynamic range. `bounds`, beta and the clipping of values beyond the bounds are
+        those of the values that it gives.
 
     Examples
     --------
@@ -79,8 +83,9 @@ class LOIObjective(ImageObjective[_Prepared, ScaleKey]):
         accuracy: str | float = "exact",
         channel_axis: int | None = -1,
         nan_policy: NanPolicy = "raise",
+        tone: LogTone | None = None,
     ) -> None:
-        super().__init__(reference, channel_axis=channel_axis, nan_policy=nan_policy)
+        super().__init__(reference, channel_axis=channel_axis, nan_policy=nan_policy, tone=tone)
         if scales is None:
             scales = ScaleSpace.for_image(self._reference_layout.height, self._reference_layout.width)
         if not isinstance(scales, ScaleSpace):
