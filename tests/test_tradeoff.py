@@ -12,11 +12,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
 from loi_core import LogTone, LOIObjective, ScaleSpace, registry
-from loi_core.backends import Backend, NumPy
+from loi_core.backends import BFLOAT16_PRODUCTS, Backend, NumPy
 from loi_core.cli import main
 from loi_core.cli.demo import make_disks
 from loi_core.scene import load_scene
@@ -245,6 +246,22 @@ def test_every_backend_of_the_project_gives_the_numbers_of_the_core(name: str) -
             assert isinstance(slope, np.ndarray)
             assert slope.dtype == dtype
             assert relative_error(slope, gradient) < tolerance
+
+
+def test_products_in_bfloat16_are_a_choice_of_torch_that_is_set_back() -> None:
+    backend = announced_backends()["torch"]
+    image, reference = images((40, 48, 3), 3)
+    scales = ScaleSpace((0, 2), (2, 5), 0.125)
+    value = float(LOIObjective(reference, scales).value(image))
+    torch.set_float32_matmul_precision("high")
+    try:
+        got, slope = backend.prepare(image, reference, scales, "exact", BFLOAT16_PRODUCTS)()
+        assert torch.get_float32_matmul_precision() == "high"
+    finally:
+        torch.set_float32_matmul_precision("highest")
+    assert slope.dtype == np.float32
+    # Each of the products of a blur rounds both factors to 8 bits, and differences of CDFs are compared, not CDFs.
+    assert got == pytest.approx(value, rel=2.0 * 4.0 * 2.0**-8)
 
 
 def test_the_backends_of_the_project_are_all_tried() -> None:

@@ -122,7 +122,7 @@ def contents(draw: st.DrawFn, shape: tuple[int, ...]) -> Host:
         "hdr": lambda: rng.exponential(size=shape) * 10.0 ** rng.integers(-2, 5),
         "saturated": lambda: rng.integers(0, 2, size=shape),
     }
-    return np.ascontiguousarray(makers[kind](), dtype=np.float64)
+    return np.array(makers[kind](), dtype=np.float64)
 
 
 @st.composite
@@ -147,7 +147,11 @@ def problems(draw: st.DrawFn) -> Problem:
             ),
         )
     )
-    return draw(contents(shape)), draw(contents(shape)), scales, draw(st.sampled_from(["float64", "float32"]))
+    image, reference = draw(contents(shape)), draw(contents(shape))
+    if draw(st.booleans()):  # equal in some rows, where backends that look at values compute nothing
+        image[..., draw(st.integers(0, shape[-3] - 1)) :, :, :] = 0.5
+        reference = np.where(image == 0.5, image, reference)
+    return image, reference, scales, draw(st.sampled_from(["float64", "float32"]))
 
 
 def slivers(image: Host, reference: Host, scales: ScaleSpace, shift: float) -> float:
