@@ -18,7 +18,7 @@ from loi_core.files import check_writable
 from loi_core.fit import check_fit_options
 from loi_core.free import Free, bounds_of, starting_parameters
 from loi_core.images import FloatImage, read_image
-from loi_core.objectives import GaussianPyramid, ImageObjective, LOIObjective, PixelL2
+from loi_core.objectives import MSSSIM, GaussianPyramid, ImageObjective, LOIObjective, PixelL2
 from loi_core.registry import RendererFactory, load_renderer
 from loi_core.renderer import Renderer
 from loi_core.scales import ScaleSpace
@@ -27,7 +27,8 @@ from loi_core.values import real_number, whole_number
 
 __all__ = ["OBJECTIVES", "FitOptions", "Scene", "load_scene"]
 
-OBJECTIVES: Final = ("loi", "pixel_l2", "gaussian_pyramid")
+RIVALS: Final = {"pixel_l2": PixelL2, "gaussian_pyramid": GaussianPyramid, "ms_ssim": MSSSIM}
+OBJECTIVES: Final = ("loi", *RIVALS)
 
 TOP_KEYS: Final = ("target", "output", "title", "renderer", "optimise", "scales", "objective", "fit")
 FREE_KEYS: Final = ("initial", "lower", "upper", "learning_rate", "truth")
@@ -331,10 +332,8 @@ def _objectives(
         for name in dict.fromkeys(names):
             if name == "loi":
                 made[name] = LOIObjective(target, scales, accuracy, nan_policy=policy, tone=tone)
-            elif name == "pixel_l2":
-                made[name] = PixelL2(target, nan_policy=policy, tone=tone)
             else:
-                made[name] = GaussianPyramid(target, nan_policy=policy, tone=tone)
+                made[name] = RIVALS[name](target, nan_policy=policy, tone=tone)
     except LoiError as error:
         raise where.error("objective", str(error)) from error
     return made

@@ -146,7 +146,11 @@ MISTAKES: list[tuple[str, str, str]] = [
     ("beta = 0.125", 'boundary = "mirror"', "[scales] `boundary` must be one of"),
     ("beta = 0.125", "gamma = 2", "[scales] unknown key `gamma`"),
     ('compare = ["pixel_l2"]', 'compare = "pixel_l2"', "[objective] `compare` must be a list"),
-    ('compare = ["pixel_l2"]', 'compare = ["ssim"]', "[objective] objectives are loi, pixel_l2, gaussian_pyramid"),
+    (
+        'compare = ["pixel_l2"]',
+        'compare = ["ssim"]',
+        "[objective] objectives are loi, pixel_l2, gaussian_pyramid, ms_ssim",
+    ),
     ('compare = ["pixel_l2"]', 'accuracy = "perfect"', "[objective] `accuracy` must be one of"),
     ('compare = ["pixel_l2"]', 'nan_policy = "keep"', "[objective] `nan_policy` must be one of"),
     ('compare = ["pixel_l2"]', "tone = 3", "[objective] `tone` must be a table, got 3"),
