@@ -7,11 +7,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeAlias
+from zipfile import ZIP_STORED
 
 import numpy as np
 
 from loi_core.errors import ParameterError
-from loi_core.files import atomic_path
+from loi_core.files import atomic_path, open_regular
+from loi_core.messages import told
 
 __all__ = ["Checkpoint", "load_checkpoint", "save_checkpoint"]
 
@@ -57,16 +59,14 @@ def load_checkpoint(path: Path, settings: Mapping[str, str]) -> Checkpoint:
     state = _load(path)
     for name, value in settings.items():
         if state.settings.get(name) != value:
-            msg = f"`checkpoint` was made with {name} = {state.settings.get(name)}, this fit has {value}"
+            msg = f"`checkpoint` was made with {name} = {state.settings.get(name)!s:.80}, this fit has {value}"
             raise ParameterError(msg)
     return state
 
 
 def _load(path: Path) -> Checkpoint:
     try:
-        # Opened here, since NumPy leaves a damaged file open.
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
-            arrays = {name: stored[name] for name in stored.files}
+        arrays = _arrays(path)
         groups = {
             group: {
                 name.removeprefix(f"{group}/"): value for name, value in arrays.items() if name.startswith(f"{group}/")
@@ -74,7 +74,7 @@ def _load(path: Path) -> Checkpoint:
             for group in GROUPS
         }
         state = Checkpoint(
-            settings=dict(json.loads(str(arrays["settings"]))),
+            settings={str(name): str(value) for name, value in json.loads(str(arrays["settings"])).items()},
             step=int(arrays["step"]),
             count=int(arrays["count"]),
             best_step=int(arrays["best_step"]),
@@ -82,11 +82,32 @@ def _load(path: Path) -> Checkpoint:
             history=np.asarray(arrays["history"], dtype=np.float64).reshape(-1, 5),
             **groups,
         )
-    except Exception as error:  # damage may show in any layer: the file, zip, its compression, NumPy, JSON
-        raise _foreign(path, type(error).__name__) from error
+    except Exception as error:  # damage may show in any layer: the file, zip, NumPy, JSON
+        raise _foreign(path, told(error)) from error
     if not 0 <= state.best_step <= state.step == state.count == len(state.history):
         raise _foreign(path, "its counts of steps disagree")
+    if not np.array_equal(state.history[:, 0], np.arange(state.step)):
+        raise _foreign(path, "its history is not one of steps in order")
+    for group, values in groups.items():
+        for name, value in values.items():
+            if value.dtype.kind != "f" or not np.all(np.isfinite(value)) or (group == "second" and np.any(value < 0)):
+                raise _foreign(path, f"{group} of {name!r} are not numbers of a fit")
     return state
+
+
+def _arrays(path: Path) -> dict[str, Host]:
+    """Every array of the file, in this machine's byte order; they take as much memory as the file is large."""
+    size = path.stat().st_size
+    # Opened here, since NumPy leaves a damaged file open. A pipe would be waited for.
+    with open_regular(path) as stream, np.load(stream, allow_pickle=False) as stored:
+        if any(one.compress_type != ZIP_STORED for one in stored.zip.infolist()):
+            msg = "it is compressed"
+            raise ValueError(msg)
+        if sum(one.file_size for one in stored.zip.infolist()) > size:
+            msg = "its arrays are larger than the file"
+            raise ValueError(msg)
+        arrays = {name: np.asarray(stored[name]) for name in stored.files}
+    return {name: value.astype(value.dtype.newbyteorder("="), copy=False) for name, value in arrays.items()}
 
 
 def _foreign(path: Path, why: str) -> ParameterError:

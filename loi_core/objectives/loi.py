@@ -9,6 +9,7 @@ from typing import Final
 from loi_core.arrays import Array, epsilon, from_numpy, namespace, runs_eagerly_on_host, sum_of_all
 from loi_core.distance import cost, cost_slope, tie_threshold
 from loi_core.errors import OptionError, ScaleError
+from loi_core.messages import shown
 from loi_core.nonfinite import NanPolicy
 from loi_core.objectives.base import Evaluation, ImageObjective
 from loi_core.operators import Blur, GaussianBlur, blur_about
@@ -41,7 +42,7 @@ def gradient_tolerance(accuracy: str | float) -> float:
     if 0.0 <= number < 1.0:
         return number
     names = ", ".join(map(repr, ACCURACIES))
-    msg = f"`accuracy` must be one of {names}, or a relative error in [0, 1), got {accuracy!r:.60}"
+    msg = f"`accuracy` must be one of {names}, or a relative error in [0, 1), got {shown(accuracy)}"
     raise OptionError(msg)
 
 

@@ -9,6 +9,7 @@ from typing import ClassVar
 import numpy as np
 
 from loi_core.errors import ParameterError
+from loi_core.messages import shown
 from loi_core.renderers.checks import FloatArray, check_dtype, check_parameters, check_size, floats
 from loi_core.renderers.coverage import disk_coverage
 
@@ -98,7 +99,7 @@ class Disks:
         self.background = floats("background", background, (3,))
         self._dtype = check_dtype(dtype)
         if not isinstance(confine, bool):
-            msg = f"`confine` must be true or false, got {confine!r}"
+            msg = f"`confine` must be true or false, got {shown(confine)}"
             raise ParameterError(msg)
         if np.any(self._scene["radii"] < 0.0):
             msg = f"`radii` must be 0 or more, got {self._scene['radii'].min():g}"
