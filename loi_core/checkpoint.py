@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import json
+import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias
-from zipfile import ZIP_STORED
+from typing import IO, Any, TypeAlias
 
 import numpy as np
 
 from loi_core.errors import ParameterError
 from loi_core.files import atomic_path, open_regular
 from loi_core.messages import told
+from loi_core.npy import read_npy_header, read_npy_values
 
 __all__ = ["Checkpoint", "load_checkpoint", "save_checkpoint"]
 
@@ -96,18 +97,25 @@ def _load(path: Path) -> Checkpoint:
 
 
 def _arrays(path: Path) -> dict[str, Host]:
-    """Every array of the file, in this machine's byte order; they take as much memory as the file is large."""
-    size = path.stat().st_size
-    # Opened here, since NumPy leaves a damaged file open. A pipe would be waited for.
-    with open_regular(path) as stream, np.load(stream, allow_pickle=False) as stored:
-        if any(one.compress_type != ZIP_STORED for one in stored.zip.infolist()):
-            msg = "it is compressed"
-            raise ValueError(msg)
-        if sum(one.file_size for one in stored.zip.infolist()) > size:
-            msg = "its arrays are larger than the file"
-            raise ValueError(msg)
-        arrays = {name: np.asarray(stored[name]) for name in stored.files}
-    return {name: value.astype(value.dtype.newbyteorder("="), copy=False) for name, value in arrays.items()}
+    """Every array of the file; they take no more memory than the file does."""
+    arrays = {}
+    with open_regular(path) as stream, zipfile.ZipFile(stream) as archive:
+        size = path.stat().st_size
+        for member in archive.infolist():
+            if member.compress_type != zipfile.ZIP_STORED:
+                msg = "it is compressed"
+                raise ValueError(msg)
+            size -= member.file_size
+            if size < 0:
+                msg = "its arrays are larger than the file"
+                raise ValueError(msg)
+            with archive.open(member) as values:
+                arrays[member.filename.removesuffix(".npy")] = _array(values, member.file_size)
+    return arrays
+
+
+def _array(stream: IO[bytes], size: int) -> Host:
+    return read_npy_values(stream, read_npy_header(stream), size)
 
 
 def _foreign(path: Path, why: str) -> ParameterError:

@@ -72,13 +72,13 @@ def read_exr(path: Path, most_pixels: int) -> np.ndarray[Any, Any]:
             timeout=SECONDS,
             check=False,
         )
+        if done.returncode not in (0, NO_COLOUR) or done.stderr:
+            said = done.stderr.decode("utf-8", "replace").strip().splitlines() or [f"exit code {done.returncode}"]
+            msg = f"{path}: not a readable EXR image ({printable(said[-1]):.300})"
+            raise ImageFileError(msg)
         if done.returncode == NO_COLOUR:
             names = sorted({name for part in parts for name in part.channels})
             msg = f"{path}: an EXR image must have the channels R, G, B or Y, it has {', '.join(names)}"
-            raise ImageFileError(msg)
-        if done.returncode != 0 or done.stderr:
-            said = done.stderr.decode("utf-8", "replace").strip().splitlines() or [f"exit code {done.returncode}"]
-            msg = f"{path}: not a readable EXR image ({printable(said[-1]):.300})"
             raise ImageFileError(msg)
         pixels.seek(0)
         array: np.ndarray[Any, Any] = np.load(pixels, allow_pickle=False)

@@ -10,8 +10,9 @@ import numpy as np
 
 from loi_core.errors import ImageFileError
 from loi_core.exr import read_exr
-from loi_core.files import atomic_path
+from loi_core.files import atomic_path, open_regular
 from loi_core.messages import told
+from loi_core.npy import read_npy_header, read_npy_values
 
 __all__ = ["IMAGE_SUFFIXES", "FloatImage", "read_image", "write_png"]
 
@@ -96,16 +97,19 @@ def _read_pillow(path: Path) -> np.ndarray[Any, Any]:
 
 
 def _read_npy(path: Path) -> np.ndarray[Any, Any]:
-    array = np.load(path, mmap_mode="r", allow_pickle=False)
-    numbers = array.dtype.kind == "f" or array.dtype in (np.uint8, np.uint16)
-    if array.ndim not in (2, 3) or not numbers or array.shape[2:] not in ((), (1,), (3,), (4,)):
-        msg = (
-            f"{path}: an NPY image must be floating point, uint8 or uint16, of shape (H, W) or (H, W, 1, 3 or 4), "
-            f"got {array.dtype} {array.shape}"
-        )
-        raise ImageFileError(msg)
-    _check_size(path, *array.shape[:2])
-    return _scaled(array, 1.0 if array.dtype.kind == "f" else float(np.iinfo(array.dtype).max))
+    with open_regular(path) as stream:
+        header = read_npy_header(stream)
+        shape, dtype = header.shape, header.dtype
+        numbers = dtype.kind == "f" or dtype in (np.uint8, np.uint16)
+        if len(shape) not in (2, 3) or not numbers or shape[2:] not in ((), (1,), (3,), (4,)):
+            msg = (
+                f"{path}: an NPY image must be floating point, uint8 or uint16, of shape (H, W) or (H, W, 1, 3 or 4), "
+                f"got {dtype} {shape}"
+            )
+            raise ImageFileError(msg)
+        _check_size(path, *shape[:2])
+        values = read_npy_values(stream, header, path.stat().st_size)
+    return _scaled(values, 1.0 if dtype.kind == "f" else float(np.iinfo(dtype).max))
 
 
 def _scaled(pixels: Any, greatest: float) -> np.ndarray[Any, Any]:
