@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal, TypeAlias, get_args
 
@@ -227,21 +227,29 @@ def _legal(renderer: Renderer, bounds: Bounds, moved: Parameters, state: State) 
     return bounds.clip(moved | free)
 
 
-@contextlib.contextmanager
-def _keeping(state: State, what: str) -> Iterator[None]:
-    """Whatever breaks after the first step must not take the best parameters with it."""
-    try:
-        yield
-    except BaseException as error:
-        if is_ctrl_c(error):
-            raise
-        result = state.result()
+@dataclass(frozen=True)
+class _keeping:  # noqa: N801 - it reads as what it does: with _keeping(state, "rendering")
+    """Whatever breaks after the first step must not take the best parameters with it.
+
+    A class, since a generator that Ctrl-C cuts off could not tell its own end from an error.
+    """
+
+    state: State
+    what: str
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
+        if error is None or is_ctrl_c(error):
+            return
+        result = self.state.result()
         if result is None and isinstance(error, LoiError) and not isinstance(error, NonFiniteImageError):
-            raise  # nothing is lost yet, and the error says what is wrong with the call
-        finding = f"{what} failed"
+            return  # nothing is lost yet, and the error says what is wrong with the call
+        finding = f"{self.what} failed"
         if isinstance(error, NonFiniteImageError):
             finding = "the render is not finite"
-        msg = f"step {state.step}: {finding}: {told(error)}"
+        msg = f"step {self.state.step}: {finding}: {told(error)}"
         raise FitError(msg, result) from error
 
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator
+from dataclasses import dataclass
 
 from loi_core.errors import LoiError, RendererError
 from loi_core.messages import told
@@ -16,18 +15,20 @@ def is_ctrl_c(error: BaseException) -> bool:
     return type(error) is KeyboardInterrupt
 
 
-@contextlib.contextmanager
-def foreign(what: str) -> Iterator[None]:
-    """Turn whatever a renderer raises into a :class:`RendererError` that says what failed.
+@dataclass(frozen=True)
+class foreign:  # noqa: N801 - it reads as what it does: with foreign("rendering")
+    """Turns whatever a renderer raises into a :class:`RendererError` that says what failed.
 
     Our own errors, Ctrl-C and a lack of memory pass as they are.
     """
-    try:
-        yield
-    except (LoiError, MemoryError):
-        raise
-    except BaseException as error:  # SystemExit as well, and what derives from BaseException alone
-        if is_ctrl_c(error):
-            raise
-        msg = f"{what} failed: {told(error)}"
+
+    what: str
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
+        if error is None or is_ctrl_c(error) or isinstance(error, LoiError | MemoryError):
+            return
+        msg = f"{self.what} failed: {told(error)}"
         raise RendererError(msg) from error

@@ -207,7 +207,7 @@ def bombs(rng: random.Random, folder: Path) -> Call:
         return _file(rng, folder, ".jpg", bytes(content))
     if kind == "npy":
         path = folder / "image.npy"
-        array = np.lib.format.open_memmap(path, "w+", np.uint8, (1, 1, 2**32))  # a sparse file
+        array = np.lib.format.open_memmap(path, "w+", np.uint8, (1, 1, rng.choice((3, 2**32))))  # sparse
         del array
         return reading(path)
     return _file(rng, folder, ".exr", _exr_bomb(kind, width, height))
