@@ -146,7 +146,8 @@ def fit(
             # In float64, since squares leave the range of narrower dtypes while the gradient is well within it.
             squares = (np.square(to_numpy(one), dtype=np.float64) for one in gradient.values())
             norm = math.sqrt(sum(float(np.sum(one)) for one in squares))
-            moved, moments = adam_step(seen, gradient, state.moments, {name: share * rates[name] for name in rates})
+            with np.errstate(all="ignore"):  # what overflows is not finite, and is told as that at the next step
+                moved, moments = adam_step(seen, gradient, state.moments, {name: share * rates[name] for name in rates})
             moved = _legal(renderer, bounds, moved, state)
             entry = FitStep(state.step, value, norm, share, time.perf_counter() - started)
             state = state.stepped(entry, moved, moments)

@@ -13,6 +13,8 @@ __all__ = ["KINDS"]
 # the rest is missing.
 PIXELS: Final = 1280
 
+FRAMEWORKS: Final = 1024  # `loi renderers` imports every framework, once
+
 KINDS: Final = (
     Kind("PNG", images.pngs, weight=6, megabytes=PIXELS),
     Kind("JPEG", images.jpegs, weight=5, megabytes=PIXELS),
@@ -25,7 +27,7 @@ KINDS: Final = (
     Kind("checkpoints", results.checkpoints, weight=3, writes=True),
     Kind("result folders", results.reports, writes=True),
     Kind("histories", results.histories),
-    Kind("command lines", commands.command_lines, weight=2, writes=True),
+    Kind("command lines", commands.command_lines, weight=2, writes=True, megabytes=FRAMEWORKS),
     Kind("places", commands.places, writes=True),
     Kind("plugins", plugins.entry_points, weight=4),
     Kind("renderers of others", plugins.factories),

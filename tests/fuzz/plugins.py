@@ -237,9 +237,11 @@ def metadata(rng: random.Random, folder: Path) -> Call:
         place = folder / rng.choice((f"other{number}-1.0.dist-info", f"other{number}.egg-info", "-.dist-info"))
         place.mkdir(exist_ok=True)
         for name, content in (("entry_points.txt", ENTRY_POINTS), ("METADATA", METADATA)):
+            if (place / name).exists():
+                continue
             if rng.random() < 0.8:
                 (place / name).write_bytes(damaged(rng, content, 2))
-            elif rng.random() < 0.3 and not (place / name).exists():
+            elif rng.random() < 0.3:
                 (place / name).mkdir()
 
     def look() -> str:

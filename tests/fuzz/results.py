@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import functools
 import io
 import json
 import pickle
 import random
+import tempfile
 import zipfile
 from pathlib import Path
 from typing import Any
@@ -29,8 +31,6 @@ STEPS = 3
 
 def _whole() -> bytes:
     """The checkpoint of a fit that was stopped after its first step."""
-    import tempfile
-
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "state.npz"
         fit(RENDERER, PixelL2(TARGET), steps=STEPS, learning_rate=0.1, checkpoint=path, callback=lambda *_: True)
@@ -103,12 +103,13 @@ def _checkpoint(rng: random.Random, folder: Path) -> bytes:
             file.writestr(f"{name}.npy", member.getvalue())
         for name, content in raw.items():
             file.writestr(name if rng.random() < 0.5 else f"{name}.npy", content)
-        if rng.random() < 0.05:  # a bomb: megabytes of nothing
+        if rng.random() < 0.01:  # a bomb: megabytes of nothing
             file.writestr("bomb.npy", _zeros(2**28), zipfile.ZIP_DEFLATED)
     content = stream.getvalue()
     return damaged(rng, content, 1) if rng.random() < 0.2 else content
 
 
+@functools.cache
 def _zeros(size: int) -> bytes:
     stream = io.BytesIO()
     np.lib.format.write_array_header_1_0(stream, {"descr": "|u1", "fortran_order": False, "shape": (size,)})
