@@ -169,7 +169,9 @@ class Disks:
             return None
         x = np.arange(columns.start, columns.stop + 1) - float(centre[0])
         y = np.arange(rows.start, rows.stop + 1) - float(centre[1])
-        return _Stamp(rows, columns, *disk_coverage(x[None, :], y[:, None], np.full((1, 1), radius)))
+        # A radius whose square is beyond float64 gives an image that is not finite, as every user of images checks.
+        with np.errstate(over="ignore", invalid="ignore"):
+            return _Stamp(rows, columns, *disk_coverage(x[None, :], y[:, None], np.full((1, 1), radius)))
 
 
 def _touched(centre: float, radius: float, size: int) -> slice:

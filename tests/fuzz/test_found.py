@@ -355,3 +355,9 @@ def test_moments_that_overflow_end_the_fit_with_an_error_and_no_warning(tmp_path
     options: Any = {"steps": STEPS, "learning_rate": 0.1, "checkpoint": tmp_path / "state.npz"}
     with pytest.raises(FitError, match="`positions` must be finite"):
         fit(RENDERER, PixelL2(TARGET), **options, resume=True)
+
+
+def test_a_radius_without_a_square_is_told_as_an_image_that_is_not_finite() -> None:
+    renderer = Disks(6, 6, [[2.0, 3.0]], [1e300], [[0.9, 0.2, 0.1]])
+    with pytest.raises(FitError, match="step 0: the render is not finite"):
+        fit(renderer, PixelL2(TARGET), steps=2, learning_rate=0.1)
