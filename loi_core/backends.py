@@ -3,19 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Final, Protocol, TypeAlias
 
 import numpy as np
 
 from loi_core.objectives import LOIObjective
 from loi_core.scales import ScaleSpace
 
-__all__ = ["Backend", "Evaluate", "Host", "NumPy"]
+__all__ = ["BFLOAT16_PRODUCTS", "Backend", "Evaluate", "Host", "NumPy"]
 
 Host: TypeAlias = np.ndarray[Any, Any]
 
 Evaluate: TypeAlias = Callable[[], tuple[float, Host]]
 """Computes the value, and the gradient as NumPy, shape (H, W, C); returns when both are there."""
+
+BFLOAT16_PRODUCTS: Final = "bfloat16 products"
+"""Arrays of float32 whose matrix products a framework may round to bfloat16, or to TF32, told so by its own switch."""
 
 
 class Backend(Protocol):
@@ -23,7 +26,7 @@ class Backend(Protocol):
 
     @property
     def dtypes(self) -> tuple[str, ...]:
-        """Names of the dtypes that it computes in, the usual one of its users first."""
+        """Names of the dtypes that it computes in, or BFLOAT16_PRODUCTS; the usual one of its users first."""
 
     def device(self) -> str:
         """Where it computes: "cpu", or another name."""
