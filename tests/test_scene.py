@@ -132,7 +132,7 @@ MISTAKES: list[tuple[str, str, str]] = [
     ("radii = [3]", "radius = [3]", "[renderer] unknown key `radius`"),
     ("radii = [3]", "radii = [3, 4]", "[renderer] `radii` must have shape (1,), got (2,)"),
     ("radii = [3]", 'radii = [3]\nimages = "x"', "`images` must be a table"),
-    ("radii = [3]", "radii = [3]\nheight = 20", "(20, 16, 3), the target has (16, 16, 3)"),
+    ("radii = [3]", "radii = [3]\nheight = 20", "[renderer] `height` must be that of the target, 16, got 20"),
     ("[optimise.positions]", "[optimise.position]", "[optimise] unknown key `position`; did you mean `positions`?"),
     ("initial = [[4, 12]]", "initial = [4, 12]", "[optimise.positions] `initial` must be one number or have shape"),
     ("initial = [[4, 12]]", 'initial = "left"', "[optimise.positions] `initial` must be numbers"),

@@ -12,6 +12,7 @@ import numpy as np
 from loi_core.arrays import Array, from_numpy, namespace
 from loi_core.errors import ImageError, OptionError
 from loi_core.kernels import Matrix
+from loi_core.messages import shown
 from loi_core.nonfinite import NanPolicy
 from loi_core.objectives.base import Evaluation, ImageObjective
 from loi_core.operators import DenseBlur
@@ -100,7 +101,7 @@ class MSSSIM(ImageObjective[_Prepared, str]):
             raise OptionError(msg)
         extent = real_number(data_range)
         if not 0.0 < extent < math.inf:
-            msg = f"`data_range` must be a finite number more than 0, got {data_range!r:.60}"
+            msg = f"`data_range` must be a finite number more than 0, got {shown(data_range)}"
             raise OptionError(msg)
         whole = 1.0 if count == len(WEIGHTS) else sum(WEIGHTS[:count])  # all five are used as published, sum 1.0001
         self._weights = tuple(weight / whole for weight in WEIGHTS[:count])
