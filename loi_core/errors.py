@@ -21,6 +21,7 @@ __all__ = [
     "RendererNotFoundError",
     "ScaleError",
     "SceneError",
+    "SvgError",
 ]
 
 
@@ -113,6 +114,10 @@ class BackendNotFoundError(LoiError, LookupError):
 
 class SceneError(LoiError, ValueError):
     """A scene file has a wrong key, type or value."""
+
+
+class SvgError(LoiError, ValueError):
+    """An SVG file is missing, damaged or too large, or has an element or attribute that is not supported."""
 
 
 class FitError(LoiError, ArithmeticError):

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import abc
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, ClassVar, TypeAlias
+from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import torch
@@ -14,52 +13,15 @@ from torch.autograd.function import FunctionCtx, once_differentiable
 
 from loi_core import renderers as core
 from loi_core.arrays import to_numpy
-from loi_core.errors import ParameterError
 from loi_core.renderers.checks import FloatArray
 from loi_core.renderers.coverage import disk_coverage
 from loi_core.renderers.fragments import Fragments, disk_fragments
+from loi_torch.painted import Painted, Tensors
 
 __all__ = ["Disks", "Warp"]
 
-Tensors: TypeAlias = dict[str, Tensor]
 
-
-class _Painted(abc.ABC):
-    """A renderer of the core whose picture torch paints: checks, parameters and :meth:`project` are the core's."""
-
-    backend: ClassVar[str] = "torch"
-
-    def __init__(self, scene: core.Disks | core.Warp, dtype: str, device: str) -> None:
-        self._core = scene
-        self._dtype: torch.dtype = getattr(torch, dtype)
-        self._device = _check_device(device)
-
-    def parameters(self) -> Tensors:
-        """The parameters of the core's renderer, of the scene's dtype."""
-        return _tensors(self._core.parameters(), self._dtype, self._device)
-
-    def render(self, params: Tensors, *, seed: int = 0) -> Tensor:
-        """The image, shape (height, width, 3), detached; `seed` is not needed, nothing is random."""
-        with torch.no_grad():
-            return self._paint(self._checked(params)).to(self._dtype)
-
-    def render_vjp(self, params: Tensors, *, seed: int = 0) -> tuple[Tensor, Callable[[Tensor], Tensors]]:
-        """The image and its pullback, both detached; see :class:`loi_core.Renderer`."""
-        return _vjp(self._paint, self._checked(params), self._dtype)
-
-    def project(self, params: Tensors) -> Tensors:
-        """The legal parameters next to `params`, as the core's renderer has them."""
-        return _tensors(self._core.project(_host(params)), self._dtype, self._device)
-
-    def _checked(self, params: Tensors) -> Tensors:
-        return _tensors(self._core.checked(_host(params)), torch.float64, self._device)
-
-    @abc.abstractmethod
-    def _paint(self, scene: Tensors) -> Tensor:
-        """The image, float64, for autograd."""
-
-
-class Disks(_Painted):
+class Disks(Painted):
     """`n` disks over a plain background, the later ones on top: :class:`loi_core.renderers.Disks` on torch.
 
     Parameters
@@ -110,7 +72,7 @@ class Disks(_Painted):
         return image.reshape(*self._size, 3)
 
 
-class Warp(_Painted):
+class Warp(Painted):
     """A picture over a background, moved, turned and scaled: :class:`loi_core.renderers.Warp` on torch.
 
     Parameters
@@ -196,28 +158,6 @@ class _Coverage(torch.autograd.Function):
         return torch.stack([by_x, by_y], dim=-1), by_radius, None
 
 
-def _vjp(
-    paint: Callable[[Tensors], Tensor], scene: Tensors, dtype: torch.dtype
-) -> tuple[Tensor, Callable[[Tensor], Tensors]]:
-    """Image and pullback in `dtype` of a function whose arithmetic is float64."""
-    leaves = {name: value.requires_grad_() for name, value in scene.items()}
-    with torch.enable_grad():
-        image = paint(leaves)
-
-    def pullback(cotangent: Tensor) -> Tensors:
-        if not image.requires_grad:  # a scene without disks
-            return {name: torch.zeros_like(leaf, dtype=dtype) for name, leaf in leaves.items()}
-        slopes = torch.autograd.grad(
-            image,
-            list(leaves.values()),
-            torch.as_tensor(cotangent).detach().to(image),
-            retain_graph=True,  # a pullback may be called again
-        )
-        return {name: slope.to(dtype) for name, slope in zip(leaves, slopes, strict=True)}
-
-    return image.detach().to(dtype), pullback
-
-
 def _widened(layers: FloatArray) -> FloatArray:
     """`layers`, shape (h, w, 4), as kornia wants them, (1, 4, h', w'), with a transparent rim.
 
@@ -226,22 +166,3 @@ def _widened(layers: FloatArray) -> FloatArray:
     """
     rims = [(1, 2 ** int(size).bit_length() - size) for size in layers.shape[:2]]
     return np.moveaxis(np.pad(layers, (*rims, (0, 0))), -1, 0)[None]
-
-
-def _host(params: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: to_numpy(value) for name, value in params.items()}
-
-
-def _tensors(values: Mapping[str, FloatArray], dtype: torch.dtype, device: torch.device) -> Tensors:
-    return {name: torch.tensor(value, dtype=dtype, device=device) for name, value in values.items()}
-
-
-def _check_device(name: object) -> torch.device:
-    """The device of that name, once torch has made a float64 number there."""
-    try:
-        if isinstance(name, str):
-            return torch.zeros((), dtype=torch.float64, device=name).device
-    except (AssertionError, NotImplementedError, RuntimeError, TypeError):  # which one depends on torch's build
-        pass
-    msg = f"`device` must be the name of one on which torch can compute in float64, got {name!r}"
-    raise ParameterError(msg)

@@ -14,7 +14,7 @@ import numpy as np
 
 from loi_core.renderers.checks import FloatArray
 
-__all__ = ["Fragments", "IndexArray", "disk_fragments"]
+__all__ = ["Fragments", "IndexArray", "disk_fragments", "painting_order"]
 
 IndexArray: TypeAlias = np.ndarray[tuple[int, ...], np.dtype[np.int64]]
 
@@ -65,11 +65,17 @@ def disk_fragments(positions: FloatArray, radii: FloatArray, size: tuple[int, in
     kept = np.flatnonzero(nearest < radii[owner])
     on_edge = np.hypot(x[kept] + 0.5, y[kept] + 0.5) > radii[owner[kept]]
     owner, rows, columns = owner[kept], rows[kept], columns[kept]
-    depth = _depth(rows * width + columns)
+    order, layers = painting_order(rows * width + columns)
+    return Fragments(owner[order], rows[order], columns[order], on_edge[order], layers)
+
+
+def painting_order(pixels: IndexArray) -> tuple[IndexArray, tuple[slice, ...]]:
+    """How to sort fragments, given lowest first by their `pixels`, into layers that hold a pixel at most once."""
+    depth = _depth(pixels)
     order = np.argsort(depth, kind="stable")
     ends = np.cumsum(np.bincount(depth)) if len(depth) else [0]
     layers = tuple(slice(int(start), int(stop)) for start, stop in itertools.pairwise([0, *ends]) if stop > start)
-    return Fragments(owner[order], rows[order], columns[order], on_edge[order], layers)
+    return order, layers
 
 
 def _touched(centres: FloatArray, radii: FloatArray, size: int) -> tuple[IndexArray, IndexArray]:

@@ -1,0 +1,183 @@
+"""Vector graphics as a renderer: shapes with positions, sizes, colours, strokes and control points to optimise."""
+
+from __future__ import annotations
+
+import pathlib
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from loi_core.arrays import to_numpy
+from loi_core.errors import ParameterError
+from loi_core.messages import shown
+from loi_core.renderers.checks import FloatArray, check_size, floats
+from loi_core.renderers.fragments import IndexArray
+from loi_torch.painted import Painted, Tensors
+from loi_torch.vector.coverage import Edges, Painting, cover
+from loi_torch.vector.outlines import Ring, Rings, ring_points, spread
+from loi_torch.vector.paint import bilinear, composite
+from loi_torch.vector.shapes import Shape
+from loi_torch.vector.strokes import stroke_points
+from loi_torch.vector.svg_reading import read_svg
+from loi_torch.vector.table import Layer, Table
+
+__all__ = ["Vector"]
+
+ENCODINGS = ("linear", "srgb")
+
+
+class Vector(Painted):
+    """Shapes over a plain background, the later ones on top.
+
+    Parameters
+    ----------
+    height, width : int
+        Size of the image in pixels. Pixel (0, 0) covers the unit square at the origin.
+    shapes : sequence of Shape
+        Circles, ellipses, rectangles and paths; or give `svg`.
+    background : array, shape (3,), optional
+        Linear RGB; that of `svg` if it has one, otherwise white.
+    svg : Path, optional
+        An SVG file to read the shapes from; its view box is fitted into the image.
+    encoding : {"linear", "srgb"}
+        Of the image. PNGs are encoded as sRGB and are compared as they are, so a target that is one wants "srgb".
+        Shapes are mixed as linear RGB either way.
+    dtype : {"float64", "float32"}
+        Of parameters and images; the arithmetic inside is float64.
+    device : str
+        Where torch computes; one that has float64.
+
+    Raises
+    ------
+    ParameterError
+        If a value has a wrong shape or is not finite, or torch cannot use the device.
+    SvgError
+        If the file cannot be read, or has what is not supported.
+
+    Notes
+    -----
+    Coverage is the exact area of outlines of chords, which stay within 0.01 pixels of the curves, so the area of a
+    shape does not change as it moves between pixels. Only pixels that shapes meet are painted; which they are, and the
+    areas, are found on the host.
+
+    The parameters, of those kinds of shape that there are:
+
+    ``positions`` (n, 2)
+        Centres in pixels. Of a path, where the centre of its control points was at first.
+    ``sizes`` (n, 2)
+        Radii of circles and ellipses, half the sides of rectangles, in pixels; of paths factors, 1 at first.
+    ``rotations`` (n,)
+        In degrees, clockwise as seen.
+    ``roundings``
+        Radii of the corners of each rectangle, in pixels.
+    ``points`` (m, 2)
+        Control points of all paths relative to their positions, in pixels, before they are scaled and turned.
+    ``fills`` (f, 4), ``blends`` (b, 4, 4), ``strokes`` (s, 4)
+        Linear RGB and opacity of plain fills, corners of bilinear ones, and strokes, each in the order of the shapes.
+    ``widths`` (s,)
+        Of the strokes, in pixels.
+    """
+
+    def __init__(
+        self,
+        height: int,
+        width: int,
+        shapes: Sequence[Shape] | None = None,
+        background: Sequence[float] | FloatArray | None = None,
+        *,
+        svg: pathlib.Path | None = None,
+        encoding: str = "linear",
+        dtype: str = "float64",
+        device: str = "cpu",
+    ) -> None:
+        self._size = check_size("height", height), check_size("width", width)
+        if (shapes is None) == (svg is None):
+            msg = "`shapes` and `svg` exclude each other; give one of them"
+            raise ParameterError(msg)
+        if encoding not in ENCODINGS:
+            msg = f"`encoding` must be 'linear' or 'srgb', got {shown(encoding)}"
+            raise ParameterError(msg)
+        self._encoding = encoding
+        own: FloatArray = np.ones(3)
+        if svg is not None:
+            drawing = read_svg(pathlib.Path(svg), *self._size)
+            shapes, own = drawing.shapes, drawing.background
+        self.background = floats("background", own if background is None else background, (3,))
+        self._table = Table(shapes or [], dtype)
+        super().__init__(self._table, dtype, device)
+        self._behind = torch.as_tensor(self.background, device=self._device)
+
+    def shapes(self, params: Mapping[str, object]) -> list[Shape]:
+        """The shapes that have these parameters, to be looked at or written with :func:`write_svg`."""
+        return self._table.shapes({name: to_numpy(value) for name, value in params.items()})
+
+    def _paint(self, scene: Tensors) -> Tensor:
+        rings = ring_points(self._table, scene)
+        points, edges = self._edges(rings, scene)
+        painting = cover(points, edges, self._size)
+        image = composite(self._colours(painting, rings, scene), painting, self._behind, self._size[0] * self._size[1])
+        image = image.reshape(*self._size, 3)
+        return image if self._encoding == "linear" else _srgb(image)
+
+    def _edges(self, rings: Rings, scene: Tensors) -> tuple[Tensor, Edges]:
+        """The edges of all layers, and the points that they join."""
+        layers = self._table.layers
+        of_shape: dict[int, list[Ring]] = {}
+        for ring in rings.rings:
+            of_shape.setdefault(ring.shape, []).append(ring)
+        filled, strokes = [], []
+        for index, one in enumerate(layers):
+            if one.kind == "stroke":
+                strokes.append((index, one, of_shape[one.shape]))
+            else:
+                filled += [(index, ring.first, ring.beyond) for ring in of_shape[one.shape]]
+        layer, first, beyond = np.array(filled, dtype=np.int64).reshape(-1, 3).T
+        points = rings.points
+        if strokes:
+            styles = [(one.paint, own) for _, one, own in strokes]
+            beside, stroke, ends = stroke_points(rings, styles, scene["widths"])
+            layer = np.append(layer, np.array([index for index, _, _ in strokes])[stroke])
+            beyond = np.append(beyond, ends + len(points))
+            first = np.append(first, np.append(0, ends[:-1])[: len(ends)] + len(points))
+            points = torch.cat([points, beside])
+        ring_of, place = spread(beyond - first)
+        following = np.where(place + 1 < (beyond - first)[ring_of], place + 1, 0)
+        evenodd = np.array([one.kind != "stroke" and one.paint.rule == "evenodd" for one in layers])
+        return points, Edges(first[ring_of] + place, first[ring_of] + following, layer[ring_of], evenodd)
+
+    def _colours(self, painting: Painting, rings: Rings, scene: Tensors) -> Tensor:
+        """Linear RGB and opacity of every fragment."""
+        tables = [scene[name] for name in ("fills", "strokes") if name in scene]
+        first = {"fill": 0, "stroke": len(scene["fills"]) if "fills" in scene else 0, "blend": 0}
+        rows = np.array([first[one.kind] + one.row if one.kind != "blend" else 0 for one in self._table.layers])
+        plain = torch.cat([*tables, torch.zeros((1, 4), dtype=torch.float64, device=self._device)])
+        colours = plain.index_select(0, torch.as_tensor(rows[painting.layer], device=self._device))
+        for index, layer in enumerate(self._table.layers):
+            if layer.kind == "blend":
+                where = np.flatnonzero(painting.layer == index)
+                blend = self._blend(layer, painting.pixels[where], rings, scene)
+                colours = colours.index_copy(0, torch.as_tensor(where, device=self._device), blend)
+        return colours
+
+    def _blend(self, layer: Layer, pixels: IndexArray, rings: Rings, scene: Tensors) -> Tensor:
+        """Colours of a bilinear fill at the centres of pixels."""
+        own = torch.cat([rings.local[one.first : one.beyond] for one in rings.rings if one.shape == layer.shape])
+        low, high = own.amin(dim=0), own.amax(dim=0)
+        row, column = np.divmod(pixels, self._size[1])
+        centres = torch.as_tensor(np.stack([column + 0.5, row + 0.5], axis=1), device=self._device)
+        x, y = (centres - scene["positions"][layer.shape]).unbind(dim=1)
+        angle = torch.deg2rad(scene["rotations"][layer.shape])
+        cos, sin = torch.cos(angle), torch.sin(angle)
+        local = torch.stack([cos * x + sin * y, cos * y - sin * x], dim=1)
+        span = high - low
+        across, down = ((local - low) / torch.where(span > 0.0, span, torch.ones_like(span))).unbind(dim=1)
+        return bilinear(scene["blends"][layer.row], across, down)
+
+
+def _srgb(image: Tensor) -> Tensor:
+    """Linear RGB encoded as sRGB; straight near 0 and below, where a power has no slope that is finite."""
+    steep = image <= 0.0031308
+    power = torch.where(steep, torch.ones_like(image), image) ** (1.0 / 2.4)
+    return torch.where(steep, 12.92 * image, 1.055 * power - 0.055)
