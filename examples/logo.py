@@ -100,7 +100,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with tempfile.TemporaryDirectory() as folder:
         write_png(Path(folder) / "logo.png", renderer.render(renderer.parameters()).numpy())
         target = read_image(Path(folder) / "logo.png")
-    objectives = {
+    objectives: dict[str, ImageObjective[Any, Any]] = {
         "loi": LOIObjective(target, ScaleSpace.for_image(size, size), accuracy="fast"),
         "pixel L2": PixelL2(target),
     }

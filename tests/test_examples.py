@@ -44,6 +44,21 @@ def test_noise_changes_the_gradient_as_documented(tmp_path: Path) -> None:
     assert shares["pixel L2"] != "100%"
 
 
+def test_a_logo_is_found_in_its_picture_where_pixels_do_not_find_it(tmp_path: Path) -> None:
+    plot = tmp_path / "logo.png"
+    done = subprocess.run(
+        [sys.executable, "-m", "examples.logo", "--quick", "--output", str(plot)],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        check=True,
+    )
+    assert plot.stat().st_size > 5_000
+    ours, pixels = (float(one) for one in done.stdout.splitlines()[-1].strip("| ").split(" | ")[1:])
+    assert ours < 0.5  # pixels of 48; the full example ends nearer, and prints by how much
+    assert pixels > 10.0
+
+
 SETUPS = {
     "LOIObjective(": """
         from loi_core.renderers import Disks

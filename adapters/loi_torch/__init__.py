@@ -1,4 +1,4 @@
-"""`loi` for PyTorch: the loss as a module and as a function, and two renderers."""
+"""`loi` for PyTorch: the loss as a module and as a function, and renderers."""
 
 from loi_torch.loss import LOILoss, loi_loss
 

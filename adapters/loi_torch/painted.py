@@ -82,6 +82,7 @@ def _vjp(
             list(leaves.values()),
             torch.as_tensor(cotangent).detach().to(image),
             retain_graph=True,  # a pullback may be called again
+            materialize_grads=True,  # what a scene has no use for, such as the width of a stroke of no length, gets 0
         )
         return {name: slope.to(dtype) for name, slope in zip(leaves, slopes, strict=True)}
 

@@ -14,7 +14,7 @@ from loi_core import ProjectingRenderer, available_renderers
 from loi_core.errors import ParameterError
 from loi_core.renderers import Disks
 from loi_core.testing import RendererSubject, parametrize_with_checks
-from loi_torch.vector import Circle, Ellipse, Outline, Paint, Path, Rectangle, Vector, polygon
+from loi_torch.vector import Circle, Ellipse, Outline, Paint, Path, Rectangle, Shape, Vector, polygon
 from tests.helpers import Host
 
 RED, SEE_THROUGH = (0.9, 0.2, 0.1, 1.0), (0.1, 0.3, 0.8, 0.6)
@@ -25,16 +25,20 @@ SEEDS = st.integers(0, 2**31)
 def scene(seed: int = 0, **more: Any) -> Vector:
     """Every kind of shape, fill, cap and join, with overlaps and one shape that leaves the frame."""
     rng = np.random.default_rng(seed)
-    at = lambda: rng.uniform(4.0, 28.0, 2)  # noqa: E731
+    one, two, three = rng.uniform(4.0, 28.0, (3, 2))
     curve = np.array([[2, 20], [6, 8], [12, 30], [17, 20], [21, 12], [27, 24]]) + rng.uniform(-1.5, 1.5, (6, 2))
     leaf = np.array([[4, 15], [6, 6], [14, 2], [20, 5], [22, 14]]) + rng.uniform(-1.0, 1.0, (5, 2))
-    shapes = [
-        Circle(at(), rng.uniform(3, 6), Paint(RED, SEE_THROUGH, 2.3)),
+    shapes: list[Shape] = [
+        Circle(one, rng.uniform(3, 6), Paint(RED, SEE_THROUGH, 2.3)),
         Ellipse([31.0, 9.0], rng.uniform(2, 7, 2), Paint(SEE_THROUGH), rng.uniform(-180, 180)),
         Rectangle(
-            at(), rng.uniform(6, 14, 2), Paint(rng.uniform(0, 1, (4, 4)), (0, 0, 0, 1), 1.2), 1.7, rng.uniform(-180, 180)
+            two,
+            rng.uniform(6, 14, 2),
+            Paint(rng.uniform(0, 1, (4, 4)), (0, 0, 0, 1), 1.2),
+            1.7,
+            rng.uniform(-180, 180),
         ),
-        polygon(at() + np.array([[-4, -4], [6, -1], [1, 6]]), Paint(SEE_THROUGH, RED, 1.1, join="round")),
+        polygon(three + np.array([[-4, -4], [6, -1], [1, 6]]), Paint(SEE_THROUGH, RED, 1.1, join="round")),
         Path((Outline(curve, (3, 2), closed=False),), Paint(None, RED, 2.1, "round", "round")),
         Path((Outline(leaf, (2, 3)),), Paint(rng.uniform(0, 1, (4, 4)), rule="evenodd")),
     ]
@@ -228,7 +232,10 @@ def test_projection_gives_legal_parameters_and_leaves_its_argument() -> None:
     [
         (lambda: Vector(8, 8), "`shapes` and `svg` exclude each other"),
         (lambda: Vector(8, 8, []), "`shapes` must be a list of at least one shape"),
-        (lambda: Vector(8, 8, ["circle"]), "`shapes` must be Circle, Ellipse, Rectangle or Path, got 'circle'"),
+        (
+            lambda: Vector(8, 8, ["circle"]),  # type: ignore[list-item]
+            "`shapes` must be Circle, Ellipse, Rectangle or Path, got 'circle'",
+        ),
         (lambda: Vector(8, 8, [Circle([1, 1], 1, WHITE)], encoding="gamma"), "`encoding` must be 'linear' or 'srgb'"),
         (lambda: Circle([1, 1], -1, WHITE), "`radius` must be 0 or more, got -1"),
         (lambda: Paint(), "a shape needs a `fill`, a `stroke` or both"),

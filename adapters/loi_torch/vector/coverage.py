@@ -1,8 +1,8 @@
 """The exact area of outlines in pixels, and its derivatives in closed form.
 
 An edge of an outline adds to the winding number of all that lies to its right. Cut at the lines between pixels, it
-is a list of pieces, each within one pixel; a sum along the rows gives the area in every pixel. Where an end of an edge moves,
-area changes only in the pixels that the edge passes through, by the length of the edge that moves and how far.
+is a list of pieces, each within one pixel; a sum along the rows gives the area in every pixel. Where an end of an edge
+moves, area changes only in the pixels that the edge passes through, by the length of what moves times how far.
 """
 
 from __future__ import annotations

@@ -61,6 +61,9 @@ UNSEEN: Final = re.compile(
     r"id|version|baseProfile|role|class|focusable|lang|xml:.*|xmlns.*|data-.*|aria-.*|enable-background"
     r"|shape-rendering|stroke-dashoffset|clip-rule|font-.*|text-.*|.*:.*"
 )
+COMMANDS: Final = re.compile(  # without going back over what has matched, which would take time without end
+    r"\s*+(?:[Mm](?>[MmZzLlHhVvCcSsQqTtAa,\s]|[+-]?(?:[0-9]++\.?[0-9]*+|\.[0-9]++)(?:[eE][+-]?[0-9]++)?)*+)?"
+)
 NUMBER: Final = re.compile(r"\s*([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)(?:px)?\s*")
 
 
@@ -311,7 +314,10 @@ class _Reader:
             self.fail(f"<{tag}>: `{CORNERS}` under a skew or a reflection is not supported")
         try:
             if tag == "path":
-                path = svg.Path(own.get("d", ""))
+                commands = own.get("d", "")
+                if not COMMANDS.fullmatch(commands):  # the library would leave out what it does not know
+                    self.fail(f"<path>: `d` must be commands and numbers, begun with M, got {shown(commands)}")
+                path = svg.Path(commands)
             elif tag in ("polyline", "polygon"):
                 values = [self._number(tag, "points", one) for one in own.get("points", "").replace(",", " ").split()]
                 kind = svg.Polygon if tag == "polygon" else svg.Polyline
