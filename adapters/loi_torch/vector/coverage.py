@@ -20,7 +20,7 @@ from loi_core.errors import ParameterError
 from loi_core.renderers.checks import FloatArray
 from loi_core.renderers.fragments import IndexArray, painting_order
 
-__all__ = ["Edges", "Painting", "cover"]
+__all__ = ["FARTHEST", "Edges", "Painting", "check_near", "cover"]
 
 FARTHEST: Final = 1e9  # pixels; beyond, float64 no longer tells where in a pixel an edge passes
 MOST_PIXELS: Final = 2**27  # of all bounding boxes together
@@ -114,10 +114,7 @@ def cover(points: Tensor, edges: Edges, size: tuple[int, int]) -> Painting:
     Exact for outlines that do not cross themselves. Where two parts of one outline share a pixel, and both cover it
     only in part, their areas are added, up to 1.
     """
-    host = to_numpy(points)
-    if not np.all(np.abs(host) < FARTHEST):
-        msg = f"shapes must lie within {FARTHEST:g} pixels of the canvas; a position, size or control point is beyond"
-        raise ParameterError(msg)
+    host = check_near(points)
     start, end = host[edges.start], host[edges.end]
     boxes = _boxes(start, edges, size)
     pieces = _pieces(start, end, size)
@@ -141,6 +138,15 @@ def cover(points: Tensor, edges: Edges, size: tuple[int, int]) -> Painting:
         points, area[spots[order]], fragment[place[kept]], slope[place[kept]], pieces, kept, edges
     )
     return Painting(layer[order], pixels[order], coverage, sheets)
+
+
+def check_near(points: Tensor) -> FloatArray:
+    """`points` on the host; :class:`ParameterError` if one of them is a billion pixels away or more."""
+    host: FloatArray = to_numpy(points)
+    if not np.all(np.abs(host) < FARTHEST):
+        msg = f"shapes must lie within {FARTHEST:g} pixels of the canvas; a position, size or control point is beyond"
+        raise ParameterError(msg)
+    return host
 
 
 def _boxes(start: FloatArray, edges: Edges, size: tuple[int, int]) -> _Boxes:

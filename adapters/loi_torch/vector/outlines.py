@@ -166,9 +166,10 @@ def _paths(table: Table, scene: Tensors, host: dict[str, FloatArray], _: FloatAr
     control, degree, shape = np.array(controls), np.array(degrees), np.array(shapes)
     closed = np.array([part.closed for part in table.parts])
     places = host["points"][control] * host["sizes"][shape][:, None, :]
-    bend = np.abs(np.diff(places, n=2, axis=1))  # of a line or a quadratic curve only the first counts
-    bend = np.hypot(bend[..., 0], bend[..., 1]) * np.stack([degree >= 2, degree == 3], axis=1)
-    wanted = np.sqrt(degree * (degree - 1) * bend.max(axis=1) / (8.0 * TOLERANCE))
+    with np.errstate(over="ignore", invalid="ignore"):  # points so far away are refused, but by the caller
+        bend = np.abs(np.diff(places, n=2, axis=1))  # of a line or a quadratic curve only the first counts
+        bend = np.hypot(bend[..., 0], bend[..., 1]) * np.stack([degree >= 2, degree == 3], axis=1)
+        wanted = np.sqrt(degree * (degree - 1) * bend.max(axis=1) / (8.0 * TOLERANCE))
     counts = np.clip(np.ceil(np.where(np.isfinite(wanted), wanted, 1.0)), 1, MOST_CHORDS).astype(np.int64)
     samples = counts.copy()
     samples[np.array(ends) - 1] += ~closed  # the end of an open outline

@@ -15,7 +15,7 @@ from loi_core.messages import shown
 from loi_core.renderers.checks import FloatArray, check_size, floats
 from loi_core.renderers.fragments import IndexArray
 from loi_torch.painted import Painted, Tensors
-from loi_torch.vector.coverage import Edges, Painting, cover
+from loi_torch.vector.coverage import Edges, Painting, check_near, cover
 from loi_torch.vector.outlines import Ring, Rings, ring_points, spread
 from loi_torch.vector.paint import bilinear, composite
 from loi_torch.vector.shapes import Shape
@@ -115,6 +115,7 @@ class Vector(Painted):
 
     def _paint(self, scene: Tensors) -> Tensor:
         rings = ring_points(self._table, scene)
+        check_near(rings.points)
         points, edges = self._edges(rings, scene)
         painting = cover(points, edges, self._size)
         image = composite(self._colours(painting, rings, scene), painting, self._behind, self._size[0] * self._size[1])

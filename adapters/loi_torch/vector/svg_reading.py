@@ -16,6 +16,7 @@ from loi_core.errors import LoiError, SvgError
 from loi_core.files import read_bytes
 from loi_core.messages import printable, shown, told
 from loi_core.renderers.checks import FloatArray
+from loi_torch.vector.coverage import FARTHEST
 from loi_torch.vector.shapes import Circle, Ellipse, Outline, Paint, Path, Rectangle, Shape
 from loi_torch.vector.svg_colours import CORNERS, NAMESPACE, read_colour
 
@@ -169,6 +170,8 @@ class _Reader:
         above = self._states[-1] if self._states else _State(np.eye(3), INHERITED)
         style = {**above.style, **{key: value for key, value in own.items() if key in INHERITED and value != "inherit"}}
         matrix = self._root(own) if tag == "svg" else above.matrix @ self._transform(tag, own)
+        if not np.all(np.abs(matrix) <= FARTHEST):
+            self.fail(f"<{tag}>: all transforms together must stay within {FARTHEST:g}")
         state = _State(matrix, style)
         self._states.append(state)
         opacity = self._number(tag, "opacity", own.get("opacity", "1"), percent=True)
@@ -220,15 +223,15 @@ class _Reader:
             result = np.array(values, dtype=np.float64)
         except Exception:  # noqa: BLE001 - the library raises whatever its arithmetic does
             self.fail(f"<{tag}>: `transform` = {shown(text)} cannot be read")
-        if not np.all(np.isfinite(result)):
-            self.fail(f"<{tag}>: `transform` must be finite, got {shown(text)}")
+        if not np.all(np.abs(result) <= FARTHEST):
+            self.fail(f"<{tag}>: `transform` must stay within {FARTHEST:g}, got {shown(text)}")
         return result
 
     def _number(self, tag: str, key: str, text: str, *, percent: bool = False) -> float:
         share = percent and text.endswith("%")
         match = NUMBER.fullmatch(text[:-1] if share else text)
-        if match is None or not np.isfinite(float(match[1])):
-            self.fail(f"<{tag}>: `{key}` must be a number, alone or in px, got {shown(text)}")
+        if match is None or abs(float(match[1])) > FARTHEST:
+            self.fail(f"<{tag}>: `{key}` must be a number up to {FARTHEST:g}, alone or in px, got {shown(text)}")
         return float(match[1]) * (0.01 if share else 1.0)
 
     def _colour(self, tag: str, key: str, text: str) -> FloatArray:
@@ -339,7 +342,8 @@ class _Reader:
 
 
 def _moved(point: FloatArray, matrix: FloatArray) -> FloatArray:
-    moved: FloatArray = matrix[:2, :2] @ point + matrix[:2, 2]
+    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused where it is put into a shape
+        moved: FloatArray = matrix[:2, :2] @ point + matrix[:2, 2]
     return moved
 
 
