@@ -42,8 +42,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(options: argparse.Namespace) -> int:
     # Each command imports what it needs, so that `loi --version` does not wait for a plotting library.
     if options.command == "fit":
-        from loi_core.cli.fit import fit_scene
+        from loi_core.cli.fit import explain_scene, fit_scene
 
+        if options.explain:
+            explain_scene(options.scene, as_json=options.json)
+            return DONE
         return DONE if fit_scene(options.scene, options.output, resume=options.resume, as_json=options.json) else FAILED
     if options.command == "demo":
         from loi_core.cli.demo import run_demo
@@ -96,6 +99,8 @@ def _parser() -> argparse.ArgumentParser:
     fit.add_argument("scene", type=Path, metavar="SCENE.toml", help="the scene file")
     fit.add_argument("--output", type=Path, help="folder for the results, instead of the scene's own")
     fit.add_argument("--resume", action="store_true", help="go on where an earlier fit stopped")
+
+    fit.add_argument("--explain", action="store_true", help="only say which effects would be simulated, and why")
 
     report = commands.add_parser("report", help="make report.html anew from a result folder")
     report.add_argument("folder", type=Path, metavar="DIR")
