@@ -39,7 +39,7 @@ def test_a_fit_follows_its_plan_and_the_page_shows_every_effect(folder: Path) ->
     results = folder / "scene-result"
     np.testing.assert_allclose(json.loads((results / "parameters.json").read_text())["place"], GOAL, atol=0.1)
     page = (results / "report.html").read_text()
-    for name in ("continuous shading: on", "primary visibility: on", "indirect visibility: off"):
+    for name in ("continuous shading: on", "primary visibility: on"):
         assert f"<figcaption>{name}</figcaption>" in page
     assert "the scene is one convex shape" in page
 

@@ -19,7 +19,7 @@ from loi_core.objectives.base import Objective
 from loi_core.values import real_number
 from loi_mitsuba.effects.pilot import EFFECTS, Pilot, Probe, Sizes
 from loi_mitsuba.effects.rules import everything, integrator_for, plan_by_rules, plan_of
-from loi_mitsuba.effects.settings import bordered, settings_of
+from loi_mitsuba.effects.settings import PROJECTIVE, as_mapping, bordered, settings_of
 from loi_mitsuba.effects.traits import groups_of, in_view, traits_of
 from loi_mitsuba.effects.verify import Verification, verification
 from loi_mitsuba.entries import Scene
@@ -40,6 +40,8 @@ __all__ = ["PlannedRenderer", "plan_effects"]
 SHARE: Final = 0.1  # what is off together turns the gradient by less than 6 degrees, whose cosine is 0.995
 FIRST: Final = 20  # gradients until what is off is looked at again; then twice as many, and so on
 STALL: Final = 20  # steps in which a loss that still falls reaches a new least value
+
+DRAWN_FORWARD: Final = (*PROJECTIVE, "prb")
 
 log = logging.getLogger("loi_mitsuba")
 
@@ -201,13 +203,13 @@ class PlannedRenderer:
     def effect_images(self, params: Mapping[str, Any], cotangent: Any, *, seed: int = 0) -> dict[str, Host]:
         """By effect, how its part of the image changes along the descent of the loss: arrays (H, W, C).
 
-        Effects that the plan has turned off are among them. Empty where Mitsuba has no derivative of images, as in
-        media, or the gradient is 0.
+        Effects that a pilot has turned off are among them, those that the rules exclude are not. Empty where Mitsuba
+        has no derivative of images, as in media, or the gradient is 0.
         """
-        full = everything(self._traits, self._samples)
-        if not full.projective:
+        full = settings_of(self._rules)
+        if not self._rules.understood or full.integrator not in DRAWN_FORWARD:
             return {}
-        followed = self._base.with_integrator(full.load(), follow=self._names)
+        followed = self._base.with_integrator(self._rules, follow=self._names)
         pulled = followed.pull(params, to_numpy(cotangent), seed=seed)
         tangent = {}
         for name in self._names:
@@ -217,9 +219,11 @@ class PlannedRenderer:
             return {}
         images = {}
         for part, effect in EFFECTS.items():
-            if part == "sppc" or self._traits.moving:
-                only = self._base.with_integrator(full.only(part, 4 * self._samples).load(), follow=self._names)
-                images[str(effect)] = only.push(params, tangent, seed=seed)
+            if getattr(full, part) > 0:
+                only = replace(self._rules, settings=as_mapping(full.only(part, 4 * self._samples)))
+                images[str(effect)] = self._base.with_integrator(only, follow=self._names).push(
+                    params, tangent, seed=seed
+                )
         return images
 
     def _take(self, names: tuple[str, ...]) -> None:

@@ -11,7 +11,18 @@ import mitsuba as mi
 from loi_core.effects import EffectPlan
 from loi_core.errors import OptionError
 
-__all__ = ["GRID", "OWN", "PARTS", "Guiding", "Settings", "as_mapping", "bordered", "integrator_of", "settings_of"]
+__all__ = [
+    "GRID",
+    "OWN",
+    "PARTS",
+    "PROJECTIVE",
+    "Guiding",
+    "Settings",
+    "as_mapping",
+    "bordered",
+    "integrator_of",
+    "settings_of",
+]
 
 Guiding = Literal["none", "grid", "octree"]
 
