@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Final
 
 import loi_mitsuba  # noqa: F401 - before Dr.Jit, so that it gets an LLVM that works
@@ -36,8 +36,10 @@ class Case:
         Values at the start of a fit, and those of the target.
     rate : float
         Learning rate, in units of the parameters.
-    seen : bool
-        Whether the image changes with any of them.
+    hand : dict
+        The integrator that we would choose by hand, knowing the scene; all its samples above 0 are alike.
+    default : dict
+        Mitsuba's integrator for such a scene with nothing set: the cheaper projective one if direct light is enough.
     """
 
     name: str
@@ -46,14 +48,12 @@ class Case:
     start: Mapping[str, Any]
     truth: Mapping[str, Any]
     rate: float
-    seen: bool = True
-    scene: Callable[..., dict[str, Any]] = field(init=False, repr=False)
+    hand: Mapping[str, Any]
+    default: Mapping[str, Any]
 
-    def __post_init__(self) -> None:
-        def scene(width: int = WIDTH, height: int = HEIGHT) -> dict[str, Any]:
-            return self.make(width, height)
-
-        object.__setattr__(self, "scene", scene)
+    def scene(self, width: int = WIDTH, height: int = HEIGHT) -> dict[str, Any]:
+        """The dict for ``mi.load_dict``."""
+        return self.make(width, height)
 
 
 def _numbers(*values: float) -> Any:
@@ -253,6 +253,10 @@ def _nothing(width: int, height: int) -> dict[str, Any]:
     }
 
 
+def _hand(kind: str, **more: int) -> dict[str, Any]:
+    return {"type": kind, "guiding": "none", **more}
+
+
 def _plane(shape: str) -> dict[str, Any]:
     return {"x": Translate(shape, (1, 0, 0)), "z": Translate(shape, (0, 0, 1))}
 
@@ -269,6 +273,8 @@ SUITE: Final = (
         {"texture": np.full((8, 12, 3), 0.5, np.float32)},
         {"texture": _picture(8, 12, 1)},
         0.02,
+        {"type": "prb", "max_depth": 2},
+        {"type": "prb"},
     ),
     Case(
         "emitter colour",
@@ -277,6 +283,8 @@ SUITE: Final = (
         {"light": _numbers(20, 20, 20)},
         {"light": _numbers(40, 30, 15)},
         0.5,
+        {"type": "prb", "max_depth": 3},
+        {"type": "prb"},
     ),
     Case(
         "visible object, no shadow",
@@ -285,9 +293,29 @@ SUITE: Final = (
         {"place": _numbers(-1.5, 0.9, 0.0)},
         {"place": _numbers(1.4, -0.8, 0.0)},
         0.05,
+        _hand("direct_projective", sppi=0),
+        {"type": "direct_projective"},
     ),
-    Case("shadow of an object out of view", _shadow, _plane("ball"), _at(-1.1, 0.5), _at(0.8, -0.5), 0.04),
-    Case("object and its shadow", _both, _plane("ball"), _at(-1.2, 0.6), _at(1.0, -0.6), 0.04),
+    Case(
+        "shadow of an object out of view",
+        _shadow,
+        _plane("ball"),
+        _at(-1.1, 0.5),
+        _at(0.8, -0.5),
+        0.04,
+        _hand("direct_projective", sppc=0, sppp=0),
+        {"type": "direct_projective"},
+    ),
+    Case(
+        "object and its shadow",
+        _both,
+        _plane("ball"),
+        _at(-1.2, 0.6),
+        _at(1.0, -0.6),
+        0.04,
+        _hand("prb_projective", max_depth=3),
+        {"type": "prb_projective"},
+    ),
     Case(
         "object in a mirror only",
         _mirror,
@@ -295,6 +323,8 @@ SUITE: Final = (
         {"x": _numbers(-1.2)},
         {"x": _numbers(1.0)},
         0.04,
+        _hand("prb_projective", max_depth=3, sppp=0),
+        {"type": "prb_projective"},
     ),
     Case(
         "glass sphere with caustic",
@@ -303,8 +333,19 @@ SUITE: Final = (
         {"light": _numbers(12, 12, 12)},
         {"light": _numbers(25, 20, 12)},
         0.3,
+        {"type": "prb", "max_depth": 5},
+        {"type": "prb"},
     ),
-    Case("moving area light", _light, _plane("lamp"), _at(-1.5, 0.5), _at(1.0, -0.5), 0.05),
+    Case(
+        "moving area light",
+        _light,
+        _plane("lamp"),
+        _at(-1.5, 0.5),
+        _at(1.0, -0.5),
+        0.05,
+        _hand("prb_projective", max_depth=3, sppc=0, sppp=0),
+        {"type": "prb_projective"},
+    ),
     Case(
         "environment rotation",
         _environment,
@@ -312,6 +353,8 @@ SUITE: Final = (
         {"turn": _numbers(-25.0)},
         {"turn": _numbers(20.0)},
         1.0,
+        {"type": "prb", "max_depth": 2},
+        {"type": "prb_projective"},
     ),
     Case(
         "camera pose",
@@ -320,6 +363,8 @@ SUITE: Final = (
         {"pan": _numbers(-6.0), "tilt": _numbers(3.0)},
         {"pan": _numbers(6.0), "tilt": _numbers(-3.0)},
         0.25,
+        _hand("direct_projective"),
+        {"type": "direct_projective"},
     ),
     Case(
         "fog",
@@ -328,6 +373,8 @@ SUITE: Final = (
         {"density": _numbers(0.3)},
         {"density": _numbers(1.2)},
         0.02,
+        {"type": "prbvolpath", "max_depth": 6},
+        {"type": "prbvolpath"},
     ),
     Case(
         "nothing that can be seen",
@@ -336,7 +383,8 @@ SUITE: Final = (
         {"place": _numbers(0.0, 0.0, 0.0)},
         {"place": _numbers(1.0, 0.0, 0.0)},
         0.05,
-        seen=False,
+        _hand("direct_projective"),
+        {"type": "direct_projective"},
     ),
 )
 """The suite, in the order of its table."""

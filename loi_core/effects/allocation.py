@@ -53,9 +53,32 @@ def allocate(variances: Sequence[float], costs: Sequence[float], budget: float) 
     return [whole * (share / math.fsum(shares)) / price for share, price in zip(shares, prices, strict=True)]
 
 
-def whole_samples(samples: Sequence[float], least: int, most: int) -> list[int]:
-    """Samples rounded down, at least `least` and at most `most` each."""
-    return [max(least, math.floor(min(one, most))) for one in samples]
+def whole_samples(
+    samples: Sequence[float], costs: Sequence[float], budget: float, *, least: int, most: int
+) -> list[int]:
+    """Samples as powers of two, within a budget of time.
+
+    A renderer may compile once for each number of samples that it meets, so there should be few. Each is rounded
+    down; then the one that lost most is doubled, as long as the time allows.
+
+    Parameters
+    ----------
+    samples : sequence of float
+        As :func:`allocate` gives them.
+    costs : sequence of float
+        Seconds that one sample of each takes.
+    budget : float
+        Seconds, which only `least` samples of each may exceed.
+    least, most : int
+        Powers of two between which the samples stay.
+    """
+    counts = [min(most, max(least, 2 ** math.floor(math.log2(max(1.0, min(one, most)))))) for one in samples]
+    spent = math.fsum(count * cost for count, cost in zip(counts, costs, strict=True))
+    for k in sorted(range(len(counts)), key=lambda k: counts[k] / max(samples[k], counts[k])):
+        if 2 * counts[k] <= most and spent + counts[k] * costs[k] <= budget:
+            spent += counts[k] * costs[k]
+            counts[k] *= 2
+    return counts
 
 
 def _number(name: str, value: object, *, zero: bool) -> float:

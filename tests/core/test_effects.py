@@ -53,11 +53,20 @@ def test_without_any_variance_every_part_gets_the_same_time() -> None:
     assert allocate([0.0, 1.0], [1.0, 4.0], 8.0) == [0.0, 2.0]
 
 
-@given(st.lists(st.floats(0.0, 1e30), min_size=1), st.integers(1, 9), st.integers(9, 99))
-def test_whole_samples_keep_every_part_and_never_exceed_it(samples: list[float], least: int, most: int) -> None:
-    for got, wanted in zip(whole_samples(samples, least, most), samples, strict=True):
-        assert least <= got <= most
-        assert got <= max(least, wanted)
+@given(parts, positive, st.integers(0, 3), st.integers(3, 9))
+def test_whole_samples_are_powers_of_two_that_fill_the_time(
+    rows: list[tuple[float, float]], budget: float, low: int, high: int
+) -> None:
+    costs = [row[1] for row in rows]
+    wanted = allocate([row[0] for row in rows], costs, budget)
+    counts = whole_samples(wanted, costs, budget, least=2**low, most=2**high)
+    assert all(2**low <= count <= 2**high and count.bit_count() == 1 for count in counts)
+    spent = math.fsum(n * cost for n, cost in zip(counts, costs, strict=True))
+    fewest = math.fsum(2**low * cost for cost in costs)
+    assert spent <= budget * (1.0 + 1e-12) + fewest
+    for count, one in zip(counts, wanted, strict=True):
+        # Each has at least half of what it wants, unless a limit holds it back.
+        assert 2 * count > min(one, 2**high)
 
 
 @pytest.mark.parametrize(

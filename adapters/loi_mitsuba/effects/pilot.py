@@ -243,8 +243,10 @@ class Pilot:
             return dict.fromkeys(kept, self.samples)
         spreads = [_spread(one, whole) * self.samples for one in kept.values()]
         costs = [one.seconds / self.samples for one in kept.values()]
-        least, most = max(1, self.samples // MOST_MOVED), self.samples * MOST_MOVED
-        counts = whole_samples(allocate(spreads, costs, sum(one.seconds for one in kept.values())), least, most)
+        budget = sum(one.seconds for one in kept.values())
+        base = 2 ** (self.samples.bit_length() - 1)
+        least, most = max(1, base // MOST_MOVED), base * MOST_MOVED
+        counts = whole_samples(allocate(spreads, costs, budget), costs, budget, least=least, most=most)
         return dict(zip(kept, counts, strict=True))
 
 

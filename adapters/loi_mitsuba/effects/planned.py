@@ -107,6 +107,16 @@ class PlannedRenderer:
         return self._plan
 
     @property
+    def everything(self) -> EffectPlan:
+        """Every effect that Mitsuba has the gradient of, without guiding: what :meth:`verify` compares with."""
+        return plan_of(self._traits, everything(self._traits, self._samples))
+
+    @property
+    def groups(self) -> tuple[tuple[str, ...], ...]:
+        """The optimised parameters, those together whose gradients have one unit."""
+        return self._groups
+
+    @property
     def scene(self) -> Any:
         """The scene, an ``mi.Scene``; its parameters are those of the last call."""
         return self._base.scene
@@ -189,10 +199,9 @@ class PlannedRenderer:
         seed : int
             First seed; the two use others.
         """
-        full = plan_of(self._traits, everything(self._traits, self._samples))
         return verification(
-            self._current.with_integrator(self._plan, follow=self._names),
-            self._base.with_integrator(full, follow=self._names),
+            self._current,
+            self._base.with_integrator(self.everything, follow=self._names),
             objective,
             self.parameters() if params is None else dict(params),
             self._groups,
