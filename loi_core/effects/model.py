@@ -94,6 +94,8 @@ class EffectPlan:
         One for each effect, in the order of :class:`Effect`.
     settings : mapping
         What the renderer is told; its adapter knows the keys.
+    why : mapping of str
+        Reasons of settings that are no effect's own, by their name.
     notes : tuple of str
         What a person should know: gradients that the renderer does not have, or why everything is on.
     understood : bool
@@ -109,6 +111,7 @@ class EffectPlan:
 
     choices: tuple[Choice, ...]
     settings: Mapping[str, Any] = field(default_factory=dict)
+    why: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     understood: bool = True
     measured: bool = False
@@ -141,8 +144,9 @@ class EffectPlan:
             for one in self.choices
         ]
         shown = ", ".join(f"{name} {value}" for name, value in self.settings.items() if value is not None)
-        lines = [*markdown(heads, rows), "", f"Settings: {shown or 'none'}", *(f"Note: {note}" for note in self.notes)]
-        return "\n".join(lines)
+        reasons = [f"- {name} {self.settings[name]}: {reason}" for name, reason in self.why.items()]
+        notes = [f"Note: {note}" for note in self.notes]
+        return "\n".join([*markdown(heads, rows), "", f"Settings: {shown or 'none'}", *reasons, *notes])
 
     def changes_from(self, other: EffectPlan) -> str:
         """What is different from another plan, in one line; empty if nothing is."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 
 import numpy as np
@@ -100,6 +101,8 @@ def test_a_plan_prints_as_a_table_with_a_reason_for_every_effect() -> None:
         assert line.startswith(f"| {effect} ")
         assert f"because of {effect}" in line
     assert lines[-1] == "Settings: integrator prb, spp 4"
+    told = dataclasses.replace(plan(), why={"spp": "it is enough"}, notes=("and more",))
+    assert str(told).splitlines()[-2:] == ["- spp 4: it is enough", "Note: and more"]
 
 
 def test_a_change_of_plan_is_one_line_and_no_change_is_none() -> None:

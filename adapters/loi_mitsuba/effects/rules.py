@@ -40,7 +40,7 @@ def plan_by_rules(traits: Traits, samples: int) -> EffectPlan:
         notes = (f"everything is on, for the rules do not know {', '.join(traits.unknown)}", *_missing(traits))
         choices = [_choice(effect, effect is not Effect.CAMERA, why, full) for effect in Effect]
         choices[list(Effect).index(Effect.CAMERA)] = _camera()
-        return EffectPlan(tuple(choices), as_mapping(full), notes, understood=False)
+        return EffectPlan(tuple(choices), as_mapping(full), _why(traits, full), notes, understood=False)
     depth = min(traits.depth, DIRECT) if traits.alone else traits.depth
     edges = bool(traits.moving) and full.projective
     indirect = edges and not (traits.alone and depth <= DIRECT)
@@ -82,7 +82,7 @@ def plan_of(
         Effect.APPEARANCE: bool(traits.appearance) and settings.sppc > 0,
     }
     choices = tuple(_choice(effect, on[effect], told[effect], settings) for effect in Effect)
-    return EffectPlan(choices, as_mapping(settings), (*_missing(traits), *notes))
+    return EffectPlan(choices, as_mapping(settings), _why(traits, settings), (*_missing(traits), *notes))
 
 
 def _choice(effect: Effect, on: bool, reason: str, settings: Settings) -> Choice:  # noqa: FBT001
@@ -131,6 +131,27 @@ def _reasons(traits: Traits, settings: Settings) -> dict[Effect, str]:
         if traits.appearance
         else "no material is optimised",
     }
+
+
+def _why(traits: Traits, settings: Settings) -> dict[str, str]:
+    """Reasons of the settings that are not those of one effect."""
+    kinds = {
+        OWN: "the scene's own, which the rules do not know",
+        "prbvolpath": "the only one with media",
+        "prb": "there are no edges to sample",
+        "direct_projective": "edges, and no light over more than one surface",
+        "prb_projective": "edges, and light over several surfaces",
+    }
+    why = {"integrator": kinds[settings.integrator]}
+    if settings.sppi > 0:
+        why["guiding"] = "on a processor guiding costs more than it is worth"
+    if traits.moving:
+        why["sample_border"] = (
+            "a shape may cross the border, over which the film's filter reaches"
+            if settings.sample_border
+            else "the film's filter ends at the border"
+        )
+    return why
 
 
 def _specular(traits: Traits) -> bool:
