@@ -51,6 +51,10 @@ class Draws:
         }
         return Draws(joined, self.seconds)
 
+    def first(self, count: int) -> Draws:
+        """Only so many of the draws."""
+        return Draws({name: value[:count] for name, value in self.gradients.items()}, self.seconds)
+
     def less(self, other: Draws) -> Draws:
         """The difference from other draws, one by one; with the same seeds, most of the noise goes as well."""
         return Draws({name: value - other.gradients[name] for name, value in self.gradients.items()})

@@ -178,8 +178,10 @@ class Pilot:
                 continue
             settings = replace(shallow, integrator=integrator_for(rules.integrator, depth, edges=rules.projective))
             drawn = self._parts(settings, probe)
-            missing = probe.gradients(rules, seeds).less(probe.gradients(shallow, seeds))
-            most = _most(missing, _sizes(total(list(drawn.values()))))
+            # Each part draws from the seed in its own way, alone or with others, and a shallow path is the beginning of
+            # the deep one of the same seed: most of the noise goes with the difference.
+            parts = total([one.first(DRAWS) for one in drawn.values()])
+            most = _most(probe.gradients(rules, seeds).less(parts), _sizes(total(list(drawn.values()))))
             if most < self.share:
                 reason = f"longer paths surely carry under {most:.1%} of the gradient, and next to none of the image"
                 return settings, drawn, reason, most

@@ -144,7 +144,7 @@ def _why(traits: Traits, settings: Settings) -> dict[str, str]:
     }
     why = {"integrator": kinds[settings.integrator]}
     if settings.sppi > 0:
-        why["guiding"] = "on a processor guiding costs more than it is worth"
+        why["guiding"] = "guided samples never fall where no seed has been, and cost much on a processor"
     if traits.moving:
         why["sample_border"] = (
             "a shape may cross the border, over which the film's filter reaches"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from typing import Any, Final, Literal
+from typing import Any, Final
 
 import mitsuba as mi
 
@@ -12,11 +12,9 @@ from loi_core.effects import EffectPlan
 from loi_core.errors import OptionError
 
 __all__ = [
-    "GRID",
     "OWN",
     "PARTS",
     "PROJECTIVE",
-    "Guiding",
     "Settings",
     "as_mapping",
     "bordered",
@@ -24,13 +22,9 @@ __all__ = [
     "settings_of",
 ]
 
-Guiding = Literal["none", "grid", "octree"]
-
 OWN: Final = "scene"  # the scene's own integrator, which the rules do not know
 PROJECTIVE: Final = ("direct_projective", "prb_projective")
 PARTS: Final = ("sppc", "sppp", "sppi")  # samples of continuous shading, primary and indirect visibility
-GRID: Final = (200, 10, 10)  # Mitsuba's own grid has a hundred million cells
-GRID_SEEDS: Final = 16
 
 
 @dataclass(frozen=True)
@@ -46,8 +40,9 @@ class Settings:
     sppc, sppp, sppi : int
         Samples per pixel of the gradient's three parts. 0 turns a part off; integrators that have no edges know the
         first only.
-    guiding : {"none", "grid", "octree"}
-        How samples of indirect edges are placed.
+    guiding : str
+        How samples of indirect edges are placed: "none", for all alike. Mitsuba's others are slow on a processor, and
+        never sample where no seed has been.
     hide_emitters : bool
         As the scene's own integrator has it.
     sample_border : bool
@@ -59,7 +54,7 @@ class Settings:
     sppc: int
     sppp: int = 0
     sppi: int = 0
-    guiding: Guiding = "none"
+    guiding: str = "none"
     hide_emitters: bool = False
     sample_border: bool = False
 
@@ -85,11 +80,7 @@ class Settings:
             described["max_depth"] = self.max_depth
         if self.projective:
             described |= {name: getattr(self, name) for name in PARTS} | {"guiding": self.guiding}
-        made = mi.load_dict(described)
-        if self.projective and self.guiding == "grid":
-            made.guiding_grid_reso = list(GRID)
-            made.proj_seed_spp = GRID_SEEDS
-        return made
+        return mi.load_dict(described)
 
 
 def settings_of(plan: EffectPlan) -> Settings:
