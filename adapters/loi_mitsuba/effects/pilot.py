@@ -28,6 +28,7 @@ MOST_DRAWS: Final = 8
 IMAGE: Final = 0.1  # of the share: what an image may lack, for that moves where a fit ends
 DEEPEST_TRIED: Final = 4
 MOST_MOVED: Final = 4  # a part gets at most so many times its samples, and at least that fraction: draws are few
+LEAST: Final = 1e-9  # of a share that is not nothing
 SURE: Final = 2.0  # errors of a mean that a decision has to clear
 
 
@@ -86,16 +87,16 @@ def _sizes(whole: Draws) -> dict[str, float]:
     return {name: max(0.0, whole.norm(name) - SURE * whole.error(name)) for name in whole.gradients}
 
 
-def _most(part: Draws, sizes: Sizes) -> float:
+def _most(part: Draws, sizes: Sizes, sure: float = SURE) -> float:
     """What a part of a gradient surely does not exceed as a share of the whole, for any parameter.
 
-    A mean is known to within about its error, and both have to be far on the safe side. Where the whole cannot be
-    told from noise, no share is small enough but that of a part which was exactly 0 in every draw.
+    A mean is known to within about its error, `sure` of which are added. Where the whole cannot be told from noise, no
+    share is small enough but that of a part which was exactly 0 in every draw.
     """
     shares = [0.0]
     for name, size in sizes.items():
         if not part.zero(name):
-            shares.append((part.norm(name) + SURE * part.error(name)) / size if size > 0.0 else math.inf)
+            shares.append((part.norm(name) + sure * part.error(name)) / size if size > 0.0 else math.inf)
     return max(shares)
 
 
@@ -138,7 +139,7 @@ class Pilot:
         # The smallest first, as long as all that is off together stays under the share.
         for part, one in sorted(drawn.items(), key=lambda item: _most(item[1], sizes)):
             most = _most(one, sizes)
-            if any(sizes.values()) and lacking + most < max(self.share, most == 0.0):
+            if any(sizes.values()) and (most == 0.0 or lacking + most < self.share):
                 lacking += most
                 del kept[part]
                 if most == 0.0:
@@ -182,7 +183,7 @@ class Pilot:
             # the deep one of the same seed: most of the noise goes with the difference.
             parts = total([one.first(DRAWS) for one in drawn.values()])
             most = _most(probe.gradients(rules, seeds).less(parts), _sizes(total(list(drawn.values()))))
-            if most < self.share:
+            if most == 0.0 or most < self.share:
                 reason = f"longer paths surely carry under {most:.1%} of the gradient, and next to none of the image"
                 return settings, drawn, reason, most
             break
@@ -193,7 +194,7 @@ class Pilot:
         return rules, self._parts(rules, probe), reason, 0.0
 
     def _parts(self, settings: Settings, probe: Probe) -> dict[str, Draws]:
-        """Draws of each part of the gradient; four times as many where parameters cannot be told from noise."""
+        """Draws of each part of the gradient; twice as many where parameters cannot be told from noise."""
         drawn = {
             part: settings.only(part) if settings.projective else settings
             for part in PARTS
@@ -210,33 +211,34 @@ class Pilot:
         }
 
     def grown(self, rules: Settings, settings: Settings, probe: Probe, sizes: Sizes) -> dict[Effect, str]:
-        """Effects that are on by the rules, are off in `settings`, and are no longer under the share, with reasons.
+        """Effects that are on by the rules, are off in `settings`, and seem to exceed the share, with reasons.
 
-        What was absent is compared with nothing, what was small with the gradient as the pilot found it: near the
-        end of a fit, where the gradient is faint, everything has a great share of it.
+        They are compared with the gradient as the pilot found it: near the end of a fit, where the gradient is faint,
+        everything has a great share of it. That they are small has been shown; here only a change has to show.
         """
         seeds = (probe.seed, probe.seed + 1)
+        shallow = replace(rules, max_depth=settings.max_depth)
         found: dict[Effect, str] = {}
         for part, effect in EFFECTS.items():
             if getattr(rules, part) == 0 or getattr(settings, part) > 0:
                 continue
-            one = probe.gradients(rules.only(part), seeds)
-            if _most(one, sizes) >= self.share and not all(map(one.zero, one.gradients)):
+            if _most(probe.gradients(shallow.only(part), seeds), sizes, sure=0.0) >= max(self.share, LEAST):
                 found[effect] = "it has appeared, or grown, since it was turned off"
         if settings.max_depth < rules.max_depth:
-            shallow = replace(rules, max_depth=settings.max_depth)
             deep = [probe.image(rules, seed) for seed in seeds]
             drawn = [probe.gradients(one, seeds) for one in (rules, shallow)]
-            grown = _most(drawn[0].less(drawn[1]), sizes) >= self.share
-            if grown or not self._same_image(deep, shallow, probe, seeds):
+            missing = _most(drawn[0].less(drawn[1]), sizes, sure=0.0)
+            if missing >= max(self.share, LEAST) or not self._same_image(deep, shallow, probe, seeds, sure=0.0):
                 found[Effect.BOUNCES] = (
                     "longer paths carry more of the image or the gradient than when they were left out"
                 )
         return found
 
-    def _same_image(self, deep: Sequence[Host], shallow: Settings, probe: Probe, seeds: Sequence[int]) -> bool:
+    def _same_image(
+        self, deep: Sequence[Host], shallow: Settings, probe: Probe, seeds: Sequence[int], sure: float = SURE
+    ) -> bool:
         lacking = [full - probe.image(shallow, seed) for full, seed in zip(deep, seeds, strict=True)]
-        return _image_under(lacking, deep, IMAGE * self.share)
+        return _image_under(lacking, deep, IMAGE * self.share, sure)
 
     def _allocation(self, kept: Mapping[str, Draws], whole: Draws) -> dict[str, int]:
         """Samples of every part that is kept, in the time that equal counts would take."""
@@ -262,7 +264,7 @@ def _spread(part: Draws, whole: Draws) -> float:
     return sum(part.variance(name) / whole.norm(name) ** 2 for name in _heard(whole))
 
 
-def _image_under(lacking: Sequence[Host], whole: Sequence[Host], share: float) -> bool:
+def _image_under(lacking: Sequence[Host], whole: Sequence[Host], share: float, sure: float) -> bool:
     """Whether what an image lacks is surely under a share of it, in the Euclidean norm.
 
     Two seeds give the squared norm without the noise, and its error.
@@ -270,8 +272,8 @@ def _image_under(lacking: Sequence[Host], whole: Sequence[Host], share: float) -
     first, second = (one.astype(np.float64).reshape(-1) for one in lacking)
     products = first * second
     error = math.sqrt(products.size) * float(np.std(products))
-    most = math.sqrt(max(0.0, float(np.sum(products)) + SURE * error))
-    return most < share * float(np.linalg.norm(np.mean([one.astype(np.float64) for one in whole], axis=0)))
+    most = math.sqrt(max(0.0, float(np.sum(products)) + sure * error))
+    return most <= share * float(np.linalg.norm(np.mean([one.astype(np.float64) for one in whole], axis=0)))
 
 
 def _share(part: Draws, whole: Draws) -> float | None:

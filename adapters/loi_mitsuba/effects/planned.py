@@ -96,6 +96,7 @@ class PlannedRenderer:
         self._due, self._wait = FIRST, 2 * FIRST
         self._best = math.inf
         self._since_best = 0
+        self._patience = STALL
         self._last: Probe | None = None
         self._sizes: Sizes = {}
         self._seen: frozenset[str] = frozenset()
@@ -169,18 +170,23 @@ class PlannedRenderer:
         )
         self._begun = True
         self._due, self._wait = self._asked + FIRST, 2 * FIRST
+        self._best, self._since_best, self._patience = math.inf, 0, STALL
         plan, self._sizes = self._pilot.run(self._plan, self._last)
         self._seen = self._in_view()
         self._change(plan, "by the pilot")
         return self._plan
 
     def watch(self, step: FitStep, params: Mapping[str, Any], image: Any) -> None:  # noqa: ARG002 - a callback's
-        """A callback for :func:`loi_core.fit`: looks again at what is off when the loss has not fallen for 20 steps."""
+        """A callback for :func:`loi_core.fit`: looks again at what is off when the loss stalls.
+
+        That is when it has reached no new least value for 20 steps, then for 40 more, 80 more and so on.
+        """
         self._since_best += 1
         if step.value < self._best:
             self._best, self._since_best = step.value, 0
-        if self._since_best >= STALL:
-            self._since_best = 0
+        if self._since_best >= self._patience:
+            # A fit that has arrived stalls for good, and looking costs.
+            self._since_best, self._patience = 0, 2 * self._patience
             self._probe(f"at step {step.step}, where the loss stalls")
 
     def verify(
