@@ -170,6 +170,30 @@ def test_a_light_behind_glass_keeps_its_paths() -> None:
     assert found.gradient.cosine > 0.99 - 2.0 * found.gradient.cosine_error
 
 
+def test_an_object_that_is_felt_only_by_the_light_it_reflects_keeps_its_bounces() -> None:
+    """Out of view, its shadow too: in direct light alone nothing changes with it, and the image hardly does at all."""
+    place = mi.ScalarTransform4f
+    scene = shadow_scene(
+        ball={
+            "type": "sphere",
+            "to_world": place().translate([-5.0, 1.2, 0]),
+            "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.9, 0.9, 0.9]}},
+        },
+        lamp={
+            "type": "sphere",
+            "to_world": place().translate([4, 6, 0]).scale(0.7),
+            "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 60.0}},
+        },
+    )
+    renderer = PlannedRenderer(scene, {"x": Translate("ball", (1, 0, 0))})
+    objective = PixelL2(renderer.render({"x": np.array(0.6)}, seed=10**6))
+    start(renderer, objective, {"x": np.array(0.0)})
+    assert Effect.BOUNCES in renderer.plan.on
+    direct = {"type": "direct_projective", "guiding": "none"}
+    blind = MitsubaRenderer(scene, {"x": Translate("ball", (1, 0, 0))}, integrator=direct)
+    assert not np.any(blind.pull({"x": np.array(0.0)}, np.ones((48, 64, 3)))["x"])
+
+
 def test_only_what_is_optimised_is_planned_for_and_pulled_back() -> None:
     parameters: dict[str, Any] = {"place": Translate("ball"), "light": "lamp.emitter.radiance.value"}
     renderer = PlannedRenderer(shadow_scene(), parameters, spp=4)
