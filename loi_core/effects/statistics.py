@@ -77,6 +77,10 @@ class Draws:
         """Norm of the mean; the noise that is left in the mean makes it too large, if anything."""
         return float(np.linalg.norm(np.mean(self.gradients[name], axis=0)))
 
+    def size(self, name: str) -> float:
+        """Norm of the mean less what the noise that is left in it adds on average."""
+        return math.sqrt(max(0.0, self.norm(name) ** 2 - self.error(name) ** 2))
+
     def variance(self, name: str) -> float:
         """Variance of one draw, summed over the elements."""
         return float(np.sum(np.var(self.gradients[name], axis=0, ddof=1)))

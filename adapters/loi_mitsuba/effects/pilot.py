@@ -19,11 +19,12 @@ from loi_mitsuba.renderer import MitsubaRenderer
 
 __all__ = ["EFFECTS", "Pilot", "Probe", "Sizes"]
 
-Sizes: TypeAlias = Mapping[str, float]
-"""By parameter, what the norm of its gradient surely exceeds; 0 if it cannot be told from noise."""
+Sizes: TypeAlias = Mapping[str, tuple[float, float]]
+"""By parameter, the norm of its gradient and the error of that; a norm of 0 if it cannot be told from noise."""
 
 EFFECTS: Final = {"sppc": Effect.CONTINUOUS, "sppp": Effect.PRIMARY, "sppi": Effect.INDIRECT}
 DRAWS: Final = 4
+DEEP_DRAWS: Final = 3  # of everything, which costs most
 MOST_DRAWS: Final = 8
 IMAGE: Final = 0.1  # of the share: what an image may lack, for that moves where a fit ends
 DEEPEST_TRIED: Final = 4
@@ -83,20 +84,25 @@ def _draw(function: Callable[[int], Mapping[str, Any]], names: Sequence[str], se
     return Draws.of(drawn, min(times))
 
 
-def _sizes(whole: Draws) -> dict[str, float]:
-    return {name: max(0.0, whole.norm(name) - SURE * whole.error(name)) for name in whole.gradients}
+def _sizes(whole: Draws) -> Sizes:
+    heard = _heard(whole)
+    return {name: (whole.size(name) if name in heard else 0.0, whole.error(name)) for name in whole.gradients}
 
 
 def _most(part: Draws, sizes: Sizes, sure: float = SURE) -> float:
     """What a part of a gradient surely does not exceed as a share of the whole, for any parameter.
 
-    A mean is known to within about its error, `sure` of which are added. Where the whole cannot be told from noise, no
-    share is small enough but that of a part which was exactly 0 in every draw.
+    To the share that was found, `sure` of its errors are added, which come from both. Where the whole cannot be told
+    from noise, no share is small enough but that of a part which was exactly 0 in every draw.
     """
     shares = [0.0]
-    for name, size in sizes.items():
-        if not part.zero(name):
-            shares.append((part.norm(name) + sure * part.error(name)) / size if size > 0.0 else math.inf)
+    for name, (size, error) in sizes.items():
+        if part.zero(name):
+            continue
+        if size == 0.0:
+            return math.inf
+        share = part.size(name) / size
+        shares.append(share + sure * math.hypot(part.error(name), share * error) / size)
     return max(shares)
 
 
@@ -124,7 +130,7 @@ class Pilot:
         Returns
         -------
         plan : EffectPlan
-        sizes : mapping of float
+        sizes : Sizes
             Of the gradient, for :meth:`grown`.
         """
         rules = settings_of(plan)
@@ -139,7 +145,7 @@ class Pilot:
         # The smallest first, as long as all that is off together stays under the share.
         for part, one in sorted(drawn.items(), key=lambda item: _most(item[1], sizes)):
             most = _most(one, sizes)
-            if any(sizes.values()) and (most == 0.0 or lacking + most < self.share):
+            if _heard(whole) and (most == 0.0 or lacking + most < self.share):
                 lacking += most
                 del kept[part]
                 if most == 0.0:
@@ -169,7 +175,7 @@ class Pilot:
         lacking : float
             The most that the gradient may lack of longer paths, as a share of it.
         """
-        seeds = range(probe.seed, probe.seed + DRAWS)
+        seeds = range(probe.seed, probe.seed + DEEP_DRAWS)
         if rules.max_depth <= DIRECT or self.traits.media:
             return rules, self._parts(rules, probe), plan_of(self.traits, rules)[Effect.BOUNCES].reason, 0.0
         deep = [probe.image(rules, seed) for seed in seeds[:2]]
@@ -181,7 +187,7 @@ class Pilot:
             drawn = self._parts(settings, probe)
             # Each part draws from the seed in its own way, alone or with others, and a shallow path is the beginning of
             # the deep one of the same seed: most of the noise goes with the difference.
-            parts = total([one.first(DRAWS) for one in drawn.values()])
+            parts = total([one.first(DEEP_DRAWS) for one in drawn.values()])
             most = _most(probe.gradients(rules, seeds).less(parts), _sizes(total(list(drawn.values()))))
             if most == 0.0 or most < self.share:
                 reason = f"longer paths surely carry under {most:.1%} of the gradient, and next to none of the image"
@@ -202,7 +208,7 @@ class Pilot:
         }
         first = {part: probe.gradients(one, range(probe.seed, probe.seed + DRAWS)) for part, one in drawn.items()}
         whole = total(list(first.values()))
-        if all(size > 0.0 or whole.zero(name) for name, size in _sizes(whole).items()):
+        if all(name in _heard(whole) or whole.zero(name) for name in whole.gradients):
             return first
         more = range(probe.seed + DRAWS, probe.seed + MOST_DRAWS)
         return {
