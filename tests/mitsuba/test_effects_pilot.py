@@ -124,7 +124,7 @@ def test_a_shadow_that_appears_only_after_motion_is_found_on_schedule(caplog: py
         image, pullback = renderer.render_vjp({"y": np.array(-3.0)}, seed=step)  # before the wall
         pullback(objective.value_and_grad(image)[1])
     assert Effect.INDIRECT in renderer.plan.on
-    assert "appeared" in renderer.plan[Effect.INDIRECT].reason
+    assert "grown" in renderer.plan[Effect.INDIRECT].reason  # light that the ball reflects reached the wall before
     (line,) = [one.getMessage() for one in caplog.records if "on schedule" in one.getMessage()]
     assert "indirect visibility on" in line
 

@@ -216,25 +216,30 @@ class Pilot:
             for part, one in first.items()
         }
 
-    def grown(self, rules: Settings, settings: Settings, probe: Probe, sizes: Sizes) -> dict[Effect, str]:
-        """Effects that are on by the rules, are off in `settings`, and seem to exceed the share, with reasons.
+    def grown(self, rules: Settings, plan: EffectPlan, probe: Probe, sizes: Sizes) -> dict[Effect, str]:
+        """Effects that are on by the rules, are off in a plan, and have appeared or grown to the share, with reasons.
 
-        They are compared with the gradient as the pilot found it: near the end of a fit, where the gradient is faint,
-        everything has a great share of it. That they are small has been shown; here only a change has to show.
+        What was exactly 0 has appeared as soon as it is not. What was small is compared with the gradient as the pilot
+        found it: near the end of a fit, where the gradient is faint, everything has a great share of it. Depth, which
+        costs most, has been shown to matter little and gets less benefit of the doubt.
         """
         seeds = (probe.seed, probe.seed + 1)
+        settings = settings_of(plan)
         shallow = replace(rules, max_depth=settings.max_depth)
         found: dict[Effect, str] = {}
         for part, effect in EFFECTS.items():
             if getattr(rules, part) == 0 or getattr(settings, part) > 0:
                 continue
-            if _most(probe.gradients(shallow.only(part), seeds), sizes, sure=0.0) >= max(self.share, LEAST):
-                found[effect] = "it has appeared, or grown, since it was turned off"
+            one = probe.gradients(shallow.only(part), seeds)
+            if plan[effect].share == 0.0 and not all(map(one.zero, one.gradients)):
+                found[effect] = "it was exactly 0 when it was turned off, and is no longer"
+            elif _most(one, sizes) >= max(self.share, LEAST):
+                found[effect] = f"it may have grown to {self.share:.0%} of the gradient that the pilot found"
         if settings.max_depth < rules.max_depth:
             deep = [probe.image(rules, seed) for seed in seeds]
             drawn = [probe.gradients(one, seeds) for one in (rules, shallow)]
-            missing = _most(drawn[0].less(drawn[1]), sizes, sure=0.0)
-            if missing >= max(self.share, LEAST) or not self._same_image(deep, shallow, probe, seeds, sure=0.0):
+            missing = _most(drawn[0].less(drawn[1]), sizes, sure=1.0)
+            if missing >= max(self.share, LEAST) or not self._same_image(deep, shallow, probe, seeds, sure=1.0):
                 found[Effect.BOUNCES] = (
                     "longer paths carry more of the image or the gradient than when they were left out"
                 )

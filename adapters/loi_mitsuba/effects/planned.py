@@ -269,7 +269,7 @@ class PlannedRenderer:
         self._due, self._wait = self._asked + self._wait, 2 * self._wait
         if self._last is None or not self._plan.understood or not self._plan.measured:
             return
-        grown = self._pilot.grown(settings_of(self._rules), settings_of(self._plan), self._last, self._sizes)
+        grown = self._pilot.grown(settings_of(self._rules), self._plan, self._last, self._sizes)
         if grown:
             self._raise(grown, when)
 
