@@ -167,6 +167,13 @@ def test_a_shape_is_in_view_exactly_where_its_box_may_be_seen() -> None:
     assert agreed[False] >= 20
 
 
+def test_a_shape_around_the_camera_lights_itself() -> None:
+    scene = SUITE[2].scene(16, 12)
+    scene["ball"] = {"type": "sphere", "radius": 20.0, "bsdf": {"type": "twosided", "bsdf": {"type": "diffuse"}}}
+    plan = plan_effects(scene, {"place": Translate("ball")})
+    assert plan.on >= {Effect.INDIRECT, Effect.BOUNCES}
+
+
 def test_turning_a_shape_moves_it() -> None:
     plan = plan_effects(shadow_scene(box=box((1, 1, 0), 0.4)), {"turn": Rotate("box", (0, 1, 0))})
     assert plan.on >= EDGES

@@ -43,7 +43,7 @@ class Traits:
     unknown : tuple of str
         What the rules do not know, in words; empty if they know everything.
     alone : bool
-        Whether there is one shape only, convex and opaque: it can neither shadow nor light itself.
+        Whether there is one shape only, convex, opaque and not around the camera: it neither shadows nor lights itself.
     delta_reflection, delta_transmission, glossy : bool
         Whether a surface is a perfect mirror, is clear glass, or reflects or transmits in a lobe.
     media : bool
@@ -122,7 +122,7 @@ def traits_of(scene: Scene, targets: Mapping[str, str | Handle], sensor: Any) ->
         emission=tuple(changed["emission"]),
         volumes=tuple(changed["volumes"]),
         unknown=tuple(unknown),
-        alone=len(shapes) == 1 and shapes[0].class_name() in CONVEX and not transmits and not media,
+        alone=_alone(shapes, sensor) and not transmits and not media,
         delta_reflection=any(one & int(mi.BSDFFlags.DeltaReflection) for one in flags),
         delta_transmission=any(one & int(mi.BSDFFlags.DeltaTransmission) for one in flags),
         glossy=any(one & int(mi.BSDFFlags.Glossy) for one in flags),
@@ -178,6 +178,15 @@ def _kind(params: Any, key: str) -> tuple[str, Any]:
         if isinstance(one, mi.Mesh):  # normals, texture coordinates and attributes of its vertices
             return "appearance", node
     return "", node
+
+
+def _alone(shapes: list[Any], sensor: Any) -> bool:
+    if len(shapes) != 1 or shapes[0].class_name() not in CONVEX:
+        return False
+    eye = _matrix(sensor.world_transform())[:3, 3]
+    box = shapes[0].bbox()
+    low, high = (np.array(one, dtype=np.float64).reshape(3) for one in (box.min, box.max))
+    return not bool(np.all((low <= eye) & (eye <= high)))
 
 
 def _first_of_kind(shapes: list[Any]) -> list[Any]:
