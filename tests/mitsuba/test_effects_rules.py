@@ -98,6 +98,14 @@ def test_what_the_rules_do_not_know_gets_everything_and_says_so(change: dict[str
         assert (plan.settings["sppp"], plan.settings["sppi"]) == (16, 16)
 
 
+def test_a_parameter_that_the_rules_do_not_know_gets_everything_and_says_so() -> None:
+    scene = shadow_scene(spot={"type": "spot"})
+    plan = plan_effects(scene, {"angle": "spot.cutoff_angle"})
+    assert not plan.understood
+    assert "parameter 'angle', of a SpotLight" in plan.notes[0]
+    assert plan_effects(scene, {"light": "spot.intensity.value"}).understood
+
+
 def test_a_film_samples_its_border_where_shapes_may_cross_it() -> None:
     scene = shadow_scene()
     scene["sensor"]["film"]["rfilter"] = {"type": "gaussian"}

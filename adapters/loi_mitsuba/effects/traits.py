@@ -26,6 +26,7 @@ SURFACE_INTEGRATORS: Final = {
     "PathProjectiveIntegrator": None,
 }
 VOLUME_INTEGRATORS: Final = ("VolumetricSimplePathIntegrator", "VolumetricMisPathIntegrator", "PRBVolpathIntegrator")
+RADIANCE: Final = ("value", "data", "scale")
 UNLIMITED: Final = 8  # stands for all bounces of a scene that sets no limit
 MOST_DEPTH: Final = 2**31
 
@@ -174,7 +175,9 @@ def _kind(params: Any, key: str) -> tuple[str, Any]:
     for one in reversed(ancestors(params, node)):  # from the entry's own object up to the scene
         for kind, cls in (("emission", mi.Emitter), ("appearance", mi.BSDF), ("volumes", mi.Medium)):
             if isinstance(one, cls):
-                return kind, node
+                # An emitter's other entries, such as the angle of a spot, may move the edge of what it lights.
+                known = kind != "emission" or key.rpartition(".")[2] in RADIANCE
+                return kind if known else "", node
         if isinstance(one, mi.Mesh):  # normals, texture coordinates and attributes of its vertices
             return "appearance", node
     return "", node
