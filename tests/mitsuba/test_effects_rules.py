@@ -135,20 +135,21 @@ def test_missing_gradients_are_told() -> None:
 
 def test_a_plan_is_given_to_a_renderer_whole() -> None:
     target = {"x": Translate("ball", (1, 0, 0))}
-    plan = plan_effects(shadow_scene(), target, spp=4)
-    image, pullback = MitsubaRenderer(shadow_scene(), target, integrator=plan, spp=4).render_vjp({"x": np.float32(0)})
-    by_hand = {"type": "prb_projective", "max_depth": 8, "guiding": "none"}
-    hand, other = MitsubaRenderer(shadow_scene(), target, integrator=by_hand, spp=4).render_vjp({"x": np.float32(0)})
+    scene = shadow_scene(integrator={"type": "direct"})
+    plan = plan_effects(scene, target, spp=4)
+    image, pullback = MitsubaRenderer(scene, target, integrator=plan, spp=4).render_vjp({"x": np.float32(0)})
+    by_hand = {"type": "direct_projective", "guiding": "none"}
+    hand, other = MitsubaRenderer(scene, target, integrator=by_hand, spp=4).render_vjp({"x": np.float32(0)})
     np.testing.assert_array_equal(image, hand)
     np.testing.assert_allclose(pullback(image)["x"], other(image)["x"], rtol=1e-3)  # sums by atomic adds, in any order
     with pytest.raises(OptionError, match="`spp_grad` and a plan exclude each other"):
-        MitsubaRenderer(shadow_scene(), target, integrator=plan, spp_grad=4)
+        MitsubaRenderer(scene, target, integrator=plan, spp_grad=4)
     foreign = EffectPlan(plan.choices, {"samples": 3})
     with pytest.raises(OptionError, match="not one for Mitsuba; its settings are samples"):
-        MitsubaRenderer(shadow_scene(), target, integrator=foreign)
+        MitsubaRenderer(scene, target, integrator=foreign)
     too_many = dataclasses.replace(plan, settings={**plan.settings, "sppi": 2**31})
     with pytest.raises(OptionError, match="`sppi` must be a whole number of samples"):
-        MitsubaRenderer(shadow_scene(), target, integrator=too_many)
+        MitsubaRenderer(scene, target, integrator=too_many)
 
 
 def test_a_shape_is_in_view_exactly_where_its_box_may_be_seen() -> None:
