@@ -6,15 +6,17 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from loi_core.arrays import Array, epsilon, from_numpy, namespace, runs_eagerly_on_host, sum_of_all
-from loi_core.distance import cost, cost_slope, tie_threshold
+import numpy as np
+
+from loi_core.arrays import Array, epsilon, from_numpy, namespace, runs_eagerly_on_host, widened
+from loi_core.distance import cost_slope, sum_of_costs, tie_threshold
 from loi_core.errors import OptionError, ScaleError
 from loi_core.nonfinite import NanPolicy
 from loi_core.objectives.base import Evaluation, ImageObjective
-from loi_core.operators import Blur, GaussianBlur, blur_about
+from loi_core.operators import Blur, GaussianBlur
 from loi_core.plan import InnerPlan, Plan, TonalPlan, make_plan
 from loi_core.scales import ScaleSpace
-from loi_core.tonal import accumulate, clip, clip_pullback, level_weights, weights_and_slopes
+from loi_core.tonal import accumulate, clip, clip_pullback, level_positions, level_weights, weights_and_slopes
 from loi_core.values import real_number
 
 __all__ = ["ACCURACIES", "LOIObjective", "ScaleKey", "gradient_tolerance"]
@@ -47,7 +49,10 @@ def gradient_tolerance(accuracy: str | float) -> float:
 
 @dataclass(frozen=True)
 class _Levels:
-    """Some levels of one tonal scale, the first few only accumulated, and the reference's CDF at the others."""
+    """Some levels of one tonal scale, the first few only accumulated, and the reference's CDF at the others.
+
+    All is in units of the distance of two levels: see :func:`loi_core.tonal.level_positions`.
+    """
 
     values: Array
     skipped: int
@@ -77,7 +82,7 @@ class _Inner:
     def of(cls, scales: ScaleSpace, plan: InnerPlan, tonal: tuple[TonalPlan, ...], clipped: Array) -> _Inner:
         blur = GaussianBlur(plan.blur, clipped)
         total = clipped.shape[0]
-        intensity = blur_about(blur, clipped, scales.padding)
+        intensity = blur.apply(clipped)
         most, planes = _chunk(max(each.last for each in tonal), total, plan.finest, clipped)
         levels = {each.beta: _split(scales, each, most, intensity) for each in tonal}
         extents = tuple(
@@ -96,16 +101,30 @@ class _Prepared:
 
 def _split(scales: ScaleSpace, plan: TonalPlan, most: int, intensity: Array) -> list[_Levels]:
     """The levels of one tonal scale, at most so many together, and the CDF of the reference's `intensity` there."""
-    values = from_numpy(scales.levels(plan.beta)[: plan.last], intensity)
+    values = from_numpy(np.arange(plan.last, dtype=np.float64), intensity)
+    positions, beta, mass = _in_levels(scales, plan.beta, intensity)
     running = None
     parts = []
     for start in range(0, plan.last, most):
         stop = min(start + most, plan.last)
         skipped = min(max(plan.first, start), stop) - start
         part = values[start:stop]
-        cdf, running = accumulate(level_weights(intensity, part, plan.beta, scales.mass(plan.beta)), running)
+        cdf, running = accumulate(level_weights(positions, part, beta, mass), running)
         parts.append(_Levels(part, skipped, namespace(cdf).asarray(cdf[skipped:, ...], copy=True)))
     return parts
+
+
+def _relative(planes: Array, scales: ScaleSpace) -> Array:
+    """Intensities, clipped to the bounds, less the padding, so that 0 is what lies outside."""
+    clipped = clip(planes, *scales.bounds)
+    return clipped if scales.padding == 0.0 else clipped - scales.padding
+
+
+def _in_levels(scales: ScaleSpace, beta: float, intensity: Array) -> tuple[Array, float, float]:
+    """Intensities less the padding, tonal scale and mass of a level, in units of the distance of two levels."""
+    spacing = scales.spacing(beta)
+    positions = level_positions(intensity, float(scales.levels(beta)[0]) - scales.padding, spacing)
+    return positions, beta / spacing, scales.mass(beta) / spacing
 
 
 def _chunk(levels: int, planes: int, cells: int, like: Array) -> tuple[int, int]:
@@ -196,24 +215,24 @@ class LOIObjective(ImageObjective[_Prepared, ScaleKey]):
             layout.height if height is None else height,
             layout.width if width is None else width,
             tolerance=self._tolerance,
-            eps=epsilon(self._reference) if eps is None else eps,
+            eps=epsilon(widened(self._reference)) if eps is None else eps,
         )
 
     def _prepare(self, reference: Array) -> _Prepared:
         scales = self._scales
         height, width = reference.shape[-2:]
         plan = self.plan(height, width, eps=epsilon(reference))
-        clipped = clip(reference, *scales.bounds)
+        clipped = _relative(reference, scales)
         return _Prepared(tuple(_Inner.of(scales, inner, plan.tonal, clipped) for inner in plan.inner))
 
     def _evaluate(self, planes: Array, prepared: _Prepared, *, gradient: bool) -> Evaluation[ScaleKey]:
         scales = self._scales
         xp = namespace(planes)
-        clipped = clip(planes, *scales.bounds)
+        clipped = _relative(planes, scales)
         terms: dict[ScaleKey, Array] = {}
         total = xp.zeros_like(planes) if gradient else None
         for inner in prepared.inner:
-            intensity = blur_about(inner.blur, clipped, scales.padding)
+            intensity = inner.blur.apply(clipped)
             cotangents = []
             for start in range(0, intensity.shape[0], inner.planes):
                 part = range(start, min(start + inner.planes, intensity.shape[0]))
@@ -237,17 +256,18 @@ class LOIObjective(ImageObjective[_Prepared, ScaleKey]):
         xp = namespace(intensity)
         cotangent = xp.zeros_like(intensity) if gradient else None
         for beta, parts in inner.levels.items():
-            mass = scales.mass(beta)
-            tie = tie_threshold(intensity, mass / scales.spacing(beta))
+            positions, width, mass = _in_levels(scales, beta, intensity)
+            tie = tie_threshold(intensity, mass)
+            per_intensity = 1.0 / scales.spacing(beta)
             cdf_sum = slope_sum = None
             for levels in parts:
                 slope: Array = None
                 if gradient:
-                    weights, slopes = weights_and_slopes(intensity, levels.values, beta, mass)
+                    weights, slopes = weights_and_slopes(positions, levels.values, width, mass)
                     slope, slope_sum = accumulate(slopes, slope_sum)
                     del slopes
                 else:
-                    weights = level_weights(intensity, levels.values, beta, mass)
+                    weights = level_weights(positions, levels.values, width, mass)
                 cdf, cdf_sum = accumulate(weights, cdf_sum)
                 del weights
                 if levels.skipped == levels.values.shape[0]:
@@ -257,7 +277,7 @@ class LOIObjective(ImageObjective[_Prepared, ScaleKey]):
                 pulled = self._compare_levels(difference, inner, beta, tie, terms, gradient=gradient)
                 if gradient:
                     pulled *= slope[levels.skipped :, ...]
-                    cotangent += xp.sum(pulled, axis=0)
+                    cotangent += xp.sum(pulled, axis=0) * per_intensity
         return cotangent
 
     def _compare_levels(
@@ -276,10 +296,11 @@ class LOIObjective(ImageObjective[_Prepared, ScaleKey]):
             blurred = extent.blur.apply(rungs[extent.rung])
             weight = scales.scale_weight * scales.level_weight(beta) / (inner.total * math.prod(blurred.shape[-2:]))
             key = (extent.alpha, beta, inner.sigma)
-            term = sum_of_all(cost(blurred, scales.p)) * weight
+            slope = cost_slope(blurred, scales.p, tie, weight)
+            term = sum_of_costs(blurred, slope, scales.p)
             terms[key] = terms[key] + term if key in terms else term
             if gradient:
-                back = extent.blur.adjoint(cost_slope(blurred, scales.p, tie, weight))
+                back = extent.blur.adjoint(slope)
                 pulled[extent.rung] = _plus(pulled[extent.rung], back)
         if not gradient:
             return None
