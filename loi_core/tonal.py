@@ -65,16 +65,20 @@ def isophote_density(intensity: Array, levels: Array, beta: float) -> Array:
     return _density(_offsets(intensity, levels, beta), beta, 1.0)
 
 
-def level_positions(intensity: Array, first: float, spacing: float) -> Array:
+def level_positions(intensity: Array, first: float, spacing: float, count: int) -> Array:
     """Intensities in units of the distance of two levels, from the level `first` on: 2.5 is between the 3rd and 4th.
 
     Levels are whole numbers then, which every dtype holds exactly. In units of intensity each level has a rounding of
     its own; where beta is small beside the levels these no longer cancel in the slope far above an intensity, and a
     thousand such levels outweigh the few that matter.
+
+    All intensities lie among the `count` levels. They are clipped to them so that no compiler makes one operation, with
+    one rounding, of this product and of the subtraction from a level that follows: an image would be rounded otherwise
+    than a reference that was prepared outside of what is compiled, by more than ties allow for.
     """
     positions = intensity - first
     positions *= 1.0 / spacing
-    return positions
+    return namespace(positions).clip(positions, -1.0, float(count))
 
 
 def soft_cdf_and_slope(intensity: Array, levels: Array, beta: float, mass: float) -> tuple[Array, Array]:

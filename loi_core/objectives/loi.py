@@ -123,7 +123,8 @@ def _relative(planes: Array, scales: ScaleSpace) -> Array:
 def _in_levels(scales: ScaleSpace, beta: float, intensity: Array) -> tuple[Array, float, float]:
     """Intensities less the padding, tonal scale and mass of a level, in units of the distance of two levels."""
     spacing = scales.spacing(beta)
-    positions = level_positions(intensity, float(scales.levels(beta)[0]) - scales.padding, spacing)
+    first = float(scales.levels(beta)[0]) - scales.padding
+    positions = level_positions(intensity, first, spacing, scales.level_count(beta))
     return positions, beta / spacing, scales.mass(beta) / spacing
 
 
