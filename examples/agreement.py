@@ -42,7 +42,7 @@ def main() -> int:
         for name, backend in BACKENDS.items():
             if name == "Dr.Jit" and dtype == "float64":
                 continue
-            other, slopes = backend(image, reference, scales)
+            other, slopes = backend(image, reference, scales, None)
             loss, slope = abs(float(other) - float(value)), float(np.abs(slopes - gradient).sum())
             found = (loss / max(abs(float(value)), 1e-30), loss / loss_bound, slope / size, slope / gradient_bound)
             if float(value) == 0.0:

@@ -8,6 +8,7 @@ from loi_core.objectives import GaussianPyramid, ImageObjective, LOIObjective, O
 from loi_core.registry import available_renderers, load_renderer
 from loi_core.renderer import Parameters, ProjectingRenderer, Pullback, Renderer
 from loi_core.scales import ScaleSpace
+from loi_core.tone import LogTone
 
 __version__ = "0.1.0"
 
@@ -19,6 +20,7 @@ __all__ = [
     "GaussianPyramid",
     "ImageObjective",
     "LOIObjective",
+    "LogTone",
     "LoiError",
     "NonFiniteImageError",
     "Objective",

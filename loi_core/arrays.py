@@ -26,6 +26,7 @@ __all__ = [
     "runs_eagerly_on_host",
     "sum_of_all",
     "to_numpy",
+    "values_may_decide",
     "widened",
 ]
 
@@ -80,6 +81,14 @@ def runs_eagerly_on_host(array: Array) -> bool:
     if is_jax_array(array):
         return False
     return is_numpy_array(array) or "cpu" in str(device(array)).lower()
+
+
+def values_may_decide(array: Array) -> bool:
+    """Whether what is computed of `array` may depend on its values: they are at hand, and no framework differentiates.
+
+    Where a value does not change the result, its derivative may still do.
+    """
+    return runs_eagerly_on_host(array) and not (is_torch_array(array) and array.requires_grad)
 
 
 def sum_of_all(array: Array) -> Array:

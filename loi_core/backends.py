@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Protocol, TypeAlias
+from typing import Any, Final, Protocol, TypeAlias
 
 import numpy as np
 
@@ -12,12 +12,15 @@ from loi_core.nonfinite import NanPolicy
 from loi_core.objectives import LOIObjective
 from loi_core.scales import ScaleSpace
 
-__all__ = ["Backend", "Evaluate", "Host", "NumPy"]
+__all__ = ["BFLOAT16_PRODUCTS", "Backend", "Evaluate", "Host", "NumPy"]
 
 Host: TypeAlias = np.ndarray[Any, Any]
 
 Evaluate: TypeAlias = Callable[[], tuple[float, Host]]
 """Computes the value, and the gradient as NumPy, of the image's shape; returns when both are there."""
+
+BFLOAT16_PRODUCTS: Final = "bfloat16 products"
+"""Arrays of float32 whose matrix products a framework may round to bfloat16, or to TF32, told so by its own switch."""
 
 
 class Backend(Protocol):
@@ -25,7 +28,7 @@ class Backend(Protocol):
 
     @property
     def dtypes(self) -> tuple[str, ...]:
-        """Names of the dtypes that it computes in, the usual one of its users first."""
+        """Names of the dtypes that it computes in, or BFLOAT16_PRODUCTS; the usual one of its users first."""
 
     @property
     def half_dtypes(self) -> tuple[str, ...]:

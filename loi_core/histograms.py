@@ -86,7 +86,7 @@ def local_histograms(
 def _checked(image: Array, channel_axis: int | None) -> Layout:
     as_floating("image", image)
     layout = Layout.of("image", image.shape, check_channel_axis(channel_axis))
-    require_finite("image", image)
+    require_finite("image", image, channel_axis)
     return layout
 
 

@@ -22,6 +22,7 @@ from loi_core.objectives import GaussianPyramid, ImageObjective, LOIObjective, P
 from loi_core.registry import RendererFactory, load_renderer
 from loi_core.renderer import Renderer
 from loi_core.scales import ScaleSpace
+from loi_core.tone import LogTone
 from loi_core.values import real_number, whole_number
 
 __all__ = ["OBJECTIVES", "FitOptions", "Scene", "load_scene"]
@@ -31,7 +32,8 @@ OBJECTIVES: Final = ("loi", "pixel_l2", "gaussian_pyramid")
 TOP_KEYS: Final = ("target", "output", "title", "renderer", "optimise", "scales", "objective", "fit")
 FREE_KEYS: Final = ("initial", "lower", "upper", "learning_rate", "truth")
 SCALE_KEYS: Final = ("preset", "sigma", "alpha", "beta", "bounds", "boundary", "p")
-OBJECTIVE_KEYS: Final = ("name", "compare", "accuracy", "nan_policy")
+OBJECTIVE_KEYS: Final = ("name", "compare", "accuracy", "nan_policy", "tone")
+TONE_KEYS: Final = ("peak", "compression")
 FIT_KEYS: Final = ("steps", "learning_rate", "decay", "seed")
 
 
@@ -73,6 +75,8 @@ class Scene:
         Steps, rates and seed.
     samples : int, optional
         Samples per pixel, if the renderer takes them as an option ``spp``.
+    tone : LogTone, optional
+        The tone curve that image and target pass in every objective.
     """
 
     path: Path
@@ -86,6 +90,7 @@ class Scene:
     truth: dict[str, np.ndarray[Any, Any]]
     fit: FitOptions = field(default_factory=FitOptions)
     samples: int | None = None
+    tone: LogTone | None = None
 
 
 def load_scene(path: Path, *, output: Path | None = None, samples: int | None = None) -> Scene:
@@ -118,7 +123,9 @@ def load_scene(path: Path, *, output: Path | None = None, samples: int | None = 
     renderer, spp = _renderer(where, where.table("", document, "renderer"), folder, target, samples)
     optimise, truth = _optimise(where, where.table("", document, "optimise"), renderer)
     scales = _scales(where, where.table("", document, "scales"), target)
-    objectives = _objectives(where, where.table("", document, "objective"), target, scales)
+    comparison = where.table("", document, "objective")
+    tone = _tone(where, comparison)
+    objectives = _objectives(where, comparison, target, scales, tone)
     name = where.text("", document, "output") if "output" in document else f"{path.stem}-result"
     results = folder / name if output is None else output
     _check_output(where, results)
@@ -134,6 +141,7 @@ def load_scene(path: Path, *, output: Path | None = None, samples: int | None = 
         truth=truth,
         fit=_fit_options(where, where.table("", document, "fit")),
         samples=spp,
+        tone=tone,
     )
 
 
@@ -292,8 +300,21 @@ def _scales(where: _Where, table: Mapping[str, Any], target: FloatImage) -> Scal
         raise where.error("scales", str(error)) from error
 
 
+def _tone(where: _Where, objective: Mapping[str, Any]) -> LogTone | None:
+    if "tone" not in objective:
+        return None
+    table = where.table("objective", objective, "tone")
+    where.known("objective.tone", table, TONE_KEYS)
+    if "peak" not in table:
+        raise where.error("objective.tone", "`peak` is missing; it is the radiance that becomes 1")
+    try:
+        return LogTone(**table)
+    except OptionError as error:
+        raise where.error("objective.tone", str(error)) from error
+
+
 def _objectives(
-    where: _Where, table: Mapping[str, Any], target: FloatImage, scales: ScaleSpace
+    where: _Where, table: Mapping[str, Any], target: FloatImage, scales: ScaleSpace, tone: LogTone | None
 ) -> dict[str, ImageObjective[Any, Any]]:
     where.known("objective", table, OBJECTIVE_KEYS)
     compare = table.get("compare", [])
@@ -309,11 +330,11 @@ def _objectives(
     try:
         for name in dict.fromkeys(names):
             if name == "loi":
-                made[name] = LOIObjective(target, scales, accuracy, nan_policy=policy)
+                made[name] = LOIObjective(target, scales, accuracy, nan_policy=policy, tone=tone)
             elif name == "pixel_l2":
-                made[name] = PixelL2(target, nan_policy=policy)
+                made[name] = PixelL2(target, nan_policy=policy, tone=tone)
             else:
-                made[name] = GaussianPyramid(target, nan_policy=policy)
+                made[name] = GaussianPyramid(target, nan_policy=policy, tone=tone)
     except LoiError as error:
         raise where.error("objective", str(error)) from error
     return made

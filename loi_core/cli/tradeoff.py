@@ -91,7 +91,10 @@ def _of_scene(name: str, folder: Path, output: Path) -> Problem:
         msg = f"`--scene` must be a file that ends in .toml, or one of {', '.join(BUNDLED)}, got {name!r}"
         raise SceneError(msg)
     scene = load_scene(path, output=output)
-    return Problem(scene.title, initial_image(scene).astype("float64"), scene.target, scene.scales, scene)
+    image, target = initial_image(scene).astype("float64"), scene.target
+    if scene.tone is not None:
+        image, target = scene.tone.apply(image), scene.tone.apply(target)
+    return Problem(scene.title, image, target, scene.scales, scene)
 
 
 class _Bar:

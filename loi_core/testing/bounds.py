@@ -65,7 +65,15 @@ class Allowed:
         return float(np.sum(self.gradient))
 
 
-def allowed(image: Host, reference: Host, scales: ScaleSpace, eps: float, *, channel_axis: int | None = -1) -> Allowed:
+def allowed(
+    image: Host,
+    reference: Host,
+    scales: ScaleSpace,
+    eps: float,
+    *,
+    channel_axis: int | None = -1,
+    shift: float = 0.0,
+) -> Allowed:
     """What rounding may change in the dtype with machine epsilon `eps`.
 
     Parameters
@@ -78,6 +86,8 @@ def allowed(image: Host, reference: Host, scales: ScaleSpace, eps: float, *, cha
         Machine epsilon of the dtype that is computed in; the tie rule is that dtype's.
     channel_axis : int or None
         Where the channels are.
+    shift : float
+        By how many eps the intensities are off already, from a tone curve.
 
     Returns
     -------
@@ -88,7 +98,7 @@ def allowed(image: Host, reference: Host, scales: ScaleSpace, eps: float, *, cha
     loss, gradient = 0.0, np.zeros_like(planes.image)
     count = len(planes.image)
     for group in planes.equal():
-        one, slopes = _Plane(planes.image[group[0]], planes.reference[group[0]], scales, eps, count).bounds()
+        one, slopes = _Plane(planes.image[group[0]], planes.reference[group[0]], scales, eps, count, shift).bounds()
         loss += one * len(group) / count
         gradient[group] = slopes / count
     share = 1.0 + DOUBLE / eps
@@ -112,6 +122,7 @@ class _Plane:
     scales: ScaleSpace
     eps: float
     planes: int
+    shift: float
 
     def bounds(self) -> tuple[float, Host]:
         """Errors of the value and, by pixel, of the gradient."""
@@ -139,7 +150,7 @@ class _Plane:
 
     def _blurred(self, inner: Blur, plane: Host, roundings: float) -> tuple[Host, Host]:
         blurred = inner.apply(plane)
-        return blurred, self.eps * (roundings * inner.apply(np.abs(plane)) + np.abs(blurred))
+        return blurred, self.eps * (roundings * inner.apply(np.abs(plane)) + np.abs(blurred) + self.shift)
 
     def _histogram(self, intensity: Host, error: Host, beta: float) -> _Histogram:
         """Histograms of intensities that are off by `error`, each by one shift that all levels see alike."""

@@ -11,7 +11,7 @@ from typing import Final, Literal, TypeAlias
 import numpy as np
 
 from loi_core.arrays import to_numpy
-from loi_core.backends import Backend
+from loi_core.backends import BFLOAT16_PRODUCTS, Backend
 from loi_core.errors import NonFiniteImageError
 from loi_core.objectives import LOIObjective
 from loi_core.testing.bounds import allowed
@@ -223,7 +223,8 @@ def trials_of(case: HardCase, backend: Backend) -> tuple[str, ...]:
     """The dtypes in which `case` is tried on `backend`."""
     if case.layout is not None:
         return backend.dtypes[:1]
-    return (*backend.dtypes, *(backend.half_dtypes if case.half else ()))
+    dtypes = (dtype for dtype in backend.dtypes if dtype != BFLOAT16_PRODUCTS)  # those are as coarse as they say
+    return (*dtypes, *(backend.half_dtypes if case.half else ()))
 
 
 def try_case(case: HardCase, name: str, backend: Backend, dtype: str) -> Trial:

@@ -35,6 +35,7 @@ class Problem:
     name : str
         For the report.
     image, reference : array, shape (H, W, C), float64
+        After the tone curve, if the scene has one.
     scales : ScaleSpace
     scene : Scene or None
         Where the image comes from, if it is rendered.

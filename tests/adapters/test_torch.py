@@ -65,6 +65,27 @@ def test_compiled_code_may_call_it() -> None:
     np.testing.assert_allclose(image.grad, 2.0 * GRADIENT, rtol=1e-12, atol=1e-18)
 
 
+@pytest.mark.filterwarnings("ignore:The .grad attribute of a Tensor that is not a leaf")  # of torch's own compiler
+def test_compiled_code_may_mask() -> None:
+    loss = LOILoss(REFERENCE, SCALES, nan_policy="mask")
+    compiled = torch.compile(lambda image: loss(1.0 * image), backend="aot_eager")
+    found = []
+    for bad in (torch.nan, torch.inf, -torch.inf):
+        image = torch.tensor(IMAGE)
+        image[0, 3:5, 4, :2] = bad
+        image.requires_grad_()
+        value = compiled(image)
+        value.backward()
+        assert image.grad is not None
+        assert value.isfinite()
+        assert image.grad.isfinite().all()
+        assert not image.grad[0, 3:5, 4, :2].any()
+        found.append((value.item(), image.grad))
+    for other, gradient in found[1:]:
+        assert other == found[0][0]
+        assert torch.equal(gradient, found[0][1])
+
+
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.bfloat16])
 @pytest.mark.parametrize("autocast", [False, True])
 def test_low_precision_is_compared_in_float32(dtype: torch.dtype, autocast: bool) -> None:
