@@ -4,7 +4,7 @@ from loi_core.errors import FitError, LoiError, NonFiniteImageError
 from loi_core.fit import FitResult, FitStep, fit
 from loi_core.free import Free
 from loi_core.histograms import inner_images, isophotes, local_histograms
-from loi_core.objectives import GaussianPyramid, ImageObjective, LOIObjective, Objective, PixelL2
+from loi_core.objectives import MSSSIM, GaussianPyramid, ImageObjective, LOIObjective, Objective, PixelL2
 from loi_core.registry import available_renderers, load_renderer
 from loi_core.renderer import Parameters, ProjectingRenderer, Pullback, Renderer
 from loi_core.scales import ScaleSpace
@@ -13,6 +13,7 @@ from loi_core.tone import LogTone
 __version__ = "0.1.0"
 
 __all__ = [
+    "MSSSIM",
     "FitError",
     "FitResult",
     "FitStep",

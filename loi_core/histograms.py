@@ -5,6 +5,7 @@ from __future__ import annotations
 from loi_core.arrays import Array, as_floating, from_numpy, namespace, narrowed, widened
 from loi_core.errors import ScaleError
 from loi_core.layout import Layout, check_channel_axis
+from loi_core.messages import shown
 from loi_core.nonfinite import require_finite
 from loi_core.operators import blur_about, gaussian_blur
 from loi_core.scales import ScaleSpace
@@ -72,7 +73,7 @@ def local_histograms(
         ("alpha", alpha, (0.0, *scales.alpha)),
     ):
         if value not in among:
-            msg = f"`{name}` must be one of {among}, got {value!r}"
+            msg = f"`{name}` must be one of {among}, got {shown(value)}"
             raise ScaleError(msg)
     planes = _inner(clip(layout.to_planes(widened(image)), *scales.bounds), scales, sigma)
     levels = from_numpy(scales.levels(beta), planes)

@@ -9,6 +9,7 @@ import numpy as np
 
 from loi_core.arrays import Array, namespace, to_numpy
 from loi_core.errors import NonFiniteImageError, OptionError
+from loi_core.messages import shown
 
 __all__ = ["NanPolicy", "check_nan_policy", "count_non_finite", "require_finite"]
 
@@ -24,7 +25,7 @@ def check_nan_policy(policy: object) -> NanPolicy:
     for allowed in get_args(NanPolicy):
         if isinstance(policy, str) and policy == allowed:
             return allowed  # type: ignore[no-any-return]  # get_args is untyped; it yields the literals above
-    msg = f"`nan_policy` must be one of {', '.join(map(repr, get_args(NanPolicy)))}, got {policy!r}"
+    msg = f"`nan_policy` must be one of {', '.join(map(repr, get_args(NanPolicy)))}, got {shown(policy)}"
     raise OptionError(msg)
 
 

@@ -8,6 +8,7 @@ from typing import Final
 
 from loi_core.arrays import Array, namespace
 from loi_core.errors import OptionError
+from loi_core.messages import shown
 from loi_core.values import real_number
 
 __all__ = ["LogTone", "check_tone"]
@@ -49,7 +50,7 @@ class LogTone:
             value = getattr(self, name)
             number = real_number(value)
             if not least <= number <= most:
-                msg = f"`{name}` of a tone curve must be a number from {least:g} to {most:g}, got {value!r:.60}"
+                msg = f"`{name}` of a tone curve must be a number from {least:g} to {most:g}, got {shown(value)}"
                 raise OptionError(msg)
             object.__setattr__(self, name, number)
 
@@ -91,5 +92,5 @@ def check_tone(tone: object) -> LogTone | None:
     """`tone` itself, once it is known to be a tone curve or None."""
     if tone is None or isinstance(tone, LogTone):
         return tone
-    msg = f"`tone` must be a LogTone or None, got {tone!r:.60}"
+    msg = f"`tone` must be a LogTone or None, got {shown(tone)}"
     raise OptionError(msg)

@@ -328,7 +328,7 @@ def test_nothing_but_broken_backends_is_an_error(
         (["--seconds", "0"], "`--seconds` must be a finite number, more than 0, got 0.0"),
         (["--seconds", "nan"], "`--seconds` must be"),
         (["--output", "{a}"], "`--output` must lead to a folder"),
-        (["--output", "a\0b"], "`--output` must be a path"),
+        (["--output", "a\0b"], "`--output` must lead to a folder"),
         (["--seconds", "soon"], "invalid float value: 'soon'"),
     ],
 )

@@ -47,9 +47,6 @@ def show_tradeoff(
     if image is not None and scene is not None:
         msg = "`--image` and `--scene` exclude each other; give one of them"
         raise OptionError(msg)
-    if "\0" in str(output):
-        msg = "`--output` must be a path, got one with a null character"
-        raise OptionError(msg)
     check_writable("--output", output)
     with tempfile.TemporaryDirectory() as folder:  # for a bundled scene
         if image is not None and reference is not None:

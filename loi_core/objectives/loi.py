@@ -7,6 +7,7 @@ from typing import Final, TypeAlias
 from loi_core.arrays import Array, device, epsilon, namespace, widened
 from loi_core.comparison import InnerComparison, ScaleKey
 from loi_core.errors import OptionError, ScaleError
+from loi_core.messages import shown
 from loi_core.nonfinite import NanPolicy
 from loi_core.objectives.base import Evaluation, ImageObjective
 from loi_core.plan import Plan, make_plan
@@ -36,7 +37,7 @@ def gradient_tolerance(accuracy: str | float) -> float:
     if 0.0 <= number < 1.0:
         return number
     names = ", ".join(map(repr, ACCURACIES))
-    msg = f"`accuracy` must be one of {names}, or a relative error in [0, 1), got {accuracy!r:.60}"
+    msg = f"`accuracy` must be one of {names}, or a relative error in [0, 1), got {shown(accuracy)}"
     raise OptionError(msg)
 
 

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from loi_core.arrays import Array, from_numpy, sum_of_all
 from loi_core.errors import OptionError
 from loi_core.kernels import blur_matrix
+from loi_core.messages import shown
 from loi_core.nonfinite import NanPolicy
 from loi_core.objectives.base import Evaluation, ImageObjective
 from loi_core.operators import DenseBlur
@@ -54,7 +55,7 @@ class GaussianPyramid(ImageObjective[_Prepared, int]):
             levels = most
         count = whole_number(levels)
         if count is None or not 1 <= count <= most:
-            msg = f"`levels` must be a whole number from 1 to {most} for this image size, got {levels!r}"
+            msg = f"`levels` must be a whole number from 1 to {most} for this image size, got {shown(levels)}"
             raise OptionError(msg)
         self._levels = count
 

@@ -8,6 +8,7 @@ from typing import ClassVar
 import numpy as np
 
 from loi_core.errors import ParameterError
+from loi_core.messages import shown
 from loi_core.renderers.checks import FloatArray, check_dtype, check_parameters, check_size, floats
 from loi_core.renderers.coverage import disk_coverage
 from loi_core.renderers.fragments import IndexArray, disk_fragments
@@ -87,7 +88,7 @@ class Disks:
         self.background = floats("background", background, (3,))
         self._dtype = check_dtype(dtype)
         if not isinstance(confine, bool):
-            msg = f"`confine` must be true or false, got {confine!r}"
+            msg = f"`confine` must be true or false, got {shown(confine)}"
             raise ParameterError(msg)
         if np.any(self._scene["radii"] < 0.0):
             msg = f"`radii` must be 0 or more, got {self._scene['radii'].min():g}"
@@ -108,14 +109,16 @@ class Disks:
         """The image and its pullback; see :class:`loi_core.Renderer`."""
         scene = self.checked(params)
         positions, radii = scene["positions"], scene["radii"]
-        fragments = disk_fragments(positions, radii, self.size)
-        owner, pixels = fragments.owner, fragments.rows * self.size[1] + fragments.columns
-        coverage = np.ones(len(owner))
-        edge = np.flatnonzero(fragments.on_edge)
-        corners = np.arange(2.0)
-        x = fragments.columns[edge, None] + corners - positions[owner[edge], :1]
-        y = fragments.rows[edge, None] + corners - positions[owner[edge], 1:]
-        parts = disk_coverage(x[:, None, :], y[:, :, None], radii[owner[edge], None, None])
+        # Beyond 1e154 coordinates have no squares; where that matters the image is not finite, which its users check.
+        with np.errstate(over="ignore", invalid="ignore"):
+            fragments = disk_fragments(positions, radii, self.size)
+            owner, pixels = fragments.owner, fragments.rows * self.size[1] + fragments.columns
+            coverage = np.ones(len(owner))
+            edge = np.flatnonzero(fragments.on_edge)
+            corners = np.arange(2.0)
+            x = fragments.columns[edge, None] + corners - positions[owner[edge], :1]
+            y = fragments.rows[edge, None] + corners - positions[owner[edge], 1:]
+            parts = disk_coverage(x[:, None, :], y[:, :, None], radii[owner[edge], None, None])
         coverage[edge], *slopes = (part[:, 0, 0] for part in parts)
         share, colours = coverage[:, None], scene["colours"][owner]
         image = np.broadcast_to(self.background, (self.size[0] * self.size[1], 3)).copy()

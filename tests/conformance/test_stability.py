@@ -3,6 +3,7 @@
 The catalogue is `loi_core.testing.hard_cases`, the bounds are derived in `loi_core.testing.bounds`. JAX compiles each
 operation for each shape, and each case anew under ``jit``, in seconds. So in float32 here, and only there, JAX runs
 the cases of the usual shape and scales, and compiled those of :data:`COMPILED`; ``loi doctor --stability`` runs all.
+"""
 
 from __future__ import annotations
 

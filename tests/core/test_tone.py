@@ -18,6 +18,7 @@ from loi_core import Free, GaussianPyramid, LogTone, LOIObjective, PixelL2, Scal
 from loi_core.errors import OptionError
 from loi_core.objectives import ImageObjective
 from loi_core.renderers import Disks
+from loi_core.testing import check_objective
 from tests.helpers import Host, directional_difference
 
 TONES = st.builds(LogTone, st.floats(1e-12, 1e12), st.floats(1e-3, 1e6))
@@ -115,6 +116,12 @@ def test_an_objective_with_a_tone_curve_is_that_of_the_images_behind_it(name: st
     plain, slope = OBJECTIVES[name](tone.apply(reference)).value_and_grad(tone.apply(image))
     assert float(value) == pytest.approx(float(plain), rel=1e-14)
     np.testing.assert_allclose(gradient, tone.pullback(image, slope), rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", OBJECTIVES)
+@pytest.mark.parametrize("asarray", [np.asarray, torch.asarray], ids=["numpy", "torch"])
+def test_objectives_with_a_tone_curve_conform(name: str, asarray: Any) -> None:
+    check_objective(lambda reference: OBJECTIVES[name](reference, tone=LogTone(2.0, 20.0)), asarray=asarray)
 
 
 def test_the_clip_rule_holds_behind_the_curve() -> None:
