@@ -113,7 +113,7 @@ def _equal() -> list[HardCase]:
         HardCase(
             "reference plus 1e-7",
             "a difference of one rounding is blown up to a gradient of full size",
-            "where rounding alone could have made a difference it is a tie, and has no gradient",
+            "where rounding alone could have made a difference it is a tie: in float32 no distance and no gradient",
             lambda: (render(0.5, 0.5), single(render(0.5, 0.5) + 1e-7)),
         ),
         HardCase(

@@ -124,4 +124,4 @@ def test_what_is_compiled_does_not_grow_with_the_levels() -> None:
     def operations(levels: int) -> int:
         return len(jax.make_jaxpr(lambda stack: accumulate(stack)[0])(jnp.zeros((levels, 4))).eqns)
 
-    assert operations(4096) < 2 * operations(64)
+    assert operations(4096) < 3 * operations(64)  # 64 blocks of 64, side by side
