@@ -7,7 +7,8 @@
 
 from loi_core.errors import ConformanceError
 from loi_core.testing.bounds import Allowed, allowed
-from loi_core.testing.cases import HardCase, hard_cases
+from loi_core.testing.case import HardCase
+from loi_core.testing.cases import hard_cases
 from loi_core.testing.direct import direct
 from loi_core.testing.objectives import OBJECTIVE_CHECKS, ObjectiveSubject, check_objective
 from loi_core.testing.pytest import parametrize_with_checks

@@ -36,7 +36,7 @@ from loi_core.testing import (
     stability_rows,
 )
 from loi_core.testing.direct import DOUBLE
-from loi_core.testing.stability import Trial, trials_of, try_case
+from loi_core.testing.trial import Trial, trials_of, try_case
 from loi_jax.backend import Jax
 from loi_mitsuba.backend import Mitsuba
 from loi_torch.backend import Torch
