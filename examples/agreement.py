@@ -14,7 +14,7 @@ import numpy as np
 from hypothesis import HealthCheck, Phase, given, settings
 
 from loi_core import LOIObjective
-from tests.conformance.test_backends import BACKENDS, Problem, allowed, problems
+from tests.conformance.test_backends import BACKENDS, Problem, apart, problems
 
 
 def main() -> int:
@@ -37,7 +37,7 @@ def main() -> int:
         image, reference = image.astype(dtype), reference.astype(dtype)
         count[dtype] += 1
         value, gradient = LOIObjective(reference, scales).value_and_grad(image)
-        loss_bound, gradient_bound = allowed(image, reference, scales)
+        loss_bound, gradient_bound = apart(image, reference, scales)
         size = max(float(np.abs(gradient).sum()), 1e-30)
         for name, backend in BACKENDS.items():
             if name == "Dr.Jit" and dtype == "float64":

@@ -76,6 +76,10 @@ def _run(options: argparse.Namespace) -> int:
 
         list_renderers(as_json=options.json)
         return DONE
+    if options.stability:
+        from loi_core.cli.stability import examine_stability
+
+        return DONE if examine_stability(as_json=options.json) else FAILED
     from loi_core.cli.doctor import examine
 
     return DONE if examine(as_json=options.json) else FAILED
@@ -121,6 +125,11 @@ def _parser() -> argparse.ArgumentParser:
 
     renderers = commands.add_parser("renderers", help="which renderers are installed")
     doctor = commands.add_parser("doctor", help="what works here, and the mend for what does not")
+    doctor.add_argument(
+        "--stability",
+        action="store_true",
+        help="run the hard cases on every backend (minutes, most of them JAX's compiler)",
+    )
     for command in (demo, fit, tradeoff, renderers, doctor):
         command.add_argument("--json", action="store_true", help="print the answer as JSON")
     return parser
