@@ -4,14 +4,16 @@ from loi_core.errors import FitError, LoiError, NonFiniteImageError
 from loi_core.fit import FitResult, FitStep, fit
 from loi_core.free import Free
 from loi_core.histograms import inner_images, isophotes, local_histograms
-from loi_core.objectives import GaussianPyramid, ImageObjective, LOIObjective, Objective, PixelL2
+from loi_core.objectives import MSSSIM, GaussianPyramid, ImageObjective, LOIObjective, Objective, PixelL2
 from loi_core.registry import available_renderers, load_renderer
 from loi_core.renderer import Parameters, ProjectingRenderer, Pullback, Renderer
 from loi_core.scales import ScaleSpace
+from loi_core.tone import LogTone
 
 __version__ = "0.1.0"
 
 __all__ = [
+    "MSSSIM",
     "FitError",
     "FitResult",
     "FitStep",
@@ -19,6 +21,7 @@ __all__ = [
     "GaussianPyramid",
     "ImageObjective",
     "LOIObjective",
+    "LogTone",
     "LoiError",
     "NonFiniteImageError",
     "Objective",

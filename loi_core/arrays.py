@@ -21,10 +21,13 @@ __all__ = [
     "is_numpy_array",
     "library_name",
     "namespace",
+    "narrowed",
     "outlives_its_context",
     "runs_eagerly_on_host",
     "sum_of_all",
     "to_numpy",
+    "values_may_decide",
+    "widened",
 ]
 
 Array: TypeAlias = Any
@@ -55,6 +58,17 @@ def from_numpy(values: np.ndarray[Any, Any], like: Array) -> Array:
     return xp.asarray(values, dtype=like.dtype, device=device(like))
 
 
+def widened(array: Array) -> Array:
+    """`array` itself, or in float32 if its dtype has fewer bits: those can hold an image, but not sums over one."""
+    xp = namespace(array)
+    return array if xp.finfo(array.dtype).bits >= 32 else xp.astype(array, xp.float32)
+
+
+def narrowed(result: Array, like: Array) -> Array:
+    """What was computed from ``widened(like)``, in the dtype of `like`."""
+    return result if result.dtype == like.dtype else namespace(like).astype(result, like.dtype)
+
+
 def outlives_its_context(array: Array) -> bool:
     """Whether `array`, just made, may be used later: not so in torch's inference mode, nor while JAX traces."""
     if is_torch_array(array):
@@ -67,6 +81,14 @@ def runs_eagerly_on_host(array: Array) -> bool:
     if is_jax_array(array):
         return False
     return is_numpy_array(array) or "cpu" in str(device(array)).lower()
+
+
+def values_may_decide(array: Array) -> bool:
+    """Whether what is computed of `array` may depend on its values: they are at hand, and no framework differentiates.
+
+    Where a value does not change the result, its derivative may still do.
+    """
+    return runs_eagerly_on_host(array) and not (is_torch_array(array) and array.requires_grad)
 
 
 def sum_of_all(array: Array) -> Array:

@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import IO, Any, TypeAlias
 
 import numpy as np
 
 from loi_core.errors import ParameterError
-from loi_core.files import atomic_path
+from loi_core.files import atomic_path, open_regular
+from loi_core.messages import told
+from loi_core.npy import read_npy_header, read_npy_values
 
 __all__ = ["Checkpoint", "load_checkpoint", "save_checkpoint"]
 
@@ -57,16 +60,14 @@ def load_checkpoint(path: Path, settings: Mapping[str, str]) -> Checkpoint:
     state = _load(path)
     for name, value in settings.items():
         if state.settings.get(name) != value:
-            msg = f"`checkpoint` was made with {name} = {state.settings.get(name)}, this fit has {value}"
+            msg = f"`checkpoint` was made with {name} = {state.settings.get(name)!s:.80}, this fit has {value}"
             raise ParameterError(msg)
     return state
 
 
 def _load(path: Path) -> Checkpoint:
     try:
-        # Opened here, since NumPy leaves a damaged file open.
-        with path.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
-            arrays = {name: stored[name] for name in stored.files}
+        arrays = _arrays(path)
         groups = {
             group: {
                 name.removeprefix(f"{group}/"): value for name, value in arrays.items() if name.startswith(f"{group}/")
@@ -74,7 +75,7 @@ def _load(path: Path) -> Checkpoint:
             for group in GROUPS
         }
         state = Checkpoint(
-            settings=dict(json.loads(str(arrays["settings"]))),
+            settings={str(name): str(value) for name, value in json.loads(str(arrays["settings"])).items()},
             step=int(arrays["step"]),
             count=int(arrays["count"]),
             best_step=int(arrays["best_step"]),
@@ -82,11 +83,39 @@ def _load(path: Path) -> Checkpoint:
             history=np.asarray(arrays["history"], dtype=np.float64).reshape(-1, 5),
             **groups,
         )
-    except Exception as error:  # damage may show in any layer: the file, zip, its compression, NumPy, JSON
-        raise _foreign(path, type(error).__name__) from error
+    except Exception as error:  # damage may show in any layer: the file, zip, NumPy, JSON
+        raise _foreign(path, told(error)) from error
     if not 0 <= state.best_step <= state.step == state.count == len(state.history):
         raise _foreign(path, "its counts of steps disagree")
+    if not np.array_equal(state.history[:, 0], np.arange(state.step)):
+        raise _foreign(path, "its history is not one of steps in order")
+    for group, values in groups.items():
+        for name, value in values.items():
+            if value.dtype.kind != "f" or not np.all(np.isfinite(value)) or (group == "second" and np.any(value < 0)):
+                raise _foreign(path, f"{group} of {name!r} are not numbers of a fit")
     return state
+
+
+def _arrays(path: Path) -> dict[str, Host]:
+    """Every array of the file; they take no more memory than the file does."""
+    arrays = {}
+    with open_regular(path) as stream, zipfile.ZipFile(stream) as archive:
+        size = path.stat().st_size
+        for member in archive.infolist():
+            if member.compress_type != zipfile.ZIP_STORED:
+                msg = "it is compressed"
+                raise ValueError(msg)
+            size -= member.file_size
+            if size < 0:
+                msg = "its arrays are larger than the file"
+                raise ValueError(msg)
+            with archive.open(member) as values:
+                arrays[member.filename.removesuffix(".npy")] = _array(values, member.file_size)
+    return arrays
+
+
+def _array(stream: IO[bytes], size: int) -> Host:
+    return read_npy_values(stream, read_npy_header(stream), size)
 
 
 def _foreign(path: Path, why: str) -> ParameterError:

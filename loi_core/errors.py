@@ -49,25 +49,46 @@ class NonFiniteImageError(ImageError):
 
     Attributes
     ----------
-    count : int
-        How many values are not finite.
+    name : str
+        The argument that holds them.
+    nan, positive, negative : int
+        How many values are NaN, +inf and -inf.
     first : tuple of int
-        Index of the first of them, ``(*batch, y, x, c)``.
+        Index of the first of them.
+    axes : str
+        What that index counts: ``"(*batch, y, x, c)"``, the batch only if there is one.
+    size : int
+        How many values there are.
+    suspicion : str
+        How the bad values lie, and what usually makes such a pattern.
     """
 
-    def __init__(self, name: str, count: int, first: tuple[int, ...], size: int) -> None:
-        axes = "(y, x, c)" if len(first) == 3 else "(*batch, y, x, c)"
-        super().__init__(
-            f"`{name}` has {count} non-finite value{'s' if count != 1 else ''} of {size}, the first at "
-            f"{axes} = {first}; mend the render, or pass nan_policy='mask' to leave such pixels out"
-        )
+    def __init__(
+        self, name: str, kinds: tuple[int, int, int], first: tuple[int, ...], axes: str, size: int, suspicion: str
+    ) -> None:
         self.name = name
-        self.count = count
+        self.nan, self.positive, self.negative = kinds
         self.first = first
+        self.axes = axes
         self.size = size
+        self.suspicion = suspicion
+        named = ", ".join(f"{one} {what}" for one, what in zip(kinds, ("NaN", "+inf", "-inf"), strict=True) if one)
+        mend = f"mend the {'reference' if name == 'reference' else 'render'}"
+        if self.count < size:  # with nothing left to compare the loss would be 0, which mends nothing
+            mend += ", or pass nan_policy='mask' to leave such pixels out"
+        super().__init__(
+            f"`{name}` has {self.count} non-finite value{'s' if self.count != 1 else ''} of {size} ({named}), "
+            f"the first at {axes} = {first}: {suspicion}; {mend}"
+        )
 
-    def __reduce__(self) -> tuple[type[NonFiniteImageError], tuple[str, int, tuple[int, ...], int]]:
-        return type(self), (self.name, self.count, self.first, self.size)
+    @property
+    def count(self) -> int:
+        """How many values are not finite."""
+        return self.nan + self.positive + self.negative
+
+    def __reduce__(self) -> tuple[type[NonFiniteImageError], tuple[object, ...]]:
+        kinds = (self.nan, self.positive, self.negative)
+        return type(self), (self.name, kinds, self.first, self.axes, self.size, self.suspicion)
 
 
 class ImageFileError(LoiError, OSError):

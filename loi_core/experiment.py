@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import io
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -14,7 +15,9 @@ import numpy as np
 from loi_core.arrays import Array, to_numpy
 from loi_core.effects import EffectPlan, PlanningRenderer
 from loi_core.errors import FitError, SceneError
+from loi_core.files import read_bytes
 from loi_core.fit import FitInterruptedError, FitResult, FitStep, fit
+from loi_core.foreign import foreign
 from loi_core.free import starting_parameters
 from loi_core.objectives.base import Objective
 from loi_core.renderer import Parameters
@@ -24,6 +27,7 @@ __all__ = ["HISTORY_FILE", "Progress", "Trial", "frame_steps", "initial_image", 
 
 FRAMES: Final = 8  # pictures of the way that a report shows
 HISTORY_FILE: Final = "history.csv"
+MOST_HISTORY: Final = 2**28  # bytes, of a million steps
 
 Progress: TypeAlias = Callable[[str, int, float], None]
 """Called as ``progress(objective, step, value)`` after every step of every fit."""
@@ -151,10 +155,10 @@ def _shown_effects(scene: Scene, renderer: PlanningRenderer, objective: Objectiv
 def _earlier_psnr(path: Path) -> dict[tuple[int, float], float]:
     """PSNR by step and value from the history of an earlier fit; empty where there is none that can be read."""
     try:
-        with path.open(encoding="utf-8", newline="") as stream:
-            rows = [row for row in csv.DictReader(stream) if row["psnr"]]
+        text = read_bytes(path, MOST_HISTORY).decode("utf-8")
+        rows = [row for row in csv.DictReader(io.StringIO(text, newline="")) if row["psnr"]]
         return {(int(row["step"]), float(row["value"])): float(row["psnr"]) for row in rows}
-    except (OSError, ValueError, KeyError, TypeError):
+    except (OSError, ValueError, KeyError, TypeError, csv.Error):
         return {}
 
 
@@ -178,7 +182,8 @@ def initial_image(scene: Scene) -> Host:
         If it does not have the target's shape.
     """
     params = starting_parameters(scene.renderer, scene.optimise)
-    image = to_numpy(scene.renderer.render(params, seed=scene.fit.seed))
+    with foreign(f"{scene.path}: rendering the start"):
+        image = to_numpy(scene.renderer.render(params, seed=scene.fit.seed))
     if image.shape != scene.target.shape:
         msg = f"{scene.path}: the renderer makes images of shape {image.shape}, the target has {scene.target.shape}"
         raise SceneError(msg)

@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import contextlib
 import os
+import stat
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
+from typing import BinaryIO
 
 from loi_core.errors import OptionError
+from loi_core.messages import shown, told
 
-__all__ = ["atomic_path", "check_writable", "write_bytes", "write_text"]
+__all__ = ["atomic_path", "check_writable", "open_regular", "read_bytes", "write_bytes", "write_text"]
 
 
 @contextlib.contextmanager
@@ -36,12 +39,42 @@ def atomic_path(path: Path) -> Iterator[Path]:
 def check_writable(name: str, folder: Path) -> None:
     """Raise :class:`OptionError` unless files can be put into `folder`, or it can be made."""
     place = folder.absolute()
-    while not place.exists() and place != place.parent:
-        place = place.parent
+    try:
+        while not _is_there(place):
+            place = place.parent
+    except (OSError, ValueError) as error:  # a name too long, a loop of links, a null character
+        msg = f"`{name}` must lead to a folder that can be written to, got {shown(str(folder))} ({told(error)})"
+        raise OptionError(msg) from None
     if not place.is_dir() or not os.access(place, os.W_OK | os.X_OK):
         why = "cannot be written to" if place.is_dir() else "is not a folder"
         msg = f"`{name}` must lead to a folder that can be written to, but {place} {why}"
         raise OptionError(msg)
+
+
+def _is_there(place: Path) -> bool:
+    try:
+        place.lstat()  # a link that leads nowhere is there, although nothing can be put into it
+    except (FileNotFoundError, NotADirectoryError):
+        return False
+    return True
+
+
+def open_regular(path: Path) -> BinaryIO:
+    """Open a regular file to read; OSError for anything else: a pipe would be waited for, and a device has no end."""
+    if not stat.S_ISREG(path.stat().st_mode):
+        msg = "not a regular file"
+        raise OSError(msg)
+    return path.open("rb")
+
+
+def read_bytes(path: Path, most: int) -> bytes:
+    """What is in a regular file; OSError if it is missing, not one, or of more than `most` bytes."""
+    with open_regular(path) as stream:
+        content = stream.read(most + 1)
+    if len(content) > most:
+        msg = f"larger than {most} bytes"
+        raise OSError(msg)
+    return content
 
 
 def write_bytes(path: Path, content: bytes) -> None:
@@ -51,5 +84,5 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 
 def write_text(path: Path, content: str) -> None:
-    """Write `content` to `path` as UTF-8, whole or not at all."""
-    write_bytes(path, content.encode("utf-8"))
+    """Write `content` to `path` as UTF-8, whole or not at all; what has none, as in some file names, becomes `?`."""
+    write_bytes(path, content.encode("utf-8", errors="replace"))

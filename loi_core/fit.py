@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import contextlib
 import math
 import os
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Literal, TypeAlias, get_args
 
@@ -16,7 +16,9 @@ from loi_core.arrays import Array, detached, is_array_api_obj, namespace, to_num
 from loi_core.checkpoint import load_checkpoint, save_checkpoint
 from loi_core.errors import FitError, LoiError, NonFiniteImageError, OptionError, RendererError
 from loi_core.files import check_writable
+from loi_core.foreign import is_ctrl_c
 from loi_core.free import Bounds, Free, bounds_of, check_rate, free_parameters, own_parameters, starting_parameters
+from loi_core.messages import shown, told
 from loi_core.nonfinite import count_non_finite
 from loi_core.objectives.base import Objective
 from loi_core.optimiser import Moments, adam_step
@@ -41,6 +43,8 @@ Decay = Literal["cosine", "none"]
 
 FINAL_RATE: Final = 1e-3  # where a cosine decay ends, as a share of the learning rate
 CHECKPOINT_STEPS: Final = 25
+MOST_STEPS: Final = 2**31 - 1
+MOST_SEED: Final = 2**63 - 1  # of 64 bits with a sign, which is what TOML, JSON and a checkpoint hold anywhere
 
 
 Callback: TypeAlias = Callable[[FitStep, Parameters, Array], bool | None]
@@ -142,7 +146,8 @@ def fit(
             # In float64, since squares leave the range of narrower dtypes while the gradient is well within it.
             squares = (np.square(to_numpy(one), dtype=np.float64) for one in gradient.values())
             norm = math.sqrt(sum(float(np.sum(one)) for one in squares))
-            moved, moments = adam_step(seen, gradient, state.moments, {name: share * rates[name] for name in rates})
+            with np.errstate(all="ignore"):  # what overflows is not finite, and is told as that at the next step
+                moved, moments = adam_step(seen, gradient, state.moments, {name: share * rates[name] for name in rates})
             moved = _legal(renderer, bounds, moved, state)
             entry = FitStep(state.step, value, norm, share, time.perf_counter() - started)
             state = state.stepped(entry, moved, moments)
@@ -223,19 +228,29 @@ def _legal(renderer: Renderer, bounds: Bounds, moved: Parameters, state: State) 
     return bounds.clip(moved | free)
 
 
-@contextlib.contextmanager
-def _keeping(state: State, what: str) -> Iterator[None]:
-    """Whatever breaks after the first step must not take the best parameters with it."""
-    try:
-        yield
-    except Exception as error:
-        result = state.result()
+@dataclass(frozen=True)
+class _keeping:  # noqa: N801 - it reads as what it does: with _keeping(state, "rendering")
+    """Whatever breaks after the first step must not take the best parameters with it.
+
+    A class, since a generator that Ctrl-C cuts off could not tell its own end from an error.
+    """
+
+    state: State
+    what: str
+
+    def __enter__(self) -> None:
+        pass
+
+    def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
+        if error is None or is_ctrl_c(error):
+            return
+        result = self.state.result()
         if result is None and isinstance(error, LoiError) and not isinstance(error, NonFiniteImageError):
-            raise  # nothing is lost yet, and the error says what is wrong with the call
-        finding = f"{what} failed: {type(error).__name__}"
+            return  # nothing is lost yet, and the error says what is wrong with the call
+        finding = f"{self.what} failed"
         if isinstance(error, NonFiniteImageError):
             finding = "the render is not finite"
-        msg = f"step {state.step}: {finding}: {error}"
+        msg = f"step {self.state.step}: {finding}: {told(error)}"
         raise FitError(msg, result) from error
 
 
@@ -258,14 +273,15 @@ def _rate(decay: Decay, step: int, steps: int) -> float:
 
 def check_fit_options(steps: object, learning_rate: object, seed: object, decay: object) -> None:
     """Raise :class:`OptionError` unless :func:`fit` takes these values."""
-    for name, value, least in (("steps", steps, 1), ("seed", seed, 0)):
+    for name, value, least, most in (("steps", steps, 1, MOST_STEPS), ("seed", seed, 0, MOST_SEED)):
         number = whole_number(value)
-        if number is None or number < least:
-            msg = f"`{name}` must be a whole number, {least} or more, got {value!r:.60}"
+        if number is None or not least <= number <= most:
+            wanted = f"{least} or more" if number is None or number < least else f"at most {most}"
+            msg = f"`{name}` must be a whole number, {wanted}, got {shown(value)}"
             raise OptionError(msg)
     check_rate("learning_rate", learning_rate)
     if not isinstance(decay, str) or decay not in get_args(Decay):
-        msg = f"`decay` must be one of {', '.join(map(repr, get_args(Decay)))}, got {decay!r:.60}"
+        msg = f"`decay` must be one of {', '.join(map(repr, get_args(Decay)))}, got {shown(decay)}"
         raise OptionError(msg)
 
 
@@ -273,7 +289,7 @@ def _checkpoint_path(checkpoint: object) -> Path | None:
     if checkpoint is None:
         return None
     if not isinstance(checkpoint, str | os.PathLike) or Path(checkpoint).is_dir():
-        msg = f"`checkpoint` must be the path of a file, got {checkpoint!r:.60}"
+        msg = f"`checkpoint` must be the path of a file, got {shown(checkpoint)}"
         raise OptionError(msg)
     check_writable("checkpoint", Path(checkpoint).parent)
     return Path(checkpoint)

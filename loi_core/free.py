@@ -11,6 +11,8 @@ import numpy as np
 
 from loi_core.arrays import Array, as_floating, detached, from_numpy, namespace, to_numpy
 from loi_core.errors import ImageTypeError, OptionError, ParameterError, RendererError
+from loi_core.foreign import foreign
+from loi_core.messages import shown
 from loi_core.nonfinite import count_non_finite
 from loi_core.renderer import Parameters, Renderer
 from loi_core.values import real_number
@@ -63,9 +65,10 @@ def own_parameters(renderer: Renderer) -> Parameters:
     RendererError
         If they are not a dict of real floating-point arrays.
     """
-    params = renderer.parameters()
-    if not isinstance(params, Mapping) or not params:
-        msg = f"{type(renderer).__name__}.parameters() must give a dict of at least one array, got {params!r:.60}"
+    with foreign(f"{type(renderer).__name__}.parameters()"):
+        params = renderer.parameters()
+    if not isinstance(params, Mapping) or not params or not all(isinstance(name, str) for name in params):
+        msg = f"{type(renderer).__name__}.parameters() must give a dict of at least one array, got {shown(params)}"
         raise RendererError(msg)
     try:
         return {name: detached(as_floating(name, value)) for name, value in params.items()}
@@ -85,7 +88,7 @@ def free_parameters(optimise: object, params: Parameters) -> dict[str, Free]:
     if optimise is None:
         optimise = list(params)
     if isinstance(optimise, str) or not isinstance(optimise, Mapping | Iterable):
-        msg = f"`optimise` must be names of parameters, or a dict of Free, got {optimise!r:.60}"
+        msg = f"`optimise` must be names of parameters, or a dict of Free, got {shown(optimise)}"
         raise OptionError(msg)
     listed = list(optimise)
     if not listed:
@@ -151,7 +154,7 @@ def bounds_of(params: Parameters, free: Mapping[str, Free]) -> Bounds:
 def check_rate(name: str, rate: object) -> None:
     """Raise :class:`OptionError` unless `rate` is a finite number, more than 0."""
     if not 0.0 < real_number(rate) < math.inf:
-        msg = f"`{name}` must be a finite number, more than 0, got {rate!r:.60}"
+        msg = f"`{name}` must be a finite number, more than 0, got {shown(rate)}"
         raise OptionError(msg)
 
 
@@ -163,9 +166,10 @@ def _like(name: str, what: str, parameter: Array, value: object) -> Array:
     except ValueError:  # rows of different lengths
         array = np.asarray(None)
     if array.dtype.kind not in "fiu":
-        msg = f"`{what}` of {name!r} must be numbers, got {value!r:.60}"
+        msg = f"`{what}` of {name!r} must be numbers, got {shown(value)}"
         raise ParameterError(msg)
     if array.shape not in ((), shape):
         msg = f"`{what}` of {name!r} must be a number or have shape {shape}, got shape {array.shape}"
         raise ParameterError(msg)
-    return from_numpy(np.broadcast_to(array.astype(np.float64), shape).copy(), parameter)
+    with np.errstate(over="ignore"):  # what the parameter's dtype cannot hold becomes infinite
+        return from_numpy(np.broadcast_to(array.astype(np.float64), shape).copy(), parameter)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 import numpy as np
 
 from loi_core.errors import ImageFileError
-from loi_core.files import atomic_path
+from loi_core.exr import read_exr
+from loi_core.files import atomic_path, open_regular
+from loi_core.messages import told
+from loi_core.npy import read_npy_header, read_npy_values
 
 __all__ = ["IMAGE_SUFFIXES", "FloatImage", "read_image", "write_png"]
 
@@ -44,17 +48,18 @@ def read_image(path: Path) -> FloatImage:
     if suffix not in IMAGE_SUFFIXES:
         msg = f"{path}: images must end in {', '.join(IMAGE_SUFFIXES)}"
         raise ImageFileError(msg)
-    if not path.is_file():
-        msg = f"{path}: no such image file"
-        raise ImageFileError(msg)
     readers = {".npy": _read_npy, ".exr": _read_exr}
     try:
-        image = readers.get(suffix, _read_pillow)(path)
+        if not path.is_file():
+            msg = f"{path}: no such image file"
+            raise ImageFileError(msg)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # decoders warn of damage that they pass over
+            image = readers.get(suffix, _read_pillow)(path)
     except ImageFileError:
         raise
     except Exception as error:  # decoders raise what they like on damaged files; all of it means the same here
-        detail = (str(error).splitlines() or [""])[0]
-        msg = f"{path}: not a readable {suffix[1:].upper()} image ({type(error).__name__}: {detail})"
+        msg = f"{path}: not a readable {suffix[1:].upper()} image ({told(error)})"
         raise ImageFileError(msg) from error
     return _as_colour(path, image)
 
@@ -86,42 +91,37 @@ def _read_pillow(path: Path) -> np.ndarray[Any, Any]:
         _check_size(path, stored.height, stored.width)
         picture = ImageOps.exif_transpose(stored)  # as every viewer shows it
         if picture.mode.startswith("I"):  # 16-bit grey
-            return np.asarray(picture, dtype=np.float64) / 65535.0
+            return _scaled(picture, 65535.0)
         has_opacity = picture.mode in ("RGBA", "LA", "PA") or "transparency" in picture.info
-        return np.asarray(picture.convert("RGBA" if has_opacity else "RGB"), dtype=np.float64) / 255.0
+        return _scaled(picture.convert("RGBA" if has_opacity else "RGB"), 255.0)
 
 
 def _read_npy(path: Path) -> np.ndarray[Any, Any]:
-    array = np.load(path, mmap_mode="r", allow_pickle=False)
-    if array.ndim not in (2, 3) or not (array.dtype.kind == "f" or array.dtype in (np.uint8, np.uint16)):
-        msg = (
-            f"{path}: an NPY image must be floating point, uint8 or uint16, of shape (H, W) or (H, W, C), "
-            f"got {array.dtype} {array.shape}"
-        )
-        raise ImageFileError(msg)
-    _check_size(path, *array.shape[:2])
-    scale = 1.0 if array.dtype.kind == "f" else float(np.iinfo(array.dtype).max)
-    return np.asarray(array, dtype=np.float64) / scale
+    with open_regular(path) as stream:
+        header = read_npy_header(stream)
+        shape, dtype = header.shape, header.dtype
+        numbers = dtype.kind == "f" or dtype in (np.uint8, np.uint16)
+        if len(shape) not in (2, 3) or not numbers or shape[2:] not in ((), (1,), (3,), (4,)):
+            msg = (
+                f"{path}: an NPY image must be floating point, uint8 or uint16, of shape (H, W) or (H, W, 1, 3 or 4), "
+                f"got {dtype} {shape}"
+            )
+            raise ImageFileError(msg)
+        _check_size(path, *shape[:2])
+        values = read_npy_values(stream, header, path.stat().st_size)
+    return _scaled(values, 1.0 if dtype.kind == "f" else float(np.iinfo(dtype).max))
+
+
+def _scaled(pixels: Any, greatest: float) -> np.ndarray[Any, Any]:
+    """`pixels` as a new array, divided by `greatest`; the division takes no second array, which may be of gigabytes."""
+    image = np.array(pixels, dtype=np.float64)
+    image /= greatest
+    return image
 
 
 def _read_exr(path: Path) -> np.ndarray[Any, Any]:
-    import OpenEXR
-
-    with OpenEXR.File(str(path), header_only=True) as header:
-        window = header.header()["dataWindow"]
-    width, height = (int(high - low + 1) for low, high in zip(*window, strict=True))
-    _check_size(path, height, width)
-    with OpenEXR.File(str(path)) as stored:
-        names = []
-        for number in range(len(stored.parts)):
-            channels = stored.channels(number)
-            for name in ("RGB", "RGBA", "Y"):
-                if name in channels:
-                    pixels = np.asarray(channels[name].pixels, dtype=np.float64)
-                    return pixels if name == "Y" else pixels[..., :3]
-            names += list(channels)
-    msg = f"{path}: an EXR image must have the channels R, G, B or Y, it has {', '.join(sorted(names))}"
-    raise ImageFileError(msg)
+    pixels = read_exr(path, MAX_PIXELS)
+    return _scaled(pixels if pixels.ndim == 2 else pixels[..., :3], 1.0)
 
 
 def _as_colour(path: Path, image: np.ndarray[Any, Any]) -> FloatImage:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from loi_core.arrays import Array, namespace
 from loi_core.errors import ImageError, OptionError
+from loi_core.messages import shown
 from loi_core.values import whole_number
 
 __all__ = ["Layout", "check_channel_axis"]
@@ -17,7 +18,7 @@ def check_channel_axis(channel_axis: object) -> int | None:
         return None
     axis = whole_number(channel_axis)
     if axis is None:
-        msg = f"`channel_axis` must be an axis number, or None for images without channels, got {channel_axis!r}"
+        msg = f"`channel_axis` must be an axis number, or None for images without channels, got {shown(channel_axis)}"
         raise OptionError(msg)
     return axis
 

@@ -20,6 +20,7 @@ import numpy as np
 from loi_core.arrays import Array, device, from_numpy, library_name, namespace, outlives_its_context
 from loi_core.kernels import AxisBlur, AxisGrid, Matrix
 from loi_core.scales import Boundary
+from loi_core.windows import Window
 
 __all__ = ["Blur", "DenseBlur", "GaussianBlur", "PlaneBlur", "PlaneGrid", "blur_about", "gaussian_blur"]
 
@@ -128,14 +129,31 @@ def _blocks_of(blur: AxisBlur, size: int) -> _Blocking:
 class _Block:
     """Some rows of a matrix, the part of the axis that they see, and both ways to multiply with them."""
 
-    seen: slice
+    rows: range
+    seen: range
     left: Array
     right: Array
 
     @classmethod
-    def of(cls, seen: range, matrix: Matrix, like: Array) -> _Block:
+    def of(cls, rows: range, seen: range, matrix: Matrix, like: Array) -> _Block:
         left = from_numpy(np.ascontiguousarray(matrix), like)
-        return cls(slice(seen.start, seen.stop), left, from_numpy(np.ascontiguousarray(matrix.T), like))
+        return cls(rows, seen, left, from_numpy(np.ascontiguousarray(matrix.T), like))
+
+    def within(self, given: range, wanted: range) -> _Block | None:
+        """The part that makes `wanted` of `given`; None if it makes nothing of what is wanted."""
+        rows, seen = _common(self.rows, wanted), _common(self.seen, given)
+        if not rows:
+            return None
+        down = slice(rows.start - self.rows.start, rows.stop - self.rows.start)
+        if not seen:
+            return _Block(rows, range(1), 0.0 * self.left[down, :1], 0.0 * self.right[:1, down])
+        across = slice(seen.start - self.seen.start, seen.stop - self.seen.start)
+        moved = range(seen.start - given.start, seen.stop - given.start)
+        return _Block(rows, moved, self.left[down, across], self.right[across, down])
+
+
+def _common(one: range, other: range) -> range:
+    return range(max(one.start, other.start), min(one.stop, other.stop))
 
 
 @dataclass(frozen=True)
@@ -149,7 +167,7 @@ class _AxisProduct:
         blocks = []
         for rows in _blocking(blur).blocks:
             columns = blur.support(rows)
-            blocks.append(_Block.of(columns, blur.entries(rows, columns), like))
+            blocks.append(_Block.of(rows, columns, blur.entries(rows, columns), like))
         return cls(tuple(blocks))
 
     @classmethod
@@ -158,17 +176,22 @@ class _AxisProduct:
         blocks = []
         for columns in _blocking(mirror).blocks:
             rows = blur.support_of_columns(columns)
-            blocks.append(_Block.of(rows, blur.entries(rows, columns).T, like))
+            blocks.append(_Block.of(columns, rows, blur.entries(rows, columns).T, like))
         return cls(tuple(blocks))
+
+    def within(self, given: range, wanted: range) -> _AxisProduct:
+        """What makes `wanted` of an axis of which only `given` is there, the rest being 0."""
+        parts = (block.within(given, wanted) for block in self.blocks)
+        return _AxisProduct(tuple(part for part in parts if part is not None))
 
     def along_rows(self, planes: Array) -> Array:
         """The product with the vertical axis of planes, shape (..., H, W)."""
-        parts = [block.left @ planes[..., block.seen, :] for block in self.blocks]
+        parts = [block.left @ planes[..., block.seen.start : block.seen.stop, :] for block in self.blocks]
         return parts[0] if len(parts) == 1 else namespace(planes).concat(parts, axis=-2)
 
     def along_columns(self, planes: Array) -> Array:
         """The product with the horizontal axis of planes, shape (..., H, W)."""
-        parts = [planes[..., block.seen] @ block.right for block in self.blocks]
+        parts = [planes[..., block.seen.start : block.seen.stop] @ block.right for block in self.blocks]
         return parts[0] if len(parts) == 1 else namespace(planes).concat(parts, axis=-1)
 
     @property
@@ -245,24 +268,65 @@ class GaussianBlur:
     def __init__(self, blur: PlaneBlur, like: Array) -> None:
         self._blur = blur
         self._columns_first = blur.columns_first
+        self._source = Window.whole(blur.source.rows.cells, blur.source.columns.cells)
+        self._target = Window.whole(blur.target.rows.cells, blur.target.columns.cells)
         self._rows, self._rows_back = _products(blur.rows, like)
         self._columns, self._columns_back = _products(blur.columns, like)
 
-    def apply(self, planes: Array) -> Array:
-        """The blurred planes, shape (..., h, w)."""
-        if self._blur.is_identity:
-            return planes
-        if self._columns_first:
-            return self._rows.along_rows(self._columns.along_columns(planes))
-        return self._columns.along_columns(self._rows.along_rows(planes))
+    @property
+    def blur(self) -> PlaneBlur:
+        """What it computes."""
+        return self._blur
 
-    def adjoint(self, planes: Array) -> Array:
-        """The transpose of :meth:`apply`: planes of shape (..., h, w) to shape (..., H, W)."""
+    def reached(self, window: Window) -> Window:
+        """Where the blurred planes are not 0 if the planes are 0 outside `window`."""
+        if self._blur.is_identity:
+            return window
+        if window == self._source:
+            return self._target
+        rows, columns = self._blur.rows, self._blur.columns
+        return Window(rows.support_of_columns(window.rows), columns.support_of_columns(window.columns))
+
+    def reached_back(self, window: Window) -> Window:
+        """Where the adjoint is not 0 if its planes are 0 outside `window`."""
+        if self._blur.is_identity:
+            return window
+        if window == self._target:
+            return self._source
+        return Window(self._blur.rows.support(window.rows), self._blur.columns.support(window.columns))
+
+    def apply(self, planes: Array, window: Window | None = None) -> Array:
+        """The blurred planes, shape (..., h, w).
+
+        With a `window`, `planes` are what lies in it of planes that are 0 elsewhere, and so is the result of
+        :meth:`reached`.
+        """
         if self._blur.is_identity:
             return planes
+        rows, columns = self._rows, self._columns
+        if window is not None and window != self._source:
+            reached = self.reached(window)
+            rows = rows.within(window.rows, reached.rows)
+            columns = columns.within(window.columns, reached.columns)
         if self._columns_first:
-            return self._columns_back.along_columns(self._rows_back.along_rows(planes))
-        return self._rows_back.along_rows(self._columns_back.along_columns(planes))
+            return rows.along_rows(columns.along_columns(planes))
+        return columns.along_columns(rows.along_rows(planes))
+
+    def adjoint(self, planes: Array, window: Window | None = None) -> Array:
+        """The transpose of :meth:`apply`: planes of shape (..., h, w) to shape (..., H, W).
+
+        With a `window`, `planes` are what lies in it, and the result is what lies in :meth:`reached_back` of it.
+        """
+        if self._blur.is_identity:
+            return planes
+        rows, columns = self._rows_back, self._columns_back
+        if window is not None and window != self._target:
+            reached = self.reached_back(window)
+            rows = rows.within(window.rows, reached.rows)
+            columns = columns.within(window.columns, reached.columns)
+        if self._columns_first:
+            return columns.along_columns(rows.along_rows(planes))
+        return rows.along_rows(columns.along_columns(planes))
 
 
 @dataclass(frozen=True)

@@ -8,15 +8,19 @@ renderer's is called with the options of a scene and returns something that keep
 
 from __future__ import annotations
 
+import contextlib
+import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from importlib.metadata import EntryPoint, entry_points
+from importlib.metadata import Distribution, EntryPoint, distributions, entry_points
 from inspect import Parameter, signature
 from typing import Any, Final, Literal, TypeAlias
 
 from loi_core.backends import Backend
 from loi_core.errors import BackendNotFoundError, RendererNotFoundError
+from loi_core.foreign import is_ctrl_c
+from loi_core.messages import shown, told
 from loi_core.renderer import Renderer
 
 __all__ = [
@@ -107,15 +111,17 @@ def load_backend(name: str) -> BackendFactory:
 
 
 def _available(group: str) -> list[PluginInfo]:
-    return [
-        _examine(point, [_origin(other)[0] for other in points])[1]
-        for points in _announced(entry_points(group=group)).values()
-        for point in points
+    points, broken = _points(group)
+    listed = [
+        _examine(point, [_origin(other)[0] for other in same])[1]
+        for same in _announced(points).values()
+        for point in same
     ]
+    return sorted([*listed, *broken], key=lambda one: one.name) if broken else listed
 
 
 def _load(group: str, kind: str, name: str, failure: type[LookupError]) -> Any:
-    announced = _announced(entry_points(group=group))
+    announced = _announced(_points(group)[0])
     if name not in announced:
         msg = f"no {kind} is called {name!r}; installed are {', '.join(announced) or 'none'}"
         raise failure(msg)
@@ -130,6 +136,10 @@ def _load(group: str, kind: str, name: str, failure: type[LookupError]) -> Any:
 def _examine(point: EntryPoint, claims: list[str]) -> tuple[Callable[..., Any] | None, PluginInfo]:
     """The factory of one entry point, or None, and what there is to say about it."""
     package, version = _origin(point)
+    if EntryPoint.pattern.match(point.value) is None:
+        mend = _reinstall(package)
+        problem = f"{shown(point.value)} is not a module and an object in it"
+        return None, PluginInfo(point.name, package, version, "", point.value, "broken", problem, mend)
     extra = point.extras[0] if point.extras else ""
     target = f"{point.module}:{point.attr}"
     if len(claims) > 1:
@@ -137,19 +147,25 @@ def _examine(point: EntryPoint, claims: list[str]) -> tuple[Callable[..., Any] |
         info = PluginInfo(point.name, package, version, extra, target, "clash", f"{len(claims)} claim it", mend)
         return None, info
     try:
-        factory = point.load()
-    except (Exception, SystemExit) as error:  # noqa: BLE001 - a plugin may raise anything; the listing must go on
-        problem = " ".join(f"{type(error).__name__}: {error}".split())
+        with contextlib.redirect_stdout(sys.stderr):  # what a plugin prints is not part of our answer
+            factory = point.load()
+            problem = _unusable(factory, target)
+            backend = str(getattr(factory, "backend", extra))
+    except BaseException as error:  # a plugin may raise anything, SystemExit too; the listing must go on
+        if is_ctrl_c(error):
+            raise
+        problem = told(error)
         if extra and isinstance(error, ModuleNotFoundError):
             mend = f"pip install '{package}[{extra}]'"
             return None, PluginInfo(point.name, package, version, extra, target, "missing", problem, mend)
     else:
-        problem = _unusable(factory, target)
         if not problem:
-            backend = getattr(factory, "backend", extra)
-            return factory, PluginInfo(point.name, package, version, str(backend), target, "ready")
-    mend = f"pip install --upgrade --force-reinstall {package}"
-    return None, PluginInfo(point.name, package, version, extra, target, "broken", problem, mend)
+            return factory, PluginInfo(point.name, package, version, backend, target, "ready")
+    return None, PluginInfo(point.name, package, version, extra, target, "broken", problem, _reinstall(package))
+
+
+def _reinstall(package: str) -> str:
+    return f"pip install --upgrade --force-reinstall {package}"
 
 
 def _unusable(factory: object, target: str) -> str:
@@ -166,6 +182,31 @@ def _unusable(factory: object, target: str) -> str:
     return ""
 
 
+def _points(group: str) -> tuple[list[EntryPoint], list[PluginInfo]]:
+    """The entry points of a group, and the distributions whose entry points cannot be read."""
+    try:
+        return list(entry_points(group=group)), []
+    except Exception:  # noqa: BLE001 - one distribution with damaged metadata ends the search; so they are asked one by one
+        return _points_one_by_one(group)
+
+
+def _points_one_by_one(group: str) -> tuple[list[EntryPoint], list[PluginInfo]]:
+    points: list[EntryPoint] = []
+    broken: list[PluginInfo] = []
+    seen: set[str] = set()
+    for distribution in distributions():
+        package = _described(distribution)[0]
+        if package in seen:  # hidden by one that is earlier on the path
+            continue
+        seen.add(package)
+        try:
+            points += [point for point in distribution.entry_points if point.group == group]
+        except Exception as error:  # noqa: BLE001 - likewise
+            problem = f"its entry points cannot be read: {told(error)}"
+            broken.append(PluginInfo(package, package, "", "", "", "broken", problem, _reinstall(package)))
+    return points, broken
+
+
 def _announced(points: Iterable[EntryPoint]) -> dict[str, list[EntryPoint]]:
     """Entry points by name, sorted; the same one seen twice (an editable install on two paths) counts once."""
     by_name: dict[str, dict[tuple[str, str], EntryPoint]] = defaultdict(dict)
@@ -175,4 +216,14 @@ def _announced(points: Iterable[EntryPoint]) -> dict[str, list[EntryPoint]]:
 
 
 def _origin(point: EntryPoint) -> tuple[str, str]:
-    return (point.dist.name, point.dist.version) if point.dist is not None else ("unknown", "")
+    return ("unknown", "") if point.dist is None else _described(point.dist)
+
+
+def _described(distribution: Distribution) -> tuple[str, str]:
+    """Name and version, which damaged metadata may lack."""
+    try:
+        metadata = distribution.metadata
+        name, version = (metadata[key] or "" if key in metadata else "" for key in ("Name", "Version"))
+        return name or "unknown", version
+    except Exception:  # noqa: BLE001 - metadata that cannot be read at all
+        return "unknown", ""

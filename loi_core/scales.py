@@ -10,6 +10,7 @@ from typing import Final, Literal, get_args
 import numpy as np
 
 from loi_core.errors import ScaleError
+from loi_core.messages import shown
 from loi_core.values import real_number, whole_number
 
 __all__ = ["Boundary", "Convention", "Preset", "ScaleSpace"]
@@ -99,12 +100,14 @@ class ScaleSpace:
         put("convention", _choice("convention", convention, get_args(Convention)))
         put("kernel_size", _kernel_size(kernel_size, convention))
         if convention == "released" and len(self.beta) != 1:
-            msg = f"`beta` must be one value under the released convention, got {beta!r}"
+            msg = f"`beta` must be one value under the released convention, got {shown(beta)}"
             raise ScaleError(msg)
         span = self.bounds[1] - self.bounds[0]
         for scale in self.beta:
             if not span / scale + 2.0 * self.tails <= MAX_LEVELS or (convention == "released" and span < scale):
-                msg = f"`beta` must divide the bounds into at least 1 and at most {MAX_LEVELS} levels, got {scale!r}"
+                msg = (
+                    f"`beta` must divide the bounds into at least 1 and at most {MAX_LEVELS} levels, got {shown(scale)}"
+                )
                 raise ScaleError(msg)
 
     @classmethod
@@ -129,7 +132,7 @@ class ScaleSpace:
         """
         for name, size in (("height", height), ("width", width)):
             if (whole_number(size) or 0) < 1:
-                msg = f"`{name}` must be a whole number of pixels, 1 or more, got {size!r}"
+                msg = f"`{name}` must be a whole number of pixels, 1 or more, got {shown(size)}"
                 raise ScaleError(msg)
         widest = 0.35 * max(height, width)
         extents = [round(widest / share, 2) for share in (9, 3, 1)]
@@ -147,7 +150,7 @@ class ScaleSpace:
         the spacing; and a mean over everything, scales included.
         """
         if (whole_number(bins) or 0) < 1:
-            msg = f"`bins` must be a whole number of 1 or more, got {bins!r}"
+            msg = f"`bins` must be a whole number of 1 or more, got {shown(bins)}"
             raise ScaleError(msg)
         return cls(
             sigma,
@@ -161,8 +164,11 @@ class ScaleSpace:
 
     @property
     def padding(self) -> float:
-        """The intensity outside the image under the boundary "zero"; 0 under reflection, where it is not used."""
-        return min(max(0.0, self.bounds[0]), self.bounds[1]) if self.boundary == "zero" else 0.0
+        """The intensity within the bounds that is nearest to 0: what lies outside the image under the boundary "zero".
+
+        Images are compared relative to it under either boundary, so that bounds far from 0 cost no accuracy.
+        """
+        return min(max(0.0, self.bounds[0]), self.bounds[1])
 
     @property
     def inner_taps(self) -> int | None:
@@ -222,7 +228,7 @@ def _odd(taps: int) -> int:
 def _number(name: str, value: object, *, zero: bool) -> float:
     number = real_number(value)
     if not math.isfinite(number) or number < 0 or (number == 0 and not zero):
-        msg = f"`{name}` must be a finite number, {'0 or more' if zero else 'more than 0'}, got {value!r:.60}"
+        msg = f"`{name}` must be a finite number, {'0 or more' if zero else 'more than 0'}, got {shown(value)}"
         raise ScaleError(msg)
     return number
 
@@ -232,10 +238,10 @@ def _scales(name: str, values: object, *, zero: bool) -> tuple[float, ...]:
         values = (values,)
     scales = tuple(_number(name, value, zero=zero) for value in values)
     if not scales:
-        msg = f"`{name}` must hold at least one scale, got {values!r}"
+        msg = f"`{name}` must hold at least one scale, got {shown(values)}"
         raise ScaleError(msg)
     if len(set(scales)) != len(scales):
-        msg = f"`{name}` must not repeat a scale, got {values!r}"
+        msg = f"`{name}` must not repeat a scale, got {shown(values)}"
         raise ScaleError(msg)
     return scales
 
@@ -247,14 +253,14 @@ def _bounds(bounds: object) -> tuple[float, float]:
         if len(values) == 2:
             low, high = values
     if not (math.isfinite(low) and math.isfinite(high) and low < high):
-        msg = f"`bounds` must be two finite intensities (low, high) with low < high, got {bounds!r:.60}"
+        msg = f"`bounds` must be two finite intensities (low, high) with low < high, got {shown(bounds)}"
         raise ScaleError(msg)
     return low, high
 
 
 def _choice(name: str, value: object, allowed: tuple[str, ...]) -> str:
     if not isinstance(value, str) or value not in allowed:
-        msg = f"`{name}` must be one of {', '.join(map(repr, allowed))}, got {value!r}"
+        msg = f"`{name}` must be one of {', '.join(map(repr, allowed))}, got {shown(value)}"
         raise ScaleError(msg)
     return value
 
@@ -262,11 +268,11 @@ def _choice(name: str, value: object, allowed: tuple[str, ...]) -> str:
 def _kernel_size(kernel_size: object, convention: str) -> int | None:
     if convention != "released":
         if kernel_size is not None:
-            msg = f"`kernel_size` goes with the released convention only, got {kernel_size!r}"
+            msg = f"`kernel_size` goes with the released convention only, got {shown(kernel_size)}"
             raise ScaleError(msg)
         return None
     taps = whole_number(kernel_size)
     if taps is None or taps < 1:
-        msg = f"`kernel_size` must be a whole number of taps, 1 or more, got {kernel_size!r}"
+        msg = f"`kernel_size` must be a whole number of taps, 1 or more, got {shown(kernel_size)}"
         raise ScaleError(msg)
     return taps

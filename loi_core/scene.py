@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
+import os
 import re
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
@@ -16,22 +17,28 @@ import numpy as np
 from loi_core.errors import LoiError, OptionError, SceneError
 from loi_core.files import check_writable
 from loi_core.fit import check_fit_options
-from loi_core.free import Free, bounds_of, starting_parameters
+from loi_core.foreign import is_ctrl_c
+from loi_core.free import Free, bounds_of, own_parameters, starting_parameters
 from loi_core.images import FloatImage, read_image
-from loi_core.objectives import GaussianPyramid, ImageObjective, LOIObjective, PixelL2
+from loi_core.messages import shown, told
+from loi_core.objectives import MSSSIM, GaussianPyramid, ImageObjective, LOIObjective, PixelL2
 from loi_core.registry import RendererFactory, load_renderer
 from loi_core.renderer import Renderer
 from loi_core.scales import ScaleSpace
+from loi_core.toml import read_toml
+from loi_core.tone import LogTone
 from loi_core.values import real_number, whole_number
 
 __all__ = ["OBJECTIVES", "FitOptions", "Scene", "load_scene"]
 
-OBJECTIVES: Final = ("loi", "pixel_l2", "gaussian_pyramid")
+RIVALS: Final = {"pixel_l2": PixelL2, "gaussian_pyramid": GaussianPyramid, "ms_ssim": MSSSIM}
+OBJECTIVES: Final = ("loi", *RIVALS)
 
 TOP_KEYS: Final = ("target", "output", "title", "renderer", "optimise", "scales", "objective", "fit")
 FREE_KEYS: Final = ("initial", "lower", "upper", "learning_rate", "truth")
 SCALE_KEYS: Final = ("preset", "sigma", "alpha", "beta", "bounds", "boundary", "p")
-OBJECTIVE_KEYS: Final = ("name", "compare", "accuracy", "nan_policy")
+OBJECTIVE_KEYS: Final = ("name", "compare", "accuracy", "nan_policy", "tone")
+TONE_KEYS: Final = ("peak", "compression")
 FIT_KEYS: Final = ("steps", "learning_rate", "decay", "seed")
 
 
@@ -73,6 +80,8 @@ class Scene:
         Steps, rates and seed.
     samples : int, optional
         Samples per pixel, if the renderer takes them as an option ``spp``.
+    tone : LogTone, optional
+        The tone curve that image and target pass in every objective.
     """
 
     path: Path
@@ -86,6 +95,7 @@ class Scene:
     truth: dict[str, np.ndarray[Any, Any]]
     fit: FitOptions = field(default_factory=FitOptions)
     samples: int | None = None
+    tone: LogTone | None = None
 
 
 def load_scene(path: Path, *, output: Path | None = None, samples: int | None = None) -> Scene:
@@ -107,7 +117,7 @@ def load_scene(path: Path, *, output: Path | None = None, samples: int | None = 
     LoiError
         For what it names: an image that cannot be read, a renderer that is not installed, a scale out of range.
     """
-    document = _read_toml(path)
+    document = read_toml(path)
     where = _Where(path)
     where.known("", document, TOP_KEYS)
     for key in ("target", "renderer", "optimise"):
@@ -118,7 +128,9 @@ def load_scene(path: Path, *, output: Path | None = None, samples: int | None = 
     renderer, spp = _renderer(where, where.table("", document, "renderer"), folder, target, samples)
     optimise, truth = _optimise(where, where.table("", document, "optimise"), renderer)
     scales = _scales(where, where.table("", document, "scales"), target)
-    objectives = _objectives(where, where.table("", document, "objective"), target, scales)
+    comparison = where.table("", document, "objective")
+    tone = _tone(where, comparison)
+    objectives = _objectives(where, comparison, target, scales, tone)
     name = where.text("", document, "output") if "output" in document else f"{path.stem}-result"
     results = folder / name if output is None else output
     _check_output(where, results)
@@ -134,6 +146,7 @@ def load_scene(path: Path, *, output: Path | None = None, samples: int | None = 
         truth=truth,
         fit=_fit_options(where, where.table("", document, "fit")),
         samples=spp,
+        tone=tone,
     )
 
 
@@ -156,32 +169,19 @@ class _Where:
     def table(self, name: str, parent: Mapping[str, Any], key: str) -> Mapping[str, Any]:
         value = parent.get(key, {})
         if not isinstance(value, Mapping):
-            raise self.error(name, f"`{key}` must be a table, got {value!r:.60}")
+            raise self.error(name, f"`{key}` must be a table, got {shown(value)}")
         return value
 
     def text(self, name: str, table: Mapping[str, Any], key: str) -> str:
         value = table[key]
         if not isinstance(value, str) or not value or "\0" in value:
-            raise self.error(name, f"`{key}` must be a text that is not empty, got {value!r:.60}")
+            raise self.error(name, f"`{key}` must be a text that is not empty, got {shown(value)}")
         return value
 
 
-def _read_toml(path: Path) -> Mapping[str, Any]:
-    try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
-        msg = f"{path}: no such scene file"
-        raise SceneError(msg) from None
-    except (OSError, UnicodeDecodeError, ValueError, RecursionError) as error:  # TOMLDecodeError is a ValueError
-        msg = f"{path}: not a readable TOML file ({str(error).splitlines()[0] if str(error) else error!r})"
-        raise SceneError(msg) from error
-
-
 def _check_output(where: _Where, results: Path) -> None:
-    if "\0" in str(results):
-        raise where.error("", "`output` must be a path, got one with a null character")
     check_writable("output", results)
-    if results.resolve() == where.path.parent.resolve():
+    if os.path.realpath(results) == os.path.realpath(where.path.parent):
         raise where.error("", "`output` must be a folder of its own, not that of the scene and its images")
 
 
@@ -206,16 +206,22 @@ def _renderer(
     if accepted is not None and not any(one.kind is Parameter.VAR_KEYWORD for one in accepted.values()):
         where.known("renderer", options, tuple(accepted))
     for key, size in (("height", target.shape[0]), ("width", target.shape[1])):
-        if accepted is not None and key in accepted:  # a renderer that has to be told its size gets the target's
-            options.setdefault(key, size)
+        if accepted is None or key not in accepted:
+            continue
+        if options.setdefault(key, size) != size:  # a renderer that has to be told its size gets the target's
+            raise where.error("renderer", f"`{key}` must be that of the target, {size}, got {shown(options[key])}")
     if samples is not None:
         options["spp"] = samples
     try:
         renderer = factory(**options)
-    except LoiError as error:
-        raise where.error("renderer", str(error)) from error
-    except Exception as error:  # a third party's factory may raise anything; the scene is what the user can mend
-        raise where.error("renderer", f"{name} refused: {type(error).__name__}: {error}") from error
+        usable = isinstance(renderer, Renderer)
+    except BaseException as error:  # a third party may raise anything, SystemExit too
+        if is_ctrl_c(error):
+            raise
+        said = str(error) if isinstance(error, LoiError) else f"{name} refused: {told(error)}"
+        raise where.error("renderer", said) from error
+    if not usable:
+        raise where.error("renderer", f"{name} made a {type(renderer).__name__}, which is not a renderer")
     declared = (accepted or {}).get("spp")
     return renderer, whole_number(options.get("spp", declared.default if declared else None))
 
@@ -224,20 +230,24 @@ def _accepted(factory: RendererFactory) -> Mapping[str, Parameter] | None:
     """The arguments that a factory declares; None for compiled ones that declare nothing."""
     try:
         return signature(factory).parameters
-    except (TypeError, ValueError):
+    except Exception:  # compiled ones declare nothing, and a third party may declare anything
         return None
 
 
 def _is_path(argument: Parameter) -> bool:
     """Whether a factory says that this argument is, or may be, a path."""
     # By the annotation's text: often it is one, and may name what only type checkers import.
-    return re.search(r"\bPath\b", formatannotation(argument.annotation)) is not None
+    try:
+        spelled = formatannotation(argument.annotation)
+    except Exception:  # a third party may annotate with anything
+        return False
+    return re.search(r"\bPath\b", spelled) is not None
 
 
 def _optimise(
     where: _Where, table: Mapping[str, Any], renderer: Renderer
 ) -> tuple[dict[str, Free], dict[str, np.ndarray[Any, Any]]]:
-    params = renderer.parameters()
+    params = own_parameters(renderer)
     if not table:
         raise where.error("optimise", f"must name at least one parameter of {', '.join(params)}")
     where.known("optimise", table, tuple(params))
@@ -251,7 +261,7 @@ def _optimise(
                 _numbers(where, heading, key, entry[key], tuple(params[name].shape))
         rate = entry.get("learning_rate")
         if rate is not None and not 0.0 < real_number(rate) < np.inf:
-            raise where.error(heading, f"`learning_rate` must be a finite number, more than 0, got {rate!r:.60}")
+            raise where.error(heading, f"`learning_rate` must be a finite number, more than 0, got {shown(rate)}")
         free[name] = Free(entry.get("initial"), entry.get("lower"), entry.get("upper"), rate)
         if "truth" in entry:
             truth[name] = np.broadcast_to(np.asarray(entry["truth"], dtype=np.float64), tuple(params[name].shape))
@@ -264,9 +274,11 @@ def _numbers(where: _Where, heading: str, key: str, value: object, shape: tuple[
     while any(isinstance(one, list) for one in flat):
         flat = [inner for one in flat for inner in (one if isinstance(one, list) else [one])]
     if not flat or any(isinstance(one, bool) or not isinstance(one, int | float) for one in flat):
-        raise where.error(heading, f"`{key}` must be numbers, got {value!r:.60}")
-    if any(np.isnan(real_number(one)) for one in flat) or (key == "truth" and not np.all(np.isfinite(flat))):
-        raise where.error(heading, f"`{key}` must be {'finite' if key == 'truth' else 'numbers'}, got {value!r:.60}")
+        raise where.error(heading, f"`{key}` must be numbers, got {shown(value)}")
+    if any(np.isnan(real_number(one)) for one in flat) or (
+        key == "truth" and not all(math.isfinite(one) for one in flat)
+    ):
+        raise where.error(heading, f"`{key}` must be {'finite' if key == 'truth' else 'numbers'}, got {shown(value)}")
     try:
         array = np.asarray(value, dtype=np.float64)
     except ValueError:
@@ -292,28 +304,39 @@ def _scales(where: _Where, table: Mapping[str, Any], target: FloatImage) -> Scal
         raise where.error("scales", str(error)) from error
 
 
+def _tone(where: _Where, objective: Mapping[str, Any]) -> LogTone | None:
+    if "tone" not in objective:
+        return None
+    table = where.table("objective", objective, "tone")
+    where.known("objective.tone", table, TONE_KEYS)
+    if "peak" not in table:
+        raise where.error("objective.tone", "`peak` is missing; it is the radiance that becomes 1")
+    try:
+        return LogTone(**table)
+    except OptionError as error:
+        raise where.error("objective.tone", str(error)) from error
+
+
 def _objectives(
-    where: _Where, table: Mapping[str, Any], target: FloatImage, scales: ScaleSpace
+    where: _Where, table: Mapping[str, Any], target: FloatImage, scales: ScaleSpace, tone: LogTone | None
 ) -> dict[str, ImageObjective[Any, Any]]:
     where.known("objective", table, OBJECTIVE_KEYS)
     compare = table.get("compare", [])
     if not isinstance(compare, list):
-        raise where.error("objective", f"`compare` must be a list of names, got {compare!r:.60}")
+        raise where.error("objective", f"`compare` must be a list of names, got {shown(compare)}")
     names = [table.get("name", "loi"), *compare]
     for name in names:
         if name not in OBJECTIVES:
-            raise where.error("objective", f"objectives are {', '.join(OBJECTIVES)}, got {name!r}")
+            raise where.error("objective", f"objectives are {', '.join(OBJECTIVES)}, got {shown(name)}")
     policy = table.get("nan_policy", "raise")
     accuracy = table.get("accuracy", "exact")
     made: dict[str, ImageObjective[Any, Any]] = {}
     try:
         for name in dict.fromkeys(names):
             if name == "loi":
-                made[name] = LOIObjective(target, scales, accuracy, nan_policy=policy)
-            elif name == "pixel_l2":
-                made[name] = PixelL2(target, nan_policy=policy)
+                made[name] = LOIObjective(target, scales, accuracy, nan_policy=policy, tone=tone)
             else:
-                made[name] = GaussianPyramid(target, nan_policy=policy)
+                made[name] = RIVALS[name](target, nan_policy=policy, tone=tone)
     except LoiError as error:
         raise where.error("objective", str(error)) from error
     return made

@@ -22,6 +22,28 @@ def test_every_promised_tolerance_is_kept() -> None:
     assert all(f"| {name} | " in documented for name in rows)
 
 
+def test_noise_changes_the_gradient_as_documented(tmp_path: Path) -> None:
+    plot = tmp_path / "noise.png"
+    done = subprocess.run(
+        [sys.executable, "-m", "examples.noise", "--quick", "--output", str(plot)],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        check=True,
+    )
+    assert plot.stat().st_size > 10_000
+    documented = (ROOT / "docs" / "noise.md").read_text()
+    tables = [block for block in done.stdout.split("\n\n") if block.startswith("|")]
+    rows = [line.split(" | ") for table in tables for line in table.splitlines()[2:]]
+    assert len(tables) == 3
+    assert len(rows) == 3 * 7
+    assert all(f"{row[0]} | " in documented for row in rows)
+    # Far apart, at a tenth of the range: the loss still points to the goal for every seed, pixels know nothing of it.
+    shares = {row[0].removeprefix("| "): row[1].split(", ")[-1] for row in rows[:7]}
+    assert all(shares[f"loi, {one}"] == "100%" for one in ("vector", "path", "for_image"))
+    assert shares["pixel L2"] != "100%"
+
+
 SETUPS = {
     "LOIObjective(": """
         from loi_core.renderers import Disks

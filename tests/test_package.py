@@ -76,6 +76,7 @@ def test_the_wheel_measures_what_accuracy_costs_in_an_empty_environment(fresh: P
     assert {row["backend"] for row in found["rows"] if row["problem"] is None} == {"numpy"}
     assert {one["name"]: one["mend"] for one in found["missing"]} == {
         "jax": "pip install 'loi[jax]'",
+        "mitsuba": "pip install 'loi[mitsuba]'",
         "torch": "pip install 'loi[torch]'",
     }
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from loi_core import GaussianPyramid, LOIObjective, PixelL2, ScaleSpace
+from loi_core import GaussianPyramid, LogTone, LOIObjective, PixelL2, ScaleSpace
 from loi_core.cli import main
 from loi_core.errors import LoiError, SceneError
 from loi_core.experiment import run_scene
@@ -135,7 +135,7 @@ MISTAKES: list[tuple[str, str, str]] = [
     ("radii = [3]", "radius = [3]", "[renderer] unknown key `radius`"),
     ("radii = [3]", "radii = [3, 4]", "[renderer] `radii` must have shape (1,), got (2,)"),
     ("radii = [3]", 'radii = [3]\nimages = "x"', "`images` must be a table"),
-    ("radii = [3]", "radii = [3]\nheight = 20", "(20, 16, 3), the target has (16, 16, 3)"),
+    ("radii = [3]", "radii = [3]\nheight = 20", "[renderer] `height` must be that of the target, 16, got 20"),
     ("[optimise.positions]", "[optimise.position]", "[optimise] unknown key `position`; did you mean `positions`?"),
     ("initial = [[4, 12]]", "initial = [4, 12]", "[optimise.positions] `initial` must be one number or have shape"),
     ("initial = [[4, 12]]", 'initial = "left"', "[optimise.positions] `initial` must be numbers"),
@@ -149,9 +149,17 @@ MISTAKES: list[tuple[str, str, str]] = [
     ("beta = 0.125", 'boundary = "mirror"', "[scales] `boundary` must be one of"),
     ("beta = 0.125", "gamma = 2", "[scales] unknown key `gamma`"),
     ('compare = ["pixel_l2"]', 'compare = "pixel_l2"', "[objective] `compare` must be a list"),
-    ('compare = ["pixel_l2"]', 'compare = ["ssim"]', "[objective] objectives are loi, pixel_l2, gaussian_pyramid"),
+    (
+        'compare = ["pixel_l2"]',
+        'compare = ["ssim"]',
+        "[objective] objectives are loi, pixel_l2, gaussian_pyramid, ms_ssim",
+    ),
     ('compare = ["pixel_l2"]', 'accuracy = "perfect"', "[objective] `accuracy` must be one of"),
     ('compare = ["pixel_l2"]', 'nan_policy = "keep"', "[objective] `nan_policy` must be one of"),
+    ('compare = ["pixel_l2"]', "tone = 3", "[objective] `tone` must be a table, got 3"),
+    ('compare = ["pixel_l2"]', "tone = {}", "[objective.tone] `peak` is missing"),
+    ('compare = ["pixel_l2"]', "tone = { peak = 1, gamma = 2 }", "[objective.tone] unknown key `gamma`"),
+    ('compare = ["pixel_l2"]', "tone = { peak = 0 }", "[objective.tone] `peak` of a tone curve must be a number from"),
     ("steps = 6", "steps = 0", "[fit] `steps` must be a whole number"),
     ("steps = 6", "step = 6", "[fit] unknown key `step`; did you mean `steps`?"),
     ("learning_rate = 1", 'learning_rate = "fast"', "[fit] `learning_rate` must be a finite number"),
@@ -191,6 +199,15 @@ def test_a_wrong_scene_is_one_line_exit_2_and_nothing_written(
     assert err.count("\n") == 1
     assert out == ""
     assert sorted(folder.rglob("*")) == before
+
+
+def test_a_tone_curve_is_part_of_every_objective(folder: Path) -> None:
+    assert load_scene(folder / "scene.toml").tone is None
+    line = 'compare = ["pixel_l2", "gaussian_pyramid"]\ntone = { peak = 2, compression = 50 }'
+    (folder / "scene.toml").write_text(SCENE.replace('compare = ["pixel_l2"]', line))
+    scene = load_scene(folder / "scene.toml")
+    assert scene.tone == LogTone(2.0, 50.0)
+    assert [one.tone for one in scene.objectives.values()] == [scene.tone] * 3
 
 
 def test_a_missing_or_binary_scene_file_is_named(tmp_path: Path) -> None:

@@ -12,11 +12,12 @@ from typing import Any, ClassVar
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from loi_core import LOIObjective, ScaleSpace, registry
-from loi_core.backends import Backend, NumPy
+from loi_core import LogTone, LOIObjective, ScaleSpace, registry
+from loi_core.backends import BFLOAT16_PRODUCTS, Backend, NumPy
 from loi_core.cli import main
 from loi_core.cli.demo import make_disks
 from loi_core.scene import load_scene
@@ -247,8 +248,24 @@ def test_every_backend_of_the_project_gives_the_numbers_of_the_core(name: str) -
             assert relative_error(slope, gradient) < tolerance
 
 
+def test_products_in_bfloat16_are_a_choice_of_torch_that_is_set_back() -> None:
+    backend = announced_backends()["torch"]
+    image, reference = images((40, 48, 3), 3)
+    scales = ScaleSpace((0, 2), (2, 5), 0.125)
+    value = float(LOIObjective(reference, scales).value(image))
+    torch.set_float32_matmul_precision("high")
+    try:
+        got, slope = backend.prepare(image, reference, scales, "exact", BFLOAT16_PRODUCTS)()
+        assert torch.get_float32_matmul_precision() == "high"
+    finally:
+        torch.set_float32_matmul_precision("highest")
+    assert slope.dtype == np.float32
+    # Each of the products of a blur rounds both factors to 8 bits, and differences of CDFs are compared, not CDFs.
+    assert got == pytest.approx(value, rel=2.0 * 4.0 * 2.0**-8)
+
+
 def test_the_backends_of_the_project_are_all_tried() -> None:
-    assert sorted(announced_backends()) == ["jax", "numpy", "torch"]
+    assert sorted(announced_backends()) == ["jax", "mitsuba", "numpy", "torch"]
 
 
 def test_a_broken_backend_is_reported_and_the_others_are_measured(
@@ -311,7 +328,7 @@ def test_nothing_but_broken_backends_is_an_error(
         (["--seconds", "0"], "`--seconds` must be a finite number, more than 0, got 0.0"),
         (["--seconds", "nan"], "`--seconds` must be"),
         (["--output", "{a}"], "`--output` must lead to a folder"),
-        (["--output", "a\0b"], "`--output` must be a path"),
+        (["--output", "a\0b"], "`--output` must lead to a folder"),
         (["--seconds", "soon"], "invalid float value: 'soon'"),
     ],
 )
@@ -417,6 +434,31 @@ def test_the_noise_of_a_renderer_is_that_of_its_pullback(plugins: Plugins, tmp_p
         assert set(found.parameters) == {"shift"}  # the level stays as it is
         # The image differs from seed to seed by 1e-9.
         assert found.least == pytest.approx(np.std(factors, ddof=1) / np.mean(factors), rel=1e-5)
+
+
+def test_a_scene_s_tone_curve_lies_between_loss_and_renderer(
+    plugins: Plugins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = grain_scene(tmp_path, plugins)
+    path.write_text(path.read_text() + "\n[objective]\ntone = { peak = 2 }\n")
+    seen: list[run.Problem] = []
+
+    def measure(problem: run.Problem, *_: Any, **__: Any) -> None:
+        seen.append(problem)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("loi_core.cli.tradeoff.measure", measure)
+    assert main(["tradeoff", "--scene", str(path), "--output", str(tmp_path / "out")]) == 1
+    (problem,) = seen
+    scene = problem.scene
+    assert scene is not None
+    image, pullback = scene.renderer.render_vjp(scene.renderer.parameters(), seed=scene.fit.seed)
+    _, wanted = LOIObjective(scene.target, scene.scales, tone=LogTone(2.0)).value_and_grad(image)
+    gradient = LOIObjective(problem.reference, problem.scales).value_and_grad(problem.image)[1]
+    off = gradient * np.random.default_rng(0).normal(size=gradient.shape)
+    size = np.linalg.norm(pullback(wanted)["shift"])
+    error = np.linalg.norm(pullback(LogTone(2.0).pullback(image, off))["shift"]) / size
+    assert noise.PulledBack(scene, gradient).error(gradient + off) == pytest.approx(error, rel=1e-9)
 
 
 def test_a_stochastic_scene_is_judged_by_its_own_noise(

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from loi_core import LOIObjective, ScaleSpace
+from loi_core import LogTone, LOIObjective, ScaleSpace
 from loi_core.nonfinite import NanPolicy
 
 __all__ = ["loi_loss"]
@@ -24,6 +24,7 @@ def loi_loss(
     *,
     channel_axis: int | None = -1,
     nan_policy: NanPolicy = "raise",
+    tone: LogTone | None = None,
 ) -> Callable[[jax.Array], jax.Array]:
     """The locally orderless image loss against a reference, as a function of the image.
 
@@ -33,7 +34,7 @@ def loi_loss(
         What the image should look like; JAX or NumPy, concrete, not a tracer.
     scales : ScaleSpace, optional
         The scales to compare; ``ScaleSpace.for_image(H, W)`` by default.
-    accuracy, channel_axis, nan_policy
+    accuracy, channel_axis, nan_policy, tone
         See :class:`loi_core.LOIObjective`.
 
     Returns
@@ -52,7 +53,7 @@ def loi_loss(
     if host.dtype.kind == "V" or str(host.dtype) in ("bfloat16", "float16"):
         host = host.astype(np.float32)
     # Checked here, with the core's messages; what is kept is NumPy, which no trace can leak into.
-    objective = LOIObjective(host, scales, accuracy, channel_axis, nan_policy)
+    objective = LOIObjective(host, scales, accuracy, channel_axis, nan_policy, tone)
     traceable = _Traceable(objective)
 
     @jax.custom_vjp

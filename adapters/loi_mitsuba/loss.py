@@ -9,7 +9,7 @@ from typing import Any, Final, Literal, TypeAlias, get_args
 import drjit as dr
 import mitsuba as mi
 
-from loi_core import LOIObjective, ScaleSpace
+from loi_core import LogTone, LOIObjective, ScaleSpace
 from loi_core.arrays import Array, namespace
 from loi_core.errors import ImageTypeError, LoiError, OptionError
 from loi_core.nonfinite import NanPolicy
@@ -50,6 +50,8 @@ class LOILoss:
         Where the channels are, in the reference and in the images; None for images without channels.
     nan_policy : {"raise", "mask"}
         What happens to pixels that are not finite.
+    tone : LogTone, optional
+        A tone curve for images of high dynamic range, as ``mi.render`` gives them; see :class:`loi_core.LOIObjective`.
     backend : {"torch", "numpy", "jax"}, optional
         The array library that does the work. By default torch if it is installed, and computes on GPUs if Mitsuba's
         variant does, or else NumPy.
@@ -82,12 +84,13 @@ class LOILoss:
         *,
         channel_axis: int | None = -1,
         nan_policy: NanPolicy = "raise",
+        tone: LogTone | None = None,
         backend: Backend | None = None,
     ) -> None:
         self._backend = _check_backend(backend)
         if dr.is_tensor_v(reference):
             reference = dr.detach(reference).numpy()
-        self._objective = LOIObjective(reference, scales, accuracy, channel_axis=channel_axis, nan_policy=nan_policy)
+        self._objective = LOIObjective(reference, scales, accuracy, channel_axis, nan_policy, tone)
 
     @property
     def objective(self) -> LOIObjective:

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import FunctionCtx, once_differentiable
 
-from loi_core import LOIObjective, ScaleSpace
+from loi_core import LogTone, LOIObjective, ScaleSpace
 from loi_core.errors import ImageTypeError
 from loi_core.nonfinite import NanPolicy
 
@@ -33,6 +33,8 @@ class LOILoss(torch.nn.Module):
         Where the channels are: -3 for torch's usual (N, C, H, W), -1 for (N, H, W, C).
     nan_policy : {"raise", "mask"}
         What happens to pixels that are not finite.
+    tone : LogTone, optional
+        A tone curve for images of high dynamic range; see :class:`loi_core.LOIObjective`.
 
     Notes
     -----
@@ -51,15 +53,17 @@ class LOILoss(torch.nn.Module):
         *,
         channel_axis: int | None = -1,
         nan_policy: NanPolicy = "raise",
+        tone: LogTone | None = None,
     ) -> None:
         super().__init__()
         # The core checks the arguments, and copies: later writes of the caller to `reference` change nothing.
-        objective = LOIObjective(reference, scales, accuracy, channel_axis, nan_policy)
+        objective = LOIObjective(reference, scales, accuracy, channel_axis, nan_policy, tone)
         self._options: dict[str, Any] = {
             "scales": objective.scales,
             "accuracy": accuracy,
             "channel_axis": channel_axis,
             "nan_policy": nan_policy,
+            "tone": tone,
         }
         self.register_buffer("reference", torch.as_tensor(objective.reference))
         self._objective: LOIObjective | None = None
@@ -101,6 +105,7 @@ def loi_loss(
     *,
     channel_axis: int | None = -1,
     nan_policy: NanPolicy = "raise",
+    tone: LogTone | None = None,
 ) -> Tensor:
     """The locally orderless image loss of one image, a tensor of shape ().
 
@@ -108,7 +113,7 @@ def loi_loss(
     """
     if isinstance(reference, Tensor) and reference.dtype in REDUCED:
         reference = reference.float()
-    return _apply(image, LOIObjective(reference, scales, accuracy, channel_axis, nan_policy))
+    return _apply(image, LOIObjective(reference, scales, accuracy, channel_axis, nan_policy, tone))
 
 
 def _apply(image: Tensor, objective: LOIObjective) -> Tensor:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import abc
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, ClassVar, TypeAlias
 
@@ -14,15 +15,51 @@ from torch.autograd.function import FunctionCtx, once_differentiable
 from loi_core import renderers as core
 from loi_core.arrays import to_numpy
 from loi_core.errors import ParameterError
-from loi_core.renderers.checks import FloatArray, check_image, check_parameters
-from loi_core.renderers.coverage import canvas_coverage
+from loi_core.renderers.checks import FloatArray
+from loi_core.renderers.coverage import disk_coverage
+from loi_core.renderers.fragments import Fragments, disk_fragments
 
 __all__ = ["Disks", "Warp"]
 
 Tensors: TypeAlias = dict[str, Tensor]
 
 
-class Disks:
+class _Painted(abc.ABC):
+    """A renderer of the core whose picture torch paints: checks, parameters and :meth:`project` are the core's."""
+
+    backend: ClassVar[str] = "torch"
+
+    def __init__(self, scene: core.Disks | core.Warp, dtype: str, device: str) -> None:
+        self._core = scene
+        self._dtype: torch.dtype = getattr(torch, dtype)
+        self._device = _check_device(device)
+
+    def parameters(self) -> Tensors:
+        """The parameters of the core's renderer, of the scene's dtype."""
+        return _tensors(self._core.parameters(), self._dtype, self._device)
+
+    def render(self, params: Tensors, *, seed: int = 0) -> Tensor:
+        """The image, shape (height, width, 3), detached; `seed` is not needed, nothing is random."""
+        with torch.no_grad():
+            return self._paint(self._checked(params)).to(self._dtype)
+
+    def render_vjp(self, params: Tensors, *, seed: int = 0) -> tuple[Tensor, Callable[[Tensor], Tensors]]:
+        """The image and its pullback, both detached; see :class:`loi_core.Renderer`."""
+        return _vjp(self._paint, self._checked(params), self._dtype)
+
+    def project(self, params: Tensors) -> Tensors:
+        """The legal parameters next to `params`, as the core's renderer has them."""
+        return _tensors(self._core.project(_host(params)), self._dtype, self._device)
+
+    def _checked(self, params: Tensors) -> Tensors:
+        return _tensors(self._core.checked(_host(params)), torch.float64, self._device)
+
+    @abc.abstractmethod
+    def _paint(self, scene: Tensors) -> Tensor:
+        """The image, float64, for autograd."""
+
+
+class Disks(_Painted):
     """`n` disks over a plain background, the later ones on top: :class:`loi_core.renderers.Disks` on torch.
 
     Parameters
@@ -39,11 +76,8 @@ class Disks:
 
     Notes
     -----
-    Every disk is painted on the whole canvas, so that no shape depends on a value; memory grows with n times the
-    number of pixels.
+    Only pixels that a disk meets are painted. Which they are is found on the host.
     """
-
-    backend: ClassVar[str] = "torch"
 
     def __init__(
         self,
@@ -58,43 +92,25 @@ class Disks:
         confine: bool = False,
         device: str = "cpu",
     ) -> None:
-        self._core = core.Disks(height, width, positions, radii, colours, background, dtype=dtype, confine=confine)
-        self._dtype: torch.dtype = getattr(torch, dtype)
-        self._device = _check_device(device)
-        rows, columns = self._core.size
-        self._canvas = torch.tensor(self._core.background, device=self._device).expand(rows, columns, 3)
-        self._rows = torch.arange(rows + 1, dtype=torch.float64, device=self._device)
-        self._columns = torch.arange(columns + 1, dtype=torch.float64, device=self._device)
-
-    def parameters(self) -> Tensors:
-        """``positions`` (n, 2), ``radii`` (n,) and ``colours`` (n, 3), of the scene's dtype."""
-        return _tensors(self._core.parameters(), self._dtype, self._device)
-
-    def render(self, params: Tensors, *, seed: int = 0) -> Tensor:
-        """The image, shape (height, width, 3), detached; `seed` is not needed, nothing is random."""
-        with torch.no_grad():
-            return self._paint(self._checked(params)).to(self._dtype)
-
-    def render_vjp(self, params: Tensors, *, seed: int = 0) -> tuple[Tensor, Callable[[Tensor], Tensors]]:
-        """The image and its pullback, both detached; see :class:`loi_core.Renderer`."""
-        return _vjp(self._paint, self._checked(params), self._dtype)
-
-    def project(self, params: Tensors) -> Tensors:
-        """The legal parameters next to `params`; see :meth:`loi_core.renderers.Disks.project`."""
-        return _tensors(self._core.project(_host(params)), self._dtype, self._device)
-
-    def _checked(self, params: Tensors) -> Tensors:
-        return _tensors(check_parameters(_host(params), self._core.parameters()), torch.float64, self._device)
+        scene = core.Disks(height, width, positions, radii, colours, background, dtype=dtype, confine=confine)
+        super().__init__(scene, dtype, device)
+        self._size = scene.size
+        self._canvas = torch.tensor(scene.background, device=self._device).expand(scene.size[0] * scene.size[1], 3)
 
     def _paint(self, scene: Tensors) -> Tensor:
-        coverage: Tensor = _Coverage.apply(scene["positions"], scene["radii"], self._columns, self._rows)[0]  # type: ignore[no-untyped-call]  # untyped in torch
+        fragments = disk_fragments(to_numpy(scene["positions"]), to_numpy(scene["radii"]), self._size)
+        owner = torch.tensor(fragments.owner, device=self._device)
+        pixels = torch.tensor(fragments.rows * self._size[1] + fragments.columns, device=self._device)
+        coverage: Tensor = _Coverage.apply(scene["positions"], scene["radii"], fragments)[0]  # type: ignore[no-untyped-call]  # untyped in torch
+        share, colours = coverage[:, None], scene["colours"][owner]
         image = self._canvas
-        for share, colour in zip(coverage[..., None], scene["colours"], strict=True):
-            image = image + share * (colour - image)
-        return image
+        for layer in fragments.layers:
+            beneath = image[pixels[layer]]
+            image = image.index_put((pixels[layer],), beneath + share[layer] * (colours[layer] - beneath))
+        return image.reshape(*self._size, 3)
 
 
-class Warp:
+class Warp(_Painted):
     """A picture over a background, moved, turned and scaled: :class:`loi_core.renderers.Warp` on torch.
 
     Parameters
@@ -114,8 +130,6 @@ class Warp:
     Kornia samples the picture.
     """
 
-    backend: ClassVar[str] = "torch"
-
     def __init__(
         self,
         picture: FloatArray,
@@ -128,37 +142,11 @@ class Warp:
         dtype: str = "float64",
         device: str = "cpu",
     ) -> None:
-        self._core = core.Warp(picture, background, translation, rotation, scale, exposure, dtype=dtype)
-        self._dtype: torch.dtype = getattr(torch, dtype)
-        self._device = _check_device(device)
-        self._background = torch.tensor(check_image("background", background, (3,)), device=self._device)
-        host = check_image("picture", picture, (3, 4))
-        self._size = host.shape[:2]
-        self._layers = torch.tensor(_layers(host), device=self._device)
-
-    def parameters(self) -> Tensors:
-        """``translation`` (2,), ``rotation`` (), ``scale`` () and ``exposure`` (), of the scene's dtype."""
-        return _tensors(self._core.parameters(), self._dtype, self._device)
-
-    def render(self, params: Tensors, *, seed: int = 0) -> Tensor:
-        """The image, shape (H, W, 3), detached; `seed` is not needed, nothing is random."""
-        with torch.no_grad():
-            return self._paint(self._checked(params)).to(self._dtype)
-
-    def render_vjp(self, params: Tensors, *, seed: int = 0) -> tuple[Tensor, Callable[[Tensor], Tensors]]:
-        """The image and its pullback, both detached; see :class:`loi_core.Renderer`."""
-        return _vjp(self._paint, self._checked(params), self._dtype)
-
-    def project(self, params: Tensors) -> Tensors:
-        """The legal parameters next to `params`; see :meth:`loi_core.renderers.Warp.project`."""
-        return _tensors(self._core.project(_host(params)), self._dtype, self._device)
-
-    def _checked(self, params: Tensors) -> Tensors:
-        pose = check_parameters(_host(params), self._core.parameters())
-        if pose["scale"] <= 0.0:
-            msg = f"`scale` must be more than 0, got {float(pose['scale'])}"
-            raise ParameterError(msg)
-        return _tensors(pose, torch.float64, self._device)
+        scene = core.Warp(picture, background, translation, rotation, scale, exposure, dtype=dtype)
+        super().__init__(scene, dtype, device)
+        self._background = torch.tensor(scene.background, device=self._device)
+        self._size = scene.layers.shape[:2]
+        self._layers = torch.tensor(_widened(scene.layers), device=self._device)
 
     def _paint(self, pose: Tensors) -> Tensor:
         height, width = self._background.shape[:2]
@@ -180,20 +168,32 @@ class _Coverage(torch.autograd.Function):
     """The core's areas with the core's derivatives: autograd's own are NaN where a square root starts."""
 
     @staticmethod
-    def forward(positions: Tensor, radii: Tensor, columns: Tensor, rows: Tensor) -> tuple[Tensor, ...]:
-        return canvas_coverage(positions, radii, columns, rows)
+    def forward(positions: Tensor, radii: Tensor, fragments: Fragments) -> tuple[Tensor, ...]:
+        edge = np.flatnonzero(fragments.on_edge)
+        where, owner = (torch.tensor(each, device=radii.device) for each in (edge, fragments.owner[edge]))
+        x, y = (
+            torch.tensor(pixels[edge, None] + np.arange(2.0), device=radii.device) - centres[owner, None]
+            for pixels, centres in zip((fragments.columns, fragments.rows), positions.unbind(dim=1), strict=True)
+        )
+        parts = disk_coverage(x[:, None, :], y[:, :, None], radii[owner, None, None])
+        area, *slopes = (part[:, 0, 0] for part in parts)
+        coverage = radii.new_ones(len(fragments.owner)).index_put((where,), area)
+        return coverage, where, owner, *slopes
 
     @staticmethod
-    def setup_context(ctx: FunctionCtx, _: tuple[Any, ...], output: tuple[Tensor, ...]) -> None:
+    def setup_context(ctx: FunctionCtx, inputs: tuple[Any, ...], output: tuple[Tensor, ...]) -> None:
         ctx.mark_non_differentiable(*output[1:])
-        ctx.save_for_backward(*output[1:])
+        ctx.save_for_backward(inputs[1], *output[1:])
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, upstream: Tensor, *_: Tensor) -> tuple[Tensor | None, ...]:
         """Weigh the derivatives; differentiating this again is an error, since they are constants to autograd."""
-        by_x, by_y, by_radius = (torch.sum(upstream * slope, dim=(-2, -1)) for slope in ctx.saved_tensors)
-        return torch.stack([by_x, by_y], dim=-1), by_radius, None, None
+        radii, where, owner, *slopes = ctx.saved_tensors
+        by_x, by_y, by_radius = (
+            torch.zeros_like(radii).index_add(0, owner, upstream[where] * slope) for slope in slopes
+        )
+        return torch.stack([by_x, by_y], dim=-1), by_radius, None
 
 
 def _vjp(
@@ -218,16 +218,14 @@ def _vjp(
     return image.detach().to(dtype), pullback
 
 
-def _layers(picture: FloatArray) -> FloatArray:
-    """Premultiplied RGB and opacity, shape (1, 4, h', w'), with a transparent rim.
+def _widened(layers: FloatArray) -> FloatArray:
+    """`layers`, shape (h, w, 4), as kornia wants them, (1, 4, h', w'), with a transparent rim.
 
     The rim is widened at the right and below to sides of 2^k + 1 pixels: Kornia's way to coordinates in [-1, 1] and
     back is then free of rounding at the centres of pixels, where rounding would pick the derivative on either side.
     """
-    opacity = picture[..., 3:] if picture.shape[2] == 4 else np.ones((*picture.shape[:2], 1))
-    layered = np.concatenate([picture[..., :3] * opacity, opacity], axis=-1)
-    rims = [(1, 2 ** int(size).bit_length() - size) for size in picture.shape[:2]]
-    return np.moveaxis(np.pad(layered, (*rims, (0, 0))), -1, 0)[None]
+    rims = [(1, 2 ** int(size).bit_length() - size) for size in layers.shape[:2]]
+    return np.moveaxis(np.pad(layers, (*rims, (0, 0))), -1, 0)[None]
 
 
 def _host(params: Mapping[str, Any]) -> dict[str, Any]:

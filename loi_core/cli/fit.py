@@ -14,6 +14,7 @@ from tqdm import tqdm
 from loi_core.effects import PlanningRenderer
 from loi_core.errors import SceneError
 from loi_core.experiment import Trial, plan_scene, run_scene
+from loi_core.messages import printable
 from loi_core.report import write_page, write_results
 from loi_core.report.plots import LABELS
 from loi_core.scene import Scene, load_scene
@@ -63,7 +64,7 @@ def run_and_write(scene: Scene, *, resume: bool = False) -> dict[str, Any]:
         bars.close()
     for trial in trials:
         if trial.error:
-            print(f"loi: {trial.objective}: {' '.join(trial.error.split())}", file=sys.stderr)
+            print(f"loi: {trial.objective}: {printable(trial.error)}", file=sys.stderr)
     return write_results(scene, trials)
 
 

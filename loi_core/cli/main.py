@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import argparse
+import io
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
+from typing import Final, NoReturn
 
 from loi_core import __version__
 from loi_core.errors import FitError, LoiError, RendererError
+from loi_core.messages import printable
 
 __all__ = ["DONE", "FAILED", "WRONG_CALL", "main"]
 
@@ -20,6 +22,8 @@ WRONG_CALL: Final = 2
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run ``loi`` with these arguments (those of the process by default); returns the exit code."""
+    if isinstance(sys.stdout, io.TextIOWrapper):
+        sys.stdout.reconfigure(errors="backslashreplace")  # a title or path that the terminal has no letters for
     try:
         options = _parser().parse_args(arguments)
     except SystemExit as stop:  # argparse has printed the help, the version, or what is wrong
@@ -75,20 +79,29 @@ def _run(options: argparse.Namespace) -> int:
 
         list_renderers(as_json=options.json)
         return DONE
+    if options.stability:
+        from loi_core.cli.stability import examine_stability
+
+        return DONE if examine_stability(as_json=options.json) else FAILED
     from loi_core.cli.doctor import examine
 
     return DONE if examine(as_json=options.json) else FAILED
 
 
 def _say(message: str, code: int) -> int:
-    print(f"loi: {' '.join(message.split())}", file=sys.stderr)  # one line, whatever a file or plugin put into it
+    print(f"loi: {printable(message)}", file=sys.stderr)  # one line, whatever a file or plugin put into it
     return code
 
 
+class _Parser(argparse.ArgumentParser):
+    """Says what is wrong with a call in one line, as every error is said."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(_say(f"{message}; see `{self.prog} --help`", WRONG_CALL))
+
+
 def _parser() -> argparse.ArgumentParser:
-    parser = argparse.ArgumentParser(
-        prog="loi", description="Locally orderless images as a loss for inverse rendering."
-    )
+    parser = _Parser(prog="loi", description="Locally orderless images as a loss for inverse rendering.")
     parser.add_argument("--version", action="version", version=f"loi {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
@@ -117,6 +130,11 @@ def _parser() -> argparse.ArgumentParser:
 
     renderers = commands.add_parser("renderers", help="which renderers are installed")
     doctor = commands.add_parser("doctor", help="what works here, and the mend for what does not")
+    doctor.add_argument(
+        "--stability",
+        action="store_true",
+        help="run the hard cases on every backend (minutes, most of them JAX's compiler)",
+    )
     for command in (demo, fit, tradeoff, renderers, doctor):
         command.add_argument("--json", action="store_true", help="print the answer as JSON")
     return parser

@@ -47,9 +47,6 @@ def show_tradeoff(
     if image is not None and scene is not None:
         msg = "`--image` and `--scene` exclude each other; give one of them"
         raise OptionError(msg)
-    if "\0" in str(output):
-        msg = "`--output` must be a path, got one with a null character"
-        raise OptionError(msg)
     check_writable("--output", output)
     with tempfile.TemporaryDirectory() as folder:  # for a bundled scene
         if image is not None and reference is not None:
@@ -91,7 +88,10 @@ def _of_scene(name: str, folder: Path, output: Path) -> Problem:
         msg = f"`--scene` must be a file that ends in .toml, or one of {', '.join(BUNDLED)}, got {name!r}"
         raise SceneError(msg)
     scene = load_scene(path, output=output)
-    return Problem(scene.title, initial_image(scene).astype("float64"), scene.target, scene.scales, scene)
+    image, target = initial_image(scene).astype("float64"), scene.target
+    if scene.tone is not None:
+        image, target = scene.tone.apply(image), scene.tone.apply(target)
+    return Problem(scene.title, image, target, scene.scales, scene)
 
 
 class _Bar:

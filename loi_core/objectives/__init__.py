@@ -2,7 +2,8 @@
 
 from loi_core.objectives.base import ImageObjective, Objective
 from loi_core.objectives.loi import LOIObjective
+from loi_core.objectives.msssim import MSSSIM
 from loi_core.objectives.pixel import PixelL2
 from loi_core.objectives.pyramid import GaussianPyramid
 
-__all__ = ["GaussianPyramid", "ImageObjective", "LOIObjective", "Objective", "PixelL2"]
+__all__ = ["MSSSIM", "GaussianPyramid", "ImageObjective", "LOIObjective", "Objective", "PixelL2"]

@@ -7,10 +7,22 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Generic, Protocol, TypeVar, runtime_checkable
 
-from loi_core.arrays import Array, as_floating, detached, device, from_numpy, is_numpy_array, library_name, namespace
+from loi_core.arrays import (
+    Array,
+    as_floating,
+    detached,
+    device,
+    from_numpy,
+    is_numpy_array,
+    library_name,
+    namespace,
+    narrowed,
+    widened,
+)
 from loi_core.errors import ImageError, ImageTypeError
 from loi_core.layout import Layout, check_channel_axis
 from loi_core.nonfinite import NanPolicy, check_nan_policy, require_finite
+from loi_core.tone import LogTone, check_tone
 
 __all__ = ["Evaluation", "ImageObjective", "Objective"]
 
@@ -41,7 +53,7 @@ class Evaluation(Generic[KeyT]):
 
 @dataclass(frozen=True)
 class _Ready(Generic[PreparedT]):
-    """The reference as one array library, dtype and device sees it."""
+    """The reference as one array library, dtype and device sees it, after the tone curve."""
 
     planes: Array
     finite: Array | None
@@ -63,19 +75,31 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
     nan_policy : {"raise", "mask"}
         "raise" stops at the first NaN or infinite pixel. "mask" takes such pixels, of either image, as equal to
         the reference; they add nothing, their gradient is 0, and the mean is still over all pixels.
+    tone : LogTone, optional
+        A tone curve for images of high dynamic range: image and reference pass it before they are compared, and its
+        derivative is part of the gradient.
 
     Notes
     -----
-    Batches are averaged: the value is one number, the mean over the images of the batch.
+    Batches are averaged: the value is one number, the mean over the images of the batch. Images of 16 bits are compared
+    in float32; value and gradient are rounded to the image's dtype at the end.
     """
 
-    def __init__(self, reference: Array, *, channel_axis: int | None = -1, nan_policy: NanPolicy = "raise") -> None:
+    def __init__(
+        self,
+        reference: Array,
+        *,
+        channel_axis: int | None = -1,
+        nan_policy: NanPolicy = "raise",
+        tone: LogTone | None = None,
+    ) -> None:
         self._channel_axis = check_channel_axis(channel_axis)
         self._nan_policy = check_nan_policy(nan_policy)
+        self._tone = check_tone(tone)
         reference = detached(as_floating("reference", reference))
         self._reference_layout = Layout.of("reference", reference.shape, self._channel_axis)
         if self._nan_policy == "raise":
-            require_finite("reference", reference)
+            require_finite("reference", reference, self._channel_axis)
         xp = namespace(reference)
         self._reference = xp.asarray(reference, copy=True)
         self._ready: dict[tuple[Any, ...], _Ready[PreparedT]] = {}
@@ -94,6 +118,11 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
     def nan_policy(self) -> NanPolicy:
         """What happens to pixels that are not finite."""
         return self._nan_policy
+
+    @property
+    def tone(self) -> LogTone | None:
+        """The tone curve that image and reference pass."""
+        return self._tone
 
     def value(self, image: Array) -> Array:
         """The objective at `image`.
@@ -115,21 +144,22 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
         NonFiniteImageError
             Under ``nan_policy="raise"``, if a pixel is NaN or infinite.
         """
-        return _total(self._evaluate_image(image, gradient=False)[0].terms)
+        return narrowed(_total(self._evaluate_image(image, gradient=False)[0].terms), image)
 
     def value_and_grad(self, image: Array) -> tuple[Array, Array]:
         """The objective at `image` and its gradient, an array like `image`. Errors as in :meth:`value`."""
         # The gradient is ours; a framework that recorded the way to it would only waste time and memory.
         evaluation, gradient = self._evaluate_image(detached(image), gradient=True)
-        return _total(evaluation.terms), gradient
+        return narrowed(_total(evaluation.terms), image), narrowed(gradient, image)
 
     def terms(self, image: Array) -> dict[KeyT, Array]:
         """The parts of the value, which sum to it. Errors as in :meth:`value`."""
-        return self._evaluate_image(image, gradient=False)[0].terms
+        found = self._evaluate_image(image, gradient=False)[0].terms
+        return {key: narrowed(term, image) for key, term in found.items()}
 
     def prepare(self, shape: tuple[int, ...], like: Array) -> None:
         """Make the reference ready for images of `shape` that are arrays like `like`; evaluating does so by itself."""
-        self._ready_for(like, Layout.of("image", shape, self._channel_axis))
+        self._ready_for(widened(like), Layout.of("image", shape, self._channel_axis))
 
     def evaluate_unchecked(self, image: Array, like: Array, *, gradient: bool) -> tuple[Array, Array | None]:
         """Value, and gradient if asked for, of an image whose pixels cannot be looked at, such as a JAX tracer.
@@ -144,7 +174,7 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
             Whether the gradient is wanted; None comes in its place otherwise.
         """
         evaluation, slope = self._evaluate_image(image, gradient=gradient, like=like)
-        return _total(evaluation.terms), slope
+        return narrowed(_total(evaluation.terms), image), None if slope is None else narrowed(slope, image)
 
     @abc.abstractmethod
     def _prepare(self, reference: Array) -> PreparedT:
@@ -157,22 +187,27 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
     def _evaluate_image(
         self, image: Array, *, gradient: bool, like: Array | None = None
     ) -> tuple[Evaluation[KeyT], Array]:
-        as_floating("image", image)
+        image = widened(as_floating("image", image))
         layout = Layout.of("image", image.shape, self._channel_axis)
-        ready = self._ready_for(image if like is None else like, layout)
+        ready = self._ready_for(image if like is None else widened(like), layout)
         planes = layout.to_planes(image)
         seen: Array | None = None
         if self._nan_policy == "raise":
             if like is None:
-                require_finite("image", image)
+                require_finite("image", image, self._channel_axis)
         else:
             xp = namespace(planes)
             seen = xp.isfinite(planes) & ready.finite
-            planes = xp.where(seen, planes, ready.planes)
-        evaluation = self._evaluate(planes, ready.prepared, gradient=gradient)
+            planes = xp.where(seen, planes, xp.zeros_like(planes))  # so that no curve, nor its slope, meets them
+        compared = self._toned(planes)
+        if seen is not None:
+            compared = namespace(planes).where(seen, compared, ready.planes)
+        evaluation = self._evaluate(compared, ready.prepared, gradient=gradient)
         cotangent = evaluation.gradient
         if cotangent is None:
             return evaluation, None
+        if self._tone is not None:
+            cotangent = self._tone.pullback(planes, cotangent)
         if seen is not None:
             xp = namespace(cotangent)
             cotangent = xp.where(seen, cotangent, xp.zeros_like(cotangent))
@@ -200,7 +235,11 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
         if self._nan_policy == "mask":
             finite = xp.isfinite(planes)
             planes = xp.where(finite, planes, xp.zeros_like(planes))
+        planes = self._toned(planes)
         return _Ready(planes, finite, self._prepare(planes))
+
+    def _toned(self, planes: Array) -> Array:
+        return planes if self._tone is None else self._tone.apply(planes)
 
     def _reference_like(self, image: Array) -> Array:
         if is_numpy_array(self._reference):

@@ -2,27 +2,23 @@
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypeAlias
 
-from loi_core.arrays import Array, epsilon, from_numpy, namespace, runs_eagerly_on_host, sum_of_all
-from loi_core.distance import cost, cost_slope, tie_threshold
+from loi_core.arrays import Array, device, epsilon, namespace, widened
+from loi_core.comparison import InnerComparison, ScaleKey
 from loi_core.errors import OptionError, ScaleError
+from loi_core.messages import shown
 from loi_core.nonfinite import NanPolicy
 from loi_core.objectives.base import Evaluation, ImageObjective
-from loi_core.operators import Blur, GaussianBlur, blur_about
-from loi_core.plan import InnerPlan, Plan, TonalPlan, make_plan
+from loi_core.plan import Plan, make_plan
 from loi_core.scales import ScaleSpace
-from loi_core.tonal import accumulate, clip, clip_pullback, level_weights, weights_and_slopes
+from loi_core.tonal import clip, clip_pullback
+from loi_core.tone import LogTone
 from loi_core.values import real_number
 
 __all__ = ["ACCURACIES", "LOIObjective", "ScaleKey", "gradient_tolerance"]
 
-ScaleKey = tuple[float, float, float]
-
-CHUNK_ON_HOST: Final = 2**20  # elements: 4 MiB in float32, a few of which lie in the caches of a core
-CHUNK: Final = 2**24  # elements: where operations are fused or run on an accelerator, large ones are better
+_Prepared: TypeAlias = tuple[InnerComparison, ...]
 
 ACCURACIES: Final = {"exact": 0.0, "balanced": 1e-2, "fast": 5e-2}
 
@@ -41,79 +37,8 @@ def gradient_tolerance(accuracy: str | float) -> float:
     if 0.0 <= number < 1.0:
         return number
     names = ", ".join(map(repr, ACCURACIES))
-    msg = f"`accuracy` must be one of {names}, or a relative error in [0, 1), got {accuracy!r:.60}"
+    msg = f"`accuracy` must be one of {names}, or a relative error in [0, 1), got {shown(accuracy)}"
     raise OptionError(msg)
-
-
-@dataclass(frozen=True)
-class _Levels:
-    """Some levels of one tonal scale, the first few only accumulated, and the reference's CDF at the others."""
-
-    values: Array
-    skipped: int
-    cdf: Array  # shape (L, N, h, w)
-
-
-@dataclass(frozen=True)
-class _Extent:
-    alpha: float
-    rung: int
-    blur: Blur
-
-
-@dataclass(frozen=True)
-class _Inner:
-    """The operators of one inner scale and the reference's CDFs there."""
-
-    sigma: float
-    blur: Blur
-    rungs: tuple[Blur, ...]
-    extents: tuple[_Extent, ...]
-    total: int  # planes, over which the terms are averaged
-    planes: int  # how many planes are handled together
-    levels: dict[float, list[_Levels]]  # by tonal scale, those that are handled together
-
-    @classmethod
-    def of(cls, scales: ScaleSpace, plan: InnerPlan, tonal: tuple[TonalPlan, ...], clipped: Array) -> _Inner:
-        blur = GaussianBlur(plan.blur, clipped)
-        total = clipped.shape[0]
-        intensity = blur_about(blur, clipped, scales.padding)
-        most, planes = _chunk(max(each.last for each in tonal), total, plan.finest, clipped)
-        levels = {each.beta: _split(scales, each, most, intensity) for each in tonal}
-        extents = tuple(
-            _Extent(extent.alpha, extent.rung, GaussianBlur(extent.blur, clipped)) for extent in plan.extents
-        )
-        rungs = tuple(GaussianBlur(rung, clipped) for rung in plan.rungs)
-        return cls(plan.sigma, blur, rungs, extents, total, planes, levels)
-
-
-@dataclass(frozen=True)
-class _Prepared:
-    """The operators and the reference, by inner scale."""
-
-    inner: tuple[_Inner, ...]
-
-
-def _split(scales: ScaleSpace, plan: TonalPlan, most: int, intensity: Array) -> list[_Levels]:
-    """The levels of one tonal scale, at most so many together, and the CDF of the reference's `intensity` there."""
-    values = from_numpy(scales.levels(plan.beta)[: plan.last], intensity)
-    running = None
-    parts = []
-    for start in range(0, plan.last, most):
-        stop = min(start + most, plan.last)
-        skipped = min(max(plan.first, start), stop) - start
-        part = values[start:stop]
-        cdf, running = accumulate(level_weights(intensity, part, plan.beta, scales.mass(plan.beta)), running)
-        parts.append(_Levels(part, skipped, namespace(cdf).asarray(cdf[skipped:, ...], copy=True)))
-    return parts
-
-
-def _chunk(levels: int, planes: int, cells: int, like: Array) -> tuple[int, int]:
-    """How many levels of how many planes to handle together, so that they fit the cache, or at least the memory."""
-    elements = CHUNK_ON_HOST if runs_eagerly_on_host(like) else CHUNK
-    if levels * cells <= elements:
-        return levels, max(1, min(planes, elements // (levels * cells)))
-    return max(1, elements // cells), 1
 
 
 class LOIObjective(ImageObjective[_Prepared, ScaleKey]):
@@ -137,6 +62,9 @@ class LOIObjective(ImageObjective[_Prepared, ScaleKey]):
         Where the channels are; None for images without channels.
     nan_policy : {"raise", "mask"}
         What happens to pixels that are not finite.
+    tone : LogTone, optional
+        A tone curve for images of high dynamic range. `bounds`, beta and the clipping of values beyond the bounds are
+        those of the values that it gives.
 
     Examples
     --------
@@ -156,8 +84,9 @@ class LOIObjective(ImageObjective[_Prepared, ScaleKey]):
         accuracy: str | float = "exact",
         channel_axis: int | None = -1,
         nan_policy: NanPolicy = "raise",
+        tone: LogTone | None = None,
     ) -> None:
-        super().__init__(reference, channel_axis=channel_axis, nan_policy=nan_policy)
+        super().__init__(reference, channel_axis=channel_axis, nan_policy=nan_policy, tone=tone)
         if scales is None:
             scales = ScaleSpace.for_image(self._reference_layout.height, self._reference_layout.width)
         if not isinstance(scales, ScaleSpace):
@@ -196,101 +125,24 @@ class LOIObjective(ImageObjective[_Prepared, ScaleKey]):
             layout.height if height is None else height,
             layout.width if width is None else width,
             tolerance=self._tolerance,
-            eps=epsilon(self._reference) if eps is None else eps,
+            eps=epsilon(widened(self._reference)) if eps is None else eps,
         )
 
     def _prepare(self, reference: Array) -> _Prepared:
         scales = self._scales
-        height, width = reference.shape[-2:]
-        plan = self.plan(height, width, eps=epsilon(reference))
+        plan = self.plan(*reference.shape[-2:], eps=epsilon(reference))
         clipped = clip(reference, *scales.bounds)
-        return _Prepared(tuple(_Inner.of(scales, inner, plan.tonal, clipped) for inner in plan.inner))
+        return tuple(InnerComparison.of(scales, inner, plan.tonal, clipped) for inner in plan.inner)
 
     def _evaluate(self, planes: Array, prepared: _Prepared, *, gradient: bool) -> Evaluation[ScaleKey]:
         scales = self._scales
         xp = namespace(planes)
         clipped = clip(planes, *scales.bounds)
-        terms: dict[ScaleKey, Array] = {}
-        total = xp.zeros_like(planes) if gradient else None
-        for inner in prepared.inner:
-            intensity = blur_about(inner.blur, clipped, scales.padding)
-            cotangents = []
-            for start in range(0, intensity.shape[0], inner.planes):
-                part = range(start, min(start + inner.planes, intensity.shape[0]))
-                cotangent = self._compare(intensity[part.start : part.stop, ...], inner, part, terms, gradient=gradient)
-                cotangents.append(cotangent)
-            if gradient:
-                cotangent = cotangents[0] if len(cotangents) == 1 else xp.concat(cotangents, axis=0)
-                total += inner.blur.adjoint(cotangent)
-        if gradient:
-            total = clip_pullback(planes, total, *scales.bounds)
-        return Evaluation({key: terms[key] for key in scales.keys}, total)
-
-    def _compare(
-        self, intensity: Array, inner: _Inner, part: range, terms: dict[ScaleKey, Array], *, gradient: bool
-    ) -> Array | None:
-        """Add the terms (eq. 5) of some planes at one inner scale, shape (N, h, w); their cotangent by `intensity`.
-
-        A few levels at a time, so that what is at work stays small and near.
-        """
-        scales = self._scales
-        xp = namespace(intensity)
-        cotangent = xp.zeros_like(intensity) if gradient else None
-        for beta, parts in inner.levels.items():
-            mass = scales.mass(beta)
-            tie = tie_threshold(intensity, mass / scales.spacing(beta))
-            cdf_sum = slope_sum = None
-            for levels in parts:
-                slope: Array = None
-                if gradient:
-                    weights, slopes = weights_and_slopes(intensity, levels.values, beta, mass)
-                    slope, slope_sum = accumulate(slopes, slope_sum)
-                    del slopes
-                else:
-                    weights = level_weights(intensity, levels.values, beta, mass)
-                cdf, cdf_sum = accumulate(weights, cdf_sum)
-                del weights
-                if levels.skipped == levels.values.shape[0]:
-                    continue
-                difference = cdf[levels.skipped :, ...]
-                difference -= levels.cdf[:, part.start : part.stop, ...]
-                pulled = self._compare_levels(difference, inner, beta, tie, terms, gradient=gradient)
-                if gradient:
-                    pulled *= slope[levels.skipped :, ...]
-                    cotangent += xp.sum(pulled, axis=0)
-        return cotangent
-
-    def _compare_levels(
-        self, difference: Array, inner: _Inner, beta: float, tie: float, terms: dict[ScaleKey, Array], *, gradient: bool
-    ) -> Array | None:
-        """Add the terms of a difference of CDFs, shape (L, N, h, w); the cotangent by it.
-
-        Blurring and accumulating commute, so the difference is blurred once instead of each histogram.
-        """
-        scales = self._scales
-        rungs = [difference]
-        for rung in inner.rungs:
-            rungs.append(rung.apply(rungs[-1]))
-        pulled: list[Array | None] = [None] * len(rungs)
-        for extent in inner.extents:
-            blurred = extent.blur.apply(rungs[extent.rung])
-            weight = scales.scale_weight * scales.level_weight(beta) / (inner.total * math.prod(blurred.shape[-2:]))
-            key = (extent.alpha, beta, inner.sigma)
-            term = sum_of_all(cost(blurred, scales.p)) * weight
-            terms[key] = terms[key] + term if key in terms else term
-            if gradient:
-                back = extent.blur.adjoint(cost_slope(blurred, scales.p, tie, weight))
-                pulled[extent.rung] = _plus(pulled[extent.rung], back)
+        terms = {key: xp.zeros((), dtype=planes.dtype, device=device(planes)) for key in scales.keys}
+        cotangents = [inner.add(clipped, terms, gradient=gradient) for inner in prepared]
         if not gradient:
-            return None
-        for index in range(len(inner.rungs), 0, -1):
-            if pulled[index] is not None:
-                pulled[index - 1] = _plus(pulled[index - 1], inner.rungs[index - 1].adjoint(pulled[index]))
-        return pulled[0]
-
-
-def _plus(total: Array | None, part: Array) -> Array:
-    if total is None:
-        return part
-    total += part
-    return total
+            return Evaluation(terms, None)
+        total: Array = cotangents[0]
+        for cotangent in cotangents[1:]:
+            total += cotangent
+        return Evaluation(terms, clip_pullback(planes, total, *scales.bounds))

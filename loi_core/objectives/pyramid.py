@@ -8,9 +8,11 @@ from dataclasses import dataclass
 from loi_core.arrays import Array, from_numpy, sum_of_all
 from loi_core.errors import OptionError
 from loi_core.kernels import blur_matrix
+from loi_core.messages import shown
 from loi_core.nonfinite import NanPolicy
 from loi_core.objectives.base import Evaluation, ImageObjective
 from loi_core.operators import DenseBlur
+from loi_core.tone import LogTone
 from loi_core.values import whole_number
 
 __all__ = ["GaussianPyramid"]
@@ -32,7 +34,7 @@ class GaussianPyramid(ImageObjective[_Prepared, int]):
     Parameters
     ----------
     reference : array, shape (*batch, H, W, C)
-        Real floating point; see :class:`ImageObjective`, as for `channel_axis` and `nan_policy`.
+        Real floating point; see :class:`ImageObjective`, as for `channel_axis`, `nan_policy` and `tone`.
     levels : int, optional
         Number of levels, the full resolution included; by default, down to a shorter side of 2 pixels.
     """
@@ -44,15 +46,16 @@ class GaussianPyramid(ImageObjective[_Prepared, int]):
         *,
         channel_axis: int | None = -1,
         nan_policy: NanPolicy = "raise",
+        tone: LogTone | None = None,
     ) -> None:
-        super().__init__(reference, channel_axis=channel_axis, nan_policy=nan_policy)
+        super().__init__(reference, channel_axis=channel_axis, nan_policy=nan_policy, tone=tone)
         shorter = min(self._reference_layout.height, self._reference_layout.width)
         most = max(1, int(math.log2(shorter)))
         if levels is None:
             levels = most
         count = whole_number(levels)
         if count is None or not 1 <= count <= most:
-            msg = f"`levels` must be a whole number from 1 to {most} for this image size, got {levels!r}"
+            msg = f"`levels` must be a whole number from 1 to {most} for this image size, got {shown(levels)}"
             raise OptionError(msg)
         self._levels = count
 

@@ -8,6 +8,7 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from loi_core.errors import ParameterError
+from loi_core.messages import shown
 from loi_core.values import whole_number
 
 __all__ = ["FloatArray", "check_dtype", "check_image", "check_parameters", "check_size", "floats"]
@@ -22,7 +23,7 @@ def floats(name: str, value: object, shape: tuple[int | None, ...]) -> FloatArra
     except ValueError:  # rows of different lengths
         given = np.asarray(None)
     if given.dtype.kind not in "fiu":
-        msg = f"`{name}` must be numbers of shape {_spell(shape)}, got {value!r:.60}"
+        msg = f"`{name}` must be numbers of shape {_spell(shape)}, got {shown(value)}"
         raise ParameterError(msg)
     array = given.astype(np.float64)
     if array.ndim != len(shape) or any(want not in (None, got) for want, got in zip(shape, array.shape, strict=True)):
@@ -37,7 +38,7 @@ def floats(name: str, value: object, shape: tuple[int | None, ...]) -> FloatArra
 def check_dtype(value: object) -> np.dtype[Any]:
     """The dtype of that name, float64 or float32."""
     if not isinstance(value, str) or value not in ("float64", "float32"):
-        msg = f"`dtype` must be 'float64' or 'float32', got {value!r}"
+        msg = f"`dtype` must be 'float64' or 'float32', got {shown(value)}"
         raise ParameterError(msg)
     return np.dtype(value)
 
@@ -46,7 +47,7 @@ def check_size(name: str, value: object) -> int:
     """`value` as an int, once it is known to be a number of pixels."""
     size = whole_number(value)
     if size is None or size < 1:
-        msg = f"`{name}` must be a whole number of pixels, 1 or more, got {value!r}"
+        msg = f"`{name}` must be a whole number of pixels, 1 or more, got {shown(value)}"
         raise ParameterError(msg)
     return size
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import ClassVar
 
 import numpy as np
@@ -35,6 +35,13 @@ class Warp:
     dtype : {"float64", "float32"}
         Of parameters and images; the arithmetic inside is float64.
 
+    Attributes
+    ----------
+    layers : array, shape (h, w, 4), float64
+        The picture: linear RGB times opacity, and opacity.
+    background : array, shape (H, W, 3), float64
+        Linear RGB.
+
     Raises
     ------
     ParameterError
@@ -60,11 +67,13 @@ class Warp:
         dtype: str = "float64",
     ) -> None:
         picture = check_image("picture", picture, (3, 4))
-        self._background = check_image("background", background, (3,))
+        self.background = check_image("background", background, (3,))
         self._dtype = check_dtype(dtype)
         opacity = picture[..., 3:] if picture.shape[2] == 4 else np.ones((*picture.shape[:2], 1))
-        layered = np.concatenate([picture[..., :3] * opacity, opacity], axis=-1)
-        self._picture = np.pad(layered, ((1, 1), (1, 1), (0, 0)))  # a transparent rim for the samples that straddle it
+        self.layers = np.concatenate([picture[..., :3] * opacity, opacity], axis=-1)
+        self._picture = np.pad(
+            self.layers, ((1, 1), (1, 1), (0, 0))
+        )  # a transparent rim for the samples that straddle it
         self._scene = {
             "translation": floats("translation", translation, (2,)),
             "rotation": floats("rotation", rotation, ()),
@@ -84,14 +93,11 @@ class Warp:
         self, params: dict[str, FloatArray], *, seed: int = 0
     ) -> tuple[FloatArray, Callable[[FloatArray], dict[str, FloatArray]]]:
         """The image and its pullback; see :class:`loi_core.Renderer`."""
-        pose = check_parameters(params, self._scene)
+        pose = self.checked(params)
         scale = float(pose["scale"])
-        if scale <= 0.0:
-            msg = f"`scale` must be more than 0, got {scale}"
-            raise ParameterError(msg)
         angle = np.deg2rad(float(pose["rotation"]))
         cos, sin = float(np.cos(angle)), float(np.sin(angle))
-        height, width = self._background.shape[:2]
+        height, width = self.background.shape[:2]
         rows, columns = self._window(pose["translation"], scale, cos, sin)
         across = np.arange(columns.start, columns.stop) + 0.5 - 0.5 * width - pose["translation"][0]
         down = np.arange(rows.start, rows.stop) + 0.5 - 0.5 * height - pose["translation"][1]
@@ -99,9 +105,9 @@ class Warp:
         u = (cos * right + sin * low) / scale  # from the picture's centre, in its own pixels
         v = (cos * low - sin * right) / scale
         colour, by_u, by_v = self._sample(u, v)
-        behind = self._background[rows, columns]
+        behind = self.background[rows, columns]
         gain = float(np.exp2(pose["exposure"]))
-        image = gain * self._background
+        image = gain * self.background
         image[rows, columns] = gain * (colour[..., :3] + (1.0 - colour[..., 3:]) * behind)
 
         def pullback(cotangent: FloatArray) -> dict[str, FloatArray]:
@@ -122,6 +128,14 @@ class Warp:
 
         return image.astype(self._dtype), pullback
 
+    def checked(self, params: Mapping[str, object]) -> dict[str, FloatArray]:
+        """`params` as float64 arrays, once they are known to be a pose that can be rendered."""
+        pose = check_parameters(params, self._scene)
+        if pose["scale"] <= 0.0:
+            msg = f"`scale` must be more than 0, got {float(pose['scale'])}"
+            raise ParameterError(msg)
+        return pose
+
     def project(self, params: dict[str, FloatArray]) -> dict[str, FloatArray]:
         """`params` with a scale of a hundredth or more: a picture without area would have no gradient."""
         pose = check_parameters(params, self._scene)
@@ -130,7 +144,7 @@ class Warp:
 
     def _window(self, translation: FloatArray, scale: float, cos: float, sin: float) -> tuple[slice, slice]:
         """Rows and columns of the background that the picture, rim included, can touch."""
-        height, width = self._background.shape[:2]
+        height, width = self.background.shape[:2]
         half_h, half_w = (0.5 * size for size in self._picture.shape[:2])
         reach_x = scale * (half_w * abs(cos) + half_h * abs(sin))
         reach_y = scale * (half_w * abs(sin) + half_h * abs(cos))

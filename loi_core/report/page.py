@@ -10,13 +10,15 @@ from pathlib import Path
 from typing import Any, Final
 
 from loi_core.errors import SceneError
-from loi_core.files import write_text
+from loi_core.files import read_bytes, write_text
 from loi_core.report.output import RESULT_FILE, frames
 from loi_core.report.plots import LABELS
 from loi_core.scene import OBJECTIVES
+from loi_core.values import real_number
 
 __all__ = ["document", "figure", "write_index", "write_page"]
 
+MOST_RESULT: Final = 2**28  # bytes of result.json
 SAME_START: Final = "every objective from the same start with the same optimiser"
 STYLE: Final = """
 :root { color-scheme: light dark; --line: #8884; --soft: #8882; --accent: #c2410c; }
@@ -55,7 +57,7 @@ def write_index(page: Path, folders: Sequence[Path], title: str) -> Path:
 def _read(folder: Path) -> dict[str, Any]:
     path = folder / RESULT_FILE
     try:
-        result = json.loads(path.read_text(encoding="utf-8"))
+        result = json.loads(read_bytes(path, MOST_RESULT))
     except FileNotFoundError:
         msg = f"{folder}: no {RESULT_FILE} there; give a folder that `loi fit` has written"
         raise SceneError(msg) from None
@@ -167,4 +169,6 @@ def _table(trials: Sequence[Mapping[str, Any]]) -> str:
 
 
 def _number(value: Any, spec: str) -> str:
-    return format(value, spec) if isinstance(value, int | float) and not isinstance(value, bool) else "-"
+    if not isinstance(value, int | float) or isinstance(value, bool):
+        return "-"
+    return format(real_number(value), spec)

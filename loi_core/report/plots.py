@@ -11,8 +11,13 @@ from loi_core.tradeoff import Tradeoff
 
 __all__ = ["LABELS", "convergence_plot", "tradeoff_plot"]
 
-LABELS: Final = {"loi": "loi (ours)", "pixel_l2": "pixel L2", "gaussian_pyramid": "Gaussian pyramid"}
-COLOURS: Final = {"loi": "#c2410c", "pixel_l2": "#64748b", "gaussian_pyramid": "#0369a1"}
+LABELS: Final = {
+    "loi": "loi (ours)",
+    "pixel_l2": "pixel L2",
+    "gaussian_pyramid": "Gaussian pyramid",
+    "ms_ssim": "MS-SSIM",
+}
+COLOURS: Final = {"loi": "#c2410c", "pixel_l2": "#64748b", "gaussian_pyramid": "#0369a1", "ms_ssim": "#15803d"}
 BACKEND_COLOURS: Final = ("#0369a1", "#15803d", "#7e22ce", "#64748b", "#a16207")
 LEAST: Final = 1e-16  # where an error of 0 is drawn
 

@@ -68,7 +68,7 @@ def renderer_noise(scene: Scene, seconds: float) -> Noise:
     seconds : float
         How long to try further seeds, once there are a few.
     """
-    objective = LOIObjective(scene.target, scene.scales)
+    objective = LOIObjective(scene.target, scene.scales, tone=scene.tone)
     params = starting_parameters(scene.renderer, scene.optimise)
     gradients: dict[str, list[Host]] = {name: [] for name in scene.optimise}
     times: list[float] = []
@@ -99,12 +99,13 @@ def _relative_spread(gradients: Host) -> float:
 
 
 class PulledBack:
-    """Carries errors of an image's gradient to a scene's parameters, through one render's pullback."""
+    """Carries errors of an image's gradient to a scene's parameters, through tone curve and one render's pullback."""
 
     def __init__(self, scene: Scene, gradient: Host) -> None:
         params = starting_parameters(scene.renderer, scene.optimise)
         self._image, self._pullback = scene.renderer.render_vjp(params, seed=scene.fit.seed)
         self._names = tuple(scene.optimise)
+        self._tone = scene.tone
         self._wanted = self._pulled(gradient)
 
     def error(self, gradient: Host) -> float | None:
@@ -117,5 +118,8 @@ class PulledBack:
         return max(errors, default=None)
 
     def _pulled(self, gradient: Host) -> dict[str, Host]:
-        pulled = self._pullback(from_numpy(gradient, self._image))
+        cotangent = from_numpy(gradient, self._image)
+        if self._tone is not None:
+            cotangent = self._tone.pullback(self._image, cotangent)
+        pulled = self._pullback(cotangent)
         return {name: np.array(to_numpy(pulled[name]), dtype=np.float64) for name in self._names}

@@ -11,6 +11,8 @@ import numpy as np
 
 from loi_core.backends import Host
 from loi_core.errors import BackendNotFoundError, OptionError
+from loi_core.foreign import is_ctrl_c
+from loi_core.messages import told
 from loi_core.objectives import LOIObjective
 from loi_core.registry import available_backends, load_backend
 from loi_core.scales import ScaleSpace
@@ -35,6 +37,7 @@ class Problem:
     name : str
         For the report.
     image, reference : array, shape (H, W, C), float64
+        After the tone curve, if the scene has one.
     scales : ScaleSpace
     scene : Scene or None
         Where the image comes from, if it is rendered.
@@ -206,8 +209,10 @@ def _plan(scales: ScaleSpace, wanted: Sequence[str]) -> tuple[dict[str, str], li
             settings += settings_of(name, dtypes, scales)
         except BackendNotFoundError:
             missing.append(Missing(name, info.problem, info.mend))
-        except (Exception, SystemExit) as error:  # noqa: BLE001 - a plugin may raise anything; the others must go on
-            missing.append(Missing(name, " ".join(f"{type(error).__name__}: {error}".split())))
+        except BaseException as error:  # a plugin may raise anything, SystemExit too; the others must go on
+            if is_ctrl_c(error):
+                raise
+            missing.append(Missing(name, told(error)))
         else:
             targets[name] = info.target
     if not targets:

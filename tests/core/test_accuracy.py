@@ -7,16 +7,15 @@ import tracemalloc
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from loi_core import LOIObjective, ScaleSpace
 from loi_core.kernels import AxisBlur, AxisGrid, coarsest_spacing, rung_variance
 from loi_core.operators import _CACHE, PlaneGrid
 from loi_core.plan import make_plan
-from loi_core.testing import check_objective
+from loi_core.testing import allowed, check_objective, direct
 from tests.core.contents import CONTENTS
-from tests.core.direct import direct
 from tests.helpers import Host
 
 EPS = float(np.finfo(np.float64).eps)
@@ -44,10 +43,11 @@ def test_exact_is_the_direct_sum(kind: str, preset: str, boundary: str, height: 
     scales = scales_of(preset, height, width)
     if preset not in ("released", "for image"):
         scales = ScaleSpace.paper(preset, boundary=boundary)  # type: ignore[arg-type]  # literals
-    value, gradient, unsure = direct(image, reference, scales)
+    value, gradient = direct(image, reference, scales)
     found, slope = LOIObjective(reference, scales).value_and_grad(image)
-    assert float(found) == pytest.approx(value, rel=1e-12, abs=1e-15)
-    assert np.abs(slope - gradient).sum() <= 1e-12 * np.abs(gradient).sum() + unsure + 1e-15
+    bound = allowed(image, reference, scales, EPS)
+    assert abs(float(found) - value) <= bound.loss
+    assert np.abs(slope - gradient).sum() <= bound.norm
 
 
 @given(
@@ -71,6 +71,7 @@ def test_the_gradient_is_that_of_the_value_at_every_accuracy(accuracy: str, pres
 
 
 @given(st.floats(1.0, 60.0), st.integers(2, 300), st.sampled_from([EPS, 2.0**-23]))
+@example(7.0, 79, EPS)
 def test_a_blur_through_a_rung_is_the_blur_in_its_tails_too(scale: float, size: int, eps: float) -> None:
     spacing = coarsest_spacing(scale, eps)
     pixels, rung = AxisGrid(size, size), AxisGrid(size, math.ceil(size / spacing))
@@ -80,9 +81,12 @@ def test_a_blur_through_a_rung_is_the_blur_in_its_tails_too(scale: float, size: 
     there = AxisBlur(pixels, rung, math.sqrt(held), "reflect", cut=20.0).matrix()
     back = AxisBlur(rung, pixels, math.sqrt(scale**2 - held), "reflect", cut=20.0).matrix()
     wanted = AxisBlur(pixels, pixels, scale, "reflect", cut=20.0).matrix()
-    seen = wanted > 1e-30 * wanted.max()
+    faintest = 1e-30
+    seen = wanted > faintest * wanted.max()
+    # An exponent is a rounded quotient, squared: off by 1.5 roundings of itself, in either of the two matrices.
+    exponents = 2.0 * 1.5 * -math.log(faintest) * EPS / 2.0
     # The ripple of one sampling, the normalisation of the rest from the coarse one, and the sums' own rounding.
-    np.testing.assert_allclose((back @ there)[seen], wanted[seen], rtol=2.0 * eps + 64.0 * EPS)
+    np.testing.assert_allclose((back @ there)[seen], wanted[seen], rtol=2.0 * eps + exponents + 64.0 * EPS)
 
 
 @pytest.mark.parametrize("scale", [45.0, 1e6])

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from loi_core import GaussianPyramid, LOIObjective, PixelL2, ScaleSpace
+from loi_core import MSSSIM, GaussianPyramid, LOIObjective, PixelL2, ScaleSpace
 from loi_core.objectives import ImageObjective
 from tests.helpers import SCALES, directional_difference, images, relative_error
 
@@ -20,10 +20,14 @@ SHAPE = (24, 19, 3)
 
 def objectives(reference: Any) -> dict[str, ImageObjective[Any, Any]]:
     made: dict[str, ImageObjective[Any, Any]] = {key: LOIObjective(reference, scales) for key, scales in SCALES.items()}
-    return made | {"pixel": PixelL2(reference), "pyramid": GaussianPyramid(reference)}
+    return made | {
+        "pixel": PixelL2(reference),
+        "pyramid": GaussianPyramid(reference),
+        "ms-ssim": MSSSIM(reference, data_range=10.0),
+    }
 
 
-NAMES = [*SCALES, "pixel", "pyramid"]
+NAMES = [*SCALES, "pixel", "pyramid", "ms-ssim"]
 
 
 @pytest.mark.parametrize("name", NAMES)

@@ -130,12 +130,6 @@ def test_masked_pixels_weigh_nothing(where: str) -> None:
     np.testing.assert_array_equal(whole[1], LOIObjective(reference, SCALES).value_and_grad(image)[1])
 
 
-def test_an_image_with_no_finite_pixel_has_no_distance_and_no_gradient() -> None:
-    value, gradient = LOIObjective(REFERENCE, SCALES, nan_policy="mask").value_and_grad(np.full((6, 5, 3), np.nan))
-    assert float(value) == 0.0
-    assert not np.any(gradient)
-
-
 @pytest.mark.parametrize(("level", "reference", "sign"), [(1.5, 0.2, 1.0), (-0.5, 0.8, -1.0)])
 def test_a_clipped_value_keeps_the_gradient_that_points_back_inside(
     level: float, reference: float, sign: float

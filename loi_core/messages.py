@@ -1,0 +1,39 @@
+"""What messages show of values and errors that may be anything: always short, always one line."""
+
+from __future__ import annotations
+
+from typing import Final
+
+__all__ = ["printable", "shown", "told"]
+
+MOST: Final = 60
+MOST_TOLD: Final = 500
+
+
+def shown(value: object) -> str:
+    """The first 60 characters of how `value` would be typed, on one line; its type if it cannot be printed.
+
+    Numbers of thousands of digits, nests of thousands of levels and objects of a plugin cannot always be.
+    """
+    try:
+        text = repr(value)
+    except Exception:  # noqa: BLE001 - whatever it is, the message that shows it matters more
+        return f"a {type(value).__name__} that cannot be printed"
+    return " ".join(text[:MOST].split())
+
+
+def told(error: BaseException) -> str:
+    """The type of `error` and what it says, on one line."""
+    name = type(error).__name__
+    try:
+        text = str(error)
+    except Exception:  # noqa: BLE001 - likewise
+        text = "its message cannot be printed"
+    text = " ".join(text[:MOST_TOLD].split())
+    return f"{name}: {text}" if text else name
+
+
+def printable(text: str) -> str:
+    """`text` on one line, with control characters and such as have no UTF-8 escaped, so that a terminal shows all."""
+    line = " ".join(text.split())
+    return "".join(one if one.isprintable() else one.encode("unicode_escape").decode("ascii") for one in line)

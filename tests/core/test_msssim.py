@@ -1,0 +1,64 @@
+"""MS-SSIM is what others compute, and says plainly where it has no gradient."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import pytorch_msssim
+import torch
+
+from loi_core import MSSSIM
+from loi_core.errors import ImageError, OptionError
+from loi_core.testing import check_objective
+from tests.core.contents import CONTENTS
+from tests.helpers import Host
+
+SIZES = [(256, 192), (177, 201), (180, 333)]  # even, odd at several levels
+PEER = 1e-4  # its window is rounded to float32, and differences of nearly equal sums magnify that
+
+
+def theirs(image: Host, reference: Host, levels: int) -> tuple[float, Host]:
+    given, wanted = (torch.tensor(np.moveaxis(each, -1, 0)[None].copy()) for each in (image, reference))
+    given.requires_grad_()
+    compare = pytorch_msssim.ms_ssim if levels > 1 else pytorch_msssim.ssim
+    loss = 1.0 - compare(given, wanted, data_range=1.0)
+    loss.backward()
+    assert given.grad is not None
+    return float(loss.detach()), np.moveaxis(given.grad.numpy()[0], 0, -1)
+
+
+@pytest.mark.parametrize("size", SIZES)
+@pytest.mark.parametrize("levels", [1, 5])
+@pytest.mark.parametrize("kind", ["shifted", "photographs"])
+def test_value_and_gradient_are_those_of_pytorch_msssim(size: tuple[int, int], levels: int, kind: str) -> None:
+    image, reference = CONTENTS[kind]((*size, 3), np.random.default_rng(1))
+    value, gradient = MSSSIM(reference, levels).value_and_grad(image)
+    wanted, slopes = theirs(image, reference, levels)
+    assert float(value) == pytest.approx(wanted, rel=PEER)
+    assert np.linalg.norm(gradient - slopes) <= PEER * np.linalg.norm(slopes)
+
+
+def test_it_keeps_the_contract_of_objectives() -> None:
+    check_objective(lambda reference: MSSSIM(reference), shape=(24, 31, 2))
+
+
+def test_as_many_levels_as_fit_are_used_by_default() -> None:
+    for side, levels in ((11, 1), (21, 1), (22, 2), (128, 4), (175, 4), (176, 5), (400, 5)):
+        image, reference = np.random.default_rng(0).uniform(size=(2, side, side, 1))
+        assert float(MSSSIM(reference).value(image)) == float(MSSSIM(reference, levels).value(image))
+        with pytest.raises(OptionError, match=f"from 1 to {levels} "):
+            MSSSIM(reference, levels + 1)
+
+
+def test_images_of_opposite_structure_have_the_largest_value_and_no_gradient() -> None:
+    stripes = np.tile(np.where(np.arange(32) % 2 == 0, 0.2, 0.8)[None, :, None], (32, 1, 1))
+    value, gradient = MSSSIM(stripes, 1).value_and_grad(1.0 - stripes)
+    assert float(value) == 1.0
+    assert not np.any(gradient)
+
+
+def test_what_it_cannot_take_is_said() -> None:
+    with pytest.raises(ImageError, match="at least 11 rows and columns"):
+        MSSSIM(np.zeros((10, 40, 3)))
+    with pytest.raises(OptionError, match="`data_range` must be"):
+        MSSSIM(np.zeros((40, 40, 3)), data_range=0.0)

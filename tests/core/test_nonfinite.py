@@ -1,0 +1,203 @@
+"""Pixels that are not finite: told apart, located and explained, or masked so that what they hold changes nothing."""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+import loi_jax
+from loi_core import GaussianPyramid, LogTone, LOIObjective, PixelL2, ScaleSpace, inner_images
+from loi_core.errors import NonFiniteImageError
+from tests.helpers import Host, images
+
+SCALES = ScaleSpace((0, 2), (1, 4), 0.125)
+SHAPE = (6, 7, 3)
+BAD = (np.nan, np.inf, -np.inf)
+MASKING: dict[str, Callable[..., Any]] = {
+    "loi": lambda reference, **options: LOIObjective(reference, SCALES, nan_policy="mask", **options),
+    "pixel": lambda reference, **options: PixelL2(reference, nan_policy="mask", **options),
+    "pyramid": lambda reference, **options: GaussianPyramid(reference, nan_policy="mask", **options),
+}
+
+
+def scattered(image: Host) -> None:
+    image[1, 2, 0] = image[4, 5, 2] = np.nan
+
+
+def fireflies(image: Host) -> None:
+    image[1, 2] = np.inf
+
+
+def everything(image: Host) -> None:
+    image[...] = np.nan
+
+
+def one_channel(image: Host) -> None:
+    image[..., 1] = np.nan
+
+
+def rows(image: Host) -> None:
+    image[4:] = np.nan
+
+
+def columns(image: Host) -> None:
+    image[:, 0, 1] = np.nan
+
+
+def an_object(image: Host) -> None:
+    image[2:4, 2:5] = np.nan
+
+
+def a_dark_object(image: Host) -> None:
+    image[2:4, 2:5] = -np.inf
+
+
+def overflow(image: Host) -> None:
+    image[2:4, 2:5] = np.inf
+    image[2, 2, 0] = np.nan
+
+
+@pytest.mark.parametrize(
+    ("spoil", "counts", "says"),
+    [
+        (scattered, (2, 0, 0), r"\(2 NaN\), the first at .* = \(1, 2, 0\): isolated pixels, .* 0/0 in shading"),
+        (fireflies, (0, 3, 0), r"\(3 \+inf\), .*: isolated pixels, which suggests an overflow: exp, a division by alm"),
+        (everything, (126, 0, 0), "every value, which suggests parameters that are not finite since the last step"),
+        (one_channel, (42, 0, 0), "all of channel 1, which suggests a parameter of that channel"),
+        (rows, (42, 0, 0), "whole rows, which suggests an unfinished render"),
+        (columns, (6, 0, 0), "whole columns, which suggests an unfinished render"),
+        (an_object, (18, 0, 0), "connected pixels, which suggests one object"),
+        (a_dark_object, (0, 0, 18), r"\(18 -inf\), .*: connected pixels, which suggests a logarithm of 0"),
+        (overflow, (1, 17, 0), r"\(1 NaN, 17 \+inf\), .* suggests an overflow: .* float16 beyond 65504"),
+    ],
+)
+def test_the_error_tells_kinds_apart_and_names_the_likely_cause(
+    spoil: Callable[[Host], None], counts: tuple[int, int, int], says: str
+) -> None:
+    image, reference = images(SHAPE, seed=1)
+    spoil(image)
+    with pytest.raises(NonFiniteImageError, match=says) as caught:
+        LOIObjective(reference, SCALES).value(image)
+    error = caught.value
+    assert "\n" not in str(error)
+    assert (error.nan, error.positive, error.negative) == counts
+    assert error.count == sum(counts)
+    # With nothing left to compare, masking would report a loss of 0.
+    assert ("nan_policy='mask'" in str(error)) == (error.count < image.size)
+    again = pickle.loads(pickle.dumps(error))  # noqa: S301 - our own, as a worker process would send it
+    assert (str(again), vars(again)) == (str(error), vars(error))
+
+
+@pytest.mark.parametrize(
+    ("shape", "axis", "hole", "says"),
+    [
+        ((4, 6, 7, 3), -1, (2,), r"\(\*batch, y, x, c\) = \(2, 0, 0, 0\): only image 2 of the batch, every value, "),
+        ((2, 2, 6, 7, 3), -1, (1, 0, 3, 4), r"only image \(1, 0\) of the batch, isolated pixels, "),
+        ((4, 3, 6, 7), -3, (slice(None), 1), r"\(\*batch, c, y, x\) = \(0, 1, 0, 0\): all of channel 1, "),
+        ((3, 6, 7), 0, (2, 5, 6), r"\(c, y, x\) = \(2, 5, 6\): isolated pixels"),
+        ((6, 7), None, (3, 4), r"\(y, x\) = \(3, 4\): isolated pixels"),
+        ((2, 6, 7), None, (1,), r"\(\*batch, y, x\) = \(1, 0, 0\): only image 1 of the batch, every value, "),
+        ((1, 9, 1), -1, (0, 3, 0), "isolated pixels"),
+    ],
+)
+def test_the_error_speaks_of_the_axes_that_the_image_has(
+    shape: tuple[int, ...], axis: int | None, hole: tuple[Any, ...], says: str
+) -> None:
+    image, reference = images(shape, seed=2)
+    image[hole] = np.nan
+    with pytest.raises(NonFiniteImageError, match=says):
+        LOIObjective(reference, SCALES, channel_axis=axis).value(image)
+    with pytest.raises(NonFiniteImageError, match=says):
+        inner_images(image, SCALES, channel_axis=axis)
+    with pytest.raises(NonFiniteImageError, match=r"`reference` has .*mend the reference"):
+        LOIObjective(image, SCALES, channel_axis=axis)
+
+
+@given(st.data(), st.sampled_from(list(MASKING)), st.booleans())
+def test_what_masked_pixels_hold_changes_nothing_to_the_bit(data: st.DataObject, name: str, curved: bool) -> None:
+    seed = data.draw(st.integers(0, 2**31))
+    rng = np.random.default_rng(seed)
+    image, reference = images(SHAPE, seed)
+    hidden, missing = rng.uniform(size=(2, *SHAPE)) < data.draw(st.sampled_from([0.02, 0.3, 1.0]))
+    tone = LogTone(1.0) if curved else None
+    results = []
+    for _ in range(2):
+        image[hidden] = rng.choice(BAD, size=int(hidden.sum()))
+        image[missing & ~hidden] = rng.uniform(-1e3, 1e3, int((missing & ~hidden).sum()))
+        reference[missing] = rng.choice(BAD, size=int(missing.sum()))
+        results.append(MASKING[name](reference, tone=tone).value_and_grad(image))
+    (value, gradient), (again, slopes) = results
+    assert np.isfinite(value)
+    assert value == again
+    np.testing.assert_array_equal(gradient, slopes)
+    assert not np.any(gradient[hidden | missing])
+    assert np.all(np.isfinite(gradient))
+
+
+@pytest.mark.parametrize("name", MASKING)
+@pytest.mark.parametrize("tone", [None, LogTone(1.0)], ids=["plain", "tone"])
+@pytest.mark.parametrize("where", ["image", "reference", "both"])
+def test_with_nothing_left_the_value_and_the_gradient_are_zero(name: str, tone: LogTone | None, where: str) -> None:
+    image, reference = images(SHAPE, seed=5)
+    nothing = np.full(SHAPE, np.nan)
+    value, gradient = MASKING[name](reference if where == "image" else nothing, tone=tone).value_and_grad(
+        image if where == "reference" else nothing
+    )
+    assert float(value) == 0.0
+    assert not np.any(gradient)
+
+
+@pytest.mark.parametrize(("where", "tone"), [("image", LogTone(1.0)), ("reference", None)])
+def test_masking_is_the_same_under_jit(where: str, tone: LogTone | None) -> None:
+    scales = ScaleSpace(1, 2, 0.25)  # few levels: every reference is compiled anew
+    image, reference = images(SHAPE, seed=6)
+    hole = (slice(1, 3), slice(2, 6), 1)
+    results, compiled = [], None
+    for bad in (np.nan, -np.inf):
+        (image if where == "image" else reference)[hole] = bad
+        if compiled is None or where == "reference":
+            loss = loi_jax.loi_loss(reference, scales, nan_policy="mask", tone=tone)
+            compiled = jax.jit(jax.value_and_grad(loss))
+        results.append(compiled(jnp.asarray(image)))
+    (value, gradient), (again, slopes) = results
+    assert float(value) == float(again)
+    np.testing.assert_array_equal(gradient, slopes)
+    assert not np.any(gradient[hole])
+    wanted, expected = LOIObjective(reference, scales, nan_policy="mask", tone=tone).value_and_grad(image)
+    assert float(value) == pytest.approx(float(wanted), rel=1e-12)
+    np.testing.assert_allclose(gradient, expected, rtol=1e-9, atol=1e-15)
+    assert compiled is not None
+    value, gradient = compiled(jnp.full(SHAPE, jnp.nan))
+    assert abs(float(value)) < 1e-15  # what is prepared before is not compiled alike, and differs in the last place
+    assert not np.any(gradient)
+
+
+def test_a_bad_image_of_a_batch_leaves_the_others_as_they_are() -> None:
+    image, reference = images((3, *SHAPE), seed=7)
+    image[1] = np.nan
+    value, gradient = MASKING["loi"](reference).value_and_grad(image)
+    values = [float(MASKING["loi"](reference[index]).value(image[index])) for index in range(3)]
+    assert values[1] == 0.0
+    assert float(value) == pytest.approx(sum(values) / 3.0, rel=1e-13)
+    for index in (0, 2):
+        alone = MASKING["loi"](reference[index]).value_and_grad(image[index])[1]
+        np.testing.assert_allclose(3.0 * gradient[index], alone, rtol=1e-12, atol=1e-18)
+
+
+def test_masked_pixels_leave_torch_s_own_gradient_finite() -> None:
+    image, reference = images(SHAPE, seed=8)
+    image[2, 3] = np.nan, np.inf, -np.inf
+    objective = LOIObjective(torch.tensor(reference), SCALES, nan_policy="mask", tone=LogTone(1.0))
+    leaf = torch.tensor(image, requires_grad=True)
+    objective.value(leaf).backward()
+    assert leaf.grad is not None
+    np.testing.assert_allclose(leaf.grad, objective.value_and_grad(torch.tensor(image))[1], rtol=1e-9, atol=1e-15)

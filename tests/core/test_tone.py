@@ -1,0 +1,214 @@
+"""The tone curve is smooth, odd, rising and finite over all floats, and its derivative is a part of the gradient."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, ClassVar
+
+import array_api_strict
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import torch
+from hypothesis import given
+from hypothesis import strategies as st
+
+from loi_core import Free, GaussianPyramid, LogTone, LOIObjective, PixelL2, ScaleSpace, fit
+from loi_core.errors import OptionError
+from loi_core.objectives import ImageObjective
+from loi_core.renderers import Disks
+from loi_core.testing import check_objective
+from tests.helpers import Host, directional_difference
+
+TONES = st.builds(LogTone, st.floats(1e-12, 1e12), st.floats(1e-3, 1e6))
+WIDTHS = {"float32": 32, "float64": 64}
+OBJECTIVES: dict[str, Any] = {
+    "loi": lambda reference, **options: LOIObjective(reference, ScaleSpace((0, 2), (1, 5), 0.125, (-1, 1)), **options),
+    "pixel": PixelL2,
+    "pyramid": GaussianPyramid,
+}
+
+
+def radiance(shape: tuple[int, ...], seed: int) -> tuple[Host, Host]:
+    """Two images over six orders of magnitude, some of it negative."""
+    rng = np.random.default_rng(seed)
+    first, second = 10.0 ** rng.uniform(-4.0, 2.0, (2, *shape)) * rng.choice([1.0, 1.0, 1.0, -0.1], (2, *shape))
+    return first, second
+
+
+@given(TONES, st.data(), st.sampled_from(list(WIDTHS)))
+def test_the_curve_is_finite_odd_and_rises_over_all_floats(tone: LogTone, data: st.DataObject, dtype: str) -> None:
+    floats = st.floats(width=WIDTHS[dtype], allow_nan=False, allow_infinity=False)  # type: ignore[arg-type]
+    drawn = [*data.draw(st.lists(floats, min_size=1, max_size=6)), tone.peak, 1e-3 * tone.peak, 1e30]
+    largest, least = np.finfo(dtype).max, np.finfo(dtype).smallest_subnormal
+    values = np.sort(np.array([*drawn, largest, -largest, least, -least, 0.0], dtype=dtype))
+    curve, slope = tone.apply(values), tone.pullback(values, np.ones_like(values))
+    eps = float(np.finfo(dtype).eps)
+    assert curve.dtype == slope.dtype == np.dtype(dtype)
+    assert np.all(np.isfinite(curve))
+    assert np.all(np.isfinite(slope))
+    assert np.all(slope >= 0.0)
+    np.testing.assert_array_equal(tone.apply(-values), -curve)
+    np.testing.assert_array_equal(tone.pullback(-values, np.ones_like(values)), slope)
+    # Logarithms are right to a few units in the last place, so neighbouring floats may swap by as much.
+    assert np.all(np.diff(curve) >= -8.0 * eps * np.abs(curve[1:]))
+    assert np.all(np.diff(tone.apply(tone.peak * np.logspace(-6, 12, 60, dtype=dtype))) > 0.0)
+    assert float(tone.apply(np.asarray(tone.peak, dtype=dtype))) == pytest.approx(1.0, rel=16 * eps)
+
+
+@given(TONES, st.floats(-1e3, 1e3))
+def test_the_curve_and_its_slope_are_the_formulas(tone: LogTone, relative: float) -> None:
+    x = np.array([relative * tone.peak])
+    scale = np.log1p(tone.compression)
+    inside = tone.compression * abs(relative)
+    np.testing.assert_allclose(tone.apply(x), np.sign(x) * np.log1p(inside) / scale, rtol=1e-13)
+    slope = tone.compression / tone.peak / scale / (1.0 + inside)
+    np.testing.assert_allclose(tone.pullback(x, np.full_like(x, 3.0)), 3.0 * slope, rtol=1e-13)
+
+
+@pytest.mark.parametrize(
+    "asarray", [torch.asarray, jnp.asarray, array_api_strict.asarray], ids=["torch", "JAX", "strict"]
+)
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+def test_every_library_gives_the_same_curve_and_slope(asarray: Any, dtype: str) -> None:
+    tone = LogTone(2.0)
+    values = np.array([0.0, -0.0, 1e-30, 0.3, -0.3, 2.0, 1e4, 1e30, -1e30, np.inf, -np.inf, np.nan], dtype=dtype)
+    eps = float(np.finfo(dtype).eps)
+    curve = np.asarray(tone.apply(asarray(values)))
+    slope = np.asarray(tone.pullback(asarray(values), asarray(np.ones_like(values))))
+    assert curve.dtype == slope.dtype == np.dtype(dtype)
+    np.testing.assert_allclose(curve, tone.apply(values), rtol=8 * eps)
+    np.testing.assert_allclose(slope, tone.pullback(values, np.ones_like(values)), rtol=8 * eps)
+
+
+def test_the_slope_is_what_torch_and_jax_derive_also_at_zero() -> None:
+    tone = LogTone(2.0, 100.0)
+    values = np.array([0.0, -0.0, 1e-9, -1e-9, 0.5, -0.5, 2.0, 1e9])
+    slope = tone.pullback(values, np.ones_like(values))
+    leaf = torch.tensor(values, requires_grad=True)
+    tone.apply(leaf).sum().backward()
+    assert leaf.grad is not None
+    np.testing.assert_allclose(leaf.grad, slope, rtol=1e-14)
+    np.testing.assert_allclose(jax.grad(lambda x: jnp.sum(tone.apply(x)))(jnp.asarray(values)), slope, rtol=1e-14)
+
+
+@pytest.mark.parametrize("name", OBJECTIVES)
+@pytest.mark.parametrize("policy", ["raise", "mask"])
+def test_the_derivative_of_the_curve_is_part_of_the_gradient(name: str, policy: str) -> None:
+    image, reference = radiance((13, 11, 3), seed=2)
+    tone = LogTone(100.0)
+    objective: ImageObjective[Any, Any] = OBJECTIVES[name](reference, tone=tone, nan_policy=policy)
+    assert objective.tone is tone
+    _, gradient = objective.value_and_grad(image)
+    for seed in range(3):
+        # Relative steps, as each pixel has a scale of its own, and nothing lies beyond the bounds.
+        direction = np.random.default_rng(seed).standard_normal(image.shape) * np.abs(image)
+        measured = directional_difference(objective.value, image, direction, 1e-7)
+        assert abs(measured - float(np.sum(gradient * direction))) < 1e-6 * np.linalg.norm(gradient * np.abs(image))
+
+
+@pytest.mark.parametrize("name", OBJECTIVES)
+def test_an_objective_with_a_tone_curve_is_that_of_the_images_behind_it(name: str) -> None:
+    image, reference = radiance((9, 8, 2), seed=3)
+    tone = LogTone(5.0, 50.0)
+    value, gradient = OBJECTIVES[name](reference, tone=tone).value_and_grad(image)
+    plain, slope = OBJECTIVES[name](tone.apply(reference)).value_and_grad(tone.apply(image))
+    assert float(value) == pytest.approx(float(plain), rel=1e-14)
+    np.testing.assert_allclose(gradient, tone.pullback(image, slope), rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", OBJECTIVES)
+@pytest.mark.parametrize("asarray", [np.asarray, torch.asarray], ids=["numpy", "torch"])
+def test_objectives_with_a_tone_curve_conform(name: str, asarray: Any) -> None:
+    check_objective(lambda reference: OBJECTIVES[name](reference, tone=LogTone(2.0, 20.0)), asarray=asarray)
+
+
+def test_the_clip_rule_holds_behind_the_curve() -> None:
+    # Beyond the peak a value counts as the bound; it is told the way back, and never the way further out.
+    image = np.array([1e30, 50.0, 0.5, -3.0]).reshape(1, 4, 1)
+    for level, signs in ((0.1, [1, 1, 1, -1]), (9.0, [1, 1, -1, -1]), (10.0, [0, 0, -1, -1])):
+        objective = LOIObjective(np.full((1, 4, 1), level), ScaleSpace(0, 0, 0.125), tone=LogTone(10.0))
+        value, gradient = objective.value_and_grad(image)
+        assert np.isfinite(value)
+        assert np.all(np.isfinite(gradient))
+        np.testing.assert_array_equal(np.sign(gradient.ravel()), signs)
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"peak": 0.0}, "`peak` of a tone curve must be a number from 1e-12 to 1e\\+12, got 0.0"),
+        ({"peak": np.nan}, "`peak`.*got nan"),
+        ({"peak": "bright"}, "`peak`.*got 'bright'"),
+        ({"peak": True}, "`peak`.*got True"),
+        ({"peak": 1.0, "compression": -1.0}, "`compression` of a tone curve must be a number from 0.001 to 1e\\+06"),
+        ({"peak": 1.0, "compression": np.inf}, "`compression`"),
+    ],
+)
+def test_a_curve_that_is_none_is_refused(options: dict[str, Any], says: str) -> None:
+    with pytest.raises(OptionError, match=says):
+        LogTone(**options)
+
+
+@pytest.mark.parametrize("name", OBJECTIVES)
+def test_an_objective_takes_no_other_tone(name: str) -> None:
+    with pytest.raises(OptionError, match=r"`tone` must be a LogTone or None, got 2\.0"):
+        OBJECTIVES[name](np.zeros((8, 8, 1)), tone=2.0)
+
+
+def test_numbers_of_any_library_make_the_same_curve() -> None:
+    assert LogTone(np.float32(2), torch.tensor(100.0)) == LogTone(2.0, 100)  # type: ignore[arg-type]
+
+
+class FireflyScene:
+    """A dim disk and a lamp a thousand times as bright; fireflies of up to a million fall anywhere in every render."""
+
+    size: ClassVar[int] = 32
+    dim: ClassVar[tuple[float, ...]] = (0.06, 0.04, 0.02)
+    goal: ClassVar[Host] = np.array([[9.0, 24.0], [23.0, 8.0]])
+    lamp: ClassVar[Host] = np.array([60.0, 40.0, 20.0])
+    # The dim disk starts where it does not overlap its goal, the lamp in its place with a wrong radiance.
+    optimise: ClassVar[dict[str, Free]] = {
+        "positions": Free([[8.0, 7.0], goal[1]], [[4.0, 4.0], goal[1]], [[28.0, 28.0], goal[1]]),
+        "colours": Free([dim, [10.0] * 3], [dim, [0.0] * 3], [dim, [1e3] * 3], learning_rate=2.0),
+    }
+
+    def __init__(self) -> None:
+        self._disks = Disks(self.size, self.size, self.goal, [4.0, 3.0], np.stack([self.dim, self.lamp]), [0.002] * 3)
+
+    def parameters(self) -> dict[str, Host]:
+        return self._disks.parameters()
+
+    def render(self, params: dict[str, Host], *, seed: int = 0) -> Host:
+        return self.render_vjp(params, seed=seed)[0]
+
+    def render_vjp(self, params: dict[str, Host], *, seed: int = 0) -> tuple[Host, Callable[[Host], dict[str, Host]]]:
+        image, pullback = self._disks.render_vjp(params)
+        rng = np.random.default_rng(seed)
+        rows, columns = rng.integers(self.size, size=(2, 4))
+        image[rows, columns] = 10.0 ** rng.uniform(2.0, 6.0, (4, 1))
+        return image, pullback
+
+    def errors(self, make: Callable[[Host], ImageObjective[Any, Any]]) -> tuple[float, float]:
+        """How far off a fit ends: the dim disk, in pixels, and the lamp, relative."""
+        reference = self._disks.render(self.parameters())
+        found = fit(self, make(reference), steps=100, learning_rate=1.0, optimise=self.optimise).params
+        away = np.linalg.norm(found["positions"][0] - self.goal[0])
+        return float(away), float(np.max(np.abs(found["colours"][1] / self.lamp - 1.0)))
+
+
+def test_a_scene_of_high_dynamic_range_with_fireflies_is_fitted_with_the_curve_only() -> None:
+    scene, curve, alpha = FireflyScene(), LogTone(100.0), (1.2, 3.7, 11.2)
+    away, off = scene.errors(lambda reference: LOIObjective(reference, ScaleSpace(1, alpha, 0.125), tone=curve))
+    assert away < 0.1
+    assert off < 0.01
+    # Without it, bounds that tell the dim disk apart do not reach the lamp, and those that reach it hide the disk.
+    narrow = scene.errors(lambda reference: LOIObjective(reference, ScaleSpace(1, alpha, 0.125)))
+    assert narrow[0] < 0.1
+    assert narrow[1] > 0.3
+    wide = scene.errors(lambda reference: LOIObjective(reference, ScaleSpace(1, alpha, 12.5, (0, 100))))
+    assert wide[0] > 10.0
+    # The rivals, whose squares fireflies outweigh, profit as well.
+    assert min(scene.errors(GaussianPyramid)) > 0.5
+    assert scene.errors(lambda reference: GaussianPyramid(reference, tone=curve))[0] < 1.0

@@ -1,0 +1,70 @@
+"""Fragments are where disks are, and painting them is painting every disk on the whole canvas."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
+
+from loi_core.renderers import Disks
+from loi_core.renderers.coverage import canvas_coverage
+from loi_core.renderers.fragments import disk_fragments
+from tests.helpers import Host
+
+
+@st.composite
+def scenes(draw: st.DrawFn) -> tuple[tuple[int, int], Host, Host, Host]:
+    """A canvas and some disks, of which some are outside, empty, or larger than the canvas."""
+    size = draw(st.integers(1, 24)), draw(st.integers(1, 24))
+    count = draw(st.integers(0, 12))
+    rng = np.random.default_rng(draw(st.integers(0, 2**31)))
+    positions = rng.uniform(-6.0, 30.0, (count, 2))
+    radii = rng.choice([0.0, 0.1, 0.6, 2.5, 7.0, 40.0], count)
+    if draw(st.booleans()):  # edges that touch the pixels' own
+        positions = np.round(2.0 * positions) / 2.0
+        radii = np.round(2.0 * radii) / 2.0
+    return size, positions, radii, rng.uniform(size=(count, 3))
+
+
+@given(scenes())
+def test_fragments_are_the_pixels_that_disks_cover(scene: tuple[tuple[int, int], Host, Host, Host]) -> None:
+    (height, width), positions, radii, _ = scene
+    found = disk_fragments(positions, radii, (height, width))
+    coverage, *slopes = canvas_coverage(positions, radii, np.arange(width + 1.0), np.arange(height + 1.0))
+    painted = np.zeros(coverage.shape, dtype=bool)
+    painted[found.owner, found.rows, found.columns] = True
+    assert painted.sum() == len(found.owner)
+    tiny = 1e-12 * (1.0 + radii.max(initial=0.0) ** 2)
+    assert np.all(coverage[~painted] <= tiny)
+    inside = ~found.on_edge
+    assert np.all(coverage[found.owner, found.rows, found.columns][inside] >= 1.0 - tiny)
+    for slope in slopes:
+        assert np.all(np.abs(slope[found.owner, found.rows, found.columns][inside]) <= tiny)
+
+
+@given(scenes())
+def test_a_layer_holds_a_pixel_once_and_later_disks_lie_higher(scene: tuple[tuple[int, int], Host, Host, Host]) -> None:
+    size, positions, radii, _ = scene
+    found = disk_fragments(positions, radii, size)
+    pixels = found.rows * size[1] + found.columns
+    top = np.full(size[0] * size[1], -1)
+    for layer in found.layers:
+        assert len(np.unique(pixels[layer])) == len(pixels[layer]) > 0
+        assert np.all(found.owner[layer] > top[pixels[layer]])
+        top[pixels[layer]] = found.owner[layer]
+    assert sum(layer.stop - layer.start for layer in found.layers) == len(found.owner)
+
+
+@given(scenes())
+def test_painting_fragments_is_painting_every_disk_on_the_whole_canvas(
+    scene: tuple[tuple[int, int], Host, Host, Host],
+) -> None:
+    (height, width), positions, radii, colours = scene
+    coverage = canvas_coverage(positions, radii, np.arange(width + 1.0), np.arange(height + 1.0))[0]
+    wanted = np.full((height, width, 3), 0.25)
+    for share, colour in zip(coverage[..., None], colours, strict=True):
+        wanted = wanted + share * (colour - wanted)
+    disks = Disks(height, width, positions, radii, colours, (0.25, 0.25, 0.25))
+    np.testing.assert_allclose(
+        disks.render(disks.parameters()), wanted, rtol=0, atol=1e-12 * (1.0 + radii.max(initial=0.0) ** 2)
+    )

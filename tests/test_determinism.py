@@ -1,0 +1,44 @@
+"""The same numbers in every process: to the last bit with the same number of threads, and how near with another."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import settings
+
+from examples.determinism import BACKENDS, Results, apart, computed
+from tests.core.test_properties import ROUNDINGS
+
+# JAX takes half a minute to compile all of it, twice.
+QUICK = [name for name in BACKENDS if name != "JAX"]
+
+
+def backends() -> list[str]:
+    thorough = settings.default is not None and settings.default.max_examples > 100
+    return list(BACKENDS) if thorough else QUICK
+
+
+def different(first: Results, second: Results) -> dict[str, float]:
+    assert first.keys() == second.keys()
+    found = {name: apart(value, second[name]) for name, value in first.items()}
+    return {name: distance for name, distance in found.items() if distance > 0.0}
+
+
+@pytest.mark.parametrize("backend", backends())
+def test_the_same_seed_gives_the_same_bits_in_another_process(backend: str, tmp_path: Path) -> None:
+    first = computed(backend, tmp_path)
+    assert all(np.any(value) for value in first.values())
+    assert different(first, computed(backend, tmp_path, PYTHONHASHSEED="12345")) == {}
+
+
+def test_another_number_of_threads_changes_the_core_by_roundings_at_the_most(tmp_path: Path) -> None:
+    changed = different(computed("NumPy", tmp_path), computed("NumPy", tmp_path, THREADS="4"))
+    assert max(changed.values(), default=0.0) <= ROUNDINGS
+
+
+def test_equal_means_equal_in_every_bit() -> None:
+    assert apart(np.zeros(2), np.array([0.0, -0.0])) > 0.0
+    assert apart(np.ones(2), np.array([1.0, 1.0 + 2**-52])) == pytest.approx(1.0)
+    assert apart(np.array([np.nan, 1.0]), np.array([np.nan, 1.0])) == 0.0
