@@ -24,6 +24,7 @@ lint: .venv/.developed
 
 bench: .venv/.benched
 	.venv/bin/python -m benchmarks.adapters
+	.venv/bin/python -m benchmarks.disks
 	.venv/bin/python -m benchmarks.speed
 
 clean:

@@ -21,11 +21,13 @@ __all__ = [
     "is_numpy_array",
     "library_name",
     "namespace",
+    "narrowed",
     "outlives_its_context",
     "runs_eagerly_on_host",
     "sum_of_all",
     "to_numpy",
     "values_may_decide",
+    "widened",
 ]
 
 Array: TypeAlias = Any
@@ -54,6 +56,17 @@ def from_numpy(values: np.ndarray[Any, Any], like: Array) -> Array:
     """`values` as an array of the library, dtype and device of `like`."""
     xp = namespace(like)
     return xp.asarray(values, dtype=like.dtype, device=device(like))
+
+
+def widened(array: Array) -> Array:
+    """`array` itself, or in float32 if its dtype has fewer bits: those can hold an image, but not sums over one."""
+    xp = namespace(array)
+    return array if xp.finfo(array.dtype).bits >= 32 else xp.astype(array, xp.float32)
+
+
+def narrowed(result: Array, like: Array) -> Array:
+    """What was computed from ``widened(like)``, in the dtype of `like`."""
+    return result if result.dtype == like.dtype else namespace(like).astype(result, like.dtype)
 
 
 def outlives_its_context(array: Array) -> bool:

@@ -5,6 +5,9 @@ Only what can differ is computed, where operations run one by one on the host an
 * Where the blurred image equals that of the reference, so do the isophotes. The difference of the two stacks of CDFs
   is 0 outside a window, its blurs are 0 outside a somewhat larger one, and so is what is pulled back.
 * Levels far enough below or above all intensities are ties (:func:`loi_core.distance.tie_threshold`).
+
+Two things keep the accuracy where bounds are far from 0, or levels many: intensities are those above the padding, and
+their histograms are made in units of the distance of two levels (:func:`loi_core.tonal.level_positions`).
 """
 
 from __future__ import annotations
@@ -13,13 +16,15 @@ import math
 from dataclasses import dataclass
 from typing import Final, TypeAlias
 
-from loi_core.arrays import Array, epsilon, from_numpy, namespace, runs_eagerly_on_host, sum_of_all, values_may_decide
-from loi_core.distance import cost, cost_slope, tie_threshold
+import numpy as np
+
+from loi_core.arrays import Array, epsilon, from_numpy, namespace, runs_eagerly_on_host, values_may_decide
+from loi_core.distance import cost_slope, sum_of_costs, tie_threshold
 from loi_core.kernels import reach
-from loi_core.operators import GaussianBlur, blur_about
+from loi_core.operators import GaussianBlur
 from loi_core.plan import InnerPlan, TonalPlan
 from loi_core.scales import ScaleSpace
-from loi_core.tonal import accumulate, level_weights, weights_and_slopes
+from loi_core.tonal import accumulate, level_positions, level_weights, weights_and_slopes
 from loi_core.windows import Window, window_of
 
 __all__ = ["InnerComparison", "ScaleKey", "Terms"]
@@ -38,8 +43,8 @@ WORTHWHILE: Final = 0.75
 class _Levels:
     """Some levels of one tonal scale, the first few only accumulated, and the reference's CDF at the others."""
 
-    values: Array  # shape (L,)
-    host: tuple[float, ...]  # the same numbers
+    values: Array  # shape (L,), counted from the first of all
+    host: tuple[float, ...]  # where they are, in units of intensity
     skipped: int
     cdf: Array  # shape (L - skipped, N, h, w)
 
@@ -130,7 +135,7 @@ class InnerComparison:
     scales: ScaleSpace
     sigma: float
     blur: GaussianBlur
-    intensity: Array  # the reference's, shape (N, h, w)
+    intensity: Array  # the reference's, above the padding; shape (N, h, w)
     rungs: tuple[GaussianBlur, ...]
     extents: tuple[_Extent, ...]
     planes: int  # how many planes are handled together
@@ -140,7 +145,7 @@ class InnerComparison:
     def of(cls, scales: ScaleSpace, plan: InnerPlan, tonal: tuple[TonalPlan, ...], reference: Array) -> InnerComparison:
         """Everything that depends on the reference alone: planes within the bounds, shape (N, H, W)."""
         blur = GaussianBlur(plan.blur, reference)
-        intensity = blur_about(blur, reference, scales.padding)
+        intensity = blur.apply(_above_padding(reference, scales))
         most, planes = _chunk(max(each.last for each in tonal), reference.shape[0], plan.finest, reference)
         levels = {each.beta: _split(scales, each, most, intensity) for each in tonal}
         rungs = tuple(GaussianBlur(rung, reference) for rung in plan.rungs)
@@ -152,7 +157,7 @@ class InnerComparison:
     def add(self, clipped: Array, terms: Terms, *, gradient: bool) -> Array | None:
         """Add the terms of planes within the bounds, shape (N, H, W); their cotangent by the planes if asked for."""
         xp = namespace(clipped)
-        intensity = blur_about(self.blur, clipped, self.scales.padding)
+        intensity = self.blur.apply(_above_padding(clipped, self.scales))
         cotangents = []
         for start in range(0, intensity.shape[0], self.planes):
             part = slice(start, min(start + self.planes, intensity.shape[0]))
@@ -174,8 +179,9 @@ class InnerComparison:
         seen = felt.crop(intensity)
         cotangent = xp.zeros_like(seen) if gradient else None
         for beta, groups in self.levels.items():
-            mass = self.scales.mass(beta)
-            tie = tie_threshold(intensity, mass / self.scales.spacing(beta))
+            positions, width, mass = _in_levels(seen, self.scales, beta)
+            tie = tie_threshold(intensity, mass)
+            per_intensity = 1.0 / self.scales.spacing(beta)
             below, above = self._margins(beta, epsilon(intensity))
             cdf_sum = slope_sum = None
             for group in groups:
@@ -184,11 +190,11 @@ class InnerComparison:
                     continue
                 slope: Array = None
                 if gradient:
-                    weights, slopes = weights_and_slopes(seen, levels.values, beta, mass)
+                    weights, slopes = weights_and_slopes(positions, levels.values, width, mass)
                     slope, slope_sum = accumulate(slopes, slope_sum)
                     del slopes
                 else:
-                    weights = level_weights(seen, levels.values, beta, mass)
+                    weights = level_weights(positions, levels.values, width, mass)
                 cdf, cdf_sum = accumulate(weights, cdf_sum)
                 del weights
                 if levels.skipped == levels.values.shape[0]:
@@ -198,7 +204,7 @@ class InnerComparison:
                 pulled = self._compare_levels(difference, scope.route, beta, tie, terms, gradient=gradient)
                 if gradient:
                     pulled *= slope[levels.skipped :, ...]
-                    cotangent += xp.sum(pulled, axis=0)
+                    cotangent += xp.sum(pulled, axis=0) * per_intensity
         return felt.paste(cotangent, *intensity.shape[-2:]) if gradient else None
 
     def _margins(self, beta: float, eps: float) -> tuple[float, float]:
@@ -252,10 +258,11 @@ class InnerComparison:
             window = route.held[extent.rung]
             blurred = extent.blur.apply(rungs[extent.rung], window)
             weight = scales.scale_weight * scales.level_weight(beta) / (self.intensity.shape[0] * extent.cells)
-            terms[extent.alpha, beta, self.sigma] += sum_of_all(cost(blurred, scales.p)) * weight
+            slope = cost_slope(blurred, scales.p, tie, weight)
+            terms[extent.alpha, beta, self.sigma] += sum_of_costs(blurred, slope, scales.p)
             if gradient:
                 reached = extent.blur.reached(window)
-                back = extent.blur.adjoint(cost_slope(blurred, scales.p, tie, weight), reached)
+                back = extent.blur.adjoint(slope, reached)
                 pull(extent.rung, back, extent.blur.reached_back(reached))
         if not gradient:
             return None
@@ -281,18 +288,32 @@ def _plus(total: Array | None, wanted: Window, part: Array, window: Window) -> A
 
 def _split(scales: ScaleSpace, plan: TonalPlan, most: int, intensity: Array) -> list[_Levels]:
     """The levels of one tonal scale, at most so many together, and the CDF of the reference's `intensity` there."""
-    host = [float(level) for level in scales.levels(plan.beta)[: plan.last]]
-    values = from_numpy(scales.levels(plan.beta)[: plan.last], intensity)
+    host = [float(level) - scales.padding for level in scales.levels(plan.beta)[: plan.last]]
+    values = from_numpy(np.arange(plan.last, dtype=np.float64), intensity)
+    positions, width, mass = _in_levels(intensity, scales, plan.beta)
     running = None
     parts = []
     for start in range(0, plan.last, most):
         stop = min(start + most, plan.last)
         skipped = min(max(plan.first, start), stop) - start
         part = values[start:stop]
-        cdf, running = accumulate(level_weights(intensity, part, plan.beta, scales.mass(plan.beta)), running)
+        cdf, running = accumulate(level_weights(positions, part, width, mass), running)
         kept = namespace(cdf).asarray(cdf[skipped:, ...], copy=True)
         parts.append(_Levels(part, tuple(host[start:stop]), skipped, kept))
     return parts
+
+
+def _above_padding(clipped: Array, scales: ScaleSpace) -> Array:
+    """Planes within the bounds, less what lies outside of them: so 0 lies there."""
+    return clipped if scales.padding == 0.0 else clipped - scales.padding
+
+
+def _in_levels(intensity: Array, scales: ScaleSpace, beta: float) -> tuple[Array, float, float]:
+    """Intensities above the padding, tonal scale and mass of a level, in units of the distance of two levels."""
+    spacing = scales.spacing(beta)
+    first = float(scales.levels(beta)[0]) - scales.padding
+    positions = level_positions(intensity, first, spacing, scales.level_count(beta))
+    return positions, beta / spacing, scales.mass(beta) / spacing
 
 
 def _chunk(levels: int, planes: int, cells: int, like: Array) -> tuple[int, int]:

@@ -13,15 +13,17 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 
 from loi_core.arrays import Array, to_numpy
+from loi_core.effects import EffectPlan, PlanningRenderer
 from loi_core.errors import FitError, SceneError
 from loi_core.files import read_bytes
 from loi_core.fit import FitInterruptedError, FitResult, FitStep, fit
 from loi_core.foreign import foreign
 from loi_core.free import starting_parameters
+from loi_core.objectives.base import Objective
 from loi_core.renderer import Parameters
 from loi_core.scene import Scene
 
-__all__ = ["HISTORY_FILE", "Progress", "Trial", "frame_steps", "initial_image", "psnr", "run_scene"]
+__all__ = ["HISTORY_FILE", "Progress", "Trial", "frame_steps", "initial_image", "plan_scene", "psnr", "run_scene"]
 
 FRAMES: Final = 8  # pictures of the way that a report shows
 HISTORY_FILE: Final = "history.csv"
@@ -51,6 +53,10 @@ class Trial:
         Steps and images along the way.
     error : str
         Why the fit ended early; empty if it did not.
+    plan : EffectPlan or None
+        What was simulated at the end, if the renderer plans that.
+    effects : dict of arrays, shape (H, W, C)
+        How each effect's part of the image changed along the first descent, whether it was simulated or not.
     """
 
     objective: str
@@ -59,6 +65,8 @@ class Trial:
     psnr: dict[int, float] = field(default_factory=dict)
     frames: list[tuple[int, Host]] = field(default_factory=list)
     error: str = ""
+    plan: EffectPlan | None = None
+    effects: dict[str, Host] = field(default_factory=dict)
 
     @property
     def seconds(self) -> float:
@@ -93,6 +101,10 @@ def run_scene(
         watcher = _Watcher(scene, trial, progress)
         trials.append(trial)
         try:
+            if isinstance(scene.renderer, PlanningRenderer):
+                trial.plan = plan_scene(scene, scene.renderer, objective)
+                if index == 0:
+                    trial.effects = _shown_effects(scene, scene.renderer, objective)
             trial.result = fit(
                 scene.renderer,
                 objective,
@@ -113,9 +125,31 @@ def run_scene(
             trial.result = stop.result
             break
         finally:
+            if isinstance(scene.renderer, PlanningRenderer):
+                trial.plan = scene.renderer.plan
             if index == 0 and trial.result is not None:
                 trial.psnr = _known_psnr(trial.result, earlier) | trial.psnr
     return trials
+
+
+def plan_scene(scene: Scene, renderer: PlanningRenderer, objective: Objective) -> EffectPlan:
+    """Plan the effects of a scene's fit with one of its objectives.
+
+    Raises
+    ------
+    LoiError
+        If the renderer or the objective does not take the scene's starting parameters.
+    """
+    params = starting_parameters(renderer, scene.optimise)
+    cotangent = objective.value_and_grad(renderer.render(params, seed=scene.fit.seed))[1]
+    return renderer.begin(params, cotangent, optimise=list(scene.optimise), seed=scene.fit.seed)
+
+
+def _shown_effects(scene: Scene, renderer: PlanningRenderer, objective: Objective) -> dict[str, Host]:
+    params = starting_parameters(renderer, scene.optimise)
+    cotangent = objective.value_and_grad(renderer.render(params, seed=scene.fit.seed))[1]
+    images = renderer.effect_images(params, cotangent, seed=scene.fit.seed)
+    return {name: to_numpy(one) for name, one in images.items()}
 
 
 def _earlier_psnr(path: Path) -> dict[tuple[int, float], float]:
@@ -164,10 +198,12 @@ class _Watcher:
     trial: Trial
     progress: Progress | None
 
-    def __call__(self, step: FitStep, _: Parameters, image: Array) -> None:
+    def __call__(self, step: FitStep, params: Parameters, image: Array) -> None:
         seen = to_numpy(image)
         self.trial.psnr[step.step] = psnr(seen, self.scene.target)
         if step.step in frame_steps(self.scene.fit.steps):
             self.trial.frames.append((step.step, seen.copy()))
+        if isinstance(self.scene.renderer, PlanningRenderer):
+            self.scene.renderer.watch(step, params, image)
         if self.progress is not None:
             self.progress(self.trial.objective, step.step, step.value)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from loi_core.arrays import Array, as_floating, from_numpy, namespace
+from loi_core.arrays import Array, as_floating, from_numpy, namespace, narrowed, widened
 from loi_core.errors import ScaleError
 from loi_core.layout import Layout, check_channel_axis
 from loi_core.messages import shown
@@ -27,8 +27,8 @@ def inner_images(image: Array, scales: ScaleSpace, *, channel_axis: int | None =
         Where the channels are; None for images without channels.
     """
     layout = _checked(image, channel_axis)
-    clipped = clip(layout.to_planes(image), *scales.bounds)
-    return {sigma: layout.to_image(_inner(clipped, scales, sigma)) for sigma in scales.sigma}
+    clipped = clip(layout.to_planes(widened(image)), *scales.bounds)
+    return {sigma: narrowed(layout.to_image(_inner(clipped, scales, sigma)), image) for sigma in scales.sigma}
 
 
 def isophotes(image: Array, scales: ScaleSpace, *, sigma: float, beta: float, channel_axis: int | None = -1) -> Array:
@@ -75,12 +75,13 @@ def local_histograms(
         if value not in among:
             msg = f"`{name}` must be one of {among}, got {shown(value)}"
             raise ScaleError(msg)
-    planes = _inner(clip(layout.to_planes(image), *scales.bounds), scales, sigma)
+    planes = _inner(clip(layout.to_planes(widened(image)), *scales.bounds), scales, sigma)
     levels = from_numpy(scales.levels(beta), planes)
     extent = gaussian_blur(layout.height, layout.width, alpha, scales.boundary, like=planes, taps=scales.extent_taps)
     densities = extent.apply(isophote_density(planes, levels, beta))
     xp = namespace(densities)
-    return xp.stack([layout.to_image(densities[index, ...]) for index in range(densities.shape[0])], axis=0)
+    stack = xp.stack([layout.to_image(densities[index, ...]) for index in range(densities.shape[0])], axis=0)
+    return narrowed(stack, image)
 
 
 def _checked(image: Array, channel_axis: int | None) -> Layout:

@@ -268,6 +268,8 @@ class GaussianBlur:
     def __init__(self, blur: PlaneBlur, like: Array) -> None:
         self._blur = blur
         self._columns_first = blur.columns_first
+        self._source = Window.whole(blur.source.rows.cells, blur.source.columns.cells)
+        self._target = Window.whole(blur.target.rows.cells, blur.target.columns.cells)
         self._rows, self._rows_back = _products(blur.rows, like)
         self._columns, self._columns_back = _products(blur.columns, like)
 
@@ -280,6 +282,8 @@ class GaussianBlur:
         """Where the blurred planes are not 0 if the planes are 0 outside `window`."""
         if self._blur.is_identity:
             return window
+        if window == self._source:
+            return self._target
         rows, columns = self._blur.rows, self._blur.columns
         return Window(rows.support_of_columns(window.rows), columns.support_of_columns(window.columns))
 
@@ -287,6 +291,8 @@ class GaussianBlur:
         """Where the adjoint is not 0 if its planes are 0 outside `window`."""
         if self._blur.is_identity:
             return window
+        if window == self._target:
+            return self._source
         return Window(self._blur.rows.support(window.rows), self._blur.columns.support(window.columns))
 
     def apply(self, planes: Array, window: Window | None = None) -> Array:
@@ -298,7 +304,7 @@ class GaussianBlur:
         if self._blur.is_identity:
             return planes
         rows, columns = self._rows, self._columns
-        if window is not None and window.cells < self._blur.source.cells:
+        if window is not None and window != self._source:
             reached = self.reached(window)
             rows = rows.within(window.rows, reached.rows)
             columns = columns.within(window.columns, reached.columns)
@@ -314,7 +320,7 @@ class GaussianBlur:
         if self._blur.is_identity:
             return planes
         rows, columns = self._rows_back, self._columns_back
-        if window is not None and window.cells < self._blur.target.cells:
+        if window is not None and window != self._target:
             reached = self.reached_back(window)
             rows = rows.within(window.rows, reached.rows)
             columns = columns.within(window.columns, reached.columns)

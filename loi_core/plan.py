@@ -57,6 +57,9 @@ BALANCED: Final = 1e-2
 NEGLIGIBLE: Final = 0.1
 """A level is left out if it makes less than this share of the tolerance in the gradient of every intensity."""
 
+NEAR: Final = 16
+"""How many beta away from a bound an intensity is moved by levels at or beyond it, with a margin."""
+
 INNER: Final = 0.4
 """Spacing of a sampling in units of the inner scale of what is sampled: ripples of 2 exp(-2 (pi / INNER)**2) < 1e-50
 in the image, which its isophotes sharpen."""
@@ -207,12 +210,18 @@ def make_plan(scales: ScaleSpace, height: int, width: int, *, tolerance: float, 
 
 def _levels(scales: ScaleSpace, beta: float, tolerance: float) -> TonalPlan:
     levels = scales.levels(beta)
-    inside = np.linspace(*scales.bounds, 4 * len(levels) + 1)
-    slopes = soft_cdf_and_slope(inside, levels, beta, scales.mass(beta))[1]
-    moved = np.max(np.abs(slopes) / np.sum(np.abs(slopes), axis=0), axis=1)
+    everything = TonalPlan(beta, len(levels), 0, len(levels))
+    if tolerance == 0.0:
+        return everything
+    # Levels beyond a bound move the intensities next to it most; to look at all intensities could take gigabytes.
+    low, high = scales.bounds
+    near = np.linspace(0.0, min(high - low, NEAR * beta), 4 * NEAR + 1)
+    slopes = np.abs(soft_cdf_and_slope(np.concat([low + near, high - near]), levels, beta, scales.mass(beta))[1])
+    total = np.sum(slopes, axis=0)
+    moved = np.max(slopes / np.where(total > 0.0, total, 1.0), axis=1)
     (kept,) = np.nonzero(moved >= NEGLIGIBLE * tolerance)
-    if tolerance == 0.0 or len(kept) == 0:
-        return TonalPlan(beta, len(levels), 0, len(levels))
+    if len(kept) == 0:
+        return everything
     return TonalPlan(beta, len(levels), int(kept[0]), int(kept[-1]) + 1)
 
 

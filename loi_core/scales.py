@@ -164,8 +164,11 @@ class ScaleSpace:
 
     @property
     def padding(self) -> float:
-        """The intensity outside the image under the boundary "zero"; 0 under reflection, where it is not used."""
-        return min(max(0.0, self.bounds[0]), self.bounds[1]) if self.boundary == "zero" else 0.0
+        """The intensity within the bounds that is nearest to 0: what lies outside the image under the boundary "zero".
+
+        Images are compared relative to it under either boundary, so that bounds far from 0 cost no accuracy.
+        """
+        return min(max(0.0, self.bounds[0]), self.bounds[1])
 
     @property
     def inner_taps(self) -> int | None:

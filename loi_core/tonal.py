@@ -11,13 +11,14 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from loi_core.arrays import Array, namespace
+from loi_core.arrays import Array, namespace, runs_eagerly_on_host
 
 __all__ = [
     "accumulate",
     "clip",
     "clip_pullback",
     "isophote_density",
+    "level_positions",
     "level_weights",
     "soft_cdf_and_slope",
     "weights_and_slopes",
@@ -25,6 +26,7 @@ __all__ = [
 
 
 ROOT_TWO: Final = math.sqrt(2.0)
+UNROLLED: Final = 64  # levels that are added one by one where each addition has to be compiled
 
 
 def clip(intensity: Array, low: float, high: float) -> Array:
@@ -63,6 +65,22 @@ def isophote_density(intensity: Array, levels: Array, beta: float) -> Array:
     return _density(_offsets(intensity, levels, beta), beta, 1.0)
 
 
+def level_positions(intensity: Array, first: float, spacing: float, count: int) -> Array:
+    """Intensities in units of the distance of two levels, from the level `first` on: 2.5 is between the 3rd and 4th.
+
+    Levels are whole numbers then, which every dtype holds exactly. In units of intensity each level has a rounding of
+    its own; where beta is small beside the levels these no longer cancel in the slope far above an intensity, and a
+    thousand such levels outweigh the few that matter.
+
+    All intensities lie among the `count` levels. They are clipped to them so that no compiler makes one operation, with
+    one rounding, of this product and of the subtraction from a level that follows: an image would be rounded otherwise
+    than a reference that was prepared outside of what is compiled, by more than ties allow for.
+    """
+    positions = intensity - first
+    positions *= 1.0 / spacing
+    return namespace(positions).clip(positions, -1.0, float(count))
+
+
 def soft_cdf_and_slope(intensity: Array, levels: Array, beta: float, mass: float) -> tuple[Array, Array]:
     """Cumulative soft histogram, ``cumsum_i N(k_i; intensity, beta^2) * mass``, and its derivative by the intensity.
 
@@ -95,12 +113,32 @@ def accumulate(stack: Array, start: Array | None = None) -> tuple[Array, Array]:
 
     Not the library's own cumulative sum, which along the first axis is several times slower on every one of them.
     """
+    if stack.shape[0] > UNROLLED and not runs_eagerly_on_host(stack):
+        running = _accumulate_blocks(stack)
+        running = running if start is None else running + start
+        return running, running[-1, ...]
     total = start
     sums = []
     for index in range(stack.shape[0]):
         total = stack[index, ...] if total is None else total + stack[index, ...]
         sums.append(total)
     return namespace(stack).stack(sums, axis=0), total
+
+
+def _accumulate_blocks(stack: Array) -> Array:
+    """The running sums along the first axis, in blocks side by side: a thousand additions take a compiler minutes.
+
+    Nor is the library's own cumulative sum an answer here: where a CDF has reached its total, the next sums must all be
+    the same, and sums that are made in another order for each level are not.
+    """
+    xp = namespace(stack)
+    count, *rest = stack.shape
+    blocks = -(-count // UNROLLED)
+    padding = xp.broadcast_to(xp.zeros_like(stack[:1, ...]), (blocks * UNROLLED - count, *rest))
+    side_by_side = xp.reshape(xp.concat([stack, padding], axis=0), (blocks, UNROLLED, *rest))
+    inside, totals = accumulate(xp.moveaxis(side_by_side, 1, 0))
+    before = xp.concat([xp.zeros_like(totals[:1, ...]), accumulate(totals)[0][:-1, ...]], axis=0)
+    return xp.reshape(xp.moveaxis(inside + before, 0, 1), (blocks * UNROLLED, *rest))[:count, ...]
 
 
 def _offsets(intensity: Array, levels: Array, beta: float) -> Array:

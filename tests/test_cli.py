@@ -100,6 +100,7 @@ def test_doctor_finds_what_is_there(capsys: pytest.CaptureFixture[str]) -> None:
         "renderer warp",
         "renderer warp-torch",
         "renderer mitsuba",
+        "renderer mitsuba-planned",
         "LLVM",
         "threads",
     ):

@@ -50,6 +50,7 @@ def test_the_wheel_works_in_an_empty_environment(fresh: Path, tmp_path: Path) ->
         "disks-jax": "missing",
         "disks-torch": "missing",
         "mitsuba": "missing",
+        "mitsuba-planned": "missing",
         "warp": "ready",
         "warp-torch": "missing",
     }
@@ -58,6 +59,7 @@ def test_the_wheel_works_in_an_empty_environment(fresh: Path, tmp_path: Path) ->
         "disks-jax": "pip install 'loi[jax]'",
         "disks-torch": "pip install 'loi[torch]'",
         "mitsuba": "pip install 'loi[mitsuba]'",
+        "mitsuba-planned": "pip install 'loi[mitsuba]'",
         "warp-torch": "pip install 'loi[torch]'",
     }
     states = {one["name"]: one["state"] for one in json.loads(run(fresh.parent / "loi", "doctor", "--json"))}
@@ -74,6 +76,7 @@ def test_the_wheel_measures_what_accuracy_costs_in_an_empty_environment(fresh: P
     assert {row["backend"] for row in found["rows"] if row["problem"] is None} == {"numpy"}
     assert {one["name"]: one["mend"] for one in found["missing"]} == {
         "jax": "pip install 'loi[jax]'",
+        "mitsuba": "pip install 'loi[mitsuba]'",
         "torch": "pip install 'loi[torch]'",
     }
 

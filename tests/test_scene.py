@@ -126,7 +126,10 @@ MISTAKES: list[tuple[str, str, str]] = [
     (
         'name = "disks"',
         'name = "spheres"',
-        "no renderer is called 'spheres'; installed are disks, disks-jax, disks-torch, mitsuba, warp, warp-torch",
+        (
+            "no renderer is called 'spheres'; installed are disks, disks-jax, disks-torch, mitsuba, mitsuba-planned, "
+            "warp, warp-torch"
+        ),
     ),
     ('name = "disks"', "", "[renderer] `name` is missing"),
     ("radii = [3]", "radius = [3]", "[renderer] unknown key `radius`"),

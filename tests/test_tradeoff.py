@@ -265,7 +265,7 @@ def test_products_in_bfloat16_are_a_choice_of_torch_that_is_set_back() -> None:
 
 
 def test_the_backends_of_the_project_are_all_tried() -> None:
-    assert sorted(announced_backends()) == ["jax", "numpy", "torch"]
+    assert sorted(announced_backends()) == ["jax", "mitsuba", "numpy", "torch"]
 
 
 def test_a_broken_backend_is_reported_and_the_others_are_measured(

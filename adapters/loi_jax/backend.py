@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from loi_core import ScaleSpace
+from loi_core.arrays import to_numpy
 from loi_core.backends import Evaluate, Host
+from loi_core.nonfinite import NanPolicy
 from loi_jax.loss import loi_loss
 
 __all__ = ["Jax"]
@@ -17,14 +18,29 @@ class Jax:
     """A :class:`loi_core.backends.Backend`."""
 
     dtypes = ("float32", "float64")
+    half_dtypes = ("float16", "bfloat16")
+    compiled = True
 
     def device(self) -> str:
         """JAX's default device."""
         return str(jax.default_backend())
 
-    def prepare(self, image: Host, reference: Host, scales: ScaleSpace, accuracy: str | float, dtype: str) -> Evaluate:
+    def asarray(self, host: Host) -> jax.Array:
+        """A copy as a JAX array; of 64 bits only where JAX has them switched on."""
+        return jnp.asarray(host)
+
+    def prepare(
+        self,
+        image: Host,
+        reference: Host,
+        scales: ScaleSpace,
+        accuracy: str | float,
+        dtype: str,
+        nan_policy: NanPolicy = "raise",
+    ) -> Evaluate:
         """See :class:`loi_core.backends.Backend`."""
-        value_and_grad = jax.jit(jax.value_and_grad(loi_loss(reference.astype(dtype), scales, accuracy)))
+        wanted = reference.astype("float32" if dtype in self.half_dtypes else dtype)
+        value_and_grad = jax.jit(jax.value_and_grad(loi_loss(wanted, scales, accuracy, nan_policy=nan_policy)))
         double = dtype == "float64"
         with jax.enable_x64(double):
             given = jnp.asarray(image, dtype=dtype)
@@ -33,6 +49,6 @@ class Jax:
             with jax.enable_x64(double):
                 value, gradient = value_and_grad(given)
                 gradient.block_until_ready()  # computed together with the value
-            return float(value), np.asarray(gradient)
+            return float(value), to_numpy(gradient)
 
         return evaluate

@@ -15,10 +15,14 @@ if importlib.util.find_spec("mitsuba") is None:
 prepare()
 
 from loi_mitsuba.cautions import GradientWarning
+from loi_mitsuba.effects.capabilities import CAPABILITIES
+from loi_mitsuba.effects.planned import PlannedRenderer, plan_effects
+from loi_mitsuba.effects.verify import Verification
 from loi_mitsuba.entries import Entry, list_entries
 from loi_mitsuba.handles import Rotate, Scale, Translate
+from loi_mitsuba.loading import SceneLoadError
 from loi_mitsuba.loss import BackendMissingError, LOILoss
-from loi_mitsuba.renderer import MitsubaRenderer, SceneLoadError
+from loi_mitsuba.renderer import MitsubaRenderer
 
 
 def diagnose() -> list[tuple[str, str]]:
@@ -29,6 +33,7 @@ def diagnose() -> list[tuple[str, str]]:
 
 
 __all__ = [
+    "CAPABILITIES",
     "BackendMissingError",
     "Entry",
     "GradientWarning",
@@ -36,12 +41,15 @@ __all__ = [
     "LLVMError",
     "LOILoss",
     "MitsubaRenderer",
+    "PlannedRenderer",
     "Rotate",
     "Scale",
     "SceneLoadError",
     "Translate",
+    "Verification",
     "choose_llvm",
     "diagnose",
     "list_entries",
+    "plan_effects",
     "prepare",
 ]

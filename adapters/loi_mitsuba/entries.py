@@ -14,7 +14,7 @@ import numpy as np
 
 from loi_core.errors import ParameterError
 
-__all__ = ["Entry", "Scene", "find_entry", "find_shape", "list_entries", "numbers"]
+__all__ = ["Entry", "Scene", "ancestors", "find_entry", "find_shape", "list_entries", "numbers"]
 
 Scene: TypeAlias = Any
 SceneParameters: TypeAlias = Any
@@ -110,7 +110,7 @@ def _readable(params: SceneParameters) -> dict[str, str]:
     taken = {part for key in params.properties for part in key.split(".")}
     for key in params.properties:
         parts = key.split(".")[:-1]
-        nodes = _ancestors(params, params.properties[key][2])
+        nodes = ancestors(params, params.properties[key][2])
         for depth in range(1, len(parts) + 1):
             path, above = ".".join(parts[:depth]), names.get(".".join(parts[: depth - 1]), "")
             if path in names:
@@ -126,7 +126,7 @@ def _readable(params: SceneParameters) -> dict[str, str]:
     return names
 
 
-def _ancestors(params: SceneParameters, node: Any) -> list[Any]:
+def ancestors(params: SceneParameters, node: Any) -> list[Any]:
     """The objects from the scene down to `node`."""
     chain = []
     while node is not None:
@@ -145,7 +145,7 @@ def _shape(value: Any) -> tuple[int, ...]:
 
 def _problem(params: SceneParameters, key: str) -> str:
     flags, node, value = params.flags(key), params.properties[key][2], params[key]
-    owners = [one for one in _ancestors(params, node) if isinstance(one, mi.Sensor)]
+    owners = [one for one in ancestors(params, node) if isinstance(one, mi.Sensor)]
     if owners:
         return _fixed(owners[-1])
     plain = numbers(value)

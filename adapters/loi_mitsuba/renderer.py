@@ -3,34 +3,38 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
+from copy import copy
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import Any, Final
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_core.errors import LoiError, OptionError, ParameterError
+from loi_core.effects import EffectPlan
+from loi_core.errors import OptionError, ParameterError
 from loi_core.values import whole_number
 from loi_mitsuba.cautions import warn_of_moving
+from loi_mitsuba.effects.settings import PARTS, bordered, integrator_of, settings_of
 from loi_mitsuba.entries import Scene, find_entry, find_shape, list_entries, numbers
-from loi_mitsuba.handles import Handle, Host, Rotate, Scale, Translate, from_table, posed
+from loi_mitsuba.handles import Host, Scale, posed
+from loi_mitsuba.loading import (
+    Target,
+    checked_samples,
+    checked_targets,
+    find_sensor,
+    load_scene,
+    most_samples,
+    one_line,
+    use_variant,
+)
 
-__all__ = ["MitsubaRenderer", "SceneLoadError", "Target"]
+__all__ = ["MitsubaRenderer"]
 
-Target: TypeAlias = str | Handle
-"""What a parameter stands for: an entry of the scene by name, or a handle on a shape."""
 
-VARIANTS: Final = ("cuda_ad_rgb", "llvm_ad_rgb")
 OWN_INTEGRATOR: Final = "scene"
-DERIVATIVES: Final = ("sppc", "sppp", "sppi")  # continuous, primary visibility, indirect visibility
-MOST_SAMPLES: Final = 2**32 - 1  # in one image; Mitsuba counts them in 32 bits
-
-
-class SceneLoadError(LoiError, ValueError):
-    """Mitsuba cannot load the scene."""
 
 
 @dataclass(frozen=True)
@@ -55,9 +59,9 @@ class MitsubaRenderer:
         What each parameter stands for, by its name: an entry of the scene (:func:`list_entries` shows all), or
         :class:`Translate`, :class:`Rotate` or :class:`Scale` of a shape. Several handles may share a shape. Scene
         files, which have no classes, spell a handle as a table, ``{ Translate = "ball", axis = [1, 0, 0] }``.
-    integrator : dict, mi.Integrator or "scene", optional
-        "scene" takes the scene's own. By default direct light with projective sampling, without guiding, which costs
-        more than it is worth on a processor.
+    integrator : dict, mi.Integrator, "scene" or EffectPlan, optional
+        "scene" takes the scene's own; a plan, of :func:`plan_effects`, brings its own samples too. By default direct
+        light with projective sampling, without guiding, which costs more than it is worth on a processor.
     spp : int
         Samples per pixel of the image.
     spp_grad : int, optional
@@ -100,18 +104,16 @@ class MitsubaRenderer:
         spp_grad: int | None = None,
         sensor: int = 0,
     ) -> None:
-        self._variant = _use_variant()
-        self._scene = _load(scene)
+        self._variant = use_variant()
+        self._scene = load_scene(bordered(scene, integrator))
         self._params = mi.traverse(self._scene)
-        self._targets = _check_targets(parameters)
-        self._sensor = _sensor(self._scene, sensor)
-        self._integrator = _integrator(self._scene, integrator)
-        most = MOST_SAMPLES // _pixels(self._sensor.film())
-        self._spp = _samples("spp", spp, most)
-        self._spp_grad = _gradient_samples(self._integrator, self._spp, spp_grad, most)
+        self._targets = checked_targets(parameters)
+        self._sensor = find_sensor(self._scene, sensor)
+        self._use(integrator, spp, spp_grad)
         self._keys: dict[str, str] = {}
         self._start: dict[str, Host] = {}
         self._posed: list[_Posed] = []
+        self._followed = tuple(self._targets)
         self._resolve()
         self._check_moving()
 
@@ -119,6 +121,44 @@ class MitsubaRenderer:
     def scene(self) -> Any:
         """The scene, an ``mi.Scene``; its parameters are those of the last call."""
         return self._scene
+
+    @property
+    def sensor(self) -> Any:
+        """The sensor that looks, an ``mi.Sensor``."""
+        return self._sensor
+
+    @property
+    def targets(self) -> dict[str, Target]:
+        """What each parameter stands for."""
+        return dict(self._targets)
+
+    def with_integrator(
+        self,
+        integrator: Any,
+        *,
+        spp: int | None = None,
+        spp_grad: int | None = None,
+        follow: Iterable[str] | None = None,
+    ) -> MitsubaRenderer:
+        """The same scene and parameters under another integrator; the two share the scene.
+
+        Parameters
+        ----------
+        integrator, spp, spp_grad
+            As those of the class; `spp` is that of this renderer by default.
+        follow : names of parameters, optional
+            Those whose gradient is wanted; that of the others is 0, and costs nothing. All of this one by default.
+
+        Raises
+        ------
+        OptionError
+            If an argument is not allowed.
+        """
+        other = copy(self)
+        other._use(integrator, self._spp if spp is None else spp, spp_grad)
+        if follow is not None:
+            other._followed = tuple(name for name in self._targets if name in set(follow))
+        return other
 
     def parameters(self) -> dict[str, Host]:
         """Every parameter as the scene had it when it was loaded: float32, new arrays on each call."""
@@ -148,28 +188,82 @@ class MitsubaRenderer:
         kept = {name: np.array(value, dtype=np.float32) for name, value in params.items()}
 
         def pullback(cotangent: Any) -> dict[str, Host]:
-            arriving = _numbers("cotangent", cotangent, shape)
-            leaves = self._leaves(kept)
-            try:
-                with dr.resume_grad():  # the caller may have suspended gradients
-                    dr.enable_grad(list(leaves.values()))
-                    self._set(leaves)
-                    # Within this scope nothing flows on into the parameters' own graph before all parts of the
-                    # gradient, some of which Mitsuba carries back one after the other, have arrived there.
-                    with dr.isolate_grad():
-                        self._integrator.render_backward(
-                            self._scene,
-                            self._params,
-                            mi.TensorXf(arriving),
-                            self._sensor,
-                            _seeds(seed)[1],
-                            self._spp_grad,
-                        )
-                    return {name: _host(dr.grad(leaf), kept[name].shape) for name, leaf in leaves.items()}
-            finally:
-                self._set(self._leaves(kept))  # no graph is left behind in the scene, also where Mitsuba failed
+            return self.pull(kept, _numbers("cotangent", cotangent, shape), seed=seed)
 
         return image, pullback
+
+    def pull(self, params: Mapping[str, Any], cotangent: Any, *, seed: int = 0) -> dict[str, Host]:
+        """A cotangent of the image, shape (H, W, C), carried to the parameters without an image; errors as of `render`.
+
+        It is what the pullback of :meth:`render_vjp` with the same `params` and `seed` gives.
+        """
+        leaves = self._leaves(params)
+        try:
+            with dr.resume_grad():  # the caller may have suspended gradients
+                dr.enable_grad([leaves[name] for name in self._followed])
+                self._set(leaves)
+                # Within this scope nothing flows on into the parameters' own graph before all parts of the
+                # gradient, some of which Mitsuba carries back one after the other, have arrived there.
+                with dr.isolate_grad():
+                    self._integrator.render_backward(
+                        self._scene,
+                        self._params,
+                        mi.TensorXf(np.ascontiguousarray(cotangent, dtype=np.float32)),
+                        self._sensor,
+                        _seeds(seed)[1],
+                        self._spp_grad,
+                    )
+                return {name: _host(dr.grad(leaf), self._start[name].shape) for name, leaf in leaves.items()}
+        finally:
+            self._set(self._leaves(params))  # no graph is left behind in the scene, also where Mitsuba failed
+
+    def push(self, params: Mapping[str, Any], tangent: Mapping[str, Any], *, seed: int = 0) -> Host:
+        """How the image changes along a direction of the parameters: shape (H, W, C); errors as of `render`.
+
+        The derivative that :meth:`pull` is the transpose of. Not every integrator of Mitsuba has it.
+        """
+        leaves = self._leaves(params)
+        try:
+            with dr.resume_grad():
+                dr.enable_grad([leaves[name] for name in self._followed])
+                self._set(leaves)
+                for name in self._followed:
+                    direction = _numbers(name, tangent[name], self._start[name].shape)
+                    dr.set_grad(leaves[name], mi.Float(direction.reshape(-1)))
+                    dr.enqueue(dr.ADMode.Forward, leaves[name])
+                # Up to the scene's own entries, since Mitsuba's loops do not look any further back than these.
+                dr.traverse(dr.ADMode.Forward, dr.ADFlag.ClearEdges)
+                first, second = _seeds(seed)
+                image = mi.render(
+                    self._scene,
+                    self._params,
+                    self._sensor,
+                    self._integrator,
+                    seed=first,
+                    seed_grad=second,
+                    spp_grad=self._spp_grad,
+                )
+                image = dr.forward_to(image)
+                return np.array(image.numpy(), dtype=np.float32, order="C")
+        finally:
+            self._set(self._leaves(params))
+
+    def _use(self, integrator: Any, spp: int, spp_grad: int | None) -> None:
+        """Take an integrator and its samples."""
+        most = most_samples(self._sensor.film())
+        self._spp = checked_samples("spp", spp, most)
+        if isinstance(integrator, EffectPlan):
+            if spp_grad is not None:
+                msg = "`spp_grad` and a plan exclude each other, for a plan has its own samples; give one of them"
+                raise OptionError(msg)
+            settings = settings_of(integrator)
+            for name in PARTS:
+                if getattr(settings, name) > 0:
+                    checked_samples(name, getattr(settings, name), most)
+            self._integrator, self._spp_grad = integrator_of(settings, self._scene)
+            return
+        self._integrator = _integrator(self._scene, integrator)
+        self._spp_grad = _gradient_samples(self._integrator, self._spp, spp_grad, most)
 
     def _resolve(self) -> None:
         """Find what the targets stand for, and where everything is at the start."""
@@ -246,73 +340,6 @@ class MitsubaRenderer:
         self._params.update()
 
 
-def _use_variant() -> str:
-    if mi.variant() is None:
-        mi.set_variant(*VARIANTS)
-    variant = str(mi.variant())
-    if "_ad_" not in variant:
-        msg = f"Mitsuba's variant {variant!r} has no gradients; call mi.set_variant('llvm_ad_rgb')"
-        raise OptionError(msg)
-    return variant
-
-
-def _load(scene: Any) -> Any:
-    # Merging equal objects, as Mitsuba does by itself, would make one parameter change several of them.
-    if isinstance(scene, mi.Scene):
-        return scene
-    try:
-        if isinstance(scene, dict):
-            loaded = mi.load_dict(scene, optimize=False)
-        elif isinstance(scene, str | Path):
-            loaded = mi.load_file(str(scene), optimize=False)
-        else:
-            loaded = scene
-    except RuntimeError as error:
-        msg = f"`scene` cannot be loaded: {_one_line(error)}"
-        raise SceneLoadError(msg) from None
-    if not isinstance(loaded, mi.Scene):
-        msg = f"`scene` must be a dict, the path of an XML file, or an mi.Scene, got a {type(loaded).__name__}"
-        raise OptionError(msg)
-    return loaded
-
-
-def _check_targets(parameters: object) -> dict[str, Target]:
-    if not isinstance(parameters, Mapping) or not parameters:
-        msg = f"`parameters` must be a dict of names and what they stand for, at least one, got {parameters!r:.80}"
-        raise ParameterError(msg)
-    targets = {}
-    for name, given in parameters.items():
-        try:
-            target = from_table(given) if isinstance(given, Mapping) else given
-        except ParameterError as error:
-            msg = f"`parameters[{name!r}]`: {error}"
-            raise ParameterError(msg) from None
-        if not isinstance(name, str) or not isinstance(target, str | Translate | Rotate | Scale):
-            msg = f"`parameters[{name!r}]` must be an entry's name, Translate, Rotate or Scale, got {target!r:.80}"
-            raise ParameterError(msg)
-        targets[name] = target
-    return targets
-
-
-def _sensor(scene: Any, index: int) -> Any:
-    sensors = scene.sensors()
-    if not sensors:
-        msg = "`scene` has no sensor"
-        raise OptionError(msg)
-    number = whole_number(index)
-    if number is None or not 0 <= number < len(sensors):
-        msg = f"`sensor` must be the number of one of the scene's {len(sensors)} sensors, from 0, got {index!r:.60}"
-        raise OptionError(msg)
-    return sensors[number]
-
-
-def _pixels(film: Any) -> int:
-    """How many pixels are sampled, with the border if the film has one."""
-    border = 2 * film.rfilter().border_size() if film.sample_border() else 0
-    width, height = film.crop_size()
-    return int((width + border) * (height + border))
-
-
 def _integrator(scene: Any, integrator: Any) -> Any:
     if integrator is None:
         integrator = {"type": "direct_projective", "guiding": "none"}
@@ -322,7 +349,7 @@ def _integrator(scene: Any, integrator: Any) -> Any:
         try:
             integrator = mi.load_dict(integrator)
         except RuntimeError as error:
-            msg = f"`integrator` cannot be loaded: {_one_line(error)}"
+            msg = f"`integrator` cannot be loaded: {one_line(error)}"
             raise OptionError(msg) from None
     if not isinstance(integrator, mi.Integrator):
         msg = f"`integrator` must be a dict, an mi.Integrator or 'scene', got {integrator!r:.60}"
@@ -330,25 +357,11 @@ def _integrator(scene: Any, integrator: Any) -> Any:
     return integrator
 
 
-def _one_line(error: RuntimeError) -> str:
-    """What Mitsuba says, without the trace of the Python in which some of its plugins are written."""
-    said, _, trace = str(error).strip().partition("Traceback (most recent call last):")
-    return " ".join([*said.split(), *" ".join(trace.splitlines()[-1:]).split()])
-
-
 def _gradient_samples(integrator: Any, spp: int, spp_grad: int | None, most: int) -> int:
     """What to ask Mitsuba for: 0 leaves the integrator's own counts, any other number overrides those above 0."""
     if spp_grad is not None:
-        return _samples("spp_grad", spp_grad, most)
-    return 0 if any(getattr(integrator, name, None) for name in DERIVATIVES) else spp
-
-
-def _samples(name: str, value: object, most: int) -> int:
-    samples = whole_number(value)
-    if samples is None or not 1 <= samples <= most:
-        msg = f"`{name}` must be a whole number of samples from 1 to {most} for this film, got {value!r:.60}"
-        raise OptionError(msg)
-    return samples
+        return checked_samples("spp_grad", spp_grad, most)
+    return 0 if any(getattr(integrator, name, None) for name in PARTS) else spp
 
 
 def _seeds(seed: int) -> tuple[int, int]:

@@ -5,18 +5,21 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
 from tqdm import tqdm
 
-from loi_core.experiment import Trial, run_scene
+from loi_core.effects import PlanningRenderer
+from loi_core.errors import SceneError
+from loi_core.experiment import Trial, plan_scene, run_scene
 from loi_core.messages import printable
 from loi_core.report import write_page, write_results
 from loi_core.report.plots import LABELS
 from loi_core.scene import Scene, load_scene
 
-__all__ = ["CHECKPOINT_FILE", "fit_scene", "run_and_write"]
+__all__ = ["CHECKPOINT_FILE", "explain_scene", "fit_scene", "run_and_write"]
 
 CHECKPOINT_FILE: Final = "checkpoint.npz"
 
@@ -32,6 +35,22 @@ def fit_scene(path: Path, output: Path | None, *, resume: bool, as_json: bool) -
         print_summary(result)
         print(f"\nreport: {page}")
     return not any(trial["error"] for trial in result["trials"])
+
+
+def explain_scene(path: Path, *, as_json: bool) -> None:
+    """Print which effects a scene's fit would simulate, and why; nothing is written.
+
+    Raises
+    ------
+    SceneError
+        If the scene's renderer does not plan its effects.
+    """
+    scene = load_scene(path)
+    if not isinstance(scene.renderer, PlanningRenderer):
+        msg = f"{path}: [renderer] has no effects to choose; those that have are named *-planned by `loi renderers`"
+        raise SceneError(msg)
+    plan = plan_scene(scene, scene.renderer, next(iter(scene.objectives.values())))
+    print(json.dumps(asdict(plan), indent=2) if as_json else plan)
 
 
 def run_and_write(scene: Scene, *, resume: bool = False) -> dict[str, Any]:

@@ -46,8 +46,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _run(options: argparse.Namespace) -> int:
     # Each command imports what it needs, so that `loi --version` does not wait for a plotting library.
     if options.command == "fit":
-        from loi_core.cli.fit import fit_scene
+        from loi_core.cli.fit import explain_scene, fit_scene
 
+        if options.explain:
+            explain_scene(options.scene, as_json=options.json)
+            return DONE
         return DONE if fit_scene(options.scene, options.output, resume=options.resume, as_json=options.json) else FAILED
     if options.command == "demo":
         from loi_core.cli.demo import run_demo
@@ -76,6 +79,10 @@ def _run(options: argparse.Namespace) -> int:
 
         list_renderers(as_json=options.json)
         return DONE
+    if options.stability:
+        from loi_core.cli.stability import examine_stability
+
+        return DONE if examine_stability(as_json=options.json) else FAILED
     from loi_core.cli.doctor import examine
 
     return DONE if examine(as_json=options.json) else FAILED
@@ -106,6 +113,8 @@ def _parser() -> argparse.ArgumentParser:
     fit.add_argument("--output", type=Path, help="folder for the results, instead of the scene's own")
     fit.add_argument("--resume", action="store_true", help="go on where an earlier fit stopped")
 
+    fit.add_argument("--explain", action="store_true", help="only say which effects would be simulated, and why")
+
     report = commands.add_parser("report", help="make report.html anew from a result folder")
     report.add_argument("folder", type=Path, metavar="DIR")
 
@@ -121,6 +130,11 @@ def _parser() -> argparse.ArgumentParser:
 
     renderers = commands.add_parser("renderers", help="which renderers are installed")
     doctor = commands.add_parser("doctor", help="what works here, and the mend for what does not")
+    doctor.add_argument(
+        "--stability",
+        action="store_true",
+        help="run the hard cases on every backend (minutes, most of them JAX's compiler)",
+    )
     for command in (demo, fit, tradeoff, renderers, doctor):
         command.add_argument("--json", action="store_true", help="print the answer as JSON")
     return parser

@@ -7,7 +7,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Generic, Protocol, TypeVar, runtime_checkable
 
-from loi_core.arrays import Array, as_floating, detached, device, from_numpy, is_numpy_array, library_name, namespace
+from loi_core.arrays import (
+    Array,
+    as_floating,
+    detached,
+    device,
+    from_numpy,
+    is_numpy_array,
+    library_name,
+    namespace,
+    narrowed,
+    widened,
+)
 from loi_core.errors import ImageError, ImageTypeError
 from loi_core.layout import Layout, check_channel_axis
 from loi_core.nonfinite import NanPolicy, check_nan_policy, require_finite
@@ -70,7 +81,8 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
 
     Notes
     -----
-    Batches are averaged: the value is one number, the mean over the images of the batch.
+    Batches are averaged: the value is one number, the mean over the images of the batch. Images of 16 bits are compared
+    in float32; value and gradient are rounded to the image's dtype at the end.
     """
 
     def __init__(
@@ -132,21 +144,22 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
         NonFiniteImageError
             Under ``nan_policy="raise"``, if a pixel is NaN or infinite.
         """
-        return _total(self._evaluate_image(image, gradient=False)[0].terms)
+        return narrowed(_total(self._evaluate_image(image, gradient=False)[0].terms), image)
 
     def value_and_grad(self, image: Array) -> tuple[Array, Array]:
         """The objective at `image` and its gradient, an array like `image`. Errors as in :meth:`value`."""
         # The gradient is ours; a framework that recorded the way to it would only waste time and memory.
         evaluation, gradient = self._evaluate_image(detached(image), gradient=True)
-        return _total(evaluation.terms), gradient
+        return narrowed(_total(evaluation.terms), image), narrowed(gradient, image)
 
     def terms(self, image: Array) -> dict[KeyT, Array]:
         """The parts of the value, which sum to it. Errors as in :meth:`value`."""
-        return self._evaluate_image(image, gradient=False)[0].terms
+        found = self._evaluate_image(image, gradient=False)[0].terms
+        return {key: narrowed(term, image) for key, term in found.items()}
 
     def prepare(self, shape: tuple[int, ...], like: Array) -> None:
         """Make the reference ready for images of `shape` that are arrays like `like`; evaluating does so by itself."""
-        self._ready_for(like, Layout.of("image", shape, self._channel_axis))
+        self._ready_for(widened(like), Layout.of("image", shape, self._channel_axis))
 
     def evaluate_unchecked(self, image: Array, like: Array, *, gradient: bool) -> tuple[Array, Array | None]:
         """Value, and gradient if asked for, of an image whose pixels cannot be looked at, such as a JAX tracer.
@@ -161,7 +174,7 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
             Whether the gradient is wanted; None comes in its place otherwise.
         """
         evaluation, slope = self._evaluate_image(image, gradient=gradient, like=like)
-        return _total(evaluation.terms), slope
+        return narrowed(_total(evaluation.terms), image), None if slope is None else narrowed(slope, image)
 
     @abc.abstractmethod
     def _prepare(self, reference: Array) -> PreparedT:
@@ -174,9 +187,9 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
     def _evaluate_image(
         self, image: Array, *, gradient: bool, like: Array | None = None
     ) -> tuple[Evaluation[KeyT], Array]:
-        as_floating("image", image)
+        image = widened(as_floating("image", image))
         layout = Layout.of("image", image.shape, self._channel_axis)
-        ready = self._ready_for(image if like is None else like, layout)
+        ready = self._ready_for(image if like is None else widened(like), layout)
         planes = layout.to_planes(image)
         seen: Array | None = None
         if self._nan_policy == "raise":

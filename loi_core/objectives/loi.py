@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final, TypeAlias
 
-from loi_core.arrays import Array, device, epsilon, namespace
+from loi_core.arrays import Array, device, epsilon, namespace, widened
 from loi_core.comparison import InnerComparison, ScaleKey
 from loi_core.errors import OptionError, ScaleError
 from loi_core.messages import shown
@@ -125,7 +125,7 @@ class LOIObjective(ImageObjective[_Prepared, ScaleKey]):
             layout.height if height is None else height,
             layout.width if width is None else width,
             tolerance=self._tolerance,
-            eps=epsilon(self._reference) if eps is None else eps,
+            eps=epsilon(widened(self._reference)) if eps is None else eps,
         )
 
     def _prepare(self, reference: Array) -> _Prepared:

@@ -22,6 +22,7 @@ from loi_core.scene import Scene
 __all__ = ["RESULT_FILE", "frames", "summary", "write_results"]
 
 RESULT_FILE: Final = "result.json"
+BRIGHTEST: Final = 0.998
 FRAME_NAME: Final = re.compile(r"[0-9]{6,}\.png")
 
 
@@ -30,7 +31,8 @@ def write_results(scene: Scene, trials: Sequence[Trial]) -> dict[str, Any]:
 
     ``parameters.json``, ``history.csv``, ``initial.png``, ``final.png``, ``target.png``, ``error.png`` and
     ``frames/`` are those of the first objective; every other has ``final.png``, ``error.png``, ``history.csv`` and
-    ``parameters.json`` in ``compare/NAME``. ``convergence.png`` and ``result.json`` hold all of them.
+    ``parameters.json`` in ``compare/NAME``. A renderer that plans its effects adds ``effects/NAME.png``, how each makes
+    the image change, grey where it does not. ``convergence.png`` and ``result.json`` hold all of them.
     """
     folder = scene.output
     for index, trial in enumerate(trials):
@@ -49,6 +51,7 @@ def write_results(scene: Scene, trials: Sequence[Trial]) -> dict[str, Any]:
         write_text(own / "parameters.json", json.dumps(best, indent=2) + "\n")
         if index == 0:
             _writeframes(folder / "frames", scene, trial)
+            _write_effects(folder / "effects", trial)
     write_bytes(folder / "convergence.png", convergence_plot(trials))
     result = summary(scene, trials)
     write_text(folder / RESULT_FILE, json.dumps(result, indent=2, allow_nan=False) + "\n")
@@ -63,7 +66,13 @@ def summary(scene: Scene, trials: Sequence[Trial]) -> dict[str, Any]:
         "output": str(scene.output),
         "steps": scene.fit.steps,
         "trials": [_one(scene, trial) for trial in trials],
-    }
+    } | _plan(trials[0])
+
+
+def _plan(trial: Trial) -> dict[str, Any]:
+    if trial.plan is None:
+        return {}
+    return {"plan": str(trial.plan), "effects": {str(one.effect): one.on for one in trial.plan.choices}}
 
 
 def _one(scene: Scene, trial: Trial) -> dict[str, Any]:
@@ -103,6 +112,16 @@ def _writeframes(folder: Path, scene: Scene, trial: Trial) -> None:
         # A resumed fit keeps the pictures of its first part; those of a run with other steps must go.
         if step not in frame_steps(scene.fit.steps) or step >= done:
             path.unlink()
+
+
+def _write_effects(folder: Path, trial: Trial) -> None:
+    """Pictures of what each effect changes, all to one scale: that of their sum, less its few largest values."""
+    for path in folder.glob("*.png"):
+        path.unlink()
+    if trial.effects:
+        size = float(np.quantile(np.abs(sum(trial.effects.values())), BRIGHTEST)) or 1.0
+        for name, image in trial.effects.items():
+            write_png(folder / f"{name.replace(' ', '-')}.png", np.clip(0.5 + 0.5 * image / size, 0.0, 1.0))
 
 
 def frames(folder: Path) -> dict[int, Path]:

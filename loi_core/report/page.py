@@ -122,8 +122,22 @@ def _section(folder: Path) -> str:
             f"<h2>Numbers</h2>{_table(trials)}",
             f"<h2>Convergence</h2>{plot}",
             f'<h2>The way of {escape(LABELS.get(first, first))}</h2><div class="row film">{"".join(film)}</div>',
+            *_effects(folder, result),
         ]
     )
+
+
+def _effects(folder: Path, result: Mapping[str, Any]) -> list[str]:
+    """What each effect changes in the image at the start, and the plan; nothing if the renderer plans nothing."""
+    plan, effects = result.get("plan"), result.get("effects")
+    if not isinstance(plan, str) or not isinstance(effects, Mapping):
+        return []
+    pictures = [
+        figure(folder / "effects" / f"{str(name).replace(' ', '-')}.png", f"{name}: {'on' if on else 'off'}")
+        for name, on in effects.items()
+    ]
+    row = f'<div class="row">{"".join(pictures)}</div>'
+    return [f"<h2>Effects: how each changes the image along the first descent</h2>{row}<pre>{escape(plan)}</pre>"]
 
 
 def figure(path: Path, caption: str, attributes: str = "", *, image_class: str = "") -> str:

@@ -16,6 +16,7 @@ from loi_core.files import write_bytes, write_text
 from loi_core.images import write_png
 from loi_core.report.page import document, figure
 from loi_core.report.plots import tradeoff_plot
+from loi_core.tables import markdown
 from loi_core.tradeoff import HIDDEN, Noise, Row, Tradeoff
 
 __all__ = ["RESULT_FILE", "plain", "tradeoff_lines", "write_tradeoff"]
@@ -75,9 +76,9 @@ def tradeoff_lines(found: Tradeoff) -> list[str]:
     """The tables and the recommendation, as lines for a terminal; the tables are also Markdown."""
     lines = [_title(found), ""]
     if found.rows:
-        lines += [*_markdown(_heads(found), _cells(found)), "", *_notes(found)]
+        lines += [*markdown(_heads(found), _cells(found)), "", *_notes(found)]
     if found.noises:
-        lines += ["", *_markdown(*_noise_table(found.noises)), "", _noise_note(found)]
+        lines += ["", *markdown(*_noise_table(found.noises)), "", _noise_note(found)]
     lines += [f"{row.setting} was not measured: {row.problem}" for row in found.rows if row.problem]
     lines += [_missing(one.name, one.problem, one.mend) for one in found.missing]
     advice = _advice(found)
@@ -158,13 +159,6 @@ def _noise_table(noises: Sequence[Noise]) -> tuple[list[str], list[list[str]]]:
 
 def _shown(value: float | None, spec: str) -> str:
     return "-" if value is None or not math.isfinite(value) else format(value, spec)
-
-
-def _markdown(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
-    table = [list(heads), *map(list, rows)]
-    widths = [max(len(row[column]) for row in table) for column in range(len(heads))]
-    lines = ["| " + " | ".join(map(str.ljust, row, widths)) + " |" for row in table]
-    return [lines[0], "|" + "|".join("-" * (width + 2) for width in widths) + "|", *lines[1:]]
 
 
 def _notes(found: Tradeoff) -> list[str]:

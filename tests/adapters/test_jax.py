@@ -13,6 +13,7 @@ import loi_jax
 from loi_core import LOIObjective, ScaleSpace
 from loi_core.errors import ImageError, NonFiniteImageError
 from loi_core.testing import check_objective
+from loi_core.tonal import accumulate
 from tests.helpers import images
 
 SCALES = ScaleSpace.paper("path")
@@ -108,3 +109,19 @@ def test_forward_mode_is_refused_and_errors_are_those_of_the_core() -> None:
 
 def test_the_objective_conforms_on_jax_arrays() -> None:
     check_objective(lambda reference: LOIObjective(reference, SCALES), asarray=jnp.asarray)
+
+
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+@pytest.mark.parametrize("scales", [SCALES, ScaleSpace(0, (0, 2), 0.02, p=2.0)], ids=["p = 1", "p = 2"])
+def test_equal_images_are_equal_also_where_one_is_compiled(scales: ScaleSpace, dtype: str) -> None:
+    loss = loi_jax.loi_loss(REFERENCE.astype(dtype), scales)
+    value, gradient = jax.jit(jax.value_and_grad(loss))(jnp.asarray(REFERENCE, dtype=dtype))
+    assert float(value) == 0.0
+    assert not np.any(gradient)
+
+
+def test_what_is_compiled_does_not_grow_with_the_levels() -> None:
+    def operations(levels: int) -> int:
+        return len(jax.make_jaxpr(lambda stack: accumulate(stack)[0])(jnp.zeros((levels, 4))).eqns)
+
+    assert operations(4096) < 3 * operations(64)  # 64 blocks of 64, side by side

@@ -1,25 +1,9 @@
 """Every backend gives the same loss and gradient, for whatever hypothesis can think of.
 
-The bound
----------
-A loss is a mean over pixels of sums over L levels of spacing times |A F|, with F a difference of CDFs in [0, 1] and
-A a blur whose rows sum to at most 1. Rounding to eps changes a CDF by at most (8 + 2) eps: eight levels carry a
-pixel's mass, and each exponential is off by an ulp for its argument and one for itself. Blurs and means average what
-they are given, so the errors of many entries do not add up. Their own roundings do: n equal entries, added one after
-another, are off by n eps / 4 at the most, and JAX adds up to 32 so along each axis (`loi_core.arrays.sum_of_all`). With
-up to 14 rows, 14 columns, 8 planes and 32 levels in a piece that is 17 eps, and 2 more for dividing by four lengths
-(measured: 8 at the most, for four axes of 32; libraries that add in pairs stay below 2). 32 eps of the range of the
-levels bounds the loss, with 3 left for blurs and for the sum over scales.
-
-A gradient is a sum of signs of A F, times slopes of order 1 / beta, and as exact, except where a sign changes because
-|A F| is within rounding of 0. The tie rule turns such signs to 0 alike on all backends, except in a sliver about its
-threshold. There one sign, of weight w, may differ by 2, which changes the 1-norm of the gradient by at most
-2 w max |slope| at its level, since the columns of A sum to at most 1. So gradients are compared in the 1-norm, and
-these changes are added up over the entries of A F that lie in the sliver, as computed on the NumPy backend.
+How far apart two backends may be is derived in `loi_core.testing.bounds`: each of them is that close to the plain sum.
 
 With a tone curve T all this is said of T(image) and T(reference), and of the gradient by T(image), which is that by the
-image over T'. Logarithms of two libraries differ by up to 4 eps; that shifts a CDF, whose slope is at most 0.4 / beta,
-and widens the sliver.
+image over T'. Logarithms of two libraries differ by up to 4 eps, which is a shift of the intensities.
 """
 
 from __future__ import annotations
@@ -46,13 +30,9 @@ import loi_jax
 import loi_torch
 from loi_core import LogTone, LOIObjective, ScaleSpace
 from loi_core.arrays import sum_of_all
-from loi_core.distance import TIE_ROUNDINGS
-from loi_core.layout import Layout
-from loi_core.operators import blur_about, gaussian_blur
-from loi_core.tonal import clip, soft_cdf_and_slope
+from loi_core.testing import allowed
 from tests.helpers import Host
 
-ROUNDINGS = 32.0
 LOGARITHM = 4.0
 COMPILED = 50  # problems for which JAX keeps what it compiled: it compiles for each shape anew, and memory would fill
 CONTENTS = ("flat", "ramp", "step", "noise", "hdr", "saturated")
@@ -154,49 +134,13 @@ def problems(draw: st.DrawFn) -> Problem:
     return image, reference, scales, draw(st.sampled_from(["float64", "float32"]))
 
 
-def slivers(image: Host, reference: Host, scales: ScaleSpace, shift: float) -> float:
-    """By how much the 1-norm of a gradient may change where libraries take different sides of the tie threshold.
+def apart(image: Host, reference: Host, scales: ScaleSpace, shift: float = 0.0) -> tuple[float, float]:
+    """Largest differences of two losses, and of their gradients in the 1-norm: each may err on another side.
 
     `shift` is what libraries may differ by in intensities already, in eps.
     """
-    layout = Layout.of("image", image.shape, -1)
-    planes = layout.to_planes(image)
-    height, width = planes.shape[-2:]
-    eps = float(np.finfo(image.dtype).eps)
-    change = 0.0
-    for sigma, beta in itertools.product(scales.sigma, scales.beta):
-        inner = gaussian_blur(height, width, sigma, scales.boundary, like=planes, taps=scales.inner_taps)
-        levels, mass = scales.levels(beta).astype(planes.dtype), scales.mass(beta)
-        cdf, slope = soft_cdf_and_slope(
-            blur_about(inner, clip(planes, *scales.bounds), scales.padding), levels, beta, mass
-        )
-        wanted = clip(layout.to_planes(reference), *scales.bounds)
-        difference = cdf - soft_cdf_and_slope(blur_about(inner, wanted, scales.padding), levels, beta, mass)[0]
-        steepest = np.abs(slope).max(axis=(-2, -1))
-        total = mass / scales.spacing(beta)
-        for alpha in scales.alpha:
-            extent = gaussian_blur(height, width, alpha, scales.boundary, like=planes, taps=scales.extent_taps)
-            size = np.abs(extent.apply(difference)) / (eps * total)
-            # Rounding of A F itself is 32 eps at the very most; within that, any side is possible.
-            near = np.count_nonzero(
-                (size > 0.0) & (size < TIE_ROUNDINGS + ROUNDINGS + 2.0 * shift * 0.4 / beta), axis=(-2, -1)
-            )
-            change += (
-                2.0 * float(np.sum(near * steepest)) * scales.level_weight(beta) * scales.scale_weight / image.size
-            )
-    return change
-
-
-def allowed(image: Host, reference: Host, scales: ScaleSpace, shift: float = 0.0) -> tuple[float, float]:
-    """Largest differences of the loss, and of the gradient in the 1-norm; see the text above."""
-    eps = float(np.finfo(image.dtype).eps)
-    loss = gradient = 0.0
-    for _, beta, _ in scales.keys:
-        total = scales.mass(beta) / scales.spacing(beta)
-        weight = scales.level_weight(beta) * scales.scale_weight
-        loss += ROUNDINGS * eps * total * weight * scales.level_count(beta)
-        gradient += ROUNDINGS * eps * total * weight * scales.level_count(beta) / beta
-    return loss, gradient + slivers(image, reference, scales, shift)
+    bound = allowed(image, reference, scales, float(np.finfo(image.dtype).eps), shift=shift)
+    return 2.0 * bound.loss, 2.0 * bound.norm
 
 
 TIE = np.full((3, 3, 1), 0.5)
@@ -219,11 +163,11 @@ def test_every_backend_gives_the_loss_and_gradient_of_numpy(problem: Problem, to
     value, gradient = LOIObjective(reference, scales, tone=tone).value_and_grad(image)
     steepness = np.ones_like(image)
     if tone is None:
-        loss_bound, gradient_bound = allowed(image, reference, scales)
+        loss_bound, gradient_bound = apart(image, reference, scales)
     else:
         steepness = tone.pullback(image, steepness)
         shift = LOGARITHM * max(map(abs, scales.bounds))
-        loss_bound, gradient_bound = allowed(tone.apply(image), tone.apply(reference), scales, shift)
+        loss_bound, gradient_bound = apart(tone.apply(image), tone.apply(reference), scales, shift)
         gradient_bound += LOGARITHM * float(np.finfo(dtype).eps) * float(np.abs(gradient / steepness).sum())
     for name, backend in BACKENDS.items():
         if name == "Dr.Jit" and dtype == "float64":
@@ -259,4 +203,4 @@ def test_the_bound_is_far_below_the_gradient(dtype: str, factor: float) -> None:
     image, reference = np.random.default_rng(0).uniform(size=(2, 12, 12, 3)).astype(dtype)
     for scales in (ScaleSpace.paper("path"), ScaleSpace.for_image(12, 12), ScaleSpace.released((1, 5), (1, 5), 8, 21)):
         gradient = LOIObjective(reference, scales).value_and_grad(image)[1]
-        assert allowed(image, reference, scales)[1] < factor * float(np.abs(gradient).sum())
+        assert apart(image, reference, scales)[1] < factor * float(np.abs(gradient).sum())

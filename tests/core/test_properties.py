@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from loi_core import LOIObjective, ScaleSpace
 from loi_core.renderers import Disks
-from tests.conformance.test_backends import Problem, allowed, problems
+from tests.conformance.test_backends import Problem, apart, problems
 from tests.helpers import Host
 
 MOVES: Final[dict[str, Callable[[Host], Host]]] = {
@@ -48,7 +48,7 @@ def distance(image: Host, reference: Host, scales: ScaleSpace) -> float:
 def test_the_two_images_may_change_places(problem: Problem) -> None:
     image, reference, scales = typed(problem)
     there, back = distance(image, reference, scales), distance(reference, image, scales)
-    assert abs(there - back) <= allowed(image, reference, scales)[0]
+    assert abs(there - back) <= apart(image, reference, scales)[0]
 
 
 @given(problems(), st.lists(st.sampled_from(list(MOVES)), min_size=1, max_size=3))
@@ -61,7 +61,7 @@ def test_the_gradient_moves_along_with_flips_transposes_channel_order_and_a_batc
     for name in names:
         moved, goal, expected = (MOVES[name](one) for one in (moved, goal, expected))
     other, slopes = LOIObjective(goal, scales).value_and_grad(moved)
-    loss_bound, gradient_bound = allowed(image, reference, scales)
+    loss_bound, gradient_bound = apart(image, reference, scales)
     assert abs(float(other) - float(value)) <= loss_bound
     assert float(np.abs(slopes - expected).sum()) <= gradient_bound
 
@@ -72,7 +72,7 @@ def test_terms_sum_to_the_value_with_and_without_the_gradient(problem: Problem) 
     objective = LOIObjective(reference, scales)
     terms = objective.terms(image)
     assert list(terms) == scales.keys
-    value, bound = float(objective.value(image)), allowed(image, reference, scales)[0]
+    value, bound = float(objective.value(image)), apart(image, reference, scales)[0]
     assert abs(sum(map(float, terms.values())) - value) <= bound
     assert abs(float(objective.value_and_grad(image)[0]) - value) <= bound
 
@@ -91,7 +91,7 @@ def test_if_intensities_bounds_and_beta_are_multiplied_so_is_the_loss_and_the_gr
     brighter, goal = (np.asarray(factor * one, dtype=image.dtype) for one in (image, reference))
     other, slopes = LOIObjective(goal, multiplied).value_and_grad(brighter)
     # The products are rounded, which shifts an intensity by half an eps of the greater bound.
-    loss_bound, gradient_bound = allowed(image, reference, scales, 0.5 * max(map(abs, scales.bounds)))
+    loss_bound, gradient_bound = apart(image, reference, scales, 0.5 * max(map(abs, scales.bounds)))
     assert abs(float(other) - factor * float(value)) <= factor * loss_bound
     assert float(np.abs(slopes - gradient).sum()) <= gradient_bound
 
@@ -123,7 +123,7 @@ def test_an_extent_of_three_sides_forgets_where_pixels_are(problem: Problem, see
     pixels = image.reshape(*image.shape[:-3], -1, image.shape[-1])
     shuffled = np.random.default_rng(seed).permutation(pixels, axis=-2).reshape(image.shape)
     there, again = (distance(one, reference, wide) for one in (image, shuffled))
-    assert abs(there - again) <= allowed(image, reference, wide)[0]
+    assert abs(there - again) <= apart(image, reference, wide)[0]
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ import pathlib
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any, Final, NoReturn
+from typing import Final, NoReturn
 from xml.parsers import expat
 
 import numpy as np
@@ -17,8 +17,9 @@ from loi_core.files import read_bytes
 from loi_core.messages import printable, shown, told
 from loi_core.renderers.checks import FloatArray
 from loi_torch.vector.coverage import FARTHEST
-from loi_torch.vector.shapes import Circle, Ellipse, Outline, Paint, Path, Rectangle, Shape
+from loi_torch.vector.shapes import Circle, Ellipse, Paint, Path, Rectangle, Shape
 from loi_torch.vector.svg_colours import CORNERS, NAMESPACE, read_colour
+from loi_torch.vector.svg_paths import moved, path_outlines
 
 __all__ = ["Drawing", "read_svg"]
 
@@ -304,8 +305,8 @@ class _Reader:
                 return None
             middle = np.array([number.get("x", 0.0), number.get("y", 0.0)]) + 0.5 * sides
             rounding = scale[0] * rx if rx * ry > 0.0 else 0.0
-            return Rectangle(_moved(middle, matrix), scale * sides, paint, float(rounding), rotation)
-        centre = _moved(np.array([number.get("cx", 0.0), number.get("cy", 0.0)]), matrix)
+            return Rectangle(moved(middle, matrix), scale * sides, paint, float(rounding), rotation)
+        centre = moved(np.array([number.get("cx", 0.0), number.get("cy", 0.0)]), matrix)
         if tag == "circle" and even:
             return Circle(centre, float(scale[0] * number.get("r", 0.0)), paint)
         radius = number.get("r", 0.0)
@@ -337,48 +338,5 @@ class _Reader:
         self._points += 4 * len(path)
         if self._points > MOST_POINTS:
             self.fail(f"more than {MOST_POINTS} points")
-        outlines = tuple(_outlines(path, matrix))
+        outlines = tuple(path_outlines(path, matrix))
         return Path(outlines, replace(paint)) if outlines else None
-
-
-def _moved(point: FloatArray, matrix: FloatArray) -> FloatArray:
-    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused where it is put into a shape
-        moved: FloatArray = matrix[:2, :2] @ point + matrix[:2, 2]
-    return moved
-
-
-def _outlines(path: Any, matrix: FloatArray) -> list[Outline]:
-    """The parts of a parsed path."""
-    outlines: list[Outline] = []
-    points: list[FloatArray] = []
-    degrees: list[int] = []
-
-    def finish(*, closed: bool) -> None:
-        if closed and degrees:
-            if len(degrees) > 1 and np.allclose(points[-1], points[0], rtol=0.0, atol=1e-9):
-                points.pop()  # it came back by itself
-            else:
-                degrees.append(1)
-        if degrees:
-            outlines.append(Outline(np.array(points), tuple(degrees), closed))
-
-    for segment in path:
-        if isinstance(segment, svg.Move):
-            finish(closed=False)
-            points, degrees = [_point(segment.end, matrix)], []
-            continue
-        if isinstance(segment, svg.Close):
-            finish(closed=True)
-            points, degrees = [_point(segment.end, matrix)] if segment.end is not None else points[:1], []
-            continue
-        if not points:
-            points = [_point(segment.start, matrix)]
-        inner = {svg.CubicBezier: ("control1", "control2"), svg.QuadraticBezier: ("control",)}.get(type(segment), ())
-        points += [_point(getattr(segment, one), matrix) for one in (*inner, "end")]
-        degrees.append(len(inner) + 1)
-    finish(closed=False)
-    return outlines
-
-
-def _point(point: Any, matrix: FloatArray) -> FloatArray:
-    return _moved(np.array([float(point.x), float(point.y)]), matrix)

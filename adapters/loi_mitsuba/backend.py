@@ -1,0 +1,63 @@
+"""The loss on Dr.Jit's tensors as users of Mitsuba call it, for ``loi tradeoff`` and ``loi doctor --stability``."""
+
+from __future__ import annotations
+
+from typing import Any, NoReturn
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from loi_core import ScaleSpace
+from loi_core.arrays import to_numpy
+from loi_core.backends import Evaluate, Host
+from loi_core.nonfinite import NanPolicy
+from loi_mitsuba.loss import LOILoss
+
+__all__ = ["Mitsuba"]
+
+
+class Mitsuba:
+    """A :class:`loi_core.backends.Backend`, in the variant that is set, or else ``llvm_ad_rgb``."""
+
+    dtypes = ("float32",)
+    half_dtypes: tuple[str, ...] = ()
+    compiled = False
+
+    def device(self) -> str:
+        """The processor, or "cuda"."""
+        return "cuda" if str(self._variant()).startswith("cuda") else "cpu"
+
+    def asarray(self, host: Host) -> NoReturn:
+        """Dr.Jit's tensors are flat memory in row-major order, so there is nothing to choose."""
+        msg = f"Dr.Jit's tensors are copies in an order of their own, got {type(host).__name__}"
+        raise TypeError(msg)
+
+    def prepare(
+        self,
+        image: Host,
+        reference: Host,
+        scales: ScaleSpace,
+        accuracy: str | float,
+        dtype: str,
+        nan_policy: NanPolicy = "raise",
+    ) -> Evaluate:
+        """See :class:`loi_core.backends.Backend`."""
+        self._variant()
+        loss = LOILoss(reference.astype(dtype), scales, accuracy, nan_policy=nan_policy)
+        given = mi.TensorXf(np.ascontiguousarray(image, dtype))
+
+        def evaluate() -> tuple[float, Host]:
+            dr.enable_grad(given)
+            dr.set_grad(given, 0.0)
+            value = loss(given)
+            dr.backward(value)
+            return float(value[0]), to_numpy(dr.grad(given).numpy())
+
+        return evaluate
+
+    @staticmethod
+    def _variant() -> Any:
+        if mi.variant() is None:
+            mi.set_variant("llvm_ad_rgb")
+        return mi.variant()

@@ -1,0 +1,361 @@
+"""A Mitsuba scene as a renderer that simulates only the effects that the loss at hand calls for."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from loi_core.arrays import to_numpy
+from loi_core.effects import Effect, EffectPlan
+from loi_core.errors import OptionError, ParameterError
+from loi_core.fit import FitStep
+from loi_core.objectives.base import Objective
+from loi_core.values import real_number
+from loi_mitsuba.effects.pilot import EFFECTS, Pilot, Probe, Sizes
+from loi_mitsuba.effects.rules import everything, integrator_for, plan_by_rules, plan_of
+from loi_mitsuba.effects.settings import PROJECTIVE, as_mapping, bordered, settings_of
+from loi_mitsuba.effects.traits import groups_of, in_view, traits_of
+from loi_mitsuba.effects.verify import Verification, verification
+from loi_mitsuba.entries import Scene
+from loi_mitsuba.handles import Host
+from loi_mitsuba.loading import (
+    Target,
+    checked_samples,
+    checked_targets,
+    find_sensor,
+    load_scene,
+    most_samples,
+    use_variant,
+)
+from loi_mitsuba.renderer import MitsubaRenderer
+
+__all__ = ["PlannedRenderer", "plan_effects"]
+
+SHARE: Final = 0.1  # what is off together turns the gradient by less than 6 degrees, whose cosine is 0.995
+FIRST: Final = 20  # gradients until what is off is looked at again; then twice as many, and so on
+STALL: Final = 20  # steps in which a loss that still falls reaches a new least value
+
+DRAWN_FORWARD: Final = (*PROJECTIVE, "prb")
+
+log = logging.getLogger("loi_mitsuba")
+
+
+class PlannedRenderer:
+    """A Mitsuba scene that is rendered by a plan; keeps the contract of :class:`loi_core.Renderer`.
+
+    It begins with what sound rules say. The first gradient that is asked of it is also the first of a pilot, which
+    turns off what carries less than a share of it. What was turned off is looked at again after 20 gradients, then 40,
+    80 and so on, at once when a shape that moves comes into view, and when a loss that it watches stalls; what appears
+    or grows goes on and stays on. A change is logged in one line, at level INFO of the logger ``loi_mitsuba``.
+
+    Parameters
+    ----------
+    scene, parameters, sensor
+        As those of :class:`MitsubaRenderer`.
+    spp : int
+        Samples per pixel of the image, and of each part of the gradient before time is shared out among them.
+    share : float
+        What is turned off carries together less than this share of the gradient, for every optimised parameter, and a
+        tenth of it of the image; at 0 only what is exactly 0 goes off. At least 0 and less than 1.
+
+    Notes
+    -----
+    When the depth of paths changes, so does the image, by less than the share. Times decide how samples are shared
+    out, so that two runs may differ by noise; a plan, given to :class:`MitsubaRenderer` as its integrator, is fixed.
+
+    Raises
+    ------
+    SceneLoadError, ParameterError, OptionError
+        As :class:`MitsubaRenderer`.
+    """
+
+    def __init__(
+        self,
+        scene: dict[str, Any] | str | Path | Scene,
+        parameters: Mapping[str, Target | Mapping[str, Any]],
+        *,
+        spp: int = 16,
+        share: float = SHARE,
+        sensor: int = 0,
+    ) -> None:
+        if not 0.0 <= real_number(share) < 1.0:
+            msg = f"`share` must be at least 0 and less than 1, got {share!r:.60}"
+            raise OptionError(msg)
+        self._share = real_number(share)
+        ready, targets, plan = _ruled(scene, parameters, sensor, spp)
+        self._base = MitsubaRenderer(ready, targets, integrator=plan, spp=spp, sensor=sensor)
+        self._samples = int(spp)
+        self._begun = False
+        self._asked = 0
+        self._due, self._wait = FIRST, 2 * FIRST
+        self._best = math.inf
+        self._since_best = 0
+        self._patience = STALL
+        self._last: Probe | None = None
+        self._sizes: Sizes = {}
+        self._seen: frozenset[str] = frozenset()
+        self._take(tuple(targets))
+
+    @property
+    def plan(self) -> EffectPlan:
+        """What is simulated now."""
+        return self._plan
+
+    @property
+    def everything(self) -> EffectPlan:
+        """Every effect that Mitsuba has the gradient of, without guiding: what :meth:`verify` compares with."""
+        return plan_of(self._traits, everything(self._traits, self._samples))
+
+    @property
+    def groups(self) -> tuple[tuple[str, ...], ...]:
+        """The optimised parameters, those together whose gradients have one unit."""
+        return self._groups
+
+    @property
+    def scene(self) -> Any:
+        """The scene, an ``mi.Scene``; its parameters are those of the last call."""
+        return self._base.scene
+
+    def parameters(self) -> dict[str, Host]:
+        """Every parameter as the scene had it when it was loaded; see :class:`MitsubaRenderer`."""
+        return self._base.parameters()
+
+    def render(self, params: Mapping[str, Any], *, seed: int = 0) -> Host:
+        """The image, shape (H, W, C), float32; see :class:`MitsubaRenderer`."""
+        return self._current.render(params, seed=seed)
+
+    def render_vjp(self, params: Mapping[str, Any], *, seed: int = 0) -> tuple[Host, Callable[[Any], dict[str, Host]]]:
+        """The image and its pullback; see :class:`MitsubaRenderer`. The pullback keeps the plan of its image."""
+        image = self._current.render(params, seed=seed)
+        self._look()
+        current = self._current  # that of the pullback also after the plan has changed
+        kept = {name: np.array(value, dtype=np.float32) for name, value in params.items()}
+
+        def counted(cotangent: Any) -> dict[str, Host]:
+            pulled = current.pull(kept, cotangent, seed=seed)
+            self._last = Probe(self._base, kept, np.array(cotangent, dtype=np.float32), self._names, self._groups, seed)
+            self._asked += 1
+            if not self._begun:
+                self.begin(kept, cotangent, optimise=self._names, seed=seed)
+            elif self._asked >= self._due:
+                self._probe("on schedule")
+            return pulled
+
+        return image, counted
+
+    def begin(self, params: Mapping[str, Any], cotangent: Any, *, optimise: Iterable[str], seed: int = 0) -> EffectPlan:
+        """Plan a fit that starts at `params`, where the loss has the gradient `cotangent`, shape (H, W, C).
+
+        From now on only the parameters named in `optimise` have a gradient; that of the others is 0.
+
+        Raises
+        ------
+        ParameterError
+            If `optimise` names none, or one that is not there.
+        """
+        names = tuple(dict.fromkeys(optimise))
+        for name in names or ("",):
+            if name not in self._base.targets:
+                msg = f"`optimise` must name parameters of {', '.join(self._base.targets)}, got {name or 'none'!r}"
+                raise ParameterError(msg)
+        self._take(names)
+        self._last = Probe(
+            self._base, dict(params), np.array(to_numpy(cotangent), np.float32), names, self._groups, seed
+        )
+        self._begun = True
+        self._due, self._wait = self._asked + FIRST, 2 * FIRST
+        self._best, self._since_best, self._patience = math.inf, 0, STALL
+        plan, self._sizes = self._pilot.run(self._plan, self._last)
+        self._seen = self._in_view()
+        self._change(plan, "by the pilot")
+        return self._plan
+
+    def watch(self, step: FitStep, params: Mapping[str, Any], image: Any) -> None:  # noqa: ARG002 - a callback's
+        """A callback for :func:`loi_core.fit`: looks again at what is off when the loss stalls.
+
+        That is when it has reached no new least value for 20 steps, then for 40 more, 80 more and so on.
+        """
+        self._since_best += 1
+        if step.value < self._best:
+            self._best, self._since_best = step.value, 0
+        if self._since_best >= self._patience:
+            # A fit that has arrived stalls for good, and looking costs.
+            self._since_best, self._patience = 0, 2 * self._patience
+            self._probe(f"at step {step.step}, where the loss stalls")
+
+    def verify(
+        self, objective: Objective, params: Mapping[str, Any] | None = None, *, draws: int = 16, seed: int = 0
+    ) -> Verification:
+        """The plan beside everything on, without guiding: time of a step, and the gradient of the loss.
+
+        Parameters
+        ----------
+        objective : Objective
+            The loss.
+        params : dict of arrays, optional
+            Where; the scene's own by default.
+        draws : int
+            Gradients of each, 3 or more.
+        seed : int
+            First seed; the two use others.
+        """
+        return verification(
+            self._current,
+            self._base.with_integrator(self.everything, follow=self._names),
+            objective,
+            self.parameters() if params is None else dict(params),
+            self._groups,
+            draws=draws,
+            seed=seed,
+        )
+
+    def effect_images(self, params: Mapping[str, Any], cotangent: Any, *, seed: int = 0) -> dict[str, Host]:
+        """By effect, how its part of the image changes along the descent of the loss: arrays (H, W, C).
+
+        Effects that a pilot has turned off are among them, those that the rules exclude are not. Empty where Mitsuba
+        has no derivative of images, as in media, or the gradient is 0.
+        """
+        full = settings_of(self._rules)
+        if not self._rules.understood or full.integrator not in DRAWN_FORWARD:
+            return {}
+        followed = self._base.with_integrator(self._rules, follow=self._names)
+        pulled = followed.pull(params, to_numpy(cotangent), seed=seed)
+        tangent = {}
+        for name in self._names:
+            size = float(np.linalg.norm(pulled[name]))
+            tangent[name] = -pulled[name] / np.float32(size if size > 0.0 else 1.0)
+        if not any(np.any(one) for one in tangent.values()):
+            return {}
+        images = {}
+        for part, effect in EFFECTS.items():
+            if getattr(full, part) > 0:
+                only = replace(self._rules, settings=as_mapping(full.only(part, 4 * self._samples)))
+                images[str(effect)] = self._base.with_integrator(only, follow=self._names).push(
+                    params, tangent, seed=seed
+                )
+        return images
+
+    def _take(self, names: tuple[str, ...]) -> None:
+        """Start from the rules for these parameters."""
+        targets = {name: target for name, target in self._base.targets.items() if name in names}
+        self._names = tuple(targets)
+        self._groups = groups_of(targets)
+        self._traits = traits_of(self._base.scene, targets, self._base.sensor)
+        self._pilot = Pilot(self._traits, self._samples, self._share)
+        self._rules = plan_by_rules(self._traits, self._samples)
+        self._set(self._rules)
+
+    def _in_view(self) -> frozenset[str]:
+        """Parameters whose shape may be in view, at the values of the last call."""
+        return frozenset(name for name, shape in self._traits.moving.items() if in_view(self._base.sensor, shape))
+
+    def _look(self) -> None:
+        """Turn outlines on when a shape comes into view that was not there when they were turned off."""
+        rules, settings = settings_of(self._rules), settings_of(self._plan)
+        if rules.sppp > 0 and settings.sppp == 0 and self._begun:
+            fresh = self._in_view() - self._seen
+            if fresh:
+                reason = f"what {', '.join(map(repr, sorted(fresh)))} moves has come into view"
+                self._raise({Effect.PRIMARY: reason}, "as it comes into view")
+
+    def _probe(self, when: str) -> None:
+        """Look again at what is off."""
+        self._due, self._wait = self._asked + self._wait, 2 * self._wait
+        if self._last is None or not self._plan.understood or not self._plan.measured:
+            return
+        grown = self._pilot.grown(settings_of(self._rules), self._plan, self._last, self._sizes)
+        if grown:
+            self._raise(grown, when)
+
+    def _raise(self, grown: Mapping[Effect, str], when: str) -> None:
+        """Turn effects on."""
+        rules, settings = settings_of(self._rules), settings_of(self._plan)
+        for part, effect in EFFECTS.items():
+            if effect in grown:
+                settings = settings.sampled({part: getattr(rules, part)})
+        depth = rules.max_depth if Effect.BOUNCES in grown else settings.max_depth
+        kind = integrator_for(
+            everything(self._traits, self._samples).integrator, depth, edges=settings.sppp > 0 or settings.sppi > 0
+        )
+        settings = replace(settings, max_depth=depth, integrator=kind)
+        reasons = {choice.effect: choice.reason for choice in self._plan.choices} | dict(grown)
+        plan = plan_of(self._traits, settings, reasons)
+        kept = [
+            replace(new, share=old.share, variance_seconds=old.variance_seconds) if new.on == old.on else new
+            for new, old in zip(plan.choices, self._plan.choices, strict=True)
+        ]
+        self._change(replace(plan, choices=tuple(kept), measured=True), when)
+
+    def _set(self, plan: EffectPlan) -> None:
+        self._plan = plan
+        self._current = self._base.with_integrator(plan, follow=self._names)
+
+    def _change(self, plan: EffectPlan, when: str) -> None:
+        changes = plan.changes_from(self._plan)
+        if changes:
+            log.info("effects, %s: %s", when, changes)
+        self._set(plan)
+
+
+def plan_effects(
+    scene: dict[str, Any] | str | Path | Scene,
+    optimised: Mapping[str, Target | Mapping[str, Any]],
+    *,
+    objective: Objective | None = None,
+    params: Mapping[str, Any] | None = None,
+    spp: int = 16,
+    share: float = SHARE,
+    sensor: int = 0,
+    seed: int = 0,
+) -> EffectPlan:
+    """Which effects a scene calls for when these parameters are optimised.
+
+    Parameters
+    ----------
+    scene, optimised, sensor
+        As `scene`, `parameters` and `sensor` of :class:`MitsubaRenderer`.
+    objective : Objective, optional
+        The loss at hand; without one there is no pilot, and the plan is that of the sound rules.
+    params : dict of arrays, optional
+        Where the pilot measures; as the scene has them by default.
+    spp, share
+        As those of :class:`PlannedRenderer`.
+    seed : int
+        Of the pilot.
+
+    Returns
+    -------
+    EffectPlan
+        ``print`` shows it; :class:`MitsubaRenderer` takes it as its integrator.
+
+    Raises
+    ------
+    SceneLoadError, ParameterError, OptionError
+        As :class:`MitsubaRenderer`.
+    """
+    renderer = PlannedRenderer(scene, optimised, spp=spp, share=share, sensor=sensor)
+    if objective is not None:
+        at = renderer.parameters() if params is None else dict(params)
+        cotangent = objective.value_and_grad(renderer.render(at, seed=seed))[1]
+        renderer.begin(at, cotangent, optimise=list(at), seed=seed)
+    return renderer.plan
+
+
+def _ruled(scene: Any, parameters: Any, sensor: int, spp: Any) -> tuple[Any, Any, EffectPlan]:
+    """A loaded scene, whose film samples its border if need be, its targets, and the plan by rules.
+
+    The plan comes first, so that warnings of missing gradients are about its integrator.
+    """
+    use_variant()
+    targets, loaded = checked_targets(parameters), load_scene(scene)
+    found = find_sensor(loaded, sensor)
+    samples = checked_samples("spp", spp, most_samples(found.film()))
+    plan = plan_by_rules(traits_of(loaded, targets, found), samples)
+    ready = bordered(scene, plan)
+    return loaded if ready is scene else load_scene(ready), targets, plan

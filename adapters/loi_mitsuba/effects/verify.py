@@ -1,0 +1,94 @@
+"""A plan beside everything on: what a step takes, and how far apart the gradients are."""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from loi_core.effects import Comparison, Draws, compare
+from loi_core.errors import OptionError
+from loi_core.objectives.base import Objective
+from loi_core.renderer import Renderer
+from loi_core.values import whole_number
+
+__all__ = ["Verification", "step_draws", "verification"]
+
+FEWEST: int = 3
+
+
+@dataclass(frozen=True)
+class Verification:
+    """How a plan does beside everything on, without guiding.
+
+    Attributes
+    ----------
+    seconds, full_seconds : float
+        Median time of image, loss and gradient, of the plan and of everything on.
+    gradient : Comparison
+        Of the gradient of the loss.
+    """
+
+    seconds: float
+    full_seconds: float
+    gradient: Comparison
+
+    def __str__(self) -> str:
+        """Two lines for a person."""
+        one = self.gradient
+        silent = f"; not told from noise: {', '.join(one.silent)}" if one.silent else ""
+        return (
+            f"step {1e3 * self.seconds:.3g} ms, everything on {1e3 * self.full_seconds:.3g} ms: "
+            f"{self.full_seconds / self.seconds:.3g} times as fast\n"
+            f"gradient: cosine {one.cosine:.4f} +- {one.cosine_error:.4f}, norm ratio {one.ratio:.3f} +- "
+            f"{one.ratio_error:.3f}, noise of a draw {one.noise:.2g} against {one.wanted_noise:.2g}{silent}"
+        )
+
+
+def verification(
+    planned: Renderer,
+    full: Renderer,
+    objective: Objective,
+    params: Mapping[str, Any],
+    groups: Sequence[Sequence[str]],
+    *,
+    draws: int,
+    seed: int,
+) -> Verification:
+    """Measure; see :meth:`loi_mitsuba.PlannedRenderer.verify`.
+
+    Raises
+    ------
+    OptionError
+        If `draws` is less than 3.
+    """
+    number = whole_number(draws)
+    if number is None or number < FEWEST:
+        msg = f"`draws` must be a whole number, {FEWEST} or more, got {draws!r:.60}"
+        raise OptionError(msg)
+    found = step_draws(planned, objective, params, groups, range(seed, seed + number))
+    wanted = step_draws(full, objective, params, groups, range(seed + number, seed + 2 * number))
+    return Verification(found.seconds, wanted.seconds, compare(found, wanted))
+
+
+def step_draws(
+    renderer: Renderer,
+    objective: Objective,
+    params: Mapping[str, Any],
+    groups: Sequence[Sequence[str]],
+    seeds: Sequence[int],
+) -> Draws:
+    """Gradients of the loss as the steps of a fit see them, each of its own image, and the median time of a step.
+
+    The first step, which may compile, is drawn twice and not timed.
+    """
+    drawn, times = [], []
+    for seed in (seeds[0], *seeds):
+        begin = time.perf_counter()
+        image, pullback = renderer.render_vjp(dict(params), seed=seed)
+        pulled = pullback(objective.value_and_grad(image)[1])
+        times.append(time.perf_counter() - begin)
+        drawn.append({name: pulled[name] for names in groups for name in names})
+    return Draws.of(drawn[1:], statistics.median(times[1:])).grouped(groups)

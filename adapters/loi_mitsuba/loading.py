@@ -1,0 +1,121 @@
+"""What a renderer is made from: the variant, the scene, the targets, the sensor and the samples, each checked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, Final, TypeAlias
+
+import mitsuba as mi
+
+from loi_core.errors import LoiError, OptionError, ParameterError
+from loi_core.values import whole_number
+from loi_mitsuba.handles import Handle, Rotate, Scale, Translate, from_table
+
+__all__ = [
+    "SceneLoadError",
+    "Target",
+    "checked_samples",
+    "checked_targets",
+    "find_sensor",
+    "load_scene",
+    "most_samples",
+    "one_line",
+    "use_variant",
+]
+
+Target: TypeAlias = str | Handle
+"""What a parameter stands for: an entry of the scene by name, or a handle on a shape."""
+
+VARIANTS: Final = ("cuda_ad_rgb", "llvm_ad_rgb")
+MOST_SAMPLES: Final = 2**32 - 1  # in one image; Mitsuba counts them in 32 bits
+
+
+class SceneLoadError(LoiError, ValueError):
+    """Mitsuba cannot load the scene."""
+
+
+def use_variant() -> str:
+    """The variant in use, once there is one that has gradients."""
+    if mi.variant() is None:
+        mi.set_variant(*VARIANTS)
+    variant = str(mi.variant())
+    if "_ad_" not in variant:
+        msg = f"Mitsuba's variant {variant!r} has no gradients; call mi.set_variant('llvm_ad_rgb')"
+        raise OptionError(msg)
+    return variant
+
+
+def load_scene(scene: Any) -> Any:
+    """The scene that a dict, a path or a scene stands for."""
+    # Merging equal objects, as Mitsuba does by itself, would make one parameter change several of them.
+    if isinstance(scene, mi.Scene):
+        return scene
+    try:
+        if isinstance(scene, dict):
+            loaded = mi.load_dict(scene, optimize=False)
+        elif isinstance(scene, str | Path):
+            loaded = mi.load_file(str(scene), optimize=False)
+        else:
+            loaded = scene
+    except RuntimeError as error:
+        msg = f"`scene` cannot be loaded: {one_line(error)}"
+        raise SceneLoadError(msg) from None
+    if not isinstance(loaded, mi.Scene):
+        msg = f"`scene` must be a dict, the path of an XML file, or an mi.Scene, got a {type(loaded).__name__}"
+        raise OptionError(msg)
+    return loaded
+
+
+def checked_targets(parameters: object) -> dict[str, Target]:
+    """Targets by parameter; tables of scene files become handles."""
+    if not isinstance(parameters, Mapping) or not parameters:
+        msg = f"`parameters` must be a dict of names and what they stand for, at least one, got {parameters!r:.80}"
+        raise ParameterError(msg)
+    targets = {}
+    for name, given in parameters.items():
+        try:
+            target = from_table(given) if isinstance(given, Mapping) else given
+        except ParameterError as error:
+            msg = f"`parameters[{name!r}]`: {error}"
+            raise ParameterError(msg) from None
+        if not isinstance(name, str) or not isinstance(target, str | Translate | Rotate | Scale):
+            msg = f"`parameters[{name!r}]` must be an entry's name, Translate, Rotate or Scale, got {target!r:.80}"
+            raise ParameterError(msg)
+        targets[name] = target
+    return targets
+
+
+def find_sensor(scene: Any, index: int) -> Any:
+    """The sensor of that number."""
+    sensors = scene.sensors()
+    if not sensors:
+        msg = "`scene` has no sensor"
+        raise OptionError(msg)
+    number = whole_number(index)
+    if number is None or not 0 <= number < len(sensors):
+        msg = f"`sensor` must be the number of one of the scene's {len(sensors)} sensors, from 0, got {index!r:.60}"
+        raise OptionError(msg)
+    return sensors[number]
+
+
+def most_samples(film: Any) -> int:
+    """The most samples per pixel that one image may have, with the border if the film samples there."""
+    border = 2 * film.rfilter().border_size() if film.sample_border() else 0
+    width, height = film.crop_size()
+    return MOST_SAMPLES // int((width + border) * (height + border))
+
+
+def one_line(error: RuntimeError) -> str:
+    """What Mitsuba says, without the trace of the Python in which some of its plugins are written."""
+    said, _, trace = str(error).strip().partition("Traceback (most recent call last):")
+    return " ".join([*said.split(), *" ".join(trace.splitlines()[-1:]).split()])
+
+
+def checked_samples(name: str, value: object, most: int) -> int:
+    """`value`, once it is known to be a number of samples."""
+    samples = whole_number(value)
+    if samples is None or not 1 <= samples <= most:
+        msg = f"`{name}` must be a whole number of samples from 1 to {most} for this film, got {value!r:.60}"
+        raise OptionError(msg)
+    return samples

@@ -1,0 +1,80 @@
+"""``python -m examples.effects``: print what planning effects is worth, scene by scene, as Markdown."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+
+import loi_mitsuba  # noqa: F401 - before Dr.Jit, so that it gets an LLVM that works
+
+# isort: split
+import mitsuba as mi
+
+from examples.effects.measure import FULL, QUICK, Row, measure
+from examples.effects.scenes import SUITE
+from loi_core.tables import markdown
+
+HEADS = [
+    "scene",
+    "on",
+    "cosine",
+    "norm ratio",
+    "noise",
+    "ms a step",
+    "everything on",
+    "defaults",
+    "by hand",
+    "pilot",
+    "left",
+    "left, everything on",
+]
+
+
+def main() -> None:
+    """Measure the scenes that are named, all by default."""
+    parser = argparse.ArgumentParser(prog="python -m examples.effects", description=__doc__)
+    parser.add_argument("scenes", nargs="*", metavar="WORDS", help="scenes whose name has these words (default: all)")
+    parser.add_argument("--quick", action="store_true", help="tiny images and few draws; its numbers mean little")
+    options = parser.parse_args()
+    mi.set_variant("llvm_ad_rgb")
+    mi.set_log_level(mi.LogLevel.Error)  # Mitsuba logs advice about every new projective integrator
+    rows = []
+    for case in SUITE:
+        if not options.scenes or any(words in case.name for words in options.scenes):
+            print(case.name, file=sys.stderr, flush=True)
+            rows.append(measure(case, QUICK if options.quick else FULL))
+    print("\n".join(markdown(HEADS, map(cells, rows))))
+    for row in rows:
+        print(f"\n### {row.name}\n\n{row.plan}")
+
+
+def cells(row: Row) -> list[str]:
+    """One line of the table. Times other than the plan's own are multiples of it."""
+    short = {"continuous shading": "shading", "primary visibility": "outlines", "indirect visibility": "shadows"}
+    kept = [f"{short[one.effect]} {one.samples}" for one in row.plan.choices if one.samples]
+    one = row.gradient
+    return [
+        row.name,
+        f"{', '.join(kept)}; depth {row.plan.settings['max_depth']}",
+        _with_error(one.cosine, one.cosine_error, 4),
+        _with_error(one.ratio, one.ratio_error, 3),
+        f"{one.noise:.2g}, {one.wanted_noise:.2g}",
+        f"{1e3 * row.seconds:.3g}",
+        *(_times(other / row.seconds) for other in (row.full_seconds, row.default_seconds, row.hand_seconds)),
+        f"{row.pilot_share:.1%}",
+        f"{row.error:.2g}",
+        f"{row.full_error:.2g}",
+    ]
+
+
+def _with_error(value: float, error: float, digits: int) -> str:
+    return "-" if math.isnan(value) else f"{value:.{digits}f} +- {error:.{digits}f}"
+
+
+def _times(ratio: float) -> str:
+    return "-" if math.isnan(ratio) else f"{ratio:.3g}x"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,162 @@
+"""Effects of light transport, and the plan that says which of them are simulated, how, and why."""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from loi_core.errors import OptionError
+from loi_core.tables import markdown
+
+__all__ = ["Capability", "Choice", "Effect", "EffectPlan"]
+
+
+class Effect(enum.StrEnum):
+    """What may make an image change with a scene's parameters. The values are what people read."""
+
+    CONTINUOUS = "continuous shading"
+    PRIMARY = "primary visibility"
+    INDIRECT = "indirect visibility"
+    BOUNCES = "bounce depth"
+    SPECULAR = "specular chains"
+    MEDIA = "participating media"
+    EMITTERS = "emitters and environment"
+    CAMERA = "camera motion"
+    APPEARANCE = "texture and material"
+
+
+@dataclass(frozen=True)
+class Capability:
+    """What a renderer's adapter declares about one effect.
+
+    Attributes
+    ----------
+    effect : Effect
+        Which.
+    switch : str
+        The setting that turns it on and off; empty if there is none.
+    cost : str
+        What it costs, in words.
+    simulated : bool
+        Whether the renderer has its gradient at all.
+    """
+
+    effect: Effect
+    switch: str
+    cost: str
+    simulated: bool = True
+
+
+@dataclass(frozen=True)
+class Choice:
+    """What a plan says about one effect.
+
+    Attributes
+    ----------
+    effect : Effect
+        Which.
+    on : bool
+        Whether it is simulated.
+    reason : str
+        Why, in one line.
+    samples : int, optional
+        Samples per pixel of its part of the gradient, if it has a part of its own.
+    share : float, optional
+        Norm of its part over the norm of the gradient of the loss, where that is largest among the parameters; None
+        if it was not measured, or cannot be told from noise.
+    variance_seconds : float, optional
+        Relative variance of its part times the seconds that a draw takes: what a pilot makes small. None if not
+        measured.
+    """
+
+    effect: Effect
+    on: bool
+    reason: str
+    samples: int | None = None
+    share: float | None = None
+    variance_seconds: float | None = None
+
+    def __post_init__(self) -> None:
+        if not self.reason or "\n" in self.reason:
+            msg = f"`reason` of {self.effect} must be one line that is not empty, got {self.reason!r:.60}"
+            raise OptionError(msg)
+
+
+@dataclass(frozen=True)
+class EffectPlan:
+    """Which effects a scene calls for, and the renderer settings that follow.
+
+    Attributes
+    ----------
+    choices : tuple of Choice
+        One for each effect, in the order of :class:`Effect`.
+    settings : mapping
+        What the renderer is told; its adapter knows the keys.
+    why : mapping of str
+        Reasons of settings that are no effect's own, by their name.
+    notes : tuple of str
+        What a person should know: gradients that the renderer does not have, or why everything is on.
+    understood : bool
+        Whether the rules know everything that they have met in the scene; if not, everything is on.
+    measured : bool
+        Whether a pilot has measured shares.
+
+    Raises
+    ------
+    OptionError
+        If an effect is missing or comes twice.
+    """
+
+    choices: tuple[Choice, ...]
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    why: Mapping[str, str] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    understood: bool = True
+    measured: bool = False
+
+    def __post_init__(self) -> None:
+        if [one.effect for one in self.choices] != list(Effect):
+            msg = f"`choices` must have each effect once, in order, got {', '.join(one.effect for one in self.choices)}"
+            raise OptionError(msg)
+
+    def __getitem__(self, effect: Effect) -> Choice:
+        """The choice about one effect."""
+        return self.choices[list(Effect).index(effect)]
+
+    @property
+    def on(self) -> frozenset[Effect]:
+        """The effects that are simulated."""
+        return frozenset(one.effect for one in self.choices if one.on)
+
+    def __str__(self) -> str:
+        """The plan as a small table, which is also Markdown, with the settings below it and then the notes."""
+        heads = ["effect", "", "samples", "share", "why"]
+        rows = [
+            [
+                one.effect,
+                "on" if one.on else "off",
+                "" if one.samples is None else str(one.samples),
+                "" if one.share is None else f"{one.share:.2%}",
+                one.reason,
+            ]
+            for one in self.choices
+        ]
+        shown = ", ".join(f"{name} {value}" for name, value in self.settings.items() if value is not None)
+        reasons = [f"- {name} {self.settings[name]}: {reason}" for name, reason in self.why.items()]
+        notes = [f"Note: {note}" for note in self.notes]
+        return "\n".join([*markdown(heads, rows), "", f"Settings: {shown or 'none'}", *reasons, *notes])
+
+    def changes_from(self, other: EffectPlan) -> str:
+        """What is different from another plan, in one line; empty if nothing is."""
+        changes = [
+            f"{new.effect} {'on' if new.on else 'off'} ({new.reason})"
+            for new, old in zip(self.choices, other.choices, strict=True)
+            if new.on != old.on
+        ]
+        for name in dict.fromkeys([*other.settings, *self.settings]):
+            old_value, new_value = other.settings.get(name), self.settings.get(name)
+            if old_value != new_value:
+                changes.append(f"{name} {old_value} -> {new_value}")
+        return "; ".join(changes)

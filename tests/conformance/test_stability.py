@@ -1,0 +1,219 @@
+"""Hard cases stay stable: on every backend, in every dtype, whatever the catalogue holds.
+
+The catalogue is `loi_core.testing.hard_cases`, the bounds are derived in `loi_core.testing.bounds`. JAX compiles each
+operation for each shape, and each case anew under ``jit``, in seconds. So in float32 here, and only there, JAX runs
+the cases of the usual shape and scales, and compiled those of :data:`COMPILED`; ``loi doctor --stability`` runs all.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Callable
+from typing import Any
+
+import loi_mitsuba  # noqa: F401 - before Dr.Jit, so that it gets an LLVM that works
+
+# isort: split
+import array_api_strict
+import jax.numpy as jnp
+import numpy as np
+import pytest
+import torch
+
+from loi_core import LOIObjective, ScaleSpace
+from loi_core.arrays import Array, to_numpy
+from loi_core.backends import Backend, Evaluate, NumPy
+from loi_core.nonfinite import NanPolicy
+from loi_core.testing import (
+    PROPERTIES,
+    HardCase,
+    StabilityProperty,
+    StabilityRow,
+    allowed,
+    direct,
+    hard_cases,
+    stability_rows,
+)
+from loi_core.testing.direct import DOUBLE
+from loi_core.testing.trial import Trial, trials_of, try_case
+from loi_jax.backend import Jax
+from loi_mitsuba.backend import Mitsuba
+from loi_torch.backend import Torch
+from tests.core.precise import precise
+from tests.helpers import Host
+
+CASES = {case.name: case for case in hard_cases()}
+COMPILED = ("ordinary pair", "one NaN", "one NaN, masked", "batch with one bad image, masked")
+LARGE = ("3x4096", "a sum of 1e7 terms", "beta 0.0001")
+
+
+class OfCore:
+    """The core on arrays of one library, without a bridge."""
+
+    compiled = False
+
+    def __init__(self, asarray: Any, dtypes: tuple[str, ...], half_dtypes: tuple[str, ...] = ()) -> None:
+        self.asarray = asarray
+        self.dtypes = dtypes
+        self.half_dtypes = half_dtypes
+
+    def device(self) -> str:
+        return "cpu"
+
+    def prepare(
+        self,
+        image: Host,
+        reference: Host,
+        scales: ScaleSpace,
+        accuracy: str | float,
+        dtype: str,
+        nan_policy: NanPolicy = "raise",
+    ) -> Evaluate:
+        objective = LOIObjective(reference, scales, accuracy, nan_policy=nan_policy)
+        given = self.held(image, dtype)
+
+        def evaluate() -> tuple[float, Host]:
+            value, gradient = objective.value_and_grad(given)
+            assert gradient.dtype == value.dtype == given.dtype
+            return float(value), to_numpy(gradient)
+
+        return evaluate
+
+    def held(self, image: Host, dtype: str) -> Array:
+        if dtype not in self.half_dtypes:
+            return self.asarray(image.astype(dtype))
+        single = self.asarray(image.astype("float32"))
+        return single.to(getattr(torch, dtype)) if isinstance(single, torch.Tensor) else single.astype(dtype)
+
+
+BACKENDS: dict[str, Backend] = {
+    "NumPy": NumPy(),
+    "array_api_strict": OfCore(array_api_strict.asarray, ("float32", "float64")),
+    "torch": OfCore(Torch().asarray, ("float32", "float64"), ("float16", "bfloat16")),
+    "torch autograd": Torch(),
+    "JAX": OfCore(jnp.asarray, ("float32", "float64"), ("float16", "bfloat16")),
+    "JAX, jit": Jax(),
+    "Dr.Jit": Mitsuba(),
+}
+
+
+def cases_of(backend: str) -> list[HardCase]:
+    if backend == "JAX, jit":
+        return [CASES[name] for name in COMPILED]
+    if backend == "JAX":
+        usual = CASES["ordinary pair"]
+        return [
+            case
+            for case in CASES.values()
+            if case.scales == usual.scales and case.make()[0].shape == usual.make()[0].shape
+        ]
+    if backend in ("NumPy", "torch autograd"):
+        return list(CASES.values())
+    return [case for name, case in CASES.items() if name not in LARGE]
+
+
+def dtypes_of(case: HardCase, backend: str) -> tuple[str, ...]:
+    if backend.startswith("JAX"):
+        half = ("float16", "bfloat16") if (case.name, backend) == ("ordinary pair", "JAX") else ()
+        return ("float32", *half)
+    return trials_of(case, BACKENDS[backend])
+
+
+@functools.cache
+def trials(backend: str) -> list[Trial]:
+    """All cases on one backend, once for all of the statements below."""
+    return [
+        try_case(case, backend, BACKENDS[backend], dtype)
+        for case in cases_of(backend)
+        for dtype in dtypes_of(case, backend)
+    ]
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("rule", PROPERTIES, ids=str)
+def test_every_case_keeps_the_rule(rule: StabilityProperty, backend: str) -> None:
+    broken = {f"{one.case} in {one.dtype}": rule.test(one) for one in trials(backend) if not one.not_held}
+    assert {name: finding for name, finding in broken.items() if finding} == {}, rule.rule
+
+
+def test_the_catalogue_is_complete() -> None:
+    names = [case.name for case in hard_cases()]
+    assert len(set(names)) == len(names)
+    assert len({case.danger for case in hard_cases()}) > 40
+    for said in ("identical", "one pixel", "flat against flat", "all black", "all white", "just inside", "just beyond"):
+        assert any(said in name for name in names), said
+    terms = [_terms(case) for case in hard_cases() if case.error is None]
+    assert max(terms) >= 1e7
+    channels = {case.make()[0].shape[-1] for case in hard_cases()}
+    assert {1, 2, 3, 16} <= channels
+    levels = {case.scales.level_count(beta) for case in hard_cases() for beta in case.scales.beta}
+    assert {1, 2, 1024} <= levels
+    assert {1e-4, 1e-3, 1e-2, 1.0, 10.0} <= {beta for case in hard_cases() for beta in case.scales.beta}
+
+
+def _terms(case: HardCase) -> int:
+    return max(case.scales.level_count(beta) for beta in case.scales.beta) * case.make()[0].size
+
+
+def test_a_bound_says_when_it_says_little() -> None:
+    cases = [CASES[name] for name in ("flat against flat", "ties", "reference plus 1e-7")]
+    verdicts = {(row.case, row.dtype): row.verdict for row in stability_rows(cases, {"NumPy": NumPy()})}
+    assert verdicts["flat against flat", "float32"] == "ok"
+    assert verdicts["ties", "float32"] == verdicts["ties", "float64"] == "loose"
+    assert (verdicts["reference plus 1e-7", "float32"], verdicts["reference plus 1e-7", "float64"]) == ("loose", "ok")
+
+
+class Broken(NumPy):
+    """A backend that does one thing wrong."""
+
+    def __init__(self, spoil: Callable[[float, Host], tuple[float, Host]]) -> None:
+        self._spoil = spoil
+
+    def prepare(self, *arguments: Any, **options: Any) -> Evaluate:
+        evaluate = super().prepare(*arguments, **options)
+        return lambda: self._spoil(*evaluate())
+
+
+@pytest.mark.parametrize(
+    ("case", "rule", "spoil"),
+    [
+        ("ordinary pair", "finite", lambda value, slope: (value, slope * np.where(slope > 0.0, 1.0, np.nan))),
+        ("ordinary pair", "not negative", lambda value, slope: (-value, slope)),
+        ("identical images", "zero", lambda value, slope: (value + 1e-30, slope)),
+        ("ordinary pair", "loss", lambda value, slope: (1.001 * value, slope)),
+        ("flat against flat", "gradient", lambda value, slope: (value, 1.001 * slope)),
+        ("one NaN, masked", "still", lambda value, slope: (value, slope + np.float32(1e-30))),
+        ("far beyond the bounds", "inwards", lambda value, slope: (value, -slope)),
+        ("batch", "apart", lambda value, slope: (value, slope * np.float32(1.0 + slope.mean()))),
+        ("one NaN", "answered", None),
+        ("8-bit integers", "answered", None),
+    ],
+)
+def test_every_rule_can_be_broken(case: str, rule: str, spoil: Any) -> None:
+    if spoil is None:
+        trial = try_case(dataclasses.replace(CASES[case], error=KeyError), "broken", NumPy(), "float32")
+    else:
+        trial = try_case(CASES[case], "broken", Broken(spoil), "float32")
+    assert [one.name for one in PROPERTIES if one.name == rule and one.test(trial)] == [rule]
+    assert StabilityRow.of(trial).verdict == "FAILED"
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("beta 0.0001", "beta 10", "sigma and alpha ten times the image", "denormal radiance", "fireflies of 1e30"),
+        *("radiance up to 1e4", "bounds far from zero", "p = 2"),
+    ],
+)
+def test_the_plain_sum_is_right_to_the_last_digits(name: str) -> None:
+    case, few = CASES[name], (slice(3, 5), slice(7, 9), slice(1))
+    scales = case.scales
+    if name == "beta 0.0001":  # forty digits of ten thousand levels take a while
+        few, scales = (slice(1), slice(1), slice(1)), ScaleSpace(0.0, 0.0, 1e-4)
+    image, reference = (each[few] for each in case.make())
+    value, gradient = direct(image, reference, scales)
+    bound = allowed(image, reference, scales, DOUBLE)
+    wanted, slopes = precise(image[..., 0], reference[..., 0], scales)
+    assert abs(value - wanted) <= 0.5 * bound.loss  # the other half is for what a backend rounds
+    assert np.abs(gradient[..., 0] - slopes).sum() <= 0.5 * bound.norm

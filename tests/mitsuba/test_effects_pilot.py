@@ -1,0 +1,262 @@
+"""The pilot turns off what carries nothing, and what it turned off comes back when it matters: real scenes, small."""
+
+from __future__ import annotations
+
+import logging
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from examples.effects.scenes import HEIGHT, SUITE, WIDTH, Case
+from loi_core import FitStep, Free, LOIObjective, PixelL2, ScaleSpace, fit
+from loi_core.effects import Effect, PlanningRenderer
+from loi_core.errors import OptionError, ParameterError
+from loi_core.testing import check_renderer
+from loi_mitsuba import MitsubaRenderer, PlannedRenderer, Translate, plan_effects
+from tests.helpers import Host
+from tests.mitsuba.scenes import shadow_scene
+
+CASES = {case.name: case for case in SUITE}
+SIZE = (WIDTH // 2, HEIGHT // 2)
+
+
+def begun(case: Case, **options: Any) -> tuple[PlannedRenderer, LOIObjective]:
+    """A scene of the suite at half its size, planned for its fit."""
+    renderer = PlannedRenderer(case.scene(*SIZE), case.parameters, **options)
+    target = renderer.render(dict(case.truth), seed=10**6)
+    objective = LOIObjective(target, ScaleSpace.for_image(*target.shape[:2]))
+    start(renderer, objective, dict(case.start))
+    return renderer, objective
+
+
+def start(renderer: PlannedRenderer, objective: Any, params: dict[str, Any]) -> None:
+    cotangent = objective.value_and_grad(renderer.render(params))[1]
+    renderer.begin(params, cotangent, optimise=list(params))
+
+
+def test_a_shadow_alone_needs_neither_shading_nor_outlines_nor_bounces() -> None:
+    case = CASES["shadow of an object out of view"]
+    renderer, objective = begun(case, spp=64)
+    assert renderer.plan.measured
+    assert Effect.INDIRECT in renderer.plan.on
+    assert not renderer.plan.on & {Effect.CONTINUOUS, Effect.PRIMARY, Effect.BOUNCES}
+    assert renderer.plan.settings["integrator"] == "direct_projective"
+    assert renderer.plan[Effect.INDIRECT].share == pytest.approx(1.0, abs=1e-6)
+    found = renderer.verify(objective, dict(case.start), draws=12)
+    assert found.seconds < found.full_seconds
+    assert found.gradient.cosine > 0.99 - 2.0 * found.gradient.cosine_error
+    assert f"cosine {found.gradient.cosine:.4f}" in str(found)
+
+
+def test_a_light_that_only_changes_colour_needs_no_edges_but_bounces() -> None:
+    renderer, objective = begun(CASES["emitter colour"])
+    assert not renderer.plan.on & {Effect.PRIMARY, Effect.INDIRECT}
+    assert {Effect.BOUNCES, Effect.EMITTERS} <= renderer.plan.on
+    assert 2 < renderer.plan.settings["max_depth"] < 8
+    found = renderer.verify(objective, dict(CASES["emitter colour"].start), draws=6)
+    assert found.gradient.cosine > 0.999
+    assert found.gradient.ratio == pytest.approx(1.0, abs=0.02)
+
+
+def test_a_gradient_that_is_noise_is_said_to_be() -> None:
+    renderer, _ = begun(CASES["nothing that can be seen"], spp=4)
+    assert any("cannot be told from noise" in note or "exactly 0" in note for note in renderer.plan.notes)
+    assert {Effect.PRIMARY, Effect.INDIRECT, Effect.CONTINUOUS} <= renderer.plan.on  # nothing is known to be small
+
+
+HIGH: dict[str, Any] = {"place": Translate("ball")}
+DIRECT: dict[str, Any] = {"type": "direct"}  # no bounces: fewer kernels to compile
+
+
+def test_an_object_that_comes_into_view_has_its_outline_at_once(caplog: pytest.LogCaptureFixture) -> None:
+    """At first only its shadow is seen; who then never samples outlines misses the object itself."""
+    caplog.set_level(logging.INFO, "loi_mitsuba")
+    renderer = PlannedRenderer(shadow_scene(integrator=DIRECT), HIGH)
+    objective = PixelL2(renderer.render({"place": np.array([0.5, 0.0, 0.3])}, seed=10**6))
+    start(renderer, objective, {"place": np.array([-0.3, 0.0, 0.0])})
+    assert Effect.PRIMARY not in renderer.plan.on
+    seen = {"place": np.array([0.0, -3.5, 0.0])}
+    image, pullback = renderer.render_vjp(seen, seed=1)
+    assert Effect.PRIMARY in renderer.plan.on
+    (line,) = [one.getMessage() for one in caplog.records if "comes into view" in one.getMessage()]
+    assert "primary visibility on" in line
+    assert "\n" not in line
+    cotangent = objective.value_and_grad(image)[1]
+    gradient = pullback(cotangent)["place"]
+    fixed = MitsubaRenderer(shadow_scene(integrator=DIRECT), HIGH, integrator=renderer.plan)
+    np.testing.assert_allclose(gradient, fixed.pull(seen, cotangent, seed=1)["place"], rtol=1e-3, atol=1e-7)
+
+
+def wall_scene() -> dict[str, Any]:
+    """A ball before nothing, a lamp to the left, a wall far to the right on which the ball may cast a shadow."""
+    place = mi.ScalarTransform4f
+    return shadow_scene(
+        integrator=DIRECT,
+        floor={
+            "type": "rectangle",
+            "to_world": place().translate([4, 0, 0]).rotate([0, 1, 0], -90).scale(1.5),
+            "bsdf": {"type": "diffuse"},
+        },
+        sensor={
+            "type": "perspective",
+            "fov": 60,
+            "to_world": place().look_at([-2, 0, 9], [1, 0, 0], [0, 1, 0]),
+            "film": {"type": "hdrfilm", "width": 48, "height": 36, "rfilter": {"type": "box"}},
+        },
+        ball={"type": "sphere", "to_world": place().translate([1, 3, 0]).scale(0.4)},
+        lamp={
+            "type": "sphere",
+            "to_world": place().translate([-6, 0, 0]).scale(0.5),
+            "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 60.0}},
+        },
+    )
+
+
+def test_a_shadow_that_appears_only_after_motion_is_found_on_schedule(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, "loi_mitsuba")
+    target = {"y": Translate("ball", (0, 1, 0))}
+    renderer = PlannedRenderer(wall_scene(), target)
+    objective = PixelL2(renderer.render({"y": np.array(-0.4)}, seed=10**6))
+    start(renderer, objective, {"y": np.array(0.0)})
+    assert Effect.PRIMARY in renderer.plan.on
+    assert Effect.INDIRECT not in renderer.plan.on  # there is no shadow to be seen
+    for step in range(25):
+        image, pullback = renderer.render_vjp({"y": np.array(-3.0)}, seed=step)  # before the wall
+        pullback(objective.value_and_grad(image)[1])
+    assert Effect.INDIRECT in renderer.plan.on
+    assert renderer.plan[Effect.INDIRECT].reason == "it was exactly 0 when it was turned off, and is no longer"
+    (line,) = [one.getMessage() for one in caplog.records if "on schedule" in one.getMessage()]
+    assert "indirect visibility on" in line
+
+
+def test_a_shadow_that_appears_is_found_when_the_loss_stalls() -> None:
+    target = {"y": Translate("ball", (0, 1, 0))}
+    renderer = PlannedRenderer(wall_scene(), target)
+    objective = PixelL2(renderer.render({"y": np.array(-0.4)}, seed=10**6))
+    start(renderer, objective, {"y": np.array(0.0)})
+    image, pullback = renderer.render_vjp({"y": np.array(-3.0)})
+    pullback(objective.value_and_grad(image)[1])
+    for step in range(19):
+        renderer.watch(FitStep(step, 1.0 - 0.01 * step, 1.0, 1.0, 0.1), {}, image)  # it falls
+    assert Effect.INDIRECT not in renderer.plan.on
+    for step in range(20):
+        renderer.watch(FitStep(step, 1.0, 1.0, 1.0, 0.1), {}, image)  # it does not
+    assert Effect.INDIRECT in renderer.plan.on
+
+
+def test_a_light_behind_glass_keeps_its_paths() -> None:
+    """Direct light alone is black there, for a shadow ray does not pass glass."""
+    bulb = {
+        "type": "sphere",
+        "to_world": mi.ScalarTransform4f().translate([0, 4, 0]).scale(1.2),
+        "bsdf": {"type": "dielectric"},
+    }
+    lamp = {
+        "type": "sphere",
+        "to_world": mi.ScalarTransform4f().translate([0, 4, 0]).scale(0.8),
+        "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 10.0}},
+    }
+    scene = shadow_scene(bulb=bulb, lamp=lamp)
+    del scene["ball"]
+    target: dict[str, Any] = {"light": "lamp.emitter.radiance.value"}
+    renderer = PlannedRenderer(scene, target)
+    objective = PixelL2(renderer.render({"light": np.array([20.0, 15.0, 10.0])}, seed=10**6))
+    start(renderer, objective, {"light": np.array([10.0, 10.0, 10.0])})
+    assert {Effect.BOUNCES, Effect.SPECULAR} <= renderer.plan.on
+    dark = MitsubaRenderer(scene, target, integrator={"type": "prb", "max_depth": 2}).render(renderer.parameters())
+    bright = renderer.render(renderer.parameters())
+    assert bright.mean() > 3.0 * dark.mean()  # the rest is light that shines past the glass
+    found = renderer.verify(objective, draws=6)
+    assert found.gradient.cosine > 0.99 - 2.0 * found.gradient.cosine_error
+
+
+def test_an_object_that_is_felt_only_by_the_light_it_reflects_keeps_its_bounces() -> None:
+    """Out of view, its shadow too: in direct light alone nothing changes with it, and the image hardly does at all."""
+    place = mi.ScalarTransform4f
+    scene = shadow_scene(
+        ball={
+            "type": "sphere",
+            "to_world": place().translate([-5.0, 1.2, 0]),
+            "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.9, 0.9, 0.9]}},
+        },
+        lamp={
+            "type": "sphere",
+            "to_world": place().translate([4, 6, 0]).scale(0.7),
+            "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 60.0}},
+        },
+    )
+    renderer = PlannedRenderer(scene, {"x": Translate("ball", (1, 0, 0))})
+    objective = PixelL2(renderer.render({"x": np.array(0.6)}, seed=10**6))
+    start(renderer, objective, {"x": np.array(0.0)})
+    assert Effect.BOUNCES in renderer.plan.on
+    direct = {"type": "direct_projective", "guiding": "none"}
+    blind = MitsubaRenderer(scene, {"x": Translate("ball", (1, 0, 0))}, integrator=direct)
+    assert not np.any(blind.pull({"x": np.array(0.0)}, np.ones((48, 64, 3)))["x"])
+
+
+def test_only_what_is_optimised_is_planned_for_and_pulled_back() -> None:
+    parameters: dict[str, Any] = {"place": Translate("ball"), "light": "lamp.emitter.radiance.value"}
+    renderer = PlannedRenderer(shadow_scene(), parameters, spp=4)
+    assert Effect.INDIRECT in renderer.plan.on
+    params = renderer.parameters()
+    image, _ = renderer.render_vjp(params)
+    renderer.begin(params, np.ones_like(image), optimise=["light"])
+    assert not renderer.plan.on & {Effect.INDIRECT, Effect.PRIMARY}
+    gradient = renderer.render_vjp(params)[1](np.ones_like(image))
+    assert np.any(gradient["light"])
+    assert not np.any(gradient["place"])
+    with pytest.raises(ParameterError, match="`optimise` must name parameters of place, light, got 'floor'"):
+        renderer.begin(params, image, optimise=["floor"])
+
+
+def test_a_fit_is_planned_by_its_first_gradient_and_watched() -> None:
+    case = CASES["emitter colour"]
+    renderer = PlannedRenderer(case.scene(24, 18), case.parameters, spp=4)
+    assert isinstance(renderer, PlanningRenderer)
+    assert not renderer.plan.measured
+    target = MitsubaRenderer(case.scene(24, 18), case.parameters, integrator=renderer.plan, spp=64).render(
+        dict(case.truth), seed=10**6
+    )
+    optimise = {name: Free(value) for name, value in case.start.items()}
+    found = fit(renderer, PixelL2(target), steps=60, learning_rate=1.0, optimise=optimise, callback=renderer.watch)
+    assert renderer.plan.measured
+    np.testing.assert_allclose(found.best_params["light"], case.truth["light"], rtol=0.1)
+
+
+def test_it_keeps_the_contract() -> None:
+    check_renderer(PlannedRenderer(CASES["emitter colour"].scene(12, 9), CASES["emitter colour"].parameters, spp=8))
+
+
+def test_parts_of_the_image_s_change_are_shown_apart() -> None:
+    case = CASES["object and its shadow"]
+    renderer = PlannedRenderer(case.scene(*SIZE) | {"integrator": DIRECT}, case.parameters, spp=4)
+    image = renderer.render(dict(case.start))
+    pictures = renderer.effect_images(dict(case.start), np.ones_like(image) * image)
+    assert list(pictures) == ["continuous shading", "primary visibility", "indirect visibility"]
+    assert all(one.shape == image.shape and np.any(one) for one in pictures.values())
+    fog = CASES["fog"]
+    volume = PlannedRenderer(fog.scene(12, 9), fog.parameters, spp=1)
+    assert volume.effect_images(dict(fog.start), np.ones((9, 12, 3), np.float32)) == {}
+
+
+def test_the_image_s_derivative_is_the_transpose_of_the_pullback() -> None:
+    """Both are one sum over the same samples, so they agree to rounding of sums of some thousand float32."""
+    target: dict[str, Any] = {"light": "lamp.emitter.radiance.value", "floor": "floor.bsdf.reflectance.value"}
+    renderer = MitsubaRenderer(shadow_scene(), target, spp=4)
+    params = renderer.parameters()
+    rng = np.random.default_rng(0)
+    tangent = {name: np.float32(rng.standard_normal(value.shape)) for name, value in params.items()}
+    pushed: Host = renderer.push(params, tangent, seed=3)
+    cotangent = np.float32(rng.standard_normal(pushed.shape))
+    pulled = renderer.pull(params, cotangent, seed=3)
+    size = float(np.linalg.norm(cotangent) * np.linalg.norm(pushed))
+    along = sum(float(np.vdot(pulled[name], tangent[name])) for name in params)
+    assert along == pytest.approx(float(np.vdot(cotangent, pushed)), abs=1e-5 * size)
+
+
+@pytest.mark.parametrize(("share", "says"), [(1.0, "got 1.0"), (-0.1, "got -0.1"), ("much", "got 'much'")])
+def test_a_share_is_a_share(share: Any, says: str) -> None:
+    with pytest.raises(OptionError, match=f"`share` must be at least 0 and less than 1, {says}"):
+        plan_effects(shadow_scene(), HIGH, share=share)

@@ -1,0 +1,50 @@
+"""Scene files may ask for a plan of effects: it is explained, followed, and shown in the report."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from loi_core.cli import main
+from loi_core.images import write_png
+from loi_mitsuba import MitsubaRenderer, Translate
+from tests.mitsuba.test_scene_file import GOAL, SCENE, XML
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    (tmp_path / "scene.xml").write_text(XML)
+    (tmp_path / "scene.toml").write_text(SCENE.replace('"mitsuba"', '"mitsuba-planned"'))
+    renderer = MitsubaRenderer(tmp_path / "scene.xml", {"place": Translate("ball")}, spp=256)
+    write_png(tmp_path / "target.png", renderer.render({"place": np.array(GOAL)}))
+    return tmp_path
+
+
+def test_a_scene_is_explained_without_being_fitted(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["fit", str(folder / "scene.toml"), "--explain"]) == 0
+    printed = capsys.readouterr().out
+    assert "| primary visibility       | on " in printed
+    assert "the scene is one convex shape" in printed
+    assert "Settings: integrator direct_projective" in printed
+    assert not (folder / "scene-result").exists()
+    assert main(["fit", str(folder / "scene.toml"), "--explain", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["settings"]["sppi"] == 0
+
+
+def test_a_fit_follows_its_plan_and_the_page_shows_every_effect(folder: Path) -> None:
+    assert main(["fit", str(folder / "scene.toml")]) == 0
+    results = folder / "scene-result"
+    np.testing.assert_allclose(json.loads((results / "parameters.json").read_text())["place"], GOAL, atol=0.1)
+    page = (results / "report.html").read_text()
+    for name in ("continuous shading: on", "primary visibility: on"):
+        assert f"<figcaption>{name}</figcaption>" in page
+    assert "the scene is one convex shape" in page
+
+
+def test_a_renderer_without_effects_is_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (folder / "scene.toml").write_text(SCENE)
+    assert main(["fit", str(folder / "scene.toml"), "--explain"]) == 2
+    assert "[renderer] has no effects to choose; those that have are named *-planned" in capsys.readouterr().err

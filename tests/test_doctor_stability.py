@@ -1,0 +1,82 @@
+"""`loi doctor --stability` tells the truth about hard cases on the backends that are installed."""
+
+from __future__ import annotations
+
+import json
+from importlib.metadata import EntryPoint
+from pathlib import Path
+
+import pytest
+
+from loi_core import registry
+from loi_core.cli import main, stability
+from loi_core.testing import hard_cases
+
+FEW = ("ordinary pair", "one NaN", "ties", "big-endian")
+NUMPY = EntryPoint("numpy", "loi_core.backends:NumPy", registry.BACKEND_GROUP)
+WRONG = """
+from loi_core.backends import NumPy
+
+
+class Wrong(NumPy):
+    def prepare(self, *arguments, **options):
+        evaluate = super().prepare(*arguments, **options)
+        return lambda: (-evaluate()[0], evaluate()[1])
+
+
+class Stops(NumPy):
+    def prepare(self, *arguments, **options):
+        raise KeyboardInterrupt
+"""
+
+
+@pytest.fixture
+def few(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[EntryPoint]:
+    (tmp_path / "unstable_backends.py").write_text(WRONG)
+    monkeypatch.syspath_prepend(str(tmp_path))
+    points = [NUMPY]
+    monkeypatch.setattr(registry, "entry_points", lambda group: points)
+    monkeypatch.setattr(stability, "hard_cases", lambda: tuple(one for one in hard_cases() if one.name in FEW))
+    return points
+
+
+def test_the_table_has_every_case_and_dtype(few: list[EntryPoint], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["doctor", "--stability", "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)
+    verdicts = {(row["case"], row["dtype"]): row["verdict"] for row in found["rows"]}
+    assert verdicts == {
+        **{("ordinary pair", dtype): "ok" for dtype in ("float16", "float32", "float64")},
+        **{("one NaN", dtype): "refused" for dtype in ("float32", "float64")},
+        **{("ties", dtype): "loose" for dtype in ("float32", "float64")},
+        ("big-endian", ">f4"): "refused",
+    }
+    first = found["rows"][0]
+    assert 0.0 <= first["loss_error"] <= first["loss_bound"]
+    assert 0.0 < first["gradient_error"] <= first["gradient_bound"] < first["gradient_size"]
+    assert next(row for row in found["rows"] if row["case"] == "one NaN")["loss"] is None
+    assert main(["doctor", "--stability"]) == 0
+    printed = capsys.readouterr().out
+    assert "| ordinary pair | numpy   | float32 |" in printed
+    assert "3 ok, 3 refused, 2 loose" in printed
+
+
+def test_a_wrong_or_broken_backend_fails_and_is_named(
+    few: list[EntryPoint], capsys: pytest.CaptureFixture[str]
+) -> None:
+    few.append(EntryPoint("wrong", "unstable_backends:Wrong", registry.BACKEND_GROUP))
+    few.append(EntryPoint("absent", "no_such_module:Backend [gpu]", registry.BACKEND_GROUP))
+    assert main(["doctor", "--stability"]) == 1
+    printed = capsys.readouterr().out
+    assert "ordinary pair, wrong float32: not negative: the loss is -0.52" in printed
+    assert "not tried: absent: " in printed
+    assert "pip install 'unknown[gpu]'" in printed
+    few[1:] = [EntryPoint("broken", "math:no_such_thing", registry.BACKEND_GROUP)]
+    assert main(["doctor", "--stability", "--json"]) == 1
+    assert "no_such_thing" in json.loads(capsys.readouterr().out)["broken"]["broken"]
+
+
+def test_an_interruption_keeps_what_is_done(few: list[EntryPoint], capsys: pytest.CaptureFixture[str]) -> None:
+    few.append(EntryPoint("stops", "unstable_backends:Stops", registry.BACKEND_GROUP))
+    assert main(["doctor", "--stability", "--json"]) == 1
+    rows = json.loads(capsys.readouterr().out)["rows"]
+    assert [row["dtype"] for row in rows] == ["float32", "float64", "float16"]
