@@ -51,6 +51,7 @@ def test_the_wheel_works_in_an_empty_environment(fresh: Path, tmp_path: Path) ->
         "disks-torch": "missing",
         "mitsuba": "missing",
         "mitsuba-planned": "missing",
+        "vector-torch": "missing",
         "warp": "ready",
         "warp-torch": "missing",
     }

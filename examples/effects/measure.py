@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import statistics
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -111,14 +111,15 @@ def measure(case: Case, effort: Effort = FULL) -> Row:
     wanted = step_draws(full, objective, start, groups, range(effort.draws, 2 * effort.draws))
     by_hand = by(dict(case.hand), spp_grad=effort.samples)
     default = by(dict(case.default), spp_grad=effort.samples)
+    seconds, full_seconds, hand_seconds = _step_seconds((by(plan), full, by_hand), objective, start, effort.draws)
     return Row(
         name=case.name,
         plan=plan,
         gradient=compare(found, wanted),
-        seconds=found.seconds,
-        full_seconds=wanted.seconds,
-        default_seconds=_step_seconds(default, objective, start, effort.defaults),
-        hand_seconds=_step_seconds(by_hand, objective, start, effort.draws),
+        seconds=seconds,
+        full_seconds=full_seconds,
+        default_seconds=_step_seconds((default,), objective, start, effort.defaults)[0],
+        hand_seconds=hand_seconds,
         pilot_seconds=pilot_seconds,
         error=_fitted(case, PlannedRenderer(scene, case.parameters, spp=effort.samples), objective, effort),
         full_error=_fitted(case, full, objective, effort),
@@ -132,16 +133,20 @@ def _pilot(planned: PlannedRenderer, objective: LOIObjective, start: Mapping[str
     return time.perf_counter() - begin
 
 
-def _step_seconds(renderer: Renderer, objective: LOIObjective, start: Mapping[str, Any], steps: int) -> float:
+def _step_seconds(
+    renderers: Sequence[Renderer], objective: LOIObjective, start: Mapping[str, Any], steps: int
+) -> list[float]:
+    """Median seconds of a step of each, which take turns, so that whatever slows the machine down hits all alike."""
     if steps == 0:
-        return math.nan
-    times = []
+        return [math.nan] * len(renderers)
+    times: list[list[float]] = [[] for _ in renderers]
     for seed in range(steps + 1):
-        begin = time.perf_counter()
-        image, pullback = renderer.render_vjp(dict(start), seed=seed)
-        pullback(objective.value_and_grad(image)[1])
-        times.append(time.perf_counter() - begin)
-    return statistics.median(times[1:])
+        for renderer, spent in zip(renderers, times, strict=True):
+            begin = time.perf_counter()
+            image, pullback = renderer.render_vjp(dict(start), seed=seed)
+            pullback(objective.value_and_grad(image)[1])
+            spent.append(time.perf_counter() - begin)
+    return [statistics.median(spent[1:]) for spent in times]
 
 
 def _fitted(case: Case, renderer: Renderer, objective: LOIObjective, effort: Effort) -> float:
