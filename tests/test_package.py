@@ -61,6 +61,7 @@ def test_the_wheel_works_in_an_empty_environment(fresh: Path, tmp_path: Path) ->
         "disks-torch": "pip install 'loi[torch]'",
         "mitsuba": "pip install 'loi[mitsuba]'",
         "mitsuba-planned": "pip install 'loi[mitsuba]'",
+        "vector-torch": "pip install 'loi[torch]'",
         "warp-torch": "pip install 'loi[torch]'",
     }
     states = {one["name"]: one["state"] for one in json.loads(run(fresh.parent / "loi", "doctor", "--json"))}

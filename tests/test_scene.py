@@ -128,7 +128,7 @@ MISTAKES: list[tuple[str, str, str]] = [
         'name = "spheres"',
         (
             "no renderer is called 'spheres'; installed are disks, disks-jax, disks-torch, mitsuba, mitsuba-planned, "
-            "warp, warp-torch"
+            "vector-torch, warp, warp-torch"
         ),
     ),
     ('name = "disks"', "", "[renderer] `name` is missing"),
