@@ -16,6 +16,7 @@ from loi_core.arrays import to_numpy
 from loi_core.renderers.checks import FloatArray
 from loi_core.renderers.coverage import disk_coverage
 from loi_core.renderers.fragments import Fragments, disk_fragments
+from loi_torch.compositing import painted_over
 from loi_torch.painted import Painted, Tensors
 
 __all__ = ["Disks", "Warp"]
@@ -57,18 +58,17 @@ class Disks(Painted):
         scene = core.Disks(height, width, positions, radii, colours, background, dtype=dtype, confine=confine)
         super().__init__(scene, dtype, device)
         self._size = scene.size
-        self._canvas = torch.tensor(scene.background, device=self._device).expand(scene.size[0] * scene.size[1], 3)
+        self._background = torch.tensor(scene.background, device=self._device)
 
     def _paint(self, scene: Tensors) -> Tensor:
         fragments = disk_fragments(to_numpy(scene["positions"]), to_numpy(scene["radii"]), self._size)
         owner = torch.tensor(fragments.owner, device=self._device)
         pixels = torch.tensor(fragments.rows * self._size[1] + fragments.columns, device=self._device)
         coverage: Tensor = _Coverage.apply(scene["positions"], scene["radii"], fragments)[0]  # type: ignore[no-untyped-call]  # untyped in torch
-        share, colours = coverage[:, None], scene["colours"][owner]
-        image = self._canvas
-        for layer in fragments.layers:
-            beneath = image[pixels[layer]]
-            image = image.index_put((pixels[layer],), beneath + share[layer] * (colours[layer] - beneath))
+        height, width = self._size
+        image = painted_over(
+            coverage, scene["colours"][owner], self._background, pixels, fragments.layers, height * width
+        )
         return image.reshape(*self._size, 3)
 
 

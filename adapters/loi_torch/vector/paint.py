@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import torch
 from torch import Tensor
-from torch.autograd.function import FunctionCtx, once_differentiable
 
+from loi_torch.compositing import painted_over
 from loi_torch.vector.coverage import Painting
 
 __all__ = ["bilinear", "composite"]
@@ -48,40 +46,4 @@ def composite(colours: Tensor, painting: Painting, background: Tensor, count: in
     """
     share = painting.coverage * colours[:, 3]
     pixels = torch.as_tensor(painting.pixels, device=colours.device)
-    image: Tensor = _Over.apply(share, colours[:, :3], background, pixels, painting.sheets, count)[0]  # type: ignore[no-untyped-call]  # untyped in torch
-    return image
-
-
-class _Over(torch.autograd.Function):
-    """Fragments over one another: autograd would keep the whole image for every sheet."""
-
-    @staticmethod
-    def forward(
-        share: Tensor, colours: Tensor, background: Tensor, pixels: Tensor, sheets: tuple[slice, ...], count: int
-    ) -> tuple[Tensor, Tensor]:
-        image = background.expand(count, 3).clone()
-        contrast = torch.empty_like(colours)
-        for sheet in sheets:
-            beneath = image[pixels[sheet]]
-            contrast[sheet] = colours[sheet] - beneath
-            image[pixels[sheet]] = beneath + share[sheet, None] * contrast[sheet]
-        return image, contrast
-
-    @staticmethod
-    def setup_context(ctx: FunctionCtx, inputs: tuple[Any, ...], output: tuple[Tensor, Tensor]) -> None:
-        share, _, _, pixels, sheets, _ = inputs
-        ctx.mark_non_differentiable(output[1])
-        ctx.save_for_backward(share, output[1], pixels)
-        ctx.sheets = sheets  # type: ignore[attr-defined]  # torch keeps what is put there
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, upstream: Tensor, _: Tensor) -> tuple[Tensor | None, ...]:
-        """From the highest sheet to the lowest: what arrives at a fragment is what those above let through."""
-        share, contrast, pixels = ctx.saved_tensors
-        flowing = upstream.clone()
-        arriving = torch.empty_like(contrast)
-        for sheet in reversed(ctx.sheets):
-            arriving[sheet] = flowing[pixels[sheet]]
-            flowing[pixels[sheet]] = arriving[sheet] * (1.0 - share[sheet, None])
-        return torch.sum(arriving * contrast, dim=1), arriving * share[:, None], None, None, None, None
+    return painted_over(share, colours[:, :3], background, pixels, painting.sheets, count)
