@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import math
-import statistics
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -15,7 +14,7 @@ from examples.effects.scenes import Case
 from loi_core import Free, LOIObjective, Renderer, ScaleSpace, fit
 from loi_core.effects import Comparison, EffectPlan, compare
 from loi_mitsuba import MitsubaRenderer, PlannedRenderer
-from loi_mitsuba.effects.verify import step_draws
+from loi_mitsuba.effects.verify import step_draws, steps_in_turn
 
 __all__ = ["FULL", "QUICK", "Effort", "Row", "measure"]
 
@@ -107,19 +106,22 @@ def measure(case: Case, effort: Effort = FULL) -> Row:
 
     full = by(planned.everything)
     groups = planned.groups
-    found = step_draws(by(plan), objective, start, groups, range(effort.draws))
-    wanted = step_draws(full, objective, start, groups, range(effort.draws, 2 * effort.draws))
+    draws = range(effort.draws)
+    others = range(effort.draws, 2 * effort.draws)
     by_hand = by(dict(case.hand), spp_grad=effort.samples)
-    default = by(dict(case.default), spp_grad=effort.samples)
-    seconds, full_seconds, hand_seconds = _step_seconds((by(plan), full, by_hand), objective, start, effort.draws)
+    found, wanted, hand = step_draws((by(plan), full, by_hand), objective, start, groups, (draws, others, draws))
+    default_seconds = math.nan
+    if effort.defaults:
+        default = by(dict(case.default), spp_grad=effort.samples)
+        ((_, default_seconds),) = steps_in_turn((default,), objective, start, (range(effort.defaults),))
     return Row(
         name=case.name,
         plan=plan,
         gradient=compare(found, wanted),
-        seconds=seconds,
-        full_seconds=full_seconds,
-        default_seconds=_step_seconds((default,), objective, start, effort.defaults)[0],
-        hand_seconds=hand_seconds,
+        seconds=found.seconds,
+        full_seconds=wanted.seconds,
+        default_seconds=default_seconds,
+        hand_seconds=hand.seconds,
         pilot_seconds=pilot_seconds,
         error=_fitted(case, PlannedRenderer(scene, case.parameters, spp=effort.samples), objective, effort),
         full_error=_fitted(case, full, objective, effort),
@@ -131,22 +133,6 @@ def _pilot(planned: PlannedRenderer, objective: LOIObjective, start: Mapping[str
     begin = time.perf_counter()
     planned.begin(start, cotangent, optimise=list(start))
     return time.perf_counter() - begin
-
-
-def _step_seconds(
-    renderers: Sequence[Renderer], objective: LOIObjective, start: Mapping[str, Any], steps: int
-) -> list[float]:
-    """Median seconds of a step of each, which take turns, so that whatever slows the machine down hits all alike."""
-    if steps == 0:
-        return [math.nan] * len(renderers)
-    times: list[list[float]] = [[] for _ in renderers]
-    for seed in range(steps + 1):
-        for renderer, spent in zip(renderers, times, strict=True):
-            begin = time.perf_counter()
-            image, pullback = renderer.render_vjp(dict(start), seed=seed)
-            pullback(objective.value_and_grad(image)[1])
-            spent.append(time.perf_counter() - begin)
-    return [statistics.median(spent[1:]) for spent in times]
 
 
 def _fitted(case: Case, renderer: Renderer, objective: LOIObjective, effort: Effort) -> float:

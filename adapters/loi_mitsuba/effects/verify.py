@@ -14,7 +14,7 @@ from loi_core.objectives.base import Objective
 from loi_core.renderer import Renderer
 from loi_core.values import whole_number
 
-__all__ = ["Verification", "step_draws", "verification"]
+__all__ = ["Verification", "step_draws", "steps_in_turn", "verification"]
 
 FEWEST: int = 3
 
@@ -68,27 +68,43 @@ def verification(
     if number is None or number < FEWEST:
         msg = f"`draws` must be a whole number, {FEWEST} or more, got {draws!r:.60}"
         raise OptionError(msg)
-    found = step_draws(planned, objective, params, groups, range(seed, seed + number))
-    wanted = step_draws(full, objective, params, groups, range(seed + number, seed + 2 * number))
+    seeds = range(seed, seed + number), range(seed + number, seed + 2 * number)
+    found, wanted = step_draws((planned, full), objective, params, groups, seeds)
     return Verification(found.seconds, wanted.seconds, compare(found, wanted))
 
 
 def step_draws(
-    renderer: Renderer,
+    renderers: Sequence[Renderer],
     objective: Objective,
     params: Mapping[str, Any],
     groups: Sequence[Sequence[str]],
-    seeds: Sequence[int],
-) -> Draws:
+    seeds: Sequence[Sequence[int]],
+) -> list[Draws]:
     """Gradients of the loss as the steps of a fit see them, each of its own image, and the median time of a step.
 
-    The first step, which may compile, is drawn twice and not timed.
+    The renderers are drawn as in :func:`steps_in_turn`, each with its own `seeds`.
     """
-    drawn, times = [], []
-    for seed in (seeds[0], *seeds):
-        begin = time.perf_counter()
-        image, pullback = renderer.render_vjp(dict(params), seed=seed)
-        pulled = pullback(objective.value_and_grad(image)[1])
-        times.append(time.perf_counter() - begin)
-        drawn.append({name: pulled[name] for names in groups for name in names})
-    return Draws.of(drawn[1:], statistics.median(times[1:])).grouped(groups)
+    names = [name for group in groups for name in group]
+    return [
+        Draws.of([{name: one[name] for name in names} for one in drawn], seconds).grouped(groups)
+        for drawn, seconds in steps_in_turn(renderers, objective, params, seeds)
+    ]
+
+
+def steps_in_turn(
+    renderers: Sequence[Renderer], objective: Objective, params: Mapping[str, Any], seeds: Sequence[Sequence[int]]
+) -> list[tuple[list[Mapping[str, Any]], float]]:
+    """For each renderer the gradients of a step at each of its seeds, as many for all, and the median time of a step.
+
+    They take turns, so that whatever slows the machine down hits all alike. The first step, which may compile, is drawn
+    twice and not timed.
+    """
+    drawn: list[list[Mapping[str, Any]]] = [[] for _ in renderers]
+    times: list[list[float]] = [[] for _ in renderers]
+    for turn in (0, *range(len(seeds[0]))):
+        for index, renderer in enumerate(renderers):
+            begin = time.perf_counter()
+            image, pullback = renderer.render_vjp(dict(params), seed=seeds[index][turn])
+            drawn[index].append(pullback(objective.value_and_grad(image)[1]))
+            times[index].append(time.perf_counter() - begin)
+    return [(kept[1:], statistics.median(spent[1:])) for kept, spent in zip(drawn, times, strict=True)]
