@@ -12,6 +12,7 @@ import mitsuba as mi
 import numpy as np
 
 from loi_core.errors import ParameterError
+from loi_core.messages import shown
 from loi_core.values import real_number
 
 __all__ = ["Handle", "Host", "Rotate", "Scale", "Translate", "from_table", "posed"]
@@ -177,7 +178,7 @@ def _vector(name: str, value: object) -> Vector:
         x, y, z = map(real_number, value)
         if all(map(math.isfinite, (x, y, z))):
             return x, y, z
-    msg = f"`{name}` must be three finite numbers, got {value!r:.60}"
+    msg = f"`{name}` must be three finite numbers, got {shown(value)}"
     raise ParameterError(msg)
 
 
@@ -185,6 +186,6 @@ def _direction(name: str, value: object) -> Vector:
     x, y, z = _vector(name, value)
     length = math.hypot(x, y, z)
     if length == 0.0:
-        msg = f"`{name}` must be a direction, got {value!r:.60}"
+        msg = f"`{name}` must be a direction, got {shown(value)}"
         raise ParameterError(msg)
     return x / length, y / length, z / length

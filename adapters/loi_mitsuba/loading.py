@@ -9,6 +9,7 @@ from typing import Any, Final, TypeAlias
 import mitsuba as mi
 
 from loi_core.errors import LoiError, OptionError, ParameterError
+from loi_core.messages import shown
 from loi_core.values import whole_number
 from loi_mitsuba.handles import Handle, Rotate, Scale, Translate, from_table
 
@@ -94,7 +95,7 @@ def find_sensor(scene: Any, index: int) -> Any:
         raise OptionError(msg)
     number = whole_number(index)
     if number is None or not 0 <= number < len(sensors):
-        msg = f"`sensor` must be the number of one of the scene's {len(sensors)} sensors, from 0, got {index!r:.60}"
+        msg = f"`sensor` must be the number of one of the scene's {len(sensors)} sensors, from 0, got {shown(index)}"
         raise OptionError(msg)
     return sensors[number]
 
@@ -116,6 +117,6 @@ def checked_samples(name: str, value: object, most: int) -> int:
     """`value`, once it is known to be a number of samples."""
     samples = whole_number(value)
     if samples is None or not 1 <= samples <= most:
-        msg = f"`{name}` must be a whole number of samples from 1 to {most} for this film, got {value!r:.60}"
+        msg = f"`{name}` must be a whole number of samples from 1 to {most} for this film, got {shown(value)}"
         raise OptionError(msg)
     return samples

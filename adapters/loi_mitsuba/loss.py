@@ -12,6 +12,7 @@ import mitsuba as mi
 from loi_core import LogTone, LOIObjective, ScaleSpace
 from loi_core.arrays import Array, namespace
 from loi_core.errors import ImageTypeError, LoiError, OptionError
+from loi_core.messages import shown
 from loi_core.nonfinite import NanPolicy
 
 __all__ = ["Backend", "BackendMissingError", "LOILoss"]
@@ -176,7 +177,7 @@ def _check_backend(backend: object) -> Backend:
                 msg = f"`backend` is {known!r}, which cannot be imported ({error}); pip install 'loi[{known}]'"
                 raise BackendMissingError(msg) from None
             return known  # type: ignore[no-any-return]  # one of the literals
-    msg = f"`backend` must be one of {', '.join(map(repr, get_args(Backend)))} or None, got {backend!r:.60}"
+    msg = f"`backend` must be one of {', '.join(map(repr, get_args(Backend)))} or None, got {shown(backend)}"
     raise OptionError(msg)
 
 

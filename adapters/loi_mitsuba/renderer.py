@@ -15,6 +15,7 @@ import numpy as np
 
 from loi_core.effects import EffectPlan
 from loi_core.errors import OptionError, ParameterError
+from loi_core.messages import shown
 from loi_core.values import whole_number
 from loi_mitsuba.cautions import warn_of_moving
 from loi_mitsuba.effects.settings import PARTS, bordered, integrator_of, settings_of
@@ -352,7 +353,7 @@ def _integrator(scene: Any, integrator: Any) -> Any:
             msg = f"`integrator` cannot be loaded: {one_line(error)}"
             raise OptionError(msg) from None
     if not isinstance(integrator, mi.Integrator):
-        msg = f"`integrator` must be a dict, an mi.Integrator or 'scene', got {integrator!r:.60}"
+        msg = f"`integrator` must be a dict, an mi.Integrator or 'scene', got {shown(integrator)}"
         raise OptionError(msg)
     return integrator
 
@@ -368,7 +369,7 @@ def _seeds(seed: int) -> tuple[int, int]:
     """Independent seeds for the image and for its gradient, the same for the same `seed` everywhere."""
     number = whole_number(seed)
     if number is None or number < 0:
-        msg = f"`seed` must be a whole number, 0 or more, got {seed!r:.60}"
+        msg = f"`seed` must be a whole number, 0 or more, got {shown(seed)}"
         raise OptionError(msg)
     first, second = np.random.SeedSequence(number).generate_state(2)
     return int(first), int(second)
@@ -380,7 +381,7 @@ def _numbers(name: str, value: Any, shape: tuple[int, ...]) -> Host:
         with np.errstate(over="ignore"):  # what is too large for float32 becomes infinite
             array = np.array(value, dtype=np.float32, order="C")
     except (TypeError, ValueError):
-        msg = f"`{name}` must be numbers of shape {shape}, got {value!r:.60}"
+        msg = f"`{name}` must be numbers of shape {shape}, got {shown(value)}"
         raise ParameterError(msg) from None
     if array.shape != shape:
         msg = f"`{name}` must have shape {shape}, got {array.shape}"

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 from loi_core.errors import OptionError
+from loi_core.messages import shown
 from loi_core.values import real_number
 
 __all__ = ["allocate", "whole_samples"]
@@ -84,6 +85,6 @@ def whole_samples(
 def _number(name: str, value: object, *, zero: bool) -> float:
     number = real_number(value)
     if not (number >= 0.0 if zero else number > 0.0) or not math.isfinite(number):
-        msg = f"`{name}` must be finite numbers, {'0 or more' if zero else 'more than 0'}, got {value!r:.60}"
+        msg = f"`{name}` must be finite numbers, {'0 or more' if zero else 'more than 0'}, got {shown(value)}"
         raise OptionError(msg)
     return number

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from loi_core.errors import OptionError
+from loi_core.messages import shown
 from loi_core.tables import markdown
 
 __all__ = ["Capability", "Choice", "Effect", "EffectPlan"]
@@ -80,7 +81,7 @@ class Choice:
 
     def __post_init__(self) -> None:
         if not self.reason or "\n" in self.reason:
-            msg = f"`reason` of {self.effect} must be one line that is not empty, got {self.reason!r:.60}"
+            msg = f"`reason` of {self.effect} must be one line that is not empty, got {shown(self.reason)}"
             raise OptionError(msg)
 
 

@@ -15,6 +15,7 @@ from loi_core.arrays import to_numpy
 from loi_core.effects import Effect, EffectPlan
 from loi_core.errors import OptionError, ParameterError
 from loi_core.fit import FitStep
+from loi_core.messages import shown
 from loi_core.objectives.base import Objective
 from loi_core.values import real_number
 from loi_mitsuba.effects.pilot import EFFECTS, Pilot, Probe, Sizes
@@ -85,7 +86,7 @@ class PlannedRenderer:
         sensor: int = 0,
     ) -> None:
         if not 0.0 <= real_number(share) < 1.0:
-            msg = f"`share` must be at least 0 and less than 1, got {share!r:.60}"
+            msg = f"`share` must be at least 0 and less than 1, got {shown(share)}"
             raise OptionError(msg)
         self._share = real_number(share)
         ready, targets, plan = _ruled(scene, parameters, sensor, spp)

@@ -10,6 +10,7 @@ from typing import Any
 
 from loi_core.effects import Comparison, Draws, compare
 from loi_core.errors import OptionError
+from loi_core.messages import shown
 from loi_core.objectives.base import Objective
 from loi_core.renderer import Renderer
 from loi_core.values import whole_number
@@ -66,7 +67,7 @@ def verification(
     """
     number = whole_number(draws)
     if number is None or number < FEWEST:
-        msg = f"`draws` must be a whole number, {FEWEST} or more, got {draws!r:.60}"
+        msg = f"`draws` must be a whole number, {FEWEST} or more, got {shown(draws)}"
         raise OptionError(msg)
     seeds = range(seed, seed + number), range(seed + number, seed + 2 * number)
     found, wanted = step_draws((planned, full), objective, params, groups, seeds)
