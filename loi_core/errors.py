@@ -15,6 +15,7 @@ __all__ = [
     "ImageTypeError",
     "LoiError",
     "NonFiniteImageError",
+    "ObjectiveNotFoundError",
     "OptionError",
     "ParameterError",
     "RendererError",
@@ -22,6 +23,7 @@ __all__ = [
     "ScaleError",
     "SceneError",
     "SvgError",
+    "WeightsError",
 ]
 
 
@@ -110,6 +112,14 @@ class RendererNotFoundError(LoiError, LookupError):
 
 class BackendNotFoundError(LoiError, LookupError):
     """No backend of that name is installed, or the one that is cannot be loaded."""
+
+
+class ObjectiveNotFoundError(LoiError, LookupError):
+    """No objective of that name is installed, or the one that is cannot be loaded."""
+
+
+class WeightsError(LoiError, OSError):
+    """The weights of a network are not installed, or are not the ones that were published."""
 
 
 class SceneError(LoiError, ValueError):

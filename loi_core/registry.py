@@ -1,8 +1,11 @@
-"""Which renderers and backends are installed: the entry-point groups ``loi.renderers`` and ``loi.backends``.
+"""Which renderers, objectives and backends are installed: three groups of entry points.
+
+They are ``loi.renderers``, ``loi.objectives`` and ``loi.backends``.
 
 A distribution announces one with an entry point whose name is what it is called by and whose object is a factory. A
 renderer's is called with the options of a scene and returns something that keeps the contract of
-:class:`loi_core.Renderer`; a backend's is called without arguments and returns a
+:class:`loi_core.Renderer`; an objective's with the reference, ``nan_policy`` and ``tone``, as
+:class:`loi_core.PixelL2` is; a backend's is called without arguments and returns a
 :class:`loi_core.backends.Backend`. A plugin that cannot be loaded is reported by name and never hides the others.
 """
 
@@ -18,27 +21,34 @@ from inspect import Parameter, signature
 from typing import Any, Final, Literal, TypeAlias
 
 from loi_core.backends import Backend
-from loi_core.errors import BackendNotFoundError, RendererNotFoundError
+from loi_core.errors import BackendNotFoundError, ObjectiveNotFoundError, RendererNotFoundError
 from loi_core.foreign import is_ctrl_c
 from loi_core.messages import shown, told
+from loi_core.objectives import ImageObjective
 from loi_core.renderer import Renderer
 
 __all__ = [
     "BACKEND_GROUP",
     "GROUP",
+    "OBJECTIVE_GROUP",
     "BackendFactory",
+    "ObjectiveFactory",
     "PluginInfo",
     "RendererFactory",
     "available_backends",
     "available_renderers",
     "load_backend",
+    "load_objective",
     "load_renderer",
+    "objective_names",
 ]
 
 GROUP: Final = "loi.renderers"
+OBJECTIVE_GROUP: Final = "loi.objectives"
 BACKEND_GROUP: Final = "loi.backends"
 
 RendererFactory: TypeAlias = Callable[..., Renderer]
+ObjectiveFactory: TypeAlias = Callable[..., ImageObjective[Any, Any]]
 BackendFactory: TypeAlias = Callable[[], Backend]
 
 
@@ -81,6 +91,11 @@ def available_renderers() -> list[PluginInfo]:
     return _available(GROUP)
 
 
+def objective_names() -> list[str]:
+    """The names of all announced objectives, sorted; nothing is imported."""
+    return list(_announced(_points(OBJECTIVE_GROUP)[0]))
+
+
 def available_backends() -> list[PluginInfo]:
     """Every announced backend, sorted by name. Each factory is imported to see whether it can be."""
     return _available(BACKEND_GROUP)
@@ -95,6 +110,18 @@ def load_renderer(name: str) -> RendererFactory:
         If no distribution, or more than one, announces it, or its factory cannot be imported; with the mend.
     """
     factory: RendererFactory = _load(GROUP, "renderer", name, RendererNotFoundError)
+    return factory
+
+
+def load_objective(name: str) -> ObjectiveFactory:
+    """The factory of the objective called `name`.
+
+    Raises
+    ------
+    ObjectiveNotFoundError
+        If no distribution, or more than one, announces it, or its factory cannot be imported; with the mend.
+    """
+    factory: ObjectiveFactory = _load(OBJECTIVE_GROUP, "objective", name, ObjectiveNotFoundError)
     return factory
 
 

@@ -22,17 +22,17 @@ from loi_core.free import Free, bounds_of, own_parameters, starting_parameters
 from loi_core.images import FloatImage, read_image
 from loi_core.messages import shown, told
 from loi_core.objectives import MSSSIM, GaussianPyramid, ImageObjective, LOIObjective, PixelL2
-from loi_core.registry import RendererFactory, load_renderer
+from loi_core.registry import RendererFactory, load_objective, load_renderer, objective_names
 from loi_core.renderer import Renderer
 from loi_core.scales import ScaleSpace
 from loi_core.toml import read_toml
 from loi_core.tone import LogTone
 from loi_core.values import real_number, whole_number
 
-__all__ = ["OBJECTIVES", "FitOptions", "Scene", "load_scene"]
+__all__ = ["FitOptions", "Scene", "is_objective_name", "load_scene"]
 
 RIVALS: Final = {"pixel_l2": PixelL2, "gaussian_pyramid": GaussianPyramid, "ms_ssim": MSSSIM}
-OBJECTIVES: Final = ("loi", *RIVALS)
+OBJECTIVES: Final = ("loi", *RIVALS)  # plugins may announce more
 
 TOP_KEYS: Final = ("target", "output", "title", "renderer", "optimise", "scales", "objective", "fit")
 FREE_KEYS: Final = ("initial", "lower", "upper", "learning_rate", "truth")
@@ -148,6 +148,11 @@ def load_scene(path: Path, *, output: Path | None = None, samples: int | None = 
         samples=spp,
         tone=tone,
     )
+
+
+def is_objective_name(name: object) -> bool:
+    """Whether an objective may have this name, which becomes that of a folder."""
+    return isinstance(name, str) and re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}", name) is not None
 
 
 @dataclass(frozen=True)
@@ -326,8 +331,9 @@ def _objectives(
         raise where.error("objective", f"`compare` must be a list of names, got {shown(compare)}")
     names = [table.get("name", "loi"), *compare]
     for name in names:
-        if name not in OBJECTIVES:
-            raise where.error("objective", f"objectives are {', '.join(OBJECTIVES)}, got {shown(name)}")
+        known = (*OBJECTIVES, *filter(is_objective_name, objective_names()))
+        if name not in known:
+            raise where.error("objective", f"objectives are {', '.join(known)}, got {shown(name)}")
     policy = table.get("nan_policy", "raise")
     accuracy = table.get("accuracy", "exact")
     made: dict[str, ImageObjective[Any, Any]] = {}
@@ -336,7 +342,8 @@ def _objectives(
             if name == "loi":
                 made[name] = LOIObjective(target, scales, accuracy, nan_policy=policy, tone=tone)
             else:
-                made[name] = RIVALS[name](target, nan_policy=policy, tone=tone)
+                factory = RIVALS[name] if name in RIVALS else load_objective(name)
+                made[name] = factory(target, nan_policy=policy, tone=tone)
     except LoiError as error:
         raise where.error("objective", str(error)) from error
     return made

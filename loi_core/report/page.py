@@ -13,7 +13,7 @@ from loi_core.errors import SceneError
 from loi_core.files import read_bytes, write_text
 from loi_core.report.output import RESULT_FILE, frames
 from loi_core.report.plots import LABELS
-from loi_core.scene import OBJECTIVES
+from loi_core.scene import is_objective_name
 from loi_core.values import real_number
 
 __all__ = ["document", "figure", "write_index", "write_page"]
@@ -83,7 +83,7 @@ def _is_result(result: Any) -> bool:
 
 
 def _is_trial(trial: Any) -> bool:
-    if not isinstance(trial, dict) or trial.get("objective") not in OBJECTIVES:
+    if not isinstance(trial, dict) or not is_objective_name(trial.get("objective")):
         return False
     errors = trial.get("parameter_errors", {})
     return isinstance(trial.get("error"), str | None) and isinstance(errors, dict)

@@ -16,8 +16,15 @@ LABELS: Final = {
     "pixel_l2": "pixel L2",
     "gaussian_pyramid": "Gaussian pyramid",
     "ms_ssim": "MS-SSIM",
+    "lpips": "LPIPS",
 }
-COLOURS: Final = {"loi": "#c2410c", "pixel_l2": "#64748b", "gaussian_pyramid": "#0369a1", "ms_ssim": "#15803d"}
+COLOURS: Final = {
+    "loi": "#c2410c",
+    "pixel_l2": "#64748b",
+    "gaussian_pyramid": "#0369a1",
+    "ms_ssim": "#15803d",
+    "lpips": "#7e22ce",
+}
 BACKEND_COLOURS: Final = ("#0369a1", "#15803d", "#7e22ce", "#64748b", "#a16207")
 LEAST: Final = 1e-16  # where an error of 0 is drawn
 

