@@ -10,14 +10,13 @@ import numpy as np
 from loi_core.errors import ParameterError
 from loi_core.messages import shown
 from loi_core.renderers.checks import FloatArray, check_dtype, check_parameters, check_size, floats
+from loi_core.renderers.confinement import confined
 from loi_core.renderers.coverage import disk_coverage
 from loi_core.renderers.fragments import IndexArray, disk_fragments
 
 __all__ = ["Disks"]
 
 LEAST_RADIUS = 0.1
-GOLDEN_ANGLE = 2.399963
-SEPARATION_ROUNDS = 10  # sweeps that push overlapping disks apart; chains of touching disks need a few
 
 
 class Disks:
@@ -161,31 +160,5 @@ class Disks:
         scene = self.checked(params)
         scene["radii"] = np.maximum(scene["radii"], LEAST_RADIUS)
         if self._confine:
-            scene["positions"] = _confined(scene["positions"], scene["radii"], self.size)
+            scene["positions"] = confined(scene["positions"], scene["radii"], self.size)
         return {name: value.astype(self._dtype) for name, value in scene.items()}
-
-
-def _confined(positions: FloatArray, radii: FloatArray, size: tuple[int, int]) -> FloatArray:
-    """Centres moved by little that brings every disk into the frame and parts each overlapping pair."""
-    count = positions.shape[0]
-    frame = np.array(size[::-1], dtype=np.float64)
-    margin = np.minimum(radii[:, None], 0.5 * frame)
-    positions = np.clip(positions, margin, frame - margin)
-    # Two disks in exactly the same place have no direction to part in: each pair gets one of its own.
-    angles = GOLDEN_ANGLE * np.arange(count)
-    spare = np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-    spare = spare[:, None, :] - spare[None, :, :]
-    spare /= np.maximum(np.linalg.norm(spare, axis=-1, keepdims=True), 1e-12)
-    wanted = radii[:, None] + radii[None, :]
-    np.fill_diagonal(wanted, 0.0)
-    for _ in range(SEPARATION_ROUNDS):
-        apart = positions[:, None, :] - positions[None, :, :]
-        distance = np.linalg.norm(apart, axis=-1)
-        overlap = np.maximum(wanted - distance, 0.0)
-        if not np.any(overlap > 0.0):
-            break
-        near = distance[..., None] < 1e-9
-        direction = np.where(near, spare, apart / np.maximum(distance, 1e-9)[..., None])
-        pushed = positions + 0.5 * np.sum(overlap[..., None] * direction, axis=1)
-        positions = np.clip(pushed, margin, frame - margin)
-    return positions

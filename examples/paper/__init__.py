@@ -1,0 +1,1 @@
+"""The paper's experiments, a module or package for each table or figure."""

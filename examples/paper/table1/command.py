@@ -1,0 +1,151 @@
+"""``python -m examples.paper table1``: the runs, then tables, contact sheets and convergence plots."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+from examples.paper.table1.pictures import contact_sheet, convergence_plot
+from examples.paper.table1.problem import COLUMNS, HARDER, Column
+from examples.paper.table1.run import Run
+from examples.paper.table1.runner import carry_out_all
+from examples.paper.table1.settings import ABLATIONS, LABELS, PROTOCOLS, Method
+from examples.paper.table1.store import slug
+from examples.paper.table1.tables import csv_of, table_of
+from examples.paper.table1.tuning import tuning_runs, tuning_table
+from loi_core.errors import OptionError
+from loi_core.files import check_writable, write_text
+
+__all__ = ["main"]
+
+SEEDS: Final = 10
+ABLATION_SEEDS: Final = 3
+ABLATED: Final = (COLUMNS[1], COLUMNS[3])
+PARTS: Final = ("tuning", "ours", "published", "harder", "ablations")
+
+
+@dataclass(frozen=True)
+class Part:
+    """Runs by the name of their row, and the columns over which a row goes; none for a search."""
+
+    rows: Mapping[str, Sequence[Run]]
+    columns: tuple[Column, ...]
+
+    def at(self, column: Column) -> dict[str, list[Run]]:
+        """Those of one column."""
+        return {name: [run for run in runs if run.column == column] for name, runs in self.rows.items()}
+
+
+@dataclass(frozen=True)
+class Extent:
+    """How much of the table is wanted.
+
+    Attributes
+    ----------
+    parts : tuple of str
+        Of `PARTS`.
+    methods : tuple of str
+        In the order of the table.
+    columns, harder, ablated : tuple of Column
+        Of the table, of the harder ones, and of the ablations.
+    seeds, ablation_seeds : int
+        How many starts.
+    steps : int, optional
+        Of every fit, instead of each setting's own.
+    """
+
+    parts: tuple[str, ...]
+    methods: tuple[Method, ...]
+    columns: tuple[Column, ...] = COLUMNS
+    harder: tuple[Column, ...] = HARDER
+    ablated: tuple[Column, ...] = ABLATED
+    seeds: int = SEEDS
+    ablation_seeds: int = ABLATION_SEEDS
+    steps: int | None = None
+
+    def part(self, part: str) -> Part:
+        """The runs of one part, with the steps that are wanted."""
+        if part == "tuning":
+            rows = {LABELS[method]: tuning_runs(method) for method in self.methods}
+            return Part(self._limited(rows), ())
+        if part == "ablations":
+            settings = {one.name: one for one in ABLATIONS}
+            columns, seeds = self.ablated, self.ablation_seeds
+        else:
+            protocol, columns = ("ours", self.harder) if part == "harder" else (part, self.columns)
+            settings = {LABELS[method]: PROTOCOLS[protocol][method] for method in self.methods}
+            seeds = self.seeds
+        return Part(
+            self._limited(
+                {
+                    name: [Run(setting, column, seed) for column in columns for seed in range(seeds)]
+                    for name, setting in settings.items()
+                }
+            ),
+            columns,
+        )
+
+    def _limited(self, rows: Mapping[str, Sequence[Run]]) -> dict[str, list[Run]]:
+        if self.steps is None:
+            return {name: list(runs) for name, runs in rows.items()}
+        steps = self.steps
+        return {
+            name: [replace(run, setting=replace(run.setting, steps=steps)) for run in runs]
+            for name, runs in rows.items()
+        }
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Carry out what is missing and write everything anew."""
+    parser = argparse.ArgumentParser(prog="python -m examples.paper table1", description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="two methods, one start, 16 disks, few steps")
+    parser.add_argument("--out", type=Path, default=Path("out/table1"), help="folder; what is in it is not done again")
+    parser.add_argument("--processes", type=int, default=2, help="runs side by side, each on one thread (default: 2)")
+    parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS), help="default: all")
+    parser.add_argument("--methods", nargs="+", choices=list(LABELS), default=list(LABELS), help="default: all")
+    parser.add_argument("--columns", nargs="+", metavar="NAME", help="columns of the table (default: all)")
+    parser.add_argument("--seeds", type=int, default=SEEDS, help=f"starts (default: {SEEDS})")
+    options = parser.parse_args(words)
+    methods = tuple(method for method in LABELS if method in options.methods)
+    if options.quick:
+        extent = Extent(("ours",), ("pixel_l2", "loi"), (Column("4", 4, side=64),), (), (), 1, steps=60)
+    else:
+        every = (*COLUMNS, *HARDER)
+        wanted = options.columns or [column.name for column in every]
+        unknown = set(wanted) - {column.name for column in every}
+        if unknown or options.seeds < 1 or options.processes < 1:
+            names = ", ".join(repr(column.name) for column in every)
+            parser.error(f"--columns must be of {names}; --seeds and --processes 1 or more")
+        columns, harder, ablated = (
+            tuple(one for one in some if one.name in wanted) for some in (COLUMNS, HARDER, ABLATED)
+        )
+        extent = Extent(tuple(options.parts), methods, columns, harder, ablated, options.seeds)
+    try:
+        check_writable("--out", options.out)
+    except OptionError as error:
+        parser.error(str(error))
+    produce(extent, options.out, options.processes)
+
+
+def produce(extent: Extent, folder: Path, processes: int) -> None:
+    """Carry out the runs of `extent` that are missing, part by part, and write what is known after each."""
+    kept, text = folder / "runs", ""
+    everything: list[Run] = []
+    for name in extent.parts:
+        part = extent.part(name)
+        runs = [run for runs in part.rows.values() for run in runs]
+        everything += runs
+        carry_out_all(runs, kept, processes)
+        table = tuning_table(kept, part.rows) if name == "tuning" else table_of(kept, part.rows, part.columns)
+        text += "\n".join([f"## {name}", "", *table, "", ""])
+        for column in part.columns:
+            contact_sheet(folder / f"{name}-{slug(column.name)}.png", kept, part.at(column))
+        if part.columns and name != "ablations":
+            panels = {column.name: part.at(column) for column in part.columns}
+            convergence_plot(folder / f"{name}-convergence.png", kept, panels)
+        write_text(folder / "runs.csv", csv_of(kept, everything))
+        write_text(folder / "table.md", text)
+    print(text, end="")

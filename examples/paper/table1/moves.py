@@ -1,0 +1,56 @@
+"""Parting disks as the released code does, to reproduce its protocol."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from examples.paper.table1.problem import RADIUS, FloatArray
+from loi_core.renderers import Disks
+
+__all__ = ["ReleasedMoves"]
+
+ROUNDS = 50
+PUSH = 0.5  # pixels in a round, for each disk that is touched
+
+
+class ReleasedMoves:
+    """`disks`, kept two radii from the frame and pushed apart by half a pixel for each disk that they touch.
+
+    Disks in exactly the same place are not pushed. After the pushes a centre may be anywhere in the frame.
+    """
+
+    backend = "numpy"
+
+    def __init__(self, disks: Disks) -> None:
+        self._disks = disks
+
+    def parameters(self) -> dict[str, FloatArray]:
+        """See :class:`Disks`."""
+        return self._disks.parameters()
+
+    def render(self, params: dict[str, FloatArray], *, seed: int = 0) -> FloatArray:
+        """See :class:`Disks`."""
+        return self._disks.render(params, seed=seed)
+
+    def render_vjp(
+        self, params: dict[str, FloatArray], *, seed: int = 0
+    ) -> tuple[FloatArray, Callable[[FloatArray], dict[str, FloatArray]]]:
+        """See :class:`Disks`."""
+        return self._disks.render_vjp(params, seed=seed)
+
+    def project(self, params: dict[str, FloatArray]) -> dict[str, FloatArray]:
+        """What the released code does before each render."""
+        height, width = self._disks.size
+        frame = np.array([width, height], dtype=np.float64)
+        places = np.clip(params["positions"].astype(np.float64), 2.0 * RADIUS, frame - 2.0 * RADIUS)
+        for _ in range(ROUNDS):
+            apart = places[:, None, :] - places[None, :, :]
+            distance = np.hypot(apart[..., 0], apart[..., 1])
+            touching = (distance < 2.0 * RADIUS) & (distance > 0.0)
+            if not touching.any():
+                break
+            along = np.where(touching[..., None], apart / np.where(touching, distance, 1.0)[..., None], 0.0)
+            places = np.clip(places + PUSH * along.sum(axis=1), 0.0, frame)
+        return params | {"positions": places.astype(params["positions"].dtype)}

@@ -1,0 +1,75 @@
+"""Contact sheets of final images, and convergence plots."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from PIL import Image, ImageDraw
+
+from examples.paper.table1.problem import Problem
+from examples.paper.table1.run import CURVE_STEPS, Run
+from examples.paper.table1.store import load, picture_path
+from loi_core.files import write_bytes
+
+__all__ = ["contact_sheet", "convergence_plot"]
+
+GAP = 4
+GUTTER = 132  # left of the pictures, for the names
+STRIP = 14  # under each row, for its PSNR
+CELL = 128
+BACK = (24, 24, 27)
+INK = (228, 228, 231)
+
+
+def contact_sheet(path: Path, folder: Path, rows: Mapping[str, Sequence[Run]]) -> None:
+    """Every run's final image with its PSNR, a row for each name; the target stands first in each."""
+    widest = max(map(len, rows.values())) + 1
+    sheet = Image.new("RGB", (GUTTER + widest * (CELL + GAP), len(rows) * (CELL + STRIP + GAP)), BACK)
+    draw = ImageDraw.Draw(sheet)
+    for line, (name, runs) in enumerate(rows.items()):
+        top = line * (CELL + STRIP + GAP) + GAP
+        draw.text((GAP, top + CELL // 2), name, fill=INK)
+        target = np.rint(255.0 * np.clip(Problem.of(runs[0].column, runs[0].seed).target, 0.0, 1.0)).astype(np.uint8)
+        sheet.paste(Image.fromarray(target).resize((CELL, CELL), Image.Resampling.BOX), (GUTTER, top))
+        draw.text((GUTTER, top + CELL + 1), "target", fill=INK)
+        for number, run in enumerate(runs, 1):
+            record = load(folder, run)
+            if record is None:
+                continue
+            left = GUTTER + number * (CELL + GAP)
+            with Image.open(picture_path(folder, run)) as picture:
+                sheet.paste(picture.convert("RGB").resize((CELL, CELL), Image.Resampling.BOX), (left, top))
+            draw.text((left, top + CELL + 1), f"{record['psnr']:.1f} dB", fill=INK)
+    # 64 colours of this very sheet: disks and their edges stay as they are, and the file is a third as large.
+    stream = io.BytesIO()
+    sheet.quantize(64).save(stream, format="PNG", optimize=True)
+    write_bytes(path, stream.getvalue())
+
+
+def convergence_plot(path: Path, folder: Path, panels: Mapping[str, Mapping[str, Sequence[Run]]]) -> None:
+    """Mean squared error by step, a panel for each column and a line for each method: geometric mean over seeds."""
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    figure = Figure(figsize=(3.1 * len(panels), 3.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes: Any = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+    for place, (column, lines) in zip(axes, panels.items(), strict=True):
+        for name, runs in lines.items():
+            curves = [record["curve"] for run in runs if (record := load(folder, run)) is not None]
+            if curves:
+                mean = np.mean(curves, axis=0)
+                steps = CURVE_STEPS * np.arange(len(mean))
+                place.plot(steps, 10.0 ** (-mean / 10.0), label=name)
+        place.set(title=f"{column} disks" if column.isdigit() else column, xlabel="step", yscale="log")
+        place.grid(visible=True, alpha=0.25)
+        place.spines[["top", "right"]].set_visible(False)
+    axes[0].set_ylabel("mean squared error")
+    axes[-1].legend(frameon=False, fontsize=8)
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=100)
+    write_bytes(path, stream.getvalue())

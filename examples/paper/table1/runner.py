@@ -1,0 +1,42 @@
+"""Carrying out many runs, side by side, each once."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from pathlib import Path
+from typing import Final
+
+from tqdm import tqdm
+
+from examples.paper.table1.run import Run, carry_out
+from examples.paper.table1.store import is_done, keep
+
+__all__ = ["carry_out_all"]
+
+# Each process computes on one thread: runs side by side use the cores better than threads within a run.
+ONE_THREAD: Final = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+
+
+def carry_out_all(runs: Sequence[Run], folder: Path, processes: int) -> None:
+    """Carry out those runs that are not in the folder yet; each is kept as it ends, so that Ctrl-C loses little."""
+    wanted = [run for run in dict.fromkeys(runs) if not is_done(folder, run)]
+    with tqdm(total=len(wanted), desc=f"{len(runs) - len(wanted)} of {len(runs)} runs are done; others") as bar:
+        if not wanted:
+            return
+        os.environ.update(ONE_THREAD)  # for the processes that are started, which inherit it
+        context = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(processes, mp_context=context) as pool:
+            try:
+                for future in as_completed([pool.submit(_one, run, folder) for run in wanted]):
+                    future.result()
+                    bar.update()
+            except BaseException:
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
+
+
+def _one(run: Run, folder: Path) -> None:
+    keep(folder, run, carry_out(run))

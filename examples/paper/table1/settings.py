@@ -1,0 +1,108 @@
+"""How a fit is done: the two protocols, each rival's settings, and what is left out in turn."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Final, Literal
+
+from loi_core import ScaleSpace
+from loi_core.fit import Decay
+
+__all__ = ["ABLATIONS", "LABELS", "OURS", "PROTOCOLS", "PUBLISHED", "Method", "Setting"]
+
+Method = Literal["loi", "gaussian_pyramid", "ms_ssim", "lpips_alex", "lpips_vgg", "pixel_l2"]
+
+LABELS: Final[dict[Method, str]] = {
+    "pixel_l2": "pixel L2",
+    "gaussian_pyramid": "Gaussian pyramid",
+    "ms_ssim": "MS-SSIM",
+    "lpips_alex": "LPIPS (AlexNet)",
+    "lpips_vgg": "LPIPS (VGG)",
+    "loi": "loi (ours)",
+}
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One way to fit.
+
+    Attributes
+    ----------
+    name : str
+        Of the protocol or ablation.
+    method : str
+        Which objective.
+    rate : float
+        Adam's, pixels a step.
+    scales : ScaleSpace, optional
+        Of our objective; ``ScaleSpace.for_image`` by default.
+    accuracy : str
+        Of our objective.
+    steps : int
+        Of the fit.
+    decay : {"cosine", "none"}
+        Of the rate.
+    kept : {"best", "last"}
+        Which iterate counts: the one with the least loss, or the last.
+    moves : {"ours", "released"}
+        Who parts disks and keeps them in the frame.
+    """
+
+    name: str
+    method: Method
+    rate: float
+    scales: ScaleSpace | None = None
+    accuracy: str = "balanced"
+    steps: int = 500
+    decay: Decay = "cosine"
+    kept: Literal["best", "last"] = "best"
+    moves: Literal["ours", "released"] = "ours"
+
+
+# Adam at 0.1 quarters of the side, 500 steps, the last iterate, black outside: config.py and multi_shape.py.
+_PUBLISHED: Final = Setting("published", "loi", rate=3.2, decay="none", kept="last", moves="released")
+PUBLISHED: Final = {
+    method: replace(
+        _PUBLISHED,
+        method=method,
+        scales=ScaleSpace.released((1, 5, 15, 45), (1, 5, 15), 8, 121) if method == "loi" else None,
+    )
+    for method in LABELS
+}
+
+# Rates are those that the search of `tuning` found, on seeds of its own; its table is in the documentation.
+RATES: Final[dict[Method, float]] = {
+    "loi": 4.0,
+    "gaussian_pyramid": 4.0,
+    "ms_ssim": 4.0,
+    "lpips_alex": 4.0,
+    "lpips_vgg": 4.0,
+    "pixel_l2": 4.0,
+}
+OURS: Final = {method: Setting("ours", method, rate) for method, rate in RATES.items()}
+PROTOCOLS: Final = {"published": PUBLISHED, "ours": OURS}
+
+# Of a square image of 128 pixels; what changes against `for_image` is in the name.
+_WIDE: Final = ScaleSpace.for_image(128, 128).alpha
+_SCALES: Final = {
+    "for_image": ScaleSpace.for_image(128, 128),
+    "black outside": ScaleSpace.for_image(128, 128, boundary="zero"),
+    "the paper's": ScaleSpace.paper("vector"),
+    "the paper's, black outside": ScaleSpace.paper("vector", boundary="zero"),
+    "no sigma": ScaleSpace(0, _WIDE, 0.125),
+    "no alpha (pixels)": ScaleSpace(1, 0, 0.125),
+    "sigma only": ScaleSpace((1, 5, 15, 45), 0, 0.125),
+    "no beta (means)": ScaleSpace(1, _WIDE, 4.0),
+    "beta 1/4": ScaleSpace(1, _WIDE, 0.25),
+    "beta 1/16": ScaleSpace(1, _WIDE, 0.0625),
+    "p 1/2 (squares)": ScaleSpace(1, _WIDE, 0.125, p=0.5),
+    "p 2 (roots)": ScaleSpace(1, _WIDE, 0.125, p=2.0),
+    "one extent, 45": ScaleSpace(1, _WIDE[-1], 0.125),
+}
+ABLATIONS: Final = (
+    *(replace(OURS["loi"], name=name, scales=scales) for name, scales in _SCALES.items()),
+    replace(OURS["loi"], name="exact", accuracy="exact"),
+    replace(OURS["loi"], name="constant rate", decay="none"),
+    replace(OURS["loi"], name="constant rate, last iterate", decay="none", kept="last"),
+    replace(OURS["loi"], name="parted as released", moves="released"),
+)

@@ -1,0 +1,48 @@
+"""The search for each method's learning rate, on seeds that the table does not use."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+
+from examples.paper.table1.problem import COLUMNS
+from examples.paper.table1.run import Run
+from examples.paper.table1.settings import OURS, Method
+from examples.paper.table1.store import load
+from loi_core.tables import markdown
+
+__all__ = ["tuning_runs", "tuning_table"]
+
+RATES: Final = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
+SEEDS: Final = (100, 101)
+SEEN: Final = (COLUMNS[1], COLUMNS[3])  # 16 and 64 disks
+
+
+def tuning_runs(method: Method) -> list[Run]:
+    """Every rate for a method."""
+    return [
+        Run(replace(OURS[method], name=f"rate {rate:g}", rate=rate), column, seed)
+        for rate in RATES
+        for column in SEEN
+        for seed in SEEDS
+    ]
+
+
+def tuning_table(folder: Path, rows: Mapping[str, Sequence[Run]]) -> list[str]:
+    """Mean PSNR of each rate; the best of each method in bold."""
+    table = []
+    for name, runs in rows.items():
+        means = [_mean(folder, [run for run in runs if run.setting.rate == rate]) for rate in RATES]
+        best = max(means)
+        table.append([name, *(f"**{one:.2f}**" if one == best else f"{one:.2f}" for one in means)])
+    return markdown(["pixels a step", *(f"{rate:g}" for rate in RATES)], table)
+
+
+def _mean(folder: Path, runs: Sequence[Run]) -> float:
+    records = [load(folder, run) for run in runs]
+    return float(np.mean([-math.inf if record is None else record["psnr"] for record in records]))

@@ -1,0 +1,51 @@
+"""Disks that are confined are parted as if every pair had been looked at."""
+
+from __future__ import annotations
+
+import numpy as np
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from loi_core.renderers.confinement import SWEEPS, confined
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(0, 40), st.floats(0.5, 30.0))
+def test_every_overlapping_pair_is_parted_by_half_its_overlap_each(seed: int, count: int, largest: float) -> None:
+    rng = np.random.default_rng(seed)
+    size = int(rng.integers(8, 64)), int(rng.integers(8, 64))
+    positions = rng.uniform(-10.0, 80.0, (count, 2))
+    radii = largest * rng.uniform(0.1, 1.0, count)
+    expected = pair_by_pair(positions, radii, size)
+    assert np.allclose(confined(positions, radii, size), expected, rtol=0.0, atol=1e-6)
+
+
+def test_disks_in_one_place_are_parted() -> None:
+    radii = np.full(5, 3.0)
+    places = confined(np.full((5, 2), 32.0), radii, (64, 64))
+    apart = np.linalg.norm(places[:, None] - places[None], axis=-1)[np.triu_indices(5, 1)]
+    assert apart.min() > 3.0
+
+
+def pair_by_pair(
+    positions: NDArray[np.float64], radii: NDArray[np.float64], size: tuple[int, int]
+) -> NDArray[np.float64]:
+    frame = np.array(size[::-1], dtype=np.float64)
+    margin = np.minimum(radii[:, None], frame / 2)
+    positions = np.clip(positions, margin, frame - margin)
+    for _ in range(SWEEPS):
+        moved = positions.copy()
+        for one in range(len(radii)):
+            for other in range(one):
+                apart = positions[one] - positions[other]
+                distance = np.linalg.norm(apart)
+                assume(
+                    distance > 1e-6
+                )  # in a corner, say, into which both were pushed: there is no direction to part in
+                overlap = radii[one] + radii[other] - distance
+                if overlap > 0.0:
+                    push = 0.5 * overlap * apart / distance
+                    moved[one] += push
+                    moved[other] -= push
+        positions = np.clip(moved, margin, frame - margin)
+    return positions
