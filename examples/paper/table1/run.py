@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from examples.paper.table1.moves import ReleasedMoves
 from examples.paper.table1.problem import RADIUS, Column, FloatArray, Image, Problem
 from examples.paper.table1.settings import Setting
-from loi_core import LOIObjective, fit
+from loi_core import LOIObjective, ScaleSpace, fit
 from loi_core.experiment import psnr
 from loi_core.fit import FitStep, Free
 from loi_core.objectives import MSSSIM, GaussianPyramid, Objective, PixelL2
@@ -95,7 +95,7 @@ def carry_out(run: Run) -> Outcome:
 def objective(setting: Setting, reference: Image) -> Objective:
     """The objective of a setting."""
     if setting.method == "loi":
-        return LOIObjective(reference, setting.scales, accuracy=setting.accuracy)
+        return LOIObjective(reference, setting.scales or _scales(reference), accuracy=setting.accuracy)
     if setting.method == "gaussian_pyramid":
         return GaussianPyramid(reference)
     if setting.method == "ms_ssim":
@@ -105,6 +105,12 @@ def objective(setting: Setting, reference: Image) -> Objective:
     from loi_torch import LPIPS  # torch is slow to import, and only this method needs it
 
     return LPIPS(reference, "alex" if setting.method == "lpips_alex" else "vgg")
+
+
+def _scales(reference: Image) -> ScaleSpace:
+    """``ScaleSpace.for_image`` with bounds that hold the reference: where noise is cut off, its mean is not 0."""
+    scales = ScaleSpace.for_image(*reference.shape[:2])
+    return replace(scales, bounds=(min(0.0, float(reference.min())), max(1.0, float(reference.max()))))
 
 
 def structure(image: Image, target: Image) -> float:

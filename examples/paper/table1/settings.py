@@ -35,7 +35,7 @@ class Setting:
     rate : float
         Adam's, pixels a step.
     scales : ScaleSpace, optional
-        Of our objective; ``ScaleSpace.for_image`` by default.
+        Of our objective; by default ``ScaleSpace.for_image``, with bounds that hold the reference.
     accuracy : str
         Of our objective.
     steps : int

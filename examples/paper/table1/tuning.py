@@ -18,9 +18,9 @@ from loi_core.tables import markdown
 
 __all__ = ["tuning_runs", "tuning_table"]
 
-RATES: Final = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0)
+RATES: Final = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 SEEDS: Final = (100, 101)
-SEEN: Final = (COLUMNS[1], COLUMNS[3])  # 16 and 64 disks
+SEEN: Final = (COLUMNS[1], COLUMNS[3], COLUMNS[4])  # 16, 64 and 256 disks
 
 
 def tuning_runs(method: Method) -> list[Run]:

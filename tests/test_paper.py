@@ -1,0 +1,120 @@
+"""The paper's experiments run end to end, and their runs are done once."""
+
+from __future__ import annotations
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from examples.paper.table1.command import main
+from examples.paper.table1.means import Mean
+from examples.paper.table1.moves import ReleasedMoves
+from examples.paper.table1.problem import COLUMNS, HARDER, RADIUS, Column, Problem
+from examples.paper.table1.run import Run, carry_out, structure
+from examples.paper.table1.settings import LABELS, OURS, PROTOCOLS
+from examples.paper.table1.store import is_done, keep, load, picture_path
+from loi_core.experiment import psnr
+from loi_core.images import read_image
+
+FEW = 4
+SMALL = replace(COLUMNS[0], side=32)
+
+
+def test_table_1_runs_end_to_end_and_goes_on_where_it_stopped(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    words = ["--quick", "--out", str(tmp_path), "--processes", "1"]
+    main(words)
+    printed = capsys.readouterr().out
+    assert (tmp_path / "table.md").read_text() == printed
+    with (tmp_path / "runs.csv").open() as file:
+        found = {row["method"]: float(row["psnr"]) for row in csv.DictReader(file)}
+    assert found["loi"] > 40.0
+    assert found["pixel_l2"] < 30.0
+    assert len(list(tmp_path.glob("*.png"))) == 2  # a contact sheet and the convergence plot
+    records = {path: path.stat().st_mtime_ns for path in tmp_path.glob("runs/**/*.json")}
+    main(words)
+    assert capsys.readouterr().out == printed
+    assert {path: path.stat().st_mtime_ns for path in tmp_path.glob("runs/**/*.json")} == records
+
+
+def test_a_run_is_done_only_with_its_very_settings(tmp_path: Path) -> None:
+    run = Run(replace(OURS["pixel_l2"], steps=FEW), SMALL, 0)
+    keep(tmp_path, run, carry_out(run))
+    assert is_done(tmp_path, run)
+    assert not is_done(tmp_path, replace(run, setting=replace(run.setting, rate=0.5)))
+    assert not is_done(tmp_path, replace(run, column=replace(run.column, noise=0.1)))
+    next(tmp_path.glob("**/*.json")).write_text("{ cut sho")
+    assert not is_done(tmp_path, run)
+
+
+def test_a_run_gives_the_same_numbers_again(tmp_path: Path) -> None:
+    run = Run(replace(OURS["loi"], steps=FEW), replace(SMALL, noise=0.1, colours="random"), 3)
+    first, second = carry_out(run), carry_out(run)
+    assert np.array_equal(first.image, second.image)
+    assert first.curve == second.curve
+    keep(tmp_path, run, first)
+    record = load(tmp_path, run)
+    assert record is not None
+    assert record["psnr"] == first.psnr
+    assert np.abs(read_image(picture_path(tmp_path, run)) - np.clip(first.image, 0.0, 1.0)).max() <= 0.5 / 255.0 + 1e-7
+    assert json.dumps(record)  # nothing that JSON has no number for
+
+
+@pytest.mark.parametrize("column", [*COLUMNS, *HARDER], ids=lambda column: column.name)
+def test_the_target_can_be_reached_exactly(column: Column) -> None:
+    problem = Problem.of(column, 0)
+    # Disks of one colour may change places: no pixel has two disks, else the order of painting would show.
+    order = np.random.default_rng(0).permutation(problem.column.disks)
+    disks = problem.disks(confine=problem.column.parted)
+    params = disks.parameters() | {"positions": problem.goal[order], "colours": problem.colours[order]}
+    assert np.allclose(disks.render(params), problem.target, rtol=0.0, atol=1e-5)  # single precision of places
+    settled = disks.project(params)["positions"]
+    assert np.allclose(settled, problem.goal[order], atol=1e-4)  # neither pushed apart nor out of the frame
+
+
+def test_released_moves_part_disks_and_leave_those_alone_that_do_not_touch() -> None:
+    problem = Problem.of(COLUMNS[2], 0)
+    moves = ReleasedMoves(problem.disks(confine=False))
+    start = moves.parameters()
+    at_goal = start | {"positions": problem.goal.astype(np.float32)}
+    assert np.array_equal(moves.project(at_goal)["positions"], at_goal["positions"])
+    places = moves.project(start)["positions"].astype(np.float64)
+    apart = np.linalg.norm(places[:, None] - places[None], axis=-1)[np.triu_indices(len(places), 1)]
+    assert apart.min() >= 2.0 * RADIUS - 1e-3
+
+
+def test_protocols_differ_only_in_their_settings_and_name_every_method() -> None:
+    assert all(set(methods) == set(LABELS) for methods in PROTOCOLS.values())
+    assert all(setting.method == method for methods in PROTOCOLS.values() for method, setting in methods.items())
+
+
+def test_means_come_with_their_interval() -> None:
+    mean = Mean.of([1.0, 2.0, 3.0, 4.0])
+    assert (mean.value, mean.least, mean.count) == (2.5, 1.0, 4)
+    assert mean.half == pytest.approx(3.18 * np.std([1, 2, 3, 4], ddof=1) / 2.0)
+    assert np.isnan(Mean.of([1.0]).half)
+
+
+def test_structure_is_1_for_equal_images_and_less_for_others() -> None:
+    target = Problem.of(COLUMNS[1], 0).target
+    assert structure(target, target) == pytest.approx(1.0, abs=1e-12)
+    assert structure(np.zeros_like(target), target) < 0.95
+    assert psnr(target, target) == np.inf
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [(["--columns", "5"], "--columns"), (["--seeds", "0"], "--seeds"), (["--out", "/dev/null/x"], "--out")],
+)
+def test_wrong_words_are_refused_before_anything_is_done(
+    words: list[str], named: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(words)
+    assert ended.value.code == 2
+    assert named in capsys.readouterr().err.splitlines()[-1]
