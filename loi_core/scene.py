@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 import os
 import re
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from difflib import get_close_matches
+from functools import partial
 from inspect import Parameter, formatannotation, signature
 from pathlib import Path
 from typing import Any, Final
@@ -21,7 +22,7 @@ from loi_core.foreign import is_ctrl_c
 from loi_core.free import Free, bounds_of, own_parameters, starting_parameters
 from loi_core.images import FloatImage, read_image
 from loi_core.messages import shown, told
-from loi_core.objectives import MSSSIM, GaussianPyramid, ImageObjective, LOIObjective, PixelL2
+from loi_core.objectives import MSSSIM, GaussianPyramid, LOIObjective, Objective, PixelL2
 from loi_core.registry import RendererFactory, load_objective, load_renderer, objective_names
 from loi_core.renderer import Renderer
 from loi_core.scales import ScaleSpace
@@ -90,7 +91,7 @@ class Scene:
     renderer: Renderer
     target: FloatImage
     scales: ScaleSpace
-    objectives: dict[str, ImageObjective[Any, Any]]
+    objectives: dict[str, Objective]
     optimise: dict[str, Free]
     truth: dict[str, np.ndarray[Any, Any]]
     fit: FitOptions = field(default_factory=FitOptions)
@@ -324,7 +325,7 @@ def _tone(where: _Where, objective: Mapping[str, Any]) -> LogTone | None:
 
 def _objectives(
     where: _Where, table: Mapping[str, Any], target: FloatImage, scales: ScaleSpace, tone: LogTone | None
-) -> dict[str, ImageObjective[Any, Any]]:
+) -> dict[str, Objective]:
     where.known("objective", table, OBJECTIVE_KEYS)
     compare = table.get("compare", [])
     if not isinstance(compare, list):
@@ -336,16 +337,33 @@ def _objectives(
             raise where.error("objective", f"objectives are {', '.join(known)}, got {shown(name)}")
     policy = table.get("nan_policy", "raise")
     accuracy = table.get("accuracy", "exact")
-    made: dict[str, ImageObjective[Any, Any]] = {}
+    made: dict[str, Objective] = {}
     try:
         for name in dict.fromkeys(names):
             if name == "loi":
                 made[name] = LOIObjective(target, scales, accuracy, nan_policy=policy, tone=tone)
             else:
                 factory = RIVALS[name] if name in RIVALS else load_objective(name)
-                made[name] = factory(target, nan_policy=policy, tone=tone)
+                made[name] = _rival(name, partial(factory, target, nan_policy=policy, tone=tone))
     except LoiError as error:
         raise where.error("objective", str(error)) from error
+    return made
+
+
+def _rival(name: str, make: Callable[[], Objective]) -> Objective:
+    try:
+        made = make()
+        usable = isinstance(made, Objective)
+    except LoiError:
+        raise
+    except BaseException as error:  # a third party may raise anything, SystemExit too
+        if is_ctrl_c(error):
+            raise
+        msg = f"{name} refused: {told(error)}"
+        raise OptionError(msg) from error
+    if not usable:
+        msg = f"{name} made a {type(made).__name__}, which is not an objective"
+        raise OptionError(msg)
     return made
 
 
