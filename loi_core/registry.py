@@ -24,7 +24,7 @@ from loi_core.backends import Backend
 from loi_core.errors import BackendNotFoundError, ObjectiveNotFoundError, RendererNotFoundError
 from loi_core.foreign import is_ctrl_c
 from loi_core.messages import shown, told
-from loi_core.objectives import ImageObjective
+from loi_core.objectives import Objective
 from loi_core.renderer import Renderer
 
 __all__ = [
@@ -48,7 +48,7 @@ OBJECTIVE_GROUP: Final = "loi.objectives"
 BACKEND_GROUP: Final = "loi.backends"
 
 RendererFactory: TypeAlias = Callable[..., Renderer]
-ObjectiveFactory: TypeAlias = Callable[..., ImageObjective[Any, Any]]
+ObjectiveFactory: TypeAlias = Callable[..., Objective]
 BackendFactory: TypeAlias = Callable[[], Backend]
 
 

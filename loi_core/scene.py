@@ -21,18 +21,18 @@ from loi_core.foreign import is_ctrl_c
 from loi_core.free import Free, bounds_of, own_parameters, starting_parameters
 from loi_core.images import FloatImage, read_image
 from loi_core.messages import shown, told
-from loi_core.objectives import MSSSIM, GaussianPyramid, ImageObjective, LOIObjective, PixelL2
-from loi_core.registry import RendererFactory, load_objective, load_renderer, objective_names
+from loi_core.objectives import LOIObjective, Objective
+from loi_core.registry import RendererFactory, load_renderer
 from loi_core.renderer import Renderer
+from loi_core.rivals import make_rival, rival_names
 from loi_core.scales import ScaleSpace
 from loi_core.toml import read_toml
 from loi_core.tone import LogTone
 from loi_core.values import real_number, whole_number
 
-__all__ = ["FitOptions", "Scene", "is_objective_name", "load_scene"]
+__all__ = ["FitOptions", "Scene", "load_scene"]
 
-RIVALS: Final = {"pixel_l2": PixelL2, "gaussian_pyramid": GaussianPyramid, "ms_ssim": MSSSIM}
-OBJECTIVES: Final = ("loi", *RIVALS)  # plugins may announce more
+OURS: Final = "loi"
 
 TOP_KEYS: Final = ("target", "output", "title", "renderer", "optimise", "scales", "objective", "fit")
 FREE_KEYS: Final = ("initial", "lower", "upper", "learning_rate", "truth")
@@ -90,7 +90,7 @@ class Scene:
     renderer: Renderer
     target: FloatImage
     scales: ScaleSpace
-    objectives: dict[str, ImageObjective[Any, Any]]
+    objectives: dict[str, Objective]
     optimise: dict[str, Free]
     truth: dict[str, np.ndarray[Any, Any]]
     fit: FitOptions = field(default_factory=FitOptions)
@@ -148,11 +148,6 @@ def load_scene(path: Path, *, output: Path | None = None, samples: int | None = 
         samples=spp,
         tone=tone,
     )
-
-
-def is_objective_name(name: object) -> bool:
-    """Whether an objective may have this name, which becomes that of a folder."""
-    return isinstance(name, str) and re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}", name) is not None
 
 
 @dataclass(frozen=True)
@@ -324,26 +319,25 @@ def _tone(where: _Where, objective: Mapping[str, Any]) -> LogTone | None:
 
 def _objectives(
     where: _Where, table: Mapping[str, Any], target: FloatImage, scales: ScaleSpace, tone: LogTone | None
-) -> dict[str, ImageObjective[Any, Any]]:
+) -> dict[str, Objective]:
     where.known("objective", table, OBJECTIVE_KEYS)
     compare = table.get("compare", [])
     if not isinstance(compare, list):
         raise where.error("objective", f"`compare` must be a list of names, got {shown(compare)}")
-    names = [table.get("name", "loi"), *compare]
+    names = [table.get("name", OURS), *compare]
     for name in names:
-        known = (*OBJECTIVES, *filter(is_objective_name, objective_names()))
+        known = (OURS, *rival_names())
         if name not in known:
             raise where.error("objective", f"objectives are {', '.join(known)}, got {shown(name)}")
     policy = table.get("nan_policy", "raise")
     accuracy = table.get("accuracy", "exact")
-    made: dict[str, ImageObjective[Any, Any]] = {}
+    made: dict[str, Objective] = {}
     try:
         for name in dict.fromkeys(names):
-            if name == "loi":
+            if name == OURS:
                 made[name] = LOIObjective(target, scales, accuracy, nan_policy=policy, tone=tone)
             else:
-                factory = RIVALS[name] if name in RIVALS else load_objective(name)
-                made[name] = factory(target, nan_policy=policy, tone=tone)
+                made[name] = make_rival(name, target, nan_policy=policy, tone=tone)
     except LoiError as error:
         raise where.error("objective", str(error)) from error
     return made

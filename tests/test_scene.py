@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import csv
+import importlib.metadata
 import itertools
 import json
+from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
-from loi_core import GaussianPyramid, LogTone, LOIObjective, PixelL2, ScaleSpace
+from loi_core import GaussianPyramid, ImageObjective, LogTone, LOIObjective, PixelL2, ScaleSpace, registry
 from loi_core.cli import main
 from loi_core.errors import LoiError, SceneError
 from loi_core.experiment import run_scene
@@ -207,7 +209,47 @@ def test_a_tone_curve_is_part_of_every_objective(folder: Path) -> None:
     (folder / "scene.toml").write_text(SCENE.replace('compare = ["pixel_l2"]', line))
     scene = load_scene(folder / "scene.toml")
     assert scene.tone == LogTone(2.0, 50.0)
-    assert [one.tone for one in scene.objectives.values()] == [scene.tone] * 3
+    assert len(scene.objectives) == 3
+    assert all(isinstance(one, ImageObjective) and one.tone == scene.tone for one in scene.objectives.values())
+
+
+def test_objectives_of_other_packages_are_known_by_name(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    points = [
+        EntryPoint("mine", "loi_core:PixelL2", registry.OBJECTIVE_GROUP),
+        EntryPoint("absent", "no_such_module:Objective [gpu]", registry.OBJECTIVE_GROUP),
+        EntryPoint("refuses", "odd_objectives:refuse", registry.OBJECTIVE_GROUP),
+        EntryPoint("number", "odd_objectives:number", registry.OBJECTIVE_GROUP),
+        EntryPoint("../up", "loi_core:PixelL2", registry.OBJECTIVE_GROUP),  # would name a folder elsewhere
+    ]
+    (folder / "odd_objectives.py").write_text(
+        "def refuse(reference, **_):\n    raise SystemExit('no licence')\nnumber = lambda reference, **_: 3.0\n"
+    )
+    monkeypatch.syspath_prepend(str(folder))
+    announced = importlib.metadata.entry_points
+    monkeypatch.setattr(
+        registry, "entry_points", lambda group: points if group == registry.OBJECTIVE_GROUP else announced(group=group)
+    )
+    path = folder / "scene.toml"
+    path.write_text(SCENE.replace('["pixel_l2"]', '["mine"]'))
+    assert isinstance(load_scene(path).objectives["mine"], PixelL2)
+    assert main(["fit", str(path)]) == 0
+    assert (folder / "result" / "compare" / "mine" / "final.png").exists()
+    capsys.readouterr()
+    for name, says in (
+        (
+            "absent",
+            "objective 'absent' of unknown cannot be used: ModuleNotFoundError: No module named 'no_such_module'",
+        ),
+        ("refuses", "[objective] refuses refused: SystemExit: no licence"),
+        ("number", "[objective] number made a float, which is not an objective"),
+        ("../up", "ms_ssim, absent, mine, number, refuses, got '../up'"),
+    ):
+        path.write_text(SCENE.replace('["pixel_l2"]', f'["{name}"]'))
+        assert main(["fit", str(path)]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert says in line
 
 
 def test_a_missing_or_binary_scene_file_is_named(tmp_path: Path) -> None:

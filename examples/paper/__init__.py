@@ -1,1 +1,1 @@
-"""The paper's experiments, a module or package for each table or figure."""
+"""The paper's experiments, one module per table or figure: ``python -m examples.paper NAME``."""

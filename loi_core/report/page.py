@@ -13,7 +13,7 @@ from loi_core.errors import SceneError
 from loi_core.files import read_bytes, write_text
 from loi_core.report.output import RESULT_FILE, frames
 from loi_core.report.plots import LABELS
-from loi_core.scene import is_objective_name
+from loi_core.rivals import is_objective_name
 from loi_core.values import real_number
 
 __all__ = ["document", "figure", "write_index", "write_page"]

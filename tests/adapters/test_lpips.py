@@ -23,7 +23,7 @@ from loi_core.errors import ImageError, OptionError, WeightsError
 from loi_core.images import write_png
 from loi_core.scene import load_scene
 from loi_core.testing import check_objective
-from loi_torch import LPIPS, lpips_weights
+from loi_torch import LPIPS, lpips, lpips_weights
 from loi_torch.lpips_weights import read_weights, unpickled_arrays
 from tests.core.contents import CONTENTS
 from tests.helpers import Host, directional_difference, images, relative_error
@@ -272,12 +272,27 @@ def test_the_checksums_are_those_of_the_installed_files() -> None:
         assert hashlib.sha256((folder / file.name).read_bytes()).hexdigest() == file.sha256
 
 
-def test_scenes_compare_it_by_name(tmp_path: Path) -> None:
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
     write_png(tmp_path / "target.png", wave(32, 32, 0.0))
     (tmp_path / "scene.toml").write_text(
         'target = "target.png"\n[renderer]\nname = "disks"\npositions = [[10, 6]]\nradii = [3]\n'
         'colours = [[0.9, 0.2, 0.1]]\n[optimise.positions]\n[objective]\ncompare = ["lpips"]\n[fit]\nsteps = 2\n'
     )
-    assert isinstance(load_scene(tmp_path / "scene.toml").objectives["lpips"], LPIPS)
-    assert main(["fit", str(tmp_path / "scene.toml")]) == 0
-    assert "LPIPS" in (tmp_path / "scene-result" / "report.html").read_text()
+    return tmp_path / "scene.toml"
+
+
+def test_scenes_compare_it_by_name(scene: Path) -> None:
+    assert isinstance(load_scene(scene).objectives["lpips"], LPIPS)
+    assert main(["fit", str(scene)]) == 0
+    assert "LPIPS" in (scene.parent / "scene-result" / "report.html").read_text()
+
+
+def test_a_scene_without_the_weights_is_one_line_with_the_mend(
+    scene: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(lpips_weights, "PACKAGE", "no-such-distribution")
+    lpips._network.cache_clear()
+    assert main(["fit", str(scene)]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.endswith("[objective] the weights of LPIPS are not installed; " + lpips_weights.INSTALL)

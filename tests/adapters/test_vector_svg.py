@@ -178,6 +178,7 @@ CIRCLE = '<circle cx="7" cy="8" r="4"/>'
         ('<svg><circle r="4" stroke="red" transform="scale(1 2)"/></svg>', "not a similarity"),
         ('<!DOCTYPE svg [<!ENTITY a "b">]><svg>&a;</svg>', "document type declaration"),
         ("<svg>" + 70 * "<g>" + 70 * "</g>" + "</svg>", "more than 64 deep"),
+        ('<svg width="0"><rect width="3" height="3"/></svg>', "`width` and `height` must be more than 0, got [0.0, "),
         (f'<svg><path d="M0 0{" L1 1" * 60_000}"/></svg>', "more than 200000 points"),
         ("<svg>" + " " * 2**23 + "</svg>", "larger than 8388608 bytes"),
     ],

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from tests.fuzz import commands, images, plugins, results, scenes
+from tests.fuzz import commands, images, plugins, results, scenes, vectors
 from tests.fuzz.claims import Kind
 
 __all__ = ["KINDS"]
@@ -21,6 +21,8 @@ KINDS: Final = (
     Kind("EXR", images.exrs, weight=1, megabytes=PIXELS),
     Kind("NPY", images.npys, weight=6),
     Kind("bombs", images.bombs, megabytes=PIXELS),
+    Kind("SVG, damaged", vectors.damaged_svgs, weight=3),
+    Kind("SVG, any value", vectors.svg_values, weight=4),
     Kind("scene files, damaged", scenes.damaged_scenes, weight=4),
     Kind("scene files, any value", scenes.values, weight=8),
     Kind("scene files, nests", scenes.nests),

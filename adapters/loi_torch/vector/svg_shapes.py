@@ -1,0 +1,172 @@
+"""From an element of SVG to the shape that it shows."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+import svgelements as svg
+
+from loi_core.errors import LoiError, SvgError
+from loi_core.messages import shown, told
+from loi_core.renderers.checks import FloatArray
+from loi_torch.vector.shapes import Circle, Ellipse, Paint, Path, Rectangle, Shape
+from loi_torch.vector.svg_colours import CORNERS
+from loi_torch.vector.svg_paths import moved, path_outlines
+from loi_torch.vector.svg_values import Values
+
+__all__ = ["GEOMETRY", "MOST_POINTS", "element_shape"]
+
+MOST_POINTS: Final = 200_000  # of all paths of a file
+
+GEOMETRY: Final[dict[str, tuple[str, ...]]] = {
+    "path": ("d",),
+    "rect": ("x", "y", "width", "height", "rx", "ry"),
+    "circle": ("cx", "cy", "r"),
+    "ellipse": ("cx", "cy", "rx", "ry"),
+    "line": ("x1", "y1", "x2", "y2"),
+    "polyline": ("points",),
+    "polygon": ("points",),
+}
+COMMANDS: Final = re.compile(  # without going back over what has matched, which would take time without end
+    r"\s*+(?:[Mm](?>[MmZzLlHhVvCcSsQqTtAa,\s]|[+-]?(?:[0-9]++\.?[0-9]*+|\.[0-9]++)(?:[eE][+-]?[0-9]++)?)*+)?"
+)
+
+
+def element_shape(
+    values: Values,
+    tag: str,
+    own: Mapping[str, str],
+    style: Mapping[str, str],
+    matrix: FloatArray,
+    *,
+    opacity: float,
+    most_points: int,
+) -> Shape | None:
+    """The shape that an element shows, in pixels, or None if it shows nothing.
+
+    Parameters
+    ----------
+    values : Values
+        Of the file.
+    tag : str
+        One of those in ``GEOMETRY``.
+    own, style : mapping of str
+        The element's own attributes, and its style with what it inherits.
+    matrix : array, shape (3, 3)
+        From the element to pixels.
+    opacity : float
+        The element's own.
+    most_points : int
+        How many of ``MOST_POINTS`` are left for this element.
+
+    Raises
+    ------
+    SvgError
+        If an attribute has a value that cannot be read or is not supported, or a path has more points.
+    """
+    try:
+        paint = _paint(values, tag, own, style, matrix, opacity)
+        if paint is None:
+            return None
+        plain = _plain(values, tag, own, matrix, paint)
+        return plain if plain is not None else _general(values, tag, own, matrix, paint, most_points)
+    except SvgError:
+        raise
+    except LoiError as error:
+        values.fail(f"<{tag}>: {error}")
+
+
+def _paint(
+    values: Values, tag: str, own: Mapping[str, str], style: Mapping[str, str], matrix: FloatArray, opacity: float
+) -> Paint | None:
+    colours: dict[str, FloatArray | None] = {}
+    for key in ("fill", "stroke"):
+        text = style[key]
+        share = opacity * values.number(tag, f"{key}-opacity", style[f"{key}-opacity"], percent=True)
+        plain = None if text in ("none", "transparent") else values.colour(tag, key, text)
+        colours[key] = None if plain is None else np.append(plain, np.clip(share, 0.0, 1.0))
+    if tag == "line":  # without an inside
+        colours["fill"] = None
+    if CORNERS in own:
+        corners = [values.number(tag, CORNERS, one) for one in own[CORNERS].split()]
+        if len(corners) != 16:
+            values.fail(f"<{tag}>: `{CORNERS}` must be 16 numbers, got {len(corners)}")
+        colours["fill"] = np.reshape(corners, (4, 4))
+    linear = matrix[:2, :2]
+    scale = abs(float(np.linalg.det(linear))) ** 0.5
+    width = scale * values.number(tag, "stroke-width", style["stroke-width"])
+    if width == 0.0:
+        colours["stroke"] = None
+    if colours["fill"] is None and colours["stroke"] is None:
+        return None
+    if colours["stroke"] is not None:
+        if opacity != 1.0 and colours["fill"] is not None:
+            values.fail(f"<{tag}> with `opacity`, fill and stroke is not supported; use fill- and stroke-opacity")
+        if not np.allclose(linear.T @ linear, scale**2 * np.eye(2), rtol=0.0, atol=1e-9 * max(1.0, scale**2)):
+            values.fail(f"<{tag}>: a stroke under a `transform` that is not a similarity is not supported")
+    cap, join, rule = (style[key] for key in ("stroke-linecap", "stroke-linejoin", "fill-rule"))
+    return Paint(colours["fill"], colours["stroke"], width if width else 1.0, cap, join, rule)  # type: ignore[arg-type]  # checked by it
+
+
+def _plain(values: Values, tag: str, own: Mapping[str, str], matrix: FloatArray, paint: Paint) -> Shape | None:
+    """The element as a circle, ellipse or rectangle, if it is one that is at most scaled, turned and moved."""
+    if tag not in ("circle", "ellipse", "rect"):
+        return None
+    number = {key: values.number(tag, key, own[key]) for key in GEOMETRY[tag] if own.get(key, "auto") != "auto"}
+    across, down = matrix[:2, :2].T
+    scale = np.array([np.linalg.norm(across), np.linalg.norm(down)])
+    rotation = float(np.rad2deg(np.arctan2(across[1], across[0])))
+    if abs(across @ down) > 1e-9 * scale.prod() or (CORNERS in own and np.linalg.det([across, down]) < 0.0):
+        return None
+    even = abs(scale[0] - scale[1]) <= 1e-9 * scale.max()
+    if tag == "rect":
+        sides = np.array([number.get("width", 0.0), number.get("height", 0.0)])
+        rx, ry = number.get("rx", number.get("ry", 0.0)), number.get("ry", number.get("rx", 0.0))
+        rx, ry = min(rx, 0.5 * sides[0]), min(ry, 0.5 * sides[1])
+        if min(*sides, rx, ry) < 0.0:
+            values.fail(f"<rect>: sides and radii must be 0 or more, got {shown(dict(number))}")
+        if rx * ry > 0.0 and (rx != ry or not even):
+            return None
+        middle = np.array([number.get("x", 0.0), number.get("y", 0.0)]) + 0.5 * sides
+        rounding = scale[0] * rx if rx * ry > 0.0 else 0.0
+        return Rectangle(moved(middle, matrix), scale * sides, paint, float(rounding), rotation)
+    centre = moved(np.array([number.get("cx", 0.0), number.get("cy", 0.0)]), matrix)
+    if tag == "circle" and even:
+        return Circle(centre, float(scale[0] * number.get("r", 0.0)), paint)
+    radius = number.get("r", 0.0)
+    radii = np.array([number.get("rx", radius), number.get("ry", radius)])
+    return Ellipse(centre, scale * radii, paint, rotation)
+
+
+def _general(
+    values: Values, tag: str, own: Mapping[str, str], matrix: FloatArray, paint: Paint, most_points: int
+) -> Path | None:
+    if CORNERS in own and tag != "path":
+        values.fail(f"<{tag}>: `{CORNERS}` under a skew or a reflection is not supported")
+    try:
+        if tag == "path":
+            commands = own.get("d", "")
+            if not COMMANDS.fullmatch(commands):  # the library would leave out what it does not know
+                values.fail(f"<path>: `d` must be commands and numbers, begun with M, got {shown(commands)}")
+            path = svg.Path(commands)
+        elif tag in ("polyline", "polygon"):
+            numbers = [values.number(tag, "points", one) for one in own.get("points", "").replace(",", " ").split()]
+            kind = svg.Polygon if tag == "polygon" else svg.Polyline
+            path = svg.Path(kind(*zip(numbers[::2], numbers[1::2], strict=True)))
+        else:
+            keys = {key: values.number(tag, key, own.get(key, "0")) for key in GEOMETRY[tag] if key in own}
+            kinds = {"rect": svg.Rect, "circle": svg.Circle, "ellipse": svg.Ellipse, "line": svg.SimpleLine}
+            path = svg.Path(kinds[tag](keys))
+        path.approximate_arcs_with_cubics()
+    except SvgError:
+        raise
+    except Exception as error:  # noqa: BLE001 - the library raises whatever its arithmetic does
+        values.fail(f"<{tag}>: {GEOMETRY[tag][0]!r} cannot be read ({told(error)})")
+    if 4 * len(path) > most_points:
+        values.fail(f"more than {MOST_POINTS} points")
+    outlines = tuple(path_outlines(path, matrix))
+    return Path(outlines, replace(paint)) if outlines else None
