@@ -21,6 +21,7 @@ import numpy as np
 from examples.paper.drawing1d import draw_landscapes, draw_support, draw_two
 from examples.paper.landscapes import FOUND, NEAR, Landscape
 from examples.paper.measure1d import Basin, Support, measure, measure_two, supports
+from examples.paper.pages import filled
 from examples.paper.problems import NOISE, PROBLEMS, SUPPORT, TONAL, TWO, Problem
 from examples.paper.signals import Host
 from loi_core.files import write_text
@@ -79,7 +80,7 @@ def main(arguments: Sequence[str]) -> None:
     known = {(one.problem, one.method) for one in basins}
     alone = [one for scale in scales for one in scale.basins if (one.problem, one.method) not in known]
     write_text(options.output / "figures-1d.csv", _csv([*basins, *alone, *_pair_basins(pairs)]))
-    write_text(options.output / PAGE, _filled((DOCS / PAGE).read_text(), tables))
+    write_text(options.output / PAGE, filled((DOCS / PAGE).read_text(), tables))
 
 
 def _support_table(scales: Sequence[Support]) -> list[str]:
@@ -151,16 +152,3 @@ def _csv(basins: Iterable[Basin]) -> str:
     for one in basins:
         writer.writerow(f"{value:.6g}" if isinstance(value, float) else value for value in asdict(one).values())
     return text.getvalue()
-
-
-def _filled(page: str, tables: dict[str, list[str]]) -> str:
-    """The page, with each table between its marks."""
-    for name, table in tables.items():
-        start, end = f"<!-- {name} -->\n", "<!-- end -->"
-        before, mark, after = page.partition(start)
-        old, closing, rest = after.partition(end)
-        if not (mark and closing) or "<!--" in old:
-            msg = f"{PAGE} must have a place for the table {name!r}, from {start.strip()} to {end}"
-            raise ValueError(msg)
-        page = before + start + "\n".join(["", *table, "", end]) + rest
-    return page

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
+from examples.paper.pages import filled
 from examples.paper.table1.pictures import contact_sheet, convergence_plot
 from examples.paper.table1.problem import COLUMNS, HARDER, Column
 from examples.paper.table1.run import Run
@@ -33,6 +34,11 @@ class Part:
 
     rows: Mapping[str, Sequence[Run]]
     columns: tuple[Column, ...]
+
+    @property
+    def runs(self) -> list[Run]:
+        """All of them."""
+        return [run for runs in self.rows.values() for run in runs]
 
     def at(self, column: Column) -> dict[str, list[Run]]:
         """Those of one column."""
@@ -88,6 +94,11 @@ class Extent:
             columns,
         )
 
+    @property
+    def runs(self) -> list[Run]:
+        """All runs of all parts."""
+        return [run for name in self.parts for run in self.part(name).runs]
+
     def _limited(self, rows: Mapping[str, Sequence[Run]]) -> dict[str, list[Run]]:
         if self.steps is None:
             return {name: list(runs) for name, runs in rows.items()}
@@ -107,6 +118,8 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS), help="default: all")
     parser.add_argument("--methods", nargs="+", choices=list(LABELS), default=list(LABELS), help="default: all")
     parser.add_argument("--columns", nargs="+", metavar="NAME", help="columns of the table (default: all)")
+    parser.add_argument("--report", action="store_true", help="do no more runs: report those that are done")
+    parser.add_argument("--docs", type=Path, help="folder with table1.md, which gets the tables, numbers and pictures")
     parser.add_argument("--seeds", type=int, default=SEEDS, help=f"starts (default: {SEEDS})")
     options = parser.parse_args(words)
     methods = tuple(method for method in LABELS if method in options.methods)
@@ -127,25 +140,42 @@ def main(words: Sequence[str] | None = None) -> None:
         check_writable("--out", options.out)
     except OptionError as error:
         parser.error(str(error))
-    produce(extent, options.out, options.processes)
+    runs = options.out / "runs"
+    for name in () if options.report else extent.parts:
+        carry_out_all(extent.part(name).runs, runs, options.processes)
+        report(extent, runs, options.out)
+    print("\n".join(report(extent, runs, options.out)))
+    if options.docs:
+        page = options.docs / "table1.md"
+        write_text(page, filled(page.read_text(encoding="utf-8"), tables(extent, runs)))
+        write_text(options.docs / "table1.csv", csv_of(runs, extent.runs))
+        draw(extent, runs, options.docs / "images" / "table1")
 
 
-def produce(extent: Extent, folder: Path, processes: int) -> None:
-    """Carry out the runs of `extent` that are missing, part by part, and write what is known after each."""
-    kept, text = folder / "runs", ""
-    everything: list[Run] = []
+def report(extent: Extent, runs: Path, folder: Path) -> list[str]:
+    """Write what is known of all runs of `extent`: ``table.md``, ``runs.csv`` and pictures; the lines of the first."""
+    lines = [line for name, table in tables(extent, runs).items() for line in (f"## {name}", "", *table, "")]
+    write_text(folder / "table.md", "\n".join(lines) + "\n")
+    write_text(folder / "runs.csv", csv_of(runs, extent.runs))
+    draw(extent, runs, folder)
+    return lines
+
+
+def tables(extent: Extent, runs: Path) -> dict[str, list[str]]:
+    """The table of each part."""
+    parts = {name: extent.part(name) for name in extent.parts}
+    return {
+        name: table_of(runs, part.rows, part.columns) if part.columns else tuning_table(runs, part.rows)
+        for name, part in parts.items()
+    }
+
+
+def draw(extent: Extent, runs: Path, folder: Path) -> None:
+    """A contact sheet for each column of each part, and the convergence of each table."""
     for name in extent.parts:
         part = extent.part(name)
-        runs = [run for runs in part.rows.values() for run in runs]
-        everything += runs
-        carry_out_all(runs, kept, processes)
-        table = tuning_table(kept, part.rows) if name == "tuning" else table_of(kept, part.rows, part.columns)
-        text += "\n".join([f"## {name}", "", *table, "", ""])
         for column in part.columns:
-            contact_sheet(folder / f"{name}-{slug(column.name)}.png", kept, part.at(column))
+            contact_sheet(folder / f"{name}-{slug(column.name)}.png", runs, part.at(column))
         if part.columns and name != "ablations":
             panels = {column.name: part.at(column) for column in part.columns}
-            convergence_plot(folder / f"{name}-convergence.png", kept, panels)
-        write_text(folder / "runs.csv", csv_of(kept, everything))
-        write_text(folder / "table.md", text)
-    print(text, end="")
+            convergence_plot(folder / f"{name}-convergence.png", runs, panels)
