@@ -54,8 +54,8 @@ class MitsubaRenderer:
     Parameters
     ----------
     scene : dict, path or mi.Scene
-        For ``mi.load_dict``, of an XML file, or loaded. A loaded scene is the caller's own: its parameters are set
-        on every call.
+        For ``mi.load_dict``, of an XML file, or loaded. A loaded scene, or a loaded object in a dict, is the caller's
+        own: its parameters are set on every call and stay set, and a second renderer starts from there.
     parameters : dict of str or handle
         What each parameter stands for, by its name: an entry of the scene (:func:`list_entries` shows all), or
         :class:`Translate`, :class:`Rotate` or :class:`Scale` of a shape. Several handles may share a shape. Scene

@@ -91,10 +91,14 @@ class Row:
 def measure(case: Case, effort: Effort = FULL) -> Row:
     """Measure one scene; kernels are compiled before anything is timed."""
     start, truth = dict(case.start), dict(case.truth)
-    scene = case.scene(effort.width, effort.height)
-    planned = PlannedRenderer(scene, case.parameters, spp=effort.samples)
+
+    # Each renderer has a scene of its own: a mesh in a dict is one object, which stays where the last call has put it.
+    def scene() -> dict[str, Any]:
+        return case.scene(effort.width, effort.height)
+
+    planned = PlannedRenderer(scene(), case.parameters, spp=effort.samples)
     rules = planned.plan
-    target = MitsubaRenderer(scene, case.parameters, integrator=rules, spp=16 * effort.samples).render(
+    target = MitsubaRenderer(scene(), case.parameters, integrator=rules, spp=16 * effort.samples).render(
         truth, seed=10**6
     )
     objective = LOIObjective(target, ScaleSpace.for_image(effort.height, effort.width))
@@ -102,7 +106,7 @@ def measure(case: Case, effort: Effort = FULL) -> Row:
     plan = planned.plan
 
     def by(integrator: Any, **options: Any) -> MitsubaRenderer:
-        return MitsubaRenderer(scene, case.parameters, integrator=integrator, spp=effort.samples, **options)
+        return MitsubaRenderer(scene(), case.parameters, integrator=integrator, spp=effort.samples, **options)
 
     full = by(planned.everything)
     groups = planned.groups
@@ -123,7 +127,7 @@ def measure(case: Case, effort: Effort = FULL) -> Row:
         default_seconds=default_seconds,
         hand_seconds=hand.seconds,
         pilot_seconds=pilot_seconds,
-        error=_fitted(case, PlannedRenderer(scene, case.parameters, spp=effort.samples), objective, effort),
+        error=_fitted(case, PlannedRenderer(scene(), case.parameters, spp=effort.samples), objective, effort),
         full_error=_fitted(case, full, objective, effort),
     )
 
