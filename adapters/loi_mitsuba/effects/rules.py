@@ -40,7 +40,7 @@ def plan_by_rules(traits: Traits, samples: int) -> EffectPlan:
         notes = (f"everything is on, for the rules do not know {', '.join(traits.unknown)}", *_missing(traits))
         choices = [_choice(effect, effect is not Effect.CAMERA, why, full) for effect in Effect]
         choices[list(Effect).index(Effect.CAMERA)] = _camera()
-        return EffectPlan(tuple(choices), as_mapping(full), _why(traits, full), notes, understood=False)
+        return EffectPlan(tuple(choices), as_mapping(full), _why(traits, full), notes=notes, understood=False)
     depth = min(traits.depth, DIRECT) if traits.alone else traits.depth
     edges = bool(traits.moving) and full.projective
     indirect = edges and not (traits.alone and depth <= DIRECT)
@@ -82,7 +82,7 @@ def plan_of(
         Effect.APPEARANCE: bool(traits.appearance) and settings.sppc > 0,
     }
     choices = tuple(_choice(effect, on[effect], told[effect], settings) for effect in Effect)
-    return EffectPlan(choices, as_mapping(settings), _why(traits, settings), (*_missing(traits), *notes))
+    return EffectPlan(choices, as_mapping(settings), _why(traits, settings), notes=(*_missing(traits), *notes))
 
 
 def _choice(effect: Effect, on: bool, reason: str, settings: Settings) -> Choice:  # noqa: FBT001
