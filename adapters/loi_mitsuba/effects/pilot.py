@@ -26,14 +26,13 @@ from loi_core.effects import (
     whole_samples,
 )
 from loi_mitsuba.effects.probe import Probe
-from loi_mitsuba.effects.rules import DIRECT, everything, integrator_for, plan_of
+from loi_mitsuba.effects.rules import DIRECT, EFFECTS, everything, integrator_for, plan_of
 from loi_mitsuba.effects.settings import OWN, PARTS, Settings, settings_of
 from loi_mitsuba.effects.traits import Traits
 from loi_mitsuba.handles import Host
 
-__all__ = ["EFFECTS", "Findings", "Pilot"]
+__all__ = ["Findings", "Pilot"]
 
-EFFECTS: Final = {"sppc": Effect.CONTINUOUS, "sppp": Effect.PRIMARY, "sppi": Effect.INDIRECT}
 DRAWS: Final = 4
 DEEP_DRAWS: Final = 3  # of everything, which costs most
 MOST_DRAWS: Final = 8

@@ -17,10 +17,11 @@ from loi_core.fit import FitStep
 from loi_core.messages import shown
 from loi_core.objectives.base import Objective
 from loi_core.values import real_number
-from loi_mitsuba.effects.pilot import EFFECTS, Pilot
+from loi_mitsuba.effects.images import effect_images
+from loi_mitsuba.effects.pilot import Pilot
 from loi_mitsuba.effects.probe import Probe
-from loi_mitsuba.effects.rules import everything, integrator_for, plan_by_rules, plan_of
-from loi_mitsuba.effects.settings import PROJECTIVE, as_mapping, bordered, settings_of
+from loi_mitsuba.effects.rules import everything, plan_by_rules, plan_of, plan_with
+from loi_mitsuba.effects.settings import bordered, settings_of
 from loi_mitsuba.effects.traits import groups_of, in_view, objects_of, traits_of
 from loi_mitsuba.effects.verify import Verification, verification
 from loi_mitsuba.entries import Scene
@@ -36,11 +37,9 @@ from loi_mitsuba.loading import (
 )
 from loi_mitsuba.renderer import MitsubaRenderer
 
-__all__ = ["PlannedRenderer", "plan_effects"]
+__all__ = ["SHARE", "PlannedRenderer"]
 
 SHARE: Final = 0.1  # what is off together turns the gradient by less than 6 degrees, whose cosine is 0.995
-DRAWN_FORWARD: Final = (*PROJECTIVE, "prb")
-
 log = logging.getLogger("loi_mitsuba")
 
 
@@ -226,25 +225,9 @@ class PlannedRenderer:
         Effects that a pilot has turned off are among them, those that the rules exclude are not. Empty where Mitsuba
         has no derivative of images, as in media, or the gradient is 0.
         """
-        full = settings_of(self._rules)
-        if not self._rules.understood or full.integrator not in DRAWN_FORWARD:
-            return {}
-        followed = self._base.with_integrator(self._rules, follow=self._names)
-        pulled = followed.pull(params, to_numpy(cotangent), seed=seed)
-        tangent = {}
-        for name in self._names:
-            size = float(np.linalg.norm(pulled[name]))
-            tangent[name] = -pulled[name] / np.float32(size if size > 0.0 else 1.0)
-        if not any(np.any(one) for one in tangent.values()):
-            return {}
-        images = {}
-        for part, effect in EFFECTS.items():
-            if getattr(full, part) > 0:
-                only = replace(self._rules, settings=as_mapping(full.only(part, 4 * self._samples)))
-                images[str(effect)] = self._base.with_integrator(only, follow=self._names).push(
-                    params, tangent, seed=seed
-                )
-        return images
+        return effect_images(
+            self._base, self._rules, self._names, 4 * self._samples, params, to_numpy(cotangent), seed=seed
+        )
 
     def _take(self, names: tuple[str, ...]) -> None:
         """Start from the rules for these parameters."""
@@ -287,22 +270,8 @@ class PlannedRenderer:
         """Turn effects on, and let go what is no longer held."""
         if not grown and len(self._holding.reasons) == len(self._plan.held):
             return
-        rules, settings = settings_of(self._rules), settings_of(self._plan)
-        for part, effect in EFFECTS.items():
-            if effect in grown:
-                settings = settings.sampled({part: getattr(rules, part)})
-        depth = rules.max_depth if Effect.BOUNCES in grown else settings.max_depth
-        kind = integrator_for(
-            everything(self._traits, self._samples).integrator, depth, edges=settings.sppp > 0 or settings.sppi > 0
-        )
-        settings = replace(settings, max_depth=depth, integrator=kind)
-        reasons = {choice.effect: choice.reason for choice in self._plan.choices} | dict(grown)
-        plan = plan_of(self._traits, settings, reasons)
-        kept = [
-            replace(new, share=old.share, variance_seconds=old.variance_seconds) if new.on == old.on else new
-            for new, old in zip(plan.choices, self._plan.choices, strict=True)
-        ]
-        self._change(replace(plan, choices=tuple(kept), held=self._holding.reasons, measured=True), when)
+        plan = plan_with(self._traits, self._plan, settings_of(self._rules), grown)
+        self._change(replace(plan, held=self._holding.reasons), when)
 
     def _set(self, plan: EffectPlan) -> None:
         self._plan = plan
@@ -313,50 +282,6 @@ class PlannedRenderer:
         if changes:
             log.info("effects, %s: %s", when, changes)
         self._set(plan)
-
-
-def plan_effects(
-    scene: dict[str, Any] | str | Path | Scene,
-    optimised: Mapping[str, Target | Mapping[str, Any]],
-    *,
-    objective: Objective | None = None,
-    params: Mapping[str, Any] | None = None,
-    spp: int = 16,
-    share: float = SHARE,
-    sensor: int = 0,
-    seed: int = 0,
-) -> EffectPlan:
-    """Which effects a scene calls for when these parameters are optimised.
-
-    Parameters
-    ----------
-    scene, optimised, sensor
-        As `scene`, `parameters` and `sensor` of :class:`MitsubaRenderer`.
-    objective : Objective, optional
-        The loss at hand; without one there is no pilot, and the plan is that of the sound rules.
-    params : dict of arrays, optional
-        Where the pilot measures; as the scene has them by default.
-    spp, share
-        As those of :class:`PlannedRenderer`.
-    seed : int
-        Of the pilot.
-
-    Returns
-    -------
-    EffectPlan
-        ``print`` shows it; :class:`MitsubaRenderer` takes it as its integrator.
-
-    Raises
-    ------
-    SceneLoadError, ParameterError, OptionError
-        As :class:`MitsubaRenderer`.
-    """
-    renderer = PlannedRenderer(scene, optimised, spp=spp, share=share, sensor=sensor)
-    if objective is not None:
-        at = renderer.parameters() if params is None else dict(params)
-        cotangent = objective.value_and_grad(renderer.render(at, seed=seed))[1]
-        renderer.begin(at, cotangent, optimise=list(at), seed=seed)
-    return renderer.plan
 
 
 def _ruled(scene: Any, parameters: Any, sensor: int, spp: Any) -> tuple[Any, Any, EffectPlan]:
