@@ -16,7 +16,7 @@ from loi_core.errors import OptionError, ParameterError
 from loi_core.messages import shown
 from loi_core.values import whole_number
 from loi_mitsuba.cautions import warn_of_moving
-from loi_mitsuba.effects.settings import PARTS, bordered, integrator_of, settings_of
+from loi_mitsuba.effects.settings import PARTS, bordered, integrator_of, leaves_edges_out, settings_of
 from loi_mitsuba.entries import Scene
 from loi_mitsuba.handles import Host
 from loi_mitsuba.loading import (
@@ -102,7 +102,7 @@ class MitsubaRenderer:
         self._use(integrator, spp, spp_grad)
         self._named = NamedParameters(self._scene, targets)
         self._followed = tuple(targets)
-        self._check_moving()
+        self._check_moving(told=isinstance(integrator, EffectPlan) and leaves_edges_out(integrator))
 
     @property
     def scene(self) -> Any:
@@ -261,10 +261,11 @@ class MitsubaRenderer:
             raise OptionError(msg)
         return self._named.leaves(params)
 
-    def _check_moving(self) -> None:
-        """Refuse or warn where the gradient of moving shapes is missing."""
+    def _check_moving(self, *, told: bool) -> None:
+        """Refuse or warn where the gradient of moving shapes is missing, unless a plan has told why."""
         moving = self._named.moving()
-        warn_of_moving(self._scene, self._integrator, moving)
+        if not told:
+            warn_of_moving(self._scene, self._integrator, moving)
         kind = self._sensor.class_name()
         if moving and getattr(self._integrator, "sppp", 0) != 0 and kind != "PerspectiveCamera":
             msg = (

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
@@ -14,7 +15,7 @@ from examples.effects.scenes import Case
 from loi_core import FitStep, Free, LOIObjective, Renderer, ScaleSpace, fit
 from loi_core.effects import Comparison, EffectPlan, Schedule, compare
 from loi_core.effects.schedule import STALL
-from loi_mitsuba import MitsubaRenderer, PlannedRenderer
+from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer
 from loi_mitsuba.effects.verify import step_draws, steps_in_turn
 
 __all__ = ["FOUND", "FULL", "QUICK", "Effort", "Row", "looks_of_a_stall", "measure"]
@@ -138,7 +139,11 @@ def measure(case: Case, effort: Effort = FULL) -> Row:
     groups = planned.groups
     draws = range(effort.draws)
     others = range(effort.draws, 2 * effort.draws)
-    by_hand = by(dict(case.hand), spp_grad=effort.samples)
+    with warnings.catch_warnings():
+        warnings.simplefilter(
+            "ignore", GradientWarning
+        )  # the hand knows when a shape that moves has no outline in view
+        by_hand = by(dict(case.hand), spp_grad=effort.samples)
     found, wanted, hand = step_draws((by(plan), full, by_hand), objective, start, groups, (draws, others, draws))
     default_seconds = math.nan
     if effort.defaults:
