@@ -152,7 +152,12 @@ class Pilot:
             # Each part draws from the seed in its own way, alone or with others, and a shallow path is the beginning of
             # the deep one of the same seed: most of the noise goes with the difference.
             parts = total([one.first(DEEP_DRAWS) for one in drawn.values()])
-            most = self._most(probe.gradients(rules, seeds).less(parts), self._sizes(drawn))
+            lacking = probe.gradients(rules, seeds).less(parts)
+            most = self._most(lacking, self._sizes(drawn))
+            if most >= self.share and not self.share <= self._most(lacking, self._sizes(drawn), sure=0.0) < math.inf:
+                # It may well be less, if only what it is a share of were known better; a depth too many costs more.
+                drawn = self._more_parts(settings, drawn, probe)
+                most = self._most(lacking, self._sizes(drawn))
             if most == 0.0 or most < self.share:
                 reason = f"longer paths surely carry under {most:.1%} of the gradient, and next to none of the image"
                 return settings, drawn, reason, most
@@ -165,21 +170,27 @@ class Pilot:
 
     def _parts(self, settings: Settings, probe: Probe) -> dict[str, Draws]:
         """Draws of each part of the gradient; twice as many where something cannot be told from noise."""
-        drawn = {
-            part: settings.only(part) if settings.projective else settings
+        seeds = range(probe.seed, probe.seed + DRAWS)
+        first = {
+            part: probe.gradients(settings.only(part) if settings.projective else settings, seeds)
             for part in PARTS
             if getattr(settings, part) > 0
         }
-        first = {part: probe.gradients(one, range(probe.seed, probe.seed + DRAWS)) for part, one in drawn.items()}
         whole = total(list(first.values()))
         united = whole.grouped(self.units)
         held = Holding.begun(whole, self.objects).reasons
         if all(united.heard(name) or united.zero(name) for name in united.gradients) and all(map(whole.zero, held)):
             return first
-        more = range(probe.seed + DRAWS, probe.seed + MOST_DRAWS)
+        return self._more_parts(settings, first, probe)
+
+    def _more_parts(self, settings: Settings, drawn: Mapping[str, Draws], probe: Probe) -> dict[str, Draws]:
+        """Twice as many draws of each part that is not exactly 0, unless it has them."""
+        seeds = range(probe.seed + DRAWS, probe.seed + MOST_DRAWS)
         return {
-            part: one.and_more(probe.gradients(drawn[part], more)) if not all(map(one.zero, one.gradients)) else one
-            for part, one in first.items()
+            part: one
+            if one.count == MOST_DRAWS or all(map(one.zero, one.gradients))
+            else one.and_more(probe.gradients(settings.only(part) if settings.projective else settings, seeds))
+            for part, one in drawn.items()
         }
 
     def _told(self, whole: Draws, holding: Holding) -> tuple[str, ...]:
