@@ -37,7 +37,9 @@ def test_looks_at_what_is_off_are_few_and_ever_rarer() -> None:
 @pytest.mark.skipif(not THOROUGH, reason="minutes a scene; in the thorough tier")
 @pytest.mark.parametrize("case", SUITE, ids=[case.name for case in SUITE])
 def test_no_plan_turns_the_gradient(case: Case) -> None:
-    row = measure(case, dataclasses.replace(FULL, defaults=0, fits=0))
+    # Noise in the image makes the gradient smaller (docs/noise.md), and with everything on the shadow has more of it.
+    samples = 4 * FULL.samples if case.name == "shadow of an object out of view" else FULL.samples
+    row = measure(case, dataclasses.replace(FULL, defaults=0, fits=0, samples=samples))
     if case.name == "nothing that can be seen":
         assert list(row.plan.held) == ["place"]
         return
