@@ -16,7 +16,8 @@ prepare()
 
 from loi_mitsuba.cautions import GradientWarning
 from loi_mitsuba.effects.capabilities import CAPABILITIES
-from loi_mitsuba.effects.planned import PlannedRenderer, plan_effects
+from loi_mitsuba.effects.planned import PlannedRenderer
+from loi_mitsuba.effects.planning import plan_effects
 from loi_mitsuba.effects.verify import Verification
 from loi_mitsuba.entries import Entry, list_entries
 from loi_mitsuba.handles import Rotate, Scale, Translate

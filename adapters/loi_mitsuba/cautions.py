@@ -50,7 +50,7 @@ def warn_of_moving(scene: Any, integrator: Any, shapes: list[Any]) -> None:
         )
         warnings.warn(msg, GradientWarning, stacklevel=4)
     for shape in shapes:
-        if isinstance(shape, mi.Mesh) and _split_edges(shape):
+        if isinstance(shape, mi.Mesh) and _split_edges(mi.traverse(shape)):
             msg = (
                 f"mesh {shape.id()!r} stores the vertices of an edge more than once, and Mitsuba counts the gradient "
                 f"of such an edge as often; merge equal vertices (and set face_normals for flat shading)"
@@ -58,9 +58,10 @@ def warn_of_moving(scene: Any, integrator: Any, shapes: list[Any]) -> None:
             warnings.warn(msg, GradientWarning, stacklevel=4)
 
 
-def _split_edges(mesh: Any) -> bool:
+def _split_edges(params: Any) -> bool:
     """Whether edges are borders only because their vertices are not shared."""
-    params = mi.traverse(mesh)
+    if "faces" not in params:  # a rectangle is a mesh of Mitsuba's own, whose border is its outline
+        return False
     faces = np.array(params["faces"], dtype=np.int64).reshape(-1, 3)
     positions = np.array(params["vertex_positions"], dtype=np.float32).reshape(-1, 3)
     rows = np.ascontiguousarray(positions + 0.0).view([("", np.float32)] * 3)  # + 0.0 makes -0.0 equal to 0.0

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections import defaultdict
 from collections.abc import Callable, Iterable, Mapping
 from copy import copy
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,9 +16,9 @@ from loi_core.errors import OptionError, ParameterError
 from loi_core.messages import shown
 from loi_core.values import whole_number
 from loi_mitsuba.cautions import warn_of_moving
-from loi_mitsuba.effects.settings import PARTS, bordered, integrator_of, settings_of
-from loi_mitsuba.entries import Scene, find_entry, find_shape, list_entries, numbers
-from loi_mitsuba.handles import Host, Scale, posed
+from loi_mitsuba.effects.settings import PARTS, bordered, integrator_of, leaves_edges_out, settings_of
+from loi_mitsuba.entries import Scene
+from loi_mitsuba.handles import Host
 from loi_mitsuba.loading import (
     Target,
     checked_samples,
@@ -31,21 +29,12 @@ from loi_mitsuba.loading import (
     one_line,
     use_variant,
 )
+from loi_mitsuba.named import NamedParameters, as_host, host_numbers
 
 __all__ = ["MitsubaRenderer"]
 
 
 OWN_INTEGRATOR: Final = "scene"
-
-
-@dataclass(frozen=True)
-class _Posed:
-    """A shape that handles move."""
-
-    key: str
-    names: tuple[str, ...]
-    centre: tuple[float, float, float]
-    start: Any  # vertex positions as a Point3f, or the transform
 
 
 class MitsubaRenderer:
@@ -54,15 +43,16 @@ class MitsubaRenderer:
     Parameters
     ----------
     scene : dict, path or mi.Scene
-        For ``mi.load_dict``, of an XML file, or loaded. A loaded scene is the caller's own: its parameters are set
-        on every call.
+        For ``mi.load_dict``, of an XML file, or loaded. A loaded scene, or a loaded object in a dict, is the caller's
+        own: its parameters are set on every call and stay set, and a second renderer starts from there.
     parameters : dict of str or handle
         What each parameter stands for, by its name: an entry of the scene (:func:`list_entries` shows all), or
         :class:`Translate`, :class:`Rotate` or :class:`Scale` of a shape. Several handles may share a shape. Scene
         files, which have no classes, spell a handle as a table, ``{ Translate = "ball", axis = [1, 0, 0] }``.
     integrator : dict, mi.Integrator, "scene" or EffectPlan, optional
-        "scene" takes the scene's own; a plan, of :func:`plan_effects`, brings its own samples too. By default direct
-        light with projective sampling, without guiding, which costs more than it is worth on a processor.
+        "scene" takes the scene's own; a plan, of :func:`plan_effects`, brings its own samples too, and what it holds
+        is not held here. By default direct light with projective sampling, without guiding, which costs more than it is
+        worth on a processor.
     spp : int
         Samples per pixel of the image.
     spp_grad : int, optional
@@ -107,16 +97,12 @@ class MitsubaRenderer:
     ) -> None:
         self._variant = use_variant()
         self._scene = load_scene(bordered(scene, integrator))
-        self._params = mi.traverse(self._scene)
-        self._targets = checked_targets(parameters)
+        targets = checked_targets(parameters)
         self._sensor = find_sensor(self._scene, sensor)
         self._use(integrator, spp, spp_grad)
-        self._keys: dict[str, str] = {}
-        self._start: dict[str, Host] = {}
-        self._posed: list[_Posed] = []
-        self._followed = tuple(self._targets)
-        self._resolve()
-        self._check_moving()
+        self._named = NamedParameters(self._scene, targets)
+        self._followed = tuple(targets)
+        self._check_moving(told=isinstance(integrator, EffectPlan) and leaves_edges_out(integrator))
 
     @property
     def scene(self) -> Any:
@@ -131,7 +117,7 @@ class MitsubaRenderer:
     @property
     def targets(self) -> dict[str, Target]:
         """What each parameter stands for."""
-        return dict(self._targets)
+        return dict(self._named.targets)
 
     def with_integrator(
         self,
@@ -158,12 +144,12 @@ class MitsubaRenderer:
         other = copy(self)
         other._use(integrator, self._spp if spp is None else spp, spp_grad)
         if follow is not None:
-            other._followed = tuple(name for name in self._targets if name in set(follow))
+            other._followed = tuple(name for name in self._named.targets if name in set(follow))
         return other
 
     def parameters(self) -> dict[str, Host]:
         """Every parameter as the scene had it when it was loaded: float32, new arrays on each call."""
-        return {name: value.copy() for name, value in self._start.items()}
+        return {name: value.copy() for name, value in self._named.start.items()}
 
     def render(self, params: Mapping[str, Any], *, seed: int = 0) -> Host:
         """The image, shape (H, W, C), float32.
@@ -175,7 +161,7 @@ class MitsubaRenderer:
         OptionError
             If `seed` is not allowed, or Mitsuba's variant is not that under which the scene was loaded.
         """
-        self._set(self._leaves(params))
+        self._named.set(self._leaves(params))
         with dr.suspend_grad():
             image = self._integrator.render(
                 self._scene, self._sensor, _seeds(seed)[0], self._spp, develop=True, evaluate=True
@@ -189,7 +175,7 @@ class MitsubaRenderer:
         kept = {name: np.array(value, dtype=np.float32) for name, value in params.items()}
 
         def pullback(cotangent: Any) -> dict[str, Host]:
-            return self.pull(kept, _numbers("cotangent", cotangent, shape), seed=seed)
+            return self.pull(kept, host_numbers("cotangent", cotangent, shape), seed=seed)
 
         return image, pullback
 
@@ -202,21 +188,21 @@ class MitsubaRenderer:
         try:
             with dr.resume_grad():  # the caller may have suspended gradients
                 dr.enable_grad([leaves[name] for name in self._followed])
-                self._set(leaves)
+                self._named.set(leaves)
                 # Within this scope nothing flows on into the parameters' own graph before all parts of the
                 # gradient, some of which Mitsuba carries back one after the other, have arrived there.
                 with dr.isolate_grad():
                     self._integrator.render_backward(
                         self._scene,
-                        self._params,
+                        self._named.entries,
                         mi.TensorXf(np.ascontiguousarray(cotangent, dtype=np.float32)),
                         self._sensor,
                         _seeds(seed)[1],
                         self._spp_grad,
                     )
-                return {name: _host(dr.grad(leaf), self._start[name].shape) for name, leaf in leaves.items()}
+                return {name: as_host(dr.grad(leaf), self._named.start[name].shape) for name, leaf in leaves.items()}
         finally:
-            self._set(self._leaves(params))  # no graph is left behind in the scene, also where Mitsuba failed
+            self._named.set(self._leaves(params))  # no graph is left behind in the scene, also where Mitsuba failed
 
     def push(self, params: Mapping[str, Any], tangent: Mapping[str, Any], *, seed: int = 0) -> Host:
         """How the image changes along a direction of the parameters: shape (H, W, C); errors as of `render`.
@@ -227,9 +213,9 @@ class MitsubaRenderer:
         try:
             with dr.resume_grad():
                 dr.enable_grad([leaves[name] for name in self._followed])
-                self._set(leaves)
+                self._named.set(leaves)
                 for name in self._followed:
-                    direction = _numbers(name, tangent[name], self._start[name].shape)
+                    direction = host_numbers(name, tangent[name], self._named.start[name].shape)
                     dr.set_grad(leaves[name], mi.Float(direction.reshape(-1)))
                     dr.enqueue(dr.ADMode.Forward, leaves[name])
                 # Up to the scene's own entries, since Mitsuba's loops do not look any further back than these.
@@ -237,7 +223,7 @@ class MitsubaRenderer:
                 first, second = _seeds(seed)
                 image = mi.render(
                     self._scene,
-                    self._params,
+                    self._named.entries,
                     self._sensor,
                     self._integrator,
                     seed=first,
@@ -247,7 +233,7 @@ class MitsubaRenderer:
                 image = dr.forward_to(image)
                 return np.array(image.numpy(), dtype=np.float32, order="C")
         finally:
-            self._set(self._leaves(params))
+            self._named.set(self._leaves(params))
 
     def _use(self, integrator: Any, spp: int, spp_grad: int | None) -> None:
         """Take an integrator and its samples."""
@@ -266,48 +252,6 @@ class MitsubaRenderer:
         self._integrator = _integrator(self._scene, integrator)
         self._spp_grad = _gradient_samples(self._integrator, self._spp, spp_grad, most)
 
-    def _resolve(self) -> None:
-        """Find what the targets stand for, and where everything is at the start."""
-        entries = list_entries(self._scene)
-        by_shape: defaultdict[str, list[str]] = defaultdict(list)
-        for name, target in self._targets.items():
-            if isinstance(target, str):
-                entry = find_entry(entries, target)
-                self._keys[name] = entry.key
-                self._start[name] = _host(numbers(self._params[entry.key]), entry.shape)
-            else:
-                by_shape[find_shape(self._scene, target.shape)[0]].append(name)
-                self._start[name] = target.initial()
-        for key, names in by_shape.items():
-            handle = self._targets[names[0]]
-            box = find_shape(self._scene, handle.shape)[1].bbox()  # type: ignore[union-attr]  # a handle
-            x, y, z = np.array(box.center(), dtype=np.float64).reshape(3).tolist()
-            value = self._params[key]
-            start = value if isinstance(value, mi.Transform4f) else dr.unravel(mi.Point3f, value)
-            self._posed.append(_Posed(key, tuple(names), (x, y, z), dr.detach(start)))
-        used = [*self._keys.values(), *by_shape]
-        for key in used:
-            if used.count(key) > 1:
-                names = [name for name in self._targets if self._keys.get(name) == key or name in by_shape.get(key, ())]
-                msg = f"`parameters` must not set one entry twice, got {', '.join(map(repr, names))}"
-                raise ParameterError(msg)
-
-    def _check_moving(self) -> None:
-        """Refuse or warn where the gradient of moving shapes is missing."""
-        keys = [*self._keys.values(), *(one.key for one in self._posed)]
-        # A shape has entries that do not move it, such as the colours of its vertices.
-        keys = [key for key in keys if self._params.flags(key) & mi.ParamFlags.Discontinuous]
-        nodes = [self._params.properties[key][2] for key in keys]
-        moving = [node for node in nodes if isinstance(node, mi.Shape)]
-        warn_of_moving(self._scene, self._integrator, moving)
-        kind = self._sensor.class_name()
-        if moving and getattr(self._integrator, "sppp", 0) != 0 and kind != "PerspectiveCamera":
-            msg = (
-                f"`sensor` is a {kind}, and Mitsuba has the gradient of a silhouette in view for perspective only; use "
-                f"a narrow perspective, or an integrator with sppp=0 if nothing that moves is in view"
-            )
-            raise ParameterError(msg)
-
     def _leaves(self, params: Mapping[str, Any]) -> dict[str, Any]:
         """`params`, checked, as flat arrays of Dr.Jit."""
         if mi.variant() != self._variant:
@@ -315,30 +259,20 @@ class MitsubaRenderer:
                 f"Mitsuba's variant is {mi.variant()!r}, the scene's is {self._variant!r}; call mi.set_variant with it"
             )
             raise OptionError(msg)
-        if set(params) != set(self._start):
-            msg = f"`params` must have exactly the names {sorted(self._start)}, got {sorted(params)}"
-            raise ParameterError(msg)
-        leaves = {}
-        for name, start in self._start.items():
-            value = _numbers(name, params[name], start.shape)
-            if not np.all(np.isfinite(value)):
-                msg = f"`{name}` must be finite, got {int((~np.isfinite(value)).sum())} values that are not"
-                raise ParameterError(msg)
-            if isinstance(self._targets[name], Scale) and value <= 0:
-                msg = f"`{name}` scales a shape and must be more than 0, got {float(value):g}"
-                raise ParameterError(msg)
-            leaves[name] = mi.Float(value.reshape(-1))
-        return leaves
+        return self._named.leaves(params)
 
-    def _set(self, leaves: Mapping[str, Any]) -> None:
-        """Put values into the scene. All are, on every call, so that none is left from the call before."""
-        for name, key in self._keys.items():
-            self._params[key] = _like(self._params[key], leaves[name], self._start[name].shape)
-        for one in self._posed:
-            handles = [(self._targets[name], leaves[name]) for name in one.names]
-            moved = posed(handles, one.centre) @ one.start  # type: ignore[arg-type]  # handles, all of them
-            self._params[one.key] = dr.ravel(moved) if isinstance(moved, mi.Point3f) else moved
-        self._params.update()
+    def _check_moving(self, *, told: bool) -> None:
+        """Refuse or warn where the gradient of moving shapes is missing, unless a plan has told why."""
+        moving = self._named.moving()
+        if not told:
+            warn_of_moving(self._scene, self._integrator, moving)
+        kind = self._sensor.class_name()
+        if moving and getattr(self._integrator, "sppp", 0) != 0 and kind != "PerspectiveCamera":
+            msg = (
+                f"`sensor` is a {kind}, and Mitsuba has the gradient of a silhouette in view for perspective only; use "
+                f"a narrow perspective, or an integrator with sppp=0 if nothing that moves is in view"
+            )
+            raise ParameterError(msg)
 
 
 def _integrator(scene: Any, integrator: Any) -> Any:
@@ -373,32 +307,3 @@ def _seeds(seed: int) -> tuple[int, int]:
         raise OptionError(msg)
     first, second = np.random.SeedSequence(number).generate_state(2)
     return int(first), int(second)
-
-
-def _numbers(name: str, value: Any, shape: tuple[int, ...]) -> Host:
-    """`value` as a new float32 array, once it is known to be numbers of `shape`."""
-    try:
-        with np.errstate(over="ignore"):  # what is too large for float32 becomes infinite
-            array = np.array(value, dtype=np.float32, order="C")
-    except (TypeError, ValueError):
-        msg = f"`{name}` must be numbers of shape {shape}, got {shown(value)}"
-        raise ParameterError(msg) from None
-    if array.shape != shape:
-        msg = f"`{name}` must have shape {shape}, got {array.shape}"
-        raise ParameterError(msg)
-    return array
-
-
-def _host(value: Any, shape: tuple[int, ...]) -> Host:
-    return np.array(value, dtype=np.float32, order="C").reshape(shape)
-
-
-def _like(current: Any, flat: Any, shape: tuple[int, ...]) -> Any:
-    """The flat array `flat`, in C order of `shape`, as a value of the type of `current`."""
-    if dr.is_tensor_v(current):
-        return type(current)(flat, shape=shape)
-    if isinstance(current, mi.Transform4f):
-        # By gathering: an entry of a flat array, as `flat[3]`, is a plain number without a gradient.
-        rows = [[dr.gather(type(flat), flat, 4 * row + column) for column in range(4)] for row in range(4)]
-        return mi.Transform4f(mi.Matrix4f(rows))
-    return type(current)(flat) if dr.depth_v(current) == 1 else dr.unravel(type(current), flat, order="C")

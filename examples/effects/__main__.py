@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import math
+import statistics
 import sys
 
 import loi_mitsuba  # noqa: F401 - before Dr.Jit, so that it gets an LLVM that works
@@ -11,7 +13,7 @@ import loi_mitsuba  # noqa: F401 - before Dr.Jit, so that it gets an LLVM that w
 # isort: split
 import mitsuba as mi
 
-from examples.effects.measure import FULL, QUICK, Row, measure
+from examples.effects.measure import FOUND, FULL, QUICK, Row, measure
 from examples.effects.scenes import SUITE
 from loi_core.tables import markdown
 
@@ -26,8 +28,9 @@ HEADS = [
     "defaults",
     "by hand",
     "pilot",
-    "left",
-    "left, everything on",
+    "looks",
+    "found, left",
+    "everything on: found, left",
 ]
 
 
@@ -36,14 +39,21 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m examples.effects", description=__doc__)
     parser.add_argument("scenes", nargs="*", metavar="WORDS", help="scenes whose name has these words (default: all)")
     parser.add_argument("--quick", action="store_true", help="tiny images and few draws; its numbers mean little")
+    parser.add_argument("--fits", type=int, metavar="N", help="fits of each, with other seeds (default: 3; quick: 1)")
+    parser.add_argument("--no-defaults", action="store_true", help="leave out Mitsuba's defaults, which take minutes")
     options = parser.parse_args()
+    effort = QUICK if options.quick else FULL
+    if options.fits is not None:
+        effort = dataclasses.replace(effort, fits=options.fits)
+    if options.no_defaults:
+        effort = dataclasses.replace(effort, defaults=0)
     mi.set_variant("llvm_ad_rgb")
     mi.set_log_level(mi.LogLevel.Error)  # Mitsuba logs advice about every new projective integrator
     rows = []
     for case in SUITE:
         if not options.scenes or any(words in case.name for words in options.scenes):
             print(case.name, file=sys.stderr, flush=True)
-            rows.append(measure(case, QUICK if options.quick else FULL))
+            rows.append(measure(case, effort))
     print("\n".join(markdown(HEADS, map(cells, rows))))
     for row in rows:
         print(f"\n### {row.name}\n\n{row.plan}")
@@ -63,13 +73,19 @@ def cells(row: Row) -> list[str]:
         f"{1e3 * row.seconds:.3g}",
         *(_times(other / row.seconds) for other in (row.full_seconds, row.default_seconds, row.hand_seconds)),
         f"{row.pilot_share:.1%}",
-        f"{row.error:.2g}",
-        f"{row.full_error:.2g}",
+        f"{row.looks_share:.1%}",
+        _ends(row.errors),
+        _ends(row.full_errors),
     ]
 
 
 def _with_error(value: float, error: float, digits: int) -> str:
     return "-" if math.isnan(value) else f"{value:.{digits}f} +- {error:.{digits}f}"
+
+
+def _ends(errors: tuple[float, ...]) -> str:
+    """How many fits have found the truth, and what the median fit has left of the way."""
+    return f"{sum(one < FOUND for one in errors)}/{len(errors)}, {statistics.median(errors):.2g}" if errors else "-"
 
 
 def _times(ratio: float) -> str:

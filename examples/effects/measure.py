@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
@@ -11,12 +12,13 @@ from typing import Any, Final
 import numpy as np
 
 from examples.effects.scenes import Case
-from loi_core import Free, LOIObjective, Renderer, ScaleSpace, fit
-from loi_core.effects import Comparison, EffectPlan, compare
-from loi_mitsuba import MitsubaRenderer, PlannedRenderer
+from loi_core import FitStep, Free, LOIObjective, Renderer, ScaleSpace, fit
+from loi_core.effects import Comparison, EffectPlan, Schedule, compare
+from loi_core.effects.schedule import STALL
+from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer
 from loi_mitsuba.effects.verify import step_draws, steps_in_turn
 
-__all__ = ["FULL", "QUICK", "Effort", "Row", "measure"]
+__all__ = ["FOUND", "FULL", "QUICK", "Effort", "Row", "looks_of_a_stall", "measure"]
 
 
 @dataclass(frozen=True)
@@ -33,6 +35,8 @@ class Effort:
         Gradients of each setting that are compared.
     steps : int
         Of a fit.
+    fits : int
+        Fits of the plan and of everything on, with seeds 0, 1000, 2000 and so on.
     defaults : int
         Steps of Mitsuba's defaults that are timed, after one that is not; 0 leaves them out, for each may take half
         a minute.
@@ -43,12 +47,15 @@ class Effort:
     samples: int = 16
     draws: int = 24
     steps: int = 120
+    fits: int = 3
     defaults: int = 1
 
 
 FULL: Final = Effort()
-QUICK: Final = Effort(32, 24, 8, 4, 4, 0)
+QUICK: Final = Effort(32, 24, 8, 4, 4, 1, 0)
 FIT: Final = 300  # steps of a fit, of which a pilot may cost a share
+FOUND: Final = 0.05  # of the way that may be left of a fit that has found the truth
+APART: Final = 1000  # seeds of one fit and those of the next
 
 
 @dataclass(frozen=True)
@@ -65,10 +72,11 @@ class Row:
         Against everything on without guiding.
     seconds, full_seconds, default_seconds, hand_seconds : float
         Of the plan, everything on without guiding, Mitsuba's defaults, and the settings by hand.
-    pilot_seconds : float
-        Of a pilot whose kernels have been compiled.
-    error, full_error : float
-        Distance of the fitted parameters from the true ones over that of the start: planned, and everything on.
+    pilot_seconds, look_seconds : float
+        Of a pilot and of a look at what it has turned off, whose kernels have been compiled.
+    errors, full_errors : tuple of float
+        Of each fit, the distance of its parameters from the true ones over that of the start: planned, and everything
+        on.
     """
 
     name: str
@@ -79,36 +87,64 @@ class Row:
     default_seconds: float
     hand_seconds: float
     pilot_seconds: float
-    error: float
-    full_error: float
+    look_seconds: float
+    errors: tuple[float, ...]
+    full_errors: tuple[float, ...]
 
     @property
     def pilot_share(self) -> float:
         """Time of the pilot over that of 300 steps."""
         return self.pilot_seconds / (FIT * self.seconds)
 
+    @property
+    def looks_share(self) -> float:
+        """Time of the looks of a fit whose loss stalls from the first step on, over that of 300 steps."""
+        return looks_of_a_stall(FIT) * self.look_seconds / (FIT * self.seconds)
+
+
+def looks_of_a_stall(steps: int) -> int:
+    """How often a fit of so many steps looks at what is off if its loss stalls from the first step on."""
+    schedule, looks = Schedule(), 0
+    for _ in range(steps):
+        schedule = schedule.counted()
+        if schedule.is_due:
+            schedule, looks = schedule.looked(), looks + 1
+        schedule = schedule.watched(1.0)
+        if schedule.stalls:
+            schedule, looks = schedule.waited().looked(), looks + 1
+    return looks
+
 
 def measure(case: Case, effort: Effort = FULL) -> Row:
     """Measure one scene; kernels are compiled before anything is timed."""
     start, truth = dict(case.start), dict(case.truth)
-    scene = case.scene(effort.width, effort.height)
-    planned = PlannedRenderer(scene, case.parameters, spp=effort.samples)
+
+    # Each renderer has a scene of its own: a mesh in a dict is one object, which stays where the last call has put it.
+    def scene() -> dict[str, Any]:
+        return case.scene(effort.width, effort.height)
+
+    planned = PlannedRenderer(scene(), case.parameters, spp=effort.samples)
     rules = planned.plan
-    target = MitsubaRenderer(scene, case.parameters, integrator=rules, spp=16 * effort.samples).render(
+    target = MitsubaRenderer(scene(), case.parameters, integrator=rules, spp=16 * effort.samples).render(
         truth, seed=10**6
     )
     objective = LOIObjective(target, ScaleSpace.for_image(effort.height, effort.width))
-    pilot_seconds = min(_pilot(planned, objective, start) for _ in range(2))
-    plan = planned.plan
+    image = planned.render(start)  # by the rules, as at the start of a fit
+    costs = [_planning(planned, objective, start, image) for _ in range(2)]
+    plan = costs[-1][0]
 
     def by(integrator: Any, **options: Any) -> MitsubaRenderer:
-        return MitsubaRenderer(scene, case.parameters, integrator=integrator, spp=effort.samples, **options)
+        return MitsubaRenderer(scene(), case.parameters, integrator=integrator, spp=effort.samples, **options)
 
     full = by(planned.everything)
     groups = planned.groups
     draws = range(effort.draws)
     others = range(effort.draws, 2 * effort.draws)
-    by_hand = by(dict(case.hand), spp_grad=effort.samples)
+    with warnings.catch_warnings():
+        warnings.simplefilter(
+            "ignore", GradientWarning
+        )  # the hand knows when a shape that moves has no outline in view
+        by_hand = by(dict(case.hand), spp_grad=effort.samples)
     found, wanted, hand = step_draws((by(plan), full, by_hand), objective, start, groups, (draws, others, draws))
     default_seconds = math.nan
     if effort.defaults:
@@ -122,25 +158,48 @@ def measure(case: Case, effort: Effort = FULL) -> Row:
         full_seconds=wanted.seconds,
         default_seconds=default_seconds,
         hand_seconds=hand.seconds,
-        pilot_seconds=pilot_seconds,
-        error=_fitted(case, PlannedRenderer(scene, case.parameters, spp=effort.samples), objective, effort),
-        full_error=_fitted(case, full, objective, effort),
+        pilot_seconds=min(pilot for _, pilot, _ in costs),
+        look_seconds=min(look for _, _, look in costs),
+        errors=_fitted(case, PlannedRenderer(scene(), case.parameters, spp=effort.samples), objective, effort),
+        full_errors=_fitted(case, full, objective, effort),
     )
 
 
-def _pilot(planned: PlannedRenderer, objective: LOIObjective, start: Mapping[str, Any]) -> float:
-    cotangent = objective.value_and_grad(planned.render(start))[1]
+def _planning(
+    planned: PlannedRenderer, objective: LOIObjective, start: Mapping[str, Any], image: Any
+) -> tuple[EffectPlan, float, float]:
+    """The plan, the time of its pilot, and that of one look at what it has turned off, because the loss stalls."""
+    cotangent = objective.value_and_grad(image)[1]
     begin = time.perf_counter()
-    planned.begin(start, cotangent, optimise=list(start))
-    return time.perf_counter() - begin
+    plan = planned.begin(start, cotangent, optimise=list(start))
+    begun = time.perf_counter()
+    looked = begun
+    for step in range(STALL + 1):  # only the last of these looks
+        looked = time.perf_counter()
+        planned.watch(FitStep(step, 1.0, 1.0, 1.0, 0.0), start, image)
+    return plan, begun - begin, time.perf_counter() - looked
 
 
-def _fitted(case: Case, renderer: Renderer, objective: LOIObjective, effort: Effort) -> float:
+def _fitted(case: Case, renderer: Renderer, objective: LOIObjective, effort: Effort) -> tuple[float, ...]:
     free = {name: Free(value) for name, value in case.start.items()}
-    callback = renderer.watch if isinstance(renderer, PlannedRenderer) else None
-    found = fit(
-        renderer, objective, steps=effort.steps, learning_rate=case.rate, optimise=free, callback=callback
-    ).best_params
-    left = sum(float(np.sum((found[name] - case.truth[name]) ** 2)) for name in free)
     first = sum(float(np.sum((case.start[name] - case.truth[name]) ** 2)) for name in free)
-    return math.sqrt(left / first)
+    errors = []
+    for seed in range(0, effort.fits * APART, APART):
+        callback = None
+        if isinstance(renderer, PlannedRenderer):
+            callback = renderer.watch
+            start = renderer.parameters() | dict(case.start)
+            cotangent = objective.value_and_grad(renderer.render(start, seed=seed))[1]
+            renderer.begin(start, cotangent, optimise=list(free), seed=seed)
+        found = fit(
+            renderer,
+            objective,
+            steps=effort.steps,
+            learning_rate=case.rate,
+            seed=seed,
+            optimise=free,
+            callback=callback,
+        ).best_params
+        left = sum(float(np.sum((found[name] - case.truth[name]) ** 2)) for name in free)
+        errors.append(math.sqrt(left / first))
+    return tuple(errors)

@@ -12,12 +12,12 @@ import loi_mitsuba  # noqa: F401 - before Dr.Jit, so that it gets an LLVM that w
 import mitsuba as mi
 import numpy as np
 
+from examples.effects.parts import ball, bitmap, camera, colour, diffuse, floor, lamp, mesh_of_boxes, numbers, picture
 from loi_mitsuba import Rotate, Translate
 
-__all__ = ["SUITE", "Case", "mesh_of_boxes"]
+__all__ = ["SUITE", "Case"]
 
 WIDTH, HEIGHT = 96, 72
-GREY: Final = [0.5, 0.4, 0.3]
 
 
 @dataclass(frozen=True)
@@ -56,98 +56,32 @@ class Case:
         return self.make(width, height)
 
 
-def _numbers(*values: float) -> Any:
-    return np.array(values if len(values) > 1 else values[0], dtype=np.float32)
-
-
-def _camera(width: int, height: int, origin: list[float], target: list[float], fov: float = 45.0) -> dict[str, Any]:
-    return {
-        "type": "perspective",
-        "fov": fov,
-        "to_world": mi.ScalarTransform4f().look_at(origin, target, [0, 1, 0]),
-        "film": {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": "box"}},
-    }
-
-
-def _colour(value: list[float]) -> dict[str, Any]:
-    return {"type": "rgb", "value": value}
-
-
-def _diffuse(value: list[float]) -> dict[str, Any]:
-    return {"type": "twosided", "bsdf": {"type": "diffuse", "reflectance": _colour(value)}}
-
-
-def _floor(size: float = 8.0) -> dict[str, Any]:
-    up = mi.ScalarTransform4f().rotate([1, 0, 0], -90).scale(size)
-    return {"type": "rectangle", "to_world": up, "bsdf": _diffuse(GREY)}
-
-
-def _ball(place: list[float], radius: float, **more: Any) -> dict[str, Any]:
-    return {"type": "sphere", "to_world": mi.ScalarTransform4f().translate(place).scale(radius), **more}
-
-
-def _lamp(place: list[float], radius: float, radiance: float) -> dict[str, Any]:
-    return _ball(place, radius, emitter={"type": "area", "radiance": _colour([radiance] * 3)})
-
-
-def mesh_of_boxes(name: str, boxes: list[tuple[tuple[float, float, float], float]], colour: list[float]) -> Any:
-    """One mesh of several boxes, (centre, half the edge) each, whose vertices are shared by their faces."""
-    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], np.float32)
-    sides = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
-    faces = np.array([face for a, b, c, d in sides for face in ((a, b, c), (a, c, d))], np.uint32)
-    flat = mi.Properties()
-    flat["face_normals"] = True
-    flat["bsdf"] = mi.load_dict(_diffuse(colour))
-    mesh = mi.Mesh(name, 8 * len(boxes), 12 * len(boxes), props=flat)
-    params = mi.traverse(mesh)
-    places = [corners * half + np.array(centre, np.float32) for centre, half in boxes]
-    params["vertex_positions"] = mi.Float(np.concatenate(places).ravel())
-    params["faces"] = mi.UInt32(np.concatenate([faces + 8 * k for k in range(len(boxes))]).ravel())
-    params.update()
-    return mesh
-
-
-def _picture(height: int, width: int, seed: int) -> Any:
-    """A smooth random picture."""
-    rng = np.random.default_rng(seed)
-    coarse = rng.uniform(0.1, 0.9, (4, 6, 3))
-    rows = np.linspace(0, 3, height)
-    columns = np.linspace(0, 5, width)
-    tall = np.stack([[np.interp(rows, range(4), coarse[:, k, c]) for k in range(6)] for c in range(3)], axis=-1)
-    smooth = [[np.interp(columns, range(6), tall[:, r, c]) for r in range(height)] for c in range(3)]
-    return np.moveaxis(np.array(smooth), 0, -1).astype(np.float32)
-
-
-def _bitmap(picture: Any) -> dict[str, Any]:
-    return {"type": "bitmap", "bitmap": mi.Bitmap(picture), "raw": True}
-
-
 def _texture(width: int, height: int) -> dict[str, Any]:
     wall = {"type": "rectangle", "to_world": mi.ScalarTransform4f().scale(2.5)}
     grey = np.full((8, 12, 3), 0.5, np.float32)
     return {
         "type": "scene",
-        "sensor": _camera(width, height, [0, 0, 6], [0, 0, 0]),
-        "wall": {**wall, "bsdf": {"type": "diffuse", "reflectance": _bitmap(grey)}},
-        "lamp": _lamp([2, 3, 5], 0.5, 60.0),
+        "sensor": camera(width, height, [0, 0, 6], [0, 0, 0]),
+        "wall": {**wall, "bsdf": {"type": "diffuse", "reflectance": bitmap(grey)}},
+        "lamp": lamp([2, 3, 5], 0.5, 60.0),
     }
 
 
 def _emitter(width: int, height: int) -> dict[str, Any]:
     return {
         "type": "scene",
-        "sensor": _camera(width, height, [0, 6, 6], [0, 0, 0]),
-        "floor": _floor(),
-        "ball": _ball([0, 0.8, 0], 0.8, bsdf=_diffuse([0.7, 0.7, 0.7])),
-        "lamp": _lamp([3, 6, 2], 0.7, 40.0),
+        "sensor": camera(width, height, [0, 6, 6], [0, 0, 0]),
+        "floor": floor(),
+        "ball": ball([0, 0.8, 0], 0.8, bsdf=diffuse([0.7, 0.7, 0.7])),
+        "lamp": lamp([3, 6, 2], 0.7, 40.0),
     }
 
 
 def _visible(width: int, height: int) -> dict[str, Any]:
     return {
         "type": "scene",
-        "sensor": _camera(width, height, [0, 0, 8], [0, 0, 0], 40.0),
-        "ball": _ball([0, 0, 0], 0.5, bsdf=_diffuse([0.9, 0.5, 0.2])),
+        "sensor": camera(width, height, [0, 0, 8], [0, 0, 0], 40.0),
+        "ball": ball([0, 0, 0], 0.5, bsdf=diffuse([0.9, 0.5, 0.2])),
         "light": {"type": "constant", "radiance": 0.6},
     }
 
@@ -155,20 +89,20 @@ def _visible(width: int, height: int) -> dict[str, Any]:
 def _shadow(width: int, height: int) -> dict[str, Any]:
     return {
         "type": "scene",
-        "sensor": _camera(width, height, [0, 6, 6], [0, 0, 0]),
-        "floor": _floor(),
-        "ball": _ball([0, 5, 0], 0.4),
-        "lamp": _lamp([0, 12, 0], 0.7, 100.0),
+        "sensor": camera(width, height, [0, 6, 6], [0, 0, 0]),
+        "floor": floor(),
+        "ball": ball([0, 5, 0], 0.4),
+        "lamp": lamp([0, 12, 0], 0.7, 100.0),
     }
 
 
 def _both(width: int, height: int) -> dict[str, Any]:
     return {
         "type": "scene",
-        "sensor": _camera(width, height, [0, 6, 6], [0, 0, 0]),
-        "floor": _floor(),
-        "ball": _ball([0, 0.7, 0], 0.6, bsdf=_diffuse([0.8, 0.2, 0.2])),
-        "lamp": _lamp([2, 8, 1], 0.7, 60.0),
+        "sensor": camera(width, height, [0, 6, 6], [0, 0, 0]),
+        "floor": floor(),
+        "ball": ball([0, 0.7, 0], 0.6, bsdf=diffuse([0.8, 0.2, 0.2])),
+        "lamp": lamp([2, 8, 1], 0.7, 60.0),
     }
 
 
@@ -177,43 +111,43 @@ def _mirror(width: int, height: int) -> dict[str, Any]:
     glossy = {"type": "roughconductor", "alpha": 0.08}
     return {
         "type": "scene",
-        "sensor": _camera(width, height, [0, 3, 6], [0, 0, -1], 35.0),
-        "floor": {**_floor(), "bsdf": {"type": "twosided", "bsdf": glossy}},
-        "ball": _ball([0, 3.0, -6.0], 0.8, bsdf=_diffuse([0.9, 0.4, 0.1])),
+        "sensor": camera(width, height, [0, 3, 6], [0, 0, -1], 35.0),
+        "floor": {**floor(), "bsdf": {"type": "twosided", "bsdf": glossy}},
+        "ball": ball([0, 3.0, -6.0], 0.8, bsdf=diffuse([0.9, 0.4, 0.1])),
         "light": {"type": "constant", "radiance": 0.4},
-        "lamp": _lamp([3, 7, 0], 0.7, 30.0),
+        "lamp": lamp([3, 7, 0], 0.7, 30.0),
     }
 
 
 def _caustic(width: int, height: int) -> dict[str, Any]:
     return {
         "type": "scene",
-        "sensor": _camera(width, height, [0, 6, 6], [0, 0, 0]),
-        "floor": _floor(),
-        "glass": _ball([0, 1.2, 0], 0.8, bsdf={"type": "dielectric"}),
-        "lamp": _lamp([0, 7, -2], 1.2, 25.0),
+        "sensor": camera(width, height, [0, 6, 6], [0, 0, 0]),
+        "floor": floor(),
+        "glass": ball([0, 1.2, 0], 0.8, bsdf={"type": "dielectric"}),
+        "lamp": lamp([0, 7, -2], 1.2, 25.0),
     }
 
 
 def _light(width: int, height: int) -> dict[str, Any]:
     return {
         "type": "scene",
-        "sensor": _camera(width, height, [0, 6, 6], [0, 0, 0]),
-        "floor": _floor(),
-        "ball": _ball([0, 0.8, 0], 0.8, bsdf=_diffuse([0.7, 0.7, 0.7])),
-        "lamp": _lamp([0, 6, 0], 0.5, 50.0),
+        "sensor": camera(width, height, [0, 6, 6], [0, 0, 0]),
+        "floor": floor(),
+        "ball": ball([0, 0.8, 0], 0.8, bsdf=diffuse([0.7, 0.7, 0.7])),
+        "lamp": lamp([0, 6, 0], 0.5, 50.0),
     }
 
 
 def _environment(width: int, height: int) -> dict[str, Any]:
     # Mitsuba has no gradient by an environment map's own rotation; a sphere around the scene that shines has.
     around = mi.ScalarTransform4f().scale(20)
-    sky = {"type": "area", "radiance": _bitmap(_picture(16, 32, 3))}
+    sky = {"type": "area", "radiance": bitmap(picture(16, 32, 3))}
     return {
         "type": "scene",
-        "sensor": _camera(width, height, [0, 2, 6], [0, 0, 0]),
+        "sensor": camera(width, height, [0, 2, 6], [0, 0, 0]),
         "sky": {"type": "sphere", "flip_normals": True, "to_world": around, "emitter": sky},
-        "ball": _ball([0, 0, 0], 1.2, bsdf=_diffuse([0.8, 0.8, 0.8])),
+        "ball": ball([0, 0, 0], 1.2, bsdf=diffuse([0.8, 0.8, 0.8])),
     }
 
 
@@ -225,30 +159,30 @@ def _pose(width: int, height: int) -> dict[str, Any]:
     boxes = [((-1.2, 0.2, 0.0), 0.5), ((0.9, -0.5, 0.6), 0.6), ((0.3, 1.1, -0.8), 0.4)]
     return {
         "type": "scene",
-        "sensor": _camera(width, height, CAMERA, [0, 0, 0]),
+        "sensor": camera(width, height, CAMERA, [0, 0, 0]),
         "room": mesh_of_boxes("room", boxes, [0.7, 0.5, 0.3]),
         "light": {"type": "constant", "radiance": 0.6},
     }
 
 
 def _fog(width: int, height: int) -> dict[str, Any]:
-    fog = {"type": "homogeneous", "albedo": _colour([0.8, 0.8, 0.8]), "sigma_t": 0.6}
+    fog = {"type": "homogeneous", "albedo": colour([0.8, 0.8, 0.8]), "sigma_t": 0.6}
     return {
         "type": "scene",
         "integrator": {"type": "volpath", "max_depth": 6},
-        "sensor": _camera(width, height, [0, 1.5, 6], [0, 0.8, 0]),
-        "floor": _floor(),
-        "cloud": {**_ball([0, 1.0, 0], 1.0), "bsdf": {"type": "null"}, "interior": fog},
-        "lamp": _lamp([2, 6, 2], 0.7, 60.0),
+        "sensor": camera(width, height, [0, 1.5, 6], [0, 0.8, 0]),
+        "floor": floor(),
+        "cloud": {**ball([0, 1.0, 0], 1.0), "bsdf": {"type": "null"}, "interior": fog},
+        "lamp": lamp([2, 6, 2], 0.7, 60.0),
     }
 
 
 def _nothing(width: int, height: int) -> dict[str, Any]:
     return {
         "type": "scene",
-        "sensor": _camera(width, height, [0, 0, 8], [0, 0, 0], 40.0),
-        "ball": _ball([0, 0, 0], 0.5, bsdf=_diffuse([0.9, 0.5, 0.2])),
-        "behind": _ball([0, 0, 14], 0.5),
+        "sensor": camera(width, height, [0, 0, 8], [0, 0, 0], 40.0),
+        "ball": ball([0, 0, 0], 0.5, bsdf=diffuse([0.9, 0.5, 0.2])),
+        "behind": ball([0, 0, 14], 0.5),
         "light": {"type": "constant", "radiance": 0.6},
     }
 
@@ -262,7 +196,7 @@ def _plane(shape: str) -> dict[str, Any]:
 
 
 def _at(x: float, z: float) -> dict[str, Any]:
-    return {"x": _numbers(x), "z": _numbers(z)}
+    return {"x": numbers(x), "z": numbers(z)}
 
 
 SUITE: Final = (
@@ -271,7 +205,7 @@ SUITE: Final = (
         _texture,
         {"texture": "wall.bsdf.reflectance.data"},
         {"texture": np.full((8, 12, 3), 0.5, np.float32)},
-        {"texture": _picture(8, 12, 1)},
+        {"texture": picture(8, 12, 1)},
         0.02,
         {"type": "prb", "max_depth": 2},
         {"type": "prb"},
@@ -280,8 +214,8 @@ SUITE: Final = (
         "emitter colour",
         _emitter,
         {"light": "lamp.emitter.radiance.value"},
-        {"light": _numbers(20, 20, 20)},
-        {"light": _numbers(40, 30, 15)},
+        {"light": numbers(20, 20, 20)},
+        {"light": numbers(40, 30, 15)},
         0.5,
         {"type": "prb", "max_depth": 3},
         {"type": "prb"},
@@ -290,8 +224,8 @@ SUITE: Final = (
         "visible object, no shadow",
         _visible,
         {"place": Translate("ball")},
-        {"place": _numbers(-1.5, 0.9, 0.0)},
-        {"place": _numbers(1.4, -0.8, 0.0)},
+        {"place": numbers(-1.5, 0.9, 0.0)},
+        {"place": numbers(1.4, -0.8, 0.0)},
         0.1,
         _hand("direct_projective", sppi=0),
         {"type": "direct_projective"},
@@ -320,8 +254,8 @@ SUITE: Final = (
         "object in a mirror only",
         _mirror,
         {"x": Translate("ball", (1, 0, 0))},
-        {"x": _numbers(-1.2)},
-        {"x": _numbers(1.0)},
+        {"x": numbers(-1.2)},
+        {"x": numbers(1.0)},
         0.04,
         _hand("prb_projective", max_depth=3, sppp=0),
         {"type": "prb_projective"},
@@ -330,8 +264,8 @@ SUITE: Final = (
         "glass sphere with caustic",
         _caustic,
         {"light": "lamp.emitter.radiance.value"},
-        {"light": _numbers(12, 12, 12)},
-        {"light": _numbers(25, 20, 12)},
+        {"light": numbers(12, 12, 12)},
+        {"light": numbers(25, 20, 12)},
         0.3,
         {"type": "prb", "max_depth": 5},
         {"type": "prb"},
@@ -350,8 +284,8 @@ SUITE: Final = (
         "environment rotation",
         _environment,
         {"turn": Rotate("sky", (0, 1, 0))},
-        {"turn": _numbers(-12.0)},
-        {"turn": _numbers(20.0)},
+        {"turn": numbers(-12.0)},
+        {"turn": numbers(20.0)},
         1.0,
         {"type": "prb", "max_depth": 2},
         {"type": "prb_projective"},
@@ -360,8 +294,8 @@ SUITE: Final = (
         "camera pose",
         _pose,
         {"pan": Rotate("room", (0, 1, 0), CAMERA), "tilt": Rotate("room", (1, 0, 0), CAMERA)},
-        {"pan": _numbers(-2.5), "tilt": _numbers(1.5)},
-        {"pan": _numbers(2.5), "tilt": _numbers(-1.5)},
+        {"pan": numbers(-2.5), "tilt": numbers(1.5)},
+        {"pan": numbers(2.5), "tilt": numbers(-1.5)},
         0.25,
         _hand("direct_projective"),
         {"type": "direct_projective"},
@@ -370,8 +304,8 @@ SUITE: Final = (
         "fog",
         _fog,
         {"density": "cloud.interior_medium.sigma_t.value.value"},
-        {"density": _numbers(0.3)},
-        {"density": _numbers(1.2)},
+        {"density": numbers(0.3)},
+        {"density": numbers(1.2)},
         0.02,
         {"type": "prbvolpath", "max_depth": 6},
         {"type": "prbvolpath"},
@@ -380,8 +314,8 @@ SUITE: Final = (
         "nothing that can be seen",
         _nothing,
         {"place": Translate("behind")},
-        {"place": _numbers(0.0, 0.0, 0.0)},
-        {"place": _numbers(1.0, 0.0, 0.0)},
+        {"place": numbers(0.0, 0.0, 0.0)},
+        {"place": numbers(1.0, 0.0, 0.0)},
         0.05,
         _hand("direct_projective"),
         {"type": "direct_projective"},

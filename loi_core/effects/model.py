@@ -97,6 +97,8 @@ class EffectPlan:
         What the renderer is told; its adapter knows the keys.
     why : mapping of str
         Reasons of settings that are no effect's own, by their name.
+    held : mapping of str
+        By parameter that a fit does not move for now, why: a line each.
     notes : tuple of str
         What a person should know: gradients that the renderer does not have, or why everything is on.
     understood : bool
@@ -113,6 +115,7 @@ class EffectPlan:
     choices: tuple[Choice, ...]
     settings: Mapping[str, Any] = field(default_factory=dict)
     why: Mapping[str, str] = field(default_factory=dict)
+    held: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     understood: bool = True
     measured: bool = False
@@ -132,7 +135,7 @@ class EffectPlan:
         return frozenset(one.effect for one in self.choices if one.on)
 
     def __str__(self) -> str:
-        """The plan as a small table, which is also Markdown, with the settings below it and then the notes."""
+        """The plan as a small table, which is also Markdown: effects, what is held, and below it settings and notes."""
         heads = ["effect", "", "samples", "share", "why"]
         rows = [
             [
@@ -144,6 +147,7 @@ class EffectPlan:
             ]
             for one in self.choices
         ]
+        rows += [[repr(name), "held", "", "", reason] for name, reason in self.held.items()]
         shown = ", ".join(f"{name} {value}" for name, value in self.settings.items() if value is not None)
         reasons = [f"- {name} {self.settings[name]}: {reason}" for name, reason in self.why.items()]
         notes = [f"Note: {note}" for note in self.notes]
@@ -156,6 +160,8 @@ class EffectPlan:
             for new, old in zip(self.choices, other.choices, strict=True)
             if new.on != old.on
         ]
+        changes += [f"{name!r} held ({reason})" for name, reason in self.held.items() if name not in other.held]
+        changes += [f"{name!r} free" for name in other.held if name not in self.held]
         for name in dict.fromkeys([*other.settings, *self.settings]):
             old_value, new_value = other.settings.get(name), self.settings.get(name)
             if old_value != new_value:

@@ -28,7 +28,8 @@ class PlanningRenderer(Renderer, Protocol):
     def begin(self, params: Parameters, cotangent: Array, *, optimise: Iterable[str], seed: int = 0) -> EffectPlan:
         """Plan a fit that starts at `params`, where the loss has the gradient `cotangent` by the image.
 
-        Only the gradients of the parameters named in `optimise` matter.
+        Only the gradients of the parameters named in `optimise` matter. Those that the plan holds have a gradient of 0
+        until it lets them go.
         """
 
     def watch(self, step: FitStep, params: Parameters, image: Array) -> None:

@@ -5,15 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
 from loi_core.errors import OptionError
 
-__all__ = ["Comparison", "Draws", "compare", "total"]
+__all__ = ["SURE", "Comparison", "Draws", "compare", "total"]
 
 Host: TypeAlias = np.ndarray[Any, Any]
+
+SURE: Final = 2.0
+"""Errors of a mean that a decision has to clear; the mean of pure noise rarely does."""
 
 
 @dataclass(frozen=True)
@@ -81,6 +84,15 @@ class Draws:
         """Norm of the mean less what the noise that is left in it adds on average."""
         return math.sqrt(max(0.0, self.norm(name) ** 2 - self.error(name) ** 2))
 
+    def heard(self, name: str, sure: float = SURE) -> bool:
+        """Whether the gradient can be told from noise by its mean, which then exceeds so many of its errors."""
+        return self.norm(name) > sure * self.error(name)
+
+    @property
+    def told(self) -> tuple[str, ...]:
+        """The parameters whose gradient can be told from noise."""
+        return tuple(name for name in self.gradients if self.heard(name))
+
     def variance(self, name: str) -> float:
         """Variance of one draw, summed over the elements."""
         return float(np.sum(np.var(self.gradients[name], axis=0, ddof=1)))
@@ -117,10 +129,14 @@ class Comparison:
 
 
 def total(parts: Sequence[Draws]) -> Draws:
-    """The sum of gradients that were drawn independently; with as many draws as the one that has fewest."""
-    count = min(one.count for one in parts)
+    """The sum of gradients that were drawn independently; with as many draws as the one that has fewest.
+
+    A part that is 0 in all its draws is 0 in any, however few they are.
+    """
     names = parts[0].gradients
-    summed = {name: np.sum([one.gradients[name][:count] for one in parts], axis=0) for name in names}
+    there = [one for one in parts if not all(map(one.zero, names))] or parts
+    count = min(one.count for one in there)
+    summed = {name: np.sum([one.gradients[name][:count] for one in there], axis=0) for name in names}
     return Draws(summed, sum(one.seconds for one in parts))
 
 
@@ -140,8 +156,7 @@ def compare(found: Draws, wanted: Draws) -> Comparison:
     Comparison
         NaN throughout if no parameter has a gradient that can be told from noise.
     """
-    # At twice its error, the least that a mean of pure noise rarely exceeds.
-    heard = [name for name in wanted.gradients if wanted.norm(name) > 2.0 * wanted.error(name)]
+    heard = wanted.told
     silent = tuple(name for name in wanted.gradients if name not in heard)
     if not heard:
         return Comparison(math.nan, math.nan, math.nan, math.nan, math.nan, math.nan, silent)

@@ -113,6 +113,23 @@ def test_a_change_of_plan_is_one_line_and_no_change_is_none() -> None:
     assert other.changes_from(plan()) == "primary visibility off (off); integrator prb -> path"
 
 
+def test_what_is_held_has_a_row_and_its_changes_are_told() -> None:
+    held = dataclasses.replace(plan(), held={"far": "it cannot be seen"})
+    lines = str(held).splitlines()
+    row = lines[2 + len(Effect)]
+    assert [cell.strip() for cell in row.strip("|").split("|")] == ["'far'", "held", "", "", "it cannot be seen"]
+    assert len({len(line) for line in lines[: len(Effect) + 3]}) == 1
+    assert held.changes_from(plan()) == "'far' held (it cannot be seen)"
+    assert plan().changes_from(held) == "'far' free"
+    assert held.changes_from(held) == ""
+
+
+def test_a_part_that_is_never_there_takes_no_draws_from_the_others() -> None:
+    long, short = noisy([1.0, 2.0], 0.1, 8, 0), Draws({"p": np.zeros((4, 2))})
+    np.testing.assert_array_equal(total([long, short]).gradients["p"], long.gradients["p"])
+    assert total([short, short]).count == 4
+
+
 def noisy(mean: list[float], noise: float, count: int, seed: int) -> Draws:
     rng = np.random.default_rng(seed)
     return Draws.of([{"p": np.array(mean) + noise * rng.standard_normal(len(mean))} for _ in range(count)])

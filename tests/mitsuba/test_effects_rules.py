@@ -13,7 +13,15 @@ import pytest
 from examples.effects.scenes import SUITE, Case
 from loi_core.effects import Effect, EffectPlan
 from loi_core.errors import OptionError, ParameterError
-from loi_mitsuba import CAPABILITIES, GradientWarning, MitsubaRenderer, Rotate, Translate, plan_effects
+from loi_mitsuba import (
+    CAPABILITIES,
+    GradientWarning,
+    MitsubaRenderer,
+    PlannedRenderer,
+    Rotate,
+    Translate,
+    plan_effects,
+)
 from loi_mitsuba.effects.traits import in_view
 from tests.mitsuba.scenes import box, shadow_scene
 
@@ -131,6 +139,19 @@ def test_missing_gradients_are_told() -> None:
     assert not plan.on & EDGES
     with pytest.raises(ParameterError, match="for perspective only"):
         plan_effects(shadow_scene(sensor={"type": "orthographic"}), {"x": Translate("ball", (1, 0, 0))})
+
+
+def test_a_plan_that_has_measured_edges_away_is_not_warned_of() -> None:
+    """The rules cannot know that a sky which turns has no outline in view; a pilot does, and has said so."""
+    case = CASES["environment rotation"]
+    scene = case.scene(16, 12) | {"integrator": {"type": "direct"}}
+    renderer = PlannedRenderer(scene, case.parameters)
+    image = renderer.render(dict(case.start))
+    plan = renderer.begin(dict(case.start), np.ones_like(image) * image, optimise=["turn"])
+    assert plan.settings["integrator"] == "prb"
+    assert MitsubaRenderer(scene, case.parameters, integrator=plan)  # a warning is an error in tests
+    with pytest.warns(GradientWarning, match="no gradient of moving silhouettes"):
+        MitsubaRenderer(scene, case.parameters, integrator={"type": "prb"})
 
 
 def test_a_plan_is_given_to_a_renderer_whole() -> None:

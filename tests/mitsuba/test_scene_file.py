@@ -81,7 +81,7 @@ def test_tables_are_the_handles_of_the_same_names(folder: Path) -> None:
     }
     tables = MitsubaRenderer(folder / "scene.xml", {name: table for name, (table, _) in targets.items()})
     classes = MitsubaRenderer(folder / "scene.xml", {name: handle for name, (_, handle) in targets.items()})
-    assert tables._targets == classes._targets
+    assert tables.targets == classes.targets
 
 
 @pytest.mark.parametrize(

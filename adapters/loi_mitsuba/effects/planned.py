@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -12,16 +11,18 @@ from typing import Any, Final
 import numpy as np
 
 from loi_core.arrays import to_numpy
-from loi_core.effects import Effect, EffectPlan
+from loi_core.effects import Effect, EffectPlan, Holding, Schedule, Sizes
 from loi_core.errors import OptionError, ParameterError
 from loi_core.fit import FitStep
 from loi_core.messages import shown
 from loi_core.objectives.base import Objective
 from loi_core.values import real_number
-from loi_mitsuba.effects.pilot import EFFECTS, Pilot, Probe, Sizes
-from loi_mitsuba.effects.rules import everything, integrator_for, plan_by_rules, plan_of
-from loi_mitsuba.effects.settings import PROJECTIVE, as_mapping, bordered, settings_of
-from loi_mitsuba.effects.traits import groups_of, in_view, traits_of
+from loi_mitsuba.effects.images import effect_images
+from loi_mitsuba.effects.pilot import Pilot
+from loi_mitsuba.effects.probe import Probe
+from loi_mitsuba.effects.rules import everything, plan_by_rules, plan_of, plan_with
+from loi_mitsuba.effects.settings import bordered, settings_of
+from loi_mitsuba.effects.traits import groups_of, in_view, objects_of, traits_of
 from loi_mitsuba.effects.verify import Verification, verification
 from loi_mitsuba.entries import Scene
 from loi_mitsuba.handles import Host
@@ -36,14 +37,9 @@ from loi_mitsuba.loading import (
 )
 from loi_mitsuba.renderer import MitsubaRenderer
 
-__all__ = ["PlannedRenderer", "plan_effects"]
+__all__ = ["SHARE", "PlannedRenderer"]
 
 SHARE: Final = 0.1  # what is off together turns the gradient by less than 6 degrees, whose cosine is 0.995
-FIRST: Final = 20  # gradients until what is off is looked at again; then twice as many, and so on
-STALL: Final = 20  # steps in which a loss that still falls reaches a new least value
-
-DRAWN_FORWARD: Final = (*PROJECTIVE, "prb")
-
 log = logging.getLogger("loi_mitsuba")
 
 
@@ -53,7 +49,11 @@ class PlannedRenderer:
     It begins with what sound rules say. The first gradient that is asked of it is also the first of a pilot, which
     turns off what carries less than a share of it. What was turned off is looked at again after 20 gradients, then 40,
     80 and so on, at once when a shape that moves comes into view, and when a loss that it watches stalls; what appears
-    or grows goes on and stays on. A change is logged in one line, at level INFO of the logger ``loi_mitsuba``.
+    or grows goes on and stays on.
+
+    Objects whose gradient the pilot cannot tell from noise are held: the gradient by their parameters is 0, so that a
+    fit leaves them where they are, until the gradients of further steps agree, or the object comes into view; see
+    :class:`loi_core.effects.Holding`. A change is logged in one line, at level INFO of the logger ``loi_mitsuba``.
 
     Parameters
     ----------
@@ -93,13 +93,10 @@ class PlannedRenderer:
         self._base = MitsubaRenderer(ready, targets, integrator=plan, spp=spp, sensor=sensor)
         self._samples = int(spp)
         self._begun = False
-        self._asked = 0
-        self._due, self._wait = FIRST, 2 * FIRST
-        self._best = math.inf
-        self._since_best = 0
-        self._patience = STALL
+        self._schedule = Schedule()
         self._last: Probe | None = None
         self._sizes: Sizes = {}
+        self._holding = Holding()
         self._seen: frozenset[str] = frozenset()
         self._take(tuple(targets))
 
@@ -132,28 +129,39 @@ class PlannedRenderer:
         return self._current.render(params, seed=seed)
 
     def render_vjp(self, params: Mapping[str, Any], *, seed: int = 0) -> tuple[Host, Callable[[Any], dict[str, Host]]]:
-        """The image and its pullback; see :class:`MitsubaRenderer`. The pullback keeps the plan of its image."""
+        """The image and its pullback; see :class:`MitsubaRenderer`.
+
+        The pullback keeps the plan of its image. The gradient of what is held is 0.
+        """
         image = self._current.render(params, seed=seed)
         self._look()
         current = self._current  # that of the pullback also after the plan has changed
         kept = {name: np.array(value, dtype=np.float32) for name, value in params.items()}
+        held: frozenset[str] | None = None
 
         def counted(cotangent: Any) -> dict[str, Host]:
+            nonlocal held
             pulled = current.pull(kept, cotangent, seed=seed)
-            self._last = Probe(self._base, kept, np.array(cotangent, dtype=np.float32), self._names, self._groups, seed)
-            self._asked += 1
+            self._last = Probe(self._base, kept, np.array(cotangent, dtype=np.float32), self._names, seed)
+            self._schedule = self._schedule.counted()
             if not self._begun:
                 self.begin(kept, cotangent, optimise=self._names, seed=seed)
-            elif self._asked >= self._due:
+            elif held is None:  # a second gradient of one image has the same noise, and would agree with it
+                self._holding = self._holding.seen(pulled)
+                self._raise({}, "as gradients agree")
+            if held is None:
+                held = frozenset(self._holding.reasons)
+            if self._schedule.is_due:
                 self._probe("on schedule")
-            return pulled
+            return pulled | {name: np.zeros_like(pulled[name]) for name in held}
 
         return image, counted
 
     def begin(self, params: Mapping[str, Any], cotangent: Any, *, optimise: Iterable[str], seed: int = 0) -> EffectPlan:
         """Plan a fit that starts at `params`, where the loss has the gradient `cotangent`, shape (H, W, C).
 
-        From now on only the parameters named in `optimise` have a gradient; that of the others is 0.
+        From now on only the parameters named in `optimise` have a gradient; that of the others is 0, and so is that of
+        those which the plan holds, until it lets them go.
 
         Raises
         ------
@@ -166,15 +174,13 @@ class PlannedRenderer:
                 msg = f"`optimise` must name parameters of {', '.join(self._base.targets)}, got {name or 'none'!r}"
                 raise ParameterError(msg)
         self._take(names)
-        self._last = Probe(
-            self._base, dict(params), np.array(to_numpy(cotangent), np.float32), names, self._groups, seed
-        )
+        self._last = Probe(self._base, dict(params), np.array(to_numpy(cotangent), np.float32), names, seed)
         self._begun = True
-        self._due, self._wait = self._asked + FIRST, 2 * FIRST
-        self._best, self._since_best, self._patience = math.inf, 0, STALL
-        plan, self._sizes = self._pilot.run(self._plan, self._last)
+        self._schedule = Schedule()
+        found = self._pilot.run(self._plan, self._last)
+        self._sizes, self._holding = found.sizes, found.holding
         self._seen = self._in_view()
-        self._change(plan, "by the pilot")
+        self._change(found.plan, "by the pilot")
         return self._plan
 
     def watch(self, step: FitStep, params: Mapping[str, Any], image: Any) -> None:  # noqa: ARG002 - a callback's
@@ -182,12 +188,9 @@ class PlannedRenderer:
 
         That is when it has reached no new least value for 20 steps, then for 40 more, 80 more and so on.
         """
-        self._since_best += 1
-        if step.value < self._best:
-            self._best, self._since_best = step.value, 0
-        if self._since_best >= self._patience:
-            # A fit that has arrived stalls for good, and looking costs.
-            self._since_best, self._patience = 0, 2 * self._patience
+        self._schedule = self._schedule.watched(step.value)
+        if self._schedule.stalls:
+            self._schedule = self._schedule.waited()
             self._probe(f"at step {step.step}, where the loss stalls")
 
     def verify(
@@ -222,25 +225,9 @@ class PlannedRenderer:
         Effects that a pilot has turned off are among them, those that the rules exclude are not. Empty where Mitsuba
         has no derivative of images, as in media, or the gradient is 0.
         """
-        full = settings_of(self._rules)
-        if not self._rules.understood or full.integrator not in DRAWN_FORWARD:
-            return {}
-        followed = self._base.with_integrator(self._rules, follow=self._names)
-        pulled = followed.pull(params, to_numpy(cotangent), seed=seed)
-        tangent = {}
-        for name in self._names:
-            size = float(np.linalg.norm(pulled[name]))
-            tangent[name] = -pulled[name] / np.float32(size if size > 0.0 else 1.0)
-        if not any(np.any(one) for one in tangent.values()):
-            return {}
-        images = {}
-        for part, effect in EFFECTS.items():
-            if getattr(full, part) > 0:
-                only = replace(self._rules, settings=as_mapping(full.only(part, 4 * self._samples)))
-                images[str(effect)] = self._base.with_integrator(only, follow=self._names).push(
-                    params, tangent, seed=seed
-                )
-        return images
+        return effect_images(
+            self._base, self._rules, self._names, 4 * self._samples, params, to_numpy(cotangent), seed=seed
+        )
 
     def _take(self, names: tuple[str, ...]) -> None:
         """Start from the rules for these parameters."""
@@ -248,7 +235,9 @@ class PlannedRenderer:
         self._names = tuple(targets)
         self._groups = groups_of(targets)
         self._traits = traits_of(self._base.scene, targets, self._base.sensor)
-        self._pilot = Pilot(self._traits, self._samples, self._share)
+        objects = objects_of(targets, self._traits.moving)
+        self._pilot = Pilot(self._traits, self._samples, self._share, self._groups, objects)
+        self._holding = Holding()
         self._rules = plan_by_rules(self._traits, self._samples)
         self._set(self._rules)
 
@@ -257,41 +246,32 @@ class PlannedRenderer:
         return frozenset(name for name, shape in self._traits.moving.items() if in_view(self._base.sensor, shape))
 
     def _look(self) -> None:
-        """Turn outlines on when a shape comes into view that was not there when they were turned off."""
-        rules, settings = settings_of(self._rules), settings_of(self._plan)
-        if rules.sppp > 0 and settings.sppp == 0 and self._begun:
-            fresh = self._in_view() - self._seen
-            if fresh:
-                reason = f"what {', '.join(map(repr, sorted(fresh)))} moves has come into view"
-                self._raise({Effect.PRIMARY: reason}, "as it comes into view")
+        """When a shape comes into view, sample outlines if that had been turned off, and let go what moves it."""
+        missing = settings_of(self._rules).sppp > 0 and settings_of(self._plan).sppp == 0
+        if not self._begun or not (missing or self._holding.groups):
+            return
+        fresh = self._in_view() - self._seen
+        if not fresh:
+            return
+        self._seen |= fresh
+        self._holding = self._holding.without(fresh)
+        reason = f"what {', '.join(map(repr, sorted(fresh)))} moves has come into view"
+        self._raise({Effect.PRIMARY: reason} if missing else {}, "as it comes into view")
 
     def _probe(self, when: str) -> None:
         """Look again at what is off."""
-        self._due, self._wait = self._asked + self._wait, 2 * self._wait
+        self._schedule = self._schedule.looked()
         if self._last is None or not self._plan.understood or not self._plan.measured:
             return
         grown = self._pilot.grown(settings_of(self._rules), self._plan, self._last, self._sizes)
-        if grown:
-            self._raise(grown, when)
+        self._raise(grown, when)
 
     def _raise(self, grown: Mapping[Effect, str], when: str) -> None:
-        """Turn effects on."""
-        rules, settings = settings_of(self._rules), settings_of(self._plan)
-        for part, effect in EFFECTS.items():
-            if effect in grown:
-                settings = settings.sampled({part: getattr(rules, part)})
-        depth = rules.max_depth if Effect.BOUNCES in grown else settings.max_depth
-        kind = integrator_for(
-            everything(self._traits, self._samples).integrator, depth, edges=settings.sppp > 0 or settings.sppi > 0
-        )
-        settings = replace(settings, max_depth=depth, integrator=kind)
-        reasons = {choice.effect: choice.reason for choice in self._plan.choices} | dict(grown)
-        plan = plan_of(self._traits, settings, reasons)
-        kept = [
-            replace(new, share=old.share, variance_seconds=old.variance_seconds) if new.on == old.on else new
-            for new, old in zip(plan.choices, self._plan.choices, strict=True)
-        ]
-        self._change(replace(plan, choices=tuple(kept), measured=True), when)
+        """Turn effects on, and let go what is no longer held."""
+        if not grown and len(self._holding.reasons) == len(self._plan.held):
+            return
+        plan = plan_with(self._traits, self._plan, settings_of(self._rules), grown)
+        self._change(replace(plan, held=self._holding.reasons), when)
 
     def _set(self, plan: EffectPlan) -> None:
         self._plan = plan
@@ -302,50 +282,6 @@ class PlannedRenderer:
         if changes:
             log.info("effects, %s: %s", when, changes)
         self._set(plan)
-
-
-def plan_effects(
-    scene: dict[str, Any] | str | Path | Scene,
-    optimised: Mapping[str, Target | Mapping[str, Any]],
-    *,
-    objective: Objective | None = None,
-    params: Mapping[str, Any] | None = None,
-    spp: int = 16,
-    share: float = SHARE,
-    sensor: int = 0,
-    seed: int = 0,
-) -> EffectPlan:
-    """Which effects a scene calls for when these parameters are optimised.
-
-    Parameters
-    ----------
-    scene, optimised, sensor
-        As `scene`, `parameters` and `sensor` of :class:`MitsubaRenderer`.
-    objective : Objective, optional
-        The loss at hand; without one there is no pilot, and the plan is that of the sound rules.
-    params : dict of arrays, optional
-        Where the pilot measures; as the scene has them by default.
-    spp, share
-        As those of :class:`PlannedRenderer`.
-    seed : int
-        Of the pilot.
-
-    Returns
-    -------
-    EffectPlan
-        ``print`` shows it; :class:`MitsubaRenderer` takes it as its integrator.
-
-    Raises
-    ------
-    SceneLoadError, ParameterError, OptionError
-        As :class:`MitsubaRenderer`.
-    """
-    renderer = PlannedRenderer(scene, optimised, spp=spp, share=share, sensor=sensor)
-    if objective is not None:
-        at = renderer.parameters() if params is None else dict(params)
-        cotangent = objective.value_and_grad(renderer.render(at, seed=seed))[1]
-        renderer.begin(at, cotangent, optimise=list(at), seed=seed)
-    return renderer.plan
 
 
 def _ruled(scene: Any, parameters: Any, sensor: int, spp: Any) -> tuple[Any, Any, EffectPlan]:

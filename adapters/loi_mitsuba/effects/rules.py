@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from dataclasses import replace
 from typing import Final
 
 from loi_core.effects import Choice, Effect, EffectPlan
-from loi_mitsuba.effects.settings import OWN, Settings, as_mapping
+from loi_mitsuba.effects.settings import OWN, PARTS, Settings, as_mapping, settings_of
 from loi_mitsuba.effects.traits import SURFACE_INTEGRATORS, VOLUME_INTEGRATORS, Traits
 
-__all__ = ["DIRECT", "everything", "integrator_for", "plan_by_rules", "plan_of"]
+__all__ = ["DIRECT", "EFFECTS", "everything", "integrator_for", "plan_by_rules", "plan_of", "plan_with"]
 
+EFFECTS: Final = {"sppc": Effect.CONTINUOUS, "sppp": Effect.PRIMARY, "sppi": Effect.INDIRECT}
 DIRECT: Final = 2  # paths from the camera over one surface to a light
 STILL: Final = "nothing that is optimised moves a shape"
 
@@ -40,7 +43,7 @@ def plan_by_rules(traits: Traits, samples: int) -> EffectPlan:
         notes = (f"everything is on, for the rules do not know {', '.join(traits.unknown)}", *_missing(traits))
         choices = [_choice(effect, effect is not Effect.CAMERA, why, full) for effect in Effect]
         choices[list(Effect).index(Effect.CAMERA)] = _camera()
-        return EffectPlan(tuple(choices), as_mapping(full), _why(traits, full), notes, understood=False)
+        return EffectPlan(tuple(choices), as_mapping(full), _why(traits, full), notes=notes, understood=False)
     depth = min(traits.depth, DIRECT) if traits.alone else traits.depth
     edges = bool(traits.moving) and full.projective
     indirect = edges and not (traits.alone and depth <= DIRECT)
@@ -82,12 +85,29 @@ def plan_of(
         Effect.APPEARANCE: bool(traits.appearance) and settings.sppc > 0,
     }
     choices = tuple(_choice(effect, on[effect], told[effect], settings) for effect in Effect)
-    return EffectPlan(choices, as_mapping(settings), _why(traits, settings), (*_missing(traits), *notes))
+    return EffectPlan(choices, as_mapping(settings), _why(traits, settings), notes=(*_missing(traits), *notes))
+
+
+def plan_with(traits: Traits, plan: EffectPlan, rules: Settings, grown: Mapping[Effect, str]) -> EffectPlan:
+    """A measured plan with more effects on, each with its reason, as the settings of the rules have them."""
+    settings = settings_of(plan)
+    for part, effect in EFFECTS.items():
+        if effect in grown:
+            settings = settings.sampled({part: getattr(rules, part)})
+    depth = rules.max_depth if Effect.BOUNCES in grown else settings.max_depth
+    edges = settings.sppp > 0 or settings.sppi > 0
+    kind = integrator_for(everything(traits, rules.sppc).integrator, depth, edges=edges)
+    reasons = {choice.effect: choice.reason for choice in plan.choices} | dict(grown)
+    more = plan_of(traits, replace(settings, max_depth=depth, integrator=kind), reasons)
+    kept = [
+        replace(new, share=old.share, variance_seconds=old.variance_seconds) if new.on == old.on else new
+        for new, old in zip(more.choices, plan.choices, strict=True)
+    ]
+    return replace(more, choices=tuple(kept), measured=True)
 
 
 def _choice(effect: Effect, on: bool, reason: str, settings: Settings) -> Choice:  # noqa: FBT001
-    parts = {Effect.CONTINUOUS: settings.sppc, Effect.PRIMARY: settings.sppp, Effect.INDIRECT: settings.sppi}
-    samples = parts.get(effect)
+    samples = {EFFECTS[part]: getattr(settings, part) for part in PARTS}.get(effect)
     return Choice(effect, on, reason, samples if on and samples else None)
 
 

@@ -19,6 +19,7 @@ __all__ = [
     "as_mapping",
     "bordered",
     "integrator_of",
+    "leaves_edges_out",
     "settings_of",
 ]
 
@@ -103,6 +104,11 @@ def integrator_of(settings: Settings, scene: Any) -> tuple[Any, int]:
     if settings.integrator == OWN:
         return scene.integrator(), settings.sppc
     return settings.load(), 0 if settings.projective else settings.sppc
+
+
+def leaves_edges_out(plan: EffectPlan) -> bool:
+    """Whether a pilot has measured that the motion of outlines and shadows carries next to nothing."""
+    return plan.measured and settings_of(plan).integrator == "prb"
 
 
 def as_mapping(settings: Settings) -> dict[str, Any]:

@@ -13,7 +13,7 @@ import numpy as np
 from loi_mitsuba.entries import Scene, ancestors, find_entry, find_shape, list_entries
 from loi_mitsuba.handles import Handle, Translate
 
-__all__ = ["Traits", "groups_of", "in_view", "traits_of"]
+__all__ = ["Traits", "groups_of", "in_view", "objects_of", "traits_of"]
 
 CONVEX: Final = ("Sphere", "Rectangle", "Disk", "Cube")
 SHAPES: Final = (*CONVEX, "Cylinder", "BSplineCurve", "LinearCurve")  # and every mesh
@@ -142,6 +142,14 @@ def groups_of(targets: Mapping[str, str | Handle]) -> tuple[tuple[str, ...], ...
     moves = tuple(name for name, target in targets.items() if isinstance(target, Translate))
     rest = tuple((name,) for name in targets if name not in moves)
     return ((moves,) if moves else ()) + rest
+
+
+def objects_of(targets: Mapping[str, str | Handle], moving: Mapping[str, Any]) -> tuple[tuple[str, ...], ...]:
+    """The parameters, those together that move one shape, and every other alone."""
+    together: dict[object, list[str]] = {}
+    for name in targets:
+        together.setdefault(moving.get(name, name), []).append(name)
+    return tuple(map(tuple, together.values()))
 
 
 def in_view(sensor: Any, shape: Any) -> bool:

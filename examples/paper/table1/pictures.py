@@ -69,7 +69,8 @@ def convergence_plot(path: Path, folder: Path, panels: Mapping[str, Mapping[str,
         place.grid(visible=True, alpha=0.25)
         place.spines[["top", "right"]].set_visible(False)
     axes[0].set_ylabel("mean squared error")
-    axes[-1].legend(frameon=False, fontsize=8)
+    if axes[-1].lines:
+        axes[-1].legend(frameon=False, fontsize=8)
     stream = io.BytesIO()
     figure.savefig(stream, format="png", dpi=100)
     write_bytes(path, stream.getvalue())

@@ -1,0 +1,59 @@
+"""Which effects a scene calls for, without a fit of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from loi_core.effects import EffectPlan
+from loi_core.objectives.base import Objective
+from loi_mitsuba.effects.planned import SHARE, PlannedRenderer
+from loi_mitsuba.entries import Scene
+from loi_mitsuba.loading import Target
+
+__all__ = ["plan_effects"]
+
+
+def plan_effects(
+    scene: dict[str, Any] | str | Path | Scene,
+    optimised: Mapping[str, Target | Mapping[str, Any]],
+    *,
+    objective: Objective | None = None,
+    params: Mapping[str, Any] | None = None,
+    spp: int = 16,
+    share: float = SHARE,
+    sensor: int = 0,
+    seed: int = 0,
+) -> EffectPlan:
+    """Which effects a scene calls for when these parameters are optimised.
+
+    Parameters
+    ----------
+    scene, optimised, sensor
+        As `scene`, `parameters` and `sensor` of :class:`MitsubaRenderer`.
+    objective : Objective, optional
+        The loss at hand; without one there is no pilot, and the plan is that of the sound rules.
+    params : dict of arrays, optional
+        Where the pilot measures; as the scene has them by default.
+    spp, share
+        As those of :class:`PlannedRenderer`.
+    seed : int
+        Of the pilot.
+
+    Returns
+    -------
+    EffectPlan
+        ``print`` shows it; :class:`MitsubaRenderer` takes it as its integrator.
+
+    Raises
+    ------
+    SceneLoadError, ParameterError, OptionError
+        As :class:`MitsubaRenderer`.
+    """
+    renderer = PlannedRenderer(scene, optimised, spp=spp, share=share, sensor=sensor)
+    if objective is not None:
+        at = renderer.parameters() if params is None else dict(params)
+        cotangent = objective.value_and_grad(renderer.render(at, seed=seed))[1]
+        renderer.begin(at, cotangent, optimise=list(at), seed=seed)
+    return renderer.plan

@@ -1,0 +1,157 @@
+"""Named parameters in a scene: where each is found, how it is set, and what it starts from."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from loi_core.errors import ParameterError
+from loi_core.messages import shown
+from loi_mitsuba.entries import Scene, find_entry, find_shape, list_entries, numbers
+from loi_mitsuba.handles import Host, Scale, posed
+from loi_mitsuba.loading import Target
+
+__all__ = ["NamedParameters", "as_host", "host_numbers"]
+
+
+@dataclass(frozen=True)
+class _Posed:
+    """A shape that handles move."""
+
+    key: str
+    names: tuple[str, ...]
+    centre: tuple[float, float, float]
+    start: Any  # vertex positions as a Point3f, or the transform
+
+
+class NamedParameters:
+    """The parameters of a renderer, by their names, as entries of a scene and poses of its shapes.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+        Its values at this moment are those that the parameters start from.
+    targets : dict of str or handle
+        What each parameter stands for.
+
+    Attributes
+    ----------
+    entries : mi.SceneParameters
+        What the scene can be set by.
+    targets : dict
+        As given.
+    start : dict of arrays, float32
+        Values at the start.
+
+    Raises
+    ------
+    ParameterError
+        If a target is not there, has no gradient, or sets what another sets.
+    """
+
+    def __init__(self, scene: Scene, targets: Mapping[str, Target]) -> None:
+        self.entries = mi.traverse(scene)
+        self.targets = dict(targets)
+        self.start: dict[str, Host] = {}
+        self._keys: dict[str, str] = {}
+        self._posed: list[_Posed] = []
+        entries = list_entries(scene)
+        by_shape: defaultdict[str, list[str]] = defaultdict(list)
+        for name, target in targets.items():
+            if isinstance(target, str):
+                entry = find_entry(entries, target)
+                self._keys[name] = entry.key
+                self.start[name] = as_host(numbers(self.entries[entry.key]), entry.shape)
+            else:
+                by_shape[find_shape(scene, target.shape)[0]].append(name)
+                self.start[name] = target.initial()
+        for key, names in by_shape.items():
+            handle = targets[names[0]]
+            box = find_shape(scene, handle.shape)[1].bbox()  # type: ignore[union-attr]  # a handle
+            x, y, z = np.array(box.center(), dtype=np.float64).reshape(3).tolist()
+            value = self.entries[key]
+            start = value if isinstance(value, mi.Transform4f) else dr.unravel(mi.Point3f, value)
+            self._posed.append(_Posed(key, tuple(names), (x, y, z), dr.detach(start)))
+        used = [*self._keys.values(), *by_shape]
+        for key in used:
+            if used.count(key) > 1:
+                names = [name for name in targets if self._keys.get(name) == key or name in by_shape.get(key, ())]
+                msg = f"`parameters` must not set one entry twice, got {', '.join(map(repr, names))}"
+                raise ParameterError(msg)
+
+    def moving(self) -> list[Any]:
+        """The shapes that parameters move, as often as they do."""
+        keys = [*self._keys.values(), *(one.key for one in self._posed)]
+        # A shape has entries that do not move it, such as the colours of its vertices.
+        keys = [key for key in keys if self.entries.flags(key) & mi.ParamFlags.Discontinuous]
+        nodes = [self.entries.properties[key][2] for key in keys]
+        return [node for node in nodes if isinstance(node, mi.Shape)]
+
+    def leaves(self, params: Mapping[str, Any]) -> dict[str, Any]:
+        """`params`, checked, as flat arrays of Dr.Jit.
+
+        Raises
+        ------
+        ParameterError
+            If they have not exactly the names, shapes, and finite values.
+        """
+        if set(params) != set(self.start):
+            msg = f"`params` must have exactly the names {sorted(self.start)}, got {sorted(params)}"
+            raise ParameterError(msg)
+        leaves = {}
+        for name, start in self.start.items():
+            value = host_numbers(name, params[name], start.shape)
+            if not np.all(np.isfinite(value)):
+                msg = f"`{name}` must be finite, got {int((~np.isfinite(value)).sum())} values that are not"
+                raise ParameterError(msg)
+            if isinstance(self.targets[name], Scale) and value <= 0:
+                msg = f"`{name}` scales a shape and must be more than 0, got {float(value):g}"
+                raise ParameterError(msg)
+            leaves[name] = mi.Float(value.reshape(-1))
+        return leaves
+
+    def set(self, leaves: Mapping[str, Any]) -> None:
+        """Put values into the scene. All are, on every call, so that none is left from the call before."""
+        for name, key in self._keys.items():
+            self.entries[key] = _like(self.entries[key], leaves[name], self.start[name].shape)
+        for one in self._posed:
+            handles = [(self.targets[name], leaves[name]) for name in one.names]
+            moved = posed(handles, one.centre) @ one.start  # type: ignore[arg-type]  # handles, all of them
+            self.entries[one.key] = dr.ravel(moved) if isinstance(moved, mi.Point3f) else moved
+        self.entries.update()
+
+
+def host_numbers(name: str, value: Any, shape: tuple[int, ...]) -> Host:
+    """`value` as a new float32 array, once it is known to be numbers of `shape`."""
+    try:
+        with np.errstate(over="ignore"):  # what is too large for float32 becomes infinite
+            array = np.array(value, dtype=np.float32, order="C")
+    except (TypeError, ValueError):
+        msg = f"`{name}` must be numbers of shape {shape}, got {shown(value)}"
+        raise ParameterError(msg) from None
+    if array.shape != shape:
+        msg = f"`{name}` must have shape {shape}, got {array.shape}"
+        raise ParameterError(msg)
+    return array
+
+
+def as_host(value: Any, shape: tuple[int, ...]) -> Host:
+    """An array of Dr.Jit as float32 of `shape`, in C order."""
+    return np.array(value, dtype=np.float32, order="C").reshape(shape)
+
+
+def _like(current: Any, flat: Any, shape: tuple[int, ...]) -> Any:
+    """The flat array `flat`, in C order of `shape`, as a value of the type of `current`."""
+    if dr.is_tensor_v(current):
+        return type(current)(flat, shape=shape)
+    if isinstance(current, mi.Transform4f):
+        # By gathering: an entry of a flat array, as `flat[3]`, is a plain number without a gradient.
+        rows = [[dr.gather(type(flat), flat, 4 * row + column) for column in range(4)] for row in range(4)]
+        return mi.Transform4f(mi.Matrix4f(rows))
+    return type(current)(flat) if dr.depth_v(current) == 1 else dr.unravel(type(current), flat, order="C")

@@ -1,0 +1,109 @@
+"""What cannot be seen is held at its start, and goes free as soon as it can: real scenes, small."""
+
+from __future__ import annotations
+
+import json
+import logging
+from dataclasses import asdict
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from examples.effects.scenes import SUITE
+from loi_core import PixelL2, fit
+from loi_mitsuba import PlannedRenderer, Rotate, Translate
+from loi_mitsuba.effects.traits import objects_of, traits_of
+from tests.helpers import Host
+from tests.mitsuba.scenes import shadow_scene
+
+(BEHIND,) = [case for case in SUITE if case.name == "nothing that can be seen"]
+DIRECT: dict[str, Any] = {"type": "direct"}  # no bounces: fewer kernels to compile
+BALLS: dict[str, Any] = {"ball": Translate("ball"), "behind": Translate("behind")}
+NOWHERE = np.zeros(3, np.float32)
+
+
+def behind_scene() -> dict[str, Any]:
+    """A ball in view and one behind the camera."""
+    return BEHIND.scene(32, 24) | {"integrator": DIRECT}
+
+
+def two_balls() -> tuple[PlannedRenderer, PixelL2]:
+    renderer = PlannedRenderer(behind_scene(), BALLS, spp=16)
+    target = renderer.render({"ball": np.array([0.3, 0.2, 0.0]), "behind": NOWHERE}, seed=10**6)
+    return renderer, PixelL2(target)
+
+
+def test_what_cannot_be_seen_stays_where_it_is(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, "loi_mitsuba")
+    renderer, objective = two_balls()
+    found = fit(renderer, objective, steps=12, learning_rate=0.05, callback=renderer.watch)
+    np.testing.assert_array_equal(found.params["behind"], NOWHERE)
+    assert np.any(found.params["ball"] != 0.0)
+    assert list(renderer.plan.held) == ["behind"]
+    assert f"| {'behind'!r}" in str(renderer.plan)
+    assert asdict(renderer.plan)["held"] == renderer.plan.held  # what --explain --json prints
+    assert json.dumps(asdict(renderer.plan))
+    (line,) = [one.getMessage() for one in caplog.records if "held" in one.getMessage()]
+    assert "'behind' held (its gradient " in line
+    assert "\n" not in line
+
+
+def test_where_nothing_can_be_seen_nothing_moves_and_the_plan_says_so() -> None:
+    renderer = PlannedRenderer(behind_scene(), dict(BEHIND.parameters), spp=16)
+    objective = PixelL2(renderer.render(dict(BEHIND.truth), seed=10**6))
+    found = fit(renderer, objective, steps=12, learning_rate=0.05)
+    np.testing.assert_array_equal(found.params["place"], BEHIND.start["place"])
+    assert any("nothing that is optimised can be seen here" in note for note in renderer.plan.notes)
+
+
+def test_what_comes_into_view_goes_free_in_that_step(caplog: pytest.LogCaptureFixture) -> None:
+    caplog.set_level(logging.INFO, "loi_mitsuba")
+    renderer, objective = two_balls()
+    away = {"ball": np.zeros(3), "behind": np.zeros(3)}
+    image, pullback = renderer.render_vjp(away)
+    assert not np.any(pullback(objective.value_and_grad(image)[1])["behind"])
+    seen = {"ball": np.zeros(3), "behind": np.array([1.0, 0.5, -14.0])}
+    image, pullback = renderer.render_vjp(seen, seed=1)
+    assert np.any(pullback(objective.value_and_grad(image)[1])["behind"])
+    assert not renderer.plan.held
+    (line,) = [one.getMessage() for one in caplog.records if "free" in one.getMessage()]
+    assert line == "effects, as it comes into view: 'behind' free"
+
+
+def test_what_was_hidden_goes_free_when_its_gradients_agree() -> None:
+    """A ball within the view all the time, at first behind a screen that another parameter takes away."""
+    place = mi.ScalarTransform4f
+    scene = behind_scene()
+    del scene["behind"]
+    scene["screen"] = {"type": "rectangle", "to_world": place().translate([0, 0, 4])}
+    renderer = PlannedRenderer(scene, {"ball": Translate("ball"), "screen": Translate("screen")})
+    objective = PixelL2(renderer.render({"ball": np.array([0.5, 0.3, 0]), "screen": np.array([9.0, 0, 0])}, seed=10**6))
+
+    def gradient(screen: float, seed: int) -> Host:
+        image, pullback = renderer.render_vjp({"ball": NOWHERE, "screen": np.array([screen, 0, 0])}, seed=seed)
+        cotangent = objective.value_and_grad(image)[1]
+        first = pullback(cotangent)["ball"]
+        np.testing.assert_array_equal(pullback(cotangent)["ball"] == 0.0, first == 0.0)  # of one image, one answer
+        return first
+
+    assert not any(np.any(gradient(0.0, seed)) for seed in range(5))
+    assert "ball" in renderer.plan.held
+    moved = [bool(np.any(gradient(9.0, seed))) for seed in range(5, 25)]
+    assert not moved[0]
+    assert moved[-1]
+    assert moved == sorted(moved)  # once free, it is not held again
+    assert "ball" not in renderer.plan.held
+
+
+def test_what_moves_one_shape_is_one_object() -> None:
+    targets: dict[str, Any] = {
+        "x": Translate("ball", (1, 0, 0)),
+        "light": "lamp.emitter.radiance.value",
+        "turn": Rotate("ball", (0, 1, 0)),
+        "lamp": Translate("lamp"),
+    }
+    scene = mi.load_dict(shadow_scene())
+    moving = traits_of(scene, targets, scene.sensors()[0]).moving
+    assert objects_of(targets, moving) == (("x", "turn"), ("light",), ("lamp",))
