@@ -95,8 +95,8 @@ def test_a_blur_of_a_window_is_that_of_the_plane(
         rng.uniform(size=1),
     )
     for apply, reached, grid in (
-        (blur.apply, blur.reached, pixels),
-        (blur.adjoint, blur.reached_back, target),
+        (blur.apply, blur.blur.reached, pixels),
+        (blur.adjoint, blur.blur.reached_back, target),
     ):
         window = Window(data.draw(ranges(grid.rows.cells)), data.draw(ranges(grid.columns.cells)))
         part = rng.uniform(size=(2, *window.shape))
