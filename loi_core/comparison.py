@@ -160,7 +160,7 @@ class InnerComparison:
 
         def pull(index: int, part: Array, window: Window) -> None:
             total, wanted = pulled[index], route.pulled[index]
-            pulled[index] = part if wanted is None else _plus(total, wanted, part, window)
+            pulled[index] = _plus(total, wanted, part, window)
 
         for extent in self.extents:
             window = route.held[extent.rung]
@@ -176,7 +176,7 @@ class InnerComparison:
             return None
         for index in range(len(self.rungs), 0, -1):
             part, wanted = pulled[index], route.pulled[index]
-            if part is not None and wanted is not None:
+            if part is not None:
                 rung = self.rungs[index - 1]
                 pull(index - 1, rung.adjoint(part, wanted), rung.blur.reached_back(wanted))
         return pulled[0]

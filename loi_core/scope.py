@@ -32,12 +32,12 @@ class Route:
     ----------
     held : tuple of Window
         On the sampling of the inner scale and on every rung, on the way there.
-    pulled : tuple of Window or None
-        The same on the way back; None where nothing comes back.
+    pulled : tuple of Window
+        The same on the way back.
     """
 
     held: tuple[Window, ...]
-    pulled: tuple[Window | None, ...]
+    pulled: tuple[Window, ...]
 
     @classmethod
     def of(cls, start: Window, plan: InnerPlan) -> Route:
@@ -45,19 +45,16 @@ class Route:
         held = [start]
         for rung in plan.rungs:
             held.append(rung.reached(held[-1]))
-        pulled: list[Window | None] = [None] * len(held)
+        pulled: dict[int, Window] = {}
 
         def add(index: int, window: Window) -> None:
-            before = pulled[index]
-            pulled[index] = window if before is None else before | window
+            pulled[index] = pulled[index] | window if index in pulled else window
 
         for extent in plan.extents:
             add(extent.rung, extent.blur.reached_back(extent.blur.reached(held[extent.rung])))
         for index in range(len(plan.rungs), 0, -1):
-            window = pulled[index]
-            if window is not None:
-                add(index - 1, plan.rungs[index - 1].reached_back(window))
-        return cls(tuple(held), tuple(pulled))
+            add(index - 1, plan.rungs[index - 1].reached_back(pulled[index]))
+        return cls(tuple(held), tuple(pulled[index] for index in range(len(held))))
 
 
 @dataclass(frozen=True)
@@ -99,8 +96,7 @@ def find_scope(
     if differing.cells > WORTHWHILE * whole.cells:
         differing = whole
     route = Route.of(differing, plan)
-    felt = route.pulled[0] if gradient else None
-    felt = differing if felt is None else felt
+    felt = route.pulled[0] if gradient else differing
     if scales.p != 1.0:
         return Scope(route, felt)  # a small power of what counts as a tie is not small
     xp = namespace(intensity)

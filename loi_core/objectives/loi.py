@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Final, TypeAlias
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Final
 
-from loi_core.arrays import Array, device, epsilon, namespace, widened
-from loi_core.comparison import InnerComparison, ScaleKey
+import numpy as np
+
+from loi_core.arrays import Array, device, epsilon, from_numpy, namespace, to_numpy, widened
+from loi_core.comparison import InnerComparison, ScaleKey, Terms
+from loi_core.compiled import serves
 from loi_core.errors import OptionError, ScaleError
 from loi_core.messages import shown
 from loi_core.nonfinite import NanPolicy
@@ -16,9 +21,10 @@ from loi_core.tonal import clip, clip_pullback
 from loi_core.tone import LogTone
 from loi_core.values import real_number
 
-__all__ = ["ACCURACIES", "LOIObjective", "ScaleKey", "gradient_tolerance"]
+if TYPE_CHECKING:
+    from loi_core.compiled.comparison import CompiledComparison
 
-_Prepared: TypeAlias = tuple[InnerComparison, ...]
+__all__ = ["ACCURACIES", "LOIObjective", "ScaleKey", "gradient_tolerance"]
 
 ACCURACIES: Final = {"exact": 0.0, "balanced": 1e-2, "fast": 5e-2}
 
@@ -41,7 +47,7 @@ def gradient_tolerance(accuracy: str | float) -> float:
     raise OptionError(msg)
 
 
-class LOIObjective(ImageObjective[_Prepared, ScaleKey]):
+class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
     """The distance between the locally orderless images of a render and a reference (eqs. 1 to 5).
 
     Every pixel becomes a soft histogram of the intensities around it, at inner scale sigma, tonal scale beta and
@@ -131,18 +137,51 @@ class LOIObjective(ImageObjective[_Prepared, ScaleKey]):
     def _prepare(self, reference: Array) -> _Prepared:
         scales = self._scales
         plan = self.plan(*reference.shape[-2:], eps=epsilon(reference))
-        clipped = clip(reference, *scales.bounds)
-        return tuple(InnerComparison.of(scales, inner, plan.tonal, clipped) for inner in plan.inner)
+        prepared = _Prepared(scales, plan, clip(reference, *scales.bounds))
+        # Now, and not when it is first used: that may be where JAX traces.
+        _ = prepared.compiled if serves(reference, scales) else prepared.by_arrays
+        return prepared
 
     def _evaluate(self, planes: Array, prepared: _Prepared, *, gradient: bool) -> Evaluation[ScaleKey]:
         scales = self._scales
-        xp = namespace(planes)
         clipped = clip(planes, *scales.bounds)
-        terms = {key: xp.zeros((), dtype=planes.dtype, device=device(planes)) for key in scales.keys}
-        cotangents = [inner.add(clipped, terms, gradient=gradient) for inner in prepared]
-        if not gradient:
-            return Evaluation(terms, None)
-        total: Array = cotangents[0]
-        for cotangent in cotangents[1:]:
-            total += cotangent
-        return Evaluation(terms, clip_pullback(planes, total, *scales.bounds))
+        xp = namespace(planes)
+        if serves(planes, scales):
+            from loi_core.compiled.comparison import compare
+
+            host = to_numpy(clipped)
+            found: Terms = {key: host.dtype.type(0) for key in scales.keys}
+            pulled = compare(prepared.compiled, host, found, gradient=gradient)
+            terms = {key: from_numpy(np.asarray(term), planes) for key, term in found.items()}
+            total: Array = None if pulled is None else from_numpy(pulled, planes)
+        else:
+            terms = {key: xp.zeros((), dtype=planes.dtype, device=device(planes)) for key in scales.keys}
+            cotangents = [inner.add(clipped, terms, gradient=gradient) for inner in prepared.by_arrays]
+            total = cotangents[0]
+            for cotangent in cotangents[1:]:
+                total += cotangent
+        return Evaluation(terms, clip_pullback(planes, total, *scales.bounds) if gradient else None)
+
+
+@dataclass(frozen=True)
+class _Prepared:
+    """All that depends on the reference alone, for either way of comparing."""
+
+    scales: ScaleSpace
+    plan: Plan
+    reference: Array  # within the bounds, shape (N, H, W)
+
+    @cached_property
+    def by_arrays(self) -> tuple[InnerComparison, ...]:
+        """For whatever library the reference is of."""
+        return tuple(
+            InnerComparison.of(self.scales, inner, self.plan.tonal, self.reference) for inner in self.plan.inner
+        )
+
+    @cached_property
+    def compiled(self) -> tuple[CompiledComparison, ...]:
+        """For NumPy."""
+        from loi_core.compiled.comparison import CompiledComparison
+
+        host = to_numpy(self.reference)
+        return tuple(CompiledComparison.of(self.scales, inner, self.plan.tonal, host) for inner in self.plan.inner)
