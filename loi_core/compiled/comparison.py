@@ -17,7 +17,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from loi_core.comparison import Terms
+from loi_core.comparison import ScaleKey
 from loi_core.compiled.bands import Numbers
 from loi_core.compiled.kernels import compare_levels
 from loi_core.compiled.program import Program, Wiring
@@ -37,27 +37,28 @@ ALIGNMENT: Final = 64  # bytes of a full vector, and of a line of the cache
 
 
 def compare(
-    comparisons: Sequence[CompiledComparison], clipped: Numbers, terms: Terms, *, gradient: bool
-) -> Numbers | None:
-    """Add the terms of planes within the bounds, shape (N, H, W); their cotangent by the planes if asked for."""
+    comparisons: Sequence[CompiledComparison], clipped: Numbers, *, gradient: bool
+) -> tuple[dict[ScaleKey, float], Numbers | None]:
+    """The terms of planes within the bounds, shape (N, H, W), and their cotangent by the planes if asked for."""
     groups = -(-TASKS // (clipped.shape[0] * len(comparisons)))
     above = above_padding(clipped, comparisons[0].scales)
     work = [each.tasks(above, groups, gradient=gradient) for each in comparisons]
     tasks = [task for part in work for task in part]
     elements = max((task.program.elements for task in tasks), default=0)
     run_all([task.run for task in tasks], functools.partial(_aligned, elements, clipped.dtype))
+    terms = dict.fromkeys(comparisons[0].scales.keys, 0.0)
     for task in tasks:
         for extent, cost in zip(task.wiring.plan.extents, task.costs, strict=True):
-            terms[extent.alpha, task.beta, task.wiring.plan.sigma] += clipped.dtype.type(cost)
+            terms[extent.alpha, task.beta, task.wiring.plan.sigma] += float(cost)
     if not gradient:
-        return None
+        return terms, None
     total = np.zeros_like(clipped)
     for each, part in zip(comparisons, work, strict=True):
         cotangent = np.zeros_like(each.intensity)
         for task in part:
             cotangent[task.plane] += task.cotangent
         total += each.blur.adjoint(cotangent)
-    return total
+    return terms, total
 
 
 @dataclass(frozen=True)

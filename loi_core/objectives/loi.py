@@ -139,49 +139,55 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
         plan = self.plan(*reference.shape[-2:], eps=epsilon(reference))
         prepared = _Prepared(scales, plan, clip(reference, *scales.bounds))
         # Now, and not when it is first used: that may be where JAX traces.
-        _ = prepared.compiled if serves(reference, scales) else prepared.by_arrays
+        _ = prepared.kernels if serves(reference, scales) else prepared.arrays
         return prepared
 
     def _evaluate(self, planes: Array, prepared: _Prepared, *, gradient: bool) -> Evaluation[ScaleKey]:
-        scales = self._scales
-        clipped = clip(planes, *scales.bounds)
-        xp = namespace(planes)
-        if serves(planes, scales):
-            from loi_core.compiled.comparison import compare
-
-            host = to_numpy(clipped)
-            found: Terms = {key: host.dtype.type(0) for key in scales.keys}
-            pulled = compare(prepared.compiled, host, found, gradient=gradient)
-            terms = {key: from_numpy(np.asarray(term), planes) for key, term in found.items()}
-            total: Array = None if pulled is None else from_numpy(pulled, planes)
-        else:
-            terms = {key: xp.zeros((), dtype=planes.dtype, device=device(planes)) for key in scales.keys}
-            cotangents = [inner.add(clipped, terms, gradient=gradient) for inner in prepared.by_arrays]
-            total = cotangents[0]
-            for cotangent in cotangents[1:]:
-                total += cotangent
-        return Evaluation(terms, clip_pullback(planes, total, *scales.bounds) if gradient else None)
+        bounds = self._scales.bounds
+        compare = prepared.by_kernels if serves(planes, self._scales) else prepared.by_arrays
+        terms, cotangent = compare(clip(planes, *bounds), gradient=gradient)
+        return Evaluation(terms, clip_pullback(planes, cotangent, *bounds) if gradient else None)
 
 
 @dataclass(frozen=True)
 class _Prepared:
-    """All that depends on the reference alone, for either way of comparing."""
+    """All that depends on the reference alone, for either way of comparing; each gives terms and a cotangent."""
 
     scales: ScaleSpace
     plan: Plan
     reference: Array  # within the bounds, shape (N, H, W)
 
     @cached_property
-    def by_arrays(self) -> tuple[InnerComparison, ...]:
-        """For whatever library the reference is of."""
+    def arrays(self) -> tuple[InnerComparison, ...]:
+        """For arrays of the reference's library."""
         return tuple(
             InnerComparison.of(self.scales, inner, self.plan.tonal, self.reference) for inner in self.plan.inner
         )
 
     @cached_property
-    def compiled(self) -> tuple[CompiledComparison, ...]:
-        """For NumPy."""
+    def kernels(self) -> tuple[CompiledComparison, ...]:
+        """For NumPy's."""
         from loi_core.compiled.comparison import CompiledComparison
 
         host = to_numpy(self.reference)
         return tuple(CompiledComparison.of(self.scales, inner, self.plan.tonal, host) for inner in self.plan.inner)
+
+    def by_arrays(self, clipped: Array, *, gradient: bool) -> tuple[Terms, Array | None]:
+        """As operations on whole arrays, of any library."""
+        xp = namespace(clipped)
+        terms = {key: xp.zeros((), dtype=clipped.dtype, device=device(clipped)) for key in self.scales.keys}
+        cotangents = [inner.add(clipped, terms, gradient=gradient) for inner in self.arrays]
+        total: Array = cotangents[0]
+        if gradient:
+            for cotangent in cotangents[1:]:
+                total += cotangent
+        return terms, total
+
+    def by_kernels(self, clipped: Array, *, gradient: bool) -> tuple[Terms, Array | None]:
+        """As compiled loops, for what :func:`loi_core.compiled.serves`."""
+        from loi_core.compiled.comparison import compare
+
+        host = to_numpy(clipped)
+        costs, cotangent = compare(self.kernels, host, gradient=gradient)
+        terms = {key: from_numpy(np.asarray(cost), clipped) for key, cost in costs.items()}
+        return terms, None if cotangent is None else from_numpy(cotangent, clipped)
