@@ -10,25 +10,16 @@ Importing this package imports nothing else; Numba is loaded when something is f
 from __future__ import annotations
 
 import functools
-import importlib.util
 
 from loi_core.arrays import Array, is_numpy_array, is_torch_array, values_may_decide
 from loi_core.scales import ScaleSpace
 
-__all__ = ["available", "installed", "serves"]
-
-
-@functools.cache
-def installed() -> bool:
-    """Whether Numba is there; it is not loaded."""
-    return importlib.util.find_spec("numba") is not None
+__all__ = ["available", "can_compare", "serves"]
 
 
 @functools.cache
 def available() -> bool:
     """Whether Numba can be loaded: one that does not know this NumPy, or this Python, refuses to."""
-    if not installed():
-        return False
     try:
         import numba  # noqa: F401  # takes as long as all else together, so only where it is needed
     except ImportError:
@@ -36,12 +27,17 @@ def available() -> bool:
     return True
 
 
+def can_compare(scales: ScaleSpace) -> bool:
+    """Whether there are compiled kernels for these scales: for all with `p` of 1, if Numba can be loaded."""
+    return scales.p == 1.0 and available()
+
+
 def serves(planes: Array, scales: ScaleSpace) -> bool:
     """Whether arrays like `planes` are compared by compiled kernels: NumPy's, and torch's on the processor.
 
-    Not where a framework differentiates through what is computed, nor with `p` other than 1.
+    Not where a framework differentiates through what is computed.
     """
-    if scales.p != 1.0 or not (is_numpy_array(planes) or is_torch_array(planes)):
+    if not (is_numpy_array(planes) or is_torch_array(planes)):
         return False
     dtype = str(planes.dtype).removeprefix("torch.")
-    return dtype in ("float32", "float64") and values_may_decide(planes) and available()
+    return dtype in ("float32", "float64") and values_may_decide(planes) and can_compare(scales)

@@ -70,6 +70,7 @@ class CompiledComparison:
     tonal: tuple[TonalPlan, ...]
     blur: GaussianBlur
     intensity: Numbers  # the reference's, above the padding; shape (N, h, w)
+    positions: dict[float, Numbers]  # the same in units of the distance of two levels, by tonal scale
     wiring: Wiring
 
     @classmethod
@@ -79,7 +80,8 @@ class CompiledComparison:
         """Everything that depends on the reference alone: planes within the bounds, shape (N, H, W)."""
         blur = GaussianBlur(plan.blur, reference)
         intensity = blur.apply(above_padding(reference, scales))
-        return cls(scales, plan, tonal, blur, intensity, Wiring.of(plan, reference.dtype))
+        positions = {each.beta: in_levels(intensity, scales, each.beta)[0] for each in tonal}
+        return cls(scales, plan, tonal, blur, intensity, positions, Wiring.of(plan, reference.dtype))
 
     def tasks(self, above: Numbers, groups: int, *, gradient: bool) -> list[_Task]:
         """What there is to do for an image, given as what it is above the padding, shape (N, H, W)."""
@@ -104,7 +106,7 @@ class CompiledComparison:
             if count <= 0:
                 continue
             ours, width, mass = in_levels(image, self.scales, tonal.beta)
-            theirs, _, _ = in_levels(reference, self.scales, tonal.beta)
+            theirs = self.positions[tonal.beta][plane]
             settings = self._settings(tonal.beta, width, mass, image.dtype)
             slope = ROOT_TWO / width / self.scales.spacing(tonal.beta)
             groups = max(1, min(count // FEWEST_LEVELS, most))

@@ -2,21 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, TypeAlias
+from dataclasses import dataclass, field
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
+from loi_core.cache import Cache
 from loi_core.compiled.bands import Band, Numbers, band_back, band_forth
 from loi_core.compiled.tables import GROUP, STRIP, BandColumn, EdgeColumn, NodeColumn, PassColumn, padded
 from loi_core.operators import PlaneBlur
 from loi_core.plan import InnerPlan
-from loi_core.scope import Scope
+from loi_core.scope import Route, Scope
 from loi_core.windows import Window
 
 __all__ = ["Program", "Table", "Wiring"]
 
 Table: TypeAlias = np.ndarray[Any, np.dtype[np.int64]]
+
+KEPT: Final = 16  # programs of one inner scale: windows change from step to step, but not from channel to channel
 
 
 @dataclass(frozen=True)
@@ -54,6 +57,7 @@ class Wiring:
     weights: Numbers
     starts: Table
     table: Table
+    programs: Cache[tuple[Route, Window], Program] = field(default_factory=lambda: Cache(KEPT))
 
     @classmethod
     def of(cls, plan: InnerPlan, dtype: np.dtype[Any]) -> Wiring:
@@ -87,6 +91,14 @@ class Wiring:
 
     def program(self, scope: Scope) -> Program:
         """The tables for what is in a scope."""
+        key = scope.route, scope.felt
+        made = self.programs.get(key)
+        if made is None:
+            made = self._make(scope)
+            self.programs.put(key, made, 1)
+        return made
+
+    def _make(self, scope: Scope) -> Program:
         place = _Arena()
         nodes = np.zeros((self.rungs + 1, len(NodeColumn)), np.int64)
         for index, row in enumerate(nodes):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Final
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from loi_core.arrays import Array, device, epsilon, from_numpy, namespace, to_numpy, widened
 from loi_core.comparison import InnerComparison, ScaleKey, Terms
-from loi_core.compiled import serves
+from loi_core.compiled import can_compare, serves
 from loi_core.errors import OptionError, ScaleError
 from loi_core.messages import shown
 from loi_core.nonfinite import NanPolicy
@@ -126,13 +126,14 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
             Machine epsilon of the images' dtype; the reference's by default.
         """
         layout = self._reference_layout
-        return make_plan(
+        plan = make_plan(
             self._scales,
             layout.height if height is None else height,
             layout.width if width is None else width,
             tolerance=self._tolerance,
             eps=epsilon(widened(self._reference)) if eps is None else eps,
         )
+        return replace(plan, compiled=can_compare(self._scales))
 
     def _prepare(self, reference: Array) -> _Prepared:
         scales = self._scales
