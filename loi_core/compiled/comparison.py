@@ -33,6 +33,8 @@ __all__ = ["CompiledComparison", "compare"]
 
 TASKS: Final = 12  # about as many as there are of a small batch, so that cores find enough to do
 FEWEST_LEVELS: Final = 4  # of a task; each makes again what the levels below its own add to the CDF
+FEWEST_SAMPLES: Final = 2**15  # of all levels of a task: half a millisecond
+SHARED: Final = 2**18  # samples of all levels from which on several threads are worth waiting for each other
 ALIGNMENT: Final = 64  # bytes of a full vector, and of a line of the cache
 
 
@@ -45,7 +47,12 @@ def compare(
     work = [each.tasks(above, groups, gradient=gradient) for each in comparisons]
     tasks = [task for part in work for task in part]
     elements = max((task.program.elements for task in tasks), default=0)
-    run_all([task.run for task in tasks], functools.partial(_aligned, elements, clipped.dtype))
+    samples = sum((task.levels[2] - task.levels[1]) * task.image.size for task in tasks)
+    run_all(
+        [task.run for task in tasks],
+        functools.partial(_aligned, elements, clipped.dtype),
+        most=None if samples >= SHARED else 1,
+    )
     terms = dict.fromkeys(comparisons[0].scales.keys, 0.0)
     for task in tasks:
         for extent, cost in zip(task.wiring.plan.extents, task.costs, strict=True):
@@ -80,7 +87,7 @@ class CompiledComparison:
         """Everything that depends on the reference alone: planes within the bounds, shape (N, H, W)."""
         blur = GaussianBlur(plan.blur, reference)
         intensity = blur.apply(above_padding(reference, scales))
-        positions = {each.beta: in_levels(intensity, scales, each.beta)[0] for each in tonal}
+        positions = {each.beta: np.ascontiguousarray(in_levels(intensity, scales, each.beta)[0]) for each in tonal}
         return cls(scales, plan, tonal, blur, intensity, positions, Wiring.of(plan, reference.dtype))
 
     def tasks(self, above: Numbers, groups: int, *, gradient: bool) -> list[_Task]:
@@ -105,11 +112,11 @@ class CompiledComparison:
             count = among.stop - among.first
             if count <= 0:
                 continue
-            ours, width, mass = in_levels(image, self.scales, tonal.beta)
+            ours, width, mass = in_levels(np.ascontiguousarray(image), self.scales, tonal.beta)
             theirs = self.positions[tonal.beta][plane]
             settings = self._settings(tonal.beta, width, mass, image.dtype)
             slope = ROOT_TWO / width / self.scales.spacing(tonal.beta)
-            groups = max(1, min(count // FEWEST_LEVELS, most))
+            groups = max(1, min(count // FEWEST_LEVELS, count * image.size // FEWEST_SAMPLES, most))
             edges = [among.first + count * index // groups for index in range(groups + 1)]
             for first, stop in itertools.pairwise(edges):
                 levels = among.start, first, stop

@@ -48,7 +48,7 @@ class _Pool:
 _POOL: Final = _Pool()
 
 
-def run_all(tasks: Sequence[Callable[[Local], None]], local: Callable[[], Local]) -> None:
+def run_all(tasks: Sequence[Callable[[Local], None]], local: Callable[[], Local], *, most: int | None = None) -> None:
     """Run all tasks, in any order, some at the same time.
 
     Parameters
@@ -57,6 +57,8 @@ def run_all(tasks: Sequence[Callable[[Local], None]], local: Callable[[], Local]
         Each is called once, with what `local` made for its thread.
     local : callable
         Makes what a thread needs to itself.
+    most : int, optional
+        How many threads at the most; :func:`thread_count` of them by default.
     """
     waiting = iter(tasks)
     lock = threading.Lock()
@@ -71,7 +73,7 @@ def run_all(tasks: Sequence[Callable[[Local], None]], local: Callable[[], Local]
             mine = local() if mine is None else mine
             task(mine)
 
-    helpers = min(thread_count(), len(tasks)) - 1
+    helpers = min(most or thread_count(), len(tasks)) - 1
     futures = [_POOL.executor().submit(work) for _ in range(helpers)]
     try:
         work()
