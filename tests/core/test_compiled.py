@@ -208,7 +208,10 @@ def test_kernels_are_for_host_arrays_that_no_framework_differentiates(
     assert compiled.serves(planes, scales) is wanted
 
 
-def test_without_numba_arrays_do_it() -> None:
+def test_without_numba_arrays_do_it_and_the_plan_says_so() -> None:
+    objective = LOIObjective(np.zeros((4, 4, 3)), PLAIN)
+    assert "Numba" in str(objective.plan())
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(compiled, "available", lambda: False)
         assert not compiled.serves(np.zeros((1, 2, 2)), PLAIN)
+        assert "Numba" not in str(objective.plan())
