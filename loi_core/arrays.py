@@ -19,6 +19,7 @@ __all__ = [
     "from_numpy",
     "is_array_api_obj",
     "is_numpy_array",
+    "is_torch_array",
     "library_name",
     "namespace",
     "narrowed",

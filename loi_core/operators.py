@@ -10,14 +10,13 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-import threading
-from collections import OrderedDict
 from dataclasses import dataclass
 from typing import Final, Protocol, TypeAlias
 
 import numpy as np
 
 from loi_core.arrays import Array, device, from_numpy, library_name, namespace, outlives_its_context
+from loi_core.cache import Cache
 from loi_core.kernels import AxisBlur, AxisGrid, Matrix
 from loi_core.scales import Boundary
 from loi_core.windows import Window
@@ -92,6 +91,22 @@ class PlaneBlur:
     def work(self) -> float:
         """Multiplications and additions for one plane, forwards; the adjoint takes about as many."""
         return min(self._work(columns_first=True), self._work(columns_first=False))
+
+    def reached(self, window: Window) -> Window:
+        """Where the blurred planes are not 0 if the planes are 0 outside `window`."""
+        if self.is_identity:
+            return window
+        if window.shape == (self.rows.source.cells, self.columns.source.cells):
+            return Window.whole(self.rows.target.cells, self.columns.target.cells)
+        return Window(self.rows.support_of_columns(window.rows), self.columns.support_of_columns(window.columns))
+
+    def reached_back(self, window: Window) -> Window:
+        """Where the adjoint is not 0 if its planes are 0 outside `window`."""
+        if self.is_identity:
+            return window
+        if window.shape == (self.rows.target.cells, self.columns.target.cells):
+            return Window.whole(self.rows.source.cells, self.columns.source.cells)
+        return Window(self.rows.support(window.rows), self.columns.support(window.columns))
 
     def _work(self, *, columns_first: bool) -> float:
         if self.is_identity:
@@ -203,42 +218,12 @@ class _AxisProduct:
 _Key: TypeAlias = tuple[AxisBlur, str, str, str]
 
 
-class _Cache:
-    """Matrices by blur, library, dtype and device, up to a number of elements; those longest unused go first."""
-
-    def __init__(self, most: int) -> None:
-        self._most = most
-        self._held = 0
-        self._pairs: OrderedDict[_Key, tuple[_AxisProduct, _AxisProduct]] = OrderedDict()
-        self._lock = threading.Lock()
-
-    def get(self, key: _Key) -> tuple[_AxisProduct, _AxisProduct] | None:
-        with self._lock:
-            if key in self._pairs:
-                self._pairs.move_to_end(key)
-            return self._pairs.get(key)
-
-    def put(self, key: _Key, pair: tuple[_AxisProduct, _AxisProduct]) -> None:
-        with self._lock:
-            if key in self._pairs or _elements(pair) > self._most:
-                return
-            self._pairs[key] = pair
-            self._held += _elements(pair)
-            while self._held > self._most:
-                self._held -= _elements(self._pairs.popitem(last=False)[1])
-
-    @property
-    def held(self) -> int:
-        """Elements of what is kept."""
-        return self._held
-
-
 def _elements(pair: tuple[_AxisProduct, _AxisProduct]) -> int:
     forward, backward = pair
     return forward.elements + (0 if backward is forward else backward.elements)
 
 
-_CACHE: Final = _Cache(CACHED_ELEMENTS)
+_CACHE: Final = Cache[_Key, tuple[_AxisProduct, _AxisProduct]](CACHED_ELEMENTS)
 
 
 def _products(blur: AxisBlur, like: Array) -> tuple[_AxisProduct, _AxisProduct]:
@@ -250,7 +235,7 @@ def _products(blur: AxisBlur, like: Array) -> tuple[_AxisProduct, _AxisProduct]:
     forward = _AxisProduct.forward(blur, like)
     pair = (forward, forward if blur.transposes else _AxisProduct.backward(blur, like))
     if outlives_its_context(forward.blocks[0].left):
-        _CACHE.put(key, pair)
+        _CACHE.put(key, pair, _elements(pair))
     return pair
 
 
@@ -278,34 +263,17 @@ class GaussianBlur:
         """What it computes."""
         return self._blur
 
-    def reached(self, window: Window) -> Window:
-        """Where the blurred planes are not 0 if the planes are 0 outside `window`."""
-        if self._blur.is_identity:
-            return window
-        if window == self._source:
-            return self._target
-        rows, columns = self._blur.rows, self._blur.columns
-        return Window(rows.support_of_columns(window.rows), columns.support_of_columns(window.columns))
-
-    def reached_back(self, window: Window) -> Window:
-        """Where the adjoint is not 0 if its planes are 0 outside `window`."""
-        if self._blur.is_identity:
-            return window
-        if window == self._target:
-            return self._source
-        return Window(self._blur.rows.support(window.rows), self._blur.columns.support(window.columns))
-
     def apply(self, planes: Array, window: Window | None = None) -> Array:
         """The blurred planes, shape (..., h, w).
 
         With a `window`, `planes` are what lies in it of planes that are 0 elsewhere, and so is the result of
-        :meth:`reached`.
+        :meth:`PlaneBlur.reached`.
         """
         if self._blur.is_identity:
             return planes
         rows, columns = self._rows, self._columns
         if window is not None and window != self._source:
-            reached = self.reached(window)
+            reached = self._blur.reached(window)
             rows = rows.within(window.rows, reached.rows)
             columns = columns.within(window.columns, reached.columns)
         if self._columns_first:
@@ -315,13 +283,14 @@ class GaussianBlur:
     def adjoint(self, planes: Array, window: Window | None = None) -> Array:
         """The transpose of :meth:`apply`: planes of shape (..., h, w) to shape (..., H, W).
 
-        With a `window`, `planes` are what lies in it, and the result is what lies in :meth:`reached_back` of it.
+        With a `window`, `planes` are what lies in it, and the result is what lies in its
+        :meth:`PlaneBlur.reached_back`.
         """
         if self._blur.is_identity:
             return planes
         rows, columns = self._rows_back, self._columns_back
         if window is not None and window != self._target:
-            reached = self.reached_back(window)
+            reached = self._blur.reached_back(window)
             rows = rows.within(window.rows, reached.rows)
             columns = columns.within(window.columns, reached.columns)
         if self._columns_first:

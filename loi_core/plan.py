@@ -138,6 +138,8 @@ class Plan:
         One for each sigma.
     tonal : tuple of TonalPlan
         One for each beta.
+    compiled : bool
+        Whether arrays of NumPy, and of torch on the processor, are compared in compiled loops.
     """
 
     height: int
@@ -146,6 +148,7 @@ class Plan:
     eps: float
     inner: tuple[InnerPlan, ...]
     tonal: tuple[TonalPlan, ...]
+    compiled: bool = False
 
     @property
     def work(self) -> float:
@@ -183,6 +186,8 @@ class Plan:
         lines.append(
             f"per channel {self.work / 1e6:.3g} million operations for the blurs; estimated error {self.error:.1e}"
         )
+        if self.compiled:
+            lines.append("NumPy, and torch on the processor: in loops compiled by Numba")
         return "\n".join(lines)
 
 

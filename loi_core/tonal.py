@@ -12,11 +12,14 @@ import math
 from typing import Final
 
 from loi_core.arrays import Array, namespace, runs_eagerly_on_host
+from loi_core.scales import ScaleSpace
 
 __all__ = [
+    "above_padding",
     "accumulate",
     "clip",
     "clip_pullback",
+    "in_levels",
     "isophote_density",
     "level_positions",
     "level_weights",
@@ -79,6 +82,19 @@ def level_positions(intensity: Array, first: float, spacing: float, count: int) 
     positions = intensity - first
     positions *= 1.0 / spacing
     return namespace(positions).clip(positions, -1.0, float(count))
+
+
+def above_padding(clipped: Array, scales: ScaleSpace) -> Array:
+    """Planes within the bounds, less what lies outside of them: so 0 lies there."""
+    return clipped if scales.padding == 0.0 else clipped - scales.padding
+
+
+def in_levels(intensity: Array, scales: ScaleSpace, beta: float) -> tuple[Array, float, float]:
+    """Intensities above the padding, tonal scale and mass of a level, in units of the distance of two levels."""
+    spacing = scales.spacing(beta)
+    first = float(scales.levels(beta)[0]) - scales.padding
+    positions = level_positions(intensity, first, spacing, scales.level_count(beta))
+    return positions, beta / spacing, scales.mass(beta) / spacing
 
 
 def soft_cdf_and_slope(intensity: Array, levels: Array, beta: float, mass: float) -> tuple[Array, Array]:

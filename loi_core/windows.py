@@ -39,6 +39,11 @@ class Window:
         """Number of samples."""
         return len(self.rows) * len(self.columns)
 
+    @property
+    def transposed(self) -> Window:
+        """The same of the transposed plane."""
+        return Window(self.columns, self.rows)
+
     def __or__(self, other: Window) -> Window:
         """The smallest window that holds both."""
         return Window(_hull(self.rows, other.rows), _hull(self.columns, other.columns))

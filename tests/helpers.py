@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any, TypeAlias
 
 import numpy as np
+import pytest
 
 from loi_core import ScaleSpace
+from loi_core.objectives import loi
 
 Host: TypeAlias = np.ndarray[Any, Any]
 
@@ -23,6 +26,14 @@ SCALES: dict[str, ScaleSpace] = {
     "squared distance": ScaleSpace((1, 4), (2, 9), 0.125, p=0.5),
     "released": ScaleSpace.released((1, 5), (1, 5, 15), 8, 61),
 }
+
+
+@contextmanager
+def by_arrays() -> Iterator[None]:
+    """As where Numba is not installed."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(loi, "serves", lambda *_: False)
+        yield
 
 
 def images(shape: tuple[int, ...], seed: int, low: float = 0.02, high: float = 0.98) -> tuple[Host, Host]:

@@ -14,7 +14,7 @@ import pytest
 from tests.environments import ROOT, fresh_python, run
 
 PACKAGES = {"loi_core", "loi_torch", "loi_jax", "loi_mitsuba"}
-FRAMEWORKS = ("torch", "jax", "mitsuba", "drjit", "matplotlib", "PIL", "scipy")
+FRAMEWORKS = ("torch", "jax", "mitsuba", "drjit", "numba", "matplotlib", "PIL", "scipy")
 
 
 def test_the_wheel_holds_the_four_packages_and_nothing_else(wheel: Path) -> None:

@@ -84,7 +84,7 @@ def findings() -> list[Finding]:
         if found[-1].state == "ok":
             diagnose = getattr(sys.modules[module], "diagnose", list)
             found += [Finding(one, "ok", detail) for one, detail in diagnose()]
-    found.append(_gpu())
+    found += [_package("numba", "numba", "pip install 'loi[compiled]'", required=False), _gpu()]
     for one in available_renderers():
         state: State = {"ready": "ok", "missing": "missing"}.get(one.state, "broken")  # type: ignore[assignment]  # literals
         found.append(Finding(f"renderer {one.name}", state, one.problem or f"{one.package} {one.version}", one.mend))

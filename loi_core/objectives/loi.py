@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Final, TypeAlias
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TYPE_CHECKING, Final
 
-from loi_core.arrays import Array, device, epsilon, namespace, widened
-from loi_core.comparison import InnerComparison, ScaleKey
+import numpy as np
+
+from loi_core.arrays import Array, device, epsilon, from_numpy, namespace, to_numpy, widened
+from loi_core.comparison import InnerComparison, ScaleKey, Terms
+from loi_core.compiled import can_compare, serves
 from loi_core.errors import OptionError, ScaleError
 from loi_core.messages import shown
 from loi_core.nonfinite import NanPolicy
@@ -16,9 +21,10 @@ from loi_core.tonal import clip, clip_pullback
 from loi_core.tone import LogTone
 from loi_core.values import real_number
 
-__all__ = ["ACCURACIES", "LOIObjective", "ScaleKey", "gradient_tolerance"]
+if TYPE_CHECKING:
+    from loi_core.compiled.comparison import CompiledComparison
 
-_Prepared: TypeAlias = tuple[InnerComparison, ...]
+__all__ = ["ACCURACIES", "LOIObjective", "ScaleKey", "gradient_tolerance"]
 
 ACCURACIES: Final = {"exact": 0.0, "balanced": 1e-2, "fast": 5e-2}
 
@@ -41,7 +47,7 @@ def gradient_tolerance(accuracy: str | float) -> float:
     raise OptionError(msg)
 
 
-class LOIObjective(ImageObjective[_Prepared, ScaleKey]):
+class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
     """The distance between the locally orderless images of a render and a reference (eqs. 1 to 5).
 
     Every pixel becomes a soft histogram of the intensities around it, at inner scale sigma, tonal scale beta and
@@ -120,29 +126,69 @@ class LOIObjective(ImageObjective[_Prepared, ScaleKey]):
             Machine epsilon of the images' dtype; the reference's by default.
         """
         layout = self._reference_layout
-        return make_plan(
+        plan = make_plan(
             self._scales,
             layout.height if height is None else height,
             layout.width if width is None else width,
             tolerance=self._tolerance,
             eps=epsilon(widened(self._reference)) if eps is None else eps,
         )
+        return replace(plan, compiled=can_compare(self._scales))
 
     def _prepare(self, reference: Array) -> _Prepared:
         scales = self._scales
         plan = self.plan(*reference.shape[-2:], eps=epsilon(reference))
-        clipped = clip(reference, *scales.bounds)
-        return tuple(InnerComparison.of(scales, inner, plan.tonal, clipped) for inner in plan.inner)
+        prepared = _Prepared(scales, plan, clip(reference, *scales.bounds))
+        # Now, and not when it is first used: that may be where JAX traces.
+        _ = prepared.kernels if serves(reference, scales) else prepared.arrays
+        return prepared
 
     def _evaluate(self, planes: Array, prepared: _Prepared, *, gradient: bool) -> Evaluation[ScaleKey]:
-        scales = self._scales
-        xp = namespace(planes)
-        clipped = clip(planes, *scales.bounds)
-        terms = {key: xp.zeros((), dtype=planes.dtype, device=device(planes)) for key in scales.keys}
-        cotangents = [inner.add(clipped, terms, gradient=gradient) for inner in prepared]
-        if not gradient:
-            return Evaluation(terms, None)
+        bounds = self._scales.bounds
+        compare = prepared.by_kernels if serves(planes, self._scales) else prepared.by_arrays
+        terms, cotangent = compare(clip(planes, *bounds), gradient=gradient)
+        return Evaluation(terms, clip_pullback(planes, cotangent, *bounds) if gradient else None)
+
+
+@dataclass(frozen=True)
+class _Prepared:
+    """All that depends on the reference alone, for either way of comparing; each gives terms and a cotangent."""
+
+    scales: ScaleSpace
+    plan: Plan
+    reference: Array  # within the bounds, shape (N, H, W)
+
+    @cached_property
+    def arrays(self) -> tuple[InnerComparison, ...]:
+        """For arrays of the reference's library."""
+        return tuple(
+            InnerComparison.of(self.scales, inner, self.plan.tonal, self.reference) for inner in self.plan.inner
+        )
+
+    @cached_property
+    def kernels(self) -> tuple[CompiledComparison, ...]:
+        """For NumPy's."""
+        from loi_core.compiled.comparison import CompiledComparison
+
+        host = to_numpy(self.reference)
+        return tuple(CompiledComparison.of(self.scales, inner, self.plan.tonal, host) for inner in self.plan.inner)
+
+    def by_arrays(self, clipped: Array, *, gradient: bool) -> tuple[Terms, Array | None]:
+        """As operations on whole arrays, of any library."""
+        xp = namespace(clipped)
+        terms = {key: xp.zeros((), dtype=clipped.dtype, device=device(clipped)) for key in self.scales.keys}
+        cotangents = [inner.add(clipped, terms, gradient=gradient) for inner in self.arrays]
         total: Array = cotangents[0]
-        for cotangent in cotangents[1:]:
-            total += cotangent
-        return Evaluation(terms, clip_pullback(planes, total, *scales.bounds))
+        if gradient:
+            for cotangent in cotangents[1:]:
+                total += cotangent
+        return terms, total
+
+    def by_kernels(self, clipped: Array, *, gradient: bool) -> tuple[Terms, Array | None]:
+        """As compiled loops, for what :func:`loi_core.compiled.serves`."""
+        from loi_core.compiled.comparison import compare
+
+        host = to_numpy(clipped)
+        costs, cotangent = compare(self.kernels, host, gradient=gradient)
+        terms = {key: from_numpy(np.asarray(cost), clipped) for key, cost in costs.items()}
+        return terms, None if cotangent is None else from_numpy(cotangent, clipped)

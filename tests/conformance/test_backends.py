@@ -31,13 +31,19 @@ import loi_torch
 from loi_core import LogTone, LOIObjective, ScaleSpace
 from loi_core.arrays import sum_of_all
 from loi_core.testing import allowed
-from tests.helpers import Host
+from tests.helpers import Host, by_arrays
 
 LOGARITHM = 4.0
 COMPILED = 50  # problems for which JAX keeps what it compiled: it compiles for each shape anew, and memory would fill
 CONTENTS = ("flat", "ramp", "step", "noise", "hdr", "saturated")
 Pair = tuple[Host, Host]
 Problem = tuple[Host, Host, ScaleSpace, str]
+
+
+def numpy_arrays(image: Host, reference: Host, scales: ScaleSpace, tone: LogTone | None) -> Pair:
+    with by_arrays():
+        value, gradient = LOIObjective(reference, scales, tone=tone).value_and_grad(image)
+    return np.asarray(value), gradient
 
 
 def strict(image: Host, reference: Host, scales: ScaleSpace, tone: LogTone | None) -> Pair:
@@ -80,6 +86,7 @@ def drjit_autodiff(image: Host, reference: Host, scales: ScaleSpace, tone: LogTo
 
 
 BACKENDS: dict[str, Callable[[Host, Host, ScaleSpace, LogTone | None], Pair]] = {
+    "NumPy without Numba": numpy_arrays,
     "array_api_strict": strict,
     "torch": torch_core,
     "torch autograd": torch_autograd,

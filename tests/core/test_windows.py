@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 
 import numpy as np
 import pytest
@@ -13,14 +13,18 @@ from hypothesis import strategies as st
 
 from loi_core import LOIObjective, ScaleSpace, comparison
 from loi_core.arrays import Array
+from loi_core.compiled import comparison as kernels
+from loi_core.compiled.program import Program, Wiring
+from loi_core.compiled.tables import EdgeColumn
 from loi_core.distance import sum_of_costs
 from loi_core.kernels import AxisBlur, AxisGrid
 from loi_core.operators import GaussianBlur, PlaneBlur, PlaneGrid
 from loi_core.scales import Boundary
+from loi_core.scope import Scope
 from loi_core.windows import Window, window_of
 from tests.conformance.test_backends import apart
 from tests.core.contents import CONTENTS
-from tests.helpers import Host
+from tests.helpers import Host, by_arrays
 
 SIZES = st.integers(1, 150)
 SIDES = st.integers(1, 90)  # where every bound is derived pixel by pixel
@@ -29,7 +33,7 @@ SIDES = st.integers(1, 90)  # where every bound is derived pixel by pixel
 @contextmanager
 def everything_computed() -> Iterator[None]:
     """As where values cannot be looked at."""
-    with pytest.MonkeyPatch.context() as patch:
+    with by_arrays(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(comparison, "values_may_decide", lambda _: False)
         yield
 
@@ -64,20 +68,23 @@ def scales_for(shape: tuple[int, ...]) -> list[ScaleSpace]:
 
 
 @given(
-    local_changes(), st.integers(0, 3), st.sampled_from(["exact", "balanced"]), st.sampled_from(["float64", "float32"])
-)
+    local_changes(), st.integers(0, 3), st.sampled_from(["exact", "balanced"]), st.sampled_from(["float64", "float32"]),
+    st.sampled_from([nullcontext, by_arrays]),
+)  # fmt: skip
 def test_leaving_out_what_cannot_differ_changes_nothing(
-    pair: tuple[Host, Host], which: int, accuracy: str, dtype: str
+    pair: tuple[Host, Host], which: int, accuracy: str, dtype: str, way: Callable[[], AbstractContextManager[None]]
 ) -> None:
     image, reference = (each.astype(dtype) for each in pair)
     scales = scales_for(image.shape)[which]
-    value, gradient = LOIObjective(reference, scales, accuracy).value_and_grad(image)
+    with way():
+        value, gradient = LOIObjective(reference, scales, accuracy).value_and_grad(image)
+        alone = LOIObjective(reference, scales, accuracy).value(image)
     with everything_computed():
         wanted, slopes = LOIObjective(reference, scales, accuracy).value_and_grad(image)
     loss_bound, gradient_bound = apart(image, reference, scales)
     assert abs(float(value) - float(wanted)) <= loss_bound
     assert np.abs(gradient - slopes).sum() <= gradient_bound
-    assert abs(float(LOIObjective(reference, scales, accuracy).value(image)) - float(wanted)) <= loss_bound
+    assert abs(float(alone) - float(wanted)) <= loss_bound
 
 
 @given(st.data(), SIZES, SIZES, st.floats(0.1, 60.0), st.sampled_from(["reflect", "zero"]), st.booleans())
@@ -95,8 +102,8 @@ def test_a_blur_of_a_window_is_that_of_the_plane(
         rng.uniform(size=1),
     )
     for apply, reached, grid in (
-        (blur.apply, blur.reached, pixels),
-        (blur.adjoint, blur.reached_back, target),
+        (blur.apply, blur.blur.reached, pixels),
+        (blur.adjoint, blur.blur.reached_back, target),
     ):
         window = Window(data.draw(ranges(grid.rows.cells)), data.draw(ranges(grid.columns.cells)))
         part = rng.uniform(size=(2, *window.shape))
@@ -116,11 +123,13 @@ def test_a_window_holds_all_that_is_true(data: st.DataObject, height: int, width
     assert window_of(np.zeros((2, height, width), dtype=bool)) is None
 
 
-def test_equal_images_take_no_comparison() -> None:
+@pytest.mark.parametrize("way", [nullcontext, by_arrays])
+def test_equal_images_take_no_comparison(way: Callable[[], AbstractContextManager[None]]) -> None:
     image = np.random.default_rng(0).uniform(size=(30, 40, 3))
     objective = LOIObjective(image, ScaleSpace.paper("path"))
-    with pytest.MonkeyPatch.context() as patch:
+    with way(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(comparison, "weights_and_slopes", None)
+        patch.setattr(kernels, "compare_levels", None)
         value, gradient = objective.value_and_grad(image.copy())
     assert float(value) == 0.0
     assert not np.any(gradient)
@@ -138,8 +147,28 @@ def test_a_small_difference_takes_a_small_part_of_the_work() -> None:
         return sum_of_costs(difference, slope, p)
 
     objective = LOIObjective(reference, ScaleSpace(0, 1, 0.125))
-    with pytest.MonkeyPatch.context() as patch:
+    with by_arrays(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(comparison, "sum_of_costs", counting)
         objective.value_and_grad(image)
     reached = 10 + 2 * 9  # pixels a side: the kernel ends after 8.6 pixels
     assert 0 < sum(blurred) <= 17 * reached**2
+
+
+def test_kernels_are_told_to_compute_no_more_than_that() -> None:
+    rng = np.random.default_rng(0)
+    reference = rng.uniform(size=(256, 256, 1))
+    image = reference.copy()
+    image[100:110, 60:70] += 0.1
+    compared: list[Host] = []
+    program = Wiring.program
+
+    def counting(wiring: Wiring, scope: Scope) -> Program:
+        made = program(wiring, scope)
+        compared.extend(made.edges[:, EdgeColumn.TOP : EdgeColumn.FORTH])
+        return made
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Wiring, "program", counting)
+        LOIObjective(reference, ScaleSpace(0, 1, 0.125)).value_and_grad(image)
+    ((top, bottom, left, right),) = compared
+    assert (bottom - top, right - left) == (10 + 2 * 8, 10 + 2 * 8)

@@ -1,0 +1,179 @@
+"""The tables that tell the kernels what to compute: which bands, on which windows, and where planes lie."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any, Final, TypeAlias
+
+import numpy as np
+
+from loi_core.cache import Cache
+from loi_core.compiled.bands import Band, Numbers, band_back, band_forth
+from loi_core.compiled.tables import GROUP, STRIP, BandColumn, EdgeColumn, NodeColumn, PassColumn, padded
+from loi_core.operators import PlaneBlur
+from loi_core.plan import InnerPlan
+from loi_core.scope import Route, Scope
+from loi_core.windows import Window
+
+__all__ = ["Program", "Table", "Wiring"]
+
+Table: TypeAlias = np.ndarray[Any, np.dtype[np.int64]]
+
+KEPT: Final = 16  # programs of one inner scale: windows change from step to step, but not from channel to channel
+
+
+@dataclass(frozen=True)
+class _Edge:
+    """A blur from a node to the next, or to an extent, there and back: two bands each, in the order they act in."""
+
+    source: int
+    target: int
+    blur: PlaneBlur
+    forth: tuple[int, int]
+    back: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class Program:
+    """Tables for :func:`loi_core.compiled.kernels.compare_levels`, and how many elements its arena has."""
+
+    nodes: Table
+    edges: Table
+    places: Table
+    elements: int
+
+
+@dataclass(frozen=True)
+class Wiring:
+    """The bands of one inner scale, and how they follow each other: all that does not depend on values.
+
+    The samplings form a tree: one rung after another, and extents from any of them. Every blur leaves its result
+    transposed, so rungs of odd number lie transposed, as do extents that start from one of even number.
+    """
+
+    plan: InnerPlan
+    bands: tuple[Band, ...]
+    edges: tuple[_Edge, ...]
+    weights: Numbers
+    starts: Table
+    table: Table
+    programs: Cache[tuple[Route, Window], Program] = field(default_factory=lambda: Cache(KEPT))
+
+    @classmethod
+    def of(cls, plan: InnerPlan, dtype: np.dtype[Any]) -> Wiring:
+        """The wiring for arrays of one dtype."""
+        bands: list[Band] = []
+
+        def number(made: Band) -> int:
+            bands.append(made)
+            return len(bands) - 1
+
+        def edge(source: int, target: int, blur: PlaneBlur) -> _Edge:
+            first, after = (blur.columns, blur.rows) if source % 2 else (blur.rows, blur.columns)
+            forth = number(band_forth(first, dtype)), number(band_forth(after, dtype))
+            back = number(band_back(after, dtype)), number(band_back(first, dtype))
+            return _Edge(source, target, blur, forth, back)
+
+        edges = [edge(index, index + 1, rung) for index, rung in enumerate(plan.rungs)]
+        edges += [edge(extent.rung, index, extent.blur) for index, extent in enumerate(plan.extents)]
+        table = np.zeros((len(bands), len(BandColumn)), np.int64)
+        weights = starts = 0
+        for row, made in zip(table, bands, strict=True):
+            row[:] = weights, starts, made.taps
+            weights, starts = weights + made.weights.size, starts + made.starts.size
+        joined = np.concat([made.weights.ravel() for made in bands])
+        return cls(plan, tuple(bands), tuple(edges), joined, np.concat([made.starts for made in bands]), table)
+
+    @property
+    def rungs(self) -> int:
+        """How many edges lead to rungs; they come first."""
+        return len(self.plan.rungs)
+
+    def program(self, scope: Scope) -> Program:
+        """The tables for what is in a scope."""
+        key = scope.route, scope.felt
+        made = self.programs.get(key)
+        if made is None:
+            made = self._make(scope)
+            self.programs.put(key, made, 1)
+        return made
+
+    def _make(self, scope: Scope) -> Program:
+        place = _Arena()
+        nodes = np.zeros((self.rungs + 1, len(NodeColumn)), np.int64)
+        for index, row in enumerate(nodes):
+            shape = self._shape(index)
+            window = scope.felt if index == 0 else _rounded(_laid(scope.route.pulled[index], index))
+            row[:] = place.plane(shape), place.plane(shape), padded(shape[1]), *_sides(window)
+        slope = place.plane(self._shape(0))
+        edges = np.zeros((len(self.edges), EdgeColumn.BACK + len(PassColumn)), np.int64)
+        for index, (row, edge) in enumerate(zip(edges, self.edges, strict=True)):
+            held = scope.route.held[edge.source]
+            reached = edge.blur.reached(held)
+            returning = scope.route.pulled[edge.target] if index < self.rungs else reached
+            source, out = _laid(held, edge.source), _laid(reached, edge.source)
+            end, back = _laid(returning, edge.source), _laid(edge.blur.reached_back(returning), edge.source)
+            stride = padded(self.bands[edge.forth[0]].rows)
+            row[: EdgeColumn.FORTH] = edge.source, edge.target, stride, *_sides(out.transposed)
+            row[EdgeColumn.FORTH : EdgeColumn.BACK] = self._pass(edge.forth, source, out)
+            row[EdgeColumn.BACK :] = self._pass(edge.back, end.transposed, back.transposed)
+        passes = [bands for edge in self.edges for bands in (edge.forth, edge.back)]
+        transposed = place.plane(
+            *((self.bands[after].height + GROUP, self.bands[first].rows) for first, after in passes)
+        )
+        compared = place.plane(*(self._compared(edge) for edge in self.edges[self.rungs :]))
+        strip = place.plane((STRIP, max(band.columns for band in self.bands)))
+        return Program(nodes, edges, np.asarray((slope, transposed, compared, strip), np.int64), place.elements)
+
+    def _pass(self, bands: tuple[int, int], source: Window, out: Window) -> list[int]:
+        """What makes `out` of `source`, both as the source lies."""
+        first, after = bands
+        stride = padded(self.bands[first].rows)
+        return [first, *_groups(out.rows), *_sides(source), stride, after, *_groups(out.columns)]
+
+    def _shape(self, node: int) -> tuple[int, int]:
+        """Rows that there have to be of a node's planes, and columns."""
+        leaving = [self.bands[edge.forth[0]] for edge in self.edges if edge.source == node]
+        arriving = [self.bands[edge.back[0]] for edge in self.edges[: self.rungs] if edge.target == node]
+        rows = max(band.height for band in leaving + arriving)
+        (columns,) = {self.bands[edge.forth[1]].columns for edge in self.edges if edge.source == node}
+        return rows, columns
+
+    def _compared(self, edge: _Edge) -> tuple[int, int]:
+        """The same of planes that are compared."""
+        return self.bands[edge.back[0]].height, self.bands[edge.forth[0]].rows
+
+
+class _Arena:
+    """Places for planes, one after another."""
+
+    def __init__(self) -> None:
+        self.elements = 0
+
+    def plane(self, *shapes: tuple[int, int]) -> int:
+        """Where there is room for planes of these rows and columns, one at a time."""
+        place = self.elements
+        self.elements += max(rows * padded(columns) for rows, columns in shapes)
+        return place
+
+
+def _laid(window: Window, node: int) -> Window:
+    """A window as the planes of a node lie."""
+    return window.transposed if node % 2 else window
+
+
+def _sides(window: Window) -> tuple[int, int, int, int]:
+    return window.rows.start, window.rows.stop, window.columns.start, window.columns.stop
+
+
+def _groups(rows: range) -> tuple[int, int]:
+    """The groups that make some rows."""
+    return rows.start // GROUP, -(-rows.stop // GROUP)
+
+
+def _rounded(window: Window) -> Window:
+    """A window with all that is made together with what lies in it."""
+    rows, columns = (
+        range(axis.start // GROUP * GROUP, -(-axis.stop // GROUP) * GROUP) for axis in (window.rows, window.columns)
+    )
+    return Window(rows, columns)

@@ -1,0 +1,72 @@
+"""What the columns of the kernels' tables mean, and the sizes that host and kernels share."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import Final
+
+__all__ = ["GROUP", "LANES", "STRIP", "TAPS", "BandColumn", "EdgeColumn", "NodeColumn", "PassColumn", "padded"]
+
+GROUP: Final = 4  # rows that are made together, so that what is loaded serves all of them
+TAPS: Final = 3  # rows that are combined at once; with GROUP results they fill the registers, but do not spill
+STRIP: Final = 16  # rows that are transposed together: a line of the cache in float32
+LANES: Final = 16  # columns come in multiples of this, a full vector, so that no remainder is left
+
+
+def padded(columns: int) -> int:
+    """The distance from row to row that leaves room for any full vector that begins inside.
+
+    Never a multiple of 128 elements: rows that far apart share few places in the caches.
+    """
+    stride = -(-columns // LANES) * LANES + LANES
+    return stride if stride % (8 * LANES) else stride + LANES
+
+
+class BandColumn(IntEnum):
+    """A matrix that is 0 away from a band: GROUP rows at a time see `TAPS` columns from a start on."""
+
+    WEIGHTS = 0  # offset of the weights, (groups, taps, GROUP)
+    STARTS = 1  # offset of the starts, (groups,)
+    TAPS = 2
+
+
+class PassColumn(IntEnum):
+    """One separable blur of a window of a plane: its rows are combined and transposed, and again."""
+
+    BAND = 0
+    FIRST = 1  # groups of rows that are made
+    LAST = 2
+    TOP = 3  # rows and columns outside which the plane is 0
+    BOTTOM = 4
+    LEFT = 5
+    RIGHT = 6
+    STRIDE = 7  # of the transposed plane
+    BAND_AFTER = 8
+    FIRST_AFTER = 9
+    LAST_AFTER = 10
+
+
+class EdgeColumn(IntEnum):
+    """A blur from a node to a node, or to where histograms are compared, and its transpose."""
+
+    SOURCE = 0
+    TARGET = 1  # a node, or the number of the extent
+    STRIDE = 2  # of the planes that are compared
+    TOP = 3  # what is compared
+    BOTTOM = 4
+    LEFT = 5
+    RIGHT = 6
+    FORTH = 7
+    BACK = 7 + len(PassColumn)
+
+
+class NodeColumn(IntEnum):
+    """A sampling on which differences of CDFs are held, and what is pulled back to it."""
+
+    HELD = 0  # offset
+    PULLED = 1  # offset
+    STRIDE = 2
+    TOP = 3  # rows and columns outside which what is pulled back is 0
+    BOTTOM = 4
+    LEFT = 5
+    RIGHT = 6

@@ -1,0 +1,217 @@
+"""Compiled kernels compute what operations on whole arrays do, for any caller and on any number of threads."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+
+import array_api_strict
+import mpmath
+import numpy as np
+import pytest
+import torch
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from loi_core import LOIObjective, ScaleSpace, compiled
+from loi_core.arrays import Array
+from loi_core.compiled import compiling, threads
+from loi_core.compiled.bands import Band, band_back, band_forth
+from loi_core.compiled.exponential import exponential
+from loi_core.compiled.kernels import compare_levels
+from loi_core.compiled.tables import GROUP
+from loi_core.kernels import AxisBlur, AxisGrid
+from tests.conformance.test_backends import Problem, apart, problems
+from tests.core.contents import CONTENTS
+from tests.helpers import Host, by_arrays
+
+KINDS = sorted(CONTENTS)
+DTYPES = ("float32", "float64")
+
+
+@compiling.compiled
+def exponentials(values: Host) -> Host:
+    result = np.empty_like(values)
+    for index in range(values.size):
+        result[index] = exponential(values[index])
+    return result
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+def test_the_exponential_is_within_two_roundings(dtype: str) -> None:
+    # Seven or thirteen terms, each with a rounding, and the sum of the last of them near 1: two in all.
+    lowest = float(np.log(np.finfo(dtype).tiny))
+    values = np.concat([np.linspace(lowest, 0.0, 4001), -np.logspace(-9, 0, 500)]).astype(dtype)
+    got = exponentials(values)
+    assert got.dtype == values.dtype
+    wanted = np.asarray([float(mpmath.exp(mpmath.mpf(float(value)))) for value in values])
+    assert np.max(np.abs(got / wanted - 1.0)) <= 2.0 * np.finfo(dtype).eps
+
+
+def dense(band: Band) -> Host:
+    """The matrix that a band is of, with the columns beyond its last."""
+    matrix = np.zeros((GROUP * len(band.starts), band.height))
+    for group, start in enumerate(band.starts):
+        rows = slice(GROUP * group, GROUP * (group + 1))
+        matrix[rows, start : start + band.taps] = band.weights[group].T
+    return matrix
+
+
+@given(
+    st.integers(1, 200), st.integers(1, 4), st.floats(0.5, 150.0), st.sampled_from(["reflect", "zero"]),
+    st.sampled_from([None, 1, 21]),
+)  # fmt: skip
+def test_bands_hold_the_matrix_and_its_transpose(
+    size: int, ratio: int, scale: float, boundary: str, taps: int | None
+) -> None:
+    source, target = AxisGrid(size, size), AxisGrid(size, -(-size // ratio))
+    scale *= ratio  # narrower, and a kernel may fall between two samples
+    blur = AxisBlur(source, target, scale, boundary, taps)  # type: ignore[arg-type]  # drawn from its two values
+    double = np.dtype(np.float64)
+    for band, wanted in ((band_forth(blur, double), blur.matrix()), (band_back(blur, double), blur.matrix().T)):
+        got = dense(band)
+        rows, columns = wanted.shape
+        assert not np.any(got[rows:])
+        assert not np.any(got[:, columns:])
+        assert np.all(np.diff(band.starts) >= 0)
+        # The matrix of a sampling onto itself is symmetric, and taken as that, but computed to a rounding or two only.
+        np.testing.assert_allclose(got[:rows, :columns], wanted, rtol=0, atol=2 * np.finfo(np.float64).eps)
+
+
+def both_ways(image: Host, reference: Host, scales: ScaleSpace, accuracy: str | float) -> list[tuple[float, Host]]:
+    """Value and gradient by kernels and by arrays."""
+    value, gradient = LOIObjective(reference, scales, accuracy).value_and_grad(image)
+    with by_arrays():
+        wanted, slopes = LOIObjective(reference, scales, accuracy).value_and_grad(image)
+    return [(float(value), gradient), (float(wanted), slopes)]
+
+
+@given(problems(), st.sampled_from(["exact", "balanced"]))
+def test_kernels_and_arrays_agree(problem: Problem, accuracy: str) -> None:
+    image, reference, scales, dtype = problem
+    image, reference = image.astype(dtype), reference.astype(dtype)
+    (value, gradient), (wanted, slopes) = both_ways(image, reference, scales, accuracy)
+    loss_bound, gradient_bound = apart(image, reference, scales)
+    assert abs(value - wanted) <= loss_bound
+    assert np.abs(gradient - slopes).sum() <= gradient_bound
+    assert abs(float(LOIObjective(reference, scales, accuracy).value(image)) - wanted) <= loss_bound
+
+
+@pytest.mark.parametrize("dtype", DTYPES)
+@pytest.mark.parametrize("preset", ["path", "released"])
+@pytest.mark.parametrize("kind", KINDS)
+def test_kernels_and_arrays_agree_where_blurs_pass_through_rungs(kind: str, preset: str, dtype: str) -> None:
+    reference, image = (each.astype(dtype) for each in CONTENTS[kind]((48, 63, 1), np.random.default_rng(1)))
+    released = ScaleSpace.released((1, 5), (1, 5, 15), 8, 61)
+    scales = released if preset == "released" else ScaleSpace.paper("path")
+    for accuracy in ("exact", 5e-2):
+        (value, gradient), (wanted, slopes) = both_ways(image, reference, scales, accuracy)
+        loss_bound, gradient_bound = apart(image, reference, scales)
+        assert abs(value - wanted) <= loss_bound
+        assert np.abs(gradient - slopes).sum() <= gradient_bound
+
+
+@given(st.integers(1, 90), st.integers(1, 90), st.sampled_from(DTYPES))
+@example(1, 1, "float32")
+@example(90, 90, "float64")
+def test_threads_change_no_bit(height: int, width: int, dtype: str) -> None:
+    rng = np.random.default_rng(0)
+    image, reference = rng.uniform(size=(2, height, width, 3)).astype(dtype)
+    objective = LOIObjective(reference, ScaleSpace.paper("path"), "balanced")
+    found = []
+    for count in (1, 2, 5):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(threads, "thread_count", lambda count=count: count)
+            found.append(objective.value_and_grad(image))
+    for value, gradient in found[1:]:
+        assert value == found[0][0]
+        np.testing.assert_array_equal(gradient, found[0][1])
+
+
+def test_many_callers_at_once_get_what_one_gets() -> None:
+    rng = np.random.default_rng(0)
+    images, reference = rng.uniform(size=(6, 80, 70, 3)), rng.uniform(size=(80, 70, 3))
+    objective = LOIObjective(reference, ScaleSpace.paper("path"))
+    alone = [objective.value_and_grad(image) for image in images]
+    with ThreadPoolExecutor(8) as callers:
+        together = list(callers.map(objective.value_and_grad, np.concat([images] * 4)))
+    for (value, gradient), (wanted, slopes) in zip(together, alone * 4, strict=True):
+        assert value == wanted
+        np.testing.assert_array_equal(gradient, slopes)
+
+
+def test_kernels_are_compiled_once_for_a_dtype_whatever_the_layout() -> None:
+    # Numba compiles anew for arrays that are not contiguous, or that cannot be written to; that takes seconds.
+    rng = np.random.default_rng(0)
+    image, reference = rng.uniform(size=(2, 2, 3, 12, 16))
+    unblurred = ScaleSpace(0, (0, 1), 0.125)
+    for axis in (-1, -3, 0):
+        moved = [np.moveaxis(each, 1, axis) for each in (image, reference)]
+        for planes in (moved, [np.asfortranarray(each) for each in moved]):
+            planes[0].setflags(write=False)
+            LOIObjective(planes[1], unblurred, channel_axis=axis).value_and_grad(planes[0])
+    LOIObjective(reference[0, 0], unblurred, channel_axis=None).value_and_grad(image[0, 0].T.copy().T)
+    signatures = compare_levels.signatures  # type: ignore[attr-defined]  # Numba's own
+    assert len({signature[0].dtype for signature in signatures}) == len(signatures)
+
+
+FORKS = """
+import os, numpy as np
+from loi_core import LOIObjective, ScaleSpace
+from loi_core.compiled import compiling, threads
+threads.thread_count = lambda: 3
+image, reference = np.random.default_rng(0).uniform(size=(2, 80, 70, 3))
+objective = LOIObjective(reference, ScaleSpace.paper("path"))
+before = float(objective.value(image))
+child = os.fork()
+if child == 0:
+    os._exit(0 if float(objective.value(image)) == before else 1)
+print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows does not fork")
+def test_a_forked_process_starts_threads_of_its_own() -> None:
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", FORKS], capture_output=True, text=True, timeout=120, check=True
+    )
+    assert done.stdout.strip() == "0"
+
+
+def test_what_fails_in_a_thread_is_raised() -> None:
+    def fail(_: object) -> None:
+        msg = "no"
+        raise ArithmeticError(msg)
+
+    with pytest.raises(ArithmeticError, match="no"):
+        threads.run_all([fail] * 4, object)
+
+
+PLAIN = ScaleSpace.paper("path")
+
+
+@pytest.mark.parametrize(
+    ("planes", "scales", "wanted"),
+    [
+        (np.zeros((1, 2, 2), np.float32), PLAIN, True),
+        (torch.zeros((1, 2, 2), dtype=torch.float64), PLAIN, True),
+        (torch.zeros((1, 2, 2), requires_grad=True), PLAIN, False),  # torch differentiates what follows
+        (array_api_strict.zeros((1, 2, 2)), PLAIN, False),
+        (np.zeros((1, 2, 2), np.longdouble), PLAIN, False),
+        (np.zeros((1, 2, 2)), ScaleSpace(1, 1, 0.1, p=2.0), False),
+    ],
+)
+def test_kernels_are_for_host_arrays_that_no_framework_differentiates(
+    planes: Array, scales: ScaleSpace, wanted: bool
+) -> None:
+    assert compiled.serves(planes, scales) is wanted
+
+
+def test_without_numba_arrays_do_it_and_the_plan_says_so() -> None:
+    objective = LOIObjective(np.zeros((4, 4, 3)), PLAIN)
+    assert "Numba" in str(objective.plan())
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(compiled, "available", lambda: False)
+        assert not compiled.serves(np.zeros((1, 2, 2)), PLAIN)
+        assert "Numba" not in str(objective.plan())
