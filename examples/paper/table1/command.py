@@ -24,7 +24,7 @@ __all__ = ["main"]
 
 SEEDS: Final = 10
 ABLATION_SEEDS: Final = 3
-ABLATED: Final = (COLUMNS[1], COLUMNS[3])
+ABLATED: Final = (COLUMNS[3], COLUMNS[4], HARDER[2])
 PARTS: Final = ("tuning", "ours", "published", "harder", "ablations")
 
 

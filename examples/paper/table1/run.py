@@ -19,6 +19,8 @@ from loi_core.objectives import MSSSIM, GaussianPyramid, Objective, PixelL2
 __all__ = ["Outcome", "Run", "carry_out", "structure"]
 
 CURVE_STEPS: Final = 5  # between two points of a convergence curve
+WIDEST: Final = 0.36  # of the side: 45 pixels of 128
+UNIT: Final = 128  # side of the image whose pixels a rate is in
 FOUND: Final = 0.5  # pixels from its place at which a disk counts as found
 
 
@@ -78,7 +80,7 @@ def carry_out(run: Run) -> Outcome:
         renderer,
         objective(setting, problem.reference),
         steps=setting.steps,
-        learning_rate=setting.rate,
+        learning_rate=setting.rate * run.column.side / UNIT,
         decay=setting.decay,
         optimise={"positions": Free(start["positions"], free.lower, free.upper)},
         callback=watch,
@@ -95,7 +97,7 @@ def carry_out(run: Run) -> Outcome:
 def objective(setting: Setting, reference: Image) -> Objective:
     """The objective of a setting."""
     if setting.method == "loi":
-        return LOIObjective(reference, setting.scales or _scales(reference), accuracy=setting.accuracy)
+        return LOIObjective(reference, _scales(setting, reference), accuracy=setting.accuracy)
     if setting.method == "gaussian_pyramid":
         return GaussianPyramid(reference)
     if setting.method == "ms_ssim":
@@ -107,9 +109,21 @@ def objective(setting: Setting, reference: Image) -> Objective:
     return LPIPS(reference, "alex" if setting.method == "lpips_alex" else "vgg")
 
 
-def _scales(reference: Image) -> ScaleSpace:
-    """``ScaleSpace.for_image`` with bounds that hold the reference: where noise is cut off, its mean is not 0."""
-    scales = ScaleSpace.for_image(*reference.shape[:2])
+def _scales(setting: Setting, reference: Image) -> ScaleSpace:
+    """The scales of a setting for images like `reference`.
+
+    Unless they are given, their bounds hold all of the reference: where noise is cut off, its mean is no longer 0.
+    """
+    if isinstance(setting.scales, ScaleSpace):
+        return setting.scales
+    side = reference.shape[0]
+    if setting.scales == "every":
+        widths = [1.0, 5.0, 15.0, 45.0]
+        while 2.0 * widths[-1] <= WIDEST * side:
+            widths.append(2.0 * widths[-1])
+        scales = ScaleSpace(widths, widths, 0.125)
+    else:
+        scales = ScaleSpace.for_image(side, side)
     return replace(scales, bounds=(min(0.0, float(reference.min())), max(1.0, float(reference.max()))))
 
 
