@@ -9,7 +9,7 @@ import numpy as np
 from loi_core.renderers.checks import FloatArray
 from loi_core.renderers.fragments import IndexArray
 
-__all__ = ["confined"]
+__all__ = ["confined", "near_pairs"]
 
 SWEEPS: Final = 10  # chains of touching disks need a few
 GOLDEN_ANGLE: Final = 2.399963
@@ -37,7 +37,7 @@ def confined(positions: FloatArray, radii: FloatArray, size: tuple[int, int]) ->
     margin = np.minimum(radii[:, None], 0.5 * frame)
     positions = _within(positions, margin, frame)
     for _ in range(SWEEPS):
-        first, second = _near_pairs(positions, radii)
+        first, second = near_pairs(positions, radii)
         apart = positions[first] - positions[second]
         distance = np.hypot(apart[:, 0], apart[:, 1])
         overlap = radii[first] + radii[second] - distance
@@ -60,8 +60,14 @@ def _within(positions: FloatArray, margin: FloatArray, frame: FloatArray) -> Flo
     return kept
 
 
-def _near_pairs(positions: FloatArray, radii: FloatArray) -> tuple[IndexArray, IndexArray]:
-    """Every pair, once, whose columns are near enough for the disks to overlap."""
+def near_pairs(positions: FloatArray, radii: FloatArray) -> tuple[IndexArray, IndexArray]:
+    """Every pair of disks, once, that is near enough along x to overlap: indices, two arrays of one length.
+
+    Parameters
+    ----------
+    positions, radii
+        As :func:`confined` takes them.
+    """
     order = np.argsort(positions[:, 0], kind="stable")
     columns = positions[order, 0]
     reach = radii[order] + radii.max(initial=0.0)

@@ -8,6 +8,7 @@ import numpy as np
 
 from examples.paper.table1.problem import RADIUS, FloatArray
 from loi_core.renderers import Disks
+from loi_core.renderers.confinement import near_pairs
 
 __all__ = ["ReleasedMoves"]
 
@@ -45,12 +46,16 @@ class ReleasedMoves:
         height, width = self._disks.size
         frame = np.array([width, height], dtype=np.float64)
         places = np.clip(params["positions"].astype(np.float64), 2.0 * RADIUS, frame - 2.0 * RADIUS)
+        radii = np.full(len(places), RADIUS)
         for _ in range(ROUNDS):
-            apart = places[:, None, :] - places[None, :, :]
-            distance = np.hypot(apart[..., 0], apart[..., 1])
-            touching = (distance < 2.0 * RADIUS) & (distance > 0.0)
-            if not touching.any():
+            first, second = near_pairs(places, radii)
+            apart = places[first] - places[second]
+            distance = np.hypot(apart[:, 0], apart[:, 1])
+            touching = np.flatnonzero((distance < 2.0 * RADIUS) & (distance > 0.0))
+            if not len(touching):
                 break
-            along = np.where(touching[..., None], apart / np.where(touching, distance, 1.0)[..., None], 0.0)
-            places = np.clip(places + PUSH * along.sum(axis=1), 0.0, frame)
+            push = PUSH * apart[touching] / distance[touching, None]
+            np.add.at(places, first[touching], push)
+            np.subtract.at(places, second[touching], push)
+            places = np.clip(places, 0.0, frame)
         return params | {"positions": places.astype(params["positions"].dtype)}
