@@ -20,6 +20,7 @@ from examples.paper.table1.store import is_done, keep, load, picture_path
 from loi_core.experiment import psnr
 from loi_core.images import read_image
 
+DOCS = Path(__file__).parents[1] / "docs"
 FEW = 4
 SMALL = replace(COLUMNS[0], side=32)
 
@@ -118,3 +119,19 @@ def test_wrong_words_are_refused_before_anything_is_done(
         main(words)
     assert ended.value.code == 2
     assert named in capsys.readouterr().err.splitlines()[-1]
+
+
+def test_documented_means_are_those_of_the_documented_runs() -> None:
+    page = (DOCS / "table1.md").read_text()
+    with (DOCS / "table1.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    cells: dict[tuple[str, str, str], list[float]] = {}
+    for row in rows:
+        cells.setdefault((row["setting"], row["method"], row["column"]), []).append(float(row["psnr"]))
+    table = {key: values for key, values in cells.items() if not key[0].startswith("rate ")}
+    assert len(table) > 20
+    assert all(f"{np.mean(values):.2f} " in page for values in table.values())
+    # What the page says of ours: every start of every column ends exactly.
+    ours = [min(table["ours", "loi", column.name]) for column in COLUMNS]
+    assert all(len(table["ours", "loi", column.name]) == 10 for column in COLUMNS)
+    assert min(ours) > 60.0
