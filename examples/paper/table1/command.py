@@ -112,7 +112,7 @@ class Extent:
 def main(words: Sequence[str] | None = None) -> None:
     """Carry out what is missing and write everything anew."""
     parser = argparse.ArgumentParser(prog="python -m examples.paper table1", description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="two methods, one start, 16 disks, few steps")
+    parser.add_argument("--quick", action="store_true", help="two methods, one start, 4 disks, few steps")
     parser.add_argument("--out", type=Path, default=Path("out/table1"), help="folder; what is in it is not done again")
     parser.add_argument("--processes", type=int, default=2, help="runs side by side, each on one thread (default: 2)")
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=list(PARTS), help="default: all")

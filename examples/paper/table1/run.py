@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from examples.paper.table1.moves import ReleasedMoves
-from examples.paper.table1.problem import RADIUS, Column, FloatArray, Image, Problem
+from examples.paper.table1.problem import RADIUS, Column, Image, Problem
 from examples.paper.table1.settings import Setting
 from loi_core import LOIObjective, ScaleSpace, fit
 from loi_core.experiment import psnr
@@ -65,16 +65,17 @@ def carry_out(run: Run) -> Outcome:
     disks = problem.disks(confine=run.column.parted and setting.moves == "ours")
     released = run.column.parted and setting.moves == "released"
     renderer = ReleasedMoves(disks) if released else disks
-    images: list[Image] = []
-    places: list[Image] = []
+    curve: list[float] = []
+    last: dict[str, Image] = {}
 
-    def watch(_: FitStep, params: dict[str, Any], image: Image) -> None:
-        images.append(image)
-        places[:] = [params["positions"]]
+    def watch(step: FitStep, params: dict[str, Any], image: Image) -> None:
+        last.update(image=image, places=params["positions"])
+        if step.step % CURVE_STEPS == 0:
+            curve.append(round(psnr(image, problem.target), 3))
 
-    margin = 0.0 if released else RADIUS
-    free = Free(lower=margin, upper=run.column.side - margin)
-    start = renderer.project(renderer.parameters() | {"positions": _inside(problem.start, run.column, margin)})
+    low = 0.0 if released else RADIUS
+    high = run.column.side - low
+    start = renderer.project(renderer.parameters() | {"positions": np.asarray(np.clip(problem.start, low, high))})
     started = time.perf_counter()
     result = fit(
         renderer,
@@ -82,15 +83,19 @@ def carry_out(run: Run) -> Outcome:
         steps=setting.steps,
         learning_rate=setting.rate * run.column.side / UNIT,
         decay=setting.decay,
-        optimise={"positions": Free(start["positions"], free.lower, free.upper)},
+        optimise={"positions": Free(start["positions"], low, high)},
         callback=watch,
     )
     seconds = time.perf_counter() - started
-    curve = tuple(round(psnr(image, problem.target), 3) for image in images[::CURVE_STEPS])
     best = setting.kept == "best"
-    image, found = (result.image, result.best_params["positions"]) if best else (images[-1], places[0])
+    image, places = (result.image, result.best_params["positions"]) if best else (last["image"], last["places"])
     return Outcome(
-        psnr(image, problem.target), structure(image, problem.target), _found(problem, found), seconds, curve, image
+        psnr(image, problem.target),
+        structure(image, problem.target),
+        _found(problem, places),
+        seconds,
+        tuple(curve),
+        image,
     )
 
 
@@ -131,11 +136,6 @@ def structure(image: Image, target: Image) -> float:
     """SSIM with Gaussian windows (Wang et al. 2004), 1 for equal images."""
     wide = np.asarray(target, dtype=np.float64)
     return 1.0 - float(MSSSIM(wide, levels=1).value(np.asarray(image, dtype=np.float64)))
-
-
-def _inside(places: FloatArray, column: Column, margin: float) -> FloatArray:
-    kept: FloatArray = np.clip(places, margin, column.side - margin)
-    return kept
 
 
 def _found(problem: Problem, places: Image) -> float:
