@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from loi_core import ScaleSpace, inner_images, isophotes, local_histograms
 from loi_core.images import read_image
+from loi_core.report.plots import new_figure
 
 IMAGES: Final = Path(__file__).parent / "images"
 COLUMNS: Final = (
@@ -26,8 +25,7 @@ COLUMNS: Final = (
 
 def show_demo(demo: Path) -> None:
     """Both scenes of the demo: where they start, what is wanted, and where each objective ends."""
-    figure = Figure(figsize=(11.0, 4.3), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(11.0, 4.3)
     axes = figure.subplots(2, len(COLUMNS), height_ratios=[1.0, 0.78])
     for row, name in enumerate(("disks", "photograph")):
         for column, (title, file) in enumerate(COLUMNS):
@@ -48,8 +46,7 @@ def show_scales(demo: Path) -> None:
     inner = inner_images(image, scales, channel_axis=None)
     density = isophotes(image, scales, sigma=0, beta=0.08, channel_axis=None)
     levels = scales.levels(0.08)
-    figure = Figure(figsize=(11.0, 6.2), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(11.0, 6.2)
     axes = figure.subplots(3, 4, width_ratios=[0.55, 1, 1, 1])
     texts = (
         ("inner scale sigma", "blur the image:\nhow fine is a pixel?"),

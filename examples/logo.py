@@ -13,12 +13,11 @@ from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from loi_core import FitResult, Free, LOIObjective, ScaleSpace, fit
 from loi_core.images import read_image, write_png
 from loi_core.objectives import ImageObjective, PixelL2
+from loi_core.report.plots import new_figure
 from loi_torch.vector import Circle, Rectangle, Shape, Vector
 from loi_torch.vector import Path as Curves
 
@@ -78,8 +77,7 @@ def _apart(points: Host, others: Host) -> float:
 
 def plot(pictures: Mapping[str, Host], path: Path) -> None:
     """The pictures in a row."""
-    figure = Figure(figsize=(2.2 * len(pictures), 2.5), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(2.2 * len(pictures), 2.5)
     axes = figure.subplots(1, len(pictures))
     for axis, (title, picture) in zip(axes, pictures.items(), strict=True):
         axis.imshow(np.clip(picture, 0.0, 1.0), interpolation="nearest")

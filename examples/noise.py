@@ -13,12 +13,11 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from loi_core import Free, GaussianPyramid, LOIObjective, Parameters, PixelL2, Pullback, ScaleSpace, fit
 from loi_core.objectives import ImageObjective
 from loi_core.renderers import Disks
+from loi_core.report.plots import new_figure
 
 Host = np.ndarray[Any, Any]
 
@@ -183,8 +182,7 @@ def plot(
     slopes: Sequence[Slope], shares: dict[str, list[tuple[float, float]]], strengths: Sequence[float], path: Path
 ) -> None:
     """A noisy reference, the cosines far away, and where fits end."""
-    figure = Figure(figsize=(11.0, 3.6), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(11.0, 3.6)
     axes = figure.subplots(1, 3, width_ratios=[0.8, 1.0, 1.0])
     start, goal = places(DISTANCES[-1], 0)
     axes[0].imshow(picture(goal, strengths[-1])[..., 0], cmap="gray", vmin=0.0, vmax=1.0, interpolation="nearest")

@@ -8,7 +8,6 @@ from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from examples.paper.landscapes import NEAR, Landscape
@@ -17,6 +16,7 @@ from examples.paper.methods import METHODS, SIGMAS, sigma_method
 from examples.paper.problems import Problem
 from examples.paper.signals import Host
 from loi_core import ScaleSpace, local_histograms
+from loi_core.report.plots import new_figure
 
 __all__ = ["draw_landscapes", "draw_support", "draw_two"]
 
@@ -28,7 +28,7 @@ PIXELS_AN_INCH: Final = 72
 def draw_support(problem: Problem, path: Path) -> None:
     """Signals, derivatives and landscapes at growing inner scales."""
     sigmas = (0.0, *SIGMAS[1:])
-    figure = _figure(2.9 * len(sigmas), 6.0)
+    figure = new_figure(2.9 * len(sigmas), 6.0)
     rows = figure.subplots(3, len(sigmas), squeeze=False)
     for sigma, signals, gradients, errors in zip(sigmas, *rows, strict=True):
         here, change, wanted = blurred(problem, sigma)
@@ -51,7 +51,7 @@ def draw_support(problem: Problem, path: Path) -> None:
 
 def draw_landscapes(problem: Problem, landscapes: Mapping[str, Landscape], within: float, path: Path) -> None:
     """Signals and local histograms; error and slope of every method, its basin shaded."""
-    figure = _figure(1.6 * len(METHODS), 5.6)
+    figure = new_figure(1.6 * len(METHODS), 5.6)
     top, below = figure.subfigures(2, 1, height_ratios=[1.0, 1.9], squeeze=False)[:, 0]
     _signals(top.subplots(1, 3), problem)
     rows = below.subplots(2, len(METHODS), squeeze=False)
@@ -74,7 +74,7 @@ def draw_landscapes(problem: Problem, landscapes: Mapping[str, Landscape], withi
 
 def draw_two(problem: Problem, descents: Mapping[str, tuple[Host, Host]], path: Path) -> None:
     """Where descent starts and ends, in the plane of two parameters."""
-    figure = _figure(1.6 * len(descents), 2.1)
+    figure = new_figure(1.6 * len(descents), 2.1)
     for axes, (name, (starts, ends)) in zip(figure.subplots(1, len(descents)), descents.items(), strict=True):
         found = np.all(np.abs(ends - problem.target) <= NEAR, axis=1)
         for (x, y), (to_x, to_y), good in zip(starts, ends, found, strict=True):
@@ -115,12 +115,6 @@ def _error(axes: Axes, problem: Problem, values: Any) -> None:
     places = np.linspace(low, high, DRAWN)
     axes.plot(places, values(problem.movers.images(places[:, None])), color=REFERENCE, linewidth=0.9)
     axes.set(yticks=[])
-
-
-def _figure(width: float, height: float) -> Figure:
-    figure = Figure(figsize=(width, height), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
 
 
 def _save(figure: Figure, path: Path) -> None:

@@ -9,7 +9,7 @@ from typing import Any, Final
 from loi_core.experiment import Trial
 from loi_core.tradeoff import Tradeoff
 
-__all__ = ["LABELS", "convergence_plot", "tradeoff_plot"]
+__all__ = ["LABELS", "convergence_plot", "new_figure", "tradeoff_plot"]
 
 LABELS: Final = {
     "loi": "loi (ours)",
@@ -31,7 +31,7 @@ LEAST: Final = 1e-16  # where an error of 0 is drawn
 
 def convergence_plot(trials: Sequence[Trial]) -> bytes:
     """Objective over its first value, and PSNR against the target, by step, as a PNG."""
-    figure = _figure(9.0, 3.2)
+    figure = new_figure(9.0, 3.2)
     descent, quality = figure.subplots(1, 2)
     for trial in trials:
         if trial.result is None or not trial.result.history:
@@ -54,7 +54,7 @@ def convergence_plot(trials: Sequence[Trial]) -> bytes:
 
 def tradeoff_plot(found: Tradeoff) -> bytes:
     """Error of the gradient by time, both logarithmic, with the Pareto set joined and named, as a PNG."""
-    figure = _figure(9.0, 5.0)
+    figure = new_figure(9.0, 5.0)
     axes = figure.subplots()
     shown = [(row, mark) for row, mark in zip(found.rows, found.pareto, strict=True) if not row.problem]
     for number, name in enumerate(dict.fromkeys(row.setting.backend for row, _ in shown)):
@@ -86,7 +86,8 @@ def tradeoff_plot(found: Tradeoff) -> bytes:
     return _png(figure)
 
 
-def _figure(width: float, height: float) -> Any:
+def new_figure(width: float, height: float) -> Any:
+    """A Matplotlib figure of this size in inches, without a display; Matplotlib is slow to import, so only here."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

@@ -14,6 +14,7 @@ from examples.paper.table1.problem import Problem
 from examples.paper.table1.run import CURVE_STEPS, Run
 from examples.paper.table1.store import load, picture_path
 from loi_core.files import write_bytes
+from loi_core.report.plots import new_figure
 
 __all__ = ["contact_sheet", "convergence_plot"]
 
@@ -52,11 +53,7 @@ def contact_sheet(path: Path, folder: Path, rows: Mapping[str, Sequence[Run]]) -
 
 def convergence_plot(path: Path, folder: Path, panels: Mapping[str, Mapping[str, Sequence[Run]]]) -> None:
     """Mean squared error by step, a panel for each column and a line for each method: geometric mean over seeds."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-
-    figure = Figure(figsize=(3.1 * len(panels), 3.2), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(3.1 * len(panels), 3.2)
     axes: Any = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
     for place, (column, lines) in zip(axes, panels.items(), strict=True):
         for name, runs in lines.items():
