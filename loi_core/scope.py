@@ -18,7 +18,7 @@ from loi_core.plan import InnerPlan
 from loi_core.scales import ScaleSpace
 from loi_core.windows import Window, window_of
 
-__all__ = ["Among", "Route", "Scope", "find_scope", "levels_among"]
+__all__ = ["Among", "Route", "Scope", "differing_window", "find_scope", "levels_among", "scope_of"]
 
 WORTHWHILE: Final = 0.75
 """Share of the samples above which a window saves less than cutting it out costs."""
@@ -89,20 +89,34 @@ def find_scope(
     intensity: Array, reference: Array, plan: InnerPlan, scales: ScaleSpace, *, gradient: bool
 ) -> Scope | None:
     """What of some planes, shape (N, h, w), has to be looked at; None if nothing does. Looks at their values."""
-    whole = Window.whole(*intensity.shape[-2:])
+    differing = differing_window(intensity, reference)
+    if differing is None:
+        return None
+    return scope_of(differing, Route.of(differing, plan), intensity, reference, scales, gradient=gradient)
+
+
+def differing_window(intensity: Array, reference: Array) -> Window | None:
+    """The smallest window outside which planes, shape (N, h, w), are equal; all of them if that saves little."""
     differing = window_of(intensity != reference)
     if differing is None:
         return None
-    if differing.cells > WORTHWHILE * whole.cells:
-        differing = whole
-    route = Route.of(differing, plan)
+    whole = Window.whole(*intensity.shape[-2:])
+    return whole if differing.cells > WORTHWHILE * whole.cells else differing
+
+
+def scope_of(
+    differing: Window, route: Route, intensity: Array, reference: Array, scales: ScaleSpace, *, gradient: bool
+) -> Scope:
+    """What of some planes has to be looked at if they differ in a window, from which there is a route."""
     felt = route.pulled[0] if gradient else differing
     if scales.p != 1.0:
         return Scope(route, felt)  # a small power of what counts as a tie is not small
     xp = namespace(intensity)
     seen, wanted = differing.crop(intensity), differing.crop(reference)
-    low, high = min(float(xp.min(seen)), float(xp.min(wanted))), max(float(xp.max(seen)), float(xp.max(wanted)))
-    return Scope(route, felt, min(low, float(xp.min(felt.crop(intensity)))), low, high)
+    low, high = float(xp.min(seen)), float(xp.max(seen))
+    least = low if felt == differing else min(low, float(xp.min(felt.crop(intensity))))
+    low, high = min(low, float(xp.min(wanted))), max(high, float(xp.max(wanted)))
+    return Scope(route, felt, min(low, least), low, high)
 
 
 @dataclass(frozen=True)

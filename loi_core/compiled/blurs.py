@@ -11,17 +11,20 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 
 from loi_core.compiled.compiling import compiled
-from loi_core.compiled.tables import GROUP, LANES, STRIP, TAPS, BandColumn, PassColumn
+from loi_core.compiled.tables import GROUP, LANES, LINE, PAIRS, SIDE, STRIP, TAPS, BandColumn, PassColumn
+from loi_core.compiled.vectors import add_product, filled, load_lines, load_sides, plus, store_rows, turned
 
-__all__ = ["Floats", "Table", "blur_window", "clear_window"]
+__all__ = ["Floats", "Table", "blur_window", "clear_window", "transpose"]
 
 Floats: TypeAlias = np.ndarray[Any, Any]
 Table: TypeAlias = np.ndarray[Any, np.dtype[np.int64]]
 
 TILE: Final = 512  # columns at a time, so that all rows that a kernel sees stay in the nearest cache
 
+SEEN: Final = GROUP + PAIRS - 1  # rows on either side that a group needs for PAIRS distances
+
 # Numba knows plain numbers only.
-WEIGHTS, STARTS, BAND_TAPS = map(int, BandColumn)
+WEIGHTS, STARTS, BAND_TAPS, HALF, HALVES, ABOVE, BELOW, FIRST_ALIKE, LAST_ALIKE = map(int, BandColumn)
 BAND, FIRST, LAST, TOP, BOTTOM, LEFT, RIGHT, STRIDE, BAND_AFTER, FIRST_AFTER, LAST_AFTER = map(int, PassColumn)
 
 
@@ -51,7 +54,7 @@ def blur_window(
         _combine(
             band, group, count, weights, starts, arena, source, source_stride, to, source_stride, left, right, False
         )
-        _transpose(arena, strip, source_stride, right - left, count, transposed + left * stride + GROUP * group, stride)
+        transpose(arena, strip, source_stride, right - left, count, transposed + left * stride + GROUP * group, stride)
     top, bottom = GROUP * way[FIRST], GROUP * way[LAST]
     after = bands[way[BAND_AFTER]]
     _clear_beside(after, way[FIRST_AFTER], way[LAST_AFTER], starts, arena, transposed, stride, left, right, top, bottom)
@@ -89,67 +92,109 @@ def _combine(
     right = left + (right - left + LANES - 1) // LANES * LANES
     for begin in range(left, right, TILE):
         width = min(TILE, right - begin)
-        for group in range(count):
-            of = first + group
-            seen = source + starts[band[STARTS] + of] * source_stride + begin
-            made = target + GROUP * group * target_stride + begin
-            row0 = arena[made : made + width]
-            row1 = arena[made + target_stride : made + target_stride + width]
-            row2 = arena[made + 2 * target_stride : made + 2 * target_stride + width]
-            row3 = arena[made + 3 * target_stride : made + 3 * target_stride + width]
-            for tap in range(0, taps, TAPS):
-                at = seen + tap * source_stride
-                seen0 = arena[at : at + width]
-                seen1 = arena[at + source_stride : at + source_stride + width]
-                seen2 = arena[at + 2 * source_stride : at + 2 * source_stride + width]
-                w = weights[band[WEIGHTS] + (of * taps + tap) * GROUP :]
-                a0, a1, a2, a3 = w[0], w[1], w[2], w[3]
-                b0, b1, b2, b3 = w[4], w[5], w[6], w[7]
-                c0, c1, c2, c3 = w[8], w[9], w[10], w[11]
-                if tap == 0 and not add:
-                    for x in range(width):
-                        a, b, c = seen0[x], seen1[x], seen2[x]
-                        row0[x] = a0 * a + b0 * b + c0 * c
-                        row1[x] = a1 * a + b1 * b + c1 * c
-                        row2[x] = a2 * a + b2 * b + c2 * c
-                        row3[x] = a3 * a + b3 * b + c3 * c
-                else:
-                    for x in range(width):
-                        a, b, c = seen0[x], seen1[x], seen2[x]
-                        row0[x] += a0 * a + b0 * b + c0 * c
-                        row1[x] += a1 * a + b1 * b + c1 * c
-                        row2[x] += a2 * a + b2 * b + c2 * c
-                        row3[x] += a3 * a + b3 * b + c3 * c
+        for group in range(first, first + count):
+            seen = source + starts[band[STARTS] + group] * source_stride + begin
+            made = target + GROUP * (group - first) * target_stride + begin
+            if band[FIRST_ALIKE] <= group < band[LAST_ALIKE]:
+                half = weights[band[HALF] : band[HALF] + band[HALVES]]
+                above, below = seen + band[ABOVE] * source_stride, seen + band[BELOW] * source_stride
+                _combine_pairs(half, arena, above, below, source_stride, made, target_stride, width, add)
+            else:
+                w = weights[band[WEIGHTS] + group * taps * GROUP : band[WEIGHTS] + (group + 1) * taps * GROUP]
+                _combine_rows(w, arena, seen, source_stride, made, target_stride, width, add)
 
 
 @compiled
-def _transpose(
+def _combine_rows(
+    weights: Floats,
+    arena: Floats,
+    seen: int,
+    source_stride: int,
+    made: int,
+    target_stride: int,
+    width: int,
+    add: bool,
+) -> None:
+    """Make a group of rows, each with weights of its own for the rows that all of them see."""
+    row0 = arena[made : made + width]
+    row1 = arena[made + target_stride : made + target_stride + width]
+    row2 = arena[made + 2 * target_stride : made + 2 * target_stride + width]
+    row3 = arena[made + 3 * target_stride : made + 3 * target_stride + width]
+    for tap in range(0, weights.size // GROUP, TAPS):
+        at = seen + tap * source_stride
+        seen0 = arena[at : at + width]
+        seen1 = arena[at + source_stride : at + source_stride + width]
+        seen2 = arena[at + 2 * source_stride : at + 2 * source_stride + width]
+        w = weights[tap * GROUP :]
+        a0, a1, a2, a3 = w[0], w[1], w[2], w[3]
+        b0, b1, b2, b3 = w[4], w[5], w[6], w[7]
+        c0, c1, c2, c3 = w[8], w[9], w[10], w[11]
+        if tap == 0 and not add:
+            for x in range(width):
+                a, b, c = seen0[x], seen1[x], seen2[x]
+                row0[x] = a0 * a + b0 * b + c0 * c
+                row1[x] = a1 * a + b1 * b + c1 * c
+                row2[x] = a2 * a + b2 * b + c2 * c
+                row3[x] = a3 * a + b3 * b + c3 * c
+        else:
+            for x in range(width):
+                a, b, c = seen0[x], seen1[x], seen2[x]
+                row0[x] += a0 * a + b0 * b + c0 * c
+                row1[x] += a1 * a + b1 * b + c1 * c
+                row2[x] += a2 * a + b2 * b + c2 * c
+                row3[x] += a3 * a + b3 * b + c3 * c
+
+
+@compiled
+def _combine_pairs(
+    half: Floats,
+    arena: Floats,
+    above: int,
+    below: int,
+    source_stride: int,
+    made: int,
+    target_stride: int,
+    width: int,
+    add: bool,
+) -> None:
+    """Make a group of rows, each with the same weights for what lies above and below it: half as many products."""
+    nothing = filled(arena, arena.dtype.type(0))
+    for x in range(0, width, LINE // arena.itemsize):
+        sum0, sum1, sum2, sum3 = nothing, nothing, nothing, nothing
+        if add:
+            sum0, sum1, sum2, sum3 = load_lines(arena, made + x, target_stride, GROUP)
+        up, down = above + x, below + x
+        for pair in range(0, half.size, PAIRS):
+            up0, up1, up2, up3, up4, up5 = load_lines(arena, up, source_stride, SEEN)
+            down0, down1, down2, down3, down4, down5 = load_lines(arena, down, source_stride, SEEN)
+            weight = filled(arena, half[pair])
+            sum0 = add_product(sum0, weight, plus(up2, down0))
+            sum1 = add_product(sum1, weight, plus(up3, down1))
+            sum2 = add_product(sum2, weight, plus(up4, down2))
+            sum3 = add_product(sum3, weight, plus(up5, down3))
+            weight = filled(arena, half[pair + 1])
+            sum0 = add_product(sum0, weight, plus(up1, down1))
+            sum1 = add_product(sum1, weight, plus(up2, down2))
+            sum2 = add_product(sum2, weight, plus(up3, down3))
+            sum3 = add_product(sum3, weight, plus(up4, down4))
+            weight = filled(arena, half[pair + 2])
+            sum0 = add_product(sum0, weight, plus(up0, down2))
+            sum1 = add_product(sum1, weight, plus(up1, down3))
+            sum2 = add_product(sum2, weight, plus(up2, down4))
+            sum3 = add_product(sum3, weight, plus(up3, down5))
+            up, down = up - PAIRS * source_stride, down + PAIRS * source_stride
+        store_rows(arena, made + x, target_stride, (sum0, sum1, sum2, sum3))
+
+
+@compiled
+def transpose(
     arena: Floats, source: int, source_stride: int, width: int, groups: int, target: int, target_stride: int
 ) -> None:
-    """Write down `groups` groups of rows as columns; up to GROUP - 1 columns more than there are."""
-    for group in range(groups):
-        for x in range(0, width, GROUP):
-            at = source + GROUP * group * source_stride + x
-            to = target + x * target_stride + GROUP * group
-            row0, row1 = arena[at : at + GROUP], arena[at + source_stride : at + source_stride + GROUP]
-            at += 2 * source_stride
-            row2, row3 = arena[at : at + GROUP], arena[at + source_stride : at + source_stride + GROUP]
-            # All are read before any is written, so that a compiler sees a square to be turned within registers.
-            a0, a1, a2, a3 = row0[0], row0[1], row0[2], row0[3]
-            b0, b1, b2, b3 = row1[0], row1[1], row1[2], row1[3]
-            c0, c1, c2, c3 = row2[0], row2[1], row2[2], row2[3]
-            d0, d1, d2, d3 = row3[0], row3[1], row3[2], row3[3]
-            _write(arena, to, a0, b0, c0, d0)
-            _write(arena, to + target_stride, a1, b1, c1, d1)
-            _write(arena, to + 2 * target_stride, a2, b2, c2, d2)
-            _write(arena, to + 3 * target_stride, a3, b3, c3, d3)
-
-
-@compiled
-def _write(arena: Floats, at: int, a: Any, b: Any, c: Any, d: Any) -> None:
-    """Four numbers beside each other."""
-    row = arena[at : at + GROUP]
-    row[0], row[1], row[2], row[3] = a, b, c, d
+    """Write down `groups` groups of rows as columns; up to SIDE - 1 columns more than there are, and rows."""
+    for y in range(0, GROUP * groups, SIDE):
+        for x in range(0, width, SIDE):
+            columns = turned(load_sides(arena, source + y * source_stride + x, source_stride, SIDE))
+            store_rows(arena, target + x * target_stride + y, target_stride, columns)
 
 
 @compiled

@@ -11,22 +11,24 @@ from __future__ import annotations
 import functools
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+import threading
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
 
 from loi_core.comparison import ScaleKey
+from loi_core.compiled.arena import Arena
 from loi_core.compiled.bands import Numbers
+from loi_core.compiled.inner import InnerBlur
 from loi_core.compiled.kernels import compare_levels
 from loi_core.compiled.program import Program, Wiring
 from loi_core.compiled.threads import run_all
 from loi_core.distance import tie_threshold
-from loi_core.operators import GaussianBlur
 from loi_core.plan import InnerPlan, TonalPlan
 from loi_core.scales import ScaleSpace
-from loi_core.scope import find_scope, levels_among
+from loi_core.scope import differing_window, levels_among, scope_of
 from loi_core.tonal import ROOT_TWO, above_padding, in_levels
 
 __all__ = ["CompiledComparison", "compare"]
@@ -35,36 +37,42 @@ TASKS: Final = 12  # about as many as there are of a small batch, so that cores 
 FEWEST_LEVELS: Final = 4  # of a task; each makes again what the levels below its own add to the CDF
 FEWEST_SAMPLES: Final = 2**15  # of all levels of a task: half a millisecond
 SHARED: Final = 2**18  # samples of all levels from which on several threads are worth waiting for each other
-ALIGNMENT: Final = 64  # bytes of a full vector, and of a line of the cache
 
 
 def compare(
     comparisons: Sequence[CompiledComparison], clipped: Numbers, *, gradient: bool
 ) -> tuple[dict[ScaleKey, float], Numbers | None]:
     """The terms of planes within the bounds, shape (N, H, W), and their cotangent by the planes if asked for."""
-    groups = -(-TASKS // (clipped.shape[0] * len(comparisons)))
-    above = above_padding(clipped, comparisons[0].scales)
-    work = [each.tasks(above, groups, gradient=gradient) for each in comparisons]
-    tasks = [task for part in work for task in part]
-    elements = max((task.program.elements for task in tasks), default=0)
+    scales, count = comparisons[0].scales, clipped.shape[0]
+    groups = -(-TASKS // (count * len(comparisons)))
+    above = above_padding(clipped, scales)
+    arena = _own_arena(clipped.dtype)
+    work: list[list[list[_Task]]] = [[[] for _ in comparisons] for _ in range(count)]
+
+    def look(plane: int, index: int, mine: Arena) -> None:
+        work[plane][index] = comparisons[index].tasks(above[plane], plane, groups, mine, gradient=gradient)
+
+    def pull_back(plane: int, mine: Arena) -> None:
+        for each, tasks in zip(comparisons, work[plane], strict=True):
+            if tasks:
+                cotangent = functools.reduce(np.add, (task.cotangent for task in tasks))
+                total[plane] += each.blur.adjoint(cotangent, mine)
+
+    looks = [functools.partial(look, plane, index) for plane in range(count) for index in range(len(comparisons))]
+    shared = None if len(comparisons) * clipped.size >= SHARED else 1
+    run_all(looks, arena, most=shared)
+    # The widest take longest, so they come first: what is left then is small.
+    tasks = [task for index in range(len(comparisons)) for plane in work for task in plane[index]]
     samples = sum((task.levels[2] - task.levels[1]) * task.image.size for task in tasks)
-    run_all(
-        [task.run for task in tasks],
-        functools.partial(_aligned, elements, clipped.dtype),
-        most=None if samples >= SHARED else 1,
-    )
-    terms = dict.fromkeys(comparisons[0].scales.keys, 0.0)
+    run_all([task.run for task in tasks], arena, most=None if samples >= SHARED else 1)
+    terms = dict.fromkeys(scales.keys, 0.0)
     for task in tasks:
         for extent, cost in zip(task.wiring.plan.extents, task.costs, strict=True):
             terms[extent.alpha, task.beta, task.wiring.plan.sigma] += float(cost)
     if not gradient:
         return terms, None
     total = np.zeros_like(clipped)
-    for each, part in zip(comparisons, work, strict=True):
-        cotangent = np.zeros_like(each.intensity)
-        for task in part:
-            cotangent[task.plane] += task.cotangent
-        total += each.blur.adjoint(cotangent)
+    run_all([functools.partial(pull_back, plane) for plane in range(count)], arena, most=shared)
     return terms, total
 
 
@@ -75,7 +83,7 @@ class CompiledComparison:
     scales: ScaleSpace
     plan: InnerPlan
     tonal: tuple[TonalPlan, ...]
-    blur: GaussianBlur
+    blur: InnerBlur
     intensity: Numbers  # the reference's, above the padding; shape (N, h, w)
     positions: dict[float, Numbers]  # the same in units of the distance of two levels, by tonal scale
     wiring: Wiring
@@ -85,34 +93,29 @@ class CompiledComparison:
         cls, scales: ScaleSpace, plan: InnerPlan, tonal: tuple[TonalPlan, ...], reference: Numbers
     ) -> CompiledComparison:
         """Everything that depends on the reference alone: planes within the bounds, shape (N, H, W)."""
-        blur = GaussianBlur(plan.blur, reference)
-        intensity = blur.apply(above_padding(reference, scales))
-        positions = {each.beta: np.ascontiguousarray(in_levels(intensity, scales, each.beta)[0]) for each in tonal}
+        blur, arena = InnerBlur.of(plan.blur, reference.dtype), Arena(reference.dtype)
+        intensity = np.stack([blur.apply(plane, arena) for plane in above_padding(reference, scales)])
+        positions = {each.beta: in_levels(intensity, scales, each.beta)[0] for each in tonal}
         return cls(scales, plan, tonal, blur, intensity, positions, Wiring.of(plan, reference.dtype))
 
-    def tasks(self, above: Numbers, groups: int, *, gradient: bool) -> list[_Task]:
-        """What there is to do for an image, given as what it is above the padding, shape (N, H, W)."""
-        intensity: Numbers = self.blur.apply(above)
-        return [
-            task
-            for plane in range(intensity.shape[0])
-            for task in self._tasks_of_plane(intensity[plane], plane, groups, gradient=gradient)
-        ]
-
-    def _tasks_of_plane(self, image: Numbers, plane: int, most: int, *, gradient: bool) -> Iterator[_Task]:
-        reference = self.intensity[plane]
-        scope = find_scope(image[None], reference[None], self.plan, self.scales, gradient=gradient)
-        if scope is None:
-            return
+    def tasks(self, above: Numbers, plane: int, most: int, arena: Arena, *, gradient: bool) -> list[_Task]:
+        """What there is to do for a plane of an image, given as what it is above the padding, shape (H, W)."""
+        image, reference = self.blur.apply(above, arena), self.intensity[plane]
+        differing = differing_window(image[None], reference[None])
+        if differing is None:
+            return []
+        route = self.wiring.route(differing)
+        scope = scope_of(differing, route, image[None], reference[None], self.scales, gradient=gradient)
         program = self.wiring.program(scope)
         eps = float(np.finfo(image.dtype).eps)
+        tasks = []
         for tonal in self.tonal:
             host = [float(level) - self.scales.padding for level in self.scales.levels(tonal.beta)[: tonal.last]]
             among = levels_among(host, tonal.first, scope, self.scales, tonal.beta, eps)
             count = among.stop - among.first
             if count <= 0:
                 continue
-            ours, width, mass = in_levels(np.ascontiguousarray(image), self.scales, tonal.beta)
+            ours, width, mass = in_levels(image, self.scales, tonal.beta)
             theirs = self.positions[tonal.beta][plane]
             settings = self._settings(tonal.beta, width, mass, image.dtype)
             slope = ROOT_TWO / width / self.scales.spacing(tonal.beta)
@@ -120,7 +123,10 @@ class CompiledComparison:
             edges = [among.first + count * index // groups for index in range(groups + 1)]
             for first, stop in itertools.pairwise(edges):
                 levels = among.start, first, stop
-                yield _Task(plane, tonal.beta, ours, theirs, levels, settings, slope, self.wiring, program, gradient)
+                tasks.append(
+                    _Task(plane, tonal.beta, ours, theirs, levels, settings, slope, self.wiring, program, gradient)
+                )
+        return tasks
 
     def _settings(self, beta: float, width: float, mass: float, dtype: np.dtype[Any]) -> Numbers:
         """What the kernels have to know of one tonal scale, in units of the distance of two levels."""
@@ -151,21 +157,27 @@ class _Task:
     costs: Numbers = field(init=False)
     cotangent: Numbers = field(init=False)
 
-    def run(self, arena: Numbers) -> None:
-        """Compute it, with an arena that no other task has at the same time."""
+    def run(self, arena: Arena) -> None:
+        """Compute it."""
         self.costs = np.zeros(len(self.wiring.plan.extents))
         self.cotangent = np.zeros(self.image.shape if self.gradient else (0, 0), self.image.dtype)
+        bands = self.wiring.bands
         compare_levels(
-            self.image, self.reference, np.asarray(self.levels, np.int64), self.settings, self.wiring.weights,
-            self.wiring.starts, self.wiring.table, self.program.nodes, self.program.edges, self.program.places, arena,
-            self.costs, self.cotangent,
+            self.image, self.reference, np.asarray(self.levels, np.int64), self.settings, bands.weights, bands.starts,
+            bands.table, self.program.nodes, self.program.edges, self.program.places,
+            arena.of(self.program.elements), self.costs, self.cotangent,
         )  # fmt: skip
         self.cotangent *= self.slope
 
 
-def _aligned(elements: int, dtype: np.dtype[Any]) -> Numbers:
-    """Zeros that begin where a line of the cache does."""
-    spare = ALIGNMENT // dtype.itemsize
-    memory = np.zeros(elements + spare, dtype)
-    start = -memory.ctypes.data % ALIGNMENT // dtype.itemsize
-    return memory[start : start + elements]
+def _own_arena(dtype: np.dtype[Any]) -> Callable[[], Arena]:
+    """What gives each thread an arena of its own, the same one whenever it asks."""
+    threads = threading.local()
+
+    def own() -> Arena:
+        if not hasattr(threads, "arena"):
+            threads.arena = Arena(dtype)
+        arena: Arena = threads.arena
+        return arena
+
+    return own

@@ -37,7 +37,7 @@ def exponential(x: Any) -> Any:
     return np.exp(x)
 
 
-@overload(exponential, inline="never")
+@overload(exponential, inline="never")  # type: ignore[untyped-decorator]  # Numba has no types
 def _compiled(x: Any) -> Any:
     return _single if x == types.float32 else _double
 

@@ -49,7 +49,7 @@ def compare_levels(
         such logarithm that counts; the largest difference that is a tie; and the weight of every extent.
     weights : array, shape (W,)
     starts : array, shape (S,)
-    bands, nodes, edges : array, shape (B, 3), (N, 7), (M, 7 + 2 * 11)
+    bands, nodes, edges : array, shape (B, 9), (N, 7), (M, 7 + 2 * 11)
         Matrices, samplings and blurs. Rungs come first, one from each node to the next; then the extents.
     places : array, shape (4,)
         Offsets in the arena: of the slope of the CDF, of a transposed plane, of planes that are compared, of a strip.

@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final, TypeAlias
 
 import numpy as np
 
 from loi_core.cache import Cache
-from loi_core.compiled.bands import Band, Numbers, band_back, band_forth
-from loi_core.compiled.tables import GROUP, STRIP, BandColumn, EdgeColumn, NodeColumn, PassColumn, padded
+from loi_core.compiled.bands import Band, Bands, band_back, band_forth
+from loi_core.compiled.tables import GROUP, SIDE, STRIP, EdgeColumn, NodeColumn, PassColumn, padded
 from loi_core.operators import PlaneBlur
 from loi_core.plan import InnerPlan
 from loi_core.scope import Route, Scope
 from loi_core.windows import Window
 
-__all__ = ["Program", "Table", "Wiring"]
+__all__ = ["Places", "Program", "Table", "Wiring", "blur_pass", "turned_shape"]
 
 Table: TypeAlias = np.ndarray[Any, np.dtype[np.int64]]
 
@@ -52,12 +53,10 @@ class Wiring:
     """
 
     plan: InnerPlan
-    bands: tuple[Band, ...]
+    bands: Bands
     edges: tuple[_Edge, ...]
-    weights: Numbers
-    starts: Table
-    table: Table
-    programs: Cache[tuple[Route, Window], Program] = field(default_factory=lambda: Cache(KEPT))
+    routes: Cache[Window, Route] = field(default_factory=lambda: Cache(KEPT))
+    programs: Cache[tuple[Window, Window], Program] = field(default_factory=lambda: Cache(KEPT))
 
     @classmethod
     def of(cls, plan: InnerPlan, dtype: np.dtype[Any]) -> Wiring:
@@ -76,22 +75,24 @@ class Wiring:
 
         edges = [edge(index, index + 1, rung) for index, rung in enumerate(plan.rungs)]
         edges += [edge(extent.rung, index, extent.blur) for index, extent in enumerate(plan.extents)]
-        table = np.zeros((len(bands), len(BandColumn)), np.int64)
-        weights = starts = 0
-        for row, made in zip(table, bands, strict=True):
-            row[:] = weights, starts, made.taps
-            weights, starts = weights + made.weights.size, starts + made.starts.size
-        joined = np.concat([made.weights.ravel() for made in bands])
-        return cls(plan, tuple(bands), tuple(edges), joined, np.concat([made.starts for made in bands]), table)
+        return cls(plan, Bands.of(bands), tuple(edges))
 
     @property
     def rungs(self) -> int:
         """How many edges lead to rungs; they come first."""
         return len(self.plan.rungs)
 
+    def route(self, start: Window) -> Route:
+        """The route of a difference that is 0 outside `start`."""
+        made = self.routes.get(start)
+        if made is None:
+            made = Route.of(start, self.plan)
+            self.routes.put(start, made, 1)
+        return made
+
     def program(self, scope: Scope) -> Program:
         """The tables for what is in a scope."""
-        key = scope.route, scope.felt
+        key = scope.route.held[0], scope.felt
         made = self.programs.get(key)
         if made is None:
             made = self._make(scope)
@@ -99,7 +100,7 @@ class Wiring:
         return made
 
     def _make(self, scope: Scope) -> Program:
-        place = _Arena()
+        place, bands = Places(), self.bands.each
         nodes = np.zeros((self.rungs + 1, len(NodeColumn)), np.int64)
         for index, row in enumerate(nodes):
             shape = self._shape(index)
@@ -113,38 +114,43 @@ class Wiring:
             returning = scope.route.pulled[edge.target] if index < self.rungs else reached
             source, out = _laid(held, edge.source), _laid(reached, edge.source)
             end, back = _laid(returning, edge.source), _laid(edge.blur.reached_back(returning), edge.source)
-            stride = padded(self.bands[edge.forth[0]].rows)
+            stride = padded(bands[edge.forth[0]].rows)
             row[: EdgeColumn.FORTH] = edge.source, edge.target, stride, *_sides(out.transposed)
-            row[EdgeColumn.FORTH : EdgeColumn.BACK] = self._pass(edge.forth, source, out)
-            row[EdgeColumn.BACK :] = self._pass(edge.back, end.transposed, back.transposed)
-        passes = [bands for edge in self.edges for bands in (edge.forth, edge.back)]
-        transposed = place.plane(
-            *((self.bands[after].height + GROUP, self.bands[first].rows) for first, after in passes)
-        )
+            row[EdgeColumn.FORTH : EdgeColumn.BACK] = blur_pass(bands, edge.forth, source, out)
+            row[EdgeColumn.BACK :] = blur_pass(bands, edge.back, end.transposed, back.transposed)
+        passes = [pair for edge in self.edges for pair in (edge.forth, edge.back)]
+        transposed = place.plane(*(turned_shape(bands, pair) for pair in passes))
         compared = place.plane(*(self._compared(edge) for edge in self.edges[self.rungs :]))
-        strip = place.plane((STRIP, max(band.columns for band in self.bands)))
+        strip = place.plane((STRIP, max(band.columns for band in bands)))
         return Program(nodes, edges, np.asarray((slope, transposed, compared, strip), np.int64), place.elements)
-
-    def _pass(self, bands: tuple[int, int], source: Window, out: Window) -> list[int]:
-        """What makes `out` of `source`, both as the source lies."""
-        first, after = bands
-        stride = padded(self.bands[first].rows)
-        return [first, *_groups(out.rows), *_sides(source), stride, after, *_groups(out.columns)]
 
     def _shape(self, node: int) -> tuple[int, int]:
         """Rows that there have to be of a node's planes, and columns."""
-        leaving = [self.bands[edge.forth[0]] for edge in self.edges if edge.source == node]
-        arriving = [self.bands[edge.back[0]] for edge in self.edges[: self.rungs] if edge.target == node]
+        leaving = [self.bands.each[edge.forth[0]] for edge in self.edges if edge.source == node]
+        arriving = [self.bands.each[edge.back[0]] for edge in self.edges[: self.rungs] if edge.target == node]
         rows = max(band.height for band in leaving + arriving)
-        (columns,) = {self.bands[edge.forth[1]].columns for edge in self.edges if edge.source == node}
+        (columns,) = {self.bands.each[edge.forth[1]].columns for edge in self.edges if edge.source == node}
         return rows, columns
 
     def _compared(self, edge: _Edge) -> tuple[int, int]:
         """The same of planes that are compared."""
-        return self.bands[edge.back[0]].height, self.bands[edge.forth[0]].rows
+        return self.bands.each[edge.back[0]].height, self.bands.each[edge.forth[0]].rows
 
 
-class _Arena:
+def blur_pass(bands: Sequence[Band], pair: tuple[int, int], source: Window, out: Window) -> list[int]:
+    """The row of a blur by two bands that makes `out` of `source`, both as the source lies."""
+    first, after = pair
+    stride = padded(bands[first].rows)
+    return [first, *_groups(out.rows), *_sides(source), stride, after, *_groups(out.columns)]
+
+
+def turned_shape(bands: Sequence[Band], pair: tuple[int, int]) -> tuple[int, int]:
+    """Rows that there have to be of what lies transposed between two bands, and columns."""
+    first, after = pair
+    return bands[after].height + SIDE, bands[first].rows
+
+
+class Places:
     """Places for planes, one after another."""
 
     def __init__(self) -> None:

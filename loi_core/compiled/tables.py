@@ -5,10 +5,26 @@ from __future__ import annotations
 from enum import IntEnum
 from typing import Final
 
-__all__ = ["GROUP", "LANES", "STRIP", "TAPS", "BandColumn", "EdgeColumn", "NodeColumn", "PassColumn", "padded"]
+__all__ = [
+    "GROUP",
+    "LANES",
+    "LINE",
+    "PAIRS",
+    "SIDE",
+    "STRIP",
+    "TAPS",
+    "BandColumn",
+    "EdgeColumn",
+    "NodeColumn",
+    "PassColumn",
+    "padded",
+]
 
 GROUP: Final = 4  # rows that are made together, so that what is loaded serves all of them
 TAPS: Final = 3  # rows that are combined at once; with GROUP results they fill the registers, but do not spill
+PAIRS: Final = 3  # pairs of rows, one above and one below, that are combined at once where weights are symmetric
+LINE: Final = 64  # bytes of a vector, where processors have such; others take several of theirs for one
+SIDE: Final = 8  # numbers in a row of the squares that are turned
 STRIP: Final = 16  # rows that are transposed together: a line of the cache in float32
 LANES: Final = 16  # columns come in multiples of this, a full vector, so that no remainder is left
 
@@ -28,6 +44,12 @@ class BandColumn(IntEnum):
     WEIGHTS = 0  # offset of the weights, (groups, taps, GROUP)
     STARTS = 1  # offset of the starts, (groups,)
     TAPS = 2
+    HALF = 3  # offset of the weights of pairs, a multiple of `PAIRS` of them
+    HALVES = 4
+    ABOVE = 5  # from the start of a group: the first of the rows that are above its first `PAIRS` pairs' middle
+    BELOW = 6  # and below
+    FIRST_ALIKE = 7  # groups of rows to which that applies
+    LAST_ALIKE = 8
 
 
 class PassColumn(IntEnum):

@@ -17,11 +17,14 @@ from hypothesis import strategies as st
 from loi_core import LOIObjective, ScaleSpace, compiled
 from loi_core.arrays import Array
 from loi_core.compiled import compiling, threads
+from loi_core.compiled.arena import Arena
 from loi_core.compiled.bands import Band, band_back, band_forth
 from loi_core.compiled.exponential import exponential
+from loi_core.compiled.inner import InnerBlur
 from loi_core.compiled.kernels import compare_levels
 from loi_core.compiled.tables import GROUP
 from loi_core.kernels import AxisBlur, AxisGrid
+from loi_core.operators import PlaneBlur, PlaneGrid
 from tests.conformance.test_backends import Problem, apart, problems
 from tests.core.contents import CONTENTS
 from tests.helpers import Host, by_arrays
@@ -77,6 +80,58 @@ def test_bands_hold_the_matrix_and_its_transpose(
         assert np.all(np.diff(band.starts) >= 0)
         # The matrix of a sampling onto itself is symmetric, and taken as that, but computed to a rounding or two only.
         np.testing.assert_allclose(got[:rows, :columns], wanted, rtol=0, atol=2 * np.finfo(np.float64).eps)
+
+
+@given(st.integers(1, 200), st.floats(0.3, 9.0), st.sampled_from(["reflect", "zero"]), st.sampled_from([None, 5, 21]))
+@example(64, 1.0, "reflect", None)
+def test_pairs_hold_the_same_weights_with_half_as_many_products(
+    size: int, scale: float, boundary: str, taps: int | None
+) -> None:
+    grid = AxisGrid(size, size)
+    blur = AxisBlur(grid, grid, scale, boundary, taps)  # type: ignore[arg-type]  # drawn from its two values
+    band = band_forth(blur, np.dtype(np.float64))
+    pairs, wanted = band.pairs, dense(band)
+    got = wanted.copy()
+    for group in pairs.groups:
+        for row in range(GROUP * group, GROUP * (group + 1)):
+            middle = int(band.starts[group]) + pairs.middle + row - GROUP * group
+            got[row] = 0.0
+            for distance, weight in enumerate(pairs.half, pairs.nearest):
+                got[row, middle - distance] += weight
+                got[row, middle + distance] += weight
+    np.testing.assert_array_equal(got, wanted)
+
+
+@pytest.mark.parametrize("scale", [1.0, 5.0])
+def test_pairs_serve_all_rows_but_those_that_see_an_end(scale: float) -> None:
+    grid = AxisGrid(256, 256)
+    blur = AxisBlur(grid, grid, scale, "reflect")
+    groups = band_forth(blur, np.dtype(np.float32)).pairs.groups
+    assert groups.start * GROUP <= blur.radius + 2 * GROUP
+    assert groups.stop * GROUP >= 256 - blur.radius - 2 * GROUP
+
+
+@given(
+    st.tuples(st.integers(1, 90), st.integers(1, 90)), st.integers(1, 3), st.floats(0.5, 40.0),
+    st.sampled_from(["reflect", "zero"]), st.sampled_from(DTYPES),
+)  # fmt: skip
+def test_inner_blurs_are_products_with_two_matrices(
+    shape: tuple[int, int], ratio: int, scale: float, boundary: str, dtype: str
+) -> None:
+    pixels = PlaneGrid.pixels(*shape)
+    sampled = PlaneGrid(*(AxisGrid(size, -(-size // ratio)) for size in shape))
+    axes = ((pixels.rows, sampled.rows), (pixels.columns, sampled.columns))
+    rows, columns = (AxisBlur(*axis, ratio * scale, boundary) for axis in axes)  # type: ignore[arg-type]  # as above
+    blur, arena = InnerBlur.of(PlaneBlur(rows, columns), np.dtype(dtype)), Arena(np.dtype(dtype))
+    rng = np.random.default_rng(0)
+    plane = rng.uniform(size=shape)
+    cotangent = rng.uniform(size=(sampled.rows.cells, sampled.columns.cells))
+    blurred = rows.matrix() @ plane @ columns.matrix().T
+    back = rows.matrix().T @ cotangent @ columns.matrix()
+    # Products of positive numbers: each rounding, of at most so many along both axes, is of a part of the sum.
+    bound = 2 * sum(shape) * float(np.finfo(dtype).eps)
+    np.testing.assert_allclose(blur.apply(plane.astype(dtype), arena), blurred, rtol=bound, atol=bound)
+    np.testing.assert_allclose(blur.adjoint(cotangent.astype(dtype), arena), back, rtol=bound, atol=bound)
 
 
 def both_ways(image: Host, reference: Host, scales: ScaleSpace, accuracy: str | float) -> list[tuple[float, Host]]:
