@@ -11,7 +11,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from loi_core.arrays import Array, namespace, runs_eagerly_on_host
+from loi_core.arrays import Array, namespace, runs_eagerly_on_host, values_may_decide
 from loi_core.scales import ScaleSpace
 
 __all__ = [
@@ -45,6 +45,8 @@ def clip_pullback(intensity: Array, cotangent: Array, low: float, high: float) -
     it lowers it; inside and on the bounds it is always kept.
     """
     xp = namespace(intensity)
+    if values_may_decide(intensity) and bool(xp.min(intensity) >= low) and bool(xp.max(intensity) <= high):
+        return cotangent
     outward = ((intensity < low) & (cotangent > 0)) | ((intensity > high) & (cotangent < 0))
     return xp.where(outward, xp.zeros_like(cotangent), cotangent)
 

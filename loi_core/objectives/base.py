@@ -17,6 +17,7 @@ from loi_core.arrays import (
     library_name,
     namespace,
     narrowed,
+    to_numpy,
     widened,
 )
 from loi_core.errors import ImageError, ImageTypeError
@@ -159,7 +160,8 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
 
     def prepare(self, shape: tuple[int, ...], like: Array) -> None:
         """Make the reference ready for images of `shape` that are arrays like `like`; evaluating does so by itself."""
-        self._ready_for(widened(like), Layout.of("image", shape, self._channel_axis))
+        like = widened(like)
+        self._ready_for(like, Layout.of("image", shape, self._channel_axis), on_host=self._compares_on_host(like))
 
     def evaluate_unchecked(self, image: Array, like: Array, *, gradient: bool) -> tuple[Array, Array | None]:
         """Value, and gradient if asked for, of an image whose pixels cannot be looked at, such as a JAX tracer.
@@ -180,6 +182,10 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
     def _prepare(self, reference: Array) -> PreparedT:
         """All that depends on the reference alone; `reference` has shape (N, H, W)."""
 
+    def _compares_on_host(self, image: Array) -> bool:  # noqa: ARG002  # for those who override it
+        """Whether images like this, of whatever library, are handed to :meth:`_evaluate` as NumPy arrays."""
+        return False
+
     @abc.abstractmethod
     def _evaluate(self, planes: Array, prepared: PreparedT, *, gradient: bool) -> Evaluation[KeyT]:
         """Terms, averaged over all planes and pixels, and their gradient; `planes` has shape (N, H, W)."""
@@ -189,12 +195,14 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
     ) -> tuple[Evaluation[KeyT], Array]:
         image = widened(as_floating("image", image))
         layout = Layout.of("image", image.shape, self._channel_axis)
-        ready = self._ready_for(image if like is None else widened(like), layout)
-        planes = layout.to_planes(image)
+        on_host = self._compares_on_host(image)
+        ready = self._ready_for(image if like is None else widened(like), layout, on_host=on_host)
+        here = to_numpy(image) if on_host else image
+        planes = layout.to_planes(here)
         seen: Array | None = None
         if self._nan_policy == "raise":
             if like is None:
-                require_finite("image", image, self._channel_axis)
+                require_finite("image", here, self._channel_axis)
         else:
             xp = namespace(planes)
             seen = xp.isfinite(planes) & ready.finite
@@ -204,16 +212,19 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
             compared = namespace(planes).where(seen, compared, ready.planes)
         evaluation = self._evaluate(compared, ready.prepared, gradient=gradient)
         cotangent = evaluation.gradient
-        if cotangent is None:
-            return evaluation, None
-        if self._tone is not None:
-            cotangent = self._tone.pullback(planes, cotangent)
-        if seen is not None:
-            xp = namespace(cotangent)
-            cotangent = xp.where(seen, cotangent, xp.zeros_like(cotangent))
-        return evaluation, layout.to_image(cotangent)
+        if cotangent is not None:
+            if self._tone is not None:
+                cotangent = self._tone.pullback(planes, cotangent)
+            if seen is not None:
+                xp = namespace(cotangent)
+                cotangent = xp.where(seen, cotangent, xp.zeros_like(cotangent))
+            cotangent = layout.to_image(cotangent)
+        if not on_host or is_numpy_array(image):
+            return evaluation, cotangent
+        terms = {key: from_numpy(term, image) for key, term in evaluation.terms.items()}
+        return Evaluation(terms, None), None if cotangent is None else from_numpy(cotangent, image)
 
-    def _ready_for(self, like: Array, layout: Layout) -> _Ready[PreparedT]:
+    def _ready_for(self, like: Array, layout: Layout, *, on_host: bool) -> _Ready[PreparedT]:
         fewer = layout.channel_axis is not None and len(layout.shape) != len(self._reference_layout.shape)
         if fewer and (self._channel_axis or 0) >= 0:
             msg = (
@@ -221,15 +232,16 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
                 f"{self._channel_axis}, `image` has shape {layout.shape}, the reference {self._reference_layout.shape}"
             )
             raise ImageError(msg)
-        key = (library_name(like), str(like.dtype), str(device(like)), layout.shape)
+        key = (library_name(like), str(like.dtype), str(device(like)), layout.shape, on_host)
         if key not in self._ready:
             if len(self._ready) >= MAX_PREPARED:
                 self._ready.pop(next(iter(self._ready)))
-            self._ready[key] = self._make_ready(like, layout)
+            self._ready[key] = self._make_ready(like, layout, on_host=on_host)
         return self._ready[key]
 
-    def _make_ready(self, like: Array, layout: Layout) -> _Ready[PreparedT]:
+    def _make_ready(self, like: Array, layout: Layout, *, on_host: bool) -> _Ready[PreparedT]:
         planes = layout.broadcast_planes("image", self._reference_like(like), self._reference_layout)
+        planes = to_numpy(planes) if on_host else planes
         xp = namespace(planes)
         finite: Array | None = None
         if self._nan_policy == "mask":

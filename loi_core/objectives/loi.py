@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from loi_core.arrays import Array, device, epsilon, from_numpy, namespace, to_numpy, widened
+from loi_core.arrays import Array, device, epsilon, is_numpy_array, namespace, widened
 from loi_core.comparison import InnerComparison, ScaleKey, Terms
 from loi_core.compiled import can_compare, serves
 from loi_core.errors import OptionError, ScaleError
@@ -140,12 +140,18 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
         plan = self.plan(*reference.shape[-2:], eps=epsilon(reference))
         prepared = _Prepared(scales, plan, clip(reference, *scales.bounds))
         # Now, and not when it is first used: that may be where JAX traces.
-        _ = prepared.kernels if serves(reference, scales) else prepared.arrays
+        _ = prepared.kernels if self._by_kernels(reference) else prepared.arrays
         return prepared
+
+    def _compares_on_host(self, image: Array) -> bool:
+        return serves(image, self._scales)
+
+    def _by_kernels(self, planes: Array) -> bool:
+        return is_numpy_array(planes) and serves(planes, self._scales)
 
     def _evaluate(self, planes: Array, prepared: _Prepared, *, gradient: bool) -> Evaluation[ScaleKey]:
         bounds = self._scales.bounds
-        compare = prepared.by_kernels if serves(planes, self._scales) else prepared.by_arrays
+        compare = prepared.by_kernels if self._by_kernels(planes) else prepared.by_arrays
         terms, cotangent = compare(clip(planes, *bounds), gradient=gradient)
         return Evaluation(terms, clip_pullback(planes, cotangent, *bounds) if gradient else None)
 
@@ -170,8 +176,9 @@ class _Prepared:
         """For NumPy's."""
         from loi_core.compiled.comparison import CompiledComparison
 
-        host = to_numpy(self.reference)
-        return tuple(CompiledComparison.of(self.scales, inner, self.plan.tonal, host) for inner in self.plan.inner)
+        return tuple(
+            CompiledComparison.of(self.scales, inner, self.plan.tonal, self.reference) for inner in self.plan.inner
+        )
 
     def by_arrays(self, clipped: Array, *, gradient: bool) -> tuple[Terms, Array | None]:
         """As operations on whole arrays, of any library."""
@@ -188,7 +195,5 @@ class _Prepared:
         """As compiled loops, for what :func:`loi_core.compiled.serves`."""
         from loi_core.compiled.comparison import compare
 
-        host = to_numpy(clipped)
-        costs, cotangent = compare(self.kernels, host, gradient=gradient)
-        terms = {key: from_numpy(np.asarray(cost), clipped) for key, cost in costs.items()}
-        return terms, None if cotangent is None else from_numpy(cotangent, clipped)
+        costs, cotangent = compare(self.kernels, clipped, gradient=gradient)
+        return {key: np.asarray(cost, clipped.dtype) for key, cost in costs.items()}, cotangent
