@@ -25,9 +25,11 @@ from torch.nn import functional
 
 import loi_jax
 import loi_torch
+from benchmarks.convolutions import ConvLOI
 from loi_core import LOIObjective, ScaleSpace
+from loi_core.errors import WeightsError
 
-__all__ = ["PRESETS", "RENDERED", "Call", "ConvLOI", "Image", "Row", "all_rows", "images"]
+__all__ = ["PRESETS", "RENDERED", "Call", "Image", "Row", "all_rows", "images"]
 
 PRESETS: Final = {
     "path": ScaleSpace.paper("path"),
@@ -38,7 +40,6 @@ LOCAL: Final = ", a sixteenth differs"  # of the pixels, all in one corner; the 
 RENDERED: Final = (192, 256)  # height and width of the one render
 SAMPLES: Final = 16  # per pixel
 MS_SSIM_SIDE: Final = 176  # five scales, the coarsest of which has to hold a window of 11 pixels
-TRUNCATE: Final = 4.0  # standard deviations, after which SciPy, for one, ends its kernels
 
 Image: TypeAlias = np.ndarray[tuple[int, ...], np.dtype[np.float32]]
 Call: TypeAlias = Callable[[], object]
@@ -110,7 +111,7 @@ def all_rows() -> list[Row]:
             Row("torchmetrics", "MS-SSIM", _torchmetrics, device=device, smallest=MS_SSIM_SIDE),
             Row("kornia", "MS-SSIM", _kornia_msssim, device=device),
             Row("kornia", "pyramid, L2", _kornia_pyramid, device=device, smallest=64),
-            Row("torch", "AlexNet-sized features, random weights", _features, device=device, smallest=64),
+            Row("lpips", "LPIPS, AlexNet", _lpips, device=device),
         ]
     rows += [Row("mitsuba", f"render and backward, {SAMPLES} spp", _mitsuba, size=RENDERED)]
     return rows
@@ -223,106 +224,24 @@ def _kornia_pyramid(row: Row, image: Image, reference: Image) -> Prepare:
     return _against(row, image, reference, loss)
 
 
-class AlexNetDistance(torch.nn.Module):
-    """Distance of features in the shape of LPIPS with AlexNet; the weights are random, since only time is compared."""
+def _lpips(row: Row, image: Image, reference: Image) -> Prepare:
+    leaf = torch.tensor(image, device=row.device)
+    try:
+        loi_torch.LPIPS(reference)  # whose weights may not be installed
+    except WeightsError as error:
+        raise ImportError(str(error)) from error
 
-    def __init__(self) -> None:
-        super().__init__()
-        conv, pool = torch.nn.Conv2d, torch.nn.MaxPool2d(3, 2)
-        self.stages = torch.nn.ModuleList(
-            torch.nn.Sequential(*stage, torch.nn.ReLU())
-            for stage in (
-                (conv(3, 64, 11, stride=4, padding=2),),
-                (pool, conv(64, 192, 5, padding=2)),
-                (pool, conv(192, 384, 3, padding=1)),
-                (conv(384, 256, 3, padding=1),),
-                (conv(256, 256, 3, padding=1),),
-            )
-        )
-        self.weights = torch.nn.ModuleList(conv(width, 1, 1, bias=False) for width in (64, 192, 384, 256, 256))
-        self.requires_grad_(False)
+    def prepare() -> Call:
+        objective = loi_torch.LPIPS(reference)
 
-    def forward(self, image: Tensor, reference: Tensor) -> Tensor:
-        """The distance, shape (): squared differences of normalised features, weighted, averaged over pixels."""
-        total = image.new_zeros(())
-        x, y = 2.0 * image - 1.0, 2.0 * reference - 1.0
-        for stage, weights in zip(self.stages, self.weights, strict=True):
-            x, y = stage(x), stage(y)
-            difference = functional.normalize(x, dim=1) - functional.normalize(y, dim=1)
-            total = total + weights(difference**2).mean()
-        return total
+        def step() -> None:
+            objective.value_and_grad(leaf)
+            if leaf.is_cuda:
+                torch.cuda.synchronize()
 
+        return step
 
-def _features(row: Row, image: Image, reference: Image) -> Prepare:
-    return _against(row, image, reference, AlexNetDistance().to(row.device))
-
-
-class ConvLOI(torch.nn.Module):
-    """The loss as one would write it down: a convolution per axis and histogram, and autograd for the gradient.
-
-    The histograms of the reference are kept. Kernels end after four standard deviations, unless the preset says how
-    long they are.
-
-    Parameters
-    ----------
-    reference : Tensor, shape (H, W, C)
-        What the image should look like.
-    scales : ScaleSpace
-        With p = 1 and one beta.
-    """
-
-    def __init__(self, reference: Tensor, scales: ScaleSpace) -> None:
-        super().__init__()
-        self.scales = scales
-        (self.beta,) = scales.beta
-        levels = torch.tensor(scales.levels(self.beta), dtype=torch.float32, device=reference.device)
-        self.levels = levels[:, None, None, None]
-        with torch.no_grad():
-            self.targets = [[*self.histograms(isophotes)] for isophotes in self.isophotes(reference)]
-
-    def forward(self, image: Tensor) -> Tensor:
-        """The loss of an image of shape (H, W, C), a tensor of shape ()."""
-        total = image.new_zeros(())
-        for isophotes, targets in zip(self.isophotes(image), self.targets, strict=True):
-            for histogram, target in zip(self.histograms(isophotes), targets, strict=True):
-                distance = (histogram - target).abs().sum(dim=0).mean()
-                total = total + self.scales.scale_weight * self.scales.level_weight(self.beta) * distance
-        return total
-
-    def isophotes(self, image: Tensor) -> list[Tensor]:
-        """For every inner scale the soft assignment to levels, shape (L, C, H, W)."""
-        planes = image.movedim(-1, 0)[None].clamp(*self.scales.bounds)
-        density = self.scales.mass(self.beta) / (math.sqrt(2.0 * math.pi) * self.beta)
-        found = []
-        for sigma in self.scales.sigma:
-            offsets = (self.levels - self.blur(planes, sigma, self.scales.inner_taps)) / self.beta
-            found.append(density * torch.exp(-0.5 * offsets**2))
-        return found
-
-    def histograms(self, isophotes: Tensor) -> list[Tensor]:
-        """For every extent the cumulative histograms, shape (L, C, H, W)."""
-        taps = self.scales.extent_taps
-        return [self.blur(isophotes, alpha, taps).cumsum(dim=0) for alpha in self.scales.alpha]
-
-    def blur(self, planes: Tensor, scale: float, taps: int | None) -> Tensor:
-        """A Gaussian blur of planes, shape (N, C, H, W), by a convolution per axis."""
-        radius = math.ceil(TRUNCATE * scale) if taps is None else taps // 2
-        steps = torch.arange(-radius, radius + 1, dtype=torch.float32, device=planes.device)
-        kernel = torch.exp(-0.5 * (steps / scale) ** 2)
-        kernel = kernel / kernel.sum()
-        channels = planes.shape[1]
-        for axis, shape in ((-2, (-1, 1)), (-1, (1, -1))):
-            weight = kernel.reshape(1, 1, *shape).expand(channels, -1, -1, -1)
-            planes = functional.conv2d(self.pad(planes, axis, radius), weight, groups=channels)
-        return planes
-
-    def pad(self, planes: Tensor, axis: int, radius: int) -> Tensor:
-        """`planes` continued along an axis: mirrored about its edges, as often as it takes, or black."""
-        if self.scales.boundary == "zero":
-            return functional.pad(planes, (0, 0, radius, radius) if axis == -2 else (radius, radius))
-        size = planes.shape[axis]
-        steps = torch.arange(-radius, size + radius, device=planes.device) % (2 * size)
-        return planes.index_select(axis, torch.minimum(steps, 2 * size - 1 - steps))
+    return prepare
 
 
 def _conv_loi(row: Row, image: Image, reference: Image) -> Prepare:
