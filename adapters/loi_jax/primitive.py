@@ -5,8 +5,8 @@ On other platforms it is operations on whole arrays, and so it is on the process
 devices or platforms, or to be exported: a call back can do neither.
 
 ``jax.pure_callback`` will not do: it makes JAX arrays of what it hands over, on a thread that knows nothing of
-``jax.enable_x64`` as a context, so that float64 loses half its bits; and a thread of JAX's that waits for a JAX array may
-wait for ever (https://github.com/jax-ml/jax/issues/25861). Here what is called sees NumPy only.
+``jax.enable_x64`` as a context, so that float64 loses half its bits; and a thread of JAX's that waits for a JAX array
+may wait for ever (https://github.com/jax-ml/jax/issues/25861). Here what is called sees NumPy only.
 """
 
 from __future__ import annotations
