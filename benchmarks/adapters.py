@@ -47,14 +47,12 @@ def torch_pair(image: Any, reference: Any, scales: ScaleSpace) -> Pair:
 
 
 def jax_pair(image: Any, reference: Any, scales: ScaleSpace) -> Pair:
-    """The core on JAX arrays, compiled as one function, and the same through ``custom_vjp``."""
+    """The core on NumPy arrays, and the same under ``jit`` through ``grad``."""
     array = jnp.asarray(image)
     core = LOIObjective(reference, scales)
-    core.prepare(array.shape, array)
-    alone = jax.jit(lambda x: core.evaluate_unchecked(x, array, gradient=True))
     through = jax.jit(jax.value_and_grad(loi_jax.loi_loss(reference, scales)))
     wait: Any = jax.block_until_ready
-    return lambda: wait(alone(array)), lambda: wait(through(array))
+    return lambda: core.value_and_grad(image), lambda: wait(through(array))
 
 
 def drjit_pair(backend: str) -> Callable[[Any, Any, ScaleSpace], Pair]:

@@ -19,6 +19,7 @@ __all__ = [
     "from_numpy",
     "is_array_api_obj",
     "is_numpy_array",
+    "is_read_by_numpy",
     "is_torch_array",
     "library_name",
     "namespace",
@@ -82,6 +83,14 @@ def runs_eagerly_on_host(array: Array) -> bool:
     if is_jax_array(array):
         return False
     return is_numpy_array(array) or "cpu" in str(device(array)).lower()
+
+
+def is_read_by_numpy(array: Array) -> bool:
+    """Whether NumPy can read `array` where it is: its values are at hand, in the memory of the processor."""
+    if is_jax_array(array):
+        traced = type(array).__name__.endswith("Tracer")
+        return not traced and [each.platform for each in array.devices()] == ["cpu"]
+    return is_numpy_array(array) or (is_torch_array(array) and array.device.type == "cpu")
 
 
 def values_may_decide(array: Array) -> bool:

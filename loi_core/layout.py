@@ -83,10 +83,8 @@ class Layout:
         xp = namespace(image)
         return xp.reshape(xp.permute_dims(image, self._order), (-1, self.height, self.width))
 
-    def broadcast_planes(self, name: str, reference: Array, layout: Layout) -> Array:
-        """`reference`, of another layout, as planes of shape (N, H, W) that match this layout's.
-
-        Batch axes of length 1, and batch axes that the reference lacks, are repeated.
+    def require_fit(self, name: str, layout: Layout) -> None:
+        """Raise unless images of this layout can be compared with a reference of the other.
 
         Raises
         ------
@@ -100,8 +98,15 @@ class Layout:
         if ours[-core:] != theirs[-core:] or not fits:
             msg = f"`{name}` has shape {self.shape}, which does not fit the reference's shape {layout.shape}"
             raise ImageError(msg)
+
+    def broadcast_planes(self, name: str, reference: Array, layout: Layout) -> Array:
+        """`reference`, of another layout, as planes of shape (N, H, W) that match this layout's.
+
+        Batch axes of length 1, and batch axes that the reference lacks, are repeated. Errors as in :meth:`require_fit`.
+        """
+        self.require_fit(name, layout)
         xp = namespace(reference)
-        stack = xp.broadcast_to(xp.permute_dims(reference, layout._order), ours)
+        stack = xp.broadcast_to(xp.permute_dims(reference, layout._order), self.planes_shape)
         return xp.reshape(stack, (-1, self.height, self.width))
 
     def to_image(self, planes: Array) -> Array:

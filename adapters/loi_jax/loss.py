@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, Final
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from loi_core import LogTone, LOIObjective, ScaleSpace
+from loi_core.compiled import can_compare
+from loi_core.errors import NonFiniteImageError
 from loi_core.nonfinite import NanPolicy
+from loi_jax.primitive import Host, evaluate
 
 __all__ = ["loi_loss"]
 
-REDUCED = (jnp.float16, jnp.bfloat16)
+REDUCED: Final = (jnp.float16, jnp.bfloat16)
+COMPILED: Final = (jnp.float32, jnp.float64)  # what the kernels are for
 
 
 def loi_loss(
@@ -85,24 +89,44 @@ class _Traceable:
         return self._evaluate(image, gradient=False)[0]
 
     def value_and_grad(self, image: jax.Array) -> tuple[jax.Array, jax.Array]:
-        return self._evaluate(image, gradient=True)
+        value, slope = self._evaluate(image, gradient=True)
+        return value, slope
 
-    def _evaluate(self, image: jax.Array, *, gradient: bool) -> tuple[jax.Array, Any]:
+    def _evaluate(self, image: jax.Array, *, gradient: bool) -> list[jax.Array]:
         dtype = image.dtype
         if dtype in REDUCED:
             image = image.astype(jnp.float32)
+        kernels = image.dtype in COMPILED and can_compare(self._objective.scales)
         if not isinstance(image, jax.core.Tracer):
-            if gradient:
-                value, slope = self._objective.value_and_grad(image)
-                return value, slope.astype(dtype)
-            return self._objective.value(image), None
+            results = list(self._checked(image, gradient=gradient))
+        elif kernels and jax.sharding.get_abstract_mesh().empty:  # a mesh: for several devices, each with its part
+            self._objective.check_shape(image.shape)  # where the caller is still to be seen, not where it is compiled
+            results = evaluate(self, image, gradient=gradient)
+        else:
+            results = list(self.by_arrays(image, gradient=gradient))
+        return [results[0], *(slope.astype(dtype) for slope in results[1:])]
+
+    def _checked(self, image: Any, *, gradient: bool) -> tuple[Any, ...]:
+        """By the core alone, on arrays of any library."""
+        return self._objective.value_and_grad(image) if gradient else (self._objective.value(image),)
+
+    def by_kernels(self, image: Host, *, gradient: bool) -> tuple[Host, ...]:
+        """See :class:`loi_jax.primitive.Evaluation`."""
+        try:
+            return self._checked(image, gradient=gradient)
+        except NonFiniteImageError:
+            nan = np.full_like(image, np.nan)
+            return (nan.flat[0], nan) if gradient else (nan.flat[0],)
+
+    def by_arrays(self, image: jax.Array, *, gradient: bool) -> tuple[jax.Array, ...]:
+        """See :class:`loi_jax.primitive.Evaluation`."""
         with jax.ensure_compile_time_eval():  # so that what is prepared is concrete, and outlives this trace
             like = jnp.zeros((), dtype=image.dtype)
             self._objective.prepare(image.shape, like)
         value, slope = self._objective.evaluate_unchecked(image, like, gradient=gradient)
+        results = (value,) if slope is None else (value, slope)
         if self._objective.nan_policy == "raise":
             # Blurring spreads a NaN anyway, but clipping may swallow an infinity.
             poison = jnp.where(jnp.all(jnp.isfinite(image)), 0.0, jnp.nan).astype(image.dtype)
-            value = value + poison
-            slope = None if slope is None else slope + poison
-        return value, None if slope is None else slope.astype(dtype)
+            results = tuple(result + poison for result in results)
+        return results

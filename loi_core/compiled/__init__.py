@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import functools
 
-from loi_core.arrays import Array, is_numpy_array, is_torch_array, values_may_decide
+from loi_core.arrays import Array, is_read_by_numpy, is_torch_array
 from loi_core.scales import ScaleSpace
 
 __all__ = ["available", "can_compare", "serves"]
@@ -33,11 +33,11 @@ def can_compare(scales: ScaleSpace) -> bool:
 
 
 def serves(planes: Array, scales: ScaleSpace) -> bool:
-    """Whether arrays like `planes` are compared by compiled kernels: NumPy's, and torch's on the processor.
+    """Whether arrays like `planes` are compared by compiled kernels: those that NumPy can read, of any library.
 
     Not where a framework differentiates through what is computed.
     """
-    if not (is_numpy_array(planes) or is_torch_array(planes)):
+    if not is_read_by_numpy(planes) or (is_torch_array(planes) and planes.requires_grad):
         return False
     dtype = str(planes.dtype).removeprefix("torch.")
-    return dtype in ("float32", "float64") and values_may_decide(planes) and can_compare(scales)
+    return dtype in ("float32", "float64") and can_compare(scales)

@@ -159,9 +159,14 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
         return {key: narrowed(term, image) for key, term in found.items()}
 
     def prepare(self, shape: tuple[int, ...], like: Array) -> None:
-        """Make the reference ready for images of `shape` that are arrays like `like`; evaluating does so by itself."""
-        like = widened(like)
-        self._ready_for(like, Layout.of("image", shape, self._channel_axis), on_host=self._compares_on_host(like))
+        """Make the reference ready for images of `shape` and arrays like `like`, for :meth:`evaluate_unchecked`."""
+        self._ready_for(widened(like), Layout.of("image", shape, self._channel_axis), on_host=False)
+
+    def check_shape(self, shape: tuple[int, ...]) -> None:
+        """Raise :class:`ImageError` if images of `shape` cannot be compared; evaluating does so by itself."""
+        layout = Layout.of("image", shape, self._channel_axis)
+        self._require_same_axes(layout)
+        layout.require_fit("image", self._reference_layout)
 
     def evaluate_unchecked(self, image: Array, like: Array, *, gradient: bool) -> tuple[Array, Array | None]:
         """Value, and gradient if asked for, of an image whose pixels cannot be looked at, such as a JAX tracer.
@@ -225,6 +230,17 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
         return Evaluation(terms, None), None if cotangent is None else from_numpy(cotangent, image)
 
     def _ready_for(self, like: Array, layout: Layout, *, on_host: bool) -> _Ready[PreparedT]:
+        self._require_same_axes(layout)
+        key = (library_name(like), str(like.dtype), str(device(like)), layout.shape, on_host)
+        ready = self._ready.get(key)
+        if ready is None:
+            ready = self._make_ready(like, layout, on_host=on_host)
+            # A new dict each time, as other threads may be reading the old one.
+            kept = list(self._ready.items())[1 - MAX_PREPARED :]
+            self._ready = dict([*kept, (key, ready)])
+        return ready
+
+    def _require_same_axes(self, layout: Layout) -> None:
         fewer = layout.channel_axis is not None and len(layout.shape) != len(self._reference_layout.shape)
         if fewer and (self._channel_axis or 0) >= 0:
             msg = (
@@ -232,12 +248,6 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
                 f"{self._channel_axis}, `image` has shape {layout.shape}, the reference {self._reference_layout.shape}"
             )
             raise ImageError(msg)
-        key = (library_name(like), str(like.dtype), str(device(like)), layout.shape, on_host)
-        if key not in self._ready:
-            if len(self._ready) >= MAX_PREPARED:
-                self._ready.pop(next(iter(self._ready)))
-            self._ready[key] = self._make_ready(like, layout, on_host=on_host)
-        return self._ready[key]
 
     def _make_ready(self, like: Array, layout: Layout, *, on_host: bool) -> _Ready[PreparedT]:
         planes = layout.broadcast_planes("image", self._reference_like(like), self._reference_layout)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
+from contextlib import nullcontext
 from typing import Any
 
 import jax
@@ -14,40 +16,53 @@ from loi_core import LOIObjective, ScaleSpace
 from loi_core.errors import ImageError, NonFiniteImageError
 from loi_core.testing import check_objective
 from loi_core.tonal import accumulate
-from tests.helpers import images
+from tests.helpers import by_arrays, images
 
 SCALES = ScaleSpace.paper("path")
 IMAGE, REFERENCE = images((17, 23, 3), seed=1)
 VALUE, GRADIENT = LOIObjective(REFERENCE, SCALES).value_and_grad(IMAGE)
-LOSS = loi_jax.loi_loss(REFERENCE, SCALES)
+Loss = Callable[[Any], Any]
+
+
+@pytest.fixture(params=["kernels", "arrays"], autouse=True)
+def way(request: pytest.FixtureRequest) -> Iterator[None]:
+    """Each statement holds with Numba and without."""
+    with by_arrays() if request.param == "arrays" else nullcontext():
+        yield
+
+
+@pytest.fixture
+def loss() -> Loss:
+    """A new one for each test: what JAX has compiled it keeps."""
+    return loi_jax.loi_loss(REFERENCE, SCALES)
 
 
 @pytest.mark.parametrize("wrap", [lambda f: f, jax.jit], ids=["eager", "jit"])
-def test_value_and_gradient_are_those_of_the_core(wrap: Any) -> None:
+def test_value_and_gradient_are_those_of_the_core(loss: Loss, wrap: Any) -> None:
     image = jnp.asarray(IMAGE)
-    assert float(wrap(LOSS)(image)) == pytest.approx(float(VALUE), rel=1e-13)
-    value, gradient = wrap(jax.value_and_grad(lambda x: 3.0 * LOSS(x)))(image)
+    assert float(wrap(loss)(image)) == pytest.approx(float(VALUE), rel=1e-13)
+    value, gradient = wrap(jax.value_and_grad(lambda x: 3.0 * loss(x)))(image)
     assert float(value) == pytest.approx(3.0 * float(VALUE), rel=1e-13)
     np.testing.assert_allclose(gradient, 3.0 * GRADIENT, rtol=1e-11, atol=1e-17)
 
 
 @pytest.mark.parametrize("wrap", [lambda f: f, jax.jit], ids=["eager", "jit"])
-def test_vmap_is_a_loop(wrap: Any) -> None:
+def test_vmap_is_a_loop(loss: Loss, wrap: Any) -> None:
     batch = jnp.asarray(np.stack([IMAGE, 0.5 * IMAGE, REFERENCE]))
-    values = wrap(jax.vmap(LOSS))(batch)
-    np.testing.assert_allclose(values, [float(LOSS(one)) for one in batch], rtol=1e-12, atol=1e-15)
-    gradients = wrap(jax.vmap(jax.grad(LOSS)))(batch)
-    np.testing.assert_allclose(gradients, jnp.stack([jax.grad(LOSS)(one) for one in batch]), rtol=1e-10, atol=1e-16)
+    values = wrap(jax.vmap(loss))(batch)
+    np.testing.assert_allclose(values, [float(loss(one)) for one in batch], rtol=1e-12, atol=1e-15)
+    gradients = wrap(jax.vmap(jax.grad(loss)))(batch)
+    np.testing.assert_allclose(gradients, jnp.stack([jax.grad(loss)(one) for one in batch]), rtol=1e-10, atol=1e-16)
 
 
-def test_it_is_traced_once_for_each_shape_and_dtype() -> None:
+def test_it_is_traced_once_for_each_shape_and_dtype(loss: Loss) -> None:
     traces = 0
 
     @jax.jit
     def step(image: jax.Array) -> Any:
         nonlocal traces
         traces += 1
-        return jax.grad(LOSS)(image)
+        return jax.grad(loss)(image)
 
     for scale in (1.0, 0.9, 0.8):
         step(scale * jnp.asarray(IMAGE))
@@ -67,9 +82,9 @@ def test_nothing_leaks_from_one_trace_into_the_next() -> None:
 
 
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float16, jnp.bfloat16])
-def test_low_precision_is_compared_in_float32(dtype: Any) -> None:
+def test_low_precision_is_compared_in_float32(loss: Loss, dtype: Any) -> None:
     image = jnp.asarray(IMAGE, dtype=dtype)
-    value, gradient = jax.jit(jax.value_and_grad(LOSS))(image)
+    value, gradient = jax.jit(jax.value_and_grad(loss))(image)
     assert value.dtype == jnp.float32
     assert gradient.dtype == dtype
     wanted = LOIObjective(REFERENCE, SCALES).value(np.asarray(image.astype(jnp.float32)))
@@ -86,11 +101,11 @@ def test_it_works_with_64_bits_off() -> None:
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf])
-def test_pixels_that_are_not_finite_raise_eagerly_and_poison_traces(bad: float) -> None:
+def test_pixels_that_are_not_finite_raise_eagerly_and_poison_traces(loss: Loss, bad: float) -> None:
     image = jnp.asarray(IMAGE).at[3, 4, 1].set(bad)
     with pytest.raises(NonFiniteImageError, match=r"= \(3, 4, 1\)"):
-        LOSS(image)
-    value, gradient = jax.jit(jax.value_and_grad(LOSS))(image)
+        loss(image)
+    value, gradient = jax.jit(jax.value_and_grad(loss))(image)
     assert np.isnan(value)
     assert np.all(np.isnan(gradient))
     masked = loi_jax.loi_loss(REFERENCE, SCALES, nan_policy="mask")
@@ -99,12 +114,12 @@ def test_pixels_that_are_not_finite_raise_eagerly_and_poison_traces(bad: float) 
     assert float(gradient[3, 4, 1]) == 0.0
 
 
-def test_forward_mode_is_refused_and_errors_are_those_of_the_core() -> None:
+def test_forward_mode_is_refused_and_errors_are_those_of_the_core(loss: Loss) -> None:
     image = jnp.asarray(IMAGE)
     with pytest.raises(TypeError, match="forward-mode"):
-        jax.jvp(LOSS, (image,), (image,))
+        jax.jvp(loss, (image,), (image,))
     with pytest.raises(ImageError, match="does not fit"):
-        jax.jit(LOSS)(jnp.zeros((5, 5, 3)))
+        jax.jit(loss)(jnp.zeros((5, 5, 3)))
 
 
 def test_the_objective_conforms_on_jax_arrays() -> None:

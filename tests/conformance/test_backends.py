@@ -76,6 +76,11 @@ def jax_eager(image: Host, reference: Host, scales: ScaleSpace, tone: LogTone | 
     return np.asarray(value), np.asarray(gradient)
 
 
+def jax_arrays(image: Host, reference: Host, scales: ScaleSpace, tone: LogTone | None) -> Pair:
+    with by_arrays():
+        return jax_eager(image, reference, scales, tone)
+
+
 def drjit_autodiff(image: Host, reference: Host, scales: ScaleSpace, tone: LogTone | None) -> Pair:
     mi.set_variant("llvm_ad_rgb")
     tensor = mi.TensorXf(image)
@@ -91,6 +96,7 @@ BACKENDS: dict[str, Callable[[Host, Host, ScaleSpace, LogTone | None], Pair]] = 
     "torch": torch_core,
     "torch autograd": torch_autograd,
     "JAX": jax_eager,
+    "JAX without Numba": jax_arrays,
     "Dr.Jit": drjit_autodiff,
 }
 

@@ -41,7 +41,7 @@ from loi_jax.backend import Jax
 from loi_mitsuba.backend import Mitsuba
 from loi_torch.backend import Torch
 from tests.core.precise import precise
-from tests.helpers import Host
+from tests.helpers import Host, by_arrays
 
 CASES = {case.name: case for case in hard_cases()}
 COMPILED = ("ordinary pair", "one NaN", "one NaN, masked", "batch with one bad image, masked")
@@ -87,6 +87,19 @@ class OfCore:
         return single.to(getattr(torch, dtype)) if isinstance(single, torch.Tensor) else single.astype(dtype)
 
 
+class JaxWithoutNumba(Jax):
+    """JAX's own compiler."""
+
+    def prepare(self, *given: Any, **settings: Any) -> Evaluate:
+        evaluate = super().prepare(*given, **settings)
+
+        def within() -> tuple[float, Host]:
+            with by_arrays():  # when it is first called it is compiled
+                return evaluate()
+
+        return within
+
+
 BACKENDS: dict[str, Backend] = {
     "NumPy": NumPy(),
     "array_api_strict": OfCore(array_api_strict.asarray, ("float32", "float64")),
@@ -94,12 +107,13 @@ BACKENDS: dict[str, Backend] = {
     "torch autograd": Torch(),
     "JAX": OfCore(jnp.asarray, ("float32", "float64"), ("float16", "bfloat16")),
     "JAX, jit": Jax(),
+    "JAX, jit, without Numba": JaxWithoutNumba(),
     "Dr.Jit": Mitsuba(),
 }
 
 
 def cases_of(backend: str) -> list[HardCase]:
-    if backend == "JAX, jit":
+    if backend.startswith("JAX, jit"):
         return [CASES[name] for name in COMPILED]
     if backend == "JAX":
         usual = CASES["ordinary pair"]

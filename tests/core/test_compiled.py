@@ -7,6 +7,8 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 
 import array_api_strict
+import jax
+import jax.numpy as jnp
 import mpmath
 import numpy as np
 import pytest
@@ -252,6 +254,8 @@ PLAIN = ScaleSpace.paper("path")
         (np.zeros((1, 2, 2), np.float32), PLAIN, True),
         (torch.zeros((1, 2, 2), dtype=torch.float64), PLAIN, True),
         (torch.zeros((1, 2, 2), requires_grad=True), PLAIN, False),  # torch differentiates what follows
+        (jnp.zeros((1, 2, 2), jnp.float32), PLAIN, True),
+        (jnp.zeros((1, 2, 2), jnp.bfloat16), PLAIN, False),
         (array_api_strict.zeros((1, 2, 2)), PLAIN, False),
         (np.zeros((1, 2, 2), np.longdouble), PLAIN, False),
         (np.zeros((1, 2, 2)), ScaleSpace(1, 1, 0.1, p=2.0), False),
@@ -261,6 +265,12 @@ def test_kernels_are_for_host_arrays_that_no_framework_differentiates(
     planes: Array, scales: ScaleSpace, wanted: bool
 ) -> None:
     assert compiled.serves(planes, scales) is wanted
+
+
+def test_what_jax_traces_has_no_values_to_compare() -> None:
+    served = []
+    jax.jit(lambda planes: served.append(compiled.serves(planes, PLAIN)))(jnp.zeros((1, 2, 2), jnp.float32))
+    assert served == [False]
 
 
 def test_without_numba_arrays_do_it_and_the_plan_says_so() -> None:
