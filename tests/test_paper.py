@@ -76,6 +76,12 @@ def test_no_two_runs_share_a_file(tmp_path: Path) -> None:
     assert len({picture_path(tmp_path, run) for run in runs}) == len(runs) > 1000
 
 
+def test_fewer_steps_are_of_every_stage() -> None:
+    runs = Extent(("remedies", "ablations"), ("loi",), steps=FEW).runs
+    assert max(len(run.setting.stages) for run in runs) == 3
+    assert {stage.steps for run in runs for stage in run.setting.stages} == {FEW}
+
+
 @pytest.mark.parametrize("kept", ["best", "last"])
 def test_a_fit_starts_from_the_iterate_that_counts_of_the_fit_before_it(kept: Literal["best", "last"]) -> None:
     first = replace(OURS["loi"], steps=FEW, kept=kept, decay="none", rate=16.0)

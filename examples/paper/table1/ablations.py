@@ -31,12 +31,15 @@ _SCALES: Final[dict[str, ScaleSpace | Literal["for_image", "every"]]] = {
 # Taps for all of the widest extent that matters; the inner kernels get half as many, two standard deviations a side.
 _RELEASED_LEVELS: Final = ScaleSpace(_ALL, _ALL, 0.125, convention="released", kernel_size=361)
 _OURS: Final = OURS["loi"]
-# Narrow extents hold a disk where it covers a little of its colour. Wide ones go first, at the full rate, so that disks
-# are near their places before the narrow ones, which alone tell neighbours apart, begin to hold.
-_WIDE: Final = replace(_OURS, name="wide extents", scales="wide", steps=250, decay="none")
+# Narrow extents hold a disk where it covers a little of its colour, so wide ones go first, at the full rate: as long
+# as a disk takes to cross the image once and a half. No longer: only narrow ones tell neighbours apart.
+_WIDE: Final = replace(_OURS, name="wide extents", scales="wide", steps=50, decay="none")
+# Whether it is the wide extents that help, or the full rate of those steps and the fresh start after them.
+_EVERY: Final = replace(_OURS, steps=50, decay="none")
 ABLATIONS: Final = (
     *(replace(_OURS, name=name, scales=scales) for name, scales in _SCALES.items()),
-    replace(_OURS, name="wide extents first", steps=250, before=_WIDE),
+    replace(_OURS, name="wide extents first", steps=450, before=_WIDE),
+    replace(_OURS, name="every scale first", steps=450, before=_EVERY),
     replace(_OURS, name="9 levels, none beyond the range", scales=ScaleSpace(_ALL, _ALL, 0.125, tails=0.0)),
     replace(_OURS, name="8 levels, 2 beta apart (as released)", scales=_RELEASED_LEVELS),
     replace(_OURS, name="35 levels, beta/2 apart", levels="twice"),

@@ -8,7 +8,7 @@ from typing import Final
 
 from examples.paper.table1.ablations import ABLATIONS
 from examples.paper.table1.problem import COLUMNS, HARDER, Column
-from examples.paper.table1.remedies import REMEDIES
+from examples.paper.table1.remedies import CHECKED, REMEDIES
 from examples.paper.table1.run import Run
 from examples.paper.table1.settings import LABELS, PROTOCOLS, Method, Setting
 from examples.paper.table1.tuning import tuning_runs
@@ -51,7 +51,7 @@ class Extent:
     columns, harder, ablated : tuple of Column
         Of the table, of the harder ones, and of the ablations.
     seeds, few : int
-        How many starts; the second of remedies and ablations.
+        How many starts; the second of ablations, and of remedies but those in `CHECKED`.
     steps : int, optional
         Of every fit, instead of each setting's own; not of the search.
     """
@@ -68,12 +68,10 @@ class Extent:
     @property
     def tables(self) -> dict[str, Part]:
         """What stands in each table, by its name: one for each part, but for the remedies one for each column."""
-        found = {}
+        found: dict[str, Part] = {}
         for name in self.parts:
             if name == "remedies":
-                for column in self.harder:
-                    settings = {one.name: one for one in REMEDIES[column]}
-                    found[f"remedies: {column.name}"] = self._part(settings, (column,), self.few)
+                found |= {f"remedies: {column.name}": self._remedies(column) for column in self.harder}
             else:
                 found[name] = self._whole(name)
         return found
@@ -83,23 +81,26 @@ class Extent:
         """All runs of all tables, each once."""
         return list(dict.fromkeys(run for part in self.tables.values() for run in part.runs))
 
+    def _remedies(self, column: Column) -> Part:
+        starts = {one: self.seeds if (column, one) in CHECKED else self.few for one in REMEDIES[column]}
+        return Part(
+            {one.name: [self._run(one, column, seed) for seed in range(count)] for one, count in starts.items()},
+            (column,),
+        )
+
     def _whole(self, name: str) -> Part:
         if name == "tuning":
             return Part({LABELS[method]: tuning_runs(method) for method in self.methods}, ())
         if name == "ablations":
-            return self._part({one.name: one for one in ABLATIONS}, self.ablated, self.few)
-        protocol, columns = ("ours", self.harder) if name == "harder" else (name, self.columns)
-        settings = {LABELS[method]: PROTOCOLS[protocol][method] for method in self.methods}
-        return self._part(settings, columns, self.seeds)
-
-    def _part(self, settings: Mapping[str, Setting], columns: tuple[Column, ...], seeds: int) -> Part:
-        steps = self.steps
+            settings, columns, seeds = {one.name: one for one in ABLATIONS}, self.ablated, self.few
+        else:
+            protocol, columns = ("ours", self.harder) if name == "harder" else (name, self.columns)
+            settings, seeds = {LABELS[method]: PROTOCOLS[protocol][method] for method in self.methods}, self.seeds
         rows = {
-            name: [
-                Run(setting if steps is None else setting.limited(steps), column, seed)
-                for column in columns
-                for seed in range(seeds)
-            ]
+            name: [self._run(setting, column, seed) for column in columns for seed in range(seeds)]
             for name, setting in settings.items()
         }
         return Part(rows, columns)
+
+    def _run(self, setting: Setting, column: Column, seed: int) -> Run:
+        return Run(setting if self.steps is None else setting.limited(self.steps), column, seed)
