@@ -6,19 +6,26 @@ import csv
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 import pytest
 
 from examples.paper.table1.command import main
+from examples.paper.table1.extent import PARTS, Extent
 from examples.paper.table1.means import Mean
 from examples.paper.table1.moves import ReleasedMoves
+from examples.paper.table1.objectives import Sums, objective
 from examples.paper.table1.problem import COLUMNS, HARDER, RADIUS, Column, Problem
+from examples.paper.table1.renderers import BothOrders, Noisy
 from examples.paper.table1.run import Run, carry_out, structure
-from examples.paper.table1.settings import LABELS, OURS, PROTOCOLS
+from examples.paper.table1.settings import LABELS, OURS, PROTOCOLS, Setting
 from examples.paper.table1.store import is_done, keep, load, picture_path
+from loi_core import ScaleSpace
 from loi_core.experiment import psnr
 from loi_core.images import read_image
+from loi_core.renderers import Disks
+from loi_core.testing import check_renderer
 
 DOCS = Path(__file__).parents[1] / "docs"
 FEW = 4
@@ -51,6 +58,97 @@ def test_a_run_is_done_only_with_its_very_settings(tmp_path: Path) -> None:
     assert not is_done(tmp_path, replace(run, column=replace(run.column, noise=0.1)))
     next(tmp_path.glob("**/*.json")).write_text("{ cut sho")
     assert not is_done(tmp_path, run)
+
+
+def test_what_is_told_of_a_run_has_only_those_later_fields_that_are_used() -> None:
+    setting = Setting("ours", "pixel_l2", 8.0)
+    told = (
+        "Setting(name='ours', method='pixel_l2', rate=8.0, scales=None, accuracy='balanced', steps=500, "
+        "decay='cosine', kept='best', moves='ours')"
+    )
+    assert repr(setting) == told  # as records had it that were written before there were others
+    used = replace(setting, noise=0.1, before=replace(setting, levels="twice"))
+    assert repr(used) == f"{told[:-1]}, before={told[:-1]}, levels='twice'), noise=0.1)"
+
+
+def test_no_two_runs_share_a_file(tmp_path: Path) -> None:
+    runs = Extent(PARTS, tuple(LABELS)).runs
+    assert len({picture_path(tmp_path, run) for run in runs}) == len(runs) > 1000
+
+
+def test_fewer_steps_are_of_every_stage() -> None:
+    runs = Extent(("remedies", "ablations"), ("loi",), steps=FEW).runs
+    assert max(len(run.setting.stages) for run in runs) == 3
+    assert {stage.steps for run in runs for stage in run.setting.stages} == {FEW}
+
+
+@pytest.mark.parametrize("kept", ["best", "last"])
+def test_a_fit_starts_from_the_iterate_that_counts_of_the_fit_before_it(kept: Literal["best", "last"]) -> None:
+    first = replace(OURS["loi"], steps=FEW, kept=kept, decay="none", rate=16.0)
+    still = replace(OURS["pixel_l2"], steps=2 * FEW - 1, rate=1e-12)
+    alone, both = (carry_out(Run(setting, SMALL, 0)) for setting in (first, replace(still, before=first)))
+    assert np.array_equal(both.image, alone.image)
+    assert both.curve[:1] == alone.curve
+    assert both.curve[1:] == (round(alone.psnr, 3),) * 2  # after 5 and 10 of the 4 and 7 steps
+
+
+def test_noise_on_the_render_is_not_in_the_image_that_counts() -> None:
+    noisy, plain = (
+        carry_out(Run(replace(OURS["pixel_l2"], steps=1, kept="last", noise=noise), SMALL, 0)) for noise in (0.1, 0.0)
+    )
+    assert np.array_equal(noisy.image, plain.image)  # of the start
+    assert noisy.curve == plain.curve
+
+
+@pytest.mark.parametrize("wanted", [{"channels": "sums"}, {"levels": "twice"}], ids=str)
+def test_the_gradients_of_composed_objectives_are_those_of_their_values(wanted: dict[str, Any]) -> None:
+    rng = np.random.default_rng(0)
+    reference, image, direction = rng.uniform(size=(3, 12, 12, 3))
+    setting = replace(OURS["loi"], scales=ScaleSpace(1.0, 3.0, 0.125), accuracy="exact", **wanted)
+    compared = objective(setting, reference)
+    value, gradient = compared.value_and_grad(image)
+    assert compared.value(image) == pytest.approx(float(value), rel=1e-12)
+    step = 1e-6
+    ahead, behind = (float(compared.value(image + sign * step * direction)) for sign in (1.0, -1.0))
+    # Central differences: rounding of 1e-16 over the step, and curvature of its square.
+    assert np.sum(gradient * direction) == pytest.approx((ahead - behind) / (2.0 * step), rel=1e-6)
+
+
+def test_sums_of_channels_see_what_no_channel_sees_alone() -> None:
+    # Red and green are seen in equal amounts either way; together in one place they are yellow.
+    apart, together = np.zeros((2, 8, 8, 3))
+    apart[:4, :, 0] = apart[4:, :, 1] = together[:4, :, 0] = together[:4, :, 1] = 1.0
+    wide = ScaleSpace(0.0, 1000.0, 0.125)  # nothing but the histogram of the image
+    assert float(objective(replace(OURS["loi"], scales=wide), apart).value(together)) == pytest.approx(0.0, abs=1e-6)
+    assert float(Sums(apart, wide, "exact").value(together)) > 0.1
+
+
+def test_twice_the_levels_halve_the_distance_between_them() -> None:
+    # With levels so far apart that the histogram of a constant image changes in steps, only more levels can tell where.
+    once, twice = (
+        objective(replace(OURS["loi"], scales=ScaleSpace(0.0, 0.0, 0.125), levels=levels), np.full((4, 4, 1), 0.5))
+        for levels in ("once", "twice")
+    )
+    image = np.full((4, 4, 1), 0.53)
+    assert float(twice.value(image)) == pytest.approx(2.0 * float(once.value(image)), rel=1e-3)
+
+
+def test_the_gradient_of_both_orders_reaches_what_is_hidden_and_is_exact_where_nothing_overlaps() -> None:
+    places = [[5.0, 5.0], [5.0, 5.0], [11.0, 11.0]]
+    disks = Disks(16, 16, places, [1.5, 4.0, 2.0], [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
+    both = BothOrders(disks)
+    params = both.parameters()
+    cotangent = np.random.default_rng(0).standard_normal((16, 16, 3))
+    (image, pullback), (seen, exact) = both.render_vjp(params), disks.render_vjp(params)
+    assert np.array_equal(image, seen)
+    reaching, exactly = pullback(cotangent)["positions"], exact(cotangent)["positions"]
+    assert np.array_equal(reaching[2], exactly[2])
+    assert np.array_equal(exactly[0], [0.0, 0.0])
+    assert np.linalg.norm(reaching[0]) > 0.1
+
+
+def test_noisy_disks_keep_the_contract() -> None:
+    check_renderer(Noisy(Problem.of(SMALL, 0).disks(confine=True), 0.1))
 
 
 def test_a_run_gives_the_same_numbers_again(tmp_path: Path) -> None:

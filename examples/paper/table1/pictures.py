@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,7 @@ __all__ = ["contact_sheet", "convergence_plot"]
 
 GAP = 4
 GUTTER = 132  # left of the pictures, for the names
+LETTERS = 20  # of a name, in a line of the gutter
 STRIP = 14  # under each row, for its PSNR
 CELL = 128
 BACK = (24, 24, 27)
@@ -33,7 +35,7 @@ def contact_sheet(path: Path, folder: Path, rows: Mapping[str, Sequence[Run]]) -
     draw = ImageDraw.Draw(sheet)
     for line, (name, runs) in enumerate(rows.items()):
         top = line * (CELL + STRIP + GAP) + GAP
-        draw.text((GAP, top + CELL // 2), name, fill=INK)
+        draw.text((GAP, top + CELL // 3), textwrap.fill(name, LETTERS), fill=INK)
         target = np.rint(255.0 * np.clip(Problem.of(runs[0].column, runs[0].seed).target, 0.0, 1.0)).astype(np.uint8)
         sheet.paste(Image.fromarray(target).resize((CELL, CELL), Image.Resampling.BOX), (GUTTER, top))
         draw.text((GUTTER, top + CELL + 1), "target", fill=INK)

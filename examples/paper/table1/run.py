@@ -3,23 +3,26 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
-from typing import Any, Final
+from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
 from examples.paper.table1.moves import ReleasedMoves
+from examples.paper.table1.objectives import objective
 from examples.paper.table1.problem import RADIUS, Column, Image, Problem
+from examples.paper.table1.renderers import BothOrders, Noisy
 from examples.paper.table1.settings import Setting
-from loi_core import LOIObjective, ScaleSpace, fit
+from loi_core import fit
 from loi_core.experiment import psnr
-from loi_core.fit import FitStep, Free
-from loi_core.objectives import MSSSIM, GaussianPyramid, Objective, PixelL2
+from loi_core.fit import FitResult, FitStep, Free
+from loi_core.objectives import MSSSIM
+from loi_core.renderer import Parameters, ProjectingRenderer
+from loi_core.renderers import Disks
 
 __all__ = ["Outcome", "Run", "carry_out", "structure"]
 
 CURVE_STEPS: Final = 5  # between two points of a convergence curve
-WIDEST: Final = 0.36  # of the side: 45 pixels of 128
 UNIT: Final = 128  # side of the image whose pixels a rate is in
 FOUND: Final = 0.5  # pixels from its place at which a disk counts as found
 
@@ -61,75 +64,64 @@ class Outcome:
 
 def carry_out(run: Run) -> Outcome:
     """Fit, and measure the iterate that counts."""
-    setting, problem = run.setting, Problem.of(run.column, run.seed)
-    disks = problem.disks(confine=run.column.parted and setting.moves == "ours")
-    released = run.column.parted and setting.moves == "released"
-    renderer = ReleasedMoves(disks) if released else disks
+    problem = Problem.of(run.column, run.seed)
+    disks = problem.disks(confine=run.column.parted and run.setting.moves == "ours")
+    low = 0.0 if _released(run.setting, run.column) else RADIUS
+    params = disks.parameters() | {"positions": np.asarray(np.clip(problem.start, low, run.column.side - low))}
+    params = _renderer(run.setting, run.column, disks).project(params)
     curve: list[float] = []
-    last: dict[str, Image] = {}
-
-    def watch(step: FitStep, params: dict[str, Any], image: Image) -> None:
-        last.update(image=image, places=params["positions"])
-        if step.step % CURVE_STEPS == 0:
-            curve.append(round(psnr(image, problem.target), 3))
-
-    low = 0.0 if released else RADIUS
-    high = run.column.side - low
-    start = renderer.project(renderer.parameters() | {"positions": np.asarray(np.clip(problem.start, low, high))})
+    done = 0
     started = time.perf_counter()
-    result = fit(
-        renderer,
-        objective(setting, problem.reference),
-        steps=setting.steps,
-        learning_rate=setting.rate * run.column.side / UNIT,
-        decay=setting.decay,
-        optimise={"positions": Free(start["positions"], low, high)},
-        callback=watch,
-    )
+    for stage in run.setting.stages:
+        result, seen = _stage(stage, problem, disks, params["positions"], done)
+        params = result.best_params if stage.kept == "best" else seen[-1]
+        curve += [round(psnr(disks.render(one), problem.target), 3) for one in seen[-done % CURVE_STEPS :: CURVE_STEPS]]
+        done += stage.steps
     seconds = time.perf_counter() - started
-    best = setting.kept == "best"
-    image, places = (result.image, result.best_params["positions"]) if best else (last["image"], last["places"])
+    image = disks.render(params)
     return Outcome(
         psnr(image, problem.target),
         structure(image, problem.target),
-        _found(problem, places),
+        _found(problem, params["positions"]),
         seconds,
         tuple(curve),
         image,
     )
 
 
-def objective(setting: Setting, reference: Image) -> Objective:
-    """The objective of a setting."""
-    if setting.method == "loi":
-        return LOIObjective(reference, _scales(setting, reference), accuracy=setting.accuracy)
-    if setting.method == "gaussian_pyramid":
-        return GaussianPyramid(reference)
-    if setting.method == "ms_ssim":
-        return MSSSIM(reference)
-    if setting.method == "pixel_l2":
-        return PixelL2(reference)
-    from loi_torch import LPIPS  # torch is slow to import, and only this method needs it
+def _stage(
+    stage: Setting, problem: Problem, disks: Disks, start: Image, done: int
+) -> tuple[FitResult, list[Parameters]]:
+    """One fit from `start`, after as many steps as are done; with the parameters that each of its own steps saw."""
+    low = 0.0 if _released(stage, problem.column) else RADIUS
+    seen: list[Parameters] = []
 
-    return LPIPS(reference, "alex" if setting.method == "lpips_alex" else "vgg")
+    def note(_: FitStep, params: Parameters, __: Image) -> None:
+        seen.append(params)
+
+    result = fit(
+        _renderer(stage, problem.column, disks),
+        objective(stage, problem.reference),
+        steps=stage.steps,
+        learning_rate=stage.rate * problem.column.side / UNIT,
+        seed=done,
+        decay=stage.decay,
+        optimise={"positions": Free(start, low, problem.column.side - low)},
+        callback=note,
+    )
+    return result, seen
 
 
-def _scales(setting: Setting, reference: Image) -> ScaleSpace:
-    """The scales of a setting for images like `reference`.
+def _released(setting: Setting, column: Column) -> bool:
+    return column.parted and setting.moves == "released"
 
-    Unless they are given, their bounds hold all of the reference: where noise is cut off, its mean is no longer 0.
-    """
-    if isinstance(setting.scales, ScaleSpace):
-        return setting.scales
-    side = reference.shape[0]
-    if setting.scales == "every":
-        widths = [1.0, 5.0, 15.0, 45.0]
-        while 2.0 * widths[-1] <= WIDEST * side:
-            widths.append(2.0 * widths[-1])
-        scales = ScaleSpace(widths, widths, 0.125)
-    else:
-        scales = ScaleSpace.for_image(side, side)
-    return replace(scales, bounds=(min(0.0, float(reference.min())), max(1.0, float(reference.max()))))
+
+def _renderer(setting: Setting, column: Column, disks: Disks) -> ProjectingRenderer:
+    if _released(setting, column):
+        return ReleasedMoves(disks)
+    if setting.noise:
+        return Noisy(disks, setting.noise)
+    return BothOrders(disks) if setting.both_orders else disks
 
 
 def structure(image: Image, target: Image) -> float:

@@ -1,14 +1,14 @@
-"""How a fit is done: the two protocols, each rival's settings, and what is left out in turn."""
+"""How a fit is done: the two protocols, and each rival's settings."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Final, Literal
 
 from loi_core import ScaleSpace
 from loi_core.fit import Decay
 
-__all__ = ["ABLATIONS", "LABELS", "OURS", "PROTOCOLS", "PUBLISHED", "Method", "Setting"]
+__all__ = ["LABELS", "OURS", "PROTOCOLS", "PUBLISHED", "Method", "Setting"]
 
 Method = Literal["loi", "gaussian_pyramid", "ms_ssim", "lpips_alex", "lpips_vgg", "pixel_l2"]
 
@@ -20,6 +20,10 @@ LABELS: Final[dict[Method, str]] = {
     "lpips_vgg": "LPIPS (VGG)",
     "loi": "loi (ours)",
 }
+
+
+# Of fields that came later: told only where they are not at their default, so that what was done before stays done.
+LATER: Final = {"later": True}
 
 
 @dataclass(frozen=True)
@@ -34,9 +38,9 @@ class Setting:
         Which objective.
     rate : float
         Adam's, pixels a step in an image of 128; in proportion to the side in others.
-    scales : ScaleSpace, "for_image" or "every", optional
-        Of our objective: these, ``ScaleSpace.for_image``, or every scale from a pixel to a third of the side, inner and
-        extent alike; the latter two with bounds that hold the reference.
+    scales : ScaleSpace, "for_image", "every" or "wide", optional
+        Of our objective: these, ``ScaleSpace.for_image``, every scale from a pixel to a third of the side, inner and
+        extent alike, or those without the extent of a pixel; but for the first with bounds that hold the reference.
     accuracy : str
         Of our objective.
     steps : int
@@ -47,17 +51,46 @@ class Setting:
         Which iterate counts: the one with the least loss, or the last.
     moves : {"ours", "released"}
         Who parts disks and keeps them in the frame.
+    before : Setting, optional
+        A fit that goes before this one, which then starts from the iterate that counts there.
+    noise : float
+        Standard deviation of Gaussian noise on every render of the fit, none of it on the image that counts.
+    channels : {"rgb", "sums"}
+        What our objective compares: red, green and blue, or all their 13 sums and differences.
+    levels : {"once", "twice"}
+        Of our objective: the levels of its scales, or with as many others halfway between them.
+    both_orders : bool
+        Whether half of the gradient is that of the disks painted in the opposite order, where what is hidden shows.
     """
 
     name: str
     method: Method
     rate: float
-    scales: ScaleSpace | Literal["for_image", "every"] | None = None
+    scales: ScaleSpace | Literal["for_image", "every", "wide"] | None = None
     accuracy: str = "balanced"
     steps: int = 500
     decay: Decay = "cosine"
     kept: Literal["best", "last"] = "best"
     moves: Literal["ours", "released"] = "ours"
+    before: Setting | None = field(default=None, metadata=LATER)
+    noise: float = field(default=0.0, metadata=LATER)
+    channels: Literal["rgb", "sums"] = field(default="rgb", metadata=LATER)
+    levels: Literal["once", "twice"] = field(default="once", metadata=LATER)
+    both_orders: bool = field(default=False, metadata=LATER)
+
+    def __repr__(self) -> str:
+        values = {one.name: getattr(self, one.name) for one in fields(self)}
+        told = [one.name for one in fields(self) if "later" not in one.metadata or values[one.name] != one.default]
+        return f"Setting({', '.join(f'{name}={values[name]!r}' for name in told)})"
+
+    @property
+    def stages(self) -> tuple[Setting, ...]:
+        """The fits that it takes, in their order; itself is the last."""
+        return (*(self.before.stages if self.before else ()), self)
+
+    def limited(self, steps: int) -> Setting:
+        """The same with this many steps in each of its fits."""
+        return replace(self, steps=steps, before=self.before.limited(steps) if self.before else None)
 
 
 # Adam at 0.1 quarters of the side, 500 steps, the last iterate, black outside: config.py and multi_shape.py.
@@ -85,29 +118,3 @@ OURS: Final = {
     method: Setting("ours", method, rate, scales="every" if method == "loi" else None) for method, rate in RATES.items()
 }
 PROTOCOLS: Final = {"published": PUBLISHED, "ours": OURS}
-
-# Of a square image of 128 pixels.
-_ALL: Final = (1, 5, 15, 45)
-_SCALES: Final[dict[str, ScaleSpace | Literal["for_image", "every"]]] = {
-    "every scale": "every",
-    "for_image": "for_image",
-    "the paper's": ScaleSpace.paper("vector"),
-    "every scale, black outside": ScaleSpace(_ALL, _ALL, 0.125, boundary="zero"),
-    "no extent of 1": ScaleSpace(_ALL, _ALL[1:], 0.125),
-    "sigma 1 alone": ScaleSpace(1, _ALL, 0.125),
-    "sigma 0 alone": ScaleSpace(0, _ALL, 0.125),
-    "no alpha (pixels of blurred images)": ScaleSpace(_ALL, 0, 0.125),
-    "sigma 0, no alpha (pixels)": ScaleSpace(0, 0, 0.125),
-    "no beta (means)": ScaleSpace(_ALL, _ALL, 4.0),
-    "beta 1/4": ScaleSpace(_ALL, _ALL, 0.25),
-    "beta 1/16": ScaleSpace(_ALL, _ALL, 0.0625),
-    "p 1/2 (squares)": ScaleSpace(_ALL, _ALL, 0.125, p=0.5),
-    "p 2 (roots)": ScaleSpace(_ALL, _ALL, 0.125, p=2.0),
-}
-ABLATIONS: Final = (
-    *(replace(OURS["loi"], name=name, scales=scales) for name, scales in _SCALES.items()),
-    replace(OURS["loi"], name="exact", accuracy="exact"),
-    replace(OURS["loi"], name="constant rate", decay="none"),
-    replace(OURS["loi"], name="constant rate, last iterate", decay="none", kept="last"),
-    replace(OURS["loi"], name="parted as released", moves="released"),
-)

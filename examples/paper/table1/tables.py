@@ -32,7 +32,7 @@ def csv_of(folder: Path, runs: Sequence[Run]) -> str:
                 "setting": setting.name,
                 "method": setting.method,
                 "rate": setting.rate,
-                "steps": setting.steps,
+                "steps": sum(stage.steps for stage in setting.stages),
                 "column": run.column.name,
                 "seed": run.seed,
             }
