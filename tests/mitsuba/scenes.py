@@ -7,7 +7,24 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
+from loi_mitsuba import Rotate, Scale, Translate
+from tests.helpers import Host
+
 WIDTH, HEIGHT = 64, 48
+
+# Of the scene below with a box: every kind of thing to fit.
+PARAMETERS: dict[str, Any] = {
+    "place": Translate("ball"),
+    "size": Scale("ball"),
+    "turn": Rotate("box", (0, 1, 0)),
+    "floor": "floor.bsdf.reflectance.value",
+    "light": "lamp.emitter.radiance.value",
+}
+
+
+def random_cotangent(seed: int = 0) -> Host:
+    """What a loss might hand back for an image of this size."""
+    return np.random.default_rng(seed).standard_normal((HEIGHT, WIDTH, 3)).astype(np.float32)
 
 
 def shadow_scene(**changes: Any) -> dict[str, Any]:

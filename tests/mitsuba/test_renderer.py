@@ -14,9 +14,9 @@ import pytest
 
 from loi_core import Free, LOIObjective, Renderer, fit
 from loi_core.errors import OptionError, ParameterError
-from loi_mitsuba import GradientWarning, MitsubaRenderer, Rotate, Scale, SceneLoadError, Translate, list_entries
+from loi_mitsuba import MitsubaRenderer, Rotate, Scale, SceneLoadError, Translate, list_entries
 from tests.helpers import Host, relative_error
-from tests.mitsuba.scenes import HEIGHT, WIDTH, box, shadow_scene
+from tests.mitsuba.scenes import HEIGHT, PARAMETERS, WIDTH, box, random_cotangent, shadow_scene
 
 XML = """<scene version="3.0.0">
 <sensor type="perspective"><film type="hdrfilm"><integer name="width" value="8"/>
@@ -29,22 +29,10 @@ XML = """<scene version="3.0.0">
 <emitter type="constant"/>
 </scene>"""
 
-PARAMETERS: dict[str, Any] = {
-    "place": Translate("ball"),
-    "size": Scale("ball"),
-    "turn": Rotate("box", (0, 1, 0)),
-    "floor": "floor.bsdf.reflectance.value",
-    "light": "lamp.emitter.radiance.value",
-}
-
 
 @pytest.fixture(scope="module")
 def renderer() -> MitsubaRenderer:
     return MitsubaRenderer(shadow_scene(box=box((1.0, 0.6, 0.0), 0.4)), PARAMETERS, spp=8)
-
-
-def random_cotangent(seed: int = 0) -> Host:
-    return np.random.default_rng(seed).standard_normal((HEIGHT, WIDTH, 3)).astype(np.float32)
 
 
 def moved(params: dict[str, Host], seed: int) -> dict[str, Host]:
@@ -305,48 +293,6 @@ def test_the_scene_s_own_integrator_can_be_asked_for() -> None:
     lit, direct = (one.render(one.parameters()) for one in (own, default))
     assert lit.mean() > direct.mean()
     assert relative_error(lit, direct) < 0.5
-
-
-@pytest.mark.parametrize(
-    ("light", "kind"),
-    [
-        ({"type": "point", "position": [0, 12, 0]}, "PointLight"),
-        ({"type": "directional", "direction": [0, -1, 0]}, "DirectionalEmitter"),
-    ],
-)
-def test_shadows_without_a_gradient_are_warned_of(light: dict[str, Any], kind: str) -> None:
-    with pytest.warns(GradientWarning, match=f"a shape moves under a {kind}, .*use a small sphere"):
-        renderer = MitsubaRenderer(shadow_scene(lamp=light), {"place": Translate("ball")})
-    gradient = renderer.render_vjp(renderer.parameters())[1](random_cotangent())
-    assert not np.any(gradient["place"])  # the ball is out of view, so its shadow is all there is: the warning is true
-    MitsubaRenderer(shadow_scene(lamp=light), {"floor": PARAMETERS["floor"]})  # nothing moves: no warning
-
-
-def test_integrators_without_outlines_are_warned_of() -> None:
-    with pytest.warns(GradientWarning, match="has no gradient of moving silhouettes and shadows; use direct_proj"):
-        renderer = MitsubaRenderer(shadow_scene(), {"place": Translate("ball")}, integrator={"type": "direct"})
-    gradient = renderer.render_vjp(renderer.parameters())[1](random_cotangent())
-    assert not np.any(gradient["place"])  # the ball is out of view, so its shadow is all there is: the warning is true
-
-
-def test_shapes_in_groups_are_warned_of() -> None:
-    group = {"type": "shapegroup", "ball": {"type": "sphere"}}
-    scene = shadow_scene(group=group, one={"type": "instance", "of": {"type": "ref", "id": "group"}})
-    with pytest.warns(GradientWarning, match="shape 'ball' moves in a shapegroup, .*has no gradient; put the shape"):
-        MitsubaRenderer(scene, {"place": Translate("group.ball")})
-
-
-def test_colours_of_vertices_do_not_move_a_mesh() -> None:
-    coloured = box((1.0, 0.6, 0.0), 0.4)
-    coloured.add_attribute("vertex_color", 3, [0.5] * 24)
-    scene = shadow_scene(box=coloured, sensor={"type": "orthographic"}, lamp={"type": "point", "position": [0, 12, 0]})
-    renderer = MitsubaRenderer(scene, {"colours": "box.vertex_color"})  # neither refused nor warned of
-    assert renderer.parameters()["colours"].shape == (24,)
-
-
-def test_meshes_that_count_twice_are_warned_of() -> None:
-    with pytest.warns(GradientWarning, match="mesh 'cube' stores the vertices of an edge more than once"):
-        MitsubaRenderer(shadow_scene(cube={"type": "cube"}), {"place": Translate("cube")})
 
 
 @pytest.mark.parametrize(

@@ -1,0 +1,307 @@
+"""Renderers and objectives that break the contract, each in one way, and one that keeps it."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from loi_core import PixelL2
+from loi_core.renderers import Disks
+
+Params = dict[str, Any]
+
+
+class Sound(Disks):
+    """A renderer that keeps the contract; the broken ones below each change one thing."""
+
+    def __init__(self, **options: Any) -> None:
+        positions = [[5.3, 9.1], [10.6, 4.4]]
+        super().__init__(14, 17, positions, [3.2, 2.4], [[1, 0.5, 0.2], [0.1, 0.4, 0.9]], (0.2, 0.3, 0.1), **options)
+
+
+class NoParameters(Sound):
+    def parameters(self) -> Params:
+        return {}
+
+
+class IntegerParameters(Sound):
+    def parameters(self) -> Params:
+        return {**super().parameters(), "radii": np.array([3, 2])}
+
+
+class SharedParameters(Sound):
+    def parameters(self) -> Params:
+        self.kept = getattr(self, "kept", super().parameters())
+        return self.kept
+
+
+class FlatImage(Sound):
+    def render_vjp(self, params: Params, *, seed: int = 0) -> Any:
+        image, pullback = super().render_vjp(params)
+        return image.reshape(-1, 3), pullback
+
+    def render(self, params: Params, *, seed: int = 0) -> Any:
+        return super().render_vjp(params)[0].reshape(-1, 3)
+
+
+class TwoImages(Sound):
+    def render(self, params: Params, *, seed: int = 0) -> Any:
+        return 1.01 * super().render(params)
+
+
+class TransposedAxes(Sound):
+    """x and y are mixed up in the pullback of positions."""
+
+    def render_vjp(self, params: Params, *, seed: int = 0) -> Any:
+        image, pullback = super().render_vjp(params)
+        return image, lambda g: {k: v[:, ::-1] if k == "positions" else v for k, v in pullback(g).items()}
+
+
+def scaled(factor: float, name: str | None = None) -> type[Sound]:
+    class Scaled(Sound):
+        def render_vjp(self, params: Params, *, seed: int = 0) -> Any:
+            image, pullback = super().render_vjp(params)
+            return image, lambda g: {k: v * factor if name in (None, k) else v for k, v in pullback(g).items()}
+
+    return Scaled
+
+
+class IgnoredSeed(Sound):
+    """Noise from a generator of its own, whatever the seed."""
+
+    noise = itertools.count()
+
+    def render_vjp(self, params: Params, *, seed: int = 0) -> Any:
+        image, pullback = super().render_vjp(params)
+        return image + 1e-6 * np.random.default_rng(next(self.noise)).standard_normal(image.shape), pullback
+
+
+class StaleImage(Sound):
+    """Keeps the last image as long as the positions stay, whatever else changes."""
+
+    def render(self, params: Params, *, seed: int = 0) -> Any:
+        if getattr(self, "last", None) is None:
+            self.last = super().render(params)
+        return self.last
+
+
+class SlowlyForgets(Sound):
+    """Mixes in a little of what it rendered before, unless it was the same scene."""
+
+    def render(self, params: Params, *, seed: int = 0) -> Any:
+        image = super().render(params)
+        before, self.before = getattr(self, "before", image), image
+        return image + 1e-3 * (before - image)
+
+
+class MutatesParameters(Sound):
+    def render(self, params: Params, *, seed: int = 0) -> Any:
+        image = super().render(params)
+        params["radii"] += 1e-3
+        return image
+
+
+class MutatesCotangent(Sound):
+    def render_vjp(self, params: Params, *, seed: int = 0) -> Any:
+        image, pullback = super().render_vjp(params)
+
+        def writing(cotangent: Any) -> Params:
+            result = pullback(cotangent)
+            cotangent[0, 0, 0] = 0.0
+            return result
+
+        return image, writing
+
+
+class OneParameterOnly(Sound):
+    def render_vjp(self, params: Params, *, seed: int = 0) -> Any:
+        image, pullback = super().render_vjp(params)
+        return image, lambda g: {"positions": pullback(g)["positions"]}
+
+
+class ZeroForOneParameter(Sound):
+    def render_vjp(self, params: Params, *, seed: int = 0) -> Any:
+        image, pullback = super().render_vjp(params)
+        return image, lambda g: {**pullback(g), "radii": np.zeros(2)}
+
+
+class WrongDtype(Sound):
+    def render_vjp(self, params: Params, *, seed: int = 0) -> Any:
+        image, pullback = super().render_vjp(params)
+        return image, lambda g: {k: v.astype(np.float32) for k, v in pullback(g).items()}
+
+
+class Affine(Sound):
+    """Adds a constant to the pullback, a regulariser that has strayed."""
+
+    def render_vjp(self, params: Params, *, seed: int = 0) -> Any:
+        image, pullback = super().render_vjp(params)
+        return image, lambda g: {k: v + 1e-3 for k, v in pullback(g).items()}
+
+
+class SharedState(Sound):
+    """All pullbacks are that of the last render."""
+
+    def render_vjp(self, params: Params, *, seed: int = 0) -> Any:
+        image, self.last = super().render_vjp(params)
+        return image, lambda g: self.last(g)
+
+
+class SwallowsNaN(Sound):
+    def render_vjp(self, params: Params, *, seed: int = 0) -> Any:
+        return super().render_vjp({k: np.nan_to_num(v) for k, v in params.items()})
+
+    def render(self, params: Params, *, seed: int = 0) -> Any:
+        return self.render_vjp(params)[0]
+
+
+BROKEN_RENDERERS: list[tuple[type[Sound], str]] = [
+    (NoParameters, "parameters"),
+    (IntegerParameters, "parameters"),
+    (SharedParameters, "parameters"),
+    (FlatImage, "image"),
+    (TwoImages, "image"),
+    (IgnoredSeed, "determinism"),
+    (StaleImage, "no_memory"),
+    (SlowlyForgets, "no_memory"),
+    (MutatesParameters, "no_mutation"),
+    (MutatesCotangent, "no_mutation"),
+    (OneParameterOnly, "gradient"),
+    (WrongDtype, "gradient"),
+    (Affine, "linearity"),
+    (SharedState, "pullback_memory"),
+    (scaled(-1.0), "finite_differences"),
+    (scaled(2.0), "finite_differences"),
+    (scaled(1.05), "finite_differences"),
+    (scaled(1.05, "radii"), "finite_differences"),
+    (TransposedAxes, "finite_differences"),
+    (ZeroForOneParameter, "finite_differences"),
+    (SwallowsNaN, "non_finite"),
+]
+
+
+class Wrapped:
+    """An objective that keeps the interface; the broken ones below each change one thing."""
+
+    def __init__(self, reference: Any) -> None:
+        self.inner = PixelL2(reference)
+
+    def value(self, image: Any) -> Any:
+        return self.inner.value(image)
+
+    def value_and_grad(self, image: Any) -> Any:
+        return self.inner.value_and_grad(image)
+
+
+class PythonFloat(Wrapped):
+    def value(self, image: Any) -> Any:
+        return float(super().value(image))
+
+
+class VectorValue(Wrapped):
+    def value(self, image: Any) -> Any:
+        return np.asarray(super().value(image))[None]
+
+
+class TwoValues(Wrapped):
+    def value(self, image: Any) -> Any:
+        return 1.001 * super().value(image)
+
+
+class FlatGradient(Wrapped):
+    def value_and_grad(self, image: Any) -> Any:
+        value, gradient = super().value_and_grad(image)
+        return value, gradient.reshape(-1)
+
+
+class Maximised(Wrapped):
+    def value(self, image: Any) -> Any:
+        return -super().value(image)
+
+    def value_and_grad(self, image: Any) -> Any:
+        value, gradient = super().value_and_grad(image)
+        return -value, -gradient
+
+
+class HalfGradient(Wrapped):
+    def value_and_grad(self, image: Any) -> Any:
+        value, gradient = super().value_and_grad(image)
+        return value, 0.5 * gradient
+
+
+class TransposedGradient(Wrapped):
+    def value_and_grad(self, image: Any) -> Any:
+        value, gradient = super().value_and_grad(image)
+        return value, np.ascontiguousarray(gradient[:, ::-1])
+
+
+class StaleValue(Wrapped):
+    def value_and_grad(self, image: Any) -> Any:
+        value, gradient = super().value_and_grad(image)
+        before, self.before = getattr(self, "before", gradient), gradient
+        return value, before if np.shape(before) == np.shape(gradient) else gradient
+
+    def value(self, image: Any) -> Any:
+        value, self.before = super().value_and_grad(image)
+        return value
+
+
+class MutatesImage(Wrapped):
+    def value_and_grad(self, image: Any) -> Any:
+        result = super().value_and_grad(image)
+        image[0, 0, 0] = 0.0
+        return result
+
+
+class MutatesReference(Wrapped):
+    def __init__(self, reference: Any) -> None:
+        super().__init__(reference)
+        reference[0, 0, 0] = 0.0
+
+
+class BorrowedReference(Wrapped):
+    def __init__(self, reference: Any) -> None:
+        self.borrowed = reference
+
+    @property
+    def inner(self) -> Any:
+        return PixelL2(self.borrowed)
+
+    @inner.setter
+    def inner(self, value: Any) -> None:
+        raise NotImplementedError
+
+
+class NaNTakenForZero(Wrapped):
+    def value(self, image: Any) -> Any:
+        return super().value(np.nan_to_num(image))
+
+    def value_and_grad(self, image: Any) -> Any:
+        return super().value_and_grad(np.nan_to_num(image))
+
+
+class NaNIsAKeyError(Wrapped):
+    def value_and_grad(self, image: Any) -> Any:
+        if np.any(np.isnan(image)):
+            raise KeyError(0)
+        return super().value_and_grad(image)
+
+
+BROKEN_OBJECTIVES: list[tuple[Callable[[Any], Any], str]] = [
+    (PythonFloat, "value"),
+    (VectorValue, "value"),
+    (TwoValues, "value_and_grad"),
+    (FlatGradient, "value_and_grad"),
+    (Maximised, "minimum"),
+    (HalfGradient, "finite_differences"),
+    (TransposedGradient, "finite_differences"),
+    (StaleValue, "no_memory"),
+    (MutatesImage, "no_mutation"),
+    (MutatesReference, "no_mutation"),
+    (BorrowedReference, "own_reference"),
+    (NaNTakenForZero, "non_finite"),
+    (NaNIsAKeyError, "non_finite"),
+]

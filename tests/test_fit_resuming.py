@@ -1,0 +1,206 @@
+"""A fit goes on where it stopped, wherever that was."""
+
+from __future__ import annotations
+
+import dis
+import itertools
+import sys
+from dataclasses import replace
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import numpy as np
+import pytest
+
+from loi_core import Free, LOIObjective, PixelL2, fit
+from loi_core.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from loi_core.errors import FitError, OptionError, ParameterError
+from loi_core.fit import FitInterruptedError, FitStep
+from loi_core.renderers import Disks
+from tests.fits import REFERENCE, SCALES, SCENE, START, TARGET, Bowl, run
+from tests.helpers import Host
+
+
+@pytest.mark.parametrize("interrupted", [True, False])
+def test_a_checkpoint_that_cannot_be_written_leaves_the_result(
+    interrupted: bool, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def full(*_: object) -> None:
+        message = "no space left"
+        raise OSError(message)
+
+    def stop(step: FitStep, params: Any, image: Any) -> None:
+        if interrupted and step.step == 2:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr(sys.modules["loi_core.fit"], "save_checkpoint", full)
+    error = FitInterruptedError if interrupted else FitError
+    caught: Any
+    with pytest.raises(error, match=r"step .: writing the checkpoint failed: OSError: no space left") as caught:
+        run(steps=4, checkpoint=tmp_path / "state.npz", callback=stop)
+    assert len(caught.value.result.history) == (3 if interrupted else 4)
+
+
+def test_a_fit_that_was_stopped_goes_on_as_if_it_had_not_been(tmp_path: Path) -> None:
+    whole = run(steps=40)
+    file = tmp_path / "state.npz"
+
+    def stop(step: FitStep, params: Any, image: Any) -> None:
+        if step.step == 17:
+            raise KeyboardInterrupt
+
+    with pytest.raises(FitInterruptedError) as caught:
+        run(steps=40, checkpoint=file, callback=stop)
+    assert caught.value.result is not None
+    assert len(caught.value.result.history) == 18
+    resumed = run(steps=40, checkpoint=file, resume=True)
+    np.testing.assert_array_equal(resumed.params["positions"], whole.params["positions"])
+    np.testing.assert_array_equal(resumed.best_params["positions"], whole.best_params["positions"])
+    assert [one.value for one in resumed.history] == [one.value for one in whole.history]
+    assert [path.name for path in tmp_path.iterdir()] == ["state.npz"]
+
+
+def test_a_checkpoint_that_does_not_fit_is_refused(tmp_path: Path) -> None:
+    file = tmp_path / "state.npz"
+    file.write_bytes(b"not a checkpoint")
+    with pytest.raises(ParameterError, match="is not a checkpoint of a fit"):
+        run(steps=3, checkpoint=file, resume=True)
+    run(steps=3, checkpoint=file)
+    with pytest.raises(ParameterError, match="`checkpoint` was made with learning rates"):
+        fit(Bowl(), PixelL2(np.ones((2, 2, 1))), steps=3, learning_rate=1, checkpoint=file, resume=True)
+    with pytest.raises(ParameterError, match="`checkpoint` was made with steps = 3, this fit has 2"):
+        run(steps=2, checkpoint=file, resume=True)
+    with pytest.raises(OptionError, match="`checkpoint` must be the path of a file"):
+        run(steps=3, checkpoint=tmp_path)
+    with pytest.raises(OptionError, match="`checkpoint` must lead to a folder"):
+        run(steps=3, checkpoint=file / "below.npz")
+
+
+def test_the_order_of_names_is_nothing_to_a_checkpoint(tmp_path: Path) -> None:
+    for names in (["positions", "radii"], ["radii", "positions"]):
+        run(steps=3, optimise=names, checkpoint=tmp_path / "state.npz", resume=True)
+
+
+def test_a_damaged_checkpoint_is_refused_wherever_the_damage_is(tmp_path: Path) -> None:
+    file = tmp_path / "state.npz"
+    run(steps=3, checkpoint=file)
+    whole, state = file.read_bytes(), load_checkpoint(file, {})
+    refused = 0
+    flags = whole.index(b"PK\x01\x02") + 8  # their first bit says that a password is needed
+    for place, bit in ((flags, 1), *((place, 8) for place in range(0, len(whole), 7))):
+        file.write_bytes(whole[:place] + bytes([whole[place] ^ bit]) + whole[place + 1 :])
+        try:
+            load_checkpoint(file, state.settings)
+        except ParameterError:
+            refused += 1
+    assert refused > 100
+    for changes in ({"step": 2}, {"count": 1}, {"best_step": 4}, {"best_step": -1}, {"history": state.history[:1]}):
+        save_checkpoint(file, replace(state, **changes))
+        with pytest.raises(ParameterError, match=r"not a checkpoint of a fit \(its counts of steps disagree\)"):
+            load_checkpoint(file, state.settings)
+
+
+def test_ctrl_c_while_a_fit_is_resumed_leaves_its_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupt(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    file = tmp_path / "state.npz"
+    run(steps=3, checkpoint=file)
+    before = file.read_bytes()
+    monkeypatch.setattr(Disks, "render", interrupt)
+    with pytest.raises(FitInterruptedError) as caught:
+        run(steps=3, checkpoint=file, resume=True)
+    assert caught.value.result is None
+    assert file.read_bytes() == before
+
+
+def test_ctrl_c_within_a_step_falls_before_it(tmp_path: Path) -> None:
+    class Interrupted(Disks):
+        calls = 0
+
+        def project(self, params: dict[str, Host]) -> dict[str, Host]:
+            Interrupted.calls += 1
+            if Interrupted.calls == 7:
+                raise KeyboardInterrupt
+            return super().project(params)
+
+    def go(scene: Disks, **options: Any) -> Any:
+        free = {"positions": Free(START, 0.0, 32.0)}
+        return fit(scene, LOIObjective(REFERENCE, SCALES), steps=12, learning_rate=1.5, optimise=free, **options)
+
+    whole = go(SCENE)
+    file = tmp_path / "state.npz"
+    with pytest.raises(FitInterruptedError):
+        go(Interrupted(32, 32, TARGET, 5.0, [[0.9, 0.6, 0.1]], confine=True), checkpoint=file)
+    resumed = go(SCENE, checkpoint=file, resume=True)
+    np.testing.assert_array_equal(resumed.params["positions"], whole.params["positions"])
+
+
+STATEFUL = {"fit", "_last_seen", "_save", "seen", "stepped", "result", "history"}  # the functions that hold the state
+
+
+def interrupted_after(count: int) -> Any:
+    """A trace function that raises KeyboardInterrupt after so many instructions of the loop and of its state."""
+    left = count
+
+    def trace(frame: FrameType, event: str, _: object) -> Any:
+        nonlocal left
+        code = frame.f_code
+        if code.co_name not in STATEFUL or Path(code.co_filename).name not in ("fit.py", "state.py"):
+            return None
+        frame.f_trace_opcodes = True
+        # Python handles no signal between the last value of a function and its return.
+        if event == "opcode" and dis.opname[code.co_code[frame.f_lasti]] != "RETURN_VALUE":
+            left -= 1
+            if left == 0:
+                raise KeyboardInterrupt
+        return trace
+
+    return trace
+
+
+def test_ctrl_c_at_any_instruction_leaves_the_state_after_whole_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+    saved: list[Checkpoint] = []
+    loop = sys.modules["loi_core.fit"]  # `loi_core.fit` is the function
+    monkeypatch.setattr(loop, "CHECKPOINT_STEPS", 1)
+    monkeypatch.setattr(loop, "save_checkpoint", lambda path, state: saved.append(state))
+
+    def go(trace: Any) -> Any:
+        """The result, or the KeyboardInterrupt."""
+        before = sys.gettrace()
+        saved.clear()
+        free: Any = {"optimise": ["pixels"], "checkpoint": "x"}
+        try:
+            sys.settrace(trace)
+            return fit(Bowl(), PixelL2(np.ones((2, 2, 1))), steps=2, learning_rate=0.1, **free)
+        except KeyboardInterrupt as stop:
+            return stop
+        finally:
+            sys.settrace(before)
+
+    whole = go(sys.gettrace())
+    after = {state.step: state for state in saved}
+    params = [Bowl().parameters()["pixels"], after[1].params["pixels"], after[2].params["pixels"]]
+    kept: set[tuple[int, int]] = set()
+    for count in itertools.count(1):
+        end = go(interrupted_after(count))
+        if not isinstance(end, KeyboardInterrupt):
+            break
+        result = getattr(end, "result", None)
+        assert (result is None) == (not saved)
+        if result is None:
+            continue
+        last = saved[-1]
+        kept.add((last.step, last.best_step))
+        assert [one.value for one in result.history] == [one.value for one in whole.history[: last.step]]
+        assert last.history[:, 1].tolist() == [one.value for one in result.history]
+        np.testing.assert_array_equal(result.params["pixels"], params[last.step])
+        np.testing.assert_array_equal(last.params["pixels"], params[last.step])
+        np.testing.assert_array_equal(last.best_params["pixels"], params[last.best_step])
+        np.testing.assert_array_equal(result.image, params[result.best_step])
+        assert last.count == last.step
+        if last.step:
+            np.testing.assert_array_equal(last.first["pixels"], after[last.step].first["pixels"])
+            np.testing.assert_array_equal(last.second["pixels"], after[last.step].second["pixels"])
+    assert kept == {(0, 0), (1, 0), (1, 1), (2, 1), (2, 2)}
