@@ -34,7 +34,7 @@ def by_arrays() -> Iterator[None]:
     """As where Numba is not installed."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(loi, "serves", lambda *_: False)
-        patch.setattr(loss, "can_compare", lambda *_: False)
+        patch.setattr(loss, "available", lambda: False)
         yield
 
 

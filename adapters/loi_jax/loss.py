@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from loi_core import LogTone, LOIObjective, ScaleSpace
-from loi_core.compiled import can_compare
+from loi_core.compiled import available
 from loi_core.errors import NonFiniteImageError
 from loi_core.nonfinite import NanPolicy
 from loi_jax.primitive import Host, evaluate
@@ -96,7 +96,7 @@ class _Traceable:
         dtype = image.dtype
         if dtype in REDUCED:
             image = image.astype(jnp.float32)
-        kernels = image.dtype in COMPILED and can_compare(self._objective.scales)
+        kernels = image.dtype in COMPILED and available()
         if not isinstance(image, jax.core.Tracer):
             results = list(self._checked(image, gradient=gradient))
         elif kernels and jax.sharding.get_abstract_mesh().empty:  # a mesh: for several devices, each with its part

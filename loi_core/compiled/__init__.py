@@ -12,9 +12,8 @@ from __future__ import annotations
 import functools
 
 from loi_core.arrays import Array, is_read_by_numpy, is_torch_array
-from loi_core.scales import ScaleSpace
 
-__all__ = ["available", "can_compare", "serves"]
+__all__ = ["available", "serves"]
 
 
 @functools.cache
@@ -27,12 +26,7 @@ def available() -> bool:
     return True
 
 
-def can_compare(scales: ScaleSpace) -> bool:
-    """Whether there are compiled kernels for these scales: for all with `p` of 1, if Numba can be loaded."""
-    return scales.p == 1.0 and available()
-
-
-def serves(planes: Array, scales: ScaleSpace) -> bool:
+def serves(planes: Array) -> bool:
     """Whether arrays like `planes` are compared by compiled kernels: those that NumPy can read, of any library.
 
     Not where a framework differentiates through what is computed.
@@ -40,4 +34,4 @@ def serves(planes: Array, scales: ScaleSpace) -> bool:
     if not is_read_by_numpy(planes) or (is_torch_array(planes) and planes.requires_grad):
         return False
     dtype = str(planes.dtype).removeprefix("torch.")
-    return dtype in ("float32", "float64") and can_compare(scales)
+    return dtype in ("float32", "float64") and available()

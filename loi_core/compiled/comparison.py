@@ -137,7 +137,7 @@ class CompiledComparison:
         tie = tie_threshold(self.intensity, mass)
         # Far tails are cut where they are far below a rounding: products of what is smaller may be slow to compute.
         least = 3.0 * math.log(float(np.finfo(dtype).eps))
-        return np.asarray([1.0 / (ROOT_TWO * width), peak, least, tie, *weights], dtype)
+        return np.asarray([1.0 / (ROOT_TWO * width), peak, least, tie, 1.0 / scales.p, *weights], dtype)
 
 
 @dataclass

@@ -6,6 +6,7 @@ Planes lie in one arena, each at an offset, with a stride from row to row. All e
 
 from __future__ import annotations
 
+import math
 from typing import Any
 
 from loi_core.compiled.blurs import Floats, Table, blur_window, clear_window
@@ -44,9 +45,10 @@ def compare_levels(
         Intensities in units of the distance of two levels.
     levels : array, shape (3,)
         The level that accumulation starts from, the first that is compared, and where to stop.
-    settings : array, shape (4 + E,)
+    settings : array, shape (5 + E,)
         One over the tonal scale times the root of 2; the logarithm of a level's share of the CDF at its peak; the least
-        such logarithm that counts; the largest difference that is a tie; and the weight of every extent.
+        such logarithm that counts; the largest difference that is a tie; the power of differences that is their cost;
+        and the weight of every extent.
     weights : array, shape (W,)
     starts : array, shape (S,)
     bands, nodes, edges : array, shape (B, 9), (N, 7), (M, 7 + 2 * 11)
@@ -90,7 +92,7 @@ def compare_levels(
                 edge[FORTH:BACK], weights, starts, bands, arena,
                 source[HELD], source[NODE_STRIDE], compared, edge[EDGE_STRIDE], transposed, strip, False,
             )  # fmt: skip
-            costs[extent] += _cost(arena, compared, edge, settings[3], settings[4 + extent])
+            costs[extent] += _cost(arena, compared, edge, settings[3], settings[4], settings[5 + extent])
             if cotangent.size:
                 blur_window(
                     edge[BACK:], weights, starts, bands, arena,
@@ -127,24 +129,52 @@ def _accumulate(
             slopes[x] += offset * weight
 
 
-@compiled_sums
-def _cost(arena: Floats, planes: int, edge: Table, tie: Any, weight: Any) -> float:
-    """The sum of all magnitudes beyond the tie, times `weight`; their slopes replace them."""
-    nothing = weight - weight
+@compiled
+def _cost(arena: Floats, planes: int, edge: Table, tie: Any, power: Any, weight: Any) -> float:
+    """The sum of a power of all magnitudes beyond the tie, times `weight`; its slopes replace the differences."""
     total = 0.0
     for y in range(edge[EDGE_TOP], edge[EDGE_BOTTOM]):
         at = planes + y * edge[EDGE_STRIDE]
         row = arena[at + edge[EDGE_LEFT] : at + edge[EDGE_RIGHT]]
-        sum_of_row = nothing
-        for x in range(row.size):
-            difference = row[x]
-            magnitude = abs(difference)
-            counts = magnitude > tie
-            sum_of_row += magnitude if counts else nothing
-            row[x] = (weight if difference > nothing else -weight) if counts else nothing
-        total += sum_of_row
+        total += _sum_of_sizes(row, tie, weight) if power == 1 else _sum_of_powers(row, tie, power, weight)
     cost: float = total * weight
     return cost
+
+
+@compiled_sums
+def _sum_of_sizes(row: Floats, tie: Any, weight: Any) -> Any:
+    """The sum of all magnitudes beyond the tie; `weight` with their signs replaces them."""
+    nothing = weight - weight
+    total = nothing
+    for x in range(row.size):
+        difference = row[x]
+        magnitude = abs(difference)
+        counts = magnitude > tie
+        total += magnitude if counts else nothing
+        row[x] = (weight if difference > nothing else -weight) if counts else nothing
+    return total
+
+
+@compiled_sums
+def _sum_of_powers(row: Floats, tie: Any, power: Any, weight: Any) -> Any:
+    """The sum of a power of all magnitudes beyond the tie; its slopes, times `weight`, replace the differences."""
+    nothing = weight - weight
+    total = nothing
+    for x in range(row.size):
+        difference = row[x]
+        magnitude = abs(difference)
+        counts = magnitude > tie
+        size = magnitude if counts else row.dtype.type(1)
+        if power == 0.5:
+            slope = power / math.sqrt(size)
+        elif power == 2:
+            slope = power * size
+        else:
+            slope = power * size ** (power - row.dtype.type(1))
+        total += size * slope if counts else nothing
+        slope *= weight
+        row[x] = (slope if difference > nothing else -slope) if counts else nothing
+    return total / power
 
 
 @compiled

@@ -10,7 +10,7 @@ import numpy as np
 
 from loi_core.arrays import Array, device, epsilon, is_numpy_array, namespace, widened
 from loi_core.comparison import InnerComparison, ScaleKey, Terms
-from loi_core.compiled import can_compare, serves
+from loi_core.compiled import available, serves
 from loi_core.errors import OptionError, ScaleError
 from loi_core.messages import shown
 from loi_core.nonfinite import NanPolicy
@@ -133,27 +133,28 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
             tolerance=self._tolerance,
             eps=epsilon(widened(self._reference)) if eps is None else eps,
         )
-        return replace(plan, compiled=can_compare(self._scales))
+        return replace(plan, compiled=available())
 
     def _prepare(self, reference: Array) -> _Prepared:
         scales = self._scales
         plan = self.plan(*reference.shape[-2:], eps=epsilon(reference))
         prepared = _Prepared(scales, plan, clip(reference, *scales.bounds))
         # Now, and not when it is first used: that may be where JAX traces.
-        _ = prepared.kernels if self._by_kernels(reference) else prepared.arrays
+        _ = prepared.kernels if _by_kernels(reference) else prepared.arrays
         return prepared
 
     def _compares_on_host(self, image: Array) -> bool:
-        return serves(image, self._scales)
-
-    def _by_kernels(self, planes: Array) -> bool:
-        return is_numpy_array(planes) and serves(planes, self._scales)
+        return serves(image)
 
     def _evaluate(self, planes: Array, prepared: _Prepared, *, gradient: bool) -> Evaluation[ScaleKey]:
         bounds = self._scales.bounds
-        compare = prepared.by_kernels if self._by_kernels(planes) else prepared.by_arrays
+        compare = prepared.by_kernels if _by_kernels(planes) else prepared.by_arrays
         terms, cotangent = compare(clip(planes, *bounds), gradient=gradient)
         return Evaluation(terms, clip_pullback(planes, cotangent, *bounds) if gradient else None)
+
+
+def _by_kernels(planes: Array) -> bool:
+    return is_numpy_array(planes) and serves(planes)
 
 
 @dataclass(frozen=True)
