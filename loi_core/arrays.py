@@ -21,6 +21,7 @@ __all__ = [
     "is_numpy_array",
     "is_read_by_numpy",
     "is_torch_array",
+    "is_traced",
     "library_name",
     "namespace",
     "narrowed",
@@ -75,7 +76,12 @@ def outlives_its_context(array: Array) -> bool:
     """Whether `array`, just made, may be used later: not so in torch's inference mode, nor while JAX traces."""
     if is_torch_array(array):
         return not array.is_inference()
-    return not type(array).__name__.endswith("Tracer")
+    return not is_traced(array)
+
+
+def is_traced(array: Array) -> bool:
+    """Whether JAX traces `array`: its values are not known yet, and it is of no use once the trace has ended."""
+    return type(array).__name__.endswith("Tracer")
 
 
 def runs_eagerly_on_host(array: Array) -> bool:
@@ -88,8 +94,7 @@ def runs_eagerly_on_host(array: Array) -> bool:
 def is_read_by_numpy(array: Array) -> bool:
     """Whether NumPy can read `array` where it is: its values are at hand, in the memory of the processor."""
     if is_jax_array(array):
-        traced = type(array).__name__.endswith("Tracer")
-        return not traced and [each.platform for each in array.devices()] == ["cpu"]
+        return not is_traced(array) and [each.platform for each in array.devices()] == ["cpu"]
     return is_numpy_array(array) or (is_torch_array(array) and array.device.type == "cpu")
 
 
@@ -118,10 +123,11 @@ def sum_of_all(array: Array) -> Array:
 
 
 def to_numpy(array: Array) -> np.ndarray[Any, Any]:
-    """`array` as NumPy, on the host: for reports and files, never inside a loss."""
-    if is_torch_array(array):  # torch alone refuses to export what records gradients or lies on another device
-        array = array.detach().cpu()
-        array = array.float() if "bfloat16" in str(array.dtype) else array
+    """`array` as NumPy, on the host; the same memory if :func:`is_read_by_numpy`, where dtype and layout allow."""
+    if is_torch_array(array):
+        # torch alone refuses to export what records gradients, lies on another device or is held as a negative.
+        host: np.ndarray[Any, Any] = (array.float() if "bfloat16" in str(array.dtype) else array).numpy(force=True)
+        return host
     host = np.asarray(array)
     # NumPy has no bfloat16; what JAX gives for it can be neither written to a file nor computed with safely.
     return host.astype(np.float32) if "bfloat16" in str(host.dtype) else host

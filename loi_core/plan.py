@@ -139,7 +139,7 @@ class Plan:
     tonal : tuple of TonalPlan
         One for each beta.
     compiled : bool
-        Whether arrays of NumPy, and of torch on the processor, are compared in compiled loops.
+        Whether arrays of NumPy, and of torch and JAX on the processor, are compared in compiled loops.
     """
 
     height: int
@@ -187,7 +187,7 @@ class Plan:
             f"per channel {self.work / 1e6:.3g} million operations for the blurs; estimated error {self.error:.1e}"
         )
         if self.compiled:
-            lines.append("NumPy, and torch on the processor: in loops compiled by Numba")
+            lines.append("NumPy, and torch and JAX on the processor: in loops compiled by Numba")
         return "\n".join(lines)
 
 

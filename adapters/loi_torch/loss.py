@@ -6,6 +6,7 @@ from typing import Any
 
 import torch
 from torch import Tensor
+from torch.autograd import forward_ad
 from torch.autograd.function import FunctionCtx, once_differentiable
 
 from loi_core import LogTone, LOIObjective, ScaleSpace
@@ -40,7 +41,7 @@ class LOILoss(torch.nn.Module):
     -----
     float16 and bfloat16 images are compared in float32, under autocast as well, and the loss is float32; the gradient
     comes back in the image's dtype. Under ``torch.compile`` the loss is one graph break. Its gradient cannot be
-    differentiated again: second derivatives raise an error instead of being silently zero.
+    differentiated again: second derivatives raise an error instead of being silently zero, and so does forward mode.
     """
 
     reference: Tensor
@@ -122,7 +123,9 @@ def _apply(image: Tensor, objective: LOIObjective) -> Tensor:
         raise ImageTypeError(msg)
     with torch.autocast(image.device.type, enabled=False):
         precise = image.float() if image.dtype in REDUCED else image
-        if torch.is_grad_enabled() and precise.requires_grad:
+        backward = torch.is_grad_enabled() and precise.requires_grad
+        forward: Tensor | None = forward_ad.unpack_dual(precise).tangent  # type: ignore[no-untyped-call]  # as below
+        if backward or forward is not None:  # the latter torch refuses by itself
             value: Tensor = _Loss.apply(precise, objective)[0]  # type: ignore[no-untyped-call]  # untyped in torch
         else:
             value = objective.value(precise)

@@ -14,6 +14,7 @@ from loi_core.arrays import (
     device,
     from_numpy,
     is_numpy_array,
+    is_traced,
     library_name,
     namespace,
     narrowed,
@@ -104,6 +105,10 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
         xp = namespace(reference)
         self._reference = xp.asarray(reference, copy=True)
         self._ready: dict[tuple[Any, ...], _Ready[PreparedT]] = {}
+
+    def __getstate__(self) -> dict[str, Any]:
+        # What is prepared can be prepared again; copies and pickles need not carry it.
+        return {**self.__dict__, "_ready": {}}
 
     @property
     def reference(self) -> Array:
@@ -235,9 +240,11 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
         ready = self._ready.get(key)
         if ready is None:
             ready = self._make_ready(like, layout, on_host=on_host)
-            # A new dict each time, as other threads may be reading the old one.
-            kept = list(self._ready.items())[1 - MAX_PREPARED :]
-            self._ready = dict([*kept, (key, ready)])
+            # What JAX makes while it traces is of no use once the trace has ended.
+            if not is_traced(namespace(ready.planes).zeros_like(ready.planes)):
+                # A new dict each time, as other threads may be reading the old one.
+                kept = list(self._ready.items())[1 - MAX_PREPARED :]
+                self._ready = dict([*kept, (key, ready)])
         return ready
 
     def _require_same_axes(self, layout: Layout) -> None:

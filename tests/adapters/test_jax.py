@@ -14,6 +14,7 @@ import pytest
 import loi_jax
 from loi_core import LOIObjective, ScaleSpace
 from loi_core.errors import ImageError, NonFiniteImageError
+from loi_core.nonfinite import NanPolicy
 from loi_core.testing import check_objective
 from loi_core.tonal import accumulate
 from tests.helpers import by_arrays, images
@@ -79,6 +80,22 @@ def test_nothing_leaks_from_one_trace_into_the_next() -> None:
     again = jax.jit(jax.grad(loss))(image)
     assert float(first) == pytest.approx(float(VALUE))
     np.testing.assert_allclose(again, GRADIENT, rtol=1e-11, atol=1e-17)
+
+
+@pytest.mark.parametrize("policy", ["raise", "mask"])
+def test_nothing_leaks_from_an_objective_that_is_traced_itself(policy: NanPolicy) -> None:
+    objective = LOIObjective(REFERENCE, SCALES, nan_policy=policy)
+    image = jnp.asarray(IMAGE)
+    wanted, slopes = objective.value_and_grad(image)
+    bound = 1e3 * float(np.finfo(image.dtype).eps)  # of sums that are made in another order
+    for _ in range(2):
+        if policy == "raise":
+            with pytest.raises(jax.errors.TracerBoolConversionError):  # its pixels cannot be looked at
+                jax.jit(objective.value)(image)
+        else:
+            assert jax.jit(objective.value)(image) == pytest.approx(float(wanted), rel=bound)
+            assert jax.vmap(objective.value)(image[None])[0] == pytest.approx(float(wanted), rel=bound)
+        np.testing.assert_allclose(jax.grad(objective.value)(image), slopes, atol=bound * float(np.abs(slopes).max()))
 
 
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float16, jnp.bfloat16])

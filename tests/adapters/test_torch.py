@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 import torch
+from torch.autograd import forward_ad
 
 from loi_core import LOIObjective, ScaleSpace
 from loi_core.errors import ImageError, ImageTypeError, NonFiniteImageError
@@ -137,6 +138,20 @@ def test_second_derivatives_are_refused_rather_than_zero() -> None:
     (gradient,) = torch.autograd.grad(LOILoss(REFERENCE, SCALES)(image), image, create_graph=True)
     with pytest.raises(RuntimeError):
         gradient.sum().backward()
+
+
+@pytest.mark.filterwarnings("ignore:`torch.jit.script` is deprecated:DeprecationWarning")  # which torch itself uses
+def test_forward_mode_is_refused_rather_than_zero() -> None:
+    image = torch.tensor(IMAGE)
+    module = LOILoss(REFERENCE, SCALES)
+    with forward_ad.dual_level():
+        dual = forward_ad.make_dual(image, torch.ones_like(image))  # type: ignore[no-untyped-call]  # untyped in torch
+        for loss in (module, lambda given: loi_loss(given, REFERENCE, SCALES)):
+            with pytest.raises(RuntimeError, match="forward"):
+                loss(dual)
+        assert module(image).item() == pytest.approx(float(VALUE), rel=1e-14)
+    with pytest.raises(RuntimeError, match="forward"):
+        torch.func.jvp(module, (image,), (torch.ones_like(image),))
 
 
 def test_errors_are_those_of_the_core() -> None:

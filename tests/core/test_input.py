@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import pickle
 from typing import Any
 
@@ -65,6 +66,25 @@ def test_the_reference_is_copied() -> None:
     wanted = float(LOIObjective(reference.copy(), SCALES).value(image))
     reference[:] = 0.0
     assert float(objective.value(image)) == wanted
+
+
+def test_torch_may_hold_an_image_as_the_negative_of_what_is_in_memory() -> None:
+    image, reference = images((6, 5, 3), seed=1)
+    held = torch.view_as_complex(torch.tensor(np.stack([image, -image], -1))).conj().imag
+    assert held.is_neg()
+    wanted, slopes = LOIObjective(reference, SCALES).value_and_grad(image)
+    value, gradient = LOIObjective(reference, SCALES).value_and_grad(held)
+    assert value == wanted
+    np.testing.assert_array_equal(gradient, slopes)
+
+
+def test_an_objective_is_copied_and_pickled_whether_it_was_used_or_not() -> None:
+    image, reference = images((6, 5, 3), seed=1)
+    used, new = LOIObjective(reference, SCALES), LOIObjective(reference, SCALES)
+    wanted = used.value(image)
+    for objective in (used, new):
+        restored = pickle.loads(pickle.dumps(objective))  # noqa: S301  # written here
+        assert copy.deepcopy(objective).value(image) == restored.value(image) == wanted
 
 
 def test_the_image_is_not_written_to() -> None:
