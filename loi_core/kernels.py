@@ -17,7 +17,16 @@ import numpy as np
 
 from loi_core.scales import Boundary
 
-__all__ = ["AxisBlur", "AxisGrid", "Matrix", "blur_matrix", "coarsest_spacing", "reach", "rung_variance"]
+__all__ = [
+    "AxisBlur",
+    "AxisGrid",
+    "Matrix",
+    "as_slow_as",
+    "blur_matrix",
+    "coarsest_spacing",
+    "reach",
+    "rung_variance",
+]
 
 Matrix: TypeAlias = np.ndarray[tuple[int, ...], np.dtype[np.float64]]
 
@@ -234,6 +243,19 @@ def rung_variance(spacing: float, eps: float) -> float:
 def _needed(eps: float) -> float:
     """The c / s**2 of :func:`coarsest_spacing` at which the ripple is `eps` / 2."""
     return math.log(4.0 / eps) / (2.0 * math.pi**2)
+
+
+def as_slow_as(scale: float, taps: int, spacing: float) -> float:
+    """The scale of the Gaussian that blurs what lies `spacing` apart to be as alike as a cut one of `scale` does.
+
+    Noise that a kernel k has blurred has the correlation (k * k)(s) over a distance s: exp(-s**2 / (4 scale**2)) for a
+    Gaussian. Of a cut one it falls off linearly at first, as pixels enter and leave all at once.
+    """
+    reached = taps // 2
+    kernel = np.exp(-0.5 * (np.arange(-reached, reached + 1) / scale) ** 2)
+    correlation = np.correlate(kernel, kernel, "full")[2 * reached :]
+    alike = float(np.interp(spacing, np.arange(len(correlation)), correlation / correlation[0], right=0.0))
+    return spacing / (2.0 * math.sqrt(-math.log(alike))) if 0.0 < alike < 1.0 else 0.0 if alike == 0.0 else scale
 
 
 def blur_matrix(size: int, scale: float, boundary: Boundary, taps: int | None = None) -> Matrix:

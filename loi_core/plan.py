@@ -21,7 +21,7 @@ from typing import Final
 
 import numpy as np
 
-from loi_core.kernels import FLAT, AxisBlur, AxisGrid, coarsest_spacing, reach, rung_variance
+from loi_core.kernels import FLAT, AxisBlur, AxisGrid, as_slow_as, coarsest_spacing, reach, rung_variance
 from loi_core.operators import PlaneBlur, PlaneGrid
 from loi_core.scales import ScaleSpace
 from loi_core.tonal import soft_cdf_and_slope
@@ -59,6 +59,8 @@ NEGLIGIBLE: Final = 0.1
 
 NEAR: Final = 16
 """How many beta away from a bound an intensity is moved by levels at or beyond it, with a margin."""
+
+SETTLED: Final = 20  # steps to a fixed point, each of which at least halves the distance to it on a scale of logarithms
 
 INNER: Final = 0.4
 """Spacing of a sampling in units of the inner scale of what is sampled: ripples of 2 exp(-2 (pi / INNER)**2) < 1e-50
@@ -295,8 +297,7 @@ class _Planner:
         """Where an extent is compared, and the error of doing so."""
         if grid.cells == 1 or (self._is_flat(alpha) and self._taps is None):
             return self._sampled(grid, math.inf), 0.0
-        # Isophotes of a blurred image change about twice as fast as the image.
-        slowness = math.hypot(alpha, sigma / 2.0)
+        slowness = self._slowness(sigma, alpha)
         spacing = self._limited(self._ratio * slowness)
         if alpha == 0.0:
             target = grid
@@ -308,6 +309,17 @@ class _Planner:
             return target, 0.0
         coarsest = max(target.rows.spacing, target.columns.spacing)
         return target, QUADRATURE * math.pow(coarsest / slowness, 1.5)
+
+    def _slowness(self, sigma: float, alpha: float) -> float:
+        """The distance over which what is compared changes, at the spacing that is to be allowed there."""
+        # Isophotes of a blurred image change about twice as fast as the image.
+        slowness = math.hypot(alpha, sigma / 2.0)
+        if self._taps is None or alpha == 0.0 or self.tolerance == 0.0:
+            return slowness
+        # The less far one looks, here to the edge of a cell, the faster a cut kernel changes in relation.
+        for _ in range(SETTLED):
+            slowness = math.hypot(as_slow_as(alpha, self._taps, 0.5 * self._ratio * slowness), sigma / 2.0)
+        return slowness
 
     def _limited(self, spacing: float) -> float:
         shorter = min(self.pixels.rows.size, self.pixels.columns.size)

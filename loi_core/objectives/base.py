@@ -7,6 +7,8 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Generic, Protocol, TypeVar, runtime_checkable
 
+import numpy as np
+
 from loi_core.arrays import (
     Array,
     as_floating,
@@ -232,7 +234,10 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
         if not on_host or is_numpy_array(image):
             return evaluation, cotangent
         terms = {key: from_numpy(term, image) for key, term in evaluation.terms.items()}
-        return Evaluation(terms, None), None if cotangent is None else from_numpy(cotangent, image)
+        # In one piece, so that torch's `view` can reshape it.
+        return Evaluation(terms, None), (
+            None if cotangent is None else from_numpy(np.ascontiguousarray(cotangent), image)
+        )
 
     def _ready_for(self, like: Array, layout: Layout, *, on_host: bool) -> _Ready[PreparedT]:
         self._require_same_axes(layout)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from loi_core import LOIObjective, ScaleSpace
 from loi_core.compiled import bands
-from loi_core.kernels import AxisBlur, AxisGrid, coarsest_spacing, rung_variance
+from loi_core.kernels import AxisBlur, AxisGrid, as_slow_as, coarsest_spacing, rung_variance
 from loi_core.operators import _CACHE, PlaneGrid
 from loi_core.plan import make_plan
 from loi_core.testing import allowed, check_objective, direct
@@ -64,6 +64,27 @@ def test_every_accuracy_keeps_its_promise(
     wanted = LOIObjective(reference, scales).value_and_grad(image)[1]
     found = LOIObjective(reference, scales, accuracy[0]).value_and_grad(image)[1]
     assert relative(found, wanted) <= accuracy[1]
+
+
+@pytest.mark.parametrize(("accuracy", "tolerance"), [("balanced", 1e-2), ("fast", 5e-2)])
+def test_kernels_that_end_in_a_step_keep_the_promise_where_no_side_limits_the_sampling(
+    accuracy: str, tolerance: float
+) -> None:
+    # 121 taps cut an extent of 45 pixels at 1.3 standard deviations; small images are sampled finely anyway.
+    image, reference = CONTENTS["shifted"]((1024, 1024, 1), np.random.default_rng(0))
+    scales = ScaleSpace.released((1, 5), (15, 45), 8, 121)
+    wanted = LOIObjective(reference, scales).value_and_grad(image)[1]
+    found = LOIObjective(reference, scales, accuracy).value_and_grad(image)[1]
+    assert relative(found, wanted) <= tolerance
+
+
+@given(st.floats(2.0, 50.0), st.floats(0.1, 0.8))
+def test_a_kernel_is_as_slow_as_a_gaussian_unless_it_is_cut(scale: float, share: float) -> None:
+    spacing = share * scale
+    whole, cut = (2 * math.ceil(reach * scale) + 1 for reach in (8.0, 1.3))
+    # Correlations are read off between whole pixels.
+    assert math.isclose(as_slow_as(scale, whole, spacing), scale, rel_tol=1.0 / spacing**2 + 1e-9)
+    assert as_slow_as(scale, cut, spacing) < 0.9 * scale
 
 
 @pytest.mark.parametrize("accuracy", ["balanced", "fast"])
