@@ -6,6 +6,7 @@ difference from NumPy in loss and gradient, and that as a share of the bound whi
 
 from __future__ import annotations
 
+import argparse
 import sys
 from collections import defaultdict
 
@@ -19,7 +20,9 @@ from tests.conformance.test_backends import BACKENDS, Problem, apart, problems
 
 def main() -> int:
     """Print the table; 1 if a bound is not kept."""
-    examples = int(sys.argv[1]) if len(sys.argv) > 1 else 300
+    parser = argparse.ArgumentParser(prog="python -m examples.agreement", description=__doc__)
+    parser.add_argument("examples", type=int, nargs="?", default=300, help="problems to draw (default: 300; minutes)")
+    examples = parser.parse_args().examples
     jax.config.update("jax_enable_x64", True)  # type: ignore[no-untyped-call]  # untyped in JAX
     worst: dict[tuple[str, str], list[float]] = defaultdict(lambda: [0.0] * 4)
     count: dict[str, int] = defaultdict(int)

@@ -6,6 +6,7 @@ each of several settings that should not matter. The table says what is equal to
 
 from __future__ import annotations
 
+import argparse
 import importlib.util
 import os
 import subprocess
@@ -196,7 +197,7 @@ def computed(backend: str, folder: Path, **changes: str) -> Results:
     variables["XLA_FLAGS"] = f"--xla_cpu_multi_thread_eigen={'false' if threads == '1' else 'true'}"
     path = folder / "found.npz"
     subprocess.run(
-        [sys.executable, "-m", "examples.determinism", backend, str(path)],
+        [sys.executable, "-m", "examples.determinism", "--row", backend, str(path)],
         check=True,
         env={**os.environ, **variables},
         cwd=Path(__file__).parents[1],
@@ -221,8 +222,11 @@ def shown(distance: float) -> str:
 
 def main(arguments: list[str]) -> int:
     """Print the table, or compute for one row of it."""
-    if arguments:
-        backend, path = arguments
+    parser = argparse.ArgumentParser(prog="python -m examples.determinism", description=__doc__)
+    parser.add_argument("--row", nargs=2, metavar=("BACKEND", "FILE"), help="compute one row's numbers into a file")
+    row = parser.parse_args(arguments).row
+    if row:
+        backend, path = row
         np.savez(path, allow_pickle=False, **BACKENDS[backend][1]())
         return 0
     print(f"| backend | result | {' | '.join(SETTINGS)} |\n|{' --- |' * (2 + len(SETTINGS))}")

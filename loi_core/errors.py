@@ -119,7 +119,7 @@ class ObjectiveNotFoundError(LoiError, LookupError):
 
 
 class WeightsError(LoiError, OSError):
-    """The weights of a network are not installed, or are not the ones that were published."""
+    """The weights of a network are not installed, or are not the ones that were published: ``PROBLEM; COMMAND``."""
 
 
 class SceneError(LoiError, ValueError):

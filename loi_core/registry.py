@@ -36,6 +36,7 @@ __all__ = [
     "PluginInfo",
     "RendererFactory",
     "available_backends",
+    "available_objectives",
     "available_renderers",
     "load_backend",
     "load_objective",
@@ -54,7 +55,7 @@ BackendFactory: TypeAlias = Callable[[], Backend]
 
 @dataclass(frozen=True)
 class PluginInfo:
-    """One announced renderer or backend.
+    """One announced renderer, objective or backend.
 
     Attributes
     ----------
@@ -89,6 +90,11 @@ class PluginInfo:
 def available_renderers() -> list[PluginInfo]:
     """Every announced renderer, sorted by name. Each factory is imported to see whether it can be."""
     return _available(GROUP)
+
+
+def available_objectives() -> list[PluginInfo]:
+    """Every announced objective, sorted by name. Each factory is imported to see whether it can be."""
+    return _available(OBJECTIVE_GROUP)
 
 
 def objective_names() -> list[str]:

@@ -101,6 +101,7 @@ def test_doctor_finds_what_is_there(capsys: pytest.CaptureFixture[str]) -> None:
         "renderer warp-torch",
         "renderer mitsuba",
         "renderer mitsuba-planned",
+        "objective lpips",
         "LLVM",
         "threads",
     ):
@@ -120,6 +121,34 @@ def test_doctor_names_the_mend_for_what_is_missing_or_broken(
     assert (found["torch"]["state"], found["torch"]["mend"]) == ("missing", "pip install 'loi[torch]'")
     assert found["jax"]["state"] == "broken"
     assert "libcrooked.so" in found["jax"]["detail"]
+
+
+def test_doctor_tries_every_announced_objective(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "objectives_to_doctor.py").write_text(
+        "from loi_core import PixelL2 as Sound\n"
+        "from loi_core.errors import WeightsError\n"
+        "def unlearned(reference, **options):\n    raise WeightsError('no weights; a word; pip install weights')\n"
+        "def sick(reference, **options):\n    print('not JSON')\n    raise ZeroDivisionError('no reason')\n"
+    )
+    monkeypatch.syspath_prepend(str(tmp_path))
+    names = {"fine": "Sound", "unlearned": "unlearned", "sick": "sick", "absent": "absent"}
+    points = [
+        EntryPoint(name, f"objectives_to_doctor:{value}", registry.OBJECTIVE_GROUP) for name, value in names.items()
+    ]
+    monkeypatch.setattr(registry, "entry_points", lambda *, group: points if group == registry.OBJECTIVE_GROUP else [])
+    assert main(["doctor", "--json"]) == 1
+    found = {one["name"]: one for one in json.loads(capsys.readouterr().out)}
+    assert found["objective fine"]["state"] == "ok"
+    unlearned = found["objective unlearned"]
+    assert (unlearned["state"], unlearned["detail"], unlearned["mend"]) == (
+        "missing",
+        "no weights; a word",
+        "pip install weights",
+    )
+    assert found["objective sick"]["state"] == found["objective absent"]["state"] == "broken"
+    assert "no reason" in found["objective sick"]["detail"]
 
 
 def test_renderers_are_listed(capsys: pytest.CaptureFixture[str]) -> None:

@@ -119,3 +119,22 @@ def test_the_snippets_of_the_readme_are_six_lines_and_run(name: str) -> None:
     }[name]
     code = start + textwrap.dedent(SETUPS[name]) + snippet.replace("range(200)", "range(3)") + ending
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+@pytest.mark.parametrize(
+    ("name", "place", "near"),
+    [
+        ("numpy", (75.0, 45.0), 0.5),
+        ("torch", (75.0, 45.0), 0.5),
+        ("jax", (75.0, 45.0), 0.5),
+        ("mitsuba", (1.5, -1.0), 0.1),  # scene units; a pixel is 0.12
+    ],
+)
+def test_the_loops_of_the_readme_find_a_place_that_they_do_not_overlap_at_first(
+    name: str, place: tuple[float, float], near: float
+) -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", f"examples.loops.with_{name}"], capture_output=True, text=True, cwd=ROOT, check=True
+    )
+    found = [float(one) for one in done.stdout.split()]
+    assert found == pytest.approx(place, abs=near)

@@ -413,6 +413,20 @@ def test_a_busy_machine_is_told(
         assert ("The machine was busy" in capsys.readouterr().out) == told
 
 
+def test_why_float32_is_far_off_on_flat_images_is_told(
+    plugins: Plugins, pair: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plugins(NUMPY)
+    for place, name in ((8, "left"), (72, "right")):
+        flat = np.full((96, 96, 3), 0.05)
+        flat[place : place + 16, place : place + 16] = 0.9
+        np.save(tmp_path / f"{name}.npy", flat)
+    apart = ["--image", str(tmp_path / "left.npy"), "--reference", str(tmp_path / "right.npy")]
+    for arguments, told in ((apart, True), (pair, False)):
+        assert main(["tradeoff", "--seconds", "1e-3", "--output", str(tmp_path / "out"), *arguments]) == 0
+        assert ("Large errors of float32" in capsys.readouterr().out) == told
+
+
 def grain_scene(folder: Path, plugins: Plugins, lines: str = "") -> Path:
     plugins(NUMPY, EntryPoint("grain", "tests.test_tradeoff:Grain", registry.GROUP))
     target = np.full((Grain.size, Grain.size, 3), 0.3)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 import json
 import os
@@ -13,8 +14,12 @@ from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Final, Literal
 
+import numpy as np
+
 from loi_core import __version__
-from loi_core.registry import available_renderers
+from loi_core.errors import LoiError, WeightsError
+from loi_core.registry import PluginInfo, available_objectives, available_renderers
+from loi_core.rivals import make_rival
 
 __all__ = ["Finding", "examine", "findings"]
 
@@ -69,7 +74,7 @@ def examine(*, as_json: bool) -> bool:
 
 
 def findings() -> list[Finding]:
-    """Look at Python, the packages, the backends, the processor and the GPU."""
+    """Look at Python, the packages, the backends, the processor, the GPU, renderers and objectives."""
     found = [
         Finding("loi", "ok", f"{__version__} in {os.path.dirname(os.path.dirname(os.path.dirname(__file__)))}"),  # noqa: PTH120
         Finding("python", "ok", f"{platform.python_version()} at {sys.executable}"),
@@ -85,9 +90,29 @@ def findings() -> list[Finding]:
             diagnose = getattr(sys.modules[module], "diagnose", list)
             found += [Finding(one, "ok", detail) for one, detail in diagnose()]
     found += [_package("numba", "numba", "pip install 'loi[compiled]'", required=False), _gpu()]
-    for one in available_renderers():
-        state: State = {"ready": "ok", "missing": "missing"}.get(one.state, "broken")  # type: ignore[assignment]  # literals
-        found.append(Finding(f"renderer {one.name}", state, one.problem or f"{one.package} {one.version}", one.mend))
+    found += [_plugin("renderer", one) for one in available_renderers()]
+    found += [_objective(one) for one in available_objectives()]
+    return found
+
+
+def _plugin(kind: str, one: PluginInfo) -> Finding:
+    state: State = {"ready": "ok", "missing": "missing"}.get(one.state, "broken")  # type: ignore[assignment]  # literals
+    return Finding(f"{kind} {one.name}", state, one.problem or f"{one.package} {one.version}", one.mend)
+
+
+def _objective(one: PluginInfo) -> Finding:
+    """Made, and not only imported: what it has learned may not be installed."""
+    found = _plugin("objective", one)
+    if found.state != "ok":
+        return found
+    try:
+        with contextlib.redirect_stdout(sys.stderr):  # what a plugin prints is not part of our answer
+            make_rival(one.name, np.full((64, 64, 3), 0.5, np.float32), nan_policy="raise", tone=None)
+    except WeightsError as error:
+        problem, _, mend = str(error).rpartition("; ")
+        return Finding(found.name, "missing", problem, mend)
+    except LoiError as error:
+        return Finding(found.name, "broken", str(error))
     return found
 
 

@@ -24,6 +24,7 @@ __all__ = ["RESULT_FILE", "plain", "tradeoff_lines", "write_tradeoff"]
 RESULT_FILE: Final = "tradeoff.json"
 TEXTS: Final = 4  # columns of the main table that are not numbers
 BUSY: Final = 0.5  # load for each core beyond which times are not to be trusted
+ODD: Final = 1e-2  # error of "exact" that more than rounding must have caused: float32's tails, see docs/accuracy.md
 
 
 def write_tradeoff(folder: Path, found: Tradeoff) -> dict[str, Any]:
@@ -168,6 +169,13 @@ def _notes(found: Tradeoff) -> list[str]:
     ]
     if _has_parameters(found):
         lines.append("of parameters: the same of the gradient of the parameter where it is largest; it is what counts.")
+    elif any(row.setting.accuracy == "exact" and not row.setting.change and row.error > ODD for row in found.rows):
+        lines.append(
+            "Large errors of float32: far from all that differs, it has no gradient where float64 still has one."
+        )
+        lines.append(
+            "Parameters seldom feel those pixels; measure a scene, with --scene, to see what its parameters feel."
+        )
     lines.append("*: in the Pareto set, nothing is both faster and as accurate.")
     if found.load is not None and found.load > BUSY * _cores():
         lines.append(f"The machine was busy when this began, with a load of {found.load:.1f}: times are too long.")

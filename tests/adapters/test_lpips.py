@@ -19,6 +19,7 @@ from scipy.ndimage import gaussian_filter
 
 from loi_core import MSSSIM, LogTone, PixelL2
 from loi_core.cli import main
+from loi_core.cli.doctor import findings
 from loi_core.errors import ImageError, OptionError, WeightsError
 from loi_core.images import write_png
 from loi_core.scene import load_scene
@@ -296,3 +297,14 @@ def test_a_scene_without_the_weights_is_one_line_with_the_mend(
     assert main(["fit", str(scene)]) == 2
     (line,) = capsys.readouterr().err.splitlines()
     assert line.endswith("[objective] the weights of LPIPS are not installed; " + lpips_weights.INSTALL)
+
+
+def test_doctor_tells_whether_the_weights_are_there(monkeypatch: pytest.MonkeyPatch) -> None:
+    def found() -> tuple[str, str]:
+        (one,) = (one for one in findings() if one.name == "objective lpips")
+        return one.state, one.mend
+
+    assert found() == ("ok", "")
+    monkeypatch.setattr(lpips_weights, "PACKAGE", "no-such-distribution")
+    lpips._network.cache_clear()
+    assert found() == ("missing", lpips_weights.INSTALL)

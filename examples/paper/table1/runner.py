@@ -20,10 +20,14 @@ __all__ = ["carry_out_all"]
 ONE_THREAD: Final = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
+def _wanted(number: int, total: int) -> str:
+    return "runs" if number == total else f"{total - number} of {total} runs were done before; others"
+
+
 def carry_out_all(runs: Sequence[Run], folder: Path, processes: int) -> None:
     """Carry out those runs that are not in the folder yet; each is kept as it ends, so that Ctrl-C loses little."""
     wanted = [run for run in dict.fromkeys(runs) if not is_done(folder, run)]
-    with tqdm(total=len(wanted), desc=f"{len(runs) - len(wanted)} of {len(runs)} runs are done; others") as bar:
+    with tqdm(total=len(wanted), desc=_wanted(len(wanted), len(runs))) as bar:
         if not wanted:
             return
         os.environ.update(ONE_THREAD)  # for the processes that are started, which inherit it

@@ -1,0 +1,46 @@
+"""The loop of the README on Mitsuba, as a whole program: ``python -m examples.loops.with_mitsuba``."""
+
+import loi_mitsuba  # before drjit and mitsuba
+
+# isort: split
+import drjit as dr
+import mitsuba as mi
+
+from loi_core import ScaleSpace
+
+mi.set_variant("llvm_ad_rgb")
+height, width = 36, 48
+view = mi.ScalarTransform4f().look_at([0, 0, 8], [0, 0, 0], [0, 1, 0])
+film = {"type": "hdrfilm", "width": width, "height": height, "sample_border": True}
+scene = mi.load_dict(
+    {
+        "type": "scene",
+        # Follows outlines, which `path` and `prb` do not; no samples for the outlines of shadows, as there are none.
+        "integrator": {"type": "direct_projective", "sppi": 0},
+        "camera": {"type": "perspective", "fov": 40, "to_world": view, "film": film},
+        "light": {"type": "constant"},
+        "ball": {"type": "sphere", "radius": 0.5, "bsdf": {"type": "diffuse"}},
+    }
+)
+params = mi.traverse(scene)
+shape = mi.Transform4f(params["ball.to_world"])
+
+
+def move(place: mi.Point3f) -> None:
+    """Put the ball there."""
+    params["ball.to_world"] = mi.Transform4f().translate(place) @ shape
+    params.update()
+
+
+move(mi.Point3f(1.5, -1.0, 0.0))
+photograph = mi.render(scene, spp=64)
+optimizer = mi.ad.Adam(lr=0.05)
+optimizer["place"] = mi.Point3f(-1.5, 1.0, 0.0)
+
+loss = loi_mitsuba.LOILoss(photograph, ScaleSpace.for_image(height, width, beta=0.25))
+for step in range(150):
+    move(optimizer["place"])
+    dr.backward(loss(mi.render(scene, params, seed=step, spp=16)))
+    optimizer.step()
+
+print(*(round(float(one[0]), 1) for one in list(optimizer["place"])[:2]))
