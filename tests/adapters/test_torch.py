@@ -183,3 +183,9 @@ def test_a_gpu_gives_the_same_gradient() -> None:
     LOILoss(REFERENCE, SCALES).to("cuda")(image).backward()
     assert image.grad is not None
     np.testing.assert_allclose(image.grad.cpu(), GRADIENT, rtol=1e-9, atol=1e-16)
+
+
+def test_gradients_of_the_core_lie_in_one_piece() -> None:
+    image, reference = torch.rand(2, 9, 7, 3), torch.rand(9, 7, 3)
+    _, gradient = LOIObjective(reference).value_and_grad(image)
+    assert gradient.view(-1).shape == (2 * 9 * 7 * 3,)
