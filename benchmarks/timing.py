@@ -14,7 +14,9 @@ from benchmarks.results import Result, Results, Size
 __all__ = ["measure"]
 
 FEWEST, MOST = 3, 11  # evaluations of a row
-SETTLE: Final = 0.2  # seconds in which idle threads of the library before stop spinning; they take this one's cores
+# Seconds in which idle threads of the library before stop spinning, for they take this one's cores; and in which those of
+# this one, and the cores themselves, come up to speed.
+SETTLE: Final = 0.2
 KEPT: Final = 2**20  # pixels up to which all rows of a size stay in memory together
 
 
@@ -42,7 +44,8 @@ class Runner:
         """Seconds of one evaluation, alone on the machine and, if it is short, with threads awake and caches warm."""
         call = self.prepare()
         time.sleep(SETTLE)
-        if self.estimate < SETTLE:
+        awake = time.perf_counter() + SETTLE
+        while self.estimate < SETTLE and time.perf_counter() < awake:
             call()
         started = time.perf_counter()
         call()

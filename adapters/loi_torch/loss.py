@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import Any
 
 import torch
@@ -142,6 +143,7 @@ class _Loss(torch.autograd.Function):
     @staticmethod
     def setup_context(ctx: FunctionCtx, _: tuple[Any, ...], output: tuple[Tensor, Tensor]) -> None:
         ctx.mark_non_differentiable(output[1])
+        ctx.set_materialize_grads(False)
         ctx.save_for_backward(output[1])
 
     @staticmethod
@@ -149,4 +151,15 @@ class _Loss(torch.autograd.Function):
     def backward(ctx: Any, upstream: Tensor, _: Tensor) -> tuple[Tensor, None]:
         """Scale the gradient; differentiating this again is an error, since the gradient is a constant to autograd."""
         (gradient,) = ctx.saved_tensors
-        return upstream * gradient, None
+        return _product(upstream, gradient), None
+
+
+def _product(upstream: Tensor, gradient: Tensor) -> Tensor:
+    """``upstream * gradient``; on the processor by NumPy.
+
+    torch would wake all of its threads for it, which then wait for more to do on the cores that the next step needs.
+    """
+    if gradient.device.type == "cpu":
+        with suppress(RuntimeError):  # what torch.func hands over has no memory of its own
+            return torch.from_numpy(upstream.numpy() * gradient.numpy())
+    return upstream * gradient
