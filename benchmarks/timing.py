@@ -14,8 +14,8 @@ from benchmarks.results import Result, Results, Size
 __all__ = ["measure"]
 
 FEWEST, MOST = 3, 11  # evaluations of a row
-# Seconds in which idle threads of the library before stop spinning, for they take this one's cores; and in which those of
-# this one, and the cores themselves, come up to speed.
+# Seconds in which idle threads of the library before stop spinning, for they take this one's cores; and in which those
+# of this one, and the cores themselves, come up to speed.
 SETTLE: Final = 0.2
 KEPT: Final = 2**20  # pixels up to which all rows of a size stay in memory together
 

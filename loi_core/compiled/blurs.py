@@ -191,8 +191,8 @@ def transpose(
     arena: Floats, source: int, source_stride: int, width: int, groups: int, target: int, target_stride: int
 ) -> None:
     """Write down `groups` groups of rows as columns; up to SIDE - 1 columns more than there are, and rows."""
-    for y in range(0, GROUP * groups, SIDE):
-        for x in range(0, width, SIDE):
+    for x in range(0, width, SIDE):
+        for y in range(0, GROUP * groups, SIDE):  # next to each other where they are written
             columns = turned(load_sides(arena, source + y * source_stride + x, source_stride, SIDE))
             store_rows(arena, target + x * target_stride + y, target_stride, columns)
 
