@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -34,15 +33,17 @@ def tuning_runs(method: Method) -> list[Run]:
 
 
 def tuning_table(folder: Path, rows: Mapping[str, Sequence[Run]]) -> list[str]:
-    """Mean PSNR of each rate; the best of each method in bold."""
+    """Mean PSNR of each rate, the best of each method in bold; only of methods and rates of which all runs are done."""
     table = []
     for name, runs in rows.items():
         means = [_mean(folder, [run for run in runs if run.setting.rate == rate]) for rate in RATES]
-        best = max(means)
-        table.append([name, *(f"**{one:.2f}**" if one == best else f"{one:.2f}" for one in means)])
+        best = max((one for one in means if one is not None), default=None)
+        if best is not None:
+            cells = ["" if one is None else f"**{one:.2f}**" if one == best else f"{one:.2f}" for one in means]
+            table.append([name, *cells])
     return markdown(["pixels a step", *(f"{rate:g}" for rate in RATES)], table)
 
 
-def _mean(folder: Path, runs: Sequence[Run]) -> float:
-    records = [load(folder, run) for run in runs]
-    return float(np.mean([-math.inf if record is None else record["psnr"] for record in records]))
+def _mean(folder: Path, runs: Sequence[Run]) -> float | None:
+    found = [record["psnr"] for record in (load(folder, run) for run in runs) if record is not None]
+    return float(np.mean(found)) if len(found) == len(runs) else None
