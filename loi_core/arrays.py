@@ -20,6 +20,7 @@ __all__ = [
     "is_array_api_obj",
     "is_numpy_array",
     "is_read_by_numpy",
+    "is_recorded",
     "is_torch_array",
     "is_traced",
     "library_name",
@@ -98,12 +99,17 @@ def is_read_by_numpy(array: Array) -> bool:
     return is_numpy_array(array) or (is_torch_array(array) and array.device.type == "cpu")
 
 
+def is_recorded(array: Array) -> bool:
+    """Whether a framework records what is computed of `array`, to differentiate it."""
+    return bool(is_torch_array(array) and array.requires_grad)
+
+
 def values_may_decide(array: Array) -> bool:
     """Whether what is computed of `array` may depend on its values: they are at hand, and no framework differentiates.
 
     Where a value does not change the result, its derivative may still do.
     """
-    return runs_eagerly_on_host(array) and not (is_torch_array(array) and array.requires_grad)
+    return runs_eagerly_on_host(array) and not is_recorded(array)
 
 
 def sum_of_all(array: Array) -> Array:

@@ -96,7 +96,7 @@ def findings() -> list[Finding]:
 
 
 def _plugin(kind: str, one: PluginInfo) -> Finding:
-    state: State = {"ready": "ok", "missing": "missing"}.get(one.state, "broken")  # type: ignore[assignment]  # literals
+    state: State = "ok" if one.state == "ready" else "missing" if one.state == "missing" else "broken"
     return Finding(f"{kind} {one.name}", state, one.problem or f"{one.package} {one.version}", one.mend)
 
 

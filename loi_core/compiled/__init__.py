@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import functools
 
-from loi_core.arrays import Array, is_read_by_numpy, is_torch_array
+from loi_core.arrays import Array, is_read_by_numpy, is_recorded
 
 __all__ = ["available", "serves"]
 
@@ -31,7 +31,7 @@ def serves(planes: Array) -> bool:
 
     Not where a framework differentiates through what is computed.
     """
-    if not is_read_by_numpy(planes) or (is_torch_array(planes) and planes.requires_grad):
+    if not is_read_by_numpy(planes) or is_recorded(planes):
         return False
     dtype = str(planes.dtype).removeprefix("torch.")
     return dtype in ("float32", "float64") and available()

@@ -123,9 +123,7 @@ class CompiledComparison:
             edges = [among.first + count * index // groups for index in range(groups + 1)]
             for first, stop in itertools.pairwise(edges):
                 levels = among.start, first, stop
-                tasks.append(
-                    _Task(plane, tonal.beta, ours, theirs, levels, settings, slope, self.wiring, program, gradient)
-                )
+                tasks.append(_Task(tonal.beta, ours, theirs, levels, settings, slope, self.wiring, program, gradient))
         return tasks
 
     def _settings(self, beta: float, width: float, mass: float, dtype: np.dtype[Any]) -> Numbers:
@@ -144,7 +142,6 @@ class CompiledComparison:
 class _Task:
     """Some levels of one plane, and, once it has run, what they cost and how that changes with the image."""
 
-    plane: int
     beta: float
     image: Numbers
     reference: Numbers

@@ -143,7 +143,11 @@ def _cost(arena: Floats, planes: int, edge: Table, tie: Any, power: Any, weight:
 
 @compiled_sums
 def _sum_of_sizes(row: Floats, tie: Any, weight: Any) -> Any:
-    """The sum of all magnitudes beyond the tie; `weight` with their signs replaces them."""
+    """The sum of all magnitudes beyond the tie; `weight` with their signs replaces them.
+
+    It is what :func:`_sum_of_powers` does for a power of 1, on its own since one loop for both makes all slower by a
+    tenth.
+    """
     nothing = weight - weight
     total = nothing
     for x in range(row.size):

@@ -152,18 +152,18 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
         NonFiniteImageError
             Under ``nan_policy="raise"``, if a pixel is NaN or infinite.
         """
-        return narrowed(_total(self._evaluate_image(image, gradient=False)[0].terms), image)
+        return narrowed(_total(self._evaluate_image(image, gradient=False)[0]), image)
 
     def value_and_grad(self, image: Array) -> tuple[Array, Array]:
         """The objective at `image` and its gradient, an array like `image`. Errors as in :meth:`value`."""
         # The gradient is ours; a framework that recorded the way to it would only waste time and memory.
-        evaluation, gradient = self._evaluate_image(detached(image), gradient=True)
-        return narrowed(_total(evaluation.terms), image), narrowed(gradient, image)
+        terms, gradient = self._evaluate_image(detached(image), gradient=True)
+        return narrowed(_total(terms), image), narrowed(gradient, image)
 
     def terms(self, image: Array) -> dict[KeyT, Array]:
         """The parts of the value, which sum to it. Errors as in :meth:`value`."""
-        found = self._evaluate_image(image, gradient=False)[0].terms
-        return {key: narrowed(term, image) for key, term in found.items()}
+        terms, _ = self._evaluate_image(image, gradient=False)
+        return {key: narrowed(term, image) for key, term in terms.items()}
 
     def prepare(self, shape: tuple[int, ...], like: Array) -> None:
         """Make the reference ready for images of `shape` and arrays like `like`, for :meth:`evaluate_unchecked`."""
@@ -187,8 +187,8 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
         gradient : bool
             Whether the gradient is wanted; None comes in its place otherwise.
         """
-        evaluation, slope = self._evaluate_image(image, gradient=gradient, like=like)
-        return narrowed(_total(evaluation.terms), image), None if slope is None else narrowed(slope, image)
+        terms, slope = self._evaluate_image(image, gradient=gradient, like=like)
+        return narrowed(_total(terms), image), None if slope is None else narrowed(slope, image)
 
     @abc.abstractmethod
     def _prepare(self, reference: Array) -> PreparedT:
@@ -204,7 +204,7 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
 
     def _evaluate_image(
         self, image: Array, *, gradient: bool, like: Array | None = None
-    ) -> tuple[Evaluation[KeyT], Array]:
+    ) -> tuple[dict[KeyT, Array], Array | None]:
         image = widened(as_floating("image", image))
         layout = Layout.of("image", image.shape, self._channel_axis)
         on_host = self._compares_on_host(image)
@@ -223,7 +223,7 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
         if seen is not None:
             compared = namespace(planes).where(seen, compared, ready.planes)
         evaluation = self._evaluate(compared, ready.prepared, gradient=gradient)
-        cotangent = evaluation.gradient
+        terms, cotangent = evaluation.terms, evaluation.gradient
         if cotangent is not None:
             if self._tone is not None:
                 cotangent = self._tone.pullback(planes, cotangent)
@@ -231,13 +231,11 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
                 xp = namespace(cotangent)
                 cotangent = xp.where(seen, cotangent, xp.zeros_like(cotangent))
             cotangent = layout.to_image(cotangent)
-        if not on_host or is_numpy_array(image):
-            return evaluation, cotangent
-        terms = {key: from_numpy(term, image) for key, term in evaluation.terms.items()}
-        # In one piece, so that torch's `view` can reshape it.
-        return Evaluation(terms, None), (
-            None if cotangent is None else from_numpy(np.ascontiguousarray(cotangent), image)
-        )
+        if on_host and not is_numpy_array(image):
+            terms = {key: from_numpy(term, image) for key, term in terms.items()}
+            if cotangent is not None:  # in one piece, so that torch's `view` can reshape it
+                cotangent = from_numpy(np.ascontiguousarray(cotangent), image)
+        return terms, cotangent
 
     def _ready_for(self, like: Array, layout: Layout, *, on_host: bool) -> _Ready[PreparedT]:
         self._require_same_axes(layout)
@@ -246,7 +244,7 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
         if ready is None:
             ready = self._make_ready(like, layout, on_host=on_host)
             # What JAX makes while it traces is of no use once the trace has ended.
-            if not is_traced(namespace(ready.planes).zeros_like(ready.planes)):
+            if not is_traced(namespace(ready.planes).zeros(())):
                 # A new dict each time, as other threads may be reading the old one.
                 kept = list(self._ready.items())[1 - MAX_PREPARED :]
                 self._ready = dict([*kept, (key, ready)])
