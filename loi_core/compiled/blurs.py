@@ -14,7 +14,7 @@ from loi_core.compiled.compiling import compiled
 from loi_core.compiled.tables import GROUP, LANES, LINE, PAIRS, SIDE, STRIP, TAPS, BandColumn, PassColumn
 from loi_core.compiled.vectors import add_product, filled, load_lines, load_sides, plus, store_rows, turned
 
-__all__ = ["Floats", "Table", "blur_window", "clear_window", "transpose"]
+__all__ = ["Floats", "Table", "blur_window", "clear_window", "combine_turned", "transpose", "turn_combined"]
 
 Floats: TypeAlias = np.ndarray[Any, Any]
 Table: TypeAlias = np.ndarray[Any, np.dtype[np.int64]]
@@ -25,7 +25,7 @@ SEEN: Final = GROUP + PAIRS - 1  # rows on either side that a group needs for PA
 
 # Numba knows plain numbers only.
 WEIGHTS, STARTS, BAND_TAPS, HALF, HALVES, ABOVE, BELOW, FIRST_ALIKE, LAST_ALIKE = map(int, BandColumn)
-BAND, FIRST, LAST, TOP, BOTTOM, LEFT, RIGHT, STRIDE, BAND_AFTER, FIRST_AFTER, LAST_AFTER = map(int, PassColumn)
+BAND, FIRST, LAST, TOP, BOTTOM, LEFT, RIGHT, GROUPS, STRIDE, BAND_AFTER, FIRST_AFTER, LAST_AFTER = map(int, PassColumn)
 
 
 @compiled
@@ -39,36 +39,84 @@ def blur_window(
     source_stride: int,
     target: int,
     target_stride: int,
-    transposed: int,
+    turned: int,
     strip: int,
     add: bool,
 ) -> None:
-    """Blur a window of a plane; what lies in that of the result is the result, or has it added to it."""
-    left, right, stride = way[LEFT], way[RIGHT], way[STRIDE]
-    band = bands[way[BAND]]
-    _clear_beside(band, way[FIRST], way[LAST], starts, arena, source, source_stride, way[TOP], way[BOTTOM], left, right)
+    """Blur a window of a plane; what lies in that of the result is the result, or has it added to it.
+
+    Some rows at a time go both ways, so that what lies between stays in a near cache.
+    """
+    for first in range(way[FIRST], way[LAST], way[GROUPS]):
+        last = min(first + way[GROUPS], way[LAST])
+        there = turned - GROUP * first
+        turn_combined(
+            way, first, last, way[LEFT], way[RIGHT], weights, starts, bands, arena, source, source_stride, there, strip
+        )
+        combine_turned(
+            way, way[FIRST_AFTER], way[LAST_AFTER], GROUP * first, GROUP * last, weights, starts, bands, arena, there,
+            target, target_stride, add,
+        )  # fmt: skip
+
+
+@compiled
+def turn_combined(
+    way: Table,
+    first: int,
+    last: int,
+    left: int,
+    right: int,
+    weights: Floats,
+    starts: Table,
+    bands: Table,
+    arena: Floats,
+    source: int,
+    source_stride: int,
+    turned: int,
+    strip: int,
+) -> None:
+    """The first half of a blur, for some groups of its rows and some columns: combine rows, and write them as columns.
+
+    Column 0 of what is written lies at `turned`, whether it is written or not.
+    """
+    band, stride = bands[way[BAND]], way[STRIDE]
+    _clear_beside(band, first, last, starts, arena, source, source_stride, way[TOP], way[BOTTOM], left, right)
     per_strip = STRIP // GROUP
-    for group in range(way[FIRST], way[LAST], per_strip):
-        count = min(per_strip, way[LAST] - group)
+    for group in range(first, last, per_strip):
+        count = min(per_strip, last - group)
         to = strip - left
         _combine(
             band, group, count, weights, starts, arena, source, source_stride, to, source_stride, left, right, False
         )
-        transpose(arena, strip, source_stride, right - left, count, transposed + left * stride + GROUP * group, stride)
-    top, bottom = GROUP * way[FIRST], GROUP * way[LAST]
-    after = bands[way[BAND_AFTER]]
-    _clear_beside(after, way[FIRST_AFTER], way[LAST_AFTER], starts, arena, transposed, stride, left, right, top, bottom)
+        transpose(arena, strip, source_stride, right - left, count, turned + left * stride + GROUP * group, stride)
+
+
+@compiled
+def combine_turned(
+    way: Table,
+    first: int,
+    last: int,
+    top: int,
+    bottom: int,
+    weights: Floats,
+    starts: Table,
+    bands: Table,
+    arena: Floats,
+    turned: int,
+    target: int,
+    target_stride: int,
+    add: bool,
+) -> None:
+    """The second half, for some groups of its rows and some columns, which the first half made of rows."""
+    band, stride = bands[way[BAND_AFTER]], way[STRIDE]
+    _clear_beside(band, first, last, starts, arena, turned, stride, way[LEFT], way[RIGHT], top, bottom)
     spare = (top - bottom) % LANES
     if spare:  # columns of the last vector, which would be added to what others have made there
-        begin = starts[after[STARTS] + way[FIRST_AFTER]]
-        end = starts[after[STARTS] + way[LAST_AFTER] - 1] + after[BAND_TAPS]
-        clear_window(arena, transposed, stride, begin, end, bottom, bottom + spare)
-    first = way[FIRST_AFTER]
+        begin = starts[band[STARTS] + first]
+        end = starts[band[STARTS] + last - 1] + band[BAND_TAPS]
+        clear_window(arena, turned, stride, begin, end, bottom, bottom + spare)
     to = target + GROUP * first * target_stride
-    _combine(
-        after, first, way[LAST_AFTER] - first, weights, starts, arena, transposed, stride, to, target_stride,
-        top, bottom, add,
-    )  # fmt: skip
+    _combine(band, first, last - first, weights, starts, arena, turned, stride, to, target_stride, top, bottom, add)
 
 
 @compiled

@@ -9,16 +9,18 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from loi_core.compiled.blurs import Floats, Table, blur_window, clear_window
+from loi_core.compiled.blurs import Floats, Table, blur_window, clear_window, combine_turned, turn_combined
 from loi_core.compiled.compiling import compiled, compiled_sums
 from loi_core.compiled.exponential import exponential
-from loi_core.compiled.tables import EdgeColumn, NodeColumn
+from loi_core.compiled.tables import GROUP, BandColumn, EdgeColumn, NodeColumn, PassColumn
 
 __all__ = ["compare_levels"]
 
 # Numba knows plain numbers only.
-SOURCE, TARGET, EDGE_STRIDE, EDGE_TOP, EDGE_BOTTOM, EDGE_LEFT, EDGE_RIGHT, FORTH, BACK = map(int, EdgeColumn)
+SOURCE, TARGET, FORTH, BACK = map(int, EdgeColumn)
 HELD, PULLED, NODE_STRIDE, NODE_TOP, NODE_BOTTOM, NODE_LEFT, NODE_RIGHT = map(int, NodeColumn)
+BAND, FIRST, LAST, TOP, BOTTOM, LEFT, RIGHT, GROUPS, STRIDE, BAND_AFTER, FIRST_AFTER, LAST_AFTER = map(int, PassColumn)
+STARTS, BAND_TAPS = map(int, (BandColumn.STARTS, BandColumn.TAPS))
 
 
 @compiled
@@ -51,10 +53,11 @@ def compare_levels(
         and the weight of every extent.
     weights : array, shape (W,)
     starts : array, shape (S,)
-    bands, nodes, edges : array, shape (B, 9), (N, 7), (M, 7 + 2 * 11)
+    bands, nodes, edges : array, shape (B, 9), (N, 7), (M, 2 + 2 * 12)
         Matrices, samplings and blurs. Rungs come first, one from each node to the next; then the extents.
-    places : array, shape (4,)
-        Offsets in the arena: of the slope of the CDF, of a transposed plane, of planes that are compared, of a strip.
+    places : array, shape (5,)
+        Offsets in the arena: of the slope of the CDF, of what is transposed, of a strip, of what is compared, and of
+        what is transposed on its way back from there.
     arena : array, shape (A,)
         Finite numbers.
     costs : array, shape (E,)
@@ -65,11 +68,16 @@ def compare_levels(
     rungs = nodes.shape[0] - 1
     home = nodes[0]
     held, stride = home[HELD], home[NODE_STRIDE]
-    slope, transposed, compared, strip = places[0], places[1], places[2], places[3]
+    slope, turned, strip = places[0], places[1], places[2]
     clear_window(arena, held, stride, home[NODE_TOP], home[NODE_BOTTOM], home[NODE_LEFT], home[NODE_RIGHT])
     clear_window(arena, slope, stride, home[NODE_TOP], home[NODE_BOTTOM], home[NODE_LEFT], home[NODE_RIGHT])
+    if cotangent.size:
+        clear_window(arena, home[PULLED], stride, home[NODE_TOP], home[NODE_BOTTOM], home[NODE_LEFT], home[NODE_RIGHT])
     for level in range(levels[0], levels[2]):
-        _accumulate(image, reference, image.dtype.type(level), settings, arena, held, slope, home)
+        _accumulate(
+            image, reference, image.dtype.type(level), settings, arena, held, slope, home, cotangent,
+            cotangent.size > 0 and level > levels[1],
+        )  # fmt: skip
         if level < levels[1]:
             continue
         for index in range(rungs):
@@ -77,10 +85,10 @@ def compare_levels(
             source, target = nodes[edge[SOURCE]], nodes[edge[TARGET]]
             blur_window(
                 edge[FORTH:BACK], weights, starts, bands, arena,
-                source[HELD], source[NODE_STRIDE], target[HELD], target[NODE_STRIDE], transposed, strip, False,
+                source[HELD], source[NODE_STRIDE], target[HELD], target[NODE_STRIDE], turned, strip, False,
             )  # fmt: skip
         if cotangent.size:
-            for node in nodes:
+            for node in nodes[1:]:
                 clear_window(
                     arena, node[PULLED], node[NODE_STRIDE],
                     node[NODE_TOP], node[NODE_BOTTOM], node[NODE_LEFT], node[NODE_RIGHT],
@@ -88,32 +96,39 @@ def compare_levels(
         for index in range(rungs, edges.shape[0]):
             edge = edges[index]
             source, extent = nodes[edge[SOURCE]], edge[TARGET]
-            blur_window(
-                edge[FORTH:BACK], weights, starts, bands, arena,
-                source[HELD], source[NODE_STRIDE], compared, edge[EDGE_STRIDE], transposed, strip, False,
+            costs[extent] += _compare_extent(
+                edge, weights, starts, bands, arena, places, source, settings[3], settings[4], settings[5 + extent],
+                cotangent.size > 0,
             )  # fmt: skip
-            costs[extent] += _cost(arena, compared, edge, settings[3], settings[4], settings[5 + extent])
-            if cotangent.size:
-                blur_window(
-                    edge[BACK:], weights, starts, bands, arena,
-                    compared, edge[EDGE_STRIDE], source[PULLED], source[NODE_STRIDE], transposed, strip, True,
-                )  # fmt: skip
         if cotangent.size:
             for index in range(rungs - 1, -1, -1):
                 edge = edges[index]
                 source, target = nodes[edge[SOURCE]], nodes[edge[TARGET]]
                 blur_window(
                     edge[BACK:], weights, starts, bands, arena,
-                    target[PULLED], target[NODE_STRIDE], source[PULLED], source[NODE_STRIDE], transposed, strip, True,
+                    target[PULLED], target[NODE_STRIDE], source[PULLED], source[NODE_STRIDE], turned, strip, True,
                 )  # fmt: skip
-            _pull(arena, home, slope, cotangent)
+    if cotangent.size:
+        _pull(arena, home, slope, cotangent)
 
 
 @compiled
 def _accumulate(
-    image: Floats, reference: Floats, level: Any, settings: Floats, arena: Floats, held: int, slope: int, node: Table
+    image: Floats,
+    reference: Floats,
+    level: Any,
+    settings: Floats,
+    arena: Floats,
+    held: int,
+    slope: int,
+    node: Table,
+    cotangent: Floats,
+    pulls: bool,
 ) -> None:
-    """Add what a level adds to the difference of the CDFs, and to the slope of the image's."""
+    """Add what a level adds to the difference of the CDFs, and to the slope of the image's.
+
+    What the level before pulled back is first taken, row by row: its slope is at hand, which is about to change.
+    """
     scale, peak, least = settings[0], settings[1], settings[2]
     stride, left, right = node[NODE_STRIDE], node[NODE_LEFT], node[NODE_RIGHT]
     for y in range(node[NODE_TOP], node[NODE_BOTTOM]):
@@ -121,6 +136,11 @@ def _accumulate(
         difference = arena[held + at : held + at + right - left]
         slopes = arena[slope + at : slope + at + right - left]
         ours, theirs = image[y, left:right], reference[y, left:right]
+        if pulls:
+            pulled, row = arena[node[PULLED] + at : node[PULLED] + at + right - left], cotangent[y, left:right]
+            for x in range(right - left):
+                row[x] += pulled[x] * slopes[x]
+                pulled[x] = 0
         for x in range(right - left):
             offset = (level - ours[x]) * scale
             weight = exponential(max(peak - offset * offset, least))
@@ -130,12 +150,77 @@ def _accumulate(
 
 
 @compiled
-def _cost(arena: Floats, planes: int, edge: Table, tie: Any, power: Any, weight: Any) -> float:
+def _compare_extent(
+    edge: Table,
+    weights: Floats,
+    starts: Table,
+    bands: Table,
+    arena: Floats,
+    places: Table,
+    source: Table,
+    tie: Any,
+    power: Any,
+    weight: Any,
+    gradient: bool,
+) -> float:
+    """The cost of one extent; its slope is added to what is pulled back to its node.
+
+    Some rows at a time go all the way there, and as far back as they can without the others: they stay in a near cache.
+    """
+    forth, back = edge[FORTH:BACK], edge[BACK:]
+    held, pulled, stride = source[HELD], source[PULLED], source[NODE_STRIDE]
+    turned, strip, compared, returned = places[1], places[2], places[3], places[4]
+    after = bands[back[BAND_AFTER]]
+    total, done = 0.0, back[FIRST_AFTER]
+    for first in range(forth[FIRST], forth[LAST], forth[GROUPS]):
+        last = min(first + forth[GROUPS], forth[LAST])
+        begin, end = GROUP * first, GROUP * last
+        turn_combined(
+            forth, first, last, forth[LEFT], forth[RIGHT], weights, starts, bands, arena, held, stride, turned - begin,
+            strip,
+        )  # fmt: skip
+        combine_turned(
+            forth, forth[FIRST_AFTER], forth[LAST_AFTER], begin, end, weights, starts, bands, arena, turned - begin,
+            compared - begin, forth[STRIDE], False,
+        )  # fmt: skip
+        left, right = max(begin, back[LEFT]), min(end, back[RIGHT])
+        total += _cost(arena, compared - begin, forth[STRIDE], back[TOP], back[BOTTOM], left, right, tie, power, weight)
+        if gradient:
+            turn_combined(
+                back, back[FIRST], back[LAST], left, right, weights, starts, bands, arena, compared - begin,
+                forth[STRIDE], returned, strip,
+            )  # fmt: skip
+            ready = done
+            while ready < back[LAST_AFTER] and (
+                right == back[RIGHT] or starts[after[STARTS] + ready] + after[BAND_TAPS] <= right
+            ):
+                ready += 1
+            if ready > done:
+                combine_turned(
+                    back, done, ready, GROUP * back[FIRST], GROUP * back[LAST], weights, starts, bands, arena, returned,
+                    pulled, stride, True,
+                )  # fmt: skip
+            done = ready
+    return total
+
+
+@compiled
+def _cost(
+    arena: Floats,
+    plane: int,
+    stride: int,
+    top: int,
+    bottom: int,
+    left: int,
+    right: int,
+    tie: Any,
+    power: Any,
+    weight: Any,
+) -> float:
     """The sum of a power of all magnitudes beyond the tie, times `weight`; its slopes replace the differences."""
     total = 0.0
-    for y in range(edge[EDGE_TOP], edge[EDGE_BOTTOM]):
-        at = planes + y * edge[EDGE_STRIDE]
-        row = arena[at + edge[EDGE_LEFT] : at + edge[EDGE_RIGHT]]
+    for y in range(top, bottom):
+        row = arena[plane + y * stride + left : plane + y * stride + right]
         total += _sum_of_sizes(row, tie, weight) if power == 1 else _sum_of_powers(row, tie, power, weight)
     cost: float = total * weight
     return cost

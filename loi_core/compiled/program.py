@@ -10,7 +10,7 @@ import numpy as np
 
 from loi_core.cache import Cache
 from loi_core.compiled.bands import Band, Bands, band_back, band_forth
-from loi_core.compiled.tables import GROUP, SIDE, STRIP, EdgeColumn, NodeColumn, PassColumn, padded
+from loi_core.compiled.tables import GROUP, LANES, NEAR, SIDE, STRIP, EdgeColumn, NodeColumn, PassColumn, padded
 from loi_core.operators import PlaneBlur
 from loi_core.plan import InnerPlan
 from loi_core.scope import Route, Scope
@@ -114,15 +114,19 @@ class Wiring:
             returning = scope.route.pulled[edge.target] if index < self.rungs else reached
             source, out = _laid(held, edge.source), _laid(reached, edge.source)
             end, back = _laid(returning, edge.source), _laid(edge.blur.reached_back(returning), edge.source)
-            stride = padded(bands[edge.forth[0]].rows)
-            row[: EdgeColumn.FORTH] = edge.source, edge.target, stride, *_sides(out.transposed)
+            row[: EdgeColumn.FORTH] = edge.source, edge.target
             row[EdgeColumn.FORTH : EdgeColumn.BACK] = blur_pass(bands, edge.forth, source, out)
             row[EdgeColumn.BACK :] = blur_pass(bands, edge.back, end.transposed, back.transposed)
+            if index >= self.rungs:  # some rows of what is compared at a time, but all that becomes of them is kept
+                row[EdgeColumn.BACK + PassColumn.STRIDE] = padded(bands[edge.back[0]].rows)
         passes = [pair for edge in self.edges for pair in (edge.forth, edge.back)]
-        transposed = place.plane(*(turned_shape(bands, pair) for pair in passes))
-        compared = place.plane(*(self._compared(edge) for edge in self.edges[self.rungs :]))
+        turned = place.plane(*(turned_shape(bands, pair) for pair in passes))
         strip = place.plane((STRIP, max(band.columns for band in bands)))
-        return Program(nodes, edges, np.asarray((slope, transposed, compared, strip), np.int64), place.elements)
+        extents = self.edges[self.rungs :]
+        compared = place.plane(*((bands[edge.back[0]].height, _rows_at_once(bands, edge.forth)) for edge in extents))
+        returned = place.plane(*((bands[edge.back[1]].height + SIDE, bands[edge.back[0]].rows) for edge in extents))
+        places = np.asarray((slope, turned, strip, compared, returned), np.int64)
+        return Program(nodes, edges, places, place.elements)
 
     def _shape(self, node: int) -> tuple[int, int]:
         """Rows that there have to be of a node's planes, and columns."""
@@ -132,22 +136,25 @@ class Wiring:
         (columns,) = {self.bands.each[edge.forth[1]].columns for edge in self.edges if edge.source == node}
         return rows, columns
 
-    def _compared(self, edge: _Edge) -> tuple[int, int]:
-        """The same of planes that are compared."""
-        return self.bands.each[edge.back[0]].height, self.bands.each[edge.forth[0]].rows
-
 
 def blur_pass(bands: Sequence[Band], pair: tuple[int, int], source: Window, out: Window) -> list[int]:
     """The row of a blur by two bands that makes `out` of `source`, both as the source lies."""
     first, after = pair
-    stride = padded(bands[first].rows)
-    return [first, *_groups(out.rows), *_sides(source), stride, after, *_groups(out.columns)]
+    rows = _rows_at_once(bands, pair)
+    together = rows // GROUP, padded(rows)
+    return [first, *_groups(out.rows), *_sides(source), *together, after, *_groups(out.columns)]
 
 
 def turned_shape(bands: Sequence[Band], pair: tuple[int, int]) -> tuple[int, int]:
     """Rows that there have to be of what lies transposed between two bands, and columns."""
-    first, after = pair
-    return bands[after].height + SIDE, bands[first].rows
+    return bands[pair[1]].height + SIDE, _rows_at_once(bands, pair)
+
+
+def _rows_at_once(bands: Sequence[Band], pair: tuple[int, int]) -> int:
+    """How many rows of a blur go through both of its bands before the next: of `NEAR` bytes, in full vectors."""
+    first, after = (bands[band] for band in pair)
+    row: int = max(after.rows, after.columns) * after.weights.dtype.itemsize
+    return LANES * max(1, min(NEAR // row // LANES, -(-first.rows // LANES)))
 
 
 class Places:

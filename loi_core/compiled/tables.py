@@ -9,6 +9,7 @@ __all__ = [
     "GROUP",
     "LANES",
     "LINE",
+    "NEAR",
     "PAIRS",
     "SIDE",
     "STRIP",
@@ -26,6 +27,7 @@ PAIRS: Final = 3  # pairs of rows, one above and one below, that are combined at
 LINE: Final = 64  # bytes of a vector, where processors have such; others take several of theirs for one
 SIDE: Final = 8  # numbers in a row of the squares that are turned
 STRIP: Final = 16  # rows that are transposed together: a line of the cache in float32
+NEAR: Final = 2**20  # bytes of a plane that are blurred together: few enough for caches, rows long enough to stream
 LANES: Final = 16  # columns come in multiples of this, a full vector, so that no remainder is left
 
 
@@ -62,10 +64,11 @@ class PassColumn(IntEnum):
     BOTTOM = 4
     LEFT = 5
     RIGHT = 6
-    STRIDE = 7  # of the transposed plane
-    BAND_AFTER = 8
-    FIRST_AFTER = 9
-    LAST_AFTER = 10
+    GROUPS = 7  # how many are made and transposed before the second half goes on with them
+    STRIDE = 8  # of what is transposed
+    BAND_AFTER = 9
+    FIRST_AFTER = 10
+    LAST_AFTER = 11
 
 
 class EdgeColumn(IntEnum):
@@ -73,13 +76,8 @@ class EdgeColumn(IntEnum):
 
     SOURCE = 0
     TARGET = 1  # a node, or the number of the extent
-    STRIDE = 2  # of the planes that are compared
-    TOP = 3  # what is compared
-    BOTTOM = 4
-    LEFT = 5
-    RIGHT = 6
-    FORTH = 7
-    BACK = 7 + len(PassColumn)
+    FORTH = 2
+    BACK = 2 + len(PassColumn)  # from where it is not 0, which is all that is compared
 
 
 class NodeColumn(IntEnum):

@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 
 from loi_core import LOIObjective, ScaleSpace, compiled
 from loi_core.arrays import Array
-from loi_core.compiled import compiling, threads
+from loi_core.compiled import compiling, program, threads
 from loi_core.compiled.arena import Arena
 from loi_core.compiled.bands import Band, band_back, band_forth
 from loi_core.compiled.exponential import exponential
@@ -181,6 +181,26 @@ def test_kernels_and_arrays_agree_on_every_power(p: float, dtype: str) -> None:
     assert np.abs(gradient - slopes).sum() <= gradient_bound
 
 
+@given(
+    st.integers(1, 120), st.integers(1, 120), st.sampled_from(["exact", "balanced", 5e-2]),
+    st.sampled_from(["zero", "reflect"]), st.sampled_from([1, 2**12, 2**14]), st.data(),
+)  # fmt: skip
+def test_how_much_is_blurred_together_changes_no_bit_of_the_gradient(
+    height: int, width: int, accuracy: str | float, boundary: str, near: int, data: st.DataObject
+) -> None:
+    image, reference = np.random.default_rng(0).uniform(size=(2, height, width, 1)).astype(np.float32)
+    top, left = data.draw(st.integers(0, height - 1)), data.draw(st.integers(0, width - 1))
+    image[:top], image[:, :left] = reference[:top], reference[:, :left]  # all is compared, or a window
+    scales = ScaleSpace((0, 3), (0, 1, 4, 15), 0.25, boundary=boundary)  # type: ignore[arg-type]  # of its two values
+    value, gradient = LOIObjective(reference, scales, accuracy).value_and_grad(image)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(program, "NEAR", near)
+        other, slopes = LOIObjective(reference, scales, accuracy).value_and_grad(image)
+    np.testing.assert_array_equal(gradient, slopes)
+    # Costs are summed strip by strip: a sum of positive numbers may be rounded as often as it has terms.
+    assert other == pytest.approx(float(value), rel=image.size * float(np.finfo(np.float32).eps), abs=0.0)
+
+
 @given(st.integers(1, 90), st.integers(1, 90), st.sampled_from(DTYPES))
 @example(1, 1, "float32")
 @example(90, 90, "float64")
@@ -228,7 +248,7 @@ def test_kernels_are_compiled_once_for_a_dtype_whatever_the_layout() -> None:
 FORKS = """
 import os, numpy as np
 from loi_core import LOIObjective, ScaleSpace
-from loi_core.compiled import compiling, threads
+from loi_core.compiled import compiling, program, threads
 threads.thread_count = lambda: 3
 image, reference = np.random.default_rng(0).uniform(size=(2, 80, 70, 3))
 objective = LOIObjective(reference, ScaleSpace.paper("path"))

@@ -15,7 +15,7 @@ from loi_core import LOIObjective, ScaleSpace, comparison
 from loi_core.arrays import Array
 from loi_core.compiled import comparison as kernels
 from loi_core.compiled.program import Program, Wiring
-from loi_core.compiled.tables import EdgeColumn
+from loi_core.compiled.tables import EdgeColumn, PassColumn
 from loi_core.distance import sum_of_costs
 from loi_core.kernels import AxisBlur, AxisGrid
 from loi_core.operators import GaussianBlur, PlaneBlur, PlaneGrid
@@ -164,7 +164,7 @@ def test_kernels_are_told_to_compute_no_more_than_that() -> None:
 
     def counting(wiring: Wiring, scope: Scope) -> Program:
         made = program(wiring, scope)
-        compared.extend(made.edges[:, EdgeColumn.TOP : EdgeColumn.FORTH])
+        compared.extend(made.edges[:, EdgeColumn.BACK + PassColumn.TOP : EdgeColumn.BACK + PassColumn.GROUPS])
         return made
 
     with pytest.MonkeyPatch.context() as patch:
