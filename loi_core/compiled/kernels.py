@@ -127,7 +127,7 @@ def _accumulate(
 ) -> None:
     """Add what a level adds to the difference of the CDFs, and to the slope of the image's.
 
-    What the level before pulled back is first taken, row by row: its slope is at hand, which is about to change.
+    What the level before pulled back is taken first, row by row, as its slope is about to change.
     """
     scale, peak, least = settings[0], settings[1], settings[2]
     stride, left, right = node[NODE_STRIDE], node[NODE_LEFT], node[NODE_RIGHT]
@@ -137,10 +137,7 @@ def _accumulate(
         slopes = arena[slope + at : slope + at + right - left]
         ours, theirs = image[y, left:right], reference[y, left:right]
         if pulls:
-            pulled, row = arena[node[PULLED] + at : node[PULLED] + at + right - left], cotangent[y, left:right]
-            for x in range(right - left):
-                row[x] += pulled[x] * slopes[x]
-                pulled[x] = 0
+            _pull_row(arena[node[PULLED] + at : node[PULLED] + at + right - left], slopes, cotangent[y, left:right])
         for x in range(right - left):
             offset = (level - ours[x]) * scale
             weight = exponential(max(peak - offset * offset, least))
@@ -273,7 +270,12 @@ def _pull(arena: Floats, node: Table, slope: int, cotangent: Floats) -> None:
     for y in range(node[NODE_TOP], node[NODE_BOTTOM]):
         at = y * stride + left
         pulled = arena[node[PULLED] + at : node[PULLED] + at + right - left]
-        slopes = arena[slope + at : slope + at + right - left]
-        row = cotangent[y, left:right]
-        for x in range(right - left):
-            row[x] += pulled[x] * slopes[x]
+        _pull_row(pulled, arena[slope + at : slope + at + right - left], cotangent[y, left:right])
+
+
+@compiled
+def _pull_row(pulled: Floats, slopes: Floats, row: Floats) -> None:
+    """Add a row of it to a row of the cotangent, and make room for the next level's."""
+    for x in range(row.size):
+        row[x] += pulled[x] * slopes[x]
+        pulled[x] = 0
