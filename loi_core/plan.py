@@ -241,15 +241,16 @@ class _Planner:
 
     def inner(self, sigma: float) -> InnerPlan:
         grid = self._inner_grid(sigma)
-        blur = self._blur(self.pixels, grid, sigma, self.scales.inner_taps)
+        blur = self._blur(self.pixels, grid, sigma, self._felt(self.scales.inner_taps, sigma))
         rungs: list[PlaneBlur] = []
         variances = [0.0]
         extents = {}
         for alpha in sorted(self.scales.alpha):
             target, error = self._target(grid, sigma, alpha)
+            taps = self._felt(self._taps, alpha)
             grids = [grid, *(rung.target for rung in rungs)]
             ways: list[tuple[int, PlaneBlur | None, PlaneBlur]] = [
-                (index, None, self._blur(grids[index], target, self._rest(alpha, variances[index]), self._taps))
+                (index, None, self._blur(grids[index], target, self._rest(alpha, variances[index]), taps))
                 for index in range(len(grids))
                 if index == 0 or self._may_leave(grids[index], alpha)
             ]
@@ -267,6 +268,10 @@ class _Planner:
     @property
     def _taps(self) -> int | None:
         return self.scales.extent_taps
+
+    def _felt(self, taps: int | None, scale: float) -> int | None:
+        """Where a kernel is cut; None where that is beyond what rounding leaves of it, so that it is a Gaussian."""
+        return None if taps is None or taps // 2 >= reach(self.eps) * scale else taps
 
     @property
     def _cascades(self) -> bool:
@@ -314,11 +319,12 @@ class _Planner:
         """The distance over which what is compared changes, at the spacing that is to be allowed there."""
         # Isophotes of a blurred image change about twice as fast as the image.
         slowness = math.hypot(alpha, sigma / 2.0)
-        if self._taps is None or alpha == 0.0 or self.tolerance == 0.0:
+        taps = self._felt(self._taps, alpha)
+        if taps is None or alpha == 0.0 or self.tolerance == 0.0:
             return slowness
         # The less far one looks, here to the edge of a cell, the faster a cut kernel changes in relation.
         for _ in range(SETTLED):
-            slowness = math.hypot(as_slow_as(alpha, self._taps, 0.5 * self._ratio * slowness), sigma / 2.0)
+            slowness = math.hypot(as_slow_as(alpha, taps, 0.5 * self._ratio * slowness), sigma / 2.0)
         return slowness
 
     def _limited(self, spacing: float) -> float:
