@@ -36,3 +36,17 @@ def test_released_kernels_are_cut_at_an_odd_number_of_taps() -> None:
     assert scales.inner_taps == 21
     assert scales.extent_taps == 31
     assert ScaleSpace.released(0.2, 1, 8, 31).inner_taps == 3
+
+
+@pytest.mark.parametrize("accuracy", ["exact", "balanced"])
+def test_taps_that_add_nothing_cost_nothing(accuracy: str) -> None:
+    rng = np.random.default_rng(0)
+    image, reference = rng.uniform(size=(2, 48, 64, 1))
+    found = []
+    for taps in (101, 1001):  # a Gaussian ends after 8.6 of its widths, here 43 pixels
+        objective = LOIObjective(reference, ScaleSpace.released((1, 5), (1, 5), 8, taps), accuracy)
+        found.append((objective.plan().work, *objective.value_and_grad(image)))
+    (work, value, gradient), (other_work, other, slopes) = found
+    assert work == other_work
+    assert float(value) == float(other)
+    np.testing.assert_array_equal(gradient, slopes)
