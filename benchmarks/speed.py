@@ -74,7 +74,7 @@ def _options(arguments: Sequence[str] | None) -> argparse.Namespace:
     parser.add_argument("--quick", action="store_true", help=f"{' '.join(QUICK_SIZES)}, little time, no memory")
     parser.add_argument("--csv", type=Path, metavar="FILE", help="also write the rows to this file, after every size")
     parser.add_argument("--seconds", type=float, help="of measuring for each row; 2 by default, 0.2 with --quick")
-    parser.add_argument("--limit", type=float, default=20.0, help="seconds that one evaluation may take; 20 by default")
+    parser.add_argument("--limit", type=float, default=5.0, help="seconds that one evaluation may take; 5 by default")
     parser.add_argument("--rows", nargs="+", default=[""], metavar="WORD", help="only rows whose names contain a WORD")
     parser.add_argument("--memory-of", metavar="ROW", help=argparse.SUPPRESS)  # how this script calls itself
     options = parser.parse_args(arguments)
