@@ -71,6 +71,13 @@ def test_a_handle_moves_a_shape_to_where_the_target_has_it(
     np.testing.assert_allclose(found["place"], GOAL, atol=0.1)
 
 
+def test_the_ball_of_the_examples_is_found_within_a_pixel(tmp_path: Path) -> None:
+    scene = Path(__file__).parents[2] / "examples" / "ball" / "scene.toml"
+    assert main(["fit", str(scene), "--output", str(tmp_path / "result")]) == 0
+    found = json.loads((tmp_path / "result" / "parameters.json").read_text())
+    np.testing.assert_allclose(found["place"], GOAL, atol=0.08)
+
+
 def test_tables_are_the_handles_of_the_same_names(folder: Path) -> None:
     targets: dict[str, tuple[dict[str, Any], Any]] = {
         "move": ({"Translate": "ball"}, Translate("ball")),
