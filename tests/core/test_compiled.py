@@ -248,7 +248,7 @@ def test_kernels_are_compiled_once_for_a_dtype_whatever_the_layout() -> None:
 FORKS = """
 import os, numpy as np
 from loi_core import LOIObjective, ScaleSpace
-from loi_core.compiled import compiling, program, threads
+from loi_core.compiled import compiling, threads
 threads.thread_count = lambda: 3
 image, reference = np.random.default_rng(0).uniform(size=(2, 80, 70, 3))
 objective = LOIObjective(reference, ScaleSpace.paper("path"))
