@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -100,8 +101,11 @@ def is_read_by_numpy(array: Array) -> bool:
 
 
 def is_recorded(array: Array) -> bool:
-    """Whether a framework records what is computed of `array`, to differentiate it."""
-    return bool(is_torch_array(array) and array.requires_grad)
+    """Whether a framework records what is computed of `array`, to differentiate it, or carries a derivative along."""
+    if not is_torch_array(array):
+        return False
+    forward = sys.modules["torch"].autograd.forward_ad  # which has been imported: `array` is of it
+    return bool(array.requires_grad) or forward.unpack_dual(array).tangent is not None
 
 
 def values_may_decide(array: Array) -> bool:

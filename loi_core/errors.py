@@ -9,6 +9,7 @@ from __future__ import annotations
 __all__ = [
     "BackendNotFoundError",
     "ConformanceError",
+    "DerivativeError",
     "FitError",
     "ImageError",
     "ImageFileError",
@@ -96,6 +97,10 @@ class NonFiniteImageError(ImageError):
 
 class ImageFileError(LoiError, OSError):
     """An image file is missing, damaged, too large, or of a kind that is not read."""
+
+
+class DerivativeError(LoiError, NotImplementedError):
+    """A derivative is asked for that there is not, and that would be zero if nothing were said."""
 
 
 class ParameterError(LoiError, ValueError):

@@ -7,11 +7,10 @@ from typing import Any
 
 import torch
 from torch import Tensor
-from torch.autograd import forward_ad
-from torch.autograd.function import FunctionCtx, once_differentiable
+from torch.autograd.function import FunctionCtx
 
 from loi_core import LogTone, LOIObjective, ScaleSpace
-from loi_core.errors import ImageTypeError
+from loi_core.errors import DerivativeError, ImageTypeError
 from loi_core.nonfinite import NanPolicy
 
 __all__ = ["LOILoss", "loi_loss"]
@@ -41,8 +40,9 @@ class LOILoss(torch.nn.Module):
     Notes
     -----
     float16 and bfloat16 images are compared in float32, under autocast as well, and the loss is float32; the gradient
-    comes back in the image's dtype. Under ``torch.compile`` the loss is one graph break. Its gradient cannot be
-    differentiated again: second derivatives raise an error instead of being silently zero, and so does forward mode.
+    comes back in the image's dtype. Under ``torch.compile`` the loss is one graph break. ``torch.func.grad``,
+    ``jacrev`` and ``vmap`` take it, in any order. Its gradient cannot be differentiated again: second derivatives
+    raise a DerivativeError instead of being silently zero, and so does forward mode.
     """
 
     reference: Tensor
@@ -124,34 +124,62 @@ def _apply(image: Tensor, objective: LOIObjective) -> Tensor:
         raise ImageTypeError(msg)
     with torch.autocast(image.device.type, enabled=False):
         precise = image.float() if image.dtype in REDUCED else image
-        backward = torch.is_grad_enabled() and precise.requires_grad
-        forward: Tensor | None = forward_ad.unpack_dual(precise).tangent  # type: ignore[no-untyped-call]  # as below
-        if backward or forward is not None:  # the latter torch refuses by itself
-            value: Tensor = _Loss.apply(precise, objective)[0]  # type: ignore[no-untyped-call]  # untyped in torch
-        else:
-            value = objective.value(precise)
-    return value
+        return _evaluate(precise, objective, gradient=_is_recorded(precise))[0]
+
+
+def _is_recorded(image: Tensor) -> bool:
+    return torch.is_grad_enabled() and image.requires_grad
+
+
+def _evaluate(image: Tensor, objective: LOIObjective, *, gradient: bool) -> tuple[Tensor, Tensor]:
+    found: tuple[Tensor, Tensor] = _Loss.apply(image, objective, gradient)  # type: ignore[no-untyped-call]  # in torch
+    return found
 
 
 class _Loss(torch.autograd.Function):
-    """Value and gradient in one pass; backward only scales the gradient."""
+    """Value and gradient in one pass, the latter empty if it is not wanted; backward only scales it.
+
+    torch hands over arguments by position.
+    """
 
     @staticmethod
-    def forward(image: Tensor, objective: LOIObjective) -> tuple[Tensor, Tensor]:
-        return objective.value_and_grad(image)
+    def forward(image: Tensor, objective: LOIObjective, gradient: bool) -> tuple[Tensor, Tensor]:  # noqa: FBT001
+        return objective.value_and_grad(image) if gradient else (objective.value(image), image.new_empty(0))
 
     @staticmethod
     def setup_context(ctx: FunctionCtx, _: tuple[Any, ...], output: tuple[Tensor, Tensor]) -> None:
-        ctx.mark_non_differentiable(output[1])
         ctx.set_materialize_grads(False)
         ctx.save_for_backward(output[1])
 
     @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, upstream: Tensor, _: Tensor) -> tuple[Tensor, None]:
-        """Scale the gradient; differentiating this again is an error, since the gradient is a constant to autograd."""
+    def backward(ctx: Any, upstream: Tensor | None, second: Tensor | None) -> tuple[Tensor | None, None, None]:
+        """Scale the gradient. As a result like the value it is no constant to autograd, which asks for its slope."""
+        if second is not None:
+            msg = "loi's loss has no second derivatives on torch; loi_jax.loi_loss has"
+            raise DerivativeError(msg)
         (gradient,) = ctx.saved_tensors
-        return _product(upstream, gradient), None
+        return None if upstream is None else _product(upstream, gradient), None, None
+
+    @staticmethod
+    def jvp(*_: Any) -> Any:
+        """Only reverse mode is there."""
+        msg = "loi's loss has no forward mode on torch; use backward, torch.func.grad or torch.func.jacrev"
+        raise DerivativeError(msg)
+
+    @staticmethod
+    def vmap(
+        _: Any,
+        axes: tuple[int, None, None],
+        images: Tensor,
+        objective: LOIObjective,
+        gradient: bool,  # noqa: FBT001
+    ) -> tuple[tuple[Tensor, Tensor], tuple[int, int]]:
+        """One image after another: each has a value of its own, where a batch has one for all."""
+        # What is outside of this vmap may record each of them, which those in it do not tell.
+        each = images.movedim(axes[0], 0)
+        found = [_evaluate(image, objective, gradient=gradient or _is_recorded(image)) for image in each]
+        values, gradients = zip(*found, strict=True)
+        return (torch.stack(values), torch.stack(gradients)), (0, 0)
 
 
 def _product(upstream: Tensor, gradient: Tensor) -> Tensor:

@@ -12,7 +12,7 @@ import torch
 from torch.autograd import forward_ad
 
 from loi_core import LOIObjective, ScaleSpace
-from loi_core.errors import ImageError, ImageTypeError, NonFiniteImageError
+from loi_core.errors import DerivativeError, ImageError, ImageTypeError, NonFiniteImageError
 from loi_core.testing import allowed, check_objective
 from loi_torch import LOILoss, loi_loss
 from tests.helpers import images
@@ -54,6 +54,23 @@ def test_the_function_equals_the_module() -> None:
 def test_functional_gradients_work() -> None:
     gradient = torch.func.grad(LOILoss(REFERENCE, SCALES))(torch.tensor(IMAGE))
     np.testing.assert_allclose(gradient, GRADIENT, rtol=1e-12, atol=1e-18)
+
+
+@pytest.mark.parametrize("axis", [0, -1])
+def test_vmap_is_a_loop(axis: int) -> None:
+    loss = LOILoss(REFERENCE[0], SCALES)
+    pairs = [LOIObjective(REFERENCE[0], SCALES).value_and_grad(image) for image in IMAGE]
+    values, gradients = map(np.stack, zip(*pairs, strict=True))
+    stack = torch.tensor(IMAGE).movedim(0, axis)
+    each = torch.func.vmap(loss, in_dims=axis)
+    np.testing.assert_allclose(each(stack), values, rtol=1e-13)
+    alone = torch.func.vmap(torch.func.grad(loss), in_dims=axis)(stack)
+    whole = torch.func.grad(lambda images: each(images).sum())(stack)
+    recorded = stack.clone().requires_grad_()
+    each(recorded).sum().backward()
+    assert recorded.grad is not None
+    for gradient in (alone, whole.movedim(axis, 0), recorded.grad.movedim(axis, 0)):
+        np.testing.assert_allclose(gradient, gradients, rtol=1e-12, atol=1e-18)
 
 
 @pytest.mark.filterwarnings("ignore:The .grad attribute of a Tensor that is not a leaf")  # of torch's own compiler
@@ -133,11 +150,23 @@ def test_what_is_prepared_outside_autograd_serves_inside() -> None:
 
 
 def test_second_derivatives_are_refused_rather_than_zero() -> None:
-    image = leaf()
+    image, loss = leaf(), LOILoss(REFERENCE, SCALES)
     gradient: Any
-    (gradient,) = torch.autograd.grad(LOILoss(REFERENCE, SCALES)(image), image, create_graph=True)
-    with pytest.raises(RuntimeError):
+    (gradient,) = torch.autograd.grad(loss(image), image, create_graph=True)
+    with pytest.raises(DerivativeError, match="second derivatives"):
         gradient.sum().backward()
+    with pytest.raises(DerivativeError, match="second derivatives"):
+        torch.func.grad(lambda given: torch.func.grad(loss)(given).sum())(torch.tensor(IMAGE))
+    with pytest.raises(DerivativeError, match="second derivatives"):
+        torch.func.jacrev(torch.func.jacrev(LOILoss(np.zeros((2, 2)), channel_axis=None)))(torch.ones(2, 2).double())
+
+
+def test_what_the_loss_is_multiplied_by_may_be_differentiated_in_the_gradient() -> None:
+    image, weight = leaf(), torch.tensor(2.0, dtype=torch.float64, requires_grad=True)
+    gradient: Any
+    (gradient,) = torch.autograd.grad(weight * LOILoss(REFERENCE, SCALES)(image), image, create_graph=True)
+    (slope,) = torch.autograd.grad(gradient.square().sum(), weight)
+    assert slope.item() == pytest.approx(4.0 * np.sum(GRADIENT**2), rel=1e-12)
 
 
 @pytest.mark.filterwarnings("ignore:`torch.jit.script` is deprecated:DeprecationWarning")  # which torch itself uses
@@ -147,11 +176,24 @@ def test_forward_mode_is_refused_rather_than_zero() -> None:
     with forward_ad.dual_level():
         dual = forward_ad.make_dual(image, torch.ones_like(image))  # type: ignore[no-untyped-call]  # untyped in torch
         for loss in (module, lambda given: loi_loss(given, REFERENCE, SCALES)):
-            with pytest.raises(RuntimeError, match="forward"):
+            with pytest.raises(DerivativeError, match="forward"):
                 loss(dual)
         assert module(image).item() == pytest.approx(float(VALUE), rel=1e-14)
-    with pytest.raises(RuntimeError, match="forward"):
-        torch.func.jvp(module, (image,), (torch.ones_like(image),))
+    for transformed in (module, torch.func.grad(module)):
+        with pytest.raises(DerivativeError, match="forward"):
+            torch.func.jvp(transformed, (image,), (torch.ones_like(image),))
+
+
+def test_the_value_of_the_core_has_derivatives_in_both_modes() -> None:
+    objective, image = LOIObjective(REFERENCE, SCALES), leaf()
+    objective.value(image).backward()
+    assert image.grad is not None
+    np.testing.assert_allclose(image.grad, GRADIENT, rtol=1e-9, atol=1e-15)
+    along = np.random.default_rng(2).standard_normal(IMAGE.shape)
+    both: Any = torch.func.jvp(objective.value, (torch.tensor(IMAGE),), (torch.tensor(along),))
+    value, slope = both
+    assert value.item() == pytest.approx(float(VALUE), rel=1e-13)
+    assert slope.item() == pytest.approx(np.sum(GRADIENT * along), rel=1e-9)
 
 
 def test_errors_are_those_of_the_core() -> None:
