@@ -5,8 +5,9 @@ from __future__ import annotations
 import sys
 from typing import Any, TypeAlias
 
+import array_api_compat
 import numpy as np
-from array_api_compat import array_namespace, device, is_array_api_obj, is_jax_array, is_numpy_array, is_torch_array
+from array_api_compat import array_namespace, is_array_api_obj, is_jax_array, is_numpy_array, is_torch_array
 
 from loi_core.errors import ImageTypeError
 
@@ -45,6 +46,14 @@ Namespace: TypeAlias = Any
 def namespace(array: Array) -> Namespace:
     """The array API namespace of `array`."""
     return array_namespace(array)
+
+
+def device(array: Array) -> Any:
+    """Where `array` lies, to make others of any shape there: if on several devices, then on each of them."""
+    found = array_api_compat.device(array)
+    if not is_jax_array(array) or not hasattr(found, "spec"):
+        return found
+    return type(found)(found.mesh, type(found.spec)())  # that of `array` may cut axes that others do not have
 
 
 def library_name(array: Array) -> str:

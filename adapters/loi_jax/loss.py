@@ -118,10 +118,10 @@ class _Traceable:
             nan = np.full_like(image, np.nan)
             return (nan.flat[0], nan) if gradient else (nan.flat[0],)
 
-    def by_arrays(self, image: jax.Array, *, gradient: bool) -> tuple[jax.Array, ...]:
+    def by_arrays(self, image: jax.Array, *, gradient: bool, where: Any = None) -> tuple[jax.Array, ...]:
         """See :class:`loi_jax.primitive.Evaluation`."""
         with jax.ensure_compile_time_eval():  # so that what is prepared is concrete, and outlives this trace
-            like = jnp.zeros((), dtype=image.dtype)
+            like = jnp.zeros((), dtype=image.dtype, device=where)
             self._objective.prepare(image.shape, like)
         value, slope = self._objective.evaluate_unchecked(image, like, gradient=gradient)
         results = (value,) if slope is None else (value, slope)

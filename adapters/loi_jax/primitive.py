@@ -22,7 +22,7 @@ from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
-from loi_core.arrays import from_numpy, is_read_by_numpy
+from loi_core.arrays import device, from_numpy, is_read_by_numpy
 
 __all__ = ["Evaluation", "Host", "evaluate"]
 
@@ -36,8 +36,8 @@ class Evaluation(Protocol):
     def by_kernels(self, image: Host, *, gradient: bool) -> tuple[Host, ...]:
         """From and to NumPy arrays, without errors for what the image holds."""
 
-    def by_arrays(self, image: jax.Array, *, gradient: bool) -> tuple[jax.Array, ...]:
-        """As what JAX can trace."""
+    def by_arrays(self, image: jax.Array, *, gradient: bool, where: Any = None) -> tuple[jax.Array, ...]:
+        """As what JAX can trace; with what is prepared on these devices, if not on the one that JAX chooses."""
 
 
 def evaluate(evaluation: Evaluation, image: jax.Array, *, gradient: bool) -> list[jax.Array]:
@@ -64,8 +64,8 @@ def _batch(
     return results, (0,) * len(results)
 
 
-def _by_arrays(image: jax.Array, *, evaluation: Evaluation, gradient: bool, mapped: int) -> Results:
-    compare: Callable[[jax.Array], Results] = partial(evaluation.by_arrays, gradient=gradient)
+def _by_arrays(image: jax.Array, *, evaluation: Evaluation, gradient: bool, mapped: int, where: Any = None) -> Results:
+    compare: Callable[[jax.Array], Results] = partial(evaluation.by_arrays, gradient=gradient, where=where)
     for _ in range(mapped):
         compare = jax.vmap(compare)
     return compare(image)
@@ -83,7 +83,7 @@ def _run(image: jax.Array, **settings: Any) -> Results:
     """Outside of ``jit``."""
     image = jnp.asarray(image)
     if not is_read_by_numpy(image):
-        return _by_arrays(image, **settings)
+        return _by_arrays(image, where=device(image), **settings)
     return [from_numpy(result, image) for result in _by_kernels(np.asarray(image), **settings)]
 
 

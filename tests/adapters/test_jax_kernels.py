@@ -181,19 +181,25 @@ import loi_jax
 from jax.sharding import NamedSharding, PartitionSpec as P
 from loi_core import LOIObjective, ScaleSpace
 scales = ScaleSpace(1, 5, 0.25)
-images = np.random.default_rng(0).uniform(size=(5, 9, 7, 3)).astype(np.float32)
+images = np.random.default_rng(0).uniform(size=(5, 8, 7, 3)).astype(np.float32)
 reference, batch = images[0], images[1:]
 wanted = [LOIObjective(reference, scales).value_and_grad(image)[1] for image in batch]
-each = jax.vmap(jax.grad(loi_jax.loi_loss(reference, scales)))
+loss = loi_jax.loi_loss(reference, scales)
+each = jax.vmap(jax.grad(loss))
 mesh = jax.make_mesh((2,), ("b",), axis_types=(jax.sharding.AxisType.Auto,))
-spread = jax.jit(each)(jax.device_put(batch, NamedSharding(mesh, P("b"))))
+parts = jax.device_put(batch, NamedSharding(mesh, P("b")))
+spread = jax.jit(each)(parts)
 assert spread.sharding.spec == P("b")
+at_once = each(parts)
 mapped = jax.jit(jax.shard_map(each, mesh=mesh, in_specs=P("b"), out_specs=P("b")))(batch)
 second = jax.jit(each)(jax.device_put(batch, jax.devices()[1]))
 eager = each(jax.device_put(batch, jax.devices()[1]))
 assert second.devices() == eager.devices() == {jax.devices()[1]}
-for found in (spread, mapped, second, eager):
+for found in (spread, at_once, mapped, second, eager):
     np.testing.assert_allclose(found, wanted, rtol=1e-2, atol=1e-6)
+rows = jax.device_put(batch[0], NamedSharding(mesh, P("b")))
+for found in (jax.grad(loss)(rows), LOIObjective(reference, scales).value_and_grad(rows)[1]):
+    np.testing.assert_allclose(found, wanted[0], rtol=1e-2, atol=1e-6)
 print("done")
 """
 
