@@ -14,7 +14,16 @@ from loi_core.compiled.compiling import compiled
 from loi_core.compiled.tables import GROUP, LANES, LINE, PAIRS, SIDE, STRIP, TAPS, BandColumn, PassColumn
 from loi_core.compiled.vectors import add_product, filled, load_lines, load_sides, plus, store_rows, turned
 
-__all__ = ["Floats", "Table", "blur_window", "clear_window", "combine_turned", "transpose", "turn_combined"]
+__all__ = [
+    "Floats",
+    "Table",
+    "blur_rows",
+    "blur_window",
+    "clear_window",
+    "combine_turned",
+    "transpose",
+    "turn_combined",
+]
 
 Floats: TypeAlias = np.ndarray[Any, Any]
 Table: TypeAlias = np.ndarray[Any, np.dtype[np.int64]]
@@ -43,20 +52,43 @@ def blur_window(
     strip: int,
     add: bool,
 ) -> None:
-    """Blur a window of a plane; what lies in that of the result is the result, or has it added to it.
-
-    Some rows at a time go both ways, so that what lies between stays in a near cache.
-    """
+    """Blur a window of a plane; what lies in that of the result is the result, or has it added to it."""
     for first in range(way[FIRST], way[LAST], way[GROUPS]):
-        last = min(first + way[GROUPS], way[LAST])
-        there = turned - GROUP * first
-        turn_combined(
-            way, first, last, way[LEFT], way[RIGHT], weights, starts, bands, arena, source, source_stride, there, strip
-        )
-        combine_turned(
-            way, way[FIRST_AFTER], way[LAST_AFTER], GROUP * first, GROUP * last, weights, starts, bands, arena, there,
-            target, target_stride, add,
+        blur_rows(
+            way, first, min(first + way[GROUPS], way[LAST]), weights, starts, bands, arena, source, source_stride,
+            target, target_stride, turned, strip, add,
         )  # fmt: skip
+
+
+@compiled
+def blur_rows(
+    way: Table,
+    first: int,
+    last: int,
+    weights: Floats,
+    starts: Table,
+    bands: Table,
+    arena: Floats,
+    source: int,
+    source_stride: int,
+    target: int,
+    target_stride: int,
+    turned: int,
+    strip: int,
+    add: bool,
+) -> None:
+    """Take some groups of rows both ways, few enough for what lies between to stay in a near cache.
+
+    They become columns of the result, the first of which lies at `target` for the first group of all.
+    """
+    there = turned - GROUP * first
+    turn_combined(
+        way, first, last, way[LEFT], way[RIGHT], weights, starts, bands, arena, source, source_stride, there, strip
+    )
+    combine_turned(
+        way, way[FIRST_AFTER], way[LAST_AFTER], GROUP * first, GROUP * last, weights, starts, bands, arena, there,
+        target, target_stride, add,
+    )  # fmt: skip
 
 
 @compiled

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from loi_core.compiled.blurs import Floats, Table, blur_window, clear_window, combine_turned, turn_combined
+from loi_core.compiled.blurs import Floats, Table, blur_rows, blur_window, clear_window, combine_turned, turn_combined
 from loi_core.compiled.compiling import compiled, compiled_sums
 from loi_core.compiled.exponential import exponential
 from loi_core.compiled.tables import GROUP, BandColumn, EdgeColumn, NodeColumn, PassColumn
@@ -172,13 +172,9 @@ def _compare_extent(
     for first in range(forth[FIRST], forth[LAST], forth[GROUPS]):
         last = min(first + forth[GROUPS], forth[LAST])
         begin, end = GROUP * first, GROUP * last
-        turn_combined(
-            forth, first, last, forth[LEFT], forth[RIGHT], weights, starts, bands, arena, held, stride, turned - begin,
-            strip,
-        )  # fmt: skip
-        combine_turned(
-            forth, forth[FIRST_AFTER], forth[LAST_AFTER], begin, end, weights, starts, bands, arena, turned - begin,
-            compared - begin, forth[STRIDE], False,
+        blur_rows(
+            forth, first, last, weights, starts, bands, arena, held, stride, compared - begin, forth[STRIDE], turned,
+            strip, False,
         )  # fmt: skip
         left, right = max(begin, back[LEFT]), min(end, back[RIGHT])
         total += _cost(arena, compared - begin, forth[STRIDE], back[TOP], back[BOTTOM], left, right, tie, power, weight)
