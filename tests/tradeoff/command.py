@@ -1,0 +1,23 @@
+"""The command in a test, and what it finds announced."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from importlib.metadata import EntryPoint
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from loi_core import registry
+from loi_core.cli import main
+
+Plugins = Callable[..., None]
+
+NUMPY = EntryPoint("numpy", "loi_core.backends:NumPy", registry.BACKEND_GROUP)
+
+
+def tradeoff(output: Path, capsys: pytest.CaptureFixture[str], *arguments: str, code: int = 0) -> dict[str, Any]:
+    assert main(["tradeoff", "--seconds", "1e-3", "--output", str(output), "--json", *arguments]) == code
+    return dict(json.loads(capsys.readouterr().out))

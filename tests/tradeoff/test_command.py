@@ -1,0 +1,164 @@
+"""The command ``loi tradeoff``: what it measures is there, what fails is named."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from loi_core.cli import main
+from loi_core.tradeoff import WITHIN, pareto_set, rows, run
+from tests.tradeoff.command import NUMPY, Plugins, tradeoff
+
+ROW = {
+    *("backend", "device", "accuracy", "dtype", "change", "sigma", "alpha", "beta", "levels", "seconds", "runs"),
+    *("memory_bytes", "error", "parameter_error", "pareto", "problem"),
+}
+
+ANSWER = {
+    *(
+        "problem",
+        "machine",
+        "load",
+        "rows",
+        "missing",
+        "stochastic",
+        "noises",
+        "recommendation",
+        "interrupted",
+        "report",
+    ),
+}
+
+
+def test_two_images_are_measured_end_to_end(
+    plugins: Plugins, pair: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    found = tradeoff(tmp_path / "out", capsys, *pair)
+    assert set(found) == ANSWER
+    assert (found["problem"]["height"], found["problem"]["width"]) == (12, 10)
+    assert all(set(row) == ROW for row in found["rows"])
+    grid = [(row["accuracy"], row["dtype"]) for row in found["rows"] if row["change"] is None]
+    assert sorted(grid) == sorted((a, d) for a in ("exact", "balanced", "fast") for d in ("float32", "float64"))
+    assert {"half beta", "twice beta"} < {row["change"] for row in found["rows"]}
+    for row in found["rows"]:
+        assert row["problem"] is None
+        assert row["seconds"] > 0.0
+        assert row["runs"] >= 1
+        assert row["parameter_error"] is None
+        promised = {"exact": 1e-3 if row["dtype"] == "float32" else 1e-12, "balanced": 1e-2, "fast": 5e-2}
+        assert row["error"] > 1e-3 if row["change"] else row["error"] <= promised[row["accuracy"]], row
+    points = [(row["seconds"], row["error"]) for row in found["rows"]]
+    assert [row["pareto"] for row in found["rows"]] == pareto_set(points)
+    advised = found["rows"][found["recommendation"]["index"]]
+    assert advised["change"] is None
+    assert found["recommendation"]["error"] == advised["error"] <= WITHIN
+    assert not found["interrupted"]
+    stored = json.loads((tmp_path / "out" / "tradeoff.json").read_text())
+    assert stored == {key: value for key, value in found.items() if key != "report"}
+
+
+def test_the_page_holds_all_that_it_shows(
+    plugins: Plugins, pair: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["tradeoff", "--seconds", "1e-3", "--output", str(tmp_path / "out"), *pair]) == 0
+    said = capsys.readouterr().out
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert page.count("data:image/png;base64,") == 3
+    assert "http" not in page
+    assert (tmp_path / "out" / "tradeoff.png").read_bytes().startswith(b"\x89PNG")
+    sentence = json.loads((tmp_path / "out" / "tradeoff.json").read_text())["recommendation"]["sentence"]
+    assert f"Recommended: {sentence}" in said
+    assert "without a renderer" in sentence
+    assert said.count("| numpy") == page.count("<td>numpy</td>") == 10
+
+
+@pytest.mark.parametrize(
+    ("arguments", "says"),
+    [
+        (["--image", "{a}"], "`--image` and `--reference` go together, got only `--image`"),
+        (["--reference", "{a}"], "got only `--reference`"),
+        (["--image", "{a}", "--reference", "{b}", "--scene", "disks"], "exclude each other"),
+        (["--image", "{a}", "--reference", "{small}"], "must have the same shape, got (12, 10, 3) and (6, 10, 3)"),
+        (["--image", "{a}", "--reference", "{a}"], "`image` has no gradient"),
+        (["--image", "{a}", "--reference", "none.png"], "none.png: no such image file"),
+        (["--scene", "teapot"], "`--scene` must be a file that ends in .toml, or one of disks, photograph"),
+        (["--scene", "none.toml"], "none.toml: no such scene file"),
+        (["--image", "{a}", "--reference", "{b}", "--backend", "fortran"], "no backend is called 'fortran'"),
+        (["--seconds", "0"], "`--seconds` must be a finite number, more than 0, got 0.0"),
+        (["--seconds", "nan"], "`--seconds` must be"),
+        (["--output", "{a}"], "`--output` must lead to a folder"),
+        (["--output", "a\0b"], "`--output` must lead to a folder"),
+        (["--seconds", "soon"], "invalid float value: 'soon'"),
+    ],
+)
+def test_wrong_calls_are_one_line_and_write_nothing(
+    plugins: Plugins,
+    pair: list[str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    arguments: list[str],
+    says: str,
+) -> None:
+    np.save(tmp_path / "small.npy", np.zeros((6, 10, 3)))
+    places = {name: str(tmp_path / f"{name}.npy") for name in ("a", "b", "small")}
+    before = sorted(tmp_path.iterdir())
+    given = ["--output", str(tmp_path / "out"), *(one.format(**places) for one in arguments)]
+    assert main(["tradeoff", *given]) == 2
+    said = capsys.readouterr()
+    assert says in said.err.splitlines()[-1]
+    assert said.out == ""
+    assert sorted(tmp_path.iterdir()) == before
+
+
+def test_ctrl_c_keeps_what_is_done(
+    plugins: Plugins,
+    pair: list[str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    calls: list[str] = []
+
+    def interrupted(*arguments: Any) -> rows.Sample | str:
+        calls.append("")
+        if len(calls) == 3:
+            raise KeyboardInterrupt
+        return rows.Sample("cpu", 1.0, 1, None, np.ones((12, 10, 3)))
+
+    monkeypatch.setattr(run, "measure_setting", interrupted)
+    found = tradeoff(tmp_path / "out", capsys, *pair, code=1)
+    assert found["interrupted"]
+    assert len(found["rows"]) == 2
+    assert (tmp_path / "out" / "report.html").is_file()
+
+
+def test_a_busy_machine_is_told(
+    plugins: Plugins,
+    pair: list[str],
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(run, "measure_setting", lambda *_: rows.Sample("cpu", 1.0, 1, None, np.ones((12, 10, 3))))
+    for load, told in ((1e3, True), (0.0, False)):
+        monkeypatch.setattr("os.getloadavg", lambda load=load: (load, 0.0, 0.0))
+        assert main(["tradeoff", *pair, "--output", str(tmp_path / "out")]) == 0
+        assert ("The machine was busy" in capsys.readouterr().out) == told
+
+
+def test_why_float32_is_far_off_on_flat_images_is_told(
+    plugins: Plugins, pair: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    plugins(NUMPY)
+    for place, name in ((8, "left"), (72, "right")):
+        flat = np.full((96, 96, 3), 0.05)
+        flat[place : place + 16, place : place + 16] = 0.9
+        np.save(tmp_path / f"{name}.npy", flat)
+    apart = ["--image", str(tmp_path / "left.npy"), "--reference", str(tmp_path / "right.npy")]
+    for arguments, told in ((apart, True), (pair, False)):
+        assert main(["tradeoff", "--seconds", "1e-3", "--output", str(tmp_path / "out"), *arguments]) == 0
+        assert ("Large errors of float32" in capsys.readouterr().out) == told
