@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import suppress
-from typing import Any
+from typing import Any, TypeVar
 
 import torch
 from torch import Tensor
@@ -16,6 +17,15 @@ from loi_core.nonfinite import NanPolicy
 __all__ = ["LOILoss", "loi_loss"]
 
 REDUCED = (torch.float16, torch.bfloat16)
+
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def _alone(function: Function) -> Function:
+    """`function`, which ``torch.compile`` breaks its graph for: it cannot follow what Numba has compiled."""
+    disabled: Function = torch.compiler.disable(function)  # type: ignore[no-untyped-call]  # untyped in torch
+    return disabled
 
 
 class LOILoss(torch.nn.Module):
@@ -77,7 +87,7 @@ class LOILoss(torch.nn.Module):
         scales: ScaleSpace = self._options["scales"]
         return scales
 
-    @torch.compiler.disable  # type: ignore[untyped-decorator]  # untyped in torch
+    @_alone
     def forward(self, image: Tensor) -> Tensor:
         """The loss of `image`, a tensor of shape (); errors as :meth:`loi_core.LOIObjective.value`."""
         return _apply(image, self._current())
@@ -99,6 +109,7 @@ class LOILoss(torch.nn.Module):
         return {**self.__dict__, "_objective": None, "_state": ()}
 
 
+@_alone
 def loi_loss(
     image: Tensor,
     reference: Any,

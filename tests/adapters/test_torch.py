@@ -75,12 +75,14 @@ def test_vmap_is_a_loop(axis: int) -> None:
 
 @pytest.mark.filterwarnings("ignore:The .grad attribute of a Tensor that is not a leaf")  # of torch's own compiler
 def test_compiled_code_may_call_it() -> None:
-    loss = LOILoss(REFERENCE, SCALES)
-    compiled = torch.compile(lambda image: 2.0 * loss(1.0 * image), backend="aot_eager")
-    image = leaf()
-    compiled(image).backward()
-    assert image.grad is not None
-    np.testing.assert_allclose(image.grad, 2.0 * GRADIENT, rtol=1e-12, atol=1e-18)
+    module = LOILoss(REFERENCE, SCALES)
+    for loss in (module, lambda given: loi_loss(given, REFERENCE, SCALES)):
+        compiled = torch.compile(lambda image, loss=loss: 2.0 * loss(1.0 * image), backend="aot_eager")
+        image = leaf()
+        compiled(image).backward()
+        assert image.grad is not None
+        np.testing.assert_allclose(image.grad, 2.0 * GRADIENT, rtol=1e-12, atol=1e-18)
+        assert compiled(torch.tensor(IMAGE)).item() == pytest.approx(2.0 * float(VALUE), rel=1e-14)
 
 
 @pytest.mark.filterwarnings("ignore:The .grad attribute of a Tensor that is not a leaf")  # of torch's own compiler
