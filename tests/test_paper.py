@@ -11,6 +11,7 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
+from examples.paper import guidance
 from examples.paper.table1.command import main
 from examples.paper.table1.extent import PARTS, Extent
 from examples.paper.table1.means import Mean
@@ -233,3 +234,17 @@ def test_documented_means_are_those_of_the_documented_runs() -> None:
     ours = [min(table["ours", "loi", column.name]) for column in COLUMNS]
     assert all(len(table["ours", "loi", column.name]) == 10 for column in COLUMNS)
     assert min(ours) > 60.0
+
+
+def test_a_disk_alone_is_sent_straight_to_its_place() -> None:
+    alone = replace(guidance.RANDOM, disks=1)
+    assert all(guidance.cosines(OURS["loi"], alone, seed).item() > 0.99 for seed in range(8))
+
+
+def test_the_guidance_of_many_disks_is_measured_end_to_end(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    page = tmp_path / "table1.md"
+    page.write_text("<!-- guidance -->\n<!-- end -->\nafter\n")
+    guidance.main(["--quick", "--docs", str(tmp_path)])
+    printed = capsys.readouterr().out
+    assert printed.count("\n| ours ") == 1
+    assert page.read_text() == f"<!-- guidance -->\n\n{printed}\n<!-- end -->\nafter\n"

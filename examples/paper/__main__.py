@@ -10,6 +10,7 @@ from typing import Final
 # Of this package, each with a `main` that takes the arguments.
 EXPERIMENTS: Final = {
     "figures1d": "the one-dimensional figures, and how wide the basin of every method is (minutes)",
+    "guidance": "which way the loss sends each of many disks of random colours (minutes)",
     "table1": "disks found from random starts by every method (hours; what is done is kept)",
 }
 
