@@ -18,7 +18,6 @@ __all__ = ["LOILoss", "loi_loss"]
 
 REDUCED = (torch.float16, torch.bfloat16)
 
-
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -148,13 +147,14 @@ def _evaluate(image: Tensor, objective: LOIObjective, *, gradient: bool) -> tupl
 
 
 class _Loss(torch.autograd.Function):
-    """Value and gradient in one pass, the latter empty if it is not wanted; backward only scales it.
-
-    torch hands over arguments by position.
-    """
+    """Value and gradient in one pass, the latter empty if it is not wanted; backward only scales it."""
 
     @staticmethod
-    def forward(image: Tensor, objective: LOIObjective, gradient: bool) -> tuple[Tensor, Tensor]:  # noqa: FBT001
+    def forward(
+        image: Tensor,
+        objective: LOIObjective,
+        gradient: bool,  # noqa: FBT001  # torch hands over arguments by position
+    ) -> tuple[Tensor, Tensor]:
         return objective.value_and_grad(image) if gradient else (objective.value(image), image.new_empty(0))
 
     @staticmethod
@@ -183,7 +183,7 @@ class _Loss(torch.autograd.Function):
         axes: tuple[int, None, None],
         images: Tensor,
         objective: LOIObjective,
-        gradient: bool,  # noqa: FBT001
+        gradient: bool,  # noqa: FBT001  # as above
     ) -> tuple[tuple[Tensor, Tensor], tuple[int, int]]:
         """One image after another: each has a value of its own, where a batch has one for all."""
         # What is outside of this vmap may record each of them, which those in it do not tell.

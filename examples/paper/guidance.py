@@ -16,13 +16,13 @@ from typing import Final
 import numpy as np
 from tqdm import tqdm
 
-from examples.paper.pages import filled
+from examples.paper.pages import fill
+from examples.paper.table1.ablations import WIDTHS
 from examples.paper.table1.means import Mean
 from examples.paper.table1.objectives import objective
 from examples.paper.table1.problem import FRINGE, HARDER, Column, FloatArray, Problem
 from examples.paper.table1.settings import OURS, Setting
 from loi_core import ScaleSpace
-from loi_core.files import write_text
 from loi_core.tables import markdown
 
 __all__ = ["cosines", "main"]
@@ -30,7 +30,6 @@ __all__ = ["cosines", "main"]
 RANDOM: Final = next(column for column in HARDER if column.colours == "random")
 COUNTS: Final = (1, 4, 16, 64)
 SEEN: Final = 512  # disks behind every number
-WIDTHS: Final = (1.0, 5.0, 15.0, 45.0)
 FINE: Final = 1.0 / 32.0
 _OURS: Final = OURS["loi"]
 SETTINGS: Final = (
@@ -57,8 +56,7 @@ def main(words: Sequence[str] | None = None) -> None:
     table = markdown(["disks", *map(str, counts)], [[name, *cells] for name, cells in rows.items()])
     print("\n".join(table))
     if options.docs:
-        page = options.docs / "table1.md"
-        write_text(page, filled(page.read_text(encoding="utf-8"), {"guidance": table}))
+        fill(options.docs / "table1.md", {"guidance": table})
 
 
 def cosines(setting: Setting, column: Column, seed: int) -> FloatArray:

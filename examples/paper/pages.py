@@ -3,8 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
-__all__ = ["filled"]
+from loi_core.files import write_text
+
+__all__ = ["fill", "filled"]
+
+
+def fill(page: Path, tables: Mapping[str, Sequence[str]]) -> None:
+    """Put the tables into a page that is there; errors as :func:`filled`."""
+    write_text(page, filled(page.read_text(encoding="utf-8"), tables))
 
 
 def filled(page: str, tables: Mapping[str, Sequence[str]]) -> str:

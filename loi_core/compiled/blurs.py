@@ -79,7 +79,7 @@ def blur_rows(
 ) -> None:
     """Take some groups of rows both ways, few enough for what lies between to stay in a near cache.
 
-    They become columns of the result, the first of which lies at `target` for the first group of all.
+    They become columns of the result, of which column 0 lies at `target`, whether it is written or not.
     """
     there = turned - GROUP * first
     turn_combined(

@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
-from examples.paper.pages import filled
+from examples.paper.pages import fill
 from examples.paper.table1.extent import ABLATED, FEW, PARTS, SEEDS, Extent
 from examples.paper.table1.pictures import contact_sheet, convergence_plot
 from examples.paper.table1.problem import COLUMNS, HARDER, Column
@@ -60,8 +60,7 @@ def main(words: Sequence[str] | None = None) -> None:
         report(extent, runs, options.out)
     print("\n".join(report(extent, runs, options.out)))
     if options.docs:
-        page = options.docs / "table1.md"
-        write_text(page, filled(page.read_text(encoding="utf-8"), tables(extent, runs)))
+        fill(options.docs / "table1.md", tables(extent, runs))
         write_text(options.docs / "table1.csv", csv_of(runs, extent.runs))
         draw(extent, runs, options.docs / "images" / "table1")
 
