@@ -9,21 +9,32 @@ their histograms are made in units of the distance of two levels (:func:`loi_cor
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Final, TypeAlias
+from typing import Final, Protocol, TypeAlias
 
 import numpy as np
 
-from loi_core.arrays import Array, epsilon, from_numpy, namespace, runs_eagerly_on_host, values_may_decide
+from loi_core.arrays import (
+    Array,
+    device,
+    epsilon,
+    from_numpy,
+    namespace,
+    runs_eagerly_on_host,
+    to_numpy,
+    values_may_decide,
+)
 from loi_core.distance import cost_slope, sum_of_costs, tie_threshold
 from loi_core.operators import GaussianBlur
-from loi_core.plan import InnerPlan, TonalPlan
+from loi_core.plan import InnerPlan, Plan, TonalPlan
+from loi_core.sampling_error import Misplaced, Tally, changes_sharply, misplaced
 from loi_core.scales import ScaleSpace
 from loi_core.scope import Route, Scope, find_scope, levels_among
 from loi_core.tonal import above_padding, accumulate, in_levels, level_weights, weights_and_slopes
 from loi_core.windows import Window
 
-__all__ = ["InnerComparison", "ScaleKey", "Terms"]
+__all__ = ["UNFIT", "ArrayComparison", "Compared", "Comparison", "InnerComparison", "ScaleKey", "Terms"]
 
 ScaleKey: TypeAlias = tuple[float, float, float]
 Terms: TypeAlias = dict[ScaleKey, Array]
@@ -65,6 +76,29 @@ class _Extent:
 
 
 @dataclass(frozen=True)
+class Compared:
+    """What comes of comparing some planes.
+
+    Attributes
+    ----------
+    terms : dict
+        What each scale costs.
+    cotangent : array, shape (N, H, W), optional
+        The gradient by the planes, if it was asked for.
+    misplaced : tuple of Misplaced
+        What samplings misplaced on the way to it: :func:`loi_core.sampling_error.error_of` estimates its error from it.
+    """
+
+    terms: Terms
+    cotangent: Array | None
+    misplaced: tuple[Misplaced, ...] = ()
+
+
+UNFIT: Final = Compared({}, None)
+"""What comes of planes that change too fast for the sampling that the plan would see them on."""
+
+
+@dataclass(frozen=True)
 class InnerComparison:
     """One inner scale, its operators, and the reference's CDFs there."""
 
@@ -76,6 +110,7 @@ class InnerComparison:
     extents: tuple[_Extent, ...]
     planes: int  # how many planes are handled together
     levels: dict[float, list[_Levels]]  # by tonal scale, those that are handled together
+    is_sharp: bool  # whether the reference changes too fast for the sampling that it is seen on
 
     @classmethod
     def of(cls, scales: ScaleSpace, plan: InnerPlan, tonal: tuple[TonalPlan, ...], reference: Array) -> InnerComparison:
@@ -88,21 +123,43 @@ class InnerComparison:
         extents = tuple(
             _Extent(extent.alpha, extent.rung, GaussianBlur(extent.blur, reference)) for extent in plan.extents
         )
-        return cls(scales, plan, blur, intensity, rungs, extents, planes, levels)
+        sharp = plan.is_sampled and changes_sharply(to_numpy(intensity), min(scales.beta))
+        return cls(scales, plan, blur, intensity, rungs, extents, planes, levels, sharp)
 
-    def add(self, clipped: Array, terms: Terms, *, gradient: bool) -> Array | None:
-        """Add the terms of planes within the bounds, shape (N, H, W); their cotangent by the planes if asked for."""
+    def compare(self, clipped: Array, *, gradient: bool) -> Compared:
+        """Compare planes within the bounds, shape (N, H, W).
+
+        Where a plan has samplings, values must be at hand (:func:`loi_core.arrays.values_may_decide`).
+        """
         xp = namespace(clipped)
         intensity = self.blur.apply(above_padding(clipped, self.scales))
+        if self.is_sharp or (self.plan.is_sampled and changes_sharply(to_numpy(intensity), min(self.scales.beta))):
+            return UNFIT
+        terms = {
+            (extent.alpha, beta, self.plan.sigma): xp.zeros((), dtype=clipped.dtype, device=device(clipped))
+            for extent in self.extents
+            for beta in self.levels
+        }
+        count, pixels = clipped.shape[0], clipped.shape[-2] * clipped.shape[-1]
+        tallies = {beta: Tally(count, pixels, np.zeros((len(self.extents), 2))) for beta in self.levels}
         cotangents = []
         for start in range(0, intensity.shape[0], self.planes):
             part = slice(start, min(start + self.planes, intensity.shape[0]))
-            cotangents.append(self._compare(intensity[part, ...], part, terms, gradient=gradient))
+            cotangents.append(self._compare(intensity[part, ...], part, terms, tallies, gradient=gradient))
         if not gradient:
-            return None
-        return self.blur.adjoint(cotangents[0] if len(cotangents) == 1 else xp.concat(cotangents, axis=0))
+            return Compared(terms, None)
+        cotangent = self.blur.adjoint(cotangents[0] if len(cotangents) == 1 else xp.concat(cotangents, axis=0))
+        return Compared(terms, cotangent, tuple(self._misplaced(tallies)))
 
-    def _compare(self, intensity: Array, part: slice, terms: Terms, *, gradient: bool) -> Array | None:
+    def _misplaced(self, tallies: dict[float, Tally]) -> Iterator[Misplaced]:
+        for beta, tally in tallies.items():
+            for index, extent in enumerate(self.extents):
+                if self.plan.extents[index].is_sampled and tally.active:
+                    yield Misplaced.of(tally, index, extent.cells, scales=self.scales, beta=beta)
+
+    def _compare(
+        self, intensity: Array, part: slice, terms: Terms, tallies: dict[float, Tally], *, gradient: bool
+    ) -> Array | None:
         """Add the terms of some planes, shape (N, h, w); their cotangent by `intensity`.
 
         A few levels at a time, so that what is at work stays small and near.
@@ -118,6 +175,7 @@ class InnerComparison:
         seen = felt.crop(intensity)
         cotangent = xp.zeros_like(seen) if gradient else None
         for beta, groups in self.levels.items():
+            tallies[beta].active += intensity.shape[0]
             positions, width, mass = in_levels(seen, self.scales, beta)
             tie = tie_threshold(intensity, mass)
             per_intensity = 1.0 / self.scales.spacing(beta)
@@ -139,14 +197,17 @@ class InnerComparison:
                     continue
                 difference = held.crop(cdf[levels.skipped :, ...], felt)
                 difference -= held.crop(levels.cdf[:, part, ...])
-                pulled = self._compare_levels(difference, scope.route, beta, tie, terms, gradient=gradient)
+                tallies[beta].compared += difference.shape[0] * difference.shape[1]
+                pulled = self._compare_levels(
+                    difference, scope.route, beta, tie, terms, tallies[beta], gradient=gradient
+                )
                 if gradient:
                     pulled *= slope[levels.skipped :, ...]
                     cotangent += xp.sum(pulled, axis=0) * per_intensity
         return felt.paste(cotangent, *intensity.shape[-2:]) if gradient else None
 
     def _compare_levels(
-        self, difference: Array, route: Route, beta: float, tie: float, terms: Terms, *, gradient: bool
+        self, difference: Array, route: Route, beta: float, tie: float, terms: Terms, tally: Tally, *, gradient: bool
     ) -> Array | None:
         """Add the terms of a difference of CDFs, shape (L, N, h, w); the cotangent by it.
 
@@ -162,9 +223,12 @@ class InnerComparison:
             total, wanted = pulled[index], route.pulled[index]
             pulled[index] = _plus(total, wanted, part, window)
 
-        for extent in self.extents:
+        for index, extent in enumerate(self.extents):
             window = route.held[extent.rung]
             blurred = extent.blur.apply(rungs[extent.rung], window)
+            if gradient and self.plan.extents[index].is_sampled:
+                plane = extent.blur.blur
+                tally.sums[index] += misplaced(to_numpy(blurred), plane.target, plane.reached(window), tie)
             weight = scales.scale_weight * scales.level_weight(beta) / (self.intensity.shape[0] * extent.cells)
             slope = cost_slope(blurred, scales.p, tie, weight)
             terms[extent.alpha, beta, self.plan.sigma] += sum_of_costs(blurred, slope, scales.p)
@@ -180,6 +244,42 @@ class InnerComparison:
                 rung = self.rungs[index - 1]
                 pull(index - 1, rung.adjoint(part, wanted), rung.blur.reached_back(wanted))
         return pulled[0]
+
+
+class Comparison(Protocol):
+    """A way to compare planes with a reference at all scales."""
+
+    def compare(self, clipped: Array, *, gradient: bool) -> Compared:
+        """Compare planes within the bounds, shape (N, H, W); `UNFIT` if the plan does not suit them."""
+
+
+@dataclass(frozen=True)
+class ArrayComparison:
+    """By operations on whole arrays, of any library."""
+
+    inner: tuple[InnerComparison, ...]
+
+    @classmethod
+    def of(cls, scales: ScaleSpace, plan: Plan, reference: Array) -> ArrayComparison:
+        """Everything that depends on the reference alone: planes within the bounds, shape (N, H, W)."""
+        return cls(tuple(InnerComparison.of(scales, inner, plan.tonal, reference) for inner in plan.inner))
+
+    def compare(self, clipped: Array, *, gradient: bool) -> Compared:
+        """Compare planes within the bounds, shape (N, H, W)."""
+        terms: Terms = {}
+        total: Array = None
+        parts: tuple[Misplaced, ...] = ()
+        for inner in self.inner:
+            compared = inner.compare(clipped, gradient=gradient)
+            if compared is UNFIT:
+                return UNFIT
+            terms |= compared.terms
+            parts += compared.misplaced
+            if total is None:
+                total = compared.cotangent
+            elif gradient:
+                total += compared.cotangent
+        return Compared(terms, total, parts)
 
 
 def _plus(total: Array | None, wanted: Window, part: Array, window: Window) -> Array:

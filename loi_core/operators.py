@@ -56,6 +56,11 @@ class PlaneGrid:
         """Number of samples."""
         return self.rows.cells * self.columns.cells
 
+    @property
+    def transposed(self) -> PlaneGrid:
+        """The same of the transposed plane."""
+        return PlaneGrid(self.columns, self.rows)
+
     def __str__(self) -> str:
         return f"{self.rows}x{self.columns}"
 

@@ -28,6 +28,10 @@ from loi_core.tonal import soft_cdf_and_slope
 
 __all__ = ["ExtentPlan", "InnerPlan", "Plan", "TonalPlan", "make_plan"]
 
+PLANNED: Final = 0.5
+"""Share of the tolerance that is planned for ordinary images: what is left is for images that turn out to be harder,
+before they are compared at every pixel (:mod:`loi_core.sampling_error`)."""
+
 QUADRATURE: Final = 0.1
 """Relative gradient error of one extent sampled at spacing s: QUADRATURE (s / l)**1.5, with l how slowly it changes.
 
@@ -62,6 +66,19 @@ NEAR: Final = 16
 
 SETTLED: Final = 20  # steps to a fixed point, each of which at least halves the distance to it on a scale of logarithms
 
+RESOLVED: Final = 0.3
+"""Largest spacing in units of how slowly what is sampled changes.
+
+A Gaussian leaves less than a tie, 2e-15, of waves that are shorter than 2.6 such spacings. So signs that are not ties
+do not change twice between two samples.
+"""
+
+STEEP: Final = 7.5
+"""Largest spacing of a sampled image in units of its inner scale times beta.
+
+From sample to sample, the blur of a step of half the range changes by 1.5 beta then.
+"""
+
 INNER: Final = 0.4
 """Spacing of a sampling in units of the inner scale of what is sampled: ripples of 2 exp(-2 (pi / INNER)**2) < 1e-50
 in the image, which its isophotes sharpen."""
@@ -88,6 +105,11 @@ class ExtentPlan:
     blur: PlaneBlur
     error: float
 
+    @property
+    def is_sampled(self) -> bool:
+        """Whether signs are taken for more than one pixel each, where histograms may differ from pixel to pixel."""
+        return self.error > 0.0
+
 
 @dataclass(frozen=True)
 class InnerPlan:
@@ -107,6 +129,11 @@ class InnerPlan:
     def finest(self) -> int:
         """Samples of the finest sampling that an extent starts from or is compared on."""
         return max(self.grid.cells, *(extent.blur.target.cells for extent in self.extents))
+
+    @property
+    def is_sampled(self) -> bool:
+        """Whether the image is seen on fewer samples than it has pixels."""
+        return self.blur.target.cells < self.blur.source.cells
 
     @property
     def work(self) -> float:
@@ -151,6 +178,11 @@ class Plan:
     inner: tuple[InnerPlan, ...]
     tonal: tuple[TonalPlan, ...]
     compiled: bool = False
+
+    @property
+    def is_sampled(self) -> bool:
+        """Whether something is computed on samples, so that the gradient is not exact."""
+        return any(inner.is_sampled or any(each.is_sampled for each in inner.extents) for inner in self.inner)
 
     @property
     def work(self) -> float:
@@ -283,8 +315,8 @@ class _Planner:
         """Largest spacing of a sampling in units of how slowly what is sampled changes."""
         share, power, most = SHARE
         terms = len(self.scales.sigma) * len(self.scales.alpha)
-        allowed = self.tolerance * min(share * math.pow(terms, power), most)
-        return min(math.pow(allowed / QUADRATURE, 2.0 / 3.0), 0.8)
+        allowed = PLANNED * self.tolerance * min(share * math.pow(terms, power), most)
+        return min(math.pow(allowed / QUADRATURE, 2.0 / 3.0), RESOLVED)
 
     def _inner_grid(self, sigma: float) -> PlaneGrid:
         if self._is_flat(sigma) and self._taps is None:
@@ -295,8 +327,8 @@ class _Planner:
         if narrowest == 0.0:  # compared where it is, so the sampling is that of a comparison
             return self._sampled(self.pixels, self._limited(self._ratio * sigma / 2.0))
         # A Gaussian of half the spacing still finds two samples wherever it is centred.
-        spacing = min(INNER * sigma, 2.0 * narrowest)
-        return self._sampled(self.pixels, self._limited(spacing))
+        spacing = self._limited(min(INNER * sigma, 2.0 * narrowest, STEEP * sigma * min(self.scales.beta)))
+        return self.pixels if spacing < WORTHWHILE else self._sampled(self.pixels, spacing)
 
     def _target(self, grid: PlaneGrid, sigma: float, alpha: float) -> tuple[PlaneGrid, float]:
         """Where an extent is compared, and the error of doing so."""

@@ -8,10 +8,11 @@ from typing import Any, Final, TypeAlias
 
 import mitsuba as mi
 
-from loi_core.errors import LoiError, OptionError, ParameterError
+from loi_core.errors import OptionError, ParameterError
 from loi_core.messages import shown
 from loi_core.values import whole_number
 from loi_mitsuba.handles import Handle, Rotate, Scale, Translate, from_table
+from loi_mitsuba.untrusted import SceneLoadError, check_scene_file, check_types
 
 __all__ = [
     "SceneLoadError",
@@ -32,10 +33,6 @@ VARIANTS: Final = ("cuda_ad_rgb", "llvm_ad_rgb")
 MOST_SAMPLES: Final = 2**32 - 1  # in one image; Mitsuba counts them in 32 bits
 
 
-class SceneLoadError(LoiError, ValueError):
-    """Mitsuba cannot load the scene."""
-
-
 def use_variant() -> str:
     """The variant in use, once there is one that has gradients."""
     if mi.variant() is None:
@@ -54,8 +51,10 @@ def load_scene(scene: Any) -> Any:
         return scene
     try:
         if isinstance(scene, dict):
+            check_types(scene)
             loaded = mi.load_dict(scene, optimize=False)
         elif isinstance(scene, str | Path):
+            check_scene_file(Path(scene))
             loaded = mi.load_file(str(scene), optimize=False)
         else:
             loaded = scene
@@ -107,7 +106,7 @@ def most_samples(film: Any) -> int:
     return MOST_SAMPLES // int((width + border) * (height + border))
 
 
-def one_line(error: RuntimeError) -> str:
+def one_line(error: Exception) -> str:
     """What Mitsuba says, without the trace of the Python in which some of its plugins are written."""
     said, _, trace = str(error).strip().partition("Traceback (most recent call last):")
     return " ".join([*said.split(), *" ".join(trace.splitlines()[-1:]).split()])

@@ -30,6 +30,7 @@ from loi_mitsuba.loading import (
     use_variant,
 )
 from loi_mitsuba.named import NamedParameters, as_host, host_numbers
+from loi_mitsuba.untrusted import SceneLoadError, check_types
 
 __all__ = ["MitsubaRenderer"]
 
@@ -282,8 +283,9 @@ def _integrator(scene: Any, integrator: Any) -> Any:
         integrator = scene.integrator()
     if isinstance(integrator, dict):
         try:
+            check_types(integrator)
             integrator = mi.load_dict(integrator)
-        except RuntimeError as error:
+        except (RuntimeError, SceneLoadError) as error:
             msg = f"`integrator` cannot be loaded: {one_line(error)}"
             raise OptionError(msg) from None
     if not isinstance(integrator, mi.Integrator):

@@ -12,13 +12,13 @@ import functools
 import itertools
 import math
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
 
-from loi_core.comparison import ScaleKey
+from loi_core.comparison import UNFIT, Compared
 from loi_core.compiled.arena import Arena
 from loi_core.compiled.bands import Numbers
 from loi_core.compiled.inner import InnerBlur
@@ -26,12 +26,13 @@ from loi_core.compiled.kernels import compare_levels
 from loi_core.compiled.program import Program, Wiring
 from loi_core.compiled.threads import run_all
 from loi_core.distance import tie_threshold
-from loi_core.plan import InnerPlan, TonalPlan
+from loi_core.plan import InnerPlan, Plan, TonalPlan
+from loi_core.sampling_error import Misplaced, Tally, changes_sharply
 from loi_core.scales import ScaleSpace
 from loi_core.scope import differing_window, levels_among, scope_of
 from loi_core.tonal import ROOT_TWO, above_padding, in_levels
 
-__all__ = ["CompiledComparison", "compare"]
+__all__ = ["CompiledComparison", "KernelComparison"]
 
 TASKS: Final = 12  # about as many as there are of a small batch, so that cores find enough to do
 FEWEST_LEVELS: Final = 4  # of a task; each makes again what the levels below its own add to the CDF
@@ -39,15 +40,30 @@ FEWEST_SAMPLES: Final = 2**15  # of all levels of a task: half a millisecond
 SHARED: Final = 2**18  # samples of all levels from which on several threads are worth waiting for each other
 
 
-def compare(
-    comparisons: Sequence[CompiledComparison], clipped: Numbers, *, gradient: bool
-) -> tuple[dict[ScaleKey, float], Numbers | None]:
-    """The terms of planes within the bounds, shape (N, H, W), and their cotangent by the planes if asked for."""
+@dataclass(frozen=True)
+class KernelComparison:
+    """By compiled loops, for NumPy's arrays; the counterpart of :class:`loi_core.comparison.ArrayComparison`."""
+
+    inner: tuple[CompiledComparison, ...]
+
+    @classmethod
+    def of(cls, scales: ScaleSpace, plan: Plan, reference: Numbers) -> KernelComparison:
+        """Everything that depends on the reference alone: planes within the bounds, shape (N, H, W)."""
+        return cls(tuple(CompiledComparison.of(scales, inner, plan.tonal, reference) for inner in plan.inner))
+
+    def compare(self, clipped: Numbers, *, gradient: bool) -> Compared:
+        """Compare planes within the bounds, shape (N, H, W)."""
+        if any(inner.is_sharp for inner in self.inner):
+            return UNFIT
+        return _compare(self.inner, clipped, gradient=gradient)
+
+
+def _compare(comparisons: Sequence[CompiledComparison], clipped: Numbers, *, gradient: bool) -> Compared:
     scales, count = comparisons[0].scales, clipped.shape[0]
     groups = -(-TASKS // (count * len(comparisons)))
     above = above_padding(clipped, scales)
     arena = _own_arena(clipped.dtype)
-    work: list[list[list[_Task]]] = [[[] for _ in comparisons] for _ in range(count)]
+    work: list[list[list[_Task] | None]] = [[None for _ in comparisons] for _ in range(count)]
 
     def look(plane: int, index: int, mine: Arena) -> None:
         work[plane][index] = comparisons[index].tasks(above[plane], plane, groups, mine, gradient=gradient)
@@ -61,19 +77,41 @@ def compare(
     looks = [functools.partial(look, plane, index) for plane in range(count) for index in range(len(comparisons))]
     shared = None if len(comparisons) * clipped.size >= SHARED else 1
     run_all(looks, arena, most=shared)
+    if any(tasks is None for plane in work for tasks in plane):
+        return UNFIT
     # The widest take longest, so they come first: what is left then is small.
-    tasks = [task for index in range(len(comparisons)) for plane in work for task in plane[index]]
+    tasks = [task for index in range(len(comparisons)) for plane in work for task in plane[index] or ()]
     samples = sum((task.levels[2] - task.levels[1]) * task.image.size for task in tasks)
     run_all([task.run for task in tasks], arena, most=None if samples >= SHARED else 1)
-    terms = dict.fromkeys(scales.keys, 0.0)
+    costs = dict.fromkeys(scales.keys, 0.0)
     for task in tasks:
         for extent, cost in zip(task.wiring.plan.extents, task.costs, strict=True):
-            terms[extent.alpha, task.beta, task.wiring.plan.sigma] += float(cost)
+            costs[extent.alpha, task.beta, task.wiring.plan.sigma] += float(cost)
+    terms = {key: np.asarray(cost, clipped.dtype) for key, cost in costs.items()}
     if not gradient:
-        return terms, None
+        return Compared(terms, None)
     total = np.zeros_like(clipped)
     run_all([functools.partial(pull_back, plane) for plane in range(count)], arena, most=shared)
-    return terms, total
+    parts = (
+        _misplaced(each, [plane[index] or [] for plane in work], clipped[0].size)
+        for index, each in enumerate(comparisons)
+    )
+    return Compared(terms, total, tuple(itertools.chain.from_iterable(parts)))
+
+
+def _misplaced(comparison: CompiledComparison, work: Sequence[list[_Task]], pixels: int) -> Iterator[Misplaced]:
+    """What the tasks of one inner scale misplaced, given by plane."""
+    extents = comparison.plan.extents
+    for beta in comparison.scales.beta:
+        tally = Tally(len(work), pixels, np.zeros((len(extents), 2)))
+        for tasks in ([task for task in plane if task.beta == beta] for plane in work):
+            tally.active += bool(tasks)
+            for task in tasks:
+                tally.compared += task.levels[2] - task.levels[1]
+                tally.sums += task.doubts
+        for index, extent in enumerate(extents):
+            if extent.is_sampled and tally.active:
+                yield Misplaced.of(tally, index, extent.blur.target.cells, scales=comparison.scales, beta=beta)
 
 
 @dataclass(frozen=True)
@@ -87,6 +125,7 @@ class CompiledComparison:
     intensity: Numbers  # the reference's, above the padding; shape (N, h, w)
     positions: dict[float, Numbers]  # the same in units of the distance of two levels, by tonal scale
     wiring: Wiring
+    is_sharp: bool  # whether the reference changes too fast for the sampling that it is seen on
 
     @classmethod
     def of(
@@ -96,11 +135,17 @@ class CompiledComparison:
         blur, arena = InnerBlur.of(plan.blur, reference.dtype), Arena(reference.dtype)
         intensity = np.stack([blur.apply(plane, arena) for plane in above_padding(reference, scales)])
         positions = {each.beta: in_levels(intensity, scales, each.beta)[0] for each in tonal}
-        return cls(scales, plan, tonal, blur, intensity, positions, Wiring.of(plan, reference.dtype))
+        sharp = plan.is_sampled and changes_sharply(intensity, min(scales.beta))
+        return cls(scales, plan, tonal, blur, intensity, positions, Wiring.of(plan, reference.dtype), sharp)
 
-    def tasks(self, above: Numbers, plane: int, most: int, arena: Arena, *, gradient: bool) -> list[_Task]:
-        """What there is to do for a plane of an image, given as what it is above the padding, shape (H, W)."""
+    def tasks(self, above: Numbers, plane: int, most: int, arena: Arena, *, gradient: bool) -> list[_Task] | None:
+        """What there is to do for a plane of an image, given as what it is above the padding, shape (H, W).
+
+        None if the plane changes too fast for the sampling that it is seen on.
+        """
         image, reference = self.blur.apply(above, arena), self.intensity[plane]
+        if self.plan.is_sampled and changes_sharply(image, min(self.scales.beta)):
+            return None
         differing = differing_window(image[None], reference[None])
         if differing is None:
             return []
@@ -152,17 +197,20 @@ class _Task:
     program: Program
     gradient: bool
     costs: Numbers = field(init=False)
+    doubts: Numbers = field(init=False)
     cotangent: Numbers = field(init=False)
 
     def run(self, arena: Arena) -> None:
         """Compute it."""
         self.costs = np.zeros(len(self.wiring.plan.extents))
+        self.doubts = np.zeros((len(self.wiring.plan.extents), 2))
         self.cotangent = np.zeros(self.image.shape if self.gradient else (0, 0), self.image.dtype)
         bands = self.wiring.bands
         compare_levels(
             self.image, self.reference, np.asarray(self.levels, np.int64), self.settings, bands.weights, bands.starts,
             bands.table, self.program.nodes, self.program.edges, self.program.places,
-            arena.of(self.program.elements), self.costs, self.cotangent,
+            arena.of(self.program.elements), self.wiring.samplings, np.zeros(self.wiring.room), self.costs, self.doubts,
+            self.cotangent,
         )  # fmt: skip
         self.cotangent *= self.slope
 

@@ -12,6 +12,7 @@ from typing import Any
 from loi_core.compiled.blurs import Floats, Table, blur_rows, blur_window, clear_window, combine_turned, turn_combined
 from loi_core.compiled.compiling import compiled, compiled_sums
 from loi_core.compiled.exponential import exponential
+from loi_core.compiled.misplacement import sum_misplaced, take_sums
 from loi_core.compiled.tables import GROUP, BandColumn, EdgeColumn, NodeColumn, PassColumn
 
 __all__ = ["compare_levels"]
@@ -36,7 +37,10 @@ def compare_levels(
     edges: Table,
     places: Table,
     arena: Floats,
+    samplings: Floats,
+    sums: Floats,
     costs: Floats,
+    doubts: Floats,
     cotangent: Floats,
 ) -> None:
     """Add the costs of some levels of one plane to `costs`, and their slope by the image to `cotangent`.
@@ -60,8 +64,15 @@ def compare_levels(
         what is transposed on its way back from there.
     arena : array, shape (A,)
         Finite numbers.
+    samplings : array, shape (E, 2)
+        float64: the spacing of the samples of each extent, along its rows' axis and its columns' as they lie there; 0
+        where every pixel is compared.
+    sums : array, shape (S,)
+        float64 zeros: room for :func:`loi_core.compiled.misplacement.sum_misplaced`.
     costs : array, shape (E,)
         float64.
+    doubts : array, shape (E, 2)
+        float64: what :func:`loi_core.sampling_error.misplaced` gives for each extent is added to it.
     cotangent : array, shape (h, w) or (0, 0)
         Of size 0 if it is not wanted.
     """
@@ -98,7 +109,7 @@ def compare_levels(
             source, extent = nodes[edge[SOURCE]], edge[TARGET]
             costs[extent] += _compare_extent(
                 edge, weights, starts, bands, arena, places, source, settings[3], settings[4], settings[5 + extent],
-                cotangent.size > 0,
+                samplings[extent], sums, doubts[extent], cotangent.size > 0,
             )  # fmt: skip
         if cotangent.size:
             for index in range(rungs - 1, -1, -1):
@@ -158,6 +169,9 @@ def _compare_extent(
     tie: Any,
     power: Any,
     weight: Any,
+    spacings: Floats,
+    sums: Floats,
+    doubt: Floats,
     gradient: bool,
 ) -> float:
     """The cost of one extent; its slope is added to what is pulled back to its node.
@@ -177,6 +191,11 @@ def _compare_extent(
             strip, False,
         )  # fmt: skip
         left, right = max(begin, back[LEFT]), min(end, back[RIGHT])
+        if gradient and spacings[0] > 0:
+            sum_misplaced(
+                arena, compared - begin, forth[STRIDE], back[TOP], back[BOTTOM], back[LEFT], back[RIGHT], left,
+                right, spacings, tie, sums,
+            )  # fmt: skip
         total += _cost(arena, compared - begin, forth[STRIDE], back[TOP], back[BOTTOM], left, right, tie, power, weight)
         if gradient:
             turn_combined(
@@ -194,6 +213,8 @@ def _compare_extent(
                     pulled, stride, True,
                 )  # fmt: skip
             done = ready
+    if gradient and spacings[0] > 0:
+        take_sums(sums, back[BOTTOM] - back[TOP], doubt)
     return total
 
 

@@ -9,7 +9,8 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 
 from loi_core.cache import Cache
-from loi_core.compiled.bands import Band, Bands, band_back, band_forth
+from loi_core.compiled.bands import Band, Bands, Numbers, band_back, band_forth
+from loi_core.compiled.misplacement import room_for_sums
 from loi_core.compiled.tables import GROUP, LANES, NEAR, SIDE, STRIP, EdgeColumn, NodeColumn, PassColumn, padded
 from loi_core.operators import PlaneBlur
 from loi_core.plan import InnerPlan
@@ -55,6 +56,10 @@ class Wiring:
     plan: InnerPlan
     bands: Bands
     edges: tuple[_Edge, ...]
+    samplings: (
+        Numbers  # of each extent, as its rows and columns lie: the spacing of samples, or 0 if they are all pixels
+    )
+    room: int  # for the sums over blocks of any of them
     routes: Cache[Window, Route] = field(default_factory=lambda: Cache(KEPT))
     programs: Cache[tuple[Window, Window], Program] = field(default_factory=lambda: Cache(KEPT))
 
@@ -75,7 +80,13 @@ class Wiring:
 
         edges = [edge(index, index + 1, rung) for index, rung in enumerate(plan.rungs)]
         edges += [edge(extent.rung, index, extent.blur) for index, extent in enumerate(plan.extents)]
-        return cls(plan, Bands.of(bands), tuple(edges))
+        grids = [extent.blur.target if extent.rung % 2 else extent.blur.target.transposed for extent in plan.extents]
+        spacings = [
+            (grid.rows.spacing, grid.columns.spacing) if extent.is_sampled else (0.0, 0.0)
+            for extent, grid in zip(plan.extents, grids, strict=True)
+        ]
+        room = max(room_for_sums(grid.rows.cells, grid.columns.cells) for grid in grids)
+        return cls(plan, Bands.of(bands), tuple(edges), np.asarray(spacings), room)
 
     @property
     def rungs(self) -> int:

@@ -2,27 +2,24 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
-from functools import cached_property
-from typing import TYPE_CHECKING, Final
+from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
-from loi_core.arrays import Array, device, epsilon, is_numpy_array, namespace, widened
-from loi_core.comparison import InnerComparison, ScaleKey, Terms
+from loi_core.arrays import Array, epsilon, is_numpy_array, to_numpy, values_may_decide, widened
+from loi_core.comparison import UNFIT, ArrayComparison, Comparison, ScaleKey
 from loi_core.compiled import available, serves
 from loi_core.errors import OptionError, ScaleError
 from loi_core.messages import shown
 from loi_core.nonfinite import NanPolicy
 from loi_core.objectives.base import Evaluation, ImageObjective
 from loi_core.plan import Plan, make_plan
+from loi_core.sampling_error import error_of, is_within
 from loi_core.scales import ScaleSpace
 from loi_core.tonal import clip, clip_pullback
 from loi_core.tone import LogTone
 from loi_core.values import real_number
-
-if TYPE_CHECKING:
-    from loi_core.compiled.comparison import CompiledComparison
 
 __all__ = ["ACCURACIES", "LOIObjective", "ScaleKey", "gradient_tolerance"]
 
@@ -140,7 +137,7 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
         plan = self.plan(*reference.shape[-2:], eps=epsilon(reference))
         prepared = _Prepared(scales, plan, clip(reference, *scales.bounds))
         # Now, and not when it is first used: that may be where JAX traces.
-        _ = prepared.kernels if _by_kernels(reference) else prepared.arrays
+        prepared.first(reference)
         return prepared
 
     def _compares_on_host(self, image: Array) -> bool:
@@ -148,53 +145,61 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
 
     def _evaluate(self, planes: Array, prepared: _Prepared, *, gradient: bool) -> Evaluation[ScaleKey]:
         bounds = self._scales.bounds
-        compare = prepared.by_kernels if _by_kernels(planes) else prepared.by_arrays
-        terms, cotangent = compare(clip(planes, *bounds), gradient=gradient)
-        return Evaluation(terms, clip_pullback(planes, cotangent, *bounds) if gradient else None)
+        clipped = clip(planes, *bounds)
+        compared = prepared.first(planes).compare(clipped, gradient=gradient)
+        if compared is UNFIT:
+            compared = prepared.exact(planes).compare(clipped, gradient=gradient)
+        if not gradient:
+            return Evaluation(compared.terms, None)
+        cotangent = clip_pullback(planes, compared.cotangent, *bounds)
+        error = error_of(compared.misplaced)
+        if error > 0.0 and not is_within(error, self._tolerance, _norm(cotangent)):
+            exact = prepared.exact(planes).compare(clipped, gradient=True)
+            cotangent = clip_pullback(planes, exact.cotangent, *bounds)
+        return Evaluation(compared.terms, cotangent)
+
+
+def _norm(cotangent: Array) -> float:
+    """The 2-norm of an array that is on the host."""
+    return float(np.linalg.norm(to_numpy(cotangent).reshape(-1)))
 
 
 def _by_kernels(planes: Array) -> bool:
     return is_numpy_array(planes) and serves(planes)
 
 
-@dataclass(frozen=True)
 class _Prepared:
-    """All that depends on the reference alone, for either way of comparing; each gives terms and a cotangent."""
+    """All that depends on the reference alone, by plan and by way of comparing; what is not needed yet is not made."""
 
-    scales: ScaleSpace
-    plan: Plan
-    reference: Array  # within the bounds, shape (N, H, W)
-
-    @cached_property
-    def arrays(self) -> tuple[InnerComparison, ...]:
-        """For arrays of the reference's library."""
-        return tuple(
-            InnerComparison.of(self.scales, inner, self.plan.tonal, self.reference) for inner in self.plan.inner
+    def __init__(self, scales: ScaleSpace, plan: Plan, reference: Array) -> None:
+        self._scales = scales
+        self._plan = plan
+        self._exact = (
+            plan if plan.tolerance == 0.0 else make_plan(scales, plan.height, plan.width, tolerance=0.0, eps=plan.eps)
         )
+        self._reference = reference  # within the bounds, shape (N, H, W)
+        self._made: dict[tuple[bool, bool], Comparison] = {}
 
-    @cached_property
-    def kernels(self) -> tuple[CompiledComparison, ...]:
-        """For NumPy's."""
-        from loi_core.compiled.comparison import CompiledComparison
+    def first(self, planes: Array) -> Comparison:
+        """How planes are compared at first: by the plan, if it can be checked against their values."""
+        by_kernels = _by_kernels(planes)
+        return self._get(planned=by_kernels or values_may_decide(planes), by_kernels=by_kernels)
 
-        return tuple(
-            CompiledComparison.of(self.scales, inner, self.plan.tonal, self.reference) for inner in self.plan.inner
-        )
+    def exact(self, planes: Array) -> Comparison:
+        """How planes are compared where the plan cannot vouch for its accuracy."""
+        return self._get(planned=False, by_kernels=_by_kernels(planes))
 
-    def by_arrays(self, clipped: Array, *, gradient: bool) -> tuple[Terms, Array | None]:
-        """As operations on whole arrays, of any library."""
-        xp = namespace(clipped)
-        terms = {key: xp.zeros((), dtype=clipped.dtype, device=device(clipped)) for key in self.scales.keys}
-        cotangents = [inner.add(clipped, terms, gradient=gradient) for inner in self.arrays]
-        total: Array = cotangents[0]
-        if gradient:
-            for cotangent in cotangents[1:]:
-                total += cotangent
-        return terms, total
+    def _get(self, *, planned: bool, by_kernels: bool) -> Comparison:
+        # No lock: threads that come at once make the same twice, and a process that is forked meanwhile waits for none.
+        key = planned and self._plan is not self._exact, by_kernels
+        made = self._made.get(key)
+        if made is None:
+            made = self._made[key] = self._make(self._plan if key[0] else self._exact, by_kernels=by_kernels)
+        return made
 
-    def by_kernels(self, clipped: Array, *, gradient: bool) -> tuple[Terms, Array | None]:
-        """As compiled loops, for what :func:`loi_core.compiled.serves`."""
-        from loi_core.compiled.comparison import compare
+    def _make(self, plan: Plan, *, by_kernels: bool) -> Comparison:
+        if not by_kernels:
+            return ArrayComparison.of(self._scales, plan, self._reference)
+        from loi_core.compiled.comparison import KernelComparison
 
-        costs, cotangent = compare(self.kernels, clipped, gradient=gradient)
-        return {key: np.asarray(cost, clipped.dtype) for key, cost in costs.items()}, cotangent
+        return KernelComparison.of(self._scales, plan, self._reference)

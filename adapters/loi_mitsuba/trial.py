@@ -1,0 +1,50 @@
+"""Loads one Mitsuba scene in a process of its own, so that a damaged mesh or image ends this one and no other.
+
+``python trial.py VARIANT FILE``; see :mod:`loi_mitsuba.untrusted`, which has looked at the plugins' names. Exit code 1
+and a last line on standard error say that the scene cannot be loaded.
+"""
+
+from __future__ import annotations
+
+import sys
+
+MOST_MEMORY = 16 * 2**30  # bytes of addresses, of which Dr.Jit reserves many and uses few
+
+
+def main(variant: str, path: str) -> int:
+    """Load the scene; make sure that its meshes refer to vertices that they have."""
+    try:
+        import resource
+    except ImportError:  # not on Windows
+        pass
+    else:
+        resource.setrlimit(resource.RLIMIT_AS, (MOST_MEMORY, MOST_MEMORY))
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    from loi_mitsuba import prepare
+
+    prepare()
+    import drjit as dr
+    import mitsuba as mi
+
+    from loi_mitsuba.untrusted import SceneLoadError, check_plugins_of
+
+    mi.set_variant(variant)
+    try:
+        check_plugins_of(path)
+        scene = mi.load_file(path, optimize=False)
+        for shape in scene.shapes():
+            if isinstance(shape, mi.Mesh) and shape.face_count():
+                last = dr.max(dr.ravel(mi.traverse(shape)["faces"]))[0]
+                if last >= shape.vertex_count():
+                    msg = f"a mesh refers to vertex {last} and has {shape.vertex_count()}"
+                    raise SceneLoadError(msg)
+    except (RuntimeError, MemoryError, SceneLoadError) as error:
+        sys.stderr.write(f"{' '.join(str(error).split()) or type(error).__name__}\n")
+        return 1
+    return 0
+
+
+if __name__ == "__main__":
+    code = main(*sys.argv[1:])
+    sys.stderr.flush()
+    sys.exit(code)

@@ -1,0 +1,226 @@
+"""What is looked at of a scene before Mitsuba makes anything of it: Mitsuba trusts its input, and loi does not.
+
+* Mitsuba loads a plugin that it does not know from ``plugins/NAME.so``, and looks in the folder of the scene first. So
+  names must be plain words; those of Mitsuba's own plugins are loaded from its own folder beforehand, and a name of no
+  such plugin must not be that of a library in any folder that Mitsuba looks in.
+* Parameters in XML (``<default>``) may double again and again, and elements may be nested until the stack ends. Both
+  are counted beforehand.
+* Meshes, images and volumes are decoded in C++. A scene that names files is loaded in a process of its own first, which
+  may crash, hang or run out of memory; see :mod:`loi_mitsuba.trial`.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final
+from xml.parsers import expat
+
+import mitsuba as mi
+
+from loi_core.errors import LoiError
+from loi_core.files import read_bytes
+from loi_core.messages import printable, shown, told
+
+__all__ = ["SceneLoadError", "check_plugins_of", "check_scene_file", "check_types"]
+
+MOST_XML: Final = 64 * 2**20  # bytes of one file
+DEEPEST: Final = 64  # elements within elements
+MOST_FILES: Final = 32  # XML files that include each other
+MOST_TEXT: Final = 2**20  # characters of one attribute once its parameters are put in
+MOST_TEXTS: Final = 2**28  # and of all attributes together
+
+PLUGIN_NAME: Final = re.compile(r"[A-Za-z0-9_]+")
+REFERENCE: Final = re.compile(r"\$([A-Za-z0-9_]*)")
+LIBRARY_SUFFIXES: Final = (".so", ".dylib", ".dll")
+SECONDS: Final = 600.0
+
+
+class SceneLoadError(LoiError, ValueError):
+    """Mitsuba cannot load the scene, or it must not."""
+
+
+def check_scene_file(path: Path) -> None:
+    """Look at an XML scene and all that it names.
+
+    Raises
+    ------
+    SceneLoadError
+        If a file is missing, not a regular one or damaged, a bound is passed, or a plugin is not one of Mitsuba's.
+    """
+    folders = _Bounds().check(path)
+    nodes = check_plugins_of(path, folders)
+    named = [Path(value) for node in nodes for value in _file_names(node.props)]
+    for name in named:
+        found = next((folder / name for folder in folders if (folder / name).exists()), None)
+        if found is not None and not found.is_file():
+            raise _refused(path, f"{printable(str(name))} is not a regular file")
+    if named:
+        _try_to_load(path)
+
+
+def check_plugins_of(path: str | Path, folders: Iterable[Path] = ()) -> list[Any]:
+    """Look at the plugins of an XML scene, and make sure that Mitsuba's own are loaded; the parser's nodes."""
+    try:
+        state = mi.parser.parse_file(mi.parser.ParserConfig(mi.variant()), str(path))
+    except RuntimeError as error:
+        raise _refused(Path(path), " ".join(str(error).split())) from None
+    _check_plugins((node.props.plugin_name() for node in state.nodes), folders)
+    return list(state.nodes)
+
+
+def check_types(description: Mapping[str, Any]) -> None:
+    """Look at the plugins that a dict for ``mi.load_dict`` names.
+
+    Raises
+    ------
+    SceneLoadError
+        If one is not a plugin of Mitsuba.
+    """
+    _check_plugins(_types(description), ())
+
+
+def _types(description: Mapping[str, Any]) -> Iterator[str]:
+    for key, value in description.items():
+        if key == "type":
+            yield str(value)
+        elif isinstance(value, Mapping):
+            yield from _types(value)
+
+
+def _file_names(properties: Any) -> Iterator[str]:
+    for name in properties.keys():  # noqa: SIM118 - not a mapping
+        if name.endswith("filename") and isinstance(properties[name], str):
+            yield properties[name]
+
+
+def _check_plugins(names: Iterable[str], folders: Iterable[Path]) -> None:
+    """Load the plugins that are Mitsuba's own from its own folder, and refuse those that lie elsewhere."""
+    own = Path(mi.__file__).parent
+    shipped = {path.stem for path in (own / "plugins").iterdir() if path.suffix in LIBRARY_SUFFIXES}
+    resolver = mi.file_resolver()
+    places = [Path.cwd(), *folders, *(Path(str(resolver[index])) for index in range(len(resolver)))]
+    for name in dict.fromkeys(names):
+        if not PLUGIN_NAME.fullmatch(name):
+            msg = f"a plugin's name must be letters, digits and underscores, got {shown(name)}"
+            raise SceneLoadError(msg)
+        if name in shipped:
+            _load_own(name, own)
+            continue
+        # Not a library of Mitsuba: one of its parser's own types, a plugin registered in Python, or a stranger's.
+        for place in places:
+            if any((place / "plugins" / f"{name}{suffix}").exists() for suffix in LIBRARY_SUFFIXES):
+                msg = f"the plugin {shown(name)} is not Mitsuba's own but a library in {place / 'plugins'}"
+                raise SceneLoadError(printable(f"{msg}; only Mitsuba's own plugins are loaded"))
+
+
+def _load_own(name: str, own: Path) -> None:
+    """Have Mitsuba load a plugin where nothing but its own folder is looked in; afterwards it knows the name."""
+    usual = mi.file_resolver()
+    only = mi.FileResolver()
+    only.clear()
+    only.append(str(own))
+    mi.set_file_resolver(only)
+    try:
+        mi.PluginManager.instance().plugin_type(name)
+    finally:
+        mi.set_file_resolver(usual)
+
+
+class _Bounds:
+    """Counts what the XML files of a scene ask for."""
+
+    def __init__(self) -> None:
+        self._parameters: dict[str, int] = {}  # how long the value of each is
+        self._texts = 0
+        self._files: list[Path] = []
+
+    def check(self, path: Path) -> list[Path]:
+        """Read a file and those that it includes; the folders that files are looked for in."""
+        self._files.append(path)
+        if len(self._files) > MOST_FILES:
+            raise _refused(path, f"more than {MOST_FILES} files include each other")
+        try:
+            content = read_bytes(path, MOST_XML)
+        except FileNotFoundError:
+            raise _refused(path, "no such file") from None
+        except (OSError, ValueError) as error:
+            raise _refused(path, told(error)) from None
+        depth = 0
+
+        def begin(tag: str, attributes: dict[str, str]) -> None:
+            nonlocal depth
+            depth += 1
+            if depth > DEEPEST:
+                raise _refused(path, f"elements are nested more than {DEEPEST} deep")
+            lengths = {name: self._length(path, value) for name, value in attributes.items()}
+            if tag == "default" and "name" in attributes:
+                self._parameters.setdefault(attributes["name"], lengths.get("value", 0))
+            if tag == "include" and "filename" in attributes:
+                self._include(path, attributes["filename"])
+
+        def end(_: str) -> None:
+            nonlocal depth
+            depth -= 1
+
+        def doctype(*_: object) -> None:
+            raise _refused(path, "a document type is not read; take it out")
+
+        parser = expat.ParserCreate()
+        parser.StartElementHandler, parser.EndElementHandler = begin, end
+        parser.StartDoctypeDeclHandler = doctype
+        try:
+            parser.Parse(content, True)  # noqa: FBT003 - it takes no keyword
+        except (expat.ExpatError, ValueError, LookupError) as error:
+            if isinstance(error, LoiError):
+                raise
+            raise _refused(path, f"not well-formed XML ({told(error)})") from None
+        return list(dict.fromkeys(file.absolute().parent for file in self._files))
+
+    def _include(self, path: Path, name: str) -> None:
+        if "$" in name:
+            raise _refused(path, "files are included by their names, without parameters")
+        places = [file.parent / name for file in self._files]
+        self.check(next((place for place in places if place.exists()), path.parent / name))
+
+    def _length(self, path: Path, value: str) -> int:
+        """How long a value is at the most once its parameters are put in."""
+        length = len(value)
+        for reference in REFERENCE.findall(value):
+            length += max((size for name, size in self._parameters.items() if reference.startswith(name)), default=0)
+        self._texts += length
+        if length > MOST_TEXT or self._texts > MOST_TEXTS:
+            raise _refused(path, f"its parameters make texts of more than {MOST_TEXT} characters")
+        return length
+
+
+def _try_to_load(path: Path) -> None:
+    """Load a scene in a process of its own."""
+    command = [sys.executable, "-P", str(Path(__file__).with_name("trial.py")), mi.variant(), str(path)]
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}  # what can be imported here can be there
+    try:
+        done = subprocess.run(  # noqa: S603 - our own file
+            command,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+            env=environment,
+            timeout=SECONDS,
+            check=False,
+        )
+    except subprocess.TimeoutExpired:
+        raise _refused(path, f"Mitsuba has not loaded it after {SECONDS:g} seconds") from None
+    if done.returncode == 0:
+        return
+    said = done.stderr.decode("utf-8", "replace").strip().splitlines()
+    if done.returncode < 0:
+        raise _refused(path, f"a file that it names makes Mitsuba crash (signal {-done.returncode})")
+    raise _refused(path, said[-1] if said else f"exit code {done.returncode}")
+
+
+def _refused(path: Path, why: str) -> SceneLoadError:
+    return SceneLoadError(printable(f"`scene` {path} cannot be loaded: {why}")[:1000])

@@ -1,0 +1,136 @@
+"""A Mitsuba scene from a stranger runs no code of its own, and takes down no process but the one that tries it."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from loi_core.cli import main
+from loi_core.errors import OptionError
+from loi_core.images import write_png
+from loi_mitsuba import MitsubaRenderer, SceneLoadError, Translate
+from loi_mitsuba.untrusted import LIBRARY_SUFFIXES
+
+FILM = '<film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/></film>'
+BALL = '<shape type="sphere" id="ball"/>'
+LIGHT = '<emitter type="constant"/>'
+SUFFIX = next(path.suffix for path in (Path(mi.__file__).parent / "plugins").iterdir() if path.stem == "sphere")
+
+assert SUFFIX in LIBRARY_SUFFIXES
+
+
+def written(folder: Path, body: str, name: str = "scene.xml") -> Path:
+    path = folder / name
+    path.write_text(f'<scene version="3.0.0"><sensor type="perspective">{FILM}</sensor>{body}</scene>')
+    return path
+
+
+def loaded(scene: Any, **options: Any) -> MitsubaRenderer:
+    return MitsubaRenderer(scene, {"place": Translate("ball")}, spp=1, **options)
+
+
+def library(folder: Path, name: str) -> None:
+    """What Mitsuba would take for a plugin; it is not one, so to load it fails."""
+    (folder / "plugins").mkdir(exist_ok=True)
+    (folder / "plugins" / f"{name}{SUFFIX}").write_bytes(b"not a library")
+
+
+def test_a_plugin_beside_the_scene_is_not_loaded(tmp_path: Path) -> None:
+    library(tmp_path, "evil")
+    with pytest.raises(SceneLoadError, match="'evil' is not Mitsuba's own"):
+        loaded(written(tmp_path, BALL + '<emitter type="evil"/>'))
+
+
+def test_a_plugin_in_the_folder_of_the_process_is_not_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    library(tmp_path, "evil")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SceneLoadError, match="not Mitsuba's own"):
+        loaded({"type": "scene", "light": {"type": "evil"}})
+
+
+def test_a_library_that_has_the_name_of_a_plugin_of_mitsuba_does_not_stand_in_for_it(tmp_path: Path) -> None:
+    for name in ("sphere", "constant", "mask", "thindielectric"):
+        library(tmp_path, name)
+    bsdf = '<bsdf type="mask"><float name="opacity" value="0.5"/><bsdf type="thindielectric"/></bsdf>'
+    renderer = loaded(written(tmp_path, f'<shape type="sphere" id="ball">{bsdf}</shape>{LIGHT}'))
+    assert np.all(np.isfinite(renderer.render(renderer.parameters())))
+
+
+@pytest.mark.parametrize("name", ["../../x/evil", "/x/evil", "a.b", "", "evil\n"])
+def test_a_plugin_is_not_a_path(name: str, tmp_path: Path) -> None:
+    with pytest.raises(OptionError, match="`integrator` cannot be loaded: a plugin's name must be"):
+        loaded(written(tmp_path, BALL + LIGHT), integrator={"type": name})
+
+
+def test_a_table_of_a_scene_file_names_no_path_either(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    written(tmp_path, BALL + LIGHT)
+    write_png(tmp_path / "target.png", np.zeros((8, 8, 3)))
+    (tmp_path / "scene.toml").write_text(
+        'target = "target.png"\n[renderer]\nname = "mitsuba"\nscene = "scene.xml"\n'
+        'parameters = { place = { Translate = "ball" } }\nintegrator = { type = "../../x/evil" }\n[optimise.place]\n'
+    )
+    assert main(["fit", str(tmp_path / "scene.toml")]) == 2
+    assert "a plugin's name must be" in capsys.readouterr().err
+
+
+BOMBS = {
+    "parameters that double": '<default name="a0" value="xxxxxxxx"/>'
+    + "".join(f'<default name="a{i + 1}" value="{f"$a{i}" * 8}"/>' for i in range(12)),
+    "elements within elements": '<shape type="sphere">' * 1000 + "</shape>" * 1000,
+    "a scene that includes itself": '<include filename="scene.xml"/>',
+    "an include that is chosen": '<default name="f" value="scene.xml"/><include filename="$f"/>',
+    "no XML": "<",
+}
+
+
+@pytest.mark.parametrize("body", BOMBS.values(), ids=BOMBS)
+def test_what_grows_without_bound_is_refused(body: str, tmp_path: Path) -> None:
+    with pytest.raises(SceneLoadError, match=r"scene\.xml cannot be loaded"):
+        loaded(written(tmp_path, body))
+
+
+def test_entities_are_not_read(tmp_path: Path) -> None:
+    path = tmp_path / "scene.xml"
+    path.write_text('<!DOCTYPE scene [<!ENTITY a "aaaa">]><scene version="3.0.0"/>')
+    with pytest.raises(SceneLoadError, match="document type"):
+        loaded(path)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="there are no pipes with names here")
+def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(SceneLoadError, match="not a regular file"):
+        loaded(tmp_path / "pipe")
+    mesh = '<shape type="ply"><string name="filename" value="pipe"/></shape>'
+    with pytest.raises(SceneLoadError, match="pipe is not a regular file"):
+        loaded(written(tmp_path, BALL + mesh))
+
+
+def mesh(path: Path, face: list[int]) -> None:
+    corners = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0]], np.float32)
+    header = (
+        "ply\nformat binary_little_endian 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+        "element face 1\nproperty list uchar int vertex_indices\nend_header\n"
+    )
+    path.write_bytes(header.encode() + corners.tobytes() + b"\x03" + np.array(face, np.int32).tobytes())
+
+
+@pytest.mark.parametrize("last", [3, 123456789])
+def test_a_mesh_without_the_vertices_that_it_refers_to_is_refused(last: int, tmp_path: Path) -> None:
+    scene = written(tmp_path, BALL + LIGHT + '<shape type="ply"><string name="filename" value="m.ply"/></shape>')
+    mesh(tmp_path / "m.ply", [0, 1, last])
+    with pytest.raises(SceneLoadError, match="makes Mitsuba crash|refers to vertex"):
+        loaded(scene)
+    mesh(tmp_path / "m.ply", [0, 1, 2])
+    loaded(scene)
+
+
+def test_files_of_a_scene_may_lie_in_its_folder_and_in_those_of_what_it_includes(tmp_path: Path) -> None:
+    (tmp_path / "parts").mkdir()
+    (tmp_path / "parts" / "light.xml").write_text(f'<scene version="3.0.0">{LIGHT}</scene>')
+    loaded(written(tmp_path, BALL + '<include filename="parts/light.xml"/>'))
