@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-import threading
 from collections import OrderedDict
 from collections.abc import Hashable
 from typing import Generic, TypeVar
+
+from loi_core.forking import ForkSafeLock
 
 __all__ = ["Cache"]
 
@@ -26,7 +27,7 @@ class Cache(Generic[Key, Value]):
         self._most = most
         self._held = 0
         self._values: OrderedDict[Key, tuple[Value, int]] = OrderedDict()
-        self._lock = threading.Lock()
+        self._lock = ForkSafeLock()
 
     def get(self, key: Key) -> Value | None:
         """What is kept for `key`, if anything."""

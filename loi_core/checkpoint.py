@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -89,6 +90,8 @@ def _load(path: Path) -> Checkpoint:
         raise _foreign(path, "its counts of steps disagree")
     if not np.array_equal(state.history[:, 0], np.arange(state.step)):
         raise _foreign(path, "its history is not one of steps in order")
+    if not np.all(np.isfinite(state.history)) or not math.isfinite(state.best_value):
+        raise _foreign(path, "its history holds what is not a number")
     for group, values in groups.items():
         for name, value in values.items():
             if value.dtype.kind != "f" or not np.all(np.isfinite(value)) or (group == "second" and np.any(value < 0)):

@@ -21,12 +21,12 @@ from loi_core.foreign import foreign
 from loi_core.free import starting_parameters
 from loi_core.objectives.base import Objective
 from loi_core.renderer import Parameters
+from loi_core.result_folder import HISTORY_FILE
 from loi_core.scene import Scene
 
-__all__ = ["HISTORY_FILE", "Progress", "Trial", "frame_steps", "initial_image", "plan_scene", "psnr", "run_scene"]
+__all__ = ["Progress", "Trial", "frame_steps", "initial_image", "plan_scene", "psnr", "run_scene"]
 
 FRAMES: Final = 8  # pictures of the way that a report shows
-HISTORY_FILE: Final = "history.csv"
 MOST_HISTORY: Final = 2**28  # bytes, of a million steps
 
 Progress: TypeAlias = Callable[[str, int, float], None]

@@ -33,6 +33,7 @@ SEVERAL_PARTS: Final = 0x1000
 DEEP: Final = 0x800
 MOST_HEADER: Final = 2**24  # bytes; a preview and many notes fit in
 LONGEST_NAME: Final = 255
+MOST_ATTRIBUTES: Final = 4096  # of all parts; the library takes time that grows with their square
 SAMPLE_SIZES: Final = {0: 4, 1: 2, 2: 4}  # bytes of unsigned integers, halves and floats
 SECONDS: Final = 600.0
 
@@ -106,6 +107,7 @@ def _parts(path: Path) -> list[_Part]:
 def _headers(content: bytes, *, several: bool) -> Iterator[dict[bytes, bytes]]:
     """The attributes of each part, by name."""
     place = 8
+    count = 0
     while True:
         attributes: dict[bytes, bytes] = {}
         while True:
@@ -115,6 +117,10 @@ def _headers(content: bytes, *, several: bool) -> Iterator[dict[bytes, bytes]]:
             _, place = _text(content, place)
             (size,) = struct.unpack_from("<i", content, place)
             place += 4
+            count += 1
+            if count > MOST_ATTRIBUTES:
+                msg = "it has too many attributes"
+                raise ValueError(msg)
             if not 0 <= size <= len(content) - place:
                 msg = "an attribute is larger than the file"
                 raise ValueError(msg)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import stat
 import tempfile
 from collections.abc import Iterator
@@ -13,7 +14,15 @@ from typing import BinaryIO
 from loi_core.errors import OptionError
 from loi_core.messages import shown, told
 
-__all__ = ["atomic_path", "check_writable", "open_regular", "read_bytes", "write_bytes", "write_text"]
+__all__ = [
+    "atomic_path",
+    "check_writable",
+    "open_regular",
+    "read_bytes",
+    "remove_temporaries",
+    "write_bytes",
+    "write_text",
+]
 
 
 @contextlib.contextmanager
@@ -34,6 +43,15 @@ def atomic_path(path: Path) -> Iterator[Path]:
         temporary.replace(path)
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def remove_temporaries(path: Path) -> None:
+    """Remove what :func:`atomic_path` has left of `path` in processes that were killed while they wrote."""
+    name = re.compile(rf"\.{re.escape(path.stem)}-[a-z0-9_]{{8}}{re.escape(path.suffix)}")  # as mkstemp names them
+    with contextlib.suppress(OSError):
+        for each in path.parent.iterdir():
+            if name.fullmatch(each.name) and stat.S_ISREG(each.lstat().st_mode):
+                each.unlink()
 
 
 def check_writable(name: str, folder: Path) -> None:

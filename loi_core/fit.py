@@ -15,7 +15,7 @@ import numpy as np
 from loi_core.arrays import Array, detached, is_array_api_obj, namespace, to_numpy
 from loi_core.checkpoint import load_checkpoint, save_checkpoint
 from loi_core.errors import FitError, LoiError, NonFiniteImageError, OptionError, RendererError
-from loi_core.files import check_writable
+from loi_core.files import check_writable, remove_temporaries
 from loi_core.foreign import is_ctrl_c
 from loi_core.free import Bounds, Free, bounds_of, check_rate, free_parameters, own_parameters, starting_parameters
 from loi_core.messages import shown, told
@@ -125,6 +125,8 @@ def fit(
     # NumPy's own numbers would wrap around in a sum, or widen the dtype of what they are multiplied with.
     steps, seed = int(steps), int(seed)
     path = _checkpoint_path(checkpoint)
+    if path is not None:
+        remove_temporaries(path)
     free = free_parameters(optimise, own_parameters(renderer))
     params = starting_parameters(renderer, free)
     bounds = bounds_of(params, free)

@@ -21,6 +21,9 @@ FloatImage: TypeAlias = np.ndarray[Any, np.dtype[np.float64]]
 IMAGE_SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".exr", ".npy")
 PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
 MAX_PIXELS: Final = 64 * 1024 * 1024  # beyond this a file is taken for damage or an attack, not for a target
+MAX_SIDE: Final = 65535  # of a JPEG it can be no more; a line of millions of pixels takes decoders minutes
+MAX_PIXELS_PER_BYTE: Final = 1024  # deflate packs 344 at the most, and a JPEG that is not made to harm no more
+FEW_PIXELS: Final = 2**20  # which may be packed as tightly as they like
 
 
 def read_image(path: Path) -> FloatImage:
@@ -41,8 +44,8 @@ def read_image(path: Path) -> FloatImage:
     Raises
     ------
     ImageFileError
-        If the file is missing, damaged, of another kind, or larger than 64 megapixels. Nothing in it is
-        executed.
+        If the file is missing, damaged, of another kind, larger than 64 megapixels, longer than 65535 pixels, or too
+        small for as many pixels as it claims. Nothing in it is executed.
     """
     suffix = path.suffix.lower()
     if suffix not in IMAGE_SUFFIXES:
@@ -76,6 +79,13 @@ def write_png(path: Path, image: np.ndarray[Any, Any]) -> None:
 def _check_size(path: Path, height: int, width: int) -> None:
     if height * width > MAX_PIXELS:
         msg = f"{path}: {width} x {height} pixels are more than the {MAX_PIXELS} that are read"
+        raise ImageFileError(msg)
+    if max(height, width) > MAX_SIDE:
+        msg = f"{path}: an image of {width} x {height} pixels is longer than the {MAX_SIDE} that are read"
+        raise ImageFileError(msg)
+    packed = height * width / max(1, path.stat().st_size)
+    if height * width > FEW_PIXELS and packed > MAX_PIXELS_PER_BYTE:
+        msg = f"{path}: {width} x {height} pixels are more than a file of {path.stat().st_size} bytes can hold"
         raise ImageFileError(msg)
 
 

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Final, TypeAlias
 
 import numpy as np
@@ -68,7 +67,7 @@ class AxisGrid:
         """Distance between two samples, in pixels."""
         return self.size / self.cells
 
-    @cached_property
+    @property
     def positions(self) -> Matrix:
         """Where the samples are, in pixels; shape (cells,)."""
         centres: Matrix = (np.arange(self.cells, dtype=np.float64) + 0.5) * self.spacing - 0.5

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Final
+import io
+from typing import Final, TextIO
 
-__all__ = ["printable", "shown", "told"]
+__all__ = ["PlainText", "printable", "shown", "told"]
 
 MOST: Final = 60
 MOST_TOLD: Final = 500
@@ -35,5 +36,34 @@ def told(error: BaseException) -> str:
 
 def printable(text: str) -> str:
     """`text` on one line, with control characters and such as have no UTF-8 escaped, so that a terminal shows all."""
-    line = " ".join(text.split())
-    return "".join(one if one.isprintable() else one.encode("unicode_escape").decode("ascii") for one in line)
+    return _escaped(" ".join(text.split()))
+
+
+def _escaped(text: str) -> str:
+    return "".join(one if one.isprintable() else one.encode("unicode_escape").decode("ascii") for one in text)
+
+
+class PlainText(io.TextIOBase):
+    """A stream on which titles, paths and names may be printed, whoever chose them: a terminal obeys none of them.
+
+    Parameters
+    ----------
+    stream : text stream
+        Where the text goes on to, with line ends as they are and all other control characters escaped.
+    """
+
+    def __init__(self, stream: TextIO) -> None:
+        self._stream = stream
+
+    def write(self, text: str) -> int:
+        """Write `text`; how long it was."""
+        self._stream.write("\n".join(map(_escaped, text.split("\n"))))
+        return len(text)
+
+    def flush(self) -> None:
+        """Have all that was written go on."""
+        self._stream.flush()
+
+    def isatty(self) -> bool:
+        """Whether it ends at a terminal."""
+        return self._stream.isatty()

@@ -133,7 +133,7 @@ def load_scene(path: Path, *, output: Path | None = None, samples: int | None = 
     objectives = _objectives(where, comparison, target, scales, tone)
     name = where.text("", document, "output") if "output" in document else f"{path.stem}-result"
     results = folder / name if output is None else output
-    _check_output(where, results)
+    _check_output(where, results, own=output is None)
     return Scene(
         path=path,
         title=where.text("", document, "title") if "title" in document else path.stem,
@@ -179,9 +179,12 @@ class _Where:
         return value
 
 
-def _check_output(where: _Where, results: Path) -> None:
+def _check_output(where: _Where, results: Path, *, own: bool) -> None:
     check_writable("output", results)
-    if os.path.realpath(results) == os.path.realpath(where.path.parent):
+    home, there = (os.path.realpath(path) for path in (where.path.parent, results))
+    if own and os.path.commonpath([home, there]) != home:
+        raise where.error("", f"`output` must lie in the folder of the scene, got {shown(str(results))}; use --output")
+    if home == there:
         raise where.error("", "`output` must be a folder of its own, not that of the scene and its images")
 
 

@@ -355,14 +355,6 @@ def test_a_checkpoint_of_another_fit_is_refused(
     assert says in capsys.readouterr().err
 
 
-def test_files_that_are_not_ours_stay(folder: Path) -> None:
-    mine = folder / "result" / "frames" / "mine.png"
-    mine.parent.mkdir(parents=True)
-    mine.write_bytes(b"mine")
-    assert main(["fit", str(folder / "scene.toml")]) == 0
-    assert mine.read_bytes() == b"mine"
-
-
 def test_a_failed_fit_says_so_and_shows_nothing_of_an_earlier_one(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -58,25 +58,35 @@ def loi_loss(
         host = host.astype(np.float32)
     # Checked here, with the core's messages; what is kept is NumPy, which no trace can leak into.
     objective = LOIObjective(host, scales, accuracy, channel_axis, nan_policy, tone)
-    traceable = _Traceable(objective)
+    return _Loss(objective)
 
-    @jax.custom_vjp
-    def loss(image: jax.Array) -> jax.Array:
-        return traceable.value(image)
 
-    def forward(image: jax.Array) -> tuple[jax.Array, jax.Array]:
-        return traceable.value_and_grad(image)
+class _Loss:
+    """The loss as a function of the image. It can be pickled and copied; a copy is traced anew."""
 
-    def backward(gradient: jax.Array, upstream: jax.Array) -> tuple[jax.Array]:
-        return ((upstream * gradient).astype(gradient.dtype),)
+    def __init__(self, objective: LOIObjective) -> None:
+        self._objective = objective
+        traceable = _Traceable(objective)
 
-    loss.defvjp(forward, backward)
+        @jax.custom_vjp
+        def loss(image: jax.Array) -> jax.Array:
+            return traceable.value(image)
 
-    def named(image: jax.Array) -> jax.Array:
+        def forward(image: jax.Array) -> tuple[jax.Array, jax.Array]:
+            return traceable.value_and_grad(image)
+
+        def backward(gradient: jax.Array, upstream: jax.Array) -> tuple[jax.Array]:
+            return ((upstream * gradient).astype(gradient.dtype),)
+
+        loss.defvjp(forward, backward)
+        self._loss = loss
+
+    def __call__(self, image: jax.Array) -> jax.Array:
         """The loss of `image`."""
-        return loss(jnp.asarray(image))
+        return self._loss(jnp.asarray(image))
 
-    return named
+    def __reduce__(self) -> tuple[type[_Loss], tuple[LOIObjective]]:
+        return _Loss, (self._objective,)
 
 
 class _Traceable:

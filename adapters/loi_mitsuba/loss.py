@@ -69,6 +69,7 @@ class LOILoss:
     Memory is shared with the array library, not copied, except that NumPy cannot see a GPU: in CUDA variants only
     torch and JAX keep the image there. The loss is evaluated when it is called, and value and gradient together; it
     adds nothing to Dr.Jit's kernels, so they are compiled once, and :func:`dr.backward` only scales the gradient.
+    Dr.Jit itself may hang where several threads of a process render at once; give each a process of its own.
 
     Examples
     --------
@@ -122,7 +123,10 @@ class LOILoss:
             If the type or shape does not fit the reference.
         NonFiniteImageError
             Under ``nan_policy="raise"``, if a pixel is NaN or infinite.
+        OptionError
+            Under ``dr.freeze``.
         """
+        _check_not_frozen()
         _check_tensor(image)
         if not dr.grad_enabled(image):
             return _flat(type(image.array), self._objective.value(EXPORTS[self._backend](image)))
@@ -131,6 +135,7 @@ class LOILoss:
 
     def value_and_grad(self, image: Tensor) -> tuple[Float, Tensor]:
         """The loss, detached, and its gradient by the image, a tensor like it. Errors as of a call."""
+        _check_not_frozen()
         _check_tensor(image)
         value, gradient = self._objective.value_and_grad(EXPORTS[self._backend](dr.detach(image)))
         flat = _flat(type(image.array), gradient)
@@ -157,6 +162,13 @@ class _Loss(dr.CustomOp):  # type: ignore[misc]  # Dr.Jit's types are not read, 
 def _flat(kind: Any, array: Array) -> Float:
     """`array` as a flat array of Dr.Jit, without a copy where it is contiguous."""
     return kind(namespace(array).reshape(array, (-1,)))
+
+
+def _check_not_frozen() -> None:
+    """Raise :class:`OptionError` where ``dr.freeze`` records, which ends the process when the image is looked at."""
+    if dr.flag(dr.JitFlag.FreezingScope):
+        msg = "LOILoss cannot be called in a function under `dr.freeze`; freeze the rendering, and call it outside"
+        raise OptionError(msg)
 
 
 def _check_tensor(image: object) -> None:

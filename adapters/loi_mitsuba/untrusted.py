@@ -223,4 +223,4 @@ def _try_to_load(path: Path) -> None:
 
 
 def _refused(path: Path, why: str) -> SceneLoadError:
-    return SceneLoadError(printable(f"`scene` {path} cannot be loaded: {why}")[:1000])
+    return SceneLoadError(printable(f"`scene` cannot be loaded: {path}: {why}")[:1000])

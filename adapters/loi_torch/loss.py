@@ -78,7 +78,6 @@ class LOILoss(torch.nn.Module):
         }
         self.register_buffer("reference", torch.as_tensor(objective.reference))
         self._objective: LOIObjective | None = None
-        self._state: tuple[Any, ...] = ()
 
     @property
     def scales(self) -> ScaleSpace:
@@ -96,16 +95,25 @@ class LOILoss(torch.nn.Module):
         return f"{self.scales}"
 
     def _current(self) -> LOIObjective:
-        # `.to` replaces the buffer and load_state_dict writes into it; either must be seen.
-        state = (id(self.reference), self.reference._version, self.reference.device, self.reference.dtype)
-        if self._objective is None or state != self._state:
-            reference = self.reference.float() if self.reference.dtype in REDUCED else self.reference
-            self._objective, self._state = LOIObjective(reference, **self._options), state
+        reference = self.reference.detach()
+        precise = reference.float() if reference.dtype in REDUCED else reference
+        # The buffer may have been replaced, loaded or written to, also where torch keeps no count of it (`.data`, under
+        # inference_mode). To compare it with what is prepared takes less than a hundredth of an evaluation.
+        if self._objective is None or not _same_bits(precise, self._objective.reference):
+            self._objective = LOIObjective(precise, **self._options)
         return self._objective
 
     def __getstate__(self) -> dict[str, Any]:
         # What is prepared can be prepared again; copies and pickles need not carry it.
-        return {**self.__dict__, "_objective": None, "_state": ()}
+        return {**self.__dict__, "_objective": None}
+
+
+def _same_bits(one: Tensor, other: Tensor) -> bool:
+    """Whether two tensors are equal and alike; NaN, which may be in a reference, equals itself."""
+    if one.dtype != other.dtype or one.device != other.device or one.shape != other.shape:
+        return False
+    whole = torch.int64 if one.dtype == torch.float64 else torch.int32
+    return torch.equal(one.view(whole), other.view(whole))
 
 
 @_alone

@@ -101,7 +101,9 @@ def _check_device(name: object) -> torch.device:
     """The device of that name, once torch has made a float64 number there."""
     try:
         if isinstance(name, str):
-            return torch.zeros((), dtype=torch.float64, device=name).device
+            made = torch.zeros((), dtype=torch.float64, device=name)
+            made.item()  # a device such as "meta" has shapes and no numbers
+            return made.device
     except (AssertionError, NotImplementedError, RuntimeError, TypeError):  # which one depends on torch's build
         pass
     msg = f"`device` must be the name of one on which torch can compute in float64, got {name!r}"

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from tqdm import tqdm
 
@@ -17,11 +17,10 @@ from loi_core.experiment import Trial, plan_scene, run_scene
 from loi_core.messages import printable
 from loi_core.report import write_page, write_results
 from loi_core.report.plots import LABELS
+from loi_core.result_folder import CHECKPOINT_FILE, ResultFolder
 from loi_core.scene import Scene, load_scene
 
-__all__ = ["CHECKPOINT_FILE", "explain_scene", "fit_scene", "run_and_write"]
-
-CHECKPOINT_FILE: Final = "checkpoint.npz"
+__all__ = ["explain_scene", "fit_scene", "run_and_write"]
 
 
 def fit_scene(path: Path, output: Path | None, *, resume: bool, as_json: bool) -> bool:
@@ -55,6 +54,7 @@ def explain_scene(path: Path, *, as_json: bool) -> None:
 
 def run_and_write(scene: Scene, *, resume: bool = False) -> dict[str, Any]:
     """Fit a scene with progress bars on standard error, write all but the page, and return the summary."""
+    ResultFolder(scene.output)  # somebody else's is told now, not after the fit
     bars = _Bars(scene.fit.steps)
     try:
         trials: list[Trial] = run_scene(

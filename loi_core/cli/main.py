@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import io
 import sys
 from collections.abc import Sequence
@@ -11,7 +12,7 @@ from typing import Final, NoReturn
 
 from loi_core import __version__
 from loi_core.errors import FitError, LoiError, RendererError
-from loi_core.messages import printable
+from loi_core.messages import PlainText, printable
 
 __all__ = ["DONE", "FAILED", "WRONG_CALL", "main"]
 
@@ -29,7 +30,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except SystemExit as stop:  # argparse has printed the help, the version, or what is wrong
         return stop.code if isinstance(stop.code, int) else WRONG_CALL
     try:
-        return _run(options)
+        with contextlib.redirect_stdout(PlainText(sys.stdout)):
+            return _run(options)
     except KeyboardInterrupt:
         return _say("interrupted", FAILED)
     except BrokenPipeError:  # `loi ... | head` has read enough

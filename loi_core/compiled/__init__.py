@@ -9,21 +9,70 @@ Importing this package imports nothing else; Numba is loaded when something is f
 
 from __future__ import annotations
 
-import functools
+import os
+import warnings
+from typing import Final
 
 from loi_core.arrays import Array, is_read_by_numpy, is_recorded
+from loi_core.forking import ForkSafeLock
+from loi_core.messages import told
 
-__all__ = ["available", "serves"]
+__all__ = ["CompiledLoopsWarning", "available", "give_up", "serves"]
+
+SWITCH: Final = "LOI_COMPILED"
+"""Environment variable: 0 compares by operations on whole arrays also where Numba is installed."""
 
 
-@functools.cache
-def available() -> bool:
-    """Whether Numba can be loaded: one that does not know this NumPy, or this Python, refuses to."""
+class CompiledLoopsWarning(RuntimeWarning):
+    """Numba is installed, but does not compile; everything is computed without it, several times slower."""
+
+
+class _Numba:
+    """Whether Numba can be used."""
+
+    def __init__(self) -> None:
+        self._lock = ForkSafeLock()
+        self._usable: bool | None = None
+
+    def usable(self) -> bool:
+        if self._usable is None:
+            with self._lock:  # one thread imports it; of several at once, Numba fails in some
+                if self._usable is None:
+                    self._usable = _can_compile()
+        return self._usable
+
+    def give_up(self) -> bool:
+        """Use it no more; whether it was in use until now."""
+        with self._lock:
+            before, self._usable = self._usable, False
+        return bool(before)
+
+
+_NUMBA: Final = _Numba()
+
+
+def _can_compile() -> bool:
     try:
-        import numba  # noqa: F401  # takes as long as all else together, so only where it is needed
-    except ImportError:
+        import numba  # takes as long as all else together, so only where it is needed
+    except Exception:  # noqa: BLE001  # one that does not know this NumPy, or this Python, raises what it likes
         return False
-    return True
+    return not numba.config.DISABLE_JIT
+
+
+def available() -> bool:
+    """Whether Numba is installed, can be loaded, compiles, and has not been switched off by ``LOI_COMPILED=0``."""
+    return os.environ.get(SWITCH) != "0" and _NUMBA.usable()
+
+
+def give_up(error: Exception) -> None:
+    """Compare without Numba from now on, and say so once: it could not compile, or read what it had kept."""
+    if _NUMBA.give_up():
+        msg = (
+            f"Numba cannot compile loi's loops ({told(error)}); all is computed without it, several times slower. "
+            f"Delete loi_core/compiled/__pycache__, or set NUMBA_CACHE_DIR to a folder with space; {SWITCH}=0 keeps "
+            f"Numba out"
+        )
+        warnings.warn(msg, CompiledLoopsWarning, stacklevel=2)
 
 
 def serves(planes: Array) -> bool:

@@ -9,8 +9,12 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from typing import Final, TypeVar
+from typing import TYPE_CHECKING, Final, TypeVar
+
+from loi_core.forking import ForkSafeLock
+
+if TYPE_CHECKING:
+    from concurrent.futures import Future, ThreadPoolExecutor
 
 __all__ = ["run_all", "thread_count"]
 
@@ -28,20 +32,32 @@ class _Pool:
     """Threads that are started when they are first needed, once in every process."""
 
     def __init__(self) -> None:
-        self._lock = threading.Lock()
+        self._lock = ForkSafeLock()
         self._executor: ThreadPoolExecutor | None = None
         if hasattr(os, "register_at_fork"):
             os.register_at_fork(after_in_child=self._forget)
 
-    def executor(self) -> ThreadPoolExecutor:
+    def start(self, work: Callable[[], None], count: int) -> list[Future[None]]:
+        """Have as many threads do `work` as there are; none where the interpreter is ending, and lets none begin."""
+        started: list[Future[None]] = []
+        try:
+            executor = self._started()
+            for _ in range(count):
+                started.append(executor.submit(work))  # noqa: PERF401  # the first may start, and the next not
+        except RuntimeError:
+            pass
+        return started
+
+    def _started(self) -> ThreadPoolExecutor:
         with self._lock:
             if self._executor is None:
+                from concurrent.futures import ThreadPoolExecutor  # fails as well, where the interpreter is ending
+
                 self._executor = ThreadPoolExecutor(max(1, thread_count() - 1), thread_name_prefix="loi")
             return self._executor
 
     def _forget(self) -> None:
         """A forked process has no threads but one."""
-        self._lock = threading.Lock()
         self._executor = None
 
 
@@ -74,7 +90,7 @@ def run_all(tasks: Sequence[Callable[[Local], None]], local: Callable[[], Local]
             task(mine)
 
     helpers = min(most or thread_count(), len(tasks)) - 1
-    futures = [_POOL.executor().submit(work) for _ in range(helpers)]
+    futures = _POOL.start(work, helpers)
     try:
         work()
     finally:

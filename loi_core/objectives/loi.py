@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
-from typing import Final
+from typing import Final, TypeVar
 
 import numpy as np
 
 from loi_core.arrays import Array, epsilon, is_numpy_array, to_numpy, values_may_decide, widened
 from loi_core.comparison import UNFIT, ArrayComparison, Comparison, ScaleKey
-from loi_core.compiled import available, serves
-from loi_core.errors import OptionError, ScaleError
+from loi_core.compiled import available, give_up, serves
+from loi_core.errors import LoiError, OptionError, ScaleError
 from loi_core.messages import shown
 from loi_core.nonfinite import NanPolicy
 from loi_core.objectives.base import Evaluation, ImageObjective
@@ -22,6 +23,8 @@ from loi_core.tone import LogTone
 from loi_core.values import real_number
 
 __all__ = ["ACCURACIES", "LOIObjective", "ScaleKey", "gradient_tolerance"]
+
+Result = TypeVar("Result")
 
 ACCURACIES: Final = {"exact": 0.0, "balanced": 1e-2, "fast": 5e-2}
 
@@ -137,13 +140,16 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
         plan = self.plan(*reference.shape[-2:], eps=epsilon(reference))
         prepared = _Prepared(scales, plan, clip(reference, *scales.bounds))
         # Now, and not when it is first used: that may be where JAX traces.
-        prepared.first(reference)
+        _or_without_kernels(reference, lambda: prepared.first(reference))
         return prepared
 
     def _compares_on_host(self, image: Array) -> bool:
         return serves(image)
 
     def _evaluate(self, planes: Array, prepared: _Prepared, *, gradient: bool) -> Evaluation[ScaleKey]:
+        return _or_without_kernels(planes, lambda: self._compared(planes, prepared, gradient=gradient))
+
+    def _compared(self, planes: Array, prepared: _Prepared, *, gradient: bool) -> Evaluation[ScaleKey]:
         bounds = self._scales.bounds
         clipped = clip(planes, *bounds)
         compared = prepared.first(planes).compare(clipped, gradient=gradient)
@@ -166,6 +172,18 @@ def _norm(cotangent: Array) -> float:
 
 def _by_kernels(planes: Array) -> bool:
     return is_numpy_array(planes) and serves(planes)
+
+
+def _or_without_kernels(planes: Array, work: Callable[[], Result]) -> Result:
+    """What `work` gives, which compares planes; by operations on arrays if kernels cannot be compiled, or loaded."""
+    if _by_kernels(planes):
+        try:
+            return work()
+        except (LoiError, MemoryError):
+            raise
+        except Exception as error:  # noqa: BLE001  # of Numba, of its cache's files, of what is in them
+            give_up(error)
+    return work()
 
 
 class _Prepared:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -13,17 +12,18 @@ from typing import Any, Final
 import numpy as np
 
 from loi_core.arrays import to_numpy
-from loi_core.experiment import HISTORY_FILE, Trial, frame_steps, psnr
+from loi_core.experiment import Trial, frame_steps, psnr
 from loi_core.files import write_bytes, write_text
 from loi_core.images import write_png
 from loi_core.report.plots import convergence_plot
+from loi_core.result_folder import CHECKPOINT_FILE, HISTORY_FILE, PAGE_FILE, RESULT_FILE, ResultFolder
 from loi_core.scene import Scene
 
-__all__ = ["RESULT_FILE", "frames", "summary", "write_results"]
+__all__ = ["FRAMES_FOLDER", "effect_file", "summary", "write_results"]
 
-RESULT_FILE: Final = "result.json"
+FRAMES_FOLDER: Final = "frames"
+EFFECTS_FOLDER: Final = "effects"
 BRIGHTEST: Final = 0.998
-FRAME_NAME: Final = re.compile(r"[0-9]{6,}\.png")
 
 
 def write_results(scene: Scene, trials: Sequence[Trial]) -> dict[str, Any]:
@@ -33,28 +33,36 @@ def write_results(scene: Scene, trials: Sequence[Trial]) -> dict[str, Any]:
     ``frames/`` are those of the first objective; every other has ``final.png``, ``error.png``, ``history.csv`` and
     ``parameters.json`` in ``compare/NAME``. A renderer that plans its effects adds ``effects/NAME.png``, how each makes
     the image change, grey where it does not. ``convergence.png`` and ``result.json`` hold all of them.
+
+    Raises
+    ------
+    OptionError
+        If the folder is not one of results.
     """
-    folder = scene.output
+    folder = ResultFolder(scene.output)
+    folder.claim([CHECKPOINT_FILE, PAGE_FILE])  # which others write
     for index, trial in enumerate(trials):
-        own = folder if index == 0 else folder / "compare" / trial.objective
+        own = "" if index == 0 else f"compare/{trial.objective}/"
         if index == 0:
-            write_png(folder / "target.png", scene.target)
-            write_png(folder / "initial.png", trial.initial)
+            write_png(folder.file("target.png"), scene.target)
+            write_png(folder.file("initial.png"), trial.initial)
         if trial.result is None:
-            _forget(own)
+            # What an earlier run left must not be taken for the outcome of this one.
+            stale = [f"{own}{name}" for name in ("final.png", "error.png", "parameters.json", HISTORY_FILE)]
+            folder.remove([*stale, *(folder.listed(FRAMES_FOLDER) if index == 0 else ())])
             continue
         final = to_numpy(trial.result.image)
-        write_png(own / "final.png", final)
-        write_png(own / "error.png", np.abs(final - scene.target))
-        write_text(own / HISTORY_FILE, _history(trial))
+        write_png(folder.file(f"{own}final.png"), final)
+        write_png(folder.file(f"{own}error.png"), np.abs(final - scene.target))
+        write_text(folder.file(f"{own}{HISTORY_FILE}"), _history(trial))
         best = {name: to_numpy(value).tolist() for name, value in trial.result.best_params.items()}
-        write_text(own / "parameters.json", json.dumps(best, indent=2) + "\n")
+        write_text(folder.file(f"{own}parameters.json"), json.dumps(best, indent=2) + "\n")
         if index == 0:
-            _writeframes(folder / "frames", scene, trial)
-            _write_effects(folder / "effects", trial)
-    write_bytes(folder / "convergence.png", convergence_plot(trials))
+            _write_frames(folder, scene, trial)
+            _write_effects(folder, trial)
+    write_bytes(folder.file("convergence.png"), convergence_plot(trials))
     result = summary(scene, trials)
-    write_text(folder / RESULT_FILE, json.dumps(result, indent=2, allow_nan=False) + "\n")
+    write_text(folder.file(RESULT_FILE), json.dumps(result, indent=2, allow_nan=False) + "\n")
     return result
 
 
@@ -96,37 +104,31 @@ def _finite(value: Any) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _forget(folder: Path) -> None:
-    """Remove what an earlier run left, so that it is not taken for the outcome of this one."""
-    for name in ("final.png", "error.png", "parameters.json", HISTORY_FILE):
-        (folder / name).unlink(missing_ok=True)
-    for frame in frames(folder / "frames").values():
-        frame.unlink()
-
-
-def _writeframes(folder: Path, scene: Scene, trial: Trial) -> None:
-    for step, frame in trial.frames:
-        write_png(folder / f"{step:06d}.png", frame)
+def _write_frames(folder: ResultFolder, scene: Scene, trial: Trial) -> None:
+    new = {f"{FRAMES_FOLDER}/{step:06d}.png": frame for step, frame in trial.frames}
+    folder.claim(new)
+    for name, frame in new.items():
+        write_png(folder.path / name, frame)
     done = len(trial.result.history) if trial.result else 0
-    for step, path in frames(folder).items():
-        # A resumed fit keeps the pictures of its first part; those of a run with other steps must go.
-        if step not in frame_steps(scene.fit.steps) or step >= done:
-            path.unlink()
+    # A resumed fit keeps the pictures of its first part; those of a run with other steps must go.
+    kept = {step for step in frame_steps(scene.fit.steps) if step < done}
+    folder.remove([name for name in folder.listed(FRAMES_FOLDER) if int(Path(name).stem) not in kept])
 
 
-def _write_effects(folder: Path, trial: Trial) -> None:
+def _write_effects(folder: ResultFolder, trial: Trial) -> None:
     """Pictures of what each effect changes, all to one scale: that of their sum, less its few largest values."""
-    for path in folder.glob("*.png"):
-        path.unlink()
-    if trial.effects:
-        size = float(np.quantile(np.abs(sum(trial.effects.values())), BRIGHTEST)) or 1.0
-        for name, image in trial.effects.items():
-            write_png(folder / f"{name.replace(' ', '-')}.png", np.clip(0.5 + 0.5 * image / size, 0.0, 1.0))
+    new = {effect_file(name): image for name, image in trial.effects.items()}
+    folder.remove(set(folder.listed(EFFECTS_FOLDER)) - set(new))
+    folder.claim(new)
+    if new:
+        size = float(np.quantile(np.abs(sum(new.values())), BRIGHTEST)) or 1.0
+        for name, image in new.items():
+            write_png(folder.path / name, np.clip(0.5 + 0.5 * image / size, 0.0, 1.0))
 
 
-def frames(folder: Path) -> dict[int, Path]:
-    """The pictures of the way in a folder, by step."""
-    return {int(path.stem): path for path in sorted(folder.glob("*.png")) if FRAME_NAME.fullmatch(path.name)}
+def effect_file(name: str) -> str:
+    """The picture of an effect of this name, within the folder of results."""
+    return f"{EFFECTS_FOLDER}/{name.replace(' ', '-')}.png"
 
 
 def _history(trial: Trial) -> str:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import base64
 import json
+import re
+import stat
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -11,14 +13,20 @@ from typing import Any, Final
 
 from loi_core.errors import SceneError
 from loi_core.files import read_bytes, write_text
-from loi_core.report.output import RESULT_FILE, frames
+from loi_core.report.output import FRAMES_FOLDER, effect_file
 from loi_core.report.plots import LABELS
+from loi_core.result_folder import FRAME_NAME, PAGE_FILE, RESULT_FILE
 from loi_core.rivals import is_objective_name
 from loi_core.values import real_number
 
-__all__ = ["document", "figure", "write_index", "write_page"]
+__all__ = ["Pictures", "document", "write_index", "write_page"]
 
 MOST_RESULT: Final = 2**28  # bytes of result.json
+MOST_PICTURE: Final = 2**26  # bytes of one PNG
+MOST_PICTURES: Final = 2**28  # and of all on a page
+MOST_FRAMES: Final = 1000
+PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
+EFFECT_NAME: Final = re.compile(r"[\w -]{1,80}")
 SAME_START: Final = "every objective from the same start with the same optimiser"
 STYLE: Final = """
 :root { color-scheme: light dark; --line: #8884; --soft: #8882; --accent: #c2410c; }
@@ -43,14 +51,14 @@ def write_page(folder: Path) -> Path:
     SceneError
         If the folder does not hold the results of a scene.
     """
-    page = folder / "report.html"
-    write_text(page, document(_read(folder)["title"], _section(folder)))
+    page = folder / PAGE_FILE
+    write_text(page, document(_read(folder)["title"], _section(folder, Pictures(folder))))
     return page
 
 
 def write_index(page: Path, folders: Sequence[Path], title: str) -> Path:
     """Make one page of several result folders; returns its path. Errors as in :func:`write_page`."""
-    write_text(page, document(title, "\n".join(_section(folder) for folder in folders)))
+    write_text(page, document(title, "\n".join(_section(folder, Pictures(folder)) for folder in folders)))
     return page
 
 
@@ -98,20 +106,20 @@ def document(title: str, body: str) -> str:
     )
 
 
-def _section(folder: Path) -> str:
+def _section(folder: Path, pictures: Pictures) -> str:
     result = _read(folder)
     trials = result["trials"]
     first = trials[0]["objective"] if trials else ""
-    start = [figure(folder / "initial.png", "start"), figure(folder / "target.png", "target")]
+    start = [pictures.figure("initial.png", "start"), pictures.figure("target.png", "target")]
     finals, errors = [], []
     for index, trial in enumerate(trials):
-        own = folder if index == 0 else folder / "compare" / trial["objective"]
+        own = "" if index == 0 else f"compare/{trial['objective']}/"
         label = LABELS.get(trial["objective"], trial["objective"])
         ours = ' class="ours"' if index == 0 else ""
-        finals.append(figure(own / "final.png", label, ours))
-        errors.append(figure(own / "error.png", f"{label}: |final - target|", ours))
-    film = [figure(path, f"step {step}") for step, path in frames(folder / "frames").items()]
-    plot = figure(folder / "convergence.png", "", image_class="plot")
+        finals.append(pictures.figure(f"{own}final.png", label, ours))
+        errors.append(pictures.figure(f"{own}error.png", f"{label}: |final - target|", ours))
+    film = [pictures.figure(name, f"step {step}") for step, name in _frames(folder).items()]
+    plot = pictures.figure("convergence.png", "", image_class="plot")
     return "\n".join(
         [
             f"<h1>{escape(result['title'])}</h1>",
@@ -122,32 +130,81 @@ def _section(folder: Path) -> str:
             f"<h2>Numbers</h2>{_table(trials)}",
             f"<h2>Convergence</h2>{plot}",
             f'<h2>The way of {escape(LABELS.get(first, first))}</h2><div class="row film">{"".join(film)}</div>',
-            *_effects(folder, result),
+            *_effects(pictures, result),
         ]
     )
 
 
-def _effects(folder: Path, result: Mapping[str, Any]) -> list[str]:
+def _frames(folder: Path) -> dict[int, str]:
+    """The pictures of the way, by step."""
+    names = sorted(path.name for path in (folder / FRAMES_FOLDER).glob("*.png") if FRAME_NAME.fullmatch(path.name))
+    return {int(Path(name).stem): f"{FRAMES_FOLDER}/{name}" for name in names[:MOST_FRAMES]}
+
+
+def _effects(pictures: Pictures, result: Mapping[str, Any]) -> list[str]:
     """What each effect changes in the image at the start, and the plan; nothing if the renderer plans nothing."""
     plan, effects = result.get("plan"), result.get("effects")
     if not isinstance(plan, str) or not isinstance(effects, Mapping):
         return []
-    pictures = [
-        figure(folder / "effects" / f"{str(name).replace(' ', '-')}.png", f"{name}: {'on' if on else 'off'}")
+    shown = [
+        pictures.figure(effect_file(name), f"{name}: {'on' if on else 'off'}")
         for name, on in effects.items()
+        if EFFECT_NAME.fullmatch(name)
     ]
-    row = f'<div class="row">{"".join(pictures)}</div>'
+    row = f'<div class="row">{"".join(shown)}</div>'
     return [f"<h2>Effects: how each changes the image along the first descent</h2>{row}<pre>{escape(plan)}</pre>"]
 
 
-def figure(path: Path, caption: str, attributes: str = "", *, image_class: str = "") -> str:
-    """A PNG with a caption, in the page itself; nothing if there is no such file."""
-    if not path.is_file():
-        return ""
-    data = base64.b64encode(path.read_bytes()).decode("ascii")
-    kind = f' class="{image_class}"' if image_class else ""
-    image = f'<img{kind} alt="{escape(caption)}" src="data:image/png;base64,{data}">'
-    return f"<figure{attributes}>{image}<figcaption>{escape(caption)}</figcaption></figure>"
+class Pictures:
+    """The PNGs of a result folder, put into a page; what lies elsewhere, or is no PNG, is not.
+
+    Parameters
+    ----------
+    folder : Path
+        The folder of results.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._left = MOST_PICTURES
+
+    def figure(self, name: str, caption: str, attributes: str = "", *, image_class: str = "") -> str:
+        """A PNG with a caption; nothing if there is no such file, or it is not a PNG.
+
+        Raises
+        ------
+        SceneError
+            If it is a link, or too large.
+        """
+        png = self._read(name)
+        if png is None:
+            return ""
+        data = base64.b64encode(png).decode("ascii")
+        kind = f' class="{image_class}"' if image_class else ""
+        image = f'<img{kind} alt="{escape(caption)}" src="data:image/png;base64,{data}">'
+        return f"<figure{attributes}>{image}<figcaption>{escape(caption)}</figcaption></figure>"
+
+    def _read(self, name: str) -> bytes | None:
+        path, mode = self._folder, 0
+        for part in Path(name).parts:
+            path = path / part
+            try:
+                mode = path.lstat().st_mode
+            except (FileNotFoundError, NotADirectoryError):
+                return None
+            if stat.S_ISLNK(mode):
+                raise self._refused(path, "is a link, and may lead anywhere")
+        if not stat.S_ISREG(mode):
+            return None
+        if path.lstat().st_size > min(MOST_PICTURE, self._left):
+            raise self._refused(path, "is too large for a page")
+        content = read_bytes(path, MOST_PICTURE)
+        self._left -= len(content)
+        return content if content.startswith(PNG_SIGNATURE) else None
+
+    @staticmethod
+    def _refused(path: Path, why: str) -> SceneError:
+        return SceneError(f"{path} {why}; a report shows the pictures of its own folder")
 
 
 def _table(trials: Sequence[Mapping[str, Any]]) -> str:

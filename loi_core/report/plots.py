@@ -26,7 +26,7 @@ COLOURS: Final = {
     "lpips": "#7e22ce",
 }
 BACKEND_COLOURS: Final = ("#0369a1", "#15803d", "#7e22ce", "#64748b", "#a16207")
-LEAST: Final = 1e-16  # where an error of 0 is drawn
+LEAST: Final = 1e-16  # where an error, or an objective, of 0 is drawn
 
 
 def convergence_plot(trials: Sequence[Trial]) -> bytes:
@@ -39,7 +39,8 @@ def convergence_plot(trials: Sequence[Trial]) -> bytes:
         style = {"label": LABELS.get(trial.objective, trial.objective), "color": COLOURS.get(trial.objective)}
         history = trial.result.history
         first = history[0].value or 1.0
-        descent.plot([one.step for one in history], [one.value / first for one in history], **style)
+        falls = [max(one.value / first, LEAST) for one in history]  # a logarithm of 0 has no place on the axis
+        descent.plot([one.step for one in history], falls, **style)
         if trial.psnr:
             quality.plot(list(trial.psnr), list(trial.psnr.values()), **style)
     descent.set(title="objective, relative to its start", xlabel="step", yscale="log")

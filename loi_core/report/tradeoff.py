@@ -14,7 +14,7 @@ from typing import Any, Final
 
 from loi_core.files import write_bytes, write_text
 from loi_core.images import write_png
-from loi_core.report.page import document, figure
+from loi_core.report.page import Pictures, document
 from loi_core.report.plots import tradeoff_plot
 from loi_core.tables import markdown
 from loi_core.tradeoff import HIDDEN, Noise, Row, Tradeoff
@@ -218,13 +218,14 @@ def _advice(found: Tradeoff) -> str:
 
 
 def _body(folder: Path, found: Tradeoff) -> str:
-    images = [figure(folder / f"{name}.png", name) for name in ("image", "reference")]
+    pictures = Pictures(folder)
+    images = [pictures.figure(f"{name}.png", name) for name in ("image", "reference")]
     parts = [
         f"<h1>{escape(found.problem.name)}: what accuracy costs</h1>",
         f'<p class="lead">{escape(_title(found))}</p>',
         f"<p><b>{escape(_advice(found))}</b></p>",
         f'<div class="row">{"".join(images)}</div>',
-        f"<h2>Error and time</h2>{figure(folder / 'tradeoff.png', '', image_class='plot')}",
+        f"<h2>Error and time</h2>{pictures.figure('tradeoff.png', '', image_class='plot')}",
         f"<h2>Every setting</h2>{_html(_heads(found), _cells(found), TEXTS)}<p>{escape(' '.join(_notes(found)))}</p>",
     ]
     if found.noises:

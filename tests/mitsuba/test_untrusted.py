@@ -124,7 +124,7 @@ def mesh(path: Path, face: list[int]) -> None:
 def test_a_mesh_without_the_vertices_that_it_refers_to_is_refused(last: int, tmp_path: Path) -> None:
     scene = written(tmp_path, BALL + LIGHT + '<shape type="ply"><string name="filename" value="m.ply"/></shape>')
     mesh(tmp_path / "m.ply", [0, 1, last])
-    with pytest.raises(SceneLoadError, match="makes Mitsuba crash|refers to vertex"):
+    with pytest.raises(SceneLoadError, match=r"makes Mitsuba crash|refers to vertex"):
         loaded(scene)
     mesh(tmp_path / "m.ply", [0, 1, 2])
     loaded(scene)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
+import math
+from collections.abc import Iterable, Iterator
+from typing import Any, Final
 
 import numpy as np
 import svgelements as svg
@@ -10,7 +12,9 @@ import svgelements as svg
 from loi_core.renderers.checks import FloatArray
 from loi_torch.vector.shapes import Outline
 
-__all__ = ["moved", "path_outlines"]
+__all__ = ["moved", "path_outlines", "without_arcs"]
+
+ARC: Final = math.tau / 10  # radians that one cubic stands for, at the most
 
 
 def moved(point: FloatArray, matrix: FloatArray) -> FloatArray:
@@ -20,8 +24,20 @@ def moved(point: FloatArray, matrix: FloatArray) -> FloatArray:
     return result
 
 
-def path_outlines(path: Any, matrix: FloatArray) -> list[Outline]:
-    """The parts of a path that svgelements has parsed, under the affine `matrix`, shape (3, 3)."""
+def without_arcs(path: Iterable[Any]) -> Iterator[Any]:
+    """The segments of a path that svgelements has parsed, with cubics for its arcs.
+
+    The library does so in place, and then takes time that grows with the square of how many there are.
+    """
+    for segment in path:
+        if isinstance(segment, svg.Arc):
+            yield from segment.as_cubic_curves(math.ceil(abs(segment.sweep) / ARC))
+        else:
+            yield segment
+
+
+def path_outlines(path: Iterable[Any], matrix: FloatArray) -> list[Outline]:
+    """The parts of a path of moves, lines and curves, under the affine `matrix`, shape (3, 3)."""
     outlines: list[Outline] = []
     points: list[FloatArray] = []
     degrees: list[int] = []

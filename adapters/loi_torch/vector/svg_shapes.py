@@ -15,7 +15,7 @@ from loi_core.messages import shown, told
 from loi_core.renderers.checks import FloatArray
 from loi_torch.vector.shapes import Circle, Ellipse, Paint, Path, Rectangle, Shape
 from loi_torch.vector.svg_colours import CORNERS
-from loi_torch.vector.svg_paths import moved, path_outlines
+from loi_torch.vector.svg_paths import moved, path_outlines, without_arcs
 from loi_torch.vector.svg_values import Values
 
 __all__ = ["GEOMETRY", "MOST_POINTS", "element_shape"]
@@ -161,12 +161,12 @@ def _general(
             keys = {key: values.number(tag, key, own.get(key, "0")) for key in GEOMETRY[tag] if key in own}
             kinds = {"rect": svg.Rect, "circle": svg.Circle, "ellipse": svg.Ellipse, "line": svg.SimpleLine}
             path = svg.Path(kinds[tag](keys))
-        path.approximate_arcs_with_cubics()
+        segments = list(without_arcs(path))
     except SvgError:
         raise
     except Exception as error:  # noqa: BLE001 - the library raises whatever its arithmetic does
         values.fail(f"<{tag}>: {GEOMETRY[tag][0]!r} cannot be read ({told(error)})")
-    if 4 * len(path) > most_points:
+    if 4 * len(segments) > most_points:
         values.fail(f"more than {MOST_POINTS} points")
-    outlines = tuple(path_outlines(path, matrix))
+    outlines = tuple(path_outlines(segments, matrix))
     return Path(outlines, replace(paint)) if outlines else None

@@ -1,0 +1,188 @@
+"""A fit changes the files that a fit has written, and no others."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from loi_core.cli import main
+from loi_core.errors import OptionError
+from loi_core.files import remove_temporaries
+from loi_core.images import write_png
+from loi_core.renderers import Disks
+from loi_core.result_folder import LIST_FILE, ResultFolder
+
+SCENE = """\
+target = "target.png"
+output = "result"
+title = "a\\u001b[31m red \\u202e title"
+
+[renderer]
+name = "disks"
+positions = [[10, 6]]
+radii = [3]
+colours = [[0.9, 0.2, 0.1]]
+
+[optimise.positions]
+initial = [[4, 12]]
+
+[objective]
+compare = ["pixel_l2"]
+
+[fit]
+steps = 3
+"""
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    disks = Disks(16, 16, [[10, 6]], 3.0, [[0.9, 0.2, 0.1]])
+    write_png(tmp_path / "target.png", disks.render(disks.parameters()))
+    (tmp_path / "scene.toml").write_text(SCENE)
+    return tmp_path / "scene.toml"
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(path.relative_to(folder)): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
+def assets(folder: Path) -> Path:
+    """A folder that somebody keeps pictures in, under names that a fit has for its own."""
+    for name in ("frames/000000.png", "frames/000001.png", "effects/shadows.png", "final.png", "note.txt"):
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_bytes(b"mine")
+    return folder
+
+
+def test_a_folder_that_somebody_keeps_files_in_is_refused_and_stays_as_it_is(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mine = assets(tmp_path / "assets")
+    before = contents(mine)
+    assert main(["fit", str(scene), "--output", str(mine)]) == 2
+    assert "new or empty folder" in capsys.readouterr().err
+    assert contents(mine) == before
+
+
+def test_a_list_that_a_stranger_wrote_makes_no_folder_ours(scene: Path, tmp_path: Path) -> None:
+    mine = assets(tmp_path / "assets")
+    for files in (["note.txt"], ["../scene.toml"], ["frames/../../target.png"], ["/etc/passwd"], [3], "final.png", {}):
+        (mine / LIST_FILE).write_text(json.dumps({"files": files}))
+        before = contents(tmp_path)
+        if files != {}:
+            assert main(["fit", str(scene), "--output", str(mine)]) == 2
+            assert contents(tmp_path) == before
+
+
+def test_what_somebody_adds_to_a_folder_of_results_stays(scene: Path) -> None:
+    assert main(["fit", str(scene)]) == 0
+    mine = scene.parent / "result" / "frames" / "000777.png"
+    mine.write_bytes(b"mine")
+    assert main(["fit", str(scene)]) == 0
+    assert mine.read_bytes() == b"mine"
+
+
+def test_every_file_of_a_fit_is_on_its_list(scene: Path) -> None:
+    assert main(["fit", str(scene)]) == 0
+    result = scene.parent / "result"
+    listed = set(json.loads((result / LIST_FILE).read_text())["files"])
+    assert set(contents(result)) == listed | {LIST_FILE}
+
+
+@pytest.mark.parametrize("name", ["frames", "compare"])
+def test_nothing_is_written_or_removed_through_a_link(
+    name: str, scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["fit", str(scene)]) == 0
+    inside, outside = scene.parent / "result" / name, tmp_path / "elsewhere"
+    inside.rename(outside)
+    inside.symlink_to(outside, target_is_directory=True)
+    before = contents(outside)
+    assert main(["fit", str(scene)]) == 2
+    assert "is a link" in capsys.readouterr().err
+    assert contents(outside) == before
+
+
+@pytest.mark.parametrize("output", ["../x", "a/../../x", "/tmp/x", "linked"])
+def test_the_output_that_a_scene_names_lies_in_its_folder(
+    output: str, scene: Path, tmp_path_factory: pytest.TempPathFactory, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (scene.parent / "linked").symlink_to(tmp_path_factory.mktemp("outside"), target_is_directory=True)
+    scene.write_text(SCENE.replace('"result"', f'"{output}"'))
+    assert main(["fit", str(scene)]) == 2
+    assert "must lie in the folder of the scene" in capsys.readouterr().err
+
+
+def test_a_fit_that_was_killed_before_its_first_result_can_go_on(scene: Path) -> None:
+    result = scene.parent / "result"
+    assert main(["fit", str(scene)]) == 0
+    kept = (result / "checkpoint.npz").read_bytes()
+    for path in sorted(result.rglob("*"), reverse=True):
+        path.rmdir() if path.is_dir() else path.unlink()
+    (result / "checkpoint.npz").write_bytes(kept)
+    (result / ".checkpoint-a1b2c3d4.npz").write_bytes(b"half")
+    assert main(["fit", str(scene), "--resume"]) == 0
+    assert not (result / ".checkpoint-a1b2c3d4.npz").exists()
+
+
+def test_only_temporaries_of_the_file_itself_are_removed(tmp_path: Path) -> None:
+    names = (".a-abcdefgh.npz", ".a-abc.npz", ".ab-abcdefgh.npz", "a.npz", ".a-abcdefgh.npy", ".a-ABCDEFGH.npz")
+    for name in names:
+        (tmp_path / name).write_bytes(b"")
+    remove_temporaries(tmp_path / "a.npz")
+    assert sorted(path.name for path in tmp_path.iterdir()) == sorted(names[1:])
+
+
+def test_names_that_are_none_of_a_result_are_not_claimed(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="no name of a result"):
+        ResultFolder(tmp_path / "r").claim(["../x.png"])
+    (tmp_path / "file").write_bytes(b"")
+    with pytest.raises(OptionError, match="output"):
+        ResultFolder(tmp_path)
+
+
+def test_a_terminal_obeys_no_title_and_no_path(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = scene.parent / "out\x1b[2J"
+    assert main(["fit", str(scene), "--output", str(folder)]) == 0
+    assert main(["report", str(folder)]) == 0
+    said = capsys.readouterr()
+    assert all(one.isprintable() or one == "\n" for one in said.out)
+    assert "\\x1b[31m red \\u202e title" in said.out
+
+
+def secret_page(folder: Path) -> str:
+    main(["report", str(folder)])
+    return (folder / "report.html").read_text() if (folder / "report.html").exists() else ""
+
+
+def test_a_report_shows_nothing_of_other_folders(
+    scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_png(tmp_path / "secret.png", np.full((2, 2, 3), 0.123))
+    hidden = (tmp_path / "secret.png").read_bytes()
+    assert main(["fit", str(scene)]) == 0
+    result = scene.parent / "result"
+    told = json.loads((result / "result.json").read_text())
+    told |= {"plan": "p", "effects": {"../../secret": True, "/etc/x": True, "..": True}}
+    (result / "result.json").write_text(json.dumps(told))
+    assert base64.b64encode(hidden).decode() not in secret_page(result)
+    (result / "final.png").unlink()
+    (result / "final.png").symlink_to(tmp_path / "secret.png")
+    (result / "report.html").unlink()
+    capsys.readouterr()
+    assert main(["report", str(result)]) == 2
+    assert "final.png is a link" in capsys.readouterr().err
+    assert not (result / "report.html").exists()
+
+
+def test_a_report_is_not_made_of_gigabytes(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["fit", str(scene)]) == 0
+    picture = scene.parent / "result" / "target.png"
+    os.truncate(picture, 3 * 2**30)  # sparse: it takes no room
+    assert main(["report", str(picture.parent)]) == 2
+    assert "too large" in capsys.readouterr().err
