@@ -15,7 +15,7 @@ from loi_core.arrays import Array, epsilon, namespace, sum_of_all
 
 __all__ = ["TIE_ROUNDINGS", "cost_slope", "sum_of_costs", "tie_threshold"]
 
-TIE_ROUNDINGS: Final = 8.0
+TIE_ROUNDINGS: Final = 16.0
 
 
 def tie_threshold(difference: Array, total: float) -> float:
@@ -31,8 +31,10 @@ def tie_threshold(difference: Array, total: float) -> float:
     Returns
     -------
     float
-        ``8 * eps * total``: a CDF near its total is off by a rounding for each of the roughly eight levels that
-        carry a pixel's mass, and blurring, whose rows sum to at most 1, averages that.
+        ``16 * eps * total``. A CDF near its total is off by a rounding for each of the roughly eight levels that carry
+        a pixel's mass, and blurring, whose rows sum to at most 1, averages that. Twice as much leaves less between a
+        tie and what is none: on checkerboards, whose histograms blur to equal ones, two ways to compute the same
+        gradient are at most 3 % apart in float32, where they are 13 % apart with 8 roundings.
     """
     return TIE_ROUNDINGS * epsilon(difference) * total
 

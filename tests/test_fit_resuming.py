@@ -101,6 +101,26 @@ def test_a_damaged_checkpoint_is_refused_wherever_the_damage_is(tmp_path: Path) 
             load_checkpoint(file, state.settings)
 
 
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+def test_a_checkpoint_whose_history_is_not_of_numbers_is_refused(bad: float, tmp_path: Path) -> None:
+    file = tmp_path / "state.npz"
+    run(steps=3, checkpoint=file)
+    state = load_checkpoint(file, {})
+    history = state.history.copy()
+    history[1, 1] = bad
+    for changed in (replace(state, history=history), replace(state, best_value=bad)):
+        save_checkpoint(file, changed)
+        with pytest.raises(ParameterError, match="its history holds what is not a number"):
+            run(steps=3, checkpoint=file, resume=True)
+
+
+def test_a_fit_removes_what_killed_ones_have_left_of_its_checkpoint(tmp_path: Path) -> None:
+    left = tmp_path / ".state-a1b2c3d4.npz"
+    left.write_bytes(b"half of a checkpoint")
+    run(steps=2, checkpoint=tmp_path / "state.npz")
+    assert [path.name for path in tmp_path.iterdir()] == ["state.npz"]
+
+
 def test_ctrl_c_while_a_fit_is_resumed_leaves_its_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt

@@ -160,3 +160,35 @@ def test_files_are_written_whole_or_not_at_all(tmp_path: Path) -> None:
         fail_half_way()
     assert file.read_text() == "old"
     assert [path.name for path in file.parent.iterdir()] == ["a.txt"]
+
+
+@pytest.mark.parametrize(
+    ("width", "height", "says"),
+    [
+        (2**26, 1, "longer than the 65535"),
+        (1, 65536, "longer than the 65535"),
+        (8190, 8190, "can hold"),
+        (8193, 8192, "more than the 67108864"),
+    ],
+)
+def test_what_an_image_claims_is_bounded_before_memory_is_taken(
+    width: int, height: int, says: str, tmp_path: Path
+) -> None:
+    (tmp_path / "a.png").write_bytes(png(struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0), b""))
+    with pytest.raises(ImageFileError, match=says):
+        read_image(tmp_path / "a.png")
+
+
+def test_a_flat_image_is_no_bomb(tmp_path: Path) -> None:
+    Image.fromarray(np.zeros((1500, 1500, 3), np.uint8)).save(tmp_path / "a.png")
+    assert read_image(tmp_path / "a.png").shape == (1500, 1500, 3)
+
+
+def test_an_exr_of_countless_attributes_is_refused_at_once(tmp_path: Path) -> None:
+    with OpenEXR.File({"type": OpenEXR.scanlineimage}, {"Y": np.zeros((4, 4), np.float32)}) as file:
+        file.write(str(tmp_path / "a.exr"))
+    content = (tmp_path / "a.exr").read_bytes()
+    many = b"".join(b"n%d\0int\0\x04\0\0\0\0\0\0\0" % number for number in range(5000))
+    (tmp_path / "a.exr").write_bytes(content[:8] + many + content[8:])
+    with pytest.raises(ImageFileError, match="its header is damaged"):
+        read_image(tmp_path / "a.exr")

@@ -6,6 +6,7 @@ import base64
 import json
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -71,12 +72,12 @@ def test_a_folder_that_somebody_keeps_files_in_is_refused_and_stays_as_it_is(
 
 def test_a_list_that_a_stranger_wrote_makes_no_folder_ours(scene: Path, tmp_path: Path) -> None:
     mine = assets(tmp_path / "assets")
-    for files in (["note.txt"], ["../scene.toml"], ["frames/../../target.png"], ["/etc/passwd"], [3], "final.png", {}):
+    lists: tuple[Any, ...] = (["note.txt"], ["../a"], ["frames/../../target.png"], ["/etc/passwd"], [3], "final.png", 3)
+    for files in lists:
         (mine / LIST_FILE).write_text(json.dumps({"files": files}))
         before = contents(tmp_path)
-        if files != {}:
-            assert main(["fit", str(scene), "--output", str(mine)]) == 2
-            assert contents(tmp_path) == before
+        assert main(["fit", str(scene), "--output", str(mine)]) == 2
+        assert contents(tmp_path) == before
 
 
 def test_what_somebody_adds_to_a_folder_of_results_stays(scene: Path) -> None:
@@ -108,7 +109,7 @@ def test_nothing_is_written_or_removed_through_a_link(
     assert contents(outside) == before
 
 
-@pytest.mark.parametrize("output", ["../x", "a/../../x", "/tmp/x", "linked"])
+@pytest.mark.parametrize("output", ["../x", "a/../../x", "/x", "linked"])
 def test_the_output_that_a_scene_names_lies_in_its_folder(
     output: str, scene: Path, tmp_path_factory: pytest.TempPathFactory, capsys: pytest.CaptureFixture[str]
 ) -> None:

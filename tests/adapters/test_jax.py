@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
 from collections.abc import Callable, Iterator
 from contextlib import nullcontext
 from typing import Any
@@ -157,3 +159,10 @@ def test_what_is_compiled_does_not_grow_with_the_levels() -> None:
         return len(jax.make_jaxpr(lambda stack: accumulate(stack)[0])(jnp.zeros((levels, 4))).eqns)
 
     assert operations(4096) < 3 * operations(64)  # 64 blocks of 64, side by side
+
+
+def test_it_can_be_pickled_and_copied(loss: Loss) -> None:
+    image = jnp.asarray(IMAGE)
+    pickled = pickle.loads(pickle.dumps(loss))  # noqa: S301  # of our own making
+    for other in (pickled, copy.deepcopy(loss)):
+        np.testing.assert_array_equal(jax.grad(other)(image), jax.grad(loss)(image))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import io
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -233,3 +234,48 @@ def test_gradients_of_the_core_lie_in_one_piece() -> None:
     image, reference = torch.rand(2, 9, 7, 3), torch.rand(9, 7, 3)
     _, gradient = LOIObjective(reference).value_and_grad(image)
     assert gradient.view(-1).shape == (2 * 9 * 7 * 3,)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.bfloat16])
+@pytest.mark.parametrize("policy", ["raise", "mask"])
+def test_a_new_reference_is_seen_however_it_came(dtype: torch.dtype, policy: Any) -> None:
+    others = [torch.tensor(np.random.default_rng(k).uniform(0.1, 0.9, REFERENCE.shape)).to(dtype) for k in range(4)]
+    image = torch.tensor(IMAGE).to(dtype)
+    loss = LOILoss(others[0], SCALES, nan_policy=policy)
+    wanted = [float(LOILoss(other, SCALES)(image)) for other in others]
+
+    def assign(other: torch.Tensor) -> None:
+        loss.reference = other.clone()
+
+    ways: list[Callable[[torch.Tensor], object]] = [
+        assign,
+        lambda other: loss.reference.copy_(other),
+        lambda other: loss.reference.data.copy_(other),
+        lambda other: loss.load_state_dict({"reference": other}),
+        lambda other: loss.load_state_dict({"reference": other.clone()}, assign=True),
+    ]
+    for way in ways:
+        for other, value in zip([*others, *others], [*wanted, *wanted], strict=True):
+            way(other)
+            assert float(loss(image)) == value
+
+
+def test_a_reference_that_has_not_changed_is_prepared_once() -> None:
+    masked = torch.tensor(REFERENCE)
+    masked[0, 0, 0, 0] = torch.nan
+    loss = LOILoss(masked, SCALES, nan_policy="mask")
+    loss(torch.tensor(IMAGE))
+    prepared = loss._objective
+    loss(torch.tensor(IMAGE))
+    assert loss._objective is prepared
+
+
+def test_it_may_be_made_and_called_in_inference_mode() -> None:
+    with torch.inference_mode():
+        assert float(LOILoss(torch.tensor(REFERENCE), SCALES)(torch.tensor(IMAGE))) == float(VALUE)
+    loss = LOILoss(REFERENCE, SCALES)
+    with torch.inference_mode():
+        assert float(loss(torch.tensor(IMAGE))) == float(VALUE)
+    image = leaf()
+    loss(image).backward()
+    assert image.grad is not None

@@ -84,3 +84,102 @@ CONTENTS: Final[dict[str, Callable[[tuple[int, int, int], np.random.Generator], 
     "shifted": _shifted,
 }
 """Image and reference, float64 in [0, 1], by kind."""
+
+
+def _waves(shape: tuple[int, int, int], rng: np.random.Generator) -> Pair:
+    """Sines of one period, along an axis or not, one of them moved along."""
+    rows, columns = np.mgrid[: shape[0], : shape[1]]
+    angle = rng.choice([0.0, rng.uniform(0.0, np.pi)])
+    phase = 2.0 * np.pi * rng.uniform(2.0, 20.0) * (columns * np.cos(angle) + rows * np.sin(angle)) / shape[1]
+    return _grey(0.5 + 0.5 * np.sin(phase), shape), _grey(0.5 + 0.5 * np.sin(phase + rng.uniform(0.01, 3.0)), shape)
+
+
+def _checkerboards(shape: tuple[int, int, int], rng: np.random.Generator) -> Pair:
+    """One moved along, or against grey."""
+    rows, columns = np.mgrid[: shape[0], : shape[1]]
+    side = int(rng.integers(1, 17))
+    board = (columns // side + rows // side) % 2 * rng.uniform(0.1, 1.0)
+    if rng.random() < 0.3:
+        return _grey(board, shape), np.full(shape, rng.uniform())
+    return _grey(board, shape), _grey(np.roll(board, int(rng.integers(1, side + 1)), axis=1), shape)
+
+
+def _stripes(shape: tuple[int, int, int], rng: np.random.Generator) -> Pair:
+    """Upright or level, one moved along."""
+    period = int(rng.integers(2, 40))
+    width, moved = (int(rng.integers(1, period)) for _ in range(2))
+    axis = int(rng.integers(2))
+    along = np.mgrid[: shape[0], : shape[1]][axis]
+    return _grey(along % period < width, shape), _grey((along + moved) % period < width, shape)
+
+
+def _zone_plates(shape: tuple[int, int, int], rng: np.random.Generator) -> Pair:
+    rows, columns = np.mgrid[: shape[0], : shape[1]]
+    squared = (rows - shape[0] / 2) ** 2 + (columns - shape[1] / 2) ** 2
+    phase = np.pi * rng.uniform(0.3, 1.0) * squared / max(shape[:2])
+    return _grey(0.5 + 0.5 * np.cos(phase), shape), _grey(0.5 + 0.5 * np.cos(phase + rng.uniform(0.01, 3.0)), shape)
+
+
+def _one_pixel(shape: tuple[int, int, int], rng: np.random.Generator) -> Pair:
+    image = rng.uniform(size=shape) if rng.random() < 0.5 else np.full(shape, rng.uniform())
+    reference = image.copy()
+    reference[rng.integers(shape[0]), rng.integers(shape[1])] = rng.uniform(size=shape[2])
+    return image, reference
+
+
+def _disk_nearly_there(shape: tuple[int, int, int], rng: np.random.Generator) -> Pair:
+    """What every fit ends with: less than a pixel is missing."""
+    rows, columns = np.mgrid[: shape[0], : shape[1]]
+    centre = np.array([shape[0] // 2, shape[1] // 2]) if rng.random() < 0.5 else rng.uniform(0.3, 0.7, 2) * shape[:2]
+    radius, angle = rng.uniform(0.05, 0.4) * min(shape[:2]), rng.choice([0.0, rng.uniform(0.0, 2.0 * np.pi)])
+    moved = centre + 10.0 ** rng.uniform(-3.0, 0.0) * np.array([np.sin(angle), np.cos(angle)])
+    one, other = (np.clip(0.5 + radius - np.hypot(rows - y, columns - x), 0.0, 1.0) for y, x in (centre, moved))
+    return _grey(one, shape), _grey(other, shape)
+
+
+def _box_nearly_there(shape: tuple[int, int, int], rng: np.random.Generator) -> Pair:
+    """The same with edges along the axes."""
+    rows, columns = np.mgrid[: shape[0], : shape[1]]
+    top, bottom = rng.uniform(0.0, 0.4) * shape[0], rng.uniform(0.6, 1.0) * shape[0]
+    left, right = rng.uniform(0.0, 0.4) * shape[1], rng.uniform(0.6, 1.0) * shape[1]
+    moved = 10.0 ** rng.uniform(-3.0, 0.0)
+    level = np.clip(rows - top, 0.0, 1.0) * np.clip(bottom - rows, 0.0, 1.0)
+    one, other = (np.clip(columns - left - by, 0, 1) * np.clip(right + by - columns, 0, 1) for by in (0.0, moved))
+    return _grey(level * one, shape), _grey(level * other, shape)
+
+
+def _photograph_nearly_there(shape: tuple[int, int, int], rng: np.random.Generator) -> Pair:
+    image = photograph(shape, rng)
+    waves = np.exp(2j * np.pi * 10.0 ** rng.uniform(-3.0, 0.0) * np.fft.fftfreq(shape[1]))[None, :, None]
+    return image, np.clip(np.fft.ifft(np.fft.fft(image, axis=1) * waves, axis=1).real, 0.0, 1.0)
+
+
+def _nearly_equal(shape: tuple[int, int, int], rng: np.random.Generator) -> Pair:
+    image = rng.uniform(size=shape)
+    size = 10.0 ** rng.uniform(-8.0, -1.0)
+    return image, image + size * (rng.standard_normal(shape) if rng.random() < 0.7 else 1.0)
+
+
+def _ramps(shape: tuple[int, int, int], rng: np.random.Generator) -> Pair:
+    rows, columns = np.mgrid[: shape[0], : shape[1]]
+    other = rows / shape[0] if rng.random() < 0.5 else columns / shape[1] * rng.uniform(0.2, 1.0)
+    return _grey(columns / shape[1] * rng.uniform(0.2, 1.0), shape), _grey(other, shape)
+
+
+def _grey(plane: Host, shape: tuple[int, int, int]) -> Host:
+    return plane[..., None] * np.ones(shape)
+
+
+HARD: Final[dict[str, Callable[[tuple[int, int, int], np.random.Generator], Pair]]] = {
+    "waves": _waves,
+    "checkerboards": _checkerboards,
+    "stripes": _stripes,
+    "zone plates": _zone_plates,
+    "one pixel": _one_pixel,
+    "a disk nearly there": _disk_nearly_there,
+    "a box nearly there": _box_nearly_there,
+    "a photograph nearly there": _photograph_nearly_there,
+    "nearly equal": _nearly_equal,
+    "ramps": _ramps,
+}
+"""Pairs whose histograms, once blurred, change sign more often than the blur's width says, or nearly everywhere."""

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import os
+import re
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
 
 import array_api_strict
 import jax
@@ -18,9 +21,10 @@ from hypothesis import strategies as st
 
 from loi_core import LOIObjective, ScaleSpace, compiled
 from loi_core.arrays import Array
-from loi_core.compiled import compiling, program, threads
+from loi_core.compiled import CompiledLoopsWarning, compiling, program, threads
 from loi_core.compiled.arena import Arena
 from loi_core.compiled.bands import Band, band_back, band_forth
+from loi_core.compiled.comparison import KernelComparison
 from loi_core.compiled.exponential import exponential
 from loi_core.compiled.inner import InnerBlur
 from loi_core.compiled.kernels import compare_levels
@@ -266,6 +270,129 @@ def test_a_forked_process_starts_threads_of_its_own() -> None:
         [sys.executable, "-W", "ignore", "-c", FORKS], capture_output=True, text=True, timeout=120, check=True
     )
     assert done.stdout.strip() == "0"
+
+
+LATE = """
+import threading, numpy as np
+from loi_core import LOIObjective, ScaleSpace
+image, reference = np.random.default_rng(0).uniform(size=(2, 80, 70, 3))
+def compare():
+    threading.main_thread().join()
+    print(float(LOIObjective(reference, ScaleSpace.paper("path")).value(image)) > 0)
+threading.Thread(target=compare).start()
+"""
+
+
+def program_says(code: str, **environment: str) -> str:
+    """What a program prints; warnings are written after it, and anything else on standard error is a failure."""
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=True,
+        env={**os.environ, "PYTHONWARNINGS": "always::RuntimeWarning", **environment},
+    )
+    return done.stdout.strip() + "".join(re.findall("CompiledLoopsWarning", done.stderr))
+
+
+def test_a_thread_may_compare_after_the_main_one_has_ended() -> None:
+    assert program_says(LATE) == "True"
+
+
+FORKED_WHILE_PREPARING = """
+import os, threading, time, numpy as np
+from loi_core import LOIObjective, ScaleSpace
+image, reference = np.random.default_rng(0).uniform(size=(2, 120, 90, 1))
+def prepare(size):
+    return float(LOIObjective(reference[:size], ScaleSpace.paper("path"), "balanced").value(image[:size]))
+prepare(50)
+hung = 0
+for number in range(12):
+    thread = threading.Thread(target=lambda: [prepare(60 + step) for step in range(30)])
+    thread.start()
+    time.sleep(0.004 * number)
+    child = os.fork()
+    if child == 0:
+        prepare(70)
+        os._exit(0)
+    for _ in range(600):
+        if os.waitpid(child, os.WNOHANG)[0]:
+            break
+        time.sleep(0.05)
+    else:
+        os.kill(child, 9)
+        hung += 1
+    thread.join()
+print(hung)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows does not fork")
+@pytest.mark.parametrize("switch", ["1", "0"])
+def test_a_process_that_is_forked_while_another_thread_prepares_does_not_hang(switch: str) -> None:
+    assert program_says(FORKED_WHILE_PREPARING, LOI_COMPILED=switch) == "0"
+
+
+COMPARES = """
+import sys, numpy as np
+from loi_core import LOIObjective, ScaleSpace
+image, reference = np.random.default_rng(0).uniform(size=(2, 40, 30, 1)).astype(np.float32)
+objective = LOIObjective(reference, ScaleSpace(1, (1, 4), 0.25))
+print(len({float(objective.value(image)) for _ in range(3)}), "numba" in sys.modules)
+"""
+
+
+def test_a_variable_keeps_numba_out() -> None:
+    assert program_says(COMPARES, LOI_COMPILED="0") == "1 False"
+    assert program_says(COMPARES, NUMBA_DISABLE_JIT="1") == "1 True"
+
+
+def test_a_cache_that_is_damaged_costs_time_and_one_warning(tmp_path: Path) -> None:
+    assert program_says(COMPARES, NUMBA_CACHE_DIR=str(tmp_path)) == "1 True"
+    kept = [path for path in tmp_path.rglob("*") if path.is_file()]
+    assert kept
+    for path in kept:
+        os.truncate(path, path.stat().st_size // 2)
+    assert program_says(COMPARES, NUMBA_CACHE_DIR=str(tmp_path)) == "1 TrueCompiledLoopsWarning"
+
+
+def test_kernels_that_cannot_be_compiled_leave_it_to_arrays(monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object, **__: object) -> None:
+        message = "no space left on device"
+        raise OSError(message)
+
+    image, reference = np.random.default_rng(0).uniform(size=(2, 20, 30, 1))
+    monkeypatch.setattr(compiled, "_NUMBA", compiled._Numba())
+    objective = LOIObjective(reference)
+    value = float(objective.value(image))
+    monkeypatch.setattr(KernelComparison, "compare", full)
+    with pytest.warns(CompiledLoopsWarning, match="OSError: no space left on device"):
+        assert float(objective.value(image)) == pytest.approx(value, rel=1e-12)
+    assert not compiled.available()
+    assert float(objective.value(image)) == pytest.approx(value, rel=1e-12)
+
+
+BROKEN = """
+import importlib.abc, sys, time
+class Finder(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path, target=None):
+        if name == "numba":
+            time.sleep(0.05)
+            raise AttributeError("half of a Numba")
+sys.meta_path.insert(0, Finder())
+from concurrent.futures import ThreadPoolExecutor
+import numpy as np
+from loi_core import LOIObjective
+image, reference = np.random.default_rng(0).uniform(size=(2, 40, 30, 1))
+objective = LOIObjective(reference)
+with ThreadPoolExecutor(8) as threads:
+    print(len(set(map(float, threads.map(objective.value, [image] * 16)))))
+"""
+
+
+def test_a_numba_that_cannot_be_imported_is_none_from_many_threads_at_once_too() -> None:
+    assert program_says(BROKEN) == "1"
 
 
 def test_what_fails_in_a_thread_is_raised() -> None:

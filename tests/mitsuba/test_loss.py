@@ -191,3 +191,18 @@ def test_a_torch_that_cannot_see_the_gpu_is_not_chosen_for_it(monkeypatch: pytes
         monkeypatch.setattr("torch.cuda.is_available", lambda sees=sees: sees)
         assert LOILoss(reference, SCALES).backend == wanted
     assert LOILoss(reference, SCALES, backend="torch").backend == "torch"  # asked for is asked for
+
+
+def test_freezing_is_refused_by_name_where_it_would_end_the_process() -> None:
+    image, reference = (each.astype(np.float32) for each in images(SHAPE, 12))
+    loss = LOILoss(reference, SCALES)
+
+    @dr.freeze  # type: ignore[untyped-decorator,unused-ignore]  # Dr.Jit's types are not read
+    def frozen(tensor: Any) -> Any:
+        return loss(tensor)
+
+    with pytest.raises(RuntimeError) as caught:  # Dr.Jit's own, of what it met while it recorded
+        frozen(mi.TensorXf(image))
+    assert isinstance(caught.value.__cause__, OptionError)
+    assert "under `dr.freeze`" in str(caught.value.__cause__)
+    assert float(loss(mi.TensorXf(image))[0]) > 0.0

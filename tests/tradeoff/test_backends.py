@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 import tomllib
 from importlib.metadata import EntryPoint
 from pathlib import Path
@@ -14,7 +16,7 @@ from loi_core import LOIObjective, ScaleSpace, registry
 from loi_core.backends import BFLOAT16_PRODUCTS, Backend, NumPy
 from loi_core.cli import main
 from loi_core.tradeoff import Setting, rows
-from loi_core.tradeoff.memory import peak_memory, restart_peak
+from loi_core.tradeoff.memory import peak_memory
 from tests.environments import ROOT
 from tests.helpers import images, relative_error
 from tests.tradeoff.command import NUMPY, Plugins, tradeoff
@@ -138,13 +140,18 @@ def test_nothing_but_broken_backends_is_an_error(
 
 
 def test_the_peak_of_memory_is_seen_after_it_has_passed() -> None:
-    before = restart_peak()
-    if before is None:
+    """In a process of its own: one that has held much may find room for more within what it has."""
+    if peak_memory() is None:
         pytest.skip("the system does not tell")
-    np.ones(2**23).sum()  # 64 MiB, given back at once
-    after = peak_memory()
-    assert after is not None
-    assert 60 * 2**20 < after - before < 80 * 2**20
+    code = """
+import numpy as np
+from loi_core.tradeoff.memory import peak_memory, restart_peak
+before = restart_peak()
+np.ones(2**23).sum()  # 64 MiB, given back at once
+print(peak_memory() - before)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=True)
+    assert 60 * 2**20 < int(done.stdout) < 80 * 2**20
 
 
 def test_a_larger_image_takes_more_memory() -> None:
