@@ -28,7 +28,7 @@ from loi_core.tonal import soft_cdf_and_slope
 
 __all__ = ["ExtentPlan", "InnerPlan", "Plan", "TonalPlan", "make_plan"]
 
-PLANNED: Final = 0.5
+PLANNED: Final = 0.4
 """Share of the tolerance that is planned for ordinary images: what is left is for images that turn out to be harder,
 before they are compared at every pixel (:mod:`loi_core.sampling_error`)."""
 
@@ -49,7 +49,7 @@ Measured as well.
 WORTHWHILE: Final = 4.0 / 3.0
 """Spacings below this save less than they cost."""
 
-SMALLEST: Final = 64
+SMALLEST: Final = 96
 """A sampling keeps at least this many cells along the shorter side for a tolerance of BALANCED, twice for half that.
 
 Differences of much blurred images change sign along straight lines; beside an axis, a line is misplaced as a whole, by

@@ -38,10 +38,10 @@ SHARP: Final = 1.5
 up to it, their sum over samples is their integral to 2 exp(-2 (pi / SHARP)**2) = 3e-4."""
 
 
-CONFIDENT: Final = 0.6
+CONFIDENT: Final = 0.5
 """Share of the tolerance up to which an estimated error is believed to be within it.
 
-Over images of some twenty kinds, the error was at most 1.4 times what is estimated (docs/accuracy.md)."""
+Over images of some twenty kinds, the error was at most 1.7 times what is estimated (docs/accuracy.md)."""
 
 
 @dataclass(frozen=True)

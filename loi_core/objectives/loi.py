@@ -62,8 +62,8 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
         The scales to compare; ``ScaleSpace.for_image(H, W)`` by default.
     accuracy : {"exact", "balanced", "fast"} or float
         Largest relative error of the gradient that is allowed in exchange for time: 0, 1e-2, 5e-2, or the number
-        given; in the 2-norm, beside "exact". :meth:`plan` says what is done with it. At every accuracy the gradient is
-        the exact derivative of the value.
+        given; in the 2-norm, beside "exact". :meth:`plan` says what is done with it. Every call estimates its error
+        from the images; where that is too large, its gradient is computed exactly.
     channel_axis : int or None
         Where the channels are; None for images without channels.
     nan_policy : {"raise", "mask"}

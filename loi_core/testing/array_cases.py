@@ -45,7 +45,7 @@ def tie_cases() -> list[HardCase]:
         HardCase(
             "p = 2",
             "|d|**(1/2) is infinitely steep at 0, where most differences are",
-            "the tie rule ends the slope at 8 roundings; steep it stays, and the bound says by how much",
+            "the tie rule ends the slope at 16 roundings; steep it stays, and the bound says by how much",
             pair,
             ScaleSpace((0.0, 1.0), (1.0, 4.0), 0.125, p=2.0),
         ),

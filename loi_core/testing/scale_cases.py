@@ -51,7 +51,7 @@ def scale_cases() -> list[HardCase]:
             (
                 10.0,
                 "differences of CDFs are small beside the CDFs themselves",
-                "they are above the tie rule's 8 roundings, if barely",
+                "they are above the tie rule's 16 roundings, if barely",
             ),
         )
     ]

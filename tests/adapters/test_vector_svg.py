@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from pathlib import Path as File
 from typing import Any
 
@@ -196,3 +197,22 @@ def test_what_is_not_supported_is_named(tmp_path: File, content: str, says: str)
 def test_a_missing_file_is_named(tmp_path: File) -> None:
     with pytest.raises(SvgError, match=r"none\.svg: cannot be read"):
         Vector(8, 8, svg=tmp_path / "none.svg")
+
+
+def test_time_grows_with_the_number_of_arcs_and_not_with_its_square(tmp_path: File) -> None:
+    # Twenty seconds, and a hundred million calls, if each arc is replaced in the path that holds all.
+    arcs = "".join(f"A5 5 0 0 1 {number % 90} {number % 70}" for number in range(8000))
+    path = f'<path d="M0 0{arcs}" stroke="red" fill="none"/>'
+    (tmp_path / "a.svg").write_text(f'<svg xmlns="http://www.w3.org/2000/svg" width="96" height="96">{path}</svg>')
+    calls = 0
+
+    def count(*_: object) -> None:
+        nonlocal calls
+        calls += 1
+
+    sys.setprofile(count)
+    try:
+        read_svg(tmp_path / "a.svg", 96, 96)
+    finally:
+        sys.setprofile(None)
+    assert calls < 8000 * 2000
