@@ -2,23 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
-from loi_core.errors import OptionError
+from loi_core.errors import ConformanceError, OptionError
 from loi_core.testing.objectives import OBJECTIVE_CHECKS, ObjectiveSubject
 from loi_core.testing.renderers import RENDERER_CHECKS, RendererSubject
 
 __all__ = ["parametrize_with_checks"]
 
 
-def parametrize_with_checks(subjects: Iterable[RendererSubject | ObjectiveSubject]) -> Callable[[Any], Any]:
+def parametrize_with_checks(
+    subjects: Iterable[RendererSubject | ObjectiveSubject], *, expected_failures: Mapping[str, str] | None = None
+) -> Callable[[Any], Any]:
     """Make one test per subject and check of a function that takes ``check`` and ``subject``.
 
     Parameters
     ----------
     subjects : iterable of RendererSubject or ObjectiveSubject
         At least one.
+    expected_failures : dict of str, optional
+        Names of checks that are known to fail, of every subject, with the reason. They are marked as strict expected
+        failures: one that passes fails the test.
+
+    Raises
+    ------
+    OptionError
+        If there is no subject, or `expected_failures` names a check that none of them has.
 
     Examples
     --------
@@ -34,8 +44,16 @@ def parametrize_with_checks(subjects: Iterable[RendererSubject | ObjectiveSubjec
     for number, subject in enumerate(subjects):
         checks: tuple[Any, ...] = RENDERER_CHECKS if isinstance(subject, RendererSubject) else OBJECTIVE_CHECKS
         what = type(subject.renderer).__name__ if isinstance(subject, RendererSubject) else "objective"
-        cases += [pytest.param(check, subject, id=f"{number}-{what}-{check.name}") for check in checks]
+        for check in checks:
+            reason = (expected_failures or {}).get(check.name)
+            marks = () if reason is None else (pytest.mark.xfail(raises=ConformanceError, strict=True, reason=reason),)
+            cases.append(pytest.param(check, subject, id=f"{number}-{what}-{check.name}", marks=marks))
     if not cases:
         msg = "`subjects` must hold at least one subject, got none"
         raise OptionError(msg)
+    names = dict.fromkeys(str(case.values[0]) for case in cases)
+    for name in expected_failures or {}:
+        if name not in names:
+            msg = f"`expected_failures` names {name!r}; the checks are {', '.join(names)}"
+            raise OptionError(msg)
     return pytest.mark.parametrize(("check", "subject"), cases)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import partial
 from typing import Final, TypeAlias
 
 import numpy as np
@@ -11,9 +12,13 @@ import numpy as np
 from loi_core.arrays import Array, as_floating, epsilon, from_numpy, library_name, namespace, to_numpy
 from loi_core.errors import ImageTypeError, OptionError
 from loi_core.renderer import Parameters, Pullback, Renderer
-from loi_core.testing.checks import Check, Host, compare_slopes, run_checks, same
+from loi_core.testing.checks import Check, Host, Slopes, measure_slopes, run_checks, same, slope_tolerance
 
 __all__ = ["RENDERER_CHECKS", "RendererSubject", "check_renderer"]
+
+
+ATTEMPTS: Final = 4  # to find parameters where slopes can be measured
+NEARBY: Final = 0.01
 
 
 @dataclass(frozen=True)
@@ -25,8 +30,9 @@ class RendererSubject:
     renderer : Renderer
     seed : int
         For the renders and for the random cotangents and directions.
-    rtol : float
-        Largest relative error of the slopes that the pullback gives against central differences.
+    rtol : float, optional
+        Largest relative error of the slopes that the pullback gives against central differences; by default 5e-4 in
+        float64 and 5e-3 in float32.
     seeds : int
         How many seeds slopes are averaged over; more than 1 for renderers with noise, whose differences and
         pullbacks agree only in the mean.
@@ -34,7 +40,7 @@ class RendererSubject:
 
     renderer: Renderer
     seed: int = 0
-    rtol: float = 1e-2
+    rtol: float | None = None
     seeds: int = 1
 
 
@@ -45,7 +51,7 @@ def check_renderer(
     renderer: Renderer,
     *,
     seed: int = 0,
-    rtol: float = 1e-2,
+    rtol: float | None = None,
     seeds: int = 1,
     expected_failures: Mapping[str, str] | None = None,
 ) -> None:
@@ -57,10 +63,11 @@ def check_renderer(
         Small images make the checks fast; parameters should have an effect on the image.
     seed : int
         For renders and random directions.
-    rtol : float
-        Largest relative error of slopes against central differences.
+    rtol : float, optional
+        Largest relative error of slopes against central differences; by default 5e-4 in float64, 5e-3 in float32.
     seeds : int
-        Average slopes over this many seeds, for renderers with noise.
+        Average slopes over this many seeds, for renderers with noise. What is left of it is allowed for; if it could
+        hide an error of 5 %, the check fails and says so.
     expected_failures : dict of str, optional
         Names of checks that are known to fail, with the reason. One that passes is an error too.
 
@@ -106,6 +113,9 @@ def _check_image(check: _Check, subject: RendererSubject) -> None:
             check.fail(f"expected an image of shape (H, W, C) from {what}, got {tuple(one.shape)}")
         if not np.all(np.isfinite(to_numpy(one))):
             check.fail(f"{what} gave {int((~np.isfinite(to_numpy(one))).sum())} values that are not finite")
+    if library_name(image) != library_name(other) or image.dtype != other.dtype:
+        given = [f"{library_name(one)} {one.dtype}" for one in (image, other)]
+        check.fail(f"render gave an image of {given[0]}, render_vjp one of {given[1]}")
     if tuple(image.shape) != tuple(other.shape):
         check.fail(f"render gave shape {tuple(image.shape)}, render_vjp {tuple(other.shape)}")
     if not callable(pullback):
@@ -206,29 +216,43 @@ def _check_pullback_memory(check: _Check, subject: RendererSubject) -> None:
 
 
 def _check_differences(check: _Check, subject: RendererSubject) -> None:
-    renderer, params = subject.renderer, subject.renderer.parameters()
-    seeds = range(subject.seed, subject.seed + subject.seeds)
-    image, _ = renderer.render_vjp(params, seed=subject.seed)
-    cotangent = _cotangent(image, subject.seed + 7)
-    weights = to_numpy(cotangent).astype(np.float64)
-    pulled = [renderer.render_vjp(params, seed=one)[1](cotangent) for one in seeds]
+    params = subject.renderer.parameters()
     for name, value in params.items():
-        gradient = np.mean([to_numpy(one[name]).astype(np.float64) for one in pulled], axis=0)
+        image = subject.renderer.render(params, seed=subject.seed)
+        coarsest = max(epsilon(value), epsilon(image))
+        rtol = slope_tolerance(coarsest) if subject.rtol is None else subject.rtol
+        slopes = _slopes(subject, name, params, coarsest)
+        for attempt in range(ATTEMPTS):
+            if slopes.doubt <= 0.5 * rtol:
+                break
+            # An edge may just touch a pixel here; a little aside it does not.
+            other = _slopes(subject, name, _moved(params, subject.seed + attempt, NEARBY), coarsest)
+            slopes = min(slopes, other, key=lambda each: each.doubt)
+        finding = slopes.finding(rtol)
+        if finding:
+            check.fail(f"{name!r}: {finding}")
 
-        def along(moved: Host, name: str = name, value: Array = value) -> float:
-            there = {**params, name: from_numpy(moved, value)}
-            images = [to_numpy(renderer.render(there, seed=one)).astype(np.float64) for one in seeds]
-            return float(np.mean([np.sum(weights * one) for one in images]))
 
-        start = to_numpy(value).astype(np.float64)
-        error, claimed, measured = compare_slopes(
-            along, start, gradient, epsilon=epsilon(value), rtol=subject.rtol, seed=subject.seed
-        )
-        if error > subject.rtol:
-            check.fail(
-                f"along random directions of {name!r} central differences give {_listed(measured)}, "
-                f"the pullback {_listed(claimed)}: off by {error:.2g}, allowed {subject.rtol:.2g}"
-            )
+def _slopes(subject: RendererSubject, name: str, params: Parameters, coarsest: float) -> Slopes:
+    """Slopes by one parameter of a random sum over the image, at `params`."""
+    renderer, value = subject.renderer, params[name]
+    seeds = range(subject.seed, subject.seed + subject.seeds)
+    rendered = [renderer.render_vjp(params, seed=one) for one in seeds]
+    cotangent = _cotangent(rendered[0][0], subject.seed + 7)
+    weights = to_numpy(cotangent).astype(np.float64)
+
+    def weighted(moved: Host, one: int) -> float:
+        there = {**params, name: from_numpy(moved, value)}
+        return float(np.sum(weights * to_numpy(renderer.render(there, seed=one)).astype(np.float64)))
+
+    return measure_slopes(
+        [partial(weighted, one=one) for one in seeds],
+        to_numpy(value).astype(np.float64),
+        [to_numpy(pullback(cotangent)[name]).astype(np.float64) for _, pullback in rendered],
+        rounded=lambda moved: to_numpy(from_numpy(moved, value)).astype(np.float64),
+        epsilon=coarsest,
+        seed=subject.seed,
+    )
 
 
 def _check_non_finite(check: _Check, subject: RendererSubject) -> None:
@@ -255,18 +279,14 @@ def _cotangent(image: Array, seed: int) -> Array:
     return from_numpy(np.random.default_rng(seed).standard_normal(tuple(image.shape)), image)
 
 
-def _moved(params: Parameters, seed: int) -> Parameters:
+def _moved(params: Parameters, seed: int, share: float = 0.05) -> Parameters:
     rng = np.random.default_rng(seed)
     moved = {}
     for name, value in params.items():
-        size = 0.05 * max(1.0, float(np.abs(to_numpy(value)).max(initial=0.0)))
+        size = share * max(1.0, float(np.abs(to_numpy(value)).max(initial=0.0)))
         shift = from_numpy(rng.uniform(0.5 * size, size, tuple(value.shape)), value)
         moved[name] = namespace(value).asarray(value + shift)
     return moved
-
-
-def _listed(values: list[float]) -> str:
-    return "(" + ", ".join(f"{value:.4g}" for value in values) + ")"
 
 
 RENDERER_CHECKS: Final[tuple[_Check, ...]] = (
