@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from typing import Any, TypeAlias
 
@@ -28,6 +29,7 @@ __all__ = [
     "library_name",
     "namespace",
     "narrowed",
+    "norm",
     "outlives_its_context",
     "runs_eagerly_on_host",
     "sum_of_all",
@@ -139,6 +141,14 @@ def sum_of_all(array: Array) -> Array:
     while mean.ndim:
         mean = namespace(array).mean(mean, axis=-1)
     return mean * array.size
+
+
+def norm(array: Array) -> float:
+    """The 2-norm of an array on the host.
+
+    A plain sum: what NumPy has for it calls BLAS, whose threads a forked process waits for in vain.
+    """
+    return math.sqrt(float(np.sum(np.square(to_numpy(array), dtype=np.float64))))
 
 
 def to_numpy(array: Array) -> np.ndarray[Any, Any]:

@@ -9,12 +9,13 @@ import stat
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import BinaryIO
+from typing import BinaryIO, Final
 
 from loi_core.errors import OptionError
 from loi_core.messages import shown, told
 
 __all__ = [
+    "TEMPORARY",
     "atomic_path",
     "check_writable",
     "open_regular",
@@ -25,6 +26,10 @@ __all__ = [
 ]
 
 
+TEMPORARY: Final = ".loi-unfinished-"
+"""What the name of a file begins with while it is written."""
+
+
 @contextlib.contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
     """A temporary path beside `path` to write to; it becomes `path` only if the block ends without an error.
@@ -32,7 +37,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
     The temporary name keeps the suffix, from which libraries tell the format.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f".{path.stem}-", suffix=path.suffix, dir=path.parent)
+    handle, name = tempfile.mkstemp(prefix=f"{TEMPORARY}{path.stem}-", suffix=path.suffix, dir=path.parent)
     os.close(handle)
     temporary = Path(name)
     try:
@@ -47,7 +52,8 @@ def atomic_path(path: Path) -> Iterator[Path]:
 
 def remove_temporaries(path: Path) -> None:
     """Remove what :func:`atomic_path` has left of `path` in processes that were killed while they wrote."""
-    name = re.compile(rf"\.{re.escape(path.stem)}-[a-z0-9_]{{8}}{re.escape(path.suffix)}")  # as mkstemp names them
+    ours = re.escape(f"{TEMPORARY}{path.stem}-")
+    name = re.compile(rf"{ours}[a-z0-9_]{{8}}{re.escape(path.suffix)}")  # as mkstemp names them
     with contextlib.suppress(OSError):
         for each in path.parent.iterdir():
             if name.fullmatch(each.name) and stat.S_ISREG(each.lstat().st_mode):

@@ -22,7 +22,7 @@ IMAGE_SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".exr", ".npy")
 PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
 MAX_PIXELS: Final = 64 * 1024 * 1024  # beyond this a file is taken for damage or an attack, not for a target
 MAX_SIDE: Final = 65535  # of a JPEG it can be no more; a line of millions of pixels takes decoders minutes
-MAX_PIXELS_PER_BYTE: Final = 1024  # deflate packs 344 at the most, and a JPEG that is not made to harm no more
+MAX_PIXELS_PER_BYTE: Final = 8300  # deflate makes 1032 bytes of one, and a byte may hold eight pixels
 FEW_PIXELS: Final = 2**20  # which may be packed as tightly as they like
 
 

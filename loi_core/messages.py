@@ -40,7 +40,8 @@ def printable(text: str) -> str:
 
 
 def _escaped(text: str) -> str:
-    return "".join(one if one.isprintable() else one.encode("unicode_escape").decode("ascii") for one in text)
+    plain = (one if one.isprintable() or one == "\t" else one.encode("unicode_escape").decode("ascii") for one in text)
+    return "".join(plain)
 
 
 class PlainText(io.TextIOBase):
@@ -59,6 +60,11 @@ class PlainText(io.TextIOBase):
         """Write `text`; how long it was."""
         self._stream.write("\n".join(map(_escaped, text.split("\n"))))
         return len(text)
+
+    @property
+    def encoding(self) -> str:  # type: ignore[override]  # writable in the base, for no reason
+        """Of the stream that the text goes on to."""
+        return self._stream.encoding
 
     def flush(self) -> None:
         """Have all that was written go on."""

@@ -15,10 +15,19 @@ from pathlib import Path
 from typing import Final
 
 from loi_core.errors import OptionError
-from loi_core.files import check_writable, read_bytes, write_text
+from loi_core.files import TEMPORARY, check_writable, read_bytes, write_text
 from loi_core.messages import printable, shown
 
-__all__ = ["CHECKPOINT_FILE", "FRAME_NAME", "HISTORY_FILE", "LIST_FILE", "PAGE_FILE", "RESULT_FILE", "ResultFolder"]
+__all__ = [
+    "CHECKPOINT_FILE",
+    "FRAME_NAME",
+    "HISTORY_FILE",
+    "LIST_FILE",
+    "PAGE_FILE",
+    "RESULT_FILE",
+    "ResultFolder",
+    "is_listed",
+]
 
 LIST_FILE: Final = "loi-files.json"
 CHECKPOINT_FILE: Final = "checkpoint.npz"
@@ -60,6 +69,11 @@ class ResultFolder:
         self._listed = self._read_list()
         for folder in sorted({parent for file in self._listed for parent in Path(file).parents}):
             self._check_not_led_out(path / folder)
+
+    @property
+    def names(self) -> frozenset[str]:
+        """What is on the list."""
+        return frozenset(self._listed)
 
     def claim(self, files: Iterable[str]) -> None:
         """Put files on the list before they are written, so that none is ever left that is not on it."""
@@ -104,13 +118,12 @@ class ResultFolder:
             held = [each.name for each in self.path.iterdir()]
         except FileNotFoundError:
             return set()
-        # A fit that was killed before it had results has left no more than this.
-        if all(name == CHECKPOINT_FILE or name.startswith(f".{Path(CHECKPOINT_FILE).stem}-") for name in held):
+        if all(name.startswith(TEMPORARY) for name in held):
             return set()
         try:
             content = json.loads(read_bytes(self.path / LIST_FILE, MOST_LIST))
             files = content["files"]
-            if all(isinstance(file, str) and OWN.fullmatch(file) for file in files):
+            if isinstance(files, list) and all(isinstance(file, str) and OWN.fullmatch(file) for file in files):
                 return set(files)
         except (OSError, ValueError, KeyError, TypeError, RecursionError):
             pass
@@ -132,6 +145,14 @@ class ResultFolder:
             what = "a link" if stat.S_ISLNK(mode) else "no folder"
             msg = f"`{self._name}`: {folder} is {what}; results are written to folders of their own only"
             raise OptionError(printable(msg))
+
+
+def is_listed(file: Path) -> bool:
+    """Whether a fit has put a file on the list of its folder."""
+    try:
+        return file.name in ResultFolder(file.parent).names
+    except OptionError:
+        return False
 
 
 def _is_own_file(path: Path) -> bool:

@@ -182,7 +182,7 @@ class _Where:
 def _check_output(where: _Where, results: Path, *, own: bool) -> None:
     check_writable("output", results)
     home, there = (os.path.realpath(path) for path in (where.path.parent, results))
-    if own and os.path.commonpath([home, there]) != home:
+    if own and not Path(there).is_relative_to(home):
         raise where.error("", f"`output` must lie in the folder of the scene, got {shown(str(results))}; use --output")
     if home == there:
         raise where.error("", "`output` must be a folder of its own, not that of the scene and its images")

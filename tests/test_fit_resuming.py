@@ -115,7 +115,7 @@ def test_a_checkpoint_whose_history_is_not_of_numbers_is_refused(bad: float, tmp
 
 
 def test_a_fit_removes_what_killed_ones_have_left_of_its_checkpoint(tmp_path: Path) -> None:
-    left = tmp_path / ".state-a1b2c3d4.npz"
+    left = tmp_path / ".loi-unfinished-state-a1b2c3d4.npz"
     left.write_bytes(b"half of a checkpoint")
     run(steps=2, checkpoint=tmp_path / "state.npz")
     assert [path.name for path in tmp_path.iterdir()] == ["state.npz"]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import os
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -72,7 +73,7 @@ def test_a_folder_that_somebody_keeps_files_in_is_refused_and_stays_as_it_is(
 
 def test_a_list_that_a_stranger_wrote_makes_no_folder_ours(scene: Path, tmp_path: Path) -> None:
     mine = assets(tmp_path / "assets")
-    lists: tuple[Any, ...] = (["note.txt"], ["../a"], ["frames/../../target.png"], ["/etc/passwd"], [3], "final.png", 3)
+    lists: tuple[Any, ...] = (["note.txt"], ["../a"], ["frames/../../b"], ["/etc/passwd"], [3], "final.png", 3, "", {})
     for files in lists:
         (mine / LIST_FILE).write_text(json.dumps({"files": files}))
         before = contents(tmp_path)
@@ -125,14 +126,48 @@ def test_a_fit_that_was_killed_before_its_first_result_can_go_on(scene: Path) ->
     kept = (result / "checkpoint.npz").read_bytes()
     for path in sorted(result.rglob("*"), reverse=True):
         path.rmdir() if path.is_dir() else path.unlink()
+    left = result / ".loi-unfinished-checkpoint-a1b2c3d4.npz"
+    left.write_bytes(b"half")
+    (result / ".loi-unfinished-loi-files-a1b2c3d4.json").write_bytes(b"half")
+    ResultFolder(result).claim(["checkpoint.npz"])
     (result / "checkpoint.npz").write_bytes(kept)
-    (result / ".checkpoint-a1b2c3d4.npz").write_bytes(b"half")
     assert main(["fit", str(scene), "--resume"]) == 0
-    assert not (result / ".checkpoint-a1b2c3d4.npz").exists()
+    assert not left.exists()
+
+
+def test_the_checkpoint_is_on_the_list_before_it_is_written(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def killed(path: Path, *_: object) -> None:
+        assert "checkpoint.npz" in ResultFolder(path.parent).names
+        raise SystemExit(9)
+
+    monkeypatch.setattr(sys.modules["loi_core.fit"], "save_checkpoint", killed)
+    with pytest.raises(SystemExit):
+        main(["fit", str(scene)])
+
+
+def test_a_folder_with_a_checkpoint_of_somebody_is_not_ours(scene: Path, tmp_path: Path) -> None:
+    mine = tmp_path / "models"
+    mine.mkdir()
+    (mine / "checkpoint.npz").write_bytes(b"mine")
+    (mine / ".checkpoint-20251122.npz").write_bytes(b"mine")
+    before = contents(mine)
+    assert main(["fit", str(scene), "--output", str(mine)]) == 2
+    assert contents(mine) == before
+
+
+def test_a_report_that_somebody_wrote_is_not_replaced(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["fit", str(scene)]) == 0
+    result = scene.parent / "result"
+    (result / LIST_FILE).unlink()
+    (result / "report.html").write_text("mine")
+    assert main(["report", str(result)]) == 2
+    assert "was not written by `loi`" in capsys.readouterr().err
+    assert (result / "report.html").read_text() == "mine"
 
 
 def test_only_temporaries_of_the_file_itself_are_removed(tmp_path: Path) -> None:
-    names = (".a-abcdefgh.npz", ".a-abc.npz", ".ab-abcdefgh.npz", "a.npz", ".a-abcdefgh.npy", ".a-ABCDEFGH.npz")
+    begin = ".loi-unfinished-"
+    names = (f"{begin}a-abcdefgh.npz", f"{begin}a-abc.npz", f"{begin}ab-abcdefgh.npz", "a.npz", ".a-20251122.npz")
     for name in names:
         (tmp_path / name).write_bytes(b"")
     remove_temporaries(tmp_path / "a.npz")

@@ -80,6 +80,7 @@ class _Loss:
 
         loss.defvjp(forward, backward)
         self._loss = loss
+        self.__name__ = "loi_loss"  # what JAX calls it where it is compiled
 
     def __call__(self, image: jax.Array) -> jax.Array:
         """The loss of `image`."""

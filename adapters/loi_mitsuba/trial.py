@@ -1,11 +1,12 @@
 """Loads one Mitsuba scene in a process of its own, so that a damaged mesh or image ends this one and no other.
 
-``python trial.py VARIANT FILE``; see :mod:`loi_mitsuba.untrusted`, which has looked at the plugins' names. Exit code 1
-and a last line on standard error say that the scene cannot be loaded.
+``python trial.py VARIANT FILE``, or ``-`` for a dict in JSON on standard input. See :mod:`loi_mitsuba.untrusted`, which
+has looked at the plugins' names. Exit code 1 and a last line on standard error say that the scene cannot be loaded.
 """
 
 from __future__ import annotations
 
+import json
 import sys
 
 MOST_MEMORY = 16 * 2**30  # bytes of addresses, of which Dr.Jit reserves many and uses few
@@ -26,13 +27,14 @@ def main(variant: str, path: str) -> int:
     import drjit as dr
     import mitsuba as mi
 
-    from loi_mitsuba.untrusted import SceneLoadError, check_plugins_of
+    from loi_mitsuba.untrusted import SceneLoadError, load_own_plugins
 
     mi.set_variant(variant)
     try:
-        check_plugins_of(path)
-        scene = mi.load_file(path, optimize=False)
-        for shape in scene.shapes():
+        load_own_plugins()
+        described = path == "-"
+        scene = mi.load_dict(json.load(sys.stdin), optimize=False) if described else mi.load_file(path, optimize=False)
+        for shape in scene.shapes() if isinstance(scene, mi.Scene) else ():
             if isinstance(shape, mi.Mesh) and shape.face_count():
                 last = dr.max(dr.ravel(mi.traverse(shape)["faces"]))[0]
                 if last >= shape.vertex_count():

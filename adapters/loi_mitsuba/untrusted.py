@@ -1,8 +1,8 @@
 """What is looked at of a scene before Mitsuba makes anything of it: Mitsuba trusts its input, and loi does not.
 
-* Mitsuba loads a plugin that it does not know from ``plugins/NAME.so``, and looks in the folder of the scene first. So
-  names must be plain words; those of Mitsuba's own plugins are loaded from its own folder beforehand, and a name of no
-  such plugin must not be that of a library in any folder that Mitsuba looks in.
+* Mitsuba loads a plugin that it does not know yet from ``plugins/NAME.so``, and looks in the folder of the scene first.
+  So all plugins that it ships are loaded from its own folder beforehand, named or not, since it makes some by itself.
+  Any other name must be a plain word, and not that of a library in a folder that Mitsuba looks in.
 * Parameters in XML (``<default>``) may double again and again, and elements may be nested until the stack ends. Both
   are counted beforehand.
 * Meshes, images and volumes are decoded in C++. A scene that names files is loaded in a process of its own first, which
@@ -11,6 +11,9 @@
 
 from __future__ import annotations
 
+import contextlib
+import functools
+import json
 import os
 import re
 import subprocess
@@ -26,7 +29,7 @@ from loi_core.errors import LoiError
 from loi_core.files import read_bytes
 from loi_core.messages import printable, shown, told
 
-__all__ = ["SceneLoadError", "check_plugins_of", "check_scene_file", "check_types"]
+__all__ = ["SceneLoadError", "check_plugins_of", "check_scene_file", "check_types", "load_own_plugins"]
 
 MOST_XML: Final = 64 * 2**20  # bytes of one file
 DEEPEST: Final = 64  # elements within elements
@@ -52,44 +55,53 @@ def check_scene_file(path: Path) -> None:
     SceneLoadError
         If a file is missing, not a regular one or damaged, a bound is passed, or a plugin is not one of Mitsuba's.
     """
-    folders = _Bounds().check(path)
-    nodes = check_plugins_of(path, folders)
-    named = [Path(value) for node in nodes for value in _file_names(node.props)]
-    for name in named:
-        found = next((folder / name for folder in folders if (folder / name).exists()), None)
-        if found is not None and not found.is_file():
-            raise _refused(path, f"{printable(str(name))} is not a regular file")
+    bounds = _Bounds()
+    bounds.check(path)
+    nodes = check_plugins_of(path, bounds.folders)
+    named = [*bounds.named, *(value for node in nodes for value in _file_names(node.props))]
+    _check_regular(named, bounds.folders)
     if named:
-        _try_to_load(path)
+        _try_to_load(mi.variant(), str(path))
 
 
-def check_plugins_of(path: str | Path, folders: Iterable[Path] = ()) -> list[Any]:
+def check_plugins_of(path: str | Path, folders: Iterable[Path]) -> list[Any]:
     """Look at the plugins of an XML scene, and make sure that Mitsuba's own are loaded; the parser's nodes."""
-    try:
-        state = mi.parser.parse_file(mi.parser.ParserConfig(mi.variant()), str(path))
-    except RuntimeError as error:
-        raise _refused(Path(path), " ".join(str(error).split())) from None
+    with _looking_in([Path(mi.__file__).parent, *folders]):
+        try:
+            state = mi.parser.parse_file(mi.parser.ParserConfig(mi.variant()), str(path))
+        except RuntimeError as error:
+            raise _refused(Path(path), " ".join(str(error).split())) from None
     _check_plugins((node.props.plugin_name() for node in state.nodes), folders)
     return list(state.nodes)
 
 
 def check_types(description: Mapping[str, Any]) -> None:
-    """Look at the plugins that a dict for ``mi.load_dict`` names.
+    """Look at the plugins and files that a dict for ``mi.load_dict`` names.
 
     Raises
     ------
     SceneLoadError
-        If one is not a plugin of Mitsuba.
+        If a plugin is not one of Mitsuba's, a file is not a regular one, or Mitsuba cannot load a dict of plain values
+        that names files.
     """
-    _check_plugins(_types(description), ())
+    _check_plugins((value for key, value in _leaves(description) if key == "type"), ())
+    named = [value for key, value in _leaves(description) if key.endswith("filename")]
+    _check_regular(named, [Path.cwd()])
+    if named:
+        try:
+            plain = json.dumps(description)
+        except (TypeError, ValueError):
+            return  # it holds objects, so a program has made it
+        _try_to_load(mi.variant(), "-", plain)
 
 
-def _types(description: Mapping[str, Any]) -> Iterator[str]:
+def _leaves(description: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """The texts in a nest of dicts, by their keys."""
     for key, value in description.items():
-        if key == "type":
-            yield str(value)
-        elif isinstance(value, Mapping):
-            yield from _types(value)
+        if isinstance(value, Mapping):
+            yield from _leaves(value)
+        elif isinstance(value, str):
+            yield str(key), value
 
 
 def _file_names(properties: Any) -> Iterator[str]:
@@ -98,10 +110,17 @@ def _file_names(properties: Any) -> Iterator[str]:
             yield properties[name]
 
 
+def _check_regular(named: Iterable[str], folders: Iterable[Path]) -> None:
+    for name in named:
+        found = next((folder / name for folder in folders if (folder / name).exists()), None)
+        if found is not None and not found.is_file():
+            msg = f"`scene` cannot be loaded: {name} is not a regular file"
+            raise SceneLoadError(printable(msg))
+
+
 def _check_plugins(names: Iterable[str], folders: Iterable[Path]) -> None:
-    """Load the plugins that are Mitsuba's own from its own folder, and refuse those that lie elsewhere."""
-    own = Path(mi.__file__).parent
-    shipped = {path.stem for path in (own / "plugins").iterdir() if path.suffix in LIBRARY_SUFFIXES}
+    """Refuse plugins that are not Mitsuba's own, once those are loaded."""
+    shipped = load_own_plugins()
     resolver = mi.file_resolver()
     places = [Path.cwd(), *folders, *(Path(str(resolver[index])) for index in range(len(resolver)))]
     for name in dict.fromkeys(names):
@@ -109,24 +128,36 @@ def _check_plugins(names: Iterable[str], folders: Iterable[Path]) -> None:
             msg = f"a plugin's name must be letters, digits and underscores, got {shown(name)}"
             raise SceneLoadError(msg)
         if name in shipped:
-            _load_own(name, own)
             continue
-        # Not a library of Mitsuba: one of its parser's own types, a plugin registered in Python, or a stranger's.
+        # One of the parser's own types, a plugin registered in Python, or a stranger's library.
         for place in places:
             if any((place / "plugins" / f"{name}{suffix}").exists() for suffix in LIBRARY_SUFFIXES):
                 msg = f"the plugin {shown(name)} is not Mitsuba's own but a library in {place / 'plugins'}"
                 raise SceneLoadError(printable(f"{msg}; only Mitsuba's own plugins are loaded"))
 
 
-def _load_own(name: str, own: Path) -> None:
-    """Have Mitsuba load a plugin where nothing but its own folder is looked in; afterwards it knows the name."""
+@functools.cache
+def load_own_plugins() -> frozenset[str]:
+    """Have Mitsuba load all plugins that it ships, from its own folder; afterwards it looks for none of their names."""
+    own = Path(mi.__file__).parent
+    names = frozenset(path.stem for path in (own / "plugins").iterdir() if path.suffix in LIBRARY_SUFFIXES)
+    with _looking_in([own]):
+        for name in sorted(names):
+            mi.PluginManager.instance().plugin_type(name)
+    return names
+
+
+@contextlib.contextmanager
+def _looking_in(folders: Iterable[Path]) -> Iterator[None]:
+    """Have Mitsuba look for files in these folders; a scene may add others, which are forgotten again."""
     usual = mi.file_resolver()
-    only = mi.FileResolver()
-    only.clear()
-    only.append(str(own))
-    mi.set_file_resolver(only)
+    resolver = mi.FileResolver()
+    resolver.clear()
+    for folder in folders:
+        resolver.append(str(folder))
+    mi.set_file_resolver(resolver)
     try:
-        mi.PluginManager.instance().plugin_type(name)
+        yield
     finally:
         mi.set_file_resolver(usual)
 
@@ -138,9 +169,15 @@ class _Bounds:
         self._parameters: dict[str, int] = {}  # how long the value of each is
         self._texts = 0
         self._files: list[Path] = []
+        self.named: list[str] = []  # files that the parser itself opens
 
-    def check(self, path: Path) -> list[Path]:
-        """Read a file and those that it includes; the folders that files are looked for in."""
+    @property
+    def folders(self) -> list[Path]:
+        """Where files are looked for."""
+        return list(dict.fromkeys(file.absolute().parent for file in self._files))
+
+    def check(self, path: Path) -> None:
+        """Read a file and those that it includes."""
         self._files.append(path)
         if len(self._files) > MOST_FILES:
             raise _refused(path, f"more than {MOST_FILES} files include each other")
@@ -158,7 +195,13 @@ class _Bounds:
             if depth > DEEPEST:
                 raise _refused(path, f"elements are nested more than {DEEPEST} deep")
             lengths = {name: self._length(path, value) for name, value in attributes.items()}
+            if tag == "path":
+                raise _refused(path, "<path> is not read; files are looked for in the folder of the scene")
+            if tag not in ("include", "default") and "filename" in attributes:
+                self._name(path, attributes["filename"])
             if tag == "default" and "name" in attributes:
+                if not PLUGIN_NAME.fullmatch(attributes["name"]):
+                    raise _refused(path, "a parameter's name must be letters, digits and underscores")
                 self._parameters.setdefault(attributes["name"], lengths.get("value", 0))
             if tag == "include" and "filename" in attributes:
                 self._include(path, attributes["filename"])
@@ -179,7 +222,13 @@ class _Bounds:
             if isinstance(error, LoiError):
                 raise
             raise _refused(path, f"not well-formed XML ({told(error)})") from None
-        return list(dict.fromkeys(file.absolute().parent for file in self._files))
+
+    def _name(self, path: Path, name: str) -> None:
+        """Note a file that the parser opens where it stands, before anything else could look at it."""
+        if "$" in name:
+            raise _refused(path, "the files of spectra are named without parameters")
+        _check_regular([name], [file.absolute().parent for file in self._files])
+        self.named.append(name)
 
     def _include(self, path: Path, name: str) -> None:
         if "$" in name:
@@ -198,14 +247,14 @@ class _Bounds:
         return length
 
 
-def _try_to_load(path: Path) -> None:
-    """Load a scene in a process of its own."""
-    command = [sys.executable, "-P", str(Path(__file__).with_name("trial.py")), mi.variant(), str(path)]
+def _try_to_load(variant: str, path: str, description: str = "") -> None:
+    """Load a scene in a process of its own: that of a file, or for the path ``-`` of a dict in JSON."""
+    command = [sys.executable, "-P", str(Path(__file__).with_name("trial.py")), variant, path]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}  # what can be imported here can be there
     try:
         done = subprocess.run(  # noqa: S603 - our own file
             command,
-            stdin=subprocess.DEVNULL,
+            input=description.encode(),
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
             env=environment,
@@ -213,13 +262,13 @@ def _try_to_load(path: Path) -> None:
             check=False,
         )
     except subprocess.TimeoutExpired:
-        raise _refused(path, f"Mitsuba has not loaded it after {SECONDS:g} seconds") from None
+        raise _refused(Path(path), f"Mitsuba has not loaded it after {SECONDS:g} seconds") from None
     if done.returncode == 0:
         return
     said = done.stderr.decode("utf-8", "replace").strip().splitlines()
     if done.returncode < 0:
-        raise _refused(path, f"a file that it names makes Mitsuba crash (signal {-done.returncode})")
-    raise _refused(path, said[-1] if said else f"exit code {done.returncode}")
+        raise _refused(Path(path), f"a file that it names makes Mitsuba crash (signal {-done.returncode})")
+    raise _refused(Path(path), said[-1] if said else f"exit code {done.returncode}")
 
 
 def _refused(path: Path, why: str) -> SceneLoadError:

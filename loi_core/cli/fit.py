@@ -54,11 +54,16 @@ def explain_scene(path: Path, *, as_json: bool) -> None:
 
 def run_and_write(scene: Scene, *, resume: bool = False) -> dict[str, Any]:
     """Fit a scene with progress bars on standard error, write all but the page, and return the summary."""
-    ResultFolder(scene.output)  # somebody else's is told now, not after the fit
+    folder = ResultFolder(scene.output)  # somebody else's is told now, not after the fit
     bars = _Bars(scene.fit.steps)
+
+    def progress(name: str, step: int, value: float) -> None:
+        folder.claim([CHECKPOINT_FILE])  # before the first is written
+        bars.step(name, step, value)
+
     try:
         trials: list[Trial] = run_scene(
-            scene, checkpoint=scene.output / CHECKPOINT_FILE, resume=resume, progress=bars.step
+            scene, checkpoint=scene.output / CHECKPOINT_FILE, resume=resume, progress=progress
         )
     finally:
         bars.close()

@@ -17,7 +17,7 @@ from loi_core.arrays import Array, is_read_by_numpy, is_recorded
 from loi_core.forking import ForkSafeLock
 from loi_core.messages import told
 
-__all__ = ["CompiledLoopsWarning", "available", "give_up", "serves"]
+__all__ = ["CompiledLoopsWarning", "available", "compiles", "serves"]
 
 SWITCH: Final = "LOI_COMPILED"
 """Environment variable: 0 compares by operations on whole arrays also where Numba is installed."""
@@ -33,6 +33,7 @@ class _Numba:
     def __init__(self) -> None:
         self._lock = ForkSafeLock()
         self._usable: bool | None = None
+        self._tried: set[str] = set()
 
     def usable(self) -> bool:
         if self._usable is None:
@@ -41,11 +42,14 @@ class _Numba:
                     self._usable = _can_compile()
         return self._usable
 
-    def give_up(self) -> bool:
-        """Use it no more; whether it was in use until now."""
-        with self._lock:
-            before, self._usable = self._usable, False
-        return bool(before)
+    def compiles(self, dtype: str) -> bool:
+        """Whether the kernels for a dtype can be compiled, or loaded; from the first time on that they cannot, no."""
+        if self.usable() and dtype not in self._tried:
+            with self._lock:
+                if dtype not in self._tried:
+                    self._usable = _try_kernels(dtype)
+                    self._tried.add(dtype)
+        return self.usable()
 
 
 _NUMBA: Final = _Numba()
@@ -64,15 +68,30 @@ def available() -> bool:
     return os.environ.get(SWITCH) != "0" and _NUMBA.usable()
 
 
-def give_up(error: Exception) -> None:
-    """Compare without Numba from now on, and say so once: it could not compile, or read what it had kept."""
-    if _NUMBA.give_up():
+def compiles(dtype: str) -> bool:
+    """Whether kernels for "float32" or "float64" can be used: when first asked, they are compiled, or loaded.
+
+    Where Numba cannot, or what it has kept is damaged, one warning says so, and all is compared without it.
+    """
+    return _NUMBA.compiles(dtype)
+
+
+def _try_kernels(dtype: str) -> bool:
+    try:
+        from loi_core.compiled.comparison import compare_something
+
+        compare_something(dtype)
+    except MemoryError:
+        raise
+    except Exception as error:  # noqa: BLE001  # of Numba, of its cache's files, of what is in them
         msg = (
             f"Numba cannot compile loi's loops ({told(error)}); all is computed without it, several times slower. "
             f"Delete loi_core/compiled/__pycache__, or set NUMBA_CACHE_DIR to a folder with space; {SWITCH}=0 keeps "
             f"Numba out"
         )
         warnings.warn(msg, CompiledLoopsWarning, stacklevel=2)
+        return False
+    return True
 
 
 def serves(planes: Array) -> bool:

@@ -26,18 +26,27 @@ from loi_core.compiled.kernels import compare_levels
 from loi_core.compiled.program import Program, Wiring
 from loi_core.compiled.threads import run_all
 from loi_core.distance import tie_threshold
-from loi_core.plan import InnerPlan, Plan, TonalPlan
+from loi_core.plan import InnerPlan, Plan, TonalPlan, make_plan
 from loi_core.sampling_error import Misplaced, Tally, changes_sharply
 from loi_core.scales import ScaleSpace
 from loi_core.scope import differing_window, levels_among, scope_of
 from loi_core.tonal import ROOT_TWO, above_padding, in_levels
 
-__all__ = ["CompiledComparison", "KernelComparison"]
+__all__ = ["CompiledComparison", "KernelComparison", "compare_something"]
 
 TASKS: Final = 12  # about as many as there are of a small batch, so that cores find enough to do
 FEWEST_LEVELS: Final = 4  # of a task; each makes again what the levels below its own add to the CDF
 FEWEST_SAMPLES: Final = 2**15  # of all levels of a task: half a millisecond
 SHARED: Final = 2**18  # samples of all levels from which on several threads are worth waiting for each other
+
+
+def compare_something(dtype: str) -> None:
+    """Compare two small images, so that all kernels are compiled for a dtype, or loaded."""
+    scales = ScaleSpace(1.0, (0.0, 2.0), 0.5)
+    eps = float(np.finfo(dtype).eps)
+    plan = make_plan(scales, 4, 4, tolerance=0.0, eps=eps)
+    planes = np.linspace(0.0, 1.0, 16, dtype=dtype).reshape(1, 4, 4)
+    KernelComparison.of(scales, plan, planes).compare(planes[:, ::-1].copy(), gradient=True)
 
 
 @dataclass(frozen=True)

@@ -56,9 +56,7 @@ class Wiring:
     plan: InnerPlan
     bands: Bands
     edges: tuple[_Edge, ...]
-    samplings: (
-        Numbers  # of each extent, as its rows and columns lie: the spacing of samples, or 0 if they are all pixels
-    )
+    samplings: Numbers  # shape (E, 2): see :func:`loi_core.compiled.kernels.compare_levels`
     room: int  # for the sums over blocks of any of them
     routes: Cache[Window, Route] = field(default_factory=lambda: Cache(KEPT))
     programs: Cache[tuple[Window, Window], Program] = field(default_factory=lambda: Cache(KEPT))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import abc
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final, Generic, Protocol, TypeVar, runtime_checkable
 
@@ -20,6 +20,7 @@ from loi_core.arrays import (
     library_name,
     namespace,
     narrowed,
+    norm,
     to_numpy,
     widened,
 )
@@ -49,10 +50,22 @@ class Objective(Protocol):
 
 @dataclass(frozen=True)
 class Evaluation(Generic[KeyT]):
-    """What one evaluation on planes gives: terms that sum to the value, and the gradient if it was asked for."""
+    """What one evaluation on planes gives.
+
+    Attributes
+    ----------
+    terms : dict
+        They sum to the value.
+    gradient : array, shape (N, H, W), optional
+        If it was asked for.
+    better : callable, optional
+        From the 2-norm of the gradient once it has been carried back to the image, and the most that it was multiplied
+        by on the way, to a gradient to take instead; None if this one is accurate enough.
+    """
 
     terms: dict[KeyT, Array]
     gradient: Array | None
+    better: Callable[[float, float], Array | None] | None = None
 
 
 @dataclass(frozen=True)
@@ -225,17 +238,31 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
         evaluation = self._evaluate(compared, ready.prepared, gradient=gradient)
         terms, cotangent = evaluation.terms, evaluation.gradient
         if cotangent is not None:
-            if self._tone is not None:
-                cotangent = self._tone.pullback(planes, cotangent)
-            if seen is not None:
-                xp = namespace(cotangent)
-                cotangent = xp.where(seen, cotangent, xp.zeros_like(cotangent))
+            cotangent = self._carried_back(planes, seen, cotangent)
+            if evaluation.better is not None:
+                other = evaluation.better(norm(cotangent), self._largest_factor(planes))
+                cotangent = cotangent if other is None else self._carried_back(planes, seen, other)
             cotangent = layout.to_image(cotangent)
         if on_host and not is_numpy_array(image):
             terms = {key: from_numpy(term, image) for key, term in terms.items()}
             if cotangent is not None:  # in one piece, so that torch's `view` can reshape it
                 cotangent = from_numpy(np.ascontiguousarray(cotangent), image)
         return terms, cotangent
+
+    def _carried_back(self, planes: Array, seen: Array | None, cotangent: Array) -> Array:
+        """A cotangent of what is compared, by the planes as they came: through the tone curve, 0 where not `seen`."""
+        if self._tone is not None:
+            cotangent = self._tone.pullback(planes, cotangent)
+        if seen is not None:
+            xp = namespace(cotangent)
+            cotangent = xp.where(seen, cotangent, xp.zeros_like(cotangent))
+        return cotangent
+
+    def _largest_factor(self, planes: Array) -> float:
+        """The most that a cotangent is multiplied by on its way back; `planes` are on the host."""
+        if self._tone is None:
+            return 1.0
+        return float(np.max(to_numpy(self._tone.pullback(planes, namespace(planes).ones_like(planes)))))
 
     def _ready_for(self, like: Array, layout: Layout, *, on_host: bool) -> _Ready[PreparedT]:
         self._require_same_axes(layout)

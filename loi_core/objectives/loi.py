@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import Final, TypeVar
+from typing import Final
 
-import numpy as np
-
-from loi_core.arrays import Array, epsilon, is_numpy_array, to_numpy, values_may_decide, widened
+from loi_core.arrays import Array, epsilon, is_numpy_array, values_may_decide, widened
 from loi_core.comparison import UNFIT, ArrayComparison, Comparison, ScaleKey
-from loi_core.compiled import available, give_up, serves
-from loi_core.errors import LoiError, OptionError, ScaleError
+from loi_core.compiled import available, compiles, serves
+from loi_core.errors import OptionError, ScaleError
 from loi_core.messages import shown
 from loi_core.nonfinite import NanPolicy
 from loi_core.objectives.base import Evaluation, ImageObjective
@@ -23,8 +20,6 @@ from loi_core.tone import LogTone
 from loi_core.values import real_number
 
 __all__ = ["ACCURACIES", "LOIObjective", "ScaleKey", "gradient_tolerance"]
-
-Result = TypeVar("Result")
 
 ACCURACIES: Final = {"exact": 0.0, "balanced": 1e-2, "fast": 5e-2}
 
@@ -140,16 +135,13 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
         plan = self.plan(*reference.shape[-2:], eps=epsilon(reference))
         prepared = _Prepared(scales, plan, clip(reference, *scales.bounds))
         # Now, and not when it is first used: that may be where JAX traces.
-        _or_without_kernels(reference, lambda: prepared.first(reference))
+        prepared.first(reference)
         return prepared
 
     def _compares_on_host(self, image: Array) -> bool:
         return serves(image)
 
     def _evaluate(self, planes: Array, prepared: _Prepared, *, gradient: bool) -> Evaluation[ScaleKey]:
-        return _or_without_kernels(planes, lambda: self._compared(planes, prepared, gradient=gradient))
-
-    def _compared(self, planes: Array, prepared: _Prepared, *, gradient: bool) -> Evaluation[ScaleKey]:
         bounds = self._scales.bounds
         clipped = clip(planes, *bounds)
         compared = prepared.first(planes).compare(clipped, gradient=gradient)
@@ -157,33 +149,20 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
             compared = prepared.exact(planes).compare(clipped, gradient=gradient)
         if not gradient:
             return Evaluation(compared.terms, None)
-        cotangent = clip_pullback(planes, compared.cotangent, *bounds)
         error = error_of(compared.misplaced)
-        if error > 0.0 and not is_within(error, self._tolerance, _norm(cotangent)):
+
+        def better(norm: float, factor: float) -> Array | None:
+            if is_within(error * factor, self._tolerance, norm):
+                return None
             exact = prepared.exact(planes).compare(clipped, gradient=True)
-            cotangent = clip_pullback(planes, exact.cotangent, *bounds)
-        return Evaluation(compared.terms, cotangent)
+            return clip_pullback(planes, exact.cotangent, *bounds)
 
-
-def _norm(cotangent: Array) -> float:
-    """The 2-norm of an array that is on the host."""
-    return float(np.linalg.norm(to_numpy(cotangent).reshape(-1)))
+        cotangent = clip_pullback(planes, compared.cotangent, *bounds)
+        return Evaluation(compared.terms, cotangent, better if error > 0.0 else None)
 
 
 def _by_kernels(planes: Array) -> bool:
-    return is_numpy_array(planes) and serves(planes)
-
-
-def _or_without_kernels(planes: Array, work: Callable[[], Result]) -> Result:
-    """What `work` gives, which compares planes; by operations on arrays if kernels cannot be compiled, or loaded."""
-    if _by_kernels(planes):
-        try:
-            return work()
-        except (LoiError, MemoryError):
-            raise
-        except Exception as error:  # noqa: BLE001  # of Numba, of its cache's files, of what is in them
-            give_up(error)
-    return work()
+    return is_numpy_array(planes) and serves(planes) and compiles(str(planes.dtype))
 
 
 class _Prepared:

@@ -15,7 +15,7 @@ from loi_core.errors import SceneError
 from loi_core.files import read_bytes, write_text
 from loi_core.report.output import FRAMES_FOLDER, effect_file
 from loi_core.report.plots import LABELS
-from loi_core.result_folder import FRAME_NAME, PAGE_FILE, RESULT_FILE
+from loi_core.result_folder import FRAME_NAME, PAGE_FILE, RESULT_FILE, is_listed
 from loi_core.rivals import is_objective_name
 from loi_core.values import real_number
 
@@ -52,6 +52,9 @@ def write_page(folder: Path) -> Path:
         If the folder does not hold the results of a scene.
     """
     page = folder / PAGE_FILE
+    if page.exists() and not is_listed(page):
+        msg = f"{page} was not written by `loi`; move it away, and call again"
+        raise SceneError(msg)
     write_text(page, document(_read(folder)["title"], _section(folder, Pictures(folder))))
     return page
 

@@ -216,3 +216,15 @@ def test_time_grows_with_the_number_of_arcs_and_not_with_its_square(tmp_path: Fi
     finally:
         sys.setprofile(None)
     assert calls < 8000 * 2000
+
+
+@pytest.mark.parametrize(("path", "says"), [("M0 0L1 1" + "Z" * 100000, ""), ("M0 0" + "L1 1Z" * 5000, "closed parts")])
+def test_closings_are_counted_where_the_library_goes_back_for_each(path: str, says: str, tmp_path: File) -> None:
+    (tmp_path / "a.svg").write_text(
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="9" height="9"><path d="{path}"/></svg>'
+    )
+    if says:
+        with pytest.raises(SvgError, match=says):
+            read_svg(tmp_path / "a.svg", 9, 9)
+    else:
+        assert len(read_svg(tmp_path / "a.svg", 9, 9).shapes) == 1

@@ -6,6 +6,7 @@ import math
 import tracemalloc
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -14,7 +15,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from loi_core import LOIObjective, ScaleSpace
+from loi_core import LogTone, LOIObjective, ScaleSpace
 from loi_core.comparison import UNFIT, ArrayComparison, Compared
 from loi_core.compiled import bands
 from loi_core.compiled.comparison import KernelComparison
@@ -92,6 +93,24 @@ def test_a_promise_is_kept_by_a_single_scale_of_any_width(
     wanted = LOIObjective(reference, scales).value_and_grad(image)[1]
     found = LOIObjective(reference, scales, tolerance).value_and_grad(image)[1]
     assert relative(found, wanted) <= tolerance
+
+
+@pytest.mark.parametrize("policy", ["mask", "tone"])
+@given(st.sampled_from(sorted(CONTENTS)), st.sampled_from(["path", "for image"]), st.sampled_from([1e-2, 5e-2]), SEEDS)
+def test_a_promise_is_about_the_gradient_that_comes_back(
+    policy: str, kind: str, preset: str, rtol: float, seed: int
+) -> None:
+    # A mask takes parts of what was compared away, and a tone curve weighs them, after all of it was computed.
+    rng = np.random.default_rng(seed)
+    image, reference = CONTENTS[kind]((160, 130, 1), rng)
+    options: dict[str, Any] = {"tone": LogTone(peak=1.0, compression=1000.0)}
+    if policy == "mask":
+        options = {"nan_policy": "mask"}
+        image = np.where(rng.uniform(size=image.shape) < 0.02, image, np.nan)
+    scales = scales_of(preset, 160, 130)
+    wanted = LOIObjective(reference, scales, **options).value_and_grad(image)[1]
+    found = LOIObjective(reference, scales, rtol, **options).value_and_grad(image)[1]
+    assert relative(found, wanted) <= rtol
 
 
 @given(st.sampled_from(sorted(CONTENTS | HARD)), st.sampled_from(["float32", "float64"]), SEEDS)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -53,12 +55,37 @@ def test_a_plugin_in_the_folder_of_the_process_is_not_loaded(tmp_path: Path, mon
         loaded({"type": "scene", "light": {"type": "evil"}})
 
 
-def test_a_library_that_has_the_name_of_a_plugin_of_mitsuba_does_not_stand_in_for_it(tmp_path: Path) -> None:
-    for name in ("sphere", "constant", "mask", "thindielectric"):
-        library(tmp_path, name)
+LOADS = """
+import sys
+import loi_mitsuba
+renderer = loi_mitsuba.MitsubaRenderer(sys.argv[1], {"place": loi_mitsuba.Translate("ball")}, spp=1)
+print(renderer.render(renderer.parameters()).shape)
+"""
+
+
+def test_libraries_that_have_the_names_of_plugins_of_mitsuba_do_not_stand_in_for_them(tmp_path: Path) -> None:
+    """In a process of its own, in which none of them has been loaded yet."""
+    for path in (Path(mi.__file__).parent / "plugins").iterdir():
+        library(tmp_path, path.stem)
     bsdf = '<bsdf type="mask"><float name="opacity" value="0.5"/><bsdf type="thindielectric"/></bsdf>'
-    renderer = loaded(written(tmp_path, f'<shape type="sphere" id="ball">{bsdf}</shape>{LIGHT}'))
-    assert np.all(np.isfinite(renderer.render(renderer.parameters())))
+    colour = '<bsdf type="diffuse"><rgb name="reflectance" value="1 0 0"/></bsdf>'
+    fog = '<medium name="interior" type="homogeneous"><rgb name="albedo" value="0.5"/></medium>'
+    body = f'<shape type="sphere" id="ball">{bsdf}</shape><shape type="cube">{colour}{fog}</shape>{LIGHT}'
+    scene = written(tmp_path, body)
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", LOADS, str(scene)], capture_output=True, text=True, cwd=tmp_path
+    )
+    assert done.stdout.strip() == "(8, 8, 3)", done.stderr
+
+
+def test_a_scene_adds_no_folder_to_those_that_mitsuba_looks_in(tmp_path: Path) -> None:
+    resolver = mi.file_resolver()
+    before = [str(resolver[index]) for index in range(len(resolver))]
+    with pytest.raises(SceneLoadError, match="<path> is not read"):
+        loaded(written(tmp_path, f'<path value="{tmp_path}"/>{BALL}'))
+    loaded(written(tmp_path, BALL + LIGHT))
+    resolver = mi.file_resolver()
+    assert [str(resolver[index]) for index in range(len(resolver))] == before
 
 
 @pytest.mark.parametrize("name", ["../../x/evil", "/x/evil", "a.b", "", "evil\n"])
@@ -81,6 +108,7 @@ def test_a_table_of_a_scene_file_names_no_path_either(tmp_path: Path, capsys: py
 BOMBS = {
     "parameters that double": '<default name="a0" value="xxxxxxxx"/>'
     + "".join(f'<default name="a{i + 1}" value="{f"$a{i}" * 8}"/>' for i in range(12)),
+    "parameters with names that are no words": '<default name="a-0" value="x"/>',
     "elements within elements": '<shape type="sphere">' * 1000 + "</shape>" * 1000,
     "a scene that includes itself": '<include filename="scene.xml"/>',
     "an include that is chosen": '<default name="f" value="scene.xml"/><include filename="$f"/>',
@@ -109,6 +137,18 @@ def test_a_pipe_is_not_waited_for(tmp_path: Path) -> None:
     mesh = '<shape type="ply"><string name="filename" value="pipe"/></shape>'
     with pytest.raises(SceneLoadError, match="pipe is not a regular file"):
         loaded(written(tmp_path, BALL + mesh))
+    spectrum = '<emitter type="constant"><spectrum name="radiance" filename="pipe"/></emitter>'
+    with pytest.raises(SceneLoadError, match="pipe is not a regular file"):
+        loaded(written(tmp_path, BALL + spectrum))
+    with pytest.raises(SceneLoadError, match="pipe is not a regular file"):
+        loaded({"type": "scene", "mesh": {"type": "ply", "filename": str(tmp_path / "pipe")}})
+
+
+def test_a_spectrum_may_lie_beside_its_scene(tmp_path: Path) -> None:
+    (tmp_path / "white.spd").write_text("400 1\n700 1\n")
+    loaded(
+        written(tmp_path, BALL + '<emitter type="constant"><spectrum name="radiance" filename="white.spd"/></emitter>')
+    )
 
 
 def mesh(path: Path, face: list[int]) -> None:
@@ -126,6 +166,9 @@ def test_a_mesh_without_the_vertices_that_it_refers_to_is_refused(last: int, tmp
     mesh(tmp_path / "m.ply", [0, 1, last])
     with pytest.raises(SceneLoadError, match=r"makes Mitsuba crash|refers to vertex"):
         loaded(scene)
+    table = {"type": "scene", "mesh": {"type": "ply", "filename": str(tmp_path / "m.ply")}}
+    with pytest.raises(SceneLoadError, match=r"makes Mitsuba crash|refers to vertex"):
+        loaded(table)
     mesh(tmp_path / "m.ply", [0, 1, 2])
     loaded(scene)
 

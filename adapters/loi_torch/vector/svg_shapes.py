@@ -34,6 +34,10 @@ GEOMETRY: Final[dict[str, tuple[str, ...]]] = {
 COMMANDS: Final = re.compile(  # without going back over what has matched, which would take time without end
     r"\s*+(?:[Mm](?>[MmZzLlHhVvCcSsQqTtAa,\s]|[+-]?(?:[0-9]++\.?[0-9]*+|\.[0-9]++)(?:[eE][+-]?[0-9]++)?)*+)?"
 )
+LETTERS: Final = re.compile(r"[A-DF-Za-df-z]")  # each begins a segment; an e is part of a number
+CLOSINGS: Final = re.compile(r"[zZ](?:[\s,]*+[zZ])++")
+UNMOVED: Final = re.compile(r"[zZ][\s,]*+(?![MmZz\s,]|\Z)")
+MOST_UNMOVED: Final = 1000  # for each, the library goes back to the last move
 
 
 def element_shape(
@@ -152,6 +156,11 @@ def _general(
             commands = own.get("d", "")
             if not COMMANDS.fullmatch(commands):  # the library would leave out what it does not know
                 values.fail(f"<path>: `d` must be commands and numbers, begun with M, got {shown(commands)}")
+            if len(LETTERS.findall(commands)) > most_points:
+                values.fail(f"more than {MOST_POINTS} points")
+            commands = CLOSINGS.sub("Z", commands)
+            if len(UNMOVED.findall(commands)) > MOST_UNMOVED:
+                values.fail(f"<path>: more than {MOST_UNMOVED} closed parts that go on without a move")
             path = svg.Path(commands)
         elif tag in ("polyline", "polygon"):
             numbers = [values.number(tag, "points", one) for one in own.get("points", "").replace(",", " ").split()]
