@@ -154,7 +154,7 @@ class InnerComparison:
     def _misplaced(self, tallies: dict[float, Tally]) -> Iterator[Misplaced]:
         for beta, tally in tallies.items():
             for index, extent in enumerate(self.extents):
-                if self.plan.extents[index].is_sampled and tally.active:
+                if self.plan.extents[index].is_sampled and tally.compared:
                     yield Misplaced.of(tally, index, extent.cells, scales=self.scales, beta=beta)
 
     def _compare(

@@ -119,7 +119,7 @@ def _misplaced(comparison: CompiledComparison, work: Sequence[list[_Task]], pixe
                 tally.compared += task.levels[2] - task.levels[1]
                 tally.sums += task.doubts
         for index, extent in enumerate(extents):
-            if extent.is_sampled and tally.active:
+            if extent.is_sampled and tally.compared:
                 yield Misplaced.of(tally, index, extent.blur.target.cells, scales=comparison.scales, beta=beta)
 
 
