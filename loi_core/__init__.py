@@ -1,7 +1,7 @@
 """`loi`: locally orderless images as a loss for inverse rendering, on any array library and any renderer."""
 
-from loi_core.errors import FitError, LoiError, NonFiniteImageError
-from loi_core.fit import FitResult, FitStep, fit
+from loi_core.errors import FitDivergedError, FitError, LoiError, NonFiniteImageError
+from loi_core.fitting import FitInterruptedError, FitResult, FitStep, fit
 from loi_core.free import Free
 from loi_core.histograms import inner_images, isophotes, local_histograms
 from loi_core.objectives import MSSSIM, GaussianPyramid, ImageObjective, LOIObjective, Objective, PixelL2
@@ -14,7 +14,9 @@ __version__ = "0.1.0"
 
 __all__ = [
     "MSSSIM",
+    "FitDivergedError",
     "FitError",
+    "FitInterruptedError",
     "FitResult",
     "FitStep",
     "Free",

@@ -10,6 +10,7 @@ __all__ = [
     "BackendNotFoundError",
     "ConformanceError",
     "DerivativeError",
+    "FitDivergedError",
     "FitError",
     "ImageError",
     "ImageFileError",
@@ -135,8 +136,8 @@ class SvgError(LoiError, ValueError):
     """An SVG file is missing, damaged or too large, or has an element or attribute that is not supported."""
 
 
-class FitError(LoiError, ArithmeticError):
-    """A fit met a loss or gradient that is not finite; ``result`` holds the best iterate so far.
+class FitError(LoiError, RuntimeError):
+    """A fit ended early: its renderer failed, or its checkpoint could not be written; what it had reached is kept.
 
     Attributes
     ----------
@@ -147,6 +148,10 @@ class FitError(LoiError, ArithmeticError):
     def __init__(self, message: str, result: object = None) -> None:
         super().__init__(message)
         self.result = result
+
+
+class FitDivergedError(FitError, ArithmeticError):
+    """A fit met an image, loss or gradient that is not finite."""
 
 
 class ConformanceError(LoiError, AssertionError):

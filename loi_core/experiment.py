@@ -16,7 +16,7 @@ from loi_core.arrays import Array, to_numpy
 from loi_core.effects import EffectPlan, PlanningRenderer
 from loi_core.errors import FitError, SceneError
 from loi_core.files import read_bytes
-from loi_core.fit import FitInterruptedError, FitResult, FitStep, fit
+from loi_core.fitting import FitInterruptedError, FitResult, FitStep, fit
 from loi_core.foreign import foreign
 from loi_core.free import starting_parameters
 from loi_core.objectives.base import Objective

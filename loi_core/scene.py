@@ -16,7 +16,7 @@ import numpy as np
 
 from loi_core.errors import LoiError, OptionError, SceneError
 from loi_core.files import check_writable
-from loi_core.fit import check_fit_options
+from loi_core.fitting import check_fit_options
 from loi_core.foreign import is_ctrl_c
 from loi_core.free import Free, bounds_of, own_parameters, starting_parameters
 from loi_core.images import FloatImage, read_image

@@ -12,7 +12,7 @@ import pytest
 import torch
 
 from loi_core import Free, LOIObjective, PixelL2, fit
-from loi_core.fit import FitInterruptedError, FitStep
+from loi_core.fitting import FitInterruptedError, FitStep
 from loi_core.optimiser import Moments
 from loi_core.renderers import Disks
 from loi_core.state import State

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from loi_core import Free, PixelL2, fit
-from loi_core.errors import FitError, LoiError, RendererError
+from loi_core.errors import FitDivergedError, FitError, LoiError, RendererError
 from tests.fits import Bowl, bad_pullback, run
 
 
@@ -111,7 +111,7 @@ class Breaking(Bowl):
 
 @pytest.mark.parametrize(("how", "says"), [("image", "step 2: the render is not finite"), ("pull", "gradient of 'pix")])
 def test_a_non_finite_step_stops_the_fit_with_the_best_so_far(how: str, says: str) -> None:
-    with pytest.raises(FitError, match=says) as caught:
+    with pytest.raises(FitDivergedError, match=says) as caught:
         fit(Breaking(how), PixelL2(np.ones((2, 2, 1))), steps=9, learning_rate=0.1)
     assert isinstance(caught.value, ArithmeticError)
     result: Any = caught.value.result

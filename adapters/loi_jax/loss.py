@@ -57,7 +57,7 @@ def loi_loss(
     if host.dtype.kind == "V" or str(host.dtype) in ("bfloat16", "float16"):
         host = host.astype(np.float32)
     # Checked here, with the core's messages; what is kept is NumPy, which no trace can leak into.
-    objective = LOIObjective(host, scales, accuracy, channel_axis, nan_policy, tone)
+    objective = LOIObjective(host, scales, accuracy, channel_axis=channel_axis, nan_policy=nan_policy, tone=tone)
     return _Loss(objective)
 
 

@@ -92,7 +92,9 @@ class LOILoss:
         self._backend = _check_backend(backend)
         if dr.is_tensor_v(reference):
             reference = dr.detach(reference).numpy()
-        self._objective = LOIObjective(reference, scales, accuracy, channel_axis, nan_policy, tone)
+        self._objective = LOIObjective(
+            reference, scales, accuracy, channel_axis=channel_axis, nan_policy=nan_policy, tone=tone
+        )
 
     @property
     def objective(self) -> LOIObjective:

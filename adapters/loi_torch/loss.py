@@ -68,7 +68,9 @@ class LOILoss(torch.nn.Module):
     ) -> None:
         super().__init__()
         # The core checks the arguments, and copies: later writes of the caller to `reference` change nothing.
-        objective = LOIObjective(reference, scales, accuracy, channel_axis, nan_policy, tone)
+        objective = LOIObjective(
+            reference, scales, accuracy, channel_axis=channel_axis, nan_policy=nan_policy, tone=tone
+        )
         self._options: dict[str, Any] = {
             "scales": objective.scales,
             "accuracy": accuracy,
@@ -116,9 +118,7 @@ def _same_bits(one: Tensor, other: Tensor) -> bool:
     return torch.equal(one.view(whole), other.view(whole))
 
 
-@_alone
 def loi_loss(
-    image: Tensor,
     reference: Any,
     scales: ScaleSpace | None = None,
     accuracy: str | float = "exact",
@@ -126,14 +126,14 @@ def loi_loss(
     channel_axis: int | None = -1,
     nan_policy: NanPolicy = "raise",
     tone: LogTone | None = None,
-) -> Tensor:
-    """The locally orderless image loss of one image, a tensor of shape ().
+) -> LOILoss:
+    """The locally orderless image loss against a reference, as a function of the image; as ``loi_jax.loi_loss``.
 
-    Parameters are those of :class:`LOILoss`, which prepares the reference once and is the better choice in a loop.
+    Parameters are those of :class:`LOILoss`, which is what comes back.
     """
     if isinstance(reference, Tensor) and reference.dtype in REDUCED:
         reference = reference.float()
-    return _apply(image, LOIObjective(reference, scales, accuracy, channel_axis, nan_policy, tone))
+    return LOILoss(reference, scales, accuracy, channel_axis=channel_axis, nan_policy=nan_policy, tone=tone)
 
 
 def _apply(image: Tensor, objective: LOIObjective) -> Tensor:

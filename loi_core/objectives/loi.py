@@ -83,6 +83,7 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
         reference: Array,
         scales: ScaleSpace | None = None,
         accuracy: str | float = "exact",
+        *,
         channel_axis: int | None = -1,
         nan_policy: NanPolicy = "raise",
         tone: LogTone | None = None,

@@ -46,7 +46,7 @@ def test_channels_may_come_first() -> None:
 
 def test_the_function_equals_the_module() -> None:
     image = leaf()
-    value: Any = loi_loss(image, torch.tensor(REFERENCE), SCALES)
+    value: Any = loi_loss(torch.tensor(REFERENCE), SCALES)(image)
     value.backward()
     assert image.grad is not None
     np.testing.assert_allclose(image.grad, GRADIENT, rtol=1e-12, atol=1e-18)
@@ -77,7 +77,7 @@ def test_vmap_is_a_loop(axis: int) -> None:
 @pytest.mark.filterwarnings("ignore:The .grad attribute of a Tensor that is not a leaf")  # of torch's own compiler
 def test_compiled_code_may_call_it() -> None:
     module = LOILoss(REFERENCE, SCALES)
-    for loss in (module, lambda given: loi_loss(given, REFERENCE, SCALES)):
+    for loss in (module, loi_loss(REFERENCE, SCALES)):
         compiled = torch.compile(lambda image, loss=loss: 2.0 * loss(1.0 * image), backend="aot_eager")
         image = leaf()
         compiled(image).backward()
@@ -178,7 +178,7 @@ def test_forward_mode_is_refused_rather_than_zero() -> None:
     module = LOILoss(REFERENCE, SCALES)
     with forward_ad.dual_level():
         dual = forward_ad.make_dual(image, torch.ones_like(image))  # type: ignore[no-untyped-call]  # untyped in torch
-        for loss in (module, lambda given: loi_loss(given, REFERENCE, SCALES)):
+        for loss in (module, loi_loss(REFERENCE, SCALES)):
             with pytest.raises(DerivativeError, match="forward"):
                 loss(dual)
         assert module(image).item() == pytest.approx(float(VALUE), rel=1e-14)

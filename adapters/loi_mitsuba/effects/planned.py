@@ -13,7 +13,7 @@ import numpy as np
 from loi_core.arrays import to_numpy
 from loi_core.effects import Effect, EffectPlan, Holding, Schedule, Sizes
 from loi_core.errors import OptionError, ParameterError
-from loi_core.fit import FitStep
+from loi_core.fitting import FitStep
 from loi_core.messages import shown
 from loi_core.objectives.base import Objective
 from loi_core.values import real_number

@@ -14,7 +14,7 @@ import numpy as np
 
 from loi_core.arrays import Array, detached, is_array_api_obj, namespace, to_numpy
 from loi_core.checkpoint import load_checkpoint, save_checkpoint
-from loi_core.errors import FitError, LoiError, NonFiniteImageError, OptionError, RendererError
+from loi_core.errors import FitDivergedError, FitError, LoiError, NonFiniteImageError, OptionError, RendererError
 from loi_core.files import check_writable, remove_temporaries
 from loi_core.foreign import is_ctrl_c
 from loi_core.free import Bounds, Free, bounds_of, check_rate, free_parameters, own_parameters, starting_parameters
@@ -191,7 +191,7 @@ def _evaluate(
         number = float(detached(value))
     if not math.isfinite(number):
         msg = f"step {state.step}: the objective is {number}; the best parameters so far are in `result`"
-        raise FitError(msg, state.result())
+        raise FitDivergedError(msg, state.result())
     with _keeping(state, "the pullback"):
         pulled = pullback(cotangent)
         gradient = {name: _like("cotangent", "pullback", name, pulled, state.params[name]) for name in free}
@@ -199,7 +199,7 @@ def _evaluate(
         bad = count_non_finite(slope)
         if bad:
             msg = f"step {state.step}: the gradient of {name!r} has {bad} non-finite values; see `result`"
-            raise FitError(msg, state.result())
+            raise FitDivergedError(msg, state.result())
     return image, number, gradient
 
 
@@ -249,10 +249,10 @@ class _keeping:  # noqa: N801 - it reads as what it does: with _keeping(state, "
         result = self.state.result()
         if result is None and isinstance(error, LoiError) and not isinstance(error, NonFiniteImageError):
             return  # nothing is lost yet, and the error says what is wrong with the call
-        finding = f"{self.what} failed"
         if isinstance(error, NonFiniteImageError):
-            finding = "the render is not finite"
-        msg = f"step {self.state.step}: {finding}: {told(error)}"
+            msg = f"step {self.state.step}: the render is not finite: {told(error)}"
+            raise FitDivergedError(msg, result) from error
+        msg = f"step {self.state.step}: {self.what} failed: {told(error)}"
         raise FitError(msg, result) from error
 
 
