@@ -28,13 +28,13 @@ from loi_core.arrays import (
 from loi_core.distance import cost_slope, sum_of_costs, tie_threshold
 from loi_core.operators import GaussianBlur
 from loi_core.plan import InnerPlan, Plan, TonalPlan
-from loi_core.sampling_error import Misplaced, Tally, changes_sharply, misplaced
+from loi_core.sampling_error import Misplaced, Tally, misplaced
 from loi_core.scales import ScaleSpace
 from loi_core.scope import Route, Scope, find_scope, levels_among
 from loi_core.tonal import above_padding, accumulate, in_levels, level_weights, weights_and_slopes
 from loi_core.windows import Window
 
-__all__ = ["UNFIT", "ArrayComparison", "Compared", "Comparison", "InnerComparison", "ScaleKey", "Terms"]
+__all__ = ["ArrayComparison", "Compared", "Comparison", "InnerComparison", "ScaleKey", "Terms"]
 
 ScaleKey: TypeAlias = tuple[float, float, float]
 Terms: TypeAlias = dict[ScaleKey, Array]
@@ -94,10 +94,6 @@ class Compared:
     misplaced: tuple[Misplaced, ...] = ()
 
 
-UNFIT: Final = Compared({}, None)
-"""What comes of planes that change too fast for the sampling that the plan would see them on."""
-
-
 @dataclass(frozen=True)
 class InnerComparison:
     """One inner scale, its operators, and the reference's CDFs there."""
@@ -110,7 +106,6 @@ class InnerComparison:
     extents: tuple[_Extent, ...]
     planes: int  # how many planes are handled together
     levels: dict[float, list[_Levels]]  # by tonal scale, those that are handled together
-    is_sharp: bool  # whether the reference changes too fast for the sampling that it is seen on
 
     @classmethod
     def of(cls, scales: ScaleSpace, plan: InnerPlan, tonal: tuple[TonalPlan, ...], reference: Array) -> InnerComparison:
@@ -123,8 +118,7 @@ class InnerComparison:
         extents = tuple(
             _Extent(extent.alpha, extent.rung, GaussianBlur(extent.blur, reference)) for extent in plan.extents
         )
-        sharp = plan.is_sampled and changes_sharply(to_numpy(intensity), min(scales.beta))
-        return cls(scales, plan, blur, intensity, rungs, extents, planes, levels, sharp)
+        return cls(scales, plan, blur, intensity, rungs, extents, planes, levels)
 
     def compare(self, clipped: Array, *, gradient: bool) -> Compared:
         """Compare planes within the bounds, shape (N, H, W).
@@ -133,8 +127,6 @@ class InnerComparison:
         """
         xp = namespace(clipped)
         intensity = self.blur.apply(above_padding(clipped, self.scales))
-        if self.is_sharp or (self.plan.is_sampled and changes_sharply(to_numpy(intensity), min(self.scales.beta))):
-            return UNFIT
         terms = {
             (extent.alpha, beta, self.plan.sigma): xp.zeros((), dtype=clipped.dtype, device=device(clipped))
             for extent in self.extents
@@ -250,7 +242,7 @@ class Comparison(Protocol):
     """A way to compare planes with a reference at all scales."""
 
     def compare(self, clipped: Array, *, gradient: bool) -> Compared:
-        """Compare planes within the bounds, shape (N, H, W); `UNFIT` if the plan does not suit them."""
+        """Compare planes within the bounds, shape (N, H, W)."""
 
 
 @dataclass(frozen=True)
@@ -271,8 +263,6 @@ class ArrayComparison:
         parts: tuple[Misplaced, ...] = ()
         for inner in self.inner:
             compared = inner.compare(clipped, gradient=gradient)
-            if compared is UNFIT:
-                return UNFIT
             terms |= compared.terms
             parts += compared.misplaced
             if total is None:

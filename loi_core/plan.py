@@ -1,13 +1,12 @@
 """What is computed for each scale, and where: decided from sizes alone, before any array is seen.
 
-Three things make it cheap, and none costs accuracy beyond what was asked for:
+Two things make it cheap, and none costs accuracy beyond what was asked for:
 
 * A wide blur passes through a coarser sampling, a *rung*, where the rest of it is cheap. Wider extents start from the
   rungs of narrower ones. This is exact to rounding (:func:`loi_core.kernels.coarsest_spacing`).
 * What a wide extent has blurred changes slowly, so its mean over pixels may be taken over a coarser *sampling*.
   There lies the error: where the difference of two histograms changes sign, the line between is only found to within
   a cell.
-* A wide inner scale makes an image that changes slowly, so all that follows may happen on a coarser sampling.
 
 Levels at the far tails, which no intensity within the bounds moves by more than a share of the tolerance, are left
 out of the comparison.
@@ -70,16 +69,6 @@ A Gaussian leaves less than a tie, 2e-15, of waves that are shorter than 2.6 suc
 do not change twice between two samples.
 """
 
-STEEP: Final = 7.5
-"""Largest spacing of a sampled image in units of its inner scale times beta.
-
-From sample to sample, the blur of a step of half the range changes by 1.5 beta then.
-"""
-
-INNER: Final = 0.4
-"""Spacing of a sampling in units of the inner scale of what is sampled: ripples of 2 exp(-2 (pi / INNER)**2) < 1e-50
-in the image, which its isophotes sharpen."""
-
 
 @dataclass(frozen=True)
 class ExtentPlan:
@@ -128,11 +117,6 @@ class InnerPlan:
         return max(self.grid.cells, *(extent.blur.target.cells for extent in self.extents))
 
     @property
-    def is_sampled(self) -> bool:
-        """Whether the image is seen on fewer samples than it has pixels."""
-        return self.blur.target.cells < self.blur.source.cells
-
-    @property
     def work(self) -> float:
         """Multiplications and additions for one level of one channel, there and back."""
         return 2.0 * (sum(rung.work for rung in self.rungs) + sum(extent.blur.work for extent in self.extents))
@@ -179,7 +163,7 @@ class Plan:
     @property
     def is_sampled(self) -> bool:
         """Whether something is computed on samples, so that the gradient is not exact."""
-        return any(inner.is_sampled or any(each.is_sampled for each in inner.extents) for inner in self.inner)
+        return any(extent.is_sampled for inner in self.inner for extent in inner.extents)
 
     @property
     def work(self) -> float:
@@ -316,16 +300,11 @@ class _Planner:
         return min(math.pow(allowed / QUADRATURE, 2.0 / 3.0), RESOLVED)
 
     def _inner_grid(self, sigma: float) -> PlaneGrid:
+        # Not on samples, though a blurred image changes slowly: its isophotes may cancel to next to nothing further on,
+        # and what is left is then what a sampling has made of them.
         if self._is_flat(sigma) and self._taps is None:
             return self._sampled(self.pixels, math.inf)
-        if self.tolerance == 0.0 or not self._cascades or sigma == 0.0:
-            return self.pixels
-        narrowest = min(self.scales.alpha)
-        if narrowest == 0.0:  # compared where it is, so the sampling is that of a comparison
-            return self._sampled(self.pixels, self._limited(self._ratio * sigma / 2.0))
-        # A Gaussian of half the spacing still finds two samples wherever it is centred.
-        spacing = self._limited(min(INNER * sigma, 2.0 * narrowest, STEEP * sigma * min(self.scales.beta)))
-        return self.pixels if spacing < WORTHWHILE else self._sampled(self.pixels, spacing)
+        return self.pixels
 
     def _target(self, grid: PlaneGrid, sigma: float, alpha: float) -> tuple[PlaneGrid, float]:
         """Where an extent is compared, and the error of doing so."""

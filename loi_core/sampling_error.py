@@ -24,7 +24,7 @@ from loi_core.operators import PlaneGrid
 from loi_core.scales import ScaleSpace
 from loi_core.windows import Window
 
-__all__ = ["BLOCK", "Misplaced", "changes_sharply", "error_of", "is_within", "misplaced"]
+__all__ = ["BLOCK", "Misplaced", "Tally", "error_of", "is_within", "misplaced"]
 
 Numbers: TypeAlias = np.ndarray[Any, Any]
 
@@ -32,11 +32,6 @@ BLOCK: Final = 16
 
 UNRELATED: Final = 2.0
 """Sums of unrelated misplacements have about this many times the square that independent ones would have."""
-
-SHARP: Final = 1.5
-"""Isophotes of an image that changes by more than this many beta from sample to sample are too narrow for the sampling;
-up to it, their sum over samples is their integral to 2 exp(-2 (pi / SHARP)**2) = 3e-4."""
-
 
 CONFIDENT: Final = 0.5
 """Share of the tolerance up to which an estimated error is believed to be within it.
@@ -155,11 +150,3 @@ def error_of(parts: Iterable[Misplaced]) -> float:
 def is_within(error: float, tolerance: float, norm: float) -> bool:
     """Whether an estimated error is surely within a tolerance, relative to the gradient's 2-norm."""
     return error <= CONFIDENT * tolerance * norm
-
-
-def changes_sharply(intensity: Numbers, beta: float) -> bool:
-    """Whether planes, shape (..., h, w), change by more than `SHARP` beta from one sample to the next."""
-    return any(
-        intensity.shape[axis] > 1 and float(np.max(np.abs(np.diff(intensity, axis=axis)))) > SHARP * beta
-        for axis in (-1, -2)
-    )

@@ -18,7 +18,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from loi_core.comparison import UNFIT, Compared
+from loi_core.comparison import Compared
 from loi_core.compiled.arena import Arena
 from loi_core.compiled.bands import Numbers
 from loi_core.compiled.inner import InnerBlur
@@ -27,7 +27,7 @@ from loi_core.compiled.program import Program, Wiring
 from loi_core.compiled.threads import run_all
 from loi_core.distance import tie_threshold
 from loi_core.plan import InnerPlan, Plan, TonalPlan, make_plan
-from loi_core.sampling_error import Misplaced, Tally, changes_sharply
+from loi_core.sampling_error import Misplaced, Tally
 from loi_core.scales import ScaleSpace
 from loi_core.scope import differing_window, levels_among, scope_of
 from loi_core.tonal import ROOT_TWO, above_padding, in_levels
@@ -62,8 +62,6 @@ class KernelComparison:
 
     def compare(self, clipped: Numbers, *, gradient: bool) -> Compared:
         """Compare planes within the bounds, shape (N, H, W)."""
-        if any(inner.is_sharp for inner in self.inner):
-            return UNFIT
         return _compare(self.inner, clipped, gradient=gradient)
 
 
@@ -72,7 +70,7 @@ def _compare(comparisons: Sequence[CompiledComparison], clipped: Numbers, *, gra
     groups = -(-TASKS // (count * len(comparisons)))
     above = above_padding(clipped, scales)
     arena = _own_arena(clipped.dtype)
-    work: list[list[list[_Task] | None]] = [[None for _ in comparisons] for _ in range(count)]
+    work: list[list[list[_Task]]] = [[[] for _ in comparisons] for _ in range(count)]
 
     def look(plane: int, index: int, mine: Arena) -> None:
         work[plane][index] = comparisons[index].tasks(above[plane], plane, groups, mine, gradient=gradient)
@@ -86,10 +84,8 @@ def _compare(comparisons: Sequence[CompiledComparison], clipped: Numbers, *, gra
     looks = [functools.partial(look, plane, index) for plane in range(count) for index in range(len(comparisons))]
     shared = None if len(comparisons) * clipped.size >= SHARED else 1
     run_all(looks, arena, most=shared)
-    if any(tasks is None for plane in work for tasks in plane):
-        return UNFIT
     # The widest take longest, so they come first: what is left then is small.
-    tasks = [task for index in range(len(comparisons)) for plane in work for task in plane[index] or ()]
+    tasks = [task for index in range(len(comparisons)) for plane in work for task in plane[index]]
     samples = sum((task.levels[2] - task.levels[1]) * task.image.size for task in tasks)
     run_all([task.run for task in tasks], arena, most=None if samples >= SHARED else 1)
     costs = dict.fromkeys(scales.keys, 0.0)
@@ -102,8 +98,7 @@ def _compare(comparisons: Sequence[CompiledComparison], clipped: Numbers, *, gra
     total = np.zeros_like(clipped)
     run_all([functools.partial(pull_back, plane) for plane in range(count)], arena, most=shared)
     parts = (
-        _misplaced(each, [plane[index] or [] for plane in work], clipped[0].size)
-        for index, each in enumerate(comparisons)
+        _misplaced(each, [plane[index] for plane in work], clipped[0].size) for index, each in enumerate(comparisons)
     )
     return Compared(terms, total, tuple(itertools.chain.from_iterable(parts)))
 
@@ -134,7 +129,6 @@ class CompiledComparison:
     intensity: Numbers  # the reference's, above the padding; shape (N, h, w)
     positions: dict[float, Numbers]  # the same in units of the distance of two levels, by tonal scale
     wiring: Wiring
-    is_sharp: bool  # whether the reference changes too fast for the sampling that it is seen on
 
     @classmethod
     def of(
@@ -144,17 +138,11 @@ class CompiledComparison:
         blur, arena = InnerBlur.of(plan.blur, reference.dtype), Arena(reference.dtype)
         intensity = np.stack([blur.apply(plane, arena) for plane in above_padding(reference, scales)])
         positions = {each.beta: in_levels(intensity, scales, each.beta)[0] for each in tonal}
-        sharp = plan.is_sampled and changes_sharply(intensity, min(scales.beta))
-        return cls(scales, plan, tonal, blur, intensity, positions, Wiring.of(plan, reference.dtype), sharp)
+        return cls(scales, plan, tonal, blur, intensity, positions, Wiring.of(plan, reference.dtype))
 
-    def tasks(self, above: Numbers, plane: int, most: int, arena: Arena, *, gradient: bool) -> list[_Task] | None:
-        """What there is to do for a plane of an image, given as what it is above the padding, shape (H, W).
-
-        None if the plane changes too fast for the sampling that it is seen on.
-        """
+    def tasks(self, above: Numbers, plane: int, most: int, arena: Arena, *, gradient: bool) -> list[_Task]:
+        """What there is to do for a plane of an image, given as what it is above the padding, shape (H, W)."""
         image, reference = self.blur.apply(above, arena), self.intensity[plane]
-        if self.plan.is_sampled and changes_sharply(image, min(self.scales.beta)):
-            return None
         differing = differing_window(image[None], reference[None])
         if differing is None:
             return []

@@ -6,7 +6,7 @@ from dataclasses import replace
 from typing import Final
 
 from loi_core.arrays import Array, epsilon, is_numpy_array, values_may_decide, widened
-from loi_core.comparison import UNFIT, ArrayComparison, Comparison, ScaleKey
+from loi_core.comparison import ArrayComparison, Comparison, ScaleKey
 from loi_core.compiled import available, compiles, serves
 from loi_core.errors import OptionError, ScaleError
 from loi_core.messages import shown
@@ -146,8 +146,6 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
         bounds = self._scales.bounds
         clipped = clip(planes, *bounds)
         compared = prepared.first(planes).compare(clipped, gradient=gradient)
-        if compared is UNFIT:
-            compared = prepared.exact(planes).compare(clipped, gradient=gradient)
         if not gradient:
             return Evaluation(compared.terms, None)
         error = error_of(compared.misplaced)

@@ -16,7 +16,7 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from loi_core import LogTone, LOIObjective, ScaleSpace
-from loi_core.comparison import UNFIT, ArrayComparison, Compared
+from loi_core.comparison import ArrayComparison, Compared
 from loi_core.compiled import bands
 from loi_core.compiled.comparison import KernelComparison
 from loi_core.kernels import AxisBlur, AxisGrid, as_slow_as, coarsest_spacing, rung_variance
@@ -122,7 +122,6 @@ def test_kernels_and_arrays_doubt_the_same(kind: str, dtype: str, seed: int) -> 
     planes = [np.moveaxis(np.clip(each, 0.0, 1.0), -1, 0) for each in (image, reference)]
     ways = KernelComparison.of(scales, plan, planes[1]), ArrayComparison.of(scales, plan, planes[1])
     found = [way.compare(planes[0], gradient=True) for way in ways]
-    assert (found[0] is UNFIT) == (found[1] is UNFIT)
     assert plan.is_sampled
     errors = [error_of(one.misplaced) for one in found]
     # A sample at the tie threshold, or a line at the middle between two pixels, may fall on either side.
