@@ -39,7 +39,7 @@ __all__ = ["ArrayComparison", "Compared", "Comparison", "InnerComparison", "Scal
 ScaleKey: TypeAlias = tuple[float, float, float]
 Terms: TypeAlias = dict[ScaleKey, Array]
 
-CHUNK_ON_HOST: Final = 2**20  # elements: 4 MiB in float32, a few of which lie in the caches of a core
+CHUNK_ON_HOST: Final = 2**19  # elements: 2 MiB in float32, a few of which lie in the caches of a core
 CHUNK: Final = 2**24  # elements: where operations are fused or run on an accelerator, large ones are better
 
 
