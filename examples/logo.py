@@ -24,6 +24,7 @@ from loi_torch.vector import Path as Curves
 LOGO: Final = Path(__file__).with_name("logo.svg")
 PLOT: Final = Path(__file__).parents[1] / "docs" / "images" / "logo.png"
 FULL: Final = 96  # pixels
+STEPS: Final = 200
 STARTS: Final = (  # of ring, leaf and brick, at full size
     ((22.0, 24.0), (72.0, 70.0), (22.0, 60.0)),
     ((24.0, 66.0), (74.0, 26.0), (24.0, 24.0)),
@@ -93,7 +94,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     parser.add_argument("--quick", action="store_true", help="one start, half the size, for a test")
     parser.add_argument("--output", type=Path, default=PLOT, help="where to write the plot")
     options = parser.parse_args(arguments)
-    size, steps, starts = (FULL // 2, 150, STARTS[-1:]) if options.quick else (FULL, 200, STARTS)
+    size, starts = (FULL // 2, STARTS[-1:]) if options.quick else (FULL, STARTS)
     renderer = Vector(size, size, svg=LOGO, encoding="srgb")
     with tempfile.TemporaryDirectory() as folder:
         write_png(Path(folder) / "logo.png", renderer.render(renderer.parameters()).numpy())
@@ -105,7 +106,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     print("| start | " + " | ".join(f"{name}, px off" for name in objectives) + " |")
     print("| --- |" + " --- |" * len(objectives))
     for number, place in enumerate(starts, start=1):
-        results = {name: search(renderer, one, place, size, steps) for name, one in objectives.items()}
+        results = {name: search(renderer, one, place, size, STEPS) for name, one in objectives.items()}
         off = {name: worst(renderer, result.best_params) for name, result in results.items()}
         print(f"| {number} | " + " | ".join(f"{one:.3f}" for one in off.values()) + " |")
     start = search(renderer, objectives["loi"], starts[-1], size, 1).best_params

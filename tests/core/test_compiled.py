@@ -309,7 +309,7 @@ def prepare(size):
     return float(objective.value_and_grad(image[:size])[0])
 prepare(50)
 hung = 0
-for number in range(12):
+for number in range(6):
     thread = threading.Thread(target=lambda: [prepare(60 + step) for step in range(30)])
     thread.start()
     time.sleep(0.004 * number)
