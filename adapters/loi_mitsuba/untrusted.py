@@ -29,7 +29,7 @@ from loi_core.errors import LoiError
 from loi_core.files import read_bytes
 from loi_core.messages import printable, shown, told
 
-__all__ = ["SceneLoadError", "check_plugins_of", "check_scene_file", "check_types", "load_own_plugins"]
+__all__ = ["SceneLoadError", "check_scene_file", "check_types", "load_own_plugins"]
 
 MOST_XML: Final = 64 * 2**20  # bytes of one file
 DEEPEST: Final = 64  # elements within elements
@@ -57,20 +57,20 @@ def check_scene_file(path: Path) -> None:
     """
     bounds = _Bounds()
     bounds.check(path)
-    nodes = check_plugins_of(path, bounds.folders)
+    nodes = _check_plugins_of(path, bounds.folders)
     named = [*bounds.named, *(value for node in nodes for value in _file_names(node.props))]
     _check_regular(named, bounds.folders)
     if named:
         _try_to_load(mi.variant(), str(path))
 
 
-def check_plugins_of(path: str | Path, folders: Iterable[Path]) -> list[Any]:
+def _check_plugins_of(path: Path, folders: Iterable[Path]) -> list[Any]:
     """Look at the plugins of an XML scene, and make sure that Mitsuba's own are loaded; the parser's nodes."""
     with _looking_in([Path(mi.__file__).parent, *folders]):
         try:
             state = mi.parser.parse_file(mi.parser.ParserConfig(mi.variant()), str(path))
         except RuntimeError as error:
-            raise _refused(Path(path), " ".join(str(error).split())) from None
+            raise _refused(path, " ".join(str(error).split())) from None
     _check_plugins((node.props.plugin_name() for node in state.nodes), folders)
     return list(state.nodes)
 
@@ -227,7 +227,7 @@ class _Bounds:
         """Note a file that the parser opens where it stands, before anything else could look at it."""
         if "$" in name:
             raise _refused(path, "the files of spectra are named without parameters")
-        _check_regular([name], [file.absolute().parent for file in self._files])
+        _check_regular([name], self.folders)
         self.named.append(name)
 
     def _include(self, path: Path, name: str) -> None:
@@ -262,14 +262,14 @@ def _try_to_load(variant: str, path: str, description: str = "") -> None:
             check=False,
         )
     except subprocess.TimeoutExpired:
-        raise _refused(Path(path), f"Mitsuba has not loaded it after {SECONDS:g} seconds") from None
+        raise _refused(path, f"Mitsuba has not loaded it after {SECONDS:g} seconds") from None
     if done.returncode == 0:
         return
     said = done.stderr.decode("utf-8", "replace").strip().splitlines()
     if done.returncode < 0:
-        raise _refused(Path(path), f"a file that it names makes Mitsuba crash (signal {-done.returncode})")
-    raise _refused(Path(path), said[-1] if said else f"exit code {done.returncode}")
+        raise _refused(path, f"a file that it names makes Mitsuba crash (signal {-done.returncode})")
+    raise _refused(path, said[-1] if said else f"exit code {done.returncode}")
 
 
-def _refused(path: Path, why: str) -> SceneLoadError:
+def _refused(path: Path | str, why: str) -> SceneLoadError:
     return SceneLoadError(printable(f"`scene` cannot be loaded: {path}: {why}")[:1000])

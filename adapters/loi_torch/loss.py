@@ -131,8 +131,6 @@ def loi_loss(
 
     Parameters are those of :class:`LOILoss`, which is what comes back.
     """
-    if isinstance(reference, Tensor) and reference.dtype in REDUCED:
-        reference = reference.float()
     return LOILoss(reference, scales, accuracy, channel_axis=channel_axis, nan_policy=nan_policy, tone=tone)
 
 
