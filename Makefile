@@ -29,7 +29,7 @@ bench: .venv/.benched
 
 clean:
 	rm -rf .venv demo build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
-	rm -f loi_core/compiled/__pycache__/*.nb?
+	rm -f loi_core/method/compiled/__pycache__/*.nb?
 
 .venv/bin/python:
 	$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "loi needs Python 3.11 or later; try make PYTHON=python3.11")'

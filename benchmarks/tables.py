@@ -13,7 +13,7 @@ import numpy as np
 
 from benchmarks.peers import PRESETS, RENDERED
 from benchmarks.results import Result, Results, Size
-from loi_core.files import write_text
+from loi_core.io.files import write_text
 
 __all__ = ["bars", "fields", "growths", "print_table", "traffic", "write_csv"]
 

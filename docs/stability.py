@@ -16,8 +16,8 @@ from PIL import Image
 from tqdm import tqdm
 
 from loi_core import LOIObjective
-from loi_core.registry import available_backends, load_backend
-from loi_core.testing import HardCase, StabilityRow, hard_cases, stability_rows
+from loi_core.plugins.registry import available_backends, load_backend
+from loi_core.stability import HardCase, StabilityRow, hard_cases, stability_rows
 
 HERE: Final = Path(__file__).parent
 PAGE: Final = HERE / "stability.md"

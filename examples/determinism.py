@@ -19,9 +19,9 @@ from typing import Any, Final
 import numpy as np
 
 from loi_core import Free, LOIObjective, ScaleSpace, fit
-from loi_core.arrays import from_numpy, to_numpy
-from loi_core.renderer import Renderer
 from loi_core.renderers import Disks, Warp
+from loi_core.renderers.contract import Renderer
+from loi_core.support.arrays import from_numpy, to_numpy
 
 __all__ = ["BACKENDS", "Results", "apart", "computed"]
 

@@ -1,14 +1,14 @@
 """`loi`: locally orderless images as a loss for inverse rendering, on any array library and any renderer."""
 
 from loi_core.errors import FitDivergedError, FitError, LoiError, NonFiniteImageError
-from loi_core.fitting import FitInterruptedError, FitResult, FitStep, fit
-from loi_core.free import Free
-from loi_core.histograms import inner_images, isophotes, local_histograms
+from loi_core.fitting.loop import FitInterruptedError, FitResult, FitStep, fit
+from loi_core.fitting.parameters import Free
+from loi_core.method.histograms import inner_images, isophotes, local_histograms
+from loi_core.method.scales import ScaleSpace
 from loi_core.objectives import MSSSIM, GaussianPyramid, ImageObjective, LOIObjective, Objective, PixelL2
-from loi_core.registry import available_renderers, load_renderer
-from loi_core.renderer import Parameters, ProjectingRenderer, Pullback, Renderer
-from loi_core.scales import ScaleSpace
-from loi_core.tone import LogTone
+from loi_core.pixels.tone_curve import LogTone
+from loi_core.plugins.registry import available_renderers, load_renderer
+from loi_core.renderers.contract import Parameters, ProjectingRenderer, Pullback, Renderer
 
 __version__ = "0.1.0"
 

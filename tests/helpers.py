@@ -10,8 +10,6 @@ import numpy as np
 import pytest
 
 from loi_core import ScaleSpace
-from loi_core.objectives import loi
-from loi_jax import loss
 
 Host: TypeAlias = np.ndarray[Any, Any]
 
@@ -33,8 +31,7 @@ SCALES: dict[str, ScaleSpace] = {
 def by_arrays() -> Iterator[None]:
     """As where Numba is not installed."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(loi, "serves", lambda *_: False)
-        patch.setattr(loss, "available", lambda: False)
+        patch.setenv("LOI_COMPILED", "0")
         yield
 
 

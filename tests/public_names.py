@@ -7,7 +7,15 @@ import inspect
 from collections.abc import Iterator
 from typing import Any, Final
 
-PACKAGES: Final = ("loi_core", "loi_core.testing", "loi_torch", "loi_torch.vector", "loi_jax", "loi_mitsuba")
+PACKAGES: Final = (
+    "loi_core",
+    "loi_core.stability",
+    "loi_core.testing",
+    "loi_torch",
+    "loi_torch.vector",
+    "loi_jax",
+    "loi_mitsuba",
+)
 
 
 def lines() -> Iterator[str]:

@@ -12,9 +12,10 @@ from typing import Any
 
 import pytest
 
-from loi_core import __version__, registry
+from loi_core import __version__
 from loi_core.cli import doctor, main
 from loi_core.errors import RendererNotFoundError
+from loi_core.plugins import registry
 from loi_core.renderers import Disks
 
 

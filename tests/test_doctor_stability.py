@@ -8,14 +8,14 @@ from pathlib import Path
 
 import pytest
 
-from loi_core import registry
 from loi_core.cli import main, stability
-from loi_core.testing import hard_cases
+from loi_core.plugins import registry
+from loi_core.stability import hard_cases
 
 FEW = ("ordinary pair", "one NaN", "ties", "big-endian")
-NUMPY = EntryPoint("numpy", "loi_core.backends:NumPy", registry.BACKEND_GROUP)
+NUMPY = EntryPoint("numpy", "loi_core.plugins.backends:NumPy", registry.BACKEND_GROUP)
 WRONG = """
-from loi_core.backends import NumPy
+from loi_core.plugins.backends import NumPy
 
 
 class Wrong(NumPy):

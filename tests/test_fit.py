@@ -12,10 +12,10 @@ import pytest
 import torch
 
 from loi_core import Free, LOIObjective, PixelL2, fit
-from loi_core.fitting import FitInterruptedError, FitStep
-from loi_core.optimiser import Moments
+from loi_core.fitting.adam import Moments
+from loi_core.fitting.loop import FitInterruptedError, FitStep
+from loi_core.fitting.state import State
 from loi_core.renderers import Disks
-from loi_core.state import State
 from tests.fits import REFERENCE, SCALES, SCENE, START, TARGET, Bowl, run
 from tests.helpers import Host
 

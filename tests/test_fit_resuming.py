@@ -14,9 +14,9 @@ import numpy as np
 import pytest
 
 from loi_core import Free, LOIObjective, PixelL2, fit
-from loi_core.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from loi_core.errors import FitError, OptionError, ParameterError
-from loi_core.fitting import FitInterruptedError, FitStep
+from loi_core.fitting.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from loi_core.fitting.loop import FitInterruptedError, FitStep
 from loi_core.renderers import Disks
 from tests.fits import REFERENCE, SCALES, SCENE, START, TARGET, Bowl, run
 from tests.helpers import Host
@@ -34,7 +34,7 @@ def test_a_checkpoint_that_cannot_be_written_leaves_the_result(
         if interrupted and step.step == 2:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(sys.modules["loi_core.fitting"], "save_checkpoint", full)
+    monkeypatch.setattr(sys.modules["loi_core.fitting.loop"], "save_checkpoint", full)
     error = FitInterruptedError if interrupted else FitError
     caught: Any
     with pytest.raises(error, match=r"step .: writing the checkpoint failed: OSError: no space left") as caught:
@@ -182,7 +182,7 @@ def interrupted_after(count: int) -> Any:
 
 def test_ctrl_c_at_any_instruction_leaves_the_state_after_whole_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     saved: list[Checkpoint] = []
-    loop = sys.modules["loi_core.fitting"]
+    loop = sys.modules["loi_core.fitting.loop"]
     monkeypatch.setattr(loop, "CHECKPOINT_STEPS", 1)
     monkeypatch.setattr(loop, "save_checkpoint", lambda path, state: saved.append(state))
 

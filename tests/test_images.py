@@ -12,8 +12,8 @@ import pytest
 from PIL import Image
 
 from loi_core.errors import ImageFileError, LoiError
-from loi_core.files import atomic_path, write_text
-from loi_core.images import read_image, write_png
+from loi_core.io.files import atomic_path, write_text
+from loi_core.io.images import read_image, write_png
 
 RGB = np.random.default_rng(0).integers(0, 256, (5, 7, 3), dtype=np.uint8)
 

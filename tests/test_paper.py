@@ -23,8 +23,8 @@ from examples.paper.table1.run import Run, carry_out, structure
 from examples.paper.table1.settings import LABELS, OURS, PROTOCOLS, Setting
 from examples.paper.table1.store import is_done, keep, load, picture_path
 from loi_core import ScaleSpace
-from loi_core.experiment import psnr
-from loi_core.images import read_image
+from loi_core.io.images import read_image
+from loi_core.pixels.psnr import psnr
 from loi_core.renderers import Disks
 from loi_core.testing import check_renderer
 

@@ -14,10 +14,10 @@ import pytest
 
 from loi_core.cli import main
 from loi_core.errors import OptionError
-from loi_core.files import remove_temporaries
-from loi_core.images import write_png
+from loi_core.io.files import remove_temporaries
+from loi_core.io.images import write_png
+from loi_core.io.result_folder import LIST_FILE, ResultFolder
 from loi_core.renderers import Disks
-from loi_core.result_folder import LIST_FILE, ResultFolder
 
 SCENE = """\
 target = "target.png"
@@ -138,7 +138,7 @@ def test_a_fit_that_was_killed_before_its_first_result_can_go_on(scene: Path) ->
 def test_the_checkpoint_is_on_the_list_before_it_is_written(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     listed = []
     monkeypatch.setattr(
-        sys.modules["loi_core.fitting"],
+        sys.modules["loi_core.fitting.loop"],
         "save_checkpoint",
         lambda path, *_: listed.append("checkpoint.npz" in ResultFolder(path.parent).names),
     )

@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import pytest
 
-from loi_core import GaussianPyramid, ImageObjective, LogTone, LOIObjective, PixelL2, ScaleSpace, registry
+from loi_core import GaussianPyramid, ImageObjective, LogTone, LOIObjective, PixelL2, ScaleSpace
 from loi_core.cli import main
 from loi_core.errors import LoiError, SceneError
-from loi_core.experiment import run_scene
-from loi_core.images import write_png
+from loi_core.io.images import write_png
+from loi_core.plugins import registry
 from loi_core.renderers import Disks
-from loi_core.scene import load_scene
+from loi_core.scenes.experiment import run_scene
+from loi_core.scenes.reading import load_scene
 
 if TYPE_CHECKING:
     KnownToTypeCheckers = str
@@ -110,7 +111,7 @@ def test_an_option_that_may_be_a_path_is_relative_to_the_scene(folder: Path, mon
     (folder / "scene.toml").write_text(
         SCENE[: SCENE.index("positions")] + options + SCENE[SCENE.index("\n\n[optimise") :]
     )
-    monkeypatch.setattr("loi_core.scene.load_renderer", lambda name: factory)
+    monkeypatch.setattr("loi_core.scenes.reading.load_renderer", lambda name: factory)
     load_scene(folder / "scene.toml")
     assert got == {"mesh": folder / "a/b.obj", "note": "a/b", "cache": Path("/c"), "other": None}
     factory.__annotations__ = {"mesh": str | Path, "note": str, "cache": Path}  # not as text

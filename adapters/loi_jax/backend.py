@@ -6,16 +6,16 @@ import jax
 import jax.numpy as jnp
 
 from loi_core import ScaleSpace
-from loi_core.arrays import to_numpy
-from loi_core.backends import Evaluate, Host
-from loi_core.nonfinite import NanPolicy
+from loi_core.pixels.nonfinite import NanPolicy
+from loi_core.plugins.backends import Evaluate, Host
+from loi_core.support.arrays import to_numpy
 from loi_jax.loss import loi_loss
 
 __all__ = ["Jax"]
 
 
 class Jax:
-    """A :class:`loi_core.backends.Backend`."""
+    """A :class:`loi_core.plugins.backends.Backend`."""
 
     dtypes = ("float32", "float64")
     half_dtypes = ("float16", "bfloat16")
@@ -38,7 +38,7 @@ class Jax:
         dtype: str,
         nan_policy: NanPolicy = "raise",
     ) -> Evaluate:
-        """See :class:`loi_core.backends.Backend`."""
+        """See :class:`loi_core.plugins.backends.Backend`."""
         wanted = reference.astype("float32" if dtype in self.half_dtypes else dtype)
         value_and_grad = jax.jit(jax.value_and_grad(loi_loss(wanted, scales, accuracy, nan_policy=nan_policy)))
         double = dtype == "float64"

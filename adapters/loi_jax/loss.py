@@ -10,15 +10,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from loi_core import LogTone, LOIObjective, ScaleSpace
-from loi_core.compiled import available
 from loi_core.errors import NonFiniteImageError
-from loi_core.nonfinite import NanPolicy
+from loi_core.method.ways import loops_take
+from loi_core.pixels.nonfinite import NanPolicy
 from loi_jax.primitive import Host, evaluate
 
 __all__ = ["loi_loss"]
 
 REDUCED: Final = (jnp.float16, jnp.bfloat16)
-COMPILED: Final = (jnp.float32, jnp.float64)  # what the kernels are for
 
 
 def loi_loss(
@@ -107,10 +106,9 @@ class _Traceable:
         dtype = image.dtype
         if dtype in REDUCED:
             image = image.astype(jnp.float32)
-        kernels = image.dtype in COMPILED and available()
         if not isinstance(image, jax.core.Tracer):
             results = list(self._checked(image, gradient=gradient))
-        elif kernels and jax.sharding.get_abstract_mesh().empty:  # a mesh: for several devices, each with its part
+        elif loops_take(str(image.dtype)) and jax.sharding.get_abstract_mesh().empty:  # a mesh: for several devices, each with its part
             self._objective.check_shape(image.shape)  # where the caller is still to be seen, not where it is compiled
             results = evaluate(self, image, gradient=gradient)
         else:
@@ -121,7 +119,7 @@ class _Traceable:
         """By the core alone, on arrays of any library."""
         return self._objective.value_and_grad(image) if gradient else (self._objective.value(image),)
 
-    def by_kernels(self, image: Host, *, gradient: bool) -> tuple[Host, ...]:
+    def by_loops(self, image: Host, *, gradient: bool) -> tuple[Host, ...]:
         """See :class:`loi_jax.primitive.Evaluation`."""
         try:
             return self._checked(image, gradient=gradient)

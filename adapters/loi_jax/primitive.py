@@ -22,7 +22,7 @@ from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
-from loi_core.arrays import device, from_numpy, is_read_by_numpy
+from loi_core.support.arrays import device, from_numpy, is_read_by_numpy
 
 __all__ = ["Evaluation", "Host", "evaluate"]
 
@@ -33,7 +33,7 @@ Results: TypeAlias = Sequence[Any]
 class Evaluation(Protocol):
     """The loss of one image, in both ways: the value, shape (), and if asked for the gradient, of the image's shape."""
 
-    def by_kernels(self, image: Host, *, gradient: bool) -> tuple[Host, ...]:
+    def by_loops(self, image: Host, *, gradient: bool) -> tuple[Host, ...]:
         """From and to NumPy arrays, without errors for what the image holds."""
 
     def by_arrays(self, image: jax.Array, *, gradient: bool, where: Any = None) -> tuple[jax.Array, ...]:
@@ -71,10 +71,10 @@ def _by_arrays(image: jax.Array, *, evaluation: Evaluation, gradient: bool, mapp
     return compare(image)
 
 
-def _by_kernels(image: Host, *, evaluation: Evaluation, gradient: bool, mapped: int) -> list[Host]:
+def _by_loops(image: Host, *, evaluation: Evaluation, gradient: bool, mapped: int) -> list[Host]:
     results = [np.empty(image.shape[: image.ndim if slope else mapped], image.dtype) for slope in range(1 + gradient)]
     for index in np.ndindex(image.shape[:mapped]):
-        for result, found in zip(results, evaluation.by_kernels(image[index], gradient=gradient), strict=True):
+        for result, found in zip(results, evaluation.by_loops(image[index], gradient=gradient), strict=True):
             result[index] = found
     return results
 
@@ -84,7 +84,7 @@ def _run(image: jax.Array, **settings: Any) -> Results:
     image = jnp.asarray(image)
     if not is_read_by_numpy(image):
         return _by_arrays(image, where=device(image), **settings)
-    return [from_numpy(result, image) for result in _by_kernels(np.asarray(image), **settings)]
+    return [from_numpy(result, image) for result in _by_loops(np.asarray(image), **settings)]
 
 
 def _differentiate(images: tuple[jax.Array], tangents: tuple[jax.Array], **settings: Any) -> tuple[Results, Results]:
@@ -108,7 +108,7 @@ def _lower_for_processor(ctx: Any, image: Any, **settings: Any) -> Results:
     given = [ShapedArray((*each.shape, 2), np.dtype(np.int32)) for each in wanted] if double else wanted
 
     def call(*images: Host) -> list[Host]:
-        results = _by_kernels(images[0], **settings)
+        results = _by_loops(images[0], **settings)
         return [result[..., None].view(np.int32) for result in results] if double else results
 
     results, _, _ = mlir.emit_python_callback(

@@ -9,16 +9,16 @@ import mitsuba as mi
 import numpy as np
 
 from loi_core import ScaleSpace
-from loi_core.arrays import to_numpy
-from loi_core.backends import Evaluate, Host
-from loi_core.nonfinite import NanPolicy
+from loi_core.pixels.nonfinite import NanPolicy
+from loi_core.plugins.backends import Evaluate, Host
+from loi_core.support.arrays import to_numpy
 from loi_mitsuba.loss import LOILoss
 
 __all__ = ["Mitsuba"]
 
 
 class Mitsuba:
-    """A :class:`loi_core.backends.Backend`, in the variant that is set, or else ``llvm_ad_rgb``."""
+    """A :class:`loi_core.plugins.backends.Backend`, in the variant that is set, or else ``llvm_ad_rgb``."""
 
     dtypes = ("float32",)
     half_dtypes: tuple[str, ...] = ()
@@ -42,7 +42,7 @@ class Mitsuba:
         dtype: str,
         nan_policy: NanPolicy = "raise",
     ) -> Evaluate:
-        """See :class:`loi_core.backends.Backend`."""
+        """See :class:`loi_core.plugins.backends.Backend`."""
         self._variant()
         loss = LOILoss(reference.astype(dtype), scales, accuracy, nan_policy=nan_policy)
         given = mi.TensorXf(np.ascontiguousarray(image, dtype))

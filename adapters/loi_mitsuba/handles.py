@@ -12,8 +12,8 @@ import mitsuba as mi
 import numpy as np
 
 from loi_core.errors import ParameterError
-from loi_core.messages import shown
-from loi_core.values import real_number
+from loi_core.support.values import real_number
+from loi_core.support.wording import shown
 
 __all__ = ["Handle", "Host", "Rotate", "Scale", "Translate", "from_table", "posed"]
 

@@ -9,8 +9,8 @@ from typing import Any, Final, TypeAlias
 import mitsuba as mi
 
 from loi_core.errors import OptionError, ParameterError
-from loi_core.messages import shown
-from loi_core.values import whole_number
+from loi_core.support.values import whole_number
+from loi_core.support.wording import shown
 from loi_mitsuba.handles import Handle, Rotate, Scale, Translate, from_table
 from loi_mitsuba.untrusted import SceneLoadError, check_scene_file, check_types
 

@@ -10,10 +10,10 @@ import drjit as dr
 import mitsuba as mi
 
 from loi_core import LogTone, LOIObjective, ScaleSpace
-from loi_core.arrays import Array, namespace
 from loi_core.errors import ImageTypeError, LoiError, OptionError
-from loi_core.messages import shown
-from loi_core.nonfinite import NanPolicy
+from loi_core.pixels.nonfinite import NanPolicy
+from loi_core.support.arrays import Array, namespace
+from loi_core.support.wording import shown
 
 __all__ = ["Backend", "BackendMissingError", "LOILoss"]
 

@@ -12,7 +12,7 @@ import mitsuba as mi
 import numpy as np
 
 from loi_core.errors import ParameterError
-from loi_core.messages import shown
+from loi_core.support.wording import shown
 from loi_mitsuba.entries import Scene, find_entry, find_shape, list_entries, numbers
 from loi_mitsuba.handles import Host, Scale, posed
 from loi_mitsuba.loading import Target

@@ -13,8 +13,8 @@ import numpy as np
 
 from loi_core.effects import EffectPlan
 from loi_core.errors import OptionError, ParameterError
-from loi_core.messages import shown
-from loi_core.values import whole_number
+from loi_core.support.values import whole_number
+from loi_core.support.wording import shown
 from loi_mitsuba.cautions import warn_of_moving
 from loi_mitsuba.effects.settings import PARTS, bordered, integrator_of, leaves_edges_out, settings_of
 from loi_mitsuba.entries import Scene

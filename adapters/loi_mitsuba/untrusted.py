@@ -26,8 +26,8 @@ from xml.parsers import expat
 import mitsuba as mi
 
 from loi_core.errors import LoiError
-from loi_core.files import read_bytes
-from loi_core.messages import printable, shown, told
+from loi_core.io.files import read_bytes
+from loi_core.support.wording import printable, shown, told
 
 __all__ = ["SceneLoadError", "check_scene_file", "check_types", "load_own_plugins"]
 

@@ -9,16 +9,16 @@ from collections.abc import Iterator
 import torch
 
 from loi_core import ScaleSpace
-from loi_core.arrays import to_numpy
-from loi_core.backends import BFLOAT16_PRODUCTS, Evaluate, Host
-from loi_core.nonfinite import NanPolicy
+from loi_core.pixels.nonfinite import NanPolicy
+from loi_core.plugins.backends import BFLOAT16_PRODUCTS, Evaluate, Host
+from loi_core.support.arrays import to_numpy
 from loi_torch.loss import LOILoss
 
 __all__ = ["Torch"]
 
 
 class Torch:
-    """A :class:`loi_core.backends.Backend`."""
+    """A :class:`loi_core.plugins.backends.Backend`."""
 
     half_dtypes = ("float16", "bfloat16")
     compiled = False
@@ -47,7 +47,7 @@ class Torch:
         dtype: str,
         nan_policy: NanPolicy = "raise",
     ) -> Evaluate:
-        """See :class:`loi_core.backends.Backend`."""
+        """See :class:`loi_core.plugins.backends.Backend`."""
         products = "medium" if dtype == BFLOAT16_PRODUCTS else "highest"
         dtype = "float32" if dtype == BFLOAT16_PRODUCTS else dtype
         host = "float32" if dtype in self.half_dtypes else dtype  # NumPy has no bfloat16

@@ -12,7 +12,7 @@ from torch.autograd.function import FunctionCtx
 
 from loi_core import LogTone, LOIObjective, ScaleSpace
 from loi_core.errors import DerivativeError, ImageTypeError
-from loi_core.nonfinite import NanPolicy
+from loi_core.pixels.nonfinite import NanPolicy
 
 __all__ = ["LOILoss", "loi_loss"]
 

@@ -14,11 +14,11 @@ from torch import Tensor
 from torch.nn import functional
 
 from loi_core import ImageObjective, LogTone
-from loi_core.arrays import Array, from_numpy, to_numpy
 from loi_core.errors import ImageError, OptionError
-from loi_core.messages import shown
-from loi_core.nonfinite import NanPolicy
 from loi_core.objectives.base import Evaluation
+from loi_core.pixels.nonfinite import NanPolicy
+from loi_core.support.arrays import Array, from_numpy, to_numpy
+from loi_core.support.wording import shown
 from loi_torch.lpips_weights import read_weights
 
 __all__ = ["LPIPS", "Net"]
@@ -153,13 +153,15 @@ class LPIPS(ImageObjective[_Prepared, str]):
             raise ImageError(msg)
         _network(net, torch.float32, torch.device("cpu"))  # so that missing weights are told now
 
-    def _prepare(self, reference: Array) -> _Prepared:
+    def prepare_reference(self, reference: Array) -> _Prepared:
+        """See :class:`loi_core.ImageObjective`."""
         with _plain_torch(), torch.no_grad():
             planes = _tensor(reference)
             network = _network(self._net, planes.dtype, planes.device)
             return _Prepared(network, network.features(self._stack(planes)))
 
-    def _evaluate(self, planes: Array, prepared: _Prepared, *, gradient: bool) -> Evaluation[str]:
+    def compare_planes(self, planes: Array, prepared: _Prepared, *, gradient: bool) -> Evaluation[str]:
+        """See :class:`loi_core.ImageObjective`."""
         if not gradient:
             found = self._compare(_tensor(planes), prepared)
             return Evaluation({name: _like(planes, term) for name, term in found.items()}, None)

@@ -18,8 +18,8 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 
 from loi_core.errors import WeightsError
-from loi_core.files import read_bytes
-from loi_core.messages import told
+from loi_core.io.files import read_bytes
+from loi_core.support.wording import told
 
 __all__ = ["INSTALL", "Host", "PublishedWeights", "read_weights"]
 

@@ -9,9 +9,9 @@ from typing import Any, ClassVar, Protocol, TypeAlias
 import torch
 from torch import Tensor
 
-from loi_core.arrays import to_numpy
 from loi_core.errors import ParameterError
 from loi_core.renderers.checks import FloatArray
+from loi_core.support.arrays import to_numpy
 
 __all__ = ["HostScene", "Painted", "Tensors"]
 

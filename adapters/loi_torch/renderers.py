@@ -12,10 +12,10 @@ from torch import Tensor
 from torch.autograd.function import FunctionCtx, once_differentiable
 
 from loi_core import renderers as core
-from loi_core.arrays import to_numpy
 from loi_core.renderers.checks import FloatArray
 from loi_core.renderers.coverage import disk_coverage
 from loi_core.renderers.fragments import Fragments, disk_fragments
+from loi_core.support.arrays import to_numpy
 from loi_torch.compositing import painted_over
 from loi_torch.painted import Painted, Tensors
 

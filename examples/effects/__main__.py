@@ -15,7 +15,7 @@ import mitsuba as mi
 
 from examples.effects.measure import FOUND, FULL, QUICK, Row, measure
 from examples.effects.scenes import SUITE
-from loi_core.tables import markdown
+from loi_core.support.markdown import markdown
 
 HEADS = [
     "scene",

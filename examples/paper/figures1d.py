@@ -24,8 +24,8 @@ from examples.paper.measure1d import Basin, Support, measure, measure_two, suppo
 from examples.paper.pages import filled
 from examples.paper.problems import NOISE, PROBLEMS, SUPPORT, TONAL, TWO, Problem
 from examples.paper.signals import Host
-from loi_core.files import write_text
-from loi_core.tables import markdown
+from loi_core.io.files import write_text
+from loi_core.support.markdown import markdown
 
 __all__ = ["main"]
 

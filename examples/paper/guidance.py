@@ -23,7 +23,7 @@ from examples.paper.table1.objectives import objective
 from examples.paper.table1.problem import FRINGE, HARDER, Column, FloatArray, Problem
 from examples.paper.table1.settings import OURS, Setting
 from loi_core import ScaleSpace
-from loi_core.tables import markdown
+from loi_core.support.markdown import markdown
 
 __all__ = ["cosines", "main"]
 

@@ -12,7 +12,7 @@ from examples.paper.landscapes import FOUND, NEAR, Descents, Landscape, descend,
 from examples.paper.methods import METHODS, SIGMAS, sigma_method
 from examples.paper.problems import Problem
 from examples.paper.signals import Host
-from loi_core.operators import gaussian_blur
+from loi_core.method.blurs import gaussian_blur
 
 __all__ = ["FINISHED", "Basin", "Support", "blurred", "measure", "measure_two", "supports"]
 

@@ -10,10 +10,10 @@ import numpy as np
 
 from examples.paper.signals import Host
 from loi_core import MSSSIM, GaussianPyramid, LOIObjective, PixelL2, ScaleSpace
-from loi_core.arrays import Array, sum_of_all
+from loi_core.method.blurs import Blur, gaussian_blur
 from loi_core.objectives import ImageObjective
 from loi_core.objectives.base import Evaluation
-from loi_core.operators import Blur, gaussian_blur
+from loi_core.support.arrays import Array, sum_of_all
 from loi_torch import LPIPS
 
 __all__ = ["METHODS", "SIGMAS", "Comparison", "Method", "SigmaSpace", "sigma_method"]
@@ -31,12 +31,14 @@ class SigmaSpace(ImageObjective[_Prepared, float]):
         super().__init__(reference)
         self._sigmas = sigmas
 
-    def _prepare(self, reference: Array) -> _Prepared:
+    def prepare_reference(self, reference: Array) -> _Prepared:
+        """See :class:`loi_core.ImageObjective`."""
         height, width = reference.shape[-2:]
         blurs = {sigma: gaussian_blur(height, width, sigma, "reflect", like=reference) for sigma in self._sigmas}
         return {sigma: (blur, blur.apply(reference)) for sigma, blur in blurs.items()}
 
-    def _evaluate(self, planes: Array, prepared: _Prepared, *, gradient: bool) -> Evaluation[float]:
+    def compare_planes(self, planes: Array, prepared: _Prepared, *, gradient: bool) -> Evaluation[float]:
+        """See :class:`loi_core.ImageObjective`."""
         share = 1.0 / np.prod(planes.shape)
         differences = {sigma: blur.apply(planes) - wanted for sigma, (blur, wanted) in prepared.items()}
         terms = {sigma: sum_of_all(one * one) * share for sigma, one in differences.items()}

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from loi_core.files import write_text
+from loi_core.io.files import write_text
 
 __all__ = ["fill", "filled"]
 

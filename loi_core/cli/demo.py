@@ -10,11 +10,11 @@ from typing import Any, Final
 import numpy as np
 
 from loi_core.cli.fit import print_summary, run_and_write
-from loi_core.files import check_writable, write_text
-from loi_core.images import FloatImage, read_image, write_png
+from loi_core.io.files import check_writable, write_text
+from loi_core.io.images import FloatImage, read_image, write_png
 from loi_core.renderers import Disks, Warp
 from loi_core.report import write_index, write_page
-from loi_core.scene import load_scene
+from loi_core.scenes.reading import load_scene
 
 __all__ = ["make_disks", "make_photograph", "run_demo"]
 

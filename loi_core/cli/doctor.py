@@ -18,8 +18,8 @@ import numpy as np
 
 from loi_core import __version__
 from loi_core.errors import LoiError, WeightsError
-from loi_core.registry import PluginInfo, available_objectives, available_renderers
-from loi_core.rivals import make_rival
+from loi_core.plugins.baselines import make_rival
+from loi_core.plugins.registry import PluginInfo, available_objectives, available_renderers
 
 __all__ = ["Finding", "examine", "findings"]
 

@@ -13,12 +13,13 @@ from tqdm import tqdm
 
 from loi_core.effects import PlanningRenderer
 from loi_core.errors import SceneError
-from loi_core.experiment import Trial, plan_scene, run_scene
-from loi_core.messages import printable
+from loi_core.io.result_folder import CHECKPOINT_FILE, ResultFolder
 from loi_core.report import write_page, write_results
 from loi_core.report.plots import LABELS
-from loi_core.result_folder import CHECKPOINT_FILE, ResultFolder
-from loi_core.scene import Scene, load_scene
+from loi_core.scenes.experiment import Trial, plan_scene, run_scene
+from loi_core.scenes.reading import load_scene
+from loi_core.scenes.scene import Scene
+from loi_core.support.wording import printable
 
 __all__ = ["explain_scene", "fit_scene", "run_and_write"]
 

@@ -12,7 +12,7 @@ from typing import Final, NoReturn
 
 from loi_core import __version__
 from loi_core.errors import FitError, LoiError, RendererError
-from loi_core.messages import PlainText, printable
+from loi_core.support.wording import PlainText, printable
 
 __all__ = ["DONE", "FAILED", "WRONG_CALL", "main"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import asdict
 
-from loi_core.registry import available_renderers
+from loi_core.plugins.registry import available_renderers
 
 __all__ = ["list_renderers"]
 

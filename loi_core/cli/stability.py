@@ -9,10 +9,10 @@ from typing import Any
 
 from tqdm import tqdm
 
-from loi_core.backends import Backend
 from loi_core.errors import BackendNotFoundError
-from loi_core.registry import available_backends, load_backend
-from loi_core.testing import StabilityRow, hard_cases, stability_rows
+from loi_core.plugins.backends import Backend
+from loi_core.plugins.registry import available_backends, load_backend
+from loi_core.stability import StabilityRow, hard_cases, stability_rows
 
 __all__ = ["examine_stability", "stability_lines"]
 

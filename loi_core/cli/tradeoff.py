@@ -13,12 +13,12 @@ from tqdm import tqdm
 
 from loi_core.cli.demo import make_disks, make_photograph
 from loi_core.errors import OptionError, SceneError
-from loi_core.experiment import initial_image
-from loi_core.files import check_writable
-from loi_core.images import FloatImage, read_image
+from loi_core.io.files import check_writable
+from loi_core.io.images import FloatImage, read_image
+from loi_core.method.scales import ScaleSpace
 from loi_core.report import tradeoff_lines, write_tradeoff
-from loi_core.scales import ScaleSpace
-from loi_core.scene import load_scene
+from loi_core.scenes.experiment import initial_image
+from loi_core.scenes.reading import load_scene
 from loi_core.tradeoff import Problem, measure
 
 __all__ = ["BUNDLED", "DEFAULT", "show_tradeoff"]

@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 
 from loi_core.errors import OptionError
-from loi_core.messages import shown
-from loi_core.values import real_number
+from loi_core.support.values import real_number
+from loi_core.support.wording import shown
 
 __all__ = ["allocate", "whole_samples"]
 

@@ -9,8 +9,8 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from loi_core.arrays import to_numpy
 from loi_core.effects.statistics import Draws
+from loi_core.support.arrays import to_numpy
 
 __all__ = ["AGREE", "CLEAR", "Evidence", "Holding"]
 

@@ -8,8 +8,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from loi_core.errors import OptionError
-from loi_core.messages import shown
-from loi_core.tables import markdown
+from loi_core.support.markdown import markdown
+from loi_core.support.wording import shown
 
 __all__ = ["Capability", "Choice", "Effect", "EffectPlan"]
 

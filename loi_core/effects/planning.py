@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any, Protocol, runtime_checkable
 
-from loi_core.arrays import Array
 from loi_core.effects.model import EffectPlan
-from loi_core.renderer import Parameters, Renderer
-from loi_core.state import FitStep
+from loi_core.fitting.state import FitStep
+from loi_core.renderers.contract import Parameters, Renderer
+from loi_core.support.arrays import Array
 
 __all__ = ["PlanningRenderer"]
 

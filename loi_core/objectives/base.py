@@ -9,7 +9,12 @@ from typing import Any, Final, Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
-from loi_core.arrays import (
+from loi_core.errors import ImageError, ImageTypeError
+from loi_core.method.ways import BY_ARRAYS, Way
+from loi_core.pixels.layout import Layout, check_channel_axis
+from loi_core.pixels.nonfinite import NanPolicy, check_nan_policy, require_finite
+from loi_core.pixels.tone_curve import LogTone, check_tone
+from loi_core.support.arrays import (
     Array,
     as_floating,
     detached,
@@ -24,10 +29,6 @@ from loi_core.arrays import (
     to_numpy,
     widened,
 )
-from loi_core.errors import ImageError, ImageTypeError
-from loi_core.layout import Layout, check_channel_axis
-from loi_core.nonfinite import NanPolicy, check_nan_policy, require_finite
-from loi_core.tone import LogTone, check_tone
 
 __all__ = ["Evaluation", "ImageObjective", "Objective"]
 
@@ -180,7 +181,7 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
 
     def prepare(self, shape: tuple[int, ...], like: Array) -> None:
         """Make the reference ready for images of `shape` and arrays like `like`, for :meth:`evaluate_unchecked`."""
-        self._ready_for(widened(like), Layout.of("image", shape, self._channel_axis), on_host=False)
+        self._ready_for(widened(like), Layout.of("image", shape, self._channel_axis), BY_ARRAYS)
 
     def check_shape(self, shape: tuple[int, ...]) -> None:
         """Raise :class:`ImageError` if images of `shape` cannot be compared; evaluating does so by itself."""
@@ -204,25 +205,48 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
         return narrowed(_total(terms), image), None if slope is None else narrowed(slope, image)
 
     @abc.abstractmethod
-    def _prepare(self, reference: Array) -> PreparedT:
-        """All that depends on the reference alone; `reference` has shape (N, H, W)."""
+    def prepare_reference(self, reference: Array) -> PreparedT:
+        """Make once what depends on the reference alone. For those who write an objective; see :meth:`compare_planes`.
 
-    def _compares_on_host(self, image: Array) -> bool:  # noqa: ARG002  # for those who override it
-        """Whether images like this, of whatever library, are handed to :meth:`_evaluate` as NumPy arrays."""
-        return False
+        Parameters
+        ----------
+        reference : array, shape (N, H, W)
+            Every channel of every image of the batch is a plane; finite, and past the tone curve.
+        """
 
     @abc.abstractmethod
-    def _evaluate(self, planes: Array, prepared: PreparedT, *, gradient: bool) -> Evaluation[KeyT]:
-        """Terms, averaged over all planes and pixels, and their gradient; `planes` has shape (N, H, W)."""
+    def compare_planes(self, planes: Array, prepared: PreparedT, *, gradient: bool) -> Evaluation[KeyT]:
+        """Compare an image with the reference. For those who write an objective: this is all there is to compute.
+
+        Layouts, batches, dtypes, pixels that are not finite and the tone curve have been seen to.
+
+        Parameters
+        ----------
+        planes : array, shape (N, H, W)
+            Of the same library, dtype and device as the reference that was prepared.
+        prepared : object
+            What :meth:`prepare_reference` made.
+        gradient : bool
+            Whether the gradient by `planes` is wanted.
+
+        Returns
+        -------
+        Evaluation
+            Terms that sum to the value, a mean over all planes and pixels, and the gradient.
+        """
+
+    def choose_way(self, image: Array) -> Way:  # noqa: ARG002  # for those who override it
+        """Where images like this are compared: in their own library, unless an objective knows better."""
+        return BY_ARRAYS
 
     def _evaluate_image(
         self, image: Array, *, gradient: bool, like: Array | None = None
     ) -> tuple[dict[KeyT, Array], Array | None]:
         image = widened(as_floating("image", image))
         layout = Layout.of("image", image.shape, self._channel_axis)
-        on_host = self._compares_on_host(image)
-        ready = self._ready_for(image if like is None else widened(like), layout, on_host=on_host)
-        here = to_numpy(image) if on_host else image
+        way = self.choose_way(image)
+        ready = self._ready_for(image if like is None else widened(like), layout, way)
+        here = way.take(image)
         planes = layout.to_planes(here)
         seen: Array | None = None
         if self._nan_policy == "raise":
@@ -235,7 +259,7 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
         compared = self._toned(planes)
         if seen is not None:
             compared = namespace(planes).where(seen, compared, ready.planes)
-        evaluation = self._evaluate(compared, ready.prepared, gradient=gradient)
+        evaluation = self.compare_planes(compared, ready.prepared, gradient=gradient)
         terms, cotangent = evaluation.terms, evaluation.gradient
         if cotangent is not None:
             cotangent = self._carried_back(planes, seen, cotangent)
@@ -243,11 +267,8 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
                 other = evaluation.better(norm(cotangent), self._largest_factor(planes))
                 cotangent = cotangent if other is None else self._carried_back(planes, seen, other)
             cotangent = layout.to_image(cotangent)
-        if on_host and not is_numpy_array(image):
-            terms = {key: from_numpy(term, image) for key, term in terms.items()}
-            if cotangent is not None:  # in one piece, so that torch's `view` can reshape it
-                cotangent = from_numpy(np.ascontiguousarray(cotangent), image)
-        return terms, cotangent
+        terms = {key: way.give(term, image) for key, term in terms.items()}
+        return terms, None if cotangent is None else way.give(cotangent, image)
 
     def _carried_back(self, planes: Array, seen: Array | None, cotangent: Array) -> Array:
         """A cotangent of what is compared, by the planes as they came: through the tone curve, 0 where not `seen`."""
@@ -264,12 +285,12 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
             return 1.0
         return float(np.max(to_numpy(self._tone.pullback(planes, namespace(planes).ones_like(planes)))))
 
-    def _ready_for(self, like: Array, layout: Layout, *, on_host: bool) -> _Ready[PreparedT]:
+    def _ready_for(self, like: Array, layout: Layout, way: Way) -> _Ready[PreparedT]:
         self._require_same_axes(layout)
-        key = (library_name(like), str(like.dtype), str(device(like)), layout.shape, on_host)
+        key = (library_name(like), str(like.dtype), str(device(like)), layout.shape, way)
         ready = self._ready.get(key)
         if ready is None:
-            ready = self._make_ready(like, layout, on_host=on_host)
+            ready = self._make_ready(like, layout, way)
             # What JAX makes while it traces is of no use once the trace has ended.
             if not is_traced(namespace(ready.planes).zeros(())):
                 # A new dict each time, as other threads may be reading the old one.
@@ -286,16 +307,16 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
             )
             raise ImageError(msg)
 
-    def _make_ready(self, like: Array, layout: Layout, *, on_host: bool) -> _Ready[PreparedT]:
+    def _make_ready(self, like: Array, layout: Layout, way: Way) -> _Ready[PreparedT]:
         planes = layout.broadcast_planes("image", self._reference_like(like), self._reference_layout)
-        planes = to_numpy(planes) if on_host else planes
+        planes = way.take(planes)
         xp = namespace(planes)
         finite: Array | None = None
         if self._nan_policy == "mask":
             finite = xp.isfinite(planes)
             planes = xp.where(finite, planes, xp.zeros_like(planes))
         planes = self._toned(planes)
-        return _Ready(planes, finite, self._prepare(planes))
+        return _Ready(planes, finite, self.prepare_reference(planes))
 
     def _toned(self, planes: Array) -> Array:
         return planes if self._tone is None else self._tone.apply(planes)

@@ -5,19 +5,21 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Final
 
-from loi_core.arrays import Array, epsilon, is_numpy_array, values_may_decide, widened
-from loi_core.comparison import ArrayComparison, Comparison, ScaleKey
-from loi_core.compiled import available, compiles, serves
 from loi_core.errors import OptionError, ScaleError
-from loi_core.messages import shown
-from loi_core.nonfinite import NanPolicy
+from loi_core.method.comparison import Comparison, ScaleKey
+from loi_core.method.compiled import available
+from loi_core.method.plan import Plan
+from loi_core.method.planner import make_plan
+from loi_core.method.sampling_error import error_of, is_within
+from loi_core.method.scales import ScaleSpace
+from loi_core.method.ways import BY_ARRAYS, BY_LOOPS, Way, way_for
 from loi_core.objectives.base import Evaluation, ImageObjective
-from loi_core.plan import Plan, make_plan
-from loi_core.sampling_error import error_of, is_within
-from loi_core.scales import ScaleSpace
-from loi_core.tonal import clip, clip_pullback
-from loi_core.tone import LogTone
-from loi_core.values import real_number
+from loi_core.pixels.bounds import clip, clip_pullback
+from loi_core.pixels.nonfinite import NanPolicy
+from loi_core.pixels.tone_curve import LogTone
+from loi_core.support.arrays import Array, epsilon, is_numpy_array, values_may_decide, widened
+from loi_core.support.values import real_number
+from loi_core.support.wording import shown
 
 __all__ = ["ACCURACIES", "LOIObjective", "ScaleKey", "gradient_tolerance"]
 
@@ -131,7 +133,8 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
         )
         return replace(plan, compiled=available())
 
-    def _prepare(self, reference: Array) -> _Prepared:
+    def prepare_reference(self, reference: Array) -> _Prepared:
+        """See :class:`ImageObjective`."""
         scales = self._scales
         plan = self.plan(*reference.shape[-2:], eps=epsilon(reference))
         prepared = _Prepared(scales, plan, clip(reference, *scales.bounds))
@@ -139,10 +142,12 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
         prepared.first(reference)
         return prepared
 
-    def _compares_on_host(self, image: Array) -> bool:
-        return serves(image)
+    def choose_way(self, image: Array) -> Way:
+        """By compiled loops where they can, in the image's own library elsewhere."""
+        return way_for(image)
 
-    def _evaluate(self, planes: Array, prepared: _Prepared, *, gradient: bool) -> Evaluation[ScaleKey]:
+    def compare_planes(self, planes: Array, prepared: _Prepared, *, gradient: bool) -> Evaluation[ScaleKey]:
+        """See :class:`ImageObjective`."""
         bounds = self._scales.bounds
         clipped = clip(planes, *bounds)
         compared = prepared.first(planes).compare(clipped, gradient=gradient)
@@ -160,10 +165,6 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
         return Evaluation(compared.terms, cotangent, better if error > 0.0 else None)
 
 
-def _by_kernels(planes: Array) -> bool:
-    return is_numpy_array(planes) and serves(planes) and compiles(str(planes.dtype))
-
-
 class _Prepared:
     """All that depends on the reference alone, by plan and by way of comparing; what is not needed yet is not made."""
 
@@ -174,28 +175,27 @@ class _Prepared:
             plan if plan.tolerance == 0.0 else make_plan(scales, plan.height, plan.width, tolerance=0.0, eps=plan.eps)
         )
         self._reference = reference  # within the bounds, shape (N, H, W)
-        self._made: dict[tuple[bool, bool], Comparison] = {}
+        self._made: dict[tuple[bool, Way], Comparison] = {}
 
     def first(self, planes: Array) -> Comparison:
         """How planes are compared at first: by the plan, if it can be checked against their values."""
-        by_kernels = _by_kernels(planes)
-        return self._get(planned=by_kernels or values_may_decide(planes), by_kernels=by_kernels)
+        way = _way_of(planes)
+        return self._get(way, planned=way is BY_LOOPS or values_may_decide(planes))
 
     def exact(self, planes: Array) -> Comparison:
         """How planes are compared where the plan cannot vouch for its accuracy."""
-        return self._get(planned=False, by_kernels=_by_kernels(planes))
+        return self._get(_way_of(planes), planned=False)
 
-    def _get(self, *, planned: bool, by_kernels: bool) -> Comparison:
+    def _get(self, way: Way, *, planned: bool) -> Comparison:
         # No lock: threads that come at once make the same twice, and a process that is forked meanwhile waits for none.
-        key = planned and self._plan is not self._exact, by_kernels
+        key = planned and self._plan is not self._exact, way
         made = self._made.get(key)
         if made is None:
-            made = self._made[key] = self._make(self._plan if key[0] else self._exact, by_kernels=by_kernels)
+            plan = self._plan if key[0] else self._exact
+            made = self._made[key] = way.comparison(self._scales, plan, self._reference)
         return made
 
-    def _make(self, plan: Plan, *, by_kernels: bool) -> Comparison:
-        if not by_kernels:
-            return ArrayComparison.of(self._scales, plan, self._reference)
-        from loi_core.compiled.comparison import KernelComparison
 
-        return KernelComparison.of(self._scales, plan, self._reference)
+def _way_of(planes: Array) -> Way:
+    """The way that planes have been taken: those for the loops are of NumPy."""
+    return way_for(planes) if is_numpy_array(planes) else BY_ARRAYS

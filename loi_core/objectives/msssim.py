@@ -9,15 +9,15 @@ from typing import Final
 
 import numpy as np
 
-from loi_core.arrays import Array, from_numpy, namespace
 from loi_core.errors import ImageError, OptionError
-from loi_core.kernels import Matrix
-from loi_core.messages import shown
-from loi_core.nonfinite import NanPolicy
+from loi_core.method.blurs import DenseBlur
+from loi_core.method.gaussian import Matrix
 from loi_core.objectives.base import Evaluation, ImageObjective
-from loi_core.operators import DenseBlur
-from loi_core.tone import LogTone
-from loi_core.values import real_number, whole_number
+from loi_core.pixels.nonfinite import NanPolicy
+from loi_core.pixels.tone_curve import LogTone
+from loi_core.support.arrays import Array, from_numpy, namespace
+from loi_core.support.values import real_number, whole_number
+from loi_core.support.wording import shown
 
 __all__ = ["MSSSIM"]
 
@@ -107,7 +107,8 @@ class MSSSIM(ImageObjective[_Prepared, str]):
         self._weights = tuple(weight / whole for weight in WEIGHTS[:count])
         self._luminance, self._contrast = ((share * extent) ** 2 for share in STABILISERS)
 
-    def _prepare(self, reference: Array) -> _Prepared:
+    def prepare_reference(self, reference: Array) -> _Prepared:
+        """See :class:`loi_core.ImageObjective`."""
         levels: list[_Level] = []
         halvings: list[DenseBlur] = []
         for _ in self._weights:
@@ -119,7 +120,8 @@ class MSSSIM(ImageObjective[_Prepared, str]):
             levels.append(_Level(reference, window, mean, window.apply(reference * reference) - mean * mean))
         return _Prepared(tuple(levels), tuple(halvings))
 
-    def _evaluate(self, planes: Array, prepared: _Prepared, *, gradient: bool) -> Evaluation[str]:
+    def compare_planes(self, planes: Array, prepared: _Prepared, *, gradient: bool) -> Evaluation[str]:
+        """See :class:`loi_core.ImageObjective`."""
         xp = namespace(planes)
         images = [planes]
         for halving in prepared.halvings:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from loi_core.arrays import Array, sum_of_all
 from loi_core.objectives.base import Evaluation, ImageObjective
+from loi_core.support.arrays import Array, sum_of_all
 
 __all__ = ["PixelL2"]
 
@@ -16,10 +16,12 @@ class PixelL2(ImageObjective[Array, str]):
     Parameters are those of :class:`ImageObjective`.
     """
 
-    def _prepare(self, reference: Array) -> Array:
+    def prepare_reference(self, reference: Array) -> Array:
+        """See :class:`loi_core.ImageObjective`."""
         return reference
 
-    def _evaluate(self, planes: Array, prepared: Array, *, gradient: bool) -> Evaluation[str]:
+    def compare_planes(self, planes: Array, prepared: Array, *, gradient: bool) -> Evaluation[str]:
+        """See :class:`loi_core.ImageObjective`."""
         weight = 1.0 / math.prod(planes.shape)
         difference = planes - prepared
         term = sum_of_all(difference * difference) * weight

@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from loi_core.arrays import Array, from_numpy, sum_of_all
 from loi_core.errors import OptionError
-from loi_core.kernels import blur_matrix
-from loi_core.messages import shown
-from loi_core.nonfinite import NanPolicy
+from loi_core.method.blurs import DenseBlur
+from loi_core.method.gaussian import blur_matrix
 from loi_core.objectives.base import Evaluation, ImageObjective
-from loi_core.operators import DenseBlur
-from loi_core.tone import LogTone
-from loi_core.values import whole_number
+from loi_core.pixels.nonfinite import NanPolicy
+from loi_core.pixels.tone_curve import LogTone
+from loi_core.support.arrays import Array, from_numpy, sum_of_all
+from loi_core.support.values import whole_number
+from loi_core.support.wording import shown
 
 __all__ = ["GaussianPyramid"]
 
@@ -59,7 +59,8 @@ class GaussianPyramid(ImageObjective[_Prepared, int]):
             raise OptionError(msg)
         self._levels = count
 
-    def _prepare(self, reference: Array) -> _Prepared:
+    def prepare_reference(self, reference: Array) -> _Prepared:
+        """See :class:`loi_core.ImageObjective`."""
         height, width = reference.shape[-2:]
         reductions, levels = [], [reference]
         for _ in range(self._levels - 1):
@@ -70,7 +71,8 @@ class GaussianPyramid(ImageObjective[_Prepared, int]):
             height, width = rows.shape[0], columns.shape[0]
         return _Prepared(reductions, levels)
 
-    def _evaluate(self, planes: Array, prepared: _Prepared, *, gradient: bool) -> Evaluation[int]:
+    def compare_planes(self, planes: Array, prepared: _Prepared, *, gradient: bool) -> Evaluation[int]:
+        """See :class:`loi_core.ImageObjective`."""
         # The pyramid is linear: the pyramid of the difference is the difference of the pyramids.
         differences = [planes - prepared.levels[0]]
         for reduction in prepared.reductions:

@@ -8,8 +8,8 @@ from typing import Any, TypeAlias
 import numpy as np
 
 from loi_core.errors import ParameterError
-from loi_core.messages import shown
-from loi_core.values import whole_number
+from loi_core.support.values import whole_number
+from loi_core.support.wording import shown
 
 __all__ = ["FloatArray", "check_dtype", "check_image", "check_parameters", "check_size", "floats"]
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from loi_core.arrays import Array, namespace
+from loi_core.support.arrays import Array, namespace
 
 __all__ = ["canvas_coverage", "disk_coverage"]
 

@@ -8,11 +8,11 @@ from typing import ClassVar
 import numpy as np
 
 from loi_core.errors import ParameterError
-from loi_core.messages import shown
 from loi_core.renderers.checks import FloatArray, check_dtype, check_parameters, check_size, floats
 from loi_core.renderers.confinement import confined
 from loi_core.renderers.coverage import disk_coverage
 from loi_core.renderers.fragments import IndexArray, disk_fragments
+from loi_core.support.wording import shown
 
 __all__ = ["Disks"]
 

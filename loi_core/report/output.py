@@ -11,13 +11,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from loi_core.arrays import to_numpy
-from loi_core.experiment import Trial, frame_steps, psnr
-from loi_core.files import write_bytes, write_text
-from loi_core.images import write_png
+from loi_core.io.files import write_bytes, write_text
+from loi_core.io.images import write_png
+from loi_core.io.result_folder import CHECKPOINT_FILE, HISTORY_FILE, PAGE_FILE, RESULT_FILE, ResultFolder
+from loi_core.pixels.psnr import psnr
 from loi_core.report.plots import convergence_plot
-from loi_core.result_folder import CHECKPOINT_FILE, HISTORY_FILE, PAGE_FILE, RESULT_FILE, ResultFolder
-from loi_core.scene import Scene
+from loi_core.scenes.experiment import Trial, frame_steps
+from loi_core.scenes.scene import Scene
+from loi_core.support.arrays import to_numpy
 
 __all__ = ["FRAMES_FOLDER", "effect_file", "summary", "write_results"]
 

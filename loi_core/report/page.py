@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Any, Final
 
 from loi_core.errors import SceneError
-from loi_core.files import read_bytes, write_text
+from loi_core.io.files import read_bytes, write_text
+from loi_core.io.result_folder import FRAME_NAME, PAGE_FILE, RESULT_FILE, is_listed
+from loi_core.plugins.baselines import is_objective_name
 from loi_core.report.output import FRAMES_FOLDER, effect_file
 from loi_core.report.plots import LABELS
-from loi_core.result_folder import FRAME_NAME, PAGE_FILE, RESULT_FILE, is_listed
-from loi_core.rivals import is_objective_name
-from loi_core.values import real_number
+from loi_core.support.values import real_number
 
 __all__ = ["Pictures", "document", "write_index", "write_page"]
 

@@ -6,7 +6,7 @@ import io
 from collections.abc import Sequence
 from typing import Any, Final
 
-from loi_core.experiment import Trial
+from loi_core.scenes.experiment import Trial
 from loi_core.tradeoff import Tradeoff
 
 __all__ = ["LABELS", "convergence_plot", "new_figure", "tradeoff_plot"]

@@ -12,11 +12,11 @@ from html import escape
 from pathlib import Path
 from typing import Any, Final
 
-from loi_core.files import write_bytes, write_text
-from loi_core.images import write_png
+from loi_core.io.files import write_bytes, write_text
+from loi_core.io.images import write_png
 from loi_core.report.page import Pictures, document
 from loi_core.report.plots import tradeoff_plot
-from loi_core.tables import markdown
+from loi_core.support.markdown import markdown
 from loi_core.tradeoff import HIDDEN, Noise, Row, Tradeoff
 
 __all__ = ["RESULT_FILE", "plain", "tradeoff_lines", "write_tradeoff"]

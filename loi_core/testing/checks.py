@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, Generic, NoReturn, TypeAlias, TypeVar
+from typing import Final, Generic, NoReturn, TypeVar
 
 import numpy as np
 
 from loi_core.errors import ConformanceError, OptionError
+from loi_core.support.arrays import Host
 
-__all__ = ["Check", "Host", "Slopes", "measure_slopes", "run_checks", "same", "slope_tolerance"]
+__all__ = ["Check", "Slopes", "measure_slopes", "run_checks", "slope_tolerance"]
 
-Host: TypeAlias = np.ndarray[Any, Any]
 SubjectT = TypeVar("SubjectT")
 
 STEPS: Final = tuple(16.0 * 4.0**-power for power in range(9))
@@ -97,11 +97,6 @@ def run_checks(
         else:
             if check.name in expected:
                 check.fail(f"passed, but was expected to fail: {expected[check.name]}")
-
-
-def same(first: Host, second: Host) -> bool:
-    """Equal to the bit, NaN equal to NaN."""
-    return first.shape == second.shape and bool(np.array_equal(first, second, equal_nan=first.dtype.kind == "f"))
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,10 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
-from loi_core.arrays import Array, as_floating, epsilon, library_name, to_numpy
 from loi_core.errors import ImageTypeError
 from loi_core.objectives.base import Objective
-from loi_core.testing.checks import Check, Host, measure_slopes, run_checks, same, slope_tolerance
+from loi_core.support.arrays import Array, Host, as_floating, epsilon, library_name, same, to_numpy
+from loi_core.testing.checks import Check, measure_slopes, run_checks, slope_tolerance
 
 __all__ = ["OBJECTIVE_CHECKS", "ObjectiveSubject", "check_objective"]
 

@@ -9,10 +9,20 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from loi_core.arrays import Array, as_floating, epsilon, from_numpy, library_name, namespace, to_numpy
 from loi_core.errors import ImageTypeError, OptionError
-from loi_core.renderer import Parameters, Pullback, Renderer
-from loi_core.testing.checks import Check, Host, Slopes, measure_slopes, run_checks, same, slope_tolerance
+from loi_core.renderers.contract import Parameters, Pullback, Renderer
+from loi_core.support.arrays import (
+    Array,
+    Host,
+    as_floating,
+    epsilon,
+    from_numpy,
+    library_name,
+    namespace,
+    same,
+    to_numpy,
+)
+from loi_core.testing.checks import Check, Slopes, measure_slopes, run_checks, slope_tolerance
 
 __all__ = ["RENDERER_CHECKS", "RendererSubject", "check_renderer"]
 

@@ -16,8 +16,8 @@ from typing import Final
 
 import numpy as np
 
-from loi_core.backends import Backend, Host
-from loi_core.scales import ScaleSpace
+from loi_core.method.scales import ScaleSpace
+from loi_core.plugins.backends import Backend, Host
 from loi_core.tradeoff.memory import peak_memory, restart_peak
 from loi_core.tradeoff.settings import Setting
 

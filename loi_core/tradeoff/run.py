@@ -9,14 +9,15 @@ from typing import TypeAlias
 
 import numpy as np
 
-from loi_core.backends import Host
 from loi_core.errors import BackendNotFoundError, OptionError
-from loi_core.foreign import is_ctrl_c
-from loi_core.messages import told
+from loi_core.method.scales import ScaleSpace
 from loi_core.objectives import LOIObjective
-from loi_core.registry import available_backends, load_backend
-from loi_core.scales import ScaleSpace
-from loi_core.scene import Scene, load_scene
+from loi_core.plugins.backends import Host
+from loi_core.plugins.registry import available_backends, load_backend
+from loi_core.scenes.reading import load_scene
+from loi_core.scenes.scene import Scene
+from loi_core.support.guards import is_ctrl_c
+from loi_core.support.wording import told
 from loi_core.tradeoff.choice import Recommendation, pareto_set, recommend
 from loi_core.tradeoff.noise import Noise, PulledBack, is_stochastic, renderer_noise
 from loi_core.tradeoff.rows import Row, measure_setting

@@ -7,8 +7,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 from loi_core.errors import ScaleError
+from loi_core.method.scales import ScaleSpace
 from loi_core.objectives.loi import ACCURACIES
-from loi_core.scales import ScaleSpace
 
 __all__ = ["DEFAULT_ACCURACY", "Setting", "settings_of"]
 

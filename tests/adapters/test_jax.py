@@ -16,9 +16,9 @@ import pytest
 import loi_jax
 from loi_core import LOIObjective, ScaleSpace
 from loi_core.errors import ImageError, NonFiniteImageError
-from loi_core.nonfinite import NanPolicy
+from loi_core.method.tonal import accumulate
+from loi_core.pixels.nonfinite import NanPolicy
 from loi_core.testing import check_objective
-from loi_core.tonal import accumulate
 from tests.helpers import by_arrays, images
 
 SCALES = ScaleSpace.paper("path")

@@ -14,8 +14,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 import loi_jax
-from loi_core import LogTone, LOIObjective, ScaleSpace, compiled
-from loi_core.nonfinite import NanPolicy
+from loi_core import LogTone, LOIObjective, ScaleSpace
+from loi_core.method import compiled
+from loi_core.pixels.nonfinite import NanPolicy
 from tests.conformance.test_backends import TONES, Problem, problems
 from tests.helpers import by_arrays, images
 

@@ -21,8 +21,8 @@ from loi_core import MSSSIM, LogTone, PixelL2
 from loi_core.cli import main
 from loi_core.cli.doctor import findings
 from loi_core.errors import ImageError, OptionError, WeightsError
-from loi_core.images import write_png
-from loi_core.scene import load_scene
+from loi_core.io.images import write_png
+from loi_core.scenes.reading import load_scene
 from loi_core.testing import check_objective
 from loi_torch import LPIPS, lpips, lpips_weights
 from loi_torch.lpips_weights import read_weights, unpickled_arrays

@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 import loi_jax.renderers
 import loi_torch.renderers
 from loi_core import LOIObjective, ProjectingRenderer, Renderer, ScaleSpace, fit, renderers
-from loi_core.arrays import from_numpy, library_name, to_numpy
 from loi_core.errors import ParameterError
+from loi_core.support.arrays import from_numpy, library_name, to_numpy
 from loi_core.testing import RendererSubject, parametrize_with_checks
 from tests.helpers import Host, relative_error
 

@@ -14,7 +14,8 @@ from torch.autograd import forward_ad
 
 from loi_core import LOIObjective, ScaleSpace
 from loi_core.errors import DerivativeError, ImageError, ImageTypeError, NonFiniteImageError
-from loi_core.testing import allowed, check_objective
+from loi_core.stability import allowed
+from loi_core.testing import check_objective
 from loi_torch import LOILoss, loi_loss
 from tests.helpers import images
 

@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from loi_core.errors import SvgError
-from loi_core.scene import load_scene
+from loi_core.scenes.reading import load_scene
 from loi_torch.vector import Circle, Ellipse, Outline, Paint, Path, Rectangle, Vector, read_svg, write_svg
 
 NUMBERS = st.floats(-100.0, 100.0)

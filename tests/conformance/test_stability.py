@@ -1,6 +1,6 @@
 """Hard cases stay stable: on every backend, in every dtype, whatever the catalogue holds.
 
-The catalogue is `loi_core.testing.hard_cases`, the bounds are derived in `loi_core.testing.bounds`. JAX compiles each
+The catalogue is `loi_core.testing.hard_cases`, the bounds are derived in `loi_core.stability.bounds`. JAX compiles each
 operation for each shape, and each case anew under ``jit``, in seconds. So in float32 here, and only there, JAX runs
 the cases of the usual shape and scales, and compiled those of :data:`COMPILED`; ``loi doctor --stability`` runs all.
 """
@@ -22,21 +22,20 @@ import pytest
 import torch
 
 from loi_core import LOIObjective, ScaleSpace
-from loi_core.arrays import Array, to_numpy
-from loi_core.backends import Backend, Evaluate, NumPy
-from loi_core.nonfinite import NanPolicy
-from loi_core.testing import (
+from loi_core.method.reference import DOUBLE, direct
+from loi_core.pixels.nonfinite import NanPolicy
+from loi_core.plugins.backends import Backend, Evaluate, NumPy
+from loi_core.stability import (
     PROPERTIES,
     HardCase,
     StabilityProperty,
     StabilityRow,
     allowed,
-    direct,
     hard_cases,
     stability_rows,
 )
-from loi_core.testing.direct import DOUBLE
-from loi_core.testing.trial import Trial, trials_of, try_case
+from loi_core.stability.trial import Trial, trials_of, try_case
+from loi_core.support.arrays import Array, to_numpy
 from loi_jax.backend import Jax
 from loi_mitsuba.backend import Mitsuba
 from loi_torch.backend import Torch

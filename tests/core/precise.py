@@ -8,7 +8,7 @@ import mpmath
 import numpy as np
 
 from loi_core import ScaleSpace
-from loi_core.distance import TIE_ROUNDINGS
+from loi_core.method.distance import TIE_ROUNDINGS
 from tests.helpers import Host
 
 DIGITS = 40

@@ -16,14 +16,17 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from loi_core import LogTone, LOIObjective, ScaleSpace
-from loi_core.comparison import ArrayComparison, Compared
-from loi_core.compiled import bands
-from loi_core.compiled.comparison import KernelComparison
-from loi_core.kernels import AxisBlur, AxisGrid, as_slow_as, coarsest_spacing, rung_variance
-from loi_core.operators import _CACHE, PlaneGrid
-from loi_core.plan import make_plan
-from loi_core.sampling_error import error_of
-from loi_core.testing import allowed, check_objective, direct
+from loi_core.method.array_comparison import ArrayComparison
+from loi_core.method.blurs import _CACHE, PlaneGrid
+from loi_core.method.comparison import Compared
+from loi_core.method.compiled import bands
+from loi_core.method.compiled.loop_comparison import LoopComparison
+from loi_core.method.gaussian import AxisBlur, AxisGrid, as_slow_as, coarsest_spacing, rung_variance
+from loi_core.method.planner import make_plan
+from loi_core.method.reference import direct
+from loi_core.method.sampling_error import error_of
+from loi_core.stability import allowed
+from loi_core.testing import check_objective
 from loi_jax import loi_loss
 from tests.core.contents import CONTENTS, HARD
 from tests.helpers import Host, by_arrays
@@ -120,7 +123,7 @@ def test_kernels_and_arrays_doubt_the_same(kind: str, dtype: str, seed: int) -> 
     scales = ScaleSpace.paper("path")
     plan = LOIObjective(reference, scales, "balanced").plan()
     planes = [np.moveaxis(np.clip(each, 0.0, 1.0), -1, 0) for each in (image, reference)]
-    ways = KernelComparison.of(scales, plan, planes[1]), ArrayComparison.of(scales, plan, planes[1])
+    ways = LoopComparison.of(scales, plan, planes[1]), ArrayComparison.of(scales, plan, planes[1])
     found = [way.compare(planes[0], gradient=True) for way in ways]
     assert plan.is_sampled
     errors = [error_of(one.misplaced) for one in found]

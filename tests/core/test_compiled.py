@@ -19,19 +19,20 @@ import torch
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from loi_core import LOIObjective, ScaleSpace, compiled
-from loi_core.arrays import Array
-from loi_core.compiled import CompiledLoopsWarning, compiling, program, threads
-from loi_core.compiled.arena import Arena
-from loi_core.compiled.bands import Band, band_back, band_forth
-from loi_core.compiled.comparison import KernelComparison
-from loi_core.compiled.exponential import exponential
-from loi_core.compiled.inner import InnerBlur
-from loi_core.compiled.kernels import compare_levels
-from loi_core.compiled.tables import GROUP
-from loi_core.kernels import AxisBlur, AxisGrid
-from loi_core.objectives import loi
-from loi_core.operators import PlaneBlur, PlaneGrid
+from loi_core import LOIObjective, ScaleSpace
+from loi_core.method import compiled
+from loi_core.method.blurs import PlaneBlur, PlaneGrid
+from loi_core.method.compiled import CompiledLoopsWarning, compiling, program, threads
+from loi_core.method.compiled.arena import Arena
+from loi_core.method.compiled.bands import Band, band_back, band_forth
+from loi_core.method.compiled.exponential import exponential
+from loi_core.method.compiled.inner import InnerBlur
+from loi_core.method.compiled.levels import compare_levels
+from loi_core.method.compiled.loop_comparison import LoopComparison
+from loi_core.method.compiled.records import GROUP
+from loi_core.method.gaussian import AxisBlur, AxisGrid
+from loi_core.method.ways import BY_ARRAYS, BY_LOOPS, way_for
+from loi_core.support.arrays import Array
 from tests.conformance.test_backends import Problem, apart, problems
 from tests.core.contents import CONTENTS
 from tests.helpers import Host, by_arrays
@@ -252,7 +253,7 @@ def test_kernels_are_compiled_once_for_a_dtype_whatever_the_layout() -> None:
 FORKS = """
 import os, numpy as np
 from loi_core import LOIObjective, ScaleSpace
-from loi_core.compiled import compiling, threads
+from loi_core.method.compiled import compiling, threads
 threads.thread_count = lambda: 3
 image, reference = np.random.default_rng(0).uniform(size=(2, 80, 70, 3))
 objective = LOIObjective(reference, ScaleSpace.paper("path"))
@@ -366,7 +367,7 @@ def test_kernels_that_cannot_be_compiled_leave_it_to_arrays(monkeypatch: pytest.
     image, reference = np.random.default_rng(0).uniform(size=(2, 20, 30, 1))
     value = float(LOIObjective(reference).value(image))
     monkeypatch.setattr(compiled, "_NUMBA", compiled._Numba())
-    monkeypatch.setattr(KernelComparison, "compare", full)
+    monkeypatch.setattr(LoopComparison, "compare", full)
     with pytest.warns(CompiledLoopsWarning, match="OSError: no space left on device"):
         assert float(LOIObjective(reference).value(image)) == pytest.approx(value, rel=1e-12)
     assert not compiled.available()
@@ -381,7 +382,7 @@ def test_an_error_of_ours_is_no_failure_of_numba(monkeypatch: pytest.MonkeyPatch
     image, reference = np.random.default_rng(0).uniform(size=(2, 20, 30, 1))
     objective = LOIObjective(reference)
     objective.value(image)
-    monkeypatch.setattr(KernelComparison, "compare", fail)
+    monkeypatch.setattr(LoopComparison, "compare", fail)
     with pytest.raises(ZeroDivisionError, match="a mistake"):
         objective.value(image)
     assert compiled.available()
@@ -431,20 +432,18 @@ def test_what_fails_in_a_thread_is_raised() -> None:
     ],
 )
 def test_kernels_are_for_host_arrays_that_no_framework_differentiates(planes: Array, wanted: bool) -> None:
-    assert compiled.serves(planes) is wanted
+    assert (way_for(planes) is BY_LOOPS) is wanted
 
 
 def test_what_jax_traces_has_no_values_to_compare() -> None:
     served = []
-    jax.jit(lambda planes: served.append(compiled.serves(planes)))(jnp.zeros((1, 2, 2), jnp.float32))
-    assert served == [False]
+    jax.jit(lambda planes: served.append(way_for(planes)))(jnp.zeros((1, 2, 2), jnp.float32))
+    assert served == [BY_ARRAYS]
 
 
-def test_without_numba_arrays_do_it_and_the_plan_says_so() -> None:
+def test_without_numba_arrays_do_it_and_the_plan_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     objective = LOIObjective(np.zeros((4, 4, 3)))
     assert "Numba" in str(objective.plan())
-    with pytest.MonkeyPatch.context() as patch:
-        for module in (compiled, loi):
-            patch.setattr(module, "available", lambda: False)
-        assert not compiled.serves(np.zeros((1, 2, 2)))
-        assert "Numba" not in str(objective.plan())
+    monkeypatch.setenv("LOI_COMPILED", "0")
+    assert way_for(np.zeros((1, 2, 2))) is BY_ARRAYS
+    assert "Numba" not in str(objective.plan())

@@ -11,10 +11,10 @@ import pytest
 import torch
 
 from loi_core import GaussianPyramid, LOIObjective, PixelL2, ScaleSpace, inner_images, isophotes
-from loi_core.arrays import namespace
-from loi_core.plan import make_plan
-from loi_core.testing import direct
-from loi_core.tonal import accumulate
+from loi_core.method.planner import make_plan
+from loi_core.method.reference import direct
+from loi_core.method.tonal import accumulate
+from loi_core.support.arrays import namespace
 from tests.helpers import Host, images
 
 SINGLE = float(np.finfo(np.float32).eps)

@@ -8,9 +8,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from loi_core.kernels import blur_matrix
-from loi_core.operators import gaussian_blur
-from loi_core.scales import Boundary
+from loi_core.method.blurs import gaussian_blur
+from loi_core.method.gaussian import blur_matrix
+from loi_core.method.scales import Boundary
 
 SIZES = st.integers(1, 40)
 SCALE = st.one_of(st.just(0.0), st.floats(1e-3, 400.0))

@@ -11,17 +11,18 @@ import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-from loi_core import LOIObjective, ScaleSpace, comparison
-from loi_core.arrays import Array
-from loi_core.compiled import comparison as kernels
-from loi_core.compiled.program import Program, Wiring
-from loi_core.compiled.tables import EdgeColumn, PassColumn
-from loi_core.distance import sum_of_costs
-from loi_core.kernels import AxisBlur, AxisGrid
-from loi_core.operators import GaussianBlur, PlaneBlur, PlaneGrid
-from loi_core.scales import Boundary
-from loi_core.scope import Scope
-from loi_core.windows import Window, window_of
+from loi_core import LOIObjective, ScaleSpace
+from loi_core.method import array_comparison as arrays
+from loi_core.method.blurs import GaussianBlur, PlaneBlur, PlaneGrid
+from loi_core.method.compiled import loop_comparison as kernels
+from loi_core.method.compiled.program import Program, Wiring
+from loi_core.method.compiled.records import EdgeColumn, PassColumn
+from loi_core.method.distance import sum_of_costs
+from loi_core.method.gaussian import AxisBlur, AxisGrid
+from loi_core.method.scales import Boundary
+from loi_core.method.scope import Scope
+from loi_core.method.windows import Window, window_of
+from loi_core.support.arrays import Array
 from tests.conformance.test_backends import apart
 from tests.core.contents import CONTENTS
 from tests.helpers import Host, by_arrays
@@ -34,7 +35,7 @@ SIDES = st.integers(1, 90)  # where every bound is derived pixel by pixel
 def everything_computed() -> Iterator[None]:
     """As where values cannot be looked at."""
     with by_arrays(), pytest.MonkeyPatch.context() as patch:
-        patch.setattr(comparison, "values_may_decide", lambda _: False)
+        patch.setattr(arrays, "values_may_decide", lambda _: False)
         yield
 
 
@@ -128,7 +129,7 @@ def test_equal_images_take_no_comparison(way: Callable[[], AbstractContextManage
     image = np.random.default_rng(0).uniform(size=(30, 40, 3))
     objective = LOIObjective(image, ScaleSpace.paper("path"))
     with way(), pytest.MonkeyPatch.context() as patch:
-        patch.setattr(comparison, "weights_and_slopes", None)
+        patch.setattr(arrays, "weights_and_slopes", None)
         patch.setattr(kernels, "compare_levels", None)
         value, gradient = objective.value_and_grad(image.copy())
     assert float(value) == 0.0
@@ -148,7 +149,7 @@ def test_a_small_difference_takes_a_small_part_of_the_work() -> None:
 
     objective = LOIObjective(reference, ScaleSpace(0, 1, 0.125))
     with by_arrays(), pytest.MonkeyPatch.context() as patch:
-        patch.setattr(comparison, "sum_of_costs", counting)
+        patch.setattr(arrays, "sum_of_costs", counting)
         objective.value_and_grad(image)
     reached = 10 + 2 * 9  # pixels a side: the kernel ends after 8.6 pixels
     assert 0 < sum(blurred) <= 17 * reached**2

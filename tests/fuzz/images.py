@@ -16,7 +16,7 @@ import numpy as np
 import OpenEXR
 from PIL import Image
 
-from loi_core.images import read_image
+from loi_core.io.images import read_image
 from tests.fuzz.claims import Call, marked
 from tests.fuzz.damage import damaged
 from tests.helpers import Host

@@ -13,10 +13,10 @@ from unittest import mock
 
 import numpy as np
 
-from loi_core import registry
 from loi_core.errors import LoiError
-from loi_core.experiment import initial_image
-from loi_core.scene import load_scene
+from loi_core.plugins import registry
+from loi_core.scenes.experiment import initial_image
+from loi_core.scenes.reading import load_scene
 from tests.fuzz.claims import Call, fail
 from tests.fuzz.damage import damaged
 from tests.fuzz.scenes import SCENE, lay_out, spelled
@@ -215,7 +215,7 @@ def factories(rng: random.Random, folder: Path) -> Call:
         return made
 
     def load() -> str:
-        with mock.patch("loi_core.scene.load_renderer", return_value=factory):
+        with mock.patch("loi_core.scenes.reading.load_renderer", return_value=factory):
             try:
                 initial_image(load_scene(folder / "scene.toml"))
             except MemoryError:

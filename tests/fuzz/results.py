@@ -16,9 +16,9 @@ import numpy as np
 
 from loi_core import PixelL2, fit
 from loi_core.errors import FitError
-from loi_core.experiment import _earlier_psnr
 from loi_core.renderers import Disks
 from loi_core.report import write_page
+from loi_core.scenes.experiment import _earlier_psnr
 from tests.fuzz.claims import Call, marked
 from tests.fuzz.damage import damaged
 

@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from loi_core.cli.demo import DISKS_SCENE, PHOTOGRAPH_SCENE
-from loi_core.experiment import initial_image
-from loi_core.images import write_png
+from loi_core.io.images import write_png
 from loi_core.renderers import Disks
-from loi_core.scene import FIT_KEYS, FREE_KEYS, OBJECTIVE_KEYS, SCALE_KEYS, TOP_KEYS, load_scene
+from loi_core.scenes.experiment import initial_image
+from loi_core.scenes.reading import FIT_KEYS, FREE_KEYS, OBJECTIVE_KEYS, SCALE_KEYS, TOP_KEYS, load_scene
 from tests.fuzz.claims import Call
 from tests.fuzz.damage import damaged
 

@@ -17,15 +17,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from loi_core import PixelL2, fit, registry
-from loi_core.checkpoint import load_checkpoint
+from loi_core import PixelL2, fit
 from loi_core.cli import main
 from loi_core.errors import FitError, ImageFileError, OptionError, ParameterError, RendererError, SceneError
-from loi_core.experiment import initial_image
-from loi_core.images import read_image
+from loi_core.fitting.checkpoint import load_checkpoint
+from loi_core.io.images import read_image
+from loi_core.method.scales import ScaleSpace
+from loi_core.plugins import registry
 from loi_core.renderers import Disks
-from loi_core.scales import ScaleSpace
-from loi_core.scene import load_scene
+from loi_core.scenes.experiment import initial_image
+from loi_core.scenes.reading import load_scene
 from tests.fuzz.images import _exr_bomb, png_chunk, whole_exr
 from tests.fuzz.results import RENDERER, STEPS, TARGET, WHOLE
 from tests.fuzz.scenes import SCENE, lay_out, spelled
@@ -332,7 +333,7 @@ def test_a_renderer_of_others_fails_in_one_line(
 ) -> None:
     document = {**SCENE, "renderer": {"name": "foreign"}, "optimise": {"positions": {}}}
     (folder / "scene.toml").write_text(spelled(document))
-    monkeypatch.setattr("loi_core.scene.load_renderer", lambda name: lambda: made())
+    monkeypatch.setattr("loi_core.scenes.reading.load_renderer", lambda name: lambda: made())
     with pytest.raises(error, match=says):
         initial_image(load_scene(folder / "scene.toml"))
 

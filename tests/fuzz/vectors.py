@@ -9,7 +9,7 @@ from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
-from loi_core.arrays import to_numpy
+from loi_core.support.arrays import to_numpy
 from loi_torch.vector import Vector
 from tests.fuzz.claims import Call
 from tests.fuzz.damage import damaged

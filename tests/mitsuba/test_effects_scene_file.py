@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from loi_core.cli import main
-from loi_core.images import write_png
+from loi_core.io.images import write_png
 from loi_mitsuba import MitsubaRenderer, Translate
 from tests.mitsuba.test_scene_file import GOAL, SCENE, XML
 

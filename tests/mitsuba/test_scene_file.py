@@ -11,8 +11,8 @@ import pytest
 
 from loi_core.cli import main
 from loi_core.errors import SceneError
-from loi_core.images import write_png
-from loi_core.scene import load_scene
+from loi_core.io.images import write_png
+from loi_core.scenes.reading import load_scene
 from loi_mitsuba import MitsubaRenderer, Rotate, Scale, Translate
 
 GOAL = [0.9, -0.5, 0.0]

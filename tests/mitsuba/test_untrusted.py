@@ -14,7 +14,7 @@ import pytest
 
 from loi_core.cli import main
 from loi_core.errors import OptionError
-from loi_core.images import write_png
+from loi_core.io.images import write_png
 from loi_mitsuba import MitsubaRenderer, SceneLoadError, Translate
 from loi_mitsuba.untrusted import LIBRARY_SUFFIXES
 

@@ -10,12 +10,12 @@ from typing import Any
 
 import pytest
 
-from loi_core import registry
 from loi_core.cli import main
+from loi_core.plugins import registry
 
 Plugins = Callable[..., None]
 
-NUMPY = EntryPoint("numpy", "loi_core.backends:NumPy", registry.BACKEND_GROUP)
+NUMPY = EntryPoint("numpy", "loi_core.plugins.backends:NumPy", registry.BACKEND_GROUP)
 
 
 def tradeoff(output: Path, capsys: pytest.CaptureFixture[str], *arguments: str, code: int = 0) -> dict[str, Any]:

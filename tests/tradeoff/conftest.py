@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from loi_core import registry
+from loi_core.plugins import registry
 from tests.helpers import images
 from tests.tradeoff.command import NUMPY, Plugins
 

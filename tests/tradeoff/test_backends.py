@@ -12,9 +12,10 @@ import numpy as np
 import pytest
 import torch
 
-from loi_core import LOIObjective, ScaleSpace, registry
-from loi_core.backends import BFLOAT16_PRODUCTS, Backend, NumPy
+from loi_core import LOIObjective, ScaleSpace
 from loi_core.cli import main
+from loi_core.plugins import registry
+from loi_core.plugins.backends import BFLOAT16_PRODUCTS, Backend, NumPy
 from loi_core.tradeoff import Setting, rows
 from loi_core.tradeoff.memory import peak_memory
 from tests.environments import ROOT
@@ -24,7 +25,7 @@ from tests.tradeoff.command import NUMPY, Plugins, tradeoff
 BROKEN = """\
 import os
 
-from loi_core.backends import NumPy
+from loi_core.plugins.backends import NumPy
 
 
 class Refuses:
@@ -159,7 +160,7 @@ def test_a_larger_image_takes_more_memory() -> None:
         pytest.skip("the system does not tell")
     setting = Setting("numpy", "exact", "float64", ScaleSpace(1, 4, 0.125))
     small, large = (
-        rows.measure_setting("loi_core.backends:NumPy", setting, *images((size, size, 3), 0), 1e-3)
+        rows.measure_setting("loi_core.plugins.backends:NumPy", setting, *images((size, size, 3), 0), 1e-3)
         for size in (16, 192)
     )
     assert isinstance(small, rows.Sample)

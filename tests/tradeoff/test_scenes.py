@@ -11,10 +11,11 @@ from typing import Any, ClassVar
 import numpy as np
 import pytest
 
-from loi_core import LogTone, LOIObjective, registry
+from loi_core import LogTone, LOIObjective
 from loi_core.cli import main
 from loi_core.cli.demo import make_disks
-from loi_core.scene import load_scene
+from loi_core.plugins import registry
+from loi_core.scenes.reading import load_scene
 from loi_core.tradeoff import HIDDEN, Setting, noise, rows, run
 from tests.helpers import Host
 from tests.tradeoff.command import NUMPY, Plugins, tradeoff

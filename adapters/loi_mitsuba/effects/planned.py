@@ -10,13 +10,13 @@ from typing import Any, Final
 
 import numpy as np
 
-from loi_core.arrays import to_numpy
 from loi_core.effects import Effect, EffectPlan, Holding, Schedule, Sizes
 from loi_core.errors import OptionError, ParameterError
-from loi_core.fitting import FitStep
-from loi_core.messages import shown
+from loi_core.fitting.loop import FitStep
 from loi_core.objectives.base import Objective
-from loi_core.values import real_number
+from loi_core.support.arrays import to_numpy
+from loi_core.support.values import real_number
+from loi_core.support.wording import shown
 from loi_mitsuba.effects.images import effect_images
 from loi_mitsuba.effects.pilot import Pilot
 from loi_mitsuba.effects.probe import Probe

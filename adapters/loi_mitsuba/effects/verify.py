@@ -10,10 +10,10 @@ from typing import Any
 
 from loi_core.effects import Comparison, Draws, compare
 from loi_core.errors import OptionError
-from loi_core.messages import shown
 from loi_core.objectives.base import Objective
-from loi_core.renderer import Renderer
-from loi_core.values import whole_number
+from loi_core.renderers.contract import Renderer
+from loi_core.support.values import whole_number
+from loi_core.support.wording import shown
 
 __all__ = ["Verification", "step_draws", "steps_in_turn", "verification"]
 

@@ -15,10 +15,10 @@ import torch
 from torch import Tensor
 from torch.autograd.function import FunctionCtx, once_differentiable
 
-from loi_core.arrays import to_numpy
 from loi_core.errors import ParameterError
 from loi_core.renderers.checks import FloatArray
 from loi_core.renderers.fragments import IndexArray, painting_order
+from loi_core.support.arrays import to_numpy
 
 __all__ = ["FARTHEST", "Edges", "Painting", "check_near", "cover"]
 

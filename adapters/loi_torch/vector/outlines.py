@@ -9,9 +9,9 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from loi_core.arrays import to_numpy
 from loi_core.renderers.checks import FloatArray
 from loi_core.renderers.fragments import IndexArray
+from loi_core.support.arrays import to_numpy
 from loi_torch.painted import Tensors
 from loi_torch.vector.table import Table
 

@@ -9,11 +9,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from loi_core.arrays import to_numpy
 from loi_core.errors import ParameterError
-from loi_core.messages import shown
 from loi_core.renderers.checks import FloatArray, check_size, floats
 from loi_core.renderers.fragments import IndexArray
+from loi_core.support.arrays import to_numpy
+from loi_core.support.wording import shown
 from loi_torch.painted import Painted, Tensors
 from loi_torch.vector.coverage import Edges, Painting, check_near, cover
 from loi_torch.vector.outlines import Ring, Rings, ring_points, spread

@@ -10,8 +10,8 @@ from typing import Literal, TypeAlias, get_args
 import numpy as np
 
 from loi_core.errors import ParameterError
-from loi_core.messages import shown
 from loi_core.renderers.checks import FloatArray, floats
+from loi_core.support.wording import shown
 
 __all__ = ["Cap", "Circle", "Ellipse", "Join", "Outline", "Paint", "Path", "Rectangle", "Rule", "Shape", "polygon"]
 

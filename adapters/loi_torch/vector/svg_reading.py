@@ -12,9 +12,9 @@ from xml.parsers import expat
 import numpy as np
 
 from loi_core.errors import SvgError
-from loi_core.files import read_bytes
-from loi_core.messages import shown, told
+from loi_core.io.files import read_bytes
 from loi_core.renderers.checks import FloatArray
+from loi_core.support.wording import shown, told
 from loi_torch.vector.coverage import FARTHEST
 from loi_torch.vector.shapes import Path, Shape
 from loi_torch.vector.svg_colours import CORNERS, NAMESPACE

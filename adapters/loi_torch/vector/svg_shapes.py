@@ -11,8 +11,8 @@ import numpy as np
 import svgelements as svg
 
 from loi_core.errors import LoiError, SvgError
-from loi_core.messages import shown, told
 from loi_core.renderers.checks import FloatArray
+from loi_core.support.wording import shown, told
 from loi_torch.vector.shapes import Circle, Ellipse, Paint, Path, Rectangle, Shape
 from loi_torch.vector.svg_colours import CORNERS
 from loi_torch.vector.svg_paths import moved, path_outlines, without_arcs

@@ -12,8 +12,8 @@ import numpy as np
 import svgelements as svg
 
 from loi_core.errors import SvgError
-from loi_core.messages import printable, shown
 from loi_core.renderers.checks import FloatArray
+from loi_core.support.wording import printable, shown
 from loi_torch.vector.coverage import FARTHEST
 from loi_torch.vector.svg_colours import read_colour
 

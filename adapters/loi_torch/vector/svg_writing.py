@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from loi_core.files import write_text
+from loi_core.io.files import write_text
 from loi_core.renderers.checks import FloatArray, check_size, floats
 from loi_torch.vector.shapes import Circle, Ellipse, Outline, Paint, Path, Shape
 from loi_torch.vector.svg_colours import CORNERS, NAMESPACE, spell_colour

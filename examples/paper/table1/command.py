@@ -16,7 +16,7 @@ from examples.paper.table1.store import slug
 from examples.paper.table1.tables import csv_of, table_of
 from examples.paper.table1.tuning import tuning_table
 from loi_core.errors import OptionError
-from loi_core.files import check_writable, write_text
+from loi_core.io.files import check_writable, write_text
 
 __all__ = ["main"]
 

@@ -14,7 +14,7 @@ from PIL import Image, ImageDraw
 from examples.paper.table1.problem import Problem
 from examples.paper.table1.run import CURVE_STEPS, Run
 from examples.paper.table1.store import load, picture_path
-from loi_core.files import write_bytes
+from loi_core.io.files import write_bytes
 from loi_core.report.plots import new_figure
 
 __all__ = ["contact_sheet", "convergence_plot"]

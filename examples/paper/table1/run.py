@@ -14,11 +14,11 @@ from examples.paper.table1.problem import RADIUS, Column, Image, Problem
 from examples.paper.table1.renderers import BothOrders, Noisy
 from examples.paper.table1.settings import Setting
 from loi_core import fit
-from loi_core.experiment import psnr
-from loi_core.fitting import FitResult, FitStep, Free
+from loi_core.fitting.loop import FitResult, FitStep, Free
 from loi_core.objectives import MSSSIM
-from loi_core.renderer import Parameters, ProjectingRenderer
+from loi_core.pixels.psnr import psnr
 from loi_core.renderers import Disks
+from loi_core.renderers.contract import Parameters, ProjectingRenderer
 
 __all__ = ["Outcome", "Run", "carry_out", "structure"]
 

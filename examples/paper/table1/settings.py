@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, fields, replace
 from typing import Final, Literal
 
 from loi_core import ScaleSpace
-from loi_core.fitting import Decay
+from loi_core.fitting.loop import Decay
 
 __all__ = ["LABELS", "OURS", "PROTOCOLS", "PUBLISHED", "Method", "Setting"]
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from examples.paper.table1.run import Outcome, Run
-from loi_core.files import write_text
-from loi_core.images import write_png
+from loi_core.io.files import write_text
+from loi_core.io.images import write_png
 
 __all__ = ["is_done", "keep", "load", "picture_path", "slug"]
 

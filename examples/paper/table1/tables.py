@@ -12,7 +12,7 @@ from examples.paper.table1.problem import COLUMNS, Column
 from examples.paper.table1.published import PAPER
 from examples.paper.table1.run import Run
 from examples.paper.table1.store import load
-from loi_core.tables import markdown
+from loi_core.support.markdown import markdown
 
 __all__ = ["csv_of", "table_of"]
 

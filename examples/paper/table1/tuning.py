@@ -13,7 +13,7 @@ from examples.paper.table1.problem import COLUMNS
 from examples.paper.table1.run import Run
 from examples.paper.table1.settings import OURS, Method
 from examples.paper.table1.store import load
-from loi_core.tables import markdown
+from loi_core.support.markdown import markdown
 
 __all__ = ["tuning_runs", "tuning_table"]
 

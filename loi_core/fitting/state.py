@@ -1,0 +1,122 @@
+"""How far a fit has come: its steps, its best parameters, its state between two steps, and its result."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+from loi_core.fitting.adam import Moments
+from loi_core.renderers.contract import Parameters
+from loi_core.support.arrays import Array
+
+__all__ = ["Best", "FitResult", "FitStep", "State"]
+
+
+@dataclass(frozen=True)
+class FitStep:
+    """What one step found, before the parameters moved.
+
+    Attributes
+    ----------
+    step : int
+        Counted from 0.
+    value : float
+        The objective.
+    gradient_norm : float
+        Euclidean norm of the gradient by the free parameters.
+    rate : float
+        Share of the learning rate that the step took.
+    seconds : float
+        Time the step took.
+    """
+
+    step: int
+    value: float
+    gradient_norm: float
+    rate: float
+    seconds: float
+
+
+@dataclass(frozen=True)
+class FitResult:
+    """Where a fit came to.
+
+    Attributes
+    ----------
+    params : dict of arrays
+        After the last step.
+    best_params : dict of arrays
+        Those with the least value.
+    best_value : float
+        That value.
+    best_step : int
+        The step at which they were seen; equal to the number of steps if after the last.
+    image : array, shape (H, W, C)
+        Rendered from `best_params`.
+    history : tuple of FitStep
+        One entry a step.
+    """
+
+    params: Parameters
+    best_params: Parameters
+    best_value: float
+    best_step: int
+    image: Array
+    history: tuple[FitStep, ...]
+
+
+@dataclass(frozen=True)
+class Best:
+    """The parameters with the least value so far, the step at which they were seen, and their image (H, W, C)."""
+
+    params: Parameters
+    value: float
+    step: int
+    image: Array
+
+
+@dataclass(frozen=True)
+class State:
+    """Everything that moves in a fit. A fit goes from one state to the next in a single assignment.
+
+    Attributes
+    ----------
+    params : dict of arrays
+        After `step` steps.
+    moments : Moments
+        Of the optimiser, after as many.
+    step : int
+        Number of steps taken.
+    best : Best or None
+        None before the first value.
+    log : list of FitStep
+        Its first `step` entries are the history. The states of a fit share it, so that no step copies it.
+    """
+
+    params: Parameters
+    moments: Moments
+    step: int = 0
+    best: Best | None = None
+    log: list[FitStep] = field(default_factory=list)
+
+    @property
+    def history(self) -> tuple[FitStep, ...]:
+        """One entry a step taken."""
+        return tuple(self.log[: self.step])
+
+    def seen(self, value: float, image: Array) -> State:
+        """The same state, once the value and the image of its parameters are known."""
+        if self.best is not None and not value < self.best.value:
+            return self
+        return replace(self, best=Best(self.params, value, self.step, image))
+
+    def stepped(self, entry: FitStep, params: Parameters, moments: Moments) -> State:
+        """The state after one more step."""
+        self.log[self.step :] = [entry]  # past the history of this state and of all before it
+        return replace(self, params=params, moments=moments, step=self.step + 1)
+
+    def result(self) -> FitResult | None:
+        """What has been reached; None before the first value."""
+        if self.best is None:
+            return None
+        best = self.best
+        return FitResult(self.params, best.params, best.value, best.step, best.image, self.history)

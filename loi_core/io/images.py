@@ -1,0 +1,145 @@
+"""Reading and writing images: PNG, JPEG, EXR and NPY, as floating-point arrays (H, W, 3)."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+from typing import Any, Final, TypeAlias
+
+import numpy as np
+
+from loi_core.errors import ImageFileError
+from loi_core.io.exr import read_exr
+from loi_core.io.files import atomic_path, open_regular
+from loi_core.io.npy import read_npy_header, read_npy_values
+from loi_core.support.wording import told
+
+__all__ = ["IMAGE_SUFFIXES", "FloatImage", "read_image", "write_png"]
+
+FloatImage: TypeAlias = np.ndarray[Any, np.dtype[np.float64]]
+
+IMAGE_SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".exr", ".npy")
+PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
+MAX_PIXELS: Final = 64 * 1024 * 1024  # beyond this a file is taken for damage or an attack, not for a target
+MAX_SIDE: Final = 65535  # of a JPEG it can be no more; a line of millions of pixels takes decoders minutes
+MAX_PIXELS_PER_BYTE: Final = 8300  # deflate makes 1032 bytes of one, and a byte may hold eight pixels
+FEW_PIXELS: Final = 2**20  # which may be packed as tightly as they like
+
+
+def read_image(path: Path) -> FloatImage:
+    """An image file as RGB.
+
+    Parameters
+    ----------
+    path : Path
+        PNG and JPEG come out in [0, 1], turned as their EXIF orientation says; nothing is linearised. PNGs of
+        16 bits must be grey. EXR and floating-point NPY come out as stored; an NPY must be (H, W), (H, W, 1),
+        (H, W, 3) or (H, W, 4), and is divided by its greatest value if it is uint8 or uint16. Opacity is kept
+        only by NPY and PNG, as a fourth channel; grey becomes three equal channels.
+
+    Returns
+    -------
+    array, shape (H, W, 3) or (H, W, 4), float64
+
+    Raises
+    ------
+    ImageFileError
+        If the file is missing, damaged, of another kind, larger than 64 megapixels, longer than 65535 pixels, or too
+        small for as many pixels as it claims. Nothing in it is executed.
+    """
+    suffix = path.suffix.lower()
+    if suffix not in IMAGE_SUFFIXES:
+        msg = f"{path}: images must end in {', '.join(IMAGE_SUFFIXES)}"
+        raise ImageFileError(msg)
+    readers = {".npy": _read_npy, ".exr": _read_exr}
+    try:
+        if not path.is_file():
+            msg = f"{path}: no such image file"
+            raise ImageFileError(msg)
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")  # decoders warn of damage that they pass over
+            image = readers.get(suffix, _read_pillow)(path)
+    except ImageFileError:
+        raise
+    except Exception as error:  # decoders raise what they like on damaged files; all of it means the same here
+        msg = f"{path}: not a readable {suffix[1:].upper()} image ({told(error)})"
+        raise ImageFileError(msg) from error
+    return _as_colour(path, image)
+
+
+def write_png(path: Path, image: np.ndarray[Any, Any]) -> None:
+    """Write an image, shape (H, W, 3), values clipped to [0, 1], as an 8-bit PNG, whole or not at all."""
+    from PIL import Image
+
+    clipped = np.clip(np.nan_to_num(np.asarray(image, dtype=np.float64)), 0.0, 1.0)
+    with atomic_path(path) as temporary:
+        Image.fromarray(np.rint(clipped * 255.0).astype(np.uint8)).save(temporary, format="PNG")
+
+
+def _check_size(path: Path, height: int, width: int) -> None:
+    if height * width > MAX_PIXELS:
+        msg = f"{path}: {width} x {height} pixels are more than the {MAX_PIXELS} that are read"
+        raise ImageFileError(msg)
+    if max(height, width) > MAX_SIDE:
+        msg = f"{path}: an image of {width} x {height} pixels is longer than the {MAX_SIDE} that are read"
+        raise ImageFileError(msg)
+    packed = height * width / max(1, path.stat().st_size)
+    if height * width > FEW_PIXELS and packed > MAX_PIXELS_PER_BYTE:
+        msg = f"{path}: {width} x {height} pixels are more than a file of {path.stat().st_size} bytes can hold"
+        raise ImageFileError(msg)
+
+
+def _read_pillow(path: Path) -> np.ndarray[Any, Any]:
+    from PIL import Image, ImageOps
+
+    with path.open("rb") as stream:
+        head = stream.read(26)
+    if head.startswith(PNG_SIGNATURE) and head[24:25] == b"\x10" and head[25:26] != b"\x00":
+        msg = f"{path}: PNGs of 16 bits in colour are not read, Pillow would cut them to 8; use EXR or NPY"
+        raise ImageFileError(msg)
+    with Image.open(path, formats=["PNG", "JPEG"]) as stored:
+        _check_size(path, stored.height, stored.width)
+        picture = ImageOps.exif_transpose(stored)  # as every viewer shows it
+        if picture.mode.startswith("I"):  # 16-bit grey
+            return _scaled(picture, 65535.0)
+        has_opacity = picture.mode in ("RGBA", "LA", "PA") or "transparency" in picture.info
+        return _scaled(picture.convert("RGBA" if has_opacity else "RGB"), 255.0)
+
+
+def _read_npy(path: Path) -> np.ndarray[Any, Any]:
+    with open_regular(path) as stream:
+        header = read_npy_header(stream)
+        shape, dtype = header.shape, header.dtype
+        numbers = dtype.kind == "f" or dtype in (np.uint8, np.uint16)
+        if len(shape) not in (2, 3) or not numbers or shape[2:] not in ((), (1,), (3,), (4,)):
+            msg = (
+                f"{path}: an NPY image must be floating point, uint8 or uint16, of shape (H, W) or (H, W, 1, 3 or 4), "
+                f"got {dtype} {shape}"
+            )
+            raise ImageFileError(msg)
+        _check_size(path, *shape[:2])
+        values = read_npy_values(stream, header, path.stat().st_size)
+    return _scaled(values, 1.0 if dtype.kind == "f" else float(np.iinfo(dtype).max))
+
+
+def _scaled(pixels: Any, greatest: float) -> np.ndarray[Any, Any]:
+    """`pixels` as a new array, divided by `greatest`; the division takes no second array, which may be of gigabytes."""
+    image = np.array(pixels, dtype=np.float64)
+    image /= greatest
+    return image
+
+
+def _read_exr(path: Path) -> np.ndarray[Any, Any]:
+    pixels = read_exr(path, MAX_PIXELS)
+    return _scaled(pixels if pixels.ndim == 2 else pixels[..., :3], 1.0)
+
+
+def _as_colour(path: Path, image: np.ndarray[Any, Any]) -> FloatImage:
+    if image.ndim == 2:
+        image = image[..., None]
+    if image.shape[2] == 1:
+        image = np.repeat(image, 3, axis=2)
+    if image.shape[2] not in (3, 4) or image.size == 0:
+        msg = f"{path}: images must have 1, 3 or 4 channels and be not empty, got shape {image.shape}"
+        raise ImageFileError(msg)
+    return image

@@ -1,0 +1,98 @@
+"""Isophotes and local histograms of an image, for pictures and for people who build on them."""
+
+from __future__ import annotations
+
+from loi_core.errors import ScaleError
+from loi_core.method.blurs import blur_about, gaussian_blur
+from loi_core.method.scales import ScaleSpace
+from loi_core.method.tonal import isophote_density
+from loi_core.pixels.bounds import clip
+from loi_core.pixels.layout import Layout, check_channel_axis
+from loi_core.pixels.nonfinite import require_finite
+from loi_core.support.arrays import Array, as_floating, from_numpy, namespace, narrowed, widened
+from loi_core.support.wording import shown
+
+__all__ = ["inner_images", "isophotes", "local_histograms"]
+
+
+def inner_images(image: Array, scales: ScaleSpace, *, channel_axis: int | None = -1) -> dict[float, Array]:
+    """The image at every inner scale (eq. 1), clipped to the bounds: ``{sigma: array like image}``.
+
+    Parameters
+    ----------
+    image : array, shape (*batch, H, W, C)
+        Real floating point and finite.
+    scales : ScaleSpace
+        Gives sigma, bounds and boundary.
+    channel_axis : int or None
+        Where the channels are; None for images without channels.
+    """
+    layout = _checked(image, channel_axis)
+    clipped = clip(layout.to_planes(widened(image)), *scales.bounds)
+    return {sigma: narrowed(layout.to_image(_inner(clipped, scales, sigma)), image) for sigma in scales.sigma}
+
+
+def isophotes(image: Array, scales: ScaleSpace, *, sigma: float, beta: float, channel_axis: int | None = -1) -> Array:
+    """Soft isophotes of an image (eq. 3): how likely each pixel has each intensity.
+
+    Parameters
+    ----------
+    image : array, shape (*batch, H, W, C)
+        Real floating point and finite.
+    scales : ScaleSpace
+        Gives bounds, levels and boundary; `sigma` and `beta` must be among its scales.
+    sigma, beta : float
+        Inner scale in pixels, tonal scale in units of intensity.
+    channel_axis : int or None
+        Where the channels are; None for images without channels.
+
+    Returns
+    -------
+    array, shape (L,) + image.shape
+        Densities in one over intensity, at the intensities ``scales.levels(beta)``; under the paper's convention
+        their sum over levels times ``scales.spacing(beta)`` is 1 up to the mass beyond the tails.
+    """
+    return local_histograms(image, scales, sigma=sigma, beta=beta, alpha=0.0, channel_axis=channel_axis)
+
+
+def local_histograms(
+    image: Array, scales: ScaleSpace, *, sigma: float, beta: float, alpha: float, channel_axis: int | None = -1
+) -> Array:
+    """Local histograms of an image (eq. 4): its isophotes, averaged over a neighbourhood of `alpha` pixels.
+
+    Parameters and shape of the result are those of :func:`isophotes`; `alpha` must be one of the scales, or 0.
+
+    Raises
+    ------
+    ScaleError
+        If a scale is not one of `scales`.
+    """
+    layout = _checked(image, channel_axis)
+    for name, value, among in (
+        ("sigma", sigma, scales.sigma),
+        ("beta", beta, scales.beta),
+        ("alpha", alpha, (0.0, *scales.alpha)),
+    ):
+        if value not in among:
+            msg = f"`{name}` must be one of {among}, got {shown(value)}"
+            raise ScaleError(msg)
+    planes = _inner(clip(layout.to_planes(widened(image)), *scales.bounds), scales, sigma)
+    levels = from_numpy(scales.levels(beta), planes)
+    extent = gaussian_blur(layout.height, layout.width, alpha, scales.boundary, like=planes, taps=scales.extent_taps)
+    densities = extent.apply(isophote_density(planes, levels, beta))
+    xp = namespace(densities)
+    stack = xp.stack([layout.to_image(densities[index, ...]) for index in range(densities.shape[0])], axis=0)
+    return narrowed(stack, image)
+
+
+def _checked(image: Array, channel_axis: int | None) -> Layout:
+    as_floating("image", image)
+    layout = Layout.of("image", image.shape, check_channel_axis(channel_axis))
+    require_finite("image", image, channel_axis)
+    return layout
+
+
+def _inner(clipped: Array, scales: ScaleSpace, sigma: float) -> Array:
+    height, width = clipped.shape[-2:]
+    blur = gaussian_blur(height, width, sigma, scales.boundary, like=clipped, taps=scales.inner_taps)
+    return blur_about(blur, clipped, scales.padding)

@@ -1,0 +1,278 @@
+"""The scale space of a locally orderless image: which sigma, beta and alpha are compared, and on which levels."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Final, Literal, get_args
+
+import numpy as np
+
+from loi_core.errors import ScaleError
+from loi_core.support.values import real_number, whole_number
+from loi_core.support.wording import shown
+
+__all__ = ["Boundary", "Convention", "Preset", "ScaleSpace"]
+
+Boundary = Literal["reflect", "zero"]
+Convention = Literal["paper", "released"]
+Preset = Literal["vector", "path", "raster"]
+
+PAPER_PRESETS: Final[dict[str, dict[str, tuple[float, ...]]]] = {
+    # Table 1, section 4.2 and the caption of Table 3 of the paper.
+    "vector": {"sigma": (1, 5, 15, 45), "alpha": (1, 5, 15), "beta": (0.125,)},
+    "path": {"sigma": (1, 5), "alpha": (1, 5, 15, 45), "beta": (0.125,)},
+    "raster": {"sigma": (0, 5), "alpha": (1, 5, 15, 45), "beta": (0.03125,)},
+}
+
+MAX_LEVELS: Final = 2**16  # more than 16 bits hold; a finer beta is a slip, and would ask for terabytes
+RELEASED_TAILS: Final = 4.0  # the released code spreads its levels over [-4 beta, 1 + 4 beta]
+
+
+@dataclass(frozen=True, init=False)
+class ScaleSpace:
+    """The scales at which two images are compared, and the rules that go with them.
+
+    Parameters
+    ----------
+    sigma : float or sequence of float
+        Inner scales: standard deviations, in pixels, of the blur of the image (eq. 1). 0 leaves it as it is.
+    alpha : float or sequence of float
+        Extent scales: standard deviations, in pixels, of the neighbourhood of a histogram (eq. 4).
+        0 compares pixel by pixel.
+    beta : float or sequence of float
+        Tonal scales: standard deviations, in units of intensity, of the uncertainty of a pixel (eq. 3).
+    bounds : (float, float)
+        Least and greatest intensity that is told apart. Values outside count as the bound itself; their
+        gradient is kept where it points back inside.
+    boundary : {"reflect", "zero"}
+        What lies outside the image. "reflect" mirrors at the edge of the border pixels and conserves mass;
+        "zero" is black, or the bound nearest to it; it loses mass at the border, and objects leave the frame.
+    p : float
+        Order of the distance between two cumulative histograms, ``|difference| ** (1 / p)`` (eq. 5).
+    tails : float
+        How far, in units of beta, the levels reach beyond `bounds`, so that a saturated pixel keeps its mass.
+    convention : {"paper", "released"}
+        How histograms are normalised; see :meth:`released`, which is how to ask for the second.
+    kernel_size : int, optional
+        Taps of the extent kernels; only with, and needed by, the released convention.
+
+    Raises
+    ------
+    ScaleError
+        If a value is not allowed. The message names the argument, what came and what is allowed.
+    """
+
+    sigma: tuple[float, ...]
+    alpha: tuple[float, ...]
+    beta: tuple[float, ...]
+    bounds: tuple[float, float]
+    boundary: Boundary
+    p: float
+    tails: float
+    convention: Convention
+    kernel_size: int | None
+
+    def __init__(
+        self,
+        sigma: float | Iterable[float],
+        alpha: float | Iterable[float],
+        beta: float | Iterable[float],
+        bounds: tuple[float, float] = (0.0, 1.0),
+        boundary: Boundary = "reflect",
+        *,
+        p: float = 1.0,
+        tails: float = 4.0,
+        convention: Convention = "paper",
+        kernel_size: int | None = None,
+    ) -> None:
+        def put(name: str, value: object) -> None:
+            object.__setattr__(self, name, value)
+
+        put("sigma", _scales("sigma", sigma, zero=True))
+        put("alpha", _scales("alpha", alpha, zero=True))
+        put("beta", _scales("beta", beta, zero=False))
+        put("bounds", _bounds(bounds))
+        put("boundary", _choice("boundary", boundary, get_args(Boundary)))
+        put("p", _number("p", p, zero=False))
+        put("tails", _number("tails", tails, zero=True))
+        put("convention", _choice("convention", convention, get_args(Convention)))
+        put("kernel_size", _kernel_size(kernel_size, convention))
+        if convention == "released" and len(self.beta) != 1:
+            msg = f"`beta` must be one value under the released convention, got {shown(beta)}"
+            raise ScaleError(msg)
+        span = self.bounds[1] - self.bounds[0]
+        for scale in self.beta:
+            if not span / scale + 2.0 * self.tails <= MAX_LEVELS or (convention == "released" and span < scale):
+                msg = (
+                    f"`beta` must divide the bounds into at least 1 and at most {MAX_LEVELS} levels, got {shown(scale)}"
+                )
+                raise ScaleError(msg)
+
+    @classmethod
+    def paper(cls, preset: Preset, *, boundary: Boundary = "reflect") -> ScaleSpace:
+        """The scales that the paper used for vector graphics, path tracing or rasterization.
+
+        Parameters
+        ----------
+        preset : {"vector", "path", "raster"}
+            Table 1; section 4.2 and Table 2; the caption of Table 3.
+        """
+        scales = PAPER_PRESETS[_choice("preset", preset, tuple(PAPER_PRESETS))]
+        return cls(scales["sigma"], scales["alpha"], scales["beta"], boundary=boundary)
+
+    @classmethod
+    def for_image(cls, height: int, width: int, *, beta: float = 0.125, boundary: Boundary = "reflect") -> ScaleSpace:
+        """Scales that reach across an image of this size: one fine image, seen through wide neighbourhoods.
+
+        The inner scale is 1 pixel. The widest extent is 0.35 of the longer side (45 pixels at 128), the others a
+        third and a ninth of it. Wide inner scales would average appearance away, and narrow extents would hold
+        objects fast in places that only nearly fit; neither is needed to reach far.
+        """
+        for name, size in (("height", height), ("width", width)):
+            if (whole_number(size) or 0) < 1:
+                msg = f"`{name}` must be a whole number of pixels, 1 or more, got {shown(size)}"
+                raise ScaleError(msg)
+        widest = 0.35 * max(height, width)
+        extents = [round(widest / share, 2) for share in (9, 3, 1)]
+        return cls(1.0, [extent for extent in extents if extent > 1.0] or 1.0, beta, boundary=boundary)
+
+    @classmethod
+    def released(
+        cls, sigma: float | Iterable[float], alpha: float | Iterable[float], bins: int, kernel_size: int
+    ) -> ScaleSpace:
+        """The conventions of the code that the paper's authors released, to reproduce their numbers.
+
+        `bins` levels at the centres of equal bins over [-4 beta, 1 + 4 beta] with beta = 1 / `bins`; black
+        outside the image, and values limited to [0, 1]; extent kernels of `kernel_size` taps and inner kernels
+        of ``max(3, 4 * max(sigma))`` taps, both made odd and normalised; densities that are not multiplied by
+        the spacing; and a mean over everything, scales included.
+        """
+        if (whole_number(bins) or 0) < 1:
+            msg = f"`bins` must be a whole number of 1 or more, got {shown(bins)}"
+            raise ScaleError(msg)
+        return cls(
+            sigma,
+            alpha,
+            1.0 / bins,
+            boundary="zero",
+            tails=RELEASED_TAILS,
+            convention="released",
+            kernel_size=kernel_size,
+        )
+
+    @property
+    def padding(self) -> float:
+        """The intensity within the bounds that is nearest to 0: what lies outside the image under the boundary "zero".
+
+        Images are compared relative to it under either boundary, so that bounds far from 0 cost no accuracy.
+        """
+        return min(max(0.0, self.bounds[0]), self.bounds[1])
+
+    @property
+    def inner_taps(self) -> int | None:
+        """Taps of the inner kernels; None for as many as matter in float64."""
+        return None if self.kernel_size is None else _odd(max(3, int(4 * max(self.sigma))))
+
+    @property
+    def extent_taps(self) -> int | None:
+        """Taps of the extent kernels; None for as many as matter in float64."""
+        return None if self.kernel_size is None else _odd(self.kernel_size)
+
+    @property
+    def keys(self) -> list[tuple[float, float, float]]:
+        """Every ``(alpha, beta, sigma)`` that is compared, in the order in which it is evaluated."""
+        return [(a, b, s) for s in self.sigma for b in self.beta for a in self.alpha]
+
+    def level_count(self, beta: float) -> int:
+        """Number of tonal levels at `beta`."""
+        low, high = self.bounds
+        if self.convention == "released":
+            return round((high - low) / beta)
+        # The small slack keeps 1 / 0.1 + 8 from becoming 18.000000000000004 and so 20 levels.
+        return math.ceil((high - low) / beta + 2 * self.tails - 1e-9) + 1
+
+    def spacing(self, beta: float) -> float:
+        """Distance between two levels, in units of intensity."""
+        if self.convention == "released":
+            low, high = self.bounds
+            return (high - low + 2 * self.tails * beta) / self.level_count(beta)
+        return beta
+
+    def levels(self, beta: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+        """The intensities k_i at which histograms are sampled: float64, shape (L,), increasing."""
+        low, high = self.bounds
+        count = self.level_count(beta)
+        steps = np.arange(count, dtype=np.float64) - (count - 1) / 2
+        return 0.5 * (low + high) + self.spacing(beta) * steps
+
+    def mass(self, beta: float) -> float:
+        """What a density is multiplied by before it is accumulated: the spacing, or 1 as released."""
+        return 1.0 if self.convention == "released" else self.spacing(beta)
+
+    def level_weight(self, beta: float) -> float:
+        """Weight of one level in the distance of two histograms."""
+        return 1.0 / self.level_count(beta) if self.convention == "released" else self.spacing(beta)
+
+    @property
+    def scale_weight(self) -> float:
+        """Weight of one scale in the total: 1, or one over their number as released."""
+        return 1.0 / len(self.keys) if self.convention == "released" else 1.0
+
+
+def _odd(taps: int) -> int:
+    return taps if taps % 2 else taps + 1
+
+
+def _number(name: str, value: object, *, zero: bool) -> float:
+    number = real_number(value)
+    if not math.isfinite(number) or number < 0 or (number == 0 and not zero):
+        msg = f"`{name}` must be a finite number, {'0 or more' if zero else 'more than 0'}, got {shown(value)}"
+        raise ScaleError(msg)
+    return number
+
+
+def _scales(name: str, values: object, *, zero: bool) -> tuple[float, ...]:
+    if not isinstance(values, Iterable) or isinstance(values, str | bytes) or getattr(values, "shape", None) == ():
+        values = (values,)
+    scales = tuple(_number(name, value, zero=zero) for value in values)
+    if not scales:
+        msg = f"`{name}` must hold at least one scale, got {shown(values)}"
+        raise ScaleError(msg)
+    if len(set(scales)) != len(scales):
+        msg = f"`{name}` must not repeat a scale, got {shown(values)}"
+        raise ScaleError(msg)
+    return scales
+
+
+def _bounds(bounds: object) -> tuple[float, float]:
+    low = high = math.nan
+    if isinstance(bounds, Iterable) and not isinstance(bounds, str | bytes):
+        values = [real_number(value) for value in bounds]
+        if len(values) == 2:
+            low, high = values
+    if not (math.isfinite(low) and math.isfinite(high) and low < high):
+        msg = f"`bounds` must be two finite intensities (low, high) with low < high, got {shown(bounds)}"
+        raise ScaleError(msg)
+    return low, high
+
+
+def _choice(name: str, value: object, allowed: tuple[str, ...]) -> str:
+    if not isinstance(value, str) or value not in allowed:
+        msg = f"`{name}` must be one of {', '.join(map(repr, allowed))}, got {shown(value)}"
+        raise ScaleError(msg)
+    return value
+
+
+def _kernel_size(kernel_size: object, convention: str) -> int | None:
+    if convention != "released":
+        if kernel_size is not None:
+            msg = f"`kernel_size` goes with the released convention only, got {shown(kernel_size)}"
+            raise ScaleError(msg)
+        return None
+    taps = whole_number(kernel_size)
+    if taps is None or taps < 1:
+        msg = f"`kernel_size` must be a whole number of taps, 1 or more, got {shown(kernel_size)}"
+        raise ScaleError(msg)
+    return taps

@@ -1,0 +1,97 @@
+"""What happens to pixels that are NaN or infinite."""
+
+from __future__ import annotations
+
+import itertools
+from typing import Any, Final, Literal, TypeAlias, get_args
+
+import numpy as np
+
+from loi_core.errors import NonFiniteImageError, OptionError
+from loi_core.support.arrays import Array, namespace, to_numpy
+from loi_core.support.wording import shown
+
+__all__ = ["NanPolicy", "check_nan_policy", "count_non_finite", "require_finite"]
+
+NanPolicy = Literal["raise", "mask"]
+
+Host: TypeAlias = np.ndarray[Any, Any]
+
+SCATTERED: Final = "isolated pixels"
+
+
+def check_nan_policy(policy: object) -> NanPolicy:
+    """`policy` itself, once it is known to be allowed."""
+    for allowed in get_args(NanPolicy):
+        if isinstance(policy, str) and policy == allowed:
+            return allowed  # type: ignore[no-any-return]  # get_args is untyped; it yields the literals above
+    msg = f"`nan_policy` must be one of {', '.join(map(repr, get_args(NanPolicy)))}, got {shown(policy)}"
+    raise OptionError(msg)
+
+
+def count_non_finite(array: Array) -> int:
+    """How many values of `array` are NaN or infinite."""
+    xp = namespace(array)
+    return int(xp.sum(xp.astype(~xp.isfinite(array), xp.int32)))  # JAX has no int64 unless asked
+
+
+def require_finite(name: str, image: Array, channel_axis: int | None) -> None:
+    """Raise :class:`NonFiniteImageError` if `image`, shape (*batch, H, W, C), holds NaN or infinite values."""
+    xp = namespace(image)
+    if bool(xp.all(xp.isfinite(image))):
+        return
+    host = to_numpy(image)
+    bad = ~np.isfinite(host)
+    kinds = int(np.isnan(host).sum()), int(np.isposinf(host).sum()), int(np.isneginf(host).sum())
+    first = tuple(int(index) for index in np.unravel_index(int(np.argmax(bad)), bad.shape))
+    raise NonFiniteImageError(
+        name, kinds, first, _axes(bad.ndim, channel_axis), int(bad.size), _suspicion(bad, kinds, channel_axis)
+    )
+
+
+def _axes(count: int, channel_axis: int | None) -> str:
+    """The names of an image's axes, those of the batch together: ``(*batch, y, x, c)``."""
+    plain = [*["*batch"] * (count - 2), "y", "x"]
+    if channel_axis is not None:
+        del plain[0]
+        plain.insert(channel_axis % count, "c")
+    return f"({', '.join(name for name, _ in itertools.groupby(plain))})"
+
+
+def _suspicion(bad: Host, kinds: tuple[int, int, int], channel_axis: int | None) -> str:
+    """How the bad values lie, and what usually makes such a pattern."""
+    pixels = bad[..., None] if channel_axis is None else np.moveaxis(bad, channel_axis, -1)
+    batch, images = pixels.shape[:-3], pixels.reshape(-1, *pixels.shape[-3:])
+    hit = np.flatnonzero(images.any(axis=(1, 2, 3)))
+    only = ""
+    if len(images) > 1 and len(hit) == 1:
+        index = tuple(int(one) for one in np.unravel_index(hit[0], batch))
+        only = f"only image {index[0] if len(index) == 1 else index} of the batch, "
+        images = images[hit]
+    pattern, usual = _pattern(images)
+    _, positive, negative = kinds
+    # Where there are both, the infinity came first: its difference to another, or product with 0, is NaN.
+    if positive:
+        usual = f"an overflow: exp, a division by almost 0{'' if pattern == SCATTERED else ', float16 beyond 65504'}"
+    elif negative:
+        usual = "a logarithm of 0, or an overflow"
+    return f"{only}{pattern}, which suggests {usual}"
+
+
+def _pattern(bad: Host) -> tuple[str, str]:
+    """How the bad values of images (N, H, W, C) lie, and what usually makes NaN in such a pattern."""
+    if bad.all():
+        return "every value", "parameters that are not finite since the last step, or a division by a sum that is 0"
+    channels = bad.all(axis=(0, 1, 2))
+    if channels.any() and np.array_equal(bad.any(axis=(0, 1, 2)), channels):
+        names = ", ".join(map(str, np.flatnonzero(channels)))
+        return f"all of channel {names}", "a parameter of that channel, or the conversion to it"
+    pixels = np.any(bad, axis=-1)
+    for name, axis in (("rows", 2), ("columns", 1)):
+        if pixels.shape[axis] > 1 and np.array_equal(pixels.any(axis=axis), pixels.all(axis=axis)):
+            return f"whole {name}", "an unfinished render, or weights that are 0 along the border"
+    around = np.pad(pixels, ((0, 0), (1, 1), (1, 1)))
+    beside = around[:, :-2, 1:-1] | around[:, 2:, 1:-1] | around[:, 1:-1, :-2] | around[:, 1:-1, 2:]
+    if 2 * np.count_nonzero(pixels & ~beside) > np.count_nonzero(pixels):
+        return SCATTERED, "0/0 in shading or sampling, or a normal of length 0"
+    return "connected pixels", "one object whose parameters or texture are not finite"

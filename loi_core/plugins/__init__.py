@@ -1,0 +1,1 @@
+"""What other packages may add: renderers, objectives, and backends, found by their entry points."""

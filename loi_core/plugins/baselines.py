@@ -1,0 +1,58 @@
+"""The objectives that scenes compare the loss with, by name: the core's own, and those that packages announce."""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+
+from loi_core.errors import LoiError, OptionError
+from loi_core.io.images import FloatImage
+from loi_core.objectives import MSSSIM, GaussianPyramid, Objective, PixelL2
+from loi_core.pixels.nonfinite import NanPolicy
+from loi_core.pixels.tone_curve import LogTone
+from loi_core.plugins.registry import ObjectiveFactory, load_objective, objective_names
+from loi_core.support.guards import is_ctrl_c
+from loi_core.support.wording import told
+
+__all__ = ["is_objective_name", "make_rival", "rival_names"]
+
+OWN: Final[dict[str, ObjectiveFactory]] = {
+    "pixel_l2": PixelL2,
+    "gaussian_pyramid": GaussianPyramid,
+    "ms_ssim": MSSSIM,
+}
+
+
+def is_objective_name(name: object) -> bool:
+    """Whether an objective may have this name, which becomes that of a folder."""
+    return isinstance(name, str) and re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}", name) is not None
+
+
+def rival_names() -> list[str]:
+    """The names of all rivals, the core's own first; no package is imported."""
+    return [*OWN, *(name for name in objective_names() if is_objective_name(name) and name not in OWN)]
+
+
+def make_rival(name: str, target: FloatImage, *, nan_policy: NanPolicy, tone: LogTone | None) -> Objective:
+    """The rival of this name, with `target` as its reference.
+
+    Raises
+    ------
+    LoiError
+        If it cannot be loaded, does not take the reference or an option, or what comes is no objective.
+    """
+    factory = OWN[name] if name in OWN else load_objective(name)
+    try:
+        made = factory(target, nan_policy=nan_policy, tone=tone)
+        usable = isinstance(made, Objective)
+    except LoiError:
+        raise
+    except BaseException as error:  # a third party may raise anything, SystemExit too
+        if is_ctrl_c(error):
+            raise
+        msg = f"{name} refused: {told(error)}"
+        raise OptionError(msg) from error
+    if not usable:
+        msg = f"{name} made a {type(made).__name__}, which is not an objective"
+        raise OptionError(msg)
+    return made

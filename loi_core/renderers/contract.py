@@ -1,0 +1,43 @@
+"""The contract between a renderer and everything else: named parameters to an image, and a pullback."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Protocol, TypeAlias, runtime_checkable
+
+from loi_core.support.arrays import Array
+
+__all__ = ["Parameters", "ProjectingRenderer", "Pullback", "Renderer"]
+
+Parameters: TypeAlias = dict[str, Array]
+"""Parameters of a scene by name; floating-point arrays of any shape, 0-d included."""
+
+Pullback: TypeAlias = Callable[[Array], Parameters]
+"""Carries a cotangent of the image, shape (H, W, C), to a cotangent of every parameter."""
+
+
+@runtime_checkable
+class Renderer(Protocol):
+    """A function from named parameters to an image, with a pullback.
+
+    Every automatic differentiation system can provide it. Arrays may be of any array library, the same for
+    parameters and image. Neither method may change the parameters it is given, and the same parameters and seed
+    must give the same image.
+    """
+
+    def parameters(self) -> Parameters:
+        """All parameters with the values that the scene has now; a new dict of new arrays on each call."""
+
+    def render(self, params: Parameters, *, seed: int = 0) -> Array:
+        """The image, shape (H, W, C), of the scene with these parameters."""
+
+    def render_vjp(self, params: Parameters, *, seed: int = 0) -> tuple[Array, Pullback]:
+        """The image and its pullback, linear in the cotangent; cotangents have the parameters' shapes."""
+
+
+@runtime_checkable
+class ProjectingRenderer(Renderer, Protocol):
+    """A renderer that knows which parameters are legal; a fit calls `project` after every step."""
+
+    def project(self, params: Parameters) -> Parameters:
+        """The legal parameters next to these; the argument is left as it is."""
