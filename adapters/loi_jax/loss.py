@@ -108,7 +108,8 @@ class _Traceable:
             image = image.astype(jnp.float32)
         if not isinstance(image, jax.core.Tracer):
             results = list(self._checked(image, gradient=gradient))
-        elif loops_take(str(image.dtype)) and jax.sharding.get_abstract_mesh().empty:  # a mesh: for several devices, each with its part
+        elif loops_take(str(image.dtype)) and jax.sharding.get_abstract_mesh().empty:
+            # With a mesh it would be for several devices, each with its part.
             self._objective.check_shape(image.shape)  # where the caller is still to be seen, not where it is compiled
             results = evaluate(self, image, gradient=gradient)
         else:

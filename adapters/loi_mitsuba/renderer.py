@@ -16,9 +16,9 @@ from loi_core.errors import OptionError, ParameterError
 from loi_core.support.values import whole_number
 from loi_core.support.wording import shown
 from loi_mitsuba.cautions import warn_of_moving
-from loi_mitsuba.effects.settings import PARTS, bordered, integrator_of, leaves_edges_out, settings_of
 from loi_mitsuba.entries import Scene
 from loi_mitsuba.handles import Host
+from loi_mitsuba.integrators import PARTS, bordered, integrator_of, leaves_edges_out, settings_of
 from loi_mitsuba.loading import (
     Target,
     checked_samples,

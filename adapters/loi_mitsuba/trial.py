@@ -21,7 +21,7 @@ def main(variant: str, path: str) -> int:
     else:
         resource.setrlimit(resource.RLIMIT_AS, (MOST_MEMORY, MOST_MEMORY))
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    from loi_mitsuba import prepare
+    from loi_mitsuba.llvm import prepare
 
     prepare()
     import drjit as dr

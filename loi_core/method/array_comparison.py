@@ -88,7 +88,9 @@ class _InnerComparison:
     levels: dict[float, list[_Levels]]  # by tonal scale, those that are handled together
 
     @classmethod
-    def of(cls, scales: ScaleSpace, plan: InnerPlan, tonal: tuple[TonalPlan, ...], reference: Array) -> _InnerComparison:
+    def of(
+        cls, scales: ScaleSpace, plan: InnerPlan, tonal: tuple[TonalPlan, ...], reference: Array
+    ) -> _InnerComparison:
         """Everything that depends on the reference alone: planes within the bounds, shape (N, H, W)."""
         blur = GaussianBlur(plan.blur, reference)
         intensity = blur.apply(above_padding(reference, scales.padding))

@@ -39,8 +39,8 @@ SHARE: Final = (0.05, 1.1, 0.6)
 """How much error each of n scales may have, in units of the tolerance: min(a n**b, c).
 
 Measured: so much leaves the error of ordinary images at a third of the tolerance or less, and its estimate
-(:mod:`loi_core.method.sampling_error`) below what would have them compared at every pixel. Errors of scales average out, and
-the more of them there are, the smaller the part of each in the gradient.
+(:mod:`loi_core.method.sampling_error`) below what would have them compared at every pixel. Errors of scales average
+out, and the more of them there are, the smaller the part of each in the gradient.
 """
 
 WORTHWHILE: Final = 4.0 / 3.0

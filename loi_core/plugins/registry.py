@@ -6,7 +6,7 @@ A distribution announces one with an entry point whose name is what it is called
 renderer's is called with the options of a scene and returns something that keeps the contract of
 :class:`loi_core.Renderer`; an objective's with the reference, ``nan_policy`` and ``tone``, as
 :class:`loi_core.PixelL2` is; a backend's is called without arguments and returns a
-:class:`loi_core.plugins.backends.Backend`. A plugin that cannot be loaded is reported by name and never hides the others.
+:class:`loi_core.plugins.backends.Backend`. A plugin that cannot be loaded is reported by name and hides no other.
 """
 
 from __future__ import annotations

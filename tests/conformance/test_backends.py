@@ -1,6 +1,6 @@
 """Every backend gives the same loss and gradient, for whatever hypothesis can think of.
 
-How far apart two backends may be is derived in `loi_core.stability.bounds`: each of them is that close to the plain sum.
+How far apart two backends may be is derived in `loi_core.stability.bounds`: each is that close to the plain sum.
 
 With a tone curve T all this is said of T(image) and T(reference), and of the gradient by T(image), which is that by the
 image over T'. Logarithms of two libraries differ by up to 4 eps, which is a shift of the intensities.

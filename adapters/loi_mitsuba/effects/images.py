@@ -10,8 +10,8 @@ import numpy as np
 
 from loi_core.effects import EffectPlan
 from loi_mitsuba.effects.rules import EFFECTS
-from loi_mitsuba.effects.settings import PROJECTIVE, as_mapping, settings_of
 from loi_mitsuba.handles import Host
+from loi_mitsuba.integrators import PROJECTIVE, as_mapping, settings_of
 from loi_mitsuba.renderer import MitsubaRenderer
 
 __all__ = ["effect_images"]

@@ -27,9 +27,9 @@ from loi_core.effects import (
 )
 from loi_mitsuba.effects.probe import Probe
 from loi_mitsuba.effects.rules import DIRECT, EFFECTS, everything, integrator_for, plan_of
-from loi_mitsuba.effects.settings import OWN, PARTS, Settings, settings_of
 from loi_mitsuba.effects.traits import Traits
 from loi_mitsuba.handles import Host
+from loi_mitsuba.integrators import OWN, PARTS, Settings, settings_of
 
 __all__ = ["Findings", "Pilot"]
 

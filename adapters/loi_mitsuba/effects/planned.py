@@ -21,11 +21,11 @@ from loi_mitsuba.effects.images import effect_images
 from loi_mitsuba.effects.pilot import Pilot
 from loi_mitsuba.effects.probe import Probe
 from loi_mitsuba.effects.rules import everything, plan_by_rules, plan_of, plan_with
-from loi_mitsuba.effects.settings import bordered, settings_of
 from loi_mitsuba.effects.traits import groups_of, in_view, objects_of, traits_of
 from loi_mitsuba.effects.verify import Verification, verification
 from loi_mitsuba.entries import Scene
 from loi_mitsuba.handles import Host
+from loi_mitsuba.integrators import bordered, settings_of
 from loi_mitsuba.loading import (
     Target,
     checked_samples,

@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from loi_core.effects import Draws
-from loi_mitsuba.effects.settings import Settings
 from loi_mitsuba.handles import Host
+from loi_mitsuba.integrators import Settings
 from loi_mitsuba.renderer import MitsubaRenderer
 
 __all__ = ["Probe"]

@@ -7,8 +7,8 @@ from dataclasses import replace
 from typing import Final
 
 from loi_core.effects import Choice, Effect, EffectPlan
-from loi_mitsuba.effects.settings import OWN, PARTS, Settings, as_mapping, settings_of
 from loi_mitsuba.effects.traits import SURFACE_INTEGRATORS, VOLUME_INTEGRATORS, Traits
+from loi_mitsuba.integrators import OWN, PARTS, Settings, as_mapping, settings_of
 
 __all__ = ["DIRECT", "EFFECTS", "everything", "integrator_for", "plan_by_rules", "plan_of", "plan_with"]
 

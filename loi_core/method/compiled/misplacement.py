@@ -1,4 +1,4 @@
-"""How far signs are misplaced on the sampling of an extent: :func:`loi_core.method.sampling_error.misplaced`, compiled."""
+"""How far signs are misplaced on a sampling: :func:`loi_core.method.sampling_error.misplaced`, compiled."""
 
 from __future__ import annotations
 
