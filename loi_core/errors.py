@@ -30,7 +30,7 @@ __all__ = [
 
 
 class LoiError(Exception):
-    """Base of all errors of this library; the message is one line that names the mend."""
+    """Base of all errors of this library; the message is one line that names the fix."""
 
 
 class OptionError(LoiError, ValueError):
@@ -78,12 +78,12 @@ class NonFiniteImageError(ImageError):
         self.size = size
         self.suspicion = suspicion
         named = ", ".join(f"{one} {what}" for one, what in zip(kinds, ("NaN", "+inf", "-inf"), strict=True) if one)
-        mend = f"mend the {'reference' if name == 'reference' else 'render'}"
-        if self.count < size:  # with nothing left to compare the loss would be 0, which mends nothing
-            mend += ", or pass nan_policy='mask' to leave such pixels out"
+        fix = f"fix the {'reference' if name == 'reference' else 'render'}"
+        if self.count < size:  # with nothing left to compare the loss would be 0, which fixes nothing
+            fix += ", or pass nan_policy='mask' to leave such pixels out"
         super().__init__(
             f"`{name}` has {self.count} non-finite value{'s' if self.count != 1 else ''} of {size} ({named}), "
-            f"the first at {axes} = {first}: {suspicion}; {mend}"
+            f"the first at {axes} = {first}: {suspicion}; {fix}"
         )
 
     @property

@@ -119,7 +119,7 @@ def test_doctor_names_the_mend_for_what_is_missing_or_broken(
     monkeypatch.setattr(doctor, "BACKENDS", {"torch": "no_such_module", "jax": "crooked"})
     assert main(["doctor", "--json"]) == 1
     found = {one["name"]: one for one in json.loads(capsys.readouterr().out)}
-    assert (found["torch"]["state"], found["torch"]["mend"]) == ("missing", "pip install 'loi[torch]'")
+    assert (found["torch"]["state"], found["torch"]["fix"]) == ("missing", "pip install 'loi[torch]'")
     assert found["jax"]["state"] == "broken"
     assert "libcrooked.so" in found["jax"]["detail"]
 
@@ -143,7 +143,7 @@ def test_doctor_tries_every_announced_objective(
     found = {one["name"]: one for one in json.loads(capsys.readouterr().out)}
     assert found["objective fine"]["state"] == "ok"
     unlearned = found["objective unlearned"]
-    assert (unlearned["state"], unlearned["detail"], unlearned["mend"]) == (
+    assert (unlearned["state"], unlearned["detail"], unlearned["fix"]) == (
         "missing",
         "no weights; a word",
         "pip install weights",
@@ -163,7 +163,7 @@ def test_renderers_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
         "target": "loi_core.renderers:Disks",
         "state": "ready",
         "problem": "",
-        "mend": "",
+        "fix": "",
     }
     assert registry.load_renderer("disks") is Disks
 
@@ -196,10 +196,10 @@ def test_a_bad_plugin_is_reported_by_name_and_isolated(monkeypatch: pytest.Monke
     assert problems["raises"] == "RuntimeError: no licence second line"
     assert "not a factory" in problems["number"]
     assert "takes `options` by position only" in problems["odd"]
-    mends = {one.name: one.mend for one in registry.available_renderers()}
-    assert mends["extra"] == "pip install 'unknown[gpu]'"
-    assert mends["good"] == ""
-    assert "pip install" in mends["raises"]
+    fixes = {one.name: one.fix for one in registry.available_renderers()}
+    assert fixes["extra"] == "pip install 'unknown[gpu]'"
+    assert fixes["good"] == ""
+    assert "pip install" in fixes["raises"]
     assert registry.load_renderer("good") is Disks
     for name, says in (
         *(("raises", "no licence"), ("twice", "2 claim it; pip uninstall"), ("none", "no renderer is called 'none'")),

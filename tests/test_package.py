@@ -55,8 +55,8 @@ def test_the_wheel_works_in_an_empty_environment(fresh: Path, tmp_path: Path) ->
         "warp": "ready",
         "warp-torch": "missing",
     }
-    mends = {one["name"]: one["mend"] for one in listed if one["state"] == "missing"}
-    assert mends == {
+    fixes = {one["name"]: one["fix"] for one in listed if one["state"] == "missing"}
+    assert fixes == {
         "disks-jax": "pip install 'loi[jax]'",
         "disks-torch": "pip install 'loi[torch]'",
         "mitsuba": "pip install 'loi[mitsuba]'",
@@ -76,7 +76,7 @@ def test_the_wheel_measures_what_accuracy_costs_in_an_empty_environment(fresh: P
     images = ("--image", "a.npy", "--reference", "b.npy")
     found = json.loads(run(fresh.parent / "loi", "tradeoff", *images, "--seconds", "1e-3", "--json", cwd=tmp_path))
     assert {row["backend"] for row in found["rows"] if row["problem"] is None} == {"numpy"}
-    assert {one["name"]: one["mend"] for one in found["missing"]} == {
+    assert {one["name"]: one["fix"] for one in found["missing"]} == {
         "jax": "pip install 'loi[jax]'",
         "mitsuba": "pip install 'loi[mitsuba]'",
         "torch": "pip install 'loi[torch]'",

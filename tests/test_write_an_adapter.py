@@ -62,7 +62,7 @@ def test_it_is_listed_as_ready(shell: Shell) -> None:
         "target": "loi_blob:Blob",
         "state": "ready",
         "problem": "",
-        "mend": "",
+        "fix": "",
     }
     assert listed["disks"]["state"] == listed["warp"]["state"] == "ready"
 

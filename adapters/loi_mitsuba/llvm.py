@@ -126,7 +126,7 @@ def choose_llvm() -> LLVMChoice:
         if version is not None and version >= OLDEST:
             return LLVMChoice(path, version, WHEEL, f"the system has none of version {OLDEST} or later{passed}")
     have = f"the system has {' and '.join(sorted(set(too_old)))} only" if too_old else "none was found"
-    msg = f"Mitsuba needs LLVM {OLDEST} or later, {have}; {_mend()}, or set {VARIABLE} to one"
+    msg = f"Mitsuba needs LLVM {OLDEST} or later, {have}; {_fix()}, or set {VARIABLE} to one"
     raise LLVMError(msg)
 
 
@@ -145,17 +145,17 @@ def _asked(asked: str) -> LLVMChoice:
     if "/" not in asked:  # a bare name is looked up as the dynamic linker would
         path = next((folder / asked for folder in _system_folders() if (folder / asked).is_file()), path)
     if not path.is_file():
-        msg = f"`{VARIABLE}` must name a libLLVM, got {asked!r}, which is no file; unset it, or mend it"
+        msg = f"`{VARIABLE}` must name a libLLVM, got {asked!r}, which is no file; unset it, or fix it"
         raise LLVMError(msg)
     version = library_version(path)
     if version is None or version < OLDEST:
         what = "a file of unknown version" if version is None else f"LLVM {version}"
-        msg = f"`{VARIABLE}` must name LLVM {OLDEST} or later, got {asked!r}, {what}; unset it and {_mend()}"
+        msg = f"`{VARIABLE}` must name LLVM {OLDEST} or later, got {asked!r}, {what}; unset it and {_fix()}"
         raise LLVMError(msg)
     return LLVMChoice(path, version, VARIABLE, f"{VARIABLE} names it")
 
 
-def _mend() -> str:
+def _fix() -> str:
     return (
         f"pip install {WHEEL}"
         if platform.machine() == WHEEL_MACHINE

@@ -27,7 +27,7 @@ import mitsuba as mi
 
 from loi_core.errors import LoiError
 from loi_core.io.files import read_bytes
-from loi_core.support.wording import printable, shown, told
+from loi_core.support.wording import described, printable, shown
 
 __all__ = ["SceneLoadError", "check_scene_file", "check_types", "load_own_plugins"]
 
@@ -186,7 +186,7 @@ class _Bounds:
         except FileNotFoundError:
             raise _refused(path, "no such file") from None
         except (OSError, ValueError) as error:
-            raise _refused(path, told(error)) from None
+            raise _refused(path, described(error)) from None
         depth = 0
 
         def begin(tag: str, attributes: dict[str, str]) -> None:
@@ -221,7 +221,7 @@ class _Bounds:
         except (expat.ExpatError, ValueError, LookupError) as error:
             if isinstance(error, LoiError):
                 raise
-            raise _refused(path, f"not well-formed XML ({told(error)})") from None
+            raise _refused(path, f"not well-formed XML ({described(error)})") from None
 
     def _name(self, path: Path, name: str) -> None:
         """Note a file that the parser opens where it stands, before anything else could look at it."""

@@ -1,4 +1,4 @@
-"""`loi` for PyTorch: the loss as a module and as a function, a rival that needs torch, and renderers."""
+"""`loi` for PyTorch: the loss as a module and as a function, a baseline that needs torch, and renderers."""
 
 from loi_torch.loss import LOILoss, loi_loss
 from loi_torch.lpips import LPIPS

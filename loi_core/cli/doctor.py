@@ -1,4 +1,4 @@
-"""``loi doctor``: what works on this machine, and for each thing that does not, the command that mends it."""
+"""``loi doctor``: what works on this machine, and for each thing that does not, the command that fixes it."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ import numpy as np
 
 from loi_core import __version__
 from loi_core.errors import LoiError, WeightsError
-from loi_core.plugins.baselines import make_rival
+from loi_core.plugins.baselines import make_baseline
 from loi_core.plugins.registry import PluginInfo, available_objectives, available_renderers
 
 __all__ = ["Finding", "examine", "findings"]
@@ -37,14 +37,14 @@ class Finding:
         "missing" is an optional thing that is not there; "broken" one that is there and does not work.
     detail : str
         Version, or what is wrong.
-    mend : str
-        The command that mends it; empty if nothing needs mending.
+    fix : str
+        The command that fixes it; empty if nothing needs fixing.
     """
 
     name: str
     state: State
     detail: str
-    mend: str = ""
+    fix: str = ""
 
 
 REQUIRED: Final = {
@@ -68,8 +68,8 @@ def examine(*, as_json: bool) -> bool:
         width = max(len(one.name) for one in found)
         for one in found:
             print(f"{one.name:<{width}}  {one.state:<7}  {one.detail}")
-            if one.mend:
-                print(f"{'':<{width}}  mend:    {one.mend}")
+            if one.fix:
+                print(f"{'':<{width}}  fix:    {one.fix}")
     return not any(one.state == "broken" for one in found)
 
 
@@ -97,7 +97,7 @@ def findings() -> list[Finding]:
 
 def _plugin(kind: str, one: PluginInfo) -> Finding:
     state: State = "ok" if one.state == "ready" else "missing" if one.state == "missing" else "broken"
-    return Finding(f"{kind} {one.name}", state, one.problem or f"{one.package} {one.version}", one.mend)
+    return Finding(f"{kind} {one.name}", state, one.problem or f"{one.package} {one.version}", one.fix)
 
 
 def _objective(one: PluginInfo) -> Finding:
@@ -107,10 +107,10 @@ def _objective(one: PluginInfo) -> Finding:
         return found
     try:
         with contextlib.redirect_stdout(sys.stderr):  # what a plugin prints is not part of our answer
-            make_rival(one.name, np.full((64, 64, 3), 0.5, np.float32), nan_policy="raise", tone=None)
+            make_baseline(one.name, np.full((64, 64, 3), 0.5, np.float32), nan_policy="raise", tone=None)
     except WeightsError as error:
-        problem, _, mend = str(error).rpartition("; ")
-        return Finding(found.name, "missing", problem, mend)
+        problem, _, fix = str(error).rpartition("; ")
+        return Finding(found.name, "missing", problem, fix)
     except LoiError as error:
         return Finding(found.name, "broken", str(error))
     return found
@@ -124,17 +124,17 @@ def _threads() -> str:
     return f"{usable} usable of {os.cpu_count()}" + (f", limited by {', '.join(limits)}" if limits else "")
 
 
-def _package(name: str, module: str, mend: str, *, required: bool) -> Finding:
+def _package(name: str, module: str, fix: str, *, required: bool) -> Finding:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             importlib.import_module(module)
     except ModuleNotFoundError as error:
         if (error.name or "").split(".")[0] in (name, module):
-            return Finding(name, "broken" if required else "missing", "not installed", mend)
-        return Finding(name, "broken", f"{error}", mend)
+            return Finding(name, "broken" if required else "missing", "not installed", fix)
+        return Finding(name, "broken", f"{error}", fix)
     except Exception as error:  # noqa: BLE001 - a half-installed package may raise anything on import
-        return Finding(name, "broken", f"{type(error).__name__}: {error}".splitlines()[0], mend)
+        return Finding(name, "broken", f"{type(error).__name__}: {error}".splitlines()[0], fix)
     try:
         return Finding(name, "ok", version(name))
     except PackageNotFoundError:

@@ -131,7 +131,7 @@ def _parser() -> argparse.ArgumentParser:
     tradeoff.add_argument("--seconds", type=float, default=0.5, help="how long to repeat each setting (default: 0.5)")
 
     renderers = commands.add_parser("renderers", help="which renderers are installed")
-    doctor = commands.add_parser("doctor", help="what works here, and the mend for what does not")
+    doctor = commands.add_parser("doctor", help="what works here, and the fix for what does not")
     doctor.add_argument(
         "--stability",
         action="store_true",

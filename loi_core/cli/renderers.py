@@ -19,5 +19,5 @@ def list_renderers(*, as_json: bool) -> None:
     for one in listed:
         what = f"{one.package} {one.version}  {one.problem or one.target}"
         print(f"{one.name:<16} {one.backend or '-':<8} {one.state:<7} {what}")
-        if one.mend:
-            print(f"{'':<16} mend: {one.mend}")
+        if one.fix:
+            print(f"{'':<16} fix: {one.fix}")

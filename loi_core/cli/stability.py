@@ -76,7 +76,7 @@ def _backends() -> tuple[dict[str, Backend], dict[str, str], dict[str, str]]:
         try:
             backends[info.name] = load_backend(info.name)()
         except BackendNotFoundError:
-            (missing if info.state == "missing" else broken)[info.name] = f"{info.problem}; {info.mend}"
+            (missing if info.state == "missing" else broken)[info.name] = f"{info.problem}; {info.fix}"
         except (Exception, SystemExit) as error:  # noqa: BLE001 - a plugin may raise anything; the others must go on
             broken[info.name] = " ".join(f"{type(error).__name__}: {error}".split())
     return backends, missing, broken

@@ -1,11 +1,11 @@
 """Which effects of light transport a scene calls for: a model that knows no renderer."""
 
 from loi_core.effects.allocation import allocate, whole_samples
+from loi_core.effects.fractions import Sizes, largest_fraction, most_fraction, relative_variance, sizes_of
 from loi_core.effects.holding import Evidence, Holding
 from loi_core.effects.model import Capability, Choice, Effect, EffectPlan
 from loi_core.effects.planning import PlanningRenderer
 from loi_core.effects.schedule import Schedule
-from loi_core.effects.shares import Sizes, largest_share, most_share, relative_variance, sizes_of
 from loi_core.effects.statistics import SURE, Comparison, Draws, compare, total
 
 __all__ = [
@@ -23,8 +23,8 @@ __all__ = [
     "Sizes",
     "allocate",
     "compare",
-    "largest_share",
-    "most_share",
+    "largest_fraction",
+    "most_fraction",
     "relative_variance",
     "sizes_of",
     "total",

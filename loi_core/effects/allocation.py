@@ -50,8 +50,8 @@ def allocate(variances: Sequence[float], costs: Sequence[float], budget: float) 
     # Square roots of each factor, for products of small numbers leave the range of floats.
     weights = [math.sqrt(spread) * math.sqrt(price) for spread, price in zip(spreads, prices, strict=True)]
     most = max(weights)
-    shares = [weight / most for weight in weights] if most > 0.0 else [1.0] * len(weights)
-    return [whole * (share / math.fsum(shares)) / price for share, price in zip(shares, prices, strict=True)]
+    parts = [weight / most for weight in weights] if most > 0.0 else [1.0] * len(weights)
+    return [whole * (part / math.fsum(parts)) / price for part, price in zip(parts, prices, strict=True)]
 
 
 def whole_samples(

@@ -1,4 +1,4 @@
-"""Parameters that a fit holds where they are, for their gradient cannot be told from noise, until it can."""
+"""Parameters that a fit holds where they are, for their gradient cannot be distinguished from noise, until it can."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ class Holding:
 
     @classmethod
     def begun(cls, draws: Draws, groups: Sequence[Sequence[str]]) -> Holding:
-        """Hold every group of which no parameter's gradient can be told from noise, by draws of each parameter."""
+        """Hold every group of which no parameter has a significant gradient, by draws of each."""
         evidence = {name: Evidence.of(one) for name, one in draws.gradients.items()}
         held = [
             tuple(group)
@@ -106,7 +106,7 @@ class Holding:
         reasons = {
             name: f"its gradient is exactly 0 in {draws.count} draws"
             if draws.zero(name)
-            else f"its gradient cannot be told from noise in {draws.count} draws"
+            else f"its gradient cannot be distinguished from noise in {draws.count} draws"
             for name in names
         }
         return cls(tuple(held), reasons, {name: evidence[name] for name in names})
@@ -119,8 +119,8 @@ class Holding:
             name: one.and_one(np.asarray(to_numpy(gradient[name]), np.float64).reshape(-1))
             for name, one in self.evidence.items()
         }
-        told = [name for name, one in evidence.items() if one.score > AGREE[1]]
-        return replace(self, evidence=evidence).without(told)
+        significant = [name for name, one in evidence.items() if one.score > AGREE[1]]
+        return replace(self, evidence=evidence).without(significant)
 
     def without(self, names: Iterable[str]) -> Holding:
         """With the groups of these parameters let go."""

@@ -64,9 +64,9 @@ class Choice:
         Why, in one line.
     samples : int, optional
         Samples per pixel of its part of the gradient, if it has a part of its own.
-    share : float, optional
+    fraction : float, optional
         Norm of its part over the norm of the gradient of the loss, where that is largest among the parameters; None
-        if it was not measured, or cannot be told from noise.
+        if it was not measured, or cannot be distinguished from noise.
     variance_seconds : float, optional
         Relative variance of its part times the seconds that a draw takes: what a pilot makes small. None if not
         measured.
@@ -76,7 +76,7 @@ class Choice:
     on: bool
     reason: str
     samples: int | None = None
-    share: float | None = None
+    fraction: float | None = None
     variance_seconds: float | None = None
 
     def __post_init__(self) -> None:
@@ -104,7 +104,7 @@ class EffectPlan:
     understood : bool
         Whether the rules know everything that they have met in the scene; if not, everything is on.
     measured : bool
-        Whether a pilot has measured shares.
+        Whether a pilot has measured fractions.
 
     Raises
     ------
@@ -136,13 +136,13 @@ class EffectPlan:
 
     def __str__(self) -> str:
         """The plan as a small table, which is also Markdown: effects, what is held, and below it settings and notes."""
-        heads = ["effect", "", "samples", "share", "why"]
+        heads = ["effect", "", "samples", "fraction", "why"]
         rows = [
             [
                 one.effect,
                 "on" if one.on else "off",
                 "" if one.samples is None else str(one.samples),
-                "" if one.share is None else f"{one.share:.2%}",
+                "" if one.fraction is None else f"{one.fraction:.2%}",
                 one.reason,
             ]
             for one in self.choices

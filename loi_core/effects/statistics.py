@@ -85,12 +85,12 @@ class Draws:
         return math.sqrt(max(0.0, self.norm(name) ** 2 - self.error(name) ** 2))
 
     def heard(self, name: str, sure: float = SURE) -> bool:
-        """Whether the gradient can be told from noise by its mean, which then exceeds so many of its errors."""
+        """Whether the gradient is significant: its mean exceeds so many of its errors."""
         return self.norm(name) > sure * self.error(name)
 
     @property
-    def told(self) -> tuple[str, ...]:
-        """The parameters whose gradient can be told from noise."""
+    def significant(self) -> tuple[str, ...]:
+        """The parameters whose gradient can be distinguished from noise."""
         return tuple(name for name in self.gradients if self.heard(name))
 
     def variance(self, name: str) -> float:
@@ -116,7 +116,7 @@ class Comparison:
     noise, wanted_noise : float
         Standard deviation of a single draw over the norm, of the one and of the other.
     silent : tuple of str
-        Parameters that are left out, for their gradient cannot be told from noise.
+        Parameters that are left out, for their gradient cannot be distinguished from noise.
     """
 
     cosine: float
@@ -154,9 +154,9 @@ def compare(found: Draws, wanted: Draws) -> Comparison:
     Returns
     -------
     Comparison
-        NaN throughout if no parameter has a gradient that can be told from noise.
+        NaN throughout if no parameter has a gradient that can be distinguished from noise.
     """
-    heard = wanted.told
+    heard = wanted.significant
     silent = tuple(name for name in wanted.gradients if name not in heard)
     if not heard:
         return Comparison(math.nan, math.nan, math.nan, math.nan, math.nan, math.nan, silent)

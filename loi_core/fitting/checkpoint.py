@@ -15,7 +15,7 @@ import numpy as np
 from loi_core.errors import ParameterError
 from loi_core.io.files import atomic_path, open_regular
 from loi_core.io.npy import read_npy_header, read_npy_values
-from loi_core.support.wording import told
+from loi_core.support.wording import described
 
 __all__ = ["Checkpoint", "load_checkpoint", "save_checkpoint"]
 
@@ -85,7 +85,7 @@ def _load(path: Path) -> Checkpoint:
             **groups,
         )
     except Exception as error:  # damage may show in any layer: the file, zip, NumPy, JSON
-        raise _foreign(path, told(error)) from error
+        raise _foreign(path, described(error)) from error
     if not 0 <= state.best_step <= state.step == state.count == len(state.history):
         raise _foreign(path, "its counts of steps disagree")
     if not np.array_equal(state.history[:, 0], np.arange(state.step)):

@@ -33,7 +33,7 @@ from loi_core.renderers.contract import Parameters, ProjectingRenderer, Renderer
 from loi_core.support.arrays import Array, detached, is_array_api_obj, namespace, to_numpy
 from loi_core.support.guards import is_ctrl_c
 from loi_core.support.values import real_number, whole_number
-from loi_core.support.wording import shown, told
+from loi_core.support.wording import described, shown
 
 __all__ = [
     "Callback",
@@ -49,7 +49,7 @@ __all__ = [
 
 Decay = Literal["cosine", "none"]
 
-FINAL_RATE: Final = 1e-3  # where a cosine decay ends, as a share of the learning rate
+FINAL_RATE: Final = 1e-3  # where a cosine decay ends, as a factor of the learning rate
 CHECKPOINT_STEPS: Final = 25
 MOST_STEPS: Final = 2**31 - 1
 MOST_SEED: Final = 2**63 - 1  # of 64 bits with a sign, which is what TOML, JSON and a checkpoint hold anywhere
@@ -150,16 +150,16 @@ def fit(
             state = resumed(load_checkpoint(path, settings), state, renderer, objective, seed)
         while state.step < steps:
             started = time.perf_counter()
-            seen, share = state.params, _rate(decay, state.step, steps)
+            seen, factor = state.params, _rate(decay, state.step, steps)
             image, value, gradient = _evaluate(renderer, objective, state, rates, seed + state.step)
             state = state.seen(value, image)
             # In float64, since squares leave the range of narrower dtypes while the gradient is well within it.
             squares = (np.square(to_numpy(one), dtype=np.float64) for one in gradient.values())
             norm = math.sqrt(sum(float(np.sum(one)) for one in squares))
             with np.errstate(all="ignore"):  # what overflows is not finite, and is told as that at the next step
-                moved, moments = adam_step(seen, gradient, state.moments, {name: share * rates[name] for name in rates})
+                moved, moments = adam_step(seen, gradient, state.moments, {name: factor * rates[name] for name in rates})
             moved = _legal(renderer, bounds, moved, state)
-            entry = FitStep(state.step, value, norm, share, time.perf_counter() - started)
+            entry = FitStep(state.step, value, norm, factor, time.perf_counter() - started)
             state = state.stepped(entry, moved, moments)
             if state.step % CHECKPOINT_STEPS == 0:
                 _save(path, state, settings)
@@ -258,9 +258,9 @@ class _keeping:  # noqa: N801 - it reads as what it does: with _keeping(state, "
         if result is None and isinstance(error, LoiError) and not isinstance(error, NonFiniteImageError):
             return  # nothing is lost yet, and the error says what is wrong with the call
         if isinstance(error, NonFiniteImageError):
-            msg = f"step {self.state.step}: the render is not finite: {told(error)}"
+            msg = f"step {self.state.step}: the render is not finite: {described(error)}"
             raise FitDivergedError(msg, result) from error
-        msg = f"step {self.state.step}: {self.what} failed: {told(error)}"
+        msg = f"step {self.state.step}: {self.what} failed: {described(error)}"
         raise FitError(msg, result) from error
 
 

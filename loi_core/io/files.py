@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import BinaryIO, Final
 
 from loi_core.errors import OptionError
-from loi_core.support.wording import shown, told
+from loi_core.support.wording import described, shown
 
 __all__ = [
     "TEMPORARY",
@@ -67,7 +67,7 @@ def check_writable(name: str, folder: Path) -> None:
         while not _is_there(place):
             place = place.parent
     except (OSError, ValueError) as error:  # a name too long, a loop of links, a null character
-        msg = f"`{name}` must lead to a folder that can be written to, got {shown(str(folder))} ({told(error)})"
+        msg = f"`{name}` must lead to a folder that can be written to, got {shown(str(folder))} ({described(error)})"
         raise OptionError(msg) from None
     if not place.is_dir() or not os.access(place, os.W_OK | os.X_OK):
         why = "cannot be written to" if place.is_dir() else "is not a folder"

@@ -12,7 +12,7 @@ from loi_core.errors import ImageFileError
 from loi_core.io.exr import read_exr
 from loi_core.io.files import atomic_path, open_regular
 from loi_core.io.npy import read_npy_header, read_npy_values
-from loi_core.support.wording import told
+from loi_core.support.wording import described
 
 __all__ = ["IMAGE_SUFFIXES", "FloatImage", "read_image", "write_png"]
 
@@ -62,7 +62,7 @@ def read_image(path: Path) -> FloatImage:
     except ImageFileError:
         raise
     except Exception as error:  # decoders raise what they like on damaged files; all of it means the same here
-        msg = f"{path}: not a readable {suffix[1:].upper()} image ({told(error)})"
+        msg = f"{path}: not a readable {suffix[1:].upper()} image ({described(error)})"
         raise ImageFileError(msg) from error
     return _as_colour(path, image)
 

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from loi_core.errors import SceneError
 from loi_core.io.files import read_bytes
-from loi_core.support.wording import shown, told
+from loi_core.support.wording import described, shown
 
 __all__ = ["read_toml"]
 
@@ -46,7 +46,7 @@ def read_toml(path: Path) -> dict[str, Any]:
         msg = f"{path}: no such scene file"
         raise SceneError(msg) from None
     except (OSError, ValueError, RecursionError) as error:  # damage in the file, its UTF-8 or its TOML
-        msg = f"{path}: not a readable TOML file ({told(error)})"
+        msg = f"{path}: not a readable TOML file ({described(error)})"
         raise SceneError(msg) from error
     msg = f"{path}: keys may have at most {MOST_PARTS} parts, got {shown(long[0])}"
     raise SceneError(msg)

@@ -65,7 +65,7 @@ class _Levels:
 @dataclass(frozen=True)
 class _Extent:
     alpha: float
-    rung: int
+    start: int
     blur: GaussianBlur
 
     @property
@@ -82,7 +82,7 @@ class _InnerComparison:
     plan: InnerPlan
     blur: GaussianBlur
     intensity: Array  # the reference's, above the padding; shape (N, h, w)
-    rungs: tuple[GaussianBlur, ...]
+    pyramid: tuple[GaussianBlur, ...]
     extents: tuple[_Extent, ...]
     planes: int  # how many planes are handled together
     levels: dict[float, list[_Levels]]  # by tonal scale, those that are handled together
@@ -96,11 +96,11 @@ class _InnerComparison:
         intensity = blur.apply(above_padding(reference, scales.padding))
         most, planes = _chunk(max(each.last for each in tonal), reference.shape[0], plan.finest, reference)
         levels = {each.beta: _split(scales, each, most, intensity) for each in tonal}
-        rungs = tuple(GaussianBlur(rung, reference) for rung in plan.rungs)
+        pyramid = tuple(GaussianBlur(step, reference) for step in plan.pyramid)
         extents = tuple(
-            _Extent(extent.alpha, extent.rung, GaussianBlur(extent.blur, reference)) for extent in plan.extents
+            _Extent(extent.alpha, extent.start, GaussianBlur(extent.blur, reference)) for extent in plan.extents
         )
-        return cls(scales, plan, blur, intensity, rungs, extents, planes, levels)
+        return cls(scales, plan, blur, intensity, pyramid, extents, planes, levels)
 
     def compare(self, clipped: Array, *, gradient: bool) -> Compared:
         """Compare planes within the bounds, shape (N, H, W).
@@ -145,8 +145,8 @@ class _InnerComparison:
             scope = Scope.everything(self.plan)
         if scope is None:
             return xp.zeros_like(intensity) if gradient else None
-        held, felt = scope.route.held[0], scope.felt
-        seen = felt.crop(intensity)
+        differing, support = scope.route.support[0], scope.support
+        seen = support.crop(intensity)
         cotangent = xp.zeros_like(seen) if gradient else None
         for beta, groups in self.levels.items():
             tallies[beta].active += intensity.shape[0]
@@ -169,8 +169,8 @@ class _InnerComparison:
                 del weights
                 if levels.skipped == levels.values.shape[0]:
                     continue
-                difference = held.crop(cdf[levels.skipped :, ...], felt)
-                difference -= held.crop(levels.cdf[:, part, ...])
+                difference = differing.crop(cdf[levels.skipped :, ...], support)
+                difference -= differing.crop(levels.cdf[:, part, ...])
                 tallies[beta].compared += difference.shape[0] * difference.shape[1]
                 pulled = self._compare_levels(
                     difference, scope.route, beta, tie, terms, tallies[beta], gradient=gradient
@@ -178,7 +178,7 @@ class _InnerComparison:
                 if gradient:
                     pulled *= slope[levels.skipped :, ...]
                     cotangent += xp.sum(pulled, axis=0) * per_intensity
-        return felt.paste(cotangent, *intensity.shape[-2:]) if gradient else None
+        return support.paste(cotangent, *intensity.shape[-2:]) if gradient else None
 
     def _compare_levels(
         self, difference: Array, route: Route, beta: float, tie: float, terms: Terms, tally: Tally, *, gradient: bool
@@ -188,18 +188,18 @@ class _InnerComparison:
         Blurring and accumulating commute, so the difference is blurred once instead of each histogram.
         """
         scales = self.scales
-        rungs = [difference]
-        for rung, window in zip(self.rungs, route.held, strict=False):
-            rungs.append(rung.apply(rungs[-1], window))
-        pulled: list[Array | None] = [None] * len(rungs)
+        differences = [difference]
+        for step, window in zip(self.pyramid, route.support, strict=False):
+            differences.append(step.apply(differences[-1], window))
+        pulled: list[Array | None] = [None] * len(differences)
 
         def pull(index: int, part: Array, window: Window) -> None:
             total, wanted = pulled[index], route.pulled[index]
             pulled[index] = _plus(total, wanted, part, window)
 
         for index, extent in enumerate(self.extents):
-            window = route.held[extent.rung]
-            blurred = extent.blur.apply(rungs[extent.rung], window)
+            window = route.support[extent.start]
+            blurred = extent.blur.apply(differences[extent.start], window)
             if gradient and self.plan.extents[index].is_sampled:
                 plane = extent.blur.blur
                 tally.sums[index] += misplaced(to_numpy(blurred), plane.target, plane.reached(window), tie)
@@ -209,14 +209,14 @@ class _InnerComparison:
             if gradient:
                 reached = extent.blur.blur.reached(window)
                 back = extent.blur.adjoint(slope, reached)
-                pull(extent.rung, back, extent.blur.blur.reached_back(reached))
+                pull(extent.start, back, extent.blur.blur.reached_back(reached))
         if not gradient:
             return None
-        for index in range(len(self.rungs), 0, -1):
+        for index in range(len(self.pyramid), 0, -1):
             part, wanted = pulled[index], route.pulled[index]
             if part is not None:
-                rung = self.rungs[index - 1]
-                pull(index - 1, rung.adjoint(part, wanted), rung.blur.reached_back(wanted))
+                step = self.pyramid[index - 1]
+                pull(index - 1, step.adjoint(part, wanted), step.blur.reached_back(wanted))
         return pulled[0]
 
 

@@ -23,8 +23,8 @@ __all__ = [
     "as_slow_as",
     "blur_matrix",
     "coarsest_spacing",
+    "pyramid_variance",
     "reach",
-    "rung_variance",
 ]
 
 Matrix: TypeAlias = np.ndarray[tuple[int, ...], np.dtype[np.float64]]
@@ -39,7 +39,7 @@ SMOOTH: Final = 2.0
 """From this many samples on, the sum of a sampled Gaussian is its integral, to 2 exp(-2 (pi SMOOTH)**2) < 1e-33."""
 
 VARIANCE: Final = 4.0 / 3.0
-"""Variance of what a rung of a cascade holds, in squared spacings and in units of :func:`_needed`; see there."""
+"""Variance of what a level of a pyramid holds, in squared spacings and in units of :func:`_needed`; see there."""
 
 
 def reach(eps: float) -> float:
@@ -226,15 +226,15 @@ def coarsest_spacing(scale: float, eps: float) -> float:
     Two Gaussians of variances a and b, one after the other with a sampling of spacing s between them, are the
     Gaussian of variance a + b times a ripple of relative size ``2 exp(-2 pi**2 c / s**2)``, c = a b / (a + b), whatever
     the distance (complete the square, then Poisson summation). So the tails keep their relative accuracy, and signs
-    survive. The first of the two holds VARIANCE times what the ripple needs (:func:`rung_variance`), which leaves
-    enough for the second, and for another rung of at least twice the spacing.
+    survive. The first of the two holds VARIANCE times what the ripple needs (:func:`pyramid_variance`), which leaves
+    enough for the second, and for another level of at least twice the spacing.
     """
     need = _needed(eps)
     # a = VARIANCE need s**2 and b = scale**2 - a; c >= need s**2 asks for s <= this.
     return scale * math.sqrt((1.0 - 1.0 / VARIANCE) / (VARIANCE * need))
 
 
-def rung_variance(spacing: float, eps: float) -> float:
+def pyramid_variance(spacing: float, eps: float) -> float:
     """Variance, in squared pixels, that a cascade has blurred by when it is sampled at `spacing`."""
     return VARIANCE * _needed(eps) * spacing**2
 

@@ -12,14 +12,14 @@ __all__ = ["ExtentPlan", "InnerPlan", "Plan", "TonalPlan"]
 
 @dataclass(frozen=True)
 class ExtentPlan:
-    """One extent: which rung it starts from, what is left to blur, and the sampling that is compared.
+    """One extent: which pyramid level it starts from, what is left to blur, and the sampling that is compared.
 
     Attributes
     ----------
     alpha : float
         The extent scale, in pixels.
-    rung : int
-        0 for the sampling of the inner scale, k for the k-th of its rungs.
+    start : int
+        0 for the sampling of the inner scale, k for the k-th level of its pyramid.
     blur : PlaneBlur
         From there to where histograms are compared.
     error : float
@@ -27,7 +27,7 @@ class ExtentPlan:
     """
 
     alpha: float
-    rung: int
+    start: int
     blur: PlaneBlur
     error: float
 
@@ -39,11 +39,11 @@ class ExtentPlan:
 
 @dataclass(frozen=True)
 class InnerPlan:
-    """One inner scale: its sampling, its rungs, and its extents."""
+    """One inner scale: its sampling, its pyramid, and its extents."""
 
     sigma: float
     blur: PlaneBlur
-    rungs: tuple[PlaneBlur, ...]
+    pyramid: tuple[PlaneBlur, ...]
     extents: tuple[ExtentPlan, ...]
 
     @property
@@ -59,7 +59,7 @@ class InnerPlan:
     @property
     def work(self) -> float:
         """Multiplications and additions for one level of one channel, there and back."""
-        return 2.0 * (sum(rung.work for rung in self.rungs) + sum(extent.blur.work for extent in self.extents))
+        return 2.0 * (sum(step.work for step in self.pyramid) + sum(extent.blur.work for extent in self.extents))
 
 
 @dataclass(frozen=True)
@@ -128,14 +128,14 @@ class Plan:
             "{:>7} {:>7}  {:>12}  {:>11}  {:>11}  {:>18}  {:>7}".format("sigma", "alpha", *titles),
         ]
         for inner in self.inner:
-            grids = [inner.grid, *(rung.target for rung in inner.rungs)]
-            rungs = [0.0, *(rung.work for rung in inner.rungs)]
+            grids = [inner.grid, *(step.target for step in inner.pyramid)]
+            steps = [0.0, *(step.work for step in inner.pyramid)]
             paid = 0
             for extent in inner.extents:
-                work = extent.blur.work + sum(rungs[paid + 1 : extent.rung + 1])
-                paid = max(paid, extent.rung)
+                work = extent.blur.work + sum(steps[paid + 1 : extent.start + 1])
+                paid = max(paid, extent.start)
                 lines.append(
-                    f"{inner.sigma:7g} {extent.alpha:7g}  {inner.grid!s:>12}  {grids[extent.rung]!s:>11}"
+                    f"{inner.sigma:7g} {extent.alpha:7g}  {inner.grid!s:>12}  {grids[extent.start]!s:>11}"
                     f"  {extent.blur.target!s:>11}  {2.0 * work / pixels:18.1f}  {extent.error:7.1e}"
                 )
         lines.append(

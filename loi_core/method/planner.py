@@ -2,13 +2,14 @@
 
 Two things make it cheap, and none costs accuracy beyond what was asked for:
 
-* A wide blur passes through a coarser sampling, a *rung*, where the rest of it is cheap. Wider extents start from the
-  rungs of narrower ones. This is exact to rounding (:func:`loi_core.method.gaussian.coarsest_spacing`).
+* A wide blur passes through coarser samplings, the *levels of a pyramid*, where the rest of it is cheap. Wider extents
+  start from the pyramid levels of narrower ones. This is exact to rounding
+  (:func:`loi_core.method.gaussian.coarsest_spacing`).
 * What a wide extent has blurred changes slowly, so its mean over pixels may be taken over a coarser *sampling*.
   There lies the error: where the difference of two histograms changes sign, the line between is only found to within
   a cell.
 
-Levels at the far tails, which no intensity within the bounds moves by more than a share of the tolerance, are left
+Levels at the far tails, which no intensity within the bounds moves by more than a fraction of the tolerance, are left
 out of the comparison.
 """
 
@@ -21,7 +22,7 @@ from typing import Final
 import numpy as np
 
 from loi_core.method.blurs import PlaneBlur, PlaneGrid
-from loi_core.method.gaussian import FLAT, AxisBlur, AxisGrid, as_slow_as, coarsest_spacing, reach, rung_variance
+from loi_core.method.gaussian import FLAT, AxisBlur, AxisGrid, as_slow_as, coarsest_spacing, pyramid_variance, reach
 from loi_core.method.plan import ExtentPlan, InnerPlan, Plan, TonalPlan
 from loi_core.method.scales import ScaleSpace
 from loi_core.method.tonal import soft_cdf_and_slope
@@ -31,11 +32,11 @@ __all__ = ["make_plan"]
 QUADRATURE: Final = 0.1
 """Relative gradient error of one extent sampled at spacing s: QUADRATURE (s / l)**1.5, with l how slowly it changes.
 
-The power is that of lines that cross cells of side s, each misplaced by a share of s; the constant is measured
+The power is that of lines that cross cells of side s, each misplaced by a fraction of s; the constant is measured
 (docs/accuracy.md).
 """
 
-SHARE: Final = (0.05, 1.1, 0.6)
+FRACTION: Final = (0.05, 1.1, 0.6)
 """How much error each of n scales may have, in units of the tolerance: min(a n**b, c).
 
 Measured: so much leaves the error of ordinary images at a third of the tolerance or less, and its estimate
@@ -56,7 +57,7 @@ up to half a cell.
 BALANCED: Final = 1e-2
 
 NEGLIGIBLE: Final = 0.1
-"""A level is left out if it makes less than this share of the tolerance in the gradient of every intensity."""
+"""A level is left out if it makes less than this fraction of the tolerance in the gradient of every intensity."""
 
 NEAR: Final = 16
 """How many beta away from a bound an intensity is moved by levels at or beyond it, with a margin."""
@@ -120,28 +121,28 @@ class _Planner:
     def inner(self, sigma: float) -> InnerPlan:
         grid = self._inner_grid(sigma)
         blur = self._blur(self.pixels, grid, sigma, self._felt(self.scales.inner_taps, sigma))
-        rungs: list[PlaneBlur] = []
+        pyramid: list[PlaneBlur] = []
         variances = [0.0]
         extents = {}
         for alpha in sorted(self.scales.alpha):
             target, error = self._target(grid, sigma, alpha)
             taps = self._felt(self._taps, alpha)
-            grids = [grid, *(rung.target for rung in rungs)]
+            grids = [grid, *(step.target for step in pyramid)]
             ways: list[tuple[int, PlaneBlur | None, PlaneBlur]] = [
                 (index, None, self._blur(grids[index], target, self._rest(alpha, variances[index]), taps))
                 for index in range(len(grids))
                 if index == 0 or self._may_leave(grids[index], alpha)
             ]
             ways += [
-                (len(rungs) + 1, rung, self._blur(rung.target, target, self._rest(alpha, variance), None))
-                for rung, variance in self._new_rungs(grids[-1], variances[-1], alpha)
+                (len(pyramid) + 1, step, self._blur(step.target, target, self._rest(alpha, variance), None))
+                for step, variance in self._new_pyramid_levels(grids[-1], variances[-1], alpha)
             ]
-            index, rung, rest = min(ways, key=lambda way: way[2].work + (way[1].work if way[1] else 0.0))
-            if rung is not None:
-                rungs.append(rung)
-                variances.append(variances[-1] + rung.rows.scale**2)
+            index, step, rest = min(ways, key=lambda way: way[2].work + (way[1].work if way[1] else 0.0))
+            if step is not None:
+                pyramid.append(step)
+                variances.append(variances[-1] + step.rows.scale**2)
             extents[alpha] = ExtentPlan(alpha, index, rest, error)
-        return InnerPlan(sigma, blur, tuple(rungs), tuple(extents[alpha] for alpha in self.scales.alpha))
+        return InnerPlan(sigma, blur, tuple(pyramid), tuple(extents[alpha] for alpha in self.scales.alpha))
 
     @property
     def _taps(self) -> int | None:
@@ -153,15 +154,15 @@ class _Planner:
 
     @property
     def _cascades(self) -> bool:
-        # A cut kernel is no Gaussian; and without reflection, a rung would lose what it blurs beyond the edge.
+        # A cut kernel is no Gaussian; and without reflection, a pyramid level would lose what it blurs beyond the edge.
         return self.scales.boundary == "reflect" and self._taps is None
 
     @property
     def _ratio(self) -> float:
         """Largest spacing of a sampling in units of how slowly what is sampled changes."""
-        share, power, most = SHARE
+        fraction, power, most = FRACTION
         terms = len(self.scales.sigma) * len(self.scales.alpha)
-        allowed = self.tolerance * min(share * math.pow(terms, power), most)
+        allowed = self.tolerance * min(fraction * math.pow(terms, power), most)
         return min(math.pow(allowed / QUADRATURE, 2.0 / 3.0), RESOLVED)
 
     def _inner_grid(self, sigma: float) -> PlaneGrid:
@@ -209,23 +210,23 @@ class _Planner:
         longer = max(self.pixels.rows.size, self.pixels.columns.size)
         return self.scales.boundary == "reflect" and scale >= FLAT * longer
 
-    def _new_rungs(self, grid: PlaneGrid, variance: float, alpha: float) -> list[tuple[PlaneBlur, float]]:
-        """Rungs below `grid` from which `alpha` can be reached, with the variance that they then hold."""
+    def _new_pyramid_levels(self, grid: PlaneGrid, variance: float, alpha: float) -> list[tuple[PlaneBlur, float]]:
+        """Pyramid levels below `grid` from which `alpha` can be reached, with the variance that they then hold."""
         if alpha == 0.0 or not self._cascades:
             return []
         found = []
         spacing = coarsest_spacing(alpha, self.eps)
         for _ in range(3):
             coarser = self._sampled(self.pixels, spacing)
-            held = rung_variance(spacing, self.eps)
-            if 4 * coarser.cells <= grid.cells and spacing >= 2.0 and variance < held < alpha**2:
-                found.append((self._blur(grid, coarser, math.sqrt(held - variance), None), held))
+            reached = pyramid_variance(spacing, self.eps)
+            if 4 * coarser.cells <= grid.cells and spacing >= 2.0 and variance < reached < alpha**2:
+                found.append((self._blur(grid, coarser, math.sqrt(reached - variance), None), reached))
             spacing /= math.sqrt(2.0)
         return found
 
     def _may_leave(self, grid: PlaneGrid, alpha: float) -> bool:
         spacing = max(grid.rows.spacing, grid.columns.spacing)
-        return rung_variance(spacing, self.eps) < alpha**2 and spacing <= coarsest_spacing(alpha, self.eps)
+        return pyramid_variance(spacing, self.eps) < alpha**2 and spacing <= coarsest_spacing(alpha, self.eps)
 
     @staticmethod
     def _rest(alpha: float, variance: float) -> float:

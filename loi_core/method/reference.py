@@ -1,7 +1,9 @@
-"""The loss and its gradient as a plain sum, in float64 on NumPy: dense matrices, every level, every pixel.
+"""The whole method on one page: loss and gradient by brute force, in float64 on NumPy. Start reading here.
 
-It shares the kernels, the levels and the rules with the library, and none of what makes the library fast: no rungs, no
-blocks, no chunks, no level left out. What a backend gives is measured against it.
+Dense matrices, every level, every pixel. Nothing here is fast; everything that is fast is measured against it. Only the
+kernel (:mod:`loi_core.method.gaussian`) and the scales (:mod:`loi_core.method.scales`) are shared with the rest.
+
+Equation numbers are those of the paper, *Locally Orderless Images for Optimization in Differentiable Rendering*.
 """
 
 from __future__ import annotations
@@ -21,9 +23,115 @@ from loi_core.pixels.bounds import clip, clip_pullback
 from loi_core.pixels.layout import Layout
 from loi_core.support.arrays import Host
 
-__all__ = ["DOUBLE", "Planes", "cost", "dense_blur", "direct", "slope_of_cost"]
+__all__ = ["DOUBLE", "Planes", "cost", "dense_blur", "loss_and_gradient", "slope_of_cost"]
 
 DOUBLE: Final = float(np.finfo(np.float64).eps)
+
+
+def loss_and_gradient(
+    image: Host, reference: Host, scales: ScaleSpace, *, channel_axis: int | None = -1, eps: float = DOUBLE
+) -> tuple[float, Host]:
+    """The loss of an image, and its gradient by the image.
+
+    Parameters
+    ----------
+    image, reference : array, shape (*batch, H, W, C)
+        Pixels that are not finite are masked: they add nothing, and their gradient is 0.
+    scales : ScaleSpace
+        The scales to compare.
+    channel_axis : int or None
+        Where the channels are.
+    eps : float
+        Machine epsilon of the dtype whose tie rule holds; the arithmetic is float64 whatever it is.
+
+    Returns
+    -------
+    value : float
+    gradient : array
+        Of the image's shape, float64.
+    """
+    planes = Planes.of(image, reference, channel_axis)
+    value, gradient = 0.0, np.zeros_like(planes.image)
+    for group in planes.equal():
+        one, slopes = _plane(planes.image[group[0]], planes.reference[group[0]], scales, eps)
+        value += one * len(group) / len(planes.image)
+        gradient[group] = slopes / len(planes.image)
+    return value, planes.layout.to_image(np.where(planes.seen, gradient, 0.0))
+
+
+def _plane(image: Host, reference: Host, scales: ScaleSpace, eps: float) -> tuple[float, Host]:
+    """One channel of one image, shape (H, W). Names of variables are those of the paper."""
+    I, I_gt = (clip(each, *scales.bounds) - scales.padding for each in (image, reference))
+    value, gradient = 0.0, np.zeros(image.shape)
+    for sigma in scales.sigma:
+        G = dense_blur(image.shape, sigma, scales.boundary, scales.inner_taps)
+        J, J_gt = G.apply(I), G.apply(I_gt)  # eq. 1: the image at inner scale sigma
+        for beta in scales.beta:
+            # Eq. 3: each pixel becomes a histogram P(k) = N(k; J, beta^2) over levels k, and that its running sum.
+            cdf, dcdf_dJ = _cdf_and_slope(J, scales, beta)  # shape (L, H, W) both
+            cdf_gt, _ = _cdf_and_slope(J_gt, scales, beta)
+            weight = scales.scale_weight * scales.level_weight(beta) / image.size  # of one level at one pixel
+            tie = TIE_ROUNDINGS * eps * scales.mass(beta) / scales.spacing(beta)
+            for alpha in scales.alpha:
+                # Eq. 4: histograms are averaged over a neighbourhood, H = A_alpha * P. A acts on pixels, the running
+                # sum on levels, so it does not matter which comes first: A is applied to the difference of the CDFs.
+                A = dense_blur(image.shape, alpha, scales.boundary, scales.extent_taps)
+                F = A.apply(cdf - cdf_gt)
+                # Eq. 5: E(alpha, beta, sigma), the mean over pixels of the sum over levels of |F|^(1/p) dk.
+                value += weight * float(np.sum(cost(np.abs(F), scales.p, tie)))
+                # The chain rule, backwards. A blur is a matrix; its adjoint is the transposed matrix.
+                dE_dF = weight * np.sign(F) * slope_of_cost(np.abs(F), scales.p, tie)  # eq. 5
+                dE_dcdf = A.adjoint(dE_dF)  # eq. 4
+                dE_dJ = np.sum(dE_dcdf * dcdf_dJ, axis=0)  # eq. 3
+                gradient += G.adjoint(dE_dJ)  # eq. 1
+    # A pixel beyond the bounds is clipped; a slope that points back inside is kept.
+    return value, clip_pullback(image, gradient, *scales.bounds)
+
+
+def _cdf_and_slope(intensity: Host, scales: ScaleSpace, beta: float) -> tuple[Host, Host]:
+    """Eq. 3, accumulated over levels, and its derivative by the intensity; both of shape (L, H, W)."""
+    spacing, count = scales.spacing(beta), scales.level_count(beta)
+    first, steps = scales.levels(beta)[0] - scales.padding, np.arange(count)[:, None, None]
+    # In whole steps, since levels in units of intensity have a rounding each, which add up where there are thousands.
+    offsets = (steps - (intensity - first) / spacing) * (spacing / beta)  # (k - J) / beta
+    histogram = np.exp(-0.5 * offsets**2) / (math.sqrt(2.0 * math.pi) * beta) * scales.mass(beta)
+    return np.cumsum(histogram, axis=0), np.cumsum(histogram * offsets / beta, axis=0)
+
+
+def cost(magnitude: Host, p: float, tie: float) -> Host:
+    """``magnitude ** (1 / p)`` of eq. 5, 0 where the magnitude is at most `tie`: below, there is only rounding."""
+    return np.where(magnitude > tie, magnitude if p == 1.0 else magnitude ** (1.0 / p), 0.0)
+
+
+def slope_of_cost(magnitude: Host, p: float, tie: float) -> Host:
+    """The derivative of :func:`cost`, 0 where the magnitude is at most `tie`."""
+    if p == 1.0:
+        return np.where(magnitude > tie, 1.0, 0.0)
+    beyond = np.maximum(magnitude, tie)
+    return np.where(magnitude > tie, beyond ** (1.0 / p - 1.0) / p, 0.0)
+
+
+def dense_blur(shape: tuple[int, ...], scale: float, boundary: Boundary, taps: int | None) -> Blur:
+    """Eq. 2 as matrices: a Gaussian blur along rows and columns of planes of this shape; nothing if `scale` is 0."""
+    if scale == 0.0:
+        return _Same()
+    rows, columns = (_matrix(size, scale, boundary, taps) for size in shape)
+    return DenseBlur(rows, columns)
+
+
+class _Same:
+    """The blur that changes nothing."""
+
+    def apply(self, planes: Host) -> Host:
+        return planes
+
+    def adjoint(self, planes: Host) -> Host:
+        return planes
+
+
+@functools.lru_cache(maxsize=16)
+def _matrix(size: int, scale: float, boundary: Boundary, taps: int | None) -> Matrix:
+    return blur_matrix(size, scale, boundary, taps)
 
 
 @dataclass(frozen=True)
@@ -63,96 +171,3 @@ class Planes:
         for index in range(len(self.image)):
             groups.setdefault((self.image[index].tobytes(), self.reference[index].tobytes()), []).append(index)
         return list(groups.values())
-
-
-def direct(
-    image: Host, reference: Host, scales: ScaleSpace, *, channel_axis: int | None = -1, eps: float = DOUBLE
-) -> tuple[float, Host]:
-    """Value, and gradient by the image, with every accuracy "exact".
-
-    Parameters
-    ----------
-    image, reference : array, shape (*batch, H, W, C)
-        Pixels that are not finite are masked.
-    scales : ScaleSpace
-        The scales to compare.
-    channel_axis : int or None
-        Where the channels are.
-    eps : float
-        Machine epsilon of the dtype whose tie rule holds; the arithmetic is float64 whatever it is.
-    """
-    planes = Planes.of(image, reference, channel_axis)
-    value, gradient = 0.0, np.zeros_like(planes.image)
-    for group in planes.equal():
-        one, slopes = _plane(planes.image[group[0]], planes.reference[group[0]], scales, eps)
-        value += one * len(group) / len(planes.image)
-        gradient[group] = slopes / len(planes.image)
-    return value, planes.layout.to_image(np.where(planes.seen, gradient, 0.0))
-
-
-def dense_blur(shape: tuple[int, ...], scale: float, boundary: Boundary, taps: int | None) -> Blur:
-    """A Gaussian blur of planes of this shape, as dense matrices; nothing at all if `scale` is 0."""
-    if scale == 0.0:
-        return _Same()
-    rows, columns = (_matrix(size, scale, boundary, taps) for size in shape)
-    return DenseBlur(rows, columns)
-
-
-def cost(magnitude: Host, p: float, tie: float) -> Host:
-    """``magnitude ** (1 / p)``, 0 where the magnitude is at most `tie`."""
-    return np.where(magnitude > tie, magnitude if p == 1.0 else magnitude ** (1.0 / p), 0.0)
-
-
-def slope_of_cost(magnitude: Host, p: float, tie: float) -> Host:
-    """The derivative of :func:`cost`, 0 where the magnitude is at most `tie`."""
-    if p == 1.0:
-        return np.where(magnitude > tie, 1.0, 0.0)
-    beyond = np.maximum(magnitude, tie)
-    return np.where(magnitude > tie, beyond ** (1.0 / p - 1.0) / p, 0.0)
-
-
-class _Same:
-    """The blur that changes nothing."""
-
-    def apply(self, planes: Host) -> Host:
-        return planes
-
-    def adjoint(self, planes: Host) -> Host:
-        return planes
-
-
-@functools.lru_cache(maxsize=16)
-def _matrix(size: int, scale: float, boundary: Boundary, taps: int | None) -> Matrix:
-    return blur_matrix(size, scale, boundary, taps)
-
-
-def _plane(image: Host, reference: Host, scales: ScaleSpace, eps: float) -> tuple[float, Host]:
-    shape = image.shape
-    clipped, wanted = (clip(each, *scales.bounds) - scales.padding for each in (image, reference))
-    value, gradient = 0.0, np.zeros(shape)
-    for sigma in scales.sigma:
-        inner = dense_blur(shape, sigma, scales.boundary, scales.inner_taps)
-        intensity, target = inner.apply(clipped), inner.apply(wanted)
-        for beta in scales.beta:
-            mass = scales.mass(beta)
-            tie = TIE_ROUNDINGS * eps * mass / scales.spacing(beta)
-            weight = scales.scale_weight * scales.level_weight(beta) / image.size
-            cdf, slope = _cdf_and_slope(intensity, scales, beta)
-            difference = cdf - _cdf_and_slope(target, scales, beta)[0]
-            for alpha in scales.alpha:
-                extent = dense_blur(shape, alpha, scales.boundary, scales.extent_taps)
-                mean = extent.apply(difference)
-                size = np.abs(mean)
-                value += weight * float(np.sum(cost(size, scales.p, tie)))
-                pulled = extent.adjoint(np.sign(mean) * slope_of_cost(size, scales.p, tie))
-                gradient += weight * inner.adjoint(np.sum(pulled * slope, axis=0))
-    return value, clip_pullback(image, gradient, *scales.bounds)
-
-
-def _cdf_and_slope(intensity: Host, scales: ScaleSpace, beta: float) -> tuple[Host, Host]:
-    first, steps = scales.levels(beta)[0] - scales.padding, np.arange(scales.level_count(beta))[:, None, None]
-    spacing = scales.spacing(beta)
-    # In whole steps, since levels in units of intensity have a rounding each, which add up where there are thousands.
-    offsets = (steps - (intensity - first) / spacing) * (spacing / beta)
-    weights = np.exp(-0.5 * offsets**2) / (math.sqrt(2.0 * math.pi) * beta) * scales.mass(beta)
-    return np.cumsum(weights, axis=0), np.cumsum(weights * offsets / beta, axis=0)

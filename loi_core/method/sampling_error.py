@@ -2,7 +2,7 @@
 
 An extent that is compared on a sampling takes the sign of a difference F of two histograms for all of a cell. Where F
 changes its sign between two samples, some pixels of the cell get the wrong one. Between the two samples F is nearly a
-straight line, so its zero, and with it the pixels that change sides, are known; their share of the cell is the
+straight line, so its zero, and with it the pixels that change sides, are known; their fraction of the cell is the
 *misplacement* of that sample. What matters is how misplacements add up, since the extent's blur averages them on the
 way back: lines that cross the sampling at every angle cancel, edges of stripes all err the same way. So they are added
 up in blocks of `BLOCK` by `BLOCK` samples, about as many as an extent averages.
@@ -42,7 +42,7 @@ of 5e-2, whose samplings are coarser, and lines between two samples less straigh
 
 CLOSE: Final = 1e-2
 LOOSENING: Final = 0.2
-"""With what power of the tolerance, beyond `CLOSE`, that share falls."""
+"""With what power of the tolerance, beyond `CLOSE`, that fraction falls."""
 
 
 @dataclass(frozen=True)
@@ -130,8 +130,8 @@ def _sums(planes: Numbers, spacing: float, window: Window, tie: float) -> tuple[
     passed = (np.where(opposite, here, np.abs(here)) - zero) / rise
     position = (window.columns.start + column + 0.5) * spacing - 0.5
     # Pixels lie on whole numbers; those up to the line take the sign from here.
-    share = (np.floor(position + passed * spacing) + 0.5 - position) / spacing
-    moved = (sign - other) * (share - 0.5)
+    fraction = (np.floor(position + passed * spacing) + 0.5 - position) / spacing
+    moved = (sign - other) * (fraction - 0.5)
     across, down = (window.columns.start + column) // BLOCK, (window.rows.start + row) // BLOCK
     block = (plane * (down.max() + 1) + down) * (across.max() + 1) + across
     total, squares = (np.bincount(block, weights) for weights in (moved, moved**2))
@@ -155,5 +155,5 @@ def error_of(parts: Iterable[Misplaced]) -> float:
 
 def is_within(error: float, tolerance: float, norm: float) -> bool:
     """Whether an estimated error is surely within a tolerance, relative to the gradient's 2-norm."""
-    share = CONFIDENT * math.pow(min(1.0, CLOSE / tolerance), LOOSENING)
-    return error <= share * tolerance * norm
+    fraction = CONFIDENT * math.pow(min(1.0, CLOSE / tolerance), LOOSENING)
+    return error <= fraction * tolerance * norm

@@ -30,31 +30,31 @@ class Route:
 
     Attributes
     ----------
-    held : tuple of Window
-        On the sampling of the inner scale and on every rung, on the way there.
+    support : tuple of Window
+        Of the difference: on the sampling of the inner scale, and on every level of its pyramid.
     pulled : tuple of Window
-        The same on the way back.
+        Of what is pulled back there.
     """
 
-    held: tuple[Window, ...]
+    support: tuple[Window, ...]
     pulled: tuple[Window, ...]
 
     @classmethod
     def of(cls, start: Window, plan: InnerPlan) -> Route:
         """The route of a difference that is 0 outside `start`."""
-        held = [start]
-        for rung in plan.rungs:
-            held.append(rung.reached(held[-1]))
+        support = [start]
+        for step in plan.pyramid:
+            support.append(step.reached(support[-1]))
         pulled: dict[int, Window] = {}
 
         def add(index: int, window: Window) -> None:
             pulled[index] = pulled[index] | window if index in pulled else window
 
         for extent in plan.extents:
-            add(extent.rung, extent.blur.reached_back(extent.blur.reached(held[extent.rung])))
-        for index in range(len(plan.rungs), 0, -1):
-            add(index - 1, plan.rungs[index - 1].reached_back(pulled[index]))
-        return cls(tuple(held), tuple(pulled[index] for index in range(len(held))))
+            add(extent.start, extent.blur.reached_back(extent.blur.reached(support[extent.start])))
+        for index in range(len(plan.pyramid), 0, -1):
+            add(index - 1, plan.pyramid[index - 1].reached_back(pulled[index]))
+        return cls(tuple(support), tuple(pulled[index] for index in range(len(support))))
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Scope:
     Attributes
     ----------
     route : Route
-    felt : Window
+    support : Window
         Where intensities move the distance, or, if no gradient is wanted, where they differ.
     least : float
         The least of the image's intensities there.
@@ -73,7 +73,7 @@ class Scope:
     """
 
     route: Route
-    felt: Window
+    support: Window
     least: float = -math.inf
     low: float = -math.inf
     high: float = math.inf
@@ -108,15 +108,15 @@ def scope_of(
     differing: Window, route: Route, intensity: Array, reference: Array, scales: ScaleSpace, *, gradient: bool
 ) -> Scope:
     """What of some planes has to be looked at if they differ in a window, from which there is a route."""
-    felt = route.pulled[0] if gradient else differing
+    support = route.pulled[0] if gradient else differing
     if scales.p != 1.0:
-        return Scope(route, felt)  # a small power of what counts as a tie is not small
+        return Scope(route, support)  # a small power of what counts as a tie is not small
     xp = namespace(intensity)
     seen, wanted = differing.crop(intensity), differing.crop(reference)
     low, high = float(xp.min(seen)), float(xp.max(seen))
-    least = low if felt == differing else min(low, float(xp.min(felt.crop(intensity))))
+    least = low if support == differing else min(low, float(xp.min(support.crop(intensity))))
     low, high = min(low, float(xp.min(wanted))), max(high, float(xp.max(wanted)))
-    return Scope(route, felt, min(low, least), low, high)
+    return Scope(route, support, min(low, least), low, high)
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Rectangles of a plane outside which a stack of planes is 0, so that only what lies inside is held and computed."""
+"""Rectangles of a plane outside which a stack of planes is 0, so that only what lies inside is stored and computed."""
 
 from __future__ import annotations
 
@@ -48,27 +48,27 @@ class Window:
         """The smallest window that holds both."""
         return Window(_hull(self.rows, other.rows), _hull(self.columns, other.columns))
 
-    def crop(self, planes: Array, held: Window | None = None) -> Array:
+    def crop(self, planes: Array, within: Window | None = None) -> Array:
         """The part of `planes` inside, a view where the library has views.
 
         Parameters
         ----------
         planes : array, shape (..., H, W)
-            All of the plane, or what lies in `held`.
-        held : Window, optional
+            All of the plane, or what lies in `within`.
+        within : Window, optional
             A window that holds this one.
         """
-        top, left = (held.rows.start, held.columns.start) if held else (0, 0)
+        top, left = (within.rows.start, within.columns.start) if within else (0, 0)
         rows = slice(self.rows.start - top, self.rows.stop - top)
         return planes[..., rows, self.columns.start - left : self.columns.stop - left]
 
-    def paste(self, part: Array, height: int, width: int, held: Window | None = None) -> Array:
-        """Planes of `height` by `width` samples, those of `held` if given, that are `part` inside and 0 elsewhere."""
+    def paste(self, part: Array, height: int, width: int, within: Window | None = None) -> Array:
+        """Planes of `height` by `width` samples, those of `within` if given, that are `part` inside and 0 elsewhere."""
         if self.shape == (height, width):
             return part
         xp = namespace(part)
         planes = xp.zeros((*part.shape[:-2], height, width), dtype=part.dtype, device=device(part))
-        inside = self.crop(planes, held)
+        inside = self.crop(planes, within)
         inside += part
         return planes
 

@@ -1,4 +1,4 @@
-"""Image objectives: the paper's loss and its rivals, all with ``value``, ``value_and_grad`` and ``terms``."""
+"""Image objectives: the paper's loss and its baselines, all with ``value``, ``value_and_grad`` and ``terms``."""
 
 from loi_core.objectives.base import ImageObjective, Objective
 from loi_core.objectives.loi import LOIObjective

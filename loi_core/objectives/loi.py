@@ -50,6 +50,7 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
     Every pixel becomes a soft histogram of the intensities around it, at inner scale sigma, tonal scale beta and
     extent alpha. Histograms are compared by the Wasserstein distance of order `p`, averaged over pixels and
     channels, and summed over scales. Unlike a difference of pixels it has a gradient where nothing overlaps.
+    :mod:`loi_core.method.reference` is the whole of it on one page, by brute force; start reading there.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""The multi-scale rival: squared differences at every level of a Gaussian pyramid (Adelson et al. 1984)."""
+"""The multi-scale baseline: squared differences at every level of a Gaussian pyramid (Adelson et al. 1984)."""
 
 from __future__ import annotations
 

@@ -12,9 +12,9 @@ from loi_core.pixels.nonfinite import NanPolicy
 from loi_core.pixels.tone_curve import LogTone
 from loi_core.plugins.registry import ObjectiveFactory, load_objective, objective_names
 from loi_core.support.guards import is_ctrl_c
-from loi_core.support.wording import told
+from loi_core.support.wording import described
 
-__all__ = ["is_objective_name", "make_rival", "rival_names"]
+__all__ = ["baseline_names", "is_objective_name", "make_baseline"]
 
 OWN: Final[dict[str, ObjectiveFactory]] = {
     "pixel_l2": PixelL2,
@@ -28,13 +28,13 @@ def is_objective_name(name: object) -> bool:
     return isinstance(name, str) and re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}", name) is not None
 
 
-def rival_names() -> list[str]:
-    """The names of all rivals, the core's own first; no package is imported."""
+def baseline_names() -> list[str]:
+    """The names of all baselines, the core's own first; no package is imported."""
     return [*OWN, *(name for name in objective_names() if is_objective_name(name) and name not in OWN)]
 
 
-def make_rival(name: str, target: FloatImage, *, nan_policy: NanPolicy, tone: LogTone | None) -> Objective:
-    """The rival of this name, with `target` as its reference.
+def make_baseline(name: str, target: FloatImage, *, nan_policy: NanPolicy, tone: LogTone | None) -> Objective:
+    """The baseline of this name, with `target` as its reference.
 
     Raises
     ------
@@ -50,7 +50,7 @@ def make_rival(name: str, target: FloatImage, *, nan_policy: NanPolicy, tone: Lo
     except BaseException as error:  # a third party may raise anything, SystemExit too
         if is_ctrl_c(error):
             raise
-        msg = f"{name} refused: {told(error)}"
+        msg = f"{name} refused: {described(error)}"
         raise OptionError(msg) from error
     if not usable:
         msg = f"{name} made a {type(made).__name__}, which is not an objective"

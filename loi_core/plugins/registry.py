@@ -25,7 +25,7 @@ from loi_core.objectives import Objective
 from loi_core.plugins.backends import Backend
 from loi_core.renderers.contract import Renderer
 from loi_core.support.guards import is_ctrl_c
-from loi_core.support.wording import shown, told
+from loi_core.support.wording import described, shown
 
 __all__ = [
     "BACKEND_GROUP",
@@ -73,8 +73,8 @@ class PluginInfo:
         or called for another reason; "clash" if several distributions claim the name.
     problem : str
         One line on what is wrong; empty if it is ready.
-    mend : str
-        The command that mends it; empty if it is ready.
+    fix : str
+        The command that fixes it; empty if it is ready.
     """
 
     name: str
@@ -84,7 +84,7 @@ class PluginInfo:
     target: str
     state: Literal["ready", "missing", "broken", "clash"]
     problem: str = ""
-    mend: str = ""
+    fix: str = ""
 
 
 def available_renderers() -> list[PluginInfo]:
@@ -113,7 +113,7 @@ def load_renderer(name: str) -> RendererFactory:
     Raises
     ------
     RendererNotFoundError
-        If no distribution, or more than one, announces it, or its factory cannot be imported; with the mend.
+        If no distribution, or more than one, announces it, or its factory cannot be imported; with the fix.
     """
     factory: RendererFactory = _load(GROUP, "renderer", name, RendererNotFoundError)
     return factory
@@ -125,7 +125,7 @@ def load_objective(name: str) -> ObjectiveFactory:
     Raises
     ------
     ObjectiveNotFoundError
-        If no distribution, or more than one, announces it, or its factory cannot be imported; with the mend.
+        If no distribution, or more than one, announces it, or its factory cannot be imported; with the fix.
     """
     factory: ObjectiveFactory = _load(OBJECTIVE_GROUP, "objective", name, ObjectiveNotFoundError)
     return factory
@@ -137,7 +137,7 @@ def load_backend(name: str) -> BackendFactory:
     Raises
     ------
     BackendNotFoundError
-        If no distribution, or more than one, announces it, or its factory cannot be imported; with the mend.
+        If no distribution, or more than one, announces it, or its factory cannot be imported; with the fix.
     """
     factory: BackendFactory = _load(BACKEND_GROUP, "backend", name, BackendNotFoundError)
     return factory
@@ -161,7 +161,7 @@ def _load(group: str, kind: str, name: str, failure: type[LookupError]) -> Any:
     points = announced[name]
     factory, info = _examine(points[0], [_origin(point)[0] for point in points])
     if factory is None:
-        msg = f"{kind} {name!r} of {info.package} cannot be used: {info.problem}; {info.mend}"
+        msg = f"{kind} {name!r} of {info.package} cannot be used: {info.problem}; {info.fix}"
         raise failure(msg)
     return factory
 
@@ -170,14 +170,14 @@ def _examine(point: EntryPoint, claims: list[str]) -> tuple[Callable[..., Any] |
     """The factory of one entry point, or None, and what there is to say about it."""
     package, version = _origin(point)
     if EntryPoint.pattern.match(point.value) is None:
-        mend = _reinstall(package)
+        fix = _reinstall(package)
         problem = f"{shown(point.value)} is not a module and an object in it"
-        return None, PluginInfo(point.name, package, version, "", point.value, "broken", problem, mend)
+        return None, PluginInfo(point.name, package, version, "", point.value, "broken", problem, fix)
     extra = point.extras[0] if point.extras else ""
     target = f"{point.module}:{point.attr}"
     if len(claims) > 1:
-        mend = f"pip uninstall all but one of {', '.join(sorted(claims))}"
-        info = PluginInfo(point.name, package, version, extra, target, "clash", f"{len(claims)} claim it", mend)
+        fix = f"pip uninstall all but one of {', '.join(sorted(claims))}"
+        info = PluginInfo(point.name, package, version, extra, target, "clash", f"{len(claims)} claim it", fix)
         return None, info
     try:
         with contextlib.redirect_stdout(sys.stderr):  # what a plugin prints is not part of our answer
@@ -187,10 +187,10 @@ def _examine(point: EntryPoint, claims: list[str]) -> tuple[Callable[..., Any] |
     except BaseException as error:  # a plugin may raise anything, SystemExit too; the listing must go on
         if is_ctrl_c(error):
             raise
-        problem = told(error)
+        problem = described(error)
         if extra and isinstance(error, ModuleNotFoundError):
-            mend = f"pip install '{package}[{extra}]'"
-            return None, PluginInfo(point.name, package, version, extra, target, "missing", problem, mend)
+            fix = f"pip install '{package}[{extra}]'"
+            return None, PluginInfo(point.name, package, version, extra, target, "missing", problem, fix)
     else:
         if not problem:
             return factory, PluginInfo(point.name, package, version, backend, target, "ready")
@@ -235,7 +235,7 @@ def _points_one_by_one(group: str) -> tuple[list[EntryPoint], list[PluginInfo]]:
         try:
             points += [point for point in distribution.entry_points if point.group == group]
         except Exception as error:  # noqa: BLE001 - likewise
-            problem = f"its entry points cannot be read: {told(error)}"
+            problem = f"its entry points cannot be read: {described(error)}"
             broken.append(PluginInfo(package, package, "", "", "", "broken", problem, _reinstall(package)))
     return points, broken
 

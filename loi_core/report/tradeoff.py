@@ -81,7 +81,7 @@ def tradeoff_lines(found: Tradeoff) -> list[str]:
     if found.noises:
         lines += ["", *markdown(*_noise_table(found.noises)), "", _noise_note(found)]
     lines += [f"{row.setting} was not measured: {row.problem}" for row in found.rows if row.problem]
-    lines += [_missing(one.name, one.problem, one.mend) for one in found.missing]
+    lines += [_missing(one.name, one.problem, one.fix) for one in found.missing]
     advice = _advice(found)
     return [*lines, "", f"Recommended: {advice}"] if advice else lines
 
@@ -189,8 +189,8 @@ def _noise_note(found: Tradeoff) -> str:
     return said if found.noise is not None else f"{said} The scene's own count was not reached."
 
 
-def _missing(name: str, problem: str, mend: str) -> str:
-    return f"{name} was not measured: {problem}" + (f"; {mend}" if mend else "")
+def _missing(name: str, problem: str, fix: str) -> str:
+    return f"{name} was not measured: {problem}" + (f"; {fix}" if fix else "")
 
 
 def _advice(found: Tradeoff) -> str:
@@ -230,7 +230,7 @@ def _body(folder: Path, found: Tradeoff) -> str:
     ]
     if found.noises:
         parts.append(f"<h2>The renderer</h2>{_html(*_noise_table(found.noises), 0)}<p>{escape(_noise_note(found))}</p>")
-    parts += [f"<p>{escape(_missing(one.name, one.problem, one.mend))}</p>" for one in found.missing]
+    parts += [f"<p>{escape(_missing(one.name, one.problem, one.fix))}</p>" for one in found.missing]
     return "\n".join(parts)
 
 

@@ -23,13 +23,13 @@ from loi_core.io.toml import read_toml
 from loi_core.method.scales import ScaleSpace
 from loi_core.objectives import LOIObjective, Objective
 from loi_core.pixels.tone_curve import LogTone
-from loi_core.plugins.baselines import make_rival, rival_names
+from loi_core.plugins.baselines import baseline_names, make_baseline
 from loi_core.plugins.registry import RendererFactory, load_renderer
 from loi_core.renderers.contract import Renderer
 from loi_core.scenes.scene import FitOptions, Scene
 from loi_core.support.guards import is_ctrl_c
 from loi_core.support.values import real_number, whole_number
-from loi_core.support.wording import shown, told
+from loi_core.support.wording import described, shown
 
 __all__ = ["load_scene"]
 
@@ -166,7 +166,7 @@ def _renderer(
     except BaseException as error:  # a third party may raise anything, SystemExit too
         if is_ctrl_c(error):
             raise
-        said = str(error) if isinstance(error, LoiError) else f"{name} refused: {told(error)}"
+        said = str(error) if isinstance(error, LoiError) else f"{name} refused: {described(error)}"
         raise where.error("renderer", said) from error
     if not usable:
         raise where.error("renderer", f"{name} made a {type(renderer).__name__}, which is not a renderer")
@@ -274,7 +274,7 @@ def _objectives(
         raise where.error("objective", f"`compare` must be a list of names, got {shown(compare)}")
     names = [table.get("name", OURS), *compare]
     for name in names:
-        known = (OURS, *rival_names())
+        known = (OURS, *baseline_names())
         if name not in known:
             raise where.error("objective", f"objectives are {', '.join(known)}, got {shown(name)}")
     policy = table.get("nan_policy", "raise")
@@ -285,7 +285,7 @@ def _objectives(
             if name == OURS:
                 made[name] = LOIObjective(target, scales, accuracy, nan_policy=policy, tone=tone)
             else:
-                made[name] = make_rival(name, target, nan_policy=policy, tone=tone)
+                made[name] = make_baseline(name, target, nan_policy=policy, tone=tone)
     except LoiError as error:
         raise where.error("objective", str(error)) from error
     return made

@@ -131,7 +131,7 @@ class _Plane:
         loss, gradient = 0.0, np.zeros(shape)
         for sigma in scales.sigma:
             inner = dense_blur(shape, sigma, scales.boundary, scales.inner_taps)
-            roundings = self._blur_roundings(sigma, scales.inner_taps, rungs=0.0)
+            roundings = self._blur_roundings(sigma, scales.inner_taps, pyramid=0.0)
             intensity, target = (self._blurred(inner, each, roundings) for each in (clipped, wanted))
             touched = inner.apply(np.where(clipped == wanted, 0.0, 1.0)) > 0.0
             for beta in scales.beta:
@@ -141,12 +141,12 @@ class _Plane:
                 gradient += inner.adjoint(pulled_error) + eps * (roundings + 2.0) * inner.adjoint(np.abs(pulled))
         return loss, gradient
 
-    def _blur_roundings(self, scale: float, taps: int | None, rungs: float) -> float:
+    def _blur_roundings(self, scale: float, taps: int | None, pyramid: float) -> float:
         """By how many eps of the blurred sizes a blur is off."""
         if scale == 0.0:
             return 0.0
         kernel = 2.0 * reach(self.eps) * scale + 1.0 if taps is None else float(taps)
-        return rungs + math.fsum(0.5 * min(size, kernel) + 2.0 for size in self.image.shape)
+        return pyramid + math.fsum(0.5 * min(size, kernel) + 2.0 for size in self.image.shape)
 
     def _blurred(self, inner: Blur, plane: Host, roundings: float) -> tuple[Host, Host]:
         blurred = inner.apply(plane)

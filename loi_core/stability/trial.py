@@ -8,7 +8,7 @@ from typing import Final
 
 import numpy as np
 
-from loi_core.method.reference import direct
+from loi_core.method.reference import loss_and_gradient
 from loi_core.objectives import LOIObjective
 from loi_core.plugins.backends import BFLOAT16_PRODUCTS, Backend
 from loi_core.stability.bounds import allowed
@@ -101,7 +101,7 @@ def expected(case: HardCase, dtype: str) -> Expected:
     """What `case` must give in `dtype`, whichever backend computes it; kept for the next backend."""
     image, reference = _given(case, dtype)
     eps = float(np.finfo("float32" if dtype in HALVES else dtype).eps)
-    value, gradient = direct(image, reference, case.scales, eps=eps)
+    value, gradient = loss_and_gradient(image, reference, case.scales, eps=eps)
     bounds = allowed(image, reference, case.scales, eps)
     loss, slopes = bounds.loss, bounds.gradient
     if dtype in HALVES:

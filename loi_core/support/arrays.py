@@ -194,8 +194,8 @@ def as_floating(name: str, array: Array) -> Array:
         msg = f"`{name}` must be in this machine's byte order, got dtype {array.dtype}; use array.astype(float)"
         raise ImageTypeError(msg)
     if not floating:
-        mend = "divide 8-bit images by 255" if "int" in str(array.dtype) else "convert it first"
-        msg = f"`{name}` must hold real floating-point values, got dtype {array.dtype}; {mend}"
+        fix = "divide 8-bit images by 255" if "int" in str(array.dtype) else "convert it first"
+        msg = f"`{name}` must hold real floating-point values, got dtype {array.dtype}; {fix}"
         raise ImageTypeError(msg)
     return array
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from loi_core.errors import LoiError, RendererError
-from loi_core.support.wording import told
+from loi_core.support.wording import described
 
 __all__ = ["foreign", "is_ctrl_c"]
 
@@ -30,5 +30,5 @@ class foreign:  # noqa: N801 - it reads as what it does: with foreign("rendering
     def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
         if error is None or is_ctrl_c(error) or isinstance(error, LoiError | MemoryError):
             return
-        msg = f"{self.what} failed: {told(error)}"
+        msg = f"{self.what} failed: {described(error)}"
         raise RendererError(msg) from error

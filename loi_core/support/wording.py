@@ -5,10 +5,10 @@ from __future__ import annotations
 import io
 from typing import Final, TextIO
 
-__all__ = ["PlainText", "printable", "shown", "told"]
+__all__ = ["PlainText", "described", "printable", "shown"]
 
 MOST: Final = 60
-MOST_TOLD: Final = 500
+MOST_DESCRIBED: Final = 500
 
 
 def shown(value: object) -> str:
@@ -23,14 +23,14 @@ def shown(value: object) -> str:
     return " ".join(text[:MOST].split())
 
 
-def told(error: BaseException) -> str:
+def described(error: BaseException) -> str:
     """The type of `error` and what it says, on one line."""
     name = type(error).__name__
     try:
         text = str(error)
     except Exception:  # noqa: BLE001 - likewise
         text = "its message cannot be printed"
-    text = " ".join(text[:MOST_TOLD].split())
+    text = " ".join(text[:MOST_DESCRIBED].split())
     return f"{name}: {text}" if text else name
 
 

@@ -201,8 +201,8 @@ def _check_non_finite(check: _Check, subject: ObjectiveSubject) -> None:
 
 def _masks(subject: ObjectiveSubject, image: Host, reference: Host, value: float) -> bool:
     """Whether the value is that of an image which equals the reference at the bad pixel."""
-    mended = np.where(np.isnan(image), reference, image)
-    wanted = float(subject.make(subject.asarray(reference)).value(subject.asarray(mended)))
+    fixed = np.where(np.isnan(image), reference, image)
+    wanted = float(subject.make(subject.asarray(reference)).value(subject.asarray(fixed)))
     return abs(wanted - value) <= 1e-4 * max(abs(wanted), 1e-30)
 
 

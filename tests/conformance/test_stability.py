@@ -22,7 +22,7 @@ import pytest
 import torch
 
 from loi_core import LOIObjective, ScaleSpace
-from loi_core.method.reference import DOUBLE, direct
+from loi_core.method.reference import DOUBLE, loss_and_gradient
 from loi_core.pixels.nonfinite import NanPolicy
 from loi_core.plugins.backends import Backend, Evaluate, NumPy
 from loi_core.stability import (
@@ -225,7 +225,7 @@ def test_the_plain_sum_is_right_to_the_last_digits(name: str) -> None:
     if name == "beta 0.0001":  # forty digits of ten thousand levels take a while
         few, scales = (slice(1), slice(1), slice(1)), ScaleSpace(0.0, 0.0, 1e-4)
     image, reference = (each[few] for each in case.make())
-    value, gradient = direct(image, reference, scales)
+    value, gradient = loss_and_gradient(image, reference, scales)
     bound = allowed(image, reference, scales, DOUBLE)
     wanted, slopes = precise(image[..., 0], reference[..., 0], scales)
     assert abs(value - wanted) <= 0.5 * bound.loss  # the other half is for what a backend rounds

@@ -21,9 +21,9 @@ from loi_core.method.blurs import _CACHE, PlaneGrid
 from loi_core.method.comparison import Compared
 from loi_core.method.compiled import bands
 from loi_core.method.compiled.loop_comparison import LoopComparison
-from loi_core.method.gaussian import AxisBlur, AxisGrid, as_slow_as, coarsest_spacing, rung_variance
+from loi_core.method.gaussian import AxisBlur, AxisGrid, as_slow_as, coarsest_spacing, pyramid_variance
 from loi_core.method.planner import make_plan
-from loi_core.method.reference import direct
+from loi_core.method.reference import loss_and_gradient
 from loi_core.method.sampling_error import error_of
 from loi_core.stability import allowed
 from loi_core.testing import check_objective
@@ -56,7 +56,7 @@ def test_exact_is_the_direct_sum(kind: str, preset: str, boundary: str, height: 
     scales = scales_of(preset, height, width)
     if preset not in ("released", "for image"):
         scales = ScaleSpace.paper(preset, boundary=boundary)  # type: ignore[arg-type]  # literals
-    value, gradient = direct(image, reference, scales)
+    value, gradient = loss_and_gradient(image, reference, scales)
     found, slope = LOIObjective(reference, scales).value_and_grad(image)
     bound = allowed(image, reference, scales, EPS)
     assert abs(float(found) - value) <= bound.loss
@@ -178,12 +178,12 @@ def test_the_gradient_is_that_of_the_value_at_every_accuracy(accuracy: str, pres
 @example(7.0, 79, EPS)
 def test_a_blur_through_a_rung_is_the_blur_in_its_tails_too(scale: float, size: int, eps: float) -> None:
     spacing = coarsest_spacing(scale, eps)
-    pixels, rung = AxisGrid(size, size), AxisGrid(size, math.ceil(size / spacing))
-    held = rung_variance(spacing, eps)
+    pixels, coarser = AxisGrid(size, size), AxisGrid(size, math.ceil(size / spacing))
+    held = pyramid_variance(spacing, eps)
     if spacing < 2.0:
         return
-    there = AxisBlur(pixels, rung, math.sqrt(held), "reflect", cut=20.0).matrix()
-    back = AxisBlur(rung, pixels, math.sqrt(scale**2 - held), "reflect", cut=20.0).matrix()
+    there = AxisBlur(pixels, coarser, math.sqrt(held), "reflect", cut=20.0).matrix()
+    back = AxisBlur(coarser, pixels, math.sqrt(scale**2 - held), "reflect", cut=20.0).matrix()
     wanted = AxisBlur(pixels, pixels, scale, "reflect", cut=20.0).matrix()
     faintest = 1e-30
     seen = wanted > faintest * wanted.max()

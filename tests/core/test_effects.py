@@ -33,8 +33,8 @@ def test_no_other_split_of_the_time_has_less_variance(
 ) -> None:
     spreads, costs = [row[0] for row in rows], [row[1] for row in rows]
     best = allocate(spreads, costs, budget)
-    shares = np.array(data.draw(st.lists(st.floats(0.01, 1.0), min_size=len(rows), max_size=len(rows))))
-    other = (shares / shares.sum() * budget / np.array(costs)).tolist()
+    fractions = np.array(data.draw(st.lists(st.floats(0.01, 1.0), min_size=len(rows), max_size=len(rows))))
+    other = (fractions / fractions.sum() * budget / np.array(costs)).tolist()
     rounding = 16 * np.finfo(float).eps
     assert math.fsum(n * cost for n, cost in zip(best, costs, strict=True)) == pytest.approx(budget, rel=rounding)
     assert variance(spreads, best) <= variance(spreads, other) * (1.0 + rounding)

@@ -1,4 +1,4 @@
-"""What cannot be told from noise is held, and no signal is held for long: whatever its unit, size and direction."""
+"""What is lost in noise is held, and no signal is held for long: whatever its unit, size and direction."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def test_noise_agrees_no_more_often_than_the_bound_says(kind: str, size: int) ->
 def test_noise_stays_held_through_a_fit_nine_times_of_ten() -> None:
     rng = np.random.default_rng(0)
     held = [gradients_until_free(rng.standard_normal((300, 3))) == 300 - DRAWS for _ in range(400)]
-    assert np.mean(held) > 0.85  # 0.9 less 4 errors of a share of 400
+    assert np.mean(held) > 0.85  # 0.9 less 4 errors of a fraction of 400
 
 
 @given(st.integers(2, 20), units, st.integers(0, 10**6))
@@ -91,7 +91,7 @@ def test_an_object_is_held_only_if_nothing_of_it_is_told() -> None:
     holding = begun(draws, ("turn", "place"), ("other",), ("away",))
     assert holding.groups == (("other",), ("away",))
     assert holding.reasons == {
-        "other": "its gradient cannot be told from noise in 8 draws",
+        "other": "its gradient cannot be distinguished from noise in 8 draws",
         "away": "its gradient is exactly 0 in 8 draws",
     }
     assert begun(draws, ("turn", "place"), ("other", "away")).groups == (("other", "away"),)

@@ -12,7 +12,7 @@ import torch
 
 from loi_core import GaussianPyramid, LOIObjective, PixelL2, ScaleSpace, inner_images, isophotes
 from loi_core.method.planner import make_plan
-from loi_core.method.reference import direct
+from loi_core.method.reference import loss_and_gradient
 from loi_core.method.tonal import accumulate
 from loi_core.support.arrays import namespace
 from tests.helpers import Host, images
@@ -25,7 +25,7 @@ IMAGE, REFERENCE = images((20, 24, 3), seed=1)
 def error_in_single(image: Host, reference: Host, scales: ScaleSpace) -> float:
     """Relative error of the gradient in float32, in the 1-norm."""
     image, reference = image.astype(np.float32), reference.astype(np.float32)
-    wanted = direct(image, reference, scales, eps=SINGLE)[1]
+    wanted = loss_and_gradient(image, reference, scales, eps=SINGLE)[1]
     found = LOIObjective(reference, scales).value_and_grad(image)[1]
     return float(np.abs(found - wanted).sum() / np.abs(wanted).sum())
 

@@ -100,11 +100,11 @@ def test_a_gradient_reaches_across_a_gap() -> None:
     image[8:14, 8:14] = 1.0
     scales = ScaleSpace(1, (1, 5, 15), 0.125)
     _, gradient = LOIObjective(reference, scales).value_and_grad(image)
-    _, rival = PixelL2(reference).value_and_grad(image)
+    _, baseline = PixelL2(reference).value_and_grad(image)
     ahead, behind = (slice(14, 15), slice(8, 14)), (slice(7, 8), slice(8, 14))  # just past the object's two edges
     # To move the object towards the reference is to brighten ahead of it; that must pay more than behind it.
     assert gradient[ahead].sum() < gradient[behind].sum()
-    assert rival[ahead].sum() == rival[behind].sum() == 0.0
+    assert baseline[ahead].sum() == baseline[behind].sum() == 0.0
 
 
 def test_the_gradient_is_zero_at_the_reference() -> None:

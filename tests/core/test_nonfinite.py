@@ -118,7 +118,7 @@ def test_the_error_speaks_of_the_axes_that_the_image_has(
         LOIObjective(reference, SCALES, channel_axis=axis).value(image)
     with pytest.raises(NonFiniteImageError, match=says):
         inner_images(image, SCALES, channel_axis=axis)
-    with pytest.raises(NonFiniteImageError, match=r"`reference` has .*mend the reference"):
+    with pytest.raises(NonFiniteImageError, match=r"`reference` has .*fix the reference"):
         LOIObjective(image, SCALES, channel_axis=axis)
 
 

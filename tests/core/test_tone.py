@@ -209,6 +209,6 @@ def test_a_scene_of_high_dynamic_range_with_fireflies_is_fitted_with_the_curve_o
     assert narrow[1] > 0.3
     wide = scene.errors(lambda reference: LOIObjective(reference, ScaleSpace(1, alpha, 12.5, (0, 100))))
     assert wide[0] > 10.0
-    # The rivals, whose squares fireflies outweigh, profit as well.
+    # The baselines, whose squares fireflies outweigh, profit as well.
     assert min(scene.errors(GaussianPyramid)) > 0.5
     assert scene.errors(lambda reference: GaussianPyramid(reference, tone=curve))[0] < 1.0

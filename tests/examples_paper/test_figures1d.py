@@ -146,7 +146,7 @@ def test_quick_figures_are_drawn_and_show_what_the_paper_says(tmp_path: Path) ->
     # Far apart, or with a neighbour of another intensity in between, or in noise: only the three scales reach.
     for problem in ("signal", "three intensities in a row", "signal, noise 0.1"):
         assert rows[problem, "loi, for_image"] == 1.0
-        assert all(rows[problem, rival] < 0.6 for rival in ("pixel L2", "Gaussian pyramid", "MS-SSIM", "sigma only"))
+        assert all(rows[problem, name] < 0.6 for name in ("pixel L2", "Gaussian pyramid", "MS-SSIM", "sigma only"))
     # The wider the inner scale, the wider the basin, for one object.
     widths = [rows["signal", f"sigma {sigma:g}"] for sigma in (0, 1, 5, 15, 45)]
     assert widths == sorted(widths)

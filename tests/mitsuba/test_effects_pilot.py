@@ -43,7 +43,7 @@ def test_a_shadow_alone_needs_neither_shading_nor_outlines_nor_bounces() -> None
     assert Effect.INDIRECT in renderer.plan.on
     assert not renderer.plan.on & {Effect.CONTINUOUS, Effect.PRIMARY, Effect.BOUNCES}
     assert renderer.plan.settings["integrator"] == "direct_projective"
-    assert renderer.plan[Effect.INDIRECT].share == pytest.approx(1.0, abs=1e-6)
+    assert renderer.plan[Effect.INDIRECT].fraction == pytest.approx(1.0, abs=1e-6)
     assert not renderer.plan.held
     found = renderer.verify(objective, dict(case.start), draws=12)
     assert found.seconds < found.full_seconds
@@ -262,7 +262,7 @@ def test_the_image_s_derivative_is_the_transpose_of_the_pullback() -> None:
     assert along == pytest.approx(float(np.vdot(cotangent, pushed)), abs=1e-5 * size)
 
 
-@pytest.mark.parametrize(("share", "says"), [(1.0, "got 1.0"), (-0.1, "got -0.1"), ("much", "got 'much'")])
-def test_a_share_is_a_share(share: Any, says: str) -> None:
-    with pytest.raises(OptionError, match=f"`share` must be at least 0 and less than 1, {says}"):
-        plan_effects(shadow_scene(), HIGH, share=share)
+@pytest.mark.parametrize(("fraction", "says"), [(1.0, "got 1.0"), (-0.1, "got -0.1"), ("much", "got 'much'")])
+def test_a_share_is_a_fraction(fraction: Any, says: str) -> None:
+    with pytest.raises(OptionError, match=f"`fraction` must be at least 0 and less than 1, {says}"):
+        plan_effects(shadow_scene(), HIGH, fraction=fraction)

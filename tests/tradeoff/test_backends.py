@@ -110,7 +110,7 @@ def test_a_broken_backend_is_reported_and_the_others_are_measured(
         *(EntryPoint(one.lower(), f"broken_backends:{one}", registry.BACKEND_GROUP) for one in ("Fails", "Refuses")),
     )
     found = tradeoff(tmp_path / "out", capsys, *pair)
-    assert [(one["name"], one["mend"]) for one in found["missing"]] == [
+    assert [(one["name"], one["fix"]) for one in found["missing"]] == [
         ("absent", "pip install 'unknown[gpu]'"),
         ("refuses", ""),
     ]

@@ -18,8 +18,8 @@ from loi_core.effects import (
     Holding,
     Sizes,
     allocate,
-    largest_share,
-    most_share,
+    largest_fraction,
+    most_fraction,
     relative_variance,
     sizes_of,
     total,
@@ -36,10 +36,10 @@ __all__ = ["Findings", "Pilot"]
 DRAWS: Final = 4
 DEEP_DRAWS: Final = 3  # of everything, which costs most
 MOST_DRAWS: Final = 8
-IMAGE: Final = 0.1  # of the share: what an image may lack, for that moves where a fit ends
+IMAGE: Final = 0.1  # of the fraction: what an image may lack, for that moves where a fit ends
 DEEPEST_TRIED: Final = 4
 MOST_MOVED: Final = 4  # a part gets at most so many times its samples, and at least that fraction: draws are few
-LEAST: Final = 1e-9  # of a share that is not nothing
+LEAST: Final = 1e-9  # of a fraction that is not nothing
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class Pilot:
         Of the scene.
     samples : int
         Samples per pixel of each part of the gradient that is on; the time they take together is shared out.
-    share : float
+    fraction : float
         Effects that carry less of the gradient go off.
     units, objects : tuple of tuple of str
         The optimised parameters, those of one unit together, and those of one object together.
@@ -79,15 +79,15 @@ class Pilot:
 
     traits: Traits
     samples: int
-    share: float
+    fraction: float
     units: tuple[tuple[str, ...], ...]
     objects: tuple[tuple[str, ...], ...]
 
     def run(self, plan: EffectPlan, probe: Probe) -> Findings:
-        """The plan by rules with the effects off that a few gradients show to be under the share.
+        """The plan by rules with the effects off that a few gradients show to be under the fraction.
 
-        Objects whose gradient cannot be told from noise are held; what is not exactly 0 for them stays on, so that it
-        can be told later.
+        Objects whose gradient cannot be distinguished from noise are held. What is not exactly 0 for them stays on, so
+        that it can become significant later.
         """
         rules = settings_of(plan)
         if not plan.understood or rules.integrator == OWN:
@@ -97,16 +97,16 @@ class Pilot:
         notes = _notes(total(list(each.values())), holding, self.samples)
         drawn = {part: one.grouped(self.units) for part, one in each.items()}
         whole = total(list(drawn.values()))
-        told = self._told(whole, holding)
-        sizes = sizes_of(whole, told)
-        shares = {part: largest_share(one, whole, told) for part, one in drawn.items()}
+        significant = self._significant(whole, holding)
+        sizes = sizes_of(whole, significant)
+        fractions = {part: largest_fraction(one, whole, significant) for part, one in drawn.items()}
         reasons = {Effect.BOUNCES: bounces}
         kept = dict(drawn)
         seen = any(not one.zero(name) for one in drawn.values() for name in one.gradients)
-        # The smallest first, as long as all that is off together stays under the share.
-        for part, one in sorted(drawn.items(), key=lambda item: most_share(item[1], sizes)):
-            most = most_share(one, sizes)
-            if (seen and most == 0.0) or (told and lacking + most < self.share):
+        # The smallest first, as long as all that is off together stays under the fraction.
+        for part, one in sorted(drawn.items(), key=lambda item: most_fraction(item[1], sizes)):
+            most = most_fraction(one, sizes)
+            if (seen and most == 0.0) or (significant and lacking + most < self.fraction):
                 lacking += most
                 del kept[part]
                 if most == 0.0:
@@ -114,20 +114,20 @@ class Pilot:
                 else:
                     why = f"surely under {most:.1%} of the gradient"
                 reasons[EFFECTS[part]] = why
-            elif shares[part] is not None:
-                reasons[EFFECTS[part]] = f"{shares[part]:.1%} of the gradient"
+            elif fractions[part] is not None:
+                reasons[EFFECTS[part]] = f"{fractions[part]:.1%} of the gradient"
         settings = settings.sampled({part: 0 for part in drawn if part not in kept})
         edges = settings.sppp > 0 or settings.sppi > 0
         kind = integrator_for(everything(self.traits, self.samples).integrator, settings.max_depth, edges=edges)
-        settings = replace(settings, integrator=kind).sampled(self._allocation(kept, whole, told))
+        settings = replace(settings, integrator=kind).sampled(self._allocation(kept, whole, significant))
         planned = plan_of(self.traits, settings, reasons, notes=notes)
         planned = replace(
-            planned, choices=_with_shares(planned, drawn, whole, told), held=holding.reasons, measured=True
+            planned, choices=_with_fractions(planned, drawn, whole, significant), held=holding.reasons, measured=True
         )
         return Findings(planned, sizes, holding)
 
     def _shallowest(self, rules: Settings, probe: Probe) -> tuple[Settings, dict[str, Draws], str, float]:
-        """The least depth at which the image lacks next to nothing, and the gradient less than the share.
+        """The least depth at which the image lacks next to nothing, and the gradient less than the fraction.
 
         Returns
         -------
@@ -137,7 +137,7 @@ class Pilot:
             The parts of the gradient there, by parameter.
         reason : str
         lacking : float
-            The most that the gradient may lack of longer paths, as a share of it.
+            The most that the gradient may lack of longer paths, as a fraction of it.
         """
         seeds = range(probe.seed, probe.seed + DEEP_DRAWS)
         if rules.max_depth <= DIRECT or self.traits.media:
@@ -154,22 +154,23 @@ class Pilot:
             parts = total([one.first(DEEP_DRAWS) for one in drawn.values()])
             lacking = probe.gradients(rules, seeds).less(parts)
             most = self._most(lacking, self._sizes(drawn))
-            if most >= self.share and not self.share <= self._most(lacking, self._sizes(drawn), sure=0.0) < math.inf:
-                # It may well be less, if only what it is a share of were known better; a depth too many costs more.
+            found = self._most(lacking, self._sizes(drawn), sure=0.0)
+            if most >= self.fraction and not self.fraction <= found < math.inf:
+                # It may well be less, if only what it is a fraction of were known better; a depth too many costs more.
                 drawn = self._more_parts(settings, drawn, probe)
                 most = self._most(lacking, self._sizes(drawn))
-            if most == 0.0 or most < self.share:
+            if most == 0.0 or most < self.fraction:
                 reason = f"longer paths surely carry under {most:.1%} of the gradient, and next to none of the image"
                 return settings, drawn, reason, most
             break
         else:
             reason = f"longer paths than {depth} change the image"
             return rules, self._parts(rules, probe), reason, 0.0
-        reason = f"longer paths than {depth} carry {self.share:.0%} of the gradient, or may"
+        reason = f"longer paths than {depth} carry {self.fraction:.0%} of the gradient, or may"
         return rules, self._parts(rules, probe), reason, 0.0
 
     def _parts(self, settings: Settings, probe: Probe) -> dict[str, Draws]:
-        """Draws of each part of the gradient; twice as many where something cannot be told from noise."""
+        """Draws of each part of the gradient; twice as many where something cannot be distinguished from noise."""
         seeds = range(probe.seed, probe.seed + DRAWS)
         first = {
             part: probe.gradients(settings.only(part) if settings.projective else settings, seeds)
@@ -193,25 +194,25 @@ class Pilot:
             for part, one in drawn.items()
         }
 
-    def _told(self, whole: Draws, holding: Holding) -> tuple[str, ...]:
-        """Of the units, those that can be told from noise; what is held decides nothing."""
+    def _significant(self, whole: Draws, holding: Holding) -> tuple[str, ...]:
+        """Of the units, those that can be distinguished from noise; what is held decides nothing."""
         held = {", ".join(unit) for unit in self.units if holding.reasons.keys() >= set(unit)}
-        return tuple(name for name in whole.told if name not in held)
+        return tuple(name for name in whole.significant if name not in held)
 
     def _sizes(self, drawn: Mapping[str, Draws]) -> Sizes:
         whole = total(list(drawn.values()))
         united = whole.grouped(self.units)
-        return sizes_of(united, self._told(united, Holding.begun(whole, self.objects)))
+        return sizes_of(united, self._significant(united, Holding.begun(whole, self.objects)))
 
     def _most(self, part: Draws, sizes: Sizes, sure: float = SURE) -> float:
-        return most_share(part.grouped(self.units), sizes, sure)
+        return most_fraction(part.grouped(self.units), sizes, sure)
 
     def grown(self, rules: Settings, plan: EffectPlan, probe: Probe, sizes: Sizes) -> dict[Effect, str]:
-        """Effects that are on by the rules, are off in a plan, and have appeared or grown to the share, with reasons.
+        """Effects that the rules turn on and a plan off, and that have appeared or grown to the fraction, with reasons.
 
         What was exactly 0 has appeared as soon as it is not. What was small is compared with the gradient as the pilot
-        found it: near the end of a fit, where the gradient is faint, everything has a great share of it. Depth, which
-        costs most, has been shown to matter little and gets less benefit of the doubt.
+        found it: near the end of a fit, where the gradient is faint, everything has a great fraction of it. Depth,
+        which costs most, has been shown to matter little and gets less benefit of the doubt.
         """
         seeds = (probe.seed, probe.seed + 1)
         settings = settings_of(plan)
@@ -221,15 +222,15 @@ class Pilot:
             if getattr(rules, part) == 0 or getattr(settings, part) > 0:
                 continue
             one = probe.gradients(shallow.only(part), seeds)
-            if plan[effect].share == 0.0 and not all(map(one.zero, one.gradients)):
+            if plan[effect].fraction == 0.0 and not all(map(one.zero, one.gradients)):
                 found[effect] = "it was exactly 0 when it was turned off, and is no longer"
-            elif self._most(one, sizes) >= max(self.share, LEAST):
-                found[effect] = f"it may have grown to {self.share:.0%} of the gradient that the pilot found"
+            elif self._most(one, sizes) >= max(self.fraction, LEAST):
+                found[effect] = f"it may have grown to {self.fraction:.0%} of the gradient that the pilot found"
         if settings.max_depth < rules.max_depth:
             deep = [probe.image(rules, seed) for seed in seeds]
             drawn = [probe.gradients(one, seeds) for one in (rules, shallow)]
             missing = self._most(drawn[0].less(drawn[1]), sizes, sure=1.0)
-            if missing >= max(self.share, LEAST) or not self._same_image(deep, shallow, probe, seeds, sure=1.0):
+            if missing >= max(self.fraction, LEAST) or not self._same_image(deep, shallow, probe, seeds, sure=1.0):
                 found[Effect.BOUNCES] = (
                     "longer paths carry more of the image or the gradient than when they were left out"
                 )
@@ -239,13 +240,13 @@ class Pilot:
         self, deep: Sequence[Host], shallow: Settings, probe: Probe, seeds: Sequence[int], sure: float = SURE
     ) -> bool:
         lacking = [full - probe.image(shallow, seed) for full, seed in zip(deep, seeds, strict=True)]
-        return _image_under(lacking, deep, IMAGE * self.share, sure)
+        return _image_under(lacking, deep, IMAGE * self.fraction, sure)
 
-    def _allocation(self, kept: Mapping[str, Draws], whole: Draws, told: Sequence[str]) -> dict[str, int]:
+    def _allocation(self, kept: Mapping[str, Draws], whole: Draws, significant: Sequence[str]) -> dict[str, int]:
         """Samples of every part that is kept, in the time that equal counts would take."""
-        if len(kept) < 2 or not told:
+        if len(kept) < 2 or not significant:
             return dict.fromkeys(kept, self.samples)
-        spreads = [relative_variance(one, whole, told) * self.samples for one in kept.values()]
+        spreads = [relative_variance(one, whole, significant) * self.samples for one in kept.values()]
         costs = [one.seconds / self.samples for one in kept.values()]
         budget = sum(one.seconds for one in kept.values())
         base = 2 ** (self.samples.bit_length() - 1)
@@ -254,8 +255,8 @@ class Pilot:
         return dict(zip(kept, counts, strict=True))
 
 
-def _image_under(lacking: Sequence[Host], whole: Sequence[Host], share: float, sure: float) -> bool:
-    """Whether what an image lacks is surely under a share of it, in the Euclidean norm.
+def _image_under(lacking: Sequence[Host], whole: Sequence[Host], fraction: float, sure: float) -> bool:
+    """Whether what an image lacks is surely under a fraction of it, in the Euclidean norm.
 
     Two seeds give the squared norm without the noise, and its error.
     """
@@ -263,10 +264,12 @@ def _image_under(lacking: Sequence[Host], whole: Sequence[Host], share: float, s
     products = first * second
     error = math.sqrt(products.size) * float(np.std(products))
     most = math.sqrt(max(0.0, float(np.sum(products)) + sure * error))
-    return most <= share * float(np.linalg.norm(np.mean([one.astype(np.float64) for one in whole], axis=0)))
+    return most <= fraction * float(np.linalg.norm(np.mean([one.astype(np.float64) for one in whole], axis=0)))
 
 
-def _with_shares(plan: EffectPlan, drawn: Mapping[str, Draws], whole: Draws, told: Sequence[str]) -> tuple[Choice, ...]:
+def _with_fractions(
+    plan: EffectPlan, drawn: Mapping[str, Draws], whole: Draws, significant: Sequence[str]
+) -> tuple[Choice, ...]:
     parts = {effect: part for part, effect in EFFECTS.items() if part in drawn}
     choices = []
     for choice in plan.choices:
@@ -275,8 +278,8 @@ def _with_shares(plan: EffectPlan, drawn: Mapping[str, Draws], whole: Draws, tol
             choices.append(choice)
             continue
         one = drawn[part]
-        work = relative_variance(one, whole, told) * one.seconds if told else None
-        choices.append(replace(choice, share=largest_share(one, whole, told), variance_seconds=work))
+        work = relative_variance(one, whole, significant) * one.seconds if significant else None
+        choices.append(replace(choice, fraction=largest_fraction(one, whole, significant), variance_seconds=work))
     return tuple(choices)
 
 
@@ -287,11 +290,11 @@ def _notes(each: Draws, holding: Holding, samples: int) -> tuple[str, ...]:
     if len(holding.reasons) == len(each.gradients):
         notes.append(
             "nothing that is optimised can be seen here: everything is held, and a fit stays where it is until the "
-            "gradient of something can be told from noise"
+            "gradient of something can be distinguished from noise"
         )
     if lost:
         notes.append(
-            f"the gradient by {' and '.join(map(repr, lost))} cannot be told from noise in {each.count} draws of "
-            f"{samples} samples a pixel; it is not held, for that of what moves with it can"
+            f"the gradient by {' and '.join(map(repr, lost))} cannot be distinguished from noise in {each.count} draws "
+            f"of {samples} samples a pixel; it is not held, for that of what moves with it can"
         )
     return tuple(notes)

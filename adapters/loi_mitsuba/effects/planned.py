@@ -37,9 +37,9 @@ from loi_mitsuba.loading import (
 )
 from loi_mitsuba.renderer import MitsubaRenderer
 
-__all__ = ["SHARE", "PlannedRenderer"]
+__all__ = ["FRACTION", "PlannedRenderer"]
 
-SHARE: Final = 0.1  # what is off together turns the gradient by less than 6 degrees, whose cosine is 0.995
+FRACTION: Final = 0.1  # what is off together turns the gradient by less than 6 degrees, whose cosine is 0.995
 log = logging.getLogger("loi_mitsuba")
 
 
@@ -47,9 +47,9 @@ class PlannedRenderer:
     """A Mitsuba scene that is rendered by a plan; keeps the contract of :class:`loi_core.Renderer`.
 
     It begins with what sound rules say. The first gradient that is asked of it is also the first of a pilot, which
-    turns off what carries less than a share of it. What was turned off is looked at again after 20 gradients, then 40,
-    80 and so on, at once when a shape that moves comes into view, and when a loss that it watches stalls; what appears
-    or grows goes on and stays on.
+    turns off what carries less than a fraction of it. What was turned off is looked at again after 20 gradients, then
+    40, 80 and so on, at once when a shape that moves comes into view, and when a loss that it watches stalls; what
+    appears or grows goes on and stays on.
 
     Objects whose gradient the pilot cannot tell from noise are held: the gradient by their parameters is 0, so that a
     fit leaves them where they are, until the gradients of further steps agree, or the object comes into view; see
@@ -61,13 +61,13 @@ class PlannedRenderer:
         As those of :class:`MitsubaRenderer`.
     spp : int
         Samples per pixel of the image, and of each part of the gradient before time is shared out among them.
-    share : float
-        What is turned off carries together less than this share of the gradient, for every optimised parameter, and a
-        tenth of it of the image; at 0 only what is exactly 0 goes off. At least 0 and less than 1.
+    fraction : float
+        What is turned off carries together less than this fraction of the gradient, for every optimised parameter, and
+        a tenth of it of the image; at 0 only what is exactly 0 goes off. At least 0 and less than 1.
 
     Notes
     -----
-    When the depth of paths changes, so does the image, by less than the share. Times decide how samples are shared
+    When the depth of paths changes, so does the image, by less than the fraction. Times decide how samples are shared
     out, so that two runs may differ by noise; a plan, given to :class:`MitsubaRenderer` as its integrator, is fixed.
 
     Raises
@@ -82,13 +82,13 @@ class PlannedRenderer:
         parameters: Mapping[str, Target | Mapping[str, Any]],
         *,
         spp: int = 16,
-        share: float = SHARE,
+        fraction: float = FRACTION,
         sensor: int = 0,
     ) -> None:
-        if not 0.0 <= real_number(share) < 1.0:
-            msg = f"`share` must be at least 0 and less than 1, got {shown(share)}"
+        if not 0.0 <= real_number(fraction) < 1.0:
+            msg = f"`fraction` must be at least 0 and less than 1, got {shown(fraction)}"
             raise OptionError(msg)
-        self._share = real_number(share)
+        self._fraction = real_number(fraction)
         ready, targets, plan = _ruled(scene, parameters, sensor, spp)
         self._base = MitsubaRenderer(ready, targets, integrator=plan, spp=spp, sensor=sensor)
         self._samples = int(spp)
@@ -236,7 +236,7 @@ class PlannedRenderer:
         self._groups = groups_of(targets)
         self._traits = traits_of(self._base.scene, targets, self._base.sensor)
         objects = objects_of(targets, self._traits.moving)
-        self._pilot = Pilot(self._traits, self._samples, self._share, self._groups, objects)
+        self._pilot = Pilot(self._traits, self._samples, self._fraction, self._groups, objects)
         self._holding = Holding()
         self._rules = plan_by_rules(self._traits, self._samples)
         self._set(self._rules)

@@ -8,7 +8,7 @@ from typing import Any
 
 from loi_core.effects import EffectPlan
 from loi_core.objectives.base import Objective
-from loi_mitsuba.effects.planned import SHARE, PlannedRenderer
+from loi_mitsuba.effects.planned import FRACTION, PlannedRenderer
 from loi_mitsuba.entries import Scene
 from loi_mitsuba.loading import Target
 
@@ -22,7 +22,7 @@ def plan_effects(
     objective: Objective | None = None,
     params: Mapping[str, Any] | None = None,
     spp: int = 16,
-    share: float = SHARE,
+    fraction: float = FRACTION,
     sensor: int = 0,
     seed: int = 0,
 ) -> EffectPlan:
@@ -36,7 +36,7 @@ def plan_effects(
         The loss at hand; without one there is no pilot, and the plan is that of the sound rules.
     params : dict of arrays, optional
         Where the pilot measures; as the scene has them by default.
-    spp, share
+    spp, fraction
         As those of :class:`PlannedRenderer`.
     seed : int
         Of the pilot.
@@ -51,7 +51,7 @@ def plan_effects(
     SceneLoadError, ParameterError, OptionError
         As :class:`MitsubaRenderer`.
     """
-    renderer = PlannedRenderer(scene, optimised, spp=spp, share=share, sensor=sensor)
+    renderer = PlannedRenderer(scene, optimised, spp=spp, fraction=fraction, sensor=sensor)
     if objective is not None:
         at = renderer.parameters() if params is None else dict(params)
         cotangent = objective.value_and_grad(renderer.render(at, seed=seed))[1]

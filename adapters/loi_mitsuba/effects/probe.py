@@ -24,7 +24,7 @@ class Probe:
     Attributes
     ----------
     renderer : MitsubaRenderer
-        Any of those that share the scene.
+        Any of those that fraction the scene.
     params : dict of arrays
         The parameters.
     cotangent : array, shape (H, W, C)

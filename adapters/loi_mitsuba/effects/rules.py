@@ -100,7 +100,7 @@ def plan_with(traits: Traits, plan: EffectPlan, rules: Settings, grown: Mapping[
     reasons = {choice.effect: choice.reason for choice in plan.choices} | dict(grown)
     more = plan_of(traits, replace(settings, max_depth=depth, integrator=kind), reasons)
     kept = [
-        replace(new, share=old.share, variance_seconds=old.variance_seconds) if new.on == old.on else new
+        replace(new, fraction=old.fraction, variance_seconds=old.variance_seconds) if new.on == old.on else new
         for new, old in zip(more.choices, plan.choices, strict=True)
     ]
     return replace(more, choices=tuple(kept), measured=True)

@@ -39,7 +39,7 @@ class Verification:
     def __str__(self) -> str:
         """Two lines for a person."""
         one = self.gradient
-        silent = f"; not told from noise: {', '.join(one.silent)}" if one.silent else ""
+        silent = f"; lost in noise: {', '.join(one.silent)}" if one.silent else ""
         return (
             f"step {1e3 * self.seconds:.3g} ms, everything on {1e3 * self.full_seconds:.3g} ms: "
             f"{self.full_seconds / self.seconds:.3g} times as fast\n"

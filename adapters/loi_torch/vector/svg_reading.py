@@ -14,7 +14,7 @@ import numpy as np
 from loi_core.errors import SvgError
 from loi_core.io.files import read_bytes
 from loi_core.renderers.checks import FloatArray
-from loi_core.support.wording import shown, told
+from loi_core.support.wording import described, shown
 from loi_torch.vector.coverage import FARTHEST
 from loi_torch.vector.shapes import Path, Shape
 from loi_torch.vector.svg_colours import CORNERS, NAMESPACE
@@ -103,7 +103,7 @@ def read_svg(path: pathlib.Path, height: int, width: int) -> Drawing:
     try:
         content = read_bytes(path, MOST_BYTES)
     except (OSError, ValueError) as error:
-        msg = f"{path}: cannot be read ({told(error)})"
+        msg = f"{path}: cannot be read ({described(error)})"
         raise SvgError(msg) from None
     values = Values(path)
     reader = _Reader(values, height, width)
@@ -115,7 +115,7 @@ def read_svg(path: pathlib.Path, height: int, width: int) -> Drawing:
     try:
         parser.Parse(content, True)  # noqa: FBT003 - it takes no keyword
     except expat.ExpatError as error:
-        values.fail(f"not well-formed XML ({told(error)})")
+        values.fail(f"not well-formed XML ({described(error)})")
     if not reader.drawing.shapes:
         values.fail("there is no shape in it")
     return reader.drawing

@@ -12,7 +12,7 @@ import svgelements as svg
 
 from loi_core.errors import LoiError, SvgError
 from loi_core.renderers.checks import FloatArray
-from loi_core.support.wording import shown, told
+from loi_core.support.wording import described, shown
 from loi_torch.vector.shapes import Circle, Ellipse, Paint, Path, Rectangle, Shape
 from loi_torch.vector.svg_colours import CORNERS
 from loi_torch.vector.svg_paths import moved, path_outlines, without_arcs
@@ -174,7 +174,7 @@ def _general(
     except SvgError:
         raise
     except Exception as error:  # noqa: BLE001 - the library raises whatever its arithmetic does
-        values.fail(f"<{tag}>: {GEOMETRY[tag][0]!r} cannot be read ({told(error)})")
+        values.fail(f"<{tag}>: {GEOMETRY[tag][0]!r} cannot be read ({described(error)})")
     if 4 * len(segments) > most_points:
         values.fail(f"more than {MOST_POINTS} points")
     outlines = tuple(path_outlines(segments, matrix))

@@ -1,4 +1,4 @@
-"""How a fit is done: the two protocols, and each rival's settings."""
+"""How a fit is done: the two protocols, and each baseline's settings."""
 
 from __future__ import annotations
 

@@ -14,7 +14,7 @@ import warnings
 from typing import Final
 
 from loi_core.support.forking import ForkSafeLock
-from loi_core.support.wording import told
+from loi_core.support.wording import described
 
 __all__ = ["CompiledLoopsWarning", "available", "compiles"]
 
@@ -84,7 +84,7 @@ def _try_kernels(dtype: str) -> bool:
         raise
     except Exception as error:  # noqa: BLE001  # of Numba, of its cache's files, of what is in them
         msg = (
-            f"Numba cannot compile loi's loops ({told(error)}); all is computed without it, several times slower. "
+            f"Numba cannot compile loi's loops ({described(error)}); all is computed without it, several times slower. "
             f"Delete loi_core/method/compiled/__pycache__, or set NUMBA_CACHE_DIR to a folder with space; {SWITCH}=0 "
             f"keeps Numba out"
         )

@@ -27,7 +27,7 @@ __all__ = ["compare_levels"]
 
 # Numba knows plain numbers only.
 SOURCE, TARGET, FORTH, BACK = map(int, EdgeColumn)
-HELD, PULLED, NODE_STRIDE, NODE_TOP, NODE_BOTTOM, NODE_LEFT, NODE_RIGHT = map(int, NodeColumn)
+DIFFERENCES, PULLED, NODE_STRIDE, NODE_TOP, NODE_BOTTOM, NODE_LEFT, NODE_RIGHT = map(int, NodeColumn)
 BAND, FIRST, LAST, TOP, BOTTOM, LEFT, RIGHT, GROUPS, STRIDE, BAND_AFTER, FIRST_AFTER, LAST_AFTER = map(int, PassColumn)
 STARTS, BAND_TAPS = map(int, (BandColumn.STARTS, BandColumn.TAPS))
 
@@ -84,27 +84,28 @@ def compare_levels(
     cotangent : array, shape (h, w) or (0, 0)
         Of size 0 if it is not wanted.
     """
-    rungs = nodes.shape[0] - 1
+    steps = nodes.shape[0] - 1
     home = nodes[0]
-    held, stride = home[HELD], home[NODE_STRIDE]
+    differences, stride = home[DIFFERENCES], home[NODE_STRIDE]
     slope, turned, strip = places[0], places[1], places[2]
-    clear_window(arena, held, stride, home[NODE_TOP], home[NODE_BOTTOM], home[NODE_LEFT], home[NODE_RIGHT])
+    clear_window(arena, differences, stride, home[NODE_TOP], home[NODE_BOTTOM], home[NODE_LEFT], home[NODE_RIGHT])
     clear_window(arena, slope, stride, home[NODE_TOP], home[NODE_BOTTOM], home[NODE_LEFT], home[NODE_RIGHT])
     if cotangent.size:
         clear_window(arena, home[PULLED], stride, home[NODE_TOP], home[NODE_BOTTOM], home[NODE_LEFT], home[NODE_RIGHT])
     for level in range(levels[0], levels[2]):
         _accumulate(
-            image, reference, image.dtype.type(level), settings, arena, held, slope, home, cotangent,
+            image, reference, image.dtype.type(level), settings, arena, differences, slope, home, cotangent,
             cotangent.size > 0 and level > levels[1],
         )  # fmt: skip
         if level < levels[1]:
             continue
-        for index in range(rungs):
+        for index in range(steps):
             edge = edges[index]
             source, target = nodes[edge[SOURCE]], nodes[edge[TARGET]]
             blur_window(
                 edge[FORTH:BACK], weights, starts, bands, arena,
-                source[HELD], source[NODE_STRIDE], target[HELD], target[NODE_STRIDE], turned, strip, False,
+                source[DIFFERENCES], source[NODE_STRIDE], target[DIFFERENCES], target[NODE_STRIDE],
+                turned, strip, False,
             )  # fmt: skip
         if cotangent.size:
             for node in nodes[1:]:
@@ -112,7 +113,7 @@ def compare_levels(
                     arena, node[PULLED], node[NODE_STRIDE],
                     node[NODE_TOP], node[NODE_BOTTOM], node[NODE_LEFT], node[NODE_RIGHT],
                 )  # fmt: skip
-        for index in range(rungs, edges.shape[0]):
+        for index in range(steps, edges.shape[0]):
             edge = edges[index]
             source, extent = nodes[edge[SOURCE]], edge[TARGET]
             costs[extent] += _compare_extent(
@@ -120,7 +121,7 @@ def compare_levels(
                 samplings[extent], sums, doubts[extent], cotangent.size > 0,
             )  # fmt: skip
         if cotangent.size:
-            for index in range(rungs - 1, -1, -1):
+            for index in range(steps - 1, -1, -1):
                 edge = edges[index]
                 source, target = nodes[edge[SOURCE]], nodes[edge[TARGET]]
                 blur_window(
@@ -138,7 +139,7 @@ def _accumulate(
     level: Any,
     settings: Floats,
     arena: Floats,
-    held: int,
+    differences: int,
     slope: int,
     node: Table,
     cotangent: Floats,
@@ -152,7 +153,7 @@ def _accumulate(
     stride, left, right = node[NODE_STRIDE], node[NODE_LEFT], node[NODE_RIGHT]
     for y in range(node[NODE_TOP], node[NODE_BOTTOM]):
         at = y * stride + left
-        difference = arena[held + at : held + at + right - left]
+        difference = arena[differences + at : differences + at + right - left]
         slopes = arena[slope + at : slope + at + right - left]
         ours, theirs = image[y, left:right], reference[y, left:right]
         if pulls:
@@ -187,7 +188,7 @@ def _compare_extent(
     Some rows at a time go all the way there, and as far back as they can without the others: they stay in a near cache.
     """
     forth, back = edge[FORTH:BACK], edge[BACK:]
-    held, pulled, stride = source[HELD], source[PULLED], source[NODE_STRIDE]
+    differences, pulled, stride = source[DIFFERENCES], source[PULLED], source[NODE_STRIDE]
     turned, strip, compared, returned = places[1], places[2], places[3], places[4]
     after = bands[back[BAND_AFTER]]
     total, done = 0.0, back[FIRST_AFTER]
@@ -195,8 +196,8 @@ def _compare_extent(
         last = min(first + forth[GROUPS], forth[LAST])
         begin, end = GROUP * first, GROUP * last
         blur_rows(
-            forth, first, last, weights, starts, bands, arena, held, stride, compared - begin, forth[STRIDE], turned,
-            strip, False,
+            forth, first, last, weights, starts, bands, arena, differences, stride, compared - begin, forth[STRIDE],
+            turned, strip, False,
         )  # fmt: skip
         left, right = max(begin, back[LEFT]), min(end, back[RIGHT])
         if gradient and spacings[0] > 0:

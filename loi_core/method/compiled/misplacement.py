@@ -83,8 +83,8 @@ def _add_misplaced(here: Any, there: Any, index: int, spacing: float, tie: Any, 
     else:
         passed = (abs(float(here)) - float(tie)) / (abs(float(here)) - abs(float(there)))
     position = (index + 0.5) * spacing - 0.5
-    share = (math.floor(position + passed * spacing) + 0.5 - position) / spacing
-    moved = (sign - other) * (share - 0.5)
+    fraction = (math.floor(position + passed * spacing) + 0.5 - position) / spacing
+    moved = (sign - other) * (fraction - 0.5)
     sums[to] += moved
     sums[to + 1] += moved * moved
 

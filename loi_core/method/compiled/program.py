@@ -49,8 +49,8 @@ class Program:
 class Wiring:
     """The bands of one inner scale, and how they follow each other: all that does not depend on values.
 
-    The samplings form a tree: one rung after another, and extents from any of them. Every blur leaves its result
-    transposed, so rungs of odd number lie transposed, as do extents that start from one of even number.
+    The samplings form a tree: one level of the pyramid after another, and extents from any of them. Every blur leaves
+    its result transposed, so levels of odd number lie transposed, as do extents that start from one of even number.
     """
 
     plan: InnerPlan
@@ -76,9 +76,9 @@ class Wiring:
             back = number(band_back(after, dtype)), number(band_back(first, dtype))
             return _Edge(source, target, blur, forth, back)
 
-        edges = [edge(index, index + 1, rung) for index, rung in enumerate(plan.rungs)]
-        edges += [edge(extent.rung, index, extent.blur) for index, extent in enumerate(plan.extents)]
-        grids = [extent.blur.target if extent.rung % 2 else extent.blur.target.transposed for extent in plan.extents]
+        edges = [edge(index, index + 1, step) for index, step in enumerate(plan.pyramid)]
+        edges += [edge(extent.start, index, extent.blur) for index, extent in enumerate(plan.extents)]
+        grids = [extent.blur.target if extent.start % 2 else extent.blur.target.transposed for extent in plan.extents]
         spacings = [
             (grid.rows.spacing, grid.columns.spacing) if extent.is_sampled else (0.0, 0.0)
             for extent, grid in zip(plan.extents, grids, strict=True)
@@ -87,9 +87,9 @@ class Wiring:
         return cls(plan, Bands.of(bands), tuple(edges), np.asarray(spacings), room)
 
     @property
-    def rungs(self) -> int:
-        """How many edges lead to rungs; they come first."""
-        return len(self.plan.rungs)
+    def pyramid_levels(self) -> int:
+        """How many edges lead to levels of the pyramid; they come first."""
+        return len(self.plan.pyramid)
 
     def route(self, start: Window) -> Route:
         """The route of a difference that is 0 outside `start`."""
@@ -101,7 +101,7 @@ class Wiring:
 
     def program(self, scope: Scope) -> Program:
         """The tables for what is in a scope."""
-        key = scope.route.held[0], scope.felt
+        key = scope.route.support[0], scope.support
         made = self.programs.get(key)
         if made is None:
             made = self._make(scope)
@@ -110,28 +110,28 @@ class Wiring:
 
     def _make(self, scope: Scope) -> Program:
         place, bands = Places(), self.bands.each
-        nodes = np.zeros((self.rungs + 1, len(NodeColumn)), np.int64)
+        nodes = np.zeros((self.pyramid_levels + 1, len(NodeColumn)), np.int64)
         for index, row in enumerate(nodes):
             shape = self._shape(index)
-            window = scope.felt if index == 0 else _rounded(_laid(scope.route.pulled[index], index))
+            window = scope.support if index == 0 else _rounded(_laid(scope.route.pulled[index], index))
             row[:] = place.plane(shape), place.plane(shape), padded(shape[1]), *_sides(window)
         slope = place.plane(self._shape(0))
         edges = np.zeros((len(self.edges), EdgeColumn.BACK + len(PassColumn)), np.int64)
         for index, (row, edge) in enumerate(zip(edges, self.edges, strict=True)):
-            held = scope.route.held[edge.source]
-            reached = edge.blur.reached(held)
-            returning = scope.route.pulled[edge.target] if index < self.rungs else reached
-            source, out = _laid(held, edge.source), _laid(reached, edge.source)
+            support = scope.route.support[edge.source]
+            reached = edge.blur.reached(support)
+            returning = scope.route.pulled[edge.target] if index < self.pyramid_levels else reached
+            source, out = _laid(support, edge.source), _laid(reached, edge.source)
             end, back = _laid(returning, edge.source), _laid(edge.blur.reached_back(returning), edge.source)
             row[: EdgeColumn.FORTH] = edge.source, edge.target
             row[EdgeColumn.FORTH : EdgeColumn.BACK] = blur_pass(bands, edge.forth, source, out)
             row[EdgeColumn.BACK :] = blur_pass(bands, edge.back, end.transposed, back.transposed)
-            if index >= self.rungs:  # some rows of what is compared at a time, but all that becomes of them is kept
+            if index >= self.pyramid_levels:  # a few rows are compared at a time, but all that becomes of them is kept
                 row[EdgeColumn.BACK + PassColumn.STRIDE] = padded(bands[edge.back[0]].rows)
         passes = [pair for edge in self.edges for pair in (edge.forth, edge.back)]
         turned = place.plane(*(turned_shape(bands, pair) for pair in passes))
         strip = place.plane((STRIP, max(band.columns for band in bands)))
-        extents = self.edges[self.rungs :]
+        extents = self.edges[self.pyramid_levels :]
         compared = place.plane(*((bands[edge.back[0]].height, _rows_at_once(bands, edge.forth)) for edge in extents))
         returned = place.plane(*((bands[edge.back[1]].height + SIDE, bands[edge.back[0]].rows) for edge in extents))
         places = np.asarray((slope, turned, strip, compared, returned), np.int64)
@@ -140,7 +140,7 @@ class Wiring:
     def _shape(self, node: int) -> tuple[int, int]:
         """Rows that there have to be of a node's planes, and columns."""
         leaving = [self.bands.each[edge.forth[0]] for edge in self.edges if edge.source == node]
-        arriving = [self.bands.each[edge.back[0]] for edge in self.edges[: self.rungs] if edge.target == node]
+        arriving = [self.bands.each[edge.back[0]] for edge in self.edges[: self.pyramid_levels] if edge.target == node]
         rows = max(band.height for band in leaving + arriving)
         (columns,) = {self.bands.each[edge.forth[1]].columns for edge in self.edges if edge.source == node}
         return rows, columns

@@ -81,9 +81,9 @@ class EdgeColumn(IntEnum):
 
 
 class NodeColumn(IntEnum):
-    """A sampling on which differences of CDFs are held, and what is pulled back to it."""
+    """A sampling on which differences of CDFs lie, and what is pulled back to it."""
 
-    HELD = 0  # offset
+    DIFFERENCES = 0  # offset
     PULLED = 1  # offset
     STRIDE = 2
     TOP = 3  # rows and columns outside which what is pulled back is 0
