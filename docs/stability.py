@@ -16,7 +16,7 @@ from PIL import Image
 from tqdm import tqdm
 
 from loi_core import LOIObjective
-from loi_core.plugins.registry import available_backends, load_backend
+from loi_core.plugins.registry import BACKENDS
 from loi_core.stability import HardCase, StabilityRow, hard_cases, stability_rows
 
 HERE: Final = Path(__file__).parent
@@ -31,7 +31,7 @@ Host = np.ndarray[Any, Any]
 
 def main(names: list[str]) -> None:
     """Run, draw and write."""
-    backends = {name: load_backend(name)() for name in names}
+    backends = {name: BACKENDS.load(name)() for name in names}
     bar = tqdm(disable=None)
     rows: dict[str, list[StabilityRow]] = {}
 
@@ -144,4 +144,4 @@ def _three(image: Host) -> Host:
 
 
 if __name__ == "__main__":
-    main(sys.argv[1:] or [info.name for info in available_backends() if info.state == "ready"])
+    main(sys.argv[1:] or [info.name for info in BACKENDS.available() if info.state == "ready"])

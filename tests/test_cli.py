@@ -136,9 +136,9 @@ def test_doctor_tries_every_announced_objective(
     monkeypatch.syspath_prepend(str(tmp_path))
     names = {"fine": "Sound", "unlearned": "unlearned", "sick": "sick", "absent": "absent"}
     points = [
-        EntryPoint(name, f"objectives_to_doctor:{value}", registry.OBJECTIVE_GROUP) for name, value in names.items()
+        EntryPoint(name, f"objectives_to_doctor:{value}", registry.OBJECTIVES.name) for name, value in names.items()
     ]
-    monkeypatch.setattr(registry, "entry_points", lambda *, group: points if group == registry.OBJECTIVE_GROUP else [])
+    monkeypatch.setattr(registry, "entry_points", lambda *, group: points if group == registry.OBJECTIVES.name else [])
     assert main(["doctor", "--json"]) == 1
     found = {one["name"]: one for one in json.loads(capsys.readouterr().out)}
     assert found["objective fine"]["state"] == "ok"
@@ -174,17 +174,17 @@ def test_a_bad_plugin_is_reported_by_name_and_isolated(monkeypatch: pytest.Monke
     (tmp_path / "plugin_with_an_odd_signature.py").write_text("def make(options, /): ...\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     points = [
-        EntryPoint("good", "loi_core.renderers:Disks", registry.GROUP),
-        EntryPoint("raises", "plugin_that_raises:make", registry.GROUP),
-        EntryPoint("quits", "plugin_that_quits:make", registry.GROUP),
-        EntryPoint("absent", "no_such_module:make", registry.GROUP),
-        EntryPoint("number", "math:pi", registry.GROUP),
-        EntryPoint("odd", "plugin_with_an_odd_signature:make", registry.GROUP),
-        EntryPoint("extra", "no_such_module:make [gpu]", registry.GROUP),
-        EntryPoint("twice", "loi_core.renderers:Disks", registry.GROUP),
-        EntryPoint("twice", "loi_core.renderers:Warp", registry.GROUP),
-        EntryPoint("again", "loi_core.renderers:Warp", registry.GROUP),
-        EntryPoint("again", "loi_core.renderers:Warp", registry.GROUP),
+        EntryPoint("good", "loi_core.renderers:Disks", registry.RENDERERS.name),
+        EntryPoint("raises", "plugin_that_raises:make", registry.RENDERERS.name),
+        EntryPoint("quits", "plugin_that_quits:make", registry.RENDERERS.name),
+        EntryPoint("absent", "no_such_module:make", registry.RENDERERS.name),
+        EntryPoint("number", "math:pi", registry.RENDERERS.name),
+        EntryPoint("odd", "plugin_with_an_odd_signature:make", registry.RENDERERS.name),
+        EntryPoint("extra", "no_such_module:make [gpu]", registry.RENDERERS.name),
+        EntryPoint("twice", "loi_core.renderers:Disks", registry.RENDERERS.name),
+        EntryPoint("twice", "loi_core.renderers:Warp", registry.RENDERERS.name),
+        EntryPoint("again", "loi_core.renderers:Warp", registry.RENDERERS.name),
+        EntryPoint("again", "loi_core.renderers:Warp", registry.RENDERERS.name),
     ]
     monkeypatch.setattr(registry, "entry_points", lambda group: points)
     states = [(one.name, one.state) for one in registry.available_renderers()]

@@ -13,19 +13,19 @@ from loi_core.plugins import registry
 from loi_core.stability import hard_cases
 
 FEW = ("ordinary pair", "one NaN", "ties", "big-endian")
-NUMPY = EntryPoint("numpy", "loi_core.plugins.backends:NumPy", registry.BACKEND_GROUP)
+NUMPY = EntryPoint("numpy", "loi_core.plugins.backends:NumPy", registry.BACKENDS.name)
 WRONG = """
 from loi_core.plugins.backends import NumPy
 
 
 class Wrong(NumPy):
-    def prepare(self, *arguments, **options):
-        evaluate = super().prepare(*arguments, **options)
+    def prepare(self, request):
+        evaluate = super().prepare(request)
         return lambda: (-evaluate()[0], evaluate()[1])
 
 
 class Stops(NumPy):
-    def prepare(self, *arguments, **options):
+    def prepare(self, request):
         raise KeyboardInterrupt
 """
 
@@ -63,20 +63,20 @@ def test_the_table_has_every_case_and_dtype(few: list[EntryPoint], capsys: pytes
 def test_a_wrong_or_broken_backend_fails_and_is_named(
     few: list[EntryPoint], capsys: pytest.CaptureFixture[str]
 ) -> None:
-    few.append(EntryPoint("wrong", "unstable_backends:Wrong", registry.BACKEND_GROUP))
-    few.append(EntryPoint("absent", "no_such_module:Backend [gpu]", registry.BACKEND_GROUP))
+    few.append(EntryPoint("wrong", "unstable_backends:Wrong", registry.BACKENDS.name))
+    few.append(EntryPoint("absent", "no_such_module:Backend [gpu]", registry.BACKENDS.name))
     assert main(["doctor", "--stability"]) == 1
     printed = capsys.readouterr().out
     assert "ordinary pair, wrong float32: not negative: the loss is -0.52" in printed
     assert "not tried: absent: " in printed
     assert "pip install 'unknown[gpu]'" in printed
-    few[1:] = [EntryPoint("broken", "math:no_such_thing", registry.BACKEND_GROUP)]
+    few[1:] = [EntryPoint("broken", "math:no_such_thing", registry.BACKENDS.name)]
     assert main(["doctor", "--stability", "--json"]) == 1
     assert "no_such_thing" in json.loads(capsys.readouterr().out)["broken"]["broken"]
 
 
 def test_an_interruption_keeps_what_is_done(few: list[EntryPoint], capsys: pytest.CaptureFixture[str]) -> None:
-    few.append(EntryPoint("stops", "unstable_backends:Stops", registry.BACKEND_GROUP))
+    few.append(EntryPoint("stops", "unstable_backends:Stops", registry.BACKENDS.name))
     assert main(["doctor", "--stability", "--json"]) == 1
     rows = json.loads(capsys.readouterr().out)["rows"]
     assert [row["dtype"] for row in rows] == ["float32", "float64", "float16"]

@@ -218,11 +218,11 @@ def test_objectives_of_other_packages_are_known_by_name(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     points = [
-        EntryPoint("mine", "loi_core:PixelL2", registry.OBJECTIVE_GROUP),
-        EntryPoint("absent", "no_such_module:Objective [gpu]", registry.OBJECTIVE_GROUP),
-        EntryPoint("refuses", "odd_objectives:refuse", registry.OBJECTIVE_GROUP),
-        EntryPoint("number", "odd_objectives:number", registry.OBJECTIVE_GROUP),
-        EntryPoint("../up", "loi_core:PixelL2", registry.OBJECTIVE_GROUP),  # would name a folder elsewhere
+        EntryPoint("mine", "loi_core:PixelL2", registry.OBJECTIVES.name),
+        EntryPoint("absent", "no_such_module:Objective [gpu]", registry.OBJECTIVES.name),
+        EntryPoint("refuses", "odd_objectives:refuse", registry.OBJECTIVES.name),
+        EntryPoint("number", "odd_objectives:number", registry.OBJECTIVES.name),
+        EntryPoint("../up", "loi_core:PixelL2", registry.OBJECTIVES.name),  # would name a folder elsewhere
     ]
     (folder / "odd_objectives.py").write_text(
         "def refuse(reference, **_):\n    raise SystemExit('no licence')\nnumber = lambda reference, **_: 3.0\n"
@@ -230,7 +230,7 @@ def test_objectives_of_other_packages_are_known_by_name(
     monkeypatch.syspath_prepend(str(folder))
     announced = importlib.metadata.entry_points
     monkeypatch.setattr(
-        registry, "entry_points", lambda group: points if group == registry.OBJECTIVE_GROUP else announced(group=group)
+        registry, "entry_points", lambda group: points if group == registry.OBJECTIVES.name else announced(group=group)
     )
     path = folder / "scene.toml"
     path.write_text(SCENE.replace('["pixel_l2"]', '["mine"]'))

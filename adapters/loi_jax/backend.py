@@ -5,10 +5,8 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from loi_core import ScaleSpace
-from loi_core.pixels.nonfinite import NanPolicy
-from loi_core.plugins.backends import Evaluate, Host
-from loi_core.support.arrays import to_numpy
+from loi_core.plugins.backends import Evaluate, Request
+from loi_core.support.arrays import Host, to_numpy
 from loi_jax.loss import loi_loss
 
 __all__ = ["Jax"]
@@ -29,21 +27,14 @@ class Jax:
         """A copy as a JAX array; of 64 bits only where JAX has them switched on."""
         return jnp.asarray(host)
 
-    def prepare(
-        self,
-        image: Host,
-        reference: Host,
-        scales: ScaleSpace,
-        accuracy: str | float,
-        dtype: str,
-        nan_policy: NanPolicy = "raise",
-    ) -> Evaluate:
+    def prepare(self, request: Request) -> Evaluate:
         """See :class:`loi_core.plugins.backends.Backend`."""
-        wanted = reference.astype("float32" if dtype in self.half_dtypes else dtype)
-        value_and_grad = jax.jit(jax.value_and_grad(loi_loss(wanted, scales, accuracy, nan_policy=nan_policy)))
-        double = dtype == "float64"
+        wanted = request.reference.astype("float32" if request.dtype in self.half_dtypes else request.dtype)
+        loss = loi_loss(wanted, request.scales, request.accuracy, nan_policy=request.nan_policy)
+        value_and_grad = jax.jit(jax.value_and_grad(loss))
+        double = request.dtype == "float64"
         with jax.enable_x64(double):
-            given = jnp.asarray(image, dtype=dtype)
+            given = jnp.asarray(request.image, dtype=request.dtype)
 
         def evaluate() -> tuple[float, Host]:
             with jax.enable_x64(double):

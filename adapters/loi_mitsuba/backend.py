@@ -8,10 +8,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_core import ScaleSpace
-from loi_core.pixels.nonfinite import NanPolicy
-from loi_core.plugins.backends import Evaluate, Host
-from loi_core.support.arrays import to_numpy
+from loi_core.plugins.backends import Evaluate, Request
+from loi_core.support.arrays import Host, to_numpy
 from loi_mitsuba.loss import LOILoss
 
 __all__ = ["Mitsuba"]
@@ -33,19 +31,12 @@ class Mitsuba:
         msg = f"Dr.Jit's tensors are copies in an order of their own, got {type(host).__name__}"
         raise TypeError(msg)
 
-    def prepare(
-        self,
-        image: Host,
-        reference: Host,
-        scales: ScaleSpace,
-        accuracy: str | float,
-        dtype: str,
-        nan_policy: NanPolicy = "raise",
-    ) -> Evaluate:
+    def prepare(self, request: Request) -> Evaluate:
         """See :class:`loi_core.plugins.backends.Backend`."""
         self._variant()
-        loss = LOILoss(reference.astype(dtype), scales, accuracy, nan_policy=nan_policy)
-        given = mi.TensorXf(np.ascontiguousarray(image, dtype))
+        reference = request.reference.astype(request.dtype)
+        loss = LOILoss(reference, request.scales, request.accuracy, nan_policy=request.nan_policy)
+        given = mi.TensorXf(np.ascontiguousarray(request.image, request.dtype))
 
         def evaluate() -> tuple[float, Host]:
             dr.enable_grad(given)

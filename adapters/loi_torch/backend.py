@@ -8,10 +8,8 @@ from collections.abc import Iterator
 
 import torch
 
-from loi_core import ScaleSpace
-from loi_core.pixels.nonfinite import NanPolicy
-from loi_core.plugins.backends import BFLOAT16_PRODUCTS, Evaluate, Host
-from loi_core.support.arrays import to_numpy
+from loi_core.plugins.backends import BFLOAT16_PRODUCTS, Evaluate, Request
+from loi_core.support.arrays import Host, to_numpy
 from loi_torch.loss import LOILoss
 
 __all__ = ["Torch"]
@@ -38,24 +36,16 @@ class Torch:
             warnings.simplefilter("ignore")  # that memory is read-only, which the loss never writes to
             return torch.as_tensor(host, device=self.device())
 
-    def prepare(
-        self,
-        image: Host,
-        reference: Host,
-        scales: ScaleSpace,
-        accuracy: str | float,
-        dtype: str,
-        nan_policy: NanPolicy = "raise",
-    ) -> Evaluate:
+    def prepare(self, request: Request) -> Evaluate:
         """See :class:`loi_core.plugins.backends.Backend`."""
-        products = "medium" if dtype == BFLOAT16_PRODUCTS else "highest"
-        dtype = "float32" if dtype == BFLOAT16_PRODUCTS else dtype
+        products = "medium" if request.dtype == BFLOAT16_PRODUCTS else "highest"
+        dtype = "float32" if request.dtype == BFLOAT16_PRODUCTS else request.dtype
         host = "float32" if dtype in self.half_dtypes else dtype  # NumPy has no bfloat16
         wanted, given = (
             torch.as_tensor(each.astype(host), device=self.device()).to(getattr(torch, dtype))
-            for each in (reference, image)
+            for each in (request.reference, request.image)
         )
-        loss = LOILoss(wanted, scales, accuracy, nan_policy=nan_policy)
+        loss = LOILoss(wanted, request.scales, request.accuracy, nan_policy=request.nan_policy)
         given.requires_grad_()
 
         def evaluate() -> tuple[float, Host]:

@@ -19,7 +19,8 @@ import numpy as np
 from loi_core import __version__
 from loi_core.errors import LoiError, WeightsError
 from loi_core.plugins.baselines import make_baseline
-from loi_core.plugins.registry import PluginInfo, available_objectives, available_renderers
+from loi_core.plugins.registry import OBJECTIVES, PluginInfo, available_renderers
+from loi_core.support.processors import usable_processors
 
 __all__ = ["Finding", "examine", "findings"]
 
@@ -91,7 +92,7 @@ def findings() -> list[Finding]:
             found += [Finding(one, "ok", detail) for one, detail in diagnose()]
     found += [_package("numba", "numba", "pip install 'loi[compiled]'", required=False), _gpu()]
     found += [_plugin("renderer", one) for one in available_renderers()]
-    found += [_objective(one) for one in available_objectives()]
+    found += [_objective(one) for one in OBJECTIVES.available()]
     return found
 
 
@@ -117,11 +118,10 @@ def _objective(one: PluginInfo) -> Finding:
 
 
 def _threads() -> str:
-    usable = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
     limits = [
         f"{name}={os.environ[name]}" for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS") if name in os.environ
     ]
-    return f"{usable} usable of {os.cpu_count()}" + (f", limited by {', '.join(limits)}" if limits else "")
+    return f"{usable_processors()} usable of {os.cpu_count()}" + (f", limited by {', '.join(limits)}" if limits else "")
 
 
 def _package(name: str, module: str, fix: str, *, required: bool) -> Finding:

@@ -11,7 +11,7 @@ from tqdm import tqdm
 
 from loi_core.errors import BackendNotFoundError
 from loi_core.plugins.backends import Backend
-from loi_core.plugins.registry import available_backends, load_backend
+from loi_core.plugins.registry import BACKENDS
 from loi_core.stability import StabilityRow, hard_cases, stability_rows
 
 __all__ = ["examine_stability", "stability_lines"]
@@ -72,9 +72,9 @@ def _backends() -> tuple[dict[str, Backend], dict[str, str], dict[str, str]]:
     backends: dict[str, Backend] = {}
     missing: dict[str, str] = {}
     broken: dict[str, str] = {}
-    for info in available_backends():
+    for info in BACKENDS.available():
         try:
-            backends[info.name] = load_backend(info.name)()
+            backends[info.name] = BACKENDS.load(info.name)()
         except BackendNotFoundError:
             (missing if info.state == "missing" else broken)[info.name] = f"{info.problem}; {info.fix}"
         except (Exception, SystemExit) as error:  # noqa: BLE001 - a plugin may raise anything; the others must go on

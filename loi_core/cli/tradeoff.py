@@ -17,7 +17,7 @@ from loi_core.io.files import check_writable
 from loi_core.io.images import FloatImage, read_image
 from loi_core.method.scales import ScaleSpace
 from loi_core.report import tradeoff_lines, write_tradeoff
-from loi_core.scenes.experiment import initial_image
+from loi_core.scenes.experiment import Start
 from loi_core.scenes.reading import load_scene
 from loi_core.tradeoff import Problem, measure
 
@@ -88,7 +88,7 @@ def _of_scene(name: str, folder: Path, output: Path) -> Problem:
         msg = f"`--scene` must be a file that ends in .toml, or one of {', '.join(BUNDLED)}, got {name!r}"
         raise SceneError(msg)
     scene = load_scene(path, output=output)
-    image, target = initial_image(scene).astype("float64"), scene.target
+    image, target = Start.of(scene).host.astype("float64"), scene.target
     if scene.tone is not None:
         image, target = scene.tone.apply(image), scene.tone.apply(target)
     return Problem(scene.title, image, target, scene.scales, scene)

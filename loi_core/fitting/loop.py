@@ -157,7 +157,8 @@ def fit(
             squares = (np.square(to_numpy(one), dtype=np.float64) for one in gradient.values())
             norm = math.sqrt(sum(float(np.sum(one)) for one in squares))
             with np.errstate(all="ignore"):  # what overflows is not finite, and is told as that at the next step
-                moved, moments = adam_step(seen, gradient, state.moments, {name: factor * rates[name] for name in rates})
+                now = {name: factor * rate for name, rate in rates.items()}
+                moved, moments = adam_step(seen, gradient, state.moments, now)
             moved = _legal(renderer, bounds, moved, state)
             entry = FitStep(state.step, value, norm, factor, time.perf_counter() - started)
             state = state.stepped(entry, moved, moments)

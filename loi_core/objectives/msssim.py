@@ -105,7 +105,7 @@ class MSSSIM(ImageObjective[_Prepared, str]):
             raise OptionError(msg)
         whole = 1.0 if count == len(WEIGHTS) else sum(WEIGHTS[:count])  # all five are used as published, sum 1.0001
         self._weights = tuple(weight / whole for weight in WEIGHTS[:count])
-        self._luminance, self._contrast = ((slope * extent) ** 2 for slope in STABILISERS)
+        self._luminance, self._contrast = ((constant * extent) ** 2 for constant in STABILISERS)
 
     def prepare_reference(self, reference: Array) -> _Prepared:
         """See :class:`loi_core.ImageObjective`."""
@@ -143,8 +143,8 @@ class MSSSIM(ImageObjective[_Prepared, str]):
             image, level, one = images[index], prepared.levels[index], found[index]
             positive = one.mean > 0.0
             # The derivative of a product of powers by one of its factors; 0 where the product is.
-            slope = -self._weights[index] * total / xp.where(positive, one.mean, xp.ones_like(total)) / total.shape[0]
-            upstream = (slope / math.prod(level.mean.shape[-2:]))[:, None, None]
+            weight = -self._weights[index] * total / xp.where(positive, one.mean, xp.ones_like(total)) / total.shape[0]
+            upstream = (weight / math.prod(level.mean.shape[-2:]))[:, None, None]
             cotangent = cotangent + level.window.adjoint(upstream * one.by_mean)
             cotangent = cotangent + 2.0 * image * level.window.adjoint(upstream * one.by_square)
             cotangent = cotangent + level.reference * level.window.adjoint(upstream * one.by_product)

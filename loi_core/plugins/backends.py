@@ -3,24 +3,47 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any, Final, Protocol, TypeAlias
-
-import numpy as np
+from dataclasses import dataclass
+from typing import Final, Protocol, TypeAlias
 
 from loi_core.method.scales import ScaleSpace
 from loi_core.objectives import LOIObjective
 from loi_core.pixels.nonfinite import NanPolicy
-from loi_core.support.arrays import Array
+from loi_core.support.arrays import Array, Host
 
-__all__ = ["BFLOAT16_PRODUCTS", "Backend", "Evaluate", "Host", "NumPy"]
-
-Host: TypeAlias = np.ndarray[Any, Any]
+__all__ = ["BFLOAT16_PRODUCTS", "Backend", "Evaluate", "NumPy", "Request"]
 
 Evaluate: TypeAlias = Callable[[], tuple[float, Host]]
 """Computes the value, and the gradient as NumPy, of the image's shape; returns when both are there."""
 
 BFLOAT16_PRODUCTS: Final = "bfloat16 products"
 """Arrays of float32 whose matrix products a framework may round to bfloat16, or to TF32, told so by its own switch."""
+
+
+@dataclass(frozen=True)
+class Request:
+    """A loss that is to be evaluated.
+
+    Attributes
+    ----------
+    image, reference : array, shape (*batch, H, W, C)
+        Both NumPy.
+    scales : ScaleSpace
+        The scales to compare.
+    accuracy : {"exact", "balanced", "fast"} or float
+        See :class:`loi_core.LOIObjective`.
+    dtype : str
+        One of the backend's.
+    nan_policy : {"raise", "mask"}
+        What happens to pixels that are not finite.
+    """
+
+    image: Host
+    reference: Host
+    scales: ScaleSpace
+    accuracy: str | float
+    dtype: str
+    nan_policy: NanPolicy = "raise"
 
 
 class Backend(Protocol):
@@ -50,16 +73,8 @@ class Backend(Protocol):
             If the library has no such arrays.
         """
 
-    def prepare(
-        self,
-        image: Host,
-        reference: Host,
-        scales: ScaleSpace,
-        accuracy: str | float,
-        dtype: str,
-        nan_policy: NanPolicy = "raise",
-    ) -> Evaluate:
-        """The loss of an image against a reference, both NumPy, shape (*batch, H, W, C), ready to be evaluated."""
+    def prepare(self, request: Request) -> Evaluate:
+        """The loss that is asked for, ready to be evaluated."""
 
 
 class NumPy:
@@ -77,18 +92,10 @@ class NumPy:
         """`host` itself."""
         return host
 
-    def prepare(
-        self,
-        image: Host,
-        reference: Host,
-        scales: ScaleSpace,
-        accuracy: str | float,
-        dtype: str,
-        nan_policy: NanPolicy = "raise",
-    ) -> Evaluate:
+    def prepare(self, request: Request) -> Evaluate:
         """See :class:`Backend`."""
-        objective = LOIObjective(reference.astype(dtype), scales, accuracy, nan_policy=nan_policy)
-        given = image.astype(dtype)
+        reference, given = (each.astype(request.dtype) for each in (request.reference, request.image))
+        objective = LOIObjective(reference, request.scales, request.accuracy, nan_policy=request.nan_policy)
 
         def evaluate() -> tuple[float, Host]:
             value, gradient = objective.value_and_grad(given)

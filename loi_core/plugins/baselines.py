@@ -10,7 +10,7 @@ from loi_core.io.images import FloatImage
 from loi_core.objectives import MSSSIM, GaussianPyramid, Objective, PixelL2
 from loi_core.pixels.nonfinite import NanPolicy
 from loi_core.pixels.tone_curve import LogTone
-from loi_core.plugins.registry import ObjectiveFactory, load_objective, objective_names
+from loi_core.plugins.registry import OBJECTIVES, ObjectiveFactory
 from loi_core.support.guards import is_ctrl_c
 from loi_core.support.wording import described
 
@@ -30,7 +30,7 @@ def is_objective_name(name: object) -> bool:
 
 def baseline_names() -> list[str]:
     """The names of all baselines, the core's own first; no package is imported."""
-    return [*OWN, *(name for name in objective_names() if is_objective_name(name) and name not in OWN)]
+    return [*OWN, *(name for name in OBJECTIVES.names() if is_objective_name(name) and name not in OWN)]
 
 
 def make_baseline(name: str, target: FloatImage, *, nan_policy: NanPolicy, tone: LogTone | None) -> Objective:
@@ -41,7 +41,7 @@ def make_baseline(name: str, target: FloatImage, *, nan_policy: NanPolicy, tone:
     LoiError
         If it cannot be loaded, does not take the reference or an option, or what comes is no objective.
     """
-    factory = OWN[name] if name in OWN else load_objective(name)
+    factory = OWN[name] if name in OWN else OBJECTIVES.load(name)
     try:
         made = factory(target, nan_policy=nan_policy, tone=tone)
         usable = isinstance(made, Objective)

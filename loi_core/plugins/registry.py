@@ -7,18 +7,20 @@ renderer's is called with the options of a scene and returns something that keep
 :class:`loi_core.Renderer`; an objective's with the reference, ``nan_policy`` and ``tone``, as
 :class:`loi_core.PixelL2` is; a backend's is called without arguments and returns a
 :class:`loi_core.plugins.backends.Backend`. A plugin that cannot be loaded is reported by name and hides no other.
+``LOI_PLUGINS=0`` leaves out the plugins of other distributions.
 """
 
 from __future__ import annotations
 
 import contextlib
+import os
 import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from importlib.metadata import Distribution, EntryPoint, distributions, entry_points
 from inspect import Parameter, signature
-from typing import Any, Final, Literal, TypeAlias
+from typing import Any, Final, Generic, Literal, TypeAlias, TypeVar, cast
 
 from loi_core.errors import BackendNotFoundError, ObjectiveNotFoundError, RendererNotFoundError
 from loi_core.objectives import Objective
@@ -28,29 +30,27 @@ from loi_core.support.guards import is_ctrl_c
 from loi_core.support.wording import described, shown
 
 __all__ = [
-    "BACKEND_GROUP",
-    "GROUP",
-    "OBJECTIVE_GROUP",
+    "BACKENDS",
+    "OBJECTIVES",
+    "RENDERERS",
     "BackendFactory",
     "ObjectiveFactory",
+    "PluginGroup",
     "PluginInfo",
     "RendererFactory",
-    "available_backends",
-    "available_objectives",
     "available_renderers",
-    "load_backend",
-    "load_objective",
     "load_renderer",
-    "objective_names",
 ]
 
-GROUP: Final = "loi.renderers"
-OBJECTIVE_GROUP: Final = "loi.objectives"
-BACKEND_GROUP: Final = "loi.backends"
+SWITCH: Final = "LOI_PLUGINS"
+"""Environment variable: 0 leaves out what other distributions announce, so that only our own is found."""
+
+OWN: Final = "loi"
 
 RendererFactory: TypeAlias = Callable[..., Renderer]
 ObjectiveFactory: TypeAlias = Callable[..., Objective]
 BackendFactory: TypeAlias = Callable[[], Backend]
+FactoryT = TypeVar("FactoryT")
 
 
 @dataclass(frozen=True)
@@ -87,24 +87,67 @@ class PluginInfo:
     fix: str = ""
 
 
+@dataclass(frozen=True)
+class PluginGroup(Generic[FactoryT]):
+    """One group of entry points, and what their factories make.
+
+    Attributes
+    ----------
+    name : str
+        Of the group.
+    kind : str
+        What its factories make, for messages.
+    failure : type of LookupError
+        What is raised where one cannot be had.
+    """
+
+    name: str
+    kind: str
+    failure: type[LookupError]
+
+    def available(self) -> list[PluginInfo]:
+        """Everything that is announced, sorted by name. Each factory is imported to see whether it can be."""
+        points, broken = _points(self.name)
+        listed = [
+            _examine(point, [_origin(other)[0] for other in same])[1]
+            for same in _announced(points).values()
+            for point in same
+        ]
+        return sorted([*listed, *broken], key=lambda one: one.name) if broken else listed
+
+    def names(self) -> list[str]:
+        """All announced names, sorted; nothing is imported."""
+        return list(_announced(_points(self.name)[0]))
+
+    def load(self, name: str) -> FactoryT:
+        """The factory that is called `name`.
+
+        Raises
+        ------
+        LookupError
+            Of type `failure`: if no distribution, or more than one, announces it, or its factory cannot be imported;
+            with the fix.
+        """
+        announced = _announced(_points(self.name)[0])
+        if name not in announced:
+            msg = f"no {self.kind} is called {name!r}; installed are {', '.join(announced) or 'none'}"
+            raise self.failure(msg)
+        points = announced[name]
+        factory, info = _examine(points[0], [_origin(point)[0] for point in points])
+        if factory is None:
+            msg = f"{self.kind} {name!r} of {info.package} cannot be used: {info.problem}; {info.fix}"
+            raise self.failure(msg)
+        return cast("FactoryT", factory)
+
+
+RENDERERS: Final = PluginGroup[RendererFactory]("loi.renderers", "renderer", RendererNotFoundError)
+OBJECTIVES: Final = PluginGroup[ObjectiveFactory]("loi.objectives", "objective", ObjectiveNotFoundError)
+BACKENDS: Final = PluginGroup[BackendFactory]("loi.backends", "backend", BackendNotFoundError)
+
+
 def available_renderers() -> list[PluginInfo]:
     """Every announced renderer, sorted by name. Each factory is imported to see whether it can be."""
-    return _available(GROUP)
-
-
-def available_objectives() -> list[PluginInfo]:
-    """Every announced objective, sorted by name. Each factory is imported to see whether it can be."""
-    return _available(OBJECTIVE_GROUP)
-
-
-def objective_names() -> list[str]:
-    """The names of all announced objectives, sorted; nothing is imported."""
-    return list(_announced(_points(OBJECTIVE_GROUP)[0]))
-
-
-def available_backends() -> list[PluginInfo]:
-    """Every announced backend, sorted by name. Each factory is imported to see whether it can be."""
-    return _available(BACKEND_GROUP)
+    return RENDERERS.available()
 
 
 def load_renderer(name: str) -> RendererFactory:
@@ -115,55 +158,7 @@ def load_renderer(name: str) -> RendererFactory:
     RendererNotFoundError
         If no distribution, or more than one, announces it, or its factory cannot be imported; with the fix.
     """
-    factory: RendererFactory = _load(GROUP, "renderer", name, RendererNotFoundError)
-    return factory
-
-
-def load_objective(name: str) -> ObjectiveFactory:
-    """The factory of the objective called `name`.
-
-    Raises
-    ------
-    ObjectiveNotFoundError
-        If no distribution, or more than one, announces it, or its factory cannot be imported; with the fix.
-    """
-    factory: ObjectiveFactory = _load(OBJECTIVE_GROUP, "objective", name, ObjectiveNotFoundError)
-    return factory
-
-
-def load_backend(name: str) -> BackendFactory:
-    """The factory of the backend called `name`.
-
-    Raises
-    ------
-    BackendNotFoundError
-        If no distribution, or more than one, announces it, or its factory cannot be imported; with the fix.
-    """
-    factory: BackendFactory = _load(BACKEND_GROUP, "backend", name, BackendNotFoundError)
-    return factory
-
-
-def _available(group: str) -> list[PluginInfo]:
-    points, broken = _points(group)
-    listed = [
-        _examine(point, [_origin(other)[0] for other in same])[1]
-        for same in _announced(points).values()
-        for point in same
-    ]
-    return sorted([*listed, *broken], key=lambda one: one.name) if broken else listed
-
-
-def _load(group: str, kind: str, name: str, failure: type[LookupError]) -> Any:
-    announced = _announced(_points(group)[0])
-    if name not in announced:
-        msg = f"no {kind} is called {name!r}; installed are {', '.join(announced) or 'none'}"
-        raise failure(msg)
-    points = announced[name]
-    factory, info = _examine(points[0], [_origin(point)[0] for point in points])
-    if factory is None:
-        msg = f"{kind} {name!r} of {info.package} cannot be used: {info.problem}; {info.fix}"
-        raise failure(msg)
-    return factory
+    return RENDERERS.load(name)
 
 
 def _examine(point: EntryPoint, claims: list[str]) -> tuple[Callable[..., Any] | None, PluginInfo]:
@@ -218,9 +213,12 @@ def _unusable(factory: object, target: str) -> str:
 def _points(group: str) -> tuple[list[EntryPoint], list[PluginInfo]]:
     """The entry points of a group, and the distributions whose entry points cannot be read."""
     try:
-        return list(entry_points(group=group)), []
+        points, broken = list(entry_points(group=group)), list[PluginInfo]()
     except Exception:  # noqa: BLE001 - one distribution with damaged metadata ends the search; so they are asked one by one
-        return _points_one_by_one(group)
+        points, broken = _points_one_by_one(group)
+    if os.environ.get(SWITCH) == "0":
+        return [point for point in points if _origin(point)[0] == OWN], []
+    return points, broken
 
 
 def _points_one_by_one(group: str) -> tuple[list[EntryPoint], list[PluginInfo]]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import os
 import platform
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
@@ -17,6 +16,7 @@ from loi_core.io.images import write_png
 from loi_core.report.page import Pictures, document
 from loi_core.report.plots import tradeoff_plot
 from loi_core.support.markdown import markdown
+from loi_core.support.processors import usable_processors
 from loi_core.tradeoff import HIDDEN, Noise, Row, Tradeoff
 
 __all__ = ["RESULT_FILE", "plain", "tradeoff_lines", "write_tradeoff"]
@@ -66,11 +66,9 @@ def plain(found: Tradeoff) -> dict[str, Any]:
 
 def machine() -> str:
     """The machine in words: what times depend on, as far as Python knows."""
-    return f"{_cores()} cores of {platform.machine()}, {platform.system()}, Python {platform.python_version()}"
-
-
-def _cores() -> int:
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return (
+        f"{usable_processors()} cores of {platform.machine()}, {platform.system()}, Python {platform.python_version()}"
+    )
 
 
 def tradeoff_lines(found: Tradeoff) -> list[str]:
@@ -177,7 +175,7 @@ def _notes(found: Tradeoff) -> list[str]:
             "Parameters seldom feel those pixels; measure a scene, with --scene, to see what its parameters feel."
         )
     lines.append("*: in the Pareto set, nothing is both faster and as accurate.")
-    if found.load is not None and found.load > BUSY * _cores():
+    if found.load is not None and found.load > BUSY * usable_processors():
         lines.append(f"The machine was busy when this began, with a load of {found.load:.1f}: times are too long.")
     if found.interrupted:
         lines.append("Interrupted: the table is not complete.")

@@ -24,7 +24,7 @@ from loi_core.scenes.scene import Scene
 from loi_core.support.arrays import Array, Host, to_numpy
 from loi_core.support.guards import foreign
 
-__all__ = ["Progress", "Trial", "frame_steps", "initial_image", "plan_scene", "run_scene"]
+__all__ = ["Progress", "Start", "Trial", "frame_steps", "plan_scene", "run_scene"]
 
 FRAMES: Final = 8  # pictures of the way that a report shows
 MOST_HISTORY: Final = 2**28  # bytes, of a million steps
@@ -72,6 +72,49 @@ class Trial:
         return sum(one.seconds for one in self.result.history) if self.result else 0.0
 
 
+@dataclass(frozen=True)
+class Start:
+    """Where the fits of a scene begin.
+
+    Attributes
+    ----------
+    params : dict of arrays
+        All parameters of the renderer.
+    image : array, shape (H, W, C)
+        What it renders of them, in its own library.
+    """
+
+    params: Parameters
+    image: Array
+
+    @classmethod
+    def of(cls, scene: Scene) -> Start:
+        """Render the start of a scene.
+
+        Raises
+        ------
+        SceneError
+            If the image does not have the target's shape.
+        """
+        params = starting_parameters(scene.renderer, scene.optimise)
+        with foreign(f"{scene.path}: rendering the start"):
+            image = scene.renderer.render(params, seed=scene.fit.seed)
+            shape = tuple(image.shape)
+        if shape != scene.target.shape:
+            msg = f"{scene.path}: the renderer makes images of shape {shape}, the target has {scene.target.shape}"
+            raise SceneError(msg)
+        return cls(params, image)
+
+    @property
+    def host(self) -> Host:
+        """The image as NumPy."""
+        return to_numpy(self.image)
+
+    def cotangent(self, objective: Objective) -> Array:
+        """The gradient of an objective by the image."""
+        return objective.value_and_grad(self.image)[1]
+
+
 def run_scene(
     scene: Scene, *, checkpoint: Path | None = None, resume: bool = False, progress: Progress | None = None
 ) -> list[Trial]:
@@ -85,7 +128,8 @@ def run_scene(
     LoiError
         If the scene's options are not allowed; nothing has been rendered then.
     """
-    initial = initial_image(scene)
+    start = Start.of(scene)
+    initial = start.host
     earlier = _earlier_psnr(scene.output / HISTORY_FILE) if resume else {}
     trials: list[Trial] = []
     for index, (name, objective) in enumerate(scene.objectives.items()):
@@ -94,9 +138,11 @@ def run_scene(
         trials.append(trial)
         try:
             if isinstance(scene.renderer, PlanningRenderer):
-                trial.plan = plan_scene(scene, scene.renderer, objective)
+                cotangent = start.cotangent(objective)
+                trial.plan = _plan(scene, scene.renderer, start, cotangent)
                 if index == 0:
-                    trial.effects = _shown_effects(scene, scene.renderer, objective)
+                    found = scene.renderer.effect_images(start.params, cotangent, seed=scene.fit.seed)
+                    trial.effects = {name: to_numpy(one) for name, one in found.items()}
             trial.result = fit(
                 scene.renderer,
                 objective,
@@ -132,16 +178,12 @@ def plan_scene(scene: Scene, renderer: PlanningRenderer, objective: Objective) -
     LoiError
         If the renderer or the objective does not take the scene's starting parameters.
     """
-    params = starting_parameters(renderer, scene.optimise)
-    cotangent = objective.value_and_grad(renderer.render(params, seed=scene.fit.seed))[1]
-    return renderer.begin(params, cotangent, optimise=list(scene.optimise), seed=scene.fit.seed)
+    start = Start.of(scene)
+    return _plan(scene, renderer, start, start.cotangent(objective))
 
 
-def _shown_effects(scene: Scene, renderer: PlanningRenderer, objective: Objective) -> dict[str, Host]:
-    params = starting_parameters(renderer, scene.optimise)
-    cotangent = objective.value_and_grad(renderer.render(params, seed=scene.fit.seed))[1]
-    images = renderer.effect_images(params, cotangent, seed=scene.fit.seed)
-    return {name: to_numpy(one) for name, one in images.items()}
+def _plan(scene: Scene, renderer: PlanningRenderer, start: Start, cotangent: Array) -> EffectPlan:
+    return renderer.begin(start.params, cotangent, optimise=list(scene.optimise), seed=scene.fit.seed)
 
 
 def _earlier_psnr(path: Path) -> dict[tuple[int, float], float]:
@@ -163,23 +205,6 @@ def _known_psnr(result: FitResult, earlier: Mapping[tuple[int, float], float]) -
 def frame_steps(steps: int) -> set[int]:
     """The steps whose images a report of a fit of so many steps shows."""
     return {round(k * (steps - 1) / (FRAMES - 1)) for k in range(FRAMES)}
-
-
-def initial_image(scene: Scene) -> Host:
-    """What the scene renders at its starting parameters.
-
-    Raises
-    ------
-    SceneError
-        If it does not have the target's shape.
-    """
-    params = starting_parameters(scene.renderer, scene.optimise)
-    with foreign(f"{scene.path}: rendering the start"):
-        image = to_numpy(scene.renderer.render(params, seed=scene.fit.seed))
-    if image.shape != scene.target.shape:
-        msg = f"{scene.path}: the renderer makes images of shape {image.shape}, the target has {scene.target.shape}"
-        raise SceneError(msg)
-    return image
 
 
 @dataclass

@@ -10,7 +10,7 @@ import numpy as np
 
 from loi_core.method.reference import loss_and_gradient
 from loi_core.objectives import LOIObjective
-from loi_core.plugins.backends import BFLOAT16_PRODUCTS, Backend
+from loi_core.plugins.backends import BFLOAT16_PRODUCTS, Backend, Request
 from loi_core.stability.bounds import allowed
 from loi_core.stability.case import HardCase
 from loi_core.support.arrays import Host, to_numpy
@@ -168,7 +168,7 @@ def _rounded(image: Host, dtype: str) -> Host:
 
 def _answer(case: HardCase, backend: Backend, dtype: str, image: Host, reference: Host) -> Answer | Exception:
     try:
-        evaluate = backend.prepare(image, reference, case.scales, "exact", dtype, case.nan_policy)
+        evaluate = backend.prepare(Request(image, reference, case.scales, "exact", dtype, case.nan_policy))
         return Answer(*evaluate())
     except Exception as error:  # noqa: BLE001 - a backend may raise anything; the row says what
         return error

@@ -13,9 +13,8 @@ import numpy as np
 
 from loi_core.fitting.parameters import starting_parameters
 from loi_core.objectives import LOIObjective
-from loi_core.plugins.backends import Host
 from loi_core.scenes.scene import Scene
-from loi_core.support.arrays import from_numpy, to_numpy
+from loi_core.support.arrays import Host, from_numpy, to_numpy
 
 __all__ = ["Noise", "PulledBack", "is_stochastic", "renderer_noise"]
 

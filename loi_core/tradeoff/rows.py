@@ -17,7 +17,8 @@ from typing import Final
 import numpy as np
 
 from loi_core.method.scales import ScaleSpace
-from loi_core.plugins.backends import Backend, Host
+from loi_core.plugins.backends import Backend, Request
+from loi_core.support.arrays import Host
 from loi_core.tradeoff.memory import peak_memory, restart_peak
 from loi_core.tradeoff.settings import Setting
 
@@ -150,10 +151,10 @@ def _work(sender: Connection, target: str, setting: Setting, image: Host, refere
 
 def _measure(backend: Backend, setting: Setting, image: Host, reference: Host, seconds: float) -> Sample:
     accuracy, dtype = setting.accuracy, setting.dtype
-    small = (image[:SMALL, :SMALL], reference[:SMALL, :SMALL], ScaleSpace(1.0, 2.0, 0.5))
-    backend.prepare(*small, accuracy, dtype)()  # loads what a library loads on first use
+    small = Request(image[:SMALL, :SMALL], reference[:SMALL, :SMALL], ScaleSpace(1.0, 2.0, 0.5), accuracy, dtype)
+    backend.prepare(small)()  # loads what a library loads on first use
     before = restart_peak()
-    evaluate = backend.prepare(image, reference, setting.scales, accuracy, dtype)
+    evaluate = backend.prepare(Request(image, reference, setting.scales, accuracy, dtype))
     _, gradient = evaluate()  # compiles, and fills caches
     times: list[float] = []
     start = time.perf_counter()

@@ -12,10 +12,10 @@ import numpy as np
 from loi_core.errors import BackendNotFoundError, OptionError
 from loi_core.method.scales import ScaleSpace
 from loi_core.objectives import LOIObjective
-from loi_core.plugins.backends import Host
-from loi_core.plugins.registry import available_backends, load_backend
+from loi_core.plugins.registry import BACKENDS
 from loi_core.scenes.reading import load_scene
 from loi_core.scenes.scene import Scene
+from loi_core.support.arrays import Host
 from loi_core.support.guards import is_ctrl_c
 from loi_core.support.wording import described
 from loi_core.tradeoff.choice import Recommendation, pareto_set, recommend
@@ -197,16 +197,16 @@ def _load() -> float | None:
 
 def _plan(scales: ScaleSpace, wanted: Sequence[str]) -> tuple[dict[str, str], list[Setting], tuple[Missing, ...]]:
     """Factories by name, what to measure, and the backends that cannot be."""
-    announced = {info.name: info for info in available_backends()}
+    announced = {info.name: info for info in BACKENDS.available()}
     for name in wanted:
         if name not in announced:
-            load_backend(name)  # says so
+            BACKENDS.load(name)  # says so
     targets, settings, missing = {}, [], []
     for name, info in announced.items():
         if wanted and name not in wanted:
             continue
         try:
-            dtypes = tuple(load_backend(name)().dtypes)
+            dtypes = tuple(BACKENDS.load(name)().dtypes)
             settings += settings_of(name, dtypes, scales)
         except BackendNotFoundError:
             missing.append(Missing(name, info.problem, info.fix))

@@ -23,8 +23,7 @@ import torch
 
 from loi_core import LOIObjective, ScaleSpace
 from loi_core.method.reference import DOUBLE, loss_and_gradient
-from loi_core.pixels.nonfinite import NanPolicy
-from loi_core.plugins.backends import Backend, Evaluate, NumPy
+from loi_core.plugins.backends import Backend, Evaluate, NumPy, Request
 from loi_core.stability import (
     PROPERTIES,
     HardCase,
@@ -60,17 +59,9 @@ class OfCore:
     def device(self) -> str:
         return "cpu"
 
-    def prepare(
-        self,
-        image: Host,
-        reference: Host,
-        scales: ScaleSpace,
-        accuracy: str | float,
-        dtype: str,
-        nan_policy: NanPolicy = "raise",
-    ) -> Evaluate:
-        objective = LOIObjective(reference, scales, accuracy, nan_policy=nan_policy)
-        given = self.held(image, dtype)
+    def prepare(self, request: Request) -> Evaluate:
+        objective = LOIObjective(request.reference, request.scales, request.accuracy, nan_policy=request.nan_policy)
+        given = self.held(request.image, request.dtype)
 
         def evaluate() -> tuple[float, Host]:
             value, gradient = objective.value_and_grad(given)
@@ -89,8 +80,8 @@ class OfCore:
 class JaxWithoutNumba(Jax):
     """JAX's own compiler."""
 
-    def prepare(self, *given: Any, **settings: Any) -> Evaluate:
-        evaluate = super().prepare(*given, **settings)
+    def prepare(self, request: Request) -> Evaluate:
+        evaluate = super().prepare(request)
 
         def within() -> tuple[float, Host]:
             with by_arrays():  # when it is first called it is compiled
@@ -183,8 +174,8 @@ class Broken(NumPy):
     def __init__(self, spoil: Callable[[float, Host], tuple[float, Host]]) -> None:
         self._spoil = spoil
 
-    def prepare(self, *arguments: Any, **options: Any) -> Evaluate:
-        evaluate = super().prepare(*arguments, **options)
+    def prepare(self, request: Request) -> Evaluate:
+        evaluate = super().prepare(request)
         return lambda: self._spoil(*evaluate())
 
 

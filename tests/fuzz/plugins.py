@@ -15,7 +15,7 @@ import numpy as np
 
 from loi_core.errors import LoiError
 from loi_core.plugins import registry
-from loi_core.scenes.experiment import initial_image
+from loi_core.scenes.experiment import Start
 from loi_core.scenes.reading import load_scene
 from tests.fuzz.claims import Call, fail
 from tests.fuzz.damage import damaged
@@ -109,7 +109,7 @@ def entry_points(rng: random.Random, folder: Path) -> Call:
     body = f"raise {rng.choice(RAISED)}" if rng.random() < 0.5 else rng.choice(BODIES)
     (folder / f"{module}.py").write_text(CLASSES + body + "\n", encoding="utf-8", errors="surrogatepass")
     points = [
-        EntryPoint(rng.choice(NAMES), rng.choice(VALUES).replace("odd_plugin", module), registry.GROUP)
+        EntryPoint(rng.choice(NAMES), rng.choice(VALUES).replace("odd_plugin", module), registry.RENDERERS.name)
         for _ in range(rng.randint(1, 5))
     ]
 
@@ -217,7 +217,7 @@ def factories(rng: random.Random, folder: Path) -> Call:
     def load() -> str:
         with mock.patch("loi_core.scenes.reading.load_renderer", return_value=factory):
             try:
-                initial_image(load_scene(folder / "scene.toml"))
+                Start.of(load_scene(folder / "scene.toml"))
             except MemoryError:
                 return "MemoryError"  # of which the command says what to do
         return "a scene"

@@ -14,7 +14,7 @@ import numpy as np
 from loi_core.cli.demo import DISKS_SCENE, PHOTOGRAPH_SCENE
 from loi_core.io.images import write_png
 from loi_core.renderers import Disks
-from loi_core.scenes.experiment import initial_image
+from loi_core.scenes.experiment import Start
 from loi_core.scenes.reading import FIT_KEYS, FREE_KEYS, OBJECTIVE_KEYS, SCALE_KEYS, TOP_KEYS, load_scene
 from tests.fuzz.claims import Call
 from tests.fuzz.damage import damaged
@@ -95,7 +95,7 @@ def lay_out(folder: Path) -> None:
 
 def loading(path: Path) -> Call:
     def load() -> str:
-        initial_image(load_scene(path))
+        Start.of(load_scene(path))
         return "a scene"
 
     return load

@@ -25,7 +25,7 @@ from loi_core.io.images import read_image
 from loi_core.method.scales import ScaleSpace
 from loi_core.plugins import registry
 from loi_core.renderers import Disks
-from loi_core.scenes.experiment import initial_image
+from loi_core.scenes.experiment import Start
 from loi_core.scenes.reading import load_scene
 from tests.fuzz.images import _exr_bomb, png_chunk, whole_exr
 from tests.fuzz.results import RENDERER, STEPS, TARGET, WHOLE
@@ -247,7 +247,7 @@ def test_whatever_a_plugin_raises_it_is_listed_as_broken(tmp_path: Path, monkeyp
     monkeypatch.syspath_prepend(str(tmp_path))
     values = {name: f"plugin_that_is_odd:{name}" for name in ("own", "interrupt", "mute", "touchy")}
     values |= {"no value": "not a module!!", "nothing": ""}
-    points = [EntryPoint(name, value, registry.GROUP) for name, value in values.items()]
+    points = [EntryPoint(name, value, registry.RENDERERS.name) for name, value in values.items()]
     monkeypatch.setattr(registry, "entry_points", lambda group: points)
     listed = {one.name: one for one in registry.available_renderers()}
     assert {name: one.state for name, one in listed.items()} == dict.fromkeys(values, "broken")
@@ -261,7 +261,7 @@ def test_what_a_plugin_prints_is_not_part_of_the_answer(
 ) -> None:
     (tmp_path / "plugin_that_greets.py").write_text("print('hello')\nmake = dict\n")
     monkeypatch.syspath_prepend(str(tmp_path))
-    points = [EntryPoint("greets", "plugin_that_greets:make", registry.GROUP)]
+    points = [EntryPoint("greets", "plugin_that_greets:make", registry.RENDERERS.name)]
     monkeypatch.setattr(registry, "entry_points", lambda group: points)
     assert main(["renderers", "--json"]) == 0
     out, err = capsys.readouterr()
@@ -335,7 +335,7 @@ def test_a_renderer_of_others_fails_in_one_line(
     (folder / "scene.toml").write_text(spelled(document))
     monkeypatch.setattr("loi_core.scenes.reading.load_renderer", lambda name: lambda: made())
     with pytest.raises(error, match=says):
-        initial_image(load_scene(folder / "scene.toml"))
+        Start.of(load_scene(folder / "scene.toml"))
 
 
 @pytest.mark.parametrize("dtype", ["|V0", "|S0", "<U0", "|O"])

@@ -55,7 +55,7 @@ def test_an_old_one_is_an_error_not_an_abort(path: Path) -> None:
     assert done.returncode == 1
     last = done.stderr.strip().splitlines()[-1]
     assert "LLVMError: `DRJIT_LIBLLVM_PATH` must name LLVM 16 or later" in last
-    assert f"LLVM {llvm.library_version(path)}; unset it and {llvm._mend()}" in last
+    assert f"LLVM {llvm.library_version(path)}; unset it and {llvm._fix()}" in last
 
 
 @pytest.mark.skipif(not OLD, reason="no old LLVM here to point at")

@@ -15,7 +15,7 @@ import torch
 from loi_core import LOIObjective, ScaleSpace
 from loi_core.cli import main
 from loi_core.plugins import registry
-from loi_core.plugins.backends import BFLOAT16_PRODUCTS, Backend, NumPy
+from loi_core.plugins.backends import BFLOAT16_PRODUCTS, Backend, NumPy, Request
 from loi_core.tradeoff import Setting, rows
 from loi_core.tradeoff.memory import peak_memory
 from tests.environments import ROOT
@@ -48,8 +48,8 @@ class Crashes(Fails):
 
 def announced_backends() -> dict[str, Backend]:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    entries = project["entry-points"][registry.BACKEND_GROUP]
-    return {name: EntryPoint(name, value, registry.BACKEND_GROUP).load()() for name, value in entries.items()}
+    entries = project["entry-points"][registry.BACKENDS.name]
+    return {name: EntryPoint(name, value, registry.BACKENDS.name).load()() for name, value in entries.items()}
 
 
 @pytest.mark.parametrize("name", ["jax", "numpy", "torch"])
@@ -60,7 +60,7 @@ def test_every_backend_of_the_project_gives_the_numbers_of_the_core(name: str) -
     value, gradient = LOIObjective(reference, scales).value_and_grad(image)
     for dtype, tolerance in (("float64", 1e-12), ("float32", 1e-3)):  # ties are what float32 sees differently
         assert dtype in backend.dtypes
-        evaluate = backend.prepare(image, reference, scales, "exact", dtype)
+        evaluate = backend.prepare(Request(image, reference, scales, "exact", dtype))
         for _ in range(2):
             got, slope = evaluate()
             assert got == pytest.approx(float(value), rel=tolerance)
@@ -76,7 +76,7 @@ def test_products_in_bfloat16_are_a_choice_of_torch_that_is_set_back() -> None:
     value = float(LOIObjective(reference, scales).value(image))
     torch.set_float32_matmul_precision("high")
     try:
-        got, slope = backend.prepare(image, reference, scales, "exact", BFLOAT16_PRODUCTS)()
+        got, slope = backend.prepare(Request(image, reference, scales, "exact", BFLOAT16_PRODUCTS))()
         assert torch.get_float32_matmul_precision() == "high"
     finally:
         torch.set_float32_matmul_precision("highest")
@@ -90,8 +90,8 @@ def test_the_backends_of_the_project_are_all_tried() -> None:
 
 
 def test_a_backend_is_found_by_its_name(plugins: Plugins) -> None:
-    assert registry.load_backend("numpy") is NumPy
-    assert [one.state for one in registry.available_backends()] == ["ready"]
+    assert registry.BACKENDS.load("numpy") is NumPy
+    assert [one.state for one in registry.BACKENDS.available()] == ["ready"]
     assert registry.available_renderers() == []
 
 
@@ -106,8 +106,8 @@ def test_a_broken_backend_is_reported_and_the_others_are_measured(
     monkeypatch.syspath_prepend(str(tmp_path))
     plugins(
         NUMPY,
-        EntryPoint("absent", "no_such_module:Backend [gpu]", registry.BACKEND_GROUP),
-        *(EntryPoint(one.lower(), f"broken_backends:{one}", registry.BACKEND_GROUP) for one in ("Fails", "Refuses")),
+        EntryPoint("absent", "no_such_module:Backend [gpu]", registry.BACKENDS.name),
+        *(EntryPoint(one.lower(), f"broken_backends:{one}", registry.BACKENDS.name) for one in ("Fails", "Refuses")),
     )
     found = tradeoff(tmp_path / "out", capsys, *pair)
     assert [(one["name"], one["fix"]) for one in found["missing"]] == [
@@ -133,7 +133,7 @@ def test_a_backend_that_ends_its_process_ends_nothing_else(tmp_path: Path, monke
 def test_nothing_but_broken_backends_is_an_error(
     plugins: Plugins, pair: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    plugins(EntryPoint("absent", "no_such_module:Backend", registry.BACKEND_GROUP))
+    plugins(EntryPoint("absent", "no_such_module:Backend", registry.BACKENDS.name))
     assert main(["tradeoff", *pair, "--output", str(tmp_path / "out")]) == 2
     said = capsys.readouterr().err
     assert "no backend can be measured: absent: ModuleNotFoundError" in said

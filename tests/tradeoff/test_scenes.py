@@ -64,7 +64,7 @@ class Grain:
 
 
 def grain_scene(folder: Path, plugins: Plugins, lines: str = "") -> Path:
-    plugins(NUMPY, EntryPoint("grain", "tests.tradeoff.test_scenes:Grain", registry.GROUP))
+    plugins(NUMPY, EntryPoint("grain", "tests.tradeoff.test_scenes:Grain", registry.RENDERERS.name))
     target = np.full((Grain.size, Grain.size, 3), 0.3)
     target[6:10, 6:10] = 0.9
     np.save(folder / "target.npy", target)
@@ -131,7 +131,7 @@ def test_a_scene_where_nothing_is_random_is_judged_by_what_balanced_promises(
     plugins: Plugins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     make_disks(tmp_path)
-    plugins(NUMPY, EntryPoint("disks", "loi_core.renderers:Disks", registry.GROUP))
+    plugins(NUMPY, EntryPoint("disks", "loi_core.renderers:Disks", registry.RENDERERS.name))
     scene = load_scene(tmp_path / "scene.toml")
     assert scene.samples is None
 
