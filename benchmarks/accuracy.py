@@ -1,7 +1,7 @@
 """How far each accuracy is from exact: ``python -m benchmarks.accuracy [SIDE ...] [PRESET ...]``, from the root.
 
 For square images of each side, in float64: the worst relative error of the gradient (2-norm) over the kinds of images
-of ``tests/core/contents.py`` and some seeds, by preset, as a share of what was promised; and of how many images the
+of ``tests/contents.py`` and some seeds, by preset, as a share of what was promised; and of how many images the
 plan could not vouch for its accuracy, so that they were compared exactly. "Ordinary" are the kinds that plans are made
 for, "hard" are periodic images and such as nearly equal their reference. Prints a Markdown table; the exit code is 1 if
 a promise is broken.
@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from loi_core import LOIObjective, ScaleSpace
-from tests.core.contents import CONTENTS, HARD
+from tests.contents import CONTENTS, HARD
 
 SIDES: Final = (16, 32, 64, 128, 256, 512, 1024, 2048)
 ACCURACIES: Final[dict[str, float]] = {"balanced": 1e-2, "fast": 5e-2}

@@ -26,7 +26,7 @@ from loi_core.scenes.reading import load_scene
 from loi_core.testing import check_objective
 from loi_torch import LPIPS, lpips, lpips_weights
 from loi_torch.lpips_weights import read_weights, unpickled_arrays
-from tests.core.contents import CONTENTS
+from tests.contents import CONTENTS
 from tests.helpers import Host, directional_difference, images, relative_error
 
 NETS = ("alex", "vgg")

@@ -9,7 +9,7 @@ import pytest
 
 from loi_core import Free, PixelL2, fit
 from loi_core.errors import FitDivergedError, FitError, LoiError, RendererError
-from tests.fits import Bowl, bad_pullback, run
+from tests.fitting.fits import Bowl, bad_pullback, run
 
 
 @pytest.mark.parametrize(

@@ -28,7 +28,7 @@ from loi_core.method.sampling_error import error_of
 from loi_core.stability import allowed
 from loi_core.testing import check_objective
 from loi_jax import loi_loss
-from tests.core.contents import CONTENTS, HARD
+from tests.contents import CONTENTS, HARD
 from tests.helpers import Host, by_arrays
 
 EPS = float(np.finfo(np.float64).eps)

@@ -24,7 +24,7 @@ from loi_core.testing import (
     check_renderer,
     parametrize_with_checks,
 )
-from tests.conformance.zoo import BROKEN_OBJECTIVES, BROKEN_RENDERERS, Params, Scaled, Sound, Wrapped, scaled
+from tests.testing.zoo import BROKEN_OBJECTIVES, BROKEN_RENDERERS, Params, Scaled, Sound, Wrapped, scaled
 
 
 @pytest.mark.parametrize(

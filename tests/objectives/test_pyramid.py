@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter
 
 from loi_core import GaussianPyramid
 from loi_core.errors import OptionError
-from tests.core.contents import CONTENTS
+from tests.contents import CONTENTS
 from tests.helpers import Host
 
 SIZES = [(64, 48), (57, 90)]  # even, odd at several levels

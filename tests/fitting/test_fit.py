@@ -16,7 +16,7 @@ from loi_core.fitting.adam import Moments
 from loi_core.fitting.loop import FitInterruptedError, FitStep
 from loi_core.fitting.state import State
 from loi_core.renderers import Disks
-from tests.fits import REFERENCE, SCALES, SCENE, START, TARGET, Bowl, run
+from tests.fitting.fits import REFERENCE, SCALES, SCENE, START, TARGET, Bowl, run
 from tests.helpers import Host
 
 

@@ -34,7 +34,7 @@ from loi_core.method.gaussian import AxisBlur, AxisGrid
 from loi_core.method.ways import BY_ARRAYS, BY_LOOPS, way_for
 from loi_core.support.arrays import Array
 from tests.conformance.test_backends import Problem, apart, problems
-from tests.core.contents import CONTENTS
+from tests.contents import CONTENTS
 from tests.helpers import Host, by_arrays
 
 KINDS = sorted(CONTENTS)

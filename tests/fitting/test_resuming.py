@@ -18,7 +18,7 @@ from loi_core.errors import FitError, OptionError, ParameterError
 from loi_core.fitting.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
 from loi_core.fitting.loop import FitInterruptedError, FitStep
 from loi_core.renderers import Disks
-from tests.fits import REFERENCE, SCALES, SCENE, START, TARGET, Bowl, run
+from tests.fitting.fits import REFERENCE, SCALES, SCENE, START, TARGET, Bowl, run
 from tests.helpers import Host
 
 

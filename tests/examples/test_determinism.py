@@ -9,7 +9,7 @@ import pytest
 from hypothesis import settings
 
 from examples.determinism import BACKENDS, Results, apart, computed
-from tests.core.test_properties import ROUNDINGS
+from tests.objectives.test_properties import ROUNDINGS
 
 # JAX takes half a minute to compile all of it, twice.
 QUICK = [name for name in BACKENDS if name != "JAX"]

@@ -38,7 +38,7 @@ from loi_core.support.arrays import Array, to_numpy
 from loi_jax.backend import Jax
 from loi_mitsuba.backend import Mitsuba
 from loi_torch.backend import Torch
-from tests.core.precise import precise
+from tests.method.precise import precise
 from tests.helpers import Host, by_arrays
 
 CASES = {case.name: case for case in hard_cases()}

@@ -10,7 +10,7 @@ import torch
 from loi_core import MSSSIM
 from loi_core.errors import ImageError, OptionError
 from loi_core.testing import check_objective
-from tests.core.contents import CONTENTS
+from tests.contents import CONTENTS
 from tests.helpers import Host
 
 SIZES = [(256, 192), (177, 201), (180, 333)]  # even, odd at several levels

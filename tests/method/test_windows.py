@@ -24,7 +24,7 @@ from loi_core.method.scope import Scope
 from loi_core.method.windows import Window, window_of
 from loi_core.support.arrays import Array
 from tests.conformance.test_backends import apart
-from tests.core.contents import CONTENTS
+from tests.contents import CONTENTS
 from tests.helpers import Host, by_arrays
 
 SIZES = st.integers(1, 150)
