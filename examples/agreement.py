@@ -15,7 +15,8 @@ import numpy as np
 from hypothesis import HealthCheck, Phase, given, settings
 
 from loi_core import LOIObjective
-from tests.conformance.test_backends import BACKENDS, Problem, apart, problems
+from tests.conformance.test_backends import BACKENDS
+from tests.strategies import Problem, apart, problems
 
 
 def main() -> int:

@@ -5,17 +5,13 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
-import jax
 import matplotlib as mpl
 import pytest
-import torch
 from hypothesis import HealthCheck, settings
 
 from tests.environments import build_wheel
 
-jax.config.update("jax_enable_x64", True)  # type: ignore[no-untyped-call]  # untyped in JAX
 mpl.use("agg")
-torch.set_num_threads(1)  # the tests run in several processes already
 
 for name, examples in (("quick", 10), ("ci", 40), ("thorough", 1000)):
     settings.register_profile(

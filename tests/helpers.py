@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import os
+import re
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import Any, TypeAlias
@@ -56,3 +60,16 @@ def directional_difference(function: Callable[[Host], Any], at: Host, direction:
 def relative_error(got: Host, wanted: Host) -> float:
     """Euclidean norm of the difference over that of what was wanted."""
     return float(np.linalg.norm(np.asarray(got) - np.asarray(wanted)) / np.linalg.norm(np.asarray(wanted)))
+
+
+def program_says(code: str, **environment: str) -> str:
+    """What a program prints; warnings are written after it, and anything else on standard error is a failure."""
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=True,
+        env={**os.environ, "PYTHONWARNINGS": "always::RuntimeWarning", **environment},
+    )
+    return done.stdout.strip() + "".join(re.findall("CompiledLoopsWarning", done.stderr))

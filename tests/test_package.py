@@ -83,6 +83,25 @@ def test_the_wheel_measures_what_accuracy_costs_in_an_empty_environment(fresh: P
     }
 
 
+ALONE = """
+import importlib.abc, sys
+class Absent(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path, target=None):
+        if name.split(".")[0] in {absent!r}:
+            raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
+sys.meta_path.insert(0, Absent())
+import pytest
+sys.exit(pytest.main(["-q", "-p", "no:cacheprovider", *{folders!r}]))
+"""
+ABSENT = {"torch", "jax", "jaxlib", "mitsuba", "drjit", "numba", "llvmlite", "kornia", "array_api_strict"}
+
+
+def test_the_core_passes_its_tests_with_numpy_alone() -> None:
+    folders = [str(ROOT / "tests" / name) for name in ("method", "pixels", "objectives", "renderers")]
+    code = ALONE.format(absent=ABSENT, folders=folders)
+    assert re.search(r"[1-9]\d passed", run(sys.executable, "-c", code, cwd=ROOT, HYPOTHESIS_PROFILE="quick"))
+
+
 def test_importing_the_core_loads_no_framework() -> None:
     code = f"import sys, loi_core; print([n for n in {FRAMEWORKS!r} if n in sys.modules])"
     assert run(sys.executable, "-c", code).strip() == "[]"

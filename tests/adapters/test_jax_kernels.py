@@ -17,8 +17,9 @@ import loi_jax
 from loi_core import LogTone, LOIObjective, ScaleSpace
 from loi_core.method import compiled
 from loi_core.pixels.nonfinite import NanPolicy
-from tests.conformance.test_backends import TONES, Problem, problems
+from tests.conformance.test_backends import TONES
 from tests.helpers import by_arrays, images
+from tests.strategies import Problem, problems
 
 pytestmark = pytest.mark.skipif(not compiled.available(), reason="needs Numba")
 

@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 import torch
 from hypothesis import given, settings
-from hypothesis import strategies as st
 
 import loi_jax.renderers
 import loi_torch.renderers
@@ -20,10 +19,10 @@ from loi_core.errors import ParameterError
 from loi_core.support.arrays import from_numpy, library_name, to_numpy
 from loi_core.testing import RendererSubject, parametrize_with_checks
 from tests.helpers import Host, relative_error
+from tests.strategies import SEEDS
 
 SIZE = (20, 24)
 SCALES = ScaleSpace((0, 2), (2, 6), 0.1)
-SEEDS = st.integers(0, 2**31)
 
 
 def disks_options(seed: int, count: int = 5) -> dict[str, Any]:

@@ -16,10 +16,10 @@ from loi_core.renderers import Disks
 from loi_core.testing import RendererSubject, parametrize_with_checks
 from loi_torch.vector import Circle, Ellipse, Outline, Paint, Path, Rectangle, Shape, Vector, polygon
 from tests.helpers import Host
+from tests.strategies import SEEDS
 
 RED, SEE_THROUGH = (0.9, 0.2, 0.1, 1.0), (0.1, 0.3, 0.8, 0.6)
 WHITE, BLACK = Paint(fill=(1.0, 1.0, 1.0, 1.0)), (0.0, 0.0, 0.0)
-SEEDS = st.integers(0, 2**31)
 
 
 def scene(seed: int = 0, **more: Any) -> Vector:

@@ -29,15 +29,13 @@ from hypothesis import strategies as st
 import loi_jax
 import loi_torch
 from loi_core import LogTone, LOIObjective, ScaleSpace
-from loi_core.stability import allowed
 from loi_core.support.arrays import sum_of_all
 from tests.helpers import Host, by_arrays
+from tests.strategies import Problem, apart, problems
 
 LOGARITHM = 4.0
 COMPILED = 50  # problems for which JAX keeps what it compiled: it compiles for each shape anew, and memory would fill
-CONTENTS = ("flat", "ramp", "step", "noise", "hdr", "saturated")
 Pair = tuple[Host, Host]
-Problem = tuple[Host, Host, ScaleSpace, str]
 
 
 def numpy_arrays(image: Host, reference: Host, scales: ScaleSpace, tone: LogTone | None) -> Pair:
@@ -99,61 +97,6 @@ BACKENDS: dict[str, Callable[[Host, Host, ScaleSpace, LogTone | None], Pair]] = 
     "JAX without Numba": jax_arrays,
     "Dr.Jit": drjit_autodiff,
 }
-
-
-@st.composite
-def contents(draw: st.DrawFn, shape: tuple[int, ...]) -> Host:
-    """An image of one of the kinds that renderers make."""
-    kind = draw(st.sampled_from(CONTENTS))
-    rng = np.random.default_rng(draw(st.integers(0, 2**31)))
-    rows, columns = np.linspace(0, 1, shape[-3])[:, None, None], np.linspace(0, 1, shape[-2])[None, :, None]
-    makers: dict[str, Callable[[], Host]] = {
-        "flat": lambda: np.full(shape, rng.uniform()),
-        "ramp": lambda: np.broadcast_to(0.7 * rows * rng.uniform() + 0.3 * columns, shape),
-        "step": lambda: np.broadcast_to(np.where(columns > rng.uniform(), 0.8, 0.1) + 0.0 * rows, shape),
-        "noise": lambda: rng.uniform(size=shape),
-        "hdr": lambda: rng.exponential(size=shape) * 10.0 ** rng.integers(-2, 5),
-        "saturated": lambda: rng.integers(0, 2, size=shape),
-    }
-    return np.array(makers[kind](), dtype=np.float64)
-
-
-@st.composite
-def problems(draw: st.DrawFn) -> Problem:
-    """Two images of one shape, scales, and a dtype."""
-    batch = draw(st.sampled_from([(), (), (1,), (2,), (2, 1)]))
-    size = st.integers(1, 14)
-    shape = (*batch, draw(size), draw(size), draw(st.integers(1, 4)))
-    scale = st.sampled_from([0.0, 0.3, 1.0, 2.5, 5.0, 15.0, 100.0])
-    some = st.lists(scale, min_size=1, max_size=3, unique=True)
-    presets = [ScaleSpace.paper("vector"), ScaleSpace.paper("path"), ScaleSpace.for_image(*shape[-3:-1])]
-    scales = draw(
-        st.one_of(
-            st.sampled_from([*presets, ScaleSpace.released((1, 5), (1, 5), 8, 21)]),
-            st.builds(
-                ScaleSpace,
-                some,
-                some,
-                st.sampled_from([0.05, 0.125, 0.4]),
-                boundary=st.sampled_from(["reflect", "zero"]),
-                bounds=st.sampled_from([(0.0, 1.0), (-0.5, 2.0)]),
-            ),
-        )
-    )
-    image, reference = draw(contents(shape)), draw(contents(shape))
-    if draw(st.booleans()):  # equal in some rows, where backends that look at values compute nothing
-        image[..., draw(st.integers(0, shape[-3] - 1)) :, :, :] = 0.5
-        reference = np.where(image == 0.5, image, reference)
-    return image, reference, scales, draw(st.sampled_from(["float64", "float32"]))
-
-
-def apart(image: Host, reference: Host, scales: ScaleSpace, shift: float = 0.0) -> tuple[float, float]:
-    """Largest differences of two losses, and of their gradients in the 1-norm: each may err on another side.
-
-    `shift` is what libraries may differ by in intensities already, in eps.
-    """
-    bound = allowed(image, reference, scales, float(np.finfo(image.dtype).eps), shift=shift)
-    return 2.0 * bound.loss, 2.0 * bound.norm
 
 
 TIE = np.full((3, 3, 1), 0.5)

@@ -7,16 +7,15 @@ from typing import Any
 import numpy as np
 import pytest
 from hypothesis import given
-from hypothesis import strategies as st
 
 from examples.adapters.deodr_mesh import DeodrMesh, sphere
 from loi_core import Free, LOIObjective, Objective, PixelL2, Renderer, ScaleSpace, fit
 from loi_core.errors import ImageError, LoiError, ParameterError, RendererError
 from loi_core.testing import check_renderer
 from tests.helpers import Host, directional_difference
+from tests.strategies import SEEDS
 
 VERTICES, FACES, COLOURS = sphere()
-SEEDS = st.integers(0, 2**31)
 
 
 def mesh(seed: int = 0, **options: Any) -> DeodrMesh:

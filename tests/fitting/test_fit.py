@@ -5,11 +5,8 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-import array_api_strict
-import jax.numpy as jnp
 import numpy as np
 import pytest
-import torch
 
 from loi_core import Free, LOIObjective, PixelL2, fit
 from loi_core.fitting.adam import Moments
@@ -17,6 +14,7 @@ from loi_core.fitting.loop import FitInterruptedError, FitStep
 from loi_core.fitting.state import State
 from loi_core.renderers import Disks
 from tests.fitting.fits import REFERENCE, SCALES, SCENE, START, TARGET, Bowl, run
+from tests.frameworks import array_api_strict, jnp, torch
 from tests.helpers import Host
 
 

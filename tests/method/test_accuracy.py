@@ -8,33 +8,29 @@ from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
 from loi_core import LogTone, LOIObjective, ScaleSpace
-from loi_core.method.array_comparison import ArrayComparison
 from loi_core.method.blurs import _CACHE, PlaneGrid
 from loi_core.method.comparison import Compared
-from loi_core.method.compiled import bands
-from loi_core.method.compiled.loop_comparison import LoopComparison
 from loi_core.method.gaussian import AxisBlur, AxisGrid, as_slow_as, coarsest_spacing, pyramid_variance
 from loi_core.method.planner import make_plan
 from loi_core.method.reference import loss_and_gradient
 from loi_core.method.sampling_error import error_of
+from loi_core.method.ways import BY_ARRAYS, BY_LOOPS
 from loi_core.stability import allowed
 from loi_core.testing import check_objective
-from loi_jax import loi_loss
 from tests.contents import CONTENTS, HARD
+from tests.frameworks import jax, jnp, loi_jax
 from tests.helpers import Host, by_arrays
+from tests.strategies import SEEDS
 
 EPS = float(np.finfo(np.float64).eps)
 SIDES = st.integers(16, 200)
 PRESETS = st.sampled_from(["vector", "path", "raster", "for image", "released"])
-SEEDS = st.integers(0, 2**31)
 KINDS = st.sampled_from(sorted(CONTENTS))
 
 
@@ -123,7 +119,7 @@ def test_kernels_and_arrays_doubt_the_same(kind: str, dtype: str, seed: int) -> 
     scales = ScaleSpace.paper("path")
     plan = LOIObjective(reference, scales, "balanced").plan()
     planes = [np.moveaxis(np.clip(each, 0.0, 1.0), -1, 0) for each in (image, reference)]
-    ways = LoopComparison.of(scales, plan, planes[1]), ArrayComparison.of(scales, plan, planes[1])
+    ways = BY_LOOPS.comparison(scales, plan, planes[1]), BY_ARRAYS.comparison(scales, plan, planes[1])
     found = [way.compare(planes[0], gradient=True) for way in ways]
     assert plan.is_sampled
     errors = [error_of(one.misplaced) for one in found]
@@ -140,7 +136,7 @@ def test_where_values_cannot_be_looked_at_everything_is_exact() -> None:
     reference, image = CONTENTS["photographs"]((150, 140, 1), np.random.default_rng(0))
     scales = ScaleSpace.paper("path")
     with by_arrays():
-        compare = jax.jit(jax.grad(loi_loss(reference.astype(np.float32), scales, "balanced")))
+        compare = jax.jit(jax.grad(loi_jax.loi_loss(reference.astype(np.float32), scales, "balanced")))
         found = np.asarray(compare(jnp.asarray(image, dtype=jnp.float32)))
         wanted = LOIObjective(reference.astype(np.float32), scales).value_and_grad(image.astype(np.float32))[1]
     np.testing.assert_allclose(found, wanted, rtol=0, atol=2e-3 * np.abs(wanted).max())
@@ -258,6 +254,7 @@ def test_memory_at_work_stays_below_four_stacks_of_levels(way: Callable[[], Abst
 def test_operators_are_kept_within_a_bound() -> None:
     for size in range(40, 60):
         LOIObjective(np.zeros((size, size, 1)), ScaleSpace.paper("path")).value(np.zeros((size, size, 1)))
+    bands = pytest.importorskip("loi_core.method.compiled.bands", reason="needs Numba")
     before = _CACHE.held, bands._CACHE.held
     LOIObjective(np.ones((59, 59, 1)), ScaleSpace.paper("path")).value(np.zeros((59, 59, 1)))
     assert before == (_CACHE.held, bands._CACHE.held)

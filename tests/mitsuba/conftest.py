@@ -6,6 +6,8 @@ import importlib.util
 
 import pytest
 
+from tests.frameworks import load
+
 if importlib.util.find_spec("mitsuba") is None:  # pragma: no cover - depends on the environment
     collect_ignore_glob = ["*.py"]
 else:
@@ -24,3 +26,7 @@ else:
 def _same_variant() -> None:
     """Tests that change the variant do so for themselves only."""
     mi.set_variant("llvm_ad_rgb")
+
+
+for framework in ("jax", "torch"):
+    load(framework)

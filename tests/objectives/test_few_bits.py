@@ -5,16 +5,15 @@ from __future__ import annotations
 import tracemalloc
 from typing import Any
 
-import jax.numpy as jnp
 import numpy as np
 import pytest
-import torch
 
 from loi_core import GaussianPyramid, LOIObjective, PixelL2, ScaleSpace, inner_images, isophotes
 from loi_core.method.planner import make_plan
 from loi_core.method.reference import loss_and_gradient
 from loi_core.method.tonal import accumulate
-from loi_core.support.arrays import namespace
+from loi_core.support.arrays import namespace, widened
+from tests.frameworks import jnp, torch
 from tests.helpers import Host, images
 
 SINGLE = float(np.finfo(np.float32).eps)
@@ -32,17 +31,18 @@ def error_in_single(image: Host, reference: Host, scales: ScaleSpace) -> float:
 
 @pytest.mark.parametrize("make", [LOIObjective, PixelL2, GaussianPyramid])
 @pytest.mark.parametrize(
-    ("half", "single"),
+    "rounded",
     [
-        (IMAGE.astype(np.float16), IMAGE.astype(np.float16).astype(np.float32)),
-        (torch.tensor(IMAGE).half(), torch.tensor(IMAGE).half().float()),
-        (torch.tensor(IMAGE).bfloat16(), torch.tensor(IMAGE).bfloat16().float()),
-        (jnp.asarray(IMAGE, jnp.bfloat16), jnp.asarray(IMAGE, jnp.bfloat16).astype(jnp.float32)),
+        lambda: IMAGE.astype(np.float16),
+        lambda: torch.tensor(IMAGE).half(),
+        lambda: torch.tensor(IMAGE).bfloat16(),
+        lambda: jnp.asarray(IMAGE, jnp.bfloat16),
     ],
     ids=["NumPy float16", "torch float16", "torch bfloat16", "JAX bfloat16"],
 )
-def test_images_of_16_bits_give_what_they_give_in_float32_rounded(half: Any, single: Any, make: Any) -> None:
-    objective = make(REFERENCE)
+def test_images_of_16_bits_give_what_they_give_in_float32_rounded(rounded: Any, make: Any) -> None:
+    objective, half = make(REFERENCE), rounded()
+    single = widened(half)
     value, gradient = objective.value_and_grad(half)
     wide, slopes = objective.value_and_grad(single)
     assert value.dtype == gradient.dtype == objective.value(half).dtype == half.dtype

@@ -4,15 +4,12 @@ from __future__ import annotations
 
 from typing import Any
 
-import array_api_strict
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
-import torch
 
 from loi_core import MSSSIM, GaussianPyramid, LOIObjective, PixelL2, ScaleSpace
 from loi_core.objectives import ImageObjective
+from tests.frameworks import array_api_strict, jax, jnp, torch
 from tests.helpers import SCALES, directional_difference, images, relative_error
 
 SHAPE = (24, 19, 3)

@@ -10,9 +10,9 @@ from scipy import stats
 
 from loi_core import GaussianPyramid, LOIObjective, PixelL2, ScaleSpace, inner_images, isophotes, local_histograms
 from tests.helpers import SCALES, Host, images, relative_error
+from tests.strategies import SEEDS
 
 SHAPES = st.tuples(st.integers(1, 12), st.integers(1, 12), st.integers(1, 4))
-SEEDS = st.integers(0, 2**31)
 SPACES = st.sampled_from(list(SCALES.values()))
 
 

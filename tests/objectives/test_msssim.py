@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import pytorch_msssim
-import torch
 
 from loi_core import MSSSIM
 from loi_core.errors import ImageError, OptionError
 from loi_core.testing import check_objective
 from tests.contents import CONTENTS
+from tests.frameworks import pytorch_msssim, torch
 from tests.helpers import Host
 
 SIZES = [(256, 192), (177, 201), (180, 333)]  # even, odd at several levels

@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 
 from loi_core import LOIObjective, ScaleSpace
 from loi_core.renderers import Disks
-from tests.conformance.test_backends import Problem, apart, problems
 from tests.helpers import Host
+from tests.strategies import Problem, apart, problems
 
 MOVES: Final[dict[str, Callable[[Host], Host]]] = {
     "batch axis": lambda image: image[None],

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import kornia
 import numpy as np
 import pytest
-import torch
 from scipy.ndimage import gaussian_filter
 
 from loi_core import GaussianPyramid
 from loi_core.errors import OptionError
 from tests.contents import CONTENTS
+from tests.frameworks import kornia, torch
 from tests.helpers import Host
 
 SIZES = [(64, 48), (57, 90)]  # even, odd at several levels

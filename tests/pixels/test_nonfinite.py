@@ -6,17 +6,14 @@ import pickle
 from collections.abc import Callable
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
-import torch
 from hypothesis import given
 from hypothesis import strategies as st
 
-import loi_jax
 from loi_core import GaussianPyramid, LogTone, LOIObjective, PixelL2, ScaleSpace, inner_images
 from loi_core.errors import NonFiniteImageError
+from tests.frameworks import jax, jnp, loi_jax, torch
 from tests.helpers import Host, images
 
 SCALES = ScaleSpace((0, 2), (1, 4), 0.125)

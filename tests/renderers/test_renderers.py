@@ -13,6 +13,7 @@ from loi_core import Renderer
 from loi_core.errors import ParameterError
 from loi_core.renderers import Disks, Warp
 from tests.helpers import Host, directional_difference
+from tests.strategies import SEEDS
 
 
 def disks(seed: int, **options: Any) -> Disks:
@@ -35,7 +36,6 @@ def warp(seed: int, **options: Any) -> Warp:
 
 
 MAKERS = st.sampled_from([disks, warp])
-SEEDS = st.integers(0, 2**31)
 
 
 @given(MAKERS, SEEDS)

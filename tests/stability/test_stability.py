@@ -38,8 +38,8 @@ from loi_core.support.arrays import Array, to_numpy
 from loi_jax.backend import Jax
 from loi_mitsuba.backend import Mitsuba
 from loi_torch.backend import Torch
-from tests.method.precise import precise
 from tests.helpers import Host, by_arrays
+from tests.method.precise import precise
 
 CASES = {case.name: case for case in hard_cases()}
 COMPILED = ("ordinary pair", "one NaN", "one NaN, masked", "batch with one bad image, masked")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from loi_core.plugins import registry
+from tests.frameworks import load
 from tests.helpers import images
 from tests.tradeoff.command import NUMPY, Plugins
 
@@ -30,3 +31,7 @@ def pair(tmp_path: Path) -> list[str]:
     np.save(tmp_path / "a.npy", first)
     np.save(tmp_path / "b.npy", second)
     return ["--image", str(tmp_path / "a.npy"), "--reference", str(tmp_path / "b.npy")]
+
+
+for framework in ("jax", "torch"):
+    load(framework)

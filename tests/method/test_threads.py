@@ -1,0 +1,132 @@
+"""Compiled loops from any thread, on any number of them, and in processes that are forked."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+pytest.importorskip("numba")
+
+from loi_core import LOIObjective, ScaleSpace
+from loi_core.method.compiled import threads
+from tests.helpers import program_says
+
+
+@given(st.integers(1, 90), st.integers(1, 90), st.sampled_from(("float32", "float64")))
+@example(1, 1, "float32")
+@example(90, 90, "float64")
+def test_threads_change_no_bit(height: int, width: int, dtype: str) -> None:
+    rng = np.random.default_rng(0)
+    image, reference = rng.uniform(size=(2, height, width, 3)).astype(dtype)
+    objective = LOIObjective(reference, ScaleSpace.paper("path"), "balanced")
+    found = []
+    for count in (1, 2, 5):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(threads, "thread_count", lambda count=count: count)
+            found.append(objective.value_and_grad(image))
+    for value, gradient in found[1:]:
+        assert value == found[0][0]
+        np.testing.assert_array_equal(gradient, found[0][1])
+
+
+def test_many_callers_at_once_get_what_one_gets() -> None:
+    rng = np.random.default_rng(0)
+    images, reference = rng.uniform(size=(6, 80, 70, 3)), rng.uniform(size=(80, 70, 3))
+    objective = LOIObjective(reference, ScaleSpace.paper("path"))
+    alone = [objective.value_and_grad(image) for image in images]
+    with ThreadPoolExecutor(8) as callers:
+        together = list(callers.map(objective.value_and_grad, np.concat([images] * 4)))
+    for (value, gradient), (wanted, slopes) in zip(together, alone * 4, strict=True):
+        assert value == wanted
+        np.testing.assert_array_equal(gradient, slopes)
+
+
+FORKS = """
+import os, numpy as np
+from loi_core import LOIObjective, ScaleSpace
+
+from loi_core.method.compiled import compiling, threads
+threads.thread_count = lambda: 3
+image, reference = np.random.default_rng(0).uniform(size=(2, 80, 70, 3))
+objective = LOIObjective(reference, ScaleSpace.paper("path"))
+before = float(objective.value(image))
+child = os.fork()
+if child == 0:
+    os._exit(0 if float(objective.value(image)) == before else 1)
+print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows does not fork")
+def test_a_forked_process_starts_threads_of_its_own() -> None:
+    done = subprocess.run(
+        [sys.executable, "-W", "ignore", "-c", FORKS], capture_output=True, text=True, timeout=120, check=True
+    )
+    assert done.stdout.strip() == "0"
+
+
+LATE = """
+import threading, numpy as np
+from loi_core import LOIObjective, ScaleSpace
+
+image, reference = np.random.default_rng(0).uniform(size=(2, 80, 70, 3))
+def compare():
+    threading.main_thread().join()
+    print(float(LOIObjective(reference, ScaleSpace.paper("path")).value(image)) > 0)
+threading.Thread(target=compare).start()
+"""
+
+
+def test_a_thread_may_compare_after_the_main_one_has_ended() -> None:
+    assert program_says(LATE) == "True"
+
+
+FORKED_WHILE_PREPARING = """
+import os, threading, time, numpy as np
+from loi_core import LOIObjective, ScaleSpace
+
+image, reference = np.random.default_rng(0).uniform(size=(2, 120, 90, 1))
+def prepare(size):
+    objective = LOIObjective(reference[:size], ScaleSpace.paper("path"), "fast")
+    return float(objective.value_and_grad(image[:size])[0])
+prepare(50)
+hung = 0
+for number in range(6):
+    thread = threading.Thread(target=lambda: [prepare(60 + step) for step in range(30)])
+    thread.start()
+    time.sleep(0.004 * number)
+    child = os.fork()
+    if child == 0:
+        prepare(70)
+        os._exit(0)
+    for _ in range(600):
+        if os.waitpid(child, os.WNOHANG)[0]:
+            break
+        time.sleep(0.05)
+    else:
+        os.kill(child, 9)
+        hung += 1
+    thread.join()
+print(hung)
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows does not fork")
+@pytest.mark.parametrize("switch", ["1", "0"])
+def test_a_process_that_is_forked_while_another_thread_prepares_does_not_hang(switch: str) -> None:
+    assert program_says(FORKED_WHILE_PREPARING, LOI_COMPILED=switch) == "0"
+
+
+def test_what_fails_in_a_thread_is_raised() -> None:
+    def fail(_: object) -> None:
+        msg = "no"
+        raise ArithmeticError(msg)
+
+    with pytest.raises(ArithmeticError, match="no"):
+        threads.run_all([fail] * 4, object)

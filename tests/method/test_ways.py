@@ -1,0 +1,127 @@
+"""Which way images are compared, and what happens where Numba is missing, broken, or not wanted."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("numba")
+
+from loi_core import LOIObjective
+from loi_core.method import compiled
+from loi_core.method.compiled import CompiledLoopsWarning
+from loi_core.method.compiled.loop_comparison import LoopComparison
+from loi_core.method.ways import BY_ARRAYS, BY_LOOPS, way_for
+from loi_core.support.arrays import Array
+from tests.frameworks import array_api_strict, jax, jnp, torch
+from tests.helpers import program_says
+
+COMPARES = """
+import sys, numpy as np
+from loi_core import LOIObjective, ScaleSpace
+image, reference = np.random.default_rng(0).uniform(size=(2, 40, 30, 1)).astype(np.float32)
+objective = LOIObjective(reference, ScaleSpace(1, (1, 4), 0.25))
+print(len({float(objective.value(image)) for _ in range(3)}), "numba" in sys.modules)
+"""
+
+
+def test_a_variable_keeps_numba_out() -> None:
+    assert program_says(COMPARES, LOI_COMPILED="0") == "1 False"
+    assert program_says(COMPARES, NUMBA_DISABLE_JIT="1") == "1 True"
+
+
+def test_a_cache_that_is_damaged_costs_time_and_one_warning(tmp_path: Path) -> None:
+    assert program_says(COMPARES, NUMBA_CACHE_DIR=str(tmp_path)) == "1 True"
+    kept = [path for path in tmp_path.rglob("*") if path.is_file()]
+    assert kept
+    for path in kept:
+        os.truncate(path, path.stat().st_size // 2)
+    assert program_says(COMPARES, NUMBA_CACHE_DIR=str(tmp_path)) == "1 TrueCompiledLoopsWarning"
+
+
+def test_kernels_that_cannot_be_compiled_leave_it_to_arrays(monkeypatch: pytest.MonkeyPatch) -> None:
+    def full(*_: object, **__: object) -> None:
+        message = "no space left on device"
+        raise OSError(message)
+
+    image, reference = np.random.default_rng(0).uniform(size=(2, 20, 30, 1))
+    value = float(LOIObjective(reference).value(image))
+    monkeypatch.setattr(compiled, "_NUMBA", compiled._Numba())
+    monkeypatch.setattr(LoopComparison, "compare", full)
+    with pytest.warns(CompiledLoopsWarning, match="OSError: no space left on device"):
+        assert float(LOIObjective(reference).value(image)) == pytest.approx(value, rel=1e-12)
+    assert not compiled.available()
+    assert float(LOIObjective(reference).value(image)) == pytest.approx(value, rel=1e-12)  # without another warning
+
+
+def test_an_error_of_ours_is_no_failure_of_numba(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object, **__: object) -> None:
+        message = "a mistake"
+        raise ZeroDivisionError(message)
+
+    image, reference = np.random.default_rng(0).uniform(size=(2, 20, 30, 1))
+    objective = LOIObjective(reference)
+    objective.value(image)
+    monkeypatch.setattr(LoopComparison, "compare", fail)
+    with pytest.raises(ZeroDivisionError, match="a mistake"):
+        objective.value(image)
+    assert compiled.available()
+
+
+BROKEN = """
+import importlib.abc, sys, time
+class Finder(importlib.abc.MetaPathFinder):
+    def find_spec(self, name, path, target=None):
+        if name == "numba":
+            time.sleep(0.05)
+            raise AttributeError("half of a Numba")
+sys.meta_path.insert(0, Finder())
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+import numpy as np
+from loi_core import LOIObjective
+image, reference = np.random.default_rng(0).uniform(size=(2, 40, 30, 1))
+objective = LOIObjective(reference)
+with ThreadPoolExecutor(8) as threads:
+    print(len(set(map(float, threads.map(objective.value, [image] * 16)))))
+"""
+
+
+def test_a_numba_that_cannot_be_imported_is_none_from_many_threads_at_once_too() -> None:
+    assert program_says(BROKEN) == "1"
+
+
+@pytest.mark.parametrize(
+    ("planes", "wanted"),
+    [
+        (lambda: np.zeros((1, 2, 2), np.float32), True),
+        (lambda: torch.zeros((1, 2, 2), dtype=torch.float64), True),
+        (lambda: torch.zeros((1, 2, 2), requires_grad=True), False),  # torch differentiates what follows
+        (lambda: jnp.zeros((1, 2, 2), jnp.float32), True),
+        (lambda: jnp.zeros((1, 2, 2), jnp.bfloat16), False),
+        (lambda: array_api_strict.zeros((1, 2, 2)), False),
+        (lambda: np.zeros((1, 2, 2), np.longdouble), False),
+    ],
+)
+def test_kernels_are_for_host_arrays_that_no_framework_differentiates(
+    planes: Callable[[], Array], wanted: bool
+) -> None:
+    assert (way_for(planes()) is BY_LOOPS) is wanted
+
+
+def test_what_jax_traces_has_no_values_to_compare() -> None:
+    served = []
+    jax.jit(lambda planes: served.append(way_for(planes)))(jnp.zeros((1, 2, 2), jnp.float32))
+    assert served == [BY_ARRAYS]
+
+
+def test_without_numba_arrays_do_it_and_the_plan_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    objective = LOIObjective(np.zeros((4, 4, 3)))
+    assert "Numba" in str(objective.plan())
+    monkeypatch.setenv("LOI_COMPILED", "0")
+    assert way_for(np.zeros((1, 2, 2))) is BY_ARRAYS
+    assert "Numba" not in str(objective.plan())
