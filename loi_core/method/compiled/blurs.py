@@ -6,13 +6,11 @@ the second time. So after one blur a plane is transposed, and after two it is no
 
 from __future__ import annotations
 
-from typing import Any, Final, TypeAlias
-
-import numpy as np
+from typing import Final
 
 from loi_core.method.compiled.compiling import compiled
-from loi_core.method.compiled.records import GROUP, LANES, LINE, PAIRS, SIDE, STRIP, TAPS, BandColumn, PassColumn
-from loi_core.method.compiled.vectors import add_product, filled, load_lines, load_sides, plus, store_rows, turned
+from loi_core.method.compiled.records import GROUP, LANES, STRIP, TAPS, BandColumn, Box, Operators, PassColumn, Plane
+from loi_core.method.compiled.rows import Floats, Table, combine_pairs, transpose
 
 __all__ = [
     "Floats",
@@ -21,16 +19,10 @@ __all__ = [
     "blur_window",
     "clear_window",
     "combine_turned",
-    "transpose",
     "turn_combined",
 ]
 
-Floats: TypeAlias = np.ndarray[Any, Any]
-Table: TypeAlias = np.ndarray[Any, np.dtype[np.int64]]
-
 TILE: Final = 512  # columns at a time, so that all rows that a kernel sees stay in the nearest cache
-
-SEEN: Final = GROUP + PAIRS - 1  # rows on either side that a group needs for PAIRS distances
 
 # Numba knows plain numbers only.
 WEIGHTS, STARTS, BAND_TAPS, HALF, HALVES, ABOVE, BELOW, FIRST_ALIKE, LAST_ALIKE = map(int, BandColumn)
@@ -39,25 +31,12 @@ BAND, FIRST, LAST, TOP, BOTTOM, LEFT, RIGHT, GROUPS, STRIDE, BAND_AFTER, FIRST_A
 
 @compiled
 def blur_window(
-    way: Table,
-    weights: Floats,
-    starts: Table,
-    bands: Table,
-    arena: Floats,
-    source: int,
-    source_stride: int,
-    target: int,
-    target_stride: int,
-    turned: int,
-    strip: int,
-    add: bool,
+    way: Table, operators: Operators, source: Plane, target: Plane, turned: int, strip: int, add: bool
 ) -> None:
     """Blur a window of a plane; what lies in that of the result is the result, or has it added to it."""
     for first in range(way[FIRST], way[LAST], way[GROUPS]):
-        blur_rows(
-            way, first, min(first + way[GROUPS], way[LAST]), weights, starts, bands, arena, source, source_stride,
-            target, target_stride, turned, strip, add,
-        )  # fmt: skip
+        last = min(first + way[GROUPS], way[LAST])
+        blur_rows(way, first, last, operators, source, target, turned, strip, add)
 
 
 @compiled
@@ -65,14 +44,9 @@ def blur_rows(
     way: Table,
     first: int,
     last: int,
-    weights: Floats,
-    starts: Table,
-    bands: Table,
-    arena: Floats,
-    source: int,
-    source_stride: int,
-    target: int,
-    target_stride: int,
+    operators: Operators,
+    source: Plane,
+    target: Plane,
     turned: int,
     strip: int,
     add: bool,
@@ -82,12 +56,9 @@ def blur_rows(
     They become columns of the result, of which column 0 lies at `target`, whether it is written or not.
     """
     there = turned - GROUP * first
-    turn_combined(
-        way, first, last, way[LEFT], way[RIGHT], weights, starts, bands, arena, source, source_stride, there, strip
-    )
+    turn_combined(way, first, last, way[LEFT], way[RIGHT], operators, source, there, strip)
     combine_turned(
-        way, way[FIRST_AFTER], way[LAST_AFTER], GROUP * first, GROUP * last, weights, starts, bands, arena, there,
-        target, target_stride, add,
+        way, way[FIRST_AFTER], way[LAST_AFTER], GROUP * first, GROUP * last, operators, there, target, add
     )  # fmt: skip
 
 
@@ -98,12 +69,8 @@ def turn_combined(
     last: int,
     left: int,
     right: int,
-    weights: Floats,
-    starts: Table,
-    bands: Table,
-    arena: Floats,
-    source: int,
-    source_stride: int,
+    operators: Operators,
+    source: Plane,
     turned: int,
     strip: int,
 ) -> None:
@@ -111,16 +78,14 @@ def turn_combined(
 
     Column 0 of what is written lies at `turned`, whether it is written or not.
     """
-    band, stride = bands[way[BAND]], way[STRIDE]
-    _clear_beside(band, first, last, starts, arena, source, source_stride, way[TOP], way[BOTTOM], left, right)
+    band, stride = operators.bands[way[BAND]], way[STRIDE]
+    _clear_beside(band, first, last, operators, source, Box(way[TOP], way[BOTTOM], left, right))
     per_strip = STRIP // GROUP
     for group in range(first, last, per_strip):
         count = min(per_strip, last - group)
-        to = strip - left
-        _combine(
-            band, group, count, weights, starts, arena, source, source_stride, to, source_stride, left, right, False
-        )
-        transpose(arena, strip, source_stride, right - left, count, turned + left * stride + GROUP * group, stride)
+        _combine(band, group, count, operators, source, Plane(strip - left, source.stride), left, right, False)
+        to = turned + left * stride + GROUP * group
+        transpose(operators.arena, Plane(strip, source.stride), right - left, count, Plane(to, stride))
 
 
 @compiled
@@ -130,25 +95,21 @@ def combine_turned(
     last: int,
     top: int,
     bottom: int,
-    weights: Floats,
-    starts: Table,
-    bands: Table,
-    arena: Floats,
+    operators: Operators,
     turned: int,
-    target: int,
-    target_stride: int,
+    target: Plane,
     add: bool,
 ) -> None:
     """The second half, for some groups of its rows and some columns, which the first half made of rows."""
-    band, stride = bands[way[BAND_AFTER]], way[STRIDE]
-    _clear_beside(band, first, last, starts, arena, turned, stride, way[LEFT], way[RIGHT], top, bottom)
+    band, source = operators.bands[way[BAND_AFTER]], Plane(turned, way[STRIDE])
+    _clear_beside(band, first, last, operators, source, Box(way[LEFT], way[RIGHT], top, bottom))
     spare = (top - bottom) % LANES
     if spare:  # columns of the last vector, which would be added to what others have made there
-        begin = starts[band[STARTS] + first]
-        end = starts[band[STARTS] + last - 1] + band[BAND_TAPS]
-        clear_window(arena, turned, stride, begin, end, bottom, bottom + spare)
-    to = target + GROUP * first * target_stride
-    _combine(band, first, last - first, weights, starts, arena, turned, stride, to, target_stride, top, bottom, add)
+        begin = operators.starts[band[STARTS] + first]
+        end = operators.starts[band[STARTS] + last - 1] + band[BAND_TAPS]
+        clear_window(operators.arena, source, Box(begin, end, bottom, bottom + spare))
+    to = Plane(target.at + GROUP * first * target.stride, target.stride)
+    _combine(band, first, last - first, operators, source, to, top, bottom, add)
 
 
 @compiled
@@ -156,46 +117,36 @@ def _combine(
     band: Table,
     first: int,
     count: int,
-    weights: Floats,
-    starts: Table,
-    arena: Floats,
-    source: int,
-    source_stride: int,
-    target: int,
-    target_stride: int,
+    operators: Operators,
+    source: Plane,
+    target: Plane,
     left: int,
     right: int,
     add: bool,
 ) -> None:
     """Write rows of a band's product with a plane, from its group `first` on, or add them."""
+    weights, starts, arena = operators.weights, operators.starts, operators.arena
     taps = band[BAND_TAPS]
     right = left + (right - left + LANES - 1) // LANES * LANES
     for begin in range(left, right, TILE):
         width = min(TILE, right - begin)
         for group in range(first, first + count):
-            seen = source + starts[band[STARTS] + group] * source_stride + begin
-            made = target + GROUP * (group - first) * target_stride + begin
+            seen = source.at + starts[band[STARTS] + group] * source.stride + begin
+            made = Plane(target.at + GROUP * (group - first) * target.stride + begin, target.stride)
             if band[FIRST_ALIKE] <= group < band[LAST_ALIKE]:
                 half = weights[band[HALF] : band[HALF] + band[HALVES]]
-                above, below = seen + band[ABOVE] * source_stride, seen + band[BELOW] * source_stride
-                _combine_pairs(half, arena, above, below, source_stride, made, target_stride, width, add)
+                above, below = seen + band[ABOVE] * source.stride, seen + band[BELOW] * source.stride
+                combine_pairs(half, arena, above, below, source.stride, made, width, add)
             else:
                 w = weights[band[WEIGHTS] + group * taps * GROUP : band[WEIGHTS] + (group + 1) * taps * GROUP]
-                _combine_rows(w, arena, seen, source_stride, made, target_stride, width, add)
+                _combine_rows(w, arena, Plane(seen, source.stride), made, width, add)
 
 
 @compiled
-def _combine_rows(
-    weights: Floats,
-    arena: Floats,
-    seen: int,
-    source_stride: int,
-    made: int,
-    target_stride: int,
-    width: int,
-    add: bool,
-) -> None:
+def _combine_rows(weights: Floats, arena: Floats, source: Plane, target: Plane, width: int, add: bool) -> None:
     """Make a group of rows, each with weights of its own for the rows that all of them see."""
+    seen, source_stride = source
+    made, target_stride = target
     row0 = arena[made : made + width]
     row1 = arena[made + target_stride : made + target_stride + width]
     row2 = arena[made + 2 * target_stride : made + 2 * target_stride + width]
@@ -226,82 +177,18 @@ def _combine_rows(
 
 
 @compiled
-def _combine_pairs(
-    half: Floats,
-    arena: Floats,
-    above: int,
-    below: int,
-    source_stride: int,
-    made: int,
-    target_stride: int,
-    width: int,
-    add: bool,
-) -> None:
-    """Make a group of rows, each with the same weights for what lies above and below it: half as many products."""
-    nothing = filled(arena, arena.dtype.type(0))
-    for x in range(0, width, LINE // arena.itemsize):
-        sum0, sum1, sum2, sum3 = nothing, nothing, nothing, nothing
-        if add:
-            sum0, sum1, sum2, sum3 = load_lines(arena, made + x, target_stride, GROUP)
-        up, down = above + x, below + x
-        for pair in range(0, half.size, PAIRS):
-            up0, up1, up2, up3, up4, up5 = load_lines(arena, up, source_stride, SEEN)
-            down0, down1, down2, down3, down4, down5 = load_lines(arena, down, source_stride, SEEN)
-            weight = filled(arena, half[pair])
-            sum0 = add_product(sum0, weight, plus(up2, down0))
-            sum1 = add_product(sum1, weight, plus(up3, down1))
-            sum2 = add_product(sum2, weight, plus(up4, down2))
-            sum3 = add_product(sum3, weight, plus(up5, down3))
-            weight = filled(arena, half[pair + 1])
-            sum0 = add_product(sum0, weight, plus(up1, down1))
-            sum1 = add_product(sum1, weight, plus(up2, down2))
-            sum2 = add_product(sum2, weight, plus(up3, down3))
-            sum3 = add_product(sum3, weight, plus(up4, down4))
-            weight = filled(arena, half[pair + 2])
-            sum0 = add_product(sum0, weight, plus(up0, down2))
-            sum1 = add_product(sum1, weight, plus(up1, down3))
-            sum2 = add_product(sum2, weight, plus(up2, down4))
-            sum3 = add_product(sum3, weight, plus(up3, down5))
-            up, down = up - PAIRS * source_stride, down + PAIRS * source_stride
-        store_rows(arena, made + x, target_stride, (sum0, sum1, sum2, sum3))
-
-
-@compiled
-def transpose(
-    arena: Floats, source: int, source_stride: int, width: int, groups: int, target: int, target_stride: int
-) -> None:
-    """Write down `groups` groups of rows as columns; up to SIDE - 1 columns more than there are, and rows."""
-    for x in range(0, width, SIDE):
-        for y in range(0, GROUP * groups, SIDE):  # next to each other where they are written
-            columns = turned(load_sides(arena, source + y * source_stride + x, source_stride, SIDE))
-            store_rows(arena, target + x * target_stride + y, target_stride, columns)
-
-
-@compiled
-def clear_window(arena: Floats, plane: int, stride: int, top: int, bottom: int, left: int, right: int) -> None:
+def clear_window(arena: Floats, plane: Plane, box: Box) -> None:
     """Write zeros to a window of a plane, and to what is left of the last vector of each row."""
-    width = (right - left + LANES - 1) // LANES * LANES
-    for y in range(top, bottom):
-        at = plane + y * stride + left
+    width = (box.right - box.left + LANES - 1) // LANES * LANES
+    for y in range(box.top, box.bottom):
+        at = plane.at + y * plane.stride + box.left
         arena[at : at + width] = 0
 
 
 @compiled
-def _clear_beside(
-    band: Table,
-    first: int,
-    last: int,
-    starts: Table,
-    arena: Floats,
-    plane: int,
-    stride: int,
-    top: int,
-    bottom: int,
-    left: int,
-    right: int,
-) -> None:
+def _clear_beside(band: Table, first: int, last: int, operators: Operators, plane: Plane, box: Box) -> None:
     """Write zeros above and below a window of a plane, as far as some rows of a band see."""
-    begin = starts[band[STARTS] + first]
-    end = starts[band[STARTS] + last - 1] + band[BAND_TAPS]
-    clear_window(arena, plane, stride, begin, min(top, end), left, right)
-    clear_window(arena, plane, stride, max(bottom, begin), end, left, right)
+    begin = operators.starts[band[STARTS] + first]
+    end = operators.starts[band[STARTS] + last - 1] + band[BAND_TAPS]
+    clear_window(operators.arena, plane, Box(begin, min(box.top, end), box.left, box.right))
+    clear_window(operators.arena, plane, Box(max(box.bottom, begin), end, box.left, box.right))

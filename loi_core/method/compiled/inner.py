@@ -10,10 +10,11 @@ import numpy as np
 from loi_core.method.blurs import PlaneBlur
 from loi_core.method.compiled.arena import Arena
 from loi_core.method.compiled.bands import Bands, Numbers, band_back, band_forth
-from loi_core.method.compiled.blurs import Floats, Table, blur_window, transpose
+from loi_core.method.compiled.blurs import blur_window
 from loi_core.method.compiled.compiling import compiled
 from loi_core.method.compiled.program import Places, blur_pass, turned_shape
-from loi_core.method.compiled.records import GROUP, SIDE, STRIP, padded
+from loi_core.method.compiled.records import GROUP, SIDE, STRIP, Operators, Plane, padded
+from loi_core.method.compiled.rows import Floats, Table, transpose
 from loi_core.method.windows import Window
 
 __all__ = ["InnerBlur"]
@@ -62,38 +63,25 @@ class InnerBlur:
         shape = tuple(self.bands.each[band].rows for band in pair)
         way = blur_pass(self.bands.each, pair, Window.whole(*plane.shape), Window.whole(*shape))
         made = np.empty(shape, plane.dtype)
-        _blur_plane(
-            plane, np.asarray(way, np.int64), self.bands.weights, self.bands.starts, self.bands.table, self.places,
-            padded(plane.shape[1]), padded(shape[0]), padded(shape[1]), arena.of(self.elements), made,
-        )  # fmt: skip
+        strides = np.asarray([padded(plane.shape[1]), padded(shape[0]), padded(shape[1])], np.int64)
+        operators = Operators(self.bands.weights, self.bands.starts, self.bands.table, arena.of(self.elements))
+        _blur_plane(plane, np.asarray(way, np.int64), operators, self.places, strides, made)
         return made
 
 
 @compiled
-def _blur_plane(
-    plane: Floats,
-    way: Table,
-    weights: Floats,
-    starts: Table,
-    bands: Table,
-    places: Table,
-    source_stride: int,
-    target_stride: int,
-    made_stride: int,
-    arena: Floats,
-    made: Floats,
-) -> None:
+def _blur_plane(plane: Floats, way: Table, operators: Operators, places: Table, strides: Table, made: Floats) -> None:
     """Blur a plane by way of an arena, where there is room beside it."""
-    source, target = places[0], places[1]
+    arena = operators.arena
+    source, target = Plane(places[0], strides[0]), Plane(places[1], strides[1])
     for y in range(plane.shape[0]):
-        at = source + y * source_stride
+        at = source.at + y * source.stride
         arena[at : at + plane.shape[1]] = plane[y]
-    blur_window(
-        way, weights, starts, bands, arena, source, source_stride, target, target_stride, places[2], places[3], False
-    )
+    blur_window(way, operators, source, target, places[2], places[3], False)
     # What is made lies transposed. It is turned to where the plane was, which is needed no more.
     rows, columns = made.shape
-    transpose(arena, target, target_stride, rows, (columns + GROUP - 1) // GROUP, source, made_stride)
+    upright = Plane(source.at, strides[2])
+    transpose(arena, target, rows, (columns + GROUP - 1) // GROUP, upright)
     for y in range(rows):
-        at = source + y * made_stride
+        at = upright.at + y * upright.stride
         made[y] = arena[at : at + columns]

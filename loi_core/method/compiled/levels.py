@@ -9,19 +9,24 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from loi_core.method.compiled.blurs import (
-    Floats,
-    Table,
-    blur_rows,
-    blur_window,
-    clear_window,
-    combine_turned,
-    turn_combined,
-)
+from loi_core.method.compiled.blurs import blur_rows, blur_window, clear_window, combine_turned, turn_combined
 from loi_core.method.compiled.compiling import compiled, compiled_sums
 from loi_core.method.compiled.exponential import exponential
 from loi_core.method.compiled.misplacement import sum_misplaced, take_sums
-from loi_core.method.compiled.records import GROUP, BandColumn, EdgeColumn, NodeColumn, PassColumn
+from loi_core.method.compiled.records import (
+    GROUP,
+    BandColumn,
+    Box,
+    EdgeColumn,
+    NodeColumn,
+    Operators,
+    PassColumn,
+    Plane,
+    Results,
+    Tables,
+    Tonal,
+)
+from loi_core.method.compiled.rows import Floats, Table
 
 __all__ = ["compare_levels"]
 
@@ -37,21 +42,12 @@ def compare_levels(
     image: Floats,
     reference: Floats,
     levels: Table,
-    settings: Floats,
-    weights: Floats,
-    starts: Table,
-    bands: Table,
-    nodes: Table,
-    edges: Table,
-    places: Table,
-    arena: Floats,
-    samplings: Floats,
-    sums: Floats,
-    costs: Floats,
-    doubts: Floats,
-    cotangent: Floats,
+    tonal: Tonal,
+    operators: Operators,
+    tables: Tables,
+    results: Results,
 ) -> None:
-    """Add the costs of some levels of one plane to `costs`, and their slope by the image to `cotangent`.
+    """Add the costs of some levels of one plane to the results, and their slope by the image.
 
     Parameters
     ----------
@@ -59,77 +55,66 @@ def compare_levels(
         Intensities in units of the distance of two levels.
     levels : array, shape (3,)
         The level that accumulation starts from, the first that is compared, and where to stop.
-    settings : array, shape (5 + E,)
-        One over the tonal scale times the root of 2; the logarithm of a level's share of the CDF at its peak; the least
-        such logarithm that counts; the largest difference that is a tie; the power of differences that is their cost;
-        and the weight of every extent.
-    weights : array, shape (W,)
-    starts : array, shape (S,)
-    bands, nodes, edges : array, shape (B, 9), (N, 7), (M, 2 + 2 * 12)
-        Matrices, samplings and blurs. Rungs come first, one from each node to the next; then the extents.
-    places : array, shape (5,)
-        Offsets in the arena: of the slope of the CDF, of what is transposed, of a strip, of what is compared, and of
-        what is transposed on its way back from there.
-    arena : array, shape (A,)
-        Finite numbers.
-    samplings : array, shape (E, 2)
-        float64: the spacing of the samples of each extent, along its rows' axis and its columns' as they lie there; 0
-        where every pixel is compared.
-    sums : array, shape (S,)
-        float64 zeros: room for :func:`loi_core.method.compiled.misplacement.sum_misplaced`.
-    costs : array, shape (E,)
-        float64.
-    doubts : array, shape (E, 2)
-        float64: what :func:`loi_core.method.sampling_error.misplaced` gives for each extent is added to it.
-    cotangent : array, shape (h, w) or (0, 0)
-        Of size 0 if it is not wanted.
+    tonal, operators, tables, results
+        See :mod:`loi_core.method.compiled.records`. The arena holds finite numbers.
     """
+    nodes, edges, places, cotangent = tables.nodes, tables.edges, tables.places, results.cotangent
+    arena = operators.arena
     steps = nodes.shape[0] - 1
+    start, first, stop = levels
     home = nodes[0]
-    differences, stride = home[DIFFERENCES], home[NODE_STRIDE]
-    slope, turned, strip = places[0], places[1], places[2]
-    clear_window(arena, differences, stride, home[NODE_TOP], home[NODE_BOTTOM], home[NODE_LEFT], home[NODE_RIGHT])
-    clear_window(arena, slope, stride, home[NODE_TOP], home[NODE_BOTTOM], home[NODE_LEFT], home[NODE_RIGHT])
-    if cotangent.size:
-        clear_window(arena, home[PULLED], stride, home[NODE_TOP], home[NODE_BOTTOM], home[NODE_LEFT], home[NODE_RIGHT])
-    for level in range(levels[0], levels[2]):
+    difference, slope, turned, strip = _difference(home), Plane(places[0], home[NODE_STRIDE]), places[1], places[2]
+    clear_window(arena, difference, _box(home))
+    clear_window(arena, slope, _box(home))
+    gradient = cotangent.size > 0
+    if gradient:
+        clear_window(arena, _pulled(home), _box(home))
+    for level in range(start, stop):
         _accumulate(
-            image, reference, image.dtype.type(level), settings, arena, differences, slope, home, cotangent,
-            cotangent.size > 0 and level > levels[1],
+            image, reference, image.dtype.type(level), tonal, arena, difference, slope, home, cotangent,
+            gradient and level > first,
         )  # fmt: skip
-        if level < levels[1]:
+        if level < first:
             continue
         for index in range(steps):
             edge = edges[index]
-            source, target = nodes[edge[SOURCE]], nodes[edge[TARGET]]
-            blur_window(
-                edge[FORTH:BACK], weights, starts, bands, arena,
-                source[DIFFERENCES], source[NODE_STRIDE], target[DIFFERENCES], target[NODE_STRIDE],
-                turned, strip, False,
-            )  # fmt: skip
-        if cotangent.size:
+            source, target = _difference(nodes[edge[SOURCE]]), _difference(nodes[edge[TARGET]])
+            blur_window(edge[FORTH:BACK], operators, source, target, turned, strip, False)
+        if gradient:
             for node in nodes[1:]:
-                clear_window(
-                    arena, node[PULLED], node[NODE_STRIDE],
-                    node[NODE_TOP], node[NODE_BOTTOM], node[NODE_LEFT], node[NODE_RIGHT],
-                )  # fmt: skip
+                clear_window(arena, _pulled(node), _box(node))
         for index in range(steps, edges.shape[0]):
             edge = edges[index]
-            source, extent = nodes[edge[SOURCE]], edge[TARGET]
-            costs[extent] += _compare_extent(
-                edge, weights, starts, bands, arena, places, source, settings[3], settings[4], settings[5 + extent],
-                samplings[extent], sums, doubts[extent], cotangent.size > 0,
+            extent = edge[TARGET]
+            results.costs[extent] += _compare_extent(
+                edge, operators, places, nodes[edge[SOURCE]], tonal, tonal.weights[extent], tables.spacings[extent],
+                results.sums, results.doubts[extent], gradient,
             )  # fmt: skip
-        if cotangent.size:
+        if gradient:
             for index in range(steps - 1, -1, -1):
                 edge = edges[index]
-                source, target = nodes[edge[SOURCE]], nodes[edge[TARGET]]
-                blur_window(
-                    edge[BACK:], weights, starts, bands, arena,
-                    target[PULLED], target[NODE_STRIDE], source[PULLED], source[NODE_STRIDE], turned, strip, True,
-                )  # fmt: skip
-    if cotangent.size:
+                source, target = _pulled(nodes[edge[SOURCE]]), _pulled(nodes[edge[TARGET]])
+                blur_window(edge[BACK:], operators, target, source, turned, strip, True)
+    if gradient:
         _pull(arena, home, slope, cotangent)
+
+
+@compiled
+def _difference(node: Table) -> Plane:
+    """Where the difference of the CDFs lies on a sampling."""
+    return Plane(node[DIFFERENCES], node[NODE_STRIDE])
+
+
+@compiled
+def _pulled(node: Table) -> Plane:
+    """Where what is pulled back to a sampling lies."""
+    return Plane(node[PULLED], node[NODE_STRIDE])
+
+
+@compiled
+def _box(node: Table) -> Box:
+    """Outside of which what is pulled back is 0."""
+    return Box(node[NODE_TOP], node[NODE_BOTTOM], node[NODE_LEFT], node[NODE_RIGHT])
 
 
 @compiled
@@ -137,10 +122,10 @@ def _accumulate(
     image: Floats,
     reference: Floats,
     level: Any,
-    settings: Floats,
+    tonal: Tonal,
     arena: Floats,
-    differences: int,
-    slope: int,
+    differences: Plane,
+    slope: Plane,
     node: Table,
     cotangent: Floats,
     pulls: bool,
@@ -149,12 +134,12 @@ def _accumulate(
 
     What the level before pulled back is taken first, row by row, as its slope is about to change.
     """
-    scale, peak, least = settings[0], settings[1], settings[2]
-    stride, left, right = node[NODE_STRIDE], node[NODE_LEFT], node[NODE_RIGHT]
+    scale, peak, least = tonal.scale, tonal.peak, tonal.least
+    left, right = node[NODE_LEFT], node[NODE_RIGHT]
     for y in range(node[NODE_TOP], node[NODE_BOTTOM]):
-        at = y * stride + left
-        difference = arena[differences + at : differences + at + right - left]
-        slopes = arena[slope + at : slope + at + right - left]
+        at = y * slope.stride + left
+        difference = arena[differences.at + at : differences.at + at + right - left]
+        slopes = arena[slope.at + at : slope.at + at + right - left]
         ours, theirs = image[y, left:right], reference[y, left:right]
         if pulls:
             _pull_row(arena[node[PULLED] + at : node[PULLED] + at + right - left], slopes, cotangent[y, left:right])
@@ -169,14 +154,10 @@ def _accumulate(
 @compiled
 def _compare_extent(
     edge: Table,
-    weights: Floats,
-    starts: Table,
-    bands: Table,
-    arena: Floats,
+    operators: Operators,
     places: Table,
-    source: Table,
-    tie: Any,
-    power: Any,
+    node: Table,
+    tonal: Tonal,
     weight: Any,
     spacings: Floats,
     sums: Floats,
@@ -187,40 +168,30 @@ def _compare_extent(
 
     Some rows at a time go all the way there, and as far back as they can without the others: they stay in a near cache.
     """
-    forth, back = edge[FORTH:BACK], edge[BACK:]
-    differences, pulled, stride = source[DIFFERENCES], source[PULLED], source[NODE_STRIDE]
+    forth, back, arena, starts = edge[FORTH:BACK], edge[BACK:], operators.arena, operators.starts
     turned, strip, compared, returned = places[1], places[2], places[3], places[4]
-    after = bands[back[BAND_AFTER]]
+    after = operators.bands[back[BAND_AFTER]]
     total, done = 0.0, back[FIRST_AFTER]
     for first in range(forth[FIRST], forth[LAST], forth[GROUPS]):
         last = min(first + forth[GROUPS], forth[LAST])
         begin, end = GROUP * first, GROUP * last
-        blur_rows(
-            forth, first, last, weights, starts, bands, arena, differences, stride, compared - begin, forth[STRIDE],
-            turned, strip, False,
-        )  # fmt: skip
+        here = Plane(compared - begin, forth[STRIDE])
+        blur_rows(forth, first, last, operators, _difference(node), here, turned, strip, False)
         left, right = max(begin, back[LEFT]), min(end, back[RIGHT])
+        box = Box(back[TOP], back[BOTTOM], left, right)
         if gradient and spacings[0] > 0:
-            sum_misplaced(
-                arena, compared - begin, forth[STRIDE], back[TOP], back[BOTTOM], back[LEFT], back[RIGHT], left,
-                right, spacings, tie, sums,
-            )  # fmt: skip
-        total += _cost(arena, compared - begin, forth[STRIDE], back[TOP], back[BOTTOM], left, right, tie, power, weight)
+            sum_misplaced(arena, here, box, back[LEFT], back[RIGHT], spacings, tonal.tie, sums)
+        total += _cost(arena, here, box, tonal.tie, tonal.power, weight)
         if gradient:
-            turn_combined(
-                back, back[FIRST], back[LAST], left, right, weights, starts, bands, arena, compared - begin,
-                forth[STRIDE], returned, strip,
-            )  # fmt: skip
+            turn_combined(back, back[FIRST], back[LAST], left, right, operators, here, returned, strip)
             ready = done
             while ready < back[LAST_AFTER] and (
                 right == back[RIGHT] or starts[after[STARTS] + ready] + after[BAND_TAPS] <= right
             ):
                 ready += 1
             if ready > done:
-                combine_turned(
-                    back, done, ready, GROUP * back[FIRST], GROUP * back[LAST], weights, starts, bands, arena, returned,
-                    pulled, stride, True,
-                )  # fmt: skip
+                top, bottom = GROUP * back[FIRST], GROUP * back[LAST]
+                combine_turned(back, done, ready, top, bottom, operators, returned, _pulled(node), True)
             done = ready
     if gradient and spacings[0] > 0:
         take_sums(sums, back[BOTTOM] - back[TOP], doubt)
@@ -228,22 +199,12 @@ def _compare_extent(
 
 
 @compiled
-def _cost(
-    arena: Floats,
-    plane: int,
-    stride: int,
-    top: int,
-    bottom: int,
-    left: int,
-    right: int,
-    tie: Any,
-    power: Any,
-    weight: Any,
-) -> float:
+def _cost(arena: Floats, plane: Plane, box: Box, tie: Any, power: Any, weight: Any) -> float:
     """The sum of a power of all magnitudes beyond the tie, times `weight`; its slopes replace the differences."""
     total = 0.0
-    for y in range(top, bottom):
-        row = arena[plane + y * stride + left : plane + y * stride + right]
+    for y in range(box.top, box.bottom):
+        at = plane.at + y * plane.stride
+        row = arena[at + box.left : at + box.right]
         total += _sum_of_sizes(row, tie, weight) if power == 1 else _sum_of_powers(row, tie, power, weight)
     cost: float = total * weight
     return cost
@@ -290,13 +251,13 @@ def _sum_of_powers(row: Floats, tie: Any, power: Any, weight: Any) -> Any:
 
 
 @compiled
-def _pull(arena: Floats, node: Table, slope: int, cotangent: Floats) -> None:
+def _pull(arena: Floats, node: Table, slope: Plane, cotangent: Floats) -> None:
     """Add what is pulled back through the tonal scale to the cotangent."""
-    stride, left, right = node[NODE_STRIDE], node[NODE_LEFT], node[NODE_RIGHT]
+    left, right = node[NODE_LEFT], node[NODE_RIGHT]
     for y in range(node[NODE_TOP], node[NODE_BOTTOM]):
-        at = y * stride + left
+        at = y * slope.stride + left
         pulled = arena[node[PULLED] + at : node[PULLED] + at + right - left]
-        _pull_row(pulled, arena[slope + at : slope + at + right - left], cotangent[y, left:right])
+        _pull_row(pulled, arena[slope.at + at : slope.at + at + right - left], cotangent[y, left:right])
 
 
 @compiled

@@ -24,6 +24,7 @@ from loi_core.method.compiled.bands import Numbers
 from loi_core.method.compiled.inner import InnerBlur
 from loi_core.method.compiled.levels import compare_levels
 from loi_core.method.compiled.program import Program, Wiring
+from loi_core.method.compiled.records import Operators, Results, Tables, Tonal
 from loi_core.method.compiled.threads import run_all
 from loi_core.method.distance import tie_threshold
 from loi_core.method.plan import InnerPlan, Plan, TonalPlan
@@ -161,7 +162,7 @@ class _InnerComparison:
                 continue
             ours, width, mass = in_levels(image, self.scales, tonal.beta)
             theirs = self.positions[tonal.beta][plane]
-            settings = self._settings(tonal.beta, width, mass, image.dtype)
+            settings = self._tonal(tonal.beta, width, mass, image.dtype)
             slope = ROOT_TWO / width / self.scales.spacing(tonal.beta)
             groups = max(1, min(count // FEWEST_LEVELS, count * image.size // FEWEST_SAMPLES, most))
             edges = [among.first + count * index // groups for index in range(groups + 1)]
@@ -170,8 +171,8 @@ class _InnerComparison:
                 tasks.append(_Task(tonal.beta, ours, theirs, levels, settings, slope, self.wiring, program, gradient))
         return tasks
 
-    def _settings(self, beta: float, width: float, mass: float, dtype: np.dtype[Any]) -> Numbers:
-        """What the kernels have to know of one tonal scale, in units of the distance of two levels."""
+    def _tonal(self, beta: float, width: float, mass: float, dtype: np.dtype[Any]) -> Tonal:
+        """What the loops have to know of one tonal scale."""
         scales = self.scales
         per_sample = scales.scale_weight * scales.level_weight(beta) / self.intensity.shape[0]
         weights = [per_sample / extent.blur.target.cells for extent in self.plan.extents]
@@ -179,7 +180,15 @@ class _InnerComparison:
         tie = tie_threshold(self.intensity, mass)
         # Far tails are cut where they are far below a rounding: products of what is smaller may be slow to compute.
         least = 3.0 * math.log(float(np.finfo(dtype).eps))
-        return np.asarray([1.0 / (ROOT_TWO * width), peak, least, tie, 1.0 / scales.p, *weights], dtype)
+        kind = dtype.type
+        return Tonal(
+            kind(1.0 / (ROOT_TWO * width)),
+            kind(peak),
+            kind(least),
+            kind(tie),
+            kind(1.0 / scales.p),
+            np.asarray(weights, dtype),
+        )
 
 
 @dataclass
@@ -190,7 +199,7 @@ class _Task:
     image: Numbers
     reference: Numbers
     levels: tuple[int, int, int]
-    settings: Numbers
+    tonal: Tonal
     slope: float
     wiring: Wiring
     program: Program
@@ -204,13 +213,16 @@ class _Task:
         self.costs = np.zeros(len(self.wiring.plan.extents))
         self.doubts = np.zeros((len(self.wiring.plan.extents), 2))
         self.cotangent = np.zeros(self.image.shape if self.gradient else (0, 0), self.image.dtype)
-        bands = self.wiring.bands
+        bands, program = self.wiring.bands, self.program
         compare_levels(
-            self.image, self.reference, np.asarray(self.levels, np.int64), self.settings, bands.weights, bands.starts,
-            bands.table, self.program.nodes, self.program.edges, self.program.places,
-            arena.of(self.program.elements), self.wiring.samplings, np.zeros(self.wiring.room), self.costs, self.doubts,
-            self.cotangent,
-        )  # fmt: skip
+            self.image,
+            self.reference,
+            np.asarray(self.levels, np.int64),
+            self.tonal,
+            Operators(bands.weights, bands.starts, bands.table, arena.of(program.elements)),
+            Tables(program.nodes, program.edges, program.places, self.wiring.samplings),
+            Results(self.costs, self.doubts, self.cotangent, np.zeros(self.wiring.room)),
+        )
         self.cotangent *= self.slope
 
 

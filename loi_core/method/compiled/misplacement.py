@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from loi_core.method.compiled.blurs import Floats
 from loi_core.method.compiled.compiling import compiled, compiled_sums
+from loi_core.method.compiled.records import Box, Plane
+from loi_core.method.compiled.rows import Floats
 from loi_core.method.sampling_error import BLOCK
 
 __all__ = ["room_for_sums", "sum_misplaced", "take_sums"]
@@ -19,28 +20,18 @@ def room_for_sums(rows: int, columns: int) -> int:
 
 @compiled
 def sum_misplaced(
-    arena: Floats,
-    plane: int,
-    stride: int,
-    top: int,
-    bottom: int,
-    first: int,
-    last: int,
-    left: int,
-    right: int,
-    spacings: Floats,
-    tie: Any,
-    sums: Floats,
+    arena: Floats, plane: Plane, box: Box, first: int, last: int, spacings: Floats, tie: Any, sums: Floats
 ) -> None:
-    """Add what samples in the columns from `left` to `right` are misplaced by to the sums of their blocks.
+    """Add what samples in the columns of a box are misplaced by to the sums of their blocks.
 
     All columns from `first` to `last` come, from left to right, some at a time. After as many numbers as there are
     rows, which hold the column before, `sums` has four for each block: the sum and the sum of squares across, and down.
     """
+    top, bottom, left, right = box
     first_block = first // BLOCK
     per_row = 4 * ((last - 1) // BLOCK - first_block + 1)
     for y in range(top, bottom):
-        row = plane + y * stride
+        row = plane.at + y * plane.stride
         to = bottom - top + (y // BLOCK - top // BLOCK) * per_row
         if left > first:
             before = arena.dtype.type(sums[y - top])
@@ -54,7 +45,7 @@ def sum_misplaced(
             if _changes(arena[row + begin : row + beside], arena[row + begin + 1 : row + beside + 1], tie) > 0:
                 for x in range(begin, beside):
                     _add_misplaced(arena[row + x], arena[row + x + 1], x, spacings[1], tie, sums, at)
-            below = row + stride
+            below = row + plane.stride
             if y + 1 < bottom and _changes(arena[row + begin : row + end], arena[below + begin : below + end], tie) > 0:
                 for x in range(begin, end):
                     _add_misplaced(arena[row + x], arena[below + x], y, spacings[0], tie, sums, at + 2)

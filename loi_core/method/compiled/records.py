@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import Final
+from typing import Any, Final, NamedTuple
 
 __all__ = [
     "GROUP",
@@ -15,9 +15,15 @@ __all__ = [
     "STRIP",
     "TAPS",
     "BandColumn",
+    "Box",
     "EdgeColumn",
     "NodeColumn",
+    "Operators",
     "PassColumn",
+    "Plane",
+    "Results",
+    "Tables",
+    "Tonal",
     "padded",
 ]
 
@@ -90,3 +96,57 @@ class NodeColumn(IntEnum):
     BOTTOM = 4
     LEFT = 5
     RIGHT = 6
+
+
+class Plane(NamedTuple):
+    """A plane in the arena."""
+
+    at: int  # offset of row 0, column 0, whether these are written or not
+    stride: int  # from row to row
+
+
+class Box(NamedTuple):
+    """Rows and columns of a plane, without the last of either."""
+
+    top: int
+    bottom: int
+    left: int
+    right: int
+
+
+class Operators(NamedTuple):
+    """What blurs read, and the arena that all planes lie in."""
+
+    weights: Any  # of all bands
+    starts: Any  # of all bands
+    bands: Any  # (B, 9): see BandColumn
+    arena: Any
+
+
+class Tables(NamedTuple):
+    """Which planes there are, and which blurs lead from one to another."""
+
+    nodes: Any  # (N, 7): see NodeColumn
+    edges: Any  # (M, 2 + 2 * 12): see EdgeColumn; those within the pyramid come first, then the extents
+    places: Any  # (5,): see Places
+    spacings: Any  # (E, 2), float64: of the samples of each extent, along both axes; 0 where every pixel is compared
+
+
+class Tonal(NamedTuple):
+    """One tonal scale, in units of the distance of two levels."""
+
+    scale: Any  # one over the tonal scale times the root of 2
+    peak: Any  # the logarithm of what a level adds to the CDF at its peak
+    least: Any  # the least such logarithm that counts
+    tie: Any  # the largest difference that is a tie
+    power: Any  # of differences, that is their cost
+    weights: Any  # (E,): of every extent
+
+
+class Results(NamedTuple):
+    """What comparing adds to."""
+
+    costs: Any  # (E,), float64
+    doubts: Any  # (E, 2), float64: what `loi_core.method.sampling_error.misplaced` gives for each extent
+    cotangent: Any  # (h, w), or (0, 0) if it is not wanted
+    sums: Any  # float64 zeros: room for `loi_core.method.compiled.misplacement.sum_misplaced`
