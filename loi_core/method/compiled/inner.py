@@ -65,14 +65,24 @@ class InnerBlur:
         made = np.empty(shape, plane.dtype)
         strides = np.asarray([padded(plane.shape[1]), padded(shape[0]), padded(shape[1])], np.int64)
         operators = Operators(self.bands.weights, self.bands.starts, self.bands.table, arena.of(self.elements))
-        _blur_plane(plane, np.asarray(way, np.int64), operators, self.places, strides, made)
+        _blur_plane(plane, np.asarray(way, np.int64), *operators, self.places, strides, made)
         return made
 
 
 @compiled
-def _blur_plane(plane: Floats, way: Table, operators: Operators, places: Table, strides: Table, made: Floats) -> None:
+def _blur_plane(
+    plane: Floats,
+    way: Table,
+    weights: Floats,
+    starts: Table,
+    bands: Table,
+    arena: Floats,
+    places: Table,
+    strides: Table,
+    made: Floats,
+) -> None:
     """Blur a plane by way of an arena, where there is room beside it."""
-    arena = operators.arena
+    operators = Operators(weights, starts, bands, arena)
     source, target = Plane(places[0], strides[0]), Plane(places[1], strides[1])
     for y in range(plane.shape[0]):
         at = source.at + y * source.stride

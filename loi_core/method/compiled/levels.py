@@ -42,12 +42,24 @@ def compare_levels(
     image: Floats,
     reference: Floats,
     levels: Table,
-    tonal: Tonal,
-    operators: Operators,
-    tables: Tables,
-    results: Results,
+    numbers: Floats,
+    extents: Floats,
+    weights: Floats,
+    starts: Table,
+    bands: Table,
+    arena: Floats,
+    nodes: Table,
+    edges: Table,
+    places: Table,
+    spacings: Floats,
+    costs: Floats,
+    doubts: Floats,
+    cotangent: Floats,
+    sums: Floats,
 ) -> None:
     """Add the costs of some levels of one plane to the results, and their slope by the image.
+
+    Only arrays pass from Python to here: Numba takes longer to look at named tuples than a small image to compare.
 
     Parameters
     ----------
@@ -55,9 +67,36 @@ def compare_levels(
         Intensities in units of the distance of two levels.
     levels : array, shape (3,)
         The level that accumulation starts from, the first that is compared, and where to stop.
-    tonal, operators, tables, results
-        See :mod:`loi_core.method.compiled.records`. The arena holds finite numbers.
+    numbers, extents
+        The fields of :class:`~loi_core.method.compiled.records.Tonal`, but the last, which is `extents`.
+    weights, starts, bands, arena
+        Those of :class:`~loi_core.method.compiled.records.Operators`; the arena holds finite numbers.
+    nodes, edges, places, spacings
+        Those of :class:`~loi_core.method.compiled.records.Tables`.
+    costs, doubts, cotangent, sums
+        Those of :class:`~loi_core.method.compiled.records.Results`.
     """
+    _compare(
+        image,
+        reference,
+        levels,
+        Tonal(numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], extents),
+        Operators(weights, starts, bands, arena),
+        Tables(nodes, edges, places, spacings),
+        Results(costs, doubts, cotangent, sums),
+    )
+
+
+@compiled
+def _compare(
+    image: Floats,
+    reference: Floats,
+    levels: Table,
+    tonal: Tonal,
+    operators: Operators,
+    tables: Tables,
+    results: Results,
+) -> None:
     nodes, edges, places, cotangent = tables.nodes, tables.edges, tables.places, results.cotangent
     arena = operators.arena
     steps = nodes.shape[0] - 1

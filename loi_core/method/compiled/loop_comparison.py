@@ -171,7 +171,7 @@ class _InnerComparison:
                 tasks.append(_Task(tonal.beta, ours, theirs, levels, settings, slope, self.wiring, program, gradient))
         return tasks
 
-    def _tonal(self, beta: float, width: float, mass: float, dtype: np.dtype[Any]) -> Tonal:
+    def _tonal(self, beta: float, width: float, mass: float, dtype: np.dtype[Any]) -> tuple[Numbers, Numbers]:
         """What the loops have to know of one tonal scale."""
         scales = self.scales
         per_sample = scales.scale_weight * scales.level_weight(beta) / self.intensity.shape[0]
@@ -180,15 +180,8 @@ class _InnerComparison:
         tie = tie_threshold(self.intensity, mass)
         # Far tails are cut where they are far below a rounding: products of what is smaller may be slow to compute.
         least = 3.0 * math.log(float(np.finfo(dtype).eps))
-        kind = dtype.type
-        return Tonal(
-            kind(1.0 / (ROOT_TWO * width)),
-            kind(peak),
-            kind(least),
-            kind(tie),
-            kind(1.0 / scales.p),
-            np.asarray(weights, dtype),
-        )
+        tonal = Tonal(1.0 / (ROOT_TWO * width), peak, least, tie, 1.0 / scales.p, weights)
+        return np.asarray(tonal[:-1], dtype), np.asarray(tonal.weights, dtype)
 
 
 @dataclass
@@ -199,7 +192,7 @@ class _Task:
     image: Numbers
     reference: Numbers
     levels: tuple[int, int, int]
-    tonal: Tonal
+    tonal: tuple[Numbers, Numbers]  # the numbers of a Tonal, and the weights of its extents
     slope: float
     wiring: Wiring
     program: Program
@@ -218,10 +211,10 @@ class _Task:
             self.image,
             self.reference,
             np.asarray(self.levels, np.int64),
-            self.tonal,
-            Operators(bands.weights, bands.starts, bands.table, arena.of(program.elements)),
-            Tables(program.nodes, program.edges, program.places, self.wiring.samplings),
-            Results(self.costs, self.doubts, self.cotangent, np.zeros(self.wiring.room)),
+            *self.tonal,
+            *Operators(bands.weights, bands.starts, bands.table, arena.of(program.elements)),
+            *Tables(program.nodes, program.edges, program.places, self.wiring.samplings),
+            *Results(self.costs, self.doubts, self.cotangent, np.zeros(self.wiring.room)),
         )
         self.cotangent *= self.slope
 
