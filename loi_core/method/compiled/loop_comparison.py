@@ -122,15 +122,41 @@ def _misplaced(comparison: _InnerComparison, work: Sequence[list[_Task]], pixels
 
 
 @dataclass(frozen=True)
+class _TonalScale:
+    """One tonal scale, and the reference there."""
+
+    plan: TonalPlan
+    host: tuple[float, ...]  # where the levels are, above the padding
+    positions: Numbers  # the reference in units of the distance of two levels, shape (N, h, w)
+    numbers: Numbers  # those of a Tonal
+    weights: Numbers  # and its extents' weights
+    slope: float  # of those units by intensity, and of what the loops leave out
+
+    @classmethod
+    def of(cls, scales: ScaleSpace, inner: InnerPlan, plan: TonalPlan, intensity: Numbers) -> _TonalScale:
+        """That of a reference above the padding, shape (N, h, w)."""
+        beta, dtype = plan.beta, intensity.dtype
+        positions, width, mass = in_levels(intensity, scales, beta)
+        per_sample = scales.scale_weight * scales.level_weight(beta) / intensity.shape[0]
+        weights = [per_sample / extent.blur.target.cells for extent in inner.extents]
+        peak = math.log(mass / (math.sqrt(2.0 * math.pi) * width))
+        # Far tails are cut where they are far below a rounding: products of what is smaller may be slow to compute.
+        least = 3.0 * math.log(float(np.finfo(dtype).eps))
+        tonal = Tonal(1.0 / (ROOT_TWO * width), peak, least, tie_threshold(intensity, mass), 1.0 / scales.p, weights)
+        host = tuple(float(level) - scales.padding for level in scales.levels(beta)[: plan.last])
+        slope = ROOT_TWO / width / scales.spacing(beta)
+        return cls(plan, host, positions, np.asarray(tonal[:-1], dtype), np.asarray(tonal.weights, dtype), slope)
+
+
+@dataclass(frozen=True)
 class _InnerComparison:
     """One inner scale, its bands, and the reference there; for NumPy arrays."""
 
     scales: ScaleSpace
     plan: InnerPlan
-    tonal: tuple[TonalPlan, ...]
+    tonal: tuple[_TonalScale, ...]
     blur: InnerBlur
     intensity: Numbers  # the reference's, above the padding; shape (N, h, w)
-    positions: dict[float, Numbers]  # the same in units of the distance of two levels, by tonal scale
     wiring: Wiring
 
     @classmethod
@@ -140,8 +166,8 @@ class _InnerComparison:
         """Everything that depends on the reference alone: planes within the bounds, shape (N, H, W)."""
         blur, arena = InnerBlur.of(plan.blur, reference.dtype), Arena(reference.dtype)
         intensity = np.stack([blur.apply(plane, arena) for plane in above_padding(reference, scales.padding)])
-        positions = {each.beta: in_levels(intensity, scales, each.beta)[0] for each in tonal}
-        return cls(scales, plan, tonal, blur, intensity, positions, Wiring.of(plan, reference.dtype))
+        scale = tuple(_TonalScale.of(scales, plan, each, intensity) for each in tonal)
+        return cls(scales, plan, scale, blur, intensity, Wiring.of(plan, reference.dtype))
 
     def tasks(self, above: Numbers, plane: int, most: int, arena: Arena, *, gradient: bool) -> list[_Task]:
         """What there is to do for a plane of an image, given as what it is above the padding, shape (H, W)."""
@@ -155,33 +181,18 @@ class _InnerComparison:
         eps = float(np.finfo(image.dtype).eps)
         tasks = []
         for tonal in self.tonal:
-            host = [float(level) - self.scales.padding for level in self.scales.levels(tonal.beta)[: tonal.last]]
-            among = levels_among(host, tonal.first, scope, self.scales, tonal.beta, eps)
+            beta = tonal.plan.beta
+            among = levels_among(tonal.host, tonal.plan.first, scope, self.scales, beta, eps)
             count = among.stop - among.first
             if count <= 0:
                 continue
-            ours, width, mass = in_levels(image, self.scales, tonal.beta)
-            theirs = self.positions[tonal.beta][plane]
-            settings = self._tonal(tonal.beta, width, mass, image.dtype)
-            slope = ROOT_TWO / width / self.scales.spacing(tonal.beta)
+            ours, theirs = in_levels(image, self.scales, beta)[0], tonal.positions[plane]
             groups = max(1, min(count // FEWEST_LEVELS, count * image.size // FEWEST_SAMPLES, most))
             edges = [among.first + count * index // groups for index in range(groups + 1)]
             for first, stop in itertools.pairwise(edges):
                 levels = among.start, first, stop
-                tasks.append(_Task(tonal.beta, ours, theirs, levels, settings, slope, self.wiring, program, gradient))
+                tasks.append(_Task(beta, ours, theirs, levels, tonal, self.wiring, program, gradient))
         return tasks
-
-    def _tonal(self, beta: float, width: float, mass: float, dtype: np.dtype[Any]) -> tuple[Numbers, Numbers]:
-        """What the loops have to know of one tonal scale."""
-        scales = self.scales
-        per_sample = scales.scale_weight * scales.level_weight(beta) / self.intensity.shape[0]
-        weights = [per_sample / extent.blur.target.cells for extent in self.plan.extents]
-        peak = math.log(mass / (math.sqrt(2.0 * math.pi) * width))
-        tie = tie_threshold(self.intensity, mass)
-        # Far tails are cut where they are far below a rounding: products of what is smaller may be slow to compute.
-        least = 3.0 * math.log(float(np.finfo(dtype).eps))
-        tonal = Tonal(1.0 / (ROOT_TWO * width), peak, least, tie, 1.0 / scales.p, weights)
-        return np.asarray(tonal[:-1], dtype), np.asarray(tonal.weights, dtype)
 
 
 @dataclass
@@ -192,8 +203,7 @@ class _Task:
     image: Numbers
     reference: Numbers
     levels: tuple[int, int, int]
-    tonal: tuple[Numbers, Numbers]  # the numbers of a Tonal, and the weights of its extents
-    slope: float
+    tonal: _TonalScale
     wiring: Wiring
     program: Program
     gradient: bool
@@ -211,12 +221,13 @@ class _Task:
             self.image,
             self.reference,
             np.asarray(self.levels, np.int64),
-            *self.tonal,
+            self.tonal.numbers,
+            self.tonal.weights,
             *Operators(bands.weights, bands.starts, bands.table, arena.of(program.elements)),
             *Tables(program.nodes, program.edges, program.places, self.wiring.samplings),
             *Results(self.costs, self.doubts, self.cotangent, np.zeros(self.wiring.room)),
         )
-        self.cotangent *= self.slope
+        self.cotangent *= self.tonal.slope
 
 
 def _own_arena(dtype: np.dtype[Any]) -> Callable[[], Arena]:
