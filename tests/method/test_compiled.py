@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import mpmath
 import numpy as np
 import pytest
@@ -12,17 +14,17 @@ pytest.importorskip("numba")
 
 from loi_core import LOIObjective, ScaleSpace
 from loi_core.method.blurs import PlaneBlur, PlaneGrid
-from loi_core.method.compiled import compiling, program
+from loi_core.method.compiled import compiling, plain_rows, program, vector_rows
 from loi_core.method.compiled.arena import Arena
 from loi_core.method.compiled.bands import Band, band_back, band_forth
 from loi_core.method.compiled.exponential import exponential
 from loi_core.method.compiled.inner import InnerBlur
 from loi_core.method.compiled.levels import compare_levels
-from loi_core.method.compiled.records import GROUP
+from loi_core.method.compiled.records import GROUP, PAIRS, Plane
 from loi_core.method.gaussian import AxisBlur, AxisGrid
 from tests.contents import CONTENTS
-from tests.helpers import Host, by_arrays
-from tests.strategies import Problem, apart, problems
+from tests.helpers import Host, by_arrays, program_says
+from tests.strategies import SEEDS, Problem, apart, problems
 
 KINDS = sorted(CONTENTS)
 DTYPES = ("float32", "float64")
@@ -206,3 +208,42 @@ def test_kernels_are_compiled_once_for_a_dtype_whatever_the_layout() -> None:
     LOIObjective(reference[0, 0], unblurred, channel_axis=None).value_and_grad(image[0, 0].T.copy().T)
     signatures = compare_levels.signatures  # type: ignore[attr-defined]  # Numba's own
     assert len({signature[0].dtype for signature in signatures}) == len(signatures)
+
+
+@given(st.integers(1, 3), st.sampled_from([16, 48]), st.booleans(), st.sampled_from(DTYPES), SEEDS)
+def test_plain_rows_are_those_of_vectors(threes: int, width: int, add: bool, dtype: str, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    half = rng.uniform(size=PAIRS * threes).astype(dtype)
+    stride, rows = 64, 2 * PAIRS * threes + 2 * GROUP
+    above, below = (PAIRS * (threes - 1)) * stride, (PAIRS * threes + GROUP) * stride
+    arenas = [rng.uniform(size=64 * (rows + 32)).astype(dtype)]
+    arenas.append(arenas[0].copy())
+    made = Plane(rows * stride, stride)
+    for module, arena in zip((vector_rows, plain_rows), arenas, strict=True):
+        module.combine_pairs(half, arena, above, below, stride, made, width, add)
+        module.transpose(arena, made, width, 2, Plane(made.at + 8 * stride, 16))
+    eps = float(np.finfo(dtype).eps)
+    np.testing.assert_allclose(arenas[0], arenas[1], rtol=0, atol=4.0 * half.size * eps * float(2.0 + half.sum()))
+
+
+OTHER_NUMBA = """
+import numba.extending
+def changed(**_):
+    raise AttributeError("as in another Numba")
+numba.extending.intrinsic = changed
+import numpy as np
+from loi_core import LOIObjective, ScaleSpace
+from loi_core.method.ways import BY_LOOPS, way_for
+image, reference = np.random.default_rng(0).uniform(size=(2, 40, 30, 1))
+value = LOIObjective(reference, ScaleSpace.paper("path")).value(image)
+from loi_core.method.compiled import rows
+print(repr(float(value)), way_for(image) is BY_LOOPS, rows.combine_pairs.__module__.rpartition(".")[2])
+"""
+
+
+def test_with_a_numba_whose_vectors_have_changed_all_is_still_compiled(tmp_path: Path) -> None:
+    image, reference = np.random.default_rng(0).uniform(size=(2, 40, 30, 1))
+    wanted = float(LOIObjective(reference, ScaleSpace.paper("path")).value(image))
+    value, compiled, module = program_says(OTHER_NUMBA, NUMBA_CACHE_DIR=str(tmp_path)).split()
+    assert (compiled, module) == ("True", "plain_rows")
+    assert float(value) == pytest.approx(wanted, rel=1e-12)
