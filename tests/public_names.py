@@ -9,6 +9,7 @@ from typing import Any, Final
 
 PACKAGES: Final = (
     "loi_core",
+    "loi_core.objectives",
     "loi_core.stability",
     "loi_core.testing",
     "loi_torch",

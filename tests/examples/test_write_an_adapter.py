@@ -19,9 +19,10 @@ TRUTH = [50.0, 44.0]
 
 
 def test_every_block_of_the_page_is_a_file_or_a_command() -> None:
-    assert list(FILES) == ["loi_blob.py", "pyproject.toml", "find.py", "scene.toml", "check.py"]
-    assert COMMANDS == ["pip install .", "loi renderers", "python find.py", "loi fit scene.toml", "python check.py"]
-    assert PAGE.count("```") == 2 * (len(FILES) + 3)
+    assert list(FILES) == ["loi_blob.py", "pyproject.toml", "find.py", "scene.toml", "check.py", "charbonnier.py"]
+    used = ["python find.py", "loi fit scene.toml", "python check.py", "python charbonnier.py"]
+    assert ["pip install .", "loi renderers", *used] == COMMANDS
+    assert PAGE.count("```") == 2 * (len(FILES) + 4)
 
 
 def test_the_renderer_has_under_thirty_lines() -> None:
@@ -78,3 +79,7 @@ def test_it_is_fitted_from_python_and_from_a_scene_file(shell: Shell) -> None:
 
 def test_it_passes_the_conformance_kit(shell: Shell) -> None:
     shell("python check.py")
+
+
+def test_the_objective_passes_it_too(shell: Shell) -> None:
+    shell("python charbonnier.py")
