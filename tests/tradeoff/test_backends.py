@@ -36,12 +36,12 @@ class Refuses:
 class Fails(NumPy):
     dtypes = ("float32",)
 
-    def prepare(self, image, reference, scales, accuracy, dtype):
+    def prepare(self, request):
         raise RuntimeError("out of luck")
 
 
 class Crashes(Fails):
-    def prepare(self, image, reference, scales, accuracy, dtype):
+    def prepare(self, request):
         os._exit(7)
 """
 
