@@ -21,6 +21,7 @@ __all__ = ["Checkpoint", "load_checkpoint", "save_checkpoint"]
 
 Host: TypeAlias = np.ndarray[Any, Any]
 GROUPS = ("params", "first", "second", "best_params")
+FIRST_COLUMNS = 6  # step, value, gradient norm, rate, seconds, stage; then the free parameters if they are few
 NUMBERS = ("step", "count", "best_step", "best_value", "history")
 
 
@@ -60,6 +61,8 @@ def load_checkpoint(path: Path, settings: Mapping[str, str]) -> Checkpoint:
     """
     state = _load(path)
     for name, value in settings.items():
+        if name == "steps" and state.settings.get(name, "").isdecimal() and int(value) >= state.step:
+            continue  # more steps, or fewer that are still to come, go on from here
         if state.settings.get(name) != value:
             msg = f"`checkpoint` was made with {name} = {state.settings.get(name)!s:.80}, this fit has {value}"
             raise ParameterError(msg)
@@ -81,7 +84,7 @@ def _load(path: Path) -> Checkpoint:
             count=int(arrays["count"]),
             best_step=int(arrays["best_step"]),
             best_value=float(arrays["best_value"]),
-            history=np.asarray(arrays["history"], dtype=np.float64).reshape(-1, 5),
+            history=_table(np.asarray(arrays["history"], dtype=np.float64)),
             **groups,
         )
     except Exception as error:  # damage may show in any layer: the file, zip, NumPy, JSON
@@ -97,6 +100,13 @@ def _load(path: Path) -> Checkpoint:
             if value.dtype.kind != "f" or not np.all(np.isfinite(value)) or (group == "second" and np.any(value < 0)):
                 raise _foreign(path, f"{group} of {name!r} are not numbers of a fit")
     return state
+
+
+def _table(history: Host) -> Host:
+    if history.ndim != 2 or history.shape[1] < FIRST_COLUMNS:
+        msg = f"its history has shape {history.shape}"
+        raise ValueError(msg)
+    return history
 
 
 def _arrays(path: Path) -> dict[str, Host]:

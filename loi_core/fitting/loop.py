@@ -5,16 +5,25 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Literal, TypeAlias, get_args
 
 import numpy as np
 
-from loi_core.errors import FitDivergedError, FitError, LoiError, NonFiniteImageError, OptionError, RendererError
+from loi_core.errors import (
+    FitDivergedError,
+    FitError,
+    LoiError,
+    NonFiniteImageError,
+    OptionError,
+    ParameterError,
+    RendererError,
+)
 from loi_core.fitting.adam import Moments, adam_step
-from loi_core.fitting.checkpoint import load_checkpoint, save_checkpoint
+from loi_core.fitting.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from loi_core.fitting.diagnosis import Findings, diagnose
 from loi_core.fitting.parameters import (
     Bounds,
     Free,
@@ -22,15 +31,20 @@ from loi_core.fitting.parameters import (
     check_rate,
     free_parameters,
     own_parameters,
+    pixels_of,
     starting_parameters,
 )
-from loi_core.fitting.resuming import resumed, settings_of, snapshot
+from loi_core.fitting.race import can_search, race, search
+from loi_core.fitting.resuming import few_numbers, resumed, settings_of, snapshot
+from loi_core.fitting.stages import FarToNear, Stages, objectives_of
 from loi_core.fitting.state import FitResult, FitStep, State
+from loi_core.fitting.units import measure_units
+from loi_core.fitting.verdict import Diagnosis
 from loi_core.io.files import check_writable, remove_temporaries
-from loi_core.objectives.base import Objective
+from loi_core.objectives import ImageObjective, LOIObjective, Objective
 from loi_core.pixels.nonfinite import count_non_finite
 from loi_core.renderers.contract import Parameters, ProjectingRenderer, Renderer
-from loi_core.support.arrays import Array, detached, is_array_api_obj, namespace, to_numpy
+from loi_core.support.arrays import Array, detached, from_numpy, is_array_api_obj, namespace, to_numpy
 from loi_core.support.guards import is_ctrl_c
 from loi_core.support.values import real_number, whole_number
 from loi_core.support.wording import described, shown
@@ -52,6 +66,14 @@ Decay = Literal["cosine", "none"]
 FINAL_RATE: Final = 1e-3  # where a cosine decay ends, as a factor of the learning rate
 CHECKPOINT_STEPS: Final = 25
 MOST_STEPS: Final = 2**31 - 1
+MOST_STARTS: Final = 4096
+SEARCHES: Final = 3
+BETTER: Final = 0.9  # of the value that a stage has settled at: somewhere else has to be below
+RENDERS: Final = 8  # whose mean tells what is left from what is noise
+SCHEDULE: Final = "schedule"
+CROSSINGS: Final = 2.0  # of the longer side by all steps, if none decayed: once with the decay
+LEAST_PIXELS: Final = 0.25  # a step
+MOST_PIXELS: Final = 1.0 / 16.0  # of the longer side, a step
 MOST_SEED: Final = 2**63 - 1  # of 64 bits with a sign, which is what TOML, JSON and a checkpoint hold anywhere
 
 
@@ -75,18 +97,21 @@ def fit(
     renderer: Renderer,
     objective: Objective,
     *,
-    steps: int,
-    learning_rate: float,
+    steps: int = 200,
+    learning_rate: float | str | None = None,
     seed: int = 0,
     optimise: Mapping[str, Free] | Iterable[str] | None = None,
     decay: Decay = "cosine",
+    stages: Stages = "auto",
+    starts: int = 1,
     checkpoint: Path | str | None = None,
     resume: bool = False,
     callback: Callback | None = None,
 ) -> FitResult:
     """Fit the parameters of a renderer so that its image minimises an objective.
 
-    Adam with a decaying rate; bounds are kept by clipping and the best iterate is remembered.
+    Adam with a decaying rate, from scales that reach far to those that place the last digits; bounds are kept by
+    clipping, the best iterate is remembered, and the result says what came of it.
 
     Parameters
     ----------
@@ -97,14 +122,24 @@ def fit(
         Anything with ``value`` and ``value_and_grad``.
     steps : int
         Number of steps, 1 or more.
-    learning_rate : float
-        About how far a parameter moves in a step, in its own unit.
+    learning_rate : float or str, optional
+        About how far a step moves. A number is in each parameter's own unit; a text such as "1.5 px" is in pixels that
+        the image moves, for which every parameter's unit is measured from the renderer first. By default as many
+        pixels as cross the image once, over all steps. A rate of `Free` comes before it.
     seed : int
         Step k renders with seed ``seed + k``.
     optimise : dict of Free, or names, optional
         What moves, and how; every parameter by default.
     decay : {"cosine", "none"}
-        "cosine" takes the rate down to a thousandth of `learning_rate` over the steps.
+        "cosine" takes the rate down to a thousandth of `learning_rate` over the steps of the last stage.
+    stages : "auto", None, or a sequence of ScaleSpace or Objective
+        What comes before `objective`, from far to near; each until its loss no longer falls. "auto" puts
+        :meth:`ScaleSpace.far_to_near` there if the objective is a :class:`LOIObjective` with default scales, and
+        nothing otherwise; if the first stage ends with most of its loss left, and the parameters are few and bounded,
+        it also looks for a better start within the bounds, up to three times.
+    starts : int
+        From how many places to start: the parameters' own, and others within their bounds, which then all have to be
+        finite. They race by successive halving; a race takes some `starts` thirds of the time of a fit.
     checkpoint : path, optional
         File (.npz) in which the state is kept every 25 steps and at the end, written whole or not at all.
     resume : bool
@@ -129,7 +164,7 @@ def fit(
     FitInterruptedError
         On Ctrl-C; likewise.
     """
-    check_fit_options(steps, learning_rate, seed, decay)
+    check_fit_options(steps, learning_rate, seed, decay, starts)
     # NumPy's own numbers would wrap around in a sum, or widen the dtype of what they are multiplied with.
     steps, seed = int(steps), int(seed)
     path = _checkpoint_path(checkpoint)
@@ -138,54 +173,173 @@ def fit(
     free = free_parameters(optimise, own_parameters(renderer))
     params = starting_parameters(renderer, free)
     bounds = bounds_of(params, free)
-    rates = {
-        name: real_number(learning_rate if one.learning_rate is None else one.learning_rate)
-        for name, one in free.items()
-    }
-    settings = settings_of(steps, seed, decay, rates, bounds)
+    objectives = objectives_of(objective, stages)
+    asked = {name: learning_rate if one.learning_rate is None else one.learning_rate for name, one in free.items()}
+    named = {name: rate if isinstance(rate, str) else real_number(rate) for name, rate in _named(asked).items()}
+    settings = settings_of(steps, seed, decay, named, bounds, len(objectives))
     # The state is only ever replaced whole, so that Ctrl-C falls before a step or after it, never within.
-    state = State(params, Moments.zeros({name: params[name] for name in free}))
+    state = State(params, Moments.zeros({name: params[name] for name in free}), rates=dict.fromkeys(free, 1.0))
+    schedule = FarToNear(len(objectives), steps)
+    agreeing: int | None = None
     try:
-        if path is not None and resume and path.exists():
-            state = resumed(load_checkpoint(path, settings), state, renderer, objective, seed)
+        saved = load_checkpoint(path, settings) if path is not None and resume and path.exists() else None
+        if saved is not None:
+            state = resumed(saved, state, renderer, objectives, seed)
+        else:
+            if starts > 1:
+                params, agreeing = race(renderer, objectives, params, bounds, asked, starts, steps, seed, fit)
+                state = replace(state, params=params)
+            state = replace(state, rates=_rates(renderer, params, bounds, asked, steps, seed))
+        searches = SEARCHES if stages == "auto" and can_search(bounds) else 0
+        if saved is None:
+            first = _first_value(renderer, objective, state, seed) if searches else math.inf
+            schedule = FarToNear(len(objectives), steps, searches=searches, start=first)
+        else:
+            _restore(schedule, saved, state)
         while state.step < steps:
             started = time.perf_counter()
-            seen, factor = state.params, _rate(decay, state.step, steps)
-            image, value, gradient = _evaluate(renderer, objective, state, rates, seed + state.step)
-            state = state.seen(value, image)
+            seen, stage = state.params, schedule.stage
+            factor = _rate(decay, schedule, state.step, steps)
+            image, value, gradient = _evaluate(renderer, objectives[stage], state, free, seed + state.step)
+            state = state.seen(value, image, stage)
             # In float64, since squares leave the range of narrower dtypes while the gradient is well within it.
             squares = (np.square(to_numpy(one), dtype=np.float64) for one in gradient.values())
             norm = math.sqrt(sum(float(np.sum(one)) for one in squares))
             with np.errstate(all="ignore"):  # what overflows is not finite, and is told as that at the next step
-                now = {name: factor * rate for name, rate in rates.items()}
+                now = {name: factor * rate for name, rate in state.rates.items()}
                 moved, moments = adam_step(seen, gradient, state.moments, now)
             moved = _legal(renderer, bounds, moved, state)
-            entry = FitStep(state.step, value, norm, factor, time.perf_counter() - started)
+            seconds = time.perf_counter() - started
+            entry = FitStep(state.step, value, norm, factor, seconds, stage, few_numbers(seen, free))
             state = state.stepped(entry, moved, moments)
+            schedule.step(value)
+            if schedule.lost:
+                state = _searched(renderer, objectives, state, bounds, schedule, seed)
             if state.step % CHECKPOINT_STEPS == 0:
-                _save(path, state, settings)
+                _save(path, state, settings, schedule)
             if callback is not None and callback(entry, seen, image):
                 break
-        state = _last_seen(renderer, objective, state, seed)
-        _save(path, state, settings)
+        state = _last_seen(renderer, objectives[schedule.stage], state, seed, schedule.stage)
+        _save(path, state, settings, schedule)
         result = state.result()
         if result is None:  # pragma: no cover - steps >= 1 has seen at least one value
             msg = "the fit saw no value"
             raise FitError(msg)
-        return result
+        return replace(
+            result, diagnosis=_diagnosis(renderer, objective, params, bounds, result, seed), agreeing=agreeing
+        )
     except KeyboardInterrupt:
         lost = ""
         try:
-            _save(path, state, settings)
+            _save(path, state, settings, schedule)
         except FitError as error:
             lost = str(error)
         raise FitInterruptedError(state.result(), lost) from None
 
 
-def _save(path: Path | None, state: State, settings: Mapping[str, str]) -> None:
+def _named(asked: Mapping[str, object]) -> dict[str, object]:
+    """Rates as they were asked for; those that are left to the library by name."""
+    return {name: "auto" if rate is None else rate for name, rate in asked.items()}
+
+
+def _rates(
+    renderer: Renderer, params: Parameters, bounds: Bounds, asked: Mapping[str, object], steps: int, seed: int
+) -> dict[str, float]:
+    """How far a step moves each parameter, in its own unit."""
+    in_pixels = [name for name, rate in asked.items() if rate is None or isinstance(rate, str)]
+    units: dict[str, float] = {}
+    if in_pixels:
+        units, side = measure_units(renderer, params, bounds, in_pixels, seed=seed)
+        least, most = LEAST_PIXELS, side * MOST_PIXELS
+        usual = min(max(CROSSINGS * side / steps, least), max(most, least))
+    rates = {}
+    for name, rate in asked.items():
+        if name in units:
+            pixels = usual if rate is None else pixels_of(rate)
+            # What leaves no trace has no unit, and no gradient either: any rate will do.
+            rates[name] = pixels * units[name] if math.isfinite(units[name]) else 1.0
+        else:
+            rates[name] = real_number(rate)
+    return rates
+
+
+def _diagnosis(
+    renderer: Renderer, objective: Objective, start: Parameters, bounds: Bounds, result: FitResult, seed: int
+) -> Diagnosis | None:
+    """What came of a fit; None if the renderer or the objective refuses to say."""
+    try:
+        image = detached(renderer.render(start, seed=seed))
+        first = float(detached(objective.value(image)))
+        shown, noise = result.image, 0.0
+        again = [detached(renderer.render(result.best_params, seed=seed + result.best_step + 1))]
+        if not np.array_equal(to_numpy(again[0]), to_numpy(shown)):
+            more = range(2, RENDERS + 1)
+            again += [detached(renderer.render(result.best_params, seed=seed + result.best_step + k)) for k in more]
+            mean = np.mean([np.asarray(to_numpy(one), dtype=np.float64) for one in again], axis=0)
+            if isinstance(objective, LOIObjective):
+                noise = float(detached(objective.with_reference(mean).value(to_numpy(shown))))
+            shown = from_numpy(mean, shown)
+        end = float(detached(objective.value(shown)))
+        visible: dict[str, bool] = {}
+        if all(one.gradient_norm == 0.0 for one in result.history):
+            units, _ = measure_units(renderer, start, bounds, bounds.lower, seed=seed)
+            visible = {name: math.isfinite(unit) for name, unit in units.items()}
+    except Exception:  # noqa: BLE001 - the fit is done, whatever a renderer does beyond it
+        return None
+    reference = objective.reference if isinstance(objective, ImageObjective) else None
+    return diagnose(
+        Findings(
+            first,
+            end,
+            noise,
+            result.history,
+            result.best_params,
+            bounds,
+            visible,
+            to_numpy(image),
+            None if reference is None else to_numpy(reference),
+        )
+    )
+
+
+def _save(path: Path | None, state: State, settings: Mapping[str, str], schedule: FarToNear) -> None:
     if path is not None and state.best is not None:
         with _keeping(state, "writing the checkpoint"):
-            save_checkpoint(path, snapshot(state, state.best, settings))
+            save_checkpoint(path, snapshot(state, state.best, {**settings, SCHEDULE: schedule.state()}))
+
+
+def _restore(schedule: FarToNear, saved: Checkpoint, state: State) -> None:
+    try:
+        schedule.restore(saved.settings[SCHEDULE], [one.value for one in state.history])
+    except (KeyError, ValueError, TypeError) as error:
+        msg = f"`checkpoint` does not say which stage it was in ({described(error)}); delete it to start anew"
+        raise ParameterError(msg) from error
+
+
+def _first_value(renderer: Renderer, objective: Objective, state: State, seed: int) -> float:
+    with _keeping(state, "measuring the start"):
+        return float(detached(objective.value(detached(renderer.render(state.params, seed=seed)))))
+
+
+def _searched(
+    renderer: Renderer,
+    objectives: Sequence[Objective],
+    state: State,
+    bounds: Bounds,
+    schedule: FarToNear,
+    seed: int,
+) -> State:
+    """The state somewhere else within the bounds, if the loss of the stage is less there."""
+    with _keeping(state, "searching for a start"):
+        turn, near = SEARCHES - schedule.searches, schedule.stage > 0
+        objective = objectives[schedule.stage]
+        found = search(renderer, objective, state.params, bounds, turn, seed + state.step, near=near)
+    if found is None or not found[0] < BETTER * schedule.level:
+        schedule.go_on()
+        return state if near or state.best is None else replace(state, params=state.best.params)
+    schedule.begin_again()
+    still = {name: namespace(value).zeros_like(value) for name, value in state.moments.first.items()}
+    return replace(state, params=found[1], moments=replace(state.moments, first=still))
 
 
 def _evaluate(
@@ -265,7 +419,7 @@ class _keeping:  # noqa: N801 - it reads as what it does: with _keeping(state, "
         raise FitError(msg, result) from error
 
 
-def _last_seen(renderer: Renderer, objective: Objective, state: State, seed: int) -> State:
+def _last_seen(renderer: Renderer, objective: Objective, state: State, seed: int, stage: int) -> State:
     """The last step has moved the parameters; they count only if their value is known."""
     with _keeping(state, "measuring the last step"):
         try:
@@ -273,24 +427,30 @@ def _last_seen(renderer: Renderer, objective: Objective, state: State, seed: int
             value = float(detached(objective.value(image)))
         except LoiError:
             return state  # refused for what they are: the best iterate stands
-    return state.seen(value, image) if math.isfinite(value) else state
+    return state.seen(value, image, stage) if math.isfinite(value) else state
 
 
-def _rate(decay: Decay, step: int, steps: int) -> float:
+def _rate(decay: Decay, schedule: FarToNear, step: int, steps: int) -> float:
     if decay == "none" or steps == 1:
         return 1.0
-    return FINAL_RATE + (1.0 - FINAL_RATE) * 0.5 * (1.0 + math.cos(math.pi * step / (steps - 1)))
+    passed = step / (steps - 1) if schedule.stages == 1 else schedule.passed
+    return FINAL_RATE + (1.0 - FINAL_RATE) * 0.5 * (1.0 + math.cos(math.pi * passed))
 
 
-def check_fit_options(steps: object, learning_rate: object, seed: object, decay: object) -> None:
+def check_fit_options(steps: object, learning_rate: object, seed: object, decay: object, starts: object = 1) -> None:
     """Raise :class:`OptionError` unless :func:`fit` takes these values."""
-    for name, value, least, most in (("steps", steps, 1, MOST_STEPS), ("seed", seed, 0, MOST_SEED)):
+    for name, value, least, most in (
+        ("steps", steps, 1, MOST_STEPS),
+        ("seed", seed, 0, MOST_SEED),
+        ("starts", starts, 1, MOST_STARTS),
+    ):
         number = whole_number(value)
         if number is None or not least <= number <= most:
             wanted = f"{least} or more" if number is None or number < least else f"at most {most}"
             msg = f"`{name}` must be a whole number, {wanted}, got {shown(value)}"
             raise OptionError(msg)
-    check_rate("learning_rate", learning_rate)
+    if learning_rate is not None:
+        check_rate("learning_rate", learning_rate)
     if not isinstance(decay, str) or decay not in get_args(Decay):
         msg = f"`decay` must be one of {', '.join(map(repr, get_args(Decay)))}, got {shown(decay)}"
         raise OptionError(msg)

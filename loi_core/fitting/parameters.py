@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -17,7 +18,16 @@ from loi_core.support.guards import foreign
 from loi_core.support.values import real_number
 from loi_core.support.wording import shown
 
-__all__ = ["Bounds", "Free", "bounds_of", "check_rate", "free_parameters", "own_parameters", "starting_parameters"]
+__all__ = [
+    "Bounds",
+    "Free",
+    "bounds_of",
+    "check_rate",
+    "free_parameters",
+    "own_parameters",
+    "pixels_of",
+    "starting_parameters",
+]
 
 
 @dataclass(frozen=True)
@@ -30,14 +40,14 @@ class Free:
         Where it starts; where the renderer has it by default. Shape of the parameter, or a number for all of it.
     lower, upper : array, optional
         Bounds, inclusive, of the same kinds of shape; unbounded by default.
-    learning_rate : float, optional
-        In the parameter's own unit; that of the fit by default.
+    learning_rate : float or str, optional
+        In the parameter's own unit, or in pixels that the image moves ("1.5 px"); that of the fit by default.
     """
 
     initial: Any = None
     lower: Any = None
     upper: Any = None
-    learning_rate: float | None = None
+    learning_rate: float | str | None = None
 
 
 @dataclass(frozen=True)
@@ -152,10 +162,20 @@ def bounds_of(params: Parameters, free: Mapping[str, Free]) -> Bounds:
 
 
 def check_rate(name: str, rate: object) -> None:
-    """Raise :class:`OptionError` unless `rate` is a finite number, more than 0."""
-    if not 0.0 < real_number(rate) < math.inf:
-        msg = f"`{name}` must be a finite number, more than 0, got {shown(rate)}"
+    """Raise :class:`OptionError` unless `rate` is a finite number, more than 0, or such a number of pixels."""
+    number = pixels_of(rate) if isinstance(rate, str) else real_number(rate)
+    if not 0.0 < number < math.inf:
+        msg = f"`{name}` must be a finite number, more than 0, or pixels as in '1.5 px', got {shown(rate)}"
         raise OptionError(msg)
+
+
+def pixels_of(rate: object) -> float:
+    """The number in a text such as "1.5 px"; NaN for anything else."""
+    match = re.fullmatch(r"\s*([0-9.eE+-]{1,32})\s*px\s*", rate) if isinstance(rate, str) else None
+    try:
+        return float(match[1]) if match else math.nan
+    except ValueError:
+        return math.nan
 
 
 def _like(name: str, what: str, parameter: Array, value: object) -> Array:

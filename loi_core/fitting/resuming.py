@@ -5,8 +5,8 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Final
 
 import numpy as np
 
@@ -19,11 +19,21 @@ from loi_core.objectives.base import Objective
 from loi_core.renderers.contract import Parameters, Renderer
 from loi_core.support.arrays import detached, from_numpy, to_numpy
 
-__all__ = ["resumed", "settings_of", "snapshot"]
+__all__ = ["few_numbers", "resumed", "settings_of", "snapshot"]
+
+RATES: Final = "measured rates"
 
 
-def settings_of(steps: int, seed: int, decay: str, rates: Mapping[str, float], bounds: Bounds) -> dict[str, str]:
-    """What must be the same for a fit to go on as if it had not stopped, by name."""
+FEW: Final = 64  # numbers: so many free parameters are kept for every step
+
+
+def settings_of(
+    steps: int, seed: int, decay: str, rates: Mapping[str, float | str], bounds: Bounds, stages: int
+) -> dict[str, str]:
+    """What must be the same for a fit to go on as if it had not stopped, by name.
+
+    `rates` are those that were asked for, in a parameter's own unit or as text in pixels.
+    """
     limits = {name: [to_numpy(side[name]).tolist() for side in (bounds.lower, bounds.upper)] for name in rates}
     return {
         "steps": str(steps),
@@ -31,7 +41,14 @@ def settings_of(steps: int, seed: int, decay: str, rates: Mapping[str, float], b
         "decay": decay,
         "learning rates": json.dumps(dict(rates)),
         "bounds": hashlib.sha256(json.dumps(limits).encode()).hexdigest()[:12],
+        "stages": str(stages),
     }
+
+
+def few_numbers(params: Parameters, names: Iterable[str]) -> dict[str, np.ndarray[Any, Any]]:
+    """The free parameters as NumPy, in float64; none if they are more than 64 numbers together."""
+    free = {name: np.asarray(to_numpy(params[name]), dtype=np.float64) for name in names}
+    return free if sum(one.size for one in free.values()) <= FEW else {}
 
 
 def snapshot(state: State, best: Best, settings: Mapping[str, str]) -> Checkpoint:
@@ -40,9 +57,15 @@ def snapshot(state: State, best: Best, settings: Mapping[str, str]) -> Checkpoin
     def host(params: Parameters) -> dict[str, np.ndarray[Any, Any]]:
         return {name: np.asarray(to_numpy(value)) for name, value in params.items()}
 
-    rows = [(one.step, one.value, one.gradient_norm, one.rate, one.seconds) for one in state.history]
+    rows = [
+        (
+            *(one.step, one.value, one.gradient_norm, one.rate, one.seconds, one.stage),
+            *(number for value in one.params.values() for number in value.ravel()),
+        )
+        for one in state.history
+    ]
     return Checkpoint(
-        settings=settings,
+        settings={**settings, RATES: json.dumps(dict(state.rates))},
         step=state.step,
         count=state.moments.count,
         best_step=best.step,
@@ -51,11 +74,11 @@ def snapshot(state: State, best: Best, settings: Mapping[str, str]) -> Checkpoin
         first=host(state.moments.first),
         second=host(state.moments.second),
         best_params=host(best.params),
-        history=np.asarray(rows, dtype=np.float64).reshape(-1, 5),
+        history=np.asarray(rows, dtype=np.float64).reshape(len(rows), -1) if rows else np.zeros((0, 6)),
     )
 
 
-def resumed(saved: Checkpoint, fresh: State, renderer: Renderer, objective: Objective, seed: int) -> State:
+def resumed(saved: Checkpoint, fresh: State, renderer: Renderer, objectives: Sequence[Objective], seed: int) -> State:
     """The state that was saved, with arrays like those of a fit that has not begun.
 
     Raises
@@ -81,7 +104,9 @@ def resumed(saved: Checkpoint, fresh: State, renderer: Renderer, objective: Obje
             raise ParameterError(msg)
     best = live(saved.best_params, fresh.params, "parameters")
     image = detached(renderer.render(best, seed=seed + saved.best_step))
-    value = float(detached(objective.value(image)))
+    log = _log(saved, few_numbers(fresh.params, first))
+    stage = log[min(saved.best_step, len(log) - 1)].stage if log else 0
+    value = float(detached(objectives[min(stage, len(objectives) - 1)].value(image)))
     # Loosely, since libraries may sum in another order from one run to the next.
     if not math.isclose(value, saved.best_value, rel_tol=1e-4, abs_tol=1e-12):
         msg = (
@@ -93,6 +118,32 @@ def resumed(saved: Checkpoint, fresh: State, renderer: Renderer, objective: Obje
         params,
         Moments(first, second, saved.count),
         saved.step,
-        Best(best, saved.best_value, saved.best_step, image),
-        [FitStep(int(row[0]), *map(float, row[1:])) for row in saved.history],
+        Best(best, saved.best_value, saved.best_step, image, stage),
+        log,
+        _rates(saved, fresh.rates),
     )
+
+
+def _log(saved: Checkpoint, like: Mapping[str, np.ndarray[Any, Any]]) -> list[FitStep]:
+    """The history, with the free parameters of every step where they are few."""
+    sizes = {name: one.size for name, one in like.items()}
+    kept = saved.history.shape[1] == 6 + sum(sizes.values())
+    log = []
+    for row in saved.history:
+        params, at = {}, 6
+        for name, size in sizes.items() if kept else ():
+            params[name] = row[at : at + size].reshape(like[name].shape)
+            at += size
+        value, norm, rate, seconds = map(float, row[1:5])
+        log.append(FitStep(int(row[0]), value, norm, rate, seconds, int(row[5]), params))
+    return log
+
+
+def _rates(saved: Checkpoint, fresh: Mapping[str, float]) -> dict[str, float]:
+    """The rates that were measured when the fit began: a renderer's noise may give others now."""
+    try:
+        rates = {str(name): float(rate) for name, rate in json.loads(saved.settings[RATES]).items()}
+    except (KeyError, ValueError, TypeError, AttributeError):
+        return dict(fresh)
+    usable = rates.keys() == fresh.keys() and all(0.0 < rate < math.inf for rate in rates.values())
+    return rates if usable else dict(fresh)

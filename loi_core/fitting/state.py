@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from loi_core.fitting.adam import Moments
+from loi_core.fitting.verdict import Diagnosis
 from loi_core.renderers.contract import Parameters
-from loi_core.support.arrays import Array
+from loi_core.support.arrays import Array, Host
 
 __all__ = ["Best", "FitResult", "FitStep", "State"]
 
@@ -24,9 +26,13 @@ class FitStep:
     gradient_norm : float
         Euclidean norm of the gradient by the free parameters.
     rate : float
-        Share of the learning rate that the step took.
+        Fraction of the learning rate that the step took.
     seconds : float
         Time the step took.
+    stage : int
+        Which objective that is, from far to near; 0 where there is one.
+    params : dict of arrays
+        The free parameters, as NumPy; empty if they are more than 64 numbers together.
     """
 
     step: int
@@ -34,6 +40,8 @@ class FitStep:
     gradient_norm: float
     rate: float
     seconds: float
+    stage: int = 0
+    params: Mapping[str, Host] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -54,6 +62,12 @@ class FitResult:
         Rendered from `best_params`.
     history : tuple of FitStep
         One entry a step.
+    diagnosis : Diagnosis, optional
+        What came of it and what to try; None for a fit that was cut short.
+    rates : dict of float
+        How far a step could move each free parameter, in its own unit.
+    agreeing : int, optional
+        Of several starts, how many of those that were left ended where the best did.
     """
 
     params: Parameters
@@ -62,16 +76,20 @@ class FitResult:
     best_step: int
     image: Array
     history: tuple[FitStep, ...]
+    diagnosis: Diagnosis | None = None
+    rates: Mapping[str, float] = field(default_factory=dict)
+    agreeing: int | None = None
 
 
 @dataclass(frozen=True)
 class Best:
-    """The parameters with the least value so far, the step at which they were seen, and their image (H, W, C)."""
+    """The parameters with the least value of a stage, the step at which they were seen, and their image (H, W, C)."""
 
     params: Parameters
     value: float
     step: int
     image: Array
+    stage: int = 0
 
 
 @dataclass(frozen=True)
@@ -90,6 +108,8 @@ class State:
         None before the first value.
     log : list of FitStep
         Its first `step` entries are the history. The states of a fit share it, so that no step copies it.
+    rates : dict of float
+        Of each free parameter, in its own unit.
     """
 
     params: Parameters
@@ -97,17 +117,18 @@ class State:
     step: int = 0
     best: Best | None = None
     log: list[FitStep] = field(default_factory=list)
+    rates: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def history(self) -> tuple[FitStep, ...]:
         """One entry a step taken."""
         return tuple(self.log[: self.step])
 
-    def seen(self, value: float, image: Array) -> State:
-        """The same state, once the value and the image of its parameters are known."""
-        if self.best is not None and not value < self.best.value:
+    def seen(self, value: float, image: Array, stage: int = 0) -> State:
+        """The same state, once the value and the image of its parameters are known; values of a stage are compared."""
+        if self.best is not None and self.best.stage == stage and not value < self.best.value:
             return self
-        return replace(self, best=Best(self.params, value, self.step, image))
+        return replace(self, best=Best(self.params, value, self.step, image, stage))
 
     def stepped(self, entry: FitStep, params: Parameters, moments: Moments) -> State:
         """The state after one more step."""
@@ -119,4 +140,4 @@ class State:
         if self.best is None:
             return None
         best = self.best
-        return FitResult(self.params, best.params, best.value, best.step, best.image, self.history)
+        return FitResult(self.params, best.params, best.value, best.step, best.image, self.history, rates=self.rates)

@@ -30,6 +30,9 @@ MAX_LEVELS: Final = 2**16  # more than 16 bits hold; a finer beta is a slip, and
 RELEASED_TAILS: Final = 4.0  # the released code spreads its levels over [-4 beta, 1 + 4 beta]
 
 
+FAR_BLUR: Final = 0.125  # of the longer side: the inner scale from which a fit begins
+
+
 @dataclass(frozen=True, init=False)
 class ScaleSpace:
     """The scales at which two images are compared, and the rules that go with them.
@@ -137,6 +140,21 @@ class ScaleSpace:
         widest = 0.35 * max(height, width)
         extents = [round(widest / share, 2) for share in (9, 3, 1)]
         return cls(1.0, [extent for extent in extents if extent > 1.0] or 1.0, beta, boundary=boundary)
+
+    @classmethod
+    def far_to_near(
+        cls, height: int, width: int, *, beta: float = 0.125, boundary: Boundary = "reflect"
+    ) -> tuple[ScaleSpace, ...]:
+        """Scales for the stages of a fit on images of this size, from those that reach far to those of `for_image`.
+
+        Textures hold objects fast where they happen to fit, the more the narrower the scales. An inner scale of an
+        eighth of the longer side averages them away, and what is left is seen from far.
+        """
+        near = cls.for_image(height, width, beta=beta, boundary=boundary)
+        blur = round(FAR_BLUR * max(height, width), 2)
+        if blur <= near.sigma[0]:
+            return (near,)
+        return cls((*near.sigma, blur), near.alpha[-2:], beta, boundary=boundary), near
 
     @classmethod
     def released(

@@ -93,7 +93,7 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
     ) -> None:
         super().__init__(reference, channel_axis=channel_axis, nan_policy=nan_policy, tone=tone)
         if scales is None:
-            scales = ScaleSpace.for_image(self._reference_layout.height, self._reference_layout.width)
+            scales = ScaleSpace.for_image(*self.size)
         if not isinstance(scales, ScaleSpace):
             msg = f"`scales` must be a ScaleSpace, got {type(scales).__name__}"
             raise ScaleError(msg)
@@ -104,6 +104,34 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
     def scales(self) -> ScaleSpace:
         """The scales that are compared."""
         return self._scales
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width of the reference, in pixels."""
+        return self._reference_layout.height, self._reference_layout.width
+
+    @property
+    def has_default_scales(self) -> bool:
+        """Whether the scales are those of :meth:`ScaleSpace.for_image`, whoever put them there."""
+        return self._scales == ScaleSpace.for_image(*self.size, boundary=self._scales.boundary)
+
+    def with_scales(self, scales: ScaleSpace) -> LOIObjective:
+        """The same objective at other scales."""
+        return self._like(self._reference, scales)
+
+    def with_reference(self, reference: Array) -> LOIObjective:
+        """The same objective with another reference."""
+        return self._like(reference, self._scales)
+
+    def _like(self, reference: Array, scales: ScaleSpace) -> LOIObjective:
+        return LOIObjective(
+            reference,
+            scales,
+            self._tolerance,
+            channel_axis=self._channel_axis,
+            nan_policy=self._nan_policy,
+            tone=self._tone,
+        )
 
     @property
     def tolerance(self) -> float:

@@ -1,0 +1,145 @@
+"""Several starts: they race by successive halving, and the winner is fitted in full."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Final
+
+import numpy as np
+
+from loi_core.errors import OptionError
+from loi_core.fitting.parameters import Bounds, Free
+from loi_core.objectives import Objective
+from loi_core.renderers.contract import Parameters, Renderer
+from loi_core.support.arrays import detached, from_numpy, to_numpy
+
+__all__ = ["can_search", "draw_starts", "race", "search"]
+
+LAP: Final = 1.0 / 6.0  # of the steps of a fit
+PLACES: Final = 16  # that a search looks at
+BOX: Final = 0.15  # of the range, to either side: what is near
+FEW: Final = 8  # numbers: in more dimensions so few places say next to nothing
+AGREE: Final = 0.05  # of the range: finalists that end so near the best agree with it
+
+
+def draw_starts(params: Parameters, bounds: Bounds, count: int, *, first: int = 1) -> list[Parameters]:
+    """`params` themselves, and others that fill their bounds evenly: points of a sequence, from the `first` on.
+
+    An additive recurrence on powers of the generalised golden ratio (M. Roberts, The unreasonable effectiveness of
+    quasirandom sequences, 2018): any number of points of it is spread well, in any dimension.
+
+    Raises
+    ------
+    OptionError
+        If a bound is infinite.
+    """
+    low, high = (
+        {name: np.asarray(to_numpy(one), dtype=np.float64) for name, one in side.items()}
+        for side in (bounds.lower, bounds.upper)
+    )
+    for name in low:
+        if not (np.all(np.isfinite(low[name])) and np.all(np.isfinite(high[name]))):
+            msg = f"`starts` draws within bounds, and {name!r} has none; give it `lower` and `upper`"
+            raise OptionError(msg)
+    size = sum(one.size for one in low.values())
+    ratio = 2.0
+    for _ in range(64):
+        ratio = (1.0 + ratio) ** (1.0 / (size + 1))
+    steps = ratio ** -np.arange(1.0, size + 1.0)
+    starts = [params]
+    for index in range(first, first + count - 1):
+        place, at = np.mod(0.5 + index * steps, 1.0), 0
+        drawn = dict(params)
+        for name, floor in low.items():
+            part = place[at : at + floor.size].reshape(floor.shape)
+            at += floor.size
+            drawn[name] = from_numpy(floor + part * (high[name] - floor), params[name])
+        starts.append(drawn)
+    return starts
+
+
+def can_search(bounds: Bounds) -> bool:
+    """Whether there are few enough parameters, all bounded, for a few places to say something about the others."""
+    limits = [np.asarray(to_numpy(one)) for side in (bounds.lower, bounds.upper) for one in side.values()]
+    return sum(one.size for one in limits) <= 2 * FEW and all(bool(np.all(np.isfinite(one))) for one in limits)
+
+
+def search(
+    renderer: Renderer,
+    objective: Objective,
+    params: Parameters,
+    bounds: Bounds,
+    turn: int,
+    seed: int,
+    *,
+    near: bool = False,
+) -> tuple[float, Parameters] | None:
+    """The least value of an objective at some places within the bounds, and where that is; others in every turn.
+
+    With `near`, every other place is in a smaller box about where the parameters are.
+    """
+    best: tuple[float, Parameters] | None = None
+    around = _about(params, bounds)
+    places = draw_starts(params, bounds, PLACES + 1, first=1 + turn * PLACES)[1:]
+    close = draw_starts(params, around, PLACES + 1, first=1 + turn * PLACES)[1:]
+    for index, (far, inside) in enumerate(zip(places, close, strict=True)):
+        place = inside if near and index % 2 else far
+        value = float(detached(objective.value(detached(renderer.render(place, seed=seed)))))
+        if best is None or value < best[0]:
+            best = value, place
+    return best
+
+
+def _about(params: Parameters, bounds: Bounds) -> Bounds:
+    """A box about the parameters, within their bounds."""
+    lower, upper = {}, {}
+    for name, floor in bounds.lower.items():
+        at, low, high = (
+            np.asarray(to_numpy(one), dtype=np.float64) for one in (params[name], floor, bounds.upper[name])
+        )
+        reach = BOX * (high - low)
+        lower[name] = from_numpy(np.maximum(low, at - reach), params[name])
+        upper[name] = from_numpy(np.minimum(high, at + reach), params[name])
+    return Bounds(lower, upper)
+
+
+def race(
+    renderer: Renderer,
+    objectives: Sequence[Objective],
+    params: Parameters,
+    bounds: Bounds,
+    rates: Mapping[str, float | str | None],
+    count: int,
+    steps: int,
+    seed: int,
+    fit: Callable[..., Any],
+) -> tuple[Parameters, int]:
+    """Where to start: the winner's place, and how many of the finalists came to where it is.
+
+    In every lap all that are left take a sixth of the steps, with the objectives from far to near in turn, and the half
+    with the larger values of the last objective drops out.
+    """
+    field = draw_starts(params, bounds, count)
+    lap, turn = max(round(LAP * steps), 2), 0
+    while len(field) > 1:
+        objective = objectives[min(turn, len(objectives) - 1)]
+        runs = []
+        for start in field:
+            free = {name: Free(start[name], bounds.lower[name], bounds.upper[name], rates[name]) for name in rates}
+            found = fit(renderer, objective, steps=lap, optimise=free, seed=seed, stages=None, decay="none")
+            runs.append((float(detached(objectives[-1].value(found.image))), found.best_params))
+        runs.sort(key=lambda one: one[0])
+        turn += 1
+        if len(runs) <= 4 and turn >= len(objectives):
+            best = runs[0][1]
+            return best, sum(_near(best, other, bounds) for _, other in runs)
+        field = [one for _, one in runs[: max(len(runs) // 2, 1)]]
+    return field[0], 1
+
+
+def _near(best: Parameters, other: Parameters, bounds: Bounds) -> bool:
+    for name, floor in bounds.lower.items():
+        low, high, one, two = (to_numpy(each) for each in (floor, bounds.upper[name], best[name], other[name]))
+        if not np.all(np.abs(one - two) <= AGREE * (high - low)):
+            return False
+    return True

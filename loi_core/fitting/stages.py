@@ -1,0 +1,231 @@
+"""Far to near: a fit begins with scales that reach far, and goes on to those that place the last digits.
+
+Narrow scales hold an object where the texture under it happens to fit; wide ones see past that, but do not see small
+displacements. When to go on is decided from the values alone: a stage is over once its loss has stopped to fall, as far
+as its own noise lets one say. So the same decision serves every loop, and a fit that is resumed comes to it again.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from typing import Final, Literal, TypeAlias
+
+import numpy as np
+
+from loi_core.errors import OptionError
+from loi_core.method.scales import ScaleSpace
+from loi_core.objectives import LOIObjective, Objective
+from loi_core.support.values import whole_number
+from loi_core.support.wording import shown
+
+__all__ = ["FarToNear", "Stages", "has_settled", "objectives_of"]
+
+Stages: TypeAlias = Literal["auto"] | Sequence[ScaleSpace | Objective] | None
+
+FAR: Final = 0.6
+"""All stages before the last may take this fraction of the steps together: the last needs the rest to converge."""
+
+WINDOW: Final = 0.08
+"""How many of the last values are looked at, as a fraction of the steps; never fewer than LEAST."""
+
+LEAST: Final = 8
+SURE: Final = 2.0
+"""Errors of the slope of the values that a fall has to exceed."""
+
+FLAT: Final = 1e-3
+"""A fall over the window of less than this fraction of the value is none."""
+
+
+LOST: Final = 0.3
+"""Of the first value of the first stage: a stage that settles with more has not found what it was to find."""
+
+LOST_NEAR: Final = 0.15
+"""Of the value of the last loss at the start: likewise."""
+
+HALF: Final = 0.5
+"""Of the last stage: later than that there is no time to begin again."""
+
+
+def has_settled(values: Sequence[float], window: int) -> bool:
+    """Whether values have stopped to fall: the line through the last of them is not significantly downward.
+
+    Parameters
+    ----------
+    values : sequence of float
+        One a step.
+    window : int
+        How many of the last to look at, 3 or more; twice as many have to be there.
+    """
+    if len(values) < 2 * window:
+        return False
+    last = np.asarray(values[-window:], dtype=np.float64)
+    steps = np.arange(window) - (window - 1) / 2.0
+    spread = float(np.sum(steps**2))
+    slope = float(steps @ last) / spread
+    rest = last - np.mean(last) - slope * steps
+    error = math.sqrt(float(np.sum(rest**2)) / (window - 2) / spread)
+    return slope > -SURE * error or -slope * window < FLAT * abs(float(np.mean(last)))
+
+
+class FarToNear:
+    """Which of some losses, from far to near, a loop is to use; told the value of every step.
+
+    Parameters
+    ----------
+    stages : int
+        How many losses there are, 1 or more.
+    steps : int
+        Of the whole loop.
+    searches : int
+        How often a stage may be `lost`.
+    start : float
+        The value of the last loss at the start, beside which it may be `lost`.
+
+    Attributes
+    ----------
+    stage : int
+        The loss to use in the next step: 0 at first.
+    lost : bool
+        Whether the first loss, or the last, has settled with much of it left: then :meth:`begin_again` or
+        :meth:`go_on`.
+
+    Examples
+    --------
+    With any framework's loop, ``losses`` being its losses with ``ScaleSpace.far_to_near(height, width)``:
+
+    >>> schedule = FarToNear(stages=2, steps=200)
+    >>> for value in [1.0] * 30:  # the value of losses[schedule.stage], which does not fall
+    ...     schedule.step(value)
+    >>> schedule.stage
+    1
+    """
+
+    def __init__(self, stages: int, steps: int, *, searches: int = 0, start: float = math.inf) -> None:
+        for name, value in (("stages", stages), ("steps", steps)):
+            if (whole_number(value) or 0) < 1:
+                msg = f"`{name}` must be a whole number, 1 or more, got {shown(value)}"
+                raise OptionError(msg)
+        self.stage = 0
+        self.stages = int(stages)
+        self.lost = False
+        self._searches = searches
+        self._start = start
+        self._last = stages - 1
+        self._steps = steps
+        self._window = max(LEAST, round(WINDOW * steps))
+        self._taken = 0
+        self._began = 0  # the step in which the last stage did
+        self._values: list[float] = []
+        self._first: float | None = None
+
+    def step(self, value: float) -> None:
+        """Take note of the value that the loss of this stage had in this step."""
+        self._taken += 1
+        self._values.append(float(value))
+        if self.stage == self._last:
+            if self._searches > 0 and self.passed < HALF and has_settled(self._values, self._window):
+                self.lost = self.level > LOST_NEAR * self._start
+            return
+        latest = FAR * self._steps * (self.stage + 1) / self._last
+        if self.stage == 0 and self._first is None:
+            self._first = self._values[0]
+        if has_settled(self._values, self._window):
+            self.lost = self._searches > 0 and self.stage == 0 and self.level > LOST * (self._first or 0.0)
+            if not self.lost:
+                self.go_on()
+        elif self._taken >= latest:
+            self.go_on()
+
+    def go_on(self) -> None:
+        """Go on to the next stage, or in the last one."""
+        if self.stage < self._last:
+            self.stage, self._began = self.stage + 1, self._taken
+        else:
+            self._searches -= 1
+        self.lost, self._values = False, []
+
+    def begin_again(self) -> None:
+        """Begin the stage again, from somewhere else."""
+        self.lost, self._searches, self._values = False, self._searches - 1, []
+        if self.stage == self._last:
+            self._began = self._taken
+
+    @property
+    def level(self) -> float:
+        """The least of the last values of a stage."""
+        return min(self._values[-self._window :], default=math.inf)
+
+    @property
+    def searches(self) -> int:
+        """How many searches are left."""
+        return self._searches
+
+    def state(self) -> str:
+        """All of it but what the values of the steps tell, as text, for :meth:`restore`."""
+        return json.dumps(
+            [self.stage, self._taken, self._began, len(self._values), self._searches, self._first, self._start]
+        )
+
+    def restore(self, state: str, values: Sequence[float]) -> None:
+        """Go on from a state, with the values of all steps so far.
+
+        Raises
+        ------
+        ValueError
+            If the text is none that :meth:`state` gives.
+        """
+        stage, taken, began, count, searches, first, start = json.loads(state)
+        if not 0 <= stage <= self._last or not 0 <= began <= taken or not 0 <= count <= len(values):
+            msg = "not the state of a schedule"
+            raise ValueError(msg)
+        self.stage, self._taken, self._began, self._searches, self._first = stage, taken, began, searches, first
+        self._start = start
+        self._values = list(values[len(values) - count :])
+
+    @property
+    def passed(self) -> float:
+        """How much of the last stage is over, from 0 to 1; 0 before it. A rate may fall with it."""
+        if self.stage < self._last:
+            return 0.0
+        return (self._taken - self._began) / max(self._steps - self._began - 1, 1)
+
+
+def objectives_of(objective: Objective, stages: object) -> tuple[Objective, ...]:
+    """The objectives of a fit, from far to near, for what was asked for as `stages`.
+
+    Parameters
+    ----------
+    objective : Objective
+        The last one.
+    stages : "auto", None, or a sequence of ScaleSpace or Objective
+        "auto" puts :meth:`ScaleSpace.far_to_near` before an objective whose scales were left to the library; None
+        takes the objective alone; a sequence is what comes before it.
+
+    Raises
+    ------
+    OptionError
+        For anything else.
+    """
+    if stages is None:
+        return (objective,)
+    if isinstance(stages, str) and stages == "auto":
+        if not isinstance(objective, LOIObjective) or not objective.has_default_scales:
+            return (objective,)
+        height, width = objective.size
+        before = ScaleSpace.far_to_near(height, width)[:-1]
+        return (*map(objective.with_scales, before), objective)
+    if isinstance(stages, str) or not isinstance(stages, Sequence):
+        msg = f"`stages` must be 'auto', None, or a sequence of ScaleSpace or objectives, got {shown(stages)}"
+        raise OptionError(msg)
+    found: list[Objective] = []
+    for one in stages:
+        if isinstance(one, ScaleSpace) and isinstance(objective, LOIObjective):
+            found.append(objective.with_scales(one))
+        elif isinstance(one, Objective) and not isinstance(one, ScaleSpace):
+            found.append(one)
+        else:
+            msg = f"`stages` must hold scales (for a LOIObjective) or objectives, got {shown(one)}"
+            raise OptionError(msg)
+    return (*found, objective)
