@@ -3,6 +3,8 @@
 from loi_core.errors import FitDivergedError, FitError, LoiError, NonFiniteImageError
 from loi_core.fitting.loop import FitInterruptedError, FitResult, FitStep, fit
 from loi_core.fitting.parameters import Free
+from loi_core.fitting.stages import FarToNear
+from loi_core.fitting.verdict import Diagnosis
 from loi_core.method.histograms import inner_images, isophotes, local_histograms
 from loi_core.method.scales import ScaleSpace
 from loi_core.objectives import MSSSIM, GaussianPyramid, ImageObjective, LOIObjective, Objective, PixelL2
@@ -14,6 +16,8 @@ __version__ = "0.1.0"
 
 __all__ = [
     "MSSSIM",
+    "Diagnosis",
+    "FarToNear",
     "FitDivergedError",
     "FitError",
     "FitInterruptedError",

@@ -5,14 +5,15 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Mapping
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from tqdm import tqdm
 
 from loi_core.effects import PlanningRenderer
 from loi_core.errors import SceneError
+from loi_core.fitting.loop import check_fit_options
 from loi_core.io.result_folder import CHECKPOINT_FILE, ResultFolder
 from loi_core.report import write_page, write_results
 from loi_core.report.plots import LABELS
@@ -24,17 +25,49 @@ from loi_core.support.wording import printable
 __all__ = ["explain_scene", "fit_scene", "run_and_write"]
 
 
-def fit_scene(path: Path, output: Path | None, *, resume: bool, as_json: bool) -> bool:
-    """Fit a scene file and write its results; False if a fit ended early."""
+DONE: Final = 0
+FAILED: Final = 1
+NOT_FOUND: Final = 3
+
+
+def fit_scene(
+    path: Path, output: Path | None, *, resume: bool, steps: int | None, starts: int | None, as_json: bool
+) -> int:
+    """Fit a scene file and write its results.
+
+    Returns
+    -------
+    int
+        The exit status: 0 if the scene was found, 1 if a fit ended early, 3 if it ended elsewhere; the verdict says why.
+    """
     scene = load_scene(path, output=output)
+    changes = {name: value for name, value in (("steps", steps), ("starts", starts)) if value is not None}
+    options = replace(scene.fit, **changes)
+    check_fit_options(options.steps, options.learning_rate, options.seed, options.decay, options.starts)
+    scene = replace(scene, fit=options)
     result = run_and_write(scene, resume=resume)
     page = write_page(scene.output)
     if as_json:
         print(json.dumps(result | {"report": str(page)}, indent=2))
     else:
         print_summary(result)
+        print_verdicts(result)
         print(f"\nreport: {page}")
-    return not any(trial["error"] for trial in result["trials"])
+    if any(trial["error"] for trial in result["trials"]):
+        return FAILED
+    found = result["trials"][0].get("diagnosis")
+    return DONE if found is None or found["verdict"] == "converged" else NOT_FOUND
+
+
+def print_verdicts(result: Mapping[str, Any]) -> None:
+    """What came of every fit, a line each."""
+    print()
+    for trial in result["trials"]:
+        found = trial.get("diagnosis")
+        if found is not None:
+            name = LABELS.get(trial["objective"], trial["objective"])
+            advice = f"; {found['advice']}" if found["advice"] else ""
+            print(f"{name}: {found['verdict']}: {found['message']}{advice}")
 
 
 def explain_scene(path: Path, *, as_json: bool) -> None:
@@ -70,7 +103,8 @@ def run_and_write(scene: Scene, *, resume: bool = False) -> dict[str, Any]:
         bars.close()
     for trial in trials:
         if trial.error:
-            print(f"loi: {trial.objective}: {printable(trial.error)}", file=sys.stderr)
+            hint = "; `--resume` goes on" if trial.error.startswith("interrupted") else ""
+            print(f"loi: {trial.objective}: {printable(trial.error)}{hint}", file=sys.stderr)
     return write_results(scene, trials)
 
 

@@ -53,7 +53,14 @@ def _run(options: argparse.Namespace) -> int:
         if options.explain:
             explain_scene(options.scene, as_json=options.json)
             return DONE
-        return DONE if fit_scene(options.scene, options.output, resume=options.resume, as_json=options.json) else FAILED
+        return fit_scene(
+            options.scene,
+            options.output,
+            resume=options.resume,
+            steps=options.steps,
+            starts=options.starts,
+            as_json=options.json,
+        )
     if options.command == "demo":
         from loi_core.cli.demo import run_demo
 
@@ -115,6 +122,8 @@ def _parser() -> argparse.ArgumentParser:
     fit.add_argument("--output", type=Path, help="folder for the results, instead of the scene's own")
     fit.add_argument("--resume", action="store_true", help="go on where an earlier fit stopped")
 
+    fit.add_argument("--steps", type=int, help="how many steps, instead of the scene's own; more than were done go on")
+    fit.add_argument("--starts", type=int, help="from how many places within the bounds to start")
     fit.add_argument("--explain", action="store_true", help="only say which effects would be simulated, and why")
 
     report = commands.add_parser("report", help="make report.html anew from a result folder")

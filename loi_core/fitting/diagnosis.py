@@ -16,7 +16,7 @@ from loi_core.support.arrays import Host, to_numpy
 
 __all__ = ["Findings", "diagnose"]
 
-FOUND: Final = 0.08
+FOUND: Final = 0.1
 """Of the loss at the start: what a fit that has found its target leaves at the most."""
 
 LOUD: Final = 0.7

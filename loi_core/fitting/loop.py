@@ -43,7 +43,7 @@ from loi_core.fitting.verdict import Diagnosis
 from loi_core.io.files import check_writable, remove_temporaries
 from loi_core.objectives import ImageObjective, LOIObjective, Objective
 from loi_core.pixels.nonfinite import count_non_finite
-from loi_core.renderers.contract import Parameters, ProjectingRenderer, Renderer
+from loi_core.renderers.contract import AbridgedRenderer, Parameters, ProjectingRenderer, Renderer
 from loi_core.support.arrays import Array, detached, from_numpy, is_array_api_obj, namespace, to_numpy
 from loi_core.support.guards import is_ctrl_c
 from loi_core.support.values import real_number, whole_number
@@ -268,9 +268,11 @@ def _diagnosis(
 ) -> Diagnosis | None:
     """What came of a fit; None if the renderer or the objective refuses to say."""
     try:
+        if isinstance(renderer, AbridgedRenderer):
+            renderer = renderer.everything
         image = detached(renderer.render(start, seed=seed))
         first = float(detached(objective.value(image)))
-        shown, noise = result.image, 0.0
+        shown, noise = detached(renderer.render(result.best_params, seed=seed + result.best_step)), 0.0
         again = [detached(renderer.render(result.best_params, seed=seed + result.best_step + 1))]
         if not np.array_equal(to_numpy(again[0]), to_numpy(shown)):
             more = range(2, RENDERS + 1)

@@ -7,7 +7,7 @@ from typing import Protocol, TypeAlias, runtime_checkable
 
 from loi_core.support.arrays import Array
 
-__all__ = ["Parameters", "ProjectingRenderer", "Pullback", "Renderer"]
+__all__ = ["AbridgedRenderer", "Parameters", "ProjectingRenderer", "Pullback", "Renderer"]
 
 Parameters: TypeAlias = dict[str, Array]
 """Parameters of a scene by name; floating-point arrays of any shape, 0-d included."""
@@ -41,3 +41,12 @@ class ProjectingRenderer(Renderer, Protocol):
 
     def project(self, params: Parameters) -> Parameters:
         """The legal parameters next to these; the argument is left as it is."""
+
+
+@runtime_checkable
+class AbridgedRenderer(Renderer, Protocol):
+    """A renderer that leaves out what matters little for a gradient; what came of a fit is judged with all of it."""
+
+    @property
+    def everything(self) -> Renderer:
+        """The same scene and parameters, rendered whole."""

@@ -5,12 +5,14 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
+from loi_core.fitting.state import FitStep
 from loi_core.io.files import write_bytes, write_text
 from loi_core.io.images import write_png
 from loi_core.io.result_folder import CHECKPOINT_FILE, HISTORY_FILE, PAGE_FILE, RESULT_FILE, ResultFolder
@@ -18,7 +20,7 @@ from loi_core.pixels.psnr import psnr
 from loi_core.report.plots import convergence_plot
 from loi_core.scenes.experiment import Trial, frame_steps
 from loi_core.scenes.scene import Scene
-from loi_core.support.arrays import to_numpy
+from loi_core.support.arrays import Host, to_numpy
 
 __all__ = ["FRAMES_FOLDER", "effect_file", "summary", "write_results"]
 
@@ -96,9 +98,19 @@ def _one(scene: Scene, trial: Trial) -> dict[str, Any]:
         "seconds": round(trial.seconds, 3),
         "psnr": _finite(psnr(to_numpy(trial.result.image), scene.target)),
         "psnr_initial": _finite(psnr(trial.initial, scene.target)),
+        "diagnosis": _diagnosis(trial),
+        "learning_rates": {name: _finite(rate) for name, rate in trial.result.rates.items()},
+        "starts_agreeing": trial.result.agreeing,
         "parameters": {name: best[name].tolist() for name in scene.optimise},
         "parameter_errors": {name: _finite(np.abs(best[name] - true).max()) for name, true in scene.truth.items()},
     }
+
+
+def _diagnosis(trial: Trial) -> dict[str, Any] | None:
+    found = trial.result.diagnosis if trial.result else None
+    if found is None:
+        return None
+    return asdict(found) | {"left": _finite(found.left), "noise": _finite(found.noise)}
 
 
 def _finite(value: Any) -> float | None:
@@ -132,14 +144,27 @@ def effect_file(name: str) -> str:
     return f"{EFFECTS_FOLDER}/{name.replace(' ', '-')}.png"
 
 
+def _numbers(steps: Sequence[FitStep]) -> Iterator[tuple[str, Host, int]]:
+    """Every number of the free parameters of a step: name, array and index."""
+    for one in steps:
+        for name, value in one.params.items():
+            for index in range(value.size):
+                yield name, value, index
+
+
 def _history(trial: Trial) -> str:
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(["step", "value", "gradient_norm", "rate", "seconds", "psnr"])
-    for one in trial.result.history if trial.result else ():
+    history = trial.result.history if trial.result else ()
+    names = [f"{name}[{index}]" if value.size > 1 else name for name, value, index in _numbers(history[:1])]
+    writer.writerow(["step", "value", "gradient_norm", "rate", "seconds", "psnr", "stage", *names])
+    for one in history:
         quality = trial.psnr.get(one.step)
         shown = "" if quality is None else f"{quality:.4f}"
         writer.writerow(
-            [one.step, repr(one.value), repr(one.gradient_norm), f"{one.rate:.6g}", f"{one.seconds:.5f}", shown]
+            [
+                *(one.step, repr(one.value), repr(one.gradient_norm), f"{one.rate:.6g}", f"{one.seconds:.5f}", shown),
+                *(one.stage, *(f"{value.ravel()[index]:.9g}" for _, value, index in _numbers([one]))),
+            ]
         )
     return stream.getvalue()

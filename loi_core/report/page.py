@@ -224,8 +224,17 @@ def _table(trials: Sequence[Mapping[str, Any]]) -> str:
         ]
         label = escape(LABELS.get(trial["objective"], trial["objective"]))
         numbers = "".join(f'<td class="n">{cell}</td>' for cell in cells)
-        rows.append(f"<tr><td>{label}</td>{numbers}<td>{escape(trial.get('error') or '')}</td></tr>")
+        rows.append(f"<tr><td>{label}</td>{numbers}<td>{escape(trial.get('error') or _verdict(trial))}</td></tr>")
     return f"<table><tr>{''.join(f'<th>{escape(head)}</th>' for head in heads)}</tr>{''.join(rows)}</table>"
+
+
+def _verdict(trial: Mapping[str, Any]) -> str:
+    found = trial.get("diagnosis")
+    if not isinstance(found, Mapping):
+        return ""
+    parts = [str(found[key]) for key in ("verdict", "message") if found.get(key)]
+    advice = str(found.get("advice") or "")
+    return ": ".join(parts) + (f"; {advice}" if advice else "")
 
 
 def _number(value: Any, spec: str) -> str:

@@ -150,6 +150,8 @@ def run_scene(
                 learning_rate=scene.fit.learning_rate,
                 seed=scene.fit.seed,
                 decay=scene.fit.decay,
+                stages=None if scene.fit.stages == "none" else "auto",
+                starts=scene.fit.starts,
                 optimise=scene.optimise,
                 checkpoint=checkpoint if index == 0 else None,
                 resume=resume,

@@ -16,7 +16,7 @@ import numpy as np
 
 from loi_core.errors import LoiError, OptionError, SceneError
 from loi_core.fitting.loop import check_fit_options
-from loi_core.fitting.parameters import Free, bounds_of, own_parameters, starting_parameters
+from loi_core.fitting.parameters import Free, bounds_of, check_rate, own_parameters, starting_parameters
 from loi_core.io.files import check_writable
 from loi_core.io.images import FloatImage, read_image
 from loi_core.io.toml import read_toml
@@ -40,7 +40,7 @@ FREE_KEYS: Final = ("initial", "lower", "upper", "learning_rate", "truth")
 SCALE_KEYS: Final = ("preset", "sigma", "alpha", "beta", "bounds", "boundary", "p")
 OBJECTIVE_KEYS: Final = ("name", "compare", "accuracy", "nan_policy", "tone")
 TONE_KEYS: Final = ("peak", "compression")
-FIT_KEYS: Final = ("steps", "learning_rate", "decay", "seed")
+FIT_KEYS: Final = ("steps", "learning_rate", "decay", "seed", "stages", "starts")
 
 
 def load_scene(path: Path, *, output: Path | None = None, samples: int | None = None) -> Scene:
@@ -208,8 +208,11 @@ def _optimise(
             if key in entry:
                 _numbers(where, heading, key, entry[key], tuple(params[name].shape))
         rate = entry.get("learning_rate")
-        if rate is not None and not 0.0 < real_number(rate) < np.inf:
-            raise where.error(heading, f"`learning_rate` must be a finite number, more than 0, got {shown(rate)}")
+        if rate is not None:
+            try:
+                check_rate("learning_rate", rate)
+            except OptionError as error:
+                raise where.error(heading, str(error)) from error
         free[name] = Free(entry.get("initial"), entry.get("lower"), entry.get("upper"), rate)
         if "truth" in entry:
             truth[name] = np.broadcast_to(np.asarray(entry["truth"], dtype=np.float64), tuple(params[name].shape))
@@ -295,7 +298,9 @@ def _fit_options(where: _Where, table: Mapping[str, Any]) -> FitOptions:
     where.known("fit", table, FIT_KEYS)
     options = FitOptions(**table)
     try:
-        check_fit_options(options.steps, options.learning_rate, options.seed, options.decay)
+        check_fit_options(options.steps, options.learning_rate, options.seed, options.decay, options.starts)
     except OptionError as error:
         raise where.error("fit", str(error)) from error
+    if options.stages not in ("auto", "none"):
+        raise where.error("fit", f"`stages` must be 'auto' or 'none', got {shown(options.stages)}")
     return options

@@ -23,9 +23,11 @@ class FitOptions:
     """The ``[fit]`` table; the arguments of :func:`loi_core.fit` of the same names."""
 
     steps: int = 200
-    learning_rate: float = 1.0
+    learning_rate: float | str | None = None
     decay: Any = "cosine"
     seed: int = 0
+    stages: Any = "auto"
+    starts: int = 1
 
 
 @dataclass(frozen=True)
