@@ -17,6 +17,9 @@ from loi_core import ScaleSpace
 
 Host: TypeAlias = np.ndarray[Any, Any]
 
+FINISHED = (0, 3)
+"""Exit statuses of a fit that ran to its end, whether it found its target or not."""
+
 SCALES: dict[str, ScaleSpace] = {
     "paper vector": ScaleSpace.paper("vector"),
     "paper path": ScaleSpace.paper("path"),

@@ -38,7 +38,7 @@ def fit_scene(
     Returns
     -------
     int
-        The exit status: 0 if the scene was found, 1 if a fit ended early, 3 if it ended elsewhere; the verdict says why.
+        The exit status: 0 if the scene was found, 1 if a fit ended early, 3 if it ended elsewhere: see the verdict.
     """
     scene = load_scene(path, output=output)
     changes = {name: value for name, value in (("steps", steps), ("starts", starts)) if value is not None}

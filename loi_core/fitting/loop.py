@@ -190,7 +190,7 @@ def fit(
                 params, agreeing = race(renderer, objectives, params, bounds, asked, starts, steps, seed, fit)
                 state = replace(state, params=params)
             state = replace(state, rates=_rates(renderer, params, bounds, asked, steps, seed))
-        searches = SEARCHES if stages == "auto" and can_search(bounds) else 0
+        searches = SEARCHES if stages == "auto" and len(objectives) > 1 and can_search(bounds) else 0
         if saved is None:
             first = _first_value(renderer, objective, state, seed) if searches else math.inf
             schedule = FarToNear(len(objectives), steps, searches=searches, start=first)
@@ -269,7 +269,7 @@ def _diagnosis(
     """What came of a fit; None if the renderer or the objective refuses to say."""
     try:
         if isinstance(renderer, AbridgedRenderer):
-            renderer = renderer.everything
+            renderer = renderer.unabridged
         image = detached(renderer.render(start, seed=seed))
         first = float(detached(objective.value(image)))
         shown, noise = detached(renderer.render(result.best_params, seed=seed + result.best_step)), 0.0

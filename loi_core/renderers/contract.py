@@ -48,5 +48,5 @@ class AbridgedRenderer(Renderer, Protocol):
     """A renderer that leaves out what matters little for a gradient; what came of a fit is judged with all of it."""
 
     @property
-    def everything(self) -> Renderer:
+    def unabridged(self) -> Renderer:
         """The same scene and parameters, rendered whole."""

@@ -17,6 +17,7 @@ from loi_core.cli import doctor, main
 from loi_core.errors import RendererNotFoundError
 from loi_core.plugins import registry
 from loi_core.renderers import Disks
+from tests.helpers import FINISHED
 
 
 @pytest.fixture(scope="module")
@@ -63,7 +64,7 @@ def test_demo_scenes_can_be_fitted_again(demo: dict[str, Any]) -> None:
     scene = Path(demo["report"]).parent / "disks" / "scene.toml"
     text = re.sub(r"steps = \d+", "steps = 2", scene.read_text())
     scene.write_text(text)
-    assert main(["fit", str(scene)]) == 0
+    assert main(["fit", str(scene)]) in FINISHED
 
 
 def test_the_demo_refuses_a_place_that_cannot_hold_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -125,7 +125,10 @@ def test_a_non_finite_step_stops_the_fit_with_the_best_so_far(how: str, says: st
     [
         ({"steps": 0}, "`steps` must be a whole number, 1 or more, got 0"),
         ({"steps": 2.5}, "`steps`"),
-        ({"learning_rate": -1}, "`learning_rate` must be a finite number, more than 0, got -1"),
+        (
+            {"learning_rate": -1},
+            "`learning_rate` must be a finite number, more than 0, or pixels as in '1.5 px', got -1",
+        ),
         ({"seed": -1}, "`seed`"),
         ({"decay": "linear"}, "`decay` must be one of 'cosine', 'none', got 'linear'"),
         ({"optimise": ["colour"]}, "'colour', which the renderer does not have; it has colours, positions, radii"),

@@ -154,7 +154,7 @@ def run(arguments: list[str], folder: Path, encoding: str) -> str:
             error.add_note(f"called with {arguments!r}")
             raise
     said = err.said().splitlines()
-    if code not in (0, 1, 2):
+    if code not in (0, 1, 2, 3):
         fail(f"{arguments!r} exits with {code}")
     if any(not line.startswith("loi: ") for line in said) or (code == 2 and len(said) != 1) or (code == 1 and not said):
         fail(f"{arguments!r} exits with {code} and says {said}")

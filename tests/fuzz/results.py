@@ -50,9 +50,9 @@ ARRAYS: tuple[Any, ...] = (
         np.array(True),
         np.array(b"\xff"),
         np.zeros((4, 5)),
-        np.ones((1, 5)),
+        np.ones((1, 6)),
     ),
-    *(np.full((1, 5), np.nan), np.array("{}"), np.array("[1]"), np.array("[" * 5000), np.array('{"steps": [3]}')),
+    *(np.full((1, 6), np.nan), np.array("{}"), np.array("[1]"), np.array("[" * 5000), np.array('{"steps": [3]}')),
     *(np.array("NaT", dtype="M8[s]"), np.zeros((1, 2), dtype="f16")),
 )
 

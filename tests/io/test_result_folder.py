@@ -18,6 +18,7 @@ from loi_core.io.files import remove_temporaries
 from loi_core.io.images import write_png
 from loi_core.io.result_folder import LIST_FILE, ResultFolder
 from loi_core.renderers import Disks
+from tests.helpers import FINISHED
 
 SCENE = """\
 target = "target.png"
@@ -82,15 +83,15 @@ def test_a_list_that_a_stranger_wrote_makes_no_folder_ours(scene: Path, tmp_path
 
 
 def test_what_somebody_adds_to_a_folder_of_results_stays(scene: Path) -> None:
-    assert main(["fit", str(scene)]) == 0
+    assert main(["fit", str(scene)]) in FINISHED
     mine = scene.parent / "result" / "frames" / "000777.png"
     mine.write_bytes(b"mine")
-    assert main(["fit", str(scene)]) == 0
+    assert main(["fit", str(scene)]) in FINISHED
     assert mine.read_bytes() == b"mine"
 
 
 def test_every_file_of_a_fit_is_on_its_list(scene: Path) -> None:
-    assert main(["fit", str(scene)]) == 0
+    assert main(["fit", str(scene)]) in FINISHED
     result = scene.parent / "result"
     listed = set(json.loads((result / LIST_FILE).read_text())["files"])
     assert set(contents(result)) == listed | {LIST_FILE}
@@ -100,7 +101,7 @@ def test_every_file_of_a_fit_is_on_its_list(scene: Path) -> None:
 def test_nothing_is_written_or_removed_through_a_link(
     name: str, scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    assert main(["fit", str(scene)]) == 0
+    assert main(["fit", str(scene)]) in FINISHED
     inside, outside = scene.parent / "result" / name, tmp_path / "elsewhere"
     inside.rename(outside)
     inside.symlink_to(outside, target_is_directory=True)
@@ -122,7 +123,7 @@ def test_the_output_that_a_scene_names_lies_in_its_folder(
 
 def test_a_fit_that_was_killed_before_its_first_result_can_go_on(scene: Path) -> None:
     result = scene.parent / "result"
-    assert main(["fit", str(scene)]) == 0
+    assert main(["fit", str(scene)]) in FINISHED
     kept = (result / "checkpoint.npz").read_bytes()
     for path in sorted(result.rglob("*"), reverse=True):
         path.rmdir() if path.is_dir() else path.unlink()
@@ -131,7 +132,7 @@ def test_a_fit_that_was_killed_before_its_first_result_can_go_on(scene: Path) ->
     (result / ".loi-unfinished-loi-files-a1b2c3d4.json").write_bytes(b"half")
     ResultFolder(result).claim(["checkpoint.npz"])
     (result / "checkpoint.npz").write_bytes(kept)
-    assert main(["fit", str(scene), "--resume"]) == 0
+    assert main(["fit", str(scene), "--resume"]) in FINISHED
     assert not left.exists()
 
 
@@ -142,7 +143,7 @@ def test_the_checkpoint_is_on_the_list_before_it_is_written(scene: Path, monkeyp
         "save_checkpoint",
         lambda path, *_: listed.append("checkpoint.npz" in ResultFolder(path.parent).names),
     )
-    assert main(["fit", str(scene)]) == 0
+    assert main(["fit", str(scene)]) in FINISHED
     assert listed == [True]
 
 
@@ -157,7 +158,7 @@ def test_a_folder_with_a_checkpoint_of_somebody_is_not_ours(scene: Path, tmp_pat
 
 
 def test_a_report_that_somebody_wrote_is_not_replaced(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["fit", str(scene)]) == 0
+    assert main(["fit", str(scene)]) in FINISHED
     result = scene.parent / "result"
     (result / LIST_FILE).unlink()
     (result / "report.html").write_text("mine")
@@ -185,7 +186,7 @@ def test_names_that_are_none_of_a_result_are_not_claimed(tmp_path: Path) -> None
 
 def test_a_terminal_obeys_no_title_and_no_path(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = scene.parent / "out\x1b[2J"
-    assert main(["fit", str(scene), "--output", str(folder)]) == 0
+    assert main(["fit", str(scene), "--output", str(folder)]) in FINISHED
     assert main(["report", str(folder)]) == 0
     said = capsys.readouterr()
     assert all(one.isprintable() or one == "\n" for one in said.out)
@@ -202,7 +203,7 @@ def test_a_report_shows_nothing_of_other_folders(
 ) -> None:
     write_png(tmp_path / "secret.png", np.full((2, 2, 3), 0.123))
     hidden = (tmp_path / "secret.png").read_bytes()
-    assert main(["fit", str(scene)]) == 0
+    assert main(["fit", str(scene)]) in FINISHED
     result = scene.parent / "result"
     told = json.loads((result / "result.json").read_text())
     told |= {"plan": "p", "effects": {"../../secret": True, "/etc/x": True, "..": True}}
@@ -218,7 +219,7 @@ def test_a_report_shows_nothing_of_other_folders(
 
 
 def test_a_report_is_not_made_of_gigabytes(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert main(["fit", str(scene)]) == 0
+    assert main(["fit", str(scene)]) in FINISHED
     picture = scene.parent / "result" / "target.png"
     os.truncate(picture, 3 * 2**30)  # sparse: it takes no room
     assert main(["report", str(picture.parent)]) == 2

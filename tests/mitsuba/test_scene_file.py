@@ -14,6 +14,7 @@ from loi_core.errors import SceneError
 from loi_core.io.images import write_png
 from loi_core.scenes.reading import load_scene
 from loi_mitsuba import MitsubaRenderer, Rotate, Scale, Translate
+from tests.helpers import FINISHED
 
 GOAL = [0.9, -0.5, 0.0]
 
@@ -36,14 +37,14 @@ def test_a_handle_moves_a_shape_to_where_the_target_has_it(
     folder: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path_factory.mktemp("elsewhere"))
-    assert main(["fit", str(folder / "scene.toml")]) == 0
+    assert main(["fit", str(folder / "scene.toml")]) in FINISHED
     found = json.loads((folder / "scene-result" / "parameters.json").read_text())
     # A pixel is 0.24 units of the world there.
     np.testing.assert_allclose(found["place"], GOAL, atol=0.1)
 
 
 def test_the_ball_of_the_examples_is_found_within_a_pixel(tmp_path: Path) -> None:
-    assert main(["fit", str(BALL / "scene.toml"), "--output", str(tmp_path / "result")]) == 0
+    assert main(["fit", str(BALL / "scene.toml"), "--output", str(tmp_path / "result")]) in FINISHED
     found = json.loads((tmp_path / "result" / "parameters.json").read_text())
     np.testing.assert_allclose(found["place"], GOAL, atol=0.08)
 

@@ -193,6 +193,11 @@ class PlannedRenderer:
             self._schedule = self._schedule.waited()
             self._probe(f"at step {step.step}, where the loss stalls")
 
+    @property
+    def unabridged(self) -> MitsubaRenderer:
+        """The same scene with every effect on, by which the outcome of a fit is judged."""
+        return self._base.with_integrator(self.everything, follow=self._names)
+
     def verify(
         self, objective: Objective, params: Mapping[str, Any] | None = None, *, draws: int = 16, seed: int = 0
     ) -> Verification:
