@@ -16,8 +16,8 @@ from loi_core.support.arrays import Host, to_numpy
 
 __all__ = ["Findings", "diagnose"]
 
-FOUND: Final = 0.1
-"""Of the loss at the start: what a fit that has found its target leaves at the most."""
+FOUND: Final = 0.02, 1.5
+"""What a fit that has found its target leaves at the most: of the loss at the start, and of what noise makes of it."""
 
 LOUD: Final = 0.7
 """Of the loss at the start: with more noise than that, there is little else to follow."""
@@ -81,7 +81,7 @@ def diagnose(seen: Findings) -> Diagnosis:
             "start and target differ, but the gradient is 0 throughout",
             "the renderer has none for these parameters, or wider scales are needed",
         )
-    if left <= FOUND:
+    if left <= FOUND[0] + FOUND[1] * noise:
         return say("converged", rest)
     if noise > LOUD * (1.0 + left):
         return say("follows noise", f"{rest}, and noise makes {noise:.0%} of it", "raise the samples")

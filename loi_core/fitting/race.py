@@ -60,8 +60,13 @@ def draw_starts(params: Parameters, bounds: Bounds, count: int, *, first: int = 
 
 def can_search(bounds: Bounds) -> bool:
     """Whether there are few enough parameters, all bounded, for a few places to say something about the others."""
-    limits = [np.asarray(to_numpy(one)) for side in (bounds.lower, bounds.upper) for one in side.values()]
-    return sum(one.size for one in limits) <= 2 * FEW and all(bool(np.all(np.isfinite(one))) for one in limits)
+    moving = 0
+    for name, lower in bounds.lower.items():
+        low, high = (np.asarray(to_numpy(one)) for one in (lower, bounds.upper[name]))
+        if not (np.all(np.isfinite(low)) and np.all(np.isfinite(high))):
+            return False
+        moving += int(np.sum(low < high))
+    return moving <= FEW
 
 
 def search(

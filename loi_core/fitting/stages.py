@@ -41,7 +41,7 @@ FLAT: Final = 1e-3
 LOST: Final = 0.3
 """Of the first value of the first stage: a stage that settles with more has not found what it was to find."""
 
-LOST_NEAR: Final = 0.15
+LOST_NEAR: Final = 0.05
 """Of the value of the last loss at the start: likewise."""
 
 HALF: Final = 0.5

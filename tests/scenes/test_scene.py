@@ -276,7 +276,9 @@ def test_fit_writes_everything_and_says_it_as_json(folder: Path, capsys: pytest.
     }
     best = json.loads((result / "parameters.json").read_text())
     assert best["positions"] == said["trials"][0]["parameters"]["positions"]
-    assert (result / "history.csv").read_text().splitlines()[0] == "step,value,gradient_norm,rate,seconds,psnr,stage,positions[0],positions[1]"
+    assert (result / "history.csv").read_text().splitlines()[
+        0
+    ] == "step,value,gradient_norm,rate,seconds,psnr,stage,positions[0],positions[1]"
     assert len((result / "history.csv").read_text().splitlines()) == 7
     page = (result / "report.html").read_text()
     assert page.count("data:image/png;base64,") >= 8
@@ -327,9 +329,7 @@ def test_ctrl_c_once_a_fit_is_done_keeps_it(folder: Path, monkeypatch: pytest.Mo
     calls, kept = itertools.count(), Disks.render_vjp
 
     def render(self: Disks, params: Any, *, seed: int = 0) -> Any:
-        if (
-            next(calls) == 11
-        ):  # the start, six steps, the last, three for the verdict
+        if next(calls) == 11:  # the start, six steps, the last, three for the verdict
             raise KeyboardInterrupt
         return kept(self, params, seed=seed)
 
