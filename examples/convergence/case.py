@@ -65,4 +65,5 @@ def clouds(height: int, width: int, rng: np.random.Generator) -> Host:
         away = np.hypot(rows - rng.uniform(0, height), columns - rng.uniform(0, width))
         cover = 0.5 * np.clip(0.12 * height + 0.5 - away, 0.0, 1.0)[..., None]
         picture = picture * (1.0 - cover) + cover * rng.uniform(size=3)
-    return np.clip(picture, 0.0, 1.0)
+    limited: Host = np.clip(picture, 0.0, 1.0)
+    return limited

@@ -11,14 +11,17 @@ import numpy as np
 from examples.convergence.case import Case, Trial, clouds
 from loi_core import Free
 from loi_core.renderers import Warp
-from loi_core.support.arrays import Host, to_numpy
-from loi_torch.vector import Circle, Ellipse, Paint, Rectangle, Vector, polygon
+from loi_core.support.arrays import Host, from_numpy, to_numpy
+from loi_torch.vector import Circle, Ellipse, Paint, Rectangle, Shape, Vector, polygon
 
 __all__ = ["VECTORS", "WARPS"]
 
 HEIGHT, WIDTH = 96, 128
 MARGIN: Final = 14.0
 FAR: Final = 25.0  # pixels at least from start to goal
+
+POSES: Final = (("rotation", 0.0, 60.0, 3.0), ("scale", 1.0, 0.35, 0.03), ("exposure", 0.0, 0.6, 0.1))
+"""Name, start, how far the bounds are from it, and what is allowed."""
 
 Random = np.random.Generator
 
@@ -32,7 +35,8 @@ def wood(rng: Random) -> Host:
     """Low contrast, two frequencies."""
     y, x = np.mgrid[:HEIGHT, :WIDTH]
     grain = 0.45 + 0.075 * np.sin(x / 6 + 2 * np.sin(y / 25) + rng.uniform(0, 6)) + 0.045 * np.sin(y / 3)
-    return np.clip(grain[..., None] * np.array([1.0, 0.75, 0.5]), 0.0, 1.0)
+    floor: Host = np.clip(grain[..., None] * np.array([1.0, 0.75, 0.5]), 0.0, 1.0)
+    return floor
 
 
 def checkers(rng: Random) -> Host:
@@ -81,11 +85,7 @@ def _warp(background: Callable[[Random], Host], front: Callable[[Random], Host],
     start, goal = (place - np.array([WIDTH, HEIGHT]) / 2 for place in _places(rng))
     low = np.array([MARGIN - WIDTH / 2, MARGIN - HEIGHT / 2])
     free, wanted, allowed = {"translation": Free(start, low, -low)}, {"translation": goal}, {"translation": 1.0}
-    for name, first, span, off in (
-        ("rotation", 0.0, 60.0, 3.0),
-        ("scale", 1.0, 0.35, 0.03),
-        ("exposure", 0.0, 0.6, 0.1),
-    ):
+    for name, first, span, off in POSES:
         if name in pose:
             wanted[name] = np.asarray(first + rng.uniform(-0.7, 0.7) * span)
             free[name], allowed[name] = Free(first, first - span, first + span), off
@@ -101,25 +101,23 @@ def _vector(shape: str, clutter: int, seed: int) -> Trial:
     ]
     start, goal = _places(rng)
     paint = Paint(fill=(*rng.uniform(0.0, 1.0, 3), 1.0))
-    star = [
-        (9 * (1 - 0.55 * (k % 2)) * np.cos(k * np.pi / 5), 9 * (1 - 0.55 * (k % 2)) * np.sin(k * np.pi / 5))
-        for k in range(10)
-    ]
-    made = {
+    angles, radii = np.arange(10) * np.pi / 5, np.where(np.arange(10) % 2, 4.0, 9.0)
+    star = start + np.stack([radii * np.cos(angles), radii * np.sin(angles)], axis=-1)
+    shapes: dict[str, Callable[[], Shape]] = {
         "circle": lambda: Circle(start, 8.0, paint),
         "ellipse": lambda: Ellipse(start, (12.0, 6.0), paint, rotation=rng.uniform(0, 180)),
         "square": lambda: Rectangle(start, (9.0, 9.0), paint, rotation=rng.uniform(0, 90)),
-        "star": lambda: polygon([tuple(start + np.array(point)) for point in star], paint),
+        "star": lambda: polygon(star, paint),
         "ring": lambda: Circle(start, 9.0, Paint(stroke=(*rng.uniform(0.0, 1.0, 3), 1.0), width=5.0)),
-    }[shape]()
-    renderer = Vector(HEIGHT, WIDTH, [*under, made], rng.uniform(0.2, 0.8, 3))
+    }
+    renderer = Vector(HEIGHT, WIDTH, [*under, shapes[shape]()], rng.uniform(0.2, 0.8, 3))
     own = to_numpy(renderer.parameters()["positions"]).copy()
     wanted, low, high = own.copy(), own.copy(), own.copy()
     wanted[-1] = goal
     low[-1], high[-1] = MARGIN, size - MARGIN
     own[-1] = np.clip(own[-1], low[-1], high[-1])
     params = renderer.parameters()
-    target = to_numpy(renderer.render(params | {"positions": params["positions"].new_tensor(wanted)}))
+    target = to_numpy(renderer.render(params | {"positions": from_numpy(wanted, params["positions"])}))
     return Trial(renderer, target, {"positions": Free(own, low, high)}, {"positions": wanted}, {"positions": 1.0})
 
 

@@ -23,7 +23,8 @@ def _floor(kind: str) -> Host:
     y, x = np.mgrid[:256, :256] / 256
     if kind == "wood":
         grain = 0.45 + 0.06 * np.sin(60 * x + 3 * np.sin(8 * y)) + 0.03 * np.sin(200 * y + 5 * x)
-        return (grain[..., None] * np.array([1.0, 0.75, 0.5])).astype(np.float32)
+        wood: Host = (grain[..., None] * np.array([1.0, 0.75, 0.5])).astype(np.float32)
+        return wood
     value = {
         "plain": np.full_like(x, 0.5),
         "checkered": np.where((np.floor(10 * x) + np.floor(10 * y)) % 2 == 0, 0.25, 0.65),
@@ -38,10 +39,10 @@ def _scene(floor: str, things: str) -> dict[str, Any]:
     if mi.variant() is None:
         mi.set_variant("llvm_ad_rgb")
     at = mi.ScalarTransform4f
-    red, blue = (
-        {"type": "diffuse", "reflectance": {"type": "rgb", "value": one}} for one in ([0.8, 0.1, 0.1], [0.1, 0.2, 0.7])
-    )
-    texture = {"type": "bitmap", "bitmap": mi.Bitmap(_floor(floor)), "raw": True}
+    colours = [0.8, 0.1, 0.1], [0.1, 0.2, 0.7]
+    red, blue = ({"type": "diffuse", "reflectance": {"type": "rgb", "value": one}} for one in colours)
+    light = {"type": "area", "radiance": {"type": "rgb", "value": 50.0}}
+    texture: dict[str, Any] = {"type": "bitmap", "bitmap": mi.Bitmap(_floor(floor)), "raw": True}
     scene: dict[str, Any] = {
         "type": "scene",
         "sensor": {
@@ -55,12 +56,7 @@ def _scene(floor: str, things: str) -> dict[str, Any]:
             "to_world": at().scale([4, 4, 1]),
             "bsdf": {"type": "diffuse", "reflectance": texture},
         },
-        "lamp": {
-            "type": "sphere",
-            "center": [2, -1, 5],
-            "radius": 0.3,
-            "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 50.0}},
-        },
+        "lamp": {"type": "sphere", "center": [2, -1, 5], "radius": 0.3, "emitter": light},
         "sky": {"type": "constant", "radiance": {"type": "rgb", "value": 0.15}},
     }
     if "ball" in things:

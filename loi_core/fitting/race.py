@@ -41,7 +41,8 @@ def draw_starts(params: Parameters, bounds: Bounds, count: int, *, first: int = 
         if not (np.all(np.isfinite(low[name])) and np.all(np.isfinite(high[name]))):
             msg = f"`starts` draws within bounds, and {name!r} has none; give it `lower` and `upper`"
             raise OptionError(msg)
-    size = sum(one.size for one in low.values())
+    moving = {name: low[name] < high[name] for name in low}
+    size = sum(int(np.sum(one)) for one in moving.values())
     ratio = 2.0
     for _ in range(64):
         ratio = (1.0 + ratio) ** (1.0 / (size + 1))
@@ -51,9 +52,11 @@ def draw_starts(params: Parameters, bounds: Bounds, count: int, *, first: int = 
         place, at = np.mod(0.5 + index * steps, 1.0), 0
         drawn = dict(params)
         for name, floor in low.items():
-            part = place[at : at + floor.size].reshape(floor.shape)
-            at += floor.size
-            drawn[name] = from_numpy(floor + part * (high[name] - floor), params[name])
+            value, where = floor.copy(), moving[name]
+            part = place[at : at + int(np.sum(where))]
+            at += part.size
+            value[where] += part * (high[name] - floor)[where]
+            drawn[name] = from_numpy(value, params[name])
         starts.append(drawn)
     return starts
 
