@@ -1,0 +1,213 @@
+"""A fit goes from far to near by itself, at rates in pixels, and says what came of it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from loi_core import FarToNear, Free, LOIObjective, PixelL2, ScaleSpace, fit
+from loi_core.errors import OptionError, ParameterError
+from loi_core.fitting.loop import FitInterruptedError, FitStep
+from loi_core.fitting.parameters import bounds_of
+from loi_core.fitting.race import draw_starts
+from loi_core.fitting.stages import has_settled
+from loi_core.fitting.units import measure_units
+from loi_core.renderers import Disks, Warp
+from tests.contents import photograph
+from tests.strategies import SEEDS
+
+HEIGHT, WIDTH = 48, 64
+BOUNDS = np.array([WIDTH / 2 - 6.0, HEIGHT / 2 - 6.0])
+
+
+def scene(seed: int = 3) -> tuple[Warp, np.ndarray[Any, Any], Free]:
+    """A patch of one picture on another, its goal, and a start far from it."""
+    rng = np.random.default_rng(seed)
+    renderer = Warp(photograph((11, 11, 3), rng), photograph((HEIGHT, WIDTH, 3), rng))
+    return renderer, np.array([15.0, -9.0]), Free(np.array([-14.0, 8.0]), -BOUNDS, BOUNDS)
+
+
+def target_of(renderer: Warp, goal: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    return renderer.render(renderer.parameters() | {"translation": goal})
+
+
+def test_textures_are_no_obstacle_with_nothing_given_but_bounds() -> None:
+    renderer, goal, free = scene()
+    result = fit(renderer, LOIObjective(target_of(renderer, goal)), steps=160, optimise={"translation": free})
+    assert np.hypot(*(result.best_params["translation"] - goal)) < 0.1
+    assert [one.stage for one in result.history] == sorted(one.stage for one in result.history)
+    assert result.diagnosis is not None
+    assert result.diagnosis.ok
+
+
+def test_scales_that_were_chosen_are_obeyed() -> None:
+    renderer, goal, free = scene()
+    objective = LOIObjective(target_of(renderer, goal), ScaleSpace(1, 5, 0.125))
+    result = fit(renderer, objective, steps=5, optimise={"translation": free})
+    assert {one.stage for one in result.history} == {0}
+    chosen = fit(renderer, objective, steps=5, optimise={"translation": free}, stages=[ScaleSpace(1, 22, 0.125)])
+    assert chosen.history[0].value != result.history[0].value
+
+
+@pytest.mark.parametrize("stages", ["far", [3], 7])
+def test_stages_that_are_none_are_refused(stages: Any) -> None:
+    renderer, goal, free = scene()
+    with pytest.raises(OptionError, match="`stages` must"):
+        fit(renderer, LOIObjective(target_of(renderer, goal)), optimise={"translation": free}, stages=stages)
+
+
+@given(st.floats(1e-9, 1e9), st.floats(0.0, 0.2), SEEDS)
+def test_noise_about_a_level_has_settled_and_a_steady_fall_has_not(size: float, noise: float, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    falling = size * (1.0 - 0.02 * np.arange(40.0))
+    assert not has_settled([*falling], 12)
+    assert has_settled([size] * 24, 12)
+    # A line through noise alone exceeds two errors of its slope one time in thirty, so not five times in a row.
+    level = [size * (1.0 + noise * rng.standard_normal()) for _ in range(120)]
+    assert any(has_settled(level[: 40 + 20 * index], 12) for index in range(5))
+
+
+def test_a_schedule_leaves_the_last_stage_time_whatever_the_values_do() -> None:
+    schedule = FarToNear(stages=3, steps=100)
+    seen = []
+    for step in range(100):
+        seen.append(schedule.stage)
+        schedule.step(1.0 / (1.0 + step))
+    assert seen == sorted(seen)
+    assert seen.count(2) >= 40
+    assert schedule.passed == pytest.approx(1.0, abs=0.05)
+
+
+@pytest.mark.parametrize(("stages", "steps"), [(0, 5), (2, 0), (1.5, 5)])
+def test_a_schedule_of_nothing_is_refused(stages: Any, steps: Any) -> None:
+    with pytest.raises(OptionError, match="must be a whole number, 1 or more"):
+        FarToNear(stages, steps)
+
+
+@pytest.mark.parametrize("metres", [1e-3, 1.0, 250.0])
+def test_a_unit_is_what_moves_the_image_by_a_pixel_whatever_it_is_called(metres: float) -> None:
+    class Elsewhere(Disks):
+        """Positions in other units than pixels."""
+
+        def parameters(self) -> Any:
+            own = super().parameters()
+            return own | {"positions": own["positions"] / metres}
+
+        def render(self, params: Any, *, seed: int = 0) -> Any:
+            return super().render(dict(params) | {"positions": params["positions"] * metres}, seed=seed)
+
+    renderer = Elsewhere(HEIGHT, WIDTH, [[20.0, 20.0]], 6.0, [[0.9, 0.4, 0.2]])
+    params = renderer.parameters()
+    bounds = bounds_of(params, {"positions": Free(lower=0.0, upper=60.0 / metres)})
+    units, side = measure_units(renderer, params, bounds, ["positions"])
+    # Both coordinates move, so the disk goes the root of 2 as far; blurred, its edge is not quite a line.
+    assert units["positions"] * metres * np.sqrt(2.0) == pytest.approx(1.0, rel=0.35)
+    assert side == WIDTH
+
+
+def test_what_leaves_no_trace_has_no_unit_and_says_so() -> None:
+    class Moody:
+        """A parameter that nothing depends on."""
+
+        def parameters(self) -> Any:
+            return {"mood": np.zeros(3)}
+
+        def render(self, params: Any, *, seed: int = 0) -> Any:
+            return np.tile(np.linspace(0.0, 1.0, WIDTH)[None, :, None], (HEIGHT, 1, 1))
+
+        def render_vjp(self, params: Any, *, seed: int = 0) -> Any:
+            return self.render(params), lambda _: {"mood": np.zeros(3)}
+
+    renderer = Moody()
+    params, free = renderer.parameters(), {"mood": Free(lower=-1.0, upper=1.0)}
+    assert np.isinf(measure_units(renderer, params, bounds_of(params, free), ["mood"])[0]["mood"])
+    result = fit(renderer, LOIObjective(renderer.render(params)[:, ::-1].copy()), steps=4, optimise=free)
+    assert result.diagnosis is not None
+    assert result.diagnosis.verdict == "no gradient"
+    assert "'mood' leave no trace" in str(result.diagnosis)
+
+
+def test_a_target_that_is_encoded_is_recognised() -> None:
+    renderer, goal, free = scene()
+    dark = Warp(0.5 * renderer.layers, 0.3 * renderer.background)
+    target = target_of(dark, goal) ** (1.0 / 2.2)
+    result = fit(dark, PixelL2(target), steps=10, optimise={"translation": free})
+    assert result.diagnosis is not None
+    assert result.diagnosis.verdict == "other range"
+
+
+def test_pixels_that_do_not_overlap_stall_and_the_verdict_says_it() -> None:
+    renderer = Disks(HEIGHT, WIDTH, [[12.0, 12.0]], 5.0, [[0.9, 0.4, 0.2]])
+    target = renderer.render({**renderer.parameters(), "positions": np.array([[50.0, 36.0]])})
+    result = fit(renderer, PixelL2(target), steps=20, optimise={"positions": Free(None, 6.0, 42.0)})
+    assert result.diagnosis is not None
+    assert not result.diagnosis.ok
+    assert result.diagnosis.left > 0.5
+
+
+def test_starts_fill_their_bounds_and_leave_alone_what_does_not_move() -> None:
+    params = {"at": np.array([[1.0, 2.0], [3.0, 4.0]]), "still": np.zeros(3)}
+    low, high = params["at"].copy(), params["at"].copy()
+    low[1], high[1] = -1.0, 5.0
+    starts = draw_starts(params, bounds_of(params, {"at": Free(None, low, high)}), 65)
+    places = np.array([one["at"][1] for one in starts[1:]])
+    assert starts[0] is params
+    assert all(np.array_equal(one["at"][0], [1.0, 2.0]) for one in starts)
+    assert places.min() < -0.8
+    assert places.max() > 4.8
+    counts = np.histogram2d(places[:, 0], places[:, 1], bins=4, range=[[-1, 5], [-1, 5]])[0]
+    assert counts.min() >= 2  # of 64 places in 16 boxes
+    with pytest.raises(OptionError, match="`starts` draws within bounds, and 'at' has none"):
+        draw_starts(params, bounds_of(params, {"at": Free()}), 2)
+
+
+def test_several_starts_find_what_one_does_not() -> None:
+    renderer = Disks(HEIGHT, WIDTH, [[12.0, 12.0]], 5.0, [[0.9, 0.4, 0.2]])
+    goal = np.array([[50.0, 36.0]])
+    target = renderer.render({**renderer.parameters(), "positions": goal})
+    free = {"positions": Free(None, 6.0, [[58.0, 42.0]])}
+    alone = fit(renderer, PixelL2(target), steps=60, optimise=free)
+    raced = fit(renderer, PixelL2(target), steps=60, optimise=free, starts=16)
+    assert np.abs(alone.best_params["positions"] - goal).max() > 5.0
+    assert np.abs(raced.best_params["positions"] - goal).max() < 0.1
+    assert raced.agreeing is not None
+
+
+@pytest.mark.parametrize("stop", [7, 40, 90])
+def test_stages_and_searches_are_resumed_to_the_bit(stop: int, tmp_path: Path) -> None:
+    renderer, goal, free = scene(8)
+    objective, file = LOIObjective(target_of(renderer, goal)), tmp_path / "state.npz"
+
+    def interrupt(step: FitStep, params: Any, image: Any) -> None:
+        if step.step == stop:
+            raise KeyboardInterrupt
+
+    def go(**options: Any) -> Any:
+        return fit(renderer, objective, steps=100, optimise={"translation": free}, **options)
+
+    whole = go()
+    with pytest.raises(FitInterruptedError):
+        go(checkpoint=file, callback=interrupt)
+    resumed = go(checkpoint=file, resume=True)
+    assert [(one.stage, one.value) for one in resumed.history] == [(one.stage, one.value) for one in whole.history]
+    np.testing.assert_array_equal(resumed.best_params["translation"], whole.best_params["translation"])
+    assert all(
+        np.array_equal(one.params["translation"], other.params["translation"])
+        for one, other in zip(resumed.history, whole.history, strict=True)
+    )
+
+
+def test_a_run_may_be_lengthened_and_not_cut_below_what_is_done(tmp_path: Path) -> None:
+    renderer, goal, free = scene()
+    objective, file = LOIObjective(target_of(renderer, goal)), tmp_path / "state.npz"
+    options: dict[str, Any] = {"optimise": {"translation": free}, "checkpoint": file}
+    fit(renderer, objective, steps=20, **options)
+    longer = fit(renderer, objective, steps=30, resume=True, **options)
+    assert len(longer.history) == 30
+    with pytest.raises(ParameterError, match="made with steps"):
+        fit(renderer, objective, steps=25, resume=True, **options)
