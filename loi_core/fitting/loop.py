@@ -18,11 +18,10 @@ from loi_core.errors import (
     LoiError,
     NonFiniteImageError,
     OptionError,
-    ParameterError,
     RendererError,
 )
 from loi_core.fitting.adam import Moments, adam_step
-from loi_core.fitting.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from loi_core.fitting.checkpoint import load_checkpoint, save_checkpoint
 from loi_core.fitting.diagnosis import Findings, diagnose
 from loi_core.fitting.parameters import (
     Bounds,
@@ -70,7 +69,6 @@ MOST_STARTS: Final = 4096
 SEARCHES: Final = 3
 BETTER: Final = 0.9  # of the value that a stage has settled at: somewhere else has to be below
 RENDERS: Final = 8  # whose mean tells what is left from what is noise
-SCHEDULE: Final = "schedule"
 CROSSINGS: Final = 2.0  # of the longer side by all steps, if none decayed: once with the decay
 LEAST_PIXELS: Final = 0.25  # a step
 MOST_PIXELS: Final = 1.0 / 16.0  # of the longer side, a step
@@ -178,8 +176,8 @@ def fit(
     named = {name: rate if isinstance(rate, str) else real_number(rate) for name, rate in _named(asked).items()}
     settings = settings_of(steps, seed, decay, named, bounds, len(objectives))
     # The state is only ever replaced whole, so that Ctrl-C falls before a step or after it, never within.
-    state = State(params, Moments.zeros({name: params[name] for name in free}), rates=dict.fromkeys(free, 1.0))
-    schedule = FarToNear(len(objectives), steps)
+    moments, rates = Moments.zeros({name: params[name] for name in free}), dict.fromkeys(free, 1.0)
+    state = State(params, moments, rates=rates, schedule=FarToNear(len(objectives), steps))
     agreeing: int | None = None
     try:
         saved = load_checkpoint(path, settings) if path is not None and resume and path.exists() else None
@@ -187,19 +185,17 @@ def fit(
             state = resumed(saved, state, renderer, objectives, seed)
         else:
             if starts > 1:
-                params, agreeing = race(renderer, objectives, params, bounds, asked, starts, steps, seed, fit)
-                state = replace(state, params=params)
-            state = replace(state, rates=_rates(renderer, params, bounds, asked, steps, seed))
-        searches = SEARCHES if stages == "auto" and len(objectives) > 1 and can_search(bounds) else 0
-        if saved is None:
-            first = _first_value(renderer, objective, state, seed) if searches else math.inf
-            schedule = FarToNear(len(objectives), steps, searches=searches, start=first)
-        else:
-            _restore(schedule, saved, state)
+                winner, agreeing = race(renderer, objectives, params, bounds, asked, starts, steps, seed, fit)
+                state = replace(state, params=winner)
+            state = replace(state, rates=_rates(renderer, state.params, bounds, asked, steps, seed))
+            if stages == "auto" and len(objectives) > 1 and can_search(bounds):
+                first = _first_value(renderer, objective, state, seed)
+                schedule = FarToNear(len(objectives), steps, searches=SEARCHES, start=first)
+                state = replace(state, schedule=schedule)
         while state.step < steps:
             started = time.perf_counter()
-            seen, stage = state.params, schedule.stage
-            factor = _rate(decay, schedule, state.step, steps)
+            seen, stage = state.params, state.schedule.stage
+            factor = _rate(decay, state.schedule, state.step, steps)
             image, value, gradient = _evaluate(renderer, objectives[stage], state, free, seed + state.step)
             state = state.seen(value, image, stage)
             # In float64, since squares leave the range of narrower dtypes while the gradient is well within it.
@@ -211,16 +207,14 @@ def fit(
             moved = _legal(renderer, bounds, moved, state)
             seconds = time.perf_counter() - started
             entry = FitStep(state.step, value, norm, factor, seconds, stage, few_numbers(seen, free))
-            state = state.stepped(entry, moved, moments)
-            schedule.step(value)
-            if schedule.lost:
-                state = _searched(renderer, objectives, state, bounds, schedule, seed)
+            after = state.stepped(entry, moved, moments)
+            state = _searched(renderer, objectives, after, bounds, seed) if after.schedule.lost else after
             if state.step % CHECKPOINT_STEPS == 0:
-                _save(path, state, settings, schedule)
+                _save(path, state, settings)
             if callback is not None and callback(entry, seen, image):
                 break
-        state = _last_seen(renderer, objectives[schedule.stage], state, seed, schedule.stage)
-        _save(path, state, settings, schedule)
+        state = _last_seen(renderer, objectives[state.schedule.stage], state, seed)
+        _save(path, state, settings)
         result = state.result()
         if result is None:  # pragma: no cover - steps >= 1 has seen at least one value
             msg = "the fit saw no value"
@@ -231,7 +225,7 @@ def fit(
     except KeyboardInterrupt:
         lost = ""
         try:
-            _save(path, state, settings, schedule)
+            _save(path, state, settings)
         except FitError as error:
             lost = str(error)
         raise FitInterruptedError(state.result(), lost) from None
@@ -304,18 +298,10 @@ def _diagnosis(
     )
 
 
-def _save(path: Path | None, state: State, settings: Mapping[str, str], schedule: FarToNear) -> None:
+def _save(path: Path | None, state: State, settings: Mapping[str, str]) -> None:
     if path is not None and state.best is not None:
         with _keeping(state, "writing the checkpoint"):
-            save_checkpoint(path, snapshot(state, state.best, {**settings, SCHEDULE: schedule.state()}))
-
-
-def _restore(schedule: FarToNear, saved: Checkpoint, state: State) -> None:
-    try:
-        schedule.restore(saved.settings[SCHEDULE], [one.value for one in state.history])
-    except (KeyError, ValueError, TypeError) as error:
-        msg = f"`checkpoint` does not say which stage it was in ({described(error)}); delete it to start anew"
-        raise ParameterError(msg) from error
+            save_checkpoint(path, snapshot(state, state.best, settings))
 
 
 def _first_value(renderer: Renderer, objective: Objective, state: State, seed: int) -> float:
@@ -323,25 +309,20 @@ def _first_value(renderer: Renderer, objective: Objective, state: State, seed: i
         return float(detached(objective.value(detached(renderer.render(state.params, seed=seed)))))
 
 
-def _searched(
-    renderer: Renderer,
-    objectives: Sequence[Objective],
-    state: State,
-    bounds: Bounds,
-    schedule: FarToNear,
-    seed: int,
-) -> State:
+def _searched(renderer: Renderer, objectives: Sequence[Objective], state: State, bounds: Bounds, seed: int) -> State:
     """The state somewhere else within the bounds, if the loss of the stage is less there."""
+    schedule = state.schedule.copy()
     with _keeping(state, "searching for a start"):
         turn, near = SEARCHES - schedule.searches, schedule.stage > 0
         objective = objectives[schedule.stage]
         found = search(renderer, objective, state.params, bounds, turn, seed + state.step, near=near)
     if found is None or not found[0] < BETTER * schedule.level:
         schedule.go_on()
-        return state if near or state.best is None else replace(state, params=state.best.params)
+        best = state.params if near or state.best is None else state.best.params
+        return replace(state, params=best, schedule=schedule)
     schedule.begin_again()
     still = {name: namespace(value).zeros_like(value) for name, value in state.moments.first.items()}
-    return replace(state, params=found[1], moments=replace(state.moments, first=still))
+    return replace(state, params=found[1], moments=replace(state.moments, first=still), schedule=schedule)
 
 
 def _evaluate(
@@ -421,7 +402,7 @@ class _keeping:  # noqa: N801 - it reads as what it does: with _keeping(state, "
         raise FitError(msg, result) from error
 
 
-def _last_seen(renderer: Renderer, objective: Objective, state: State, seed: int, stage: int) -> State:
+def _last_seen(renderer: Renderer, objective: Objective, state: State, seed: int) -> State:
     """The last step has moved the parameters; they count only if their value is known."""
     with _keeping(state, "measuring the last step"):
         try:
@@ -429,7 +410,7 @@ def _last_seen(renderer: Renderer, objective: Objective, state: State, seed: int
             value = float(detached(objective.value(image)))
         except LoiError:
             return state  # refused for what they are: the best iterate stands
-    return state.seen(value, image, stage) if math.isfinite(value) else state
+    return state.seen(value, image, state.schedule.stage) if math.isfinite(value) else state
 
 
 def _rate(decay: Decay, schedule: FarToNear, step: int, steps: int) -> float:

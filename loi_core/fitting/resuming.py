@@ -14,14 +14,17 @@ from loi_core.errors import ParameterError
 from loi_core.fitting.adam import Moments
 from loi_core.fitting.checkpoint import Checkpoint
 from loi_core.fitting.parameters import Bounds
+from loi_core.fitting.stages import FarToNear
 from loi_core.fitting.state import Best, FitStep, State
 from loi_core.objectives.base import Objective
 from loi_core.renderers.contract import Parameters, Renderer
 from loi_core.support.arrays import detached, from_numpy, to_numpy
+from loi_core.support.wording import described
 
 __all__ = ["few_numbers", "resumed", "settings_of", "snapshot"]
 
 RATES: Final = "measured rates"
+SCHEDULE: Final = "schedule"
 
 
 FEW: Final = 64  # numbers: so many free parameters are kept for every step
@@ -65,7 +68,7 @@ def snapshot(state: State, best: Best, settings: Mapping[str, str]) -> Checkpoin
         for one in state.history
     ]
     return Checkpoint(
-        settings={**settings, RATES: json.dumps(dict(state.rates))},
+        settings={**settings, RATES: json.dumps(dict(state.rates)), SCHEDULE: state.schedule.state()},
         step=state.step,
         count=state.moments.count,
         best_step=best.step,
@@ -121,7 +124,18 @@ def resumed(saved: Checkpoint, fresh: State, renderer: Renderer, objectives: Seq
         Best(best, saved.best_value, saved.best_step, image, stage),
         log,
         _rates(saved, fresh.rates),
+        _schedule(saved, fresh.schedule, log),
     )
+
+
+def _schedule(saved: Checkpoint, fresh: FarToNear, log: Sequence[FitStep]) -> FarToNear:
+    schedule = fresh.copy()
+    try:
+        schedule.restore(saved.settings[SCHEDULE], [one.value for one in log])
+    except (KeyError, ValueError, TypeError) as error:
+        msg = f"`checkpoint` does not say which stage it was in ({described(error)}); delete it to start anew"
+        raise ParameterError(msg) from error
+    return schedule
 
 
 def _log(saved: Checkpoint, like: Mapping[str, np.ndarray[Any, Any]]) -> list[FitStep]:

@@ -7,6 +7,7 @@ as its own noise lets one say. So the same decision serves every loop, and a fit
 
 from __future__ import annotations
 
+import copy
 import json
 import math
 from collections.abc import Sequence
@@ -123,7 +124,7 @@ class FarToNear:
     def step(self, value: float) -> None:
         """Take note of the value that the loss of this stage had in this step."""
         self._taken += 1
-        self._values.append(float(value))
+        self._values = [*self._values[1 - 2 * self._window :], float(value)]
         if self.stage == self._last:
             if self._searches > 0 and self.passed < HALF and has_settled(self._values, self._window):
                 self.lost = self.level > LOST_NEAR * self._start
@@ -161,6 +162,10 @@ class FarToNear:
     def searches(self) -> int:
         """How many searches are left."""
         return self._searches
+
+    def copy(self) -> FarToNear:
+        """One that goes on from here, and leaves this as it is."""
+        return copy.copy(self)  # its list of values is never written to
 
     def state(self) -> str:
         """All of it but what the values of the steps tell, as text, for :meth:`restore`."""

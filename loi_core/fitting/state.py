@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
 from loi_core.fitting.adam import Moments
+from loi_core.fitting.stages import FarToNear
 from loi_core.fitting.verdict import Diagnosis
 from loi_core.renderers.contract import Parameters
 from loi_core.support.arrays import Array, Host
@@ -110,6 +111,8 @@ class State:
         Its first `step` entries are the history. The states of a fit share it, so that no step copies it.
     rates : dict of float
         Of each free parameter, in its own unit.
+    schedule : FarToNear
+        Which objective is next.
     """
 
     params: Parameters
@@ -118,6 +121,7 @@ class State:
     best: Best | None = None
     log: list[FitStep] = field(default_factory=list)
     rates: Mapping[str, float] = field(default_factory=dict)
+    schedule: FarToNear = field(default_factory=lambda: FarToNear(1, 1))
 
     @property
     def history(self) -> tuple[FitStep, ...]:
@@ -133,7 +137,9 @@ class State:
     def stepped(self, entry: FitStep, params: Parameters, moments: Moments) -> State:
         """The state after one more step."""
         self.log[self.step :] = [entry]  # past the history of this state and of all before it
-        return replace(self, params=params, moments=moments, step=self.step + 1)
+        ahead = self.schedule.copy()
+        ahead.step(entry.value)
+        return replace(self, params=params, moments=moments, step=self.step + 1, schedule=ahead)
 
     def result(self) -> FitResult | None:
         """What has been reached; None before the first value."""
