@@ -12,7 +12,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_core.errors import ParameterError
+from loi_core.errors import OptionError, ParameterError
+from loi_core.support.wording import shown
 
 __all__ = ["Entry", "Scene", "ancestors", "find_entry", "find_shape", "list_entries", "numbers"]
 
@@ -46,7 +47,16 @@ class Entry:
 
 
 def list_entries(scene: Scene) -> dict[str, Entry]:
-    """Every entry of a scene by its readable name, in the order of ``mi.traverse``."""
+    """Every entry of a scene by its readable name, in the order of ``mi.traverse``.
+
+    Raises
+    ------
+    OptionError
+        If it is not a scene that Mitsuba has loaded.
+    """
+    if not isinstance(scene, mi.Object):
+        msg = f"`scene` must be loaded, as by mi.load_file(path) or mi.load_dict(scene), got {shown(scene)}"
+        raise OptionError(msg)
     params = mi.traverse(scene)
     readable = _readable(params)
     listed = {}

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 
 from examples.convergence.case import Case, within
 from loi_core import LOIObjective, fit
@@ -28,11 +28,11 @@ def cases(kind: str) -> Iterable[Case]:
         yield from SOLIDS
 
 
-def row(case: Case, seeds: int, *, before: bool = False) -> list[str]:
+def row(case: Case, seeds: Sequence[int], *, before: bool = False) -> list[str]:
     """What came of one scene: found of how many, the worst error in units of what is allowed, and the verdicts."""
     found = right = 0
     worst, verdicts, started = 0.0, [], time.perf_counter()
-    for seed in range(seeds):
+    for seed in seeds:
         trial = case.make(seed)
         result = fit(
             trial.renderer,
@@ -46,9 +46,9 @@ def row(case: Case, seeds: int, *, before: bool = False) -> list[str]:
         found, worst = found + there, max(worst, error)
         right += diagnosis is not None and diagnosis.ok == there
         verdicts.append("none" if diagnosis is None else f"{diagnosis.verdict} ({diagnosis.left:.0%})")
-    seconds = (time.perf_counter() - started) / seeds
+    count, seconds = len(seeds), (time.perf_counter() - started) / len(seeds)
     name = f"{case.name}, before" if before else case.name
-    return [name, f"{found} of {seeds}", f"{worst:.2g}", f"{right} of {seeds}", ", ".join(verdicts), f"{seconds:.0f}"]
+    return [name, f"{found} of {count}", f"{worst:.2g}", f"{right} of {count}", ", ".join(verdicts), f"{seconds:.0f}"]
 
 
 def main() -> None:
@@ -56,12 +56,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(prog="python -m examples.convergence", description=__doc__)
     parser.add_argument("--kind", default="", help="warp, vector or Mitsuba")
     parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--first", type=int, default=0, help="the first seed")
     parser.add_argument("--before", action="store_true")
     options = parser.parse_args()
     rows = []
     for case in cases(options.kind):
         for before in (False, True) if options.before else (False,):
-            rows.append(row(case, options.seeds, before=before))
+            rows.append(row(case, range(options.first, options.first + options.seeds), before=before))
             print(" | ".join(rows[-1]), flush=True)
     print("\n" + "\n".join(markdown(HEADS, rows)))
 

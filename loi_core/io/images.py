@@ -26,12 +26,12 @@ MAX_PIXELS_PER_BYTE: Final = 8300  # deflate makes 1032 bytes of one, and a byte
 FEW_PIXELS: Final = 2**20  # which may be packed as tightly as they like
 
 
-def read_image(path: Path) -> FloatImage:
+def read_image(path: Path | str) -> FloatImage:
     """An image file as RGB.
 
     Parameters
     ----------
-    path : Path
+    path : path or str
         PNG and JPEG come out in [0, 1], turned as their EXIF orientation says; nothing is linearised. PNGs of
         16 bits must be grey. EXR and floating-point NPY come out as stored; an NPY must be (H, W), (H, W, 1),
         (H, W, 3) or (H, W, 4), and is divided by its greatest value if it is uint8 or uint16. Opacity is kept
@@ -47,6 +47,7 @@ def read_image(path: Path) -> FloatImage:
         If the file is missing, damaged, of another kind, larger than 64 megapixels, longer than 65535 pixels, or too
         small for as many pixels as it claims. Nothing in it is executed.
     """
+    path = Path(path)
     suffix = path.suffix.lower()
     if suffix not in IMAGE_SUFFIXES:
         msg = f"{path}: images must end in {', '.join(IMAGE_SUFFIXES)}"

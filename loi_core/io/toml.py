@@ -46,7 +46,8 @@ def read_toml(path: Path) -> dict[str, Any]:
         msg = f"{path}: no such scene file"
         raise SceneError(msg) from None
     except (OSError, ValueError, RecursionError) as error:  # damage in the file, its UTF-8 or its TOML
-        msg = f"{path}: not a readable TOML file ({described(error)})"
+        hint = '; texts stand in quotes, name = "text"' if "Invalid value" in str(error) else ""
+        msg = f"{path}: not a readable TOML file ({described(error)}){hint}"
         raise SceneError(msg) from error
     msg = f"{path}: keys may have at most {MOST_PARTS} parts, got {shown(long[0])}"
     raise SceneError(msg)

@@ -160,6 +160,10 @@ def _renderer(
             raise where.error("renderer", f"`{key}` must be that of the target, {size}, got {shown(options[key])}")
     if samples is not None:
         options["spp"] = samples
+    for key, argument in (accepted or {}).items():
+        named = argument.kind in (Parameter.POSITIONAL_OR_KEYWORD, Parameter.KEYWORD_ONLY)
+        if named and argument.default is Parameter.empty and key not in options:
+            raise where.error("renderer", f"`{key}` is missing; {name} needs it")
     try:
         renderer = factory(**options)
         usable = isinstance(renderer, Renderer)

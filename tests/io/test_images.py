@@ -193,3 +193,8 @@ def test_an_exr_of_countless_attributes_is_refused_at_once(tmp_path: Path) -> No
     (tmp_path / "a.exr").write_bytes(content[:8] + many + content[8:])
     with pytest.raises(ImageFileError, match="its header is damaged"):
         read_image(tmp_path / "a.exr")
+
+
+def test_a_path_may_be_a_text(tmp_path: Path) -> None:
+    np.save(tmp_path / "image.npy", np.zeros((2, 3, 3)))
+    assert read_image(str(tmp_path / "image.npy")).shape == (2, 3, 3)

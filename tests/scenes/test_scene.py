@@ -391,3 +391,18 @@ def test_a_foreign_result_file_is_refused(tmp_path: Path, capsys: pytest.Capture
     assert main(["report", str(tmp_path)]) == 2
     assert "not the result of `loi fit`" in capsys.readouterr().err
     assert not (tmp_path / "report.html").exists()
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "says"),
+    [
+        ("radii = [3]\n", "", "`radii` is missing; disks needs it"),
+        ('name = "disks"', "name = disks", 'texts stand in quotes, name = "text"'),
+    ],
+)
+def test_what_is_missing_or_unquoted_is_named(folder: Path, old: str, new: str, says: str) -> None:
+    assert old in SCENE
+    (folder / "scene.toml").write_text(SCENE.replace(old, new))
+    with pytest.raises(SceneError) as caught:
+        load_scene(folder / "scene.toml")
+    assert says in str(caught.value)
