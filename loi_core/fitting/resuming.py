@@ -50,8 +50,10 @@ def settings_of(
 
 def few_numbers(params: Parameters, names: Iterable[str]) -> dict[str, np.ndarray[Any, Any]]:
     """The free parameters as NumPy, in float64; none if they are more than 64 numbers together."""
-    free = {name: np.asarray(to_numpy(params[name]), dtype=np.float64) for name in names}
-    return free if sum(one.size for one in free.values()) <= FEW else {}
+    free = {name: params[name] for name in names}
+    if sum(math.prod(one.shape) for one in free.values()) > FEW:
+        return {}
+    return {name: np.array(to_numpy(one), dtype=np.float64) for name, one in free.items()}
 
 
 def snapshot(state: State, best: Best, settings: Mapping[str, str]) -> Checkpoint:
