@@ -97,7 +97,7 @@ class FarToNear:
     With any framework's loop, ``losses`` being its losses with ``ScaleSpace.far_to_near(height, width)``:
 
     >>> schedule = FarToNear(stages=2, steps=200)
-    >>> for value in [1.0] * 30:  # the value of losses[schedule.stage], which does not fall
+    >>> for value in [1.0] * 40:  # the value of losses[schedule.stage], which does not fall
     ...     schedule.step(value)
     >>> schedule.stage
     1
