@@ -6,6 +6,7 @@ import csv
 import importlib.metadata
 import itertools
 import json
+import re
 from importlib.metadata import EntryPoint
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -406,3 +407,19 @@ def test_what_is_missing_or_unquoted_is_named(folder: Path, old: str, new: str, 
     with pytest.raises(SceneError) as caught:
         load_scene(folder / "scene.toml")
     assert says in str(caught.value)
+
+
+def test_the_exit_status_and_the_verdict_tell_whether_the_target_was_found(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    scene = str(folder / "scene.toml")
+    assert main(["fit", scene, "--steps", "1"]) == 3
+    assert re.search(
+        r"^loi \(ours\): (stalled|still falling|at a bound): \d+% of the loss", capsys.readouterr().out, re.M
+    )
+    assert main(["fit", scene, "--steps", "60", "--resume"]) == 0
+    assert "loi (ours): converged" in capsys.readouterr().out
+    result = json.loads((folder / "result" / "result.json").read_text())
+    assert result["trials"][0]["diagnosis"]["verdict"] == "converged"
+    assert main(["fit", scene, "--steps", "0"]) == 2
+    assert "`steps` must be a whole number" in capsys.readouterr().err
