@@ -22,11 +22,10 @@ from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
-from loi_core.support.arrays import device, from_numpy, is_read_by_numpy
+from loi_core.support.arrays import Host, device, from_numpy, is_read_by_numpy
 
 __all__ = ["Evaluation", "Host", "evaluate"]
 
-Host: TypeAlias = np.ndarray[Any, Any]
 Results: TypeAlias = Sequence[Any]
 
 

@@ -8,9 +8,9 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-__all__ = ["GradientWarning", "warn_of_moving"]
+from loi_core.support.arrays import Host
 
-Host = np.ndarray[Any, Any]
+__all__ = ["GradientWarning", "warn_of_moving"]
 
 
 class GradientWarning(UserWarning):

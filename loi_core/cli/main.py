@@ -8,17 +8,14 @@ import io
 import sys
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Final, NoReturn
+from typing import NoReturn
 
 from loi_core import __version__
+from loi_core.cli.codes import DONE, FAILED, WRONG_CALL
 from loi_core.errors import FitError, LoiError, RendererError
 from loi_core.support.wording import PlainText, printable
 
 __all__ = ["DONE", "FAILED", "WRONG_CALL", "main"]
-
-DONE: Final = 0
-FAILED: Final = 1
-WRONG_CALL: Final = 2
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

@@ -5,16 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any, Final, TypeAlias
+from typing import Any, Final
 
 import numpy as np
 
 from loi_core.effects.statistics import Draws
-from loi_core.support.arrays import to_numpy
+from loi_core.support.arrays import Host, to_numpy
 
 __all__ = ["AGREE", "CLEAR", "Evidence", "Holding"]
 
-Host: TypeAlias = np.ndarray[Any, Any]
 
 CLEAR: Final = 4.0
 """Errors of a mean above which as few as four draws speak for themselves."""

@@ -5,15 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, Final, TypeAlias
+from typing import Any, Final
 
 import numpy as np
 
 from loi_core.errors import OptionError
+from loi_core.support.arrays import Host
 
 __all__ = ["SURE", "Comparison", "Draws", "compare", "total"]
 
-Host: TypeAlias = np.ndarray[Any, Any]
 
 SURE: Final = 2.0
 """Errors of a mean that a decision has to clear; the mean of pure noise rarely does."""

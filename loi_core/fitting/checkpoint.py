@@ -8,18 +8,18 @@ import zipfile
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, TypeAlias
+from typing import IO, Any
 
 import numpy as np
 
 from loi_core.errors import ParameterError
 from loi_core.io.files import atomic_path, open_regular
 from loi_core.io.npy import read_npy_header, read_npy_values
+from loi_core.support.arrays import Host
 from loi_core.support.wording import described
 
 __all__ = ["Checkpoint", "load_checkpoint", "save_checkpoint"]
 
-Host: TypeAlias = np.ndarray[Any, Any]
 GROUPS = ("params", "first", "second", "best_params")
 FIRST_COLUMNS = 6  # step, value, gradient norm, rate, seconds, stage; then the free parameters if they are few
 NUMBERS = ("step", "count", "best_step", "best_value", "history")

@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import itertools
-from typing import Any, Final, Literal, TypeAlias, get_args
+from typing import Final, Literal, get_args
 
 import numpy as np
 
 from loi_core.errors import NonFiniteImageError, OptionError
-from loi_core.support.arrays import Array, namespace, to_numpy
+from loi_core.support.arrays import Array, Host, namespace, to_numpy
 from loi_core.support.wording import shown
 
 __all__ = ["NanPolicy", "check_nan_policy", "count_non_finite", "require_finite"]
 
 NanPolicy = Literal["raise", "mask"]
 
-Host: TypeAlias = np.ndarray[Any, Any]
 
 SCATTERED: Final = "isolated pixels"
 

@@ -19,7 +19,7 @@ from loi_core.report.output import FRAMES_FOLDER, effect_file
 from loi_core.report.plots import LABELS
 from loi_core.support.values import real_number
 
-__all__ = ["Pictures", "document", "write_index", "write_page"]
+__all__ = ["Pictures", "document", "verdict_line", "write_index", "write_page"]
 
 MOST_RESULT: Final = 2**28  # bytes of result.json
 MOST_PICTURE: Final = 2**26  # bytes of one PNG
@@ -224,11 +224,12 @@ def _table(trials: Sequence[Mapping[str, Any]]) -> str:
         ]
         label = escape(LABELS.get(trial["objective"], trial["objective"]))
         numbers = "".join(f'<td class="n">{cell}</td>' for cell in cells)
-        rows.append(f"<tr><td>{label}</td>{numbers}<td>{escape(trial.get('error') or _verdict(trial))}</td></tr>")
+        rows.append(f"<tr><td>{label}</td>{numbers}<td>{escape(trial.get('error') or verdict_line(trial))}</td></tr>")
     return f"<table><tr>{''.join(f'<th>{escape(head)}</th>' for head in heads)}</tr>{''.join(rows)}</table>"
 
 
-def _verdict(trial: Mapping[str, Any]) -> str:
+def verdict_line(trial: Mapping[str, Any]) -> str:
+    """What came of a fit, as the summary of its results has it, whoever wrote that; empty if it does not say."""
     found = trial.get("diagnosis")
     if not isinstance(found, Mapping):
         return ""

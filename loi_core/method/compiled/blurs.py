@@ -9,8 +9,20 @@ from __future__ import annotations
 from typing import Final
 
 from loi_core.method.compiled.compiling import compiled
-from loi_core.method.compiled.records import GROUP, LANES, STRIP, TAPS, BandColumn, Box, Operators, PassColumn, Plane
-from loi_core.method.compiled.rows import Floats, Table, combine_pairs, transpose
+from loi_core.method.compiled.records import (
+    GROUP,
+    LANES,
+    STRIP,
+    TAPS,
+    BandColumn,
+    Box,
+    Floats,
+    Operators,
+    PassColumn,
+    Plane,
+    Table,
+)
+from loi_core.method.compiled.rows import combine_pairs, transpose
 
 __all__ = [
     "Floats",

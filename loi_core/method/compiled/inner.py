@@ -13,8 +13,8 @@ from loi_core.method.compiled.bands import Bands, Numbers, band_back, band_forth
 from loi_core.method.compiled.blurs import blur_window
 from loi_core.method.compiled.compiling import compiled
 from loi_core.method.compiled.program import Places, blur_pass, turned_shape
-from loi_core.method.compiled.records import GROUP, SIDE, STRIP, Operators, Plane, padded
-from loi_core.method.compiled.rows import Floats, Table, transpose
+from loi_core.method.compiled.records import GROUP, SIDE, STRIP, Floats, Operators, Plane, Table, padded
+from loi_core.method.compiled.rows import transpose
 from loi_core.method.windows import Window
 
 __all__ = ["InnerBlur"]

@@ -18,15 +18,16 @@ from loi_core.method.compiled.records import (
     BandColumn,
     Box,
     EdgeColumn,
+    Floats,
     NodeColumn,
     Operators,
     PassColumn,
     Plane,
     Results,
+    Table,
     Tables,
     Tonal,
 )
-from loi_core.method.compiled.rows import Floats, Table
 
 __all__ = ["compare_levels"]
 

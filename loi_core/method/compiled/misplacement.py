@@ -6,8 +6,7 @@ import math
 from typing import Any
 
 from loi_core.method.compiled.compiling import compiled, compiled_sums
-from loi_core.method.compiled.records import Box, Plane
-from loi_core.method.compiled.rows import Floats
+from loi_core.method.compiled.records import Box, Floats, Plane
 from loi_core.method.sampling_error import BLOCK
 
 __all__ = ["room_for_sums", "sum_misplaced", "take_sums"]

@@ -2,16 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any, TypeAlias
-
-import numpy as np
-
 from loi_core.method.compiled.compiling import compiled
-from loi_core.method.compiled.records import GROUP, SIDE, Plane
+from loi_core.method.compiled.records import GROUP, SIDE, Floats, Plane
 
 __all__ = ["combine_pairs", "transpose"]
-
-Floats: TypeAlias = np.ndarray[Any, Any]
 
 
 @compiled

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from enum import IntEnum
-from typing import Any, Final, NamedTuple
+from typing import Any, Final, NamedTuple, TypeAlias
+
+import numpy as np
 
 __all__ = [
     "GROUP",
@@ -17,15 +19,20 @@ __all__ = [
     "BandColumn",
     "Box",
     "EdgeColumn",
+    "Floats",
     "NodeColumn",
     "Operators",
     "PassColumn",
     "Plane",
     "Results",
+    "Table",
     "Tables",
     "Tonal",
     "padded",
 ]
+
+Floats: TypeAlias = np.ndarray[Any, Any]
+Table: TypeAlias = np.ndarray[Any, np.dtype[np.int64]]
 
 GROUP: Final = 4  # rows that are made together, so that what is loaded serves all of them
 TAPS: Final = 3  # rows that are combined at once; with GROUP results they fill the registers, but do not spill

@@ -6,14 +6,9 @@ again, which is why it is there; with another Numba everything still works.
 
 from __future__ import annotations
 
-from typing import Any, TypeAlias
-
 import numpy as np
 
-__all__ = ["Floats", "Table", "combine_pairs", "transpose"]
-
-Floats: TypeAlias = np.ndarray[Any, Any]
-Table: TypeAlias = np.ndarray[Any, np.dtype[np.int64]]
+__all__ = ["combine_pairs", "transpose"]
 
 
 def _vectors_work() -> bool:

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from typing import Any, Final, TypeAlias
-
-import numpy as np
+from typing import Final
 
 from loi_core.method.compiled.compiling import compiled
-from loi_core.method.compiled.records import GROUP, LINE, PAIRS, SIDE, Plane
+from loi_core.method.compiled.records import GROUP, LINE, PAIRS, SIDE, Floats, Plane
 from loi_core.method.compiled.vectors import add_product, filled, load_lines, load_sides, plus, store_rows, turned
 
 __all__ = ["combine_pairs", "transpose"]
 
-Floats: TypeAlias = np.ndarray[Any, Any]
 
 SEEN: Final = GROUP + PAIRS - 1  # rows on either side that a group needs for PAIRS distances
 
