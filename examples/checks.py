@@ -48,7 +48,7 @@ def gradient_errors(image: Any, reference: Any, scales: ScaleSpace) -> dict[str,
     LOIObjective(torch.tensor(reference), scales).value(leaf).backward()
     assert leaf.grad is not None
     traced = LOIObjective(jnp.asarray(reference), scales)
-    prepared = traced.prepare_reference(jnp.moveaxis(jnp.asarray(reference), -1, 0))
+    prepared = traced.prepare_reference(jnp.moveaxis(jnp.asarray(reference), -1, 0), None)
     jaxed = jax.grad(lambda x: sum(traced.compare_planes(x, prepared, gradient=False).terms.values()))(
         jnp.moveaxis(jnp.asarray(image), -1, 0)
     )

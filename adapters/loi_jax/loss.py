@@ -28,6 +28,7 @@ def loi_loss(
     channel_axis: int | None = -1,
     nan_policy: NanPolicy = "raise",
     tone: LogTone | None = None,
+    weights: Any = None,
 ) -> Callable[[jax.Array], jax.Array]:
     """The locally orderless image loss against a reference, as a function of the image.
 
@@ -37,7 +38,7 @@ def loi_loss(
         What the image should look like; JAX or NumPy, concrete, not a tracer.
     scales : ScaleSpace, optional
         The scales to compare; ``ScaleSpace.for_image(H, W)`` by default.
-    accuracy, channel_axis, nan_policy, tone
+    accuracy, channel_axis, nan_policy, tone, weights
         See :class:`loi_core.LOIObjective`.
 
     Returns
@@ -56,7 +57,9 @@ def loi_loss(
     if host.dtype.kind == "V" or str(host.dtype) in ("bfloat16", "float16"):
         host = host.astype(np.float32)
     # Checked here, with the core's messages; what is kept is NumPy, which no trace can leak into.
-    objective = LOIObjective(host, scales, accuracy, channel_axis=channel_axis, nan_policy=nan_policy, tone=tone)
+    objective = LOIObjective(
+        host, scales, accuracy, channel_axis=channel_axis, nan_policy=nan_policy, tone=tone, weights=weights
+    )
     return _Loss(objective)
 
 
@@ -137,6 +140,6 @@ class _Traceable:
         results = (value,) if slope is None else (value, slope)
         if self._objective.nan_policy == "raise":
             # Blurring spreads a NaN anyway, but clipping may swallow an infinity.
-            poison = jnp.where(jnp.all(jnp.isfinite(image)), 0.0, jnp.nan).astype(image.dtype)
+            poison = jnp.where(jnp.all(jnp.isfinite(self._objective.visible(image))), 0.0, jnp.nan).astype(image.dtype)
             results = tuple(result + poison for result in results)
         return results

@@ -53,6 +53,8 @@ class LOILoss:
         What happens to pixels that are not finite.
     tone : LogTone, optional
         A tone curve for images of high dynamic range, as ``mi.render`` gives them; see :class:`loi_core.LOIObjective`.
+    weights : mi.TensorXf or array, shape (H, W), optional
+        How much each pixel counts; a mask is weights of 0 and 1. See :class:`loi_core.LOIObjective`.
     backend : {"torch", "numpy", "jax"}, optional
         The array library that does the work. By default torch if it is installed, and computes on GPUs if Mitsuba's
         variant does, or else NumPy.
@@ -87,13 +89,19 @@ class LOILoss:
         channel_axis: int | None = -1,
         nan_policy: NanPolicy = "raise",
         tone: LogTone | None = None,
+        weights: Tensor | Array | None = None,
         backend: Backend | None = None,
     ) -> None:
         self._backend = _check_backend(backend)
-        if dr.is_tensor_v(reference):
-            reference = dr.detach(reference).numpy()
+        reference, weights = _host(reference), _host(weights)
         self._objective = LOIObjective(
-            reference, scales, accuracy, channel_axis=channel_axis, nan_policy=nan_policy, tone=tone
+            reference,
+            scales,
+            accuracy,
+            channel_axis=channel_axis,
+            nan_policy=nan_policy,
+            tone=tone,
+            weights=weights,
         )
 
     @property
@@ -159,6 +167,11 @@ class _Loss(dr.CustomOp):  # type: ignore[misc]  # Dr.Jit's types are not read, 
 
     def name(self) -> str:
         return "loi"
+
+
+def _host(array: Any) -> Any:
+    """A tensor of Dr.Jit as NumPy; anything else as it is."""
+    return dr.detach(array).numpy() if dr.is_tensor_v(array) else array
 
 
 def _flat(kind: Any, array: Array) -> Float:

@@ -45,6 +45,8 @@ class LOILoss(torch.nn.Module):
         What happens to pixels that are not finite.
     tone : LogTone, optional
         A tone curve for images of high dynamic range; see :class:`loi_core.LOIObjective`.
+    weights : Tensor or NumPy array, shape (H, W), optional
+        How much each pixel counts; a mask is weights of 0 and 1. See :class:`loi_core.LOIObjective`.
 
     Notes
     -----
@@ -65,11 +67,18 @@ class LOILoss(torch.nn.Module):
         channel_axis: int | None = -1,
         nan_policy: NanPolicy = "raise",
         tone: LogTone | None = None,
+        weights: Any = None,
     ) -> None:
         super().__init__()
         # The core checks the arguments, and copies: later writes of the caller to `reference` change nothing.
         objective = LOIObjective(
-            reference, scales, accuracy, channel_axis=channel_axis, nan_policy=nan_policy, tone=tone
+            reference,
+            scales,
+            accuracy,
+            channel_axis=channel_axis,
+            nan_policy=nan_policy,
+            tone=tone,
+            weights=weights,
         )
         self._options: dict[str, Any] = {
             "scales": objective.scales,
@@ -77,6 +86,7 @@ class LOILoss(torch.nn.Module):
             "channel_axis": channel_axis,
             "nan_policy": nan_policy,
             "tone": tone,
+            "weights": objective.weights,
         }
         self.register_buffer("reference", torch.as_tensor(objective.reference))
         self._objective: LOIObjective | None = None
@@ -126,12 +136,15 @@ def loi_loss(
     channel_axis: int | None = -1,
     nan_policy: NanPolicy = "raise",
     tone: LogTone | None = None,
+    weights: Any = None,
 ) -> LOILoss:
     """The locally orderless image loss against a reference, as a function of the image; as ``loi_jax.loi_loss``.
 
     Parameters are those of :class:`LOILoss`, which is what comes back.
     """
-    return LOILoss(reference, scales, accuracy, channel_axis=channel_axis, nan_policy=nan_policy, tone=tone)
+    return LOILoss(
+        reference, scales, accuracy, channel_axis=channel_axis, nan_policy=nan_policy, tone=tone, weights=weights
+    )
 
 
 def _apply(image: Tensor, objective: LOIObjective) -> Tensor:

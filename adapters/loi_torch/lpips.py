@@ -136,8 +136,9 @@ class LPIPS(ImageObjective[_Prepared, str]):
         channel_axis: int | None = -1,
         nan_policy: NanPolicy = "raise",
         tone: LogTone | None = None,
+        weights: Array | None = None,
     ) -> None:
-        super().__init__(reference, channel_axis=channel_axis, nan_policy=nan_policy, tone=tone)
+        super().__init__(reference, channel_axis=channel_axis, nan_policy=nan_policy, tone=tone, weights=weights)
         if not isinstance(net, str) or net not in ARCHITECTURES:
             msg = f"`net` must be one of {', '.join(ARCHITECTURES)}, got {shown(net)}"
             raise OptionError(msg)
@@ -153,7 +154,7 @@ class LPIPS(ImageObjective[_Prepared, str]):
             raise ImageError(msg)
         _network(net, torch.float32, torch.device("cpu"))  # so that missing weights are told now
 
-    def prepare_reference(self, reference: Array) -> _Prepared:
+    def prepare_reference(self, reference: Array, weights: Array | None) -> _Prepared:  # noqa: ARG002  # masks only
         """See :class:`loi_core.ImageObjective`."""
         with _plain_torch(), torch.no_grad():
             planes = _tensor(reference)

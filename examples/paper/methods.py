@@ -31,7 +31,7 @@ class SigmaSpace(ImageObjective[_Prepared, float]):
         super().__init__(reference)
         self._sigmas = sigmas
 
-    def prepare_reference(self, reference: Array) -> _Prepared:
+    def prepare_reference(self, reference: Array, weights: Array | None) -> _Prepared:  # noqa: ARG002  # masks only
         """See :class:`loi_core.ImageObjective`."""
         height, width = reference.shape[-2:]
         blurs = {sigma: gaussian_blur(height, width, sigma, "reflect", like=reference) for sigma in self._sigmas}

@@ -82,6 +82,7 @@ class _InnerComparison:
     plan: InnerPlan
     blur: GaussianBlur
     intensity: Array  # the reference's, above the padding; shape (N, h, w)
+    weights: Array | None  # of its pixels, shape (N, h, w)
     pyramid: tuple[GaussianBlur, ...]
     extents: tuple[_Extent, ...]
     planes: int  # how many planes are handled together
@@ -89,9 +90,14 @@ class _InnerComparison:
 
     @classmethod
     def of(
-        cls, scales: ScaleSpace, plan: InnerPlan, tonal: tuple[TonalPlan, ...], reference: Array
+        cls,
+        scales: ScaleSpace,
+        plan: InnerPlan,
+        tonal: tuple[TonalPlan, ...],
+        reference: Array,
+        weights: Array | None,
     ) -> _InnerComparison:
-        """Everything that depends on the reference alone: planes within the bounds, shape (N, H, W)."""
+        """Everything that depends on the reference alone: planes within the bounds, and weights, shape (N, H, W)."""
         blur = GaussianBlur(plan.blur, reference)
         intensity = blur.apply(above_padding(reference, scales.padding))
         most, planes = _chunk(max(each.last for each in tonal), reference.shape[0], plan.finest, reference)
@@ -100,7 +106,7 @@ class _InnerComparison:
         extents = tuple(
             _Extent(extent.alpha, extent.start, GaussianBlur(extent.blur, reference)) for extent in plan.extents
         )
-        return cls(scales, plan, blur, intensity, pyramid, extents, planes, levels)
+        return cls(scales, plan, blur, intensity, weights, pyramid, extents, planes, levels)
 
     def compare(self, clipped: Array, *, gradient: bool) -> Compared:
         """Compare planes within the bounds, shape (N, H, W).
@@ -171,12 +177,16 @@ class _InnerComparison:
                     continue
                 difference = differing.crop(cdf[levels.skipped :, ...], support)
                 difference -= differing.crop(levels.cdf[:, part, ...])
+                if self.weights is not None:
+                    difference *= differing.crop(self.weights[part, ...])
                 tallies[beta].compared += difference.shape[0] * difference.shape[1]
                 pulled = self._compare_levels(
                     difference, scope.route, beta, tie, terms, tallies[beta], gradient=gradient
                 )
                 if gradient:
                     pulled *= slope[levels.skipped :, ...]
+                    if self.weights is not None:
+                        pulled *= support.crop(self.weights[part, ...])
                     cotangent += xp.sum(pulled, axis=0) * per_intensity
         return support.paste(cotangent, *intensity.shape[-2:]) if gradient else None
 
@@ -227,9 +237,9 @@ class ArrayComparison:
     inner: tuple[_InnerComparison, ...]
 
     @classmethod
-    def of(cls, scales: ScaleSpace, plan: Plan, reference: Array) -> ArrayComparison:
-        """Everything that depends on the reference alone: planes within the bounds, shape (N, H, W)."""
-        return cls(tuple(_InnerComparison.of(scales, inner, plan.tonal, reference) for inner in plan.inner))
+    def of(cls, scales: ScaleSpace, plan: Plan, reference: Array, weights: Array | None = None) -> ArrayComparison:
+        """Everything that depends on the reference alone: planes within the bounds, and weights, shape (N, H, W)."""
+        return cls(tuple(_InnerComparison.of(scales, inner, plan.tonal, reference, weights) for inner in plan.inner))
 
     def compare(self, clipped: Array, *, gradient: bool) -> Compared:
         """Compare planes within the bounds, shape (N, H, W)."""

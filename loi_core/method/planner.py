@@ -72,7 +72,9 @@ do not change twice between two samples.
 """
 
 
-def make_plan(scales: ScaleSpace, height: int, width: int, *, tolerance: float, eps: float) -> Plan:
+def make_plan(
+    scales: ScaleSpace, height: int, width: int, *, tolerance: float, eps: float, weighted: bool = False
+) -> Plan:
     """The cheapest plan known that keeps a tolerance.
 
     Parameters
@@ -85,11 +87,13 @@ def make_plan(scales: ScaleSpace, height: int, width: int, *, tolerance: float, 
         Relative error of the gradient, 0 or more; 0 is exact to rounding.
     eps : float
         Machine epsilon of the dtype to compute in.
+    weighted : bool
+        Whether pixels count by weights, which may change from one to the next however smooth isophotes are.
     """
     if scales.p != 1.0:
         # |F| ** (1 / p) is steepest at 0, just where samplings err.
         tolerance = 0.0
-    planner = _Planner(scales, PlaneGrid.pixels(height, width), tolerance, eps)
+    planner = _Planner(scales, PlaneGrid.pixels(height, width), tolerance, eps, weighted)
     inner = tuple(planner.inner(sigma) for sigma in scales.sigma)
     return Plan(height, width, tolerance, eps, inner, tuple(_levels(scales, beta, tolerance) for beta in scales.beta))
 
@@ -117,6 +121,7 @@ class _Planner:
     pixels: PlaneGrid
     tolerance: float
     eps: float
+    weighted: bool
 
     def inner(self, sigma: float) -> InnerPlan:
         grid = self._inner_grid(sigma)
@@ -168,7 +173,7 @@ class _Planner:
     def _inner_grid(self, sigma: float) -> PlaneGrid:
         # Not on samples, though a blurred image changes slowly: its isophotes may cancel to next to nothing further on,
         # and what is left is then what a sampling has made of them.
-        if self._is_flat(sigma) and self._taps is None:
+        if self._is_flat(sigma) and self._taps is None and not self.weighted:
             return self._sampled(self.pixels, math.inf)
         return self.pixels
 
@@ -192,13 +197,14 @@ class _Planner:
     def _slowness(self, sigma: float, alpha: float) -> float:
         """The distance over which what is compared changes, at the spacing that is to be allowed there."""
         # Isophotes of a blurred image change about twice as fast as the image.
-        slowness = math.hypot(alpha, sigma / 2.0)
+        smooth = 0.0 if self.weighted else sigma / 2.0
+        slowness = math.hypot(alpha, smooth)
         taps = self._felt(self._taps, alpha)
         if taps is None or alpha == 0.0 or self.tolerance == 0.0:
             return slowness
         # The less far one looks, here to the edge of a cell, the faster a cut kernel changes in relation.
         for _ in range(SETTLED):
-            slowness = math.hypot(as_slow_as(alpha, taps, 0.5 * self._ratio * slowness), sigma / 2.0)
+            slowness = math.hypot(as_slow_as(alpha, taps, 0.5 * self._ratio * slowness), smooth)
         return slowness
 
     def _limited(self, spacing: float) -> float:

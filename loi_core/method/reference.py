@@ -29,7 +29,13 @@ DOUBLE: Final = float(np.finfo(np.float64).eps)
 
 
 def loss_and_gradient(
-    image: Host, reference: Host, scales: ScaleSpace, *, channel_axis: int | None = -1, eps: float = DOUBLE
+    image: Host,
+    reference: Host,
+    scales: ScaleSpace,
+    *,
+    channel_axis: int | None = -1,
+    eps: float = DOUBLE,
+    weights: Host | None = None,
 ) -> tuple[float, Host]:
     """The loss of an image, and its gradient by the image.
 
@@ -43,6 +49,8 @@ def loss_and_gradient(
         Where the channels are.
     eps : float
         Machine epsilon of the dtype whose tie rule holds; the arithmetic is float64 whatever it is.
+    weights : array, shape (H, W), optional
+        How much each pixel counts, in [0, 1]. Pixels of weight 0 are masked.
 
     Returns
     -------
@@ -50,16 +58,17 @@ def loss_and_gradient(
     gradient : array
         Of the image's shape, float64.
     """
-    planes = Planes.of(image, reference, channel_axis)
+    planes = Planes.of(image, reference, channel_axis, None if weights is None else weights > 0.0)
+    w = np.ones(planes.image.shape[-2:]) if weights is None else weights
     value, gradient = 0.0, np.zeros_like(planes.image)
     for group in planes.equal():
-        one, slopes = _plane(planes.image[group[0]], planes.reference[group[0]], scales, eps)
+        one, slopes = _plane(planes.image[group[0]], planes.reference[group[0]], w, scales, eps)
         value += one * len(group) / len(planes.image)
         gradient[group] = slopes / len(planes.image)
     return value, planes.layout.to_image(np.where(planes.seen, gradient, 0.0))
 
 
-def _plane(image: Host, reference: Host, scales: ScaleSpace, eps: float) -> tuple[float, Host]:
+def _plane(image: Host, reference: Host, w: Host, scales: ScaleSpace, eps: float) -> tuple[float, Host]:
     """One channel of one image, shape (H, W). Names of variables are those of the paper."""
     I, I_gt = (clip(each, *scales.bounds) - scales.padding for each in (image, reference))
     value, gradient = 0.0, np.zeros(image.shape)
@@ -76,12 +85,13 @@ def _plane(image: Host, reference: Host, scales: ScaleSpace, eps: float) -> tupl
                 # Eq. 4: histograms are averaged over a neighbourhood, H = A_alpha * P. A acts on pixels, the running
                 # sum on levels, so it does not matter which comes first: A is applied to the difference of the CDFs.
                 A = dense_blur(image.shape, alpha, scales.boundary, scales.extent_taps)
-                F = A.apply(cdf - cdf_gt)
+                # A pixel adds to the histograms around it by its weight, which is 1 in the paper.
+                F = A.apply(w * (cdf - cdf_gt))
                 # Eq. 5: E(alpha, beta, sigma), the mean over pixels of the sum over levels of |F|^(1/p) dk.
                 value += weight * float(np.sum(cost(np.abs(F), scales.p, tie)))
                 # The chain rule, backwards. A blur is a matrix; its adjoint is the transposed matrix.
                 dE_dF = weight * np.sign(F) * slope_of_cost(np.abs(F), scales.p, tie)  # eq. 5
-                dE_dcdf = A.adjoint(dE_dF)  # eq. 4
+                dE_dcdf = w * A.adjoint(dE_dF)  # eq. 4
                 dE_dJ = np.sum(dE_dcdf * dcdf_dJ, axis=0)  # eq. 3
                 gradient += G.adjoint(dE_dJ)  # eq. 1
     # A pixel beyond the bounds is clipped; a slope that points back inside is kept.
@@ -154,15 +164,15 @@ class Planes:
     seen: Host
 
     @classmethod
-    def of(cls, image: Host, reference: Host, channel_axis: int | None = -1) -> Planes:
-        """The planes of an image and of a reference whose batch axes fit."""
+    def of(cls, image: Host, reference: Host, channel_axis: int | None = -1, shown: Host | None = None) -> Planes:
+        """The planes of an image and of a reference whose batch axes fit; `shown`, shape (H, W), is a mask."""
         layout = Layout.of("image", image.shape, channel_axis)
         theirs = Layout.of("reference", reference.shape, channel_axis)
         wanted = layout.broadcast_planes("image", reference.astype(np.float64), theirs)
         planes = layout.to_planes(image.astype(np.float64))
         finite = np.isfinite(wanted)
         wanted = np.where(finite, wanted, 0.0)
-        seen = np.isfinite(planes) & finite
+        seen = np.isfinite(planes) & finite & (True if shown is None else shown)
         return cls(layout, np.where(seen, planes, wanted), wanted, seen)
 
     def equal(self) -> list[list[int]]:

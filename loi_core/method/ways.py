@@ -30,8 +30,8 @@ class Way(Protocol):
     def give(self, result: Array, like: Array) -> Array:
         """What came of it, as an array of the library, dtype and device of the image."""
 
-    def comparison(self, scales: ScaleSpace, plan: Plan, reference: Array) -> Comparison:
-        """All that depends on the reference alone: planes within the bounds, shape (N, H, W)."""
+    def comparison(self, scales: ScaleSpace, plan: Plan, reference: Array, weights: Array | None = None) -> Comparison:
+        """All that depends on the reference alone: planes within the bounds, and weights, shape (N, H, W)."""
 
 
 class _ByArrays:
@@ -43,8 +43,8 @@ class _ByArrays:
     def give(self, result: Array, like: Array) -> Array:  # noqa: ARG002  # it is like that already
         return result
 
-    def comparison(self, scales: ScaleSpace, plan: Plan, reference: Array) -> Comparison:
-        return ArrayComparison.of(scales, plan, reference)
+    def comparison(self, scales: ScaleSpace, plan: Plan, reference: Array, weights: Array | None = None) -> Comparison:
+        return ArrayComparison.of(scales, plan, reference, weights)
 
 
 class _ByLoops:
@@ -57,10 +57,10 @@ class _ByLoops:
         # In one piece, so that torch's `view` can reshape it.
         return result if is_numpy_array(like) else from_numpy(np.asarray(result, order="C"), like)
 
-    def comparison(self, scales: ScaleSpace, plan: Plan, reference: Array) -> Comparison:
+    def comparison(self, scales: ScaleSpace, plan: Plan, reference: Array, weights: Array | None = None) -> Comparison:
         from loi_core.method.compiled.loop_comparison import LoopComparison  # with Numba, which takes long to import
 
-        return LoopComparison.of(scales, plan, reference)
+        return LoopComparison.of(scales, plan, reference, weights)
 
 
 BY_ARRAYS: Final[Way] = _ByArrays()

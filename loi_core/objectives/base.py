@@ -5,17 +5,19 @@ from __future__ import annotations
 import abc
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Any, Final, Generic, Protocol, TypeVar, runtime_checkable
+from typing import Any, ClassVar, Final, Generic, Protocol, TypeVar, runtime_checkable
 
 import numpy as np
 
-from loi_core.errors import ImageError, ImageTypeError
+from loi_core.errors import ImageError, ImageTypeError, OptionError
 from loi_core.method.ways import BY_ARRAYS, Way
 from loi_core.pixels.layout import Layout, check_channel_axis
 from loi_core.pixels.nonfinite import NanPolicy, check_nan_policy, require_finite
 from loi_core.pixels.tone_curve import LogTone, check_tone
+from loi_core.pixels.weights import PixelWeights
 from loi_core.support.arrays import (
     Array,
+    Host,
     as_floating,
     detached,
     device,
@@ -74,7 +76,7 @@ class _Ready(Generic[PreparedT]):
     """The reference as one array library, dtype and device sees it, after the tone curve."""
 
     planes: Array
-    finite: Array | None
+    seen: Array | None  # where pixels are compared; None if that is everywhere
     prepared: PreparedT
 
 
@@ -96,6 +98,10 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
     tone : LogTone, optional
         A tone curve for images of high dynamic range: image and reference pass it before they are compared, and its
         derivative is part of the gradient.
+    weights : array, shape (H, W) or that of the reference without channels, optional
+        How much each pixel counts, 0 or more; a mask is weights of 0 and 1. What a pixel adds to every comparison is
+        multiplied by its weight, and the mean is still over all pixels. Pixels of weight 0 are taken as equal to the
+        reference, whatever they hold, so that blurs see no edge there.
 
     Notes
     -----
@@ -110,17 +116,25 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
         channel_axis: int | None = -1,
         nan_policy: NanPolicy = "raise",
         tone: LogTone | None = None,
+        weights: Array | None = None,
     ) -> None:
         self._channel_axis = check_channel_axis(channel_axis)
         self._nan_policy = check_nan_policy(nan_policy)
         self._tone = check_tone(tone)
         reference = detached(as_floating("reference", reference))
         self._reference_layout = Layout.of("reference", reference.shape, self._channel_axis)
+        self._pixel_weights = None if weights is None else PixelWeights.of(weights, self._reference_layout)
+        if self._pixel_weights is not None and not self.takes_weights and not self._pixel_weights.is_mask:
+            msg = f"`weights` of {type(self).__name__} must be a mask, of 0 and one other value; it knows no others"
+            raise OptionError(msg)
         if self._nan_policy == "raise":
-            require_finite("reference", reference, self._channel_axis)
+            require_finite("reference", self.visible(reference), self._channel_axis)
         xp = namespace(reference)
         self._reference = xp.asarray(reference, copy=True)
         self._ready: dict[tuple[Any, ...], _Ready[PreparedT]] = {}
+
+    takes_weights: ClassVar[bool] = False
+    """Whether :meth:`compare_planes` counts pixels by weights; if not, masks are taken and other weights refused."""
 
     def __getstate__(self) -> dict[str, Any]:
         # What is prepared can be prepared again; copies and pickles need not carry it.
@@ -145,6 +159,11 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
     def tone(self) -> LogTone | None:
         """The tone curve that image and reference pass."""
         return self._tone
+
+    @property
+    def weights(self) -> Host | None:
+        """How much each pixel counts, shape (*batch, H, W), float64; None if all count alike."""
+        return None if self._pixel_weights is None else self._pixel_weights.values
 
     def value(self, image: Array) -> Array:
         """The objective at `image`.
@@ -189,6 +208,21 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
         self._require_same_axes(layout)
         layout.require_fit("image", self._reference_layout)
 
+    def visible(self, image: Array) -> Array:
+        """`image`, shape (*batch, H, W, C), with 0 in the pixels of weight 0, which may hold anything."""
+        if not self._weights_hide or self._pixel_weights is None:
+            return image
+        layout = Layout.of("image", image.shape, self._channel_axis)
+        planes = layout.to_planes(image)
+        xp = namespace(planes)
+        return layout.to_image(
+            xp.where(self._pixel_weights.planes(layout, planes) > 0.0, planes, xp.zeros_like(planes))
+        )
+
+    @property
+    def _weights_hide(self) -> bool:
+        return self._pixel_weights is not None and self._pixel_weights.hide
+
     def evaluate_unchecked(self, image: Array, like: Array, *, gradient: bool) -> tuple[Array, Array | None]:
         """Value, and gradient if asked for, of an image whose pixels cannot be looked at, such as a JAX tracer.
 
@@ -205,20 +239,22 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
         return narrowed(_total(terms), image), None if slope is None else narrowed(slope, image)
 
     @abc.abstractmethod
-    def prepare_reference(self, reference: Array) -> PreparedT:
+    def prepare_reference(self, reference: Array, weights: Array | None) -> PreparedT:
         """Make once what depends on the reference alone. For those who write an objective; see :meth:`compare_planes`.
 
         Parameters
         ----------
         reference : array, shape (N, H, W)
             Every channel of every image of the batch is a plane; finite, and past the tone curve.
+        weights : array, shape (N, H, W), optional
+            How much each pixel counts, in [0, 1]; None if all count alike, and always None unless `takes_weights`.
         """
 
     @abc.abstractmethod
     def compare_planes(self, planes: Array, prepared: PreparedT, *, gradient: bool) -> Evaluation[KeyT]:
         """Compare an image with the reference. For those who write an objective: this is all there is to compute.
 
-        Layouts, batches, dtypes, pixels that are not finite and the tone curve have been seen to.
+        Layouts, batches, dtypes, pixels that are not finite, masks and the tone curve have been seen to.
 
         Parameters
         ----------
@@ -248,17 +284,17 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
         ready = self._ready_for(image if like is None else widened(like), layout, way)
         here = way.take(image)
         planes = layout.to_planes(here)
-        seen: Array | None = None
-        if self._nan_policy == "raise":
-            if like is None:
-                require_finite("image", here, self._channel_axis)
-        else:
-            xp = namespace(planes)
-            seen = xp.isfinite(planes) & ready.finite
+        xp = namespace(planes)
+        seen = ready.seen
+        if self._nan_policy == "mask":
+            seen = xp.isfinite(planes) if seen is None else xp.isfinite(planes) & seen
+        if seen is not None:
             planes = xp.where(seen, planes, xp.zeros_like(planes))  # so that no curve, nor its slope, meets them
+        if self._nan_policy == "raise" and like is None:
+            require_finite("image", here if seen is None else layout.to_image(planes), self._channel_axis)
         compared = self._toned(planes)
         if seen is not None:
-            compared = namespace(planes).where(seen, compared, ready.planes)
+            compared = xp.where(seen, compared, ready.planes)
         evaluation = self.compare_planes(compared, ready.prepared, gradient=gradient)
         terms, cotangent = evaluation.terms, evaluation.gradient
         if cotangent is not None:
@@ -267,6 +303,9 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
                 other = evaluation.better(norm(cotangent), self._largest_factor(planes))
                 cotangent = cotangent if other is None else self._carried_back(planes, seen, other)
             cotangent = layout.to_image(cotangent)
+        if self._pixel_weights is not None and self._pixel_weights.largest != 1.0:
+            terms = {key: term * self._pixel_weights.largest for key, term in terms.items()}
+            cotangent = None if cotangent is None else cotangent * self._pixel_weights.largest
         terms = {key: way.give(term, image) for key, term in terms.items()}
         return terms, None if cotangent is None else way.give(cotangent, image)
 
@@ -311,12 +350,15 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
         planes = layout.broadcast_planes("image", self._reference_like(like), self._reference_layout)
         planes = way.take(planes)
         xp = namespace(planes)
-        finite: Array | None = None
+        shares = None if self._pixel_weights is None else self._pixel_weights.planes(layout, planes)
+        seen = None if shares is None or not self._weights_hide else shares > 0.0
         if self._nan_policy == "mask":
-            finite = xp.isfinite(planes)
-            planes = xp.where(finite, planes, xp.zeros_like(planes))
+            seen = xp.isfinite(planes) if seen is None else xp.isfinite(planes) & seen
+        if seen is not None:
+            # A pixel that is hidden keeps what the reference has there, if that is a number.
+            planes = xp.where(xp.isfinite(planes), planes, xp.zeros_like(planes))
         planes = self._toned(planes)
-        return _Ready(planes, finite, self.prepare_reference(planes))
+        return _Ready(planes, seen, self.prepare_reference(planes, shares if self.takes_weights else None))
 
     def _toned(self, planes: Array) -> Array:
         return planes if self._tone is None else self._tone.apply(planes)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Final
+from typing import ClassVar, Final
 
 from loi_core.errors import OptionError, ScaleError
 from loi_core.method.comparison import Comparison, ScaleKey
@@ -69,6 +69,8 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
     tone : LogTone, optional
         A tone curve for images of high dynamic range. `bounds`, beta and the clipping of values beyond the bounds are
         those of the values that it gives.
+    weights : array, shape (H, W) or that of the reference without channels, optional
+        How much each pixel counts, 0 or more, and so in the histograms of its neighbours; see :class:`ImageObjective`.
 
     Examples
     --------
@@ -81,6 +83,8 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
     (32, 32, 1)
     """
 
+    takes_weights: ClassVar[bool] = True
+
     def __init__(
         self,
         reference: Array,
@@ -90,8 +94,9 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
         channel_axis: int | None = -1,
         nan_policy: NanPolicy = "raise",
         tone: LogTone | None = None,
+        weights: Array | None = None,
     ) -> None:
-        super().__init__(reference, channel_axis=channel_axis, nan_policy=nan_policy, tone=tone)
+        super().__init__(reference, channel_axis=channel_axis, nan_policy=nan_policy, tone=tone, weights=weights)
         if scales is None:
             scales = ScaleSpace.for_image(*self.size)
         if not isinstance(scales, ScaleSpace):
@@ -131,6 +136,7 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
             channel_axis=self._channel_axis,
             nan_policy=self._nan_policy,
             tone=self._tone,
+            weights=self.weights,
         )
 
     @property
@@ -159,14 +165,15 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
             layout.width if width is None else width,
             tolerance=self._tolerance,
             eps=epsilon(widened(self._reference)) if eps is None else eps,
+            weighted=self._pixel_weights is not None,
         )
         return replace(plan, compiled=available())
 
-    def prepare_reference(self, reference: Array) -> _Prepared:
+    def prepare_reference(self, reference: Array, weights: Array | None) -> _Prepared:
         """See :class:`ImageObjective`."""
         scales = self._scales
         plan = self.plan(*reference.shape[-2:], eps=epsilon(reference))
-        prepared = _Prepared(scales, plan, clip(reference, *scales.bounds))
+        prepared = _Prepared(scales, plan, clip(reference, *scales.bounds), weights)
         # Now, and not when it is first used: that may be where JAX traces.
         prepared.first(reference)
         return prepared
@@ -197,11 +204,14 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
 class _Prepared:
     """All that depends on the reference alone, by plan and by way of comparing; what is not needed yet is not made."""
 
-    def __init__(self, scales: ScaleSpace, plan: Plan, reference: Array) -> None:
+    def __init__(self, scales: ScaleSpace, plan: Plan, reference: Array, weights: Array | None) -> None:
         self._scales = scales
+        self._weights = weights  # shape (N, H, W)
         self._plan = plan
         self._exact = (
-            plan if plan.tolerance == 0.0 else make_plan(scales, plan.height, plan.width, tolerance=0.0, eps=plan.eps)
+            plan
+            if plan.tolerance == 0.0
+            else make_plan(scales, plan.height, plan.width, tolerance=0.0, eps=plan.eps, weighted=weights is not None)
         )
         self._reference = reference  # within the bounds, shape (N, H, W)
         self._made: dict[tuple[bool, Way], Comparison] = {}
@@ -221,7 +231,7 @@ class _Prepared:
         made = self._made.get(key)
         if made is None:
             plan = self._plan if key[0] else self._exact
-            made = self._made[key] = way.comparison(self._scales, plan, self._reference)
+            made = self._made[key] = way.comparison(self._scales, plan, self._reference, self._weights)
         return made
 
 

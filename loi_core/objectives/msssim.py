@@ -61,7 +61,8 @@ class MSSSIM(ImageObjective[_Prepared, str]):
     Parameters
     ----------
     reference : array, shape (*batch, H, W, C)
-        Real floating point; see :class:`ImageObjective`, as for `channel_axis`, `nan_policy` and `tone`.
+        Real floating point; see :class:`ImageObjective`, as for `channel_axis`, `nan_policy`, `tone` and `weights`,
+        which have to be a mask.
     levels : int, optional
         1 (plain SSIM) to 5; by default as many as the size allows. Fewer than 5 are weighted to a sum of 1.
     data_range : float
@@ -88,8 +89,9 @@ class MSSSIM(ImageObjective[_Prepared, str]):
         channel_axis: int | None = -1,
         nan_policy: NanPolicy = "raise",
         tone: LogTone | None = None,
+        weights: Array | None = None,
     ) -> None:
-        super().__init__(reference, channel_axis=channel_axis, nan_policy=nan_policy, tone=tone)
+        super().__init__(reference, channel_axis=channel_axis, nan_policy=nan_policy, tone=tone, weights=weights)
         shorter = min(self._reference_layout.height, self._reference_layout.width)
         if shorter < TAPS:
             msg = f"`reference` must have at least {TAPS} rows and columns for SSIM, got a side of {shorter}"
@@ -107,7 +109,7 @@ class MSSSIM(ImageObjective[_Prepared, str]):
         self._weights = tuple(weight / whole for weight in WEIGHTS[:count])
         self._luminance, self._contrast = ((constant * extent) ** 2 for constant in STABILISERS)
 
-    def prepare_reference(self, reference: Array) -> _Prepared:
+    def prepare_reference(self, reference: Array, weights: Array | None) -> _Prepared:  # noqa: ARG002  # masks only
         """See :class:`loi_core.ImageObjective`."""
         levels: list[_Level] = []
         halvings: list[DenseBlur] = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import ClassVar
 
 from loi_core.objectives.base import Evaluation, ImageObjective
 from loi_core.support.arrays import Array, sum_of_all
@@ -10,19 +11,23 @@ from loi_core.support.arrays import Array, sum_of_all
 __all__ = ["PixelL2"]
 
 
-class PixelL2(ImageObjective[Array, str]):
+class PixelL2(ImageObjective[tuple[Array, Array | None], str]):
     """Mean of ``(image - reference)**2`` over pixels, channels and batch.
 
     Parameters are those of :class:`ImageObjective`.
     """
 
-    def prepare_reference(self, reference: Array) -> Array:
-        """See :class:`loi_core.ImageObjective`."""
-        return reference
+    takes_weights: ClassVar[bool] = True
 
-    def compare_planes(self, planes: Array, prepared: Array, *, gradient: bool) -> Evaluation[str]:
+    def prepare_reference(self, reference: Array, weights: Array | None) -> tuple[Array, Array | None]:
         """See :class:`loi_core.ImageObjective`."""
+        return reference, weights
+
+    def compare_planes(self, planes: Array, prepared: tuple[Array, Array | None], *, gradient: bool) -> Evaluation[str]:
+        """See :class:`loi_core.ImageObjective`."""
+        reference, weights = prepared
         weight = 1.0 / math.prod(planes.shape)
-        difference = planes - prepared
-        term = sum_of_all(difference * difference) * weight
-        return Evaluation({"l2": term}, difference * (2.0 * weight) if gradient else None)
+        difference = planes - reference
+        weighted = difference if weights is None else difference * weights
+        term = sum_of_all(difference * weighted) * weight
+        return Evaluation({"l2": term}, weighted * (2.0 * weight) if gradient else None)

@@ -57,7 +57,7 @@ def test_gradient_equals_jax_grad_through_the_same_forward_code(name: str) -> No
     _, gradient = objectives(reference)[name].value_and_grad(image)
     objective = objectives(jnp.asarray(reference))[name]
     planes = jnp.moveaxis(jnp.asarray(image), -1, 0)
-    prepared = objective.prepare_reference(jnp.moveaxis(jnp.asarray(reference), -1, 0))
+    prepared = objective.prepare_reference(jnp.moveaxis(jnp.asarray(reference), -1, 0), None)
 
     def forward(stack: Any) -> Any:
         return sum(objective.compare_planes(stack, prepared, gradient=False).terms.values())

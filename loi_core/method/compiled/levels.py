@@ -42,6 +42,7 @@ STARTS, BAND_TAPS = map(int, (BandColumn.STARTS, BandColumn.TAPS))
 def compare_levels(
     image: Floats,
     reference: Floats,
+    shares: Floats,
     levels: Table,
     numbers: Floats,
     extents: Floats,
@@ -66,6 +67,8 @@ def compare_levels(
     ----------
     image, reference : array, shape (h, w)
         Intensities in units of the distance of two levels.
+    shares : array, shape (h, w) or (0, 0)
+        How much each pixel counts; empty if all count alike.
     levels : array, shape (3,)
         The level that accumulation starts from, the first that is compared, and where to stop.
     numbers, extents
@@ -80,6 +83,7 @@ def compare_levels(
     _compare(
         image,
         reference,
+        shares,
         levels,
         Tonal(numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], extents),
         Operators(weights, starts, bands, arena),
@@ -92,6 +96,7 @@ def compare_levels(
 def _compare(
     image: Floats,
     reference: Floats,
+    shares: Floats,
     levels: Table,
     tonal: Tonal,
     operators: Operators,
@@ -111,7 +116,7 @@ def _compare(
         clear_window(arena, _pulled(home), _box(home))
     for level in range(start, stop):
         _accumulate(
-            image, reference, image.dtype.type(level), tonal, arena, difference, slope, home, cotangent,
+            image, reference, shares, image.dtype.type(level), tonal, arena, difference, slope, home, cotangent,
             gradient and level > first,
         )  # fmt: skip
         if level < first:
@@ -161,6 +166,7 @@ def _box(node: Table) -> Box:
 def _accumulate(
     image: Floats,
     reference: Floats,
+    shares: Floats,
     level: Any,
     tonal: Tonal,
     arena: Floats,
@@ -183,6 +189,15 @@ def _accumulate(
         ours, theirs = image[y, left:right], reference[y, left:right]
         if pulls:
             _pull_row(arena[node[PULLED] + at : node[PULLED] + at + right - left], slopes, cotangent[y, left:right])
+        if shares.size > 0:
+            share = shares[y, left:right]
+            for x in range(right - left):
+                offset = (level - ours[x]) * scale
+                weight = exponential(max(peak - offset * offset, least)) * share[x]
+                other = (level - theirs[x]) * scale
+                difference[x] += weight - exponential(max(peak - other * other, least)) * share[x]
+                slopes[x] += offset * weight
+            continue
         for x in range(right - left):
             offset = (level - ours[x]) * scale
             weight = exponential(max(peak - offset * offset, least))

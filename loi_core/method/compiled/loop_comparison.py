@@ -59,9 +59,11 @@ class LoopComparison:
     inner: tuple[_InnerComparison, ...]
 
     @classmethod
-    def of(cls, scales: ScaleSpace, plan: Plan, reference: Numbers) -> LoopComparison:
-        """Everything that depends on the reference alone: planes within the bounds, shape (N, H, W)."""
-        return cls(tuple(_InnerComparison.of(scales, inner, plan.tonal, reference) for inner in plan.inner))
+    def of(cls, scales: ScaleSpace, plan: Plan, reference: Numbers, weights: Numbers | None = None) -> LoopComparison:
+        """Everything that depends on the reference alone: planes within the bounds, and weights, shape (N, H, W)."""
+        if weights is None:
+            weights = np.zeros((reference.shape[0], 0, 0), reference.dtype)
+        return cls(tuple(_InnerComparison.of(scales, inner, plan.tonal, reference, weights) for inner in plan.inner))
 
     def compare(self, clipped: Numbers, *, gradient: bool) -> Compared:
         """Compare planes within the bounds, shape (N, H, W)."""
@@ -157,17 +159,18 @@ class _InnerComparison:
     tonal: tuple[_TonalScale, ...]
     blur: InnerBlur
     intensity: Numbers  # the reference's, above the padding; shape (N, h, w)
+    weights: Numbers  # of its pixels, shape (N, h, w), or (N, 0, 0) if all count alike
     wiring: Wiring
 
     @classmethod
     def of(
-        cls, scales: ScaleSpace, plan: InnerPlan, tonal: tuple[TonalPlan, ...], reference: Numbers
+        cls, scales: ScaleSpace, plan: InnerPlan, tonal: tuple[TonalPlan, ...], reference: Numbers, weights: Numbers
     ) -> _InnerComparison:
-        """Everything that depends on the reference alone: planes within the bounds, shape (N, H, W)."""
+        """Everything that depends on the reference alone: planes within the bounds, and weights, shape (N, H, W)."""
         blur, arena = InnerBlur.of(plan.blur, reference.dtype), Arena(reference.dtype)
         intensity = np.stack([blur.apply(plane, arena) for plane in above_padding(reference, scales.padding)])
         scale = tuple(_TonalScale.of(scales, plan, each, intensity) for each in tonal)
-        return cls(scales, plan, scale, blur, intensity, Wiring.of(plan, reference.dtype))
+        return cls(scales, plan, scale, blur, intensity, weights, Wiring.of(plan, reference.dtype))
 
     def tasks(self, above: Numbers, plane: int, most: int, arena: Arena, *, gradient: bool) -> list[_Task]:
         """What there is to do for a plane of an image, given as what it is above the padding, shape (H, W)."""
@@ -191,7 +194,8 @@ class _InnerComparison:
             edges = [among.first + count * index // groups for index in range(groups + 1)]
             for first, stop in itertools.pairwise(edges):
                 levels = among.start, first, stop
-                tasks.append(_Task(beta, ours, theirs, levels, tonal, self.wiring, program, gradient))
+                weights = self.weights[plane]
+                tasks.append(_Task(beta, ours, theirs, weights, levels, tonal, self.wiring, program, gradient))
         return tasks
 
 
@@ -202,6 +206,7 @@ class _Task:
     beta: float
     image: Numbers
     reference: Numbers
+    weights: Numbers
     levels: tuple[int, int, int]
     tonal: _TonalScale
     wiring: Wiring
@@ -220,6 +225,7 @@ class _Task:
         compare_levels(
             self.image,
             self.reference,
+            self.weights,
             np.asarray(self.levels, np.int64),
             self.tonal.numbers,
             self.tonal.weights,
