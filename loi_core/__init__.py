@@ -2,6 +2,7 @@
 
 from loi_core.errors import FitDivergedError, FitError, LoiError, NonFiniteImageError
 from loi_core.fitting.loop import FitInterruptedError, FitResult, FitStep, fit
+from loi_core.fitting.optimiser import Optimiser
 from loi_core.fitting.parameters import Free
 from loi_core.fitting.stages import FarToNear
 from loi_core.fitting.verdict import Diagnosis
@@ -11,6 +12,7 @@ from loi_core.objectives import MSSSIM, GaussianPyramid, ImageObjective, LOIObje
 from loi_core.pixels.tone_curve import LogTone
 from loi_core.plugins.registry import available_renderers, load_renderer
 from loi_core.renderers.contract import Parameters, ProjectingRenderer, Pullback, Renderer
+from loi_core.scenes.target import Target, read_target
 
 __version__ = "0.1.0"
 
@@ -31,12 +33,14 @@ __all__ = [
     "LoiError",
     "NonFiniteImageError",
     "Objective",
+    "Optimiser",
     "Parameters",
     "PixelL2",
     "ProjectingRenderer",
     "Pullback",
     "Renderer",
     "ScaleSpace",
+    "Target",
     "__version__",
     "available_renderers",
     "fit",
@@ -44,4 +48,5 @@ __all__ = [
     "isophotes",
     "load_renderer",
     "local_histograms",
+    "read_target",
 ]

@@ -1,5 +1,6 @@
-"""`loi` for JAX: the loss as a function for ``jit``, ``grad`` and ``vmap``, and a renderer."""
+"""`loi` for JAX: the loss as a function for ``jit``, ``grad`` and ``vmap``, optimisers, and a renderer."""
 
 from loi_jax.loss import loi_loss
+from loi_jax.optimisers import OptaxOptimiser
 
-__all__ = ["loi_loss"]
+__all__ = ["OptaxOptimiser", "loi_loss"]

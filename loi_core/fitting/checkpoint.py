@@ -20,9 +20,9 @@ from loi_core.support.wording import described
 
 __all__ = ["Checkpoint", "load_checkpoint", "save_checkpoint"]
 
-GROUPS = ("params", "first", "second", "best_params")
+GROUPS = ("params", "memory", "best_params")
 FIRST_COLUMNS = 6  # step, value, gradient norm, rate, seconds, stage; then the free parameters if they are few
-NUMBERS = ("step", "count", "best_step", "best_value", "history")
+NUMBERS = ("step", "best_step", "best_value", "history")
 
 
 @dataclass(frozen=True)
@@ -31,12 +31,10 @@ class Checkpoint:
 
     settings: Mapping[str, str]
     step: int
-    count: int
     best_step: int
     best_value: float
     params: Mapping[str, Host]
-    first: Mapping[str, Host]
-    second: Mapping[str, Host]
+    memory: Mapping[str, Host]
     best_params: Mapping[str, Host]
     history: Host
 
@@ -81,7 +79,6 @@ def _load(path: Path) -> Checkpoint:
         state = Checkpoint(
             settings={str(name): str(value) for name, value in json.loads(str(arrays["settings"])).items()},
             step=int(arrays["step"]),
-            count=int(arrays["count"]),
             best_step=int(arrays["best_step"]),
             best_value=float(arrays["best_value"]),
             history=_table(np.asarray(arrays["history"], dtype=np.float64)),
@@ -89,7 +86,7 @@ def _load(path: Path) -> Checkpoint:
         )
     except Exception as error:  # damage may show in any layer: the file, zip, NumPy, JSON
         raise _foreign(path, described(error)) from error
-    if not 0 <= state.best_step <= state.step == state.count == len(state.history):
+    if not 0 <= state.best_step <= state.step == len(state.history):
         raise _foreign(path, "its counts of steps disagree")
     if not np.array_equal(state.history[:, 0], np.arange(state.step)):
         raise _foreign(path, "its history is not one of steps in order")
@@ -97,7 +94,7 @@ def _load(path: Path) -> Checkpoint:
         raise _foreign(path, "its history holds what is not a number")
     for group, values in groups.items():
         for name, value in values.items():
-            if value.dtype.kind != "f" or not np.all(np.isfinite(value)) or (group == "second" and np.any(value < 0)):
+            if value.dtype.kind not in ("f" if group != "memory" else "fiub") or not np.all(np.isfinite(value)):
                 raise _foreign(path, f"{group} of {name!r} are not numbers of a fit")
     return state
 

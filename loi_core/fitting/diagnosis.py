@@ -2,28 +2,45 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from loi_core.fitting.parameters import Bounds
-from loi_core.fitting.state import FitStep
+from loi_core.fitting.state import FitResult, FitStep
+from loi_core.fitting.units import measure_units
 from loi_core.fitting.verdict import Diagnosis, Verdict
+from loi_core.fitting.views import View, Views, mean
+from loi_core.objectives import ImageObjective, LOIObjective
+from loi_core.pixels.encoding import encode_srgb
 from loi_core.renderers.contract import Parameters
-from loi_core.support.arrays import Host, to_numpy
+from loi_core.support.arrays import Host, detached, from_numpy, to_numpy
 
-__all__ = ["Findings", "diagnose"]
+__all__ = ["Findings", "diagnose", "judged"]
 
 FOUND: Final = 0.02, 1.5
 """What a fit that has found its target leaves at the most: of the loss at the start, and of what noise makes of it."""
+
+RENDERS: Final = 8
+"""Whose mean tells what is left from what is noise."""
 
 LOUD: Final = 0.7
 """Of the loss at the start: with more noise than that, there is little else to follow."""
 
 FALLING: Final = 0.1
 """A loss that falls by more than this fraction over the last quarter of the steps still falls."""
+
+APART: Final = 0.05
+"""How far the values of two images have to be apart before one of them may be encoded."""
+
+ALIKE: Final = 0.35
+"""Of how far their values are apart: the most that may be left of it once one is encoded."""
+
+MOSTLY: Final = 0.6
+"""Likewise of how far their pixels are apart, which what is not in its place keeps apart."""
 
 FADED: Final = 1e-6
 """Of the largest gradient on the way: less is none."""
@@ -46,8 +63,8 @@ class Findings:
     bounds : Bounds
     visible : dict of bool
         Of each free parameter, whether a change of it changed the image.
-    image, reference : array, shape (H, W, C), optional
-        The start's render and the target.
+    pairs : list of (array, array)
+        The start's render and the target, shape (H, W, C), of each view.
     """
 
     start: float
@@ -57,8 +74,46 @@ class Findings:
     params: Parameters
     bounds: Bounds
     visible: Mapping[str, bool]
-    image: Host | None = None
-    reference: Host | None = None
+    pairs: Sequence[tuple[Host, Host]] = ()
+
+
+def judged(views: Views, start: Parameters, bounds: Bounds, result: FitResult, seed: int) -> Diagnosis | None:
+    """What came of a fit from a start; None if a renderer or an objective refuses to say."""
+    try:
+        views, last = views.unabridged(), views.stages - 1
+        images = views.render(start, seed)
+        first = mean(views.values(images, last))
+        ends, noises = {}, {}
+        for name, view in views.each.items():
+            ends[name], noises[name] = _end_and_noise(view, result.best_params, seed + result.best_step)
+        visible: dict[str, bool] = {}
+        if all(one.gradient_norm == 0.0 for one in result.history):
+            units, _ = measure_units(list(views.each.values()), start, bounds, bounds.lower, seed=seed)
+            visible = {name: math.isfinite(unit) for name, unit in units.items()}
+        pairs = [
+            (to_numpy(images[name]), to_numpy(view.objectives[-1].reference))
+            for name, view in views.each.items()
+            if isinstance(view.objectives[-1], ImageObjective)
+        ]
+    except Exception:  # noqa: BLE001 - the fit is done, whatever a renderer does beyond it
+        return None
+    return diagnose(
+        Findings(first, mean(ends), mean(noises), result.history, result.best_params, bounds, visible, pairs)
+    )
+
+
+def _end_and_noise(view: View, params: Parameters, seed: int) -> tuple[float, float]:
+    """The value of the last objective for the mean of some renders, and what it says of one beside that mean."""
+    objective = view.objectives[-1]
+    image, noise = view.render(params, seed=seed), 0.0
+    again = [view.render(params, seed=seed + 1)]
+    if not np.array_equal(to_numpy(again[0]), to_numpy(image)):
+        again += [view.render(params, seed=seed + k) for k in range(2, RENDERS + 1)]
+        average = np.mean([np.asarray(to_numpy(one), dtype=np.float64) for one in again], axis=0)
+        if isinstance(objective, LOIObjective):
+            noise = float(detached(objective.with_reference(average).value(to_numpy(image))))
+        image = from_numpy(average, image)
+    return float(detached(objective.value(image))), noise
 
 
 def diagnose(seen: Findings) -> Diagnosis:
@@ -85,9 +140,9 @@ def diagnose(seen: Findings) -> Diagnosis:
         return say("converged", rest)
     if noise > LOUD * (1.0 + left):
         return say("follows noise", f"{rest}, and noise makes {noise:.0%} of it", "raise the samples")
-    encoded = _encoding(seen.image, seen.reference)
+    encoded = next(filter(None, (_encoding(image, reference) for image, reference in seen.pairs)), "")
     if encoded:
-        return say("other range", f"{rest}; {encoded}", "compare linear radiance with linear radiance")
+        return say("other range", f"{rest}; {encoded}", "compare linear with linear: read_target(file, to='linear')")
     if norms[-1] <= FADED * max(norms):
         return say("left the frame", f"{rest}, and the gradient is gone", "start nearer, or set bounds")
     held = _at_bounds(seen.params, seen.bounds)
@@ -121,23 +176,24 @@ def _at_bounds(params: Parameters, bounds: Bounds) -> list[str]:
     return found
 
 
-def _encoding(image: Host | None, reference: Host | None) -> str:
-    """What is wrong if one of two images looks as if it were encoded for a display and the other not; or empty."""
-    if image is None or reference is None or image.shape != reference.shape:
+def _encoding(image: Host, reference: Host) -> str:
+    """What is wrong if one of two images looks as if it were encoded for a display and the other not; or empty.
+
+    The distribution of values has to say so, and most pixels as well: noise shifts the one, but not along the curve.
+    """
+    if image.shape != reference.shape:
         return ""
     levels = np.linspace(0.02, 0.98, 49)
-    ours, theirs = (np.quantile(np.nan_to_num(each), levels) for each in (image, reference))
-    apart = float(np.mean(np.abs(ours - theirs)))
-    for first, second, says in (
+    ours, theirs = (np.clip(np.nan_to_num(each), 0.0, 1.0) for each in (image, reference))
+    for linear, encoded, says in (
         (ours, theirs, "the target looks encoded for a display (sRGB), the render linear"),
         (theirs, ours, "the render looks encoded for a display (sRGB), the target linear"),
     ):
-        if apart > 0.05 and float(np.mean(np.abs(first - _linear(second)))) < 0.35 * apart:
+        # Encoded, since decoding makes all small numbers smaller, whatever they are.
+        seen, wanted = encode_srgb(linear), encoded
+        pixels = float(np.mean(np.abs(seen - wanted))), float(np.mean(np.abs(linear - wanted)))
+        low, high, goal = (np.quantile(each, levels) for each in (linear, seen, wanted))
+        values = float(np.mean(np.abs(high - goal))), float(np.mean(np.abs(low - goal)))
+        if values[1] > APART and values[0] < ALIKE * values[1] and pixels[0] < MOSTLY * pixels[1]:
             return says
     return ""
-
-
-def _linear(encoded: Host) -> Host:
-    """Linear radiance of values encoded by sRGB (IEC 61966-2-1)."""
-    inside = np.clip(encoded, 0.0, 1.0)
-    return np.where(inside <= 0.04045, inside / 12.92, ((inside + 0.055) / 1.055) ** 2.4)

@@ -6,13 +6,13 @@ import math
 import re
 from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
 from loi_core.errors import ImageTypeError, OptionError, ParameterError, RendererError
 from loi_core.pixels.nonfinite import count_non_finite
-from loi_core.renderers.contract import Parameters, Renderer
+from loi_core.renderers.contract import Parameters
 from loi_core.support.arrays import Array, as_floating, detached, from_numpy, namespace, to_numpy
 from loi_core.support.guards import foreign
 from loi_core.support.values import real_number
@@ -28,6 +28,13 @@ __all__ = [
     "pixels_of",
     "starting_parameters",
 ]
+
+
+class HasParameters(Protocol):
+    """A renderer, or several."""
+
+    def parameters(self) -> Parameters:
+        """All parameters, by name."""
 
 
 @dataclass(frozen=True)
@@ -67,7 +74,7 @@ class Bounds:
         return result
 
 
-def own_parameters(renderer: Renderer) -> Parameters:
+def own_parameters(renderer: HasParameters) -> Parameters:
     """The renderer's parameters, free of whatever its framework records.
 
     Raises
@@ -120,7 +127,7 @@ def free_parameters(optimise: object, params: Parameters) -> dict[str, Free]:
     return free
 
 
-def starting_parameters(renderer: Renderer, free: Mapping[str, Free]) -> Parameters:
+def starting_parameters(renderer: HasParameters, free: Mapping[str, Free]) -> Parameters:
     """The renderer's parameters, with the initial values of the free ones put in.
 
     Raises

@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any, Final
+from collections.abc import Callable
+from typing import Final, TypeAlias
 
 import numpy as np
 
 from loi_core.errors import OptionError
-from loi_core.fitting.parameters import Bounds, Free
-from loi_core.objectives import Objective
-from loi_core.renderers.contract import Parameters, Renderer
-from loi_core.support.arrays import detached, from_numpy, to_numpy
+from loi_core.fitting.parameters import Bounds
+from loi_core.renderers.contract import Parameters
+from loi_core.support.arrays import from_numpy, to_numpy
 
 __all__ = ["can_search", "draw_starts", "race", "search"]
 
 LAP: Final = 1.0 / 6.0  # of the steps of a fit
 PLACES: Final = 16  # that a search looks at
 BOX: Final = 0.15  # of the range, to either side: what is near
+Value: TypeAlias = Callable[[Parameters], float]
+"""What the loss is somewhere."""
+
 FEW: Final = 8  # numbers: in more dimensions so few places say next to nothing
 AGREE: Final = 0.05  # of the range: finalists that end so near the best agree with it
 
@@ -73,16 +75,9 @@ def can_search(bounds: Bounds) -> bool:
 
 
 def search(
-    renderer: Renderer,
-    objective: Objective,
-    params: Parameters,
-    bounds: Bounds,
-    turn: int,
-    seed: int,
-    *,
-    near: bool = False,
+    value: Value, params: Parameters, bounds: Bounds, turn: int, *, near: bool = False
 ) -> tuple[float, Parameters] | None:
-    """The least value of an objective at some places within the bounds, and where that is; others in every turn.
+    """The least value at some places within the bounds, and where that is; others in every turn.
 
     With `near`, every other place is in a smaller box about where the parameters are.
     """
@@ -92,9 +87,9 @@ def search(
     close = draw_starts(params, around, PLACES + 1, first=1 + turn * PLACES)[1:]
     for index, (far, inside) in enumerate(zip(places, close, strict=True)):
         place = inside if near and index % 2 else far
-        value = float(detached(objective.value(detached(renderer.render(place, seed=seed)))))
-        if best is None or value < best[0]:
-            best = value, place
+        found = value(place)
+        if best is None or found < best[0]:
+            best = found, place
     return best
 
 
@@ -112,33 +107,26 @@ def _about(params: Parameters, bounds: Bounds) -> Bounds:
 
 
 def race(
-    renderer: Renderer,
-    objectives: Sequence[Objective],
     params: Parameters,
     bounds: Bounds,
-    rates: Mapping[str, float | str | None],
     count: int,
+    stages: int,
     steps: int,
-    seed: int,
-    fit: Callable[..., Any],
+    run: Callable[[Parameters, int, int], tuple[float, Parameters]],
 ) -> tuple[Parameters, int]:
     """Where to start: the winner's place, and how many of the finalists came to where it is.
 
     In every lap all that are left take a sixth of the steps, with the objectives from far to near in turn, and the half
-    with the larger values of the last objective drops out.
+    with the larger values of the last objective drops out. `run` takes a start, a stage and a number of steps, and
+    gives the value of the last objective where they led, and that place.
     """
     field = draw_starts(params, bounds, count)
     lap, turn = max(round(LAP * steps), 2), 0
     while len(field) > 1:
-        objective = objectives[min(turn, len(objectives) - 1)]
-        runs = []
-        for start in field:
-            free = {name: Free(start[name], bounds.lower[name], bounds.upper[name], rates[name]) for name in rates}
-            found = fit(renderer, objective, steps=lap, optimise=free, seed=seed, stages=None, decay="none")
-            runs.append((float(detached(objectives[-1].value(found.image))), found.best_params))
+        runs = [run(start, min(turn, stages - 1), lap) for start in field]
         runs.sort(key=lambda one: one[0])
         turn += 1
-        if len(runs) <= 4 and turn >= len(objectives):
+        if len(runs) <= 4 and turn >= stages:
             best = runs[0][1]
             return best, sum(_near(best, other, bounds) for _, other in runs)
         field = [one for _, one in runs[: max(len(runs) // 2, 1)]]

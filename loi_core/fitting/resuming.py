@@ -11,27 +11,28 @@ from typing import Any, Final
 import numpy as np
 
 from loi_core.errors import ParameterError
-from loi_core.fitting.adam import Moments
 from loi_core.fitting.checkpoint import Checkpoint
+from loi_core.fitting.optimiser import Optimiser
 from loi_core.fitting.parameters import Bounds
 from loi_core.fitting.stages import FarToNear
 from loi_core.fitting.state import Best, FitStep, State
-from loi_core.objectives.base import Objective
-from loi_core.renderers.contract import Parameters, Renderer
-from loi_core.support.arrays import detached, from_numpy, to_numpy
+from loi_core.fitting.views import Views, mean
+from loi_core.renderers.contract import Parameters
+from loi_core.support.arrays import from_numpy, to_numpy
 from loi_core.support.wording import described
 
 __all__ = ["few_numbers", "resumed", "settings_of", "snapshot"]
 
 RATES: Final = "measured rates"
 SCHEDULE: Final = "schedule"
+LATEST: Final = "latest values"
 
 
 FEW: Final = 64  # numbers: so many free parameters are kept for every step
 
 
 def settings_of(
-    steps: int, seed: int, decay: str, rates: Mapping[str, float | str], bounds: Bounds, stages: int
+    steps: int, seed: int, decay: str, rates: Mapping[str, float | str], bounds: Bounds, views: Views
 ) -> dict[str, str]:
     """What must be the same for a fit to go on as if it had not stopped, by name.
 
@@ -44,7 +45,8 @@ def settings_of(
         "decay": decay,
         "learning rates": json.dumps(dict(rates)),
         "bounds": hashlib.sha256(json.dumps(limits).encode()).hexdigest()[:12],
-        "stages": str(stages),
+        "stages": str(views.stages),
+        "views": json.dumps([*views.each, views.at_once]),
     }
 
 
@@ -70,20 +72,25 @@ def snapshot(state: State, best: Best, settings: Mapping[str, str]) -> Checkpoin
         for one in state.history
     ]
     return Checkpoint(
-        settings={**settings, RATES: json.dumps(dict(state.rates)), SCHEDULE: state.schedule.state()},
+        settings={
+            **settings,
+            RATES: json.dumps(dict(state.rates)),
+            SCHEDULE: state.schedule.state(),
+            LATEST: json.dumps(dict(state.latest)),
+        },
         step=state.step,
-        count=state.moments.count,
         best_step=best.step,
         best_value=best.value,
         params=host(state.params),
-        first=host(state.moments.first),
-        second=host(state.moments.second),
+        memory=host(dict(state.memory)),
         best_params=host(best.params),
         history=np.asarray(rows, dtype=np.float64).reshape(len(rows), -1) if rows else np.zeros((0, 6)),
     )
 
 
-def resumed(saved: Checkpoint, fresh: State, renderer: Renderer, objectives: Sequence[Objective], seed: int) -> State:
+def resumed(
+    saved: Checkpoint, fresh: State, views: Views, optimiser: Optimiser, free: Iterable[str], seed: int
+) -> State:
     """The state that was saved, with arrays like those of a fit that has not begun.
 
     Raises
@@ -100,20 +107,21 @@ def resumed(saved: Checkpoint, fresh: State, renderer: Renderer, objectives: Seq
             raise ParameterError(msg)
         return {name: from_numpy(value, like[name]) for name, value in stored.items()}
 
-    params = live(saved.params, fresh.params, "parameters")
-    first = live(saved.first, fresh.moments.first, "free parameters")
-    second = live(saved.second, fresh.moments.second, "free parameters")
+    params, moving = live(saved.params, fresh.params, "parameters"), list(free)
+    memory = optimiser.restore({name: params[name] for name in moving}, saved.memory)
     for name, value in fresh.params.items():
-        if name not in first and not np.array_equal(saved.params[name], to_numpy(value)):
+        if name not in moving and not np.array_equal(saved.params[name], to_numpy(value)):
             msg = f"`checkpoint` was made with another scene: {name!r}, which does not move, differs"
             raise ParameterError(msg)
     best = live(saved.best_params, fresh.params, "parameters")
-    image = detached(renderer.render(best, seed=seed + saved.best_step))
-    log = _log(saved, few_numbers(fresh.params, first))
-    stage = log[min(saved.best_step, len(log) - 1)].stage if log else 0
-    value = float(detached(objectives[min(stage, len(objectives) - 1)].value(image)))
-    # Loosely, since libraries may sum in another order from one run to the next.
-    if not math.isclose(value, saved.best_value, rel_tol=1e-4, abs_tol=1e-12):
+    images = views.render(best, seed + saved.best_step)
+    log = _log(saved, few_numbers(fresh.params, moving))
+    stage = min(log[min(saved.best_step, len(log) - 1)].stage if log else 0, views.stages - 1)
+    values = views.values(images, stage)
+    value = mean(values)
+    # Loosely, since libraries may sum in another order from one run to the next. Where a step renders some views, its
+    # value is of other parameters too.
+    if views.all_at_once and not math.isclose(value, saved.best_value, rel_tol=1e-4, abs_tol=1e-12):
         msg = (
             f"`checkpoint` was made with another objective, reference or scene: its best value is "
             f"{saved.best_value:.6g}, here the same parameters give {value:.6g}; start without resume"
@@ -121,13 +129,22 @@ def resumed(saved: Checkpoint, fresh: State, renderer: Renderer, objectives: Seq
         raise ParameterError(msg)
     return State(
         params,
-        Moments(first, second, saved.count),
+        memory,
         saved.step,
-        Best(best, saved.best_value, saved.best_step, image, stage),
+        Best(best, saved.best_value, saved.best_step, images, stage),
         log,
         _rates(saved, fresh.rates),
         _schedule(saved, fresh.schedule, log),
+        _latest(saved, views),
     )
+
+
+def _latest(saved: Checkpoint, views: Views) -> dict[str, float]:
+    try:
+        latest = {str(name): float(value) for name, value in json.loads(saved.settings[LATEST]).items()}
+    except (KeyError, ValueError, TypeError, AttributeError):
+        return {}
+    return {name: value for name, value in latest.items() if name in views.each and math.isfinite(value)}
 
 
 def _schedule(saved: Checkpoint, fresh: FarToNear, log: Sequence[FitStep]) -> FarToNear:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from loi_core.fitting.adam import Moments
+from loi_core.fitting.optimiser import Memory
 from loi_core.fitting.stages import FarToNear
 from loi_core.fitting.verdict import Diagnosis
+from loi_core.fitting.views import Images
 from loi_core.renderers.contract import Parameters
 from loi_core.support.arrays import Array, Host
 
@@ -59,8 +60,8 @@ class FitResult:
         That value.
     best_step : int
         The step at which they were seen; equal to the number of steps if after the last.
-    image : array, shape (H, W, C)
-        Rendered from `best_params`.
+    image : array, shape (H, W, C), or dict of arrays
+        Rendered from `best_params`; of several views, by their names.
     history : tuple of FitStep
         One entry a step.
     diagnosis : Diagnosis, optional
@@ -75,7 +76,7 @@ class FitResult:
     best_params: Parameters
     best_value: float
     best_step: int
-    image: Array
+    image: Images
     history: tuple[FitStep, ...]
     diagnosis: Diagnosis | None = None
     rates: Mapping[str, float] = field(default_factory=dict)
@@ -84,12 +85,12 @@ class FitResult:
 
 @dataclass(frozen=True)
 class Best:
-    """The parameters with the least value of a stage, the step at which they were seen, and their image (H, W, C)."""
+    """The parameters with the least value of a stage, the step at which they were seen, and the images of its views."""
 
     params: Parameters
     value: float
     step: int
-    image: Array
+    images: Mapping[str, Array]
     stage: int = 0
 
 
@@ -101,7 +102,7 @@ class State:
     ----------
     params : dict of arrays
         After `step` steps.
-    moments : Moments
+    memory : dict of arrays
         Of the optimiser, after as many.
     step : int
         Number of steps taken.
@@ -113,37 +114,48 @@ class State:
         Of each free parameter, in its own unit.
     schedule : FarToNear
         Which objective is next.
+    latest : dict of float
+        The value that each view had when it was last rendered in this stage.
     """
 
     params: Parameters
-    moments: Moments
+    memory: Memory
     step: int = 0
     best: Best | None = None
     log: list[FitStep] = field(default_factory=list)
     rates: Mapping[str, float] = field(default_factory=dict)
     schedule: FarToNear = field(default_factory=lambda: FarToNear(1, 1))
+    latest: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def history(self) -> tuple[FitStep, ...]:
         """One entry a step taken."""
         return tuple(self.log[: self.step])
 
-    def seen(self, value: float, image: Array, stage: int = 0) -> State:
-        """The same state, once the value and the image of its parameters are known; values of a stage are compared."""
-        if self.best is not None and self.best.stage == stage and not value < self.best.value:
-            return self
-        return replace(self, best=Best(self.params, value, self.step, image, stage))
+    def seen(self, value: float, images: Mapping[str, Array], stage: int = 0, *, comparable: bool = True) -> State:
+        """The same state, once the value and images of its parameters are known.
 
-    def stepped(self, entry: FitStep, params: Parameters, moments: Moments) -> State:
+        Values of one stage are compared; as long as they are of other views than before, they are not `comparable`.
+        """
+        best = self.best
+        if best is not None and best.stage == stage and comparable and not value < best.value:
+            return self
+        return replace(self, best=Best(self.params, value, self.step, images, stage))
+
+    def stepped(
+        self, entry: FitStep, params: Parameters, memory: Memory, latest: Mapping[str, float] | None = None
+    ) -> State:
         """The state after one more step."""
         self.log[self.step :] = [entry]  # past the history of this state and of all before it
         ahead = self.schedule.copy()
         ahead.step(entry.value)
-        return replace(self, params=params, moments=moments, step=self.step + 1, schedule=ahead)
+        latest = latest if latest and ahead.stage == self.schedule.stage else {}
+        return replace(self, params=params, memory=memory, step=self.step + 1, schedule=ahead, latest=latest)
 
     def result(self) -> FitResult | None:
         """What has been reached; None before the first value."""
         if self.best is None:
             return None
         best = self.best
-        return FitResult(self.params, best.params, best.value, best.step, best.image, self.history, rates=self.rates)
+        image: Images = best.images[""] if "" in best.images else dict(best.images)
+        return FitResult(self.params, best.params, best.value, best.step, image, self.history, rates=self.rates)

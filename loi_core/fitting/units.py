@@ -7,12 +7,14 @@ anything counts as the movement that would change the image as much.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 
 from loi_core.fitting.parameters import Bounds
+from loi_core.fitting.views import View
 from loi_core.method.blurs import gaussian_blur
 from loi_core.renderers.contract import Parameters, Renderer
 from loi_core.support.arrays import Host, from_numpy, to_numpy
@@ -30,14 +32,14 @@ NOISE: Final = 3.0  # times what other seeds change
 
 
 def measure_units(
-    renderer: Renderer, params: Parameters, bounds: Bounds, names: Iterable[str], *, seed: int = 0
+    renderers: Sequence[Renderer | View], params: Parameters, bounds: Bounds, names: Iterable[str], *, seed: int = 0
 ) -> tuple[dict[str, float], int]:
     """By how much a parameter changes when the image moves by a pixel.
 
     Parameters
     ----------
-    renderer : Renderer
-        It renders up to ten times for each parameter.
+    renderers : sequence of Renderer
+        One for each view; they render up to ten times for each parameter. The view that moves most counts.
     params : dict of arrays
         Where to measure.
     bounds : Bounds
@@ -53,18 +55,33 @@ def measure_units(
         In the parameter's own unit, for an array that of each entry if all of them change. Infinite where nothing that
         is within the bounds changes the image.
     side : int
-        The image's longer side, in pixels.
+        The longest side of an image, in pixels.
     """
-    image, other = (_render(renderer, params, each) for each in (seed, seed + 1))
-    slope = _squared_slope(image)
-    noise = float(np.sqrt(np.mean((other - image) ** 2)))
-    units = {name: _unit(renderer, params, bounds, name, image, slope, noise, seed) for name in names}
-    return units, max(image.shape[-2:])
+    seen = [_Seen.of(renderer, params, seed) for renderer in renderers]
+    units = {name: _unit(seen, params, bounds, name, seed) for name in names}
+    return units, max(max(one.image.shape[-2:]) for one in seen)
 
 
-def _unit(
-    renderer: Renderer, params: Parameters, bounds: Bounds, name: str, image: Host, slope: Host, noise: float, seed: int
-) -> float:
+@dataclass(frozen=True)
+class _Seen:
+    """A view before anything has moved: its image, the squared slope there, and its noise."""
+
+    renderer: Renderer | View
+    image: Host
+    slope: Host
+    noise: float
+
+    @classmethod
+    def of(cls, renderer: Renderer | View, params: Parameters, seed: int) -> _Seen:
+        image, other = (_render(renderer, params, each) for each in (seed, seed + 1))
+        return cls(renderer, image, _squared_slope(image), float(np.sqrt(np.mean((other - image) ** 2))))
+
+    def movement(self, params: Parameters, seed: int) -> float:
+        """How far the image has moved, in pixels."""
+        return _movement(_render(self.renderer, params, seed) - self.image, self.slope, self.noise)
+
+
+def _unit(seen: Sequence[_Seen], params: Parameters, bounds: Bounds, name: str, seed: int) -> float:
     at = np.asarray(to_numpy(params[name]), dtype=np.float64)
     low, high = (np.asarray(to_numpy(side[name]), dtype=np.float64) for side in (bounds.lower, bounds.upper))
     room = np.maximum(high - at, at - low)
@@ -81,8 +98,8 @@ def _unit(
         change = float(np.abs(moved - at).max(initial=0.0))
         if change == 0.0:
             break
-        other = _render(renderer, params | {name: from_numpy(moved, params[name])}, seed)
-        pixels = _movement(other - image, slope, noise)
+        there = params | {name: from_numpy(moved, params[name])}
+        pixels = max(one.movement(there, seed) for one in seen)
         off = abs(math.log(pixels)) if pixels > 0.0 else math.inf
         if off < error:
             best, error = change / pixels, off
@@ -92,7 +109,7 @@ def _unit(
     return best
 
 
-def _render(renderer: Renderer, params: Parameters, seed: int) -> Host:
+def _render(renderer: Renderer | View, params: Parameters, seed: int) -> Host:
     with foreign("rendering to measure a unit"):
         planes = np.moveaxis(np.asarray(to_numpy(renderer.render(params, seed=seed)), dtype=np.float64), -1, 0)
     height, width = planes.shape[-2:]

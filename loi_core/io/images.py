@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
@@ -14,7 +15,7 @@ from loi_core.io.files import atomic_path, open_regular
 from loi_core.io.npy import read_npy_header, read_npy_values
 from loi_core.support.wording import described
 
-__all__ = ["IMAGE_SUFFIXES", "FloatImage", "read_image", "write_png"]
+__all__ = ["IMAGE_SUFFIXES", "FloatImage", "StoredImage", "read_image", "read_stored", "write_png"]
 
 FloatImage: TypeAlias = np.ndarray[Any, np.dtype[np.float64]]
 
@@ -24,6 +25,26 @@ MAX_PIXELS: Final = 64 * 1024 * 1024  # beyond this a file is taken for damage o
 MAX_SIDE: Final = 65535  # of a JPEG it can be no more; a line of millions of pixels takes decoders minutes
 MAX_PIXELS_PER_BYTE: Final = 8300  # deflate makes 1032 bytes of one, and a byte may hold eight pixels
 FEW_PIXELS: Final = 2**20  # which may be packed as tightly as they like
+
+
+@dataclass(frozen=True)
+class StoredImage:
+    """An image as its file has it.
+
+    Attributes
+    ----------
+    colours : array, shape (H, W, 3), float64
+    opacity : array, shape (H, W), float64, optional
+    for_display : bool
+        Whether files of this kind hold values for a display: whole numbers do, PNG, JPEG and integer NPY.
+    premultiplied : bool
+        Whether colours have been multiplied by the opacity: in EXR.
+    """
+
+    colours: FloatImage
+    opacity: FloatImage | None
+    for_display: bool
+    premultiplied: bool
 
 
 def read_image(path: Path | str) -> FloatImage:
@@ -47,7 +68,25 @@ def read_image(path: Path | str) -> FloatImage:
         If the file is missing, damaged, of another kind, larger than 64 megapixels, longer than 65535 pixels, or too
         small for as many pixels as it claims. Nothing in it is executed.
     """
-    path = Path(path)
+    image, suffix = _read(Path(path))
+    return image[..., :3] if suffix == ".exr" else image
+
+
+def read_stored(path: Path | str) -> StoredImage:
+    """An image file, with what is known of its values. Files and errors as in :func:`read_image`."""
+    image, suffix = _read(Path(path))
+    whole = suffix in (".png", ".jpg", ".jpeg") or (suffix == ".npy" and _holds_integers(Path(path)))
+    opacity = image[..., 3] if image.shape[2] == 4 else None
+    return StoredImage(image[..., :3], opacity, whole, suffix == ".exr")
+
+
+def _holds_integers(path: Path) -> bool:
+    with open_regular(path) as stream:
+        return bool(read_npy_header(stream).dtype.kind == "u")
+
+
+def _read(path: Path) -> tuple[FloatImage, str]:
+    """Colours, and opacity if there is one, shape (H, W, 3 or 4), and the kind of file."""
     suffix = path.suffix.lower()
     if suffix not in IMAGE_SUFFIXES:
         msg = f"{path}: images must end in {', '.join(IMAGE_SUFFIXES)}"
@@ -65,7 +104,7 @@ def read_image(path: Path | str) -> FloatImage:
     except Exception as error:  # decoders raise what they like on damaged files; all of it means the same here
         msg = f"{path}: not a readable {suffix[1:].upper()} image ({described(error)})"
         raise ImageFileError(msg) from error
-    return _as_colour(path, image)
+    return _as_colour(path, image), suffix
 
 
 def write_png(path: Path, image: np.ndarray[Any, Any]) -> None:
@@ -132,7 +171,7 @@ def _scaled(pixels: Any, greatest: float) -> np.ndarray[Any, Any]:
 
 def _read_exr(path: Path) -> np.ndarray[Any, Any]:
     pixels = read_exr(path, MAX_PIXELS)
-    return _scaled(pixels if pixels.ndim == 2 else pixels[..., :3], 1.0)
+    return _scaled(pixels, 1.0)
 
 
 def _as_colour(path: Path, image: np.ndarray[Any, Any]) -> FloatImage:

@@ -104,7 +104,7 @@ def test_a_unit_is_what_moves_the_image_by_a_pixel_whatever_it_is_called(metres:
     renderer = Elsewhere(HEIGHT, WIDTH, [[20.0, 20.0]], 6.0, [[0.9, 0.4, 0.2]])
     params = renderer.parameters()
     bounds = bounds_of(params, {"positions": Free(lower=0.0, upper=60.0 / metres)})
-    units, side = measure_units(renderer, params, bounds, ["positions"])
+    units, side = measure_units([renderer], params, bounds, ["positions"])
     # Both coordinates move, so the disk goes the root of 2 as far; blurred, its edge is not quite a line.
     assert units["positions"] * metres * np.sqrt(2.0) == pytest.approx(1.0, rel=0.35)
     assert side == WIDTH
@@ -125,7 +125,7 @@ def test_what_leaves_no_trace_has_no_unit_and_says_so() -> None:
 
     renderer = Moody()
     params, free = renderer.parameters(), {"mood": Free(lower=-1.0, upper=1.0)}
-    assert np.isinf(measure_units(renderer, params, bounds_of(params, free), ["mood"])[0]["mood"])
+    assert np.isinf(measure_units([renderer], params, bounds_of(params, free), ["mood"])[0]["mood"])
     result = fit(renderer, LOIObjective(renderer.render(params)[:, ::-1].copy()), steps=4, optimise=free)
     assert result.diagnosis is not None
     assert result.diagnosis.verdict == "no gradient"
@@ -211,3 +211,13 @@ def test_a_run_may_be_lengthened_and_not_cut_below_what_is_done(tmp_path: Path) 
     assert len(longer.history) == 30
     with pytest.raises(ParameterError, match="made with steps"):
         fit(renderer, objective, steps=25, resume=True, **options)
+
+
+def test_noise_in_a_target_is_not_taken_for_its_encoding() -> None:
+    renderer, goal, free = scene()
+    rng = np.random.default_rng(0)
+    dark = Warp(renderer.layers, 0.0 * renderer.background)
+    target = np.clip(target_of(dark, goal) + rng.normal(0.0, 0.2, (HEIGHT, WIDTH, 3)), 0.0, 1.0)
+    result = fit(dark, PixelL2(target), steps=10, optimise={"translation": free})
+    assert result.diagnosis is not None
+    assert result.diagnosis.verdict != "other range"

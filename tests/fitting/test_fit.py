@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from loi_core import Free, LOIObjective, PixelL2, fit
-from loi_core.fitting.adam import Moments
 from loi_core.fitting.loop import FitInterruptedError, FitStep
 from loi_core.fitting.state import State
 from loi_core.renderers import Disks
@@ -232,10 +231,10 @@ def test_a_callback_sees_every_step_and_can_end_the_fit() -> None:
 
 
 def test_a_step_does_not_copy_the_history() -> None:
-    state = State({}, Moments({}, {}))
+    state = State({}, {})
     for step in range(4):
-        before, state = state, state.stepped(FitStep(step, 0.0, 0.0, 1.0, 0.0), {}, state.moments)
+        before, state = state, state.stepped(FitStep(step, 0.0, 0.0, 1.0, 0.0), {}, state.memory)
         assert state.log is before.log
         assert [one.step for one in before.history] == list(range(step))
-    again = before.stepped(FitStep(9, 0.0, 0.0, 1.0, 0.0), {}, before.moments)
+    again = before.stepped(FitStep(9, 0.0, 0.0, 1.0, 0.0), {}, before.memory)
     assert [one.step for one in again.history] == [0, 1, 2, 9]

@@ -166,8 +166,8 @@ def _changed(**changes: Any) -> bytes:
         ({"compression": zipfile.ZIP_DEFLATED}, "it is compressed"),
         ({"params_positions": b"no array"}, "magic string is not correct"),
         ({"params_positions": np.array([["a", "b"]])}, "are not numbers of a fit"),
-        ({"first_positions": np.full((1, 2), np.nan)}, "first of 'positions' are not numbers of a fit"),
-        ({"second_positions": np.full((1, 2), -1.0)}, "second of 'positions' are not numbers of a fit"),
+        ({"memory_first_positions": np.full((1, 2), np.nan)}, "memory of 'first/positions' are not numbers of a fit"),
+        ({"memory_second_positions": np.full((1, 2), -1.0)}, "'second/positions' are not numbers of a fit"),
         ({"history": np.full((1, 6), np.nan)}, "its history is not one of steps in order"),
         ({"settings": np.array("[" * 100_000)}, "is not a checkpoint"),
     ],
@@ -352,7 +352,10 @@ def test_an_npy_of_elements_without_size_does_not_end_the_process(dtype: str, tm
 
 
 def test_moments_that_overflow_end_the_fit_with_an_error_and_no_warning(tmp_path: Path) -> None:
-    changes: dict[str, Any] = {"first_positions": np.full((1, 2), 1e308), "second_positions": np.zeros((1, 2))}
+    changes: dict[str, Any] = {
+        "memory_first_positions": np.full((1, 2), 1e308),
+        "memory_second_positions": np.zeros((1, 2)),
+    }
     (tmp_path / "state.npz").write_bytes(_changed(**changes))
     options: Any = {"steps": STEPS, "learning_rate": 0.1, "checkpoint": tmp_path / "state.npz"}
     with pytest.raises(FitError, match="`positions` must be finite"):

@@ -1,0 +1,87 @@
+"""The gradient transformations of optax in a fit, whatever library its renderer is written in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from loi_core.errors import OptionError, ParameterError
+from loi_core.fitting.optimiser import Memory
+from loi_core.renderers.contract import Parameters
+from loi_core.support.arrays import Host, from_numpy, namespace, to_numpy
+from loi_core.support.wording import shown
+
+__all__ = ["OptaxOptimiser"]
+
+
+class OptaxOptimiser:
+    """A gradient transformation of optax, for :func:`loi_core.fit`.
+
+    Parameters
+    ----------
+    transformation : optax.GradientTransformation
+        Made with a learning rate of 1: the fit multiplies its updates by the rate of every parameter in every step.
+
+    Raises
+    ------
+    OptionError
+        If it has no ``init`` and ``update``.
+
+    Examples
+    --------
+    >>> import optax
+    >>> optimiser = OptaxOptimiser(optax.lion(1.0))
+    >>> # fit(renderer, objective, optimiser=optimiser)
+    """
+
+    def __init__(self, transformation: Any) -> None:
+        if not callable(getattr(transformation, "init", None)) or not callable(getattr(transformation, "update", None)):
+            msg = f"`transformation` must be one of optax, such as optax.adam(1.0), got {shown(transformation)}"
+            raise OptionError(msg)
+        self._transformation = transformation
+        self._update = jax.jit(transformation.update)
+
+    def start(self, params: Parameters, after: Memory | None = None) -> Memory:  # noqa: ARG002  # it begins anew
+        """See :class:`loi_core.Optimiser`."""
+        return _flat(self._transformation.init(_live(params)))
+
+    def step(
+        self, params: Parameters, gradient: Parameters, memory: Memory, rates: Mapping[str, float]
+    ) -> tuple[Parameters, Memory]:
+        """See :class:`loi_core.Optimiser`."""
+        moving = _live({name: params[name] for name in rates})
+        shapes = jax.eval_shape(self._transformation.init, moving)
+        leaves = [memory[str(index)] for index in range(len(jax.tree.leaves(shapes)))]
+        state = jax.tree.unflatten(jax.tree.structure(shapes), leaves)
+        slopes = {name: jnp.asarray(to_numpy(gradient[name]), dtype=moving[name].dtype) for name in rates}
+        updates, state = self._update(slopes, state, moving)
+        moved = dict(params)
+        for name, rate in rates.items():
+            value = params[name]
+            update = rate * np.asarray(updates[name], dtype=np.float64)
+            moved[name] = value + namespace(value).astype(from_numpy(update, value), value.dtype)
+        return moved, _flat(state)
+
+    def restore(self, params: Parameters, stored: Mapping[str, Host]) -> Memory:
+        """See :class:`loi_core.Optimiser`."""
+        fresh = self.start(params)
+        if {name: value.shape for name, value in stored.items()} != {
+            name: tuple(value.shape) for name, value in fresh.items()
+        }:
+            msg = (
+                "`checkpoint` holds other free parameters than this fit has, or another optimiser; start without resume"
+            )
+            raise ParameterError(msg)
+        return {name: jnp.asarray(value, dtype=fresh[name].dtype) for name, value in stored.items()}
+
+
+def _live(params: Parameters) -> dict[str, jax.Array]:
+    return {name: jnp.asarray(to_numpy(value)) for name, value in params.items()}
+
+
+def _flat(state: Any) -> dict[str, jax.Array]:
+    return {str(index): jnp.asarray(leaf) for index, leaf in enumerate(jax.tree.leaves(state))}

@@ -1,0 +1,117 @@
+"""The optimisers of torch.optim in a fit, whatever library its renderer is written in."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from loi_core.errors import OptionError, ParameterError
+from loi_core.fitting.optimiser import Memory
+from loi_core.renderers.contract import Parameters
+from loi_core.support.arrays import Array, Host, from_numpy, to_numpy
+from loi_core.support.wording import shown
+
+__all__ = ["TorchOptimiser"]
+
+NUMBER: Final = "#"
+"""Ends the name of what an optimiser remembers as a number of Python."""
+
+
+class TorchOptimiser:
+    """An optimiser of torch.optim, for :func:`loi_core.fit`.
+
+    Parameters
+    ----------
+    kind : class
+        Such as ``torch.optim.NAdam``; any that steps without a closure.
+    **options
+        Its options, but for ``lr``: the fit sets the rate of every parameter in every step.
+
+    Raises
+    ------
+    OptionError
+        If it is no such class, or does not take the options.
+
+    Examples
+    --------
+    >>> import torch
+    >>> optimiser = TorchOptimiser(torch.optim.SGD, momentum=0.9)
+    >>> # fit(renderer, objective, optimiser=optimiser, learning_rate=1e3)
+    """
+
+    def __init__(self, kind: type[torch.optim.Optimizer], **options: Any) -> None:
+        if not (isinstance(kind, type) and issubclass(kind, torch.optim.Optimizer)):
+            msg = f"`kind` must be a class of torch.optim, such as torch.optim.NAdam, got {shown(kind)}"
+            raise OptionError(msg)
+        if issubclass(kind, torch.optim.LBFGS):
+            msg = "`kind` must step without a closure, which LBFGS does not; Adam, NAdam, RMSprop and SGD do"
+            raise OptionError(msg)
+        if "lr" in options:
+            msg = "`lr` is set by the fit in every step; give it `learning_rate` instead"
+            raise OptionError(msg)
+        self._kind, self._options = kind, options
+        self._make([torch.zeros(1)], [1.0])
+
+    def start(self, params: Parameters, after: Memory | None = None) -> Memory:  # noqa: ARG002  # it begins anew
+        """See :class:`loi_core.Optimiser`."""
+        return {}
+
+    def step(
+        self, params: Parameters, gradient: Parameters, memory: Memory, rates: Mapping[str, float]
+    ) -> tuple[Parameters, Memory]:
+        """See :class:`loi_core.Optimiser`."""
+        leaves = {name: _tensor(params[name]).clone().requires_grad_() for name in rates}
+        optimiser = self._make(list(leaves.values()), list(rates.values()))
+        for name, leaf in leaves.items():
+            prefix = f"{name}/"
+            held = {key.removeprefix(prefix): value for key, value in memory.items() if key.startswith(prefix)}
+            if held:
+                # Copied, as the optimiser writes to it.
+                optimiser.state[leaf] = {
+                    key.removesuffix(NUMBER): _number(value) if key.endswith(NUMBER) else _tensor(value).clone()
+                    for key, value in held.items()
+                }
+            leaf.grad = _tensor(gradient[name]).to(leaf)
+        optimiser.step()
+        moved = {**params, **{name: _like(leaf.detach(), params[name]) for name, leaf in leaves.items()}}
+        after: dict[str, Array] = {}
+        for name, leaf in leaves.items():
+            for key, value in optimiser.state[leaf].items():
+                if isinstance(value, Tensor):
+                    after[f"{name}/{key}"] = value.detach()
+                elif isinstance(value, int | float):
+                    after[f"{name}/{key}{NUMBER}"] = np.asarray(value)
+        return moved, after
+
+    def restore(self, params: Parameters, stored: Mapping[str, Host]) -> Memory:
+        """See :class:`loi_core.Optimiser`."""
+        strange = [key for key in stored if "/" not in key or key.rsplit("/", 1)[0] not in params]
+        if strange:
+            msg = f"`checkpoint` is of another optimiser: {self._kind.__name__} knows no {strange[0]!r}"
+            raise ParameterError(msg)
+        return dict(stored)
+
+    def _make(self, leaves: list[Tensor], rates: list[float]) -> torch.optim.Optimizer:
+        groups = [{"params": [leaf], "lr": rate} for leaf, rate in zip(leaves, rates, strict=True)]
+        try:
+            return self._kind(groups, **self._options)
+        except (TypeError, ValueError) as error:
+            msg = f"{self._kind.__name__} does not take these options: {error}"
+            raise OptionError(msg) from error
+
+
+def _number(value: Array) -> int | float:
+    number: int | float = np.asarray(value).item()
+    return number
+
+
+def _tensor(array: Array) -> Tensor:
+    return array.detach() if isinstance(array, Tensor) else torch.tensor(np.asarray(to_numpy(array)))
+
+
+def _like(tensor: Tensor, like: Array) -> Array:
+    return tensor if isinstance(like, Tensor) else from_numpy(tensor.cpu().numpy(), like)

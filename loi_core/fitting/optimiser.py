@@ -1,0 +1,55 @@
+"""What moves the parameters along a gradient: the seam between a fit and anybody's optimiser."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Protocol, TypeAlias, runtime_checkable
+
+from loi_core.renderers.contract import Parameters
+from loi_core.support.arrays import Array, Host
+
+__all__ = ["Memory", "Optimiser"]
+
+Memory: TypeAlias = Mapping[str, Array]
+"""What an optimiser knows of the steps before: arrays by name, never written to, which a checkpoint keeps."""
+
+
+@runtime_checkable
+class Optimiser(Protocol):
+    """Steps as pure functions on named parameters. Whatever it remembers is handed to it, and comes back."""
+
+    def start(self, params: Parameters, after: Memory | None = None) -> Memory:
+        """What there is to remember before the first step.
+
+        Parameters
+        ----------
+        params : dict of arrays
+            Those that will move.
+        after : dict of arrays, optional
+            The memory of an earlier descent, from somewhere else: of what it knows of the sizes of gradients, some may
+            be kept.
+        """
+
+    def step(
+        self, params: Parameters, gradient: Parameters, memory: Memory, rates: Mapping[str, float]
+    ) -> tuple[Parameters, Memory]:
+        """One step of every parameter named in `rates`, and the memory after it.
+
+        Parameters
+        ----------
+        params, gradient : dict of arrays
+            Matching shapes; nothing is written to.
+        memory : dict of arrays
+            What the step before, or :meth:`start`, has given.
+        rates : dict of float
+            The learning rate of each parameter in this step, in the parameter's own unit.
+        """
+
+    def restore(self, params: Parameters, stored: Mapping[str, Host]) -> Memory:
+        """The memory that a checkpoint holds, as :meth:`step` takes it.
+
+        Raises
+        ------
+        ParameterError
+            If it is none of this optimiser's with these parameters.
+        """

@@ -1,0 +1,194 @@
+"""What a fit compares: one render, or several that have parameters in common, each with an image of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, TypeAlias
+
+import numpy as np
+
+from loi_core.errors import OptionError, RendererError
+from loi_core.fitting.parameters import own_parameters
+from loi_core.fitting.stages import objectives_of
+from loi_core.objectives import Objective
+from loi_core.renderers.contract import AbridgedRenderer, Parameters, ProjectingRenderer, Pullback, Renderer
+from loi_core.support.arrays import Array, detached
+from loi_core.support.values import whole_number
+from loi_core.support.wording import shown
+
+__all__ = ["Images", "View", "Views", "mean"]
+
+Images: TypeAlias = Any
+"""An image, shape (H, W, C), or, of several views, a dict of images by the names of the views."""
+
+
+@dataclass(frozen=True)
+class View:
+    """One render, and what it is compared by.
+
+    Attributes
+    ----------
+    renderer : Renderer
+    objectives : tuple of Objective
+        From far to near.
+    names : frozenset of str
+        The parameters that it has.
+    """
+
+    renderer: Renderer
+    objectives: tuple[Objective, ...]
+    names: frozenset[str]
+
+    def own(self, params: Parameters) -> Parameters:
+        """Those of the parameters that this view has."""
+        return (
+            params if len(params) == len(self.names) else {name: params[name] for name in params if name in self.names}
+        )
+
+    def render(self, params: Parameters, *, seed: int = 0) -> Array:
+        """The image, detached."""
+        return detached(self.renderer.render(self.own(params), seed=seed))
+
+    def render_vjp(self, params: Parameters, *, seed: int = 0) -> tuple[Array, Pullback]:
+        """The image, detached, and its pullback."""
+        image, pullback = self.renderer.render_vjp(self.own(params), seed=seed)
+        return detached(image), pullback
+
+
+@dataclass(frozen=True)
+class Views:
+    """Views by name.
+
+    Attributes
+    ----------
+    each : dict of View
+    single : bool
+        Whether there is one that has no name.
+    at_once : int
+        How many are rendered in a step.
+    """
+
+    each: Mapping[str, View]
+    single: bool
+    at_once: int
+
+    @classmethod
+    def of(cls, renderer: object, objective: object, stages: object, at_once: object) -> Views:
+        """The views that arguments of :func:`loi_core.fit` stand for.
+
+        Raises
+        ------
+        OptionError
+            If names, stages or `views_per_step` do not fit.
+        RendererError
+            If a parameter differs in shape from view to view.
+        """
+        single = not isinstance(renderer, Mapping)
+        renderers: Mapping[Any, Any] = renderer if isinstance(renderer, Mapping) else {"": renderer}
+        compared = {"": objective} if single else objective
+        if not renderers or not isinstance(compared, Mapping) or set(compared) != set(renderers):
+            given = sorted(map(str, compared)) if isinstance(compared, Mapping) else shown(objective)
+            msg = f"`objective` must have one for each view of `renderer`, {sorted(map(str, renderers))}, got {given}"
+            raise OptionError(msg)
+        for name in () if single else renderers:
+            if not isinstance(name, str) or not name:
+                msg = f"`renderer` must name its views by texts that are not empty, got {shown(name)}"
+                raise OptionError(msg)
+        views = {
+            name: View(one, objectives_of(compared[name], stages), frozenset(own_parameters(one)))
+            for name, one in renderers.items()
+        }
+        fewest = min(len(one.objectives) for one in views.values())
+        views = {name: replace(one, objectives=one.objectives[-fewest:]) for name, one in views.items()}
+        count = len(views) if at_once is None else whole_number(at_once)
+        if count is None or not 1 <= count <= len(views):
+            msg = f"`views_per_step` must be a whole number from 1 to {len(views)}, the views, got {shown(at_once)}"
+            raise OptionError(msg)
+        made = cls(views, single, count)
+        made.parameters()
+        return made
+
+    @property
+    def stages(self) -> int:
+        """How many objectives there are, from far to near."""
+        return len(next(iter(self.each.values())).objectives)
+
+    @property
+    def all_at_once(self) -> bool:
+        """Whether every step renders all views."""
+        return self.at_once == len(self.each)
+
+    def parameters(self) -> Parameters:
+        """All parameters; one that several views have is that of the first."""
+        found: Parameters = {}
+        for name, view in self.each.items():
+            for key, value in own_parameters(view.renderer).items():
+                if key in found and tuple(found[key].shape) != tuple(value.shape):
+                    msg = (
+                        f"{key!r} has shape {tuple(found[key].shape)} in one view, and {tuple(value.shape)} in {name!r}"
+                    )
+                    raise RendererError(msg)
+                found.setdefault(key, value)
+        return found
+
+    def project(self, params: Parameters) -> Parameters | None:
+        """The parameters as the renderers make them legal, in turn; None if none of them does."""
+        legal, known = dict(params), False
+        for view in self.each.values():
+            if isinstance(view.renderer, ProjectingRenderer):
+                given, known = view.renderer.project(view.own(legal)), True
+                if not isinstance(given, Mapping):
+                    return given
+                # What it has left out is missed by whoever asked, and not what it was before.
+                legal = {key: value for key, value in legal.items() if key not in view.names} | dict(given)
+        return legal if known else None
+
+    def turn(self, step: int, seed: int) -> tuple[str, ...]:
+        """The views of a step: all, or some in an order that is random, and in which all come equally often."""
+        names = tuple(self.each)
+        if self.all_at_once:
+            return names
+        chosen: list[str] = []
+        place = step * self.at_once
+        while len(chosen) < self.at_once:
+            order = np.random.default_rng([seed, place // len(names)]).permutation(len(names))
+            chosen.append(names[order[place % len(names)]])
+            place += 1
+        return tuple(dict.fromkeys(chosen))
+
+    def render(self, params: Parameters, seed: int) -> dict[str, Array]:
+        """The images of all views."""
+        return {name: view.render(params, seed=seed) for name, view in self.each.items()}
+
+    def values(self, images: Mapping[str, Array], stage: int) -> dict[str, float]:
+        """What the objectives of a stage say of images."""
+        return {name: float(detached(self.each[name].objectives[stage].value(image))) for name, image in images.items()}
+
+    def value(self, params: Parameters, stage: int, seed: int) -> float:
+        """The mean over all views of what the objectives of a stage say of parameters."""
+        return mean(self.values(self.render(params, seed), stage))
+
+    def given(self, images: Mapping[str, Array]) -> Images:
+        """Images as whoever called the fit expects them."""
+        return images[""] if self.single else dict(images)
+
+    def at(self, stage: int) -> Views:
+        """The same views with the objectives of one stage alone, all at once."""
+        each = {name: replace(view, objectives=(view.objectives[stage],)) for name, view in self.each.items()}
+        return replace(self, each=each, at_once=len(each))
+
+    def unabridged(self) -> Views:
+        """The same views, rendered whole."""
+        whole = {
+            name: replace(view, renderer=view.renderer.unabridged)
+            if isinstance(view.renderer, AbridgedRenderer)
+            else view
+            for name, view in self.each.items()
+        }
+        return replace(self, each=whole)
+
+
+def mean(values: Mapping[str, float]) -> float:
+    """The mean of values by view."""
+    return sum(values.values()) / len(values)

@@ -1,0 +1,114 @@
+"""The seam between a fit and anybody's optimiser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from loi_core import FitInterruptedError, Optimiser, PixelL2, fit
+from loi_core.errors import FitError, OptionError, ParameterError
+from loi_core.fitting.adam import Adam
+from loi_core.fitting.state import FitStep
+from tests.fitting.fits import Bowl, run
+from tests.frameworks import load, loi_jax, loi_torch, torch
+from tests.helpers import Host
+
+
+def torch_optimiser(name: str, **options: Any) -> Any:
+    return loi_torch.TorchOptimiser(getattr(torch.optim, name), **options)
+
+
+def optax_optimiser(name: str, *arguments: float) -> Any:
+    made = getattr(load("optax"), name)(*arguments)
+    return loi_jax.OptaxOptimiser(made)
+
+
+OTHERS = {
+    "torch Adam": lambda: torch_optimiser("Adam"),
+    "torch NAdam": lambda: torch_optimiser("NAdam"),
+    "torch ASGD": lambda: torch_optimiser("ASGD", t0=3.0),
+    "torch RMSprop": lambda: torch_optimiser("RMSprop", momentum=0.3),
+    "torch Rprop": lambda: torch_optimiser("Rprop"),
+    "torch SGD": lambda: torch_optimiser("SGD", momentum=0.9),
+    "optax adam": lambda: optax_optimiser("adam", 1.0),
+    "optax lion": lambda: optax_optimiser("lion", 1.0),
+    "optax sgd": lambda: optax_optimiser("sgd", 1.0, 0.9),
+    "Adam": Adam,
+}
+GOAL: Host = np.array([[[0.9], [0.2]], [[0.4], [0.7]]])
+
+
+def bowl(optimiser: Any, **options: Any) -> Any:
+    rate = 0.5 if "sgd" in str(options.pop("name", "")).lower() else 0.05
+    arguments: dict[str, Any] = {"steps": 60, "learning_rate": rate, "optimise": ["pixels"]} | options
+    return fit(Bowl(), PixelL2(GOAL), optimiser=optimiser, **arguments)
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_a_fit_goes_by_the_optimiser_that_it_is_given(name: str) -> None:
+    optimiser = OTHERS[name]()
+    assert isinstance(optimiser, Optimiser)
+    result = bowl(optimiser, name=name)
+    assert result.best_value < 0.1 * result.history[0].value
+    assert result.params["pixels"].dtype == np.float64
+
+
+@pytest.mark.parametrize("name", ["torch Adam", "optax adam"])
+def test_adam_is_adam_whoever_computes_it(name: str) -> None:
+    ours, theirs = run(steps=20), run(steps=20, optimiser=OTHERS[name]())
+    # Theirs adds 1e-8 to the root of the squares, ours next to nothing: gradients here are of 1e-4 and more.
+    np.testing.assert_allclose(theirs.params["positions"], ours.params["positions"], rtol=0, atol=0.02)
+
+
+@pytest.mark.parametrize("name", OTHERS)
+def test_a_fit_that_is_resumed_ends_as_if_it_had_not_stopped(name: str, tmp_path: Path) -> None:
+    whole, file = bowl(OTHERS[name](), name=name), tmp_path / "state.npz"
+
+    def stop(step: FitStep, params: Any, image: Any) -> None:
+        if step.step == 30:
+            raise KeyboardInterrupt
+
+    with pytest.raises(FitInterruptedError):
+        bowl(OTHERS[name](), name=name, checkpoint=file, callback=stop)
+    again = bowl(OTHERS[name](), name=name, checkpoint=file, resume=True)
+    assert [one.value for one in again.history] == [one.value for one in whole.history]
+    np.testing.assert_array_equal(again.params["pixels"], whole.params["pixels"])
+
+
+@pytest.mark.parametrize(("name", "other"), [("Adam", "torch Adam"), ("optax adam", "Adam"), ("torch Adam", "Adam")])
+def test_a_checkpoint_of_another_optimiser_is_refused(name: str, other: str, tmp_path: Path) -> None:
+    bowl(OTHERS[other](), steps=3, checkpoint=tmp_path / "state.npz")
+    with pytest.raises(ParameterError, match="another optimiser"):
+        bowl(OTHERS[name](), steps=6, checkpoint=tmp_path / "state.npz", resume=True)
+
+
+def test_an_optimiser_that_breaks_loses_nothing() -> None:
+    class Broken(Adam):
+        def step(self, params: Any, gradient: Any, memory: Any, rates: Any) -> Any:
+            if memory["count"] == 3:
+                msg = "no more"
+                raise RuntimeError(msg)
+            return super().step(params, gradient, memory, rates)
+
+    with pytest.raises(FitError, match="step 3: the optimiser failed: RuntimeError: no more") as stopped:
+        bowl(Broken())
+    assert stopped.value.result is not None
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda: torch_optimiser("LBFGS"), "must step without a closure"),
+        (lambda: torch_optimiser("Adam", lr=1.0), "`lr` is set by the fit"),
+        (lambda: torch_optimiser("Adam", betas=3), "Adam does not take these options"),
+        (lambda: loi_torch.TorchOptimiser(torch.nn.Linear), "must be a class of torch.optim"),
+        (lambda: loi_jax.OptaxOptimiser("adam"), "must be one of optax"),
+        (lambda: bowl("adam"), "`optimiser` must be an Optimiser"),
+    ],
+)
+def test_what_is_no_optimiser_is_refused(make: Any, says: str) -> None:
+    with pytest.raises(OptionError, match=says):
+        make()

@@ -1,0 +1,192 @@
+"""Several views in one fit: parameters in common, each with an image of its own."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from loi_core import FitInterruptedError, Free, LOIObjective, PixelL2, fit
+from loi_core.errors import OptionError, RendererError
+from loi_core.fitting.state import FitStep
+from loi_core.fitting.views import Views
+from loi_core.renderers import Disks
+from tests.helpers import Host
+
+GOAL = np.array([22.0, 9.0, 14.0])
+START = np.array([8.0, 23.0, 25.0])
+
+
+class Seen:
+    """A ball in a room of three axes, seen along one of them: a disk at its other two coordinates."""
+
+    def __init__(self, axis: int, size: int = 32, *, exposed: bool = False) -> None:
+        self.axes = [k for k in range(3) if k != axis]
+        self.disks = Disks(size, size, [[16.0, 16.0]], 5.0, [[0.9, 0.6, 0.1]])
+        self.exposed = exposed
+
+    def parameters(self) -> dict[str, Any]:
+        own = {"gain": np.ones(())} if self.exposed else {}
+        return {"place": np.full(3, 16.0), **own}
+
+    def _disk(self, params: dict[str, Any]) -> dict[str, Any]:
+        return self.disks.parameters() | {"positions": params["place"][self.axes][None]}
+
+    def render(self, params: dict[str, Any], *, seed: int = 0) -> Host:
+        image: Host = self.disks.render(self._disk(params)) * params.get("gain", 1.0)
+        return image
+
+    def render_vjp(self, params: dict[str, Any], *, seed: int = 0) -> Any:
+        image, pullback = self.disks.render_vjp(self._disk(params))
+        gain = params.get("gain", np.ones(()))
+
+        def pull(cotangent: Host) -> dict[str, Any]:
+            place = np.zeros(3)
+            place[self.axes] = pullback(cotangent * gain)["positions"][0]
+            own = {"gain": np.asarray(np.sum(cotangent * image))} if self.exposed else {}
+            return {"place": place, **own}
+
+        return image * gain, pull
+
+
+VIEWS: dict[str, Any] = {"front": Seen(0), "side": Seen(1), "top": Seen(2, 40)}
+TARGETS = {name: view.render({"place": GOAL}) for name, view in VIEWS.items()}
+OBJECTIVES = {name: LOIObjective(target) for name, target in TARGETS.items()}
+FREE = {"place": Free(START, 0.0, 32.0)}
+
+
+def go(views: Any = None, objectives: Any = None, **options: Any) -> Any:
+    arguments: dict[str, Any] = {"steps": 100, "optimise": FREE} | options
+    return fit(views or VIEWS, objectives or OBJECTIVES, **arguments)
+
+
+@pytest.mark.parametrize("at_once", [None, 1, 2])
+def test_views_place_together_what_no_view_places_alone(at_once: int | None) -> None:
+    result = go(views_per_step=at_once)
+    np.testing.assert_allclose(result.best_params["place"], GOAL, atol=0.05)
+    assert result.diagnosis is not None
+    assert result.diagnosis.verdict == "converged"
+    assert set(result.image) == set(VIEWS)
+    for name, image in result.image.items():
+        np.testing.assert_array_equal(image, VIEWS[name].render(result.best_params))
+
+
+def test_the_loss_of_several_views_is_their_mean_and_so_is_the_gradient() -> None:
+    seen: list[float] = []
+    go(steps=1, stages=None, learning_rate=0.1, callback=lambda step, params, image: seen.append(step.value))
+    alone = [OBJECTIVES[name].value(VIEWS[name].render({"place": START})) for name in VIEWS]
+    assert seen == [pytest.approx(float(sum(alone)) / 3.0, rel=1e-14)]
+    norms = []
+    for name, view in VIEWS.items():
+        image, pullback = view.render_vjp({"place": START})
+        norms.append(pullback(OBJECTIVES[name].value_and_grad(image)[1])["place"])
+    result = go(steps=1, stages=None, learning_rate=0.1)
+    assert result.history[0].gradient_norm == pytest.approx(float(np.linalg.norm(sum(norms) / 3.0)), rel=1e-12)
+
+
+def test_one_view_by_name_is_fitted_as_it_is_without() -> None:
+    alone = fit(VIEWS["front"], OBJECTIVES["front"], steps=30, optimise=FREE)
+    named = fit({"front": VIEWS["front"]}, {"front": OBJECTIVES["front"]}, steps=30, optimise=FREE)
+    assert [one.value for one in named.history] == [one.value for one in alone.history]
+    np.testing.assert_array_equal(named.image["front"], alone.image)
+
+
+def test_a_parameter_need_not_be_in_every_view() -> None:
+    views = {**VIEWS, "top": Seen(2, 40, exposed=True)}
+    targets = {name: view.render({"place": GOAL, "gain": np.asarray(0.7)}) for name, view in views.items()}
+    objectives = {name: LOIObjective(target) for name, target in targets.items()}
+    free = FREE | {"gain": Free(None, 0.2, 1.5)}
+    for at_once in (None, 1):
+        result = fit(views, objectives, steps=160, optimise=free, views_per_step=at_once)
+        np.testing.assert_allclose(result.best_params["place"], GOAL, atol=0.1)
+        assert float(result.best_params["gain"]) == pytest.approx(0.7, abs=0.02)
+
+
+def test_steps_that_render_some_views_render_all_equally_often_and_not_in_turn() -> None:
+    seen: list[str] = []
+
+    def watch(step: FitStep, params: Any, image: Any) -> None:
+        assert len(image) == 1
+        seen.extend(image)
+
+    go(steps=60, views_per_step=1, callback=watch)
+    assert {name: seen.count(name) for name in VIEWS} == dict.fromkeys(VIEWS, 20)
+    rounds = {tuple(seen[k : k + 3]) for k in range(0, 60, 3)}
+    assert len(rounds) > 2
+
+
+@pytest.mark.parametrize("at_once", [None, 1])
+def test_a_fit_of_views_is_resumed_as_if_it_had_not_stopped(at_once: int | None, tmp_path: Path) -> None:
+    whole, file = go(steps=60, views_per_step=at_once), tmp_path / "state.npz"
+
+    def stop(step: FitStep, params: Any, image: Any) -> None:
+        if step.step == 37:
+            raise KeyboardInterrupt
+
+    with pytest.raises(FitInterruptedError):
+        go(steps=60, views_per_step=at_once, checkpoint=file, callback=stop)
+    again = go(steps=60, views_per_step=at_once, checkpoint=file, resume=True)
+    assert [one.value for one in again.history] == [one.value for one in whole.history]
+    assert again.best_value == whole.best_value
+    np.testing.assert_array_equal(again.best_params["place"], whole.best_params["place"])
+
+
+def test_several_starts_race_over_all_views() -> None:
+    result = go(steps=60, starts=4, views_per_step=1)
+    np.testing.assert_allclose(result.best_params["place"], GOAL, atol=0.2)
+    assert result.agreeing is not None
+
+
+def test_each_view_has_weights_of_its_own() -> None:
+    hidden = {
+        name: np.where(np.arange(len(target))[:, None] < 4, 0.0, np.ones(len(target)))
+        for name, target in TARGETS.items()
+    }
+    spoilt = {name: np.where(hidden[name][..., None] > 0, target, 7.0) for name, target in TARGETS.items()}
+    objectives = {name: LOIObjective(spoilt[name], weights=hidden[name]) for name in VIEWS}
+    np.testing.assert_allclose(go(objectives=objectives).best_params["place"], GOAL, atol=0.05)
+
+
+def test_values_of_other_views_are_never_taken_for_a_better_fit() -> None:
+    """One view is matched by anything: its value alone would be the least of all."""
+
+    class Blind(Seen):
+        def render(self, params: dict[str, Any], *, seed: int = 0) -> Host:
+            return np.zeros((32, 32, 3))
+
+        def render_vjp(self, params: dict[str, Any], *, seed: int = 0) -> Any:
+            return np.zeros((32, 32, 3)), lambda _: {"place": np.zeros(3)}
+
+    views = {**VIEWS, "blind": Blind(0)}
+    objectives = {**OBJECTIVES, "blind": LOIObjective(np.zeros((32, 32, 3)))}
+    result = go(views, objectives, views_per_step=1, steps=120)
+    np.testing.assert_allclose(result.best_params["place"], GOAL, atol=0.2)
+
+
+@pytest.mark.parametrize(
+    ("views", "objectives", "options", "error", "says"),
+    [
+        (VIEWS, OBJECTIVES["front"], {}, OptionError, "must have one for each view"),
+        (VIEWS, {"front": OBJECTIVES["front"]}, {}, OptionError, r"\['front', 'side', 'top'\], got \['front'\]"),
+        (VIEWS, OBJECTIVES, {"views_per_step": 4}, OptionError, "whole number from 1 to 3, the views, got 4"),
+        (VIEWS["front"], OBJECTIVES["front"], {"views_per_step": 0}, OptionError, "from 1 to 1"),
+        ({1: VIEWS["front"]}, {1: OBJECTIVES["front"]}, {}, OptionError, "name its views by texts"),
+        ({}, {}, {}, OptionError, "must have one for each view"),
+    ],
+)
+def test_views_that_do_not_fit_are_refused(views: Any, objectives: Any, options: Any, error: Any, says: str) -> None:
+    with pytest.raises(error, match=says):
+        fit(views, objectives, **({"steps": 2, "learning_rate": 0.1} | options))
+
+
+def test_a_parameter_of_two_shapes_is_refused() -> None:
+    class Other(Seen):
+        def parameters(self) -> dict[str, Any]:
+            return {"place": np.zeros(2)}
+
+    with pytest.raises(RendererError, match=r"'place' has shape \(3,\) in one view, and \(2,\) in 'other'"):
+        Views.of(
+            {"one": Seen(0), "other": Other(0)}, dict.fromkeys(("one", "other"), PixelL2(TARGETS["front"])), None, 1
+        )
