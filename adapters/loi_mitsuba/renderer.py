@@ -13,6 +13,7 @@ import numpy as np
 
 from loi_core.effects import EffectPlan
 from loi_core.errors import OptionError, ParameterError
+from loi_core.pixels.encoding import Encoding
 from loi_core.support.values import whole_number
 from loi_core.support.wording import shown
 from loi_mitsuba.cautions import warn_of_moving
@@ -104,6 +105,11 @@ class MitsubaRenderer:
         self._named = NamedParameters(self._scene, targets)
         self._followed = tuple(targets)
         self._check_moving(told=isinstance(integrator, EffectPlan) and leaves_edges_out(integrator))
+
+    @property
+    def encoding(self) -> Encoding:
+        """What Mitsuba renders is radiance, "linear"."""
+        return "linear"
 
     @property
     def scene(self) -> Any:

@@ -42,6 +42,8 @@ def fit_scene(
     options = replace(scene.fit, **changes)
     check_fit_options(options.steps, options.learning_rate, options.seed, options.decay, options.starts)
     scene = replace(scene, fit=options)
+    for note in scene.notes:
+        print(f"loi: {printable(note)}", file=sys.stderr)
     result = run_and_write(scene, resume=resume)
     page = write_page(scene.output)
     if as_json:

@@ -98,7 +98,7 @@ def fit(
     renderer : Renderer, or dict of Renderer
         Anything that keeps the contract. If it has ``project``, that is called after every step, for
         the parameters that may move; their bounds hold all the same. Several views are a dict by their names:
-        parameters of the same name are one, and not every view has to have all of them.
+        parameters of the same name are one if they move, and not every view has to have all of them.
     objective : Objective, or dict of Objective
         Anything with ``value`` and ``value_and_grad``; of several views one each, by the same names. Their mean is
         minimised.
@@ -165,6 +165,7 @@ def fit(
         remove_temporaries(path)
     views = Views.of(renderer, objective, stages, views_per_step)
     free = free_parameters(optimise, own_parameters(views))
+    views = views.moving(free)
     params = starting_parameters(views, free)
     bounds = bounds_of(params, free)
     asked = {name: learning_rate if one.learning_rate is None else one.learning_rate for name, one in free.items()}

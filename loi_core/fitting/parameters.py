@@ -21,6 +21,7 @@ from loi_core.support.wording import shown
 __all__ = [
     "Bounds",
     "Free",
+    "HasParameters",
     "bounds_of",
     "check_rate",
     "free_parameters",

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -34,14 +34,19 @@ class View:
         From far to near.
     names : frozenset of str
         The parameters that it has.
+    fixed : dict of arrays
+        Those that do not move, and are its own.
     """
 
     renderer: Renderer
     objectives: tuple[Objective, ...]
     names: frozenset[str]
+    fixed: Parameters = field(default_factory=dict)
 
     def own(self, params: Parameters) -> Parameters:
         """Those of the parameters that this view has."""
+        if self.fixed:
+            return {name: self.fixed[name] if name in self.fixed else params[name] for name in self.names}
         return (
             params if len(params) == len(self.names) else {name: params[name] for name in params if name in self.names}
         )
@@ -131,6 +136,17 @@ class Views:
                     raise RendererError(msg)
                 found.setdefault(key, value)
         return found
+
+    def moving(self, names: Iterable[str]) -> Views:
+        """The same views if only these parameters move: those of several views keep their own values of all others."""
+        if self.single:
+            return self
+        free = set(names)
+        each = {}
+        for name, view in self.each.items():
+            own = own_parameters(view.renderer)
+            each[name] = replace(view, fixed={key: value for key, value in own.items() if key not in free})
+        return replace(self, each=each)
 
     def project(self, params: Parameters) -> Parameters | None:
         """The parameters as the renderers make them legal, in turn; None if none of them does."""

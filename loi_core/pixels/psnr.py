@@ -11,7 +11,15 @@ from loi_core.support.arrays import Host
 __all__ = ["psnr"]
 
 
-def psnr(image: Host, target: Host) -> float:
-    """Peak signal-to-noise ratio in dB, for a peak of 1; infinite for equal images."""
-    error = float(np.mean((np.asarray(image, dtype=np.float64) - target) ** 2))
+def psnr(image: Host, target: Host, weights: Host | None = None) -> float:
+    """Peak signal-to-noise ratio in dB, for a peak of 1; infinite for equal images.
+
+    Parameters
+    ----------
+    image, target : array, shape (H, W, C)
+    weights : array, shape (H, W), optional
+        How much each pixel counts.
+    """
+    squares = np.mean((np.asarray(image, dtype=np.float64) - target) ** 2, axis=-1)
+    error = float(np.mean(squares) if weights is None else np.average(squares, weights=weights))
     return math.inf if error == 0.0 else -10.0 * math.log10(error)

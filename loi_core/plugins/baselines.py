@@ -33,7 +33,9 @@ def baseline_names() -> list[str]:
     return [*OWN, *(name for name in OBJECTIVES.names() if is_objective_name(name) and name not in OWN)]
 
 
-def make_baseline(name: str, target: FloatImage, *, nan_policy: NanPolicy, tone: LogTone | None) -> Objective:
+def make_baseline(
+    name: str, target: FloatImage, *, nan_policy: NanPolicy, tone: LogTone | None, weights: FloatImage | None = None
+) -> Objective:
     """The baseline of this name, with `target` as its reference.
 
     Raises
@@ -43,7 +45,8 @@ def make_baseline(name: str, target: FloatImage, *, nan_policy: NanPolicy, tone:
     """
     factory = OWN[name] if name in OWN else OBJECTIVES.load(name)
     try:
-        made = factory(target, nan_policy=nan_policy, tone=tone)
+        own = {} if weights is None else {"weights": weights}
+        made = factory(target, nan_policy=nan_policy, tone=tone, **own)
         usable = isinstance(made, Objective)
     except LoiError:
         raise

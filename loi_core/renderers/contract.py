@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Protocol, TypeAlias, runtime_checkable
 
+from loi_core.pixels.encoding import Encoding
 from loi_core.support.arrays import Array
 
-__all__ = ["AbridgedRenderer", "Parameters", "ProjectingRenderer", "Pullback", "Renderer"]
+__all__ = ["AbridgedRenderer", "EncodedRenderer", "Parameters", "ProjectingRenderer", "Pullback", "Renderer"]
 
 Parameters: TypeAlias = dict[str, Array]
 """Parameters of a scene by name; floating-point arrays of any shape, 0-d included."""
@@ -50,3 +51,12 @@ class AbridgedRenderer(Renderer, Protocol):
     @property
     def unabridged(self) -> Renderer:
         """The same scene and parameters, rendered whole."""
+
+
+@runtime_checkable
+class EncodedRenderer(Renderer, Protocol):
+    """A renderer that says what its values are; targets of scene files are made into the same."""
+
+    @property
+    def encoding(self) -> Encoding:
+        """Of its images: "linear" for radiance, "sRGB" for values as displays want them."""

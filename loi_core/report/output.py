@@ -13,12 +13,13 @@ from typing import Any, Final
 import numpy as np
 
 from loi_core.fitting.state import FitStep
+from loi_core.fitting.views import Images
 from loi_core.io.files import write_bytes, write_text
 from loi_core.io.images import write_png
 from loi_core.io.result_folder import CHECKPOINT_FILE, HISTORY_FILE, PAGE_FILE, RESULT_FILE, ResultFolder
-from loi_core.pixels.psnr import psnr
+from loi_core.report.display import Display
 from loi_core.report.plots import convergence_plot
-from loi_core.scenes.experiment import Trial, frame_steps
+from loi_core.scenes.experiment import Trial, frame_steps, quality
 from loi_core.scenes.scene import Scene
 from loi_core.support.arrays import Host, to_numpy
 
@@ -44,24 +45,25 @@ def write_results(scene: Scene, trials: Sequence[Trial]) -> dict[str, Any]:
     """
     folder = ResultFolder(scene.output)
     folder.claim([CHECKPOINT_FILE, PAGE_FILE])  # which others write
+    target, display = scene.strip({name: view.target.image for name, view in scene.views.items()}), _display(scene)
     for index, trial in enumerate(trials):
         own = "" if index == 0 else f"compare/{trial.objective}/"
         if index == 0:
-            write_png(folder.file("target.png"), scene.target)
-            write_png(folder.file("initial.png"), trial.initial)
+            write_png(folder.file("target.png"), display.show(target))
+            write_png(folder.file("initial.png"), display.show(trial.initial))
         if trial.result is None:
             # What an earlier run left must not be taken for the outcome of this one.
             stale = [f"{own}{name}" for name in ("final.png", "error.png", "parameters.json", HISTORY_FILE)]
             folder.remove([*stale, *(folder.listed(FRAMES_FOLDER) if index == 0 else ())])
             continue
-        final = to_numpy(trial.result.image)
-        write_png(folder.file(f"{own}final.png"), final)
-        write_png(folder.file(f"{own}error.png"), np.abs(final - scene.target))
+        final = scene.strip(_images(trial.result.image))
+        write_png(folder.file(f"{own}final.png"), display.show(final))
+        write_png(folder.file(f"{own}error.png"), display.difference(final, target) * _counted(scene))
         write_text(folder.file(f"{own}{HISTORY_FILE}"), _history(trial))
         best = {name: to_numpy(value).tolist() for name, value in trial.result.best_params.items()}
         write_text(folder.file(f"{own}parameters.json"), json.dumps(best, indent=2) + "\n")
         if index == 0:
-            _write_frames(folder, scene, trial)
+            _write_frames(folder, scene, trial, display)
             _write_effects(folder, trial)
     write_bytes(folder.file("convergence.png"), convergence_plot(trials))
     result = summary(scene, trials)
@@ -76,6 +78,8 @@ def summary(scene: Scene, trials: Sequence[Trial]) -> dict[str, Any]:
         "scene": scene.path.name,
         "output": str(scene.output),
         "steps": scene.fit.steps,
+        "views": [name for name in scene.views if name],
+        "notes": [*scene.notes, *filter(None, [_display(scene).note])],
         "trials": [_one(scene, trial) for trial in trials],
     } | _plan(trials[0])
 
@@ -96,8 +100,8 @@ def _one(scene: Scene, trial: Trial) -> dict[str, Any]:
         "best_step": trial.result.best_step,
         "steps_done": len(trial.result.history),
         "seconds": round(trial.seconds, 3),
-        "psnr": _finite(psnr(to_numpy(trial.result.image), scene.target)),
-        "psnr_initial": _finite(psnr(trial.initial, scene.target)),
+        "psnr": _finite(quality(scene, _images(trial.result.image))),
+        "psnr_initial": _finite(trial.psnr_initial),
         "diagnosis": _diagnosis(trial),
         "learning_rates": {name: _finite(rate) for name, rate in trial.result.rates.items()},
         "starts_agreeing": trial.result.agreeing,
@@ -117,11 +121,35 @@ def _finite(value: Any) -> float | None:
     return float(value) if np.isfinite(value) else None
 
 
-def _write_frames(folder: ResultFolder, scene: Scene, trial: Trial) -> None:
+def _display(scene: Scene) -> Display:
+    """How the pictures of a scene are shown."""
+    targets = scene.strip({name: view.target.image for name, view in scene.views.items()})
+    return Display.of(targets, scene.first.target.encoding)
+
+
+def _images(image: Images) -> dict[str, Host]:
+    """The image of a fit by view, as NumPy."""
+    each = image if isinstance(image, dict) else {"": image}
+    return {name: to_numpy(one) for name, one in each.items()}
+
+
+def _counted(scene: Scene) -> Host:
+    """How much each pixel counts, in [0, 1], shape (H, W, 1), for a picture of the views."""
+    return scene.strip(
+        {
+            name: np.ones((*view.target.image.shape[:2], 1))
+            if view.target.weights is None
+            else np.minimum(view.target.weights, 1.0)[..., None]
+            for name, view in scene.views.items()
+        }
+    )
+
+
+def _write_frames(folder: ResultFolder, scene: Scene, trial: Trial, display: Display) -> None:
     new = {f"{FRAMES_FOLDER}/{step:06d}.png": frame for step, frame in trial.frames}
     folder.claim(new)
     for name, frame in new.items():
-        write_png(folder.path / name, frame)
+        write_png(folder.path / name, display.show(frame))
     done = len(trial.result.history) if trial.result else 0
     # A resumed fit keeps the pictures of its first part; those of a run with other steps must go.
     kept = {step for step in frame_steps(scene.fit.steps) if step < done}

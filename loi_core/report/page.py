@@ -127,6 +127,7 @@ def _section(folder: Path, pictures: Pictures) -> str:
         [
             f"<h1>{escape(result['title'])}</h1>",
             f'<p class="lead">{escape(result["scene"])}, {int(result["steps"])} steps; {SAME_START}</p>',
+            *_notes(result),
             f'<div class="row">{"".join(start)}</div>',
             f'<h2>Where each objective ended</h2><div class="row">{"".join(finals)}</div>',
             f'<div class="row">{"".join(errors)}</div>',
@@ -136,6 +137,15 @@ def _section(folder: Path, pictures: Pictures) -> str:
             *_effects(pictures, result),
         ]
     )
+
+
+def _notes(result: Mapping[str, Any]) -> list[str]:
+    """What was done to the targets and to the pictures, and which views they show."""
+    notes, views = result.get("notes"), result.get("views")
+    lines = [note for note in notes if isinstance(note, str)] if isinstance(notes, list) else []
+    if isinstance(views, list) and views and all(isinstance(name, str) for name in views):
+        lines.insert(0, f"views, from left to right: {', '.join(views)}")
+    return [f'<p class="lead">{"<br>".join(map(escape, lines))}</p>'] if lines else []
 
 
 def _frames(folder: Path) -> dict[int, str]:

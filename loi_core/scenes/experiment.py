@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -15,6 +16,7 @@ from loi_core.effects import EffectPlan, PlanningRenderer
 from loi_core.errors import FitError, SceneError
 from loi_core.fitting.loop import FitInterruptedError, FitResult, FitStep, fit
 from loi_core.fitting.parameters import starting_parameters
+from loi_core.fitting.views import Images
 from loi_core.io.files import read_bytes
 from loi_core.io.result_folder import HISTORY_FILE
 from loi_core.objectives.base import Objective
@@ -24,7 +26,7 @@ from loi_core.scenes.scene import Scene
 from loi_core.support.arrays import Array, Host, to_numpy
 from loi_core.support.guards import foreign
 
-__all__ = ["Progress", "Start", "Trial", "frame_steps", "plan_scene", "run_scene"]
+__all__ = ["Progress", "Start", "Trial", "frame_steps", "plan_scene", "quality", "run_scene"]
 
 FRAMES: Final = 8  # pictures of the way that a report shows
 MOST_HISTORY: Final = 2**28  # bytes, of a million steps
@@ -44,11 +46,13 @@ class Trial:
     result : FitResult or None
         None if the very first step failed.
     initial : array, shape (H, W, C)
-        The image at the start.
+        The image at the start; of several views, side by side.
     psnr : dict of float
-        Step to PSNR of its image against the target, in dB.
+        Step to PSNR of its image against the target, in dB; of several views, those that the step rendered.
     frames : list of (int, array)
-        Steps and images along the way.
+        Steps and images along the way, likewise side by side.
+    psnr_initial : float
+        That of the start, of all views.
     error : str
         Why the fit ended early; empty if it did not.
     plan : EffectPlan or None
@@ -61,6 +65,7 @@ class Trial:
     result: FitResult | None = None
     initial: Host = field(default_factory=lambda: np.zeros((1, 1, 3)))
     psnr: dict[int, float] = field(default_factory=dict)
+    psnr_initial: float = math.nan
     frames: list[tuple[int, Host]] = field(default_factory=list)
     error: str = ""
     plan: EffectPlan | None = None
@@ -79,13 +84,13 @@ class Start:
     Attributes
     ----------
     params : dict of arrays
-        All parameters of the renderer.
-    image : array, shape (H, W, C)
-        What it renders of them, in its own library.
+        All parameters of the renderers.
+    images : dict of arrays, shape (H, W, C)
+        What each view renders of them, in its own library.
     """
 
     params: Parameters
-    image: Array
+    images: Mapping[str, Array]
 
     @classmethod
     def of(cls, scene: Scene) -> Start:
@@ -96,23 +101,23 @@ class Start:
         SceneError
             If the image does not have the target's shape.
         """
-        params = starting_parameters(scene.renderer, scene.optimise)
-        with foreign(f"{scene.path}: rendering the start"):
-            image = scene.renderer.render(params, seed=scene.fit.seed)
-            shape = tuple(image.shape)
-        if shape != scene.target.shape:
-            msg = f"{scene.path}: the renderer makes images of shape {shape}, the target has {scene.target.shape}"
-            raise SceneError(msg)
-        return cls(params, image)
+        params = starting_parameters(scene, scene.optimise)
+        images = {}
+        for name, view in scene.views.items():
+            where = f"{scene.path}: [views.{name}]" if name else f"{scene.path}"
+            with foreign(f"{where}: rendering the start"):
+                images[name] = view.renderer.render(view.own(params, scene.optimise), seed=scene.fit.seed)
+                shape = tuple(images[name].shape)
+            wanted = view.target.image.shape
+            if shape != wanted:
+                msg = f"{where}: the renderer makes images of shape {shape}, the target has {wanted}"
+                raise SceneError(msg)
+        return cls(params, images)
 
     @property
     def host(self) -> Host:
-        """The image as NumPy."""
-        return to_numpy(self.image)
-
-    def cotangent(self, objective: Objective) -> Array:
-        """The gradient of an objective by the image."""
-        return objective.value_and_grad(self.image)[1]
+        """The image of the first view as NumPy."""
+        return to_numpy(next(iter(self.images.values())))
 
 
 def run_scene(
@@ -129,29 +134,28 @@ def run_scene(
         If the scene's options are not allowed; nothing has been rendered then.
     """
     start = Start.of(scene)
-    initial = start.host
+    initial = scene.strip({name: to_numpy(image) for name, image in start.images.items()})
+    first = quality(scene, {name: to_numpy(image) for name, image in start.images.items()})
     earlier = _earlier_psnr(scene.output / HISTORY_FILE) if resume else {}
     trials: list[Trial] = []
-    for index, (name, objective) in enumerate(scene.objectives.items()):
-        trial = Trial(name, initial=initial)
-        watcher = _Watcher(scene, trial, progress)
+    for index, name in enumerate(scene.objectives):
+        trial = Trial(name, initial=initial, psnr_initial=first)
+        watcher = _Watcher(scene, trial, progress, {view: to_numpy(image) for view, image in start.images.items()})
         trials.append(trial)
         try:
-            if isinstance(scene.renderer, PlanningRenderer):
-                cotangent = start.cotangent(objective)
-                trial.plan = _plan(scene, scene.renderer, start, cotangent)
-                if index == 0:
-                    found = scene.renderer.effect_images(start.params, cotangent, seed=scene.fit.seed)
-                    trial.effects = {name: to_numpy(one) for name, one in found.items()}
+            trial.plan = _plan_all(scene, start, name)
+            if index == 0:
+                trial.effects = _effect_images(scene, start, name)
             trial.result = fit(
-                scene.renderer,
-                objective,
+                scene.renderers,
+                scene.objective(name),
                 steps=scene.fit.steps,
                 learning_rate=scene.fit.learning_rate,
                 seed=scene.fit.seed,
                 decay=scene.fit.decay,
                 stages=None if scene.fit.stages == "none" else "auto",
                 starts=scene.fit.starts,
+                views_per_step=scene.fit.views_per_step,
                 optimise=scene.optimise,
                 checkpoint=checkpoint if index == 0 else None,
                 resume=resume,
@@ -181,11 +185,43 @@ def plan_scene(scene: Scene, renderer: PlanningRenderer, objective: Objective) -
         If the renderer or the objective does not take the scene's starting parameters.
     """
     start = Start.of(scene)
-    return _plan(scene, renderer, start, start.cotangent(objective))
+    image = next(iter(start.images.values()))
+    return _plan(scene, scene.first.own(start.params, scene.optimise), renderer, objective, image)
 
 
-def _plan(scene: Scene, renderer: PlanningRenderer, start: Start, cotangent: Array) -> EffectPlan:
-    return renderer.begin(start.params, cotangent, optimise=list(scene.optimise), seed=scene.fit.seed)
+def _plan(
+    scene: Scene, params: Parameters, renderer: PlanningRenderer, objective: Objective, image: Array
+) -> EffectPlan:
+    cotangent = objective.value_and_grad(image)[1]
+    moving = [name for name in scene.optimise if name in params]
+    return renderer.begin(params, cotangent, optimise=moving, seed=scene.fit.seed)
+
+
+def _plan_all(scene: Scene, start: Start, objective: str) -> EffectPlan | None:
+    """Plan the effects of every view that plans them; the plan of the first."""
+    plans = [
+        _plan(
+            scene,
+            view.own(start.params, scene.optimise),
+            view.renderer,
+            view.objectives[objective],
+            start.images[name],
+        )
+        for name, view in scene.views.items()
+        if isinstance(view.renderer, PlanningRenderer)
+    ]
+    return plans[0] if plans else None
+
+
+def _effect_images(scene: Scene, start: Start, objective: str) -> dict[str, Host]:
+    """How each effect of the first view makes its image change; none if it plans none."""
+    name, view = next(iter(scene.views.items()))
+    if not isinstance(view.renderer, PlanningRenderer):
+        return {}
+    cotangent = view.objectives[objective].value_and_grad(start.images[name])[1]
+    params = view.own(start.params, scene.optimise)
+    found = view.renderer.effect_images(params, cotangent, seed=scene.fit.seed)
+    return {effect: to_numpy(one) for effect, one in found.items()}
 
 
 def _earlier_psnr(path: Path) -> dict[tuple[int, float], float]:
@@ -204,6 +240,16 @@ def _known_psnr(result: FitResult, earlier: Mapping[tuple[int, float], float]) -
     return {key[0]: earlier[key] for key in keys if key in earlier}
 
 
+def quality(scene: Scene, images: Mapping[str, Host]) -> float:
+    """PSNR of the images of some views against their targets, in dB, where pixels count."""
+    errors = []
+    for name, image in images.items():
+        target = scene.views[name].target
+        errors.append(10.0 ** (-0.1 * psnr(image, target.image, target.weights)))
+    error = sum(errors) / len(errors)
+    return math.inf if error == 0.0 else -10.0 * math.log10(error)
+
+
 def frame_steps(steps: int) -> set[int]:
     """The steps whose images a report of a fit of so many steps shows."""
     return {round(k * (steps - 1) / (FRAMES - 1)) for k in range(FRAMES)}
@@ -216,13 +262,18 @@ class _Watcher:
     scene: Scene
     trial: Trial
     progress: Progress | None
+    latest: dict[str, Host]  # the image of each view when it was last rendered
 
-    def __call__(self, step: FitStep, params: Parameters, image: Array) -> None:
-        seen = to_numpy(image)
-        self.trial.psnr[step.step] = psnr(seen, self.scene.target)
+    def __call__(self, step: FitStep, params: Parameters, image: Images) -> None:
+        images: dict[str, Array] = image if isinstance(image, dict) else {"": image}
+        seen = {name: to_numpy(one) for name, one in images.items()}
+        self.latest |= seen
+        self.trial.psnr[step.step] = quality(self.scene, seen)
         if step.step in frame_steps(self.scene.fit.steps):
-            self.trial.frames.append((step.step, seen.copy()))
-        if isinstance(self.scene.renderer, PlanningRenderer):
-            self.scene.renderer.watch(step, params, image)
+            self.trial.frames.append((step.step, self.scene.strip(self.latest).copy()))
+        for name, one in images.items():
+            view = self.scene.views[name]
+            if isinstance(view.renderer, PlanningRenderer):
+                view.renderer.watch(step, view.own(params, self.scene.optimise), one)
         if self.progress is not None:
             self.progress(self.trial.objective, step.step, step.value)

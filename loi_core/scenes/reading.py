@@ -6,41 +6,51 @@ import math
 import os
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
-from difflib import get_close_matches
-from inspect import Parameter, formatannotation, signature
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 
-from loi_core.errors import LoiError, OptionError, SceneError
+from loi_core.errors import LoiError, OptionError, RendererError
 from loi_core.fitting.loop import check_fit_options
-from loi_core.fitting.parameters import Free, bounds_of, check_rate, own_parameters, starting_parameters
+from loi_core.fitting.parameters import (
+    Free,
+    HasParameters,
+    bounds_of,
+    check_rate,
+    own_parameters,
+    starting_parameters,
+)
+from loi_core.fitting.views import Views
 from loi_core.io.files import check_writable
-from loi_core.io.images import FloatImage, read_image
+from loi_core.io.images import FloatImage, StoredImage, read_stored
 from loi_core.io.toml import read_toml
 from loi_core.method.scales import ScaleSpace
 from loi_core.objectives import LOIObjective, Objective
 from loi_core.pixels.tone_curve import LogTone
 from loi_core.plugins.baselines import baseline_names, make_baseline
-from loi_core.plugins.registry import RendererFactory, load_renderer
-from loi_core.renderers.contract import Renderer
-from loi_core.scenes.scene import FitOptions, Scene
-from loi_core.support.guards import is_ctrl_c
+from loi_core.renderers.contract import EncodedRenderer, Renderer
+from loi_core.scenes.making import make_renderer
+from loi_core.scenes.scene import FitOptions, Scene, SceneView
+from loi_core.scenes.target import BLACK, Target, prepare_target
+from loi_core.scenes.where import Where
 from loi_core.support.values import real_number, whole_number
-from loi_core.support.wording import described, shown
+from loi_core.support.wording import shown
 
 __all__ = ["load_scene"]
 
 OURS: Final = "loi"
 
-TOP_KEYS: Final = ("target", "output", "title", "renderer", "optimise", "scales", "objective", "fit")
+TARGET_KEYS: Final = ("target", "encoding", "alpha", "weights")
+TOP_KEYS: Final = (*TARGET_KEYS, "output", "title", "renderer", "views", "optimise", "scales", "objective", "fit")
+VIEW_KEYS: Final = (*TARGET_KEYS, "renderer")
+VIEW_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
+MOST_VIEWS: Final = 256
 FREE_KEYS: Final = ("initial", "lower", "upper", "learning_rate", "truth")
 SCALE_KEYS: Final = ("preset", "sigma", "alpha", "beta", "bounds", "boundary", "p")
 OBJECTIVE_KEYS: Final = ("name", "compare", "accuracy", "nan_policy", "tone")
 TONE_KEYS: Final = ("peak", "compression")
-FIT_KEYS: Final = ("steps", "learning_rate", "decay", "seed", "stages", "starts")
+FIT_KEYS: Final = ("steps", "learning_rate", "decay", "seed", "stages", "starts", "views_per_step")
 
 
 def load_scene(path: Path, *, output: Path | None = None, samples: int | None = None) -> Scene:
@@ -63,68 +73,34 @@ def load_scene(path: Path, *, output: Path | None = None, samples: int | None = 
         For what it names: an image that cannot be read, a renderer that is not installed, a scale out of range.
     """
     document = read_toml(path)
-    where = _Where(path)
+    where = Where(path)
     where.known("", document, TOP_KEYS)
-    for key in ("target", "renderer", "optimise"):
+    for key in ("views" if "views" in document else "target", "renderer", "optimise"):
         if key not in document:
             raise where.error("", f"`{key}` is missing; a scene needs target, [renderer] and [optimise.NAME]")
-    folder = path.parent
-    target = read_image(folder / where.text("", document, "target"))[..., :3]
-    renderer, spp = _renderer(where, where.table("", document, "renderer"), folder, target, samples)
-    optimise, truth = _optimise(where, where.table("", document, "optimise"), renderer)
-    scales = _scales(where, where.table("", document, "scales"), target)
     comparison = where.table("", document, "objective")
     tone = _tone(where, comparison)
-    objectives = _objectives(where, comparison, target, scales, tone)
+    views, spp = {}, None
+    for view, (heading, table, options) in _view_tables(where, document).items():
+        views[view], spp = _view(where, heading, table, options, document, samples)
+    optimise, truth = _optimise(where, where.table("", document, "optimise"), _merged(where, views))
     name = where.text("", document, "output") if "output" in document else f"{path.stem}-result"
-    results = folder / name if output is None else output
+    results = path.parent / name if output is None else output
     _check_output(where, results, own=output is None)
     return Scene(
         path=path,
         title=where.text("", document, "title") if "title" in document else path.stem,
         output=results,
-        renderer=renderer,
-        target=target,
-        scales=scales,
-        objectives=objectives,
+        views=views,
         optimise=optimise,
         truth=truth,
-        fit=_fit_options(where, where.table("", document, "fit")),
+        fit=_fit_options(where, where.table("", document, "fit"), len(views)),
         samples=spp,
         tone=tone,
     )
 
 
-@dataclass(frozen=True)
-class _Where:
-    """Reads values out of a scene's tables; its errors name the file, the table and the key."""
-
-    path: Path
-
-    def error(self, table: str, message: str) -> SceneError:
-        return SceneError(f"{self.path}: {f'[{table}] ' if table else ''}{message}")
-
-    def known(self, name: str, table: Mapping[str, Any], keys: tuple[str, ...]) -> None:
-        for key in table:
-            if key not in keys:
-                near = get_close_matches(key, keys, 1)
-                hint = f"did you mean `{near[0]}`?" if near else f"known are {', '.join(keys)}"
-                raise self.error(name, f"unknown key `{key}`; {hint}")
-
-    def table(self, name: str, parent: Mapping[str, Any], key: str) -> Mapping[str, Any]:
-        value = parent.get(key, {})
-        if not isinstance(value, Mapping):
-            raise self.error(name, f"`{key}` must be a table, got {shown(value)}")
-        return value
-
-    def text(self, name: str, table: Mapping[str, Any], key: str) -> str:
-        value = table[key]
-        if not isinstance(value, str) or not value or "\0" in value:
-            raise self.error(name, f"`{key}` must be a text that is not empty, got {shown(value)}")
-        return value
-
-
-def _check_output(where: _Where, results: Path, *, own: bool) -> None:
+def _check_output(where: Where, results: Path, *, own: bool) -> None:
     check_writable("output", results)
     home, there = (os.path.realpath(path) for path in (where.path.parent, results))
     if own and not Path(there).is_relative_to(home):
@@ -133,71 +109,87 @@ def _check_output(where: _Where, results: Path, *, own: bool) -> None:
         raise where.error("", "`output` must be a folder of its own, not that of the scene and its images")
 
 
-def _renderer(
-    where: _Where, table: Mapping[str, Any], folder: Path, target: FloatImage, samples: int | None
-) -> tuple[Renderer, int | None]:
-    """The renderer of a scene, and its samples per pixel if that is an option."""
-    if "name" not in table:
-        raise where.error("renderer", "`name` is missing")
-    name = where.text("renderer", table, "name")
-    factory = load_renderer(name)
-    options = {key: value for key, value in table.items() if key not in ("name", "images")}
-    images = where.table("renderer", table, "images")
-    for key in images:
-        if key in options:
-            raise where.error("renderer.images", f"`{key}` is given in [renderer] as well")
-        options[key] = read_image(folder / where.text("renderer.images", images, key))
-    accepted = _accepted(factory)
-    for key, argument in (accepted or {}).items():
-        if isinstance(options.get(key), str) and _is_path(argument):
-            options[key] = folder / where.text("renderer", options, key)
-    if accepted is not None and not any(one.kind is Parameter.VAR_KEYWORD for one in accepted.values()):
-        where.known("renderer", options, tuple(accepted))
-    for key, size in (("height", target.shape[0]), ("width", target.shape[1])):
-        if accepted is None or key not in accepted:
-            continue
-        if options.setdefault(key, size) != size:  # a renderer that has to be told its size gets the target's
-            raise where.error("renderer", f"`{key}` must be that of the target, {size}, got {shown(options[key])}")
-    if samples is not None:
-        options["spp"] = samples
-    for key, argument in (accepted or {}).items():
-        named = argument.kind in (Parameter.POSITIONAL_OR_KEYWORD, Parameter.KEYWORD_ONLY)
-        if named and argument.default is Parameter.empty and key not in options:
-            raise where.error("renderer", f"`{key}` is missing; {name} needs it")
+def _view_tables(
+    where: Where, document: Mapping[str, Any]
+) -> dict[str, tuple[str, Mapping[str, Any], Mapping[str, Any]]]:
+    """Of each view its heading, its table, and the options of its renderer; one without a name if none are listed."""
+    common = where.table("", document, "renderer")
+    if "views" not in document:
+        return {"": ("", document, common)}
+    listed = where.table("", document, "views")
+    twice = next((key for key in TARGET_KEYS if key in document), None)
+    if twice:
+        raise where.error("", f"`{twice}` and [views] exclude each other; each view has its own")
+    if not 1 <= len(listed) <= MOST_VIEWS:
+        raise where.error("views", f"must list 1 to {MOST_VIEWS} views, got {len(listed)}")
+    found: dict[str, tuple[str, Mapping[str, Any], Mapping[str, Any]]] = {}
+    for name in listed:
+        if not VIEW_NAME.fullmatch(name):
+            raise where.error("views", f"views are named by letters, digits, - and _, got {shown(name)}")
+        heading, table = f"views.{name}", where.table("views", listed, name)
+        where.known(heading, table, VIEW_KEYS)
+        if "target" not in table:
+            raise where.error(heading, "`target` is missing")
+        own = where.table(heading, table, "renderer")
+        if "name" in own:
+            raise where.error(heading, "`name` of the renderer is the same for all views; give it in [renderer]")
+        options = {**common, **own}
+        if isinstance(common.get("images"), Mapping) and isinstance(own.get("images"), Mapping):
+            options["images"] = {**common["images"], **own["images"]}
+        found[name] = heading, table, options
+    return found
+
+
+def _view(
+    where: Where,
+    heading: str,
+    table: Mapping[str, Any],
+    options: Mapping[str, Any],
+    document: Mapping[str, Any],
+    samples: int | None,
+) -> tuple[SceneView, int | None]:
+    """A view, and the samples per pixel of its renderer if that is an option."""
+    path = where.path.parent / where.text(heading, table, "target")
+    stored = read_stored(path)
+    renderer, spp = make_renderer(
+        where, f"{heading}.renderer" if heading else "renderer", options, stored.colours, samples
+    )
+    target = _target(where, heading, table, path, stored, renderer)
+    scales = _scales(where, where.table("", document, "scales"), target.image)
+    objectives = _objectives(where, where.table("", document, "objective"), target, scales)
+    return SceneView(renderer, target, scales, objectives), spp
+
+
+def _target(
+    where: Where, heading: str, table: Mapping[str, Any], path: Path, stored: StoredImage, renderer: Renderer
+) -> Target:
+    """The target as what the renderer makes."""
+    encoding, makes = table.get("encoding"), renderer.encoding if isinstance(renderer, EncodedRenderer) else None
+    if makes is None and encoding is not None:
+        makes = "linear"  # whoever says what a file holds means it to be told from what is rendered
+    weights = where.path.parent / where.text(heading, table, "weights") if "weights" in table else None
     try:
-        renderer = factory(**options)
-        usable = isinstance(renderer, Renderer)
-    except BaseException as error:  # a third party may raise anything, SystemExit too
-        if is_ctrl_c(error):
-            raise
-        said = str(error) if isinstance(error, LoiError) else f"{name} refused: {described(error)}"
-        raise where.error("renderer", said) from error
-    if not usable:
-        raise where.error("renderer", f"{name} made a {type(renderer).__name__}, which is not a renderer")
-    declared = (accepted or {}).get("spp")
-    return renderer, whole_number(options.get("spp", declared.default if declared else None))
+        return prepare_target(
+            path, stored, to=makes, encoding=encoding, alpha=table.get("alpha", BLACK), weights=weights
+        )
+    except OptionError as error:
+        raise where.error(heading, str(error)) from error
 
 
-def _accepted(factory: RendererFactory) -> Mapping[str, Parameter] | None:
-    """The arguments that a factory declares; None for compiled ones that declare nothing."""
+def _merged(where: Where, views: Mapping[str, SceneView]) -> HasParameters:
+    """What has the parameters of all views."""
+    if "" in views:
+        return views[""].renderer
+    renderers = {name: view.renderer for name, view in views.items()}
+    objectives = {name: next(iter(view.objectives.values())) for name, view in views.items()}
     try:
-        return signature(factory).parameters
-    except Exception:  # compiled ones declare nothing, and a third party may declare anything
-        return None
-
-
-def _is_path(argument: Parameter) -> bool:
-    """Whether a factory says that this argument is, or may be, a path."""
-    # By the annotation's text: often it is one, and may name what only type checkers import.
-    try:
-        spelled = formatannotation(argument.annotation)
-    except Exception:  # a third party may annotate with anything
-        return False
-    return re.search(r"\bPath\b", spelled) is not None
+        return Views.of(renderers, objectives, None, None)
+    except RendererError as error:
+        raise where.error("views", str(error)) from error
 
 
 def _optimise(
-    where: _Where, table: Mapping[str, Any], renderer: Renderer
+    where: Where, table: Mapping[str, Any], renderer: HasParameters
 ) -> tuple[dict[str, Free], dict[str, np.ndarray[Any, Any]]]:
     params = own_parameters(renderer)
     if not table:
@@ -224,7 +216,7 @@ def _optimise(
     return free, truth
 
 
-def _numbers(where: _Where, heading: str, key: str, value: object, shape: tuple[int, ...]) -> None:
+def _numbers(where: Where, heading: str, key: str, value: object, shape: tuple[int, ...]) -> None:
     flat: list[Any] = [value]
     while any(isinstance(one, list) for one in flat):
         flat = [inner for one in flat for inner in (one if isinstance(one, list) else [one])]
@@ -242,7 +234,7 @@ def _numbers(where: _Where, heading: str, key: str, value: object, shape: tuple[
         raise where.error(heading, f"`{key}` must be one number or have shape {shape}, got shape {array.shape}")
 
 
-def _scales(where: _Where, table: Mapping[str, Any], target: FloatImage) -> ScaleSpace:
+def _scales(where: Where, table: Mapping[str, Any], target: FloatImage) -> ScaleSpace:
     where.known("scales", table, SCALE_KEYS)
     given = [key for key in ("sigma", "alpha", "beta") if key in table]
     options = {key: value for key, value in table.items() if key not in ("preset", "sigma", "alpha", "beta")}
@@ -259,7 +251,7 @@ def _scales(where: _Where, table: Mapping[str, Any], target: FloatImage) -> Scal
         raise where.error("scales", str(error)) from error
 
 
-def _tone(where: _Where, objective: Mapping[str, Any]) -> LogTone | None:
+def _tone(where: Where, objective: Mapping[str, Any]) -> LogTone | None:
     if "tone" not in objective:
         return None
     table = where.table("objective", objective, "tone")
@@ -272,9 +264,7 @@ def _tone(where: _Where, objective: Mapping[str, Any]) -> LogTone | None:
         raise where.error("objective.tone", str(error)) from error
 
 
-def _objectives(
-    where: _Where, table: Mapping[str, Any], target: FloatImage, scales: ScaleSpace, tone: LogTone | None
-) -> dict[str, Objective]:
+def _objectives(where: Where, table: Mapping[str, Any], target: Target, scales: ScaleSpace) -> dict[str, Objective]:
     where.known("objective", table, OBJECTIVE_KEYS)
     compare = table.get("compare", [])
     if not isinstance(compare, list):
@@ -284,21 +274,23 @@ def _objectives(
         known = (OURS, *baseline_names())
         if name not in known:
             raise where.error("objective", f"objectives are {', '.join(known)}, got {shown(name)}")
-    policy = table.get("nan_policy", "raise")
+    policy, tone = table.get("nan_policy", "raise"), _tone(where, table)
     accuracy = table.get("accuracy", "exact")
     made: dict[str, Objective] = {}
     try:
         for name in dict.fromkeys(names):
             if name == OURS:
-                made[name] = LOIObjective(target, scales, accuracy, nan_policy=policy, tone=tone)
+                made[name] = LOIObjective(
+                    target.image, scales, accuracy, nan_policy=policy, tone=tone, weights=target.weights
+                )
             else:
-                made[name] = make_baseline(name, target, nan_policy=policy, tone=tone)
+                made[name] = make_baseline(name, target.image, nan_policy=policy, tone=tone, weights=target.weights)
     except LoiError as error:
         raise where.error("objective", str(error)) from error
     return made
 
 
-def _fit_options(where: _Where, table: Mapping[str, Any]) -> FitOptions:
+def _fit_options(where: Where, table: Mapping[str, Any], views: int) -> FitOptions:
     where.known("fit", table, FIT_KEYS)
     options = FitOptions(**table)
     try:
@@ -307,4 +299,7 @@ def _fit_options(where: _Where, table: Mapping[str, Any]) -> FitOptions:
         raise where.error("fit", str(error)) from error
     if options.stages not in ("auto", "none"):
         raise where.error("fit", f"`stages` must be 'auto' or 'none', got {shown(options.stages)}")
+    at_once = options.views_per_step
+    if at_once is not None and not 1 <= (whole_number(at_once) or 0) <= views:
+        raise where.error("fit", f"`views_per_step` must be a whole number from 1 to {views}, got {shown(at_once)}")
     return options

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -9,13 +10,17 @@ from typing import Any
 import numpy as np
 
 from loi_core.fitting.parameters import Free
+from loi_core.fitting.views import Images
 from loi_core.io.images import FloatImage
 from loi_core.method.scales import ScaleSpace
 from loi_core.objectives import Objective
+from loi_core.pixels.strip import side_by_side
 from loi_core.pixels.tone_curve import LogTone
-from loi_core.renderers.contract import Renderer
+from loi_core.renderers.contract import Parameters, Renderer
+from loi_core.scenes.target import Target
+from loi_core.support.arrays import Host
 
-__all__ = ["FitOptions", "Scene"]
+__all__ = ["FitOptions", "Scene", "SceneView"]
 
 
 @dataclass(frozen=True)
@@ -28,6 +33,34 @@ class FitOptions:
     seed: int = 0
     stages: Any = "auto"
     starts: int = 1
+    views_per_step: int | None = None
+
+
+@dataclass(frozen=True)
+class SceneView:
+    """One render of a scene, and what it is compared with.
+
+    Attributes
+    ----------
+    renderer : Renderer
+        As its factory made it.
+    target : Target
+        The image to match, and how much each of its pixels counts.
+    scales : ScaleSpace
+        Those of the file, for whichever objective compares them.
+    objectives : dict
+        By name; the first is the one that the scene is fitted with, the others are compared with it.
+    """
+
+    renderer: Renderer
+    target: Target
+    scales: ScaleSpace
+    objectives: dict[str, Objective]
+
+    def own(self, params: Parameters, moving: Iterable[str]) -> Parameters:
+        """The parameters of this view: those that move out of `params`, all others as its renderer has them."""
+        own = self.renderer.parameters()
+        return {**own, **{name: params[name] for name in moving if name in own}}
 
 
 @dataclass(frozen=True)
@@ -42,14 +75,8 @@ class Scene:
         For the report.
     output : Path
         Folder of the results.
-    renderer : Renderer
-        As its factory made it.
-    target : array, shape (H, W, 3), float64
-        The image to match.
-    scales : ScaleSpace
-        Those of the file, for whichever objective compares them.
-    objectives : dict
-        By name; the first is the one that the scene is fitted with, the others are compared with it.
+    views : dict of SceneView
+        By name; one whose name is empty if the file names none.
     optimise : dict of Free
         What may move.
     truth : dict of arrays
@@ -65,12 +92,63 @@ class Scene:
     path: Path
     title: str
     output: Path
-    renderer: Renderer
-    target: FloatImage
-    scales: ScaleSpace
-    objectives: dict[str, Objective]
+    views: dict[str, SceneView]
     optimise: dict[str, Free]
     truth: dict[str, np.ndarray[Any, Any]]
     fit: FitOptions = field(default_factory=FitOptions)
     samples: int | None = None
     tone: LogTone | None = None
+
+    @property
+    def first(self) -> SceneView:
+        """The only view, or the first of several."""
+        return next(iter(self.views.values()))
+
+    @property
+    def renderer(self) -> Renderer:
+        """The renderer of the first view."""
+        return self.first.renderer
+
+    @property
+    def target(self) -> FloatImage:
+        """The image that the first view is to match, shape (H, W, 3)."""
+        return self.first.target.image
+
+    @property
+    def scales(self) -> ScaleSpace:
+        """The scales of the first view."""
+        return self.first.scales
+
+    @property
+    def objectives(self) -> dict[str, Objective]:
+        """The objectives of the first view, by name."""
+        return self.first.objectives
+
+    def parameters(self) -> Parameters:
+        """The parameters of all views."""
+        found: Parameters = {}
+        for view in self.views.values():
+            found = {**view.renderer.parameters(), **found}
+        return found
+
+    def by_view(self, what: dict[str, Any]) -> Images:
+        """What belongs to each view as a fit takes it: by name, or alone if the only view has none."""
+        return what.get("", what)
+
+    @property
+    def renderers(self) -> Images:
+        """The renderer, or those of several views by name."""
+        return self.by_view({name: view.renderer for name, view in self.views.items()})
+
+    def objective(self, name: str) -> Images:
+        """The objective of this name, or those of several views by theirs."""
+        return self.by_view({view: one.objectives[name] for view, one in self.views.items()})
+
+    def strip(self, images: Mapping[str, Host]) -> Host:
+        """Images of views as one picture, in the order of the file."""
+        return side_by_side(images[name] for name in self.views)
+
+    @property
+    def notes(self) -> list[str]:
+        """What was done to the targets as they were read, a line each."""
+        return list(dict.fromkeys(note for view in self.views.values() for note in view.target.notes))

@@ -10,6 +10,7 @@ import pytest
 
 from loi_core.cli import main
 from loi_core.io.images import write_png
+from loi_core.pixels.encoding import encode_srgb
 from loi_mitsuba import MitsubaRenderer, Translate
 from tests.helpers import FINISHED
 from tests.mitsuba.test_scene_file import GOAL, SCENE, XML
@@ -20,7 +21,7 @@ def folder(tmp_path: Path) -> Path:
     (tmp_path / "scene.xml").write_text(XML)
     (tmp_path / "scene.toml").write_text(SCENE.replace('"mitsuba"', '"mitsuba-planned"'))
     renderer = MitsubaRenderer(tmp_path / "scene.xml", {"place": Translate("ball")}, spp=256)
-    write_png(tmp_path / "target.png", renderer.render({"place": np.array(GOAL)}))
+    write_png(tmp_path / "target.png", encode_srgb(renderer.render({"place": np.array(GOAL)})))
     return tmp_path
 
 

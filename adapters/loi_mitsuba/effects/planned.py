@@ -14,6 +14,7 @@ from loi_core.effects import Effect, EffectPlan, Holding, Schedule, Sizes
 from loi_core.errors import OptionError, ParameterError
 from loi_core.fitting.loop import FitStep
 from loi_core.objectives.base import Objective
+from loi_core.pixels.encoding import Encoding
 from loi_core.support.arrays import to_numpy
 from loi_core.support.values import real_number
 from loi_core.support.wording import shown
@@ -99,6 +100,11 @@ class PlannedRenderer:
         self._holding = Holding()
         self._seen: frozenset[str] = frozenset()
         self._take(tuple(targets))
+
+    @property
+    def encoding(self) -> Encoding:
+        """What Mitsuba renders is radiance, "linear"."""
+        return "linear"
 
     @property
     def plan(self) -> EffectPlan:

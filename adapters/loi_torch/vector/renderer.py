@@ -10,10 +10,10 @@ import torch
 from torch import Tensor
 
 from loi_core.errors import ParameterError
+from loi_core.pixels.encoding import Encoding, check_encoding
 from loi_core.renderers.checks import FloatArray, check_size, floats
 from loi_core.renderers.fragments import IndexArray
 from loi_core.support.arrays import to_numpy
-from loi_core.support.wording import shown
 from loi_torch.painted import Painted, Tensors
 from loi_torch.vector.coverage import Edges, Painting, check_near, cover
 from loi_torch.vector.outlines import Ring, Rings, ring_points, spread
@@ -24,8 +24,6 @@ from loi_torch.vector.svg_reading import read_svg
 from loi_torch.vector.table import Layer, Table
 
 __all__ = ["Vector"]
-
-ENCODINGS = ("linear", "srgb")
 
 
 class Vector(Painted):
@@ -41,8 +39,9 @@ class Vector(Painted):
         Linear RGB; that of `svg` if it has one, otherwise white.
     svg : Path, optional
         An SVG file to read the shapes from; its view box is fitted into the image.
-    encoding : {"linear", "srgb"}
-        Of the image. PNGs are encoded as sRGB and are compared as they are, so a target that is one wants "srgb".
+    encoding : {"linear", "sRGB"}
+        Of the image. A target that is a PNG is decoded for "linear" in scene files, and elsewhere by
+        :func:`loi_core.read_target`.
         Shapes are mixed as linear RGB either way.
     dtype : {"float64", "float32"}
         Of parameters and images; the arithmetic inside is float64.
@@ -96,10 +95,7 @@ class Vector(Painted):
         if (shapes is None) == (svg is None):
             msg = "`shapes` and `svg` exclude each other; give one of them"
             raise ParameterError(msg)
-        if encoding not in ENCODINGS:
-            msg = f"`encoding` must be 'linear' or 'srgb', got {shown(encoding)}"
-            raise ParameterError(msg)
-        self._encoding = encoding
+        self._encoding = check_encoding(encoding)
         own: FloatArray = np.ones(3)
         if svg is not None:
             drawing = read_svg(pathlib.Path(svg), *self._size)
@@ -108,6 +104,11 @@ class Vector(Painted):
         self._table = Table(shapes or [], dtype)
         super().__init__(self._table, dtype, device)
         self._behind = torch.as_tensor(self.background, device=self._device)
+
+    @property
+    def encoding(self) -> Encoding:
+        """Of the image."""
+        return self._encoding
 
     def shapes(self, params: Mapping[str, object]) -> list[Shape]:
         """The shapes that have these parameters, to be looked at or written with :func:`write_svg`."""

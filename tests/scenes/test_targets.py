@@ -1,0 +1,229 @@
+"""Targets as they are: encoded or linear, with opacity, with weights, and of any range."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from PIL import Image
+
+from loi_core import LOIObjective, read_target
+from loi_core.cli import main
+from loi_core.errors import ImageFileError, OptionError, SceneError
+from loi_core.io.images import read_image, write_png
+from loi_core.pixels.encoding import decode_srgb, encode_srgb
+from loi_core.pixels.psnr import psnr
+from loi_core.renderers import Disks
+from loi_core.report.display import Display
+from loi_core.scenes.experiment import run_scene
+from loi_core.scenes.reading import load_scene
+from tests.helpers import FINISHED, Host
+
+IMAGE: Host = np.round(np.random.default_rng(0).uniform(size=(12, 16, 3)) * 255.0) / 255.0
+OPACITY: Host = np.round(np.random.default_rng(1).uniform(size=(12, 16)) * 255.0) / 255.0
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    write_png(tmp_path / "photo.png", IMAGE)
+    whole = np.rint(np.concatenate([IMAGE, OPACITY[..., None]], axis=-1) * 255.0).astype(np.uint8)
+    Image.fromarray(whole).save(tmp_path / "cut.png")
+    np.save(tmp_path / "floats.npy", IMAGE)
+    np.save(tmp_path / "bytes.npy", np.rint(IMAGE * 255.0).astype(np.uint8))
+    write_exr(tmp_path / "light.exr", np.concatenate([IMAGE * OPACITY[..., None], OPACITY[..., None]], axis=-1))
+    return tmp_path
+
+
+def write_exr(path: Path, image: Host) -> None:
+    import OpenEXR
+
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, {"RGBA"[: image.shape[2]]: image.astype(np.float32)}).write(str(path))
+
+
+@given(st.floats(-0.5, 4.0))
+def test_encoding_and_decoding_undo_each_other(value: float) -> None:
+    assert float(decode_srgb(encode_srgb(np.asarray(value)))) == pytest.approx(value, abs=1e-12)
+    assert float(encode_srgb(decode_srgb(np.asarray(value)))) == pytest.approx(value, abs=1e-7)  # the knee is rounded
+
+
+def test_half_of_a_display_is_a_fifth_of_the_light() -> None:
+    assert float(decode_srgb(np.asarray(0.5))) == pytest.approx(0.21404, abs=1e-5)  # IEC 61966-2-1
+
+
+@pytest.mark.parametrize(
+    ("name", "to", "encoding", "wanted"),
+    [
+        ("photo.png", None, None, IMAGE),
+        ("photo.png", "linear", None, decode_srgb(IMAGE)),
+        ("photo.png", "linear", "linear", IMAGE),
+        ("photo.png", "sRGB", None, IMAGE),
+        ("bytes.npy", "linear", None, decode_srgb(IMAGE)),
+        ("floats.npy", "linear", None, IMAGE),
+        ("floats.npy", "srgb", None, encode_srgb(IMAGE)),
+        ("floats.npy", "linear", "sRGB", decode_srgb(IMAGE)),
+    ],
+)
+def test_a_target_becomes_what_the_renderer_makes(
+    name: str, to: str | None, encoding: str | None, wanted: Host, folder: Path
+) -> None:
+    target = read_target(folder / name, to=to, encoding=encoding)
+    np.testing.assert_allclose(target.image, wanted, atol=1e-12)
+    assert bool(target.notes) == (wanted is not IMAGE)
+    assert target.weights is None
+
+
+@pytest.mark.parametrize(("name", "error"), [("cut.png", 1e-12), ("light.exr", 1e-6)])
+def test_opacity_is_composited_or_becomes_weights(name: str, error: float, folder: Path) -> None:
+    alpha = OPACITY[..., None]
+    over = read_target(folder / name, alpha=(0.2, 0.4, 0.6))
+    np.testing.assert_allclose(over.image, alpha * IMAGE + (1 - alpha) * np.array([0.2, 0.4, 0.6]), atol=error)
+    assert "composited over [0.2, 0.4, 0.6]" in over.notes[0]
+    black = read_target(folder / name)
+    np.testing.assert_allclose(black.image, alpha * IMAGE, atol=error)
+    assert "composited over black" in black.notes[0]
+    mask = read_target(folder / name, alpha="mask")
+    assert mask.weights is not None
+    np.testing.assert_allclose(mask.weights, OPACITY, atol=error)
+    seen = OPACITY > 0.0
+    np.testing.assert_allclose(mask.image[seen], IMAGE[seen], atol=300 * error)
+    assert read_target(folder / name, alpha="ignore").weights is None
+
+
+def test_light_is_composited_as_light(folder: Path) -> None:
+    target = read_target(folder / "cut.png", to="linear", alpha=(1.0, 1.0, 1.0))
+    alpha = OPACITY[..., None]
+    np.testing.assert_allclose(target.image, alpha * decode_srgb(IMAGE) + 1 - alpha, atol=1e-12)
+
+
+def test_weights_of_a_file_multiply_those_of_the_opacity(folder: Path) -> None:
+    np.save(folder / "weights.npy", 3.0 * IMAGE[..., 0])
+    alone = read_target(folder / "photo.png", weights=folder / "weights.npy")
+    both = read_target(folder / "cut.png", alpha="mask", weights=folder / "weights.npy")
+    assert alone.weights is not None
+    assert both.weights is not None
+    np.testing.assert_allclose(alone.weights, 3.0 * IMAGE[..., 0])
+    np.testing.assert_allclose(both.weights, 3.0 * IMAGE[..., 0] * OPACITY)
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "says"),
+    [
+        ({"to": "gamma"}, OptionError, "`encoding` must be 'linear' or 'sRGB'"),
+        ({"encoding": 3}, OptionError, "`encoding` must be 'linear' or 'sRGB'"),
+        ({"alpha": "cut"}, OptionError, "`alpha` must be 'mask', 'ignore', or the three numbers"),
+        ({"alpha": (1, 2)}, OptionError, "`alpha` must be"),
+        ({"weights": "small.png"}, ImageFileError, "weights must be of the target's size, 12 x 16"),
+        ({"weights": "minus.npy"}, ImageFileError, "weights must be finite and not negative"),
+        ({"weights": "black.png"}, ImageFileError, "every pixel has weight 0"),
+    ],
+)
+def test_what_no_target_can_be_is_refused(
+    options: dict[str, Any], error: type[Exception], says: str, folder: Path
+) -> None:
+    write_png(folder / "small.png", np.ones((4, 4, 3)))
+    write_png(folder / "black.png", np.zeros((12, 16, 3)))
+    np.save(folder / "minus.npy", np.full((12, 16), -1.0))
+    if "weights" in options:
+        options = {"weights": folder / options["weights"]}
+    with pytest.raises(error, match=re.escape(says)):
+        read_target(folder / "photo.png", **options)
+
+
+SCENE = """\
+target = "target.png"
+[renderer]
+name = "disks"
+positions = [[10, 6]]
+radii = [3]
+colours = [[0.9, 0.2, 0.1]]
+[optimise.positions]
+initial = [[4, 12]]
+lower = 0
+upper = 16
+[fit]
+steps = 60
+"""
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    disks = Disks(16, 16, [[10, 6]], 3.0, [[0.9, 0.2, 0.1]])
+    write_png(tmp_path / "target.png", disks.render(disks.parameters()))
+    (tmp_path / "scene.toml").write_text(SCENE)
+    return tmp_path / "scene.toml"
+
+
+def test_a_scene_hides_what_its_weights_hide(scene: Path) -> None:
+    hidden = np.ones((16, 16, 3))
+    hidden[:4] = 0.0
+    spoilt = read_image(scene.parent / "target.png")
+    spoilt[:4] = 0.5
+    write_png(scene.parent / "target.png", spoilt)
+    write_png(scene.parent / "mask.png", hidden)
+    scene.write_text('weights = "mask.png"\n' + SCENE + '[objective]\ncompare = ["pixel_l2", "ms_ssim"]\n')
+    loaded = load_scene(scene)
+    assert loaded.first.target.weights is not None
+    for objective in loaded.objectives.values():
+        np.testing.assert_array_equal(objective.weights, hidden[..., 0])  # type: ignore[attr-defined]
+    trial = run_scene(loaded)[0]
+    assert trial.result is not None
+    np.testing.assert_allclose(trial.result.best_params["positions"], [[10, 6]], atol=0.05)
+    assert trial.psnr[trial.result.best_step - 1] > 30.0  # of what counts
+
+
+def test_a_scene_says_aloud_what_it_makes_of_its_target(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    scene.write_text('encoding = "sRGB"\nalpha = [1, 1, 1]\n' + SCENE)
+    assert main(["fit", str(scene)]) in FINISHED
+    said = capsys.readouterr().err
+    assert "loi: target.png is taken as sRGB, and decoded to linear light" in said
+    result = json.loads((scene.parent / "scene-result" / "result.json").read_text())
+    assert any("decoded to linear light" in note for note in result["notes"])
+    assert "decoded to linear light" in (scene.parent / "scene-result" / "report.html").read_text()
+    np.testing.assert_allclose(load_scene(scene).target, decode_srgb(read_image(scene.parent / "target.png")))
+
+
+@pytest.mark.parametrize(
+    ("line", "says"),
+    [
+        ('encoding = "gamma"', "`encoding` must be 'linear' or 'sRGB', got 'gamma'"),
+        ("alpha = 3", "`alpha` must be 'mask', 'ignore'"),
+        ("weights = 3", "`weights` must be a text"),
+    ],
+)
+def test_wrong_keys_of_a_target_are_named(line: str, says: str, scene: Path) -> None:
+    scene.write_text(line + "\n" + SCENE)
+    with pytest.raises(SceneError, match=re.escape(says)):
+        load_scene(scene)
+
+
+def test_a_report_shows_light_of_any_range() -> None:
+    light = np.random.default_rng(0).exponential(size=(32, 32, 3)) * 20.0
+    display = Display.of(light, "linear")
+    shown = display.show(light)
+    assert 0.1 < float(np.median(shown)) < 0.9
+    assert float(np.mean(shown == 1.0)) < 0.02
+    assert "exposed by" in display.note
+    assert "encoded as sRGB" in display.note
+
+
+def test_a_report_shows_a_picture_as_it_is() -> None:
+    assert Display.of(IMAGE, None).note == ""
+    np.testing.assert_array_equal(Display.of(IMAGE, "sRGB").show(IMAGE), IMAGE)
+    np.testing.assert_allclose(Display.of(IMAGE, "linear").show(IMAGE), encode_srgb(IMAGE))
+
+
+def test_psnr_counts_pixels_by_their_weights() -> None:
+    other = IMAGE.copy()
+    other[:6] = 0.0
+    weights = np.ones((12, 16))
+    weights[:6] = 0.0
+    assert psnr(other, IMAGE, weights) == np.inf
+    assert psnr(other, IMAGE) < 20.0
+    assert LOIObjective(IMAGE, weights=weights).value(other) == 0.0
