@@ -9,7 +9,7 @@ from typing import Any
 
 from loi_core.errors import LoiError
 from loi_core.io.images import FloatImage, read_image
-from loi_core.plugins.registry import RendererFactory
+from loi_core.plugins.registry import RendererFactory, load_renderer
 from loi_core.renderers.contract import Renderer
 from loi_core.scenes.where import Where
 from loi_core.support.guards import is_ctrl_c

@@ -215,7 +215,7 @@ def factories(rng: random.Random, folder: Path) -> Call:
         return made
 
     def load() -> str:
-        with mock.patch("loi_core.scenes.reading.load_renderer", return_value=factory):
+        with mock.patch("loi_core.scenes.making.load_renderer", return_value=factory):
             try:
                 Start.of(load_scene(folder / "scene.toml"))
             except MemoryError:

@@ -334,7 +334,7 @@ def test_a_renderer_of_others_fails_in_one_line(
 ) -> None:
     document = {**SCENE, "renderer": {"name": "foreign"}, "optimise": {"positions": {}}}
     (folder / "scene.toml").write_text(spelled(document))
-    monkeypatch.setattr("loi_core.scenes.reading.load_renderer", lambda name: lambda: made())
+    monkeypatch.setattr("loi_core.scenes.making.load_renderer", lambda name: lambda: made())
     with pytest.raises(error, match=says):
         Start.of(load_scene(folder / "scene.toml"))
 
