@@ -171,7 +171,7 @@ class _Loss(dr.CustomOp):  # type: ignore[misc]  # Dr.Jit's types are not read, 
 
 def _host(array: Any) -> Any:
     """A tensor of Dr.Jit as NumPy; anything else as it is."""
-    return dr.detach(array).numpy() if dr.is_tensor_v(array) else array
+    return dr.detach(array).numpy() if array is not None and dr.is_tensor_v(array) else array
 
 
 def _flat(kind: Any, array: Array) -> Float:

@@ -14,7 +14,7 @@ __all__ = ["painted_over"]
 def painted_over(
     share: Tensor, colours: Tensor, background: Tensor, pixels: Tensor, layers: tuple[slice, ...], count: int
 ) -> Tensor:
-    """Paint fragments over a plain background.
+    """Paint fragments over a background.
 
     Parameters
     ----------
@@ -22,7 +22,7 @@ def painted_over(
         How much of its pixel each fragment covers, times its opacity.
     colours : tensor, shape (f, 3)
         Linear RGB of each fragment.
-    background : tensor, shape (3,)
+    background : tensor, shape (3,) or (count, 3)
         Linear RGB; it has no gradient.
     pixels : tensor of int, shape (f,)
         Where each fragment lies.

@@ -7,11 +7,13 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from matplotlib import cbook
+from PIL import Image
 
 from loi_core import Free, Renderer
 from loi_core.support.arrays import Host
 
-__all__ = ["Case", "Trial", "clouds", "within"]
+__all__ = ["Case", "Trial", "photograph", "within"]
 
 
 @dataclass(frozen=True)
@@ -53,17 +55,13 @@ def within(trial: Trial, params: Mapping[str, Any]) -> tuple[bool, float]:
     return max(errors) <= 1.0, max(errors)
 
 
-def clouds(height: int, width: int, rng: np.random.Generator) -> Host:
-    """A picture with the spectrum of photographs, 1 / frequency, and a few edges; shape (height, width, 3)."""
-    frequency = np.hypot(np.fft.fftfreq(height)[:, None], np.fft.fftfreq(width)[None, :])
-    frequency[0, 0] = 1.0
-    spectra = np.fft.fft2(rng.standard_normal((3, height, width))) / frequency
-    picture = np.moveaxis(np.fft.ifft2(spectra).real, 0, -1)
-    picture = (picture - picture.min()) / (np.ptp(picture) + 1e-12)
-    rows, columns = np.mgrid[:height, :width]
-    for _ in range(8):
-        away = np.hypot(rows - rng.uniform(0, height), columns - rng.uniform(0, width))
-        cover = 0.5 * np.clip(0.12 * height + 0.5 - away, 0.0, 1.0)[..., None]
-        picture = picture * (1.0 - cover) + cover * rng.uniform(size=3)
-    limited: Host = np.clip(picture, 0.0, 1.0)
-    return limited
+def photograph(height: int, width: int, rng: np.random.Generator) -> Host:
+    """A random part of the portrait that Matplotlib ships, shape (height, width, 3), as it is stored."""
+    with cbook.get_sample_data("grace_hopper.jpg") as file, Image.open(file) as stored:  # type: ignore[union-attr]
+        whole = stored.convert("RGB")
+    scale = rng.uniform(max(height / whole.height, width / whole.width), 1.0)
+    wide, high = min(round(width / scale), whole.width), min(round(height / scale), whole.height)
+    left, top = (int(rng.integers(0, room - part + 1)) for room, part in zip(whole.size, (wide, high), strict=True))
+    part = whole.crop((left, top, left + wide, top + high)).resize((width, height), Image.Resampling.LANCZOS)
+    picture: Host = np.asarray(part, dtype=np.float64) / 255.0
+    return picture

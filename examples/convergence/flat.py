@@ -1,18 +1,21 @@
-"""Ten warps of pictures and textures, and ten vector drawings over cluttered ones."""
+"""Ten warps of pictures and textures, and ten drawings on photographs, half of them SVG."""
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable
 from functools import partial
+from pathlib import Path
 from typing import Final
 
 import numpy as np
 
-from examples.convergence.case import Case, Trial, clouds
+from examples.convergence.case import Case, Trial, photograph
 from loi_core import Free
+from loi_core.pixels.encoding import decode_srgb
 from loi_core.renderers import Warp
 from loi_core.support.arrays import Host, from_numpy, to_numpy
-from loi_torch.vector import Circle, Ellipse, Paint, Rectangle, Shape, Vector, polygon
+from loi_torch.vector import Circle, Ellipse, Paint, Rectangle, Shape, Vector, polygon, write_svg
 
 __all__ = ["VECTORS", "WARPS"]
 
@@ -52,8 +55,8 @@ def noise(rng: Random) -> Host:
 
 
 def picture(rng: Random) -> Host:
-    """Like a photograph."""
-    return clouds(HEIGHT, WIDTH, rng)
+    """Part of a photograph."""
+    return photograph(HEIGHT, WIDTH, rng)
 
 
 def ball(rng: Random) -> Host:
@@ -66,8 +69,8 @@ def ball(rng: Random) -> Host:
 
 
 def patch(rng: Random) -> Host:
-    """A square of a picture."""
-    return clouds(24, 24, rng)
+    """A square of a photograph."""
+    return photograph(24, 24, rng)
 
 
 def _places(rng: Random) -> tuple[Host, Host]:
@@ -92,13 +95,9 @@ def _warp(background: Callable[[Random], Host], front: Callable[[Random], Host],
     return Trial(renderer, renderer.render(renderer.parameters() | wanted), free, wanted, allowed)
 
 
-def _vector(shape: str, clutter: int, seed: int) -> Trial:
+def _vector(shape: str, as_svg: bool, seed: int) -> Trial:  # noqa: FBT001  # by functools.partial
     rng = np.random.default_rng(seed)
     size = np.array([WIDTH, HEIGHT])
-    under = [
-        Circle(rng.uniform(0, size), rng.uniform(4, 16), Paint(fill=(*rng.uniform(0.1, 0.9, 3), 0.6)))
-        for _ in range(clutter)
-    ]
     start, goal = _places(rng)
     paint = Paint(fill=(*rng.uniform(0.0, 1.0, 3), 1.0))
     angles, radii = np.arange(10) * np.pi / 5, np.where(np.arange(10) % 2, 4.0, 9.0)
@@ -110,7 +109,14 @@ def _vector(shape: str, clutter: int, seed: int) -> Trial:
         "star": lambda: polygon(star, paint),
         "ring": lambda: Circle(start, 9.0, Paint(stroke=(*rng.uniform(0.0, 1.0, 3), 1.0), width=5.0)),
     }
-    renderer = Vector(HEIGHT, WIDTH, [*under, shapes[shape]()], rng.uniform(0.2, 0.8, 3))
+    drawn, behind = shapes[shape](), decode_srgb(photograph(HEIGHT, WIDTH, rng))
+    if as_svg:
+        with tempfile.TemporaryDirectory() as folder:
+            file = Path(folder) / "shape.svg"
+            write_svg(file, [drawn], HEIGHT, WIDTH)
+            renderer = Vector(HEIGHT, WIDTH, svg=file, background=behind, encoding="sRGB")
+    else:
+        renderer = Vector(HEIGHT, WIDTH, [drawn], behind, encoding="sRGB")
     own = to_numpy(renderer.parameters()["positions"]).copy()
     wanted, low, high = own.copy(), own.copy(), own.copy()
     wanted[-1] = goal
@@ -138,7 +144,7 @@ WARPS: Final = tuple(
 )
 
 VECTORS: Final = tuple(
-    Case(f"vector: {shape} on {'clutter' if clutter else 'a plain ground'}", partial(_vector, shape, clutter))
-    for clutter in (0, 30)
+    Case(f"vector: {shape}{' of SVG' if as_svg else ''} on a photograph", partial(_vector, shape, as_svg))
+    for as_svg in (False, True)
     for shape in ("circle", "ellipse", "square", "star", "ring")
 )

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import io
 import math
+import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -53,6 +54,10 @@ class Trial:
         Steps and images along the way, likewise side by side.
     psnr_initial : float
         That of the start, of all views.
+    elapsed : float
+        Seconds since the fit began, or was resumed.
+    began : int
+        The first step that it took since.
     error : str
         Why the fit ended early; empty if it did not.
     plan : EffectPlan or None
@@ -66,6 +71,8 @@ class Trial:
     initial: Host = field(default_factory=lambda: np.zeros((1, 1, 3)))
     psnr: dict[int, float] = field(default_factory=dict)
     psnr_initial: float = math.nan
+    elapsed: float = 0.0
+    began: int = 0
     frames: list[tuple[int, Host]] = field(default_factory=list)
     error: str = ""
     plan: EffectPlan | None = None
@@ -73,8 +80,9 @@ class Trial:
 
     @property
     def seconds(self) -> float:
-        """Time that the steps took together."""
-        return sum(one.seconds for one in self.result.history) if self.result else 0.0
+        """Time that the fit took, with planning, searching and judging; of an earlier part, that of its steps."""
+        earlier = self.result.history[: self.began] if self.result else ()
+        return self.elapsed + sum(one.seconds for one in earlier)
 
 
 @dataclass(frozen=True)
@@ -142,6 +150,7 @@ def run_scene(
         trial = Trial(name, initial=initial, psnr_initial=first)
         watcher = _Watcher(scene, trial, progress, {view: to_numpy(image) for view, image in start.images.items()})
         trials.append(trial)
+        started = time.perf_counter()
         try:
             trial.plan = _plan_all(scene, start, name)
             if index == 0:
@@ -169,6 +178,7 @@ def run_scene(
             trial.result = stop.result
             break
         finally:
+            trial.elapsed = time.perf_counter() - started
             if isinstance(scene.renderer, PlanningRenderer):
                 trial.plan = scene.renderer.plan
             if index == 0 and trial.result is not None:
@@ -267,6 +277,8 @@ class _Watcher:
     def __call__(self, step: FitStep, params: Parameters, image: Images) -> None:
         images: dict[str, Array] = image if isinstance(image, dict) else {"": image}
         seen = {name: to_numpy(one) for name, one in images.items()}
+        if not self.trial.psnr:
+            self.trial.began = step.step
         self.latest |= seen
         self.trial.psnr[step.step] = quality(self.scene, seen)
         if step.step in frame_steps(self.scene.fit.steps):

@@ -5,12 +5,14 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from inspect import Parameter, formatannotation, signature
+from pathlib import Path
 from typing import Any
 
 from loi_core.errors import LoiError
 from loi_core.io.images import FloatImage, read_image
 from loi_core.plugins.registry import RendererFactory, load_renderer
 from loi_core.renderers.contract import Renderer
+from loi_core.scenes.target import read_target
 from loi_core.scenes.where import Where
 from loi_core.support.guards import is_ctrl_c
 from loi_core.support.values import whole_number
@@ -28,13 +30,13 @@ def make_renderer(
         raise where.error(heading, "`name` is missing")
     name = where.text(heading, table, "name")
     factory = load_renderer(name)
+    accepted = _accepted(factory)
     options = {key: value for key, value in table.items() if key not in ("name", "images")}
     images = where.table(heading, table, "images")
     for key in images:
         if key in options:
             raise where.error(f"{heading}.images", f"`{key}` is given in [renderer] as well")
-        options[key] = read_image(folder / where.text(f"{heading}.images", images, key))
-    accepted = _accepted(factory)
+        options[key] = _picture(folder / where.text(f"{heading}.images", images, key), accepted)
     for key, argument in (accepted or {}).items():
         if isinstance(options.get(key), str) and _is_path(argument):
             options[key] = folder / where.text(heading, options, key)
@@ -63,6 +65,13 @@ def make_renderer(
         raise where.error(heading, f"{name} made a {type(renderer).__name__}, which is not a renderer")
     declared = (accepted or {}).get("spp")
     return renderer, whole_number(options.get("spp", declared.default if declared else None))
+
+
+def _picture(path: Path, accepted: Mapping[str, Parameter] | None) -> FloatImage:
+    """An image for a renderer: as light if it knows encodings, so that it mixes light, and else as it is stored."""
+    if accepted is None or "encoding" not in accepted:
+        return read_image(path)
+    return read_target(path, to="linear", alpha="ignore").image
 
 
 def _accepted(factory: RendererFactory) -> Mapping[str, Parameter] | None:

@@ -74,11 +74,11 @@ SETUPS = {
         optimizer = torch.optim.Adam([params], lr=0.1)
     """,
     "loi_jax": """
-        import jax, jax.numpy as jnp, loi_jax
+        import jax, jax.numpy as jnp, optax, loi_jax
         from loi_core import ScaleSpace
         params = {"image": jnp.full((height, width, 3), 0.2)}
         render = lambda params: params["image"]
-        rate = 1.0
+        optimizer = optax.adam(0.1)
     """,
     "loi_mitsuba": """
         import loi_mitsuba, mitsuba as mi, drjit as dr

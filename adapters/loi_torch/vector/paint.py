@@ -28,14 +28,14 @@ def bilinear(corners: Tensor, across: Tensor, down: Tensor) -> Tensor:
 
 
 def composite(colours: Tensor, painting: Painting, background: Tensor, count: int) -> Tensor:
-    """Paint fragments over a plain background.
+    """Paint fragments over a background.
 
     Parameters
     ----------
     colours : tensor, shape (f, 4)
         Linear RGB and opacity of each fragment.
     painting : Painting
-    background : tensor, shape (3,)
+    background : tensor, shape (3,) or (count, 3)
         Linear RGB.
     count : int
         Of pixels.

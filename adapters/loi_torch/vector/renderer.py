@@ -27,7 +27,7 @@ __all__ = ["Vector"]
 
 
 class Vector(Painted):
-    """Shapes over a plain background, the later ones on top.
+    """Shapes over a background, the later ones on top.
 
     Parameters
     ----------
@@ -35,7 +35,7 @@ class Vector(Painted):
         Size of the image in pixels. Pixel (0, 0) covers the unit square at the origin.
     shapes : sequence of Shape
         Circles, ellipses, rectangles and paths; or give `svg`.
-    background : array, shape (3,), optional
+    background : array, shape (3,) or (height, width, 3), optional
         Linear RGB; that of `svg` if it has one, otherwise white.
     svg : Path, optional
         An SVG file to read the shapes from; its view box is fitted into the image.
@@ -100,10 +100,12 @@ class Vector(Painted):
         if svg is not None:
             drawing = read_svg(pathlib.Path(svg), *self._size)
             shapes, own = drawing.shapes, drawing.background
-        self.background = floats("background", own if background is None else background, (3,))
+        behind = own if background is None else background
+        self.background = floats("background", behind, (*self._size, 3) if np.ndim(behind) == 3 else (3,))
         self._table = Table(shapes or [], dtype)
         super().__init__(self._table, dtype, device)
-        self._behind = torch.as_tensor(self.background, device=self._device)
+        behind = self.background if self.background.ndim == 1 else self.background.reshape(-1, 3)
+        self._behind = torch.as_tensor(behind, device=self._device)
 
     @property
     def encoding(self) -> Encoding:
