@@ -9,7 +9,7 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 
 from loi_core.errors import ImageTypeError
-from loi_core.objectives.base import Objective
+from loi_core.objectives.base import ImageObjective, Objective
 from loi_core.support.arrays import Array, Host, as_floating, epsilon, library_name, same, to_numpy
 from loi_core.testing.checks import Check, measure_slopes, run_checks, slope_tolerance
 
@@ -129,7 +129,35 @@ def _check_minimum(check: _Check, subject: ObjectiveSubject) -> None:
 
 def _check_differences(check: _Check, subject: ObjectiveSubject) -> None:
     image, reference = subject.images()
+    _check_slopes(check, subject, subject.make(subject.asarray(reference)), image)
+
+
+def _check_weights(check: _Check, subject: ObjectiveSubject) -> None:
+    image, reference = subject.images()
+    weights = np.random.default_rng(subject.seed).uniform(0.2, 1.0, subject.shape[:2])
+    weights[0] = 0.0
+    weights[-1, -1] = 1.0
     objective = subject.make(subject.asarray(reference))
+    if not isinstance(objective, ImageObjective) or not objective.takes_weights:
+        return
+    make: Callable[..., Objective] = subject.make
+    try:
+        ways = weights, 2.0 * weights, np.where(weights > 0.0, 1.0, 0.0)
+        weighed, doubled, masked = (make(subject.asarray(reference), weights=one) for one in ways)
+    except TypeError:
+        return  # what makes it takes a reference alone
+    value, gradient = weighed.value_and_grad(subject.asarray(image))
+    twice = float(doubled.value(subject.asarray(image)))
+    if abs(twice - 2.0 * float(value)) > 1e2 * float(np.finfo(subject.dtype).eps) * abs(twice):
+        check.fail(f"the value is {float(value):.9g}, and {twice:.9g} with weights that are twice as large")
+    if np.any(to_numpy(gradient)[0]):
+        check.fail("the gradient is not 0 in pixels of weight 0")
+    if float(value) == float(masked.value(subject.asarray(image))):
+        check.fail("the value is the same whatever the weights are, if they are not 0")
+    _check_slopes(check, subject, weighed, image)
+
+
+def _check_slopes(check: _Check, subject: ObjectiveSubject, objective: Objective, image: Host) -> None:
     _, gradient = objective.value_and_grad(subject.asarray(image))
 
     def value(moved: Host) -> float:
@@ -211,6 +239,7 @@ OBJECTIVE_CHECKS: Final[tuple[_Check, ...]] = (
     Check("value_and_grad", "value_and_grad gives that value, and a gradient like the image", _check_pair),
     Check("minimum", "the reference is the least of all images, and the gradient is zero there", _check_minimum),
     Check("finite_differences", "the gradient is the derivative of the value", _check_differences),
+    Check("weights", "if it takes weights, pixels count by them, and by nothing if they are 0", _check_weights),
     Check("no_memory", "a value depends on the image given, not on earlier calls", _check_no_memory),
     Check("no_mutation", "nothing that is given is written to", _check_no_mutation),
     Check("own_reference", "the reference is the objective's own: later writes change nothing", _check_own_reference),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import array_api_strict
@@ -319,6 +320,17 @@ class NaNIsAKeyError(Wrapped):
         return super().value_and_grad(image)
 
 
+class IgnoresWeights(PixelL2):
+    def prepare_reference(self, reference: Any, weights: Any) -> Any:
+        return reference, None
+
+
+class UnweightedGradient(PixelL2):
+    def compare_planes(self, planes: Any, prepared: Any, *, gradient: bool) -> Any:
+        found = super().compare_planes(planes, prepared, gradient=gradient)
+        return replace(found, gradient=super().compare_planes(planes, (prepared[0], None), gradient=True).gradient)
+
+
 BROKEN_OBJECTIVES: list[tuple[Callable[[Any], Any], str]] = [
     (PythonFloat, "value"),
     (VectorValue, "value"),
@@ -333,4 +345,6 @@ BROKEN_OBJECTIVES: list[tuple[Callable[[Any], Any], str]] = [
     (BorrowedReference, "own_reference"),
     (NaNTakenForZero, "non_finite"),
     (NaNIsAKeyError, "non_finite"),
+    (IgnoresWeights, "weights"),
+    (UnweightedGradient, "weights"),
 ]
