@@ -96,7 +96,7 @@ def _warp(background: Callable[[Random], Host], front: Callable[[Random], Host],
 
 
 def _vector(shape: str, as_svg: bool, seed: int) -> Trial:  # noqa: FBT001  # by functools.partial
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng([seed, as_svg])
     size = np.array([WIDTH, HEIGHT])
     start, goal = _places(rng)
     paint = Paint(fill=(*rng.uniform(0.0, 1.0, 3), 1.0))
@@ -144,7 +144,7 @@ WARPS: Final = tuple(
 )
 
 VECTORS: Final = tuple(
-    Case(f"vector: {shape}{' of SVG' if as_svg else ''} on a photograph", partial(_vector, shape, as_svg))
+    Case(f"{'SVG' if as_svg else 'vector'}: {shape} on a photograph", partial(_vector, shape, as_svg))
     for as_svg in (False, True)
     for shape in ("circle", "ellipse", "square", "star", "ring")
 )

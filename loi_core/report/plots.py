@@ -9,7 +9,7 @@ from typing import Any, Final
 from loi_core.scenes.experiment import Trial
 from loi_core.tradeoff import Tradeoff
 
-__all__ = ["LABELS", "convergence_plot", "new_figure", "tradeoff_plot"]
+__all__ = ["LABELS", "convergence_plot", "new_figure", "png_of", "tradeoff_plot"]
 
 LABELS: Final = {
     "loi": "loi (ours)",
@@ -50,7 +50,7 @@ def convergence_plot(trials: Sequence[Trial]) -> bytes:
         axes.spines[["top", "right"]].set_visible(False)
         if axes.lines:
             axes.legend(frameon=False)
-    return _png(figure)
+    return png_of(figure)
 
 
 def tradeoff_plot(found: Tradeoff) -> bytes:
@@ -84,7 +84,7 @@ def tradeoff_plot(found: Tradeoff) -> bytes:
     axes.grid(visible=True, alpha=0.25)
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(frameon=False, fontsize=8, loc="lower left")
-    return _png(figure)
+    return png_of(figure)
 
 
 def new_figure(width: float, height: float) -> Any:
@@ -97,7 +97,8 @@ def new_figure(width: float, height: float) -> Any:
     return figure
 
 
-def _png(figure: Any) -> bytes:
+def png_of(figure: Any) -> bytes:
+    """A figure of :func:`new_figure` as a PNG."""
     stream = io.BytesIO()
     figure.savefig(stream, format="png", dpi=110)
     return stream.getvalue()
