@@ -19,6 +19,7 @@ from loi_core.fitting.resuming import few_numbers
 from loi_core.fitting.stages import FarToNear
 from loi_core.fitting.state import FitStep, State
 from loi_core.fitting.views import Images, View, Views, mean
+from loi_core.objectives import LOIObjective
 from loi_core.pixels.nonfinite import count_non_finite
 from loi_core.renderers.contract import Parameters
 from loi_core.support.arrays import Array, detached, is_array_api_obj, namespace, to_numpy
@@ -32,6 +33,7 @@ Callback: TypeAlias = Callable[[FitStep, Parameters, Images], bool | None]
 
 FINAL_RATE: Final = 1e-3  # where a cosine decay ends, as a factor of the learning rate
 SEARCHES: Final = 3
+LOST: Final = 0.025  # of the value at the start: the last stage is to leave less
 BETTER: Final = 0.9  # of the value that a stage has settled at: somewhere else has to be below
 
 
@@ -95,10 +97,19 @@ class Descent:
                 return state  # refused for what they are: the best iterate stands
         return state.seen(value, images, state.schedule.stage) if math.isfinite(value) else state
 
-    def first_value(self, state: State) -> float:
-        """The value of the last objective where the parameters are."""
+    def enough(self, state: State) -> float:
+        """What the last objective may leave of its value here without being lost: a little, and what noise makes."""
         with keeping(state, "measuring the start"):
-            return self.views.value(state.params, self.views.stages - 1, self.seed)
+            images, last = self.views.render(state.params, self.seed), self.views.stages - 1
+            value = mean(self.views.values(images, last))
+            noise = {}
+            for name, image in self.views.render(state.params, self.seed + 1).items():
+                objective = self.views.each[name].objectives[last]
+                if isinstance(objective, LOIObjective) and not np.array_equal(to_numpy(image), to_numpy(images[name])):
+                    noise[name] = float(detached(objective.with_reference(image).value(images[name])))
+                else:
+                    noise[name] = 0.0
+            return LOST * value + mean(noise)
 
     def _rate(self, schedule: FarToNear, step: int) -> float:
         if self.decay == "none" or self.steps == 1:

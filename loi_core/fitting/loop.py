@@ -185,8 +185,7 @@ def fit(
                 state = replace(state, params=winner)
             state = replace(state, rates=_rates(views, state.params, bounds, asked, steps, seed))
             if stages == "auto" and views.stages > 1 and can_search(bounds):
-                first = descent.first_value(state)
-                schedule = FarToNear(views.stages, steps, searches=SEARCHES, start=first)
+                schedule = FarToNear(views.stages, steps, searches=SEARCHES, enough=descent.enough(state))
                 state = replace(state, schedule=schedule)
         while state.step < steps:
             state, entry, seen, image = descent.step(state)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from typing import Final, TypeAlias
 
 import numpy as np
@@ -79,18 +79,31 @@ def search(
 ) -> tuple[float, Parameters] | None:
     """The least value at some places within the bounds, and where that is; others in every turn.
 
-    With `near`, every other place is in a smaller box about where the parameters are.
+    With `near`, there are twice as many, every other in a smaller box about where the parameters are; and if there are
+    several parameters, at three of four places only one of them is elsewhere, each in turn: the others may be right.
     """
     best: tuple[float, Parameters] | None = None
-    around = _about(params, bounds)
-    places = draw_starts(params, bounds, PLACES + 1, first=1 + turn * PLACES)[1:]
-    close = draw_starts(params, around, PLACES + 1, first=1 + turn * PLACES)[1:]
-    for index, (far, inside) in enumerate(zip(places, close, strict=True)):
-        place = inside if near and index % 2 else far
+    for place in _near_places(params, bounds, turn) if near else _places(params, bounds, PLACES, turn):
         found = value(place)
         if best is None or found < best[0]:
             best = found, place
     return best
+
+
+def _places(params: Parameters, bounds: Bounds, count: int, turn: int) -> list[Parameters]:
+    """Some places within the bounds, others in every turn."""
+    return draw_starts(params, bounds, count + 1, first=1 + turn * count)[1:]
+
+
+def _near_places(params: Parameters, bounds: Bounds, turn: int) -> Iterator[Parameters]:
+    far, close = (_places(params, box, 2 * PLACES, turn) for box in (bounds, _about(params, bounds)))
+    names, alone = list(bounds.lower), 0
+    for index, (there, here) in enumerate(zip(far, close, strict=True)):
+        if len(names) > 1 and index % 8 > 1:
+            name, alone = names[alone % len(names)], alone + 1
+            yield params | {name: there[name]}
+        else:
+            yield here if index % 2 else there
 
 
 def _about(params: Parameters, bounds: Bounds) -> Bounds:

@@ -42,9 +42,6 @@ FLAT: Final = 1e-3
 LOST: Final = 0.3
 """Of the first value of the first stage: a stage that settles with more has not found what it was to find."""
 
-LOST_NEAR: Final = 0.05
-"""Of the value of the last loss at the start: likewise."""
-
 HALF: Final = 0.5
 """Of the last stage: later than that there is no time to begin again."""
 
@@ -81,8 +78,8 @@ class FarToNear:
         Of the whole loop.
     searches : int
         How often a stage may be `lost`.
-    start : float
-        The value of the last loss at the start, beside which it may be `lost`.
+    enough : float
+        A value of the last loss with which it is not `lost`.
 
     Attributes
     ----------
@@ -103,7 +100,7 @@ class FarToNear:
     1
     """
 
-    def __init__(self, stages: int, steps: int, *, searches: int = 0, start: float = math.inf) -> None:
+    def __init__(self, stages: int, steps: int, *, searches: int = 0, enough: float = math.inf) -> None:
         for name, value in (("stages", stages), ("steps", steps)):
             if (whole_number(value) or 0) < 1:
                 msg = f"`{name}` must be a whole number, 1 or more, got {shown(value)}"
@@ -112,7 +109,7 @@ class FarToNear:
         self.stages = int(stages)
         self.lost = False
         self._searches = searches
-        self._start = start
+        self._enough = enough
         self._last = stages - 1
         self._steps = steps
         self._window = max(LEAST, round(WINDOW * steps))
@@ -127,7 +124,7 @@ class FarToNear:
         self._values = [*self._values[1 - 2 * self._window :], float(value)]
         if self.stage == self._last:
             if self._searches > 0 and self.passed < HALF and has_settled(self._values, self._window):
-                self.lost = self.level > LOST_NEAR * self._start
+                self.lost = self.level > self._enough
             return
         latest = FAR * self._steps * (self.stage + 1) / self._last
         if self.stage == 0 and self._first is None:
@@ -170,7 +167,7 @@ class FarToNear:
     def state(self) -> str:
         """All of it but what the values of the steps tell, as text, for :meth:`restore`."""
         return json.dumps(
-            [self.stage, self._taken, self._began, len(self._values), self._searches, self._first, self._start]
+            [self.stage, self._taken, self._began, len(self._values), self._searches, self._first, self._enough]
         )
 
     def restore(self, state: str, values: Sequence[float]) -> None:
@@ -181,12 +178,12 @@ class FarToNear:
         ValueError
             If the text is none that :meth:`state` gives.
         """
-        stage, taken, began, count, searches, first, start = json.loads(state)
+        stage, taken, began, count, searches, first, enough = json.loads(state)
         if not 0 <= stage <= self._last or not 0 <= began <= taken or not 0 <= count <= len(values):
             msg = "not the state of a schedule"
             raise ValueError(msg)
         self.stage, self._taken, self._began, self._searches, self._first = stage, taken, began, searches, first
-        self._start = start
+        self._enough = enough
         self._values = list(values[len(values) - count :])
 
     @property
