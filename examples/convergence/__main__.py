@@ -57,7 +57,7 @@ def row(case: Case, seeds: Sequence[int], way: str = "") -> list[str]:
         f"{worst:.2g}",
         f"{right} of {count}",
         ", ".join(verdicts),
-        f"{seconds:.0f}",
+        f"{seconds:.1f}",
     ]
 
 

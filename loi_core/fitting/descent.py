@@ -69,8 +69,7 @@ class Descent:
         images, values, gradient = self._evaluate(state)
         latest = {**state.latest, **values}
         value = mean(latest)
-        # The best is of the views together, so none is before all have been seen.
-        state = state.seen(value, images, stage, comparable=len(latest) == len(self.views.each) and bool(state.latest))
+        state = state.seen(value, images, stage, partial=len(latest) < len(self.views.each))
         # In float64, since squares leave the range of narrower dtypes while the gradient is well within it.
         squares = (np.square(to_numpy(one), dtype=np.float64) for one in gradient.values())
         norm = math.sqrt(sum(float(np.sum(one)) for one in squares))
@@ -92,7 +91,7 @@ class Descent:
                 if state.best is not None and not self.views.all_at_once:
                     best = self.views.render(state.best.params, self.seed + state.best.step)
                     known = mean(self.views.values(best, state.best.stage))
-                    state = replace(state, best=replace(state.best, value=known, images=best))
+                    state = replace(state, best=replace(state.best, value=known, images=best, partial=False))
             except LoiError:
                 return state  # refused for what they are: the best iterate stands
         return state.seen(value, images, state.schedule.stage) if math.isfinite(value) else state

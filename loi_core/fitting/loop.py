@@ -126,7 +126,7 @@ def fit(
         Adam by default; :class:`loi_torch.TorchOptimiser` and :class:`loi_jax.OptaxOptimiser` bring others. Rates in
         pixels suit those that, like Adam, move by about the rate whatever the size of the gradient.
     views_per_step : int, optional
-        How many views a step renders, in a random order in which all come equally often; all by default.
+        How many views a step renders, in a random order in which all come about equally often; all by default.
     checkpoint : path, optional
         File (.npz) in which the state is kept every 25 steps and at the end, written whole or not at all.
     resume : bool

@@ -26,6 +26,7 @@ __all__ = ["few_numbers", "resumed", "settings_of", "snapshot"]
 RATES: Final = "measured rates"
 SCHEDULE: Final = "schedule"
 LATEST: Final = "latest values"
+PARTIAL: Final = "partial"
 
 
 FEW: Final = 64  # numbers: so many free parameters are kept for every step
@@ -77,6 +78,7 @@ def snapshot(state: State, best: Best, settings: Mapping[str, str]) -> Checkpoin
             RATES: json.dumps(dict(state.rates)),
             SCHEDULE: state.schedule.state(),
             LATEST: json.dumps(dict(state.latest)),
+            PARTIAL: json.dumps(best.partial),
         },
         step=state.step,
         best_step=best.step,
@@ -131,7 +133,7 @@ def resumed(
         params,
         memory,
         saved.step,
-        Best(best, saved.best_value, saved.best_step, images, stage),
+        Best(best, saved.best_value, saved.best_step, images, stage, saved.settings.get(PARTIAL) == "true"),
         log,
         _rates(saved, fresh.rates),
         _schedule(saved, fresh.schedule, log),

@@ -92,6 +92,8 @@ class Best:
     step: int
     images: Mapping[str, Array]
     stage: int = 0
+    partial: bool = False
+    """Whether the value is of some views only, as not all have been rendered yet: then anything later is better."""
 
 
 @dataclass(frozen=True)
@@ -132,15 +134,16 @@ class State:
         """One entry a step taken."""
         return tuple(self.log[: self.step])
 
-    def seen(self, value: float, images: Mapping[str, Array], stage: int = 0, *, comparable: bool = True) -> State:
+    def seen(self, value: float, images: Mapping[str, Array], stage: int = 0, *, partial: bool = False) -> State:
         """The same state, once the value and images of its parameters are known.
 
-        Values of one stage are compared; as long as they are of other views than before, they are not `comparable`.
+        Values of one stage are compared, unless they are `partial`: of some of the views only.
         """
         best = self.best
-        if best is not None and best.stage == stage and comparable and not value < best.value:
+        kept = best is not None and best.stage == stage and not best.partial
+        if kept and best is not None and (partial or not value < best.value):
             return self
-        return replace(self, best=Best(self.params, value, self.step, images, stage))
+        return replace(self, best=Best(self.params, value, self.step, images, stage, partial))
 
     def stepped(
         self, entry: FitStep, params: Parameters, memory: Memory, latest: Mapping[str, float] | None = None

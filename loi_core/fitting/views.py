@@ -161,7 +161,7 @@ class Views:
         return legal if known else None
 
     def turn(self, step: int, seed: int) -> tuple[str, ...]:
-        """The views of a step: all, or some in an order that is random, and in which all come equally often."""
+        """The views of a step: all, or some in an order that is random, and in which all come about equally often."""
         names = tuple(self.each)
         if self.all_at_once:
             return names

@@ -106,6 +106,7 @@ def _stage(
         learning_rate=stage.rate * problem.column.side / UNIT,
         seed=done,
         decay=stage.decay,
+        stages=None,  # the settings say what comes before what
         optimise={"positions": Free(start, low, problem.column.side - low)},
         callback=note,
     )
