@@ -7,7 +7,7 @@ import io
 import math
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final, TypeAlias
 
@@ -181,9 +181,26 @@ def run_scene(
             trial.elapsed = time.perf_counter() - started
             if isinstance(scene.renderer, PlanningRenderer):
                 trial.plan = scene.renderer.plan
+            if trial.result is not None:
+                trial.result = replace(trial.result, image=_all_views(scene, trial.result, start))
             if index == 0 and trial.result is not None:
                 trial.psnr = _known_psnr(trial.result, earlier) | trial.psnr
     return trials
+
+
+def _all_views(scene: Scene, result: FitResult, start: Start) -> Images:
+    """The image of every view: a fit that was cut short may have those of some only."""
+    if not isinstance(result.image, dict) or len(result.image) == len(scene.views):
+        return result.image
+    images = dict(result.image)
+    for name, view in scene.views.items():
+        if name not in images:
+            try:
+                own = view.own(result.best_params, scene.optimise)
+                images[name] = view.renderer.render(own, seed=scene.fit.seed + result.best_step)
+            except Exception:  # noqa: BLE001 - it may be what cut the fit short
+                images[name] = start.images[name]
+    return images
 
 
 def plan_scene(scene: Scene, renderer: PlanningRenderer, objective: Objective) -> EffectPlan:

@@ -15,7 +15,7 @@ from loi_core.cli.demo import DISKS_SCENE, PHOTOGRAPH_SCENE
 from loi_core.io.images import write_png
 from loi_core.renderers import Disks
 from loi_core.scenes.experiment import Start
-from loi_core.scenes.reading import FIT_KEYS, FREE_KEYS, OBJECTIVE_KEYS, SCALE_KEYS, TOP_KEYS, load_scene
+from loi_core.scenes.reading import FIT_KEYS, FREE_KEYS, OBJECTIVE_KEYS, SCALE_KEYS, TOP_KEYS, VIEW_KEYS, load_scene
 from tests.fuzz.claims import Call
 from tests.fuzz.damage import damaged
 
@@ -50,7 +50,7 @@ VALUES: tuple[Any, ...] = (
     *(0.0, -0.0, 0.5, 1e-320, 1e-9, 1e300, -1e308, math.inf, -math.inf, math.nan, Raw("1e99999"), Raw("1" * 5000)),
     *(True, False, "", " ", "a", "true", "nan", "1", "x" * 10000, "a\nb", "\x1b[2J", "\u202e", "\u0000", "é" * 90),
     *("\U0001f600", "..", ".", "/", "/dev/null", "/dev/zero", "../../etc/passwd", "a/" * 3000, "n" * 300, "loop"),
-    *("target.png", "pixel_l2", "loi", "float64", "reflect", "path", "mask", "fast", "cosine"),
+    *("target.png", "pixel_l2", "loi", "float64", "reflect", "path", "mask", "fast", "cosine", "sRGB", "linear"),
     *([], [[]], [1], [0, 1], [1, 0], [[1, 2]], [[1, 2], [3]], [1, "a"], [True], [math.nan], [2**70], [[[[1]]]]),
     *([1] * 1000, [{}], {}, {"a": 1}, {"a": {"b": [1]}}, {"name": "disks"}, [1e-300, 1e300], [-1e308, 1e308]),
     *(Raw("1979-05-27"), Raw("07:32:00"), Raw("1979-05-27T07:32:00Z"), Raw("'''\na\n'''"), Raw("99999-99-99")),
@@ -89,6 +89,7 @@ def lay_out(folder: Path) -> None:
     scene = Disks(10, 12, [[6, 3], [2, 7]], [3.0, 1.5], [[0.9, 0.2, 0.1], [0.1, 0.2, 0.9]])
     write_png(folder / "target.png", scene.render(scene.parameters()))
     write_png(folder / "picture.png", np.full((3, 4, 3), 0.5))
+    write_png(folder / "mask.png", np.ones((10, 12, 3)))
     write_png(folder / "background.png", np.full((10, 12, 3), 0.2))
     (folder / "loop").symlink_to("loop")
 
@@ -116,6 +117,9 @@ def values(rng: random.Random, folder: Path) -> Call:
     if rng.random() < 0.3:
         document["renderer"] = {"name": "warp", "images": {"picture": "picture.png", "background": "background.png"}}
         document["optimise"] = {"translation": {"initial": [1, 2]}}
+    if rng.random() < 0.3:
+        own = {"target": document.pop("target")}
+        document["views"] = {"one": own, "two": {**own, "weights": "mask.png", "renderer": {"dtype": "float64"}}}
     for _ in range(rng.randint(1, 3)):
         where, key = _some_key(rng, document)
         value = copy.deepcopy(rng.choice(VALUES))
@@ -129,9 +133,11 @@ def values(rng: random.Random, folder: Path) -> Call:
 
 def _some_key(rng: random.Random, document: dict[str, Any]) -> tuple[dict[str, Any], str]:
     """A table, and a key that it has, or could have, or should not have."""
-    name = rng.choice(("", "renderer", "images", "optimise", "free", "scales", "objective", "fit"))
+    name = rng.choice(("", "renderer", "images", "optimise", "free", "scales", "objective", "fit", "views", "view"))
     tables: dict[str, tuple[str, ...]] = {
         "": TOP_KEYS,
+        "views": ("one", "two", "three"),
+        "view": VIEW_KEYS,
         "scales": SCALE_KEYS,
         "objective": OBJECTIVE_KEYS,
         "fit": FIT_KEYS,
@@ -142,8 +148,9 @@ def _some_key(rng: random.Random, document: dict[str, Any]) -> tuple[dict[str, A
     }
     key = rng.choice(tables[name]) if rng.random() < 0.95 else rng.choice(("", "a b", "é", "\x1b", "x" * 5000))
     where: Any = document
-    if name in ("images", "free"):
-        outer = document.get("renderer" if name == "images" else "optimise")
+    outers = {"images": "renderer", "free": "optimise", "view": "views"}
+    if name in outers:
+        outer = document.get(outers[name])
         inner = "images" if name == "images" else next(iter(outer), "positions") if isinstance(outer, dict) else ""
         where = outer.setdefault(inner, {}) if isinstance(outer, dict) else None
     elif name:

@@ -13,6 +13,7 @@ from loi_core.cli import main
 from loi_core.errors import SceneError
 from loi_core.io.images import read_image, write_png
 from loi_core.renderers import Disks
+from loi_core.report import write_results
 from loi_core.scenes.experiment import run_scene
 from loi_core.scenes.reading import load_scene
 
@@ -89,6 +90,22 @@ def test_the_command_shows_views_side_by_side(scene: Path) -> None:
     assert result["views"] == ["near", "far"]
     assert result["trials"][0]["psnr"] > 30.0
     assert "views, from left to right: near, far" in (results / "report.html").read_text()
+
+
+def test_a_fit_that_is_interrupted_shows_every_view(scene: Path) -> None:
+    scene.write_text(SCENE + "views_per_step = 1\n")
+
+    def stop(name: str, step: int, value: float) -> None:
+        if step == 7:
+            raise KeyboardInterrupt
+
+    loaded = load_scene(scene)
+    trials = run_scene(loaded, progress=stop)
+    assert trials[0].error == "interrupted"
+    result = write_results(loaded, trials)
+    assert result["trials"][0]["steps_done"] == 8
+    assert read_image(loaded.output / "final.png").shape == (20, 44, 3)
+    assert read_image(loaded.output / "final.png")[:, 20:].max() > 0.3  # the second view, too
 
 
 def test_a_scene_of_views_is_resumed(scene: Path) -> None:
