@@ -79,7 +79,7 @@ def summary(scene: Scene, trials: Sequence[Trial]) -> dict[str, Any]:
         "output": str(scene.output),
         "steps": scene.fit.steps,
         "views": [name for name in scene.views if name],
-        "notes": [*scene.notes, *filter(None, [_display(scene).note])],
+        "notes": [*scene.notes, *filter(None, [_display(scene).note, _stages(trials)])],
         "trials": [_one(scene, trial) for trial in trials],
     } | _plan(trials[0])
 
@@ -119,6 +119,14 @@ def _diagnosis(trial: Trial) -> dict[str, Any] | None:
 
 def _finite(value: Any) -> float | None:
     return float(value) if np.isfinite(value) else None
+
+
+def _stages(trials: Sequence[Trial]) -> str:
+    """Which fits went from far to near, where others did not; empty otherwise."""
+    staged = [one.objective for one in trials if one.result and one.result.history and one.result.history[-1].stage]
+    if not staged or len(staged) == len(trials):
+        return ""
+    return f"{' and '.join(staged)} went from far to near, with a search where that settled early; the others did not"
 
 
 def _display(scene: Scene) -> Display:
