@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import hashlib
+import re
 from collections.abc import Mapping
 from typing import Any
 
@@ -66,6 +68,12 @@ class OptaxOptimiser:
             moved[name] = value + namespace(value).astype(from_numpy(update, value), value.dtype)
         return moved, _flat(state)
 
+    def identity(self, params: Parameters) -> str:
+        """See :class:`loi_core.Optimiser`. What it computes tells transformations apart: they have no names."""
+        live = _live(params)
+        computed = str(jax.make_jaxpr(self._transformation.update)(live, self._transformation.init(live), live))
+        return f"optax {hashlib.sha256(re.sub('0x[0-9a-f]+', '', computed).encode()).hexdigest()[:16]}"
+
     def restore(self, params: Parameters, stored: Mapping[str, Host]) -> Memory:
         """See :class:`loi_core.Optimiser`."""
         fresh = self.start(params)
@@ -80,7 +88,9 @@ class OptaxOptimiser:
 
 
 def _live(params: Parameters) -> dict[str, jax.Array]:
-    return {name: jnp.asarray(to_numpy(value)) for name, value in params.items()}
+    """The parameters in float32 at least: in 16 bits the floors of optimisers are 0."""
+    arrays = {name: jnp.asarray(to_numpy(value)) for name, value in params.items()}
+    return {name: one.astype(jnp.float32) if one.dtype.itemsize < 4 else one for name, one in arrays.items()}
 
 
 def _flat(state: Any) -> dict[str, jax.Array]:

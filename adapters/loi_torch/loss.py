@@ -46,7 +46,8 @@ class LOILoss(torch.nn.Module):
     tone : LogTone, optional
         A tone curve for images of high dynamic range; see :class:`loi_core.LOIObjective`.
     weights : Tensor or NumPy array, shape (H, W), optional
-        How much each pixel counts; a mask is weights of 0 and 1. See :class:`loi_core.LOIObjective`.
+        How much each pixel counts; a mask is weights of 0 and 1. See :class:`loi_core.LOIObjective`. Kept as the
+        buffer ``weights``.
 
     Notes
     -----
@@ -57,6 +58,7 @@ class LOILoss(torch.nn.Module):
     """
 
     reference: Tensor
+    weights: Tensor | None
 
     def __init__(
         self,
@@ -86,10 +88,11 @@ class LOILoss(torch.nn.Module):
             "channel_axis": channel_axis,
             "nan_policy": nan_policy,
             "tone": tone,
-            "weights": objective.weights,
         }
         self.register_buffer("reference", torch.as_tensor(objective.reference))
+        self.register_buffer("weights", None if objective.weights is None else torch.as_tensor(objective.weights))
         self._objective: LOIObjective | None = None
+        self._weights: Tensor | None = None  # that it was made with
 
     @property
     def scales(self) -> ScaleSpace:
@@ -111,8 +114,14 @@ class LOILoss(torch.nn.Module):
         precise = reference.float() if reference.dtype in REDUCED else reference
         # The buffer may have been replaced, loaded or written to, also where torch keeps no count of it (`.data`, under
         # inference_mode). To compare it with what is prepared takes less than a hundredth of an evaluation.
-        if self._objective is None or not _same_bits(precise, self._objective.reference):
-            self._objective = LOIObjective(precise, **self._options)
+        weights = None if self.weights is None else self.weights.detach()
+        if (
+            self._objective is None
+            or not _same_bits(precise, self._objective.reference)
+            or (weights is not None and (self._weights is None or not torch.equal(weights, self._weights)))
+        ):
+            self._objective = LOIObjective(precise, weights=weights, **self._options)
+            self._weights = None if weights is None else weights.clone()
         return self._objective
 
     def __getstate__(self) -> dict[str, Any]:

@@ -20,6 +20,8 @@ __all__ = ["TorchOptimiser"]
 NUMBER: Final = "#"
 """Ends the name of what an optimiser remembers as a number of Python."""
 
+STEP: Final = "step"
+
 
 class TorchOptimiser:
     """An optimiser of torch.optim, for :func:`loi_core.fit`.
@@ -29,7 +31,8 @@ class TorchOptimiser:
     kind : class
         Such as ``torch.optim.NAdam``; any that steps without a closure.
     **options
-        Its options, but for ``lr``: the fit sets the rate of every parameter in every step.
+        Its options, but for ``lr``: the fit sets the rate of every parameter in every step. (Rprop, which sizes its
+        steps itself, looks at rates in its first step only.)
 
     Raises
     ------
@@ -54,7 +57,7 @@ class TorchOptimiser:
             msg = "`lr` is set by the fit in every step; give it `learning_rate` instead"
             raise OptionError(msg)
         self._kind, self._options = kind, options
-        self._make([torch.zeros(1)], [1.0])
+        self._make([torch.zeros(2, 2)], [1.0])
 
     def start(self, params: Parameters, after: Memory | None = None) -> Memory:  # noqa: ARG002  # it begins anew
         """See :class:`loi_core.Optimiser`."""
@@ -64,17 +67,17 @@ class TorchOptimiser:
         self, params: Parameters, gradient: Parameters, memory: Memory, rates: Mapping[str, float]
     ) -> tuple[Parameters, Memory]:
         """See :class:`loi_core.Optimiser`."""
-        leaves = {name: _tensor(params[name]).clone().requires_grad_() for name in rates}
+        leaves = {name: _wide(_tensor(params[name])).clone().requires_grad_() for name in rates}
         optimiser = self._make(list(leaves.values()), list(rates.values()))
+        held: dict[str, dict[str, Any]] = {}
+        for key, value in memory.items():
+            name, what = key.rsplit("/", 1)
+            # Copied, as the optimiser writes to it.
+            number = what.endswith(NUMBER)
+            held.setdefault(name, {})[what.removesuffix(NUMBER)] = _number(value) if number else _tensor(value).clone()
         for name, leaf in leaves.items():
-            prefix = f"{name}/"
-            held = {key.removeprefix(prefix): value for key, value in memory.items() if key.startswith(prefix)}
-            if held:
-                # Copied, as the optimiser writes to it.
-                optimiser.state[leaf] = {
-                    key.removesuffix(NUMBER): _number(value) if key.endswith(NUMBER) else _tensor(value).clone()
-                    for key, value in held.items()
-                }
+            if name in held:
+                optimiser.state[leaf] = held[name]
             leaf.grad = _tensor(gradient[name]).to(leaf)
         optimiser.step()
         moved = {**params, **{name: _like(leaf.detach(), params[name]) for name, leaf in leaves.items()}}
@@ -93,7 +96,18 @@ class TorchOptimiser:
         if strange:
             msg = f"`checkpoint` is of another optimiser: {self._kind.__name__} knows no {strange[0]!r}"
             raise ParameterError(msg)
-        return dict(stored)
+        live: dict[str, Array] = {}
+        for key, value in stored.items():
+            name, what = key.rsplit("/", 1)
+            like = _wide(_tensor(params[name]))
+            # The count of steps stays where torch keeps it, on the processor.
+            moves = what != STEP and not what.endswith(NUMBER) and value.shape == tuple(like.shape)
+            live[key] = torch.tensor(value).to(like) if moves else value
+        return live
+
+    def identity(self, params: Parameters) -> str:  # noqa: ARG002  # it is the same for all
+        """See :class:`loi_core.Optimiser`."""
+        return f"torch.optim.{self._kind.__name__} {sorted(self._options.items())}"
 
     def _make(self, leaves: list[Tensor], rates: list[float]) -> torch.optim.Optimizer:
         groups = [{"params": [leaf], "lr": rate} for leaf, rate in zip(leaves, rates, strict=True)]
@@ -113,5 +127,10 @@ def _tensor(array: Array) -> Tensor:
     return array.detach() if isinstance(array, Tensor) else torch.tensor(np.asarray(to_numpy(array)))
 
 
+def _wide(tensor: Tensor) -> Tensor:
+    """`tensor` in float32 at least: in 16 bits the floors of optimisers are 0."""
+    return tensor.float() if tensor.dtype in (torch.float16, torch.bfloat16) else tensor
+
+
 def _like(tensor: Tensor, like: Array) -> Array:
-    return tensor if isinstance(like, Tensor) else from_numpy(tensor.cpu().numpy(), like)
+    return tensor.to(like) if isinstance(like, Tensor) else from_numpy(tensor.cpu().numpy(), like)

@@ -55,6 +55,10 @@ class Adam:
         after[COUNT] = np.asarray(float(count))
         return moved, after
 
+    def identity(self, params: Parameters) -> str:  # noqa: ARG002  # it is the same for all
+        """See :class:`Optimiser`."""
+        return "Adam"
+
     def restore(self, params: Parameters, stored: Mapping[str, Host]) -> Memory:
         """See :class:`Optimiser`."""
         fresh = self.start(params)

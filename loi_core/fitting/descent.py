@@ -76,6 +76,8 @@ class Descent:
         now = {name: factor * rate for name, rate in state.rates.items()}
         with np.errstate(all="ignore"), keeping(state, "the optimiser"):  # what overflows is told at the next step
             moved, memory = self.optimiser.step(seen, gradient, state.memory, now)
+            free = {name: _like("value", "optimiser", name, moved, seen[name]) for name in self.bounds.lower}
+        moved = {**seen, **free}
         moved = self._legal(moved, state)
         seconds = time.perf_counter() - started
         entry = FitStep(state.step, value, norm, factor, seconds, stage, few_numbers(seen, self.bounds.lower))
@@ -141,7 +143,8 @@ class Descent:
         total: Parameters = {}
         for name in names:
             view = self.views.each[name]
-            images[name], values[name], gradient = self._evaluate_view(view, state)
+            where = f" of view {name!r}" if name else ""
+            images[name], values[name], gradient = self._evaluate_view(view, state, where)
             for key, slope in gradient.items():
                 total[key] = slope if key not in total else total[key] + slope
         if len(names) > 1:
@@ -151,17 +154,17 @@ class Descent:
                 total[key] = namespace(state.params[key]).zeros_like(state.params[key])
         return images, values, total
 
-    def _evaluate_view(self, view: View, state: State) -> tuple[Array, float, Parameters]:
+    def _evaluate_view(self, view: View, state: State, where: str) -> tuple[Array, float, Parameters]:
         """Image, value and gradient by the free parameters, each known to be finite and of the right shape."""
-        with keeping(state, "rendering"):
+        with keeping(state, f"rendering{where}"):
             image, pullback = view.render_vjp(state.params, seed=self.seed + state.step)
-        with keeping(state, "the objective"):
+        with keeping(state, f"the objective{where}"):
             value, cotangent = view.objectives[state.schedule.stage].value_and_grad(image)
             number = float(detached(value))
         if not math.isfinite(number):
             msg = f"step {state.step}: the objective is {number}; the best parameters so far are in `result`"
             raise FitDivergedError(msg, state.result())
-        with keeping(state, "the pullback"):
+        with keeping(state, f"the pullback{where}"):
             pulled = pullback(cotangent)
             free = [name for name in self.bounds.lower if name in view.names]
             gradient = {name: _like("cotangent", "pullback", name, pulled, state.params[name]) for name in free}

@@ -155,7 +155,7 @@ def fit(
     check_fit_options(steps, learning_rate, seed, decay, starts)
     if optimiser is None:
         optimiser = Adam()
-    if not isinstance(optimiser, Optimiser):
+    if not isinstance(optimiser, Optimiser) or isinstance(optimiser, type):
         msg = f"`optimiser` must be an Optimiser, such as loi_torch.TorchOptimiser, got {shown(optimiser)}"
         raise OptionError(msg)
     # NumPy's own numbers would wrap around in a sum, or widen the dtype of what they are multiplied with.
@@ -170,7 +170,8 @@ def fit(
     bounds = bounds_of(params, free)
     asked = {name: learning_rate if one.learning_rate is None else one.learning_rate for name, one in free.items()}
     named = {name: rate if isinstance(rate, str) else real_number(rate) for name, rate in _named(asked).items()}
-    settings = settings_of(steps, seed, decay, named, bounds, views)
+    identity = optimiser.identity({name: params[name] for name in free})
+    settings = settings_of(steps, seed, decay, named, bounds, views, identity)
     descent = Descent(views, bounds, optimiser, decay, steps, seed)
     # The state is only ever replaced whole, so that Ctrl-C falls before a step or after it, never within.
     state = _beginning(descent, params, dict.fromkeys(free, 1.0))

@@ -33,7 +33,7 @@ class Optimiser(Protocol):
     def step(
         self, params: Parameters, gradient: Parameters, memory: Memory, rates: Mapping[str, float]
     ) -> tuple[Parameters, Memory]:
-        """One step of every parameter named in `rates`, and the memory after it.
+        """One step of every parameter named in `rates`, and the memory after it; other parameters may be left out.
 
         Parameters
         ----------
@@ -44,6 +44,9 @@ class Optimiser(Protocol):
         rates : dict of float
             The learning rate of each parameter in this step, in the parameter's own unit.
         """
+
+    def identity(self, params: Parameters) -> str:
+        """What tells it from others, and from itself with other options: a checkpoint is resumed by the same only."""
 
     def restore(self, params: Parameters, stored: Mapping[str, Host]) -> Memory:
         """The memory that a checkpoint holds, as :meth:`step` takes it.

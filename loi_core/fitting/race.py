@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from typing import Final, TypeAlias
 
 import numpy as np
@@ -84,7 +86,11 @@ def search(
     """
     best: tuple[float, Parameters] | None = None
     for place in _near_places(params, bounds, turn) if near else _places(params, bounds, PLACES, turn):
-        found = value(place)
+        found = math.inf
+        with suppress(Exception):  # a renderer need not take every place within the bounds
+            found = value(place)
+        if not math.isfinite(found):
+            continue
         if best is None or found < best[0]:
             best = found, place
     return best

@@ -26,14 +26,20 @@ __all__ = ["few_numbers", "resumed", "settings_of", "snapshot"]
 RATES: Final = "measured rates"
 SCHEDULE: Final = "schedule"
 LATEST: Final = "latest values"
-PARTIAL: Final = "partial"
+BEST: Final = "stage of the best, and whether it is partial"
 
 
 FEW: Final = 64  # numbers: so many free parameters are kept for every step
 
 
 def settings_of(
-    steps: int, seed: int, decay: str, rates: Mapping[str, float | str], bounds: Bounds, views: Views
+    steps: int,
+    seed: int,
+    decay: str,
+    rates: Mapping[str, float | str],
+    bounds: Bounds,
+    views: Views,
+    optimiser: str,
 ) -> dict[str, str]:
     """What must be the same for a fit to go on as if it had not stopped, by name.
 
@@ -48,6 +54,7 @@ def settings_of(
         "bounds": hashlib.sha256(json.dumps(limits).encode()).hexdigest()[:12],
         "stages": str(views.stages),
         "views": json.dumps([*views.each, views.at_once]),
+        "optimiser": optimiser,
     }
 
 
@@ -78,7 +85,7 @@ def snapshot(state: State, best: Best, settings: Mapping[str, str]) -> Checkpoin
             RATES: json.dumps(dict(state.rates)),
             SCHEDULE: state.schedule.state(),
             LATEST: json.dumps(dict(state.latest)),
-            PARTIAL: json.dumps(best.partial),
+            BEST: json.dumps([best.stage, best.partial]),
         },
         step=state.step,
         best_step=best.step,
@@ -118,7 +125,7 @@ def resumed(
     best = live(saved.best_params, fresh.params, "parameters")
     images = views.render(best, seed + saved.best_step)
     log = _log(saved, few_numbers(fresh.params, moving))
-    stage = min(log[min(saved.best_step, len(log) - 1)].stage if log else 0, views.stages - 1)
+    stage, partial = _best(saved, views)
     values = views.values(images, stage)
     value = mean(values)
     # Loosely, since libraries may sum in another order from one run to the next. Where a step renders some views, its
@@ -133,12 +140,24 @@ def resumed(
         params,
         memory,
         saved.step,
-        Best(best, saved.best_value, saved.best_step, images, stage, saved.settings.get(PARTIAL) == "true"),
+        Best(best, saved.best_value, saved.best_step, images, stage, partial),
         log,
         _rates(saved, fresh.rates),
         _schedule(saved, fresh.schedule, log),
         _latest(saved, views),
     )
+
+
+def _best(saved: Checkpoint, views: Views) -> tuple[int, bool]:
+    """The stage that the best parameters are of, and whether their value is partial."""
+    try:
+        stage, partial = json.loads(saved.settings[BEST])
+        if not 0 <= stage < views.stages:
+            raise IndexError(stage)
+        return int(stage), bool(partial)
+    except (KeyError, ValueError, TypeError, IndexError) as error:
+        msg = f"`checkpoint` does not say what its best parameters are of ({described(error)}); delete it to start anew"
+        raise ParameterError(msg) from error
 
 
 def _latest(saved: Checkpoint, views: Views) -> dict[str, float]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
@@ -11,9 +11,10 @@ import numpy as np
 from loi_core.errors import OptionError, RendererError
 from loi_core.fitting.parameters import own_parameters
 from loi_core.fitting.stages import objectives_of
+from loi_core.method.scales import ScaleSpace
 from loi_core.objectives import Objective
 from loi_core.renderers.contract import AbridgedRenderer, Parameters, ProjectingRenderer, Pullback, Renderer
-from loi_core.support.arrays import Array, detached
+from loi_core.support.arrays import Array, detached, library_name
 from loi_core.support.values import whole_number
 from loi_core.support.wording import shown
 
@@ -32,7 +33,7 @@ class View:
     renderer : Renderer
     objectives : tuple of Objective
         From far to near.
-    names : frozenset of str
+    names : tuple of str
         The parameters that it has.
     fixed : dict of arrays
         Those that do not move, and are its own.
@@ -40,7 +41,7 @@ class View:
 
     renderer: Renderer
     objectives: tuple[Objective, ...]
-    names: frozenset[str]
+    names: tuple[str, ...]
     fixed: Parameters = field(default_factory=dict)
 
     def own(self, params: Parameters) -> Parameters:
@@ -92,6 +93,9 @@ class Views:
         single = not isinstance(renderer, Mapping)
         renderers: Mapping[Any, Any] = renderer if isinstance(renderer, Mapping) else {"": renderer}
         compared = {"": objective} if single else objective
+        if single and isinstance(objective, Mapping):
+            msg = "`objective` is a dict, so `renderer` must be one too, with the same names of views"
+            raise OptionError(msg)
         if not renderers or not isinstance(compared, Mapping) or set(compared) != set(renderers):
             given = sorted(map(str, compared)) if isinstance(compared, Mapping) else shown(objective)
             msg = f"`objective` must have one for each view of `renderer`, {sorted(map(str, renderers))}, got {given}"
@@ -100,12 +104,20 @@ class Views:
             if not isinstance(name, str) or not name:
                 msg = f"`renderer` must name its views by texts that are not empty, got {shown(name)}"
                 raise OptionError(msg)
+        if len(renderers) > 1 and isinstance(stages, Sequence) and not isinstance(stages, str):
+            strange = next((one for one in stages if not isinstance(one, ScaleSpace)), None)
+            if strange is not None:
+                msg = (
+                    f"`stages` of several views must be scales, as objectives belong to one view, got {shown(strange)}"
+                )
+                raise OptionError(msg)
         views = {
-            name: View(one, objectives_of(compared[name], stages), frozenset(own_parameters(one)))
+            name: View(one, objectives_of(compared[name], stages), tuple(own_parameters(one)))
             for name, one in renderers.items()
         }
-        fewest = min(len(one.objectives) for one in views.values())
-        views = {name: replace(one, objectives=one.objectives[-fewest:]) for name, one in views.items()}
+        most = max(len(one.objectives) for one in views.values())
+        for name, one in views.items():  # a view without far scales has its objective in all stages
+            views[name] = replace(one, objectives=one.objectives[:1] * (most - len(one.objectives)) + one.objectives)
         count = len(views) if at_once is None else whole_number(at_once)
         if count is None or not 1 <= count <= len(views):
             msg = f"`views_per_step` must be a whole number from 1 to {len(views)}, the views, got {shown(at_once)}"
@@ -133,6 +145,10 @@ class Views:
                     msg = (
                         f"{key!r} has shape {tuple(found[key].shape)} in one view, and {tuple(value.shape)} in {name!r}"
                     )
+                    raise RendererError(msg)
+                if key in found and library_name(found[key]) != library_name(value):
+                    both = f"{library_name(found[key])} in one view, and of {library_name(value)}"
+                    msg = f"{key!r} is an array of {both} in {name!r}; views must share a library"
                     raise RendererError(msg)
                 found.setdefault(key, value)
         return found
@@ -165,13 +181,13 @@ class Views:
         names = tuple(self.each)
         if self.all_at_once:
             return names
-        chosen: list[str] = []
-        place = step * self.at_once
-        while len(chosen) < self.at_once:
+        if len(names) % self.at_once:
+            drawn = np.random.default_rng([seed, step]).permutation(len(names))[: self.at_once]
+        else:  # in rounds, each of which has all of them
+            place = step * self.at_once
             order = np.random.default_rng([seed, place // len(names)]).permutation(len(names))
-            chosen.append(names[order[place % len(names)]])
-            place += 1
-        return tuple(dict.fromkeys(chosen))
+            drawn = order[place % len(names) :][: self.at_once]
+        return tuple(names[index] for index in drawn)
 
     def render(self, params: Parameters, seed: int) -> dict[str, Array]:
         """The images of all views."""

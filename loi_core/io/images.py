@@ -135,7 +135,7 @@ def _read_pillow(path: Path) -> np.ndarray[Any, Any]:
     with path.open("rb") as stream:
         head = stream.read(26)
     if head.startswith(PNG_SIGNATURE) and head[24:25] == b"\x10" and head[25:26] != b"\x00":
-        msg = f"{path}: PNGs of 16 bits in colour are not read, Pillow would cut them to 8; use EXR or NPY"
+        msg = f"{path}: PNGs of 16 bits are read only in grey, Pillow would cut others to 8; use EXR or NPY"
         raise ImageFileError(msg)
     with Image.open(path, formats=["PNG", "JPEG"]) as stored:
         _check_size(path, stored.height, stored.width)
@@ -150,16 +150,16 @@ def _read_npy(path: Path) -> np.ndarray[Any, Any]:
     with open_regular(path) as stream:
         header = read_npy_header(stream)
         shape, dtype = header.shape, header.dtype
-        numbers = dtype.kind == "f" or dtype in (np.uint8, np.uint16)
+        numbers = dtype.kind in "fb" or dtype in (np.uint8, np.uint16)
         if len(shape) not in (2, 3) or not numbers or shape[2:] not in ((), (1,), (3,), (4,)):
             msg = (
-                f"{path}: an NPY image must be floating point, uint8 or uint16, of shape (H, W) or (H, W, 1, 3 or 4), "
-                f"got {dtype} {shape}"
+                f"{path}: an NPY image must be floating point, uint8, uint16 or bool, of shape (H, W) or "
+                f"(H, W, 1, 3 or 4), got {dtype} {shape}"
             )
             raise ImageFileError(msg)
         _check_size(path, *shape[:2])
         values = read_npy_values(stream, header, path.stat().st_size)
-    return _scaled(values, 1.0 if dtype.kind == "f" else float(np.iinfo(dtype).max))
+    return _scaled(values, 1.0 if dtype.kind in "fb" else float(np.iinfo(dtype).max))
 
 
 def _scaled(pixels: Any, greatest: float) -> np.ndarray[Any, Any]:

@@ -21,5 +21,9 @@ def psnr(image: Host, target: Host, weights: Host | None = None) -> float:
         How much each pixel counts.
     """
     squares = np.mean((np.asarray(image, dtype=np.float64) - target) ** 2, axis=-1)
-    error = float(np.mean(squares) if weights is None else np.average(squares, weights=weights))
+    if weights is None:
+        error = float(np.mean(squares))
+    else:
+        counts = weights > 0.0  # the others may hold anything
+        error = float(np.average(squares[counts], weights=weights[counts]))
     return math.inf if error == 0.0 else -10.0 * math.log10(error)

@@ -64,7 +64,8 @@ def read_target(
         What becomes of a file's opacity: the image is composited over this colour, black by default; or the opacity
         becomes the weights; or nothing.
     weights : path or str, optional
-        A second file, whose mean over the channels says how much each pixel counts; it multiplies those of `alpha`.
+        A second file, whose mean over the channels, times its opacity, says how much each pixel counts; it multiplies
+        those of `alpha`.
 
     Returns
     -------
@@ -98,14 +99,15 @@ def prepare_target(
     wanted = None if to is None else check_encoding(to)
     given = None if encoding is None else check_encoding(encoding)
     over = _checked_alpha(alpha)
-    opacity = stored.opacity
+    opacity = None if stored.opacity is None else np.clip(stored.opacity, 0.0, 1.0)
     if opacity is not None and np.all(opacity == 1.0):
         opacity = None
-    image, notes = stored.colours, []
-    if opacity is not None and stored.premultiplied:
-        image = image / np.where(opacity > 0.0, opacity, 1.0)[..., None]
+    image, notes, premultiplied = stored.colours, [], stored.premultiplied and opacity is not None
     held: Encoding = given or ("sRGB" if stored.for_display else "linear")
-    if wanted is not None and wanted != held:
+    recoded = wanted is not None and wanted != held
+    if opacity is not None and premultiplied and over != "ignore" and (recoded or over == "mask"):
+        image, premultiplied = image / np.where(opacity > 0.0, opacity, 1.0)[..., None], False
+    if recoded:
         image = decode_srgb(image) if wanted == "linear" else encode_srgb(image)
         why = "" if given else f", as {path.suffix[1:].upper()} files usually are"
         done = "decoded to linear light" if wanted == "linear" else "encoded as sRGB"
@@ -118,8 +120,12 @@ def prepare_target(
         elif over == "ignore":
             notes.append(f"the opacity of {path.name} is ignored")
         else:
-            image = opacity[..., None] * image + (1.0 - opacity[..., None]) * np.asarray(over)
+            # What is premultiplied may hold light where nothing is opaque, such as a glow.
+            front = image if premultiplied else opacity[..., None] * image
+            image = front + (1.0 - opacity[..., None]) * np.asarray(over)
             notes.append(f"{path.name} is composited over {_named(over)} by its opacity")
+    if opacity is None and over == "mask":
+        notes.append(f"{path.name} has no opacity that could be a mask: all of its pixels count")
     if weights is not None:
         own = _read_weights(Path(weights), image.shape[:2])
         counts = own if counts is None else counts * own
@@ -132,7 +138,7 @@ def prepare_target(
 def _checked_alpha(alpha: object) -> str | tuple[float, ...]:
     if isinstance(alpha, str) and alpha in ("mask", "ignore"):
         return alpha
-    if isinstance(alpha, Sequence) and not isinstance(alpha, str):
+    if isinstance(alpha, Sequence | np.ndarray) and not isinstance(alpha, str):
         colour = tuple(map(real_number, alpha))
         if len(colour) == 3 and np.all(np.isfinite(colour)):
             return colour
@@ -145,7 +151,10 @@ def _named(colour: str | tuple[float, ...]) -> str:
 
 
 def _read_weights(path: Path, size: tuple[int, ...]) -> FloatImage:
-    values: FloatImage = read_stored(path).colours.mean(axis=-1)
+    stored = read_stored(path)
+    values: FloatImage = stored.colours.mean(axis=-1)
+    if stored.opacity is not None:
+        values = values if stored.premultiplied else values * stored.opacity
     if values.shape != size:
         msg = f"{path}: weights must be of the target's size, {size[0]} x {size[1]}, got {values.shape}"
         raise ImageFileError(msg)

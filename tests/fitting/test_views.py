@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from loi_core import FitInterruptedError, Free, LOIObjective, PixelL2, fit
-from loi_core.errors import OptionError, RendererError
+from loi_core.errors import FitError, OptionError, RendererError
+from loi_core.fitting.parameters import bounds_of
+from loi_core.fitting.race import search
 from loi_core.fitting.state import FitStep
 from loi_core.fitting.views import Views
 from loi_core.renderers import Disks
@@ -149,6 +151,56 @@ def test_each_view_has_weights_of_its_own() -> None:
     np.testing.assert_allclose(go(objectives=objectives).best_params["place"], GOAL, atol=0.05)
 
 
+@pytest.mark.parametrize("stop", range(12, 40, 3))
+def test_a_fit_that_a_callback_ends_can_be_resumed_whatever_its_stage(stop: int, tmp_path: Path) -> None:
+    file = tmp_path / "state.npz"
+    go(steps=60, checkpoint=file, callback=lambda step, params, image: step.step == stop)
+    assert len(go(steps=60, checkpoint=file, resume=True).history) == 60
+
+
+def test_a_view_without_far_scales_does_not_keep_the_others_from_theirs() -> None:
+    result = go(objectives={**OBJECTIVES, "top": PixelL2(TARGETS["top"])})
+    assert {one.stage for one in result.history} == {0, 1}
+
+
+def test_views_that_do_not_divide_are_drawn_without_repeats() -> None:
+    views = Views.of(VIEWS, OBJECTIVES, None, 2)
+    drawn = [views.turn(step, 0) for step in range(600)]
+    assert all(len(set(one)) == 2 for one in drawn)
+    counts = [sum(name in one for one in drawn) for name in VIEWS]
+    assert max(counts) - min(counts) < 60  # of 400 each, give or take 12
+
+
+def test_a_search_passes_over_places_that_cannot_be_rendered() -> None:
+    """A search looks anywhere within the bounds; a renderer may refuse what a fit would never come to."""
+    values: list[float] = []
+
+    def value(params: dict[str, Any]) -> float:
+        place = params["place"]
+        if place[0] > 24.0:
+            msg = "out of the box"
+            raise ValueError(msg)
+        values.append(float("nan") if place[1] > 24.0 else float(place[2]))
+        return values[-1]
+
+    start = {"place": np.full(3, 16.0)}
+    found = search(value, start, bounds_of(start, FREE), 0)
+    assert found is not None
+    assert found[0] == np.nanmin(values)
+    assert np.isnan(values).any()
+    assert len(values) < 16
+
+
+def test_errors_name_the_view() -> None:
+    class Broken(Seen):
+        def render_vjp(self, params: dict[str, Any], *, seed: int = 0) -> Any:
+            msg = "no light"
+            raise ValueError(msg)
+
+    with pytest.raises(FitError, match="rendering of view 'side' failed: ValueError: no light"):
+        go({**VIEWS, "side": Broken(1)}, stages=None, learning_rate=1.0)
+
+
 def test_values_of_other_views_are_never_taken_for_a_better_fit() -> None:
     """One view is matched by anything: its value alone would be the least of all."""
 
@@ -174,6 +226,8 @@ def test_values_of_other_views_are_never_taken_for_a_better_fit() -> None:
         (VIEWS["front"], OBJECTIVES["front"], {"views_per_step": 0}, OptionError, "from 1 to 1"),
         ({1: VIEWS["front"]}, {1: OBJECTIVES["front"]}, {}, OptionError, "name its views by texts"),
         ({}, {}, {}, OptionError, "must have one for each view"),
+        (VIEWS["front"], OBJECTIVES, {}, OptionError, "`objective` is a dict, so `renderer` must be one too"),
+        (VIEWS, OBJECTIVES, {"stages": [OBJECTIVES["front"]]}, OptionError, "`stages` of several views must be scales"),
     ],
 )
 def test_views_that_do_not_fit_are_refused(views: Any, objectives: Any, options: Any, error: Any, says: str) -> None:

@@ -42,7 +42,7 @@ def test_grey_opacity_and_sixteen_bits_are_understood(tmp_path: Path) -> None:
 def test_sixteen_bits_in_colour_are_refused_rather_than_cut(tmp_path: Path) -> None:
     header = struct.pack(">IIBBBBB", 1, 1, 16, 2, 0, 0, 0)
     (tmp_path / "deep.png").write_bytes(png(header, bytes(7)))
-    with pytest.raises(ImageFileError, match="PNGs of 16 bits in colour are not read"):
+    with pytest.raises(ImageFileError, match="PNGs of 16 bits are read only in grey"):
         read_image(tmp_path / "deep.png")
 
 
@@ -58,7 +58,7 @@ def test_integers_of_unknown_scale_are_refused(tmp_path: Path) -> None:
     np.save(tmp_path / "u8.npy", RGB)
     np.testing.assert_array_equal(read_image(tmp_path / "u8.npy"), RGB / 255.0)
     np.save(tmp_path / "i64.npy", RGB.astype(np.int64))
-    with pytest.raises(ImageFileError, match="must be floating point, uint8 or uint16"):
+    with pytest.raises(ImageFileError, match="must be floating point, uint8, uint16 or bool"):
         read_image(tmp_path / "i64.npy")
 
 

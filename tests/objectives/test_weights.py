@@ -139,6 +139,17 @@ def test_every_library_weighs_alike(kind: str, compiled: bool) -> None:
         check(loss.detach(), leaf.grad)
 
 
+def test_a_module_saves_its_weights_and_sees_them_change() -> None:
+    image, module = torch.tensor(IMAGE), loi_torch.LOILoss(REFERENCE, SCALES, weights=WEIGHTS)
+    before, state = float(module(image)), module.state_dict()
+    with pytest.raises(RuntimeError, match="weights"):
+        loi_torch.LOILoss(REFERENCE, SCALES).load_state_dict(state)
+    other = loi_torch.LOILoss(REFERENCE, SCALES, weights=MASK)
+    assert float(other(image)) != before
+    other.load_state_dict(state)
+    assert float(other(image)) == before
+
+
 @pytest.mark.parametrize("compiled", ["1", "0"])
 def test_a_traced_image_is_weighed_as_well(compiled: str, monkeypatch: pytest.MonkeyPatch) -> None:
     from tests.frameworks import jax, jnp

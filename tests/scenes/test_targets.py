@@ -96,6 +96,35 @@ def test_opacity_is_composited_or_becomes_weights(name: str, error: float, folde
     assert read_target(folder / name, alpha="ignore").weights is None
 
 
+def test_light_that_nothing_covers_is_kept(folder: Path) -> None:
+    glow = np.concatenate([np.full((12, 16, 3), 0.5), np.zeros((12, 16, 1))], axis=-1)
+    write_exr(folder / "glow.exr", glow)
+    np.testing.assert_allclose(read_target(folder / "glow.exr", to="linear").image, 0.5)
+    np.testing.assert_allclose(read_target(folder / "glow.exr", alpha=np.ones(3)).image, 1.5)  # type: ignore[arg-type]
+    glow[..., 3] = 0.5
+    write_exr(folder / "glow.exr", glow)
+    np.testing.assert_allclose(read_target(folder / "glow.exr", alpha="ignore").image, 0.5)
+
+
+def test_a_mask_that_is_none_is_said_to_be_none(folder: Path) -> None:
+    target = read_target(folder / "photo.png", alpha="mask")
+    assert target.weights is None
+    assert "has no opacity" in target.notes[0]
+
+
+def test_weights_may_be_truths_or_opacity(folder: Path) -> None:
+    np.save(folder / "mask.npy", OPACITY > 0.5)
+    found = read_target(folder / "photo.png", weights=folder / "mask.npy").weights
+    assert found is not None
+    np.testing.assert_array_equal(found, OPACITY > 0.5)
+    white = np.full((12, 16, 4), 255, np.uint8)
+    white[:6, :, 3] = 0
+    Image.fromarray(white).save(folder / "holes.png")
+    holes = read_target(folder / "photo.png", weights=folder / "holes.png").weights
+    assert holes is not None
+    np.testing.assert_array_equal(holes, white[..., 3] / 255.0)
+
+
 def test_light_is_composited_as_light(folder: Path) -> None:
     target = read_target(folder / "cut.png", to="linear", alpha=(1.0, 1.0, 1.0))
     alpha = OPACITY[..., None]
@@ -225,5 +254,6 @@ def test_psnr_counts_pixels_by_their_weights() -> None:
     weights = np.ones((12, 16))
     weights[:6] = 0.0
     assert psnr(other, IMAGE, weights) == np.inf
+    assert psnr(np.where(weights[..., None] > 0, IMAGE, np.nan), IMAGE, weights) == np.inf
     assert psnr(other, IMAGE) < 20.0
     assert LOIObjective(IMAGE, weights=weights).value(other) == 0.0
