@@ -100,10 +100,9 @@ def test_a_parameter_need_not_be_in_every_view() -> None:
     targets = {name: view.render({"place": GOAL, "gain": np.asarray(0.7)}) for name, view in views.items()}
     objectives = {name: LOIObjective(target) for name, target in targets.items()}
     free = FREE | {"gain": Free(None, 0.2, 1.5)}
-    for at_once in (None, 1):
-        result = fit(views, objectives, steps=160, optimise=free, views_per_step=at_once)
-        np.testing.assert_allclose(result.best_params["place"], GOAL, atol=0.1)
-        assert float(result.best_params["gain"]) == pytest.approx(0.7, abs=0.02)
+    result = fit(views, objectives, steps=160, optimise=free, views_per_step=1)
+    np.testing.assert_allclose(result.best_params["place"], GOAL, atol=0.1)
+    assert float(result.best_params["gain"]) == pytest.approx(0.7, abs=0.02)
 
 
 def test_steps_that_render_some_views_render_all_equally_often_and_not_in_turn() -> None:
@@ -151,11 +150,11 @@ def test_each_view_has_weights_of_its_own() -> None:
     np.testing.assert_allclose(go(objectives=objectives).best_params["place"], GOAL, atol=0.05)
 
 
-@pytest.mark.parametrize("stop", range(12, 40, 3))
+@pytest.mark.parametrize("stop", range(12, 32, 3))
 def test_a_fit_that_a_callback_ends_can_be_resumed_whatever_its_stage(stop: int, tmp_path: Path) -> None:
     file = tmp_path / "state.npz"
-    go(steps=60, checkpoint=file, callback=lambda step, params, image: step.step == stop)
-    assert len(go(steps=60, checkpoint=file, resume=True).history) == 60
+    go(steps=40, checkpoint=file, callback=lambda step, params, image: step.step == stop)
+    assert len(go(steps=40, checkpoint=file, resume=True).history) == 40
 
 
 def test_a_view_without_far_scales_does_not_keep_the_others_from_theirs() -> None:
