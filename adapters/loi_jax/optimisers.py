@@ -11,8 +11,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from loi_core.errors import OptionError, ParameterError
-from loi_core.fitting.optimiser import Memory
+from loi_core.errors import OptionError
+from loi_core.fitting.optimiser import Memory, require_shapes
 from loi_core.renderers.contract import Parameters
 from loi_core.support.arrays import Host, from_numpy, namespace, to_numpy
 from loi_core.support.wording import shown
@@ -77,13 +77,7 @@ class OptaxOptimiser:
     def restore(self, params: Parameters, stored: Mapping[str, Host]) -> Memory:
         """See :class:`loi_core.Optimiser`."""
         fresh = self.start(params)
-        if {name: value.shape for name, value in stored.items()} != {
-            name: tuple(value.shape) for name, value in fresh.items()
-        }:
-            msg = (
-                "`checkpoint` holds other free parameters than this fit has, or another optimiser; start without resume"
-            )
-            raise ParameterError(msg)
+        require_shapes(stored, fresh)
         return {name: jnp.asarray(value, dtype=fresh[name].dtype) for name, value in stored.items()}
 
 

@@ -57,7 +57,7 @@ def within(trial: Trial, params: Mapping[str, Any]) -> tuple[bool, float]:
 
 def photograph(height: int, width: int, rng: np.random.Generator) -> Host:
     """A random part of the portrait that Matplotlib ships, shape (height, width, 3), as it is stored."""
-    with cbook.get_sample_data("grace_hopper.jpg") as file, Image.open(file) as stored:  # type: ignore[union-attr]
+    with cbook.get_sample_data("grace_hopper.jpg") as file, Image.open(file) as stored:  # type: ignore[union-attr]  # a file, as it is not asked for as an array
         whole = stored.convert("RGB")
     scale = rng.uniform(max(height / whole.height, width / whole.width), 1.0)
     wide, high = min(round(width / scale), whole.width), min(round(height / scale), whole.height)

@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 
 from loi_core.errors import ParameterError
-from loi_core.fitting.optimiser import Memory
+from loi_core.fitting.optimiser import Memory, require_shapes
 from loi_core.renderers.contract import Parameters
 from loi_core.support.arrays import Array, Host, from_numpy, namespace
 
@@ -62,13 +62,7 @@ class Adam:
     def restore(self, params: Parameters, stored: Mapping[str, Host]) -> Memory:
         """See :class:`Optimiser`."""
         fresh = self.start(params)
-        if {name: value.shape for name, value in stored.items()} != {
-            name: tuple(value.shape) for name, value in fresh.items()
-        }:
-            msg = (
-                "`checkpoint` holds other free parameters than this fit has, or another optimiser; start without resume"
-            )
-            raise ParameterError(msg)
+        require_shapes(stored, fresh)
         for name, value in stored.items():
             if name == COUNT:
                 valid = value >= 0.0 and float(value).is_integer()

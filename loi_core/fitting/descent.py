@@ -18,7 +18,7 @@ from loi_core.fitting.race import search
 from loi_core.fitting.resuming import few_numbers
 from loi_core.fitting.stages import FarToNear
 from loi_core.fitting.state import FitStep, State
-from loi_core.fitting.views import Images, View, Views, mean
+from loi_core.fitting.views import Images, View, Views, as_given, mean
 from loi_core.objectives import LOIObjective
 from loi_core.pixels.nonfinite import count_non_finite
 from loi_core.renderers.contract import Parameters
@@ -82,7 +82,7 @@ class Descent:
         seconds = time.perf_counter() - started
         entry = FitStep(state.step, value, norm, factor, seconds, stage, few_numbers(seen, self.bounds.lower))
         after = state.stepped(entry, moved, memory, latest)
-        return (self._searched(after) if after.schedule.lost else after), entry, seen, self.views.given(images)
+        return (self._searched(after) if after.schedule.lost else after), entry, seen, as_given(images)
 
     def finished(self, state: State) -> State:
         """The state once the last parameters are measured, and, where a step renders some views, the best as well."""

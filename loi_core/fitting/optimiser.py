@@ -3,15 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Protocol, TypeAlias, runtime_checkable
+from typing import Final, Protocol, TypeAlias, runtime_checkable
 
+from loi_core.errors import ParameterError
 from loi_core.renderers.contract import Parameters
 from loi_core.support.arrays import Array, Host
 
-__all__ = ["Memory", "Optimiser"]
+__all__ = ["Memory", "Optimiser", "require_shapes"]
 
 Memory: TypeAlias = Mapping[str, Array]
 """What an optimiser knows of the steps before: arrays by name, never written to, which a checkpoint keeps."""
+
+
+OTHER_MEMORY: Final = "free parameters than this fit has, or another optimiser"
+
+
+def require_shapes(stored: Mapping[str, Host], like: Mapping[str, Array], other: str = OTHER_MEMORY) -> None:
+    """Raise :class:`ParameterError` unless a checkpoint holds arrays of just the names and shapes of `like`."""
+    if {name: value.shape for name, value in stored.items()} != {
+        name: tuple(value.shape) for name, value in like.items()
+    }:
+        msg = f"`checkpoint` holds other {other}; start without resume"
+        raise ParameterError(msg)
 
 
 @runtime_checkable

@@ -13,7 +13,7 @@ import numpy as np
 from loi_core.errors import ImageTypeError, OptionError, ParameterError, RendererError
 from loi_core.pixels.nonfinite import count_non_finite
 from loi_core.renderers.contract import Parameters
-from loi_core.support.arrays import Array, as_floating, detached, from_numpy, namespace, to_numpy
+from loi_core.support.arrays import Array, as_floating, detached, from_numpy, library_name, namespace, to_numpy
 from loi_core.support.guards import foreign
 from loi_core.support.values import real_number
 from loi_core.support.wording import shown
@@ -22,6 +22,7 @@ __all__ = [
     "Bounds",
     "Free",
     "HasParameters",
+    "SharedParameters",
     "bounds_of",
     "check_rate",
     "free_parameters",
@@ -93,6 +94,34 @@ def own_parameters(renderer: HasParameters) -> Parameters:
     except ImageTypeError as error:
         msg = f"{type(renderer).__name__}.parameters(): {error}"
         raise RendererError(msg) from error
+
+
+@dataclass(frozen=True)
+class SharedParameters:
+    """The parameters of several views together; one that several have is that of the first."""
+
+    renderers: Mapping[str, HasParameters]
+
+    def parameters(self) -> Parameters:
+        """All parameters.
+
+        Raises
+        ------
+        RendererError
+            If one differs in shape or array library from view to view.
+        """
+        found: Parameters = {}
+        for name, renderer in self.renderers.items():
+            for key, value in own_parameters(renderer).items():
+                known: Array = found.setdefault(key, value)
+                if tuple(known.shape) != tuple(value.shape):
+                    msg = f"{key!r} has shape {tuple(known.shape)} in one view, and {tuple(value.shape)} in {name!r}"
+                    raise RendererError(msg)
+                if library_name(known) != library_name(value):
+                    both = f"{library_name(known)} in one view, and of {library_name(value)}"
+                    msg = f"{key!r} is an array of {both} in {name!r}; views must share a library"
+                    raise RendererError(msg)
+        return found
 
 
 def free_parameters(optimise: object, params: Parameters) -> dict[str, Free]:

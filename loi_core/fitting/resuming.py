@@ -12,7 +12,7 @@ import numpy as np
 
 from loi_core.errors import ParameterError
 from loi_core.fitting.checkpoint import Checkpoint
-from loi_core.fitting.optimiser import Optimiser
+from loi_core.fitting.optimiser import Optimiser, require_shapes
 from loi_core.fitting.parameters import Bounds
 from loi_core.fitting.stages import FarToNear
 from loi_core.fitting.state import Best, FitStep, State
@@ -109,11 +109,7 @@ def resumed(
     """
 
     def live(stored: Mapping[str, Any], like: Parameters, what: str) -> Parameters:
-        if {name: value.shape for name, value in stored.items()} != {
-            name: tuple(value.shape) for name, value in like.items()
-        }:
-            msg = f"`checkpoint` holds other {what} than this fit has; start without resume"
-            raise ParameterError(msg)
+        require_shapes(stored, like, f"{what} than this fit has")
         return {name: from_numpy(value, like[name]) for name, value in stored.items()}
 
     params, moving = live(saved.params, fresh.params, "parameters"), list(free)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from loi_core.fitting.optimiser import Memory
 from loi_core.fitting.stages import FarToNear
 from loi_core.fitting.verdict import Diagnosis
-from loi_core.fitting.views import Images
+from loi_core.fitting.views import Images, as_given
 from loi_core.renderers.contract import Parameters
 from loi_core.support.arrays import Array, Host
 
@@ -140,8 +140,7 @@ class State:
         Values of one stage are compared, unless they are `partial`: of some of the views only.
         """
         best = self.best
-        kept = best is not None and best.stage == stage and not best.partial
-        if kept and best is not None and (partial or not value < best.value):
+        if best is not None and best.stage == stage and not best.partial and (partial or not value < best.value):
             return self
         return replace(self, best=Best(self.params, value, self.step, images, stage, partial))
 
@@ -160,5 +159,5 @@ class State:
         if self.best is None:
             return None
         best = self.best
-        image: Images = best.images[""] if "" in best.images else dict(best.images)
+        image = as_given(best.images)
         return FitResult(self.params, best.params, best.value, best.step, image, self.history, rates=self.rates)

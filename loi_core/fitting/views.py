@@ -8,20 +8,30 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from loi_core.errors import OptionError, RendererError
-from loi_core.fitting.parameters import own_parameters
+from loi_core.errors import OptionError
+from loi_core.fitting.parameters import SharedParameters, own_parameters
 from loi_core.fitting.stages import objectives_of
 from loi_core.method.scales import ScaleSpace
 from loi_core.objectives import Objective
 from loi_core.renderers.contract import AbridgedRenderer, Parameters, ProjectingRenderer, Pullback, Renderer
-from loi_core.support.arrays import Array, detached, library_name
+from loi_core.support.arrays import Array, detached
 from loi_core.support.values import whole_number
 from loi_core.support.wording import shown
 
-__all__ = ["Images", "View", "Views", "mean"]
+__all__ = ["Images", "View", "Views", "as_given", "by_view", "mean"]
 
 Images: TypeAlias = Any
 """An image, shape (H, W, C), or, of several views, a dict of images by the names of the views."""
+
+
+def as_given(each: Mapping[str, Any]) -> Any:
+    """What belongs to each view, by name, or alone if the only view has none."""
+    return each[""] if "" in each else dict(each)
+
+
+def by_view(given: Any) -> dict[str, Any]:
+    """What :func:`as_given` has given, by name again."""
+    return given if isinstance(given, dict) else {"": given}
 
 
 @dataclass(frozen=True)
@@ -138,20 +148,7 @@ class Views:
 
     def parameters(self) -> Parameters:
         """All parameters; one that several views have is that of the first."""
-        found: Parameters = {}
-        for name, view in self.each.items():
-            for key, value in own_parameters(view.renderer).items():
-                if key in found and tuple(found[key].shape) != tuple(value.shape):
-                    msg = (
-                        f"{key!r} has shape {tuple(found[key].shape)} in one view, and {tuple(value.shape)} in {name!r}"
-                    )
-                    raise RendererError(msg)
-                if key in found and library_name(found[key]) != library_name(value):
-                    both = f"{library_name(found[key])} in one view, and of {library_name(value)}"
-                    msg = f"{key!r} is an array of {both} in {name!r}; views must share a library"
-                    raise RendererError(msg)
-                found.setdefault(key, value)
-        return found
+        return SharedParameters({name: view.renderer for name, view in self.each.items()}).parameters()
 
     def moving(self, names: Iterable[str]) -> Views:
         """The same views if only these parameters move: those of several views keep their own values of all others."""
@@ -200,10 +197,6 @@ class Views:
     def value(self, params: Parameters, stage: int, seed: int) -> float:
         """The mean over all views of what the objectives of a stage say of parameters."""
         return mean(self.values(self.render(params, seed), stage))
-
-    def given(self, images: Mapping[str, Array]) -> Images:
-        """Images as whoever called the fit expects them."""
-        return images[""] if self.single else dict(images)
 
     def at(self, stage: int) -> Views:
         """The same views with the objectives of one stage alone, all at once."""

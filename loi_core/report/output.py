@@ -13,7 +13,7 @@ from typing import Any, Final
 import numpy as np
 
 from loi_core.fitting.state import FitStep
-from loi_core.fitting.views import Images
+from loi_core.fitting.views import Images, by_view
 from loi_core.io.files import write_bytes, write_text
 from loi_core.io.images import write_png
 from loi_core.io.result_folder import CHECKPOINT_FILE, HISTORY_FILE, PAGE_FILE, RESULT_FILE, ResultFolder
@@ -137,8 +137,7 @@ def _display(scene: Scene) -> Display:
 
 def _images(image: Images) -> dict[str, Host]:
     """The image of a fit by view, as NumPy."""
-    each = image if isinstance(image, dict) else {"": image}
-    return {name: to_numpy(one) for name, one in each.items()}
+    return {name: to_numpy(one) for name, one in by_view(image).items()}
 
 
 def _counted(scene: Scene) -> Host:

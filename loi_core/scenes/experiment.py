@@ -17,7 +17,7 @@ from loi_core.effects import EffectPlan, PlanningRenderer
 from loi_core.errors import FitError, SceneError
 from loi_core.fitting.loop import FitInterruptedError, FitResult, FitStep, fit
 from loi_core.fitting.parameters import starting_parameters
-from loi_core.fitting.views import Images
+from loi_core.fitting.views import Images, by_view
 from loi_core.io.files import read_bytes
 from loi_core.io.result_folder import HISTORY_FILE
 from loi_core.objectives.base import Objective
@@ -292,7 +292,7 @@ class _Watcher:
     latest: dict[str, Host]  # the image of each view when it was last rendered
 
     def __call__(self, step: FitStep, params: Parameters, image: Images) -> None:
-        images: dict[str, Array] = image if isinstance(image, dict) else {"": image}
+        images = by_view(image)
         seen = {name: to_numpy(one) for name, one in images.items()}
         if not self.trial.psnr:
             self.trial.began = step.step

@@ -15,13 +15,12 @@ from loi_core.errors import LoiError, OptionError, RendererError
 from loi_core.fitting.loop import check_fit_options
 from loi_core.fitting.parameters import (
     Free,
-    HasParameters,
+    SharedParameters,
     bounds_of,
     check_rate,
     own_parameters,
     starting_parameters,
 )
-from loi_core.fitting.views import Views
 from loi_core.io.files import check_writable
 from loi_core.io.images import FloatImage, StoredImage, read_stored
 from loi_core.io.toml import read_toml
@@ -83,7 +82,7 @@ def load_scene(path: Path, *, output: Path | None = None, samples: int | None = 
     views, spp = {}, None
     for view, (heading, table, options) in _view_tables(where, document).items():
         views[view], spp = _view(where, heading, table, options, document, samples)
-    optimise, truth = _optimise(where, where.table("", document, "optimise"), _merged(where, views))
+    optimise, truth = _optimise(where, where.table("", document, "optimise"), views)
     name = where.text("", document, "output") if "output" in document else f"{path.stem}-result"
     results = path.parent / name if output is None else output
     _check_output(where, results, own=output is None)
@@ -176,22 +175,16 @@ def _target(
         raise where.error(heading, str(error)) from error
 
 
-def _merged(where: Where, views: Mapping[str, SceneView]) -> HasParameters:
-    """What has the parameters of all views."""
-    if "" in views:
-        return views[""].renderer
-    renderers = {name: view.renderer for name, view in views.items()}
-    objectives = {name: next(iter(view.objectives.values())) for name, view in views.items()}
-    try:
-        return Views.of(renderers, objectives, None, None)
-    except RendererError as error:
-        raise where.error("views", str(error)) from error
-
-
 def _optimise(
-    where: Where, table: Mapping[str, Any], renderer: HasParameters
+    where: Where, table: Mapping[str, Any], views: Mapping[str, SceneView]
 ) -> tuple[dict[str, Free], dict[str, np.ndarray[Any, Any]]]:
-    params = own_parameters(renderer)
+    shared = SharedParameters({name: view.renderer for name, view in views.items()})
+    try:
+        params = own_parameters(shared)
+    except RendererError as error:
+        if "" in views:
+            raise
+        raise where.error("views", str(error)) from error
     if not table:
         raise where.error("optimise", f"must name at least one parameter of {', '.join(params)}")
     where.known("optimise", table, tuple(params))
@@ -212,7 +205,7 @@ def _optimise(
         free[name] = Free(entry.get("initial"), entry.get("lower"), entry.get("upper"), rate)
         if "truth" in entry:
             truth[name] = np.broadcast_to(np.asarray(entry["truth"], dtype=np.float64), tuple(params[name].shape))
-    bounds_of(starting_parameters(renderer, free), free)  # a start outside its bounds is told now, not after a render
+    bounds_of(starting_parameters(shared, free), free)  # a start outside its bounds is told now, not after a render
     return free, truth
 
 

@@ -9,8 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from loi_core.fitting.parameters import Free
-from loi_core.fitting.views import Images
+from loi_core.fitting.parameters import Free, SharedParameters
+from loi_core.fitting.views import Images, as_given
 from loi_core.io.images import FloatImage
 from loi_core.method.scales import ScaleSpace
 from loi_core.objectives import Objective
@@ -126,23 +126,16 @@ class Scene:
 
     def parameters(self) -> Parameters:
         """The parameters of all views."""
-        found: Parameters = {}
-        for view in self.views.values():
-            found = {**view.renderer.parameters(), **found}
-        return found
-
-    def by_view(self, what: dict[str, Any]) -> Images:
-        """What belongs to each view as a fit takes it: by name, or alone if the only view has none."""
-        return what.get("", what)
+        return SharedParameters({name: view.renderer for name, view in self.views.items()}).parameters()
 
     @property
     def renderers(self) -> Images:
         """The renderer, or those of several views by name."""
-        return self.by_view({name: view.renderer for name, view in self.views.items()})
+        return as_given({name: view.renderer for name, view in self.views.items()})
 
     def objective(self, name: str) -> Images:
         """The objective of this name, or those of several views by theirs."""
-        return self.by_view({view: one.objectives[name] for view, one in self.views.items()})
+        return as_given({view: one.objectives[name] for view, one in self.views.items()})
 
     def strip(self, images: Mapping[str, Host]) -> Host:
         """Images of views as one picture, in the order of the file."""

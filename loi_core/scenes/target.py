@@ -47,7 +47,7 @@ def read_target(
     *,
     to: str | None = None,
     encoding: str | None = None,
-    alpha: str | Sequence[float] = BLACK,
+    alpha: str | Sequence[float] | FloatImage = BLACK,
     weights: Path | str | None = None,
 ) -> Target:
     """Read an image file as what a renderer is to be compared with.
@@ -92,7 +92,7 @@ def prepare_target(
     *,
     to: str | None,
     encoding: str | None,
-    alpha: str | Sequence[float],
+    alpha: str | Sequence[float] | FloatImage,
     weights: Path | str | None,
 ) -> Target:
     """What :func:`read_target` does, for a file that has been read."""

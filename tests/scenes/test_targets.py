@@ -100,7 +100,7 @@ def test_light_that_nothing_covers_is_kept(folder: Path) -> None:
     glow = np.concatenate([np.full((12, 16, 3), 0.5), np.zeros((12, 16, 1))], axis=-1)
     write_exr(folder / "glow.exr", glow)
     np.testing.assert_allclose(read_target(folder / "glow.exr", to="linear").image, 0.5)
-    np.testing.assert_allclose(read_target(folder / "glow.exr", alpha=np.ones(3)).image, 1.5)  # type: ignore[arg-type]
+    np.testing.assert_allclose(read_target(folder / "glow.exr", alpha=np.ones(3)).image, 1.5)
     glow[..., 3] = 0.5
     write_exr(folder / "glow.exr", glow)
     np.testing.assert_allclose(read_target(folder / "glow.exr", alpha="ignore").image, 0.5)
