@@ -16,6 +16,7 @@ __all__ = [
     "ImageFileError",
     "ImageTypeError",
     "LoiError",
+    "MeshError",
     "NonFiniteImageError",
     "ObjectiveNotFoundError",
     "OptionError",
@@ -134,6 +135,10 @@ class SceneError(LoiError, ValueError):
 
 class SvgError(LoiError, ValueError):
     """An SVG file is missing, damaged or too large, or has an element or attribute that is not supported."""
+
+
+class MeshError(LoiError, ValueError):
+    """A file with a mesh is missing, damaged or too large, of a kind that is not supported, or has no triangles."""
 
 
 class FitError(LoiError, RuntimeError):

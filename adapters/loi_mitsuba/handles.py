@@ -1,142 +1,26 @@
-"""Handles on the pose of a shape: what a parameter of a renderer may move, other than an entry of the scene."""
+"""Transforms of Mitsuba for the handles on a shape's pose."""
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields
-from typing import Any, Final, TypeAlias
+from collections.abc import Sequence
+from typing import Any, TypeAlias
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_core.errors import ParameterError
-from loi_core.support.values import real_number
-from loi_core.support.wording import shown
+from loi_core.renderers.handles import Handle, Rotate, Scale, Translate, in_order
 
-__all__ = ["Handle", "Host", "Rotate", "Scale", "Translate", "from_table", "posed"]
+__all__ = ["Handle", "Host", "Rotate", "Scale", "Translate", "posed"]
 
 Host: TypeAlias = np.ndarray[Any, np.dtype[np.float32]]
 Vector: TypeAlias = tuple[float, float, float]
 
 
-@dataclass(frozen=True)
-class Translate:
-    """Moves a shape from where the scene has it.
-
-    The parameter is an offset (x, y, z) in units of the world, shape (3,); with `axis`, the distance along it, 0-d.
-
-    Parameters
-    ----------
-    shape : str
-        The shape's id or readable name. An area light is moved by its shape.
-    axis : sequence of 3 floats, optional
-        Direction, of any length.
-    """
-
-    shape: str
-    axis: Sequence[float] | None = None
-
-    def __post_init__(self) -> None:
-        if self.axis is not None:
-            object.__setattr__(self, "axis", _direction("axis", self.axis))
-
-    def initial(self) -> Host:
-        """The value at which the shape is where the scene has it."""
-        return np.zeros(3 if self.axis is None else (), np.float32)
-
-
-@dataclass(frozen=True)
-class Rotate:
-    """Turns a shape about an axis; the parameter is an angle in degrees, 0-d.
-
-    Parameters
-    ----------
-    shape : str
-        The shape's id or readable name.
-    axis : sequence of 3 floats
-        Direction, of any length.
-    pivot : sequence of 3 floats, optional
-        A point on the axis; the centre of the shape's bounding box, where the scene has it, by default.
-    """
-
-    shape: str
-    axis: Sequence[float]
-    pivot: Sequence[float] | None = None
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "axis", _direction("axis", self.axis))
-        if self.pivot is not None:
-            object.__setattr__(self, "pivot", _vector("pivot", self.pivot))
-
-    def initial(self) -> Host:
-        """The value at which the shape is as the scene has it."""
-        return np.zeros((), np.float32)
-
-
-@dataclass(frozen=True)
-class Scale:
-    """Scales a shape alike in all directions; the parameter is a factor, 0-d, more than 0.
-
-    Parameters
-    ----------
-    shape : str
-        The shape's id or readable name.
-    pivot : sequence of 3 floats, optional
-        The point that stays; the centre of the shape's bounding box, where the scene has it, by default.
-    """
-
-    shape: str
-    pivot: Sequence[float] | None = None
-
-    def __post_init__(self) -> None:
-        if self.pivot is not None:
-            object.__setattr__(self, "pivot", _vector("pivot", self.pivot))
-
-    def initial(self) -> Host:
-        """The value at which the shape is as large as the scene has it."""
-        return np.ones((), np.float32)
-
-
-Handle: TypeAlias = Translate | Rotate | Scale
-
-KINDS: Final[dict[str, type[Handle]]] = {kind.__name__: kind for kind in (Translate, Rotate, Scale)}
-
-
-def from_table(table: Mapping[str, Any]) -> Handle:
-    """The handle that a table of a scene file spells: ``{ Rotate = "ball", axis = [0, 1, 0] }``.
-
-    Its class is a key whose value is the shape; the other keys are the class's other arguments.
-
-    Raises
-    ------
-    ParameterError
-        If it names no class or several, an argument that the class does not have, or lacks one that it needs.
-    """
-    named = [key for key in table if key in KINDS]
-    if len(named) != 1:
-        msg = f"a handle has one key of {', '.join(KINDS)}, got {', '.join(map(str, table)) or 'none'}"
-        raise ParameterError(msg)
-    kind = KINDS[named[0]]
-    options = {key: value for key, value in table.items() if key != named[0]}
-    arguments = {one.name: one.default for one in fields(kind) if one.name != "shape"}
-    for key in options:
-        if key not in arguments:
-            msg = f"unknown key `{key}`; {kind.__name__} takes {', '.join(arguments)}"
-            raise ParameterError(msg)
-    for key, default in arguments.items():
-        if default is MISSING and key not in options:
-            msg = f"{kind.__name__} needs `{key}`"
-            raise ParameterError(msg)
-    return kind(table[named[0]], **options)
-
-
 def posed(handles: Sequence[tuple[Handle, Any]], centre: Vector) -> Any:
     """The transform that several handles on one shape make together.
 
-    The shape is scaled first, then turned, in the order in which the handles are given, then moved, so that a turn
-    does not swing it around the place it was moved from.
+    The order is that of :func:`loi_core.renderers.handles.in_order`.
 
     Parameters
     ----------
@@ -151,41 +35,19 @@ def posed(handles: Sequence[tuple[Handle, Any]], centre: Vector) -> Any:
         Attached to the values.
     """
     total = mi.Transform4f()
-    for handle, value in sorted(handles, key=lambda one: _order(one[0])):
+    for handle, value in in_order(handles):
         if isinstance(handle, Translate):
             offset = dr.unravel(mi.Vector3f, value) if handle.axis is None else _along(handle.axis) * value
             total = mi.Transform4f().translate(offset) @ total
             continue
         pivot = mi.Vector3f(*(centre if handle.pivot is None else handle.pivot))
         if isinstance(handle, Rotate):
-            local = mi.Transform4f().rotate(_along(handle.axis), value)
+            local = mi.Transform4f().rotate(_along(handle.axis or ()), value)  # targets have one, they were checked
         else:
             local = mi.Transform4f().scale(mi.Vector3f(value))
         total = mi.Transform4f().translate(pivot) @ local @ mi.Transform4f().translate(-pivot) @ total
     return total
 
 
-def _order(handle: Handle) -> int:
-    return (Scale, Rotate, Translate).index(type(handle))
-
-
 def _along(axis: Sequence[float]) -> Any:
     return mi.Vector3f(*axis)
-
-
-def _vector(name: str, value: object) -> Vector:
-    if isinstance(value, Sequence | np.ndarray) and not isinstance(value, str) and len(value) == 3:
-        x, y, z = map(real_number, value)
-        if all(map(math.isfinite, (x, y, z))):
-            return x, y, z
-    msg = f"`{name}` must be three finite numbers, got {shown(value)}"
-    raise ParameterError(msg)
-
-
-def _direction(name: str, value: object) -> Vector:
-    x, y, z = _vector(name, value)
-    length = math.hypot(x, y, z)
-    if length == 0.0:
-        msg = f"`{name}` must be a direction, got {shown(value)}"
-        raise ParameterError(msg)
-    return x / length, y / length, z / length

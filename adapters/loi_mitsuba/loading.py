@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, Final, TypeAlias
+from typing import Any, Final
 
 import mitsuba as mi
 
 from loi_core.errors import OptionError, ParameterError
+from loi_core.renderers.handles import Rotate, Target, targets_of
 from loi_core.support.values import whole_number
 from loi_core.support.wording import shown
-from loi_mitsuba.handles import Handle, Rotate, Scale, Translate, from_table
 from loi_mitsuba.untrusted import SceneLoadError, check_scene_file, check_types
 
 __all__ = [
@@ -26,7 +25,6 @@ __all__ = [
     "use_variant",
 ]
 
-Target: TypeAlias = str | Handle
 """What a parameter stands for: an entry of the scene by name, or a handle on a shape."""
 
 VARIANTS: Final = ("cuda_ad_rgb", "llvm_ad_rgb")
@@ -69,20 +67,11 @@ def load_scene(scene: Any) -> Any:
 
 def checked_targets(parameters: object) -> dict[str, Target]:
     """Targets by parameter; tables of scene files become handles."""
-    if not isinstance(parameters, Mapping) or not parameters:
-        msg = f"`parameters` must be a dict of names and what they stand for, at least one, got {parameters!r:.80}"
-        raise ParameterError(msg)
-    targets = {}
-    for name, given in parameters.items():
-        try:
-            target = from_table(given) if isinstance(given, Mapping) else given
-        except ParameterError as error:
-            msg = f"`parameters[{name!r}]`: {error}"
-            raise ParameterError(msg) from None
-        if not isinstance(name, str) or not isinstance(target, str | Translate | Rotate | Scale):
-            msg = f"`parameters[{name!r}]` must be an entry's name, Translate, Rotate or Scale, got {target!r:.80}"
+    targets = targets_of(parameters)
+    for name, target in targets.items():
+        if isinstance(target, Rotate) and target.axis is None:
+            msg = f"`parameters[{name!r}]`: Rotate needs `axis` in Mitsuba; several turn a shape freely"
             raise ParameterError(msg)
-        targets[name] = target
     return targets
 
 

@@ -70,7 +70,7 @@ class NamedParameters:
                 self.start[name] = as_host(numbers(self.entries[entry.key]), entry.shape)
             else:
                 by_shape[find_shape(scene, target.shape)[0]].append(name)
-                self.start[name] = target.initial()
+                self.start[name] = target.initial().astype(np.float32)
         for key, names in by_shape.items():
             handle = targets[names[0]]
             box = find_shape(scene, handle.shape)[1].bbox()  # type: ignore[union-attr]  # a handle

@@ -38,8 +38,17 @@ def make_renderer(
             raise where.error(f"{heading}.images", f"`{key}` is given in [renderer] as well")
         options[key] = _picture(folder / where.text(f"{heading}.images", images, key), accepted)
     for key, argument in (accepted or {}).items():
-        if isinstance(options.get(key), str) and _is_path(argument):
+        given = options.get(key)
+        if not _is_path(argument):
+            continue
+        if isinstance(given, str):
             options[key] = folder / where.text(heading, options, key)
+        elif isinstance(given, dict):  # a table by name, such as of meshes
+            inner = f"{heading}.{key}"
+            paths = {
+                name: folder / where.text(inner, given, name) for name, one in given.items() if isinstance(one, str)
+            }
+            options[key] = given | paths
     if accepted is not None and not any(one.kind is Parameter.VAR_KEYWORD for one in accepted.values()):
         where.known(heading, options, tuple(accepted))
     for key, size in (("height", target.shape[0]), ("width", target.shape[1])):

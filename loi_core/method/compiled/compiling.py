@@ -7,7 +7,7 @@ from typing import Any, TypeVar, cast
 
 import numba
 
-__all__ = ["compiled", "compiled_sums"]
+__all__ = ["compiled", "compiled_as_written", "compiled_sums"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -23,6 +23,11 @@ def compiled(function: F) -> F:
 def compiled_sums(function: F) -> F:
     """The same, with sums in any order, so that they are made in vectors."""
     return _compiled(function, {"contract", "reassoc", "nsz"})
+
+
+def compiled_as_written(function: F) -> F:
+    """The same, with every operation rounded as IEEE 754 has it: what is equal or opposite on paper stays so."""
+    return _compiled(function, set())
 
 
 def _compiled(function: F, fast: set[str]) -> F:

@@ -1,0 +1,28 @@
+"""Triangle meshes on torch: images with gradients by whatever moves, also at outlines."""
+
+from loi_core.renderers.handles import Rotate, Scale, Translate
+from loi_torch.mesh.cameras import Camera
+from loi_torch.mesh.drawing import draw, draw_places
+from loi_torch.mesh.lighting import Environment, Light
+from loi_torch.mesh.meshes import Material, Mesh
+from loi_torch.mesh.reading import read_mesh
+from loi_torch.mesh.renderer import MeshRenderer
+from loi_torch.mesh.shapes import box, quad, sphere
+
+__all__ = [
+    "Camera",
+    "Environment",
+    "Light",
+    "Material",
+    "Mesh",
+    "MeshRenderer",
+    "Rotate",
+    "Scale",
+    "Translate",
+    "box",
+    "draw",
+    "draw_places",
+    "quad",
+    "read_mesh",
+    "sphere",
+]

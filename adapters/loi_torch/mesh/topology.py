@@ -1,0 +1,88 @@
+"""Edges of triangle meshes: which triangles meet there, and where colours may jump."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from loi_torch.mesh.projected import FloatArray, IndexArray, Topology
+
+__all__ = ["join", "joined_corners", "topology_of"]
+
+
+def joined_corners(vertices: FloatArray) -> IndexArray:
+    """For each vertex the number of its place, shape (n,): vertices of equal coordinates share one."""
+    if not len(vertices):
+        return np.zeros(0, np.int32)
+    places = np.ascontiguousarray(vertices + 0.0)  # -0.0 and 0.0 are one place
+    rows = places.view([("", places.dtype)] * 3).ravel()
+    return np.unique(rows, return_inverse=True)[1].reshape(-1).astype(np.int32)
+
+
+def topology_of(faces: IndexArray, places: IndexArray, *, creased: bool) -> Topology:
+    """The topology of one mesh.
+
+    Parameters
+    ----------
+    faces : array of int, shape (m, 3)
+    places : array of int, shape (n,)
+        Of the vertices, as :func:`joined_corners` gives them.
+    creased : bool
+        Whether colours or normals are the triangles' own, and so jump at every edge.
+    """
+    joined = places[faces].astype(np.int32)
+    corners = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
+    ends = np.stack([joined, np.roll(joined, -1, axis=1)], axis=-1).reshape(-1, 2)
+    turned = ends[:, 0] > ends[:, 1]
+    ends[turned] = ends[turned, ::-1]
+    corners = corners.copy()
+    corners[turned] = corners[turned, ::-1]
+    triangle = np.repeat(np.arange(len(faces), dtype=np.int32), 3)
+    real = ends[:, 0] != ends[:, 1]
+    ends, corners, triangle = ends[real], corners[real], triangle[real]
+    key = ends[:, 0].astype(np.int64) * (int(places.max(initial=0)) + 1) + ends[:, 1]
+    order = np.argsort(key, kind="stable")
+    key, ends, corners, triangle = key[order], ends[order], corners[order], triangle[order]
+    first = np.flatnonzero(np.append(True, key[1:] != key[:-1])) if len(key) else np.zeros(0, np.int64)
+    count = np.diff(np.append(first, len(key)))
+    second = np.minimum(first + 1, max(len(key) - 1, 0))
+    pair = count >= 2
+    other = np.where(pair, triangle[second], -1)
+    seam = pair & np.any(corners[first] != corners[second], axis=1)
+    return Topology(
+        faces=np.ascontiguousarray(faces, dtype=np.int32),
+        joined=joined,
+        piece=np.zeros(len(faces), np.int32),
+        ends=corners[first].astype(np.int32).reshape(-1, 2),
+        joined_ends=ends[first].astype(np.int32).reshape(-1, 2),
+        between=np.stack([triangle[first], other], axis=1).astype(np.int32).reshape(-1, 2),
+        always=(count != 2) | seam | creased,
+        several=False,
+    )
+
+
+def join(parts: Sequence[Topology], counts: Sequence[int]) -> Topology:
+    """Several meshes as one list of triangles, each its own piece; `counts` are their numbers of vertices."""
+    if len(parts) == 1:
+        return parts[0]
+    corner = np.append(0, np.cumsum(counts)).astype(np.int32)
+    face = np.append(0, np.cumsum([len(one.faces) for one in parts])).astype(np.int32)
+
+    def put(name: str, shift: IndexArray) -> IndexArray:
+        rows = [getattr(one, name) + np.int32(by) for one, by in zip(parts, shift, strict=False)]
+        return np.concatenate(rows) if rows else np.zeros((0, 3), np.int32)
+
+    between = [np.where(one.between < 0, -1, one.between + by) for one, by in zip(parts, face, strict=False)]
+    return Topology(
+        faces=put("faces", corner),
+        joined=put("joined", corner),
+        piece=np.concatenate([np.full(len(one.faces), k, np.int32) for k, one in enumerate(parts)])
+        if parts
+        else np.zeros(0, np.int32),
+        ends=put("ends", corner) if parts else np.zeros((0, 2), np.int32),
+        joined_ends=put("joined_ends", corner) if parts else np.zeros((0, 2), np.int32),
+        between=np.concatenate(between).astype(np.int32) if parts else np.zeros((0, 2), np.int32),
+        always=np.concatenate([one.always for one in parts]) if parts else np.zeros(0, np.bool_),
+        several=len(parts) > 1,
+    )
