@@ -9,10 +9,14 @@ lies between pixels, and the derivative of an area is the edge's own, as Reynold
 
 from __future__ import annotations
 
+from typing import Final
+
 import torch
 from torch import Tensor
 
-__all__ = ["hidden_area"]
+__all__ = ["ENDS", "hidden_area", "nearest_point"]
+
+ENDS: Final = 0.02  # of a part, at its ends
 
 
 def hidden_area(first: Tensor, last: Tensor, turn: Tensor) -> Tensor:
@@ -36,6 +40,18 @@ def hidden_area(first: Tensor, last: Tensor, turn: Tensor) -> Tensor:
     halves = wedge.detach().abs() > 0.49
     wedge = torch.where(halves & (wedge.detach() * turn < 0.0), wedge + turn, wedge)
     return wedge - 0.5 * (first[:, 0] * last[:, 1] - first[:, 1] * last[:, 0])
+
+
+def nearest_point(first: Tensor, last: Tensor, centre: Tensor) -> Tensor:
+    """The points of parts of edges, shape (f, 2), at which their two sides are looked at: those nearest to the centre.
+
+    What an edge through the centre adds then goes on without a jump as the centre changes sides. Ends are kept away
+    from, as other edges begin there.
+    """
+    along = last - first
+    length = (along * along).sum(dim=1)
+    share = ((centre - first) * along).sum(dim=1) / torch.where(length > 0.0, length, torch.ones_like(length))
+    return first + share.clamp(ENDS, 1.0 - ENDS)[:, None] * along
 
 
 def _around(point: Tensor) -> Tensor:

@@ -17,7 +17,7 @@ from torch import Tensor
 from loi_core.errors import ParameterError
 from loi_core.support.arrays import to_numpy
 from loi_torch.mesh.cameras import Camera
-from loi_torch.mesh.coverage import hidden_area
+from loi_torch.mesh.coverage import hidden_area, nearest_point
 from loi_torch.mesh.interpolation import Samples, corner_rows, interpolate, weights
 from loi_torch.mesh.junctions import CROSSING, EDGE, HORIZONTAL, VERTICAL, crossing_stops, settled
 from loi_torch.mesh.lighting import Environment, Light, reflected
@@ -76,8 +76,8 @@ def draw(
     pixels, sides, areas = frame.jumps()
     left, right = np.flatnonzero(sides[0] >= 0), np.flatnonzero(sides[1] >= 0)
     triangle = np.concatenate([seen.found[covered], sides[0][left], sides[1][right]])
-    middle = frame.middles
-    places = torch.cat([frame.centres(covered), middle[frame.tensor(left)], middle[frame.tensor(right)]])
+    beside = (frame.beside.index_select(0, frame.tensor(one)) for one in (left, right))
+    places = torch.cat([frame.centres(covered), *beside])
     colours = _shade(frame, frame.samples(triangle, places), lights, environment)
     inner, left_colours, right_colours = torch.split(colours, [len(covered), len(left), len(right)])
     image = behind.index_copy(0, frame.tensor(covered), inner)
@@ -187,7 +187,7 @@ class _Frame:
 
     def jumps(self) -> tuple[Any, tuple[Any, Any], Tensor]:
         """Of every part of an edge that shows: its pixel, the triangles on its left and right, and its area."""
-        seen, width = self.seen, self.size[1]
+        seen = self.seen
         self.parts = settled(self.projected, seen)
         edge, crossing = self._edge_ends(), self._crossing_ends()
         first, last, turn = (torch.cat([one, other]) for one, other in zip(edge, crossing, strict=True))
@@ -196,8 +196,8 @@ class _Frame:
         # A centre that lies on the edge is on the side that it shows.
         inside = torch.as_tensor(np.where(seen.found[pixels] == sides[1], -1.0, 1.0), device=self.device)
         turn = torch.where(turn == 0.0, inside, turn)
-        centres = torch.as_tensor(np.stack([pixels % width + 0.5, pixels // width + 0.5], axis=1), device=self.device)
-        self.middles = 0.5 * (first + last)
+        centres = self.centres(pixels)
+        self.beside = nearest_point(first, last, centres)
         return pixels, (sides[0], sides[1]), hidden_area(first - centres, last - centres, turn)
 
     def _edge_ends(self) -> tuple[Tensor, Tensor, Tensor]:
@@ -225,7 +225,7 @@ class _Frame:
 
     def _crossing_ends(self) -> tuple[Tensor, Tensor, Tensor]:
         """The same for parts of lines along which two triangles cut into each other."""
-        seen, width = self.seen, self.size[1]
+        seen = self.seen
         one, other = seen.crossing_sides[:, 0], seen.crossing_sides[:, 1]
         stops = crossing_stops(self.projected, seen)
         points = []

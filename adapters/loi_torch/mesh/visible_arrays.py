@@ -12,6 +12,7 @@ from typing import Any, Final
 import torch
 from torch import Tensor
 
+from loi_torch.mesh.coverage import ENDS
 from loi_torch.mesh.projected import Projected, Seen
 
 __all__ = ["look"]
@@ -63,7 +64,7 @@ def look(scene: Projected) -> Seen:
     wanted[pixel] = True
     lists = _list(triangles, wanted, size)
     parts = _Parts(triangles, lists, joined, joined_ends[edge], pixel, screen)
-    shown, on_screen, sides, beyond = parts.visible(span)
+    shown, on_screen, sides, beyond = parts.visible(span, size[1])
     edge, pixel = edge[shown], pixel[shown]
     crossings = _crossings(triangles, lists, piece, torch.nonzero(crossed)[:, 0], size[1])
     in_space = parts.in_space(on_screen, shown)
@@ -311,10 +312,14 @@ class _Parts:
         front = torch.where(touching, torch.minimum(left, right), torch.where(near > far, left, right))
         return torch.where((left < 0) | (right < 0), torch.maximum(left, right), front)
 
-    def visible(self, span: Tensor) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    def visible(self, span: Tensor, width: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
         """The parts that show: their rows, where they begin and end, (r, 2), their sides, and what hides the rest."""
         every = torch.arange(len(span))
-        middle = span.mean(dim=1)
+        x, y = self._pixel % width + 0.5, torch.div(self._pixel, width, rounding_mode="floor") + 0.5
+        along, aside = self._screen.last - self._screen.first, torch.stack([x, y], dim=1) - self._screen.first
+        ends = ENDS * (span[:, 1] - span[:, 0])
+        nearest = (aside * along).sum(dim=1) / (along * along).sum(dim=1)
+        middle = torch.minimum(torch.maximum(nearest, span[:, 0] + ends), span[:, 1] - ends)
         lit, sides = self._sides(every, middle)
         whole, hidden = span.clone(), torch.full_like(sides, -1)
         rows, spans, both, beyond = [], [], [], []
@@ -406,8 +411,9 @@ def _crossings(
     pixel, t, u, px, py, dx, dy, nx, ny, low, high = (
         one[kept] for one in (pixel, t, u, px, py, dx, dy, nx, ny, low, high)
     )
-    middle = 0.5 * (low + high)
-    qx, qy = px + middle * dx, py + middle * dy
+    ends_of = ENDS * (high - low)
+    nearest = torch.minimum((low + ends_of).clamp(min=0.0), high - ends_of)
+    qx, qy = px + nearest * dx, py + nearest * dy
     shown = (_nearest(triangles, lists, pixel, qx + ASIDE * nx, qy + ASIDE * ny) == t) & (
         _nearest(triangles, lists, pixel, qx - ASIDE * nx, qy - ASIDE * ny) == u
     )

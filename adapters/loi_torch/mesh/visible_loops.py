@@ -14,6 +14,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from loi_core.method.compiled.compiling import compiled_as_written
+from loi_torch.mesh.coverage import ENDS
 from loi_torch.mesh.projected import Projected, Seen
 
 __all__ = ["look"]
@@ -52,8 +53,8 @@ class Line(NamedTuple):
     dy: float
     nx: float
     ny: float
-    a: int
-    b: int
+    a: Any  # int32
+    b: Any
     start: float
     end: float
     wa: float
@@ -334,6 +335,15 @@ def _sides(triangles: Triangles, lists: Lists, one: int, joined: Any, line: Line
 
 
 @compiled_as_written
+def _beside(line: Line, pixel: int, width: int, low: float, high: float) -> float:
+    """Where a part of an edge is looked at: see :func:`loi_torch.mesh.coverage.nearest_point`."""
+    x, y = pixel % width + 0.5 - line.x, pixel // width + 0.5 - line.y
+    nearest = (x * line.dx + y * line.dy) / (line.dx * line.dx + line.dy * line.dy)
+    ends = ENDS * (high - low)
+    return min(max(nearest, low + ends), high - ends)
+
+
+@compiled_as_written
 def _in_space(line: Line, s: float) -> float:
     """From the share of an edge on the screen to that of the whole edge in space."""
     return line.start + (line.end - line.start) * (s * line.wa / (line.wb - s * (line.wb - line.wa)))
@@ -424,7 +434,9 @@ def _crossings(triangles: Triangles, lists: Lists, piece: Any, wanted: Any, widt
                 low, high = _cut(triangles.edges[u], px, py, dx, dy, low, high)
                 if not high - low > 1e-9:
                     continue
-                qx, qy = px + 0.5 * (low + high) * dx, py + 0.5 * (low + high) * dy
+                ends_of = ENDS * (high - low)
+                nearest = min(max(0.0, low + ends_of), high - ends_of)
+                qx, qy = px + nearest * dx, py + nearest * dy
                 # Left of the direction (dx, dy) is (-dy, dx) = (nx, ny), where t is nearer.
                 if _nearest(triangles, lists, one, qx + ASIDE * nx, qy + ASIDE * ny) != t:
                     continue
@@ -488,7 +500,7 @@ def _look(
             line = Line(xa, ya, xb - xa, yb - ya, nx, ny, a, b, start, end, wa, wb)
         one = lists.slot[part_pixel[k]]
         low, high = part[k, 0], part[k, 1]
-        middle = 0.5 * (low + high)
+        middle = _beside(line, part_pixel[k], width, low, high)
         lit, left, right = _sides(triangles, lists, one, joined, line, middle)
         bounds = np.array([low, high])
         hidden = np.full(2, -1, np.int32)
