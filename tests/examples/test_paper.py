@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 
 from examples.paper import guidance
+from examples.paper.means import Mean
+from examples.paper.store import is_done, keep, load, picture_path
 from examples.paper.table1.command import main
 from examples.paper.table1.extent import PARTS, Extent
-from examples.paper.table1.means import Mean
 from examples.paper.table1.moves import ReleasedMoves
 from examples.paper.table1.objectives import Sums, objective
 from examples.paper.table1.problem import COLUMNS, HARDER, RADIUS, Column, Problem
 from examples.paper.table1.renderers import BothOrders, Noisy
 from examples.paper.table1.run import Run, carry_out, structure
 from examples.paper.table1.settings import LABELS, OURS, PROTOCOLS, Setting
-from examples.paper.table1.store import is_done, keep, load, picture_path
 from loi_core import ScaleSpace
 from loi_core.io.images import read_image
 from loi_core.pixels.psnr import psnr

@@ -30,6 +30,7 @@ from loi_torch.mesh.visibility import look
 
 __all__ = ["draw", "draw_places"]
 
+ASIDE: Final = 1e-6  # pixels by which a centre that lies on an edge is moved
 STEEP: Final = 1e-6  # sine of the least angle between two lines at which the point where they meet is followed
 
 
@@ -74,7 +75,9 @@ def draw(
     seen = frame.seen
     covered = np.flatnonzero(seen.found >= 0)
     pixels, sides, areas = frame.jumps()
-    left, right = np.flatnonzero(sides[0] >= 0), np.flatnonzero(sides[1] >= 0)
+    # Where the near side is of the surface that the centre shows, its colour is known, and is that of all of this side.
+    known = frame.near_is_centre(pixels, sides)
+    left, right = (np.flatnonzero((side >= 0) & ~same) for side, same in zip(sides, known, strict=True))
     triangle = np.concatenate([seen.found[covered], sides[0][left], sides[1][right]])
     beside = (frame.beside.index_select(0, frame.tensor(one)) for one in (left, right))
     places = torch.cat([frame.centres(covered), *beside])
@@ -83,9 +86,12 @@ def draw(
     image = behind.index_copy(0, frame.tensor(covered), inner)
     if len(pixels):
         at = frame.tensor(pixels)
-        base = behind.index_select(0, at)
-        jump = base.index_copy(0, frame.tensor(right), right_colours)
-        jump = jump - base.index_copy(0, frame.tensor(left), left_colours)
+        base, centre = behind.index_select(0, at), image.index_select(0, at)
+        far = []
+        for rows, same, colour in ((left, known[0], left_colours), (right, known[1], right_colours)):
+            one = torch.where(torch.as_tensor(same, device=frame.device)[:, None], centre, base)
+            far.append(one.index_copy(0, frame.tensor(rows), colour))
+        jump = far[1] - far[0]
         image = image.index_add(0, at, areas[:, None] * jump)
     return image.reshape(height, width, 3)
 
@@ -159,7 +165,7 @@ class _Frame:
         """Points of triangles."""
         return Samples(
             self.tensor(self.topology.faces[triangle]),
-            self.tensor(self.topology.piece[triangle]),
+            self.tensor(np.searchsorted(self.first_triangle, triangle, side="right") - 1),
             points,
             self.tensor(triangle),
         )
@@ -189,16 +195,43 @@ class _Frame:
         """Of every part of an edge that shows: its pixel, the triangles on its left and right, and its area."""
         seen = self.seen
         self.parts = settled(self.projected, seen)
-        edge, crossing = self._edge_ends(), self._crossing_ends()
-        first, last, turn = (torch.cat([one, other]) for one, other in zip(edge, crossing, strict=True))
+        first, last, turn = self._edge_ends()
+        if len(seen.crossing_pixel):
+            crossing = self._crossing_ends()
+            first, last, turn = (torch.cat(pair) for pair in zip((first, last, turn), crossing, strict=True))
         pixels = np.concatenate([self.parts.pixel, seen.crossing_pixel])
         sides = np.concatenate([self.parts.sides, seen.crossing_sides]).T
-        # A centre that lies on the edge is on the side that it shows.
-        inside = torch.as_tensor(np.where(seen.found[pixels] == sides[1], -1.0, 1.0), device=self.device)
-        turn = torch.where(turn == 0.0, inside, turn)
         centres = self.centres(pixels)
+        if bool((turn == 0.0).any()):
+            centres, turn = self._off_edges(pixels, centres, first.detach(), last.detach(), turn)
+        self.turn = to_numpy(turn)
         self.beside = nearest_point(first, last, centres)
         return pixels, (sides[0], sides[1]), hidden_area(first - centres, last - centres, turn)
+
+    def near_is_centre(self, pixels: Any, sides: tuple[Any, Any]) -> tuple[Any, Any]:
+        """Whether the left, or the right, of parts of edges is on the centre's side and of the surface seen there."""
+        sheet, found = self.topology.sheet, self.seen.found[pixels]
+        covered = found >= 0
+        facing = np.sign(np.linalg.det(self.projected.corners[self.topology.faces]))
+
+        def same(side: Any, towards: float) -> Any:
+            alike = (sheet[side] == sheet[found]) & (facing[side] == facing[found]) if len(sheet) else covered
+            return covered & (side >= 0) & (self.turn == towards) & alike
+
+        return same(sides[0], 1.0), same(sides[1], -1.0)
+
+    def _off_edges(
+        self, pixels: Any, centres: Tensor, first: Tensor, last: Tensor, turn: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        """Centres that lie on edges, moved a little into the triangle that they show, and which way edges run then."""
+        held = np.flatnonzero(np.isin(pixels, pixels[to_numpy(turn) == 0.0]))
+        at = self.tensor(held)
+        corners = corner_rows(self.corners.detach(), self.tensor(self.topology.faces[self.seen.found[pixels[held]]]))
+        inwards = (corners[..., :2] / corners[..., 2:].clamp(min=self.view.near)).mean(dim=1) - centres[at]
+        moved = centres[at] + ASIDE * unit(inwards)
+        a, b = first[at] - moved, last[at] - moved
+        around = torch.sign(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+        return centres.index_copy(0, at, moved), turn.index_copy(0, at, around)
 
     def _edge_ends(self) -> tuple[Tensor, Tensor, Tensor]:
         """Both ends of parts of edges, in pixels, as they move; and which way they run around centres."""
@@ -315,10 +348,10 @@ def _shade(
     result = torch.zeros((total, 3), dtype=torch.float64, device=frame.device)
     for number, mesh in enumerate(frame.meshes):
         if len(frame.meshes) > 1:
-            at = torch.nonzero(samples.piece == number)[:, 0]
+            at = torch.nonzero(samples.mesh == number)[:, 0]
             if not len(at):
                 continue
-            own = Samples(*(getattr(samples, name)[at] for name in ("corners", "piece", "points", "triangle")))
+            own = Samples(*(getattr(samples, name)[at] for name in ("corners", "mesh", "points", "triangle")))
             result = result.index_copy(0, at, _of_mesh(frame, number, mesh, own, lights, environment, fixed=fixed))
         else:
             result = _of_mesh(frame, number, mesh, samples, lights, environment, fixed=fixed)

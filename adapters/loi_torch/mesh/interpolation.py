@@ -18,15 +18,15 @@ class Samples:
     ----------
     corners : Tensor of int64, shape (s, 3)
         Of the triangle.
-    piece : Tensor of int64, shape (s,)
-        Its mesh.
+    mesh : Tensor of int64, shape (s,)
+        Its number.
     points : Tensor, shape (s, 2)
         (x, y) in pixels.
     triangle : Tensor of int64, shape (s,)
     """
 
     corners: Tensor
-    piece: Tensor
+    mesh: Tensor
     points: Tensor
     triangle: Tensor
 

@@ -7,11 +7,12 @@ gradient agree where outlines meet. The outline in front is split there, since w
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
 
+from loi_torch.mesh.coverage import ENDS
 from loi_torch.mesh.projected import FloatArray, IndexArray, Projected, Seen
 
 __all__ = ["CORNER", "CROSSING", "EDGE", "HORIZONTAL", "VERTICAL", "Parts", "crossing_stops", "settled"]
@@ -85,7 +86,14 @@ def settled(scene: Projected, seen: Seen) -> Parts:
     joined = np.sort(
         np.stack([shape.joined[hiding, (corner + 1) % 3], shape.joined[hiding, (corner + 2) % 3]], axis=1), axis=1
     )
-    return _split(scene, Parts(seen.edge, span, seen.pixel, seen.sides, stops), part[crossed], joined[crossed])
+    parts = _split(scene, Parts(seen.edge, span, seen.pixel, seen.sides, stops), part[crossed], joined[crossed])
+    # Those that are shorter now are looked at elsewhere.
+    rows = np.flatnonzero(np.any(parts.stops[:, :, 0] > HORIZONTAL, axis=1))
+    again = seen.beside(parts.edge[rows], parts.pixel[rows], _nearest(scene, parts, rows))
+    differ = again[:, 0] != again[:, 1]
+    sides = parts.sides.copy()
+    sides[rows[differ]] = again[differ]
+    return replace(parts, sides=sides)
 
 
 def crossing_stops(scene: Projected, seen: Seen) -> IndexArray:
@@ -113,6 +121,23 @@ def crossing_stops(scene: Projected, seen: Seen) -> IndexArray:
     return stops
 
 
+def _nearest(scene: Projected, parts: Parts, rows: Any) -> FloatArray:
+    """Where parts of edges are looked at, as :func:`loi_torch.mesh.coverage.nearest_point` has it, 0 to 1 in space."""
+    a, b = (scene.corners[scene.topology.ends[parts.edge[rows], k]] for k in (0, 1))
+    low, high = parts.span[rows].T
+    first, last = (a + one[:, None] * (b - a) for one in (low, high))
+    start, end = (one[:, :2] / one[:, 2:] for one in (first, last))
+    width = scene.view.width
+    centre = np.stack([parts.pixel[rows] % width + 0.5, parts.pixel[rows] // width + 0.5], axis=1)
+    along = end - start
+    length = np.sum(along * along, axis=1)
+    share = np.sum((centre - start) * along, axis=1) / np.where(length > 0.0, length, 1.0)
+    share = np.clip(share, ENDS, 1.0 - ENDS)
+    in_space = share * first[:, 2] / (last[:, 2] - share * (last[:, 2] - first[:, 2]))
+    found: FloatArray = low + (high - low) * in_space
+    return found
+
+
 def _borders(first: FloatArray, last: FloatArray, t: FloatArray) -> IndexArray:
     """At which kind of border, or corner, points of edges lie."""
     point = first + t[:, None] * (last - first)
@@ -129,7 +154,7 @@ def _borders(first: FloatArray, last: FloatArray, t: FloatArray) -> IndexArray:
 def _line(scene: Projected, faces: IndexArray, k: int) -> tuple[FloatArray, IndexArray, IndexArray]:
     """The line through the edge of triangles that is opposite to their corner `k`, and its vertices."""
     a, b = faces[:, (k + 1) % 3], faces[:, (k + 2) % 3]
-    return np.cross(scene.corners[a], scene.corners[b]), a, b
+    return _cross(scene.corners[a], scene.corners[b]), a, b
 
 
 def _meeting(a: FloatArray, b: FloatArray, line: FloatArray, *_: Any) -> FloatArray:
@@ -152,7 +177,7 @@ def _planes(scene: Projected, triangle: IndexArray) -> FloatArray:
     """The nearness of triangles as a x + b y + c, shape (s, 3)."""
     faces = scene.topology.faces[triangle]
     v, depth = scene.corners[faces], scene.depth[faces]
-    functions = np.stack([np.cross(v[:, (k + 1) % 3], v[:, (k + 2) % 3]) for k in range(3)], axis=1)
+    functions = np.stack([_cross(v[:, (k + 1) % 3], v[:, (k + 2) % 3]) for k in range(3)], axis=1)
     planes: FloatArray = (
         np.sum(functions * depth[..., None], axis=1) / np.sum(v[:, 0] * functions[:, 0], axis=1)[:, None]
     )
@@ -166,26 +191,28 @@ def _holds(face: IndexArray, ends: IndexArray) -> Any:
 
 def _split(scene: Projected, parts: Parts, ending: Any, joined: IndexArray) -> Parts:
     """Split the edges in front of which others, the `ending` ones, disappear; those join the vertices `joined`."""
-    cuts = _cuts(scene, parts, ending, joined)
+    shape = scene.topology
+    corners = scene.corners[shape.ends[parts.edge]]
+    lines = dict(zip(ending.tolist(), _cross(*corners[ending].swapaxes(0, 1)), strict=True))
+    cuts = _cuts(parts, np.sort(shape.joined_ends[parts.edge], axis=1), ending, joined, corners, lines)
     if not cuts:
         return parts
-    shape = scene.topology
+    numbers = np.array(list(cuts))
+    in_front = _holds(shape.joined[parts.sides[numbers, 0]], shape.joined_ends[parts.edge[numbers]])
     kept = np.ones(len(parts.edge), bool)
+    kept[numbers] = False
     number_of, spans, sides, stops = [], [], [], []
-    for number, at in cuts.items():
-        kept[number] = False
+    for (number, at), front in zip(cuts.items(), in_front, strict=True):
         at.sort()
-        c, d = scene.corners[shape.ends[parts.edge[number]]]
-        own = shape.joined_ends[parts.edge[number]][None]
-        behind = 1 if _holds(shape.joined[parts.sides[number, :1]], own)[0] else 0
+        c, d = corners[number]
         limits = [parts.span[number, 0], *(t for t, _ in at), parts.span[number, 1]]
-        kinds = [parts.stops[number, 0], *(_edge_stop(scene, parts, e) for _, e in at), parts.stops[number, 1]]
+        crossed = [(EDGE, *shape.ends[parts.edge[e]]) for _, e in at]
+        kinds = [parts.stops[number, 0], *crossed, parts.stops[number, 1]]
         for k in range(len(limits) - 1):
-            middle = c + 0.5 * (limits[k] + limits[k + 1]) * (d - c)
             e = at[min(k, len(at) - 1)][1]
-            first, last = scene.corners[shape.ends[parts.edge[e]]]
+            on_left = lines[e] @ (c + 0.5 * (limits[k] + limits[k + 1]) * (d - c)) > 0.0
             pair = parts.sides[number].copy()
-            pair[behind] = parts.sides[e, 0 if np.cross(first, last) @ middle > 0.0 else 1]
+            pair[1 if front else 0] = parts.sides[e, 0 if on_left else 1]
             number_of.append(number)
             spans.append(limits[k : k + 2])
             sides.append(pair)
@@ -199,29 +226,32 @@ def _split(scene: Projected, parts: Parts, ending: Any, joined: IndexArray) -> P
     )
 
 
-def _cuts(scene: Projected, parts: Parts, ending: Any, joined: IndexArray) -> dict[int, list[tuple[float, int]]]:
+def _cuts(
+    parts: Parts, own: IndexArray, ending: Any, joined: IndexArray, corners: FloatArray, lines: dict[int, FloatArray]
+) -> dict[int, list[tuple[float, int]]]:
     """Of parts that are to be split, where, and which part ends there."""
-    shape = scene.topology
-    own = np.sort(shape.joined_ends[parts.edge], axis=1)
-    wanted = {(int(parts.pixel[e]), int(a), int(b)) for e, (a, b) in zip(ending, joined, strict=True)}
-    by_place: dict[tuple[int, int, int], list[int]] = {}
-    for number in map(int, np.flatnonzero(np.isin(parts.pixel, parts.pixel[ending]))):
-        key = int(parts.pixel[number]), int(own[number, 0]), int(own[number, 1])
-        if key in wanted:
-            by_place.setdefault(key, []).append(number)
+    wanted: dict[tuple[int, int, int], list[int]] = {}
+    for e, pixel, (a, b) in zip(ending.tolist(), parts.pixel[ending].tolist(), joined.tolist(), strict=True):
+        wanted.setdefault((pixel, a, b), []).append(e)
+    near = np.flatnonzero(np.isin(parts.pixel, parts.pixel[ending]))
     cuts: dict[int, list[tuple[float, int]]] = {}
-    for e, (a, b) in zip(ending, joined, strict=True):
-        first, last = scene.corners[shape.ends[parts.edge[e]]]
-        line = np.cross(first, last)
-        for number in by_place.get((int(parts.pixel[e]), int(a), int(b)), ()):
-            c, d = scene.corners[shape.ends[parts.edge[number]]]
-            slope = float((d - c) @ line)
-            t = -float(c @ line) / slope if slope != 0.0 else np.nan
+    for number, pixel, (a, b) in zip(near.tolist(), parts.pixel[near].tolist(), own[near].tolist(), strict=True):
+        for e in wanted.get((pixel, a, b), ()):
+            c, d = corners[number]
+            slope = float(lines[e] @ (d - c))
+            t = -float(lines[e] @ c) / slope if slope != 0.0 else np.nan
             if parts.span[number, 0] < t < parts.span[number, 1]:
-                cuts.setdefault(number, []).append((t, int(e)))
+                cuts.setdefault(number, []).append((t, e))
     return cuts
 
 
-def _edge_stop(scene: Projected, parts: Parts, e: int) -> IndexArray:
-    ends = scene.topology.ends[parts.edge[e]]
-    return np.array([EDGE, ends[0], ends[1]], np.int32)
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Products of vectors, shape (n, 3); NumPy's own takes longer to find out what it is given."""
+    return np.stack(
+        [
+            a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
+            a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2],
+            a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0],
+        ],
+        axis=-1,
+    )

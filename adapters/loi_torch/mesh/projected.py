@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -24,7 +25,9 @@ class Topology:
     joined : array of int, shape (m, 3)
         The same with corners in one place under one number, so that triangles along a seam are neighbours.
     piece : array of int, shape (m,)
-        The mesh that each triangle is of.
+        The connected part that each triangle is of; only different ones are looked at for where they cut into each other.
+    sheet : array of int, shape (m,)
+        The smooth part that each triangle is of: it ends where colours may jump.
     ends, joined_ends : array of int, shape (e, 2)
         The corners that each edge joins, in the two numberings.
     between : array of int, shape (e, 2)
@@ -38,6 +41,7 @@ class Topology:
     faces: IndexArray
     joined: IndexArray
     piece: IndexArray
+    sheet: IndexArray
     ends: IndexArray
     joined_ends: IndexArray
     between: IndexArray
@@ -90,6 +94,9 @@ class Seen:
         The triangle that hides the edge beyond each end of a part, -1 where the edge leaves the pixel or ends itself.
     crossing_pixel, crossing_sides, crossing_ends : arrays, shapes (g,), (g, 2), (g, 4)
         Parts of lines along which two triangles cut into each other: the ends are x, y, x, y in pixels.
+    beside : callable
+        From numbers of edges and pixels, and points on these edges, 0 to 1 in space, to the triangles on their left and
+        right there, shape (k, 2).
     """
 
     found: IndexArray
@@ -101,3 +108,4 @@ class Seen:
     crossing_pixel: IndexArray
     crossing_sides: IndexArray
     crossing_ends: FloatArray
+    beside: Callable[[IndexArray, IndexArray, FloatArray], IndexArray]

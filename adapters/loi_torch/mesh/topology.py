@@ -49,21 +49,27 @@ def topology_of(faces: IndexArray, places: IndexArray, *, creased: bool) -> Topo
     second = np.minimum(first + 1, max(len(key) - 1, 0))
     pair = count >= 2
     other = np.where(pair, triangle[second], -1)
+    between = np.stack([triangle[first], other], axis=1).astype(np.int32).reshape(-1, 2)
+    linked = between[pair]
     seam = pair & np.any(corners[first] != corners[second], axis=1)
+    always = (count != 2) | seam | creased
+    smooth = between[pair & ~always]
+    piece = _components(len(faces), linked[:, 0], linked[:, 1])
     return Topology(
         faces=np.ascontiguousarray(faces, dtype=np.int32),
         joined=joined,
-        piece=np.zeros(len(faces), np.int32),
+        piece=piece,
+        sheet=_components(len(faces), smooth[:, 0], smooth[:, 1]),
         ends=corners[first].astype(np.int32).reshape(-1, 2),
         joined_ends=ends[first].astype(np.int32).reshape(-1, 2),
-        between=np.stack([triangle[first], other], axis=1).astype(np.int32).reshape(-1, 2),
-        always=(count != 2) | seam | creased,
-        several=False,
+        between=between,
+        always=always,
+        several=bool(piece.any()),
     )
 
 
 def join(parts: Sequence[Topology], counts: Sequence[int]) -> Topology:
-    """Several meshes as one list of triangles, each its own piece; `counts` are their numbers of vertices."""
+    """Several meshes as one list of triangles; `counts` are their numbers of vertices."""
     if len(parts) == 1:
         return parts[0]
     corner = np.append(0, np.cumsum(counts)).astype(np.int32)
@@ -73,16 +79,39 @@ def join(parts: Sequence[Topology], counts: Sequence[int]) -> Topology:
         rows = [getattr(one, name) + np.int32(by) for one, by in zip(parts, shift, strict=False)]
         return np.concatenate(rows) if rows else np.zeros((0, 3), np.int32)
 
+    used = int(sum(one.piece.max(initial=-1) + 1 for one in parts))
     between = [np.where(one.between < 0, -1, one.between + by) for one, by in zip(parts, face, strict=False)]
     return Topology(
         faces=put("faces", corner),
         joined=put("joined", corner),
-        piece=np.concatenate([np.full(len(one.faces), k, np.int32) for k, one in enumerate(parts)])
-        if parts
-        else np.zeros(0, np.int32),
+        piece=_numbered([one.piece for one in parts]),
+        sheet=_numbered([one.sheet for one in parts]),
         ends=put("ends", corner) if parts else np.zeros((0, 2), np.int32),
         joined_ends=put("joined_ends", corner) if parts else np.zeros((0, 2), np.int32),
         between=np.concatenate(between).astype(np.int32) if parts else np.zeros((0, 2), np.int32),
         always=np.concatenate([one.always for one in parts]) if parts else np.zeros(0, np.bool_),
-        several=len(parts) > 1,
+        several=used > 1,
     )
+
+
+def _numbered(parts: Sequence[IndexArray]) -> IndexArray:
+    """Numbers of several meshes, each from 0, as numbers of all of them."""
+    found, used = [np.zeros(0, np.int32)], 0
+    for one in parts:
+        found.append(one + np.int32(used))
+        used += int(one.max(initial=-1)) + 1
+    return np.concatenate(found)
+
+
+def _components(count: int, one: IndexArray, other: IndexArray) -> IndexArray:
+    """The number of the connected part that each of `count` things is of, from 0; pairs of them are connected."""
+    least = np.arange(count)
+    while True:
+        before = least
+        lowest = np.minimum(before[one], before[other])
+        least = before.copy()
+        np.minimum.at(least, one, lowest)
+        np.minimum.at(least, other, lowest)
+        least = least[least]
+        if np.array_equal(least, before):
+            return np.unique(least, return_inverse=True)[1].reshape(-1).astype(np.int32)

@@ -13,13 +13,15 @@ import torch
 from torch import Tensor
 
 from loi_torch.mesh.coverage import ENDS
-from loi_torch.mesh.projected import Projected, Seen
+from loi_torch.mesh.projected import FloatArray, IndexArray, Projected, Seen
 
 __all__ = ["look"]
 
 ASIDE: Final = 1e-6  # as in `visible_loops`
+EDGE_ON: Final = 1e-9
 SAME_DEPTH: Final = 1e-9
 MARGIN: Final = 2e-3
+PAIRED: Final = 24
 HALVINGS: Final = 14
 BATCH: Final = 2**22  # pairs that are looked at together
 
@@ -68,11 +70,25 @@ def look(scene: Projected) -> Seen:
     edge, pixel = edge[shown], pixel[shown]
     crossings = _crossings(triangles, lists, piece, torch.nonzero(crossed)[:, 0], size[1])
     in_space = parts.in_space(on_screen, shown)
+
+    def beside(edge: IndexArray, pixel: IndexArray, at: FloatArray) -> IndexArray:
+        a, b = (corners[ends[torch.as_tensor(edge, dtype=torch.int64), k]] for k in (0, 1))
+        point = a + torch.as_tensor(at)[:, None] * (b - a)
+        x, y = (point[:, :2] / point[:, 2:]).unbind(dim=1)
+        along = b[:, :2] * a[:, 2:] - a[:, :2] * b[:, 2:]
+        nx, ny = (ASIDE * along / torch.linalg.vector_norm(along, dim=1, keepdim=True)).unbind(dim=1)
+        where = torch.as_tensor(pixel, dtype=torch.int64)
+        left = _nearest(triangles, lists, where, x - ny, y + nx)
+        right = _nearest(triangles, lists, where, x + ny, y - nx)
+        found: IndexArray = torch.stack([left, right], dim=1).numpy().astype("int32")
+        return found
+
     return Seen(
         *(
             one.numpy().astype("int32" if one.dtype == torch.int64 else "float64")
             for one in (found, edge, in_space, pixel, sides, beyond, *crossings)
-        )
+        ),
+        beside,
     )
 
 
@@ -86,6 +102,9 @@ def _prepare(
     nearness = (depth[faces][..., None] * edges).sum(dim=1) / det.abs()[:, None]
     w, following = v[..., 2], v.roll(-1, dims=1)
     before = w >= near
+    sides = v[..., :2] / torch.where(before, w, torch.ones_like(w))[..., None]
+    largest = ((sides - sides.roll(-1, dims=1)) ** 2).sum(dim=2).amax(dim=1) * w.prod(dim=1)
+    real = det.abs() > EDGE_ON * torch.where(before.all(dim=1), largest, torch.zeros_like(largest))
     xy = v[..., :2] / torch.where(before, w, torch.ones_like(w))[..., None]
     cut = before != before.roll(-1, dims=1)
     t = (near - w) / torch.where(cut, following[..., 2] - w, torch.ones_like(w))
@@ -95,7 +114,7 @@ def _prepare(
     low = torch.where(known, points, torch.full_like(points, torch.inf)).amin(dim=1) - MARGIN
     high = torch.where(known, points, torch.full_like(points, -torch.inf)).amax(dim=1) + MARGIN
     height, width = size
-    drawn = (det.abs() > 0.0) & before.any(dim=1) & (high > 0.0).all(dim=1) & (low[:, 0] < width) & (low[:, 1] < height)
+    drawn = real & before.any(dim=1) & (high > 0.0).all(dim=1) & (low[:, 0] < width) & (low[:, 1] < height)
     box = torch.stack(
         [
             low[:, 0].clamp(0.0, width),
@@ -105,7 +124,7 @@ def _prepare(
         ],
         dim=1,
     ).to(torch.int64)
-    facing = torch.where(before.any(dim=1), torch.sign(det), torch.zeros_like(det))
+    facing = torch.where(real & before.any(dim=1), torch.sign(det), torch.zeros_like(det))
     return Triangles(drawn, edges, nearness, facing, box, most)
 
 
@@ -274,7 +293,11 @@ def _list(triangles: Triangles, wanted: Tensor, size: tuple[int, int]) -> Lists:
 def _nearest(triangles: Triangles, lists: Lists, pixel: Tensor, x: Tensor, y: Tensor) -> Tensor:
     """The triangle that is nearest at points of pixels, or -1."""
     first = lists.first[pixel]
-    owner, place = _spread(lists.first[pixel + 1] - first)
+    count = lists.first[pixel + 1] - first
+    if int(count.sum()) > BATCH and len(pixel) > 1:
+        halves = zip(pixel.chunk(2), x.chunk(2), y.chunk(2), strict=True)
+        return torch.cat([_nearest(triangles, lists, *half) for half in halves])
+    owner, place = _spread(count)
     triangle = lists.triangle[first[owner] + place]
     hit, near = _hits(triangles, triangle, x[owner], y[owner])
     return _first_nearest(owner[hit], near[hit], triangle[hit], len(pixel))
@@ -377,13 +400,13 @@ def _crossings(
     triangles: Triangles, lists: Lists, piece: Tensor, pixels: Tensor, width: int
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Where triangles of two pieces cut into each other, and it shows: pixels, sides, ends."""
-    first = lists.first[pixels]
-    count = lists.first[pixels + 1] - first
+    first, listed = _nearest_few(triangles, lists, pixels, width)
+    count = (lists.first[pixels + 1] - lists.first[pixels]).clamp(max=PAIRED)
     owner, place = _spread(count * count)
     i, j = torch.div(place, count[owner], rounding_mode="floor"), place % count[owner].clamp(min=1)
     below = i < j
     owner, i, j = owner[below], i[below], j[below]
-    t, u = lists.triangle[first[owner] + i], lists.triangle[first[owner] + j]
+    t, u = listed[first[owner] + i], listed[first[owner] + j]
     apart = piece[t] != piece[u]
     pixel, t, u = pixels[owner[apart]], t[apart], u[apart]
     plane = triangles.nearness[t] - triangles.nearness[u]
@@ -419,6 +442,19 @@ def _crossings(
     )
     ends = torch.stack([px + low * dx, py + low * dy, px + high * dx, py + high * dy], dim=1)
     return pixel[shown], torch.stack([t, u], dim=1)[shown], ends[shown]
+
+
+def _nearest_few(triangles: Triangles, lists: Lists, pixels: Tensor, width: int) -> tuple[Tensor, Tensor]:
+    """Of each pixel where its list begins in another table, in which those come first that may be nearest."""
+    owner, place = _spread(lists.first[pixels + 1] - lists.first[pixels])
+    triangle = lists.triangle[lists.first[pixels][owner] + place]
+    plane, pixel = triangles.nearness[triangle], pixels[owner]
+    x, y = pixel % width + 0.5, torch.div(pixel, width, rounding_mode="floor") + 0.5
+    most = plane[:, 0] * x + plane[:, 1] * y + plane[:, 2] + (0.5 + MARGIN) * plane[:, :2].abs().sum(dim=1)
+    order = torch.argsort(-most, stable=True)
+    order = order[torch.argsort(owner[order], stable=True)]
+    count = torch.bincount(owner, minlength=len(pixels))
+    return torch.cumsum(count, 0) - count, triangle[order]
 
 
 def _both(triangles: Triangles, t: Tensor, u: Tensor) -> tuple[Any, Any]:

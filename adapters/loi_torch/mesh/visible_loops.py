@@ -15,13 +15,15 @@ import numpy as np
 
 from loi_core.method.compiled.compiling import compiled_as_written
 from loi_torch.mesh.coverage import ENDS
-from loi_torch.mesh.projected import Projected, Seen
+from loi_torch.mesh.projected import FloatArray, IndexArray, Projected, Seen
 
 __all__ = ["look"]
 
 ASIDE: Final = 1e-6  # pixels from an edge at which its two sides are looked at
+EDGE_ON: Final = 1e-9  # of the square of its longest side: twice the area of a triangle that counts as seen edge-on
 SAME_DEPTH: Final = 1e-9  # relative: surfaces this near to each other touch
 MARGIN: Final = 2e-3  # pixels by which lists of a pixel's triangles look beyond it
+PAIRED: Final = 24  # of a pixel's triangles, the nearest, that are looked at for where they cut into each other
 HALVINGS: Final = 14  # of the part of an edge within a pixel, to find where it comes to light
 
 
@@ -41,7 +43,9 @@ class Lists(NamedTuple):
 
     slot: Any  # (H * W,) int32: the pixel's list, or -1
     first: Any  # (k + 1,) int64
-    triangle: Any  # int32
+    triangle: Any  # int32; of each list those that may be nearest come first
+    pixel: Any  # of each list, int32
+    width: int  # of the image
 
 
 class Line(NamedTuple):
@@ -79,6 +83,22 @@ def _cross(u: Any, v: Any, out: Any) -> None:
 
 
 @compiled_as_written
+def _largest(corners: Any, face: Any, near: float) -> float:
+    """The square of a triangle's longest side, times its corners' w: its volume is at most about this.
+
+    Which way a triangle faces that is seen edge-on would be decided by rounding. 0 for triangles through the near plane.
+    """
+    longest = 0.0
+    for j in range(3):
+        a, b = corners[face[j]], corners[face[(j + 1) % 3]]
+        if a[2] < near:
+            return 0.0
+        if b[2] >= near:
+            longest = max(longest, (a[0] / a[2] - b[0] / b[2]) ** 2 + (a[1] / a[2] - b[1] / b[2]) ** 2)
+    return longest * corners[face[0], 2] * corners[face[1], 2] * corners[face[2], 2]
+
+
+@compiled_as_written
 def _prepare(corners: Any, depth: Any, faces: Any, height: int, width: int, near: float, most: float) -> Triangles:
     count = len(faces)
     drawn = np.zeros(count, np.bool_)
@@ -94,7 +114,7 @@ def _prepare(corners: Any, depth: Any, faces: Any, height: int, width: int, near
         _cross(corners[i2], corners[i0], edges[k, 1])
         _cross(corners[i0], corners[i1], edges[k, 2])
         det = corners[i0, 0] * edges[k, 0, 0] + corners[i0, 1] * edges[k, 0, 1] + corners[i0, 2] * edges[k, 0, 2]
-        if not abs(det) > 0.0:
+        if not abs(det) > EDGE_ON * _largest(corners, faces[k], near):
             continue
         if det < 0.0:
             edges[k] = -edges[k]
@@ -249,9 +269,18 @@ def _touches(e: Any, x: float, y: float) -> bool:
 
 
 @compiled_as_written
+def _most_near(plane: Any, x: float, y: float) -> float:
+    """At least the most nearness of a triangle's plane within the pixel with its centre at (x, y)."""
+    half = 0.5 + MARGIN
+    most = plane[0] * x + plane[1] * y + plane[2] + half * (abs(plane[0]) + abs(plane[1]))
+    return float(most + 1e-12 * abs(most))
+
+
+@compiled_as_written
 def _list(triangles: Triangles, wanted: Any, height: int, width: int) -> Lists:
     """Lists of the triangles in the wanted pixels."""
     slot = np.full(height * width, -1, np.int32)
+    pixel_of = np.empty(height * width, np.int32)
     # Of each row, how many wanted pixels lie before each column: boxes without any are skipped.
     before = np.zeros((height, width + 1), np.int32)
     count = 0
@@ -260,6 +289,7 @@ def _list(triangles: Triangles, wanted: Any, height: int, width: int) -> Lists:
         before[row, column + 1] = before[row, column]
         if wanted[pixel]:
             slot[pixel] = count
+            pixel_of[count] = pixel
             count += 1
             before[row, column + 1] += 1
     first = np.zeros(count + 1, np.int64)
@@ -285,23 +315,33 @@ def _list(triangles: Triangles, wanted: Any, height: int, width: int) -> Lists:
                             place[one] += 1
                         else:
                             first[one + 1] += 1
-    return Lists(slot, first, listed)
+    for k in range(count):
+        own = listed[first[k] : first[k + 1]]
+        bound = np.empty(len(own))
+        pixel = pixel_of[k]
+        for j in range(len(own)):
+            bound[j] = -_most_near(triangles.nearness[own[j]], pixel % width + 0.5, pixel // width + 0.5)
+        listed[first[k] : first[k + 1]] = own[np.argsort(bound, kind="mergesort")]
+    return Lists(slot, first, listed, pixel_of, width)
 
 
 @compiled_as_written
 def _nearest(triangles: Triangles, lists: Lists, one: int, x: float, y: float) -> int:
     """The triangle that is nearest at a point of the pixel with list `one`, or -1."""
     found, nearest = -1, -math.inf
+    middle_x, middle_y = lists.pixel[one] % lists.width + 0.5, lists.pixel[one] // lists.width + 0.5
     for place in range(lists.first[one], lists.first[one + 1]):
         k = lists.triangle[place]
         e, n = triangles.edges[k], triangles.nearness[k]
+        if _most_near(n, middle_x, middle_y) < nearest:
+            break  # as are all that follow
         if (
             e[0, 0] * x + e[0, 1] * y + e[0, 2] >= 0.0
             and e[1, 0] * x + e[1, 1] * y + e[1, 2] >= 0.0
             and e[2, 0] * x + e[2, 1] * y + e[2, 2] >= 0.0
         ):
             near = n[0] * x + n[1] * y + n[2]
-            if near > nearest and near <= triangles.most:
+            if near <= triangles.most and (near > nearest or (near == nearest and k < found)):
                 found, nearest = k, near
     return found
 
@@ -408,8 +448,9 @@ def _crossings(triangles: Triangles, lists: Lists, piece: Any, wanted: Any, widt
         if not wanted[pixel] or one < 0:
             continue
         x, y = pixel % width + 0.5, pixel // width + 0.5
-        for i in range(lists.first[one], lists.first[one + 1]):
-            for j in range(i + 1, lists.first[one + 1]):
+        last = min(lists.first[one + 1], lists.first[one] + PAIRED)
+        for i in range(lists.first[one], last):
+            for j in range(i + 1, last):
                 t, u = lists.triangle[i], lists.triangle[j]
                 if piece[t] == piece[u]:
                     continue
@@ -545,27 +586,52 @@ def _look(
         cross_pixels[:crosses],
         cross_sides[:crosses],
         cross_ends[:crosses],
+        triangles,
+        lists,
     )
+
+
+@compiled_as_written
+def _beside_edges(corners: Any, ends: Any, triangles: Triangles, lists: Lists, edge: Any, pixel: Any, at: Any) -> Any:
+    found = np.full((len(edge), 2), -1, np.int32)
+    for k in range(len(edge)):
+        one = lists.slot[pixel[k]]
+        a, b = corners[ends[edge[k], 0]], corners[ends[edge[k], 1]]
+        w = a[2] + at[k] * (b[2] - a[2])
+        x, y = (a[0] + at[k] * (b[0] - a[0])) / w, (a[1] + at[k] * (b[1] - a[1])) / w
+        # The edge's direction on the screen, whatever the sign of w at its ends.
+        dx, dy = b[0] * a[2] - a[0] * b[2], b[1] * a[2] - a[1] * b[2]
+        length = math.hypot(dx, dy)
+        if one < 0 or not length > 0.0:
+            continue
+        nx, ny = -ASIDE * dy / length, ASIDE * dx / length
+        found[k, 0] = _nearest(triangles, lists, one, x + nx, y + ny)
+        found[k, 1] = _nearest(triangles, lists, one, x - nx, y - ny)
+    return found
 
 
 def look(scene: Projected) -> Seen:
     """What is seen of a projected scene."""
     shape, view = scene.topology, scene.view
-    return Seen(
-        *_look(
-            scene.corners,
-            scene.depth,
-            shape.faces,
-            shape.joined,
-            shape.piece,
-            shape.ends,
-            shape.joined_ends,
-            shape.between,
-            shape.always,
-            view.height,
-            view.width,
-            view.near,
-            view.most,
-            shape.several,
-        )
+    *seen, triangles, lists = _look(
+        scene.corners,
+        scene.depth,
+        shape.faces,
+        shape.joined,
+        shape.piece,
+        shape.ends,
+        shape.joined_ends,
+        shape.between,
+        shape.always,
+        view.height,
+        view.width,
+        view.near,
+        view.most,
+        shape.several,
     )
+
+    def beside(edge: IndexArray, pixel: IndexArray, at: FloatArray) -> IndexArray:
+        found: IndexArray = _beside_edges(scene.corners, shape.ends, triangles, lists, edge, pixel, at)
+        return found
+
+    return Seen(*seen, beside)

@@ -7,12 +7,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from examples.paper.pages import fill
+from examples.paper.pictures import contact_sheet, convergence_plot
+from examples.paper.runner import carry_out_all
+from examples.paper.store import slug
 from examples.paper.table1.extent import ABLATED, FEW, PARTS, SEEDS, Extent
-from examples.paper.table1.pictures import contact_sheet, convergence_plot
-from examples.paper.table1.problem import COLUMNS, HARDER, Column
-from examples.paper.table1.runner import carry_out_all
+from examples.paper.table1.problem import COLUMNS, HARDER, Column, Image, Problem
+from examples.paper.table1.run import CURVE_STEPS, Run, carry_out
 from examples.paper.table1.settings import LABELS, PROTOCOLS
-from examples.paper.table1.store import slug
 from examples.paper.table1.tables import csv_of, table_of
 from examples.paper.table1.tuning import tuning_table
 from loi_core.errors import OptionError
@@ -56,7 +57,7 @@ def main(words: Sequence[str] | None = None) -> None:
         parser.error(str(error))
     runs = options.out / "runs"
     for part in () if options.report else extent.tables.values():
-        carry_out_all(part.runs, runs, options.processes)
+        carry_out_all(part.runs, carry_out, runs, options.processes)
         report(extent, runs, options.out)
     print("\n".join(report(extent, runs, options.out)))
     if options.docs:
@@ -87,7 +88,15 @@ def draw(extent: Extent, runs: Path, folder: Path) -> None:
     for name, part in extent.tables.items():
         for column in part.columns:
             one = name if name.endswith(column.name) else f"{name}-{column.name}"
-            contact_sheet(folder / f"{slug(one)}.png", runs, part.at(column))
+            contact_sheet(folder / f"{slug(one)}.png", runs, part.at(column), _target)
         if name in PROTOCOLS or name == "harder":
-            panels = {column.name: part.at(column) for column in part.columns}
-            convergence_plot(folder / f"{name}-convergence.png", runs, panels)
+            panels = {_title(column): part.at(column) for column in part.columns}
+            convergence_plot(folder / f"{name}-convergence.png", runs, panels, CURVE_STEPS)
+
+
+def _target(run: Run) -> Image:
+    return Problem.of(run.column, run.seed).target
+
+
+def _title(column: Column) -> str:
+    return f"{column.name} disks" if column.name.isdigit() else column.name

@@ -35,6 +35,11 @@ class Run:
     column: Column
     seed: int
 
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """What it is filed under."""
+        return self.setting.name, self.setting.method, self.column.name
+
 
 @dataclass(frozen=True)
 class Outcome:

@@ -7,11 +7,11 @@ import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from examples.paper.table1.means import Mean
+from examples.paper.means import Mean
+from examples.paper.store import load
 from examples.paper.table1.problem import COLUMNS, Column
 from examples.paper.table1.published import PAPER
 from examples.paper.table1.run import Run
-from examples.paper.table1.store import load
 from loi_core.support.markdown import markdown
 
 __all__ = ["csv_of", "table_of"]

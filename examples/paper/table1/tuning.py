@@ -9,10 +9,10 @@ from typing import Final
 
 import numpy as np
 
+from examples.paper.store import load
 from examples.paper.table1.problem import COLUMNS
 from examples.paper.table1.run import Run
 from examples.paper.table1.settings import OURS, Method
-from examples.paper.table1.store import load
 from loi_core.support.markdown import markdown
 
 __all__ = ["tuning_runs", "tuning_table"]

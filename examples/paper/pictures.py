@@ -4,20 +4,20 @@ from __future__ import annotations
 
 import io
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from PIL import Image, ImageDraw
 
-from examples.paper.table1.problem import Problem
-from examples.paper.table1.run import CURVE_STEPS, Run
-from examples.paper.table1.store import load, picture_path
+from examples.paper.store import Run, load, picture_path
 from loi_core.io.files import write_bytes
 from loi_core.report.plots import new_figure
 
 __all__ = ["contact_sheet", "convergence_plot"]
+
+Made = TypeVar("Made", bound=Run)
 
 GAP = 4
 GUTTER = 132  # left of the pictures, for the names
@@ -28,16 +28,16 @@ BACK = (24, 24, 27)
 INK = (228, 228, 231)
 
 
-def contact_sheet(path: Path, folder: Path, rows: Mapping[str, Sequence[Run]]) -> None:
-    """Every run's final image with its PSNR, a row for each name; the target stands first in each."""
+def contact_sheet(path: Path, folder: Path, rows: Mapping[str, Sequence[Made]], target: Callable[[Made], Any]) -> None:
+    """Every run's final image with its PSNR, a row for each name; what `target` gives of its runs stands first."""
     widest = max(map(len, rows.values())) + 1
     sheet = Image.new("RGB", (GUTTER + widest * (CELL + GAP), len(rows) * (CELL + STRIP + GAP)), BACK)
     draw = ImageDraw.Draw(sheet)
     for line, (name, runs) in enumerate(rows.items()):
         top = line * (CELL + STRIP + GAP) + GAP
         draw.text((GAP, top + CELL // 3), textwrap.fill(name, LETTERS), fill=INK)
-        target = np.rint(255.0 * np.clip(Problem.of(runs[0].column, runs[0].seed).target, 0.0, 1.0)).astype(np.uint8)
-        sheet.paste(Image.fromarray(target).resize((CELL, CELL), Image.Resampling.BOX), (GUTTER, top))
+        wanted = np.rint(255.0 * np.clip(target(runs[0]), 0.0, 1.0)).astype(np.uint8)
+        sheet.paste(Image.fromarray(wanted).resize((CELL, CELL), Image.Resampling.BOX), (GUTTER, top))
         draw.text((GUTTER, top + CELL + 1), "target", fill=INK)
         for number, run in enumerate(runs, 1):
             record = load(folder, run)
@@ -53,8 +53,11 @@ def contact_sheet(path: Path, folder: Path, rows: Mapping[str, Sequence[Run]]) -
     write_bytes(path, stream.getvalue())
 
 
-def convergence_plot(path: Path, folder: Path, panels: Mapping[str, Mapping[str, Sequence[Run]]]) -> None:
-    """Mean squared error by step, a panel for each column and a line for each method: geometric mean over seeds."""
+def convergence_plot(path: Path, folder: Path, panels: Mapping[str, Mapping[str, Sequence[Run]]], apart: int) -> None:
+    """Mean squared error by step, a panel for each name and a line for each method: geometric mean over seeds.
+
+    Between two points of a curve are `apart` steps.
+    """
     figure = new_figure(3.1 * len(panels), 3.2)
     axes: Any = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
     for place, (column, lines) in zip(axes, panels.items(), strict=True):
@@ -62,9 +65,9 @@ def convergence_plot(path: Path, folder: Path, panels: Mapping[str, Mapping[str,
             curves = [record["curve"] for run in runs if (record := load(folder, run)) is not None]
             if curves:
                 mean = np.mean(curves, axis=0)
-                steps = CURVE_STEPS * np.arange(len(mean))
+                steps = apart * np.arange(len(mean))
                 place.plot(steps, 10.0 ** (-mean / 10.0), label=name)
-        place.set(title=f"{column} disks" if column.isdigit() else column, xlabel="step", yscale="log")
+        place.set(title=column, xlabel="step", yscale="log")
         place.grid(visible=True, alpha=0.25)
         place.spines[["top", "right"]].set_visible(False)
     axes[0].set_ylabel("mean squared error")

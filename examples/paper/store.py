@@ -6,21 +6,35 @@ import dataclasses
 import json
 import re
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol
 
-from examples.paper.table1.run import Outcome, Run
 from loi_core.io.files import write_text
 from loi_core.io.images import write_png
 
-__all__ = ["is_done", "keep", "load", "picture_path", "slug"]
+__all__ = ["Run", "is_done", "keep", "load", "picture_path", "slug"]
 
 
-def keep(folder: Path, run: Run, outcome: Outcome) -> None:
-    """Write the picture, then the record, each whole or not at all: a record says that the run is done."""
+class Run(Protocol):
+    """One fit of a table. Its ``repr`` has all that it depends on: a change of any of it makes it another run."""
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """What it is filed under: its setting, its method and its column, as names."""
+
+    @property
+    def seed(self) -> int:
+        """Of its start."""
+
+
+def keep(folder: Path, run: Run, outcome: Any) -> None:
+    """Write the picture, then the record, each whole or not at all: a record says that the run is done.
+
+    `outcome` is a dataclass of numbers and an ``image``.
+    """
     write_png(picture_path(folder, run), outcome.image)
-    numbers = {field.name: getattr(outcome, field.name) for field in dataclasses.fields(Outcome)}
+    numbers = {field.name: getattr(outcome, field.name) for field in dataclasses.fields(outcome)}
     del numbers["image"]
-    record = {"run": _told(run), **numbers}
+    record = {"run": repr(run), **numbers}
     write_text(_record_path(folder, run), json.dumps(record) + "\n")
 
 
@@ -35,7 +49,7 @@ def load(folder: Path, run: Run) -> dict[str, Any] | None:
         record: dict[str, Any] = json.loads(_record_path(folder, run).read_text(encoding="utf-8"))
     except (FileNotFoundError, json.JSONDecodeError):
         return None
-    return record if record.get("run") == _told(run) else None
+    return record if record.get("run") == repr(run) else None
 
 
 def picture_path(folder: Path, run: Run) -> Path:
@@ -44,15 +58,9 @@ def picture_path(folder: Path, run: Run) -> Path:
 
 
 def _record_path(folder: Path, run: Run) -> Path:
-    parts = [run.setting.name, run.setting.method, run.column.name]
-    return folder.joinpath(*map(slug, parts), f"{run.seed:03d}.json")
+    return folder.joinpath(*map(slug, run.parts), f"{run.seed:03d}.json")
 
 
 def slug(name: str) -> str:
     """`name` as a file's: small letters, digits and dashes."""
     return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")
-
-
-def _told(run: Run) -> str:
-    """All of what a run depends on, in words: a change of any of it makes it another run."""
-    return repr(run)

@@ -1,0 +1,31 @@
+"""The objective of each setting."""
+
+from __future__ import annotations
+
+import torch
+
+from examples.paper.table3.problem import FloatArray
+from examples.paper.table3.settings import OUR_SCALES, PAPER_SCALES, Setting
+from loi_core import LOIObjective
+from loi_core.objectives import MSSSIM, GaussianPyramid, Objective, PixelL2
+from loi_torch.lpips import LPIPS
+from loi_torch.rgbxy import RGBXY
+
+__all__ = ["objective"]
+
+INTERVAL = 6  # visits of a view between two matchings
+
+
+def objective(setting: Setting, target: FloatArray) -> Objective:
+    """The objective of a setting, for one view."""
+    wanted = torch.as_tensor(target, dtype=torch.float32)
+    if setting.method == "loi":
+        scales = PAPER_SCALES if setting.name == "published" else OUR_SCALES
+        return LOIObjective(wanted, scales, accuracy="balanced")
+    if setting.method in ("rgbxy", "rgbxy_finetune"):
+        return RGBXY(wanted, grid=setting.grid, interval=INTERVAL)
+    if setting.method == "gaussian_pyramid":
+        return GaussianPyramid(wanted)
+    if setting.method == "ms_ssim":
+        return MSSSIM(wanted)
+    return PixelL2(wanted) if setting.method == "pixel_l2" else LPIPS(wanted, "alex")

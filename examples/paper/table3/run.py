@@ -1,0 +1,167 @@
+"""One fit, and what it came to."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+import torch
+
+from examples.paper.table3.objectives import objective
+from examples.paper.table3.problem import Column, FloatArray, Problem, image_of
+from examples.paper.table3.settings import Setting
+from loi_core import fit
+from loi_core.fitting.adam import Adam
+from loi_core.fitting.loop import FitStep, Free
+from loi_core.fitting.optimiser import Memory
+from loi_core.objectives import MSSSIM
+from loi_core.renderers.contract import Parameters
+
+__all__ = ["CURVE_STEPS", "Outcome", "Run", "carry_out"]
+
+CURVE_STEPS: Final = 10  # between two points of a convergence curve
+STEP_DECAY: Final = 0.999
+COSINE_END: Final = 1e-3
+
+
+@dataclass(frozen=True)
+class Run:
+    """One fit of the table: how, of what, and from which start."""
+
+    setting: Setting
+    column: Column
+    seed: int
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """What it is filed under."""
+        return f"{self.setting.name} {self.setting.rate:g}", self.setting.method, self.column.name
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a run came to.
+
+    Attributes
+    ----------
+    psnr, ssim : float
+        Of all views at the last parameters, drawn with smooth outlines; dB for a peak of 1.
+    mae : float
+        Mean absolute error of the parameters, in world units, radians and shares of 1.
+    seconds : float
+        Of the fit; what else the machine did is in it.
+    curve : tuple of float
+        PSNR of the view that is seen in every tenth step.
+    image : array, shape (side, side, 3)
+        The first view at the end.
+    """
+
+    psnr: float
+    ssim: float
+    mae: float
+    seconds: float
+    curve: tuple[float, ...]
+    image: FloatArray
+
+
+class _Decaying(Adam):
+    """Adam whose rate is a function of how many steps have been done, in all fits together."""
+
+    def __init__(self, setting: Setting, done: int) -> None:
+        self._setting, self._done = setting, done
+
+    def step(
+        self, params: Parameters, gradient: Parameters, memory: Memory, rates: Mapping[str, float]
+    ) -> tuple[Parameters, Memory]:
+        done = self._done + int(memory["count"])
+        if self._setting.decay == "step":
+            share = STEP_DECAY**done
+        else:
+            turn = np.cos(np.pi * done / self._setting.steps)
+            share = COSINE_END + (1.0 - COSINE_END) * 0.5 * (1.0 + float(turn))
+        return super().step(params, gradient, memory, {name: share * rate for name, rate in rates.items()})
+
+    def identity(self, params: Parameters) -> str:  # noqa: ARG002  # as in Adam
+        return f"Adam with the rate of {self._setting!r} after {self._done} steps"
+
+
+def carry_out(run: Run) -> Outcome:
+    """Fit, and measure the last iterate."""
+    torch.set_num_threads(1)
+    setting = run.setting
+    problem = Problem.of(run.column, run.seed)
+    params = {name: torch.as_tensor(value, dtype=torch.float32) for name, value in problem.start.items()}
+    curve: list[float] = []
+    last = round(setting.steps * setting.finish)
+    done = 0
+    started = time.perf_counter()
+    for method, steps in ((setting.method, setting.steps - last), ("pixel_l2", last)):
+        if steps:
+            part = replace(setting, method=method)
+            params = _part(part, problem, params, steps, done, curve)
+            done += steps
+    seconds = time.perf_counter() - started
+    found = {name: value.numpy() for name, value in params.items()}
+    images = {name: image_of(view, found) for name, view in problem.views.items()}
+    error = np.mean([np.mean((images[name] - wanted) ** 2) for name, wanted in problem.targets.items()])
+    ssim = np.mean([_structure(images[name], wanted) for name, wanted in problem.targets.items()])
+    return Outcome(
+        _decibels(float(error)),
+        float(ssim),
+        _parameter_error(problem, found),
+        seconds,
+        tuple(round(one, 3) for one in curve[::CURVE_STEPS]),
+        next(iter(images.values())),
+    )
+
+
+def _part(
+    setting: Setting, problem: Problem, start: Parameters, steps: int, done: int, curve: list[float]
+) -> Parameters:
+    """The parameters after some steps of one objective."""
+    matching = setting.method in ("rgbxy", "rgbxy_finetune")
+    views = problem.places if matching else problem.views
+    shown: dict[str, Any] = {}
+
+    def note(_: FitStep, __: Parameters, images: Any) -> None:
+        shown.update(images)
+        name, image = next(iter(images.items()))
+        curve.append(_decibels(float(np.mean((image.numpy()[..., :3] - problem.targets[name]) ** 2))))
+
+    result = fit(
+        views,
+        {name: objective(setting, target) for name, target in problem.targets.items()},
+        steps=steps,
+        seed=done,
+        decay="none",
+        stages=None,
+        optimise={name: Free(value, learning_rate=setting.rate * problem.unit(name)) for name, value in start.items()},
+        optimiser=_Decaying(setting, done),
+        views_per_step=1,
+        callback=note,
+    )
+    return result.params
+
+
+def _structure(image: FloatArray, target: FloatArray) -> float:
+    """SSIM with Gaussian windows (Wang et al. 2004), 1 for equal images."""
+    return 1.0 - float(MSSSIM(target.astype(np.float64), levels=1).value(image.astype(np.float64)))
+
+
+def _decibels(error: float) -> float:
+    return -10.0 * float(np.log10(max(error, 1e-15)))
+
+
+def _parameter_error(problem: Problem, found: Mapping[str, Any]) -> float:
+    """Mean absolute error of all numbers, each in its unit; angles as near as a turn allows."""
+    off = []
+    for name, value in found.items():
+        unit = problem.unit(name)
+        difference = (np.asarray(value, dtype=np.float64) - problem.goal[name]) / unit
+        if unit != 1.0:
+            difference = np.abs((difference + np.pi) % (2.0 * np.pi) - np.pi)
+        off.append(np.abs(difference).ravel())
+    return float(np.mean(np.concatenate(off)))

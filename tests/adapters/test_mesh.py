@@ -1,0 +1,475 @@
+"""Meshes on torch: areas are exact, gradients are those of the image, and nothing degenerate is a NaN."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from torch import Tensor
+
+from loi_core import ProjectingRenderer, available_renderers
+from loi_core.errors import OptionError, ParameterError
+from loi_core.testing import RendererSubject, parametrize_with_checks
+from loi_torch.mesh import (
+    Camera,
+    Environment,
+    Light,
+    Material,
+    Mesh,
+    MeshRenderer,
+    Rotate,
+    Scale,
+    Translate,
+    box,
+    draw,
+    draw_places,
+    drawing,
+    quad,
+    sphere,
+    visible_arrays,
+    visible_loops,
+)
+from tests.helpers import Host
+from tests.strategies import SEEDS
+
+SIZE = 24
+FRONT = Camera((0.5 * SIZE, -0.5 * SIZE, 10.0), (0.5 * SIZE, -0.5 * SIZE, 0.0), extent=SIZE)
+"""One unit is a pixel, and (x, -y) of the world is (x, y) of the image."""
+VIEW = Camera((0.13, 0.4, 5.0))
+LIT = [Light()]
+
+
+def flat(points: Any, depth: float = 0.0, **options: Any) -> Mesh:
+    """A triangle, or several of three points each, in pixels of `FRONT`."""
+    points = np.reshape(points, (-1, 2))
+    corners = np.column_stack([points[:, 0], -points[:, 1], np.full(len(points), depth)])
+    return Mesh(corners, np.arange(len(points)).reshape(-1, 3), **{"colours": (1.0, 1.0, 1.0), **options})
+
+
+def clipped_area(triangle: Host, row: int, column: int) -> float:
+    """The area of a triangle within a pixel, by cutting the polygon at the pixel's sides (Sutherland and Hodgman)."""
+    points = list(triangle)
+    for axis, limit, sign in ((0, column, 1), (0, column + 1, -1), (1, row, 1), (1, row + 1, -1)):
+        kept = []
+        for k, point in enumerate(points):
+            before = points[k - 1]
+            inside, was = (sign * (one[axis] - limit) >= 0 for one in (point, before))
+            if inside != was:
+                kept.append(before + (limit - before[axis]) / (point[axis] - before[axis]) * (point - before))
+            if inside:
+                kept.append(point)
+        points = kept
+    if not points:
+        return 0.0
+    x, y = np.array(points).T
+    return 0.5 * abs(float(np.sum(x * np.roll(y, -1) - y * np.roll(x, -1))))
+
+
+def crossing(params: Any) -> list[Mesh]:
+    """A sphere that a turned box with sides of different colours runs into."""
+    colours = np.array([[1, 0.2, 0.1], [0.1, 0.9, 0.2], [0.2, 0.3, 1], [1, 1, 0.1], [0.1, 1, 1], [1, 0.2, 1]])
+    ball = sphere(0.7, subdivisions=2, colours=(0.9, 0.6, 0.3), material=Material(specular=0.0))
+    cube = box((1.2, 1.2, 1.2), colours=np.repeat(colours, 2, axis=0), per="triangle")
+    turn = torch.tensor([[0.8, -0.6, 0.0], [0.48, 0.64, -0.6], [0.36, 0.48, 0.8]], dtype=torch.float64)
+    return [
+        replace(ball, vertices=ball.vertices + params[:3]),
+        replace(cube, vertices=cube.vertices @ turn.T + params[3:]),
+    ]
+
+
+PLACES = torch.tensor([0.3, 0.1, 0.1, -0.25, 0.05, -0.1], dtype=torch.float64)
+
+
+def slopes(paint: Callable[[Tensor], Tensor], start: Tensor, weights: Tensor, step: float) -> tuple[Host, Host]:
+    """The gradient of a weighted sum over the image, and central differences."""
+    leaf = start.clone().requires_grad_()
+    (paint(leaf) * weights).sum().backward()
+    assert leaf.grad is not None
+    found = []
+    for k in range(len(start)):
+        aside = step * torch.eye(len(start), dtype=torch.float64)[k]
+        found.append(float(((paint(start + aside) - paint(start - aside)) * weights).sum() / (2.0 * step)))
+    return leaf.grad.numpy(), np.array(found)
+
+
+def smooth_weights(side: int, seed: int = 0) -> Tensor:
+    coarse = torch.from_numpy(np.random.default_rng(seed).normal(size=(1, 3, 6, 6)))
+    return torch.nn.functional.interpolate(coarse, (side, side), mode="bicubic")[0].movedim(0, 2)
+
+
+# What is covered.
+
+
+@given(SEEDS, st.sampled_from([0.3, 1.5, 8.0]))
+@settings(max_examples=25)
+def test_a_triangle_covers_its_exact_area_of_every_pixel(seed: int, size: float) -> None:
+    rng = np.random.default_rng(seed)
+    triangle = rng.uniform(6.0, 18.0, 2) + rng.normal(0.0, size, (3, 2))
+    image = draw([flat(triangle)], FRONT, SIZE, SIZE).numpy()
+    exact = [[clipped_area(triangle, row, column) for column in range(SIZE)] for row in range(SIZE)]
+    np.testing.assert_allclose(image, np.repeat(np.array(exact)[..., None], 3, axis=2), atol=2e-4)
+
+
+@given(SEEDS)
+@settings(max_examples=15)
+def test_the_brightness_of_a_shape_does_not_depend_on_where_it_lies_between_pixels(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    ball = sphere(5.3, subdivisions=3, colours=(1.0, 1.0, 1.0))
+    place = rng.uniform([9.0, -15.0, -1.0], [15.0, -9.0, 1.0])
+    sums = [
+        float(draw([replace(ball, vertices=ball.vertices + torch.as_tensor(at))], FRONT, SIZE, SIZE).sum())
+        for at in (place, place + np.append(rng.uniform(-1.0, 1.0, 2), 0.0))
+    ]
+    assert sums[1] == pytest.approx(sums[0], rel=2e-6)
+
+
+@pytest.mark.parametrize("shift", [0.0, 0.5, 0.25])
+def test_edges_along_borders_and_through_centres_of_pixels_are_exact_too(shift: float) -> None:
+    square = np.array([[8, 8], [16, 8], [16, 16], [8, 8], [16, 16], [8, 16]]) + shift
+    image = draw([flat(square)], FRONT, SIZE, SIZE)[..., 0].numpy()
+    line = np.clip(np.minimum(np.arange(SIZE) + 1, 16 + shift) - np.maximum(np.arange(SIZE), 8 + shift), 0.0, 1.0)
+    np.testing.assert_allclose(image, np.outer(line, line), atol=1e-6)
+
+
+def test_between_triangles_of_a_mesh_there_is_neither_gap_nor_overlap() -> None:
+    rng = np.random.default_rng(0)
+    inner = rng.uniform(2.0, 22.0, 2)
+    ring = [(0, 0), (24, 0), (24, 24), (0, 24)]
+    fan = [(ring[k], ring[(k + 1) % 4], inner) for k in range(4)]
+    image = draw([flat(fan)], FRONT, SIZE, SIZE)
+    np.testing.assert_allclose(image.numpy(), 1.0, atol=1e-12)
+
+
+@given(SEEDS)
+@settings(max_examples=10)
+def test_the_image_is_that_of_a_plain_depth_buffer_away_from_edges(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    corners, colours = rng.uniform(0.0, SIZE, (8, 3, 2)), rng.uniform(size=(8, 3))
+    depths = rng.uniform(-2.0, 2.0, (8, 3))
+    triangles = np.concatenate([corners * [1, -1], depths[..., None]], axis=2).reshape(-1, 3)
+    soup = Mesh(triangles, np.arange(24).reshape(8, 3), colours=colours, per="triangle")
+    image = draw([soup], FRONT, SIZE, SIZE).numpy()
+    y, x = np.mgrid[:SIZE, :SIZE] + 0.5
+    nearest, expected = np.full((SIZE, SIZE), -np.inf), np.zeros((SIZE, SIZE, 3))
+    beside = np.zeros((SIZE, SIZE), bool)
+    for triangle, depth, colour in zip(corners, depths, colours, strict=True):
+        a, b, c = triangle
+        functions = []
+        for p, q in ((b, c), (c, a), (a, b)):
+            value = (q[0] - p[0]) * (y - p[1]) - (q[1] - p[1]) * (x - p[0])
+            beside |= np.abs(value) < 0.8 * np.linalg.norm(q - p)
+            functions.append(value)
+        shares = np.stack(functions) / sum(functions)
+        near = np.tensordot(depth, shares, 1)
+        front = (shares >= 0).all(axis=0) & (near > nearest)
+        beside |= (shares >= 0).all(axis=0) & (np.abs(near - nearest) < 0.8)  # where they may cut into each other
+        nearest[front], expected[front] = near[front], colour
+    np.testing.assert_allclose(image[~beside], expected[~beside], atol=1e-12)
+
+
+@given(SEEDS)
+@settings(max_examples=10)
+def test_both_ways_of_looking_see_the_same(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    places = PLACES + torch.as_tensor(rng.normal(0.0, 0.3, 6))
+    images = []
+    for look in (visible_loops.look, visible_arrays.look):
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(drawing, "look", look)
+            images.append(draw(crossing(places), VIEW, 33, 36, lights=LIT).numpy())
+    np.testing.assert_allclose(images[0], images[1], atol=1e-9)
+
+
+def test_an_image_is_the_mean_of_a_fine_one_up_to_shading_within_pixels() -> None:
+    coarse = draw(crossing(PLACES), VIEW, 32, 32, lights=LIT)
+    fine = draw(crossing(PLACES), VIEW, 256, 256, lights=LIT).reshape(32, 8, 32, 8, 3).mean(dim=(1, 3))
+    difference = (coarse - fine).abs()
+    assert float(difference.mean()) < 1e-3
+    assert float(difference.max()) < 0.12
+
+
+# Gradients.
+
+
+@parametrize_with_checks(
+    [
+        RendererSubject(
+            MeshRenderer(
+                24,
+                32,
+                {"ball": sphere(subdivisions=2, colours=(0.9, 0.4, 0.2)), "box": box((1, 1, 1), (1.0, 0.0, 1.9))},
+                camera,
+                {
+                    "place": Translate("ball"),
+                    "turn": Rotate("box"),
+                    "angle": Rotate("ball", (0, 1, 0), (1, 0, 0)),
+                    "size": Scale("box"),
+                    "colour": "ball.colours",
+                    "eye": "camera.position",
+                    "light": "light.colour",
+                    "matte": "box.diffuse",
+                },
+                dtype=dtype,
+            )
+        )
+        for camera, dtype in ((VIEW, "float64"), (Camera((0.2, 0.4, 5.0), extent=4.0), "float32"))
+    ]
+)
+def test_the_contract_is_kept(check: Any, subject: Any) -> None:
+    check(subject)
+
+
+def test_it_is_a_renderer_that_scenes_can_name() -> None:
+    renderer = MeshRenderer(8, 8, {"ball": sphere(subdivisions=1)}, VIEW, {"place": Translate("ball")})
+    assert isinstance(renderer, ProjectingRenderer)
+    assert "mesh-torch" in {one.name for one in available_renderers()}
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_gradients_are_the_images_own_where_outlines_meet_and_meshes_cut_into_each_other(seed: int) -> None:
+    places = PLACES + torch.as_tensor(np.random.default_rng(seed).normal(0.0, 0.05, 6))
+    gradient, differences = slopes(
+        lambda at: draw(crossing(at), VIEW, 48, 48, lights=LIT), places, smooth_weights(48, seed), 1e-6
+    )
+    np.testing.assert_allclose(gradient, differences, atol=1e-4 * np.abs(differences).max())
+
+
+def test_gradients_are_those_of_a_fine_image_up_to_shading_within_pixels() -> None:
+    weights = smooth_weights(48)
+    gradient, _ = slopes(lambda at: draw(crossing(at), VIEW, 48, 48, lights=LIT), PLACES, weights, 1e-6)
+    fine = weights.repeat_interleave(8, dim=0).repeat_interleave(8, dim=1) / 64.0
+    _, differences = slopes(lambda at: draw(crossing(at), VIEW, 384, 384, lights=LIT), PLACES, fine, 2e-3)
+    np.testing.assert_allclose(gradient, differences, atol=0.04 * np.abs(differences).max())
+
+
+def test_what_is_hidden_has_no_gradient_and_an_outline_in_front_has() -> None:
+    behind, front = sphere(0.5, (0, 0, -2), 2), quad((-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0), colours=(1, 0, 0))
+    leaf = torch.zeros((2, 3), dtype=torch.float64, requires_grad=True)
+    meshes = [replace(behind, vertices=behind.vertices + leaf[0]), replace(front, vertices=front.vertices + leaf[1])]
+    (draw(meshes, VIEW, 32, 32) * smooth_weights(32)).sum().backward()
+    assert leaf.grad is not None
+    assert torch.equal(leaf.grad[0], torch.zeros(3, dtype=torch.float64))
+    assert bool((leaf.grad[1] != 0.0).all())
+
+
+# Surfaces and light.
+
+
+def test_what_is_interpolated_is_so_in_space_and_not_on_the_screen() -> None:
+    floor = quad(
+        (-2, -1, 2), (2, -1, 2), (2, -1, -20), (-2, -1, -20), colours=[[0, 0, 0], [0, 0, 0], [1, 1, 1], [1, 1, 1]]
+    )
+    image = draw([floor], Camera((0, 1, 5), (0, 1, 0), fov=90.0), 40, 40)[:, 20, 0].numpy()
+    rows = np.arange(30, 36)
+    depth = 2.0 / ((rows + 0.5 - 20.0) / 20.0)  # where the ray of a row meets the floor, from the eye
+    np.testing.assert_allclose(image[rows], (depth - 3.0) / 22.0, atol=1e-12)
+
+
+def test_a_texture_is_bilinear_near_by_and_its_mean_far_away() -> None:
+    checks = (np.indices((64, 64)).sum(axis=0) % 2.0)[..., None] * np.ones(3)
+    picture = quad((-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0), texture=checks)
+    near = draw([picture], Camera((0, 0, 1), extent=2.0), 64, 64)
+    np.testing.assert_allclose(near.numpy(), checks[::1], atol=1e-9)
+    far = draw([picture], Camera((0, 0, 1), extent=2.0), 8, 8)
+    np.testing.assert_allclose(far.numpy(), 0.5, atol=1e-9)
+    leaf = torch.as_tensor(checks).requires_grad_()
+    draw([replace(picture, texture=leaf)], Camera((0, 0, 1), extent=2.0), 8, 8).sum().backward()
+    assert leaf.grad is not None
+    np.testing.assert_allclose(leaf.grad.numpy(), 1.0 / 64.0, atol=1e-9)  # every texel counts alike
+
+
+def test_a_mirror_shows_the_direction_that_it_reflects() -> None:
+    glass = quad((-9, -9, 0), (9, -9, 0), (9, 9, 0), (-9, 9, 0), material=Material(0.0, 0.0, 0.0, 1.0))
+    faces = np.zeros((6, 4, 4, 3)) + np.linspace(0.1, 0.6, 6)[:, None, None, None]
+    camera = Camera((0, 0, 5), extent=4.0)
+    image = draw([glass], camera, 6, 6, environment=Environment(faces))
+    np.testing.assert_allclose(image.numpy(), 0.5, atol=1e-12)  # +z, where the camera is
+    tilted = Camera((5, 0, 0.01), extent=1.0)
+    np.testing.assert_allclose(draw([glass], tilted, 6, 6, environment=Environment(faces))[3, 3].numpy(), 0.2)  # -x
+    rows = np.linspace(0.0, 1.0, 16)[:, None, None] * np.ones((16, 32, 3))  # dark at +y, bright at -y
+    above = Camera((0, 5, 0), up=(0, 0, -1), extent=2.0)
+    floor = replace(glass, vertices=glass.vertices[:, [0, 2, 1]] * torch.tensor([1.0, 1.0, -1.0]))
+    up = draw([floor], above, 6, 6, environment=Environment(rows, blurred=False))
+    np.testing.assert_allclose(up.numpy(), 0.0, atol=1e-9)
+
+
+def test_light_follows_blinn_and_phong() -> None:
+    wall = quad((-9, -9, 0), (9, -9, 0), (9, 9, 0), (-9, 9, 0), colours=(0.5, 0.5, 0.5))
+    material = Material(ambient=0.1, diffuse=0.6, specular=0.3, shininess=5.0)
+    travels = np.array([0.0, -0.6, -0.8])
+    image = draw(
+        [replace(wall, material=material)], Camera((0, 0, 5), extent=4.0), 4, 4, lights=[Light(direction=travels)]
+    )
+    halfway = np.array([0.0, 0.6, 1.8]) / np.linalg.norm([0.0, 0.6, 1.8])
+    np.testing.assert_allclose(image.numpy(), 0.5 * (0.1 + 0.6 * 0.8) + 0.3 * halfway[2] ** 5, atol=1e-12)
+
+
+def test_places_follow_the_surface() -> None:
+    ball = sphere(subdivisions=2)
+    leaf = torch.zeros(3, dtype=torch.float64, requires_grad=True)
+    image = draw_places([replace(ball, vertices=ball.vertices + leaf)], VIEW, 32, 32)
+    y, x = (np.indices((32, 32)) + 0.5) / 32
+    np.testing.assert_allclose(image[..., 3:].detach().numpy(), np.stack([x, y], axis=-1), atol=1e-12)
+    (image[..., 3].sum() / (image[..., 0] > 0.0).sum()).backward()
+    assert leaf.grad is not None
+    # The near side of the ball is some 4 units away, and so moves by about 1 / (2 * 4 * tan 22.5 degrees) of the image.
+    assert float(leaf.grad[0]) == pytest.approx(1.0 / (2.0 * 4.3 * np.tan(np.radians(22.5))), rel=0.1)
+
+
+# Hard cases.
+
+
+@pytest.mark.parametrize(
+    "points",
+    [
+        [[0, 0, 0], [0, 0, 0], [0, 0, 0]],
+        [[0, 0, 0], [1, 0, 0], [2, 0, 0]],
+        [[0, 0, 9], [1, 0, 9], [0, 1, 9]],  # behind the camera
+        [[-3, -1, 2], [3, -1, 2], [0, -1, 30]],  # through its plane
+        [[0.13, 0.4, 5.0], [1, 0, 0], [0, 1, 0]],  # a corner in the eye
+        [[1e9, 0, 0], [0, 1e9, 0], [-1e9, -1e9, 1]],
+        [[0, 0, 0], [1e-9, 0, 0], [0, 1e-9, 0]],
+        [[1e-160, 0, 0], [0, 1e-160, 0], [0, 0, 1e-160]],
+    ],
+)
+def test_images_and_gradients_of_hard_triangles_are_finite(points: Any) -> None:
+    corners = torch.tensor(points, dtype=torch.float64, requires_grad=True)
+    image = draw([Mesh(corners, [[0, 1, 2]])], VIEW, 16, 16, lights=LIT)
+    assert bool(torch.isfinite(image).all())
+    image.sum().backward()
+    assert corners.grad is not None
+    assert bool(torch.isfinite(corners.grad).all())
+
+
+def test_a_floor_that_goes_through_the_camera_is_drawn_up_to_it() -> None:
+    floor = Mesh([[-50, -1, 50], [50, -1, 50], [50, -1, -50], [-50, -1, -50]], [[0, 1, 2], [0, 2, 3]])
+    image = draw([floor], Camera((0, 0, 0), (0, 0, -1), fov=90.0), 20, 20)[..., 0].numpy()
+    np.testing.assert_allclose(image[11:], 0.8, atol=1e-9)
+    np.testing.assert_allclose(image[:10], 0.0, atol=1e-9)
+
+
+def test_coplanar_triangles_are_drawn_in_their_order() -> None:
+    triangle = [[4, 4], [20, 4], [4, 20]]
+    image = draw([flat(triangle, colours=(1, 0, 0)), flat(triangle, colours=(0, 1, 0))], FRONT, SIZE, SIZE)
+    assert float(image[..., 1].abs().max()) < 1e-6
+    assert float(image[..., 0].sum()) == pytest.approx(128.0)
+
+
+@pytest.mark.parametrize("look", [visible_loops.look, visible_arrays.look])
+def test_nothing_is_drawn_of_nothing(look: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(drawing, "look", look)
+    empty = Mesh(np.zeros((0, 3)), np.zeros((0, 3), int))
+    for meshes in ([], [empty], [empty, empty]):
+        image = draw(meshes, VIEW, 5, 7, background=(0.1, 0.2, 0.3))
+        np.testing.assert_allclose(image.numpy(), np.broadcast_to((0.1, 0.2, 0.3), (5, 7, 3)))
+
+
+def test_a_million_triangles_are_no_trouble() -> None:
+    rng = np.random.default_rng(0)
+    centres = rng.uniform([-2, -2, -2], [2, 2, 2], (10**6, 1, 3))
+    corners = torch.from_numpy((centres + rng.normal(0.0, 0.01, (10**6, 3, 3))).reshape(-1, 3)).requires_grad_()
+    image = draw([Mesh(corners, np.arange(3 * 10**6).reshape(-1, 3))], VIEW, 64, 64)
+    assert bool(torch.isfinite(image).all())
+
+
+# What is refused.
+
+
+def test_vertices_that_are_not_finite_are_refused_by_name() -> None:
+    renderer = MeshRenderer(8, 8, {"ball": sphere(subdivisions=1)}, VIEW, {"corners": "ball.vertices"})
+    params = renderer.parameters()
+    params["corners"][3, 1] = float("nan")
+    with pytest.raises(ParameterError, match=r"`corners` must be finite, got 1"):
+        renderer.render(params)
+    with pytest.raises(ParameterError, match=r"`vertices` must be finite, got 1 that are not, the first at \(0, 1\)"):
+        Mesh([[0, np.nan, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+
+
+@pytest.mark.parametrize(
+    ("make", "says"),
+    [
+        (lambda: Mesh(np.zeros((3, 3)), [[0, 1, 3]]), r"`faces` must name vertices 0 to 2, got 0 to 3"),
+        (lambda: Mesh(np.zeros((3, 2)), [[0, 1, 2]]), r"`vertices` must have shape \(any, 3\), got \(3, 2\)"),
+        (lambda: Mesh(np.zeros((3, 3)), [[0.0, 1, 2]]), r"`faces` must be whole numbers"),
+        (lambda: sphere(subdivisions=1, colours=np.zeros((5, 3))), r"`colours` must have shape \(3,\), \(42, 3\)"),
+        (lambda: sphere(subdivisions=1, texture=np.zeros((4, 4, 3))), "`uv` is missing"),
+        (lambda: sphere(subdivisions=9), "`subdivisions` must be a whole number from 0 to 8, got 9"),
+        (lambda: Camera((0, 0, 0)), "`target` must not be at `position`"),
+        (lambda: Camera((0, 1, 0)), "nor `up` along the direction of view"),
+        (lambda: Camera((0, 0, 1), fov=180.0), "`fov` must be between 0 and 180 degrees, got 180"),
+        (lambda: Camera((0, 0, 1), near=0.0), "`near` must be more than 0 in perspective"),
+        (lambda: Camera((0, 0, 1), extent=-1.0), "`extent` must be more than 0, got -1"),
+        (lambda: Light((0, 0, 0), (0, 0, 1)), "`position` and `direction` of a light exclude each other"),
+        (lambda: Environment(np.zeros((5, 4, 4, 3))), r"must have shape \(6, s, s, 3\) or \(h, w, 3\)"),
+        (
+            lambda: draw([], VIEW, 4, 4, background=np.zeros((3, 4, 3))),
+            r"`background` must have shape \(3,\) or",
+        ),
+    ],
+)
+def test_what_makes_no_scene_is_refused(make: Callable[[], Any], says: str) -> None:
+    with pytest.raises(ParameterError, match=says):
+        make()
+
+
+@pytest.mark.parametrize(
+    ("options", "says"),
+    [
+        ({"parameters": {"a": "ball.weight"}}, r"`parameters\['a'\]` must be one of background, ball\.ambient"),
+        ({"parameters": {"a": Translate("bal")}}, r"must move a mesh, which are ball, got 'bal'"),
+        ({"parameters": {"a": "ball.colours", "b": "ball.colours"}}, "must not set one entry twice, got 'a', 'b'"),
+        ({"camera": {"position": [0, 0, 5], "fow": 3}}, r"`camera`: unknown key `fow`; Camera takes position"),
+        ({"camera": {"target": [0, 0, 5]}}, "`position` is missing"),
+        ({"camera": 3}, "`camera` must be a Camera or a table"),
+        ({"meshes": {"light": sphere(subdivisions=1)}}, "must have names of their own, without dots, got 'light'"),
+        ({"textures": {"cube": np.zeros((2, 2, 3))}}, r"`textures\['cube'\]` is of no mesh; they are ball"),
+        ({"materials": {"ball": {"gloss": 1}}}, r"`materials\['ball'\]`: unknown key `gloss`"),
+    ],
+)
+def test_what_makes_no_renderer_is_refused(options: dict[str, Any], says: str) -> None:
+    good: dict[str, Any] = {
+        "meshes": {"ball": sphere(subdivisions=1)},
+        "camera": VIEW,
+        "parameters": {"place": Translate("ball")},
+    }
+    with pytest.raises(ParameterError, match=says):
+        MeshRenderer(8, 8, **{**good, **options})
+
+
+def test_values_stay_legal() -> None:
+    ball = sphere(subdivisions=1)
+    targets = {"size": Scale("ball"), "turn": Rotate("ball"), "colour": "ball.colours", "fov": "camera.fov"}
+    renderer = MeshRenderer(8, 8, {"ball": ball}, VIEW, targets)
+    wild = {
+        "size": torch.tensor(-1.0, dtype=torch.float64),
+        "turn": torch.tensor([[2.0, 0.0, 0.0], [1.0, 3.0, 0.0]], dtype=torch.float64),
+        "colour": torch.tensor([-0.5, 0.2, 3.0], dtype=torch.float64),
+        "fov": torch.tensor(200.0, dtype=torch.float64),
+    }
+    legal = renderer.project(wild)
+    assert float(legal["size"]) == pytest.approx(1e-6)
+    np.testing.assert_allclose(legal["turn"], np.eye(2, 3), atol=1e-15)
+    assert legal["colour"].tolist() == [0.0, 0.2, 3.0]
+    assert float(legal["fov"]) == 179.0
+    with pytest.raises(ParameterError, match=r"`size` must be at least 1e-06, got -1"):
+        renderer.render(wild)
+    with pytest.raises(ParameterError, match=r"`turn` turns freely and must be two rows that are not parallel"):
+        renderer.render({**legal, "turn": torch.ones((2, 3), dtype=torch.float64)})
+
+
+def test_a_view_has_another_camera_unless_the_camera_is_sought() -> None:
+    meshes = {"ball": sphere(subdivisions=1, centre=(0.5, 0, 0))}
+    renderer = MeshRenderer(16, 16, meshes, VIEW, {"place": Translate("ball")})
+    params = renderer.parameters()
+    behind = renderer.looking(Camera((0.0, 0.0, -5.0)))
+    assert not torch.allclose(renderer.render(params), behind.render(params))
+    alone = MeshRenderer(16, 16, meshes, Camera((0.0, 0.0, -5.0)), {"place": Translate("ball")})
+    assert torch.equal(alone.render(params), behind.render(params))
+    with pytest.raises(OptionError, match="`camera` must not change under a parameter of its own, 'eye'"):
+        MeshRenderer(8, 8, meshes, VIEW, {"eye": "camera.position"}).looking(VIEW)
