@@ -12,6 +12,7 @@ EXPERIMENTS: Final = {
     "figures1d": "the one-dimensional figures, and how wide the basin of every method is (minutes)",
     "guidance": "which way the loss sends each of many disks of random colours (minutes)",
     "table1": "disks found from random starts by every method (hours; what is done is kept)",
+    "table3": "poses, shapes, cameras, materials and light, through a mesh rasterizer (hours; what is done is kept)",
 }
 
 

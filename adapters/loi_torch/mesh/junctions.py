@@ -148,7 +148,8 @@ def _borders(first: FloatArray, last: FloatArray, t: FloatArray) -> IndexArray:
     # In the corner of a pixel both are borders; the one that the edge crosses at the greater angle is taken.
     upright = np.where(np.max(off, axis=1) < 1e-9, ~steep, off[:, 0] < off[:, 1])
     kind = np.where(upright, VERTICAL, HORIZONTAL)
-    return np.where((t <= 0.0) | (t >= 1.0), CORNER, kind).astype(np.int32)
+    inside = np.min(off, axis=1) > SAME  # where nothing is known to hide the rest: an end that is not followed
+    return np.where((t <= 0.0) | (t >= 1.0) | inside, CORNER, kind).astype(np.int32)
 
 
 def _line(scene: Projected, faces: IndexArray, k: int) -> tuple[FloatArray, IndexArray, IndexArray]:

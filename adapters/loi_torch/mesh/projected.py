@@ -25,7 +25,7 @@ class Topology:
     joined : array of int, shape (m, 3)
         The same with corners in one place under one number, so that triangles along a seam are neighbours.
     piece : array of int, shape (m,)
-        The connected part that each triangle is of; only different ones are looked at for where they cut into each other.
+        The connected part that each triangle is of; only different ones are expected to cut into each other.
     sheet : array of int, shape (m,)
         The smooth part that each triangle is of: it ends where colours may jump.
     ends, joined_ends : array of int, shape (e, 2)

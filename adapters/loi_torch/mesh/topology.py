@@ -15,9 +15,11 @@ def joined_corners(vertices: FloatArray) -> IndexArray:
     """For each vertex the number of its place, shape (n,): vertices of equal coordinates share one."""
     if not len(vertices):
         return np.zeros(0, np.int32)
-    places = np.ascontiguousarray(vertices + 0.0)  # -0.0 and 0.0 are one place
-    rows = places.view([("", places.dtype)] * 3).ravel()
-    return np.unique(rows, return_inverse=True)[1].reshape(-1).astype(np.int32)
+    order = np.lexsort(vertices.T)
+    new = np.any(np.diff(vertices[order], axis=0) != 0.0, axis=1)
+    places = np.empty(len(vertices), np.int32)
+    places[order] = np.append(0, np.cumsum(new))
+    return places
 
 
 def topology_of(faces: IndexArray, places: IndexArray, *, creased: bool) -> Topology:

@@ -20,6 +20,7 @@ __all__ = ["look"]
 ASIDE: Final = 1e-6  # as in `visible_loops`
 EDGE_ON: Final = 1e-9
 SAME_DEPTH: Final = 1e-9
+SAME_PLACE: Final = 1e-5
 MARGIN: Final = 2e-3
 PAIRED: Final = 24
 HALVINGS: Final = 14
@@ -80,16 +81,14 @@ def look(scene: Projected) -> Seen:
         where = torch.as_tensor(pixel, dtype=torch.int64)
         left = _nearest(triangles, lists, where, x - ny, y + nx)
         right = _nearest(triangles, lists, where, x + ny, y - nx)
-        found: IndexArray = torch.stack([left, right], dim=1).numpy().astype("int32")
-        return found
+        both: IndexArray = torch.stack([left, right], dim=1).numpy().astype("int32")
+        return both
 
-    return Seen(
-        *(
-            one.numpy().astype("int32" if one.dtype == torch.int64 else "float64")
-            for one in (found, edge, in_space, pixel, sides, beyond, *crossings)
-        ),
-        beside,
-    )
+    columns: list[Any] = [
+        one.numpy().astype("int32" if one.dtype == torch.int64 else "float64")
+        for one in (found, edge, in_space, pixel, sides, beyond, *crossings)
+    ]
+    return Seen(*columns, beside=beside)
 
 
 def _prepare(
@@ -303,6 +302,13 @@ def _nearest(triangles: Triangles, lists: Lists, pixel: Tensor, x: Tensor, y: Te
     return _first_nearest(owner[hit], near[hit], triangle[hit], len(pixel))
 
 
+def _ends_at(triangles: Triangles, triangle: Tensor, x: Tensor, y: Tensor) -> Tensor:
+    """Whether triangles have an edge at points."""
+    edges = triangles.edges[triangle]
+    length = torch.hypot(edges[..., 0], edges[..., 1])
+    return (_functions(edges, x, y).abs() <= SAME_PLACE * length).any(dim=1)
+
+
 class _Parts:
     """Parts of edges within pixels, of which some show."""
 
@@ -322,17 +328,27 @@ class _Parts:
         left = _nearest(self._triangles, self._lists, self._pixel[rows], x + nx, y + ny)
         right = _nearest(self._triangles, self._lists, self._pixel[rows], x - nx, y - ny)
         sides = torch.stack([left, right], dim=1)
-        face, ends = self._joined[self._front(rows, s, sides).clamp(min=0)], self._ends[rows]
-        own = (face == ends[:, :1]).any(dim=1) & (face == ends[:, 1:]).any(dim=1)
-        return own & (left != right), sides
+        both = (left >= 0) & (right >= 0)
+        near, far = (_near(self._triangles, one.clamp(min=0), x, y) for one in (left, right))
+        touching = both & ((near - far).abs() <= SAME_DEPTH * torch.maximum(near.abs(), far.abs()))
+        front = self._has(self._front(rows, s, sides), rows)
+        of_left, of_right = self._has(left, rows), self._has(right, rows)
+        own, other = torch.where(of_left, left, right), torch.where(of_left, right, left)
+        alone = (own < other) | ~_ends_at(self._triangles, other.clamp(min=0), x, y)
+        touch = torch.where(of_left == of_right, of_left, alone)
+        return torch.where(touching, touch, front) & (left != right), sides
+
+    def _has(self, triangle: Tensor, rows: Tensor) -> Tensor:
+        """Whether triangles have both ends of the edges."""
+        face, ends = self._joined[triangle.clamp(min=0)], self._ends[rows]
+        return (triangle >= 0) & (face == ends[:, :1]).any(dim=1) & (face == ends[:, 1:]).any(dim=1)
 
     def _front(self, rows: Tensor, s: Tensor, sides: Tensor) -> Tensor:
-        """Which of the triangles on the two sides is in front; of touching ones, the first."""
+        """Which of the triangles on the two sides is in front."""
         x, y = self._screen.of(rows).at(s)
         left, right = sides.unbind(dim=1)
         near, far = (_near(self._triangles, one.clamp(min=0), x, y) for one in (left, right))
-        touching = (near - far).abs() <= SAME_DEPTH * torch.maximum(near.abs(), far.abs())
-        front = torch.where(touching, torch.minimum(left, right), torch.where(near > far, left, right))
+        front = torch.where(near > far, left, right)
         return torch.where((left < 0) | (right < 0), torch.maximum(left, right), front)
 
     def visible(self, span: Tensor, width: int) -> tuple[Tensor, Tensor, Tensor, Tensor]:
@@ -437,8 +453,11 @@ def _crossings(
     ends_of = ENDS * (high - low)
     nearest = torch.minimum((low + ends_of).clamp(min=0.0), high - ends_of)
     qx, qy = px + nearest * dx, py + nearest * dy
-    shown = (_nearest(triangles, lists, pixel, qx + ASIDE * nx, qy + ASIDE * ny) == t) & (
-        _nearest(triangles, lists, pixel, qx - ASIDE * nx, qy - ASIDE * ny) == u
+    met = _ends_at(triangles, t, qx, qy) | _ends_at(triangles, u, qx, qy)
+    shown = (
+        ~met
+        & (_nearest(triangles, lists, pixel, qx + ASIDE * nx, qy + ASIDE * ny) == t)
+        & (_nearest(triangles, lists, pixel, qx - ASIDE * nx, qy - ASIDE * ny) == u)
     )
     ends = torch.stack([px + low * dx, py + low * dy, px + high * dx, py + high * dy], dim=1)
     return pixel[shown], torch.stack([t, u], dim=1)[shown], ends[shown]

@@ -22,6 +22,7 @@ __all__ = ["look"]
 ASIDE: Final = 1e-6  # pixels from an edge at which its two sides are looked at
 EDGE_ON: Final = 1e-9  # of the square of its longest side: twice the area of a triangle that counts as seen edge-on
 SAME_DEPTH: Final = 1e-9  # relative: surfaces this near to each other touch
+SAME_PLACE: Final = 1e-5  # pixels
 MARGIN: Final = 2e-3  # pixels by which lists of a pixel's triangles look beyond it
 PAIRED: Final = 24  # of a pixel's triangles, the nearest, that are looked at for where they cut into each other
 HALVINGS: Final = 14  # of the part of an edge within a pixel, to find where it comes to light
@@ -86,7 +87,7 @@ def _cross(u: Any, v: Any, out: Any) -> None:
 def _largest(corners: Any, face: Any, near: float) -> float:
     """The square of a triangle's longest side, times its corners' w: its volume is at most about this.
 
-    Which way a triangle faces that is seen edge-on would be decided by rounding. 0 for triangles through the near plane.
+    Rounding would decide which way a triangle faces that is seen edge-on. 0 for triangles through the near plane.
     """
     longest = 0.0
     for j in range(3):
@@ -347,15 +348,33 @@ def _nearest(triangles: Triangles, lists: Lists, one: int, x: float, y: float) -
 
 
 @compiled_as_written
-def _owner(triangles: Triangles, left: int, right: int, x: float, y: float) -> int:
-    """Which of the triangles on the two sides of a point of an edge is in front there; of touching ones, the first."""
+def _touching(triangles: Triangles, left: int, right: int, x: float, y: float) -> bool:
+    """Whether two triangles are equally near at a point."""
+    near, far = _near(triangles, left, x, y), _near(triangles, right, x, y)
+    return bool(abs(near - far) <= SAME_DEPTH * max(abs(near), abs(far)))
+
+
+@compiled_as_written
+def _near(triangles: Triangles, k: int, x: float, y: float) -> float:
+    plane = triangles.nearness[k]
+    return float(plane[0] * x + plane[1] * y + plane[2])
+
+
+@compiled_as_written
+def _front(triangles: Triangles, left: int, right: int, x: float, y: float) -> int:
+    """Which of the triangles on the two sides of a point of an edge is in front there."""
     if left < 0 or right < 0:
         return max(left, right)
-    n, other = triangles.nearness[left], triangles.nearness[right]
-    near, far = n[0] * x + n[1] * y + n[2], other[0] * x + other[1] * y + other[2]
-    if abs(near - far) <= SAME_DEPTH * max(abs(near), abs(far)):
-        return min(left, right)
-    return left if near > far else right
+    return left if _near(triangles, left, x, y) > _near(triangles, right, x, y) else right
+
+
+@compiled_as_written
+def _ends_at(e: Any, x: float, y: float) -> bool:
+    """Whether a triangle has an edge at a point."""
+    found = False
+    for j in range(3):
+        found |= abs(e[j, 0] * x + e[j, 1] * y + e[j, 2]) <= SAME_PLACE * math.hypot(e[j, 0], e[j, 1])
+    return found
 
 
 @compiled_as_written
@@ -365,13 +384,23 @@ def _has(face: Any, a: int, b: int) -> bool:
 
 @compiled_as_written
 def _sides(triangles: Triangles, lists: Lists, one: int, joined: Any, line: Line, s: float) -> tuple[bool, int, int]:
-    """Whether an edge shows at a point of it, and the triangles on its left and right there."""
+    """Whether an edge shows at a point of it, and the triangles on its left and right there.
+
+    It does if it is of the triangle in front. Where one only touches the other, as a box does the floor that it stands
+    on, it is enough to be of either; but if the other ends there as well, each with its own edge, only one edge counts.
+    """
     x, y = line.x + s * line.dx, line.y + s * line.dy
     left = _nearest(triangles, lists, one, x + ASIDE * line.nx, y + ASIDE * line.ny)
     right = _nearest(triangles, lists, one, x - ASIDE * line.nx, y - ASIDE * line.ny)
     if left == right:
         return False, left, right
-    return _has(joined[_owner(triangles, left, right, x, y)], line.a, line.b), left, right
+    if left < 0 or right < 0 or not _touching(triangles, left, right, x, y):
+        return _has(joined[_front(triangles, left, right, x, y)], line.a, line.b), left, right
+    of_left, of_right = _has(joined[left], line.a, line.b), _has(joined[right], line.a, line.b)
+    if of_left == of_right:
+        return of_left, left, right
+    own, other = (left, right) if of_left else (right, left)
+    return own < other or not _ends_at(triangles.edges[other], x, y), left, right
 
 
 @compiled_as_written
@@ -478,6 +507,9 @@ def _crossings(triangles: Triangles, lists: Lists, piece: Any, wanted: Any, widt
                 ends_of = ENDS * (high - low)
                 nearest = min(max(0.0, low + ends_of), high - ends_of)
                 qx, qy = px + nearest * dx, py + nearest * dy
+                # Triangles that only meet at an edge of one of them do not cut into each other.
+                if _ends_at(triangles.edges[t], qx, qy) or _ends_at(triangles.edges[u], qx, qy):
+                    continue
                 # Left of the direction (dx, dy) is (-dy, dx) = (nx, ny), where t is nearer.
                 if _nearest(triangles, lists, one, qx + ASIDE * nx, qy + ASIDE * ny) != t:
                     continue
@@ -558,7 +590,7 @@ def _look(
                 else:
                     dark = between_both
             _, dark_left, dark_right = _sides(triangles, lists, one, joined, line, dark)
-            hider = _owner(triangles, dark_left, dark_right, line.x + dark * line.dx, line.y + dark * line.dy)
+            hider = _front(triangles, dark_left, dark_right, line.x + dark * line.dx, line.y + dark * line.dy)
             if lit:
                 bounds[side], hidden[side] = 0.5 * (light + dark), hider
             else:
@@ -613,7 +645,7 @@ def _beside_edges(corners: Any, ends: Any, triangles: Triangles, lists: Lists, e
 def look(scene: Projected) -> Seen:
     """What is seen of a projected scene."""
     shape, view = scene.topology, scene.view
-    *seen, triangles, lists = _look(
+    found = _look(
         scene.corners,
         scene.depth,
         shape.faces,
@@ -630,8 +662,10 @@ def look(scene: Projected) -> Seen:
         shape.several,
     )
 
-    def beside(edge: IndexArray, pixel: IndexArray, at: FloatArray) -> IndexArray:
-        found: IndexArray = _beside_edges(scene.corners, shape.ends, triangles, lists, edge, pixel, at)
-        return found
+    triangles, lists = found[-2:]
 
-    return Seen(*seen, beside)
+    def beside(edge: IndexArray, pixel: IndexArray, at: FloatArray) -> IndexArray:
+        sides: IndexArray = _beside_edges(scene.corners, shape.ends, triangles, lists, edge, pixel, at)
+        return sides
+
+    return Seen(*found[:-2], beside=beside)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from examples.paper.table3.problem import FloatArray
-from examples.paper.table3.settings import OUR_SCALES, PAPER_SCALES, Setting
+from examples.paper.table3.settings import PAPER_SCALES, Setting
 from loi_core import LOIObjective
 from loi_core.objectives import MSSSIM, GaussianPyramid, Objective, PixelL2
 from loi_torch.lpips import LPIPS
@@ -20,7 +20,7 @@ def objective(setting: Setting, target: FloatArray) -> Objective:
     """The objective of a setting, for one view."""
     wanted = torch.as_tensor(target, dtype=torch.float32)
     if setting.method == "loi":
-        scales = PAPER_SCALES if setting.name == "published" else OUR_SCALES
+        scales = PAPER_SCALES if setting.name == "published" else None
         return LOIObjective(wanted, scales, accuracy="balanced")
     if setting.method in ("rgbxy", "rgbxy_finetune"):
         return RGBXY(wanted, grid=setting.grid, interval=INTERVAL)

@@ -106,7 +106,7 @@ class Problem:
         """The problem of a column and seed."""
         rng = np.random.default_rng([seed, [one.name for one in COLUMNS].index(column.name)])
         made = SCENES[column.name](rng)
-        options = {"lights": made.lights, "environment": made.environment}
+        options: dict[str, Any] = {"lights": made.lights, "environment": made.environment}
         by_kind = [
             MeshRenderer(
                 column.side,
@@ -129,6 +129,15 @@ class Problem:
         goal = {name: value.numpy() for name, value in by_kind[0].parameters().items()}
         targets = {name: image_of(view, goal) for name, view in views.items()}
         return cls(column, views, places, goal, made.start, targets)
+
+    def bounds(self, name: str) -> tuple[Any, Any]:
+        """Within which our protocol looks: as far from the start as the truth may be, and what light may be."""
+        reach = {"translation": 2.0 if self.column.name == "Translation" else 8.0, "position": 5.0, "target": 1.5}
+        if name.startswith("about"):
+            return -90.0, 180.0
+        if name in reach:
+            return self.start[name] - reach[name], self.start[name] + reach[name]
+        return (None, None) if name == "vertices" else (0.0, None)
 
     def unit(self, name: str) -> float:
         """What 1 of the protocol is in a parameter's own unit: a radian is some degrees."""
@@ -306,7 +315,7 @@ def _surroundings() -> FloatArray:
 def _outline(letter: str, count: int) -> FloatArray:
     """The outline of a letter without holes, about the origin and 4 high, at `count` points of equal distances."""
     path = TextPath((0, 0), letter, size=1, prop=FontProperties(family="DejaVu Sans", weight="bold"))
-    (polygon,) = path.to_polygons()
+    polygon = np.asarray(path.to_polygons()[0])
     length = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(polygon, axis=0), axis=1)))
     at = np.linspace(0.0, length[-1], count, endpoint=False)
     points = np.stack([np.interp(at, length, polygon[:, k]) for k in (0, 1)], axis=1)

@@ -24,7 +24,6 @@ __all__ = ["CURVE_STEPS", "Outcome", "Run", "carry_out"]
 
 CURVE_STEPS: Final = 10  # between two points of a convergence curve
 STEP_DECAY: Final = 0.999
-COSINE_END: Final = 1e-3
 
 
 @dataclass(frozen=True)
@@ -68,24 +67,19 @@ class Outcome:
 
 
 class _Decaying(Adam):
-    """Adam whose rate is a function of how many steps have been done, in all fits together."""
+    """Adam whose rate falls with every step, those of a fit before this one included."""
 
-    def __init__(self, setting: Setting, done: int) -> None:
-        self._setting, self._done = setting, done
+    def __init__(self, done: int) -> None:
+        self._done = done
 
     def step(
         self, params: Parameters, gradient: Parameters, memory: Memory, rates: Mapping[str, float]
     ) -> tuple[Parameters, Memory]:
-        done = self._done + int(memory["count"])
-        if self._setting.decay == "step":
-            share = STEP_DECAY**done
-        else:
-            turn = np.cos(np.pi * done / self._setting.steps)
-            share = COSINE_END + (1.0 - COSINE_END) * 0.5 * (1.0 + float(turn))
+        share = STEP_DECAY ** (self._done + int(memory["count"]))
         return super().step(params, gradient, memory, {name: share * rate for name, rate in rates.items()})
 
     def identity(self, params: Parameters) -> str:  # noqa: ARG002  # as in Adam
-        return f"Adam with the rate of {self._setting!r} after {self._done} steps"
+        return f"Adam with a rate that falls, after {self._done} steps"
 
 
 def carry_out(run: Run) -> Outcome:
@@ -131,19 +125,18 @@ def _part(
         name, image = next(iter(images.items()))
         curve.append(_decibels(float(np.mean((image.numpy()[..., :3] - problem.targets[name]) ** 2))))
 
-    result = fit(
-        views,
-        {name: objective(setting, target) for name, target in problem.targets.items()},
-        steps=steps,
-        seed=done,
-        decay="none",
-        stages=None,
-        optimise={name: Free(value, learning_rate=setting.rate * problem.unit(name)) for name, value in start.items()},
-        optimiser=_Decaying(setting, done),
-        views_per_step=1,
-        callback=note,
-    )
-    return result.params
+    objectives = {name: objective(setting, target) for name, target in problem.targets.items()}
+    common: dict[str, Any] = {"steps": steps, "seed": done, "views_per_step": 1, "callback": note}
+    if setting.name == "published":
+        rates = {name: setting.rate * problem.unit(name) for name in start}
+        common |= {"decay": "none", "stages": None, "optimiser": _Decaying(done)}
+        free = {name: Free(value, learning_rate=rates[name]) for name, value in start.items()}
+    else:
+        # What compares pixels at the end starts with a tenth of the rate, as it is near.
+        rate = setting.rate if done == 0 else 0.1 * setting.rate
+        common |= {"learning_rate": f"{rate} px"}
+        free = {name: Free(value, *problem.bounds(name)) for name, value in start.items()}
+    return fit(views, objectives, optimise=free, **common).params
 
 
 def _structure(image: FloatArray, target: FloatArray) -> float:

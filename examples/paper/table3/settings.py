@@ -1,4 +1,4 @@
-"""How a fit is done: the published protocol, and one whose rates are searched for every method."""
+"""How a fit is done: the published protocol, and ours, whose rates are in pixels."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Final, Literal
 
 from loi_core import ScaleSpace
 
-__all__ = ["LABELS", "OUR_SCALES", "PAPER_SCALES", "PROTOCOLS", "PUBLISHED", "RATES", "Method", "Setting"]
+__all__ = ["LABELS", "PAPER_SCALES", "PROTOCOLS", "PUBLISHED", "RATES", "Method", "Setting", "ours"]
 
 Method = Literal["rgbxy", "rgbxy_finetune", "gaussian_pyramid", "ms_ssim", "lpips_alex", "pixel_l2", "loi"]
 
@@ -21,7 +21,6 @@ LABELS: Final[dict[Method, str]] = {
     "loi": "loi (ours)",
 }
 PAPER_SCALES: Final = ScaleSpace((0.0, 5.0), (1.0, 5.0, 15.0, 45.0), 1.0 / 32.0)
-OUR_SCALES: Final = ScaleSpace((1.0, 5.0, 15.0), (5.0, 15.0, 45.0), 1.0 / 8.0)
 
 
 @dataclass(frozen=True)
@@ -30,27 +29,26 @@ class Setting:
 
     Attributes
     ----------
-    name : str
-        Of the protocol.
+    name : {"published", "ours"}
+        The protocol. "published": Adam at 0.02 world units, radians or shares of 1, times 0.999 with every step, and
+        the paper's scales. "ours": rates in pixels, which fall along a cosine, bounds, and the library's own scales
+        and stages.
     method : str
         Which objective.
     rate : float
-        Adam's, in world units, radians and shares of 1.
+        Adam's, in units of the protocol.
     steps : int
         Of the fit; each renders one view, drawn at random.
-    decay : {"step", "cosine"}
-        Of the rate: 0.999 of it with every step, or to a thousandth of it.
     finish : float
         Share of the steps, at the end, that compare pixels.
     grid : int
         Points along each side that RGBXY matches.
     """
 
-    name: str
+    name: Literal["published", "ours"]
     method: Method
-    rate: float = 0.02
+    rate: float
     steps: int = 1000
-    decay: Literal["step", "cosine"] = "step"
     finish: float = 0.0
     grid: int = 32
 
@@ -59,16 +57,14 @@ def _finish(method: Method) -> float:
     return 0.25 if method == "rgbxy_finetune" else 0.0
 
 
-PUBLISHED: Final = {method: Setting("published", method, finish=_finish(method)) for method in LABELS}
-
-# Of each method and column the best of the search, which has a seed of its own.
-RATES: Final = (0.005, 0.02, 0.08)
-
-
-def searched(method: Method, rate: float) -> Setting:
-    """The setting of the second protocol at a rate."""
-    finish = 0.25 if method == "loi" else _finish(method)
-    return Setting("ours", method, rate, decay="cosine", finish=finish)
+def ours(method: Method, rate: float) -> Setting:
+    """The setting of our protocol at a rate in pixels."""
+    return Setting("ours", method, rate, finish=0.25 if method == "loi" else _finish(method))
 
 
-PROTOCOLS: Final = {"published": PUBLISHED, "ours": {method: searched(method, 0.02) for method in LABELS}}
+PUBLISHED: Final = {method: Setting("published", method, 0.02, finish=_finish(method)) for method in LABELS}
+
+# Pixels that the image moves by a step; those of the second table are the best of a search over these, for each method.
+RATES: Final = (0.15, 0.5, 1.5)
+CHOSEN: Final[dict[Method, float]] = dict.fromkeys(LABELS, 1.5)
+PROTOCOLS: Final = {"published": PUBLISHED, "ours": {method: ours(method, CHOSEN[method]) for method in LABELS}}
