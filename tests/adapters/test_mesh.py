@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from torch import Tensor
 
 from loi_core import ProjectingRenderer, available_renderers
-from loi_core.errors import OptionError, ParameterError
+from loi_core.errors import BackendNotFoundError, OptionError, ParameterError
 from loi_core.testing import RendererSubject, parametrize_with_checks
 from loi_torch.mesh import (
     Camera,
@@ -29,9 +29,9 @@ from loi_torch.mesh import (
     box,
     draw,
     draw_places,
-    drawing,
     quad,
     sphere,
+    visibility,
     visible_arrays,
     visible_loops,
 )
@@ -89,7 +89,7 @@ PLACES = torch.tensor([0.3, 0.1, 0.1, -0.25, 0.05, -0.1], dtype=torch.float64)
 def slopes(paint: Callable[[Tensor], Tensor], start: Tensor, weights: Tensor, step: float) -> tuple[Host, Host]:
     """The gradient of a weighted sum over the image, and central differences."""
     leaf = start.clone().requires_grad_()
-    (paint(leaf) * weights).sum().backward()
+    (paint(leaf) * weights).sum().backward()  # type: ignore[no-untyped-call]  # untyped in torch
     assert leaf.grad is not None
     found = []
     for k in range(len(start)):
@@ -181,7 +181,7 @@ def test_both_ways_of_looking_see_the_same(seed: int) -> None:
     images = []
     for look in (visible_loops.look, visible_arrays.look):
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(drawing, "look", look)
+            patch.setattr(visibility, "look", look)
             images.append(draw(crossing(places), VIEW, 33, 36, lights=LIT).numpy())
     np.testing.assert_allclose(images[0], images[1], atol=1e-9)
 
@@ -255,7 +255,7 @@ def test_what_is_hidden_has_no_gradient_and_an_outline_in_front_has() -> None:
     behind, front = sphere(0.5, (0, 0, -2), 2), quad((-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0), colours=(1, 0, 0))
     leaf = torch.zeros((2, 3), dtype=torch.float64, requires_grad=True)
     meshes = [replace(behind, vertices=behind.vertices + leaf[0]), replace(front, vertices=front.vertices + leaf[1])]
-    (draw(meshes, VIEW, 32, 32) * smooth_weights(32)).sum().backward()
+    (draw(meshes, VIEW, 32, 32) * smooth_weights(32)).sum().backward()  # type: ignore[no-untyped-call]  # untyped in torch
     assert leaf.grad is not None
     assert torch.equal(leaf.grad[0], torch.zeros(3, dtype=torch.float64))
     assert bool((leaf.grad[1] != 0.0).all())
@@ -282,7 +282,7 @@ def test_a_texture_is_bilinear_near_by_and_its_mean_far_away() -> None:
     far = draw([picture], Camera((0, 0, 1), extent=2.0), 8, 8)
     np.testing.assert_allclose(far.numpy(), 0.5, atol=1e-9)
     leaf = torch.as_tensor(checks).requires_grad_()
-    draw([replace(picture, texture=leaf)], Camera((0, 0, 1), extent=2.0), 8, 8).sum().backward()
+    draw([replace(picture, texture=leaf)], Camera((0, 0, 1), extent=2.0), 8, 8).sum().backward()  # type: ignore[no-untyped-call]  # untyped in torch
     assert leaf.grad is not None
     np.testing.assert_allclose(leaf.grad.numpy(), 1.0 / 64.0, atol=1e-9)  # every texel counts alike
 
@@ -319,7 +319,7 @@ def test_places_follow_the_surface() -> None:
     image = draw_places([replace(ball, vertices=ball.vertices + leaf)], VIEW, 32, 32)
     y, x = (np.indices((32, 32)) + 0.5) / 32
     np.testing.assert_allclose(image[..., 3:].detach().numpy(), np.stack([x, y], axis=-1), atol=1e-12)
-    (image[..., 3].sum() / (image[..., 0] > 0.0).sum()).backward()
+    (image[..., 3].sum() / (image[..., 0] > 0.0).sum()).backward()  # type: ignore[no-untyped-call]  # untyped in torch
     assert leaf.grad is not None
     # The near side of the ball is some 4 units away, and so moves by about 1 / (2 * 4 * tan 22.5 degrees) of the image.
     assert float(leaf.grad[0]) == pytest.approx(1.0 / (2.0 * 4.3 * np.tan(np.radians(22.5))), rel=0.1)
@@ -345,7 +345,7 @@ def test_images_and_gradients_of_hard_triangles_are_finite(points: Any) -> None:
     corners = torch.tensor(points, dtype=torch.float64, requires_grad=True)
     image = draw([Mesh(corners, [[0, 1, 2]])], VIEW, 16, 16, lights=LIT)
     assert bool(torch.isfinite(image).all())
-    image.sum().backward()
+    image.sum().backward()  # type: ignore[no-untyped-call]  # untyped in torch
     assert corners.grad is not None
     assert bool(torch.isfinite(corners.grad).all())
 
@@ -366,7 +366,7 @@ def test_coplanar_triangles_are_drawn_in_their_order() -> None:
 
 @pytest.mark.parametrize("look", [visible_loops.look, visible_arrays.look])
 def test_nothing_is_drawn_of_nothing(look: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(drawing, "look", look)
+    monkeypatch.setattr(visibility, "look", look)
     empty = Mesh(np.zeros((0, 3)), np.zeros((0, 3), int))
     for meshes in ([], [empty], [empty, empty]):
         image = draw(meshes, VIEW, 5, 7, background=(0.1, 0.2, 0.3))
@@ -374,11 +374,30 @@ def test_nothing_is_drawn_of_nothing(look: Any, monkeypatch: pytest.MonkeyPatch)
 
 
 def test_a_million_triangles_are_no_trouble() -> None:
-    rng = np.random.default_rng(0)
-    centres = rng.uniform([-2, -2, -2], [2, 2, 2], (10**6, 1, 3))
-    corners = torch.from_numpy((centres + rng.normal(0.0, 0.01, (10**6, 3, 3))).reshape(-1, 3)).requires_grad_()
-    image = draw([Mesh(corners, np.arange(3 * 10**6).reshape(-1, 3))], VIEW, 64, 64)
-    assert bool(torch.isfinite(image).all())
+    side = 708
+    y, x = np.mgrid[:side, :side] / (side - 1.0) * 2.0 - 1.0
+    hills = np.stack([x, y, 0.1 * np.sin(3.0 * x) * np.sin(4.0 * y)], axis=-1).reshape(-1, 3)
+    a = (np.arange(side * (side - 1)).reshape(side - 1, side)[:, :-1]).ravel()
+    faces = np.concatenate([np.stack([a, a + 1, a + side], 1), np.stack([a + 1, a + side + 1, a + side], 1)])
+    assert len(faces) > 999_000
+    corners = torch.from_numpy(hills).requires_grad_()
+    image = draw([Mesh(corners, faces)], Camera((0.3, -3.0, 2.0)), 64, 64)
+    image.sum().backward()  # type: ignore[no-untyped-call]  # untyped in torch
+    assert corners.grad is not None
+    assert bool(torch.isfinite(corners.grad).all())
+    assert 0.1 < float(image.detach().mean()) < 0.5
+
+
+def test_nvdiffrast_draws_the_same_where_it_is() -> None:
+    from loi_torch.mesh.nvdiffrast_bridge import draw_by_nvdiffrast
+
+    ball = sphere()
+    there = replace(ball, vertices=ball.vertices.cuda()) if torch.cuda.is_available() else ball
+    try:
+        image = draw_by_nvdiffrast([there], VIEW, 64, 64)
+    except BackendNotFoundError as error:
+        pytest.skip(str(error))
+    assert float((image.cpu() - draw([ball], VIEW, 64, 64)).abs().mean()) < 5e-3
 
 
 # What is refused.
@@ -447,7 +466,12 @@ def test_what_makes_no_renderer_is_refused(options: dict[str, Any], says: str) -
 
 def test_values_stay_legal() -> None:
     ball = sphere(subdivisions=1)
-    targets = {"size": Scale("ball"), "turn": Rotate("ball"), "colour": "ball.colours", "fov": "camera.fov"}
+    targets: dict[str, Any] = {
+        "size": Scale("ball"),
+        "turn": Rotate("ball"),
+        "colour": "ball.colours",
+        "fov": "camera.fov",
+    }
     renderer = MeshRenderer(8, 8, {"ball": ball}, VIEW, targets)
     wild = {
         "size": torch.tensor(-1.0, dtype=torch.float64),

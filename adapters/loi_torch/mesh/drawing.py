@@ -7,7 +7,7 @@ and lights. The areas of :mod:`loi_torch.mesh.coverage` then mix them, and have 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 import numpy as np
@@ -16,6 +16,7 @@ from torch import Tensor
 
 from loi_core.errors import ParameterError
 from loi_core.support.arrays import to_numpy
+from loi_torch.mesh import visibility
 from loi_torch.mesh.cameras import Camera
 from loi_torch.mesh.coverage import hidden_area, nearest_point
 from loi_torch.mesh.interpolation import Samples, corner_rows, interpolate, weights
@@ -26,9 +27,8 @@ from loi_torch.mesh.projected import Projected, Seen, View
 from loi_torch.mesh.tensors import tensor_of, unit
 from loi_torch.mesh.textures import Pyramid
 from loi_torch.mesh.topology import join
-from loi_torch.mesh.visibility import look
 
-__all__ = ["draw", "draw_places"]
+__all__ = ["Frame", "draw", "draw_places", "shade"]
 
 ASIDE: Final = 1e-6  # pixels by which a centre that lies on an edge is moved
 STEEP: Final = 1e-6  # sine of the least angle between two lines at which the point where they meet is followed
@@ -70,7 +70,7 @@ def draw(
     ParameterError
         If `background` has a wrong shape.
     """
-    frame = _Frame(meshes, camera, height, width)
+    frame = Frame(meshes, camera, height, width)
     behind = frame.behind(background)
     seen = frame.seen
     covered = np.flatnonzero(seen.found >= 0)
@@ -81,7 +81,7 @@ def draw(
     triangle = np.concatenate([seen.found[covered], sides[0][left], sides[1][right]])
     beside = (frame.beside.index_select(0, frame.tensor(one)) for one in (left, right))
     places = torch.cat([frame.centres(covered), *beside])
-    colours = _shade(frame, frame.samples(triangle, places), lights, environment)
+    colours = shade(frame, frame.samples(triangle, places), lights, environment)
     inner, left_colours, right_colours = torch.split(colours, [len(covered), len(left), len(right)])
     image = behind.index_copy(0, frame.tensor(covered), inner)
     if len(pixels):
@@ -116,7 +116,7 @@ def draw_places(
         Linear RGB, and x and y, 0 to 1 over the image. A covered pixel's five numbers have the gradients of the point
         of the surface that it shows, as it moves; the places of others are constant.
     """
-    frame = _Frame(meshes, camera, height, width)
+    frame = Frame(meshes, camera, height, width)
     covered = np.flatnonzero(frame.seen.found >= 0)
     centres = frame.centres(np.arange(height * width))
     size = torch.tensor([width, height], dtype=torch.float64, device=frame.device)
@@ -126,17 +126,32 @@ def draw_places(
         samples = frame.samples(frame.seen.found[covered], centres.index_select(0, at))
         screen = corner_rows(frame.corners, samples.corners)
         shares = weights(screen, samples.points)[0].detach()
-        colours = _shade(frame, samples, lights, environment, fixed=True)
+        colours = shade(frame, samples, lights, environment, fixed=True)
         places = interpolate(frame.world, samples.corners, shares)
         moved = camera.project(places, height, width)[0]
         result = result.index_copy(0, at, torch.cat([colours, moved[:, :2] / moved[:, 2:] / size], dim=1))
     return result.reshape(height, width, 5)
 
 
-class _Frame:
-    """Meshes on the screen."""
+class Frame:
+    """Meshes on the screen.
 
-    def __init__(self, meshes: Sequence[Mesh], camera: Camera, height: int, width: int) -> None:
+    Parameters
+    ----------
+    meshes, camera, height, width
+        As of :func:`draw`.
+    look : callable, optional
+        Finds what is seen; :func:`loi_torch.mesh.visibility.look` by default.
+    """
+
+    def __init__(
+        self,
+        meshes: Sequence[Mesh],
+        camera: Camera,
+        height: int,
+        width: int,
+        look: Callable[[Projected], Seen] | None = None,
+    ) -> None:
         self.meshes, self.camera = meshes, camera
         self.size = height, width
         self.world = torch.cat([one.vertices for one in meshes]) if meshes else torch.zeros((0, 3), dtype=torch.float64)
@@ -150,7 +165,7 @@ class _Frame:
         self.projected = Projected(
             self.topology, self.view, to_numpy(self.corners.detach()), to_numpy(self.depth.detach())
         )
-        self.seen: Seen = look(self.projected)
+        self.seen: Seen = (look or visibility.look)(self.projected)
 
     def tensor(self, array: Any) -> Tensor:
         """Indices for torch."""
@@ -335,8 +350,8 @@ class _Frame:
         return (functions * depth).sum(dim=1) / (v[:, 0] * functions[:, 0]).sum(dim=1, keepdim=True)
 
 
-def _shade(
-    frame: _Frame,
+def shade(
+    frame: Frame,
     samples: Samples,
     lights: Sequence[Light],
     environment: Environment | None,
@@ -359,7 +374,7 @@ def _shade(
 
 
 def _of_mesh(
-    frame: _Frame,
+    frame: Frame,
     number: int,
     mesh: Mesh,
     samples: Samples,
@@ -429,7 +444,7 @@ def _spread(values: Tensor, here: Tensor, corners: Tensor, screen: Tensor, point
     return torch.maximum(lengths[0], lengths[1])
 
 
-def _bend(frame: _Frame, mesh: Mesh, samples: Samples, corners: Tensor, screen: Tensor) -> Tensor:
+def _bend(frame: Frame, mesh: Mesh, samples: Samples, corners: Tensor, screen: Tensor) -> Tensor:
     """The angle of a pixel after reflection: twice that by which the normal turns, and its own, in radians."""
     with torch.no_grad():
         angle = frame.pixel_angle(len(samples.points))

@@ -111,8 +111,9 @@ class Mesh:
             put(self, "texture", tensor_of("texture", self.texture, (None, None, 3)))
         if self.topology is None:
             put(self, "places", joined_corners(np.asarray(to_numpy(vertices.detach()), dtype=np.float64)))
+            seams = self.per == "vertex" or self.texture is not None
             creased = self.per == "triangle" or not self.smooth
-            put(self, "topology", topology_of(faces, self.places, creased=creased))
+            put(self, "topology", topology_of(faces, self.places, creased=creased, seams=seams))
 
     def normals(self) -> Tensor:
         """Unit normals: of vertices, shape (n, 3), or of triangles, shape (m, 3), where they are not smooth."""

@@ -22,7 +22,7 @@ def joined_corners(vertices: FloatArray) -> IndexArray:
     return places
 
 
-def topology_of(faces: IndexArray, places: IndexArray, *, creased: bool) -> Topology:
+def topology_of(faces: IndexArray, places: IndexArray, *, creased: bool, seams: bool) -> Topology:
     """The topology of one mesh.
 
     Parameters
@@ -32,6 +32,8 @@ def topology_of(faces: IndexArray, places: IndexArray, *, creased: bool) -> Topo
         Of the vertices, as :func:`joined_corners` gives them.
     creased : bool
         Whether colours or normals are the triangles' own, and so jump at every edge.
+    seams : bool
+        Whether vertices have colours or texture coordinates, which jump between vertices in one place.
     """
     joined = places[faces].astype(np.int32)
     corners = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
@@ -53,7 +55,7 @@ def topology_of(faces: IndexArray, places: IndexArray, *, creased: bool) -> Topo
     other = np.where(pair, triangle[second], -1)
     between = np.stack([triangle[first], other], axis=1).astype(np.int32).reshape(-1, 2)
     linked = between[pair]
-    seam = pair & np.any(corners[first] != corners[second], axis=1)
+    seam = pair & np.any(corners[first] != corners[second], axis=1) & seams
     always = (count != 2) | seam | creased
     smooth = between[pair & ~always]
     piece = _components(len(faces), linked[:, 0], linked[:, 1])

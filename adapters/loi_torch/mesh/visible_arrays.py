@@ -88,7 +88,8 @@ def look(scene: Projected) -> Seen:
         one.numpy().astype("int32" if one.dtype == torch.int64 else "float64")
         for one in (found, edge, in_space, pixel, sides, beyond, *crossings)
     ]
-    return Seen(*columns, beside=beside)
+    columns.append(beside)
+    return Seen(*columns)
 
 
 def _prepare(

@@ -96,7 +96,7 @@ def _largest(corners: Any, face: Any, near: float) -> float:
             return 0.0
         if b[2] >= near:
             longest = max(longest, (a[0] / a[2] - b[0] / b[2]) ** 2 + (a[1] / a[2] - b[1] / b[2]) ** 2)
-    return longest * corners[face[0], 2] * corners[face[1], 2] * corners[face[2], 2]
+    return float(longest * corners[face[0], 2] * corners[face[1], 2] * corners[face[2], 2])
 
 
 @compiled_as_written
@@ -668,4 +668,5 @@ def look(scene: Projected) -> Seen:
         sides: IndexArray = _beside_edges(scene.corners, shape.ends, triangles, lists, edge, pixel, at)
         return sides
 
-    return Seen(*found[:-2], beside=beside)
+    columns: list[Any] = [*found[:-2], beside]
+    return Seen(*columns)

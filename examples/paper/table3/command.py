@@ -87,7 +87,7 @@ def _part(name: str, methods: Sequence[Method], columns: tuple[Column, ...], see
             for method in methods
         }
         return _Part(rows, ())
-    settings = PROTOCOLS[name]
+    settings = PROTOCOLS["published" if name == "published" else "ours"]
     rows = {
         LABELS[method]: [
             Run(settings[method], column, seed) for column in columns for seed in range(min(seeds, column.seeds))
@@ -99,7 +99,8 @@ def _part(name: str, methods: Sequence[Method], columns: tuple[Column, ...], see
 
 def _quick() -> _Part:
     column = replace(COLUMNS[3], side=32)
-    few = {method: replace(PROTOCOLS["ours"][method], steps=40, grid=16) for method in ("rgbxy_finetune", "loi")}
+    methods: tuple[Method, ...] = ("rgbxy_finetune", "loi")
+    few = {method: replace(PROTOCOLS["ours"][method], steps=40, grid=16) for method in methods}
     return _Part({LABELS[method]: [Run(setting, column, 0)] for method, setting in few.items()}, (column,))
 
 

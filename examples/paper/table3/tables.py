@@ -6,6 +6,7 @@ import csv
 import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 from examples.paper.means import Mean
 from examples.paper.store import load
@@ -28,7 +29,12 @@ def csv_of(folder: Path, runs: Sequence[Run]) -> str:
         record = load(folder, run)
         if record is not None:
             setting = run.setting
-            row = {"setting": setting.name, "method": setting.method, "rate": setting.rate, "steps": setting.steps}
+            row: dict[str, Any] = {
+                "setting": setting.name,
+                "method": setting.method,
+                "rate": setting.rate,
+                "steps": setting.steps,
+            }
             row |= {"column": run.column.name, "seed": run.seed}
             row |= {name: f"{record[name]:.4f}" for name in ("psnr", "ssim", "mae")}
             writer.writerow(row | {"seconds": f"{record['seconds']:.1f}"})

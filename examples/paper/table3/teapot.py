@@ -50,7 +50,8 @@ def teapot(radius: float = 1.0, steps: int = 6, **options: Any) -> Mesh:
     patches = [_turned(np.array(curve), quarter) for curve in TURNED for quarter in range(4)]
     for inner, outer, widths in BENT:
         patches += [_bent(np.array(inner), np.array(outer), np.array(widths), side) for side in (1.0, -1.0)]
-    vertices, faces = [], []
+    vertices: list[np.ndarray[Any, Any]] = []
+    faces: list[np.ndarray[Any, Any]] = []
     for patch in patches:
         grid = _surface(patch, steps)
         first = sum(map(len, vertices))

@@ -1,0 +1,143 @@
+"""Meshes from files and in scene files: what formats hold is read, and no other file is opened."""
+
+from __future__ import annotations
+
+import json
+import os
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+
+from loi_core.cli import main
+from loi_core.errors import MeshError
+from loi_core.io.images import write_png
+from loi_core.pixels.encoding import encode_srgb
+from loi_torch.mesh import Camera, Light, MeshRenderer, Translate, box, draw, read_mesh
+
+TRIANGLES = trimesh.creation.box((1.0, 2.0, 3.0))
+
+
+@pytest.mark.parametrize("suffix", ["obj", "ply", "stl", "glb", "off"])
+def test_formats_have_the_same_triangles(suffix: str, tmp_path: Path) -> None:
+    path = tmp_path / f"box.{suffix}"
+    TRIANGLES.export(path)
+    mesh = read_mesh(path, colours=(0.2, 0.4, 0.6))
+    view = Camera((3.0, 2.0, 5.0))
+    expected = draw([box((1.0, 2.0, 3.0), colours=(0.2, 0.4, 0.6))], view, 24, 24)
+    np.testing.assert_allclose(draw([mesh], view, 24, 24).numpy(), expected.numpy(), atol=1e-5)
+    assert not mesh.topology.always.any()  # STL stores each triangle's own corners, and they are joined
+
+
+def test_colours_of_vertices_are_decoded(tmp_path: Path) -> None:
+    coloured = trimesh.Trimesh(TRIANGLES.vertices, TRIANGLES.faces, vertex_colors=np.full((8, 4), 128, np.uint8))
+    coloured.export(tmp_path / "box.ply")
+    np.testing.assert_allclose(read_mesh(tmp_path / "box.ply").colours.numpy(), 0.2158605, atol=1e-6)
+
+
+def test_the_texture_of_a_glb_is_its_meshs(tmp_path: Path) -> None:
+    from PIL import Image
+
+    picture = Image.fromarray(np.full((4, 4, 3), 255, np.uint8))
+    material = trimesh.visual.material.PBRMaterial(baseColorTexture=picture)  # type: ignore[no-untyped-call]
+    uv = np.random.default_rng(0).uniform(size=(8, 2))
+    visual = trimesh.visual.TextureVisuals(uv=uv, material=material)  # type: ignore[no-untyped-call]
+    trimesh.Trimesh(TRIANGLES.vertices, TRIANGLES.faces, visual=visual, process=False).export(tmp_path / "box.glb")
+    mesh = read_mesh(tmp_path / "box.glb")
+    np.testing.assert_allclose(mesh.texture.numpy(), 1.0)
+    np.testing.assert_allclose(np.sort(mesh.uv.numpy(), axis=0), np.sort(uv, axis=0), atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("name", "content", "says"),
+    [
+        ("a.obj", b"", "has no triangles|cannot be read"),
+        ("a.stl", b"solid\nnothing", "has no triangles|cannot be read"),
+        ("a.ply", b"\x00" * 100, "cannot be read as a mesh"),
+        ("a.glb", b"glTF" + b"\xff" * 60, "cannot be read as a mesh"),
+        ("a.blend", b"", "a mesh must be one of .obj"),
+    ],
+)
+def test_what_is_no_mesh_is_refused(name: str, content: bytes, says: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_bytes(content)
+    with pytest.raises(MeshError, match=says):
+        read_mesh(tmp_path / name)
+
+
+def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(MeshError, match="No such file"):
+        read_mesh(tmp_path / "gone.obj")
+    os.mkfifo(tmp_path / "pipe.obj")
+    with pytest.raises(MeshError, match="not a regular file"):
+        read_mesh(tmp_path / "pipe.obj")
+
+
+def test_no_other_file_is_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """An OBJ names materials, and a glTF its data: neither is looked for."""
+    opened: list[str] = []
+    real = Path.open
+
+    def watch(path: Path, *args: Any, **options: Any) -> Any:
+        opened.append(path.name)
+        return real(path, *args, **options)
+
+    (tmp_path / "secret.mtl").write_text("newmtl a\nmap_Kd /etc/passwd\n")
+    lines = ["mtllib secret.mtl", "usemtl a", "v 0 0 0", "v 1 0 0", "v 0 1 0", "f 1 2 3"]
+    (tmp_path / "a.obj").write_text("\n".join(lines))
+    data = {"asset": {"version": "2.0"}, "buffers": [{"uri": "secret.bin", "byteLength": 4}], "meshes": []}
+    (tmp_path / "secret.bin").write_bytes(b"\x00" * 4)
+    (tmp_path / "a.gltf").write_text(json.dumps(data))
+    monkeypatch.setattr(Path, "open", watch)
+    assert len(read_mesh(tmp_path / "a.obj").faces) == 1
+    with pytest.raises(MeshError):
+        read_mesh(tmp_path / "a.gltf")
+    assert not [name for name in opened if name.startswith("secret")]
+
+
+SCENE = """
+target = "photo.png"
+[renderer]
+name = "mesh-torch"
+meshes = { box = "models/box.obj" }
+textures = {}
+lights = { sun = { direction = [-1, -2, -3] } }
+parameters = { place = { Translate = "box" } }
+camera = { position = [0, 2, 8], target = [0, 0, 0], fov = 40 }
+[optimise.place]
+initial = [-1.5, 0.3, 0.0]
+lower = [-3, -3, 0]
+upper = [3, 3, 0]
+[fit]
+steps = 60
+"""
+
+
+def test_a_mesh_of_a_scene_file_is_found(tmp_path: Path) -> None:
+    (tmp_path / "models").mkdir()
+    TRIANGLES.export(tmp_path / "models" / "box.obj")
+    (tmp_path / "scene.toml").write_text(SCENE)
+    renderer = MeshRenderer(
+        48,
+        64,
+        {"box": tmp_path / "models" / "box.obj"},
+        Camera((0, 2, 8), fov=40.0),
+        {"place": Translate("box")},
+        lights={"sun": Light(direction=(-1, -2, -3))},
+    )
+    there = torch.tensor([1.0, -0.4, 0.0], dtype=torch.float64)
+    write_png(tmp_path / "photo.png", encode_srgb(renderer.render({"place": there}).numpy()))
+    assert main(["fit", str(tmp_path / "scene.toml")]) in (0, 3)
+    found = json.loads((tmp_path / "scene-result" / "parameters.json").read_text())
+    assert np.ravel(found["best"]["place"] if "best" in found else found["place"]) == pytest.approx(
+        [1.0, -0.4, 0.0], abs=0.02
+    )
+
+
+def test_a_mesh_of_a_scene_file_that_is_not_there_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "scene.toml").write_text(SCENE)
+    write_png(tmp_path / "photo.png", np.zeros((8, 8, 3)))
+    assert main(["fit", str(tmp_path / "scene.toml")]) != 0
+    assert "No such file or directory" in capsys.readouterr().err
