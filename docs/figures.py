@@ -11,6 +11,7 @@ import numpy as np
 
 from loi_core import ScaleSpace, inner_images, isophotes, local_histograms
 from loi_core.io.images import read_image
+from loi_core.pixels.encoding import encode_srgb
 from loi_core.report.plots import new_figure
 
 IMAGES: Final = Path(__file__).parent / "images"
@@ -72,6 +73,40 @@ def show_scales(demo: Path) -> None:
         axis.set_title(f"alpha = {alpha:g}", fontsize=10)
     axes[0, 1].plot(column, row, "+", color="#c2410c", markersize=14, markeredgewidth=2)
     figure.savefig(IMAGES / "scales.png", dpi=90)
+
+
+def show_mesh() -> None:
+    """A teapot on a floor that overlaps its photograph nowhere: where it starts, what is wanted, and what is found."""
+    import torch
+
+    from examples.paper.table3.teapot import teapot
+    from loi_core import LOIObjective, fit
+    from loi_core.fitting.loop import Free
+    from loi_torch.mesh import Camera, Light, MeshRenderer, Rotate, Translate, quad
+
+    checks = 0.35 + 0.3 * (np.indices((8, 8)).sum(axis=0) % 2.0)[..., None] * np.ones(3)
+    floor = quad((-6, -0.75, 4), (6, -0.75, 4), (6, -0.75, -6), (-6, -0.75, -6), texture=np.repeat(checks, 8, axis=1))
+    renderer = MeshRenderer(
+        108,
+        192,
+        {"teapot": teapot(1.2, colours=(0.9, 0.45, 0.2)), "floor": floor},
+        Camera((0.0, 2.5, 7.0), fov=35.0),
+        {"place": Translate("teapot"), "turn": Rotate("teapot", (0, 1, 0))},
+        lights={"sun": Light(direction=(-1, -2, -2))},
+        background=(0.55, 0.7, 0.9),
+    )
+    there = {"place": torch.tensor([2.0, 0.0, 0.6]), "turn": torch.tensor(40.0)}
+    target = renderer.render({name: value.double() for name, value in there.items()})
+    free = {"place": Free((-2.2, 0.0, -1.0), (-3.0, 0.0, -3.0), (3.0, 0.0, 2.0)), "turn": Free(0.0, -90.0, 90.0)}
+    start = renderer.render({"place": torch.tensor([-2.2, 0.0, -1.0]).double(), "turn": torch.tensor(0.0).double()})
+    result = fit(renderer, LOIObjective(target), steps=200, optimise=free)
+    print(result.params, result.diagnosis)
+    figure = new_figure(11.0, 2.3)
+    axes = figure.subplots(1, 3)
+    for place, title, image in zip(axes, ("start", "photograph", "found"), (start, target, result.image), strict=True):
+        _picture(place, encode_srgb(np.clip(image.numpy(), 0.0, 1.0)))
+        place.set_title(title)
+    figure.savefig(IMAGES / "mesh.png", dpi=90)
 
 
 def _picture(axis: Any, image: Any, cmap: str = "gray", vmax: float = 1.0) -> None:

@@ -134,7 +134,8 @@ def diagnose(seen: Findings) -> Diagnosis:
         return say(
             "no gradient",
             "start and target differ, but the gradient is 0 throughout",
-            "the renderer has none for these parameters, or wider scales are needed",
+            "what moves may be hidden, or out of reach of all scales, or the renderer may have no gradient by it; "
+            "give bounds and `starts`, or start elsewhere",
         )
     if left <= FOUND[0] + FOUND[1] * noise:
         return say("converged", rest)

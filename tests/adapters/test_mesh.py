@@ -13,8 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from loi_core import ProjectingRenderer, available_renderers
+from loi_core import LOIObjective, ProjectingRenderer, available_renderers, fit
 from loi_core.errors import BackendNotFoundError, OptionError, ParameterError
+from loi_core.fitting.loop import Free
 from loi_core.testing import RendererSubject, parametrize_with_checks
 from loi_torch.mesh import (
     Camera,
@@ -197,28 +198,30 @@ def test_an_image_is_the_mean_of_a_fine_one_up_to_shading_within_pixels() -> Non
 # Gradients.
 
 
+def scene(camera: Camera, dtype: str, parameters: dict[str, Any]) -> MeshRenderer:
+    """A ball, with a box that stands in front of a part of it."""
+    meshes = {"ball": sphere(subdivisions=2, colours=(0.9, 0.4, 0.2)), "box": box((1, 1, 1), (1.0, 0.0, 1.9))}
+    return MeshRenderer(24, 32, meshes, camera, parameters, dtype=dtype)
+
+
+POSES: dict[str, Any] = {
+    "place": Translate("ball"),
+    "turn": Rotate("box"),
+    "angle": Rotate("ball", (0, 1, 0), (1, 0, 0)),
+    "size": Scale("box"),
+}
+LOOKS: dict[str, Any] = {
+    "colour": "ball.colours",
+    "eye": "camera.position",
+    "light": "light.colour",
+    "matte": "box.diffuse",
+}
+
+
 @parametrize_with_checks(
     [
-        RendererSubject(
-            MeshRenderer(
-                24,
-                32,
-                {"ball": sphere(subdivisions=2, colours=(0.9, 0.4, 0.2)), "box": box((1, 1, 1), (1.0, 0.0, 1.9))},
-                camera,
-                {
-                    "place": Translate("ball"),
-                    "turn": Rotate("box"),
-                    "angle": Rotate("ball", (0, 1, 0), (1, 0, 0)),
-                    "size": Scale("box"),
-                    "colour": "ball.colours",
-                    "eye": "camera.position",
-                    "light": "light.colour",
-                    "matte": "box.diffuse",
-                },
-                dtype=dtype,
-            )
-        )
-        for camera, dtype in ((VIEW, "float64"), (Camera((0.2, 0.4, 5.0), extent=4.0), "float32"))
+        RendererSubject(scene(VIEW, "float64", POSES | LOOKS)),
+        RendererSubject(scene(Camera((0.2, 0.4, 5.0), extent=4.0), "float32", {"place": Translate("ball")})),
     ]
 )
 def test_the_contract_is_kept(check: Any, subject: Any) -> None:
@@ -355,6 +358,19 @@ def test_a_floor_that_goes_through_the_camera_is_drawn_up_to_it() -> None:
     image = draw([floor], Camera((0, 0, 0), (0, 0, -1), fov=90.0), 20, 20)[..., 0].numpy()
     np.testing.assert_allclose(image[11:], 0.8, atol=1e-9)
     np.testing.assert_allclose(image[:10], 0.0, atol=1e-9)
+
+
+def test_a_handle_that_is_turned_away_is_missed_aloud() -> None:
+    """It leaves no trace in the image, so nothing can be learnt from there."""
+    mug = box((1.2, 1.8, 1.2), colours=(0.2, 0.4, 0.8))
+    handle = box((0.7, 0.8, 0.2), (0.9, 0.0, 0.0), colours=(0.2, 0.4, 0.8))
+    around = {"turn": Rotate("handle", (0, 1, 0), (0, 0, 0))}
+    renderer = MeshRenderer(32, 32, {"mug": mug, "handle": handle}, Camera((0.0, 1.0, 6.0)), around)
+    photograph = renderer.render({"turn": torch.tensor(-25.0, dtype=torch.float64)})
+    lost = fit(renderer, LOIObjective(photograph), steps=30, optimise={"turn": Free(90.0)})
+    assert lost.diagnosis is not None
+    assert lost.diagnosis.verdict == "no gradient"
+    assert "hidden" in lost.diagnosis.advice
 
 
 def test_coplanar_triangles_are_drawn_in_their_order() -> None:

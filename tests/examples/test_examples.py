@@ -126,12 +126,13 @@ def test_the_snippets_of_the_readme_are_six_lines_and_run(name: str) -> None:
     [
         ("numpy", (75.0, 45.0), 0.5),
         ("torch", (75.0, 45.0), 0.5),
+        ("mesh", (2.0, -0.8, 0.0), 0.05),  # scene units; a pixel is 0.09
         ("jax", (75.0, 45.0), 0.5),
         ("mitsuba", (1.5, -1.0), 0.1),  # scene units; a pixel is 0.12
     ],
 )
 def test_the_loops_of_the_readme_find_a_place_that_they_do_not_overlap_at_first(
-    name: str, place: tuple[float, float], near: float
+    name: str, place: tuple[float, ...], near: float
 ) -> None:
     done = subprocess.run(
         [sys.executable, "-m", f"examples.loops.with_{name}"], capture_output=True, text=True, cwd=ROOT, check=True

@@ -1,0 +1,55 @@
+"""Table 3: its scenes are what they say, and its quick tier runs end to end."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from examples.paper.table3 import main
+from examples.paper.table3.problem import COLUMNS, Column, Problem, image_of
+from examples.paper.table3.teapot import teapot
+
+
+@pytest.mark.parametrize("column", COLUMNS, ids=lambda column: column.name)
+def test_every_scene_has_its_views_and_starts_elsewhere(column: Column) -> None:
+    problem = Problem.of(column, 3)
+    assert len(problem.views) == len(problem.places) == len(problem.targets) == column.views
+    assert {name: np.shape(value) for name, value in problem.start.items()} == {
+        name: np.shape(value) for name, value in problem.goal.items()
+    }
+    name, view = next(iter(problem.views.items()))
+    there = image_of(view, problem.goal)
+    np.testing.assert_array_equal(there, problem.targets[name])
+    assert float(np.mean((image_of(view, problem.start) - there) ** 2)) > 1e-4
+    for one in problem.start:
+        low, high = problem.bounds(one)
+        assert low is None or bool(np.all(low <= problem.start[one]))
+        assert low is None or bool(np.all(low <= problem.goal[one]))
+        assert high is None or bool(np.all(problem.goal[one] <= high))
+
+
+def test_the_teapot_is_closed_but_for_the_gap_under_its_lid() -> None:
+    mesh = teapot()
+    corners = mesh.vertices.numpy()[mesh.faces]
+    volume = float(np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))) / 6.0
+    assert volume > 0.5
+    assert float(mesh.vertices.abs().max()) == pytest.approx(1.0)
+
+
+def test_the_quick_tier_runs_and_is_not_done_twice(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for _ in range(2):
+        main(["--quick", "--out", str(tmp_path)])
+        assert "loi (ours)" in capsys.readouterr().out
+    rows = list(csv.DictReader((tmp_path / "runs.csv").read_text().splitlines()))
+    assert {row["method"] for row in rows} == {"rgbxy_finetune", "loi"}
+    assert (tmp_path / "ours-trans-rot.png").exists()
+    assert (tmp_path / "ours-convergence.png").exists()
+
+
+def test_wrong_words_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["--columns", "Kitten", "--out", str(tmp_path)])
+    assert "--columns must be of 'Translation'" in capsys.readouterr().err
