@@ -13,6 +13,7 @@ PACKAGES: Final = (
     "loi_core.stability",
     "loi_core.testing",
     "loi_torch",
+    "loi_torch.mesh",
     "loi_torch.vector",
     "loi_jax",
     "loi_mitsuba",

@@ -52,6 +52,7 @@ def test_the_wheel_works_in_an_empty_environment(fresh: Path, tmp_path: Path) ->
         "mitsuba": "missing",
         "mitsuba-planned": "missing",
         "vector-torch": "missing",
+        "mesh-torch": "missing",
         "warp": "ready",
         "warp-torch": "missing",
     }
@@ -62,6 +63,7 @@ def test_the_wheel_works_in_an_empty_environment(fresh: Path, tmp_path: Path) ->
         "mitsuba": "pip install 'loi[mitsuba]'",
         "mitsuba-planned": "pip install 'loi[mitsuba]'",
         "vector-torch": "pip install 'loi[torch]'",
+        "mesh-torch": "pip install 'loi[torch]'",
         "warp-torch": "pip install 'loi[torch]'",
     }
     states = {one["name"]: one["state"] for one in json.loads(run(fresh.parent / "loi", "doctor", "--json"))}

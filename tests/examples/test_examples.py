@@ -8,6 +8,7 @@ import textwrap
 from pathlib import Path
 
 import pytest
+import trimesh
 
 ROOT = Path(__file__).parents[2]
 
@@ -106,8 +107,8 @@ SETUPS = {
 @pytest.mark.parametrize("name", SETUPS)
 def test_the_snippets_of_the_readme_are_six_lines_and_run(name: str) -> None:
     text = (ROOT / "README.md").read_text()
-    (snippet,) = [block for block in text.split("```python\n")[1:] if name in block.split("```")[0]]
-    snippet = snippet.split("```")[0]
+    snippets = [block.split("```")[0] for block in text.split("```python\n")[1:]]
+    (snippet,) = [one for one in snippets if name in one and "loi_torch.mesh" not in one]
     assert len([line for line in snippet.splitlines() if line and "import" not in line]) <= 6
     assert "range(200)" in snippet
     start = "import numpy as np\nheight, width = 12, 16\nphotograph = np.full((height, width, 3), 0.7)\n"
@@ -119,6 +120,16 @@ def test_the_snippets_of_the_readme_are_six_lines_and_run(name: str) -> None:
     }[name]
     code = start + textwrap.dedent(SETUPS[name]) + snippet.replace("range(200)", "range(3)") + ending
     subprocess.run([sys.executable, "-c", code], check=True)
+
+
+def test_the_readme_finds_a_mesh_in_under_twenty_lines(tmp_path: Path) -> None:
+    snippets = [block.split("```")[0] for block in (ROOT / "README.md").read_text().split("```python\n")[1:]]
+    (snippet,) = [one for one in snippets if "loi_torch.mesh" in one]
+    assert len(snippet.splitlines()) < 20
+    trimesh.creation.box().export(tmp_path / "crate.glb")
+    start = "import numpy as np\nheight, width = 12, 16\nphotograph = np.full((height, width, 3), 0.1)\n"
+    code = start + snippet.replace("range(300)", "range(3)") + "assert bool((place != 0.0).any())"
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=tmp_path)
 
 
 @pytest.mark.parametrize(

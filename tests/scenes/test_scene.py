@@ -132,8 +132,8 @@ MISTAKES: list[tuple[str, str, str]] = [
         'name = "disks"',
         'name = "spheres"',
         (
-            "no renderer is called 'spheres'; installed are disks, disks-jax, disks-torch, mitsuba, mitsuba-planned, "
-            "vector-torch, warp, warp-torch"
+            "no renderer is called 'spheres'; installed are disks, disks-jax, disks-torch, mesh-torch, mitsuba, "
+            "mitsuba-planned, vector-torch, warp, warp-torch"
         ),
     ),
     ('name = "disks"', "", "[renderer] `name` is missing"),

@@ -1,8 +1,8 @@
 """The same images by nvdiffrast, on a GPU: its rasterizer and its antialiasing, our surfaces and lights.
 
-nvdiffrast is not on PyPI, and this module needs it and a CUDA device. Its antialiasing follows outlines between pairs of
-neighbouring pixels only (Laine et al. 2020): coverage is not exact, and neither creases between two visible sides nor
-lines along which meshes cut into each other have a gradient.
+nvdiffrast is not on PyPI, and this module needs it and a CUDA device. Its antialiasing follows outlines between pairs
+of neighbouring pixels only (Laine et al. 2020): coverage is not exact, and neither creases between two visible sides
+nor lines along which meshes cut into each other have a gradient.
 """
 
 from __future__ import annotations
