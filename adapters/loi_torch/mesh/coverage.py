@@ -14,7 +14,7 @@ from typing import Final
 import torch
 from torch import Tensor
 
-__all__ = ["ENDS", "hidden_area", "nearest_point"]
+__all__ = ["ENDS", "hidden_area", "nearest_point", "nearest_share"]
 
 ENDS: Final = 0.02  # of a part, at its ends
 
@@ -48,10 +48,15 @@ def nearest_point(first: Tensor, last: Tensor, centre: Tensor) -> Tensor:
     What an edge through the centre adds then goes on without a jump as the centre changes sides. Ends are kept away
     from, as other edges begin there.
     """
+    return first + nearest_share(first, last, centre)[:, None] * (last - first)
+
+
+def nearest_share(first: Tensor, last: Tensor, centre: Tensor) -> Tensor:
+    """Where between their ends those points lie, shape (f,), 0 to 1."""
     along = last - first
     length = (along * along).sum(dim=1)
     share = ((centre - first) * along).sum(dim=1) / torch.where(length > 0.0, length, torch.ones_like(length))
-    return first + share.clamp(ENDS, 1.0 - ENDS)[:, None] * along
+    return share.clamp(ENDS, 1.0 - ENDS)
 
 
 def _around(point: Tensor) -> Tensor:

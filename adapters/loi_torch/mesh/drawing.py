@@ -8,6 +8,7 @@ and lights. The areas of :mod:`loi_torch.mesh.coverage` then mix them, and have 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
@@ -20,7 +21,7 @@ from loi_torch.mesh import visibility
 from loi_torch.mesh.cameras import Camera
 from loi_torch.mesh.coverage import hidden_area, nearest_point
 from loi_torch.mesh.interpolation import Samples, corner_rows, interpolate, weights
-from loi_torch.mesh.junctions import CROSSING, EDGE, HORIZONTAL, VERTICAL, crossing_stops, settled
+from loi_torch.mesh.junctions import CROSSING, EDGE, HORIZONTAL, VERTICAL, Parts, crossing_stops, settled
 from loi_torch.mesh.lighting import Environment, Light, reflected
 from loi_torch.mesh.meshes import Mesh
 from loi_torch.mesh.projected import Projected, Seen, View
@@ -72,27 +73,27 @@ def draw(
     """
     frame = Frame(meshes, camera, height, width)
     behind = frame.behind(background)
-    seen = frame.seen
-    covered = np.flatnonzero(seen.found >= 0)
-    pixels, sides, areas = frame.jumps()
-    # Where the near side is of the surface that the centre shows, its colour is known, and is that of all of this side.
-    known = frame.near_is_centre(pixels, sides)
-    left, right = (np.flatnonzero((side >= 0) & ~same) for side, same in zip(sides, known, strict=True))
-    triangle = np.concatenate([seen.found[covered], sides[0][left], sides[1][right]])
-    beside = (frame.beside.index_select(0, frame.tensor(one)) for one in (left, right))
-    places = torch.cat([frame.centres(covered), *beside])
-    colours = shade(frame, frame.samples(triangle, places), lights, environment)
-    inner, left_colours, right_colours = torch.split(colours, [len(covered), len(left), len(right)])
+    covered = np.flatnonzero(frame.seen.found >= 0)
+    jumps = frame.jumps()
+    # A side that shows the surface of the centre has the colour of the centre; others are looked at beside the edge.
+    rows = [np.flatnonzero((side >= 0) & ~known) for side, known in zip(jumps.sides, jumps.known, strict=True)]
+    triangle = [side[own] for side, own in zip(jumps.sides, rows, strict=True)]
+    beside = [jumps.beside.index_select(0, frame.tensor(own)) for own in rows]
+    samples = frame.samples(
+        np.concatenate([frame.seen.found[covered], *triangle]), torch.cat([frame.centres(covered), *beside])
+    )
+    inner, *colours = torch.split(shade(frame, samples, lights, environment), [len(covered), *map(len, rows)])
     image = behind.index_copy(0, frame.tensor(covered), inner)
-    if len(pixels):
-        at = frame.tensor(pixels)
+    if len(jumps.pixels):
+        at = frame.tensor(jumps.pixels)
         base, centre = behind.index_select(0, at), image.index_select(0, at)
-        far = []
-        for rows, same, colour in ((left, known[0], left_colours), (right, known[1], right_colours)):
-            one = torch.where(torch.as_tensor(same, device=frame.device)[:, None], centre, base)
-            far.append(one.index_copy(0, frame.tensor(rows), colour))
-        jump = far[1] - far[0]
-        image = image.index_add(0, at, areas[:, None] * jump)
+        left, right = (
+            torch.where(torch.as_tensor(known, device=frame.device)[:, None], centre, base).index_copy(
+                0, frame.tensor(own), colour
+            )
+            for known, own, colour in zip(jumps.known, rows, colours, strict=True)
+        )
+        image = image.index_add(0, at, jumps.areas[:, None] * (right - left))
     return image.reshape(height, width, 3)
 
 
@@ -131,6 +132,30 @@ def draw_places(
         moved = camera.project(places, height, width)[0]
         result = result.index_copy(0, at, torch.cat([colours, moved[:, :2] / moved[:, 2:] / size], dim=1))
     return result.reshape(height, width, 5)
+
+
+@dataclass(frozen=True)
+class Jumps:
+    """Where colours jump within pixels.
+
+    Attributes
+    ----------
+    pixels : array of int, shape (f,)
+    sides : arrays of int, shape (f,)
+        The triangles on the left and right, -1 for none.
+    known : arrays of bool, shape (f,)
+        Whether the left, or the right, is on the centre's side and of the surface that is seen there.
+    beside : Tensor, shape (f, 2)
+        Where the two sides are looked at, in pixels.
+    areas : Tensor, shape (f,)
+        See :func:`loi_torch.mesh.coverage.hidden_area`.
+    """
+
+    pixels: Any
+    sides: tuple[Any, Any]
+    known: tuple[Any, Any]
+    beside: Tensor
+    areas: Tensor
 
 
 class Frame:
@@ -206,34 +231,45 @@ class Frame:
         fov = 0.0 if self.camera.extent is not None else float(self.camera.fov.detach())
         return torch.full((count,), float(np.radians(fov)) / height, dtype=torch.float64, device=self.device)
 
-    def jumps(self) -> tuple[Any, tuple[Any, Any], Tensor]:
-        """Of every part of an edge that shows: its pixel, the triangles on its left and right, and its area."""
+    def jumps(self) -> Jumps:
+        """Every part of an edge that shows, and of a line along which meshes cut into each other."""
         seen = self.seen
-        self.parts = settled(self.projected, seen)
-        first, last, turn = self._edge_ends()
+        parts = settled(self.projected, seen)
+        first, last, turn = self._edge_ends(parts)
         if len(seen.crossing_pixel):
             crossing = self._crossing_ends()
             first, last, turn = (torch.cat(pair) for pair in zip((first, last, turn), crossing, strict=True))
-        pixels = np.concatenate([self.parts.pixel, seen.crossing_pixel])
-        sides = np.concatenate([self.parts.sides, seen.crossing_sides]).T
+        pixels = np.concatenate([parts.pixel, seen.crossing_pixel])
+        left, right = np.concatenate([parts.sides, seen.crossing_sides]).T
         centres = self.centres(pixels)
         if bool((turn == 0.0).any()):
             centres, turn = self._off_edges(pixels, centres, first.detach(), last.detach(), turn)
-        self.turn = to_numpy(turn)
-        self.beside = nearest_point(first, last, centres)
-        return pixels, (sides[0], sides[1]), hidden_area(first - centres, last - centres, turn)
+        return Jumps(
+            pixels,
+            (left, right),
+            self._known(pixels, left, right, to_numpy(turn)),
+            nearest_point(first, last, centres),
+            hidden_area(first - centres, last - centres, turn),
+        )
 
-    def near_is_centre(self, pixels: Any, sides: tuple[Any, Any]) -> tuple[Any, Any]:
-        """Whether the left, or the right, of parts of edges is on the centre's side and of the surface seen there."""
-        sheet, found = self.topology.sheet, self.seen.found[pixels]
-        covered = found >= 0
-        facing = np.sign(np.linalg.det(self.projected.corners[self.topology.faces]))
+    def _known(self, pixels: Any, left: Any, right: Any, turn: Any) -> tuple[Any, Any]:
+        """See :class:`Jumps`."""
+        found = self.seen.found[pixels]
+        facing, sheet = self._facing(found), self._sheet(found)
 
         def same(side: Any, towards: float) -> Any:
-            alike = (sheet[side] == sheet[found]) & (facing[side] == facing[found]) if len(sheet) else covered
-            return covered & (side >= 0) & (self.turn == towards) & alike
+            alike = (self._sheet(side) == sheet) & (self._facing(side) == facing)
+            return (found >= 0) & (side >= 0) & (turn == towards) & alike
 
-        return same(sides[0], 1.0), same(sides[1], -1.0)
+        return same(left, 1.0), same(right, -1.0)
+
+    def _sheet(self, triangle: Any) -> Any:
+        return self.topology.sheet[triangle] if len(self.topology.sheet) else triangle
+
+    def _facing(self, triangle: Any) -> Any:
+        """The sign of triangles' volume, with the eye at the tip."""
+        faces = self.topology.faces
+        return np.sign(np.linalg.det(self.projected.corners[faces[triangle]])) if len(faces) else triangle
 
     def _off_edges(
         self, pixels: Any, centres: Tensor, first: Tensor, last: Tensor, turn: Tensor
@@ -248,21 +284,18 @@ class Frame:
         around = torch.sign(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
         return centres.index_copy(0, at, moved), turn.index_copy(0, at, around)
 
-    def _edge_ends(self) -> tuple[Tensor, Tensor, Tensor]:
+    def _edge_ends(self, parts: Parts) -> tuple[Tensor, Tensor, Tensor]:
         """Both ends of parts of edges, in pixels, as they move; and which way they run around centres."""
-        parts, width = self.parts, self.size[1]
-        ends = self.tensor(self.topology.ends[parts.edge])
-        a, b = self.corners.index_select(0, ends[:, 0]), self.corners.index_select(0, ends[:, 1])
+        ends = self.topology.ends[parts.edge]
+        a, b = (self.corners.index_select(0, self.tensor(ends[:, k])) for k in (0, 1))
         span = torch.as_tensor(parts.span, device=self.device)
-        normal, _ = self._edge_line(ends, None)
+        normal = self._edge_line(ends)[:, :2].detach()
         points = []
         for k in (0, 1):
             on_edge = a + span[:, k, None] * (b - a)
-            point = on_edge[:, :2] / on_edge[:, 2:]
-            points.append(self._stopped(point, normal, parts.stops[:, k]))
+            points.append(self._stopped(on_edge[:, :2] / on_edge[:, 2:], normal, parts.stops[:, k]))
         p, q = a.detach(), b.detach()
-        x = torch.as_tensor(parts.pixel % width + 0.5, device=self.device)
-        y = torch.as_tensor(parts.pixel // width + 0.5, device=self.device)
+        x, y = self.centres(parts.pixel).unbind(dim=1)
         # The same arithmetic as the edge functions', so that both agree on which side a centre lies.
         across = (
             (p[:, 1] * q[:, 2] - p[:, 2] * q[:, 1]) * x
@@ -274,16 +307,14 @@ class Frame:
     def _crossing_ends(self) -> tuple[Tensor, Tensor, Tensor]:
         """The same for parts of lines along which two triangles cut into each other."""
         seen = self.seen
-        one, other = seen.crossing_sides[:, 0], seen.crossing_sides[:, 1]
         stops = crossing_stops(self.projected, seen)
+        line = self._crossing_line(seen.crossing_sides)
+        normal = line[:, :2].detach()
         points = []
         for k in (0, 1):
             fixed = torch.as_tensor(seen.crossing_ends[:, 2 * k : 2 * k + 2], device=self.device)
-            normal, away = self._crossing_line(one, other, fixed)
-            points.append(self._stopped(fixed + normal * away[:, None], normal, stops[:, k]))
-        plane = (self._plane(one) - self._plane(other)).detach()
-        centres = self.centres(seen.crossing_pixel)
-        return points[0], points[1], torch.sign((plane[:, :2] * centres).sum(dim=1) + plane[:, 2])
+            points.append(self._stopped(fixed + normal * _moved(line, fixed)[:, None], normal, stops[:, k]))
+        return points[0], points[1], torch.sign(_value(line.detach(), self.centres(seen.crossing_pixel)))
 
     def _stopped(self, point: Tensor, normal: Tensor, stops: Any) -> Tensor:
         """Points of lines, which move along with them, held by what the lines end at.
@@ -299,21 +330,14 @@ class Frame:
         """
         held = point.detach()
         moved = ((point - held) * normal).sum(dim=1)
-        other = torch.zeros_like(normal)
-        other[:, 0] = torch.as_tensor((stops[:, 0] == VERTICAL).astype(float), device=self.device)
-        other[:, 1] = torch.as_tensor((stops[:, 0] == HORIZONTAL).astype(float), device=self.device)
-        by = torch.zeros_like(moved)
-        for kind in (EDGE, CROSSING):
+        borders = np.stack([stops[:, 0] == VERTICAL, stops[:, 0] == HORIZONTAL], axis=1).astype(float)
+        other, by = torch.as_tensor(borders, device=self.device), torch.zeros_like(moved)
+        for kind, line_of in ((EDGE, self._edge_line), (CROSSING, self._crossing_line)):
             rows = np.flatnonzero(stops[:, 0] == kind)
-            if not len(rows):
-                continue
-            at, first, last = self.tensor(rows), stops[rows, 1], stops[rows, 2]
-            if kind == EDGE:
-                line, away = self._edge_line(self.tensor(np.stack([first, last], axis=1)), held[at])
-            else:
-                line, away = self._crossing_line(first, last, held[at])
-            other = other.index_copy(0, at, line)
-            by = by.index_copy(0, at, away)
+            if len(rows):
+                at, line = self.tensor(rows), line_of(stops[rows, 1:])
+                other = other.index_copy(0, at, line[:, :2].detach())
+                by = by.index_copy(0, at, _moved(line, held[at]))
         across = normal[:, 0] * other[:, 1] - normal[:, 1] * other[:, 0]
         free = across.abs() < STEEP
         across = torch.where(free, torch.ones_like(across), across)
@@ -321,25 +345,14 @@ class Frame:
         y = (normal[:, 0] * by - other[:, 0] * moved) / across
         return torch.where(free[:, None], point, held + torch.stack([x, y], dim=1))
 
-    def _edge_line(self, ends: Tensor, points: Tensor | None) -> tuple[Tensor, Tensor]:
-        """Normals of edges on the screen, without gradient, and how far these move at points of them."""
-        a, b = self.corners.index_select(0, ends[:, 0]), self.corners.index_select(0, ends[:, 1])
-        line = torch.linalg.cross(a, b)
-        length = torch.linalg.vector_norm(line[:, :2].detach(), dim=1, keepdim=True)
-        line = line / torch.where(length > 0.0, length, torch.ones_like(length))
-        normal = line[:, :2].detach()
-        if points is None:
-            return normal, normal[:, 0]
-        value = (line[:, :2] * points).sum(dim=1) + line[:, 2]
-        return normal, value.detach() - value
+    def _edge_line(self, ends: Any) -> Tensor:
+        """Lines a x + b y + c = 0 through pairs of vertices on the screen, shape (f, 3), with unit normals (a, b)."""
+        a, b = (self.corners.index_select(0, self.tensor(ends[:, k])) for k in (0, 1))
+        return _normalised(torch.linalg.cross(a, b))
 
-    def _crossing_line(self, one: Any, other: Any, points: Tensor) -> tuple[Tensor, Tensor]:
-        """The same of the lines where two triangles are equally near."""
-        plane = self._plane(one) - self._plane(other)
-        length = torch.linalg.vector_norm(plane[:, :2].detach(), dim=1, keepdim=True)
-        plane = plane / torch.where(length > 0.0, length, torch.ones_like(length))
-        value = (plane[:, :2] * points).sum(dim=1) + plane[:, 2]
-        return plane[:, :2].detach(), value.detach() - value
+    def _crossing_line(self, pair: Any) -> Tensor:
+        """The same of the lines where pairs of triangles are equally near."""
+        return _normalised(self._plane(pair[:, 0]) - self._plane(pair[:, 1]))
 
     def _plane(self, triangle: Any) -> Tensor:
         """The nearness of triangles as a x + b y + c, shape (g, 3)."""
@@ -348,6 +361,23 @@ class Frame:
         functions = torch.stack([torch.linalg.cross(v[:, (k + 1) % 3], v[:, (k + 2) % 3]) for k in range(3)], dim=1)
         depth = corner_rows(self.depth[:, None], corners)
         return (functions * depth).sum(dim=1) / (v[:, 0] * functions[:, 0]).sum(dim=1, keepdim=True)
+
+
+def _normalised(line: Tensor) -> Tensor:
+    length = torch.linalg.vector_norm(line[:, :2].detach(), dim=1, keepdim=True)
+    normalised: Tensor = line / torch.where(length > 0.0, length, torch.ones_like(length))
+    return normalised
+
+
+def _value(line: Tensor, points: Tensor) -> Tensor:
+    value: Tensor = (line[:, :2] * points).sum(dim=1) + line[:, 2]
+    return value
+
+
+def _moved(line: Tensor, points: Tensor) -> Tensor:
+    """How far lines move along their normals at points of them, which stay: 0, with the gradient of the line."""
+    value = _value(line, points)
+    return value.detach() - value
 
 
 def shade(
@@ -390,10 +420,11 @@ def _of_mesh(
     corners = samples.corners - int(frame.first_vertex[number])
     triangle = samples.triangle - int(frame.first_triangle[number])
     lit = bool(lights) or environment is not None
+    own_normals = mesh.normals() if lit else None
     columns, widths = [], []
     for value in (
         mesh.vertices if lit else None,
-        mesh.normals() if lit and mesh.smooth else None,
+        own_normals if mesh.smooth else None,
         mesh.colours if mesh.per == "vertex" else None,
         mesh.uv,
     ):
@@ -408,19 +439,22 @@ def _of_mesh(
         colours = rows.expand(len(triangle), 3)
     if mesh.texture is not None:
         colours = colours * _textured(mesh, uv, corners, screen, samples.points)
-    if not lit:
+    if own_normals is None:
         return colours
     if not mesh.smooth:
-        normals = mesh.normals().index_select(0, triangle)
+        normals = own_normals.index_select(0, triangle)
     eye = frame.camera.position
     view = unit(eye - points) if frame.camera.extent is None else -frame.camera.axes()[2].expand_as(points)
     # The image's y points down, so what is counterclockwise from outside has a negative volume.
     outwards = torch.where(functions.detach().sum(dim=1, keepdim=True) < 0.0, 1.0, -1.0)
-    normals = unit(normals) * outwards
+    turned, normals = normals, unit(normals) * outwards
     total = reflected(colours, points, normals, eye, view, mesh.material, list(lights))
     if environment is not None:
         mirrored = 2.0 * (normals * view).sum(dim=1, keepdim=True) * normals - view
-        footprint = _bend(frame, mesh, samples, corners, screen)
+        with torch.no_grad():  # a pixel's own angle, and twice that by which the normal turns over it
+            footprint = frame.pixel_angle(len(points))
+            if mesh.smooth:
+                footprint = footprint + 2.0 * _spread(own_normals, turned, corners, screen, samples.points)
         total = total + mesh.material.mirror * environment.radiance(mirrored, footprint)
     return total
 
@@ -442,13 +476,3 @@ def _spread(values: Tensor, here: Tensor, corners: Tensor, screen: Tensor, point
         for step in steps
     ]
     return torch.maximum(lengths[0], lengths[1])
-
-
-def _bend(frame: Frame, mesh: Mesh, samples: Samples, corners: Tensor, screen: Tensor) -> Tensor:
-    """The angle of a pixel after reflection: twice that by which the normal turns, and its own, in radians."""
-    with torch.no_grad():
-        angle = frame.pixel_angle(len(samples.points))
-        if mesh.smooth:
-            unturned = interpolate(mesh.normals(), corners, weights(screen, samples.points)[0])
-            angle = angle + 2.0 * _spread(mesh.normals(), unturned, corners, screen, samples.points)
-        return angle

@@ -11,8 +11,9 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
+import torch
 
-from loi_torch.mesh.coverage import ENDS
+from loi_torch.mesh.coverage import nearest_share
 from loi_torch.mesh.projected import FloatArray, IndexArray, Projected, Seen
 
 __all__ = ["CORNER", "CROSSING", "EDGE", "HORIZONTAL", "VERTICAL", "Parts", "crossing_stops", "settled"]
@@ -129,10 +130,7 @@ def _nearest(scene: Projected, parts: Parts, rows: Any) -> FloatArray:
     start, end = (one[:, :2] / one[:, 2:] for one in (first, last))
     width = scene.view.width
     centre = np.stack([parts.pixel[rows] % width + 0.5, parts.pixel[rows] // width + 0.5], axis=1)
-    along = end - start
-    length = np.sum(along * along, axis=1)
-    share = np.sum((centre - start) * along, axis=1) / np.where(length > 0.0, length, 1.0)
-    share = np.clip(share, ENDS, 1.0 - ENDS)
+    share = nearest_share(*map(torch.from_numpy, (start, end, centre))).numpy()
     in_space = share * first[:, 2] / (last[:, 2] - share * (last[:, 2] - first[:, 2]))
     found: FloatArray = low + (high - low) * in_space
     return found

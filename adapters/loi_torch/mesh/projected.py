@@ -8,9 +8,10 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
+from loi_core.renderers.checks import FloatArray
+
 __all__ = ["FloatArray", "IndexArray", "Projected", "Seen", "Topology", "View"]
 
-FloatArray: TypeAlias = np.ndarray[Any, np.dtype[np.float64]]
 IndexArray: TypeAlias = np.ndarray[Any, np.dtype[np.int32]]
 
 

@@ -12,10 +12,10 @@ import torch
 from torch import Tensor
 
 from loi_core.errors import OptionError, ParameterError
-from loi_core.io.images import read_image
-from loi_core.pixels.encoding import Encoding, decode_srgb
+from loi_core.pixels.encoding import Encoding
 from loi_core.renderers.checks import check_dtype, check_size
 from loi_core.renderers.handles import Target, targets_of
+from loi_core.scenes.target import read_target
 from loi_core.support.wording import shown
 from loi_torch.mesh.cameras import Camera
 from loi_torch.mesh.drawing import draw, draw_places
@@ -214,8 +214,5 @@ def _meshes(meshes: Any, textures: Mapping[str, Any], materials: Mapping[str, An
 
 
 def _image(value: Any) -> Any:
-    """Linear RGB: an array as it is, PNG and JPEG decoded."""
-    if not isinstance(value, pathlib.Path | str):
-        return value
-    pixels = read_image(value)[..., :3]
-    return decode_srgb(pixels) if pathlib.Path(value).suffix.lower() in (".png", ".jpg", ".jpeg") else pixels
+    """Linear RGB: an array as it is, a file decoded."""
+    return read_target(value, to="linear", alpha="ignore").image if isinstance(value, pathlib.Path | str) else value

@@ -17,7 +17,7 @@ from loi_core.support.arrays import to_numpy
 from loi_torch.mesh.cameras import Camera
 from loi_torch.mesh.lighting import Environment, Light
 from loi_torch.mesh.meshes import Mesh
-from loi_torch.mesh.posing import posed
+from loi_torch.mesh.posing import posed, rotation
 
 __all__ = ["Scene", "Values"]
 
@@ -152,7 +152,7 @@ class Values:
         if isinstance(target, Scale):
             return np.maximum(value, LEAST_SCALE)
         if isinstance(target, Rotate) and target.axis is None:
-            return _orthonormal(value) if _independent(value) else value
+            return rotation(torch.from_numpy(value))[:2].numpy() if _independent(value) else value
         if isinstance(target, Rotate | Translate):
             return value
         key = target.rpartition(".")[2]
@@ -185,9 +185,3 @@ def _independent(rows: FloatArray) -> bool:
     lengths: Sequence[float] = np.linalg.norm(rows, axis=1).tolist()
     across = float(np.linalg.norm(np.cross(rows[0], rows[1])))
     return across > PARALLEL * lengths[0] * lengths[1]
-
-
-def _orthonormal(rows: FloatArray) -> FloatArray:
-    first = rows[0] / np.linalg.norm(rows[0])
-    second = rows[1] - (first @ rows[1]) * first
-    return np.stack([first, second / np.linalg.norm(second)])

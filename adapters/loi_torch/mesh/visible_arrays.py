@@ -14,16 +14,10 @@ from torch import Tensor
 
 from loi_torch.mesh.coverage import ENDS
 from loi_torch.mesh.projected import FloatArray, IndexArray, Projected, Seen
+from loi_torch.mesh.tolerances import ASIDE, EDGE_ON, HALVINGS, MARGIN, PAIRED, SAME_DEPTH, SAME_PLACE
 
 __all__ = ["look"]
 
-ASIDE: Final = 1e-6  # as in `visible_loops`
-EDGE_ON: Final = 1e-9
-SAME_DEPTH: Final = 1e-9
-SAME_PLACE: Final = 1e-5
-MARGIN: Final = 2e-3
-PAIRED: Final = 24
-HALVINGS: Final = 14
 BATCH: Final = 2**22  # pairs that are looked at together
 
 

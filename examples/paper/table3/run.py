@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 import torch
 
+from examples.paper.table1.run import structure
 from examples.paper.table3.objectives import objective
 from examples.paper.table3.problem import Column, FloatArray, Problem, image_of
 from examples.paper.table3.settings import Setting
@@ -17,7 +18,6 @@ from loi_core import fit
 from loi_core.fitting.adam import Adam
 from loi_core.fitting.loop import FitStep, Free
 from loi_core.fitting.optimiser import Memory
-from loi_core.objectives import MSSSIM
 from loi_core.renderers.contract import Parameters
 
 __all__ = ["CURVE_STEPS", "Outcome", "Run", "carry_out"]
@@ -101,7 +101,7 @@ def carry_out(run: Run) -> Outcome:
     found = {name: value.numpy() for name, value in params.items()}
     images = {name: image_of(view, found) for name, view in problem.views.items()}
     error = np.mean([np.mean((images[name] - wanted) ** 2) for name, wanted in problem.targets.items()])
-    ssim = np.mean([_structure(images[name], wanted) for name, wanted in problem.targets.items()])
+    ssim = np.mean([structure(images[name], wanted) for name, wanted in problem.targets.items()])
     return Outcome(
         _decibels(float(error)),
         float(ssim),
@@ -137,11 +137,6 @@ def _part(
         common |= {"learning_rate": f"{rate} px"}
         free = {name: Free(value, *problem.bounds(name)) for name, value in start.items()}
     return fit(views, objectives, optimise=free, **common).params
-
-
-def _structure(image: FloatArray, target: FloatArray) -> float:
-    """SSIM with Gaussian windows (Wang et al. 2004), 1 for equal images."""
-    return 1.0 - float(MSSSIM(target.astype(np.float64), levels=1).value(image.astype(np.float64)))
 
 
 def _decibels(error: float) -> float:
