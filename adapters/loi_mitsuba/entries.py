@@ -5,17 +5,19 @@ from __future__ import annotations
 import difflib
 import re
 from collections import defaultdict
+from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, TypeAlias
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_core.errors import OptionError, ParameterError
-from loi_core.support.wording import shown
+from loi_core.errors import ParameterError
+from loi_mitsuba.loading import Loaded, load_scene, use_variant
 
-__all__ = ["Entry", "Scene", "ancestors", "find_entry", "find_shape", "list_entries", "numbers"]
+__all__ = ["Entry", "Names", "Scene", "ancestors", "list_entries", "numbers"]
 
 Scene: TypeAlias = Any
 SceneParameters: TypeAlias = Any
@@ -46,65 +48,110 @@ class Entry:
     problem: str
 
 
-def list_entries(scene: Scene) -> dict[str, Entry]:
+def list_entries(scene: dict[str, Any] | str | Path | Scene) -> dict[str, Entry]:
     """Every entry of a scene by its readable name, in the order of ``mi.traverse``.
+
+    A name means one object however the scene was loaded. Objects without an id are numbered in the file's order, as
+    ``sphere_0``. A scene that you have loaded yourself may not have kept that order of its meshes, so those are called
+    by where they stand, as ``rectangle_at_0_0_-1``; renderers know both names.
+
+    Parameters
+    ----------
+    scene : dict, path or mi.Scene
+        As that of :class:`MitsubaRenderer`.
 
     Raises
     ------
+    SceneLoadError
+        If Mitsuba cannot load the scene.
     OptionError
-        If it is not a scene that Mitsuba has loaded.
+        If it is none.
     """
-    if not isinstance(scene, mi.Object):
-        msg = f"`scene` must be loaded, as by mi.load_file(path) or mi.load_dict(scene), got {shown(scene)}"
-        raise OptionError(msg)
-    params = mi.traverse(scene)
-    readable = _readable(params)
-    listed = {}
-    for key in params.properties:  # iterating over `params` itself yields pairs
-        folder, _, last = key.rpartition(".")
-        name = f"{readable[folder]}.{last}" if folder else last
-        listed[name] = Entry(name, key, _shape(params[key]), _problem(params, key))
-    return listed
+    use_variant()
+    return Names(load_scene(scene)).entries
 
 
-def find_entry(entries: dict[str, Entry], key: str) -> Entry:
-    """The entry of that readable name or key, once it is known that it can be fitted."""
-    entry = entries.get(key) or next((one for one in entries.values() if one.key == key), None)
-    if entry is None:
-        usable = [name for name, one in entries.items() if not one.problem]
-        near = difflib.get_close_matches(key, usable, 3, 0.4) or usable
-        msg = f"the scene has no entry {key!r}; {'near' if near != usable else 'it has'}: {', '.join(near)}"
-        raise ParameterError(msg)
-    if entry.problem:
-        msg = f"{key!r} cannot be fitted: {entry.problem}"
-        raise ParameterError(msg)
-    return entry
+class Names:
+    """What the entries and shapes of a scene are called, as it stands when this is made.
 
+    Parameters
+    ----------
+    loaded : Loaded
 
-def find_shape(scene: Scene, name: str) -> tuple[str, Any]:
-    """The key of what places the shape of that readable name or id, and the shape.
-
-    Returns
-    -------
-    key : str
-        Of its ``vertex_positions`` or ``to_world``.
-    shape : mi.Shape
+    Attributes
+    ----------
+    scene : mi.Scene
+    entries : dict of Entry
+        By readable name.
     """
-    params = mi.traverse(scene)
-    readable = _readable(params)
-    shapes = []
-    for key in params.properties:
-        folder, _, last = key.rpartition(".")
-        node = params.properties[key][2]
-        if isinstance(node, mi.Shape) and last in ("vertex_positions", "to_world"):
-            if name in (folder, readable[folder]) and not _problem(params, key):
-                return key, node
-            shapes.append(readable[folder])
-        elif folder and name in (folder, readable[folder]) and isinstance(node, mi.Sensor | mi.Emitter):
-            msg = f"{name!r} cannot be moved: {_fixed(node)}"
+
+    def __init__(self, loaded: Loaded) -> None:
+        self.scene = loaded.scene
+        self._params = mi.traverse(loaded.scene)
+        self._readable, places = _readable(self._params, in_order=loaded.in_order)
+        self.entries: dict[str, Entry] = {}
+        self._also: dict[str, Entry] = {}
+        for key in self._params.properties:  # iterating over it itself yields pairs
+            folder, _, last = key.rpartition(".")
+            name = f"{self._readable[folder]}.{last}" if folder else last
+            entry = Entry(name, key, _shape(self._params[key]), _problem(self._params, key))
+            self.entries[name] = self._also[key] = entry
+            for own, place in places.items():
+                if folder == own or folder.startswith(f"{own}."):
+                    self._also[f"{place}{folder[len(own) :]}.{last}"] = entry
+        self._places = places
+
+    def find(self, key: str) -> Entry:
+        """The entry of that name or key.
+
+        Raises
+        ------
+        ParameterError
+            If there is none, or it cannot be fitted.
+        """
+        entry = self.entries.get(key) or self._also.get(key)
+        if entry is None:
+            usable = [name for name, one in self.entries.items() if not one.problem]
+            near = difflib.get_close_matches(key, usable, 3, 0.4) or usable
+            msg = f"the scene has no entry {key!r}; {'near' if near != usable else 'it has'}: {', '.join(near)}"
             raise ParameterError(msg)
-    msg = f"the scene has no shape {name!r} that can be moved; it has: {', '.join(dict.fromkeys(shapes)) or 'none'}"
-    raise ParameterError(msg)
+        if entry.problem:
+            msg = f"{key!r} cannot be fitted: {entry.problem}"
+            raise ParameterError(msg)
+        return entry
+
+    def find_shape(self, name: str) -> tuple[str, Any]:
+        """The key of what places the shape of that name or id, and the shape.
+
+        Returns
+        -------
+        key : str
+            Of its ``vertex_positions`` or ``to_world``.
+        shape : mi.Shape
+
+        Raises
+        ------
+        ParameterError
+            If there is none, or it cannot be moved.
+        """
+        shapes = []
+        for key in self._params.properties:
+            folder, _, last = key.rpartition(".")
+            node = self._params.properties[key][2]
+            called = (folder, self._readable.get(folder), self._places.get(folder))
+            if isinstance(node, mi.Shape) and last in ("vertex_positions", "to_world"):
+                problem = _problem(self._params, key)
+                if name in called and not problem:
+                    return key, node
+                if name in called and folder and _is_merged(node):
+                    msg = f"{name!r} cannot be moved: {problem}"
+                    raise ParameterError(msg)
+                shapes.append(self._readable[folder])
+            elif folder and name in called and isinstance(node, mi.Sensor | mi.Emitter):
+                msg = f"{name!r} cannot be moved: {_fixed(node)}"
+                raise ParameterError(msg)
+        msg = f"the scene has no shape {name!r} that can be moved; it has: {', '.join(dict.fromkeys(shapes)) or 'none'}"
+        raise ParameterError(msg)
 
 
 def numbers(value: Any) -> Any:
@@ -113,11 +160,16 @@ def numbers(value: Any) -> Any:
     return value.matrix if isinstance(value, mi.Transform4f) else value
 
 
-def _readable(params: SceneParameters) -> dict[str, str]:
-    """Readable names of the objects that entries belong to, by their keys."""
+def _readable(params: SceneParameters, *, in_order: bool) -> tuple[dict[str, str], dict[str, str]]:
+    """Readable names of the objects that entries belong to, by their keys, and those by place of meshes without an id.
+
+    Where meshes may have been merged or moved, numbers would mean other ones than in the file.
+    """
     names: dict[str, str] = {}
     counts: defaultdict[str, int] = defaultdict(int)
     taken = {part for key in params.properties for part in key.split(".")}
+    places = _places(params)
+    unsafe = set() if in_order else _unsafe(params, places)
     for key in params.properties:
         parts = key.split(".")[:-1]
         nodes = ancestors(params, params.properties[key][2])
@@ -127,13 +179,53 @@ def _readable(params: SceneParameters) -> dict[str, str]:
                 continue
             part = parts[depth - 1]
             node = nodes[depth] if len(nodes) == len(parts) + 1 else None
-            if node is not None and not node.id() and _ADDRESS.fullmatch(part):
-                kind = _WORD.sub("_", node.class_name()).lower()
+            if path in unsafe:
+                part = places[path]
+            elif node is not None and not node.id() and _ADDRESS.fullmatch(part):
+                kind = _kind_of(node)
                 while (part := f"{kind}_{counts[kind]}") in taken:
                     counts[kind] += 1
                 counts[kind] += 1
             names[path] = f"{above}.{part}" if above else part
-    return names
+    return names, places
+
+
+def _places(params: SceneParameters) -> dict[str, str]:
+    """By key, a name for each mesh without an id that says where it stands."""
+    found: dict[str, str] = {}
+    for key in params.properties:
+        folder, _, last = key.rpartition(".")
+        node = params.properties[key][2]
+        if last in ("vertex_positions", "to_world") and isinstance(node, mi.Mesh) and not node.id():
+            if _is_merged(node):
+                found[folder] = "merged_meshes"
+                continue
+            centre = np.array(node.bbox().center(), dtype=np.float64).reshape(3) + 0.0  # + 0.0 makes -0.0 equal to 0.0
+            found[folder] = f"{_kind_of(node)}_at_{'_'.join(f'{one:.5g}' for one in centre)}"
+    named = list(found.values())
+    numbered = {name: iter(range(len(named))) for name in named}
+    # Of meshes in one place nothing that is known here says which is which.
+    return {key: f"{name}_{next(numbered[name])}" if named.count(name) > 1 else name for key, name in found.items()}
+
+
+def _unsafe(params: SceneParameters, places: Mapping[str, str]) -> set[str]:
+    """The meshes whose number may not be that of the file: all but the only one of their kind, if none were merged."""
+    nodes = {params.properties[key][2]: key.rpartition(".")[0] for key in params.properties}
+    meshes = {folder: node for node, folder in nodes.items() if folder in places}
+    kinds = [_kind_of(node) for node in meshes.values()]
+    merged = any(map(_is_merged, meshes.values()))
+    return {folder for folder, node in meshes.items() if merged or kinds.count(_kind_of(node)) > 1}
+
+
+def _kind_of(node: Any) -> str:
+    return _WORD.sub("_", node.class_name()).lower()
+
+
+def _is_merged(node: Any) -> bool:
+    """Whether Mitsuba has made one mesh of several; it then joins their names."""
+    if not isinstance(node, mi.Mesh) or node.class_name() != "Mesh" or node.id():
+        return False
+    return " + " in str(node).partition("bbox")[0]
 
 
 def ancestors(params: SceneParameters, node: Any) -> list[Any]:
@@ -155,6 +247,8 @@ def _shape(value: Any) -> tuple[int, ...]:
 
 def _problem(params: SceneParameters, key: str) -> str:
     flags, node, value = params.flags(key), params.properties[key][2], params[key]
+    if any(map(_is_merged, ancestors(params, node))):
+        return "Mitsuba has merged several meshes into it; give the renderer the path, or load with optimize=False"
     owners = [one for one in ancestors(params, node) if isinstance(one, mi.Sensor)]
     if owners:
         return _fixed(owners[-1])

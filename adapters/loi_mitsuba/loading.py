@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -14,6 +15,7 @@ from loi_core.support.wording import shown
 from loi_mitsuba.untrusted import SceneLoadError, check_scene_file, check_types
 
 __all__ = [
+    "Loaded",
     "SceneLoadError",
     "Target",
     "checked_samples",
@@ -42,11 +44,24 @@ def use_variant() -> str:
     return variant
 
 
-def load_scene(scene: Any) -> Any:
+@dataclass(frozen=True)
+class Loaded:
+    """A scene, and whether its shapes are known to come in the file's own order.
+
+    Mitsuba, asked to optimise a scene as it loads it, merges some meshes and moves the others behind all other shapes.
+    """
+
+    scene: Any
+    in_order: bool
+
+
+def load_scene(scene: Any) -> Loaded:
     """The scene that a dict, a path or a scene stands for."""
     # Merging equal objects, as Mitsuba does by itself, would make one parameter change several of them.
-    if isinstance(scene, mi.Scene):
+    if isinstance(scene, Loaded):
         return scene
+    if isinstance(scene, mi.Scene):
+        return Loaded(scene, in_order=False)
     try:
         if isinstance(scene, dict):
             check_types(scene)
@@ -62,7 +77,7 @@ def load_scene(scene: Any) -> Any:
     if not isinstance(loaded, mi.Scene):
         msg = f"`scene` must be a dict, the path of an XML file, or an mi.Scene, got a {type(loaded).__name__}"
         raise OptionError(msg)
-    return loaded
+    return Loaded(loaded, in_order=True)
 
 
 def checked_targets(parameters: object) -> dict[str, Target]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from loi_core.errors import ParameterError
 from loi_core.support.wording import shown
-from loi_mitsuba.entries import Scene, find_entry, find_shape, list_entries, numbers
+from loi_mitsuba.entries import Names, numbers
 from loi_mitsuba.handles import Host, Scale, posed
 from loi_mitsuba.loading import Target
 
@@ -35,8 +35,8 @@ class NamedParameters:
 
     Parameters
     ----------
-    scene : mi.Scene
-        Its values at this moment are those that the parameters start from.
+    called : Names
+        Of a scene; its values at this moment are those that the parameters start from.
     targets : dict of str or handle
         What each parameter stands for.
 
@@ -55,25 +55,24 @@ class NamedParameters:
         If a target is not there, has no gradient, or sets what another sets.
     """
 
-    def __init__(self, scene: Scene, targets: Mapping[str, Target]) -> None:
-        self.entries = mi.traverse(scene)
+    def __init__(self, called: Names, targets: Mapping[str, Target]) -> None:
+        self.entries = mi.traverse(called.scene)
         self.targets = dict(targets)
         self.start: dict[str, Host] = {}
         self._keys: dict[str, str] = {}
         self._posed: list[_Posed] = []
-        entries = list_entries(scene)
         by_shape: defaultdict[str, list[str]] = defaultdict(list)
         for name, target in targets.items():
             if isinstance(target, str):
-                entry = find_entry(entries, target)
+                entry = called.find(target)
                 self._keys[name] = entry.key
                 self.start[name] = as_host(numbers(self.entries[entry.key]), entry.shape)
             else:
-                by_shape[find_shape(scene, target.shape)[0]].append(name)
+                by_shape[called.find_shape(target.shape)[0]].append(name)
                 self.start[name] = target.initial().astype(np.float32)
         for key, names in by_shape.items():
             handle = targets[names[0]]
-            box = find_shape(scene, handle.shape)[1].bbox()  # type: ignore[union-attr]  # a handle
+            box = called.find_shape(handle.shape)[1].bbox()  # type: ignore[union-attr]  # a handle
             x, y, z = np.array(box.center(), dtype=np.float64).reshape(3).tolist()
             value = self.entries[key]
             start = value if isinstance(value, mi.Transform4f) else dr.unravel(mi.Point3f, value)

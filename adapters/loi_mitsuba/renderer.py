@@ -17,7 +17,7 @@ from loi_core.pixels.encoding import Encoding
 from loi_core.support.values import whole_number
 from loi_core.support.wording import shown
 from loi_mitsuba.cautions import warn_of_moving
-from loi_mitsuba.entries import Scene
+from loi_mitsuba.entries import Names, Scene
 from loi_mitsuba.handles import Host
 from loi_mitsuba.integrators import PARTS, bordered, integrator_of, leaves_edges_out, settings_of
 from loi_mitsuba.loading import (
@@ -98,11 +98,12 @@ class MitsubaRenderer:
         sensor: int = 0,
     ) -> None:
         self._variant = use_variant()
-        self._scene = load_scene(bordered(scene, integrator))
+        self._names = Names(load_scene(bordered(scene, integrator)))
+        self._scene = self._names.scene
         targets = checked_targets(parameters)
         self._sensor = find_sensor(self._scene, sensor)
         self._use(integrator, spp, spp_grad)
-        self._named = NamedParameters(self._scene, targets)
+        self._named = NamedParameters(self._names, targets)
         self._followed = tuple(targets)
         self._check_moving(told=isinstance(integrator, EffectPlan) and leaves_edges_out(integrator))
 
@@ -120,6 +121,11 @@ class MitsubaRenderer:
     def sensor(self) -> Any:
         """The sensor that looks, an ``mi.Sensor``."""
         return self._sensor
+
+    @property
+    def names(self) -> Names:
+        """What the scene's entries and shapes are called."""
+        return self._names
 
     @property
     def targets(self) -> dict[str, Target]:

@@ -413,8 +413,3 @@ def test_the_loss_and_mi_render_need_no_renderer() -> None:
     params.update()
     dr.backward(loss(mi.render(scene, params, spp=64, seed=2)))
     assert np.all(np.array(dr.grad(params[key])) < 0.0)  # more light brings it nearer
-
-
-def test_entries_are_listed_of_scenes_that_are_loaded() -> None:
-    with pytest.raises(OptionError, match=r"`scene` must be loaded, as by mi.load_file\(path\).*got 'scene.xml'"):
-        list_entries("scene.xml")

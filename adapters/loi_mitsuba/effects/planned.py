@@ -24,7 +24,7 @@ from loi_mitsuba.effects.probe import Probe
 from loi_mitsuba.effects.rules import everything, plan_by_rules, plan_of, plan_with
 from loi_mitsuba.effects.traits import groups_of, in_view, objects_of, traits_of
 from loi_mitsuba.effects.verify import Verification, verification
-from loi_mitsuba.entries import Scene
+from loi_mitsuba.entries import Names, Scene
 from loi_mitsuba.handles import Host
 from loi_mitsuba.integrators import bordered, settings_of
 from loi_mitsuba.loading import (
@@ -245,7 +245,7 @@ class PlannedRenderer:
         targets = {name: target for name, target in self._base.targets.items() if name in names}
         self._names = tuple(targets)
         self._groups = groups_of(targets)
-        self._traits = traits_of(self._base.scene, targets, self._base.sensor)
+        self._traits = traits_of(self._base.names, targets, self._base.sensor)
         objects = objects_of(targets, self._traits.moving)
         self._pilot = Pilot(self._traits, self._samples, self._fraction, self._groups, objects)
         self._holding = Holding()
@@ -302,8 +302,8 @@ def _ruled(scene: Any, parameters: Any, sensor: int, spp: Any) -> tuple[Any, Any
     """
     use_variant()
     targets, loaded = checked_targets(parameters), load_scene(scene)
-    found = find_sensor(loaded, sensor)
+    found = find_sensor(loaded.scene, sensor)
     samples = checked_samples("spp", spp, most_samples(found.film()))
-    plan = plan_by_rules(traits_of(loaded, targets, found), samples)
+    plan = plan_by_rules(traits_of(Names(loaded), targets, found), samples)
     ready = bordered(scene, plan)
     return loaded if ready is scene else load_scene(ready), targets, plan

@@ -10,7 +10,7 @@ from typing import Any, Final
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.entries import Scene, ancestors, find_entry, find_shape, list_entries
+from loi_mitsuba.entries import Names, ancestors
 from loi_mitsuba.handles import Handle, Translate
 
 __all__ = ["Traits", "groups_of", "in_view", "objects_of", "traits_of"]
@@ -81,17 +81,18 @@ class Traits:
     samples_border: bool
 
 
-def traits_of(scene: Scene, targets: Mapping[str, str | Handle], sensor: Any) -> Traits:
+def traits_of(called: Names, targets: Mapping[str, str | Handle], sensor: Any) -> Traits:
     """Traverse a scene and find out what `targets`, the optimised parameters by name, change in it."""
     unknown: list[str] = []
     moving: dict[str, Any] = {}
     changed: dict[str, list[str]] = {"appearance": [], "emission": [], "volumes": []}
-    params, entries = mi.traverse(scene), list_entries(scene)
+    scene = called.scene
+    params = mi.traverse(scene)
     for name, target in targets.items():
         if not isinstance(target, str):
-            moving[name] = find_shape(scene, target.shape)[1]
+            moving[name] = called.find_shape(target.shape)[1]
             continue
-        key = find_entry(entries, target).key
+        key = called.find(target).key
         kind, node = _kind(params, key)
         if kind == "moving":
             moving[name] = node

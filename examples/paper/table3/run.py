@@ -13,7 +13,7 @@ import torch
 from examples.paper.table1.run import structure
 from examples.paper.table3.objectives import objective
 from examples.paper.table3.problem import Column, FloatArray, Problem, image_of
-from examples.paper.table3.settings import Setting
+from examples.paper.table3.settings import FINISH_RATE, Setting
 from loi_core import fit
 from loi_core.fitting.adam import Adam
 from loi_core.fitting.loop import FitStep, Free
@@ -132,8 +132,7 @@ def _part(
         common |= {"decay": "none", "stages": None, "optimiser": _Decaying(done)}
         free = {name: Free(value, learning_rate=rates[name]) for name, value in start.items()}
     else:
-        # What compares pixels at the end starts with a tenth of the rate, as it is near.
-        rate = setting.rate if done == 0 else 0.1 * setting.rate
+        rate = setting.rate if done == 0 else FINISH_RATE * setting.rate
         common |= {"learning_rate": f"{rate} px"}
         free = {name: Free(value, *problem.bounds(name)) for name, value in start.items()}
     return fit(views, objectives, optimise=free, **common).params
