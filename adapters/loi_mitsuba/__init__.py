@@ -23,6 +23,7 @@ from loi_mitsuba.entries import Entry, list_entries
 from loi_mitsuba.handles import Rotate, Scale, Translate
 from loi_mitsuba.loading import SceneLoadError
 from loi_mitsuba.loss import BackendMissingError, LOILoss
+from loi_mitsuba.neighbour import Neighbour
 from loi_mitsuba.renderer import MitsubaRenderer
 
 
@@ -42,6 +43,7 @@ __all__ = [
     "LLVMError",
     "LOILoss",
     "MitsubaRenderer",
+    "Neighbour",
     "PlannedRenderer",
     "Rotate",
     "Scale",

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
+import drjit as dr
 import mitsuba as mi
 
 from loi_core.errors import OptionError, ParameterError
@@ -21,6 +22,7 @@ __all__ = [
     "checked_samples",
     "checked_targets",
     "find_sensor",
+    "fresh",
     "load_scene",
     "most_samples",
     "one_line",
@@ -65,7 +67,7 @@ def load_scene(scene: Any) -> Loaded:
     try:
         if isinstance(scene, dict):
             check_types(scene)
-            loaded = mi.load_dict(scene, optimize=False)
+            loaded = mi.load_dict(fresh(scene), optimize=False)
         elif isinstance(scene, str | Path):
             check_scene_file(Path(scene))
             loaded = mi.load_file(str(scene), optimize=False)
@@ -78,6 +80,17 @@ def load_scene(scene: Any) -> Loaded:
         msg = f"`scene` must be a dict, the path of an XML file, or an mi.Scene, got a {type(loaded).__name__}"
         raise OptionError(msg)
     return Loaded(loaded, in_order=True)
+
+
+def fresh(description: dict[str, Any]) -> dict[str, Any]:
+    """A dict to load a scene from, again and again: Mitsuba empties the tensors in the one that it is given."""
+
+    def own(value: Any) -> Any:
+        if isinstance(value, dict):
+            return fresh(value)
+        return type(value)(value) if dr.is_tensor_v(value) else value
+
+    return {key: own(value) for key, value in description.items()}
 
 
 def checked_targets(parameters: object) -> dict[str, Target]:

@@ -123,6 +123,11 @@ class MitsubaRenderer:
         return self._sensor
 
     @property
+    def follows(self) -> tuple[str, ...]:
+        """The parameters that have a gradient; that of others is 0."""
+        return self._followed
+
+    @property
     def names(self) -> Names:
         """What the scene's entries and shapes are called."""
         return self._names

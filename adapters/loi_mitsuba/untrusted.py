@@ -29,7 +29,7 @@ from loi_core.errors import LoiError
 from loi_core.io.files import read_bytes
 from loi_core.support.wording import described, printable, shown
 
-__all__ = ["SceneLoadError", "check_scene_file", "check_types", "load_own_plugins"]
+__all__ = ["SceneLoadError", "check_scene_file", "check_types", "load_own_plugins", "looking_in"]
 
 MOST_XML: Final = 64 * 2**20  # bytes of one file
 DEEPEST: Final = 64  # elements within elements
@@ -66,7 +66,7 @@ def check_scene_file(path: Path) -> None:
 
 def _check_plugins_of(path: Path, folders: Iterable[Path]) -> list[Any]:
     """Look at the plugins of an XML scene, and make sure that Mitsuba's own are loaded; the parser's nodes."""
-    with _looking_in([Path(mi.__file__).parent, *folders]):
+    with looking_in([Path(mi.__file__).parent, *folders]):
         try:
             state = mi.parser.parse_file(mi.parser.ParserConfig(mi.variant()), str(path))
         except RuntimeError as error:
@@ -141,18 +141,19 @@ def load_own_plugins() -> frozenset[str]:
     """Have Mitsuba load all plugins that it ships, from its own folder; afterwards it looks for none of their names."""
     own = Path(mi.__file__).parent
     names = frozenset(path.stem for path in (own / "plugins").iterdir() if path.suffix in LIBRARY_SUFFIXES)
-    with _looking_in([own]):
+    with looking_in([own]):
         for name in sorted(names):
             mi.PluginManager.instance().plugin_type(name)
     return names
 
 
 @contextlib.contextmanager
-def _looking_in(folders: Iterable[Path]) -> Iterator[None]:
-    """Have Mitsuba look for files in these folders; a scene may add others, which are forgotten again."""
+def looking_in(folders: Iterable[Path], *, also: bool = False) -> Iterator[None]:
+    """Have Mitsuba look for files in these folders, `also` or only; what a scene adds is forgotten again."""
     usual = mi.file_resolver()
-    resolver = mi.FileResolver()
-    resolver.clear()
+    resolver = mi.FileResolver(usual) if also else mi.FileResolver()
+    if not also:
+        resolver.clear()
     for folder in folders:
         resolver.append(str(folder))
     mi.set_file_resolver(resolver)

@@ -97,6 +97,8 @@ class EffectPlan:
         What the renderer is told; its adapter knows the keys.
     why : mapping of str
         Reasons of settings that are no effect's own, by their name.
+    exchanged : mapping of str
+        What is not in the scene that gradients are taken from, and what is there instead and why: a line each.
     held : mapping of str
         By parameter that a fit does not move for now, why: a line each.
     notes : tuple of str
@@ -115,6 +117,7 @@ class EffectPlan:
     choices: tuple[Choice, ...]
     settings: Mapping[str, Any] = field(default_factory=dict)
     why: Mapping[str, str] = field(default_factory=dict)
+    exchanged: Mapping[str, str] = field(default_factory=dict)
     held: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     understood: bool = True
@@ -135,7 +138,7 @@ class EffectPlan:
         return frozenset(one.effect for one in self.choices if one.on)
 
     def __str__(self) -> str:
-        """The plan as a small table, which is also Markdown: effects, what is held, and below it settings and notes."""
+        """The plan as a small table, which is also Markdown: effects, what is exchanged or held, settings and notes."""
         heads = ["effect", "", "samples", "fraction", "why"]
         rows = [
             [
@@ -147,6 +150,7 @@ class EffectPlan:
             ]
             for one in self.choices
         ]
+        rows += [[what, "exchanged", "", "", reason] for what, reason in self.exchanged.items()]
         rows += [[repr(name), "held", "", "", reason] for name, reason in self.held.items()]
         shown = ", ".join(f"{name} {value}" for name, value in self.settings.items() if value is not None)
         reasons = [f"- {name} {self.settings[name]}: {reason}" for name, reason in self.why.items()]

@@ -83,7 +83,9 @@ def test_merged_meshes_take_no_name_from_others(tmp_path: Path) -> None:
     assert places(loaded) == {"rectangle_at_3_0_0": (3, 0, 0), "cube_at_4_0_0": (4, 0, 0)}
     with pytest.raises(ParameterError, match="no shape 'rectangle_0'"):
         MitsubaRenderer(loaded, {"place": Translate("rectangle_0")})
-    with pytest.raises(ParameterError, match=r"'merged_meshes' cannot be moved: .*merged several meshes.*give the renderer the path"):
+    with pytest.raises(
+        ParameterError, match=r"'merged_meshes' cannot be moved: .*merged several meshes.*give the renderer the path"
+    ):
         MitsubaRenderer(loaded, {"place": Translate("merged_meshes")})
     with pytest.raises(ParameterError, match="merged several meshes"):
         MitsubaRenderer(loaded, {"colour": "merged_meshes.bsdf.reflectance.value"})

@@ -36,6 +36,8 @@ from loi_mitsuba.loading import (
     most_samples,
     use_variant,
 )
+from loi_mitsuba.neighbour import Neighbour, Surroundings, neighbour_of
+from loi_mitsuba.neighboured import NeighbouredRenderer, exchanged_targets
 from loi_mitsuba.renderer import MitsubaRenderer
 
 __all__ = ["FRACTION", "PlannedRenderer"]
@@ -65,6 +67,10 @@ class PlannedRenderer:
     fraction : float
         What is turned off carries together less than this fraction of the gradient, for every optimised parameter, and
         a tenth of it of the image; at 0 only what is exactly 0 goes off. At least 0 and less than 1.
+    neighbour : Neighbour, table or None
+        How far the scene may be from the one from which the gradient by what moves is taken, where Mitsuba has none in
+        the scene itself: under point, spot and directional lights, in perfect mirrors and clear glass. None takes all
+        gradients from the scene as it is, which the image always is of.
 
     Notes
     -----
@@ -85,13 +91,14 @@ class PlannedRenderer:
         spp: int = 16,
         fraction: float = FRACTION,
         sensor: int = 0,
+        neighbour: Neighbour | Mapping[str, float] | None = Neighbour(),  # noqa: B008 - frozen
     ) -> None:
         if not 0.0 <= real_number(fraction) < 1.0:
             msg = f"`fraction` must be at least 0 and less than 1, got {shown(fraction)}"
             raise OptionError(msg)
         self._fraction = real_number(fraction)
         ready, targets, plan = _ruled(scene, parameters, sensor, spp)
-        self._base = MitsubaRenderer(ready, targets, integrator=plan, spp=spp, sensor=sensor)
+        self._base, self._exchanged = _base(ready, targets, plan, int(spp), sensor, Neighbour.of(neighbour))
         self._samples = int(spp)
         self._begun = False
         self._schedule = Schedule()
@@ -245,7 +252,8 @@ class PlannedRenderer:
         targets = {name: target for name, target in self._base.targets.items() if name in names}
         self._names = tuple(targets)
         self._groups = groups_of(targets)
-        self._traits = traits_of(self._base.names, targets, self._base.sensor)
+        traits = traits_of(self._base.names, targets, self._base.sensor)
+        self._traits = replace(traits, exchanged=self._exchanged if traits.moving else {})
         objects = objects_of(targets, self._traits.moving)
         self._pilot = Pilot(self._traits, self._samples, self._fraction, self._groups, objects)
         self._holding = Holding()
@@ -305,5 +313,29 @@ def _ruled(scene: Any, parameters: Any, sensor: int, spp: Any) -> tuple[Any, Any
     found = find_sensor(loaded.scene, sensor)
     samples = checked_samples("spp", spp, most_samples(found.film()))
     plan = plan_by_rules(traits_of(Names(loaded), targets, found), samples)
-    ready = bordered(scene, plan)
-    return loaded if ready is scene else load_scene(ready), targets, plan
+    return bordered(scene, plan), targets, plan
+
+
+def _base(
+    scene: Any, targets: Mapping[str, Target], plan: EffectPlan, spp: int, sensor: int, near: Neighbour
+) -> tuple[MitsubaRenderer, dict[str, str]]:
+    """The scene, and its neighbour where what moves calls for one; and what that has exchanged, with reasons."""
+    loaded = load_scene(scene)
+    traits = traits_of(Names(loaded), targets, find_sensor(loaded.scene, sensor))
+    found = None
+    if traits.moving and not traits.media and (traits.lights or traits.delta_reflection or traits.delta_transmission):
+        found = neighbour_of(scene, near, Surroundings.of(loaded.scene, list(traits.moving.values())))
+    if found is None:
+        return MitsubaRenderer(loaded, targets, integrator=plan, spp=spp, sensor=sensor), {}
+    neighbour, exchanges = found
+    base = NeighbouredRenderer(
+        loaded,
+        targets,
+        neighbour=neighbour,
+        moving=traits.moving,
+        exchanged=exchanged_targets(loaded, targets, exchanges),
+        integrator=plan,
+        spp=spp,
+        sensor=sensor,
+    )
+    return base, {one.what: one.reason for one in exchanges}

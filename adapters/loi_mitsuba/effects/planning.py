@@ -11,6 +11,7 @@ from loi_core.objectives.base import Objective
 from loi_mitsuba.effects.planned import FRACTION, PlannedRenderer
 from loi_mitsuba.entries import Scene
 from loi_mitsuba.loading import Target
+from loi_mitsuba.neighbour import Neighbour
 
 __all__ = ["plan_effects"]
 
@@ -25,6 +26,7 @@ def plan_effects(
     fraction: float = FRACTION,
     sensor: int = 0,
     seed: int = 0,
+    neighbour: Neighbour | Mapping[str, float] | None = Neighbour(),  # noqa: B008 - frozen
 ) -> EffectPlan:
     """Which effects a scene calls for when these parameters are optimised.
 
@@ -36,7 +38,7 @@ def plan_effects(
         The loss at hand; without one there is no pilot, and the plan is that of the sound rules.
     params : dict of arrays, optional
         Where the pilot measures; as the scene has them by default.
-    spp, fraction
+    spp, fraction, neighbour
         As those of :class:`PlannedRenderer`.
     seed : int
         Of the pilot.
@@ -51,7 +53,7 @@ def plan_effects(
     SceneLoadError, ParameterError, OptionError
         As :class:`MitsubaRenderer`.
     """
-    renderer = PlannedRenderer(scene, optimised, spp=spp, fraction=fraction, sensor=sensor)
+    renderer = PlannedRenderer(scene, optimised, spp=spp, fraction=fraction, sensor=sensor, neighbour=neighbour)
     if objective is not None:
         at = renderer.parameters() if params is None else dict(params)
         cotangent = objective.value_and_grad(renderer.render(at, seed=seed))[1]

@@ -43,7 +43,14 @@ def plan_by_rules(traits: Traits, samples: int) -> EffectPlan:
         notes = (f"everything is on, for the rules do not know {', '.join(traits.unknown)}", *_missing(traits))
         choices = [_choice(effect, effect is not Effect.CAMERA, why, full) for effect in Effect]
         choices[list(Effect).index(Effect.CAMERA)] = _camera()
-        return EffectPlan(tuple(choices), as_mapping(full), _why(traits, full), notes=notes, understood=False)
+        return EffectPlan(
+            tuple(choices),
+            as_mapping(full),
+            _why(traits, full),
+            exchanged=traits.exchanged,
+            notes=notes,
+            understood=False,
+        )
     depth = min(traits.depth, DIRECT) if traits.alone else traits.depth
     edges = bool(traits.moving) and full.projective
     indirect = edges and not (traits.alone and depth <= DIRECT)
@@ -85,7 +92,13 @@ def plan_of(
         Effect.APPEARANCE: bool(traits.appearance) and settings.sppc > 0,
     }
     choices = tuple(_choice(effect, on[effect], told[effect], settings) for effect in Effect)
-    return EffectPlan(choices, as_mapping(settings), _why(traits, settings), notes=(*_missing(traits), *notes))
+    return EffectPlan(
+        choices,
+        as_mapping(settings),
+        _why(traits, settings),
+        exchanged=traits.exchanged,
+        notes=(*_missing(traits), *notes),
+    )
 
 
 def plan_with(traits: Traits, plan: EffectPlan, rules: Settings, grown: Mapping[Effect, str]) -> EffectPlan:
@@ -194,7 +207,7 @@ def _surfaces(traits: Traits) -> str:
 def _missing(traits: Traits) -> tuple[str, ...]:
     """Gradients that a scene calls for and Mitsuba does not have, beyond those that a GradientWarning names."""
     notes = []
-    if traits.moving and (traits.delta_reflection or traits.delta_transmission):
+    if traits.moving and (traits.delta_reflection or traits.delta_transmission) and not traits.exchanged:
         notes.append(
             "edges that are seen in a perfect mirror or through clear glass have no gradient in Mitsuba; a rough "
             "conductor or dielectric has"

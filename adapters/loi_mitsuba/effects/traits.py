@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import mitsuba as mi
@@ -47,6 +47,8 @@ class Traits:
         Whether there is one shape only, convex, opaque and not around the camera: it neither shadows nor lights itself.
     delta_reflection, delta_transmission, glossy : bool
         Whether a surface is a perfect mirror, is clear glass, or reflects or transmits in a lobe.
+    lights : bool
+        Whether a light is a point or comes from one direction, so that hardly any ray hits it.
     media : bool
         Whether there is a participating medium.
     own_integrator : str
@@ -61,6 +63,8 @@ class Traits:
         Whether the film's filter reaches over the border of the image.
     samples_border : bool
         Whether the film samples there.
+    exchanged : dict of str
+        What a neighbouring scene, from which the gradient by what moves is taken, has otherwise, and why.
     """
 
     moving: Mapping[str, Any]
@@ -72,6 +76,7 @@ class Traits:
     delta_reflection: bool
     delta_transmission: bool
     glossy: bool
+    lights: bool
     media: bool
     own_integrator: str
     depth: int
@@ -79,6 +84,7 @@ class Traits:
     hide_emitters: bool
     reaches_border: bool
     samples_border: bool
+    exchanged: Mapping[str, str] = field(default_factory=dict)
 
 
 def traits_of(called: Names, targets: Mapping[str, str | Handle], sensor: Any) -> Traits:
@@ -128,6 +134,7 @@ def traits_of(called: Names, targets: Mapping[str, str | Handle], sensor: Any) -
         delta_reflection=any(one & int(mi.BSDFFlags.DeltaReflection) for one in flags),
         delta_transmission=any(one & int(mi.BSDFFlags.DeltaTransmission) for one in flags),
         glossy=any(one & int(mi.BSDFFlags.Glossy) for one in flags),
+        lights=any(mi.has_flag(one.flags(), mi.EmitterFlags.Delta) for one in scene.emitters()),
         media=media,
         own_integrator=kind,
         depth=UNLIMITED if limit is None else limit,

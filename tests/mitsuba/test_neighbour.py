@@ -1,0 +1,196 @@
+"""Gradients that Mitsuba does not have are taken from a neighbouring scene; images never are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from loi_core.errors import OptionError
+from loi_mitsuba import GradientWarning, MitsubaRenderer, Neighbour, PlannedRenderer, Translate, list_entries
+from loi_mitsuba.neighbour import Surroundings, neighbour_of
+from tests.mitsuba.scenes import shadow_scene
+
+AXES: dict[str, Any] = {"x": Translate("ball", (1, 0, 0)), "z": Translate("ball", (0, 0, 1))}
+HERE = {"x": np.float32(0.0), "z": np.float32(0.0)}
+RAMP = np.linspace(-1.0, 1.0, 64, dtype=np.float32)[None, :, None] * np.ones((48, 64, 3), np.float32)
+LIGHTS: dict[str, dict[str, Any]] = {
+    "point": {"type": "point", "position": [0.5, 12.0, 0.0], "intensity": 150.0},
+    "point placed": {"type": "point", "intensity": {"type": "rgb", "value": [150.0, 120.0, 90.0]}},
+    "spot": {"type": "spot", "cutoff_angle": 50.0, "beam_width": 50.0, "intensity": 150.0},
+    "directional": {"type": "directional", "direction": [0.1, -1.0, 0.0], "irradiance": 2.0},
+    "directional placed": {"type": "directional", "irradiance": {"type": "rgb", "value": [2.0, 1.0, 0.5]}},
+}
+
+
+def lit_scene(kind: str = "point", **changes: Any) -> dict[str, Any]:
+    """The scene of a shadow, under a light without a size."""
+    light = dict(LIGHTS[kind])
+    if kind in ("point placed", "spot", "directional placed"):
+        light["to_world"] = mi.ScalarTransform4f().look_at([0.5, 12.0, 0.0], [0.0, 5.0, 0.0], [0, 0, 1])
+    return shadow_scene(**{"lamp": light, "integrator": {"type": "path", "max_depth": 2}, **changes})
+
+
+def xml_of(folder: Path) -> Path:
+    """The same as a file, in which nothing has a name but the ball."""
+    path = folder / "scene.xml"
+    path.write_text("""<scene version="3.0.0">
+        <integrator type="path"><integer name="max_depth" value="2"/></integrator>
+        <sensor type="perspective">
+            <float name="fov" value="45"/>
+            <transform name="to_world"><lookat origin="0,6,6" target="0,0,0" up="0,1,0"/></transform>
+            <film type="hdrfilm">
+                <integer name="width" value="64"/><integer name="height" value="48"/><rfilter type="box"/>
+            </film>
+        </sensor>
+        <shape type="rectangle">
+            <transform name="to_world"><scale value="8"/><rotate x="1" angle="-90"/></transform>
+        </shape>
+        <shape type="sphere" id="ball">
+            <point name="center" x="0" y="5" z="0"/><float name="radius" value="0.4"/>
+        </shape>
+        <emitter type="point">
+            <point name="position" x="0.5" y="12" z="0"/><rgb name="intensity" value="150"/>
+        </emitter>
+    </scene>""")
+    return path
+
+
+def ball_of(scene: Any) -> Any:
+    (ball,) = (one for one in scene.shapes() if one.id() == "ball")
+    return ball
+
+
+@pytest.mark.parametrize("kind", LIGHTS)
+def test_what_stands_for_a_light_is_as_bright(kind: str) -> None:
+    scene = lit_scene(kind)
+    loaded = mi.load_dict(scene)
+    found = neighbour_of(scene, Neighbour(lights=0.02), Surroundings.of(loaded, [ball_of(loaded)]))
+    assert found is not None
+    neighbour, exchanges = found
+    assert [one.what for one in exchanges] == [f"{kind.split()[0]} light 'lamp'"]
+    own, near = (np.mean(mi.render(one, spp=256, seed=1).numpy(), axis=(0, 1)) for one in (loaded, neighbour.scene))
+    np.testing.assert_allclose(near, own, rtol=0.02)  # of a directional light, a disk's rays are not quite parallel
+
+
+@pytest.mark.parametrize("kind", ["point", "directional", "spot"])
+def test_shadows_of_lights_without_a_size_have_the_gradient_of_finite_differences(kind: str) -> None:
+    scene = lit_scene(kind)
+    planned = PlannedRenderer(scene, AXES, spp=128)
+    exact = planned.unabridged.with_integrator("scene", spp=512)
+    drawn = [planned.unabridged.pull(HERE, RAMP, seed=seed) for seed in range(8)]
+    slopes, errors, found = np.zeros(2), np.zeros(2), np.zeros(2)
+    for k, name in enumerate(AXES):
+        ahead, behind = (exact.render({**HERE, name: np.float32(by)}, seed=1) for by in (0.1, -0.1))
+        slopes[k] = float(np.sum((ahead - behind) * RAMP)) / 0.2
+        values = np.array([float(one[name]) for one in drawn])
+        found[k], errors[k] = values.mean(), values.std(ddof=1) / np.sqrt(len(values))
+    size, error = float(np.linalg.norm(slopes)), float(np.linalg.norm(errors))
+    assert np.linalg.norm(found - slopes) < 0.1 * size + 3.0 * error
+    assert error < 0.1 * size
+
+
+def test_the_image_is_that_of_the_scene_as_it_is() -> None:
+    planned = PlannedRenderer(lit_scene(), AXES, spp=16)
+    with pytest.warns(GradientWarning, match="moves under a PointLight"):
+        alone = PlannedRenderer(lit_scene(), AXES, spp=16, neighbour=None)
+    image, pullback = planned.render_vjp(HERE, seed=3)
+    np.testing.assert_allclose(image, alone.render(HERE, seed=3), rtol=1e-5, atol=1e-6)
+    pullback(np.ones_like(image))
+    np.testing.assert_allclose(planned.render(HERE, seed=3), image, rtol=1e-2, atol=1e-2)
+
+
+def test_the_plan_says_what_was_exchanged_and_what_for() -> None:
+    plan = PlannedRenderer(lit_scene(), AXES).plan
+    (reason,) = plan.exchanged.values()
+    assert list(plan.exchanged) == ["point light 'lamp'"]
+    assert "a sphere of radius 0.351, 0.05 of its distance from what moves" in reason
+    assert "| point light 'lamp'" in str(plan)
+    assert "exchanged" in str(plan)
+
+
+def test_nothing_is_exchanged_that_no_parameter_calls_for() -> None:
+    light = {"brightness": "lamp.intensity.value"}
+    assert not PlannedRenderer(lit_scene(), light).plan.exchanged
+    assert not PlannedRenderer(shadow_scene(), AXES).plan.exchanged
+    with pytest.warns(GradientWarning, match="moves under a PointLight"):
+        assert not PlannedRenderer(lit_scene(), AXES, neighbour={"lights": 0.0}).plan.exchanged
+    with pytest.warns(GradientWarning, match="moves under a PointLight"):
+        alone = PlannedRenderer(lit_scene(), AXES, neighbour=None)
+    gradient = alone.unabridged.pull(HERE, np.ones((48, 64, 3), np.float32))
+    assert not np.any(gradient["x"])
+
+
+def test_files_and_loaded_scenes_have_neighbours_too(tmp_path: Path) -> None:
+    path = xml_of(tmp_path)
+    loaded = mi.load_file(str(path))
+    before = [one.id() for one in loaded.shapes()]
+    names = list(list_entries(loaded))
+    gradients = []
+    for scene in (path, loaded, lit_scene()):
+        planned = PlannedRenderer(scene, AXES, spp=256)
+        assert len(planned.plan.exchanged) == 1
+        gradients.append(np.mean([planned.unabridged.pull(HERE, RAMP, seed=k)["x"] for k in range(4)]))
+    assert gradients[0] == pytest.approx(gradients[1], rel=0.1)
+    assert np.sign(gradients[0]) == np.sign(gradients[2])
+    assert [one.id() for one in loaded.shapes()] == before
+    assert list(list_entries(loaded)) == names
+
+
+def test_what_does_not_move_has_the_gradient_of_the_scene_itself() -> None:
+    both = {**AXES, "brightness": "lamp.intensity.value"}
+    planned = PlannedRenderer(lit_scene("point placed"), both, spp=64)
+    params: dict[str, Any] = {**HERE, "brightness": np.array([300.0, 120.0, 90.0], np.float32)}
+    cotangent = np.ones((48, 64, 3), np.float32)
+    pulled = planned.unabridged.pull(params, cotangent)
+    image = planned.unabridged.with_integrator("scene", spp=64).render(params)
+    # The image is proportional to the light.
+    np.testing.assert_allclose(pulled["brightness"] * params["brightness"], image.sum(axis=(0, 1)), rtol=0.05)
+    lamps = mi.traverse(planned.unabridged.neighbour)  # type: ignore[attr-defined]
+    radius = 0.05 * float(np.linalg.norm([0.5, 7.0, 0.0]))
+    radiance = np.array(lamps["loi_lamp_0.emitter.radiance.value"], dtype=np.float64).reshape(-1)
+    np.testing.assert_allclose(radiance * np.pi * radius**2, params["brightness"], rtol=1e-3)
+
+
+def test_edges_in_perfect_mirrors_have_the_gradient_of_finite_differences() -> None:
+    place = mi.ScalarTransform4f
+    mirror = {"type": "rectangle", "to_world": place().translate([0, 0, -1]).scale(8), "bsdf": {"type": "conductor"}}
+    glow = {"type": "area", "radiance": 1.0}
+    ball = {"type": "sphere", "center": [0, -4.5, 2], "radius": 0.8, "emitter": glow}
+    sky = {"type": "constant", "radiance": 0.1}
+    scene = shadow_scene(floor=mirror, ball=ball, lamp=sky, integrator={"type": "path", "max_depth": 3})
+    planned = PlannedRenderer(scene, AXES, spp=64)
+    assert list(planned.plan.exchanged) == ["conductor 'bsdf'"]
+    assert not any("perfect mirror" in note for note in planned.plan.notes)
+    exact = planned.unabridged.with_integrator("scene", spp=256)
+    ahead, behind = (exact.render({**HERE, "x": np.float32(by)}, seed=1) for by in (0.1, -0.1))
+    slope = float(np.sum((ahead - behind) * RAMP)) / 0.2
+    found = np.array([float(planned.unabridged.pull(HERE, RAMP, seed=seed)["x"]) for seed in range(6)])
+    assert found.mean() == pytest.approx(slope, rel=0.1, abs=3.0 * found.std(ddof=1) / np.sqrt(len(found)))
+
+
+def test_a_scene_s_dict_can_be_loaded_again_with_its_tensors() -> None:
+    picture = mi.TensorXf(np.full((4, 4, 3), 0.5, np.float32))
+    scene = lit_scene()
+    scene["floor"]["bsdf"]["reflectance"] = {"type": "bitmap", "data": picture, "raw": True}
+    for _ in range(2):
+        assert PlannedRenderer(scene, AXES).plan.exchanged
+        MitsubaRenderer(scene, {"colour": "floor.bsdf.reflectance.data"})
+
+
+@pytest.mark.parametrize(
+    ("neighbour", "says"),
+    [
+        ({"lights": 0.6}, r"`neighbour\.lights` must be 0 to 0\.5, got 0\.6"),
+        ({"mirrors": float("nan")}, r"`neighbour\.mirrors` must be 0 to 0\.5, got nan"),
+        ({"mirrors": "rough"}, r"`neighbour\.mirrors` must be 0 to 0\.5, got 'rough'"),
+        ({"lamps": 0.1}, r"`neighbour` must be a Neighbour, None, or a table of lights and mirrors, got"),
+        (0.1, r"`neighbour` must be a Neighbour, None, or a table of lights and mirrors, got 0\.1"),
+    ],
+)
+def test_settings_of_a_neighbour_are_checked(neighbour: Any, says: str) -> None:
+    with pytest.raises(OptionError, match=says):
+        PlannedRenderer(lit_scene(), AXES, neighbour=neighbour)
