@@ -81,7 +81,10 @@ class Settings:
             described["max_depth"] = self.max_depth
         if self.projective:
             described |= {name: getattr(self, name) for name in PARTS} | {"guiding": self.guiding}
-        return mi.load_dict(described)
+        made = mi.load_dict(described)
+        if self.projective:
+            made.sample_border_warning = False  # each new integrator gives it once, and a plan says what is called for
+        return made
 
 
 def settings_of(plan: EffectPlan) -> Settings:

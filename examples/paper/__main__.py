@@ -11,6 +11,7 @@ from typing import Final
 EXPERIMENTS: Final = {
     "figures1d": "the one-dimensional figures, and how wide the basin of every method is (minutes)",
     "guidance": "which way the loss sends each of many disks of random colours (minutes)",
+    "shadow": "the paper's first scene, under its point light, from ten starts (half an hour)",
     "table1": "disks found from random starts by every method (hours; what is done is kept)",
     "table3": "poses, shapes, cameras, materials and light, through a mesh rasterizer (hours; what is done is kept)",
 }

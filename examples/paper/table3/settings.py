@@ -70,5 +70,13 @@ FINISH_RATE: Final = 1.0 / 3.0
 
 # Pixels that the image moves by a step; those of the second table are the best of a search over these, for each method.
 RATES: Final = (0.15, 0.5, 1.5)
-CHOSEN: Final[dict[Method, float]] = dict.fromkeys(LABELS, 1.5)
+CHOSEN: Final[dict[Method, float]] = {
+    "pixel_l2": 0.5,
+    "gaussian_pyramid": 0.5,
+    "ms_ssim": 1.5,
+    "lpips_alex": 0.5,
+    "rgbxy": 0.5,
+    "rgbxy_finetune": 0.5,
+    "loi": 1.5,
+}
 PROTOCOLS: Final = {"published": PUBLISHED, "ours": {method: ours(method, CHOSEN[method]) for method in LABELS}}

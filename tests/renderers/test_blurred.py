@@ -1,0 +1,191 @@
+"""Blurring in parameter space gives the gradient of the blurred image, whatever the renderer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import pytest
+
+from loi_core import Free, LOIObjective, PixelL2, fit
+from loi_core.errors import OptionError, ParameterError
+from loi_core.renderers import BlurredRenderer, Disks
+from loi_core.testing import check_renderer
+
+
+@dataclass
+class Steps:
+    """An image whose pixels jump as a sum of parameters passes them: its own gradient is 0 nearly everywhere."""
+
+    edges: Any = field(default_factory=lambda: np.linspace(-2.0, 2.0, 12).reshape(2, 2, 3))
+    seeds: list[int] = field(default_factory=list)
+
+    def parameters(self) -> dict[str, Any]:
+        return {"a": np.array(0.3), "b": np.array([-0.2, 0.5])}
+
+    def render(self, params: dict[str, Any], *, seed: int = 0) -> Any:
+        self.seeds.append(seed)
+        return (self.edges < params["a"] + np.sin(params["b"]).sum()).astype(float)
+
+    def render_vjp(self, params: dict[str, Any], *, seed: int = 0) -> Any:
+        return self.render(params, seed=seed), lambda _: {"a": np.array(7.0), "b": np.zeros(2)}
+
+
+COTANGENT = np.random.default_rng(0).standard_normal((2, 2, 3))
+SIGMA = {"a": 0.4, "b": 0.7}
+
+
+def quadrature(renderer: Any, params: dict[str, Any], sigma: dict[str, float]) -> dict[str, Any]:
+    """The gradient of the blurred image times the cotangent, on a fine grid over all three numbers."""
+    offsets = np.linspace(-5.0, 5.0, 161)
+    density = np.exp(-0.5 * offsets**2)
+    density /= density.sum()
+    gradient = {"a": np.zeros(()), "b": np.zeros(2)}
+    for z1, p1 in zip(offsets, density, strict=True):
+        # The image is a function of a sum, so that two of the three offsets make a grid at once.
+        inner = np.sin(params["b"][0] + sigma["b"] * offsets)[:, None] + np.sin(params["b"][1] + sigma["b"] * offsets)
+        total = params["a"] + sigma["a"] * z1 + inner
+        value = np.zeros(total.shape)
+        for edge, weight in zip(renderer.edges.ravel(), COTANGENT.ravel(), strict=True):
+            value += weight * (edge < total)
+        weighed = p1 * value * density[:, None] * density
+        gradient["a"] += z1 * weighed.sum() / sigma["a"]
+        gradient["b"][0] += (weighed * offsets[:, None]).sum() / sigma["b"]
+        gradient["b"][1] += (weighed * offsets).sum() / sigma["b"]
+    return gradient
+
+
+@pytest.mark.parametrize("together", [False, True])
+def test_the_gradient_is_that_of_the_blurred_image(together: bool) -> None:
+    renderer = Steps()
+    params = renderer.parameters()
+    blurred = BlurredRenderer(renderer, SIGMA, together=together)
+    drawn = [blurred.render_vjp(params, seed=seed)[1](COTANGENT) for seed in range(4000)]
+    wanted = quadrature(renderer, params, SIGMA)
+    for name, value in wanted.items():
+        own = np.array([one[name] for one in drawn])
+        error = own.std(axis=0, ddof=1) / np.sqrt(len(own))
+        assert np.all(np.abs(own.mean(axis=0) - value) < 4.0 * error), name
+        assert np.all(error < 0.1 * np.abs(wanted["a"]))
+
+
+@pytest.mark.parametrize(("names", "best"), [(["a"], False), (["a", "b"], True)])
+def test_the_default_is_the_less_noisy_way_for_the_same_images(names: list[str], best: bool) -> None:
+    renderer = Steps()
+    params = renderer.parameters()
+    noise = {}
+    for together in (False, True):
+        count = 3 if together and len(names) > 1 else 1  # as many images as three numbers one by one take
+        blurred = BlurredRenderer(renderer, 0.5, names=names, together=together, pairs=count)
+        drawn = [float(blurred.render_vjp(params, seed=seed)[1](COTANGENT)["a"]) for seed in range(1000)]
+        noise[together] = np.std(drawn)
+    assert noise[best] < noise[not best]
+    assert BlurredRenderer(renderer, 0.5, names=names)._together == best
+
+
+def test_the_image_is_sharp_and_a_pair_shares_its_seed() -> None:
+    renderer = Steps()
+    params = renderer.parameters()
+    blurred = BlurredRenderer(renderer, 0.5, pairs=2, together=False)
+    image, pullback = blurred.render_vjp(params, seed=5)
+    np.testing.assert_array_equal(image, renderer.render(params))
+    del renderer.seeds[:]
+    first = pullback(COTANGENT)
+    assert len(renderer.seeds) == 2 * 2 * 3  # two pairs for each of three numbers
+    assert renderer.seeds[::2] == renderer.seeds[1::2]
+    assert len(set(renderer.seeds)) == 6
+    again = blurred.render_vjp(params, seed=5)[1](2.0 * COTANGENT)
+    for name, value in first.items():
+        np.testing.assert_allclose(again[name], 2.0 * value)  # the same draws, and linear
+
+
+def test_what_is_not_blurred_has_the_gradient_of_the_renderer() -> None:
+    blurred = BlurredRenderer(Steps(), 0.5, names=["b"])
+    pulled = blurred.render_vjp(blurred.parameters())[1](COTANGENT)
+    assert pulled["a"] == 7.0
+    assert np.any(pulled["b"])
+
+
+def test_sigma_is_held_and_then_falls_to_its_last_value() -> None:
+    blurred = BlurredRenderer(Steps(), 0.5, final_sigma=0.1, steps=100)
+    seen = []
+    for step in range(100):
+        seen.append(blurred.sigma["a"])
+        blurred.watch(type("Step", (), {"step": step}), {}, None)
+    assert seen[:50] == [0.5] * 50
+    assert np.all(np.diff(seen[50:]) < 0.0)
+    assert blurred.sigma["b"] == pytest.approx(0.1)
+
+
+def test_a_fit_finds_what_has_no_gradient_of_its_own() -> None:
+    """Hard pixels: a square that is drawn at whole pixels, with pixel loss and with ours."""
+
+    class Square:
+        def parameters(self) -> dict[str, Any]:
+            return {"place": np.array([9.0, 8.0])}
+
+        def render(self, params: dict[str, Any], *, seed: int = 0) -> Any:
+            x, y = np.meshgrid(np.arange(32), np.arange(32))
+            a, b = np.round(params["place"])
+            return np.repeat(((np.abs(x - a) <= 3) & (np.abs(y - b) <= 3)).astype(float)[..., None], 3, axis=2)
+
+        def render_vjp(self, params: dict[str, Any], *, seed: int = 0) -> Any:
+            return self.render(params), lambda _: {"place": np.zeros(2)}
+
+    truth = {"place": np.array([20.0, 21.0])}
+    square = Square()
+    target = square.render(truth)
+    for objective in (LOIObjective(target), PixelL2(target)):
+        blurred = BlurredRenderer(square, 6.0, final_sigma=0.7, steps=150, pairs=2)
+        found = fit(blurred, objective, steps=150, learning_rate=0.6, callback=blurred.watch)
+        np.testing.assert_allclose(found.params["place"], truth["place"], atol=1.0)
+
+
+def test_it_keeps_the_contract() -> None:
+    """Of an image that is linear in its parameters, the blurred image is the sharp one."""
+
+    class Linear:
+        def parameters(self) -> dict[str, Any]:
+            return {"a": np.array([0.3, 0.6])}
+
+        def render(self, params: dict[str, Any], *, seed: int = 0) -> Any:
+            basis = np.linspace(0.1, 1.0, 8 * 8 * 3 * 2).reshape(8, 8, 3, 2)
+            return basis @ params["a"]
+
+        def render_vjp(self, params: dict[str, Any], *, seed: int = 0) -> Any:  # not asked for
+            raise AssertionError
+
+    check_renderer(BlurredRenderer(Linear(), 0.1, pairs=100), seeds=200)
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "says"),
+    [
+        ({"sigma": 0.0}, OptionError, r"`sigma` of 'positions' must be more than 0 and finite, got 0\.0"),
+        (
+            {"sigma": {"positions": 1.0}},
+            OptionError,
+            "`sigma` must have 'positions', 'radii', 'colours', got",
+        ),
+        ({"sigma": 1.0, "pairs": 0}, OptionError, "`pairs` must be a whole number, 1 or more, got 0"),
+        ({"sigma": 1.0, "final_sigma": 0.1}, OptionError, "`steps` must be a whole number, 1 or more, where there is"),
+        (
+            {"sigma": 1.0, "names": ["speed"]},
+            ParameterError,
+            "`names` must be of positions, radii, colours, got 'speed'",
+        ),
+    ],
+)
+def test_options_are_checked(options: dict[str, Any], error: type[Exception], says: str) -> None:
+    disks = Disks(16, 16, [[8.0, 8.0]], 4.0, [[1.0, 1.0, 1.0]])
+    with pytest.raises(error, match=says):
+        BlurredRenderer(disks, **options)
+
+
+def test_blurred_parameters_stay_legal() -> None:
+    disks = Disks(16, 16, [[8.0, 8.0]], 0.5, [[1.0, 1.0, 1.0]], confine=True)
+    start = {"positions": Free(), "radii": Free()}
+    blurred = BlurredRenderer(disks, 4.0, names=list(start))
+    image, pullback = blurred.render_vjp(blurred.parameters())
+    assert all(np.all(np.isfinite(one)) for one in pullback(image).values())
