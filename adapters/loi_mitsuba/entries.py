@@ -8,20 +8,21 @@ from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from loi_core.errors import ParameterError
-from loi_mitsuba.loading import Loaded, load_scene, use_variant
+from loi_mitsuba.loading import Loaded, load_scene, load_with_floats, use_variant
 
-__all__ = ["Entry", "Names", "Scene", "ancestors", "list_entries", "numbers"]
+__all__ = ["Entry", "Names", "Scene", "ancestors", "list_entries", "named_scene", "numbers"]
 
 Scene: TypeAlias = Any
 SceneParameters: TypeAlias = Any
 
+EIGHT_BITS: Final = "it is an 8-bit texture, which has no gradient; load the bitmap with format='variant'"
 _ADDRESS = re.compile(r"object_\d+(_\d+)?")
 _WORD = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 
@@ -71,6 +72,15 @@ def list_entries(scene: dict[str, Any] | str | Path | Scene) -> dict[str, Entry]
     return Names(load_scene(scene)).entries
 
 
+def named_scene(scene: dict[str, Any] | str | Path | Scene | Loaded, targets: Mapping[str, Any]) -> Names:
+    """A scene, loaded so that the entries among `targets` have a gradient if that is a matter of how it is loaded."""
+    names = Names(load_scene(scene))
+    wanted = [names.known(target) for target in targets.values() if isinstance(target, str)]
+    if any(one is not None and one.problem == EIGHT_BITS for one in wanted) and isinstance(scene, dict | str | Path):
+        return Names(load_with_floats(scene))
+    return names
+
+
 class Names:
     """What the entries and shapes of a scene are called, as it stands when this is made.
 
@@ -80,12 +90,14 @@ class Names:
 
     Attributes
     ----------
+    loaded : Loaded
     scene : mi.Scene
     entries : dict of Entry
         By readable name.
     """
 
     def __init__(self, loaded: Loaded) -> None:
+        self.loaded = loaded
         self.scene = loaded.scene
         self._params = mi.traverse(loaded.scene)
         self._readable, places = _readable(self._params, in_order=loaded.in_order)
@@ -101,6 +113,10 @@ class Names:
                     self._also[f"{place}{folder[len(own) :]}.{last}"] = entry
         self._places = places
 
+    def known(self, key: str) -> Entry | None:
+        """The entry of that name or key, if there is one."""
+        return self.entries.get(key) or self._also.get(key)
+
     def find(self, key: str) -> Entry:
         """The entry of that name or key.
 
@@ -109,7 +125,7 @@ class Names:
         ParameterError
             If there is none, or it cannot be fitted.
         """
-        entry = self.entries.get(key) or self._also.get(key)
+        entry = self.known(key)
         if entry is None:
             usable = [name for name, one in self.entries.items() if not one.problem]
             near = difflib.get_close_matches(key, usable, 3, 0.4) or usable
@@ -254,7 +270,7 @@ def _problem(params: SceneParameters, key: str) -> str:
         return _fixed(owners[-1])
     plain = numbers(value)
     if dr.is_tensor_v(plain) and not dr.is_float_v(plain):
-        return "it is an 8-bit texture, which has no gradient; load the bitmap with format='variant'"
+        return EIGHT_BITS
     if (flags & mi.ParamFlags.NonDifferentiable) or (flags & mi.ParamFlags.ReadOnly):
         if isinstance(node, mi.Emitter) and key.rpartition(".")[2] in ("position", "to_world"):
             return _fixed(node)

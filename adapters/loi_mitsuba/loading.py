@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import contextlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
@@ -13,7 +15,7 @@ from loi_core.errors import OptionError, ParameterError
 from loi_core.renderers.handles import Rotate, Target, targets_of
 from loi_core.support.values import whole_number
 from loi_core.support.wording import shown
-from loi_mitsuba.untrusted import SceneLoadError, check_scene_file, check_types
+from loi_mitsuba.untrusted import SceneLoadError, check_scene_file, check_types, looking_in
 
 __all__ = [
     "Loaded",
@@ -24,8 +26,10 @@ __all__ = [
     "find_sensor",
     "fresh",
     "load_scene",
+    "load_with_floats",
     "most_samples",
     "one_line",
+    "parsed",
     "use_variant",
 ]
 
@@ -48,13 +52,21 @@ def use_variant() -> str:
 
 @dataclass(frozen=True)
 class Loaded:
-    """A scene, and whether its shapes are known to come in the file's own order.
+    """A scene, and how it was loaded.
 
-    Mitsuba, asked to optimise a scene as it loads it, merges some meshes and moves the others behind all other shapes.
+    Attributes
+    ----------
+    scene : mi.Scene
+    in_order : bool
+        Whether its shapes are known to come in the file's own order. Mitsuba, asked to optimise a scene as it loads it,
+        merges some meshes and moves the others behind all other shapes.
+    floats : bool
+        Whether textures of 8 bits were loaded as floats, which have a gradient.
     """
 
     scene: Any
     in_order: bool
+    floats: bool = False
 
 
 def load_scene(scene: Any) -> Loaded:
@@ -80,6 +92,41 @@ def load_scene(scene: Any) -> Loaded:
         msg = f"`scene` must be a dict, the path of an XML file, or an mi.Scene, got a {type(loaded).__name__}"
         raise OptionError(msg)
     return Loaded(loaded, in_order=True)
+
+
+def load_with_floats(scene: dict[str, Any] | str | Path) -> Loaded:
+    """A scene whose textures hold floats, whatever their files hold; it has been loaded before, so that it is sound."""
+    with parsed(scene, floats=True) as (config, state):
+        loaded = mi.parser.instantiate(config, state)
+    return Loaded(loaded[0] if isinstance(loaded, list) else loaded, in_order=True, floats=True)
+
+
+@contextlib.contextmanager
+def parsed(scene: dict[str, Any] | str | Path, *, floats: bool) -> Iterator[tuple[Any, Any]]:
+    """What a scene is made from, to be changed and instantiated within; with `floats`, textures hold floats.
+
+    Raises
+    ------
+    SceneLoadError
+        If Mitsuba cannot, or something within fails in Mitsuba.
+    """
+    config = mi.parser.ParserConfig(mi.variant())
+    config.merge_equivalent = config.merge_meshes = False
+    folders = [] if isinstance(scene, dict) else [Path(scene).parent]
+    with looking_in([Path(mi.__file__).parent, *folders], also=True):
+        try:
+            if isinstance(scene, dict):
+                state = mi.parser.parse_dict(config, fresh(scene))
+            else:
+                state = mi.parser.parse_file(config, str(scene))
+            mi.parser.transform_all(config, state)
+            for node in state.nodes if floats else ():
+                if node.props.plugin_name() == "bitmap" and node.type == mi.ObjectType.Texture:
+                    node.props["format"] = "variant"
+            yield config, state
+        except RuntimeError as error:
+            msg = f"`scene` cannot be loaded: {one_line(error)}"
+            raise SceneLoadError(msg) from None
 
 
 def fresh(description: dict[str, Any]) -> dict[str, Any]:

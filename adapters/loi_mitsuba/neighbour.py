@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields
-from pathlib import Path
 from typing import Any, Final
 
 import mitsuba as mi
@@ -19,8 +18,7 @@ import numpy as np
 from loi_core.errors import OptionError
 from loi_core.support.values import real_number
 from loi_core.support.wording import shown
-from loi_mitsuba.loading import Loaded, fresh, one_line
-from loi_mitsuba.untrusted import SceneLoadError, looking_in
+from loi_mitsuba.loading import Loaded, parsed
 
 __all__ = ["KINDS", "Exchange", "Neighbour", "Surroundings", "neighbour_of"]
 
@@ -114,7 +112,9 @@ class Surroundings:
         return cls(np.mean(centres, axis=0), 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low)))
 
 
-def neighbour_of(scene: Any, near: Neighbour, around: Surroundings) -> tuple[Loaded, tuple[Exchange, ...]] | None:
+def neighbour_of(
+    scene: Any, near: Neighbour, around: Surroundings, *, floats: bool = False
+) -> tuple[Loaded, tuple[Exchange, ...]] | None:
     """The neighbouring scene of one that can be loaded, and what was exchanged; None if nothing is to be.
 
     Parameters
@@ -124,6 +124,8 @@ def neighbour_of(scene: Any, near: Neighbour, around: Surroundings) -> tuple[Loa
         the neighbour shares its shapes.
     near : Neighbour
     around : Surroundings
+    floats : bool
+        Whether textures are to hold floats.
     """
     if isinstance(scene, mi.Scene):
         described, shared = _described(scene)
@@ -134,35 +136,23 @@ def neighbour_of(scene: Any, near: Neighbour, around: Surroundings) -> tuple[Loa
             for one, own in zip(shared, ids, strict=True):
                 one.set_id(own)
         return None if found is None else (Loaded(found[0].scene, in_order=False), found[1])
-    config = mi.parser.ParserConfig(mi.variant())
-    config.merge_equivalent = config.merge_meshes = False
-    folders = [] if isinstance(scene, dict) else [Path(scene).parent]
-    with looking_in([Path(mi.__file__).parent, *folders], also=True):
-        try:
-            if isinstance(scene, dict):
-                state = mi.parser.parse_dict(config, fresh(scene))
-            else:
-                state = mi.parser.parse_file(config, str(scene))
-            mi.parser.transform_all(config, state)
-            exchanges: list[Exchange] = []
-            lights = 0
-            for index in range(len(state.nodes)):
-                node = state.nodes[index]
-                kind = node.props.plugin_name()
-                if kind in KINDS.values() and node.type == mi.ObjectType.Emitter and near.lights > 0.0:
-                    _exchange_light(state, index, lights, near.lights, around, exchanges)
-                    lights += 1
-                elif kind in ROUGH and node.type == mi.ObjectType.BSDF and near.mirrors > 0.0:
-                    _exchange_surface(node, near.mirrors, exchanges)
-            if not exchanges:
-                return None
-            loaded = mi.parser.instantiate(config, state)
-        except RuntimeError as error:
-            msg = f"the scene's neighbour cannot be loaded: {one_line(error)}; give `neighbour=None` to do without"
-            raise SceneLoadError(msg) from None
+    exchanges: list[Exchange] = []
+    lights = 0
+    with parsed(scene, floats=floats) as (config, state):
+        for index in range(len(state.nodes)):
+            node = state.nodes[index]
+            kind = node.props.plugin_name()
+            if kind in KINDS.values() and node.type == mi.ObjectType.Emitter and near.lights > 0.0:
+                _exchange_light(state, index, lights, near.lights, around, exchanges)
+                lights += 1
+            elif kind in ROUGH and node.type == mi.ObjectType.BSDF and near.mirrors > 0.0:
+                _exchange_surface(node, near.mirrors, exchanges)
+        if not exchanges:
+            return None
+        loaded = mi.parser.instantiate(config, state)
     made = loaded[0] if isinstance(loaded, list) else loaded
     _brighten(made, {one.lamp: one.factor for one in exchanges if one.lamp})
-    return Loaded(made, in_order=True), tuple(exchanges)
+    return Loaded(made, in_order=True, floats=floats), tuple(exchanges)
 
 
 def _described(scene: Any) -> tuple[dict[str, Any], list[Any]]:

@@ -17,7 +17,7 @@ from loi_core.pixels.encoding import Encoding
 from loi_core.support.values import whole_number
 from loi_core.support.wording import shown
 from loi_mitsuba.cautions import warn_of_moving
-from loi_mitsuba.entries import Names, Scene
+from loi_mitsuba.entries import Names, Scene, named_scene
 from loi_mitsuba.handles import Host
 from loi_mitsuba.integrators import PARTS, bordered, integrator_of, leaves_edges_out, settings_of
 from loi_mitsuba.loading import (
@@ -25,7 +25,6 @@ from loi_mitsuba.loading import (
     checked_samples,
     checked_targets,
     find_sensor,
-    load_scene,
     most_samples,
     one_line,
     use_variant,
@@ -98,9 +97,9 @@ class MitsubaRenderer:
         sensor: int = 0,
     ) -> None:
         self._variant = use_variant()
-        self._names = Names(load_scene(bordered(scene, integrator)))
-        self._scene = self._names.scene
         targets = checked_targets(parameters)
+        self._names = named_scene(bordered(scene, integrator), targets)
+        self._scene = self._names.scene
         self._sensor = find_sensor(self._scene, sensor)
         self._use(integrator, spp, spp_grad)
         self._named = NamedParameters(self._names, targets)

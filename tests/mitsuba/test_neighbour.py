@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from loi_core.errors import OptionError
+from loi_core.errors import OptionError, ParameterError
 from loi_mitsuba import GradientWarning, MitsubaRenderer, Neighbour, PlannedRenderer, Translate, list_entries
 from loi_mitsuba.neighbour import Surroundings, neighbour_of
 from tests.mitsuba.scenes import shadow_scene
@@ -170,6 +170,23 @@ def test_edges_in_perfect_mirrors_have_the_gradient_of_finite_differences() -> N
     slope = float(np.sum((ahead - behind) * RAMP)) / 0.2
     found = np.array([float(planned.unabridged.pull(HERE, RAMP, seed=seed)["x"]) for seed in range(6)])
     assert found.mean() == pytest.approx(slope, rel=0.1, abs=3.0 * found.std(ddof=1) / np.sqrt(len(found)))
+
+
+def test_textures_of_8_bits_are_read_as_floats_where_they_are_fitted(tmp_path: Path) -> None:
+    picture = np.random.default_rng(0).integers(0, 256, (6, 8, 3), dtype=np.uint8)
+    mi.util.write_bitmap(str(tmp_path / "floor.png"), mi.Bitmap(picture), write_async=False)
+    scene = lit_scene()
+    scene["floor"]["bsdf"]["reflectance"] = {"type": "bitmap", "filename": str(tmp_path / "floor.png")}
+    colours = {"picture": "floor.bsdf.reflectance.data"}
+    without = MitsubaRenderer(scene, {"brightness": "lamp.intensity.value"}, spp=64)
+    for renderer in (MitsubaRenderer(scene, colours, spp=64), PlannedRenderer(scene, {**AXES, **colours}, spp=64)):
+        start = renderer.parameters()
+        assert start["picture"].shape == (6, 8, 3)
+        image, pullback = renderer.render_vjp(start)
+        np.testing.assert_allclose(np.mean(image), np.mean(without.render(without.parameters())), rtol=2e-3)
+        assert np.any(pullback(np.ones_like(image))["picture"])
+    with pytest.raises(ParameterError, match=r"an 8-bit texture, .*load the bitmap with format='variant'"):
+        MitsubaRenderer(mi.load_dict(scene), colours)
 
 
 def test_a_scene_s_dict_can_be_loaded_again_with_its_tensors() -> None:

@@ -307,7 +307,6 @@ def test_the_scene_s_own_integrator_can_be_asked_for() -> None:
         ({"a": "spot.to_world"}, "a SpotLight is missing or wrong; use a small sphere with an area emitter"),
         ({"a": Translate("point")}, "'point' cannot be moved: .*use a small sphere with an area emitter"),
         ({"a": Translate("nobody")}, "no shape 'nobody' that can be moved; it has: floor, ball, lamp"),
-        ({"a": "picture.bsdf.reflectance.data"}, "an 8-bit texture, .*load the bitmap with format='variant'"),
         ({"a": "ball.silhouette_sampling_weight"}, "cannot be fitted: Mitsuba gives no gradient for it"),
         ({"a": "ball.to_world", "b": Scale("ball")}, "must not set one entry twice, got 'a', 'b'"),
         ({"a": PARAMETERS["floor"], "b": PARAMETERS["floor"]}, "must not set one entry twice, got 'a', 'b'"),

@@ -24,7 +24,7 @@ from loi_mitsuba.effects.probe import Probe
 from loi_mitsuba.effects.rules import everything, plan_by_rules, plan_of, plan_with
 from loi_mitsuba.effects.traits import groups_of, in_view, objects_of, traits_of
 from loi_mitsuba.effects.verify import Verification, verification
-from loi_mitsuba.entries import Names, Scene
+from loi_mitsuba.entries import Scene, named_scene
 from loi_mitsuba.handles import Host
 from loi_mitsuba.integrators import bordered, settings_of
 from loi_mitsuba.loading import (
@@ -32,7 +32,6 @@ from loi_mitsuba.loading import (
     checked_samples,
     checked_targets,
     find_sensor,
-    load_scene,
     most_samples,
     use_variant,
 )
@@ -97,8 +96,7 @@ class PlannedRenderer:
             msg = f"`fraction` must be at least 0 and less than 1, got {shown(fraction)}"
             raise OptionError(msg)
         self._fraction = real_number(fraction)
-        ready, targets, plan = _ruled(scene, parameters, sensor, spp)
-        self._base, self._exchanged = _base(ready, targets, plan, int(spp), sensor, Neighbour.of(neighbour))
+        self._base, self._exchanged = _base(scene, parameters, sensor, spp, Neighbour.of(neighbour))
         self._samples = int(spp)
         self._begun = False
         self._schedule = Schedule()
@@ -106,7 +104,7 @@ class PlannedRenderer:
         self._sizes: Sizes = {}
         self._holding = Holding()
         self._seen: frozenset[str] = frozenset()
-        self._take(tuple(targets))
+        self._take(tuple(self._base.targets))
 
     @property
     def encoding(self) -> Encoding:
@@ -303,39 +301,32 @@ class PlannedRenderer:
         self._set(plan)
 
 
-def _ruled(scene: Any, parameters: Any, sensor: int, spp: Any) -> tuple[Any, Any, EffectPlan]:
-    """A loaded scene, whose film samples its border if need be, its targets, and the plan by rules.
+def _base(
+    scene: Any, parameters: Any, sensor: int, spp: Any, near: Neighbour
+) -> tuple[MitsubaRenderer, dict[str, str]]:
+    """The scene by the rules' plan, and its neighbour where what moves calls for one; and what that has exchanged.
 
-    The plan comes first, so that warnings of missing gradients are about its integrator.
+    The film samples its border if need be. The plan comes first, so that warnings of missing gradients are about its
+    integrator.
     """
     use_variant()
-    targets, loaded = checked_targets(parameters), load_scene(scene)
-    found = find_sensor(loaded.scene, sensor)
+    targets = checked_targets(parameters)
+    names = named_scene(scene, targets)
+    found = find_sensor(names.scene, sensor)
     samples = checked_samples("spp", spp, most_samples(found.film()))
-    plan = plan_by_rules(traits_of(Names(loaded), targets, found), samples)
-    return bordered(scene, plan), targets, plan
-
-
-def _base(
-    scene: Any, targets: Mapping[str, Target], plan: EffectPlan, spp: int, sensor: int, near: Neighbour
-) -> tuple[MitsubaRenderer, dict[str, str]]:
-    """The scene, and its neighbour where what moves calls for one; and what that has exchanged, with reasons."""
-    loaded = load_scene(scene)
-    traits = traits_of(Names(loaded), targets, find_sensor(loaded.scene, sensor))
-    found = None
+    traits = traits_of(names, targets, found)
+    plan = plan_by_rules(traits, samples)
+    ready = bordered(scene, plan)
+    loaded = names.loaded if ready is scene else named_scene(ready, targets).loaded
+    options: dict[str, Any] = {"integrator": plan, "spp": spp, "sensor": sensor}
     if traits.moving and not traits.media and (traits.lights or traits.delta_reflection or traits.delta_transmission):
-        found = neighbour_of(scene, near, Surroundings.of(loaded.scene, list(traits.moving.values())))
-    if found is None:
-        return MitsubaRenderer(loaded, targets, integrator=plan, spp=spp, sensor=sensor), {}
-    neighbour, exchanges = found
-    base = NeighbouredRenderer(
-        loaded,
-        targets,
-        neighbour=neighbour,
-        moving=traits.moving,
-        exchanged=exchanged_targets(loaded, targets, exchanges),
-        integrator=plan,
-        spp=spp,
-        sensor=sensor,
-    )
-    return base, {one.what: one.reason for one in exchanges}
+        around = Surroundings.of(loaded.scene, list(traits.moving.values()))
+        exchange = neighbour_of(ready, near, around, floats=loaded.floats)
+        if exchange is not None:
+            neighbour, exchanges = exchange
+            exchanged = exchanged_targets(loaded, targets, exchanges)
+            base = NeighbouredRenderer(
+                loaded, targets, neighbour=neighbour, moving=traits.moving, exchanged=exchanged, **options
+            )
+            return base, {one.what: one.reason for one in exchanges}
+    return MitsubaRenderer(loaded, targets, **options), {}
