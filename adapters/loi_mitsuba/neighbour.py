@@ -113,7 +113,12 @@ class Surroundings:
 
 
 def neighbour_of(
-    scene: Any, near: Neighbour, around: Surroundings, *, floats: bool = False
+    scene: Any,
+    near: Neighbour,
+    around: Surroundings,
+    *,
+    floats: bool = False,
+    keep: frozenset[int | None] = frozenset(),
 ) -> tuple[Loaded, tuple[Exchange, ...]] | None:
     """The neighbouring scene of one that can be loaded, and what was exchanged; None if nothing is to be.
 
@@ -126,6 +131,8 @@ def neighbour_of(
     around : Surroundings
     floats : bool
         Whether textures are to hold floats.
+    keep : frozenset of int
+        Numbers of lights that are not exchanged.
     """
     if isinstance(scene, mi.Scene):
         described, shared = _described(scene)
@@ -142,8 +149,9 @@ def neighbour_of(
         for index in range(len(state.nodes)):
             node = state.nodes[index]
             kind = node.props.plugin_name()
-            if kind in KINDS.values() and node.type == mi.ObjectType.Emitter and near.lights > 0.0:
-                _exchange_light(state, index, lights, near.lights, around, exchanges)
+            if kind in KINDS.values() and node.type == mi.ObjectType.Emitter:
+                if near.lights > 0.0 and lights not in keep:
+                    _exchange_light(state, index, lights, near.lights, around, exchanges)
                 lights += 1
             elif kind in ROUGH and node.type == mi.ObjectType.BSDF and near.mirrors > 0.0:
                 _exchange_surface(node, near.mirrors, exchanges)
@@ -151,7 +159,10 @@ def neighbour_of(
             return None
         loaded = mi.parser.instantiate(config, state)
     made = loaded[0] if isinstance(loaded, list) else loaded
-    _brighten(made, {one.lamp: one.factor for one in exchanges if one.lamp})
+    left = _brighten(made, {one.lamp: one.factor for one in exchanges if one.lamp})
+    if left:
+        kept = keep | {one.light for one in exchanges if one.lamp in left}
+        return neighbour_of(scene, near, around, floats=floats, keep=kept)
     return Loaded(made, in_order=True, floats=floats), tuple(exchanges)
 
 
@@ -267,11 +278,19 @@ def _is_lit(props: Any, place: Any, origin: Any, centre: Any) -> bool:
     return cosine > math.cos(math.radians(cutoff))
 
 
-def _brighten(scene: Any, brightness: Mapping[str, float]) -> None:
-    """Make lamps, which have the intensity of the lights that they stand for as their radiance, as bright as these."""
+def _brighten(scene: Any, brightness: Mapping[str, float]) -> list[str]:
+    """Make lamps, which have the intensity of the lights that they stand for as their radiance, as bright as these.
+
+    Those whose spectrum is of a kind that cannot be scaled, such as a black body's, are given back.
+    """
     params = mi.traverse(scene)
+    left = []
     for lamp, factor in brightness.items():
-        for key in list(params.properties):
-            if key.startswith(f"{lamp}.emitter.radiance.") and key.rpartition(".")[2] in ("value", "data"):
-                params[key] = type(params[key])(params[key] * factor)
+        keys = [key for key in params.properties if key.startswith(f"{lamp}.emitter.radiance.")]
+        keys = [key for key in keys if key.rpartition(".")[2] in ("value", "data")]
+        if len(keys) == 1:
+            params[keys[0]] = type(params[keys[0]])(params[keys[0]] * factor)
+        else:
+            left.append(lamp)
     params.update()
+    return left

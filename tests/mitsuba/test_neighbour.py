@@ -79,7 +79,7 @@ def test_what_stands_for_a_light_is_as_bright(kind: str) -> None:
 @pytest.mark.parametrize("kind", ["point", "directional", "spot"])
 def test_shadows_of_lights_without_a_size_have_the_gradient_of_finite_differences(kind: str) -> None:
     scene = lit_scene(kind)
-    planned = PlannedRenderer(scene, AXES, spp=128)
+    planned = PlannedRenderer(scene, AXES, spp=64)
     exact = planned.unabridged.with_integrator("scene", spp=512)
     drawn = [planned.unabridged.pull(HERE, RAMP, seed=seed) for seed in range(8)]
     slopes, errors, found = np.zeros(2), np.zeros(2), np.zeros(2)
@@ -124,6 +124,13 @@ def test_nothing_is_exchanged_that_no_parameter_calls_for() -> None:
     assert not np.any(gradient["x"])
 
 
+def test_a_light_whose_spectrum_cannot_be_scaled_stays_and_is_told_of() -> None:
+    hot = {"type": "point", "position": [0, 9, 0], "intensity": {"type": "blackbody", "temperature": 5000.0}}
+    with pytest.warns(GradientWarning, match="moves under a PointLight"):
+        plan = PlannedRenderer(lit_scene(hot=hot), AXES).plan
+    assert list(plan.exchanged) == ["point light 'lamp'"]
+
+
 def test_files_and_loaded_scenes_have_neighbours_too(tmp_path: Path) -> None:
     path = xml_of(tmp_path)
     loaded = mi.load_file(str(path))
@@ -131,10 +138,10 @@ def test_files_and_loaded_scenes_have_neighbours_too(tmp_path: Path) -> None:
     names = list(list_entries(loaded))
     gradients = []
     for scene in (path, loaded, lit_scene()):
-        planned = PlannedRenderer(scene, AXES, spp=256)
+        planned = PlannedRenderer(scene, AXES, spp=128)
         assert len(planned.plan.exchanged) == 1
-        gradients.append(np.mean([planned.unabridged.pull(HERE, RAMP, seed=k)["x"] for k in range(4)]))
-    assert gradients[0] == pytest.approx(gradients[1], rel=0.1)
+        gradients.append(np.mean([planned.unabridged.pull(HERE, RAMP, seed=k)["x"] for k in range(3)]))
+    assert gradients[0] == pytest.approx(gradients[1], rel=0.15)
     assert np.sign(gradients[0]) == np.sign(gradients[2])
     assert [one.id() for one in loaded.shapes()] == before
     assert list(list_entries(loaded)) == names
