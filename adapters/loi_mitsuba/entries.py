@@ -207,8 +207,9 @@ def _readable(params: SceneParameters, *, in_order: bool) -> tuple[dict[str, str
 
 
 def _places(params: SceneParameters) -> dict[str, str]:
-    """By key, a name for each mesh without an id that says where it stands."""
+    """By key, a name for each mesh without an id that says where it stands, and if others do too, how large it is."""
     found: dict[str, str] = {}
+    sizes: dict[str, str] = {}
     for key in params.properties:
         folder, _, last = key.rpartition(".")
         node = params.properties[key][2]
@@ -216,12 +217,24 @@ def _places(params: SceneParameters) -> dict[str, str]:
             if _is_merged(node):
                 found[folder] = "merged_meshes"
                 continue
-            centre = np.array(node.bbox().center(), dtype=np.float64).reshape(3) + 0.0  # + 0.0 makes -0.0 equal to 0.0
-            found[folder] = f"{_kind_of(node)}_at_{'_'.join(f'{one:.5g}' for one in centre)}"
+            found[folder] = f"{_kind_of(node)}_at_{_numbers(_corners(node).mean(axis=0))}"
+            sizes[folder] = f"_size_{_numbers(np.ptp(_corners(node), axis=0))}"
+    named = list(found.values())
+    found = {key: name + sizes.get(key, "") if named.count(name) > 1 else name for key, name in found.items()}
     named = list(found.values())
     numbered = {name: iter(range(len(named))) for name in named}
-    # Of meshes in one place nothing that is known here says which is which.
+    # Nothing that is known here says which is which of meshes of one size in one place.
     return {key: f"{name}_{next(numbered[name])}" if named.count(name) > 1 else name for key, name in found.items()}
+
+
+def _corners(node: Any) -> Any:
+    box = node.bbox()
+    return np.array([np.array(one, dtype=np.float64).reshape(3) for one in (box.min, box.max)])
+
+
+def _numbers(values: Any) -> str:
+    """Coordinates as part of a name; what is 0 but for rounding is 0."""
+    return "_".join(f"{one:.5g}" for one in np.where(np.abs(values) < 1e-5, 0.0, values))
 
 
 def _unsafe(params: SceneParameters, places: Mapping[str, str]) -> set[str]:

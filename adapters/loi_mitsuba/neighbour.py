@@ -8,9 +8,9 @@ graze a shape find light or none.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
-from typing import Any, Final
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any, Final, TypeAlias
 
 import mitsuba as mi
 import numpy as np
@@ -18,12 +18,16 @@ import numpy as np
 from loi_core.errors import OptionError
 from loi_core.support.values import real_number
 from loi_core.support.wording import shown
-from loi_mitsuba.loading import Loaded, parsed
+from loi_mitsuba.loading import Loaded, SceneLoadError, parsed
 
-__all__ = ["KINDS", "Exchange", "Neighbour", "Surroundings", "neighbour_of"]
+__all__ = ["KINDS", "LAMP", "LIGHT", "Exchange", "Found", "Neighbour", "Surroundings", "lights_of", "neighbour_of"]
+
+Host: TypeAlias = np.ndarray[Any, np.dtype[np.float64]]
 
 ROUGH: Final = {"conductor": "roughconductor", "dielectric": "roughdielectric", "plastic": "roughplastic"}
 KINDS: Final = {"PointLight": "point", "SpotLight": "spot", "DirectionalEmitter": "directional"}
+LAMP: Final = "loi_lamp_"
+LIGHT: Final = "loi_light_"
 FAR: Final = 100.0  # how many times the scene's radius away the disk is that stands for a directional light
 
 
@@ -74,53 +78,94 @@ class Neighbour:
 class Exchange:
     """One thing that the neighbour has instead of another: what, and in a line why and how large.
 
-    Of a light, also which of the scene's lights without a size it is, from 0, what the lamp in its place is called, and
-    by how much that is brighter.
+    Of a light, also which of the scene's lights without a size it is, from 0, and how many times its intensity the
+    radiance is of what stands for it.
     """
 
     what: str
     reason: str
     light: int | None = None
-    lamp: str = ""
     factor: float = 1.0
 
 
 @dataclass(frozen=True)
+class Found:
+    """A neighbouring scene: what it has otherwise, and whether surfaces are left in it that are perfectly smooth."""
+
+    loaded: Loaded
+    exchanges: tuple[Exchange, ...]
+    smooth: bool
+
+
+@dataclass(frozen=True)
 class Surroundings:
-    """Where things move.
+    """Where things move, and what lights there are.
 
     Attributes
     ----------
-    centre : array, shape (3,)
-        Of what moves, about which lamps are measured.
+    boxes : array, shape (n, 2, 3)
+        Lowest and highest corners of what moves.
     middle : array, shape (3,)
         Of the whole scene.
     radius : float
         Of a sphere around the whole scene.
+    powers : tuple of array or None
+        Intensity or irradiance of each light without a size, as red, green and blue; None where it is not known, or the
+        light is to stay as it is.
     """
 
-    centre: np.ndarray[Any, np.dtype[np.float64]]
-    middle: np.ndarray[Any, np.dtype[np.float64]]
+    boxes: Host
+    middle: Host
     radius: float
+    powers: tuple[Host | None, ...]
 
     @classmethod
-    def of(cls, scene: Any, moving: list[Any]) -> Surroundings:
-        """Of a loaded scene and the shapes that move in it."""
-        centres = [np.array(one.bbox().center(), dtype=np.float64).reshape(3) for one in moving]
-        box = scene.bbox()
-        low, high = (np.array(one, dtype=np.float64).reshape(3) for one in (box.min, box.max))
-        return cls(np.mean(centres, axis=0), 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low)))
+    def of(cls, scene: Any, moving: Iterable[Any], stay: Iterable[int] = ()) -> Surroundings:
+        """Of a loaded scene, the shapes that move in it, and the numbers of lights that are to stay as they are."""
+        boxes = np.array([_corners(one.bbox()) for one in moving])
+        low, high = _corners(scene.bbox())
+        kept = set(stay)
+        powers = (None if k in kept else _power(one) for k, one in enumerate(lights_of(scene)))
+        return cls(boxes, 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low)), tuple(powers))
+
+    def distance(self, point: Host) -> float:
+        """From a point to the nearest box, or if it is within one, to that one's middle."""
+        outside = np.maximum(np.maximum(self.boxes[:, 0] - point, point - self.boxes[:, 1]), 0.0)
+        away = np.linalg.norm(outside, axis=1)
+        middles = np.linalg.norm(self.boxes.mean(axis=1) - point, axis=1)
+        return float(np.min(np.where(away > 0.0, away, middles)))
+
+
+def lights_of(scene: Any) -> list[Any]:
+    """The lights without a size that can be exchanged, in the scene's order."""
+    return [one for one in scene.emitters() if one.class_name() in KINDS]
+
+
+def _corners(box: Any) -> Host:
+    return np.array([np.array(one, dtype=np.float64).reshape(3) for one in (box.min, box.max)])
+
+
+def _power(light: Any) -> Host | None:
+    """Of a light of one colour in all directions; None for others."""
+    params = mi.traverse(light)
+    power = "irradiance" if KINDS[light.class_name()] == "directional" else "intensity"
+    textured = "texture.data" in params
+    if f"{power}.value" not in params or textured:
+        return None
+    value = np.array(params[f"{power}.value"], dtype=np.float64).reshape(-1)
+    return np.resize(value, 3) if value.size in (1, 3) else None
 
 
 def neighbour_of(
     scene: Any,
     near: Neighbour,
     around: Surroundings,
+    in_view: Callable[[Any], bool],
     *,
     floats: bool = False,
     keep: frozenset[int | None] = frozenset(),
-) -> tuple[Loaded, tuple[Exchange, ...]] | None:
-    """The neighbouring scene of one that can be loaded, and what was exchanged; None if nothing is to be.
+) -> Found | None:
+    """The neighbouring scene of one that can be loaded; None if nothing is to be exchanged, or can be.
 
     Parameters
     ----------
@@ -129,6 +174,8 @@ def neighbour_of(
         the neighbour shares its shapes.
     near : Neighbour
     around : Surroundings
+    in_view : callable
+        Whether the camera may see a shape. A lamp that it sees is not exchanged, for the light is never seen.
     floats : bool
         Whether textures are to hold floats.
     keep : frozenset of int
@@ -138,11 +185,13 @@ def neighbour_of(
         described, shared = _described(scene)
         ids = [one.id() for one in shared]
         try:
-            found = neighbour_of(described, near, around)
+            found = neighbour_of(described, near, around, in_view)
+        except SceneLoadError:  # not every scene can be made of the objects of another, such as one with instances
+            return None
         finally:  # what a dict holds is called by its key
             for one, own in zip(shared, ids, strict=True):
                 one.set_id(own)
-        return None if found is None else (Loaded(found[0].scene, in_order=False), found[1])
+        return None if found is None else replace(found, loaded=Loaded(found.loaded.scene, in_order=False))
     exchanges: list[Exchange] = []
     lights = 0
     with parsed(scene, floats=floats) as (config, state):
@@ -150,8 +199,11 @@ def neighbour_of(
             node = state.nodes[index]
             kind = node.props.plugin_name()
             if kind in KINDS.values() and node.type == mi.ObjectType.Emitter:
-                if near.lights > 0.0 and lights not in keep:
-                    _exchange_light(state, index, lights, near.lights, around, exchanges)
+                called = node.props.id()
+                node.props.set_id(called or f"{LIGHT}{lights}")
+                power = around.powers[lights] if lights < len(around.powers) else None
+                if near.lights > 0.0 and power is not None and lights not in keep:
+                    _exchange_light(state, index, lights, near.lights, power, around, exchanges)
                 lights += 1
             elif kind in ROUGH and node.type == mi.ObjectType.BSDF and near.mirrors > 0.0:
                 _exchange_surface(node, near.mirrors, exchanges)
@@ -159,37 +211,47 @@ def neighbour_of(
             return None
         loaded = mi.parser.instantiate(config, state)
     made = loaded[0] if isinstance(loaded, list) else loaded
-    left = _brighten(made, {one.lamp: one.factor for one in exchanges if one.lamp})
-    if left:
-        kept = keep | {one.light for one in exchanges if one.lamp in left}
-        return neighbour_of(scene, near, around, floats=floats, keep=kept)
-    return Loaded(made, in_order=True, floats=floats), tuple(exchanges)
+    seen = {shape.id() for shape in made.shapes() if shape.id().startswith(LAMP) and in_view(shape)}
+    if seen:
+        more = {one.light for one in exchanges if f"{LAMP}{one.light}" in seen}
+        return neighbour_of(scene, near, around, in_view, floats=floats, keep=keep | more)
+    flags = [int(shape.bsdf().flags()) for shape in made.shapes() if shape.bsdf() is not None]
+    smooth = any(one & int(mi.BSDFFlags.DeltaReflection | mi.BSDFFlags.DeltaTransmission) for one in flags)
+    return Found(Loaded(made, in_order=True, floats=floats), _distinct(exchanges), smooth)
+
+
+def _distinct(exchanges: list[Exchange]) -> tuple[Exchange, ...]:
+    """Exchanges under names of their own: those that share one are numbered."""
+    names = [one.what for one in exchanges]
+    return tuple(
+        replace(one, what=f"{one.what} ({names[: k + 1].count(one.what)})") if names.count(one.what) > 1 else one
+        for k, one in enumerate(exchanges)
+    )
 
 
 def _described(scene: Any) -> tuple[dict[str, Any], list[Any]]:
     """A loaded scene as a dict of its objects, but of lights that can be exchanged a description; and those objects."""
     emitters = [one for one in scene.emitters() if not mi.has_flag(one.flags(), mi.EmitterFlags.Surface)]
+    lights = lights_of(scene)
     described: dict[str, Any] = {"type": "scene"}
     shared = []
     for number, one in enumerate([*scene.sensors(), *scene.shapes(), *emitters, scene.integrator()]):
-        light = _light(one)
-        described[one.id() or f"loi_{number}"] = one if light is None else light
+        light = _described_light(one) if one in lights else None
+        key = one.id() or (f"{LIGHT}{lights.index(one)}" if one in lights else f"loi_{number}")
+        described[key] = one if light is None else light
         if light is None:
             shared.append(one)
     return described, shared
 
 
-def _light(emitter: Any) -> dict[str, Any] | None:
+def _described_light(light: Any) -> dict[str, Any] | None:
     """What a light that can be exchanged is loaded from."""
-    kind = KINDS.get(emitter.class_name())
-    if kind is None:
+    kind, value = KINDS[light.class_name()], _power(light)
+    if value is None:
         return None
-    params = mi.traverse(emitter)
+    params = mi.traverse(light)
     power = "irradiance" if kind == "directional" else "intensity"
-    if f"{power}.value" not in params:
-        return None
-    value = np.array(params[f"{power}.value"], dtype=np.float64).reshape(-1)
-    told: dict[str, Any] = {"type": kind, power: {"type": "rgb", "value": np.resize(value, 3).tolist()}}
+    told: dict[str, Any] = {"type": kind, power: {"type": "rgb", "value": value.tolist()}}
     if kind == "point":
         return told | {"position": np.array(params["position"]).reshape(3).tolist()}
     place = np.array(params["to_world"].matrix, dtype=np.float32).reshape(4, 4)
@@ -217,14 +279,13 @@ def _exchange_light(
     index: int,
     number: int,
     size: float,
+    power: Host,
     around: Surroundings,
     exchanges: list[Exchange],
 ) -> None:
     props = state.nodes[index].props
     kind, called = props.plugin_name(), props.id()
-    name = f"loi_lamp_{number}"
     place = np.array(props["to_world"].matrix, dtype=np.float64) if "to_world" in props else np.eye(4)
-    power = "irradiance" if kind == "directional" else "intensity"
     if kind == "directional":
         along = np.array(props["direction"]) if "direction" in props else place[:3, 2]
         along = along / np.linalg.norm(along)
@@ -234,20 +295,18 @@ def _exchange_light(
         pose = mi.ScalarTransform4f().look_at(origin.tolist(), around.middle.tolist(), up.tolist())
         radius, shape = away * math.tan(size), "disk"
         # Seen from the scene, a disk of half the angle a lights what faces it with pi sin(a)^2 of its radiance.
-        bright = 1.0 / (math.pi * math.sin(math.atan(math.tan(size))) ** 2)
+        factor = 1.0 / (math.pi * math.sin(size) ** 2)
         how = f"a disk of {math.degrees(2.0 * size):.2g} degrees, for"
     else:
         origin = np.array(props["position"]) if "position" in props else place[:3, 3]
-        away = float(np.linalg.norm(around.centre - origin))
-        if kind == "spot" and not _is_lit(props, place, origin, around.centre):
+        if kind == "spot" and not _lights(props, place, origin, around):
             return
-        radius, shape = max(size * away, 1e-4 * around.radius), "sphere"
+        radius, shape = max(size * around.distance(origin), 1e-4 * around.radius), "sphere"
         pose = mi.ScalarTransform4f().translate(origin.tolist())
-        bright = 1.0 / (math.pi * radius**2)
+        factor = 1.0 / (math.pi * radius**2)
         how = f"a sphere of radius {radius:.3g}, {size:g} of its distance from what moves, for"
     lamp, surface = mi.Properties("area"), mi.Properties("diffuse")
-    if power in props:
-        lamp["radiance"] = props[power]
+    lamp["radiance"] = mi.ScalarColor3f((factor * power).tolist())
     surface["reflectance"] = 0.0
     parts = {"emitter": (lamp, mi.ObjectType.Emitter), "bsdf": (surface, mi.ObjectType.BSDF)}
     for own, kind_of in parts.values():
@@ -258,39 +317,27 @@ def _exchange_light(
     for key in list(node.props.keys()):
         del node.props[key]
     node.props.set_plugin_name(shape)
-    node.props.set_id(name)
+    node.props.set_id(f"{LAMP}{number}")
     node.props["to_world"] = pose @ mi.ScalarTransform4f().scale(radius)
     for place_of, key in enumerate(parts, len(state.nodes) - len(parts)):
         node.props[key] = mi.Properties.ResolvedReference(place_of)
     node.type = mi.ObjectType.Shape
-    named = f" {called!r}" if called else ""
+    named = "" if called.startswith(LIGHT) else f" {called!r}"
     told = "; outside of its cone the gradient is not that of a spot" if kind == "spot" else ""
     reason = f"{how} a shadow of light from a point has no gradient{told}"
-    exchanges.append(Exchange(f"{kind} light{named}", reason, number, name, bright))
+    exchanges.append(Exchange(f"{kind} light{named}", reason, number, factor))
 
 
-def _is_lit(props: Any, place: Any, origin: Any, centre: Any) -> bool:
-    """Whether what moves is within the cone of a spot."""
-    along = place[:3, 2]
-    towards = centre - origin
-    cosine = float(along @ towards / max(np.linalg.norm(along) * np.linalg.norm(towards), 1e-12))
-    cutoff = float(props["cutoff_angle"]) if "cutoff_angle" in props else 20.0
-    return cosine > math.cos(math.radians(cutoff))
-
-
-def _brighten(scene: Any, brightness: Mapping[str, float]) -> list[str]:
-    """Make lamps, which have the intensity of the lights that they stand for as their radiance, as bright as these.
-
-    Those whose spectrum is of a kind that cannot be scaled, such as a black body's, are given back.
-    """
-    params = mi.traverse(scene)
-    left = []
-    for lamp, factor in brightness.items():
-        keys = [key for key in params.properties if key.startswith(f"{lamp}.emitter.radiance.")]
-        keys = [key for key in keys if key.rpartition(".")[2] in ("value", "data")]
-        if len(keys) == 1:
-            params[keys[0]] = type(params[keys[0]])(params[keys[0]] * factor)
-        else:
-            left.append(lamp)
-    params.update()
-    return left
+def _lights(props: Any, place: Host, origin: Host, around: Surroundings) -> bool:
+    """Whether anything that moves reaches into the cone of a spot, as spheres around the boxes tell."""
+    along = place[:3, 2] / np.linalg.norm(place[:3, 2])
+    cutoff = math.radians(float(props["cutoff_angle"]) if "cutoff_angle" in props else 20.0)
+    for low, high in around.boxes:
+        towards = 0.5 * (low + high) - origin
+        away, radius = float(np.linalg.norm(towards)), 0.5 * float(np.linalg.norm(high - low))
+        if away <= radius:
+            return True
+        angle = math.acos(min(max(float(along @ towards) / away, -1.0), 1.0))
+        if angle - math.asin(radius / away) < cutoff:
+            return True
+    return False

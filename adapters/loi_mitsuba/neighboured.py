@@ -12,29 +12,39 @@ import numpy as np
 from loi_mitsuba.entries import Names, ancestors
 from loi_mitsuba.handles import Host
 from loi_mitsuba.loading import Loaded, Target
-from loi_mitsuba.neighbour import KINDS, Exchange
+from loi_mitsuba.neighbour import LAMP, LIGHT, Found, lights_of
 from loi_mitsuba.renderer import MitsubaRenderer
 
-__all__ = ["NeighbouredRenderer", "exchanged_targets"]
+__all__ = ["NeighbouredRenderer", "exchanged_targets", "targets_of_lights"]
 
 
-def exchanged_targets(
-    loaded: Loaded, targets: Mapping[str, Target], exchanges: Iterable[Exchange]
-) -> dict[str, tuple[str, float]]:
-    """Parameters that are the intensity of a light which was exchanged; see :class:`NeighbouredRenderer`."""
-    called = Names(loaded)
-    params = mi.traverse(loaded.scene)
-    lights = [one for one in loaded.scene.emitters() if one.class_name() in KINDS]
-    lamps = {one.light: one for one in exchanges if one.light is not None}
+def targets_of_lights(called: Names, targets: Mapping[str, Target]) -> dict[str, tuple[int, str]]:
+    """Parameters that are entries of lights without a size: the light's number, and the entry's name within it."""
+    params = mi.traverse(called.scene)
+    lights = lights_of(called.scene)
     found = {}
     for name, target in targets.items():
         if isinstance(target, str):
-            chain = ancestors(params, params.properties[called.find(target).key][2])
+            key = called.find(target).key
+            chain = ancestors(params, params.properties[key][2])
             number = next((lights.index(node) for node in chain if node in lights), None)
-            if number in lamps:
-                last = target.rpartition(".")[2]
-                found[name] = f"{lamps[number].lamp}.emitter.radiance.{last}", lamps[number].factor
+            if number is not None:
+                found[name] = number, key.split(".", 1)[1]
     return found
+
+
+def exchanged_targets(
+    lights: Mapping[str, tuple[int, str]], near: Found, called: Names
+) -> dict[str, tuple[str, float]]:
+    """What parameters of lights stand for in the neighbour; see :class:`NeighbouredRenderer`."""
+    factors = {one.light: one.factor for one in near.exchanges if one.light is not None}
+    ids = [one.id() for one in lights_of(called.scene)]
+    return {
+        name: (f"{LAMP}{number}.emitter.radiance.value", factors[number])
+        if number in factors
+        else (f"{ids[number] or f'{LIGHT}{number}'}.{entry}", 1.0)
+        for name, (number, entry) in lights.items()
+    }
 
 
 class NeighbouredRenderer(MitsubaRenderer):
@@ -72,6 +82,7 @@ class NeighbouredRenderer(MitsubaRenderer):
         self._near = MitsubaRenderer(
             neighbour, targets, integrator=integrator, spp=spp, spp_grad=spp_grad, sensor=sensor
         ).with_integrator(integrator, spp=spp, spp_grad=spp_grad, follow=self._moving)
+        self._near_shapes = {name: value.shape for name, value in self._near.parameters().items()}
         super().__init__(scene, parameters, integrator=integrator, spp=spp, spp_grad=spp_grad, sensor=sensor)
         self._followed = tuple(name for name in parameters if name not in self._moving)
 
@@ -118,7 +129,12 @@ class NeighbouredRenderer(MitsubaRenderer):
         return total
 
     def _nearly(self, params: Mapping[str, Any]) -> dict[str, Any]:
-        return {name: np.asarray(value) * self._factors.get(name, np.float32(1.0)) for name, value in params.items()}
+        """Values for the neighbour, where a light of one grey has three colours."""
+        near = {}
+        for name, value in params.items():
+            scaled = np.asarray(value, dtype=np.float32) * self._factors.get(name, np.float32(1.0))
+            near[name] = np.broadcast_to(scaled, self._near_shapes[name]) if name in self._factors else scaled
+        return near
 
     def _check_moving(self, *, told: bool) -> None:
         """The neighbour has told what is missing there, which is all that counts."""

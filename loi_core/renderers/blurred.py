@@ -9,7 +9,14 @@ from typing import Any, Final
 import numpy as np
 
 from loi_core.errors import OptionError, ParameterError
-from loi_core.renderers.contract import Parameters, ProjectingRenderer, Pullback, Renderer
+from loi_core.renderers.contract import (
+    AbridgedRenderer,
+    EncodedRenderer,
+    Parameters,
+    ProjectingRenderer,
+    Pullback,
+    Renderer,
+)
 from loi_core.support.arrays import Array, from_numpy, namespace, to_numpy
 from loi_core.support.values import real_number, whole_number
 from loi_core.support.wording import shown
@@ -84,6 +91,8 @@ class BlurredRenderer:
         together: bool | None = None,
     ) -> None:
         self.renderer = renderer
+        if isinstance(renderer, EncodedRenderer):
+            self.encoding = renderer.encoding
         start = renderer.parameters()
         self.names = tuple(start) if names is None else tuple(dict.fromkeys(names))
         for name in self.names:
@@ -93,7 +102,7 @@ class BlurredRenderer:
         if (whole_number(pairs) or 0) < 1:
             msg = f"`pairs` must be a whole number, 1 or more, got {shown(pairs)}"
             raise OptionError(msg)
-        if final_sigma is not None and (whole_number(steps) or 0) < 1:
+        if (final_sigma is not None or steps is not None) and (whole_number(steps) or 0) < 1:
             msg = f"`steps` must be a whole number, 1 or more, where there is a `final_sigma`, got {shown(steps)}"
             raise OptionError(msg)
         self._sigma = _by_name("sigma", sigma, self.names)
@@ -109,9 +118,17 @@ class BlurredRenderer:
         share = min(max((self._step / self._steps - HALF) / (1.0 - HALF), 0.0), 1.0)
         return {name: (1.0 - share) * own + share * self._final[name] for name, own in self._sigma.items()}
 
+    @property
+    def unabridged(self) -> Renderer:
+        """The renderer without its blur, and whole where it knows what that is."""
+        return self.renderer.unabridged if isinstance(self.renderer, AbridgedRenderer) else self.renderer
+
     def watch(self, step: Any, params: Parameters, image: Any) -> None:
-        """A callback for :func:`loi_core.fit`, after which `sigma` is that of the next step."""
+        """A callback for :func:`loi_core.fit`, and the renderer's own: `sigma` then is that of the next step."""
         self._step = int(step.step) + 1
+        watch = getattr(self.renderer, "watch", None)
+        if watch is not None:
+            watch(step, params, image)
 
     def parameters(self) -> Parameters:
         """As the renderer has them."""

@@ -91,6 +91,18 @@ def test_merged_meshes_take_no_name_from_others(tmp_path: Path) -> None:
         MitsubaRenderer(loaded, {"colour": "merged_meshes.bsdf.reflectance.value"})
 
 
+def test_meshes_in_one_place_are_told_apart_by_their_size(tmp_path: Path) -> None:
+    inside = [
+        shape("cube", (0, 3, 0), f"0.{k}").replace('<scale value="0.3"/>', f'<scale value="{k}"/>') for k in range(1, 6)
+    ]
+    path = write_scene(tmp_path, *inside)
+    for scene in (path, mi.load_file(str(path))):
+        for k in range(1, 6):
+            renderer = MitsubaRenderer(scene, {"place": Translate(f"cube_at_0_3_0_size_{2 * k}_{2 * k}_{2 * k}")})
+            (moving,) = renderer._named.moving()
+            np.testing.assert_allclose(np.array(moving.bbox().max)[0], k)
+
+
 def test_entries_of_meshes_go_by_both_names(tmp_path: Path) -> None:
     path = write_scene(tmp_path, shape("rectangle", (1, 0, 0), "0.1"), shape("rectangle", (2, 0, 0), "0.9"))
     for scene, names in (

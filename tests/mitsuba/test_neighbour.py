@@ -68,11 +68,11 @@ def ball_of(scene: Any) -> Any:
 def test_what_stands_for_a_light_is_as_bright(kind: str) -> None:
     scene = lit_scene(kind)
     loaded = mi.load_dict(scene)
-    found = neighbour_of(scene, Neighbour(lights=0.02), Surroundings.of(loaded, [ball_of(loaded)]))
+    around = Surroundings.of(loaded, [ball_of(loaded)])
+    found = neighbour_of(scene, Neighbour(lights=0.02), around, lambda _: False)
     assert found is not None
-    neighbour, exchanges = found
-    assert [one.what for one in exchanges] == [f"{kind.split()[0]} light 'lamp'"]
-    own, near = (np.mean(mi.render(one, spp=256, seed=1).numpy(), axis=(0, 1)) for one in (loaded, neighbour.scene))
+    assert [one.what for one in found.exchanges] == [f"{kind.split()[0]} light 'lamp'"]
+    own, near = (np.mean(mi.render(one, spp=256, seed=1).numpy(), axis=(0, 1)) for one in (loaded, found.loaded.scene))
     np.testing.assert_allclose(near, own, rtol=0.02)  # of a directional light, a disk's rays are not quite parallel
 
 
@@ -107,7 +107,7 @@ def test_the_plan_says_what_was_exchanged_and_what_for() -> None:
     plan = PlannedRenderer(lit_scene(), AXES).plan
     (reason,) = plan.exchanged.values()
     assert list(plan.exchanged) == ["point light 'lamp'"]
-    assert "a sphere of radius 0.351, 0.05 of its distance from what moves" in reason
+    assert "a sphere of radius 0.33, 0.05 of its distance from what moves" in reason
     assert "| point light 'lamp'" in str(plan)
     assert "exchanged" in str(plan)
 
@@ -124,11 +124,80 @@ def test_nothing_is_exchanged_that_no_parameter_calls_for() -> None:
     assert not np.any(gradient["x"])
 
 
-def test_a_light_whose_spectrum_cannot_be_scaled_stays_and_is_told_of() -> None:
-    hot = {"type": "point", "position": [0, 9, 0], "intensity": {"type": "blackbody", "temperature": 5000.0}}
-    with pytest.warns(GradientWarning, match="moves under a PointLight"):
-        plan = PlannedRenderer(lit_scene(hot=hot), AXES).plan
+@pytest.mark.parametrize(
+    "light",
+    [
+        {"type": "point", "position": [0, 9, 0], "intensity": {"type": "blackbody", "temperature": 5000.0}},
+        {"type": "point", "position": [0, 1, 0], "intensity": 20.0},  # in view, where a lamp would be seen
+        {"type": "spot", "to_world": ("look_at", [5, 9, 0], [9, 9, 0], [0, 0, 1]), "cutoff_angle": 10.0},  # looks away
+        {"type": "projector"},
+    ],
+    ids=["a spectrum that cannot be scaled", "in view", "looks away", "of another kind"],
+)
+def test_a_light_that_nothing_can_stand_for_stays_and_is_told_of(light: dict[str, Any]) -> None:
+    if isinstance(light.get("to_world"), tuple):
+        light = {**light, "to_world": mi.ScalarTransform4f().look_at(*light["to_world"][1:])}
+    if light["type"] == "projector":
+        light = {**light, "irradiance": {"type": "bitmap", "data": mi.TensorXf(np.ones((4, 4, 3))), "raw": True}}
+    with pytest.warns(GradientWarning, match="moves under"):
+        plan = PlannedRenderer(lit_scene(other=light), AXES).plan
     assert list(plan.exchanged) == ["point light 'lamp'"]
+
+
+def test_lights_that_share_a_spectrum_keep_it() -> None:
+    shared = mi.load_dict({"type": "uniform", "value": 100.0})
+    lamps = {
+        name: {"type": "point", "position": [x, 12.0, 0.0], "intensity": shared}
+        for name, x in (("lamp", 1.0), ("other", -1.0))
+    }
+    scene = shadow_scene(**lamps, integrator={"type": "path", "max_depth": 2})
+    wanted = np.mean(mi.render(mi.load_dict(scene), spp=64).numpy())
+    planned = PlannedRenderer(scene, AXES, spp=64)
+    assert list(planned.plan.exchanged) == ["point light 'lamp'", "point light 'other'"]
+    assert np.mean(planned.render(HERE)) == pytest.approx(wanted, rel=1e-3)
+    near = mi.render(planned.unabridged.neighbour, spp=64).numpy()  # type: ignore[attr-defined]
+    assert np.mean(near) == pytest.approx(wanted, rel=0.02)
+
+
+def test_parameters_of_lights_mean_the_same_ones_in_the_neighbour(tmp_path: Path) -> None:
+    """The second of three lights without names looks away, and so stays what it is."""
+    path = xml_of(tmp_path)
+    text = path.read_text()
+    away = '<transform name="to_world"><lookat origin="5,9,0" target="9,9,0" up="0,0,1"/></transform>'
+    spots = f'<emitter type="spot">{away}<rgb name="intensity" value="7"/></emitter>'
+    spots += '<emitter type="point"><point name="position" x="2" y="12" z="0"/></emitter></scene>'
+    path.write_text(text.replace("</scene>", spots))
+    powers = {f"{kind}_{k}": f"{kind}_{k}.intensity.value" for kind, k in (("point_light", 0), ("point_light", 1))}
+    powers["spot"] = "spot_light_0.intensity.value"
+    for scene in (path, mi.load_file(str(path))):
+        with pytest.warns(GradientWarning, match="moves under a SpotLight"):
+            planned = PlannedRenderer(scene, {**AXES, **powers}, spp=16)
+        assert list(planned.plan.exchanged) == ["point light (1)", "point light (2)"]
+        planned.unabridged.pull({**planned.parameters(), "spot": np.full(3, 9.0, np.float32)}, RAMP)
+        near = mi.traverse(planned.unabridged.neighbour)  # type: ignore[attr-defined]
+        (spot,) = (key for key in near.properties if key.endswith(".intensity.value"))
+        np.testing.assert_allclose(np.array(near[spot]).reshape(-1), 9.0)
+        bright = [np.array(near[f"loi_lamp_{k}.emitter.radiance.value"]).reshape(-1)[0] for k in (0, 2)]
+        assert bright[0] > 100.0 * bright[1]
+
+
+def test_what_its_stand_in_has_no_entry_for_is_not_exchanged() -> None:
+    spot = lit_scene("spot")
+    with pytest.warns(GradientWarning, match="moves under a SpotLight"):
+        plan = PlannedRenderer(spot, {**AXES, "cone": "lamp.texture.value"}).plan
+    assert not plan.exchanged
+    mirror = {"type": "rectangle", "bsdf": {"type": "conductor"}}
+    planned = PlannedRenderer(lit_scene(mirror=mirror), {**AXES, "gloss": "mirror.bsdf.specular_reflectance.value"})
+    assert list(planned.plan.exchanged) == ["point light 'lamp'"]
+    assert any("perfect mirror" in note for note in planned.plan.notes)
+
+
+def test_scenes_of_instances_do_without_a_neighbour_once_they_are_loaded() -> None:
+    group = {"type": "shapegroup", "inner": {"type": "sphere", "radius": 0.2}}
+    scene = lit_scene(group=group, one={"type": "instance", "shapegroup": {"type": "ref", "id": "group"}})
+    assert PlannedRenderer(scene, AXES).plan.exchanged
+    with pytest.warns(GradientWarning, match="moves under a PointLight"):
+        assert not PlannedRenderer(mi.load_dict(scene), AXES).plan.exchanged
 
 
 def test_files_and_loaded_scenes_have_neighbours_too(tmp_path: Path) -> None:
@@ -157,7 +226,7 @@ def test_what_does_not_move_has_the_gradient_of_the_scene_itself() -> None:
     # The image is proportional to the light.
     np.testing.assert_allclose(pulled["brightness"] * params["brightness"], image.sum(axis=(0, 1)), rtol=0.05)
     lamps = mi.traverse(planned.unabridged.neighbour)  # type: ignore[attr-defined]
-    radius = 0.05 * float(np.linalg.norm([0.5, 7.0, 0.0]))
+    radius = 0.05 * float(np.linalg.norm([0.1, 6.6, 0.0]))  # to the box around the ball
     radiance = np.array(lamps["loi_lamp_0.emitter.radiance.value"], dtype=np.float64).reshape(-1)
     np.testing.assert_allclose(radiance * np.pi * radius**2, params["brightness"], rtol=1e-3)
 

@@ -11,6 +11,7 @@ import pytest
 from loi_core import Free, LOIObjective, PixelL2, fit
 from loi_core.errors import OptionError, ParameterError
 from loi_core.renderers import BlurredRenderer, Disks
+from loi_core.renderers.contract import EncodedRenderer
 from loi_core.testing import check_renderer
 
 
@@ -181,6 +182,28 @@ def test_options_are_checked(options: dict[str, Any], error: type[Exception], sa
     disks = Disks(16, 16, [[8.0, 8.0]], 4.0, [[1.0, 1.0, 1.0]])
     with pytest.raises(error, match=says):
         BlurredRenderer(disks, **options)
+
+
+def test_what_the_renderer_says_of_itself_is_passed_on() -> None:
+    @dataclass
+    class Knowing(Steps):
+        encoding: str = "sRGB"
+        watched: int = 0
+
+        @property
+        def unabridged(self) -> Steps:
+            return Steps()
+
+        def watch(self, step: Any, params: Any, image: Any) -> None:
+            self.watched += 1
+
+    blurred = BlurredRenderer(Knowing(), 0.5)
+    assert isinstance(blurred, EncodedRenderer)
+    assert blurred.encoding == "sRGB"
+    assert isinstance(blurred.unabridged, Steps)
+    blurred.watch(type("Step", (), {"step": 0}), {}, None)
+    assert blurred.renderer.watched == 1  # type: ignore[attr-defined]
+    assert not isinstance(BlurredRenderer(Steps(), 0.5), EncodedRenderer)
 
 
 def test_blurred_parameters_stay_legal() -> None:

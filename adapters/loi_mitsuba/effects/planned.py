@@ -24,10 +24,11 @@ from loi_mitsuba.effects.probe import Probe
 from loi_mitsuba.effects.rules import everything, plan_by_rules, plan_of, plan_with
 from loi_mitsuba.effects.traits import groups_of, in_view, objects_of, traits_of
 from loi_mitsuba.effects.verify import Verification, verification
-from loi_mitsuba.entries import Scene, named_scene
+from loi_mitsuba.entries import Names, Scene, named_scene
 from loi_mitsuba.handles import Host
 from loi_mitsuba.integrators import bordered, settings_of
 from loi_mitsuba.loading import (
+    Loaded,
     Target,
     checked_samples,
     checked_targets,
@@ -35,8 +36,8 @@ from loi_mitsuba.loading import (
     most_samples,
     use_variant,
 )
-from loi_mitsuba.neighbour import Neighbour, Surroundings, neighbour_of
-from loi_mitsuba.neighboured import NeighbouredRenderer, exchanged_targets
+from loi_mitsuba.neighbour import Found, Neighbour, Surroundings, neighbour_of
+from loi_mitsuba.neighboured import NeighbouredRenderer, exchanged_targets, targets_of_lights
 from loi_mitsuba.renderer import MitsubaRenderer
 
 __all__ = ["FRACTION", "PlannedRenderer"]
@@ -96,7 +97,7 @@ class PlannedRenderer:
             msg = f"`fraction` must be at least 0 and less than 1, got {shown(fraction)}"
             raise OptionError(msg)
         self._fraction = real_number(fraction)
-        self._base, self._exchanged = _base(scene, parameters, sensor, spp, Neighbour.of(neighbour))
+        self._base, self._exchanged, self._smooth = _base(scene, parameters, sensor, spp, Neighbour.of(neighbour))
         self._samples = int(spp)
         self._begun = False
         self._schedule = Schedule()
@@ -251,7 +252,7 @@ class PlannedRenderer:
         self._names = tuple(targets)
         self._groups = groups_of(targets)
         traits = traits_of(self._base.names, targets, self._base.sensor)
-        self._traits = replace(traits, exchanged=self._exchanged if traits.moving else {})
+        self._traits = replace(traits, exchanged=self._exchanged if traits.moving else {}, smooth=self._smooth)
         objects = objects_of(targets, self._traits.moving)
         self._pilot = Pilot(self._traits, self._samples, self._fraction, self._groups, objects)
         self._holding = Holding()
@@ -303,10 +304,10 @@ class PlannedRenderer:
 
 def _base(
     scene: Any, parameters: Any, sensor: int, spp: Any, near: Neighbour
-) -> tuple[MitsubaRenderer, dict[str, str]]:
-    """The scene by the rules' plan, and its neighbour where what moves calls for one; and what that has exchanged.
+) -> tuple[MitsubaRenderer, dict[str, str], bool]:
+    """The scene by the rules' plan, with its neighbour where what moves calls for one.
 
-    The film samples its border if need be. The plan comes first, so that warnings of missing gradients are about its
+    Also what that has exchanged, and whether surfaces are left that are perfectly smooth. The film samples its border if need be. The plan comes first, so that warnings of missing gradients are about its
     integrator.
     """
     use_variant()
@@ -320,13 +321,35 @@ def _base(
     loaded = names.loaded if ready is scene else named_scene(ready, targets).loaded
     options: dict[str, Any] = {"integrator": plan, "spp": spp, "sensor": sensor}
     if traits.moving and not traits.media and (traits.lights or traits.delta_reflection or traits.delta_transmission):
-        around = Surroundings.of(loaded.scene, list(traits.moving.values()))
-        exchange = neighbour_of(ready, near, around, floats=loaded.floats)
-        if exchange is not None:
-            neighbour, exchanges = exchange
-            exchanged = exchanged_targets(loaded, targets, exchanges)
-            base = NeighbouredRenderer(
-                loaded, targets, neighbour=neighbour, moving=traits.moving, exchanged=exchanged, **options
-            )
-            return base, {one.what: one.reason for one in exchanges}
-    return MitsubaRenderer(loaded, targets, **options), {}
+        for size in (near, replace(near, mirrors=0.0)):  # rough surfaces may lack what a parameter stands for
+            try:
+                base, found_near = _neighboured(ready, loaded, targets, traits.moving, size, options)
+            except ParameterError:
+                continue
+            if base is not None and found_near is not None:
+                told = {one.what: one.reason for one in found_near.exchanges}
+                return base, told, found_near.smooth
+            break
+    return MitsubaRenderer(loaded, targets, **options), {}, True
+
+
+def _neighboured(
+    scene: Any,
+    loaded: Loaded,
+    targets: Mapping[str, Target],
+    moving: Mapping[str, Any],
+    near: Neighbour,
+    options: dict[str, Any],
+) -> tuple[NeighbouredRenderer | None, Found | None]:
+    """A scene and its neighbour, if there is something to exchange."""
+    called = Names(loaded)
+    lights = targets_of_lights(called, targets)
+    stay = [number for number, entry in lights.values() if entry not in ("intensity.value", "irradiance.value")]
+    around = Surroundings.of(loaded.scene, moving.values(), stay)
+    sensor = find_sensor(loaded.scene, options["sensor"])
+    found = neighbour_of(scene, near, around, lambda shape: in_view(sensor, shape), floats=loaded.floats)
+    if found is None:
+        return None, None
+    exchanged = exchanged_targets(lights, found, called)
+    base = NeighbouredRenderer(loaded, targets, neighbour=found.loaded, moving=moving, exchanged=exchanged, **options)
+    return base, found

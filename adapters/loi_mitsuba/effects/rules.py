@@ -207,7 +207,7 @@ def _surfaces(traits: Traits) -> str:
 def _missing(traits: Traits) -> tuple[str, ...]:
     """Gradients that a scene calls for and Mitsuba does not have, beyond those that a GradientWarning names."""
     notes = []
-    if traits.moving and (traits.delta_reflection or traits.delta_transmission) and not traits.exchanged:
+    if traits.moving and (traits.delta_reflection or traits.delta_transmission) and traits.smooth:
         notes.append(
             "edges that are seen in a perfect mirror or through clear glass have no gradient in Mitsuba; a rough "
             "conductor or dielectric has"

@@ -65,6 +65,8 @@ class Traits:
         Whether the film samples there.
     exchanged : dict of str
         What a neighbouring scene, from which the gradient by what moves is taken, has otherwise, and why.
+    smooth : bool
+        Whether surfaces are left there that are perfectly smooth.
     """
 
     moving: Mapping[str, Any]
@@ -85,6 +87,7 @@ class Traits:
     reaches_border: bool
     samples_border: bool
     exchanged: Mapping[str, str] = field(default_factory=dict)
+    smooth: bool = True
 
 
 def traits_of(called: Names, targets: Mapping[str, str | Handle], sensor: Any) -> Traits:
