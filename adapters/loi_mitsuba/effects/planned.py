@@ -307,8 +307,8 @@ def _base(
 ) -> tuple[MitsubaRenderer, dict[str, str], bool]:
     """The scene by the rules' plan, with its neighbour where what moves calls for one.
 
-    Also what that has exchanged, and whether surfaces are left that are perfectly smooth. The film samples its border if need be. The plan comes first, so that warnings of missing gradients are about its
-    integrator.
+    Also what that has exchanged, and whether surfaces are left that are perfectly smooth. The film samples its border
+    if need be. The plan comes first, so that warnings of missing gradients are about its integrator.
     """
     use_variant()
     targets = checked_targets(parameters)
