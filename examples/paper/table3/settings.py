@@ -64,8 +64,8 @@ def ours(method: Method, rate: float) -> Setting:
 
 PUBLISHED: Final = {method: Setting("published", method, 0.02, finish=_finish(method)) for method in LABELS}
 
-# Of the rate of our protocol, for what compares pixels at the end. A third of it, over half of the steps, was better than
-# the whole, or than a quarter of the steps, on the search's start of Shape, Material and Env. map.
+# Of the rate of our protocol, for what compares pixels at the end. A third of it, over half of the steps, was better
+# than the whole, or than a quarter of the steps, on the search's start of Shape, Material and Env. map.
 FINISH_RATE: Final = 1.0 / 3.0
 
 # Pixels that the image moves by a step; those of the second table are the best of a search over these, for each method.
