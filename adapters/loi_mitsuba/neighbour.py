@@ -50,7 +50,7 @@ class Neighbour:
         If a value is out of its range.
     """
 
-    lights: float = 0.05
+    lights: float = 0.1
     mirrors: float = 0.05
 
     def __post_init__(self) -> None:

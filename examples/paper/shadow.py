@@ -116,7 +116,7 @@ def main(words: Sequence[str] | None = None) -> None:
     if min(options.starts, options.width // 4, options.samples, options.steps) < 1:
         parser.error("--starts, --samples and --steps must be 1 or more, --width 4 or more")
     if options.quick:
-        options.starts, options.width, options.samples, options.steps = 1, 64, 16, 60
+        options.starts, options.width, options.samples, options.steps = 1, 64, 32, 100
     mi.set_variant("llvm_ad_rgb")
     drawn = np.random.default_rng(0).uniform(-2.5, 2.5, (options.starts - 1, 2))
     starts = [START, *((float(y), float(z)) for y, z in drawn)]

@@ -107,7 +107,7 @@ def test_the_plan_says_what_was_exchanged_and_what_for() -> None:
     plan = PlannedRenderer(lit_scene(), AXES).plan
     (reason,) = plan.exchanged.values()
     assert list(plan.exchanged) == ["point light 'lamp'"]
-    assert "a sphere of radius 0.33, 0.05 of its distance from what moves" in reason
+    assert "a sphere of radius 0.66, 0.1 of its distance from what moves" in reason
     assert "| point light 'lamp'" in str(plan)
     assert "exchanged" in str(plan)
 
@@ -226,7 +226,7 @@ def test_what_does_not_move_has_the_gradient_of_the_scene_itself() -> None:
     # The image is proportional to the light.
     np.testing.assert_allclose(pulled["brightness"] * params["brightness"], image.sum(axis=(0, 1)), rtol=0.05)
     lamps = mi.traverse(planned.unabridged.neighbour)  # type: ignore[attr-defined]
-    radius = 0.05 * float(np.linalg.norm([0.1, 6.6, 0.0]))  # to the box around the ball
+    radius = 0.1 * float(np.linalg.norm([0.1, 6.6, 0.0]))  # to the box around the ball
     radiance = np.array(lamps["loi_lamp_0.emitter.radiance.value"], dtype=np.float64).reshape(-1)
     np.testing.assert_allclose(radiance * np.pi * radius**2, params["brightness"], rtol=1e-3)
 
