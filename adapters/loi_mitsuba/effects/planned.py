@@ -28,7 +28,6 @@ from loi_mitsuba.entries import Names, Scene, named_scene
 from loi_mitsuba.handles import Host
 from loi_mitsuba.integrators import bordered, settings_of
 from loi_mitsuba.loading import (
-    Loaded,
     Target,
     checked_samples,
     checked_targets,
@@ -318,38 +317,39 @@ def _base(
     traits = traits_of(names, targets, found)
     plan = plan_by_rules(traits, samples)
     ready = bordered(scene, plan)
-    loaded = names.loaded if ready is scene else named_scene(ready, targets).loaded
+    if ready is not scene:
+        names = named_scene(ready, targets)
     options: dict[str, Any] = {"integrator": plan, "spp": spp, "sensor": sensor}
     if traits.moving and not traits.media and (traits.lights or traits.delta_reflection or traits.delta_transmission):
         for size in (near, replace(near, mirrors=0.0)):  # rough surfaces may lack what a parameter stands for
             try:
-                base, found_near = _neighboured(ready, loaded, targets, traits.moving, size, options)
+                pair = _neighboured(ready, names, targets, traits.moving, size, options)
             except ParameterError:
                 continue
-            if base is not None and found_near is not None:
-                told = {one.what: one.reason for one in found_near.exchanges}
-                return base, told, found_near.smooth
-            break
-    return MitsubaRenderer(loaded, targets, **options), {}, True
+            if pair is None:
+                break
+            base, near_scene = pair
+            return base, {one.what: one.reason for one in near_scene.exchanges}, near_scene.smooth
+    return MitsubaRenderer(names.loaded, targets, **options), {}, True
 
 
 def _neighboured(
     scene: Any,
-    loaded: Loaded,
+    called: Names,
     targets: Mapping[str, Target],
     moving: Mapping[str, Any],
     near: Neighbour,
     options: dict[str, Any],
-) -> tuple[NeighbouredRenderer | None, Found | None]:
+) -> tuple[NeighbouredRenderer, Found] | None:
     """A scene and its neighbour, if there is something to exchange."""
-    called = Names(loaded)
+    loaded = called.loaded
     lights = targets_of_lights(called, targets)
     stay = [number for number, entry in lights.values() if entry not in ("intensity.value", "irradiance.value")]
     around = Surroundings.of(loaded.scene, moving.values(), stay)
     sensor = find_sensor(loaded.scene, options["sensor"])
     found = neighbour_of(scene, near, around, lambda shape: in_view(sensor, shape), floats=loaded.floats)
     if found is None:
-        return None, None
+        return None
     exchanged = exchanged_targets(lights, found, called)
     base = NeighbouredRenderer(loaded, targets, neighbour=found.loaded, moving=moving, exchanged=exchanged, **options)
     return base, found
