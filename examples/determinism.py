@@ -191,7 +191,8 @@ def _threads() -> int:
 
 def computed(backend: str, folder: Path, **changes: str) -> Results:
     """What a backend computes in a new process with these changes of its environment."""
-    variables = {"THREADS": "1", "PYTHONHASHSEED": "0", **changes}
+    # What another process has compiled would be run here as well, and be the same for that reason alone.
+    variables = {"THREADS": "1", "PYTHONHASHSEED": "0", "JAX_ENABLE_COMPILATION_CACHE": "false", **changes}
     threads = variables["THREADS"]
     variables |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NPROC"), threads)
     variables["XLA_FLAGS"] = f"--xla_cpu_multi_thread_eigen={'false' if threads == '1' else 'true'}"

@@ -5,16 +5,26 @@ from loi_core.fitting.loop import FitInterruptedError, FitResult, FitStep, fit
 from loi_core.fitting.optimiser import Optimiser
 from loi_core.fitting.parameters import Free
 from loi_core.fitting.stages import FarToNear
+from loi_core.fitting.tensorboard import TensorBoardCallback
 from loi_core.fitting.verdict import Diagnosis
 from loi_core.method.histograms import inner_images, isophotes, local_histograms
 from loi_core.method.scales import ScaleSpace
-from loi_core.objectives import MSSSIM, GaussianPyramid, ImageObjective, LOIObjective, Objective, PixelL2
+from loi_core.objectives import (
+    MSSSIM,
+    GaussianPyramid,
+    ImageObjective,
+    LOIObjective,
+    Objective,
+    PixelL2,
+    TiledLOIObjective,
+)
 from loi_core.pixels.tone_curve import LogTone
 from loi_core.plugins.registry import available_renderers, load_renderer
 from loi_core.renderers.contract import Parameters, ProjectingRenderer, Pullback, Renderer
 from loi_core.scenes.target import Target, read_target
 
 __version__ = "0.1.0"
+"""The version of the library."""
 
 __all__ = [
     "MSSSIM",
@@ -41,6 +51,8 @@ __all__ = [
     "Renderer",
     "ScaleSpace",
     "Target",
+    "TensorBoardCallback",
+    "TiledLOIObjective",
     "__version__",
     "available_renderers",
     "fit",

@@ -8,13 +8,17 @@ from __future__ import annotations
 
 __all__ = [
     "BackendNotFoundError",
+    "CheckpointError",
     "ConformanceError",
     "DerivativeError",
+    "DistributedError",
+    "ExecutorError",
     "FitDivergedError",
     "FitError",
     "ImageError",
     "ImageFileError",
     "ImageTypeError",
+    "InUseError",
     "LoiError",
     "MeshError",
     "NonFiniteImageError",
@@ -27,6 +31,7 @@ __all__ = [
     "SceneError",
     "SvgError",
     "WeightsError",
+    "WriteError",
 ]
 
 
@@ -109,6 +114,35 @@ class ParameterError(LoiError, ValueError):
     """A scene parameter has a wrong name, shape, value or bound."""
 
 
+class CheckpointError(ParameterError):
+    """A checkpoint is damaged, or is none; so is the one before it, if there is one.
+
+    Attributes
+    ----------
+    refused : tuple of (str, str)
+        The files, and what is wrong with each.
+    """
+
+    def __init__(self, *refused: tuple[str, str]) -> None:
+        self.refused = refused
+        (path, why), *before = refused
+        rest = "; delete it to start anew"
+        if before:
+            rest = f", nor is the one before it, {before[0][0]} ({before[0][1]}); delete both to start anew"
+        super().__init__(f"`checkpoint` {path} is not a checkpoint of a fit ({why}){rest}")
+
+    def __reduce__(self) -> tuple[type[CheckpointError], tuple[tuple[str, str], ...]]:
+        return type(self), self.refused
+
+
+class InUseError(LoiError, OSError):
+    """A folder or a checkpoint is in use by another fit, here or in another process."""
+
+
+class WriteError(LoiError, OSError):
+    """A file could not be written: the disk is full, or the folder cannot be written to. It is as it was before."""
+
+
 class RendererError(LoiError, RuntimeError):
     """A renderer broke the contract of :class:`loi_core.Renderer`."""
 
@@ -130,7 +164,7 @@ class WeightsError(LoiError, OSError):
 
 
 class SceneError(LoiError, ValueError):
-    """A scene file has a wrong key, type or value."""
+    """A scene file, or that of a sweep, has a wrong key, type or value."""
 
 
 class SvgError(LoiError, ValueError):
@@ -157,6 +191,14 @@ class FitError(LoiError, RuntimeError):
 
 class FitDivergedError(FitError, ArithmeticError):
     """A fit met an image, loss or gradient that is not finite."""
+
+
+class ExecutorError(LoiError, RuntimeError):
+    """What is to carry out runs is not installed, does not answer or broke; what had ended before is kept."""
+
+
+class DistributedError(LoiError, RuntimeError):
+    """Processes that compute together are not set up, or one of them has failed or does not answer in time."""
 
 
 class ConformanceError(LoiError, AssertionError):

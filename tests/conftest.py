@@ -2,16 +2,40 @@
 
 from __future__ import annotations
 
+import atexit
 import os
+import shutil
+import tempfile
+from collections.abc import Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import matplotlib as mpl
 import pytest
 from hypothesis import HealthCheck, settings
 
-from tests.environments import build_wheel
+from tests.browser import chromium
+from tests.environments import build_wheel, fresh_python
+
+if TYPE_CHECKING:
+    from playwright.sync_api import Browser
 
 mpl.use("agg")
+
+collect_ignore = ["typing/wrong_uses.py"]  # read by type checkers, and never run
+
+if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
+    # What JAX has compiled once it keeps for all workers, and for the programs that tests start, until this run ends.
+    os.environ["JAX_COMPILATION_CACHE_DIR"] = tempfile.mkdtemp(prefix="loi-jax-")
+    os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
+    os.environ["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"] = "-1"
+    _OWNER = os.getpid()
+
+    @atexit.register
+    def _remove_what_jax_kept() -> None:
+        if os.getpid() == _OWNER:  # not a child that was forked
+            shutil.rmtree(os.environ["JAX_COMPILATION_CACHE_DIR"], ignore_errors=True)
+
 
 for name, examples in (("quick", 10), ("ci", 40), ("thorough", 1000)):
     settings.register_profile(
@@ -28,3 +52,16 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The distribution as a user gets it."""
     return build_wheel(tmp_path_factory.mktemp("dist"))
+
+
+@pytest.fixture(scope="module")  # not longer: while it is open, nothing else can run an event loop
+def browser() -> Iterator[Browser]:
+    """A headless Chromium; tests are skipped where there is none."""
+    with chromium() as one:
+        yield one
+
+
+@pytest.fixture(scope="session")
+def fresh(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The Python of an environment that has nothing but the wheel and what it requires."""
+    return fresh_python(tmp_path_factory.mktemp("fresh"), wheel)

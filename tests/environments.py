@@ -3,11 +3,16 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
+from typing import Final
 
-ROOT = Path(__file__).parents[1]
+ROOT: Final = Path(__file__).parents[1]
+
+TEST_PACKAGES: Final = ("hypothesis", "mpmath", "psutil", "pytest", "scipy")
+"""What the tests of the core import beside the core."""
 
 
 def run(*arguments: str | Path, cwd: Path | None = None, **environment: str) -> str:
@@ -21,14 +26,66 @@ def run(*arguments: str | Path, cwd: Path | None = None, **environment: str) -> 
     return done.stdout
 
 
-def build_wheel(folder: Path) -> Path:
-    run(sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", folder, ROOT)
+def build_wheel(folder: Path, source: Path = ROOT) -> Path:
+    run(sys.executable, "-m", "build", "--wheel", "--no-isolation", "--outdir", folder, source)
     return next(folder.glob("loi-*.whl"))
+
+
+def build_sdist(folder: Path) -> Path:
+    run(sys.executable, "-m", "build", "--sdist", "--no-isolation", "--outdir", folder, ROOT)
+    return next(folder.glob("loi-*.tar.gz"))
 
 
 def fresh_python(folder: Path, wheel: Path) -> Path:
     """The Python of an empty environment into which the wheel alone, with what it requires, was installed."""
     run(sys.executable, "-m", "venv", folder)
     python = folder / "bin" / "python"
-    run(python, "-m", "pip", "install", "-q", "--disable-pip-version-check", "-c", ROOT / "constraints.txt", wheel)
+    # Of all that is installed little is imported: what is, Python compiles then.
+    quick = ("-q", "--no-compile", "--disable-pip-version-check")
+    run(python, "-m", "pip", "install", *quick, "-c", ROOT / "constraints.txt", wheel)
     return python
+
+
+def lowest_python(folder: Path, wheel: Path, *extras: str) -> Path:
+    """The Python of an environment with the lowest versions that the wheel and some of its extras allow.
+
+    What these require in turn is as new as it may be; so is what the tests need beside.
+    """
+    run(sys.executable, "-m", "venv", "--without-pip", folder)
+    python = folder / "bin" / "python"
+    install = sys.executable, "-m", "uv", "pip", "install", "--quiet", "--python", python, "--only-binary", ":all:"
+    # What is required by name is as old as it may be, so the wheel, which would stand between, comes by itself.
+    chosen = [part for extra in extras for part in ("--extra", extra)]
+    run(*install, "--resolution", "lowest-direct", "--requirements", ROOT / "pyproject.toml", *chosen)
+    run(*install, "--no-deps", wheel)
+    held = folder / "held.txt"
+    held.write_text(run(sys.executable, "-m", "uv", "pip", "freeze", "--python", python, "--exclude", "loi"))
+    run(*install, "--constraint", held, *TEST_PACKAGES)
+    return python
+
+
+def run_copied_tests(python: Path, folder: Path, *names: str, before: str = "") -> str:
+    """Run tests from a folder where the sources are not, so that what is tested is what is installed.
+
+    Parameters
+    ----------
+    python : Path
+        Of the environment.
+    folder : Path
+        Where the tests are copied to.
+    names : str
+        Files or folders of `tests`.
+    before : str
+        Code that runs first.
+    """
+    passed_over = shutil.ignore_patterns("__pycache__")
+    for name in ("tests", "benchmarks"):  # some tests run a benchmark
+        shutil.copytree(ROOT / name, folder / name, ignore=passed_over, dirs_exist_ok=True)
+    (folder / "pytest.ini").write_text("[pytest]\npythonpath = .\naddopts = --import-mode=importlib\n")
+    arguments = ["-q", "-p", "no:cacheprovider", "--hypothesis-seed=0", *(f"tests/{name}" for name in names)]
+    code = (
+        f"{before}\nimport sys, pytest, loi_core\n"
+        f"assert 'site-packages' in loi_core.__file__, loi_core.__file__\n"
+        f"sys.exit(pytest.main({arguments!r}))"
+    )
+    return run(python, "-c", code, cwd=folder, PYTHONPATH="", HYPOTHESIS_PROFILE="quick")

@@ -7,12 +7,24 @@ from __future__ import annotations
 
 import functools
 import importlib
+import importlib.util
 from types import ModuleType
 from typing import Any, Final
 
 import pytest
 
-__all__ = ["array_api_strict", "jax", "jnp", "kornia", "load", "loi_jax", "loi_torch", "pytorch_msssim", "torch"]
+__all__ = [
+    "array_api_strict",
+    "jax",
+    "jnp",
+    "kornia",
+    "load",
+    "load_installed",
+    "loi_jax",
+    "loi_torch",
+    "pytorch_msssim",
+    "torch",
+]
 
 
 @functools.cache
@@ -26,6 +38,13 @@ def load(name: str) -> ModuleType:
     return module
 
 
+def load_installed(*names: str) -> None:
+    """Import those frameworks of a list that are installed, where each has to be set up before the tests begin."""
+    for name in names:
+        if importlib.util.find_spec(name) is not None:
+            load(name)
+
+
 class _Framework:
     """A module that is imported when something of it is asked for."""
 
@@ -33,6 +52,8 @@ class _Framework:
         self._name, self._package = name, package
 
     def __getattr__(self, name: str) -> Any:
+        if name.startswith(("_", "pytest")):  # what pytest asks of everything in a module
+            raise AttributeError(name)
         pytest.importorskip(self._package)
         load(self._package)
         return getattr(load(self._name), name)

@@ -10,9 +10,12 @@ from typing import Any, Final
 PACKAGES: Final = (
     "loi_core",
     "loi_core.objectives",
+    "loi_core.runs",
     "loi_core.stability",
+    "loi_core.sweeps",
     "loi_core.testing",
     "loi_torch",
+    "loi_torch.distributed",
     "loi_torch.mesh",
     "loi_torch.vector",
     "loi_jax",

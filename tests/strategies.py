@@ -2,17 +2,25 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from typing import Final, TypeAlias
 
 import numpy as np
+from hypothesis import settings
 from hypothesis import strategies as st
 
 from loi_core import ScaleSpace
 from loi_core.stability import allowed
 from tests.helpers import Host
 
-__all__ = ["SEEDS", "Problem", "apart", "problems"]
+__all__ = ["FEWER", "SEEDS", "THOROUGH", "Problem", "apart", "problems"]
+
+THOROUGH: Final = os.environ.get("HYPOTHESIS_PROFILE") == "thorough"
+"""Whether this is the tier for which an hour is not too long."""
+
+FEWER: Final = settings(max_examples=max(1, settings().max_examples // 8))
+"""For what takes long for each example, as where JAX compiles for each shape anew: an eighth of the tier's examples."""
 
 Problem: TypeAlias = tuple[Host, Host, ScaleSpace, str]
 """Image, reference, scales and dtype."""

@@ -88,6 +88,12 @@ class _Loss:
         """The loss of `image`."""
         return self._loss(jnp.asarray(image))
 
+    def __repr__(self) -> str:
+        return f"<loi_jax.loi_loss by {self._objective!r}>"
+
+    def _repr_html_(self) -> str:
+        return self._objective._repr_html_()
+
     def __reduce__(self) -> tuple[type[_Loss], tuple[LOIObjective]]:
         return _Loss, (self._objective,)
 

@@ -6,9 +6,8 @@ import warnings
 from typing import Any
 
 import mitsuba as mi
-import numpy as np
 
-from loi_core.support.arrays import Host
+from loi_mitsuba.seams import has_seams
 
 __all__ = ["GradientWarning", "warn_of_moving"]
 
@@ -50,27 +49,10 @@ def warn_of_moving(scene: Any, integrator: Any, shapes: list[Any]) -> None:
         )
         warnings.warn(msg, GradientWarning, stacklevel=4)
     for shape in shapes:
-        if isinstance(shape, mi.Mesh) and _split_edges(mi.traverse(shape)):
+        if has_seams(shape):
             msg = (
                 f"mesh {shape.id()!r} stores the vertices of an edge more than once, and Mitsuba counts the gradient "
-                f"of such an edge as often; merge equal vertices (and set face_normals for flat shading)"
+                f"of such an edge as often; merge equal vertices (and set face_normals for flat shading); "
+                f"PlannedRenderer does where shading is smooth"
             )
             warnings.warn(msg, GradientWarning, stacklevel=4)
-
-
-def _split_edges(params: Any) -> bool:
-    """Whether edges are borders only because their vertices are not shared."""
-    if "faces" not in params:  # a rectangle is a mesh of Mitsuba's own, whose border is its outline
-        return False
-    faces = np.array(params["faces"], dtype=np.int64).reshape(-1, 3)
-    positions = np.array(params["vertex_positions"], dtype=np.float32).reshape(-1, 3)
-    rows = np.ascontiguousarray(positions + 0.0).view([("", np.float32)] * 3)  # + 0.0 makes -0.0 equal to 0.0
-    place = np.unique(rows, return_inverse=True)[1].reshape(-1)
-    return _borders(place[faces]) < _borders(faces)
-
-
-def _borders(faces: Host) -> int:
-    """Number of edges that belong to one triangle only."""
-    edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
-    counts = np.unique(edges[:, 0] * (faces.max(initial=0) + 1) + edges[:, 1], return_counts=True)[1]
-    return int(np.count_nonzero(counts == 1))

@@ -23,6 +23,7 @@ Scene: TypeAlias = Any
 SceneParameters: TypeAlias = Any
 
 EIGHT_BITS: Final = "it is an 8-bit texture, which has no gradient; load the bitmap with format='variant'"
+BY_IMAGES: Final = "; or leave it to PlannedRenderer, which finds it by images alone"
 _ADDRESS = re.compile(r"object_\d+(_\d+)?")
 _WORD = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 
@@ -41,12 +42,15 @@ class Entry:
         Of its value.
     problem : str
         Why it cannot be fitted, and what to do instead; empty if it can.
+    settable : bool
+        Whether it can be set all the same, so that images tell of it.
     """
 
     name: str
     key: str
     shape: tuple[int, ...]
     problem: str
+    settable: bool = True
 
 
 def list_entries(scene: dict[str, Any] | str | Path | Scene) -> dict[str, Entry]:
@@ -106,7 +110,9 @@ class Names:
         for key in self._params.properties:  # iterating over it itself yields pairs
             folder, _, last = key.rpartition(".")
             name = f"{self._readable[folder]}.{last}" if folder else last
-            entry = Entry(name, key, _shape(self._params[key]), _problem(self._params, key))
+            entry = Entry(
+                name, key, _shape(self._params[key]), _problem(self._params, key), _settable(self._params, key)
+            )
             self.entries[name] = self._also[key] = entry
             for own, place in places.items():
                 if folder == own or folder.startswith(f"{own}."):
@@ -117,8 +123,8 @@ class Names:
         """The entry of that name or key, if there is one."""
         return self.entries.get(key) or self._also.get(key)
 
-    def find(self, key: str) -> Entry:
-        """The entry of that name or key.
+    def find(self, key: str, *, images: bool = False) -> Entry:
+        """The entry of that name or key; with `images`, it need not have a gradient.
 
         Raises
         ------
@@ -131,10 +137,26 @@ class Names:
             near = difflib.get_close_matches(key, usable, 3, 0.4) or usable
             msg = f"the scene has no entry {key!r}; {'near' if near != usable else 'it has'}: {', '.join(near)}"
             raise ParameterError(msg)
-        if entry.problem:
-            msg = f"{key!r} cannot be fitted: {entry.problem}"
+        if entry.problem and not (images and entry.settable):
+            msg = f"{key!r} cannot be fitted: {entry.problem}{BY_IMAGES if entry.settable and not images else ''}"
             raise ParameterError(msg)
         return entry
+
+    def moved_by(self, entry: Entry) -> Any:
+        """The shape that an entry moves; None if it moves none."""
+        node = self._params.properties[entry.key][2]
+        moves = isinstance(node, mi.Shape) and self._params.flags(entry.key) & mi.ParamFlags.Discontinuous
+        return node if moves else None
+
+    def find_movable(self, name: str) -> tuple[str, Any]:
+        """As :meth:`find_shape`, and of sensors and of lights without a surface as well, which have no gradient."""
+        for key in self._params.properties:
+            folder, _, last = key.rpartition(".")
+            node = self._params.properties[key][2]
+            placed = isinstance(node, mi.Sensor | mi.Emitter) and last in ("to_world", "position")
+            if placed and name in (folder, self._readable.get(folder)):
+                return key, node
+        return self.find_shape(name)
 
     def find_shape(self, name: str) -> tuple[str, Any]:
         """The key of what places the shape of that name or id, and the shape.
@@ -164,7 +186,7 @@ class Names:
                     raise ParameterError(msg)
                 shapes.append(self._readable[folder])
             elif folder and name in called and isinstance(node, mi.Sensor | mi.Emitter):
-                msg = f"{name!r} cannot be moved: {_fixed(node)}"
+                msg = f"{name!r} cannot be moved: {_fixed(node)}{BY_IMAGES}"
                 raise ParameterError(msg)
         msg = f"the scene has no shape {name!r} that can be moved; it has: {', '.join(dict.fromkeys(shapes)) or 'none'}"
         raise ParameterError(msg)
@@ -289,6 +311,14 @@ def _problem(params: SceneParameters, key: str) -> str:
             return _fixed(node)
         return "Mitsuba gives no gradient for it"
     return "" if dr.is_diff_v(plain) and dr.is_float_v(plain) else "it is not a floating-point array of Dr.Jit"
+
+
+def _settable(params: SceneParameters, key: str) -> bool:
+    """Whether blurred values of an entry are values of it. Those of a matrix are not: a handle turns and moves it."""
+    value = params[key]
+    if params.flags(key) & mi.ParamFlags.ReadOnly or any(map(_is_merged, ancestors(params, params.properties[key][2]))):
+        return False
+    return isinstance(value, float) or bool(dr.is_diff_v(value) and dr.is_float_v(value))
 
 
 def _fixed(node: Any) -> str:

@@ -70,7 +70,7 @@ class LOILoss:
     -----
     Memory is shared with the array library, not copied, except that NumPy cannot see a GPU: in CUDA variants only
     torch and JAX keep the image there. The loss is evaluated when it is called, and value and gradient together; it
-    adds nothing to Dr.Jit's kernels, so they are compiled once, and :func:`dr.backward` only scales the gradient.
+    adds nothing to Dr.Jit's kernels, so they are compiled once, and ``dr.backward`` only scales the gradient.
     Dr.Jit itself may hang where several threads of a process render at once; give each a process of its own.
 
     Examples
@@ -103,6 +103,12 @@ class LOILoss:
             tone=tone,
             weights=weights,
         )
+
+    def __repr__(self) -> str:
+        return f"<loi_mitsuba.LOILoss on {self._backend} by {self._objective!r}>"
+
+    def _repr_html_(self) -> str:
+        return self._objective._repr_html_()
 
     @property
     def objective(self) -> LOIObjective:

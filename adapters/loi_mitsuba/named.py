@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -39,6 +39,8 @@ class NamedParameters:
         Of a scene; its values at this moment are those that the parameters start from.
     targets : dict of str or handle
         What each parameter stands for.
+    without_gradient : names, optional
+        Parameters that need not have a gradient.
 
     Attributes
     ----------
@@ -55,28 +57,29 @@ class NamedParameters:
         If a target is not there, has no gradient, or sets what another sets.
     """
 
-    def __init__(self, called: Names, targets: Mapping[str, Target]) -> None:
+    def __init__(self, called: Names, targets: Mapping[str, Target], without_gradient: Iterable[str] = ()) -> None:
         self.entries = mi.traverse(called.scene)
         self.targets = dict(targets)
         self.start: dict[str, Host] = {}
         self._keys: dict[str, str] = {}
         self._posed: list[_Posed] = []
         by_shape: defaultdict[str, list[str]] = defaultdict(list)
+        nodes: dict[str, Any] = {}
+        images = frozenset(without_gradient)
         for name, target in targets.items():
             if isinstance(target, str):
-                entry = called.find(target)
+                entry = called.find(target, images=name in images)
                 self._keys[name] = entry.key
                 self.start[name] = as_host(numbers(self.entries[entry.key]), entry.shape)
             else:
-                by_shape[called.find_shape(target.shape)[0]].append(name)
+                key, node = (called.find_movable if name in images else called.find_shape)(target.shape)
+                by_shape[key].append(name)
+                nodes[key] = node
                 self.start[name] = target.initial().astype(np.float32)
         for key, names in by_shape.items():
-            handle = targets[names[0]]
-            box = called.find_shape(handle.shape)[1].bbox()  # type: ignore[union-attr]  # a handle
-            x, y, z = np.array(box.center(), dtype=np.float64).reshape(3).tolist()
             value = self.entries[key]
-            start = value if isinstance(value, mi.Transform4f) else dr.unravel(mi.Point3f, value)
-            self._posed.append(_Posed(key, tuple(names), (x, y, z), dr.detach(start)))
+            start = value if isinstance(value, mi.Transform4f | mi.Point3f) else dr.unravel(mi.Point3f, value)
+            self._posed.append(_Posed(key, tuple(names), _centre(nodes[key], start), dr.detach(start)))
         used = [*self._keys.values(), *by_shape]
         for key in used:
             if used.count(key) > 1:
@@ -84,9 +87,11 @@ class NamedParameters:
                 msg = f"`parameters` must not set one entry twice, got {', '.join(map(repr, names))}"
                 raise ParameterError(msg)
 
-    def moving(self) -> list[Any]:
-        """The shapes that parameters move, as often as they do."""
-        keys = [*self._keys.values(), *(one.key for one in self._posed)]
+    def moving(self, names: Iterable[str] | None = None) -> list[Any]:
+        """The shapes that the parameters move, or some of them, as often as they do."""
+        wanted = set(self.targets if names is None else names)
+        keys = [key for name, key in self._keys.items() if name in wanted]
+        keys += [one.key for one in self._posed if wanted & set(one.names)]
         # A shape has entries that do not move it, such as the colours of its vertices.
         keys = [key for key in keys if self.entries.flags(key) & mi.ParamFlags.Discontinuous]
         nodes = [self.entries.properties[key][2] for key in keys]
@@ -122,8 +127,19 @@ class NamedParameters:
         for one in self._posed:
             handles = [(self.targets[name], leaves[name]) for name in one.names]
             moved = posed(handles, one.centre) @ one.start  # type: ignore[arg-type]  # handles, all of them
-            self.entries[one.key] = dr.ravel(moved) if isinstance(moved, mi.Point3f) else moved
+            flat = isinstance(moved, mi.Point3f) and not isinstance(self.entries[one.key], mi.Point3f)
+            self.entries[one.key] = dr.ravel(moved) if flat else moved
         self.entries.update()
+
+
+def _centre(node: Any, start: Any) -> tuple[float, float, float]:
+    """What an object turns about: the middle of a shape's box, the place of anything else."""
+    if isinstance(node, mi.Shape):
+        place = node.bbox().center()
+    else:
+        place = start @ mi.Point3f(0.0) if isinstance(start, mi.Transform4f) else start
+    x, y, z = np.array(place, dtype=np.float64).reshape(3).tolist()
+    return x, y, z
 
 
 def host_numbers(name: str, value: Any, shape: tuple[int, ...]) -> Host:
@@ -147,6 +163,8 @@ def as_host(value: Any, shape: tuple[int, ...]) -> Host:
 
 def _like(current: Any, flat: Any, shape: tuple[int, ...]) -> Any:
     """The flat array `flat`, in C order of `shape`, as a value of the type of `current`."""
+    if isinstance(current, float):
+        return float(flat[0])
     if dr.is_tensor_v(current):
         return type(current)(flat, shape=shape)
     if isinstance(current, mi.Transform4f):

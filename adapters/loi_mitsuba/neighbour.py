@@ -2,7 +2,7 @@
 
 The image is that of the scene as it is. Only the gradient by what moves is taken from the neighbour, which differs from
 the scene by just enough: hardly any ray hits a point light, but a small sphere has an outline behind which rays that
-graze a shape find light or none.
+graze a shape find light or none; and where a mesh stores the vertices of an edge twice, its triangles share them.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from loi_core.errors import OptionError
 from loi_core.support.values import real_number
 from loi_core.support.wording import shown
 from loi_mitsuba.loading import Loaded, SceneLoadError, parsed
+from loi_mitsuba.seams import merge_seams
 
 __all__ = ["KINDS", "LAMP", "LIGHT", "Exchange", "Found", "Neighbour", "Surroundings", "lights_of", "neighbour_of"]
 
@@ -43,6 +44,9 @@ class Neighbour:
         distance from what casts it, times this; a smaller lamp is hit by fewer rays, and its gradient noisier.
     mirrors : float
         Roughness (`alpha`) of what stands for perfect mirrors and clear glass. 0 to 0.5.
+    seams : bool
+        Whether the triangles of meshes that move share the vertices at one place. Along the seams of a texture,
+        triangles may then show another part of it.
 
     Raises
     ------
@@ -52,13 +56,17 @@ class Neighbour:
 
     lights: float = 0.1
     mirrors: float = 0.05
+    seams: bool = True
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = real_number(getattr(self, field.name))
+        for name in ("lights", "mirrors"):
+            value = real_number(getattr(self, name))
             if not 0.0 <= value <= 0.5:
-                msg = f"`neighbour.{field.name}` must be 0 to 0.5, got {shown(getattr(self, field.name))}"
+                msg = f"`neighbour.{name}` must be 0 to 0.5, got {shown(getattr(self, name))}"
                 raise OptionError(msg)
+        if not isinstance(self.seams, bool):
+            msg = f"`neighbour.seams` must be true or false, got {shown(self.seams)}"
+            raise OptionError(msg)
 
     @classmethod
     def of(cls, value: object) -> Neighbour:
@@ -66,10 +74,10 @@ class Neighbour:
         if isinstance(value, Neighbour):
             return value
         if value is None:
-            return cls(0.0, 0.0)
+            return cls(0.0, 0.0, seams=False)
         names = [field.name for field in fields(cls)]
         if not isinstance(value, Mapping) or set(value) - set(names):
-            msg = f"`neighbour` must be a Neighbour, None, or a table of {' and '.join(names)}, got {shown(value)}"
+            msg = f"`neighbour` must be a Neighbour, None, or a table of {', '.join(names)}, got {shown(value)}"
             raise OptionError(msg)
         return cls(**value)
 
@@ -164,6 +172,7 @@ def neighbour_of(
     *,
     floats: bool = False,
     keep: frozenset[int | None] = frozenset(),
+    split: Mapping[int, Any] | None = None,
 ) -> Found | None:
     """The neighbouring scene of one that can be loaded; None if nothing is to be exchanged, or can be.
 
@@ -180,6 +189,8 @@ def neighbour_of(
         Whether textures are to hold floats.
     keep : frozenset of int
         Numbers of lights that are not exchanged.
+    split : dict of mi.Shape, optional
+        By their numbers in the scene, from 0, meshes whose vertices are to be shared; of a loaded scene, none are.
     """
     if isinstance(scene, mi.Scene):
         described, shared = _described(scene)
@@ -195,6 +206,8 @@ def neighbour_of(
     exchanges: list[Exchange] = []
     lights = 0
     with parsed(scene, floats=floats) as (config, state):
+        grouped = any(node.props.plugin_name() == "shapegroup" for node in state.nodes)  # whose shapes are not numbered
+        seams = dict(split or {}) if near.seams and not grouped else {}
         for index in range(len(state.nodes)):
             node = state.nodes[index]
             kind = node.props.plugin_name()
@@ -207,14 +220,21 @@ def neighbour_of(
                 lights += 1
             elif kind in ROUGH and node.type == mi.ObjectType.BSDF and near.mirrors > 0.0:
                 _exchange_surface(node, near.mirrors, exchanges)
-        if not exchanges:
+        if not exchanges and not seams:
             return None
         loaded = mi.parser.instantiate(config, state)
     made = loaded[0] if isinstance(loaded, list) else loaded
+    own = [shape for shape in made.shapes() if not shape.id().startswith(LAMP)]
+    for number, shape in seams.items():
+        if own[number] != shape:  # what a dict holds as an object is the scene's as well
+            merge_seams(own[number])
+            exchanges.append(_of_seams(shape))
+    if not exchanges:
+        return None
     seen = {shape.id() for shape in made.shapes() if shape.id().startswith(LAMP) and in_view(shape)}
     if seen:
         more = {one.light for one in exchanges if f"{LAMP}{one.light}" in seen}
-        return neighbour_of(scene, near, around, in_view, floats=floats, keep=keep | more)
+        return neighbour_of(scene, near, around, in_view, floats=floats, keep=keep | more, split=split)
     flags = [int(shape.bsdf().flags()) for shape in made.shapes() if shape.bsdf() is not None]
     smooth = any(one & int(mi.BSDFFlags.DeltaReflection | mi.BSDFFlags.DeltaTransmission) for one in flags)
     return Found(Loaded(made, in_order=True, floats=floats), _distinct(exchanges), smooth)
@@ -272,6 +292,12 @@ def _exchange_surface(node: Any, alpha: float, exchanges: list[Exchange]) -> Non
             f"a {ROUGH[kind]} of roughness {alpha:g}, for edges seen in what is perfectly smooth have no gradient",
         )
     )
+
+
+def _of_seams(shape: Any) -> Exchange:
+    named = f" {shape.id()!r}" if shape.id() else ""
+    reason = "with the vertices at one place shared, for an edge that is stored twice has its gradient twice"
+    return Exchange(f"mesh{named}", reason)
 
 
 def _exchange_light(

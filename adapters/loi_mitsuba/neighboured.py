@@ -4,47 +4,87 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from copy import copy
+from dataclasses import dataclass, replace
 from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
 from loi_mitsuba.entries import Names, ancestors
-from loi_mitsuba.handles import Host
+from loi_mitsuba.handles import Host, Translate
 from loi_mitsuba.loading import Loaded, Target
-from loi_mitsuba.neighbour import LAMP, LIGHT, Found, lights_of
+from loi_mitsuba.neighbour import KINDS, LAMP, LIGHT, Found, lights_of
 from loi_mitsuba.renderer import MitsubaRenderer
 
-__all__ = ["NeighbouredRenderer", "exchanged_targets", "targets_of_lights"]
+__all__ = ["NeighbouredRenderer", "OfLight", "StandIn", "exchanged_targets", "targets_of_lights"]
 
 
-def targets_of_lights(called: Names, targets: Mapping[str, Target]) -> dict[str, tuple[int, str]]:
-    """Parameters that are entries of lights without a size: the light's number, and the entry's name within it."""
+@dataclass(frozen=True)
+class StandIn:
+    """What a parameter of a light stands for in the neighbour: for what, and the value less `origin`, times `factor`.
+
+    A light without a size has an intensity, and the lamp that stands for it a radiance; and where that light has a
+    position, the lamp is moved from where it is.
+    """
+
+    target: Target
+    factor: float = 1.0
+    origin: Host | None = None
+
+
+@dataclass(frozen=True)
+class OfLight:
+    """A parameter of a light without a size: its number, and the name of the entry, or the handle on it."""
+
+    light: int
+    target: Target
+
+    @property
+    def is_power(self) -> bool:
+        """Whether it sets how bright the light is."""
+        return self.target in ("intensity.value", "irradiance.value")
+
+    def can_follow(self, kind: str) -> bool:
+        """Whether what stands for a light of that kind can do as it does."""
+        moves = isinstance(self.target, Translate) or self.target == "position"
+        return self.is_power or (moves and KINDS[kind] != "directional")
+
+
+def targets_of_lights(called: Names, targets: Mapping[str, Target]) -> dict[str, OfLight]:
+    """Parameters that are of lights without a size."""
     params = mi.traverse(called.scene)
     lights = lights_of(called.scene)
     found = {}
     for name, target in targets.items():
         if isinstance(target, str):
-            key = called.find(target).key
-            chain = ancestors(params, params.properties[key][2])
-            number = next((lights.index(node) for node in chain if node in lights), None)
-            if number is not None:
-                found[name] = number, key.split(".", 1)[1]
+            entry = called.known(target)
+            node, rest = (None, target) if entry is None else (params.properties[entry.key][2], entry.key)
+        else:
+            node, rest = called.find_movable(target.shape)[1], ""
+        number = next((lights.index(one) for one in ancestors(params, node) if one in lights), None)
+        if number is not None:
+            found[name] = OfLight(number, rest.split(".", 1)[1] if isinstance(target, str) else target)
     return found
 
 
 def exchanged_targets(
-    lights: Mapping[str, tuple[int, str]], near: Found, called: Names
-) -> dict[str, tuple[str, float]]:
-    """What parameters of lights stand for in the neighbour; see :class:`NeighbouredRenderer`."""
+    lights: Mapping[str, OfLight], near: Found, called: Names, start: Mapping[str, Host]
+) -> dict[str, StandIn]:
+    """What parameters of lights stand for in the neighbour, by their values at the start."""
     factors = {one.light: one.factor for one in near.exchanges if one.light is not None}
     ids = [one.id() for one in lights_of(called.scene)]
-    return {
-        name: (f"{LAMP}{number}.emitter.radiance.value", factors[number])
-        if number in factors
-        else (f"{ids[number] or f'{LIGHT}{number}'}.{entry}", 1.0)
-        for name, (number, entry) in lights.items()
-    }
+    found = {}
+    for name, one in lights.items():
+        lamp, own = f"{LAMP}{one.light}", ids[one.light] or f"{LIGHT}{one.light}"
+        if one.light in factors and one.is_power:
+            found[name] = StandIn(f"{lamp}.emitter.radiance.value", factors[one.light])
+        elif one.light in factors and isinstance(one.target, str):
+            found[name] = StandIn(Translate(lamp), origin=start[name])
+        elif isinstance(one.target, str):
+            found[name] = StandIn(f"{own}.{one.target}")
+        else:
+            found[name] = StandIn(replace(one.target, shape=lamp if one.light in factors else own))
+    return found
 
 
 class NeighbouredRenderer(MitsubaRenderer):
@@ -52,15 +92,14 @@ class NeighbouredRenderer(MitsubaRenderer):
 
     Parameters
     ----------
-    scene, parameters, integrator, spp, spp_grad, sensor
+    scene, parameters, integrator, spp, spp_grad, sensor, without_gradient
         As those of :class:`MitsubaRenderer`.
     neighbour : Loaded
         The neighbouring scene, which has all of the parameters.
     moving : names
         Parameters whose gradient is the neighbour's.
-    exchanged : dict of (target, factor)
-        By parameter that stands for something else there, for what, and how many times its value that has: a light
-        without a size has an intensity, and the lamp that stands for it a radiance.
+    exchanged : dict of StandIn
+        By parameter that stands for something else there, for what.
     """
 
     def __init__(
@@ -70,21 +109,24 @@ class NeighbouredRenderer(MitsubaRenderer):
         *,
         neighbour: Loaded,
         moving: Iterable[str],
-        exchanged: Mapping[str, tuple[str, float]],
+        exchanged: Mapping[str, StandIn],
         integrator: Any = None,
         spp: int = 16,
         spp_grad: int | None = None,
         sensor: int = 0,
+        without_gradient: Iterable[str] = (),
     ) -> None:
         self._moving = frozenset(moving)
-        self._factors = {name: np.float32(factor) for name, (_, factor) in exchanged.items()}
-        targets = {**parameters, **{name: target for name, (target, _) in exchanged.items()}}
-        self._near = MitsubaRenderer(
-            neighbour, targets, integrator=integrator, spp=spp, spp_grad=spp_grad, sensor=sensor
-        ).with_integrator(integrator, spp=spp, spp_grad=spp_grad, follow=self._moving)
+        self._exchanged = dict(exchanged)
+        images = tuple(without_gradient)
+        targets = {**parameters, **{name: one.target for name, one in exchanged.items()}}
+        options: dict[str, Any] = {"spp": spp, "spp_grad": spp_grad, "sensor": sensor, "without_gradient": images}
+        self._near = MitsubaRenderer(neighbour, targets, integrator=integrator, **options).with_integrator(
+            integrator, spp=spp, spp_grad=spp_grad, follow=self._moving
+        )
         self._near_shapes = {name: value.shape for name, value in self._near.parameters().items()}
-        super().__init__(scene, parameters, integrator=integrator, spp=spp, spp_grad=spp_grad, sensor=sensor)
-        self._followed = tuple(name for name in parameters if name not in self._moving)
+        super().__init__(scene, parameters, integrator=integrator, **options)
+        self._followed = tuple(name for name in self._able if name not in self._moving)
 
     @property
     def neighbour(self) -> Any:
@@ -103,7 +145,7 @@ class NeighbouredRenderer(MitsubaRenderer):
         names = set(self._named.targets if follow is None else follow)
         other = copy(self)
         other._use(integrator, self._spp if spp is None else spp, spp_grad)
-        other._followed = tuple(name for name in self._named.targets if name in names - self._moving)
+        other._followed = tuple(name for name in self._able if name in names - self._moving)
         other._near = self._near.with_integrator(integrator, spp=spp, spp_grad=spp_grad, follow=names & self._moving)
         return other
 
@@ -132,8 +174,11 @@ class NeighbouredRenderer(MitsubaRenderer):
         """Values for the neighbour, where a light of one grey has three colours."""
         near = {}
         for name, value in params.items():
-            scaled = np.asarray(value, dtype=np.float32) * self._factors.get(name, np.float32(1.0))
-            near[name] = np.broadcast_to(scaled, self._near_shapes[name]) if name in self._factors else scaled
+            near[name] = np.asarray(value, dtype=np.float32)
+            stand_in = self._exchanged.get(name)
+            if stand_in is not None:
+                moved = near[name] if stand_in.origin is None else near[name] - stand_in.origin
+                near[name] = np.broadcast_to(moved * np.float32(stand_in.factor), self._near_shapes[name])
         return near
 
     def _check_moving(self, *, told: bool) -> None:

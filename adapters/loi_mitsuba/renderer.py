@@ -62,6 +62,9 @@ class MitsubaRenderer:
         has not been given are the sample count of the sensor's sampler.
     sensor : int
         Which of the scene's sensors looks.
+    without_gradient : names of parameters, optional
+        Those that are only rendered: their gradient is 0, and they may be cameras, lights and entries for which Mitsuba
+        has none. For a :class:`loi_core.renderers.BlurredRenderer`.
 
     Raises
     ------
@@ -95,6 +98,7 @@ class MitsubaRenderer:
         spp: int = 16,
         spp_grad: int | None = None,
         sensor: int = 0,
+        without_gradient: Iterable[str] = (),
     ) -> None:
         self._variant = use_variant()
         targets = checked_targets(parameters)
@@ -102,8 +106,9 @@ class MitsubaRenderer:
         self._scene = self._names.scene
         self._sensor = find_sensor(self._scene, sensor)
         self._use(integrator, spp, spp_grad)
-        self._named = NamedParameters(self._names, targets)
-        self._followed = tuple(targets)
+        images = frozenset(without_gradient)
+        self._named = NamedParameters(self._names, targets, images)
+        self._followed = self._able = tuple(name for name in targets if name not in images)
         self._check_moving(told=isinstance(integrator, EffectPlan) and leaves_edges_out(integrator))
 
     @property
@@ -161,7 +166,7 @@ class MitsubaRenderer:
         other = copy(self)
         other._use(integrator, self._spp if spp is None else spp, spp_grad)
         if follow is not None:
-            other._followed = tuple(name for name in self._named.targets if name in set(follow))
+            other._followed = tuple(name for name in self._able if name in set(follow))
         return other
 
     def parameters(self) -> dict[str, Host]:
@@ -202,6 +207,8 @@ class MitsubaRenderer:
         It is what the pullback of :meth:`render_vjp` with the same `params` and `seed` gives.
         """
         leaves = self._leaves(params)
+        if not self._followed:
+            return {name: np.zeros_like(start) for name, start in self._named.start.items()}
         try:
             with dr.resume_grad():  # the caller may have suspended gradients
                 dr.enable_grad([leaves[name] for name in self._followed])
@@ -280,7 +287,7 @@ class MitsubaRenderer:
 
     def _check_moving(self, *, told: bool) -> None:
         """Refuse or warn where the gradient of moving shapes is missing, unless a plan has told why."""
-        moving = self._named.moving()
+        moving = self._named.moving(self._followed)
         if not told:
             warn_of_moving(self._scene, self._integrator, moving)
         kind = self._sensor.class_name()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 import torch
 from torch import Tensor
@@ -12,11 +12,13 @@ from torch.autograd.function import FunctionCtx
 
 from loi_core import LogTone, LOIObjective, ScaleSpace
 from loi_core.errors import DerivativeError, ImageTypeError
+from loi_core.objectives.facts import unusual_settings
 from loi_core.pixels.nonfinite import NanPolicy
 
 __all__ = ["LOILoss", "loi_loss"]
 
-REDUCED = (torch.float16, torch.bfloat16)
+REDUCED: Final = (torch.float16, torch.bfloat16)
+USUAL: Final[dict[str, Any]] = {"channel_axis": -1, "nan_policy": "raise", "tone": None}
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -102,12 +104,21 @@ class LOILoss(torch.nn.Module):
 
     @_alone
     def forward(self, image: Tensor) -> Tensor:
-        """The loss of `image`, a tensor of shape (); errors as :meth:`loi_core.LOIObjective.value`."""
+        """The loss of `image`, a tensor of shape (); errors as :meth:`loi_core.ImageObjective.value`."""
         return _apply(image, self._current())
 
     def extra_repr(self) -> str:
-        """The scales, for ``print``."""
-        return f"{self.scales}"
+        """What ``print`` shows of it: size and dtype of the reference, scales, accuracy and what is not usual."""
+        scales, options = self.scales, self._options
+        parts = [
+            str(tuple(self.reference.shape)),
+            *(f"{name}={getattr(scales, name)}" for name in ("sigma", "alpha", "beta")),
+            *(f"{name}={value!r}" for name, value in unusual_settings(scales).items()),
+            f"accuracy={options['accuracy']!r}",
+            f"dtype={self.reference.dtype}",
+            *(f"{name}={options[name]!r}" for name, usual in USUAL.items() if options[name] != usual),
+        ]
+        return ", ".join(parts if self.weights is None else [*parts, f"weights={tuple(self.weights.shape)}"])
 
     def _current(self) -> LOIObjective:
         reference = self.reference.detach()

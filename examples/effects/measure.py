@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from examples.effects.scenes import Case
-from loi_core import FitStep, Free, LOIObjective, Renderer, ScaleSpace, fit
+from loi_core import Free, LOIObjective, Renderer, ScaleSpace, fit
 from loi_core.effects import Comparison, EffectPlan, Schedule, compare
 from loi_core.effects.schedule import STALL
 from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer
@@ -176,7 +176,7 @@ def _planning(
     looked = begun
     for step in range(STALL + 1):  # only the last of these looks
         looked = time.perf_counter()
-        planned.watch(FitStep(step, 1.0, 1.0, 1.0, 0.0), start, image)
+        planned.at_step(step, STALL + 1, 1.0)
     return plan, begun - begin, time.perf_counter() - looked
 
 
@@ -185,9 +185,7 @@ def _fitted(case: Case, renderer: Renderer, objective: LOIObjective, effort: Eff
     first = sum(float(np.sum((case.start[name] - case.truth[name]) ** 2)) for name in free)
     errors = []
     for seed in range(0, effort.fits * APART, APART):
-        callback = None
         if isinstance(renderer, PlannedRenderer):
-            callback = renderer.watch
             start = renderer.parameters() | dict(case.start)
             cotangent = objective.value_and_grad(renderer.render(start, seed=seed))[1]
             renderer.begin(start, cotangent, optimise=list(free), seed=seed)
@@ -198,7 +196,6 @@ def _fitted(case: Case, renderer: Renderer, objective: LOIObjective, effort: Eff
             learning_rate=case.rate,
             seed=seed,
             optimise=free,
-            callback=callback,
         ).best_params
         left = sum(float(np.sum((found[name] - case.truth[name]) ** 2)) for name in free)
         errors.append(math.sqrt(left / first))

@@ -24,7 +24,7 @@ from loi_mitsuba import PlannedRenderer, Translate  # before mitsuba
 # isort: split
 import mitsuba as mi
 
-__all__ = ["Outcome", "found_from", "main", "scene"]
+__all__ = ["START", "TRUTH", "Outcome", "found_from", "main", "scene"]
 
 START: Final = (-0.5, 2.5)
 TRUTH: Final = {"y": np.float32(-1.5), "z": np.float32(1.0)}
@@ -48,12 +48,12 @@ class Outcome:
         return max(abs(self.end[0] - float(TRUTH["y"])), abs(self.end[1] - float(TRUTH["z"]))) < FOUND
 
 
-def scene(width: int, height: int) -> dict[str, Any]:
-    """The scene, for ``mi.load_dict``."""
+def scene(width: int, height: int, radius: float = 1.0) -> dict[str, Any]:
+    """The scene, for ``mi.load_dict``, with a sphere of this radius."""
     place = mi.ScalarTransform4f
-    lines = np.full((256, 256, 3), 0.8, np.float32)
+    lines = np.full((256, 256, 3), 0.5, np.float32)
     for k in range(4):
-        lines[k::32] = lines[:, k::32] = 0.2
+        lines[k::32] = lines[:, k::32] = 0.15
     grid = {"type": "bitmap", "data": mi.TensorXf(lines), "raw": True}
     return {
         "type": "scene",
@@ -69,7 +69,7 @@ def scene(width: int, height: int) -> dict[str, Any]:
             "to_world": place().rotate([0, 1, 0], 90).scale(12),
             "bsdf": {"type": "diffuse", "reflectance": grid},
         },
-        "ball": {"type": "sphere", "center": [12.0, 6.36, 0.0], "radius": 1.0},
+        "ball": {"type": "sphere", "center": [12.0, 6.36, 0.0], "radius": radius},
         "sky": {"type": "constant", "radiance": {"type": "rgb", "value": [0.6, 0.6, 0.99]}},
         "lamp": {"type": "point", "position": [25.98, 13.78, 0.0], "intensity": 1715.0},
     }
@@ -91,7 +91,7 @@ def found_from(start: tuple[float, float], *, width: int, samples: int, steps: i
     planned = renderer(width, height, samples)
     free = {name: Free(value, -REACH, REACH) for name, value in zip(TRUTH, start, strict=True)}
     began = time.perf_counter()
-    result = fit(planned, LOIObjective(target), steps=steps, seed=seed, optimise=free, callback=planned.watch)
+    result = fit(planned, LOIObjective(target), steps=steps, seed=seed, optimise=free)
     y, z = (float(result.params[name]) for name in TRUTH)
     mae = 0.5 * (abs(y - float(TRUTH["y"])) + abs(z - float(TRUTH["z"])))
     return Outcome(

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 import re
 from pathlib import Path
 from typing import Any, Protocol
 
-from loi_core.io.files import write_text
 from loi_core.io.images import write_png
+from loi_core.runs import read_record, write_record
 
 __all__ = ["Run", "is_done", "keep", "load", "picture_path", "slug"]
 
@@ -34,8 +33,7 @@ def keep(folder: Path, run: Run, outcome: Any) -> None:
     write_png(picture_path(folder, run), outcome.image)
     numbers = {field.name: getattr(outcome, field.name) for field in dataclasses.fields(outcome)}
     del numbers["image"]
-    record = {"run": repr(run), **numbers}
-    write_text(_record_path(folder, run), json.dumps(record) + "\n")
+    write_record(_record_path(folder, run), repr(run), numbers)
 
 
 def is_done(folder: Path, run: Run) -> bool:
@@ -45,11 +43,7 @@ def is_done(folder: Path, run: Run) -> bool:
 
 def load(folder: Path, run: Run) -> dict[str, Any] | None:
     """The numbers of a run, or None if it is not in the folder or was another."""
-    try:
-        record: dict[str, Any] = json.loads(_record_path(folder, run).read_text(encoding="utf-8"))
-    except (FileNotFoundError, json.JSONDecodeError):
-        return None
-    return record if record.get("run") == repr(run) else None
+    return read_record(_record_path(folder, run), repr(run))
 
 
 def picture_path(folder: Path, run: Run) -> Path:

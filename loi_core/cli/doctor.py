@@ -10,7 +10,7 @@ import platform
 import sys
 import warnings
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any, Final, Literal
 
@@ -18,6 +18,7 @@ import numpy as np
 
 from loi_core import __version__
 from loi_core.errors import LoiError, WeightsError
+from loi_core.method.compiled import SWITCH, available
 from loi_core.plugins.baselines import make_baseline
 from loi_core.plugins.registry import OBJECTIVES, PluginInfo, available_renderers
 from loi_core.support.processors import usable_processors
@@ -54,10 +55,12 @@ REQUIRED: Final = {
     "pillow": "PIL",
     "matplotlib": "matplotlib",
     "OpenEXR": "OpenEXR",
+    "shtab": "shtab",
     "tqdm": "tqdm",
 }
 # Each through its adapter: loi_mitsuba, for one, has to come before mitsuba, to choose the LLVM.
 BACKENDS: Final = {"torch": "loi_torch", "jax": "loi_jax", "mitsuba": "loi_mitsuba"}
+EXTRAS: Final = {"distributed": "dask", "pyarrow": "parquet", "tensorboard": "tensorboard"}
 
 
 def examine(*, as_json: bool) -> bool:
@@ -90,7 +93,9 @@ def findings() -> list[Finding]:
         if found[-1].state == "ok":
             diagnose = getattr(sys.modules[module], "diagnose", list)
             found += [Finding(one, "ok", detail) for one, detail in diagnose()]
-    found += [_package("numba", "numba", "pip install 'loi[compiled]'", required=False), _gpu()]
+    found.append(_numba())
+    found += [_package(name, name, f"pip install 'loi[{extra}]'", required=False) for name, extra in EXTRAS.items()]
+    found.append(_gpu())
     found += [_plugin("renderer", one) for one in available_renderers()]
     found += [_objective(one) for one in OBJECTIVES.available()]
     return found
@@ -139,6 +144,16 @@ def _package(name: str, module: str, fix: str, *, required: bool) -> Finding:
         return Finding(name, "ok", version(name))
     except PackageNotFoundError:
         return Finding(name, "ok", "version unknown")
+
+
+def _numba() -> Finding:
+    """Numba comes with loi where it has wheels; what is missing without it is speed alone."""
+    found = _package("numba", "numba", "pip install numba", required=False)
+    if found.state == "missing":
+        return replace(found, detail="not installed; on the processor the loss takes several times as long")
+    if found.state == "ok" and not available():
+        return replace(found, state="note", detail=f"{found.detail}, switched off by {SWITCH}=0 or NUMBA_DISABLE_JIT=1")
+    return found
 
 
 def _gpu() -> Finding:

@@ -3,23 +3,30 @@
 from __future__ import annotations
 
 import json
+import shlex
 import sys
-from collections.abc import Mapping
+import warnings
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TextIO
 
 from tqdm import tqdm
 
 from loi_core.cli.codes import DONE, FAILED, NOT_FOUND
+from loi_core.cli.watch import check_port, watched
 from loi_core.effects import PlanningRenderer
-from loi_core.errors import SceneError
+from loi_core.errors import SceneError, WriteError
+from loi_core.fitting.generations import CheckpointWarning
 from loi_core.fitting.loop import check_fit_options
-from loi_core.io.result_folder import CHECKPOINT_FILE, ResultFolder
+from loi_core.io.lock import FileLock, LockWarning
+from loi_core.io.result_folder import CHECKPOINT_FILE, CHECKPOINT_FILES, LOCK_FILE, ResultFolder
 from loi_core.report import write_page, write_results
+from loi_core.report.output import frame_writer
 from loi_core.report.page import verdict_line
 from loi_core.report.plots import LABELS
-from loi_core.scenes.experiment import Trial, plan_scene, run_scene
+from loi_core.scenes.experiment import Trial, Watch, plan_scene, run_scene
 from loi_core.scenes.reading import load_scene
 from loi_core.scenes.scene import Scene
 from loi_core.support.wording import printable
@@ -28,15 +35,24 @@ __all__ = ["explain_scene", "fit_scene", "run_and_write"]
 
 
 def fit_scene(
-    path: Path, output: Path | None, *, resume: bool, steps: int | None, starts: int | None, as_json: bool
+    path: Path,
+    output: Path | None,
+    *,
+    resume: bool,
+    steps: int | None,
+    starts: int | None,
+    as_json: bool,
+    watch: bool = False,
+    port: int | None = None,
 ) -> int:
-    """Fit a scene file and write its results.
+    """Fit a scene file and write its results; with `watch`, on a page that follows it.
 
     Returns
     -------
     int
         The exit status: 0 if the scene was found, 1 if a fit ended early, 3 if it ended elsewhere: see the verdict.
     """
+    check_port(port, watch=watch)
     scene = load_scene(path, output=output)
     changes = {name: value for name, value in (("steps", steps), ("starts", starts)) if value is not None}
     options = replace(scene.fit, **changes)
@@ -44,18 +60,71 @@ def fit_scene(
     scene = replace(scene, fit=options)
     for note in scene.notes:
         print(f"loi: {printable(note)}", file=sys.stderr)
-    result = run_and_write(scene, resume=resume)
-    page = write_page(scene.output)
-    if as_json:
-        print(json.dumps(result | {"report": str(page)}, indent=2))
+    ResultFolder(scene.output)  # somebody else's is told before a lock is put into it
+    if watch:
+        with watched(scene, port) as served:
+            result, page = _fit_alone(scene, _command(path, changes), served.live, resume=resume)
+            served.live.finish(page.read_text(encoding="utf-8"))
+            _tell(result, page, as_json=as_json)
+            if sys.stdout.isatty() and not as_json and not any(trial["error"] for trial in result["trials"]):
+                served.stay()
     else:
-        print_summary(result)
-        print_verdicts(result)
-        print(f"\nreport: {page}")
+        result, page = _fit_alone(scene, _command(path, changes), None, resume=resume)
+        _tell(result, page, as_json=as_json)
     if any(trial["error"] for trial in result["trials"]):
         return FAILED
     found = result["trials"][0].get("diagnosis")
     return DONE if found is None or found["verdict"] == "converged" else NOT_FOUND
+
+
+def _fit_alone(scene: Scene, command: str, watch: Watch | None, *, resume: bool) -> tuple[dict[str, Any], Path]:
+    """Fit in a folder that nobody else writes to meanwhile; the summary and the page."""
+    with _aloud(), FileLock(scene.output / LOCK_FILE, scene.output):
+        try:
+            result = run_and_write(scene, resume=resume, command=command, watch=watch)
+            return result, write_page(scene.output)
+        except WriteError as error:
+            msg = f"{error}; once it can be, `--resume` goes on"
+            raise WriteError(msg) from error
+
+
+def _command(path: Path, changes: Mapping[str, int]) -> str:
+    """How a fit can be made again. Places of files are left out, and so is `--resume`, which changes no result."""
+    return shlex.join(["loi", "fit", path.name, *(f"--{name}={value}" for name, value in changes.items())])
+
+
+def _tell(result: Mapping[str, Any], page: Path, *, as_json: bool) -> None:
+    if as_json:
+        print(json.dumps({**result, "report": str(page)}, indent=2), flush=True)
+        return
+    print_summary(result)
+    print_verdicts(result)
+    print(f"\nreport: {page}", flush=True)
+
+
+@contextmanager
+def _aloud() -> Iterator[None]:
+    """Warnings of checkpoints and locks as lines like all that the command says."""
+    with warnings.catch_warnings():
+        kept = warnings.showwarning
+
+        def show(
+            message: Warning | str,
+            category: type[Warning],
+            filename: str,
+            lineno: int,
+            file: TextIO | None = None,
+            line: str | None = None,
+        ) -> None:
+            if issubclass(category, CheckpointWarning | LockWarning):
+                print(f"loi: {printable(str(message))}", file=sys.stderr)
+            else:
+                kept(message, category, filename, lineno, file, line)
+
+        for category in (CheckpointWarning, LockWarning):
+            warnings.simplefilter("always", category)
+        warnings.showwarning = show
+        yield
 
 
 def print_verdicts(result: Mapping[str, Any]) -> None:
@@ -83,26 +152,33 @@ def explain_scene(path: Path, *, as_json: bool) -> None:
     print(json.dumps(asdict(plan), indent=2) if as_json else plan)
 
 
-def run_and_write(scene: Scene, *, resume: bool = False) -> dict[str, Any]:
+def run_and_write(
+    scene: Scene, *, resume: bool = False, command: str = "", watch: Watch | None = None
+) -> dict[str, Any]:
     """Fit a scene with progress bars on standard error, write all but the page, and return the summary."""
     folder = ResultFolder(scene.output)  # somebody else's is told now, not after the fit
     bars = _Bars(scene.fit.steps)
 
     def progress(name: str, step: int, value: float) -> None:
-        folder.claim([CHECKPOINT_FILE])  # before the first is written
+        folder.claim(CHECKPOINT_FILES)  # before the first is written
         bars.step(name, step, value)
 
     try:
         trials: list[Trial] = run_scene(
-            scene, checkpoint=scene.output / CHECKPOINT_FILE, resume=resume, progress=progress
+            scene,
+            checkpoint=scene.output / CHECKPOINT_FILE,
+            resume=resume,
+            progress=progress,
+            write_frame=frame_writer(scene, folder),
+            watch=watch,
         )
     finally:
         bars.close()
     for trial in trials:
         if trial.error:
-            hint = "; `--resume` goes on" if trial.error.startswith("interrupted") else ""
+            hint = "; `--resume` goes on" if trial.can_resume else ""
             print(f"loi: {trial.objective}: {printable(trial.error)}{hint}", file=sys.stderr)
-    return write_results(scene, trials)
+    return write_results(scene, trials, command=command)
 
 
 def print_summary(result: Mapping[str, Any]) -> None:

@@ -12,7 +12,8 @@ from typing import NoReturn
 
 from loi_core import __version__
 from loi_core.cli.codes import DONE, FAILED, WRONG_CALL
-from loi_core.errors import FitError, LoiError, RendererError
+from loi_core.cli.signals import ended_like_ctrl_c
+from loi_core.errors import ExecutorError, FitError, LoiError, RendererError, WriteError
 from loi_core.support.wording import PlainText, printable
 
 __all__ = ["DONE", "FAILED", "WRONG_CALL", "main"]
@@ -27,17 +28,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except SystemExit as stop:  # argparse has printed the help, the version, or what is wrong
         return stop.code if isinstance(stop.code, int) else WRONG_CALL
     try:
-        with contextlib.redirect_stdout(PlainText(sys.stdout)):
+        with ended_like_ctrl_c(), contextlib.redirect_stdout(PlainText(sys.stdout)):
             return _run(options)
-    except KeyboardInterrupt:
-        return _say("interrupted", FAILED)
+    except KeyboardInterrupt as stop:
+        return _say(str(stop) or "interrupted", FAILED)
     except BrokenPipeError:  # `loi ... | head` has read enough
         sys.stderr.close()
         return DONE
     except MemoryError:
         return _say("not enough memory; use fewer or coarser scales, or a smaller image", FAILED)
     except LoiError as error:
-        return _say(str(error), FAILED if isinstance(error, FitError | RendererError) else WRONG_CALL)
+        failed = isinstance(error, ExecutorError | FitError | RendererError | WriteError)
+        return _say(str(error), FAILED if failed else WRONG_CALL)
     except OSError as error:
         return _say(f"{error.filename or 'the file system'}: {error.strerror or error}", FAILED)
 
@@ -57,15 +59,28 @@ def _run(options: argparse.Namespace) -> int:
             steps=options.steps,
             starts=options.starts,
             as_json=options.json,
+            watch=options.watch,
+            port=options.port,
+        )
+    if options.command == "sweep":
+        from loi_core.cli.sweep import carry_out_sweep
+
+        return carry_out_sweep(
+            options.sweep,
+            options.output,
+            processes=options.processes,
+            dask=options.dask,
+            retry_failed=options.retry_failed,
+            as_json=options.json,
         )
     if options.command == "demo":
         from loi_core.cli.demo import run_demo
 
         return DONE if run_demo(options.output, as_json=options.json) else FAILED
     if options.command == "report":
-        from loi_core.report import write_page
+        from loi_core.cli.report import make_report
 
-        print(write_page(options.folder))
+        make_report(options.folder, options.output)
         return DONE
     if options.command == "tradeoff":
         from loi_core.cli.tradeoff import show_tradeoff
@@ -80,10 +95,27 @@ def _run(options: argparse.Namespace) -> int:
             as_json=options.json,
         )
         return DONE if done else FAILED
+    if options.command == "inspect":
+        from loi_core.cli.inspect import inspect_images
+
+        inspect_images(
+            options.image,
+            options.reference,
+            options.output,
+            preset=options.preset,
+            bounds=options.bounds,
+            as_json=options.json,
+        )
+        return DONE
     if options.command == "renderers":
         from loi_core.cli.renderers import list_renderers
 
         list_renderers(as_json=options.json)
+        return DONE
+    if options.command == "completion":
+        from loi_core.cli.completion import completion_script
+
+        print(completion_script(_parser(), options.shell))
         return DONE
     if options.stability:
         from loi_core.cli.stability import examine_stability
@@ -111,7 +143,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument("--version", action="version", version=f"loi {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
 
-    demo = commands.add_parser("demo", help="recover two scenes from images, beside pixel L2 and a pyramid")
+    demo = commands.add_parser("demo", help="recover scenes from images, beside pixel L2 and a pyramid")
     demo.add_argument("--output", type=Path, default=Path("demo"), help="folder for the results (default: demo)")
 
     fit = commands.add_parser("fit", help="fit a scene to its target image")
@@ -123,8 +155,19 @@ def _parser() -> argparse.ArgumentParser:
     fit.add_argument("--starts", type=int, help="from how many places within the bounds to start")
     fit.add_argument("--explain", action="store_true", help="only say which effects would be simulated, and why")
 
-    report = commands.add_parser("report", help="make report.html anew from a result folder")
-    report.add_argument("folder", type=Path, metavar="DIR")
+    fit.add_argument("--watch", action="store_true", help="follow the fit on a page, served on this machine alone")
+    fit.add_argument("--port", type=int, help="where `--watch` serves it (default: a free one)")
+
+    sweep = commands.add_parser("sweep", help="fit many variants of scenes side by side")
+    sweep.add_argument("sweep", type=Path, metavar="SWEEP.toml", help="the sweep file; what is done is not done again")
+    sweep.add_argument("--output", type=Path, help="folder for the results, instead of the sweep's own")
+    sweep.add_argument("--processes", type=int, metavar="N", help="fits side by side (default: as many as processors)")
+    sweep.add_argument("--dask", metavar="ADDRESS", help="fit on a Dask cluster, by the address of its scheduler")
+    sweep.add_argument("--retry-failed", action="store_true", help="carry out again what has failed")
+
+    report = commands.add_parser("report", help="make report.html anew from a result folder, or one page of several")
+    report.add_argument("folder", type=Path, nargs="+", metavar="DIR", help="a folder that `loi fit` has written")
+    report.add_argument("--output", type=Path, help="the page of several folders (default: report.html, here)")
 
     tradeoff = commands.add_parser("tradeoff", help="what accuracy costs here, in time and memory")
     tradeoff.add_argument("--image", type=Path, help="image to compare with --reference")
@@ -136,6 +179,19 @@ def _parser() -> argparse.ArgumentParser:
     tradeoff.add_argument("--output", type=Path, default=Path("tradeoff"), help="folder (default: tradeoff)")
     tradeoff.add_argument("--seconds", type=float, default=0.5, help="how long to repeat each setting (default: 0.5)")
 
+    inspect = commands.add_parser("inspect", help="what the loss sees in a picture, or between two, as one page")
+    inspect.add_argument("image", type=Path, metavar="IMAGE", help="PNG, JPEG, EXR or NPY")
+    inspect.add_argument("reference", type=Path, metavar="REFERENCE", nargs="?", help="what IMAGE should look like")
+    inspect.add_argument("--output", type=Path, default=Path("inspect.html"), help="the page (default: inspect.html)")
+    inspect.add_argument(
+        "--preset",
+        choices=["vector", "path", "raster"],
+        help="the paper's scales (default: those for the image's size)",
+    )
+    inspect.add_argument(
+        "--bounds", type=float, nargs=2, metavar=("LOW", "HIGH"), help="intensities told apart (default: 0 1)"
+    )
+
     renderers = commands.add_parser("renderers", help="which renderers are installed")
     doctor = commands.add_parser("doctor", help="what works here, and the fix for what does not")
     doctor.add_argument(
@@ -143,6 +199,8 @@ def _parser() -> argparse.ArgumentParser:
         action="store_true",
         help="run the hard cases on every backend (minutes, most of them JAX's compiler)",
     )
-    for command in (demo, fit, tradeoff, renderers, doctor):
+    completion = commands.add_parser("completion", help="print a script that completes what you type, for your shell")
+    completion.add_argument("shell", choices=("bash", "zsh", "fish"), help="which shell")
+    for command in (demo, fit, sweep, tradeoff, inspect, renderers, doctor):
         command.add_argument("--json", action="store_true", help="print the answer as JSON")
     return parser

@@ -5,13 +5,16 @@ from __future__ import annotations
 import enum
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Final
 
 from loi_core.errors import OptionError
+from loi_core.support.html import card, paragraph, table
 from loi_core.support.markdown import markdown
 from loi_core.support.wording import shown
 
 __all__ = ["Capability", "Choice", "Effect", "EffectPlan"]
+
+HEADS: Final = ["effect", "", "samples", "fraction", "why"]
 
 
 class Effect(enum.StrEnum):
@@ -85,7 +88,7 @@ class Choice:
             raise OptionError(msg)
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class EffectPlan:
     """Which effects a scene calls for, and the renderer settings that follow.
 
@@ -99,6 +102,8 @@ class EffectPlan:
         Reasons of settings that are no effect's own, by their name.
     exchanged : mapping of str
         What is not in the scene that gradients are taken from, and what is there instead and why: a line each.
+    blurred : mapping of str
+        By parameter without a gradient of its own, whose gradient is of images blurred over it, why: a line each.
     held : mapping of str
         By parameter that a fit does not move for now, why: a line each.
     notes : tuple of str
@@ -118,6 +123,7 @@ class EffectPlan:
     settings: Mapping[str, Any] = field(default_factory=dict)
     why: Mapping[str, str] = field(default_factory=dict)
     exchanged: Mapping[str, str] = field(default_factory=dict)
+    blurred: Mapping[str, str] = field(default_factory=dict)
     held: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     understood: bool = True
@@ -137,9 +143,19 @@ class EffectPlan:
         """The effects that are simulated."""
         return frozenset(one.effect for one in self.choices if one.on)
 
+    def __repr__(self) -> str:
+        on = ", ".join(one.effect for one in self.choices if one.on)
+        return f"<EffectPlan: {on or 'nothing'} on, {len(self.held)} parameters held>"
+
     def __str__(self) -> str:
-        """The plan as a small table, which is also Markdown: effects, what is exchanged or held, settings and notes."""
-        heads = ["effect", "", "samples", "fraction", "why"]
+        """The plan as a small table, which is also Markdown, of effects and what is exchanged, blurred or held."""
+        return "\n".join([*markdown(HEADS, self._rows), "", *self._settings, *self._notes])
+
+    def _repr_html_(self) -> str:
+        return card("EffectPlan", table(self._rows, HEADS), paragraph("\n".join([*self._settings, *self._notes])))
+
+    @property
+    def _rows(self) -> list[list[str]]:
         rows = [
             [
                 one.effect,
@@ -151,11 +167,19 @@ class EffectPlan:
             for one in self.choices
         ]
         rows += [[what, "exchanged", "", "", reason] for what, reason in self.exchanged.items()]
+        rows += [[repr(name), "blurred", "", "", reason] for name, reason in self.blurred.items()]
         rows += [[repr(name), "held", "", "", reason] for name, reason in self.held.items()]
+        return rows
+
+    @property
+    def _settings(self) -> list[str]:
         shown = ", ".join(f"{name} {value}" for name, value in self.settings.items() if value is not None)
         reasons = [f"- {name} {self.settings[name]}: {reason}" for name, reason in self.why.items()]
-        notes = [f"Note: {note}" for note in self.notes]
-        return "\n".join([*markdown(heads, rows), "", f"Settings: {shown or 'none'}", *reasons, *notes])
+        return [f"Settings: {shown or 'none'}", *reasons]
+
+    @property
+    def _notes(self) -> list[str]:
+        return [f"Note: {note}" for note in self.notes]
 
     def changes_from(self, other: EffectPlan) -> str:
         """What is different from another plan, in one line; empty if nothing is."""
@@ -165,7 +189,11 @@ class EffectPlan:
             if new.on != old.on
         ]
         changes += [f"{name!r} held ({reason})" for name, reason in self.held.items() if name not in other.held]
-        changes += [f"{name!r} free" for name in other.held if name not in self.held]
+        changes += [
+            f"{name!r} blurred ({reason})" for name, reason in self.blurred.items() if name not in other.blurred
+        ]
+        changes += [f"{name!r} no longer blurred" for name in other.blurred if name not in self.blurred]
+        changes += [f"{name!r} free" for name in other.held if name not in {**self.held, **self.blurred}]
         for name in dict.fromkeys([*other.settings, *self.settings]):
             old_value, new_value = other.settings.get(name), self.settings.get(name)
             if old_value != new_value:

@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping
 from typing import Any, Protocol, runtime_checkable
 
 from loi_core.effects.model import EffectPlan
-from loi_core.fitting.state import FitStep
 from loi_core.renderers.contract import Parameters, Renderer
 from loi_core.support.arrays import Array
 
@@ -17,8 +16,8 @@ __all__ = ["PlanningRenderer"]
 class PlanningRenderer(Renderer, Protocol):
     """A renderer that simulates only the effects that a loss calls for.
 
-    Scenes whose renderer has these methods are planned before their fit, watched during it, and explained by
-    ``loi fit --explain``.
+    Scenes whose renderer has these methods are planned before their fit, and explained by ``loi fit --explain``. One
+    that plans anew as a fit goes on is a :class:`~loi_core.renderers.contract.SteppedRenderer` as well.
     """
 
     @property
@@ -31,9 +30,6 @@ class PlanningRenderer(Renderer, Protocol):
         Only the gradients of the parameters named in `optimise` matter. Those that the plan holds have a gradient of 0
         until it lets them go.
         """
-
-    def watch(self, step: FitStep, params: Parameters, image: Array) -> None:
-        """A callback for :func:`loi_core.fit`: plans anew on a schedule, and when the loss stalls."""
 
     def effect_images(self, params: Parameters, cotangent: Array, *, seed: int = 0) -> Mapping[str, Any]:
         """By effect, how its part of the image changes along the descent of the loss: arrays (H, W, C)."""

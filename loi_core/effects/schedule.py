@@ -47,8 +47,10 @@ class Schedule:
         """After a look, for whatever reason: the next is twice as far off."""
         return replace(self, due=self.asked + self.wait, wait=2 * self.wait)
 
-    def watched(self, loss: float) -> Schedule:
-        """With the loss of one more step."""
+    def watched(self, loss: float | None) -> Schedule:
+        """With the loss of one more step; None where a fit begins, whose losses are no longer those of before."""
+        if loss is None:
+            return replace(self, least=math.inf, since_least=0)
         if loss < self.least:
             return replace(self, least=loss, since_least=0)
         return replace(self, since_least=self.since_least + 1)

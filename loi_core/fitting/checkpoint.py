@@ -2,27 +2,34 @@
 
 from __future__ import annotations
 
+import contextlib
+import hashlib
 import json
 import math
+import os
+import struct
 import zipfile
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, BinaryIO, Final
 
 import numpy as np
 
-from loi_core.errors import ParameterError
+from loi_core.errors import CheckpointError, ParameterError
+from loi_core.fitting.history import FIRST_COLUMNS
 from loi_core.io.files import atomic_path, open_regular
 from loi_core.io.npy import read_npy_header, read_npy_values
 from loi_core.support.arrays import Host
 from loi_core.support.wording import described
 
-__all__ = ["Checkpoint", "load_checkpoint", "save_checkpoint"]
+__all__ = ["Checkpoint", "load_checkpoint", "save_checkpoint", "seal"]
 
-GROUPS = ("params", "memory", "best_params")
-FIRST_COLUMNS = 6  # step, value, gradient norm, rate, seconds, stage; then the free parameters if they are few
+GROUPS = ("params", "memory", "best_params", "callback")
 NUMBERS = ("step", "best_step", "best_value", "history")
+KINDS: Final = {"memory": "fiub", "callback": "fiub"}  # of dtypes; of all other groups floats
+SEAL: Final = b"sha256:"
+SEALED: Final = len(SEAL) + 2 * hashlib.sha256().digest_size
 
 
 @dataclass(frozen=True)
@@ -37,16 +44,79 @@ class Checkpoint:
     memory: Mapping[str, Host]
     best_params: Mapping[str, Host]
     history: Host
+    callback: Mapping[str, Host] = field(default_factory=dict)
 
 
-def save_checkpoint(path: Path, state: Checkpoint) -> None:
-    """Write `state` to `path` (.npz), whole or not at all."""
+def save_checkpoint(path: Path, state: Checkpoint, *, before: Path | None = None) -> None:
+    """Write `state` to `path` (.npz), whole or not at all.
+
+    What lay there is moved to `before`, if that is given, once the new one is written: there is always one that is
+    whole. It is not moved if it holds the same.
+
+    Raises
+    ------
+    WriteError
+        If it cannot be written.
+    """
     arrays: dict[str, Any] = {name: np.asarray(getattr(state, name)) for name in NUMBERS}
     arrays["settings"] = np.asarray(json.dumps(dict(state.settings)))
     for group in GROUPS:
         arrays |= {f"{group}/{name}": value for name, value in getattr(state, group).items()}
-    with atomic_path(path) as temporary, temporary.open("wb") as stream:
-        np.savez(stream, allow_pickle=False, **arrays)
+    with atomic_path(path) as temporary:
+        with temporary.open("w+b") as stream:
+            np.savez(stream, allow_pickle=False, **arrays)
+            digest = seal(stream)
+            stream.flush()
+            os.fsync(stream.fileno())  # or after a loss of power the name might be there, and the content not
+        if before is not None and not _has_seal(path, digest):
+            with contextlib.suppress(FileNotFoundError):  # somebody has removed it
+                path.replace(before)
+
+
+def seal(stream: BinaryIO) -> bytes:
+    """Put a digest of all of a zip archive, open for reading and writing, into its comment; returns that.
+
+    The checksums of a zip archive are of its members alone, and of 32 bits.
+    """
+    size = stream.seek(-2, os.SEEK_END) + 2  # an archive ends with the length of its comment, which is 0
+    stream.write(struct.pack("<H", SEALED))
+    digest = _digest(stream, size)
+    stream.seek(size)
+    stream.write(digest)
+    return digest
+
+
+def _has_seal(path: Path, digest: bytes) -> bool:
+    try:
+        with path.open("rb") as stream:
+            stream.seek(-SEALED, os.SEEK_END)
+            return stream.read() == digest
+    except OSError:
+        return False
+
+
+def _check_seal(stream: BinaryIO) -> None:
+    """Raise ValueError unless the seal of a file is there and right."""
+    size = stream.seek(0, os.SEEK_END) - SEALED
+    stream.seek(max(size, 0))
+    seal = stream.read()
+    if not seal.startswith(SEAL):
+        msg = "it does not end as checkpoints do: it is torn, or not one"
+        raise ValueError(msg)
+    if seal != _digest(stream, size):
+        msg = "its content is not what was written: it is damaged"
+        raise ValueError(msg)
+    stream.seek(0)
+
+
+def _digest(stream: BinaryIO, size: int) -> bytes:
+    """The digest of the first bytes of a file, as a seal has it."""
+    stream.seek(0)
+    found = hashlib.sha256()
+    while size > 0 and (part := stream.read(min(size, 2**20))):
+        found.update(part)
+        size -= len(part)
+    return SEAL + found.hexdigest().encode()
 
 
 def load_checkpoint(path: Path, settings: Mapping[str, str]) -> Checkpoint:
@@ -54,8 +124,10 @@ def load_checkpoint(path: Path, settings: Mapping[str, str]) -> Checkpoint:
 
     Raises
     ------
+    CheckpointError
+        If the file is not a whole checkpoint, every byte as it was written. Nothing in it is executed.
     ParameterError
-        If the file is not a whole checkpoint, or one of a fit with other settings. Nothing in it is executed.
+        If it is one of a fit with other settings.
     """
     state = _load(path)
     for name, value in settings.items():
@@ -94,7 +166,8 @@ def _load(path: Path) -> Checkpoint:
         raise _foreign(path, "its history holds what is not a number")
     for group, values in groups.items():
         for name, value in values.items():
-            if value.dtype.kind not in ("f" if group != "memory" else "fiub") or not np.all(np.isfinite(value)):
+            finite = group == "callback" or value.dtype.kind not in "fiub" or np.all(np.isfinite(value))
+            if value.dtype.kind not in KINDS.get(group, "f") or not finite:
                 raise _foreign(path, f"{group} of {name!r} are not numbers of a fit")
     return state
 
@@ -109,18 +182,20 @@ def _table(history: Host) -> Host:
 def _arrays(path: Path) -> dict[str, Host]:
     """Every array of the file; they take no more memory than the file does."""
     arrays = {}
-    with open_regular(path) as stream, zipfile.ZipFile(stream) as archive:
-        size = path.stat().st_size
-        for member in archive.infolist():
-            if member.compress_type != zipfile.ZIP_STORED:
-                msg = "it is compressed"
-                raise ValueError(msg)
-            size -= member.file_size
-            if size < 0:
-                msg = "its arrays are larger than the file"
-                raise ValueError(msg)
-            with archive.open(member) as values:
-                arrays[member.filename.removesuffix(".npy")] = _array(values, member.file_size)
+    with open_regular(path) as stream:
+        _check_seal(stream)
+        with zipfile.ZipFile(stream) as archive:
+            size = path.stat().st_size
+            for member in archive.infolist():
+                if member.compress_type != zipfile.ZIP_STORED:
+                    msg = "it is compressed"
+                    raise ValueError(msg)
+                size -= member.file_size
+                if size < 0:
+                    msg = "its arrays are larger than the file"
+                    raise ValueError(msg)
+                with archive.open(member) as values:
+                    arrays[member.filename.removesuffix(".npy")] = _array(values, member.file_size)
     return arrays
 
 
@@ -128,5 +203,5 @@ def _array(stream: IO[bytes], size: int) -> Host:
     return read_npy_values(stream, read_npy_header(stream), size)
 
 
-def _foreign(path: Path, why: str) -> ParameterError:
-    return ParameterError(f"`checkpoint` {path} is not a checkpoint of a fit ({why}); delete it to start anew")
+def _foreign(path: Path, why: str) -> CheckpointError:
+    return CheckpointError((str(path), why))

@@ -4,32 +4,30 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Final, Literal, TypeAlias
 
 import numpy as np
 
 from loi_core.errors import FitDivergedError, LoiError, RendererError
+from loi_core.fitting.history import FitStep
 from loi_core.fitting.keeping import keeping
 from loi_core.fitting.optimiser import Optimiser
 from loi_core.fitting.parameters import Bounds
 from loi_core.fitting.race import search
 from loi_core.fitting.resuming import few_numbers
 from loi_core.fitting.stages import FarToNear
-from loi_core.fitting.state import FitStep, State
+from loi_core.fitting.state import State
 from loi_core.fitting.views import Images, View, Views, as_given, mean
 from loi_core.objectives import LOIObjective
 from loi_core.pixels.nonfinite import count_non_finite
 from loi_core.renderers.contract import Parameters
 from loi_core.support.arrays import Array, detached, is_array_api_obj, namespace, to_numpy
 
-__all__ = ["SEARCHES", "Callback", "Decay", "Descent"]
+__all__ = ["SEARCHES", "Decay", "Descent"]
 
 Decay: TypeAlias = Literal["cosine", "none"]
-
-Callback: TypeAlias = Callable[[FitStep, Parameters, Images], bool | None]
-"""Called after every step with the step, its parameters and its image; returning True ends the fit."""
 
 FINAL_RATE: Final = 1e-3  # where a cosine decay ends, as a factor of the learning rate
 SEARCHES: Final = 3
@@ -66,6 +64,8 @@ class Descent:
         started = time.perf_counter()
         seen, stage = state.params, state.schedule.stage
         factor = self._rate(state.schedule, state.step)
+        with keeping(state, "telling the renderer how far the fit has come"):
+            self.views.at_step(state.step, self.steps, state.history[-1].value if state.step else None)
         images, values, gradient = self._evaluate(state)
         latest = {**state.latest, **values}
         value = mean(latest)

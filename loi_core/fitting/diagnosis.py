@@ -9,17 +9,19 @@ from typing import Final
 
 import numpy as np
 
+from loi_core.fitting.history import FitStep
 from loi_core.fitting.parameters import Bounds
-from loi_core.fitting.state import FitResult, FitStep
-from loi_core.fitting.units import measure_units
+from loi_core.fitting.state import FitResult
 from loi_core.fitting.verdict import Diagnosis, Verdict
-from loi_core.fitting.views import View, Views, mean
+from loi_core.fitting.views import Images, View, Views, by_view, mean
 from loi_core.objectives import ImageObjective, LOIObjective
 from loi_core.pixels.encoding import encode_srgb
+from loi_core.pixels.psnr import psnr
 from loi_core.renderers.contract import Parameters
+from loi_core.renderers.units import measure_units
 from loi_core.support.arrays import Host, detached, from_numpy, to_numpy
 
-__all__ = ["Findings", "diagnose", "judged"]
+__all__ = ["Findings", "diagnose", "judged", "nearness"]
 
 FOUND: Final = 0.02, 1.5
 """What a fit that has found its target leaves at the most: of the loss at the start, and of what noise makes of it."""
@@ -70,7 +72,7 @@ class Findings:
     start: float
     end: float
     noise: float
-    history: tuple[FitStep, ...]
+    history: Sequence[FitStep]
     params: Parameters
     bounds: Bounds
     visible: Mapping[str, bool]
@@ -100,6 +102,27 @@ def judged(views: Views, start: Parameters, bounds: Bounds, result: FitResult, s
     return diagnose(
         Findings(first, mean(ends), mean(noises), result.history, result.best_params, bounds, visible, pairs)
     )
+
+
+def nearness(views: Views, images: Images) -> float | None:
+    """PSNR of images against the references of the last objectives, where pixels count, in dB; None if not known."""
+    errors = []
+    for name, image in by_view(images).items():
+        objective = views.each[name].objectives[-1]
+        if not isinstance(objective, ImageObjective):
+            return None
+        pixels, reference = (to_numpy(one) for one in (image, objective.reference))
+        if pixels.shape != reference.shape:
+            return None
+        axis = objective.channel_axis
+        pixels, reference = (
+            one[..., None] if axis is None else np.moveaxis(one, axis, -1) for one in (pixels, reference)
+        )
+        errors.append(10.0 ** (-0.1 * psnr(pixels, reference, objective.weights)))
+    error = sum(errors) / len(errors)
+    if math.isnan(error):  # where pixels that are not finite are passed over
+        return None
+    return math.inf if error == 0.0 else -10.0 * math.log10(error)
 
 
 def _end_and_noise(view: View, params: Parameters, seed: int) -> tuple[float, float]:

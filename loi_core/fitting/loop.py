@@ -11,9 +11,11 @@ from typing import Final, get_args
 
 from loi_core.errors import FitError, OptionError
 from loi_core.fitting.adam import Adam
-from loi_core.fitting.checkpoint import load_checkpoint, save_checkpoint
-from loi_core.fitting.descent import SEARCHES, Callback, Decay, Descent
-from loi_core.fitting.diagnosis import judged
+from loi_core.fitting.callbacks import Callback, RememberingCallback
+from loi_core.fitting.descent import SEARCHES, Decay, Descent
+from loi_core.fitting.diagnosis import judged, nearness
+from loi_core.fitting.generations import Checkpoints, CheckpointWarning, is_due
+from loi_core.fitting.history import FitStep
 from loi_core.fitting.keeping import keeping
 from loi_core.fitting.optimiser import Optimiser
 from loi_core.fitting.parameters import (
@@ -23,34 +25,34 @@ from loi_core.fitting.parameters import (
     check_rate,
     free_parameters,
     own_parameters,
-    pixels_of,
     starting_parameters,
 )
 from loi_core.fitting.race import can_search, race
 from loi_core.fitting.resuming import resumed, settings_of, snapshot
 from loi_core.fitting.stages import FarToNear, Stages
-from loi_core.fitting.state import FitResult, FitStep, State
-from loi_core.fitting.units import measure_units
+from loi_core.fitting.state import FitResult, State
 from loi_core.fitting.views import Views
-from loi_core.io.files import check_writable, remove_temporaries
+from loi_core.io.files import check_writable
 from loi_core.objectives import Objective
 from loi_core.renderers.contract import Parameters, Renderer
+from loi_core.renderers.units import measure_units, pixels_of
 from loi_core.support.values import real_number, whole_number
 from loi_core.support.wording import shown
 
 __all__ = [
     "Callback",
+    "CheckpointWarning",
     "Decay",
     "FitInterruptedError",
     "FitResult",
     "FitStep",
     "Free",
+    "RememberingCallback",
     "check_fit_options",
     "fit",
     "starting_parameters",
 ]
 
-CHECKPOINT_STEPS: Final = 25
 MOST_STEPS: Final = 2**31 - 1
 MOST_STARTS: Final = 4096
 CROSSINGS: Final = 2.0  # of the longer side by all steps, if none decayed: once with the decay
@@ -97,7 +99,8 @@ def fit(
     ----------
     renderer : Renderer, or dict of Renderer
         Anything that keeps the contract. If it has ``project``, that is called after every step, for
-        the parameters that may move; their bounds hold all the same. Several views are a dict by their names:
+        the parameters that may move; their bounds hold all the same. If it has ``at_step``, it is told before every
+        step how far the fit has come. Several views are a dict by their names:
         parameters of the same name are one if they move, and not every view has to have all of them.
     objective : Objective, or dict of Objective
         Anything with ``value`` and ``value_and_grad``; of several views one each, by the same names. Their mean is
@@ -128,13 +131,18 @@ def fit(
     views_per_step : int, optional
         How many views a step renders, in a random order in which all come about equally often; all by default.
     checkpoint : path, optional
-        File (.npz) in which the state is kept every 25 steps and at the end, written whole or not at all.
+        File (.npz) in which the state is kept every 25 steps, or hundredth of the way so far if that is longer, and at
+        the end, written whole or not at all. The one before it stays beside it, as ``NAME.previous.npz``. While the fit
+        runs no other has it.
     resume : bool
-        Whether to go on from `checkpoint` if it exists. The fit then ends as if it had never stopped; a
-        checkpoint of other settings, or of another objective or scene, is refused.
+        Whether to go on from `checkpoint` if it exists. The fit then ends as if it had never stopped, whatever has
+        stopped it. Of a damaged checkpoint a ``CheckpointWarning`` tells, and the one before it is used; one of
+        other settings, or of another objective or scene, is refused. Without `resume`, both are removed after the
+        first step.
     callback : callable, optional
         ``callback(step, params, image)`` after every step; returning True ends the fit. Of several views, `image` is a
-        dict of those that the step has rendered.
+        dict of those that the step has rendered. A checkpoint holds the steps whose callback has returned; what a
+        ``loi_core.fitting.callbacks.RememberingCallback`` knows is in it as well.
 
     Returns
     -------
@@ -149,6 +157,10 @@ def fit(
         the first step; its ``result`` holds the best parameters so far.
     RendererError
         If the renderer breaks the contract on the first step.
+    CheckpointError
+        If neither the checkpoint nor the one before it is whole.
+    InUseError
+        If another fit has the checkpoint, in this process or in another.
     FitInterruptedError
         On Ctrl-C; likewise.
     """
@@ -160,9 +172,7 @@ def fit(
         raise OptionError(msg)
     # NumPy's own numbers would wrap around in a sum, or widen the dtype of what they are multiplied with.
     steps, seed = int(steps), int(seed)
-    path = _checkpoint_path(checkpoint)
-    if path is not None:
-        remove_temporaries(path)
+    kept = _checkpoints(checkpoint)
     views = Views.of(renderer, objective, stages, views_per_step)
     free = free_parameters(optimise, own_parameters(views))
     views = views.moving(free)
@@ -174,40 +184,55 @@ def fit(
     settings = settings_of(steps, seed, decay, named, bounds, views, identity)
     descent = Descent(views, bounds, optimiser, decay, steps, seed)
     # The state is only ever replaced whole, so that Ctrl-C falls before a step or after it, never within.
-    state = _beginning(descent, params, dict.fromkeys(free, 1.0))
-    agreeing: int | None = None
+    state = called = _beginning(descent, params, dict.fromkeys(free, 1.0))
     try:
-        saved = load_checkpoint(path, settings) if path is not None and resume and path.exists() else None
+        if kept is not None:
+            kept.acquire()
+        saved = kept.load(settings) if kept is not None and resume else None
         if saved is not None:
-            state = resumed(saved, state, views, optimiser, free, seed)
+            state = called = resumed(saved, state, views, optimiser, free, seed)
+            if isinstance(callback, RememberingCallback):
+                callback.restore(saved.callback)
         else:
             if starts > 1:
                 winner, agreeing = race(params, bounds, starts, views.stages, steps, _lap(descent, asked))
-                state = replace(state, params=winner)
+                state = replace(state, params=winner, agreeing=agreeing)
             state = replace(state, rates=_rates(views, state.params, bounds, asked, steps, seed))
             if stages == "auto" and views.stages > 1 and can_search(bounds):
                 schedule = FarToNear(views.stages, steps, searches=SEARCHES, enough=descent.enough(state))
                 state = replace(state, schedule=schedule)
         while state.step < steps:
             state, entry, seen, image = descent.step(state)
-            if state.step % CHECKPOINT_STEPS == 0:
-                _save(path, state, settings)
-            if callback is not None and callback(entry, seen, image):
+            _begin(kept, state)
+            stop = callback is not None and callback(entry, seen, image)
+            called = state  # only now may a checkpoint hold the step: a callback that was cut off sees it again
+            if is_due(state.step):
+                _save(kept, state, settings, callback)
+            if stop:
                 break
-        state = descent.finished(state)
-        _save(path, state, settings)
+        state = called = descent.finished(state)
+        _save(kept, state, settings, callback)
         result = state.result()
         if result is None:  # pragma: no cover - steps >= 1 has seen at least one value
             msg = "the fit saw no value"
             raise FitError(msg)
-        return replace(result, diagnosis=judged(views, params, bounds, result, seed), agreeing=agreeing)
+        result = replace(
+            result, diagnosis=judged(views, params, bounds, result, seed), psnr=nearness(views, result.image)
+        )
+        _release(kept)  # here, since Ctrl-C in a `finally` would take the result with it
+        return result
     except KeyboardInterrupt:
         lost = ""
         try:
-            _save(path, state, settings)
+            _save(kept, state if callback is None else called, settings, callback)
         except FitError as error:
             lost = str(error)
+        finally:
+            _release(kept)
         raise FitInterruptedError(state.result(), lost) from None
+    except BaseException:
+        _release(kept)
+        raise
 
 
 def _beginning(descent: Descent, params: Parameters, rates: Mapping[str, float]) -> State:
@@ -220,7 +245,7 @@ def _lap(descent: Descent, asked: Mapping[str, object]) -> Callable[[Parameters,
     """What runs a lap of a race: from a start, some steps of one stage, to where they lead."""
 
     def run(start: Parameters, stage: int, steps: int) -> tuple[float, Parameters]:
-        short = replace(descent, views=descent.views.at(stage), steps=steps, decay="none")
+        short = replace(descent, views=descent.views.at(stage), decay="none")  # early in the fit, not a fit of its own
         rates = _rates(short.views, start, descent.bounds, asked, steps, descent.seed)
         state = _beginning(short, start, rates)
         while state.step < steps:
@@ -259,10 +284,21 @@ def _rates(
     return rates
 
 
-def _save(path: Path | None, state: State, settings: Mapping[str, str]) -> None:
-    if path is not None and state.best is not None:
+def _release(kept: Checkpoints | None) -> None:
+    if kept is not None:
+        kept.release()
+
+
+def _begin(kept: Checkpoints | None, state: State) -> None:
+    if kept is not None:
+        with keeping(state, "removing the checkpoint of an earlier fit"):
+            kept.begin()
+
+
+def _save(kept: Checkpoints | None, state: State, settings: Mapping[str, str], callback: Callback | None) -> None:
+    if kept is not None and state.best is not None:
         with keeping(state, "writing the checkpoint"):
-            save_checkpoint(path, snapshot(state, state.best, settings))
+            kept.save(snapshot(state, state.best, settings, callback))
 
 
 def check_fit_options(steps: object, learning_rate: object, seed: object, decay: object, starts: object = 1) -> None:
@@ -284,11 +320,11 @@ def check_fit_options(steps: object, learning_rate: object, seed: object, decay:
         raise OptionError(msg)
 
 
-def _checkpoint_path(checkpoint: object) -> Path | None:
+def _checkpoints(checkpoint: object) -> Checkpoints | None:
     if checkpoint is None:
         return None
     if not isinstance(checkpoint, str | os.PathLike) or Path(checkpoint).is_dir():
         msg = f"`checkpoint` must be the path of a file, got {shown(checkpoint)}"
         raise OptionError(msg)
     check_writable("checkpoint", Path(checkpoint).parent)
-    return Path(checkpoint)
+    return Checkpoints(Path(checkpoint))

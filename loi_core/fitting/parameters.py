@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Protocol
@@ -13,6 +12,7 @@ import numpy as np
 from loi_core.errors import ImageTypeError, OptionError, ParameterError, RendererError
 from loi_core.pixels.nonfinite import count_non_finite
 from loi_core.renderers.contract import Parameters
+from loi_core.renderers.units import pixels_of
 from loi_core.support.arrays import Array, as_floating, detached, from_numpy, library_name, namespace, to_numpy
 from loi_core.support.guards import foreign
 from loi_core.support.values import real_number
@@ -27,7 +27,6 @@ __all__ = [
     "check_rate",
     "free_parameters",
     "own_parameters",
-    "pixels_of",
     "starting_parameters",
 ]
 
@@ -204,15 +203,6 @@ def check_rate(name: str, rate: object) -> None:
     if not 0.0 < number < math.inf:
         msg = f"`{name}` must be a finite number, more than 0, or pixels as in '1.5 px', got {shown(rate)}"
         raise OptionError(msg)
-
-
-def pixels_of(rate: object) -> float:
-    """The number in a text such as "1.5 px"; NaN for anything else."""
-    match = re.fullmatch(r"\s*([0-9.eE+-]{1,32})\s*px\s*", rate) if isinstance(rate, str) else None
-    try:
-        return float(match[1]) if match else math.nan
-    except ValueError:
-        return math.nan
 
 
 def _like(name: str, what: str, parameter: Array, value: object) -> Array:

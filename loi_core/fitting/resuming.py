@@ -5,20 +5,23 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
 import numpy as np
 
 from loi_core.errors import ParameterError
+from loi_core.fitting.callbacks import RememberingCallback
 from loi_core.fitting.checkpoint import Checkpoint
+from loi_core.fitting.history import FIRST_COLUMNS, StepLog
 from loi_core.fitting.optimiser import Optimiser, require_shapes
 from loi_core.fitting.parameters import Bounds
 from loi_core.fitting.stages import FarToNear
-from loi_core.fitting.state import Best, FitStep, State
+from loi_core.fitting.state import Best, State
 from loi_core.fitting.views import Views, mean
 from loi_core.renderers.contract import Parameters
 from loi_core.support.arrays import from_numpy, to_numpy
+from loi_core.support.values import whole_number
 from loi_core.support.wording import described
 
 __all__ = ["few_numbers", "resumed", "settings_of", "snapshot"]
@@ -27,6 +30,7 @@ RATES: Final = "measured rates"
 SCHEDULE: Final = "schedule"
 LATEST: Final = "latest values"
 BEST: Final = "stage of the best, and whether it is partial"
+AGREEING: Final = "starts that agree"
 
 
 FEW: Final = 64  # numbers: so many free parameters are kept for every step
@@ -66,19 +70,12 @@ def few_numbers(params: Parameters, names: Iterable[str]) -> dict[str, np.ndarra
     return {name: np.array(to_numpy(one), dtype=np.float64) for name, one in free.items()}
 
 
-def snapshot(state: State, best: Best, settings: Mapping[str, str]) -> Checkpoint:
-    """A state, and the best that it has seen, for a file."""
+def snapshot(state: State, best: Best, settings: Mapping[str, str], callback: object = None) -> Checkpoint:
+    """A state, the best that it has seen, and what the callback remembers, for a file."""
 
     def host(params: Parameters) -> dict[str, np.ndarray[Any, Any]]:
         return {name: np.asarray(to_numpy(value)) for name, value in params.items()}
 
-    rows = [
-        (
-            *(one.step, one.value, one.gradient_norm, one.rate, one.seconds, one.stage),
-            *(number for value in one.params.values() for number in value.ravel()),
-        )
-        for one in state.history
-    ]
     return Checkpoint(
         settings={
             **settings,
@@ -86,6 +83,7 @@ def snapshot(state: State, best: Best, settings: Mapping[str, str]) -> Checkpoin
             SCHEDULE: state.schedule.state(),
             LATEST: json.dumps(dict(state.latest)),
             BEST: json.dumps([best.stage, best.partial]),
+            AGREEING: json.dumps(state.agreeing),
         },
         step=state.step,
         best_step=best.step,
@@ -93,7 +91,8 @@ def snapshot(state: State, best: Best, settings: Mapping[str, str]) -> Checkpoin
         params=host(state.params),
         memory=host(dict(state.memory)),
         best_params=host(best.params),
-        history=np.asarray(rows, dtype=np.float64).reshape(len(rows), -1) if rows else np.zeros((0, 6)),
+        history=state.history.rows,
+        callback=callback.memory() if isinstance(callback, RememberingCallback) else {},
     )
 
 
@@ -122,7 +121,8 @@ def resumed(
     images = views.render(best, seed + saved.best_step)
     log = _log(saved, few_numbers(fresh.params, moving))
     stage, partial = _best(saved, views)
-    values = views.values(images, stage)
+    with np.errstate(all="ignore"):  # a file may say anything: what overflows is not the value that was saved
+        values = views.values(images, stage)
     value = mean(values)
     # Loosely, since libraries may sum in another order from one run to the next. Where a step renders some views, its
     # value is of other parameters too.
@@ -139,8 +139,9 @@ def resumed(
         Best(best, saved.best_value, saved.best_step, images, stage, partial),
         log,
         _rates(saved, fresh.rates),
-        _schedule(saved, fresh.schedule, log),
+        _schedule(saved, fresh.schedule),
         _latest(saved, views),
+        _agreeing(saved),
     )
 
 
@@ -164,28 +165,31 @@ def _latest(saved: Checkpoint, views: Views) -> dict[str, float]:
     return {name: value for name, value in latest.items() if name in views.each and math.isfinite(value)}
 
 
-def _schedule(saved: Checkpoint, fresh: FarToNear, log: Sequence[FitStep]) -> FarToNear:
+def _agreeing(saved: Checkpoint) -> int | None:
+    try:
+        return whole_number(json.loads(saved.settings[AGREEING]))
+    except (KeyError, ValueError, RecursionError):
+        return None
+
+
+def _schedule(saved: Checkpoint, fresh: FarToNear) -> FarToNear:
     schedule = fresh.copy()
     try:
-        schedule.restore(saved.settings[SCHEDULE], [one.value for one in log])
+        schedule.restore(saved.settings[SCHEDULE], saved.history[:, 1].tolist())
     except (KeyError, ValueError, TypeError) as error:
         msg = f"`checkpoint` does not say which stage it was in ({described(error)}); delete it to start anew"
         raise ParameterError(msg) from error
     return schedule
 
 
-def _log(saved: Checkpoint, like: Mapping[str, np.ndarray[Any, Any]]) -> list[FitStep]:
+def _log(saved: Checkpoint, like: Mapping[str, np.ndarray[Any, Any]]) -> StepLog:
     """The history, with the free parameters of every step where they are few."""
-    sizes = {name: one.size for name, one in like.items()}
-    kept = saved.history.shape[1] == 6 + sum(sizes.values())
-    log = []
-    for row in saved.history:
-        params, at = {}, 6
-        for name, size in sizes.items() if kept else ():
-            params[name] = row[at : at + size].reshape(like[name].shape)
-            at += size
-        value, norm, rate, seconds = map(float, row[1:5])
-        log.append(FitStep(int(row[0]), value, norm, rate, seconds, int(row[5]), params))
+    shapes = {name: one.shape for name, one in like.items()}
+    if saved.history.shape[1] != FIRST_COLUMNS + sum(one.size for one in like.values()):
+        shapes = {}
+    log = StepLog(shapes)
+    for index, row in enumerate(saved.history):
+        log.put_row(index, row if shapes else row[:FIRST_COLUMNS])
     return log
 
 

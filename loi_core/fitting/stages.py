@@ -29,9 +29,10 @@ FAR: Final = 0.6
 """All stages before the last may take this fraction of the steps together: the last needs the rest to converge."""
 
 WINDOW: Final = 0.08
-"""How many of the last values are looked at, as a fraction of the steps; never fewer than LEAST."""
+"""How many of the last values are looked at, as a fraction of the steps; from LEAST to MOST."""
 
 LEAST: Final = 8
+MOST: Final = 512  # so that a step of a long fit takes no longer than one of a short fit
 SURE: Final = 2.0
 """Errors of the slope of the values that a fall has to exceed."""
 
@@ -105,14 +106,14 @@ class FarToNear:
             if (whole_number(value) or 0) < 1:
                 msg = f"`{name}` must be a whole number, 1 or more, got {shown(value)}"
                 raise OptionError(msg)
-        self.stage = 0
+        self.stage: int = 0
         self.stages = int(stages)
         self.lost = False
         self._searches = searches
         self._enough = enough
         self._last = stages - 1
         self._steps = steps
-        self._window = max(LEAST, round(WINDOW * steps))
+        self._window = min(max(LEAST, round(WINDOW * steps)), MOST)
         self._taken = 0
         self._began = 0  # the step in which the last stage did
         self._values: list[float] = []
@@ -216,7 +217,8 @@ def objectives_of(objective: Objective, stages: object) -> tuple[Objective, ...]
         if not isinstance(objective, LOIObjective) or not objective.has_default_scales:
             return (objective,)
         height, width = objective.size
-        before = ScaleSpace.far_to_near(height, width)[:-1]
+        scales = objective.scales
+        before = ScaleSpace.far_to_near(height, width, bounds=scales.bounds, boundary=scales.boundary)[:-1]
         return (*map(objective.with_scales, before), objective)
     if isinstance(stages, str) or not isinstance(stages, Sequence):
         msg = f"`stages` must be 'auto', None, or a sequence of ScaleSpace or objectives, got {shown(stages)}"

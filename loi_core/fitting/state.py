@@ -2,51 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
+from loi_core.fitting.history import FitStep, History, StepLog
+from loi_core.fitting.notebook import in_notebook
 from loi_core.fitting.optimiser import Memory
 from loi_core.fitting.stages import FarToNear
 from loi_core.fitting.verdict import Diagnosis
 from loi_core.fitting.views import Images, as_given
 from loi_core.renderers.contract import Parameters
-from loi_core.support.arrays import Array, Host
+from loi_core.support.arrays import Array
 
-__all__ = ["Best", "FitResult", "FitStep", "State"]
-
-
-@dataclass(frozen=True)
-class FitStep:
-    """What one step found, before the parameters moved.
-
-    Attributes
-    ----------
-    step : int
-        Counted from 0.
-    value : float
-        The objective.
-    gradient_norm : float
-        Euclidean norm of the gradient by the free parameters.
-    rate : float
-        Fraction of the learning rate that the step took.
-    seconds : float
-        Time the step took.
-    stage : int
-        Which objective that is, from far to near; 0 where there is one.
-    params : dict of arrays
-        The free parameters, as NumPy; empty if they are more than 64 numbers together.
-    """
-
-    step: int
-    value: float
-    gradient_norm: float
-    rate: float
-    seconds: float
-    stage: int = 0
-    params: Mapping[str, Host] = field(default_factory=dict)
+__all__ = ["Best", "FitResult", "State"]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class FitResult:
     """Where a fit came to.
 
@@ -62,14 +33,17 @@ class FitResult:
         The step at which they were seen; equal to the number of steps if after the last.
     image : array, shape (H, W, C), or dict of arrays
         Rendered from `best_params`; of several views, by their names.
-    history : tuple of FitStep
-        One entry a step.
+    history : sequence of FitStep
+        One entry a step, read as it is asked for: those of long fits lie in a temporary file.
     diagnosis : Diagnosis, optional
         What came of it and what to try; None for a fit that was cut short.
     rates : dict of float
         How far a step could move each free parameter, in its own unit.
     agreeing : int, optional
         Of several starts, how many of those that were left ended where the best did.
+    psnr : float, optional
+        Of `image` against the reference, in dB for a peak of 1, over all views; None for a fit that was cut short, and
+        where an objective has no reference of the image's shape.
     """
 
     params: Parameters
@@ -77,10 +51,24 @@ class FitResult:
     best_value: float
     best_step: int
     image: Images
-    history: tuple[FitStep, ...]
+    history: Sequence[FitStep]
     diagnosis: Diagnosis | None = None
     rates: Mapping[str, float] = field(default_factory=dict)
     agreeing: int | None = None
+    psnr: float | None = None
+
+    def __repr__(self) -> str:
+        verdict = "cut short" if self.diagnosis is None else self.diagnosis.verdict
+        where = f"best value {self.best_value:.4g} at step {self.best_step} of {len(self.history)}"
+        return f"<FitResult: {verdict}; {where}>"
+
+    def _repr_html_(self) -> str:
+        facts = {"best value": f"{self.best_value:.4g} at step {self.best_step} of {len(self.history)}"}
+        if self.psnr is not None:
+            facts["PSNR"] = f"{self.psnr:.2f} dB"
+        if self.agreeing is not None:
+            facts["starts that agree"] = str(self.agreeing)
+        return in_notebook("FitResult", facts, self.diagnosis, self.best_params, self.rates, self.history, self.image)
 
 
 @dataclass(frozen=True)
@@ -110,7 +98,7 @@ class State:
         Number of steps taken.
     best : Best or None
         None before the first value.
-    log : list of FitStep
+    log : StepLog
         Its first `step` entries are the history. The states of a fit share it, so that no step copies it.
     rates : dict of float
         Of each free parameter, in its own unit.
@@ -118,21 +106,24 @@ class State:
         Which objective is next.
     latest : dict of float
         The value that each view had when it was last rendered in this stage.
+    agreeing : int, optional
+        Of several starts, how many ended where the best did.
     """
 
     params: Parameters
     memory: Memory
     step: int = 0
     best: Best | None = None
-    log: list[FitStep] = field(default_factory=list)
+    log: StepLog = field(default_factory=StepLog)
     rates: Mapping[str, float] = field(default_factory=dict)
     schedule: FarToNear = field(default_factory=lambda: FarToNear(1, 1))
     latest: Mapping[str, float] = field(default_factory=dict)
+    agreeing: int | None = None
 
     @property
-    def history(self) -> tuple[FitStep, ...]:
+    def history(self) -> History:
         """One entry a step taken."""
-        return tuple(self.log[: self.step])
+        return History(self.log, self.step)
 
     def seen(self, value: float, images: Mapping[str, Array], stage: int = 0, *, partial: bool = False) -> State:
         """The same state, once the value and images of its parameters are known.
@@ -148,7 +139,7 @@ class State:
         self, entry: FitStep, params: Parameters, memory: Memory, latest: Mapping[str, float] | None = None
     ) -> State:
         """The state after one more step."""
-        self.log[self.step :] = [entry]  # past the history of this state and of all before it
+        self.log.put(self.step, entry)  # past the history of this state and of all before it
         ahead = self.schedule.copy()
         ahead.step(entry.value)
         latest = latest if latest and ahead.stage == self.schedule.stage else {}
@@ -160,4 +151,8 @@ class State:
             return None
         best = self.best
         image = as_given(best.images)
-        return FitResult(self.params, best.params, best.value, best.step, image, self.history, rates=self.rates)
+        return FitResult(
+            *(self.params, best.params, best.value, best.step, image, self.history),
+            rates=self.rates,
+            agreeing=self.agreeing,
+        )

@@ -13,7 +13,14 @@ from loi_core.fitting.parameters import SharedParameters, own_parameters
 from loi_core.fitting.stages import objectives_of
 from loi_core.method.scales import ScaleSpace
 from loi_core.objectives import Objective
-from loi_core.renderers.contract import AbridgedRenderer, Parameters, ProjectingRenderer, Pullback, Renderer
+from loi_core.renderers.contract import (
+    AbridgedRenderer,
+    Parameters,
+    ProjectingRenderer,
+    Pullback,
+    Renderer,
+    SteppedRenderer,
+)
 from loi_core.support.arrays import Array, detached
 from loi_core.support.values import whole_number
 from loi_core.support.wording import shown
@@ -185,6 +192,13 @@ class Views:
             order = np.random.default_rng([seed, place // len(names)]).permutation(len(names))
             drawn = order[place % len(names) :][: self.at_once]
         return tuple(names[index] for index in drawn)
+
+    def at_step(self, step: int, steps: int, value: float | None) -> None:
+        """Tell the renderers that ask for it how far the fit has come; one that serves several views hears it once."""
+        renderers = {id(view.renderer): view.renderer for view in self.each.values()}
+        for renderer in renderers.values():
+            if isinstance(renderer, SteppedRenderer):
+                renderer.at_step(step, steps, value)
 
     def render(self, params: Parameters, seed: int) -> dict[str, Array]:
         """The images of all views."""

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import BinaryIO, Final
 
-from loi_core.errors import OptionError
+from loi_core.errors import LoiError, OptionError, WriteError
 from loi_core.support.wording import described, shown
 
 __all__ = [
@@ -21,6 +21,7 @@ __all__ = [
     "open_regular",
     "read_bytes",
     "remove_temporaries",
+    "unwritable",
     "write_bytes",
     "write_text",
 ]
@@ -35,19 +36,38 @@ def atomic_path(path: Path) -> Iterator[Path]:
     """A temporary path beside `path` to write to; it becomes `path` only if the block ends without an error.
 
     The temporary name keeps the suffix, from which libraries tell the format.
+
+    Raises
+    ------
+    WriteError
+        If the file system refuses any of it; `path` is as it was.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
-    handle, name = tempfile.mkstemp(prefix=f"{TEMPORARY}{path.stem}-", suffix=path.suffix, dir=path.parent)
-    os.close(handle)
-    temporary = Path(name)
+    temporary: Path | None = None
     try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=f"{TEMPORARY}{path.stem}-", suffix=path.suffix, dir=path.parent)
+        temporary = Path(name)
+        os.close(handle)
         yield temporary
         umask = os.umask(0)
         os.umask(umask)
         temporary.chmod(0o666 & ~umask)  # mkstemp makes files private; these are meant to be shared
         temporary.replace(path)
+    except OSError as error:
+        if isinstance(error, LoiError):
+            raise
+        raise unwritable(path, error) from error
     finally:
-        temporary.unlink(missing_ok=True)
+        if temporary is not None:
+            with contextlib.suppress(OSError):  # it is there no more, or nothing can be removed here any more
+                temporary.unlink()
+
+
+def unwritable(path: Path, error: OSError) -> WriteError:
+    """The error that says which file could not be written, and why: what the system says does not always name it."""
+    refused = WriteError(f"{path} could not be written: {error.strerror or described(error)}")
+    refused.errno = error.errno
+    return refused
 
 
 def remove_temporaries(path: Path) -> None:

@@ -15,32 +15,40 @@ from pathlib import Path
 from typing import Final
 
 from loi_core.errors import OptionError
-from loi_core.io.files import TEMPORARY, check_writable, read_bytes, write_text
+from loi_core.io.files import TEMPORARY, check_writable, read_bytes, remove_temporaries, unwritable, write_text
+from loi_core.io.lock import LOCK
 from loi_core.support.wording import printable, shown
 
 __all__ = [
     "CHECKPOINT_FILE",
+    "CHECKPOINT_FILES",
     "FRAME_NAME",
     "HISTORY_FILE",
     "LIST_FILE",
+    "LOCK_FILE",
     "PAGE_FILE",
     "RESULT_FILE",
+    "SCALES_FILE",
     "ResultFolder",
     "is_listed",
 ]
 
 LIST_FILE: Final = "loi-files.json"
 CHECKPOINT_FILE: Final = "checkpoint.npz"
+CHECKPOINT_FILES: Final = (CHECKPOINT_FILE, "checkpoint.previous.npz")
+LOCK_FILE: Final = LOCK
 HISTORY_FILE: Final = "history.csv"
+SCALES_FILE: Final = "scales.csv"
 RESULT_FILE: Final = "result.json"
 PAGE_FILE: Final = "report.html"
 FRAME_NAME: Final = re.compile(r"[0-9]{6,}\.png")
 MOST_LIST: Final = 2**24  # bytes
 
 PICTURE: Final = r"(?:initial|final|target|error|convergence)\.png"
-TEXT: Final = r"(?:parameters\.json|history\.csv|result\.json|report\.html)"
+TEXT: Final = r"(?:parameters\.json|history\.csv|scales\.csv|result\.json|report\.html)"
+GRADIENT: Final = r"gradients/(?:start|end)(?:-[a-z]+-[0-9.e+-]+){3}\.png"
 OWN: Final = re.compile(
-    rf"(?:{PICTURE}|{TEXT}|checkpoint\.npz|frames/[0-9]{{6,}}\.png|effects/[\w -]+\.png"
+    rf"(?:{PICTURE}|{TEXT}|checkpoint(?:\.previous)?\.npz|frames/[0-9]{{6,}}\.png|effects/[\w -]+\.png|{GRADIENT}"
     rf"|compare/[\w-]+/(?:{PICTURE}|{TEXT}))"
 )
 """What a fit may call a file. A list that says otherwise was not written by one."""
@@ -100,10 +108,18 @@ class ResultFolder:
         for name in gone:
             path = self.path / name
             if _is_own_file(path):
-                path.unlink()
+                try:
+                    path.unlink()
+                except OSError as error:
+                    raise unwritable(path, error) from error
         if gone:
             self._listed -= gone
             self._write_list()
+
+    def remove_unfinished(self) -> None:
+        """Remove what fits that were killed have left half written; nobody else may be writing here."""
+        for name in (LIST_FILE, *self._listed):
+            remove_temporaries(self.path / name)
 
     def listed(self, folder: str) -> list[str]:
         """The files on the list that lie in a folder of this one, in order."""
@@ -118,7 +134,7 @@ class ResultFolder:
             held = [each.name for each in self.path.iterdir()]
         except FileNotFoundError:
             return set()
-        if all(name.startswith(TEMPORARY) for name in held):
+        if all(name.startswith((TEMPORARY, LOCK)) for name in held):
             return set()
         try:
             content = json.loads(read_bytes(self.path / LIST_FILE, MOST_LIST))

@@ -208,16 +208,18 @@ class _InnerComparison:
             pulled[index] = _plus(total, wanted, part, window)
 
         for index, extent in enumerate(self.extents):
-            window = route.support[extent.start]
+            window, plan = route.support[extent.start], self.plan.extents[index]
             blurred = extent.blur.apply(differences[extent.start], window)
-            if gradient and self.plan.extents[index].is_sampled:
-                plane = extent.blur.blur
-                tally.sums[index] += misplaced(to_numpy(blurred), plane.target, plane.reached(window), tie)
+            made, reached = plan.blur.reached(window), plan.reached(window)
+            if made | reached != made:
+                continue  # nothing that differs reaches what is compared
+            blurred = reached.crop(blurred, made)
+            if gradient and plan.is_sampled:
+                tally.sums[index] += misplaced(to_numpy(blurred), plan.blur.target, reached, tie)
             weight = scales.scale_weight * scales.level_weight(beta) / (self.intensity.shape[0] * extent.cells)
             slope = cost_slope(blurred, scales.p, tie, weight)
             terms[extent.alpha, beta, self.plan.sigma] += sum_of_costs(blurred, slope, scales.p)
             if gradient:
-                reached = extent.blur.blur.reached(window)
                 back = extent.blur.adjoint(slope, reached)
                 pull(extent.start, back, extent.blur.blur.reached_back(reached))
         if not gradient:
@@ -227,6 +229,9 @@ class _InnerComparison:
             if part is not None:
                 step = self.pyramid[index - 1]
                 pull(index - 1, step.adjoint(part, wanted), step.blur.reached_back(wanted))
+        if pulled[0] is None:
+            shape = *difference.shape[:-2], *route.pulled[0].shape
+            return namespace(difference).zeros(shape, dtype=difference.dtype, device=device(difference))
         return pulled[0]
 
 

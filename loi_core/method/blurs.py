@@ -19,7 +19,7 @@ from loi_core.method.gaussian import AxisBlur, AxisGrid, Matrix
 from loi_core.method.scales import Boundary
 from loi_core.method.windows import Window
 from loi_core.support.arrays import Array, device, from_numpy, library_name, namespace, outlives_its_context
-from loi_core.support.cache import Cache
+from loi_core.support.cache import BESIDE, Cache
 
 __all__ = ["Blur", "DenseBlur", "GaussianBlur", "PlaneBlur", "PlaneGrid", "blur_about", "gaussian_blur"]
 
@@ -240,7 +240,7 @@ def _products(blur: AxisBlur, like: Array) -> tuple[_AxisProduct, _AxisProduct]:
     forward = _AxisProduct.forward(blur, like)
     pair = (forward, forward if blur.transposes else _AxisProduct.backward(blur, like))
     if outlives_its_context(forward.blocks[0].left):
-        _CACHE.put(key, pair, _elements(pair))
+        _CACHE.put(key, pair, _elements(pair) + 2 * BESIDE)
     return pair
 
 

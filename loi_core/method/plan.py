@@ -4,10 +4,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Final
 
 from loi_core.method.blurs import PlaneBlur, PlaneGrid
+from loi_core.method.windows import Window
+from loi_core.support.html import card, paragraph, table
 
 __all__ = ["ExtentPlan", "InnerPlan", "Plan", "TonalPlan"]
+
+HEADS: Final = ["sigma", "alpha", "isophotes on", "blurred on", "compared on", "operations a pixel", "error"]
 
 
 @dataclass(frozen=True)
@@ -24,12 +29,20 @@ class ExtentPlan:
         From there to where histograms are compared.
     error : float
         Estimated relative error of this scale's gradient.
+    compared : Window, optional
+        The only samples that are compared, of a plane that is a part of another; all by default.
     """
 
     alpha: float
     start: int
     blur: PlaneBlur
     error: float
+    compared: Window | None = None
+
+    def reached(self, window: Window) -> Window:
+        """Where histograms are compared, and may differ if they do not outside `window` before they are blurred."""
+        reached = self.blur.reached(window)
+        return reached if self.compared is None else reached.within(self.compared)
 
     @property
     def is_sampled(self) -> bool:
@@ -72,7 +85,7 @@ class TonalPlan:
     last: int
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class Plan:
     """What an objective computes for images of one size, for each scale; ``print`` shows it.
 
@@ -117,16 +130,29 @@ class Plan:
         errors = [extent.error for inner in self.inner for extent in inner.extents]
         return math.sqrt(sum(error**2 for error in errors)) / len(errors)
 
+    def __repr__(self) -> str:
+        scales = sum(len(inner.extents) for inner in self.inner)
+        return f"<Plan: {self.height}x{self.width} pixels, {scales} pairs of scales, tolerance {self.tolerance:g}>"
+
     def __str__(self) -> str:
-        pixels = self.height * self.width
+        line = "{:>7} {:>7}  {:>12}  {:>11}  {:>11}  {:>18}  {:>7}"
+        return "\n".join([self._head, *(line.format(*cells) for cells in [HEADS, *self._rows]), *self._foot])
+
+    def _repr_html_(self) -> str:
+        grid = table(self._rows, HEADS, right=range(len(HEADS)))
+        return card("Plan", paragraph(self._head), grid, paragraph("\n".join(self._foot)))
+
+    @property
+    def _head(self) -> str:
         levels = ", ".join(
             f"{tonal.last - tonal.first} of {tonal.count} levels at beta {tonal.beta:g}" for tonal in self.tonal
         )
-        titles = ("isophotes on", "blurred on", "compared on", "operations a pixel", "error")
-        lines = [
-            f"{self.height}x{self.width} pixels, tolerance {self.tolerance:g}, eps {self.eps:.1g}; {levels}",
-            "{:>7} {:>7}  {:>12}  {:>11}  {:>11}  {:>18}  {:>7}".format("sigma", "alpha", *titles),
-        ]
+        return f"{self.height}x{self.width} pixels, tolerance {self.tolerance:g}, eps {self.eps:.1g}; {levels}"
+
+    @property
+    def _rows(self) -> list[list[str]]:
+        """What is done for each pair of scales, as `HEADS` name it."""
+        pixels, rows = self.height * self.width, []
         for inner in self.inner:
             grids = [inner.grid, *(step.target for step in inner.pyramid)]
             steps = [0.0, *(step.work for step in inner.pyramid)]
@@ -134,13 +160,14 @@ class Plan:
             for extent in inner.extents:
                 work = extent.blur.work + sum(steps[paid + 1 : extent.start + 1])
                 paid = max(paid, extent.start)
-                lines.append(
-                    f"{inner.sigma:7g} {extent.alpha:7g}  {inner.grid!s:>12}  {grids[extent.start]!s:>11}"
-                    f"  {extent.blur.target!s:>11}  {2.0 * work / pixels:18.1f}  {extent.error:7.1e}"
-                )
-        lines.append(
-            f"per channel {self.work / 1e6:.3g} million operations for the blurs; estimated error {self.error:.1e}"
+                where = str(inner.grid), str(grids[extent.start]), str(extent.blur.target)
+                cost = f"{2.0 * work / pixels:.1f}", f"{extent.error:.1e}"
+                rows.append([f"{inner.sigma:g}", f"{extent.alpha:g}", *where, *cost])
+        return rows
+
+    @property
+    def _foot(self) -> list[str]:
+        cost = f"per channel {self.work / 1e6:.3g} million operations for the blurs; estimated error {self.error:.1e}"
+        return (
+            [cost, "NumPy, and torch and JAX on the processor: in loops compiled by Numba"] if self.compiled else [cost]
         )
-        if self.compiled:
-            lines.append("NumPy, and torch and JAX on the processor: in loops compiled by Numba")
-        return "\n".join(lines)

@@ -30,7 +30,23 @@ MAX_LEVELS: Final = 2**16  # more than 16 bits hold; a finer beta is a slip, and
 RELEASED_TAILS: Final = 4.0  # the released code spreads its levels over [-4 beta, 1 + 4 beta]
 
 
+LEVELS: Final = 8.0  # tonal scales in the bounds, unless they are given
 FAR_BLUR: Final = 0.125  # of the longer side: the inner scale from which a fit begins
+
+REACH: Final = 6.07
+"""How far a small object alone is felt, in units of what blurs it: there, the slope of the loss is 1 % of its steepest.
+
+Two Gaussians of a scale s a distance d apart differ by 2 erf(d / (sqrt(8) s)), whose slope falls as
+exp(-d**2 / (8 s**2)); s**2 is the sum of the squares of alpha and sigma.
+"""
+
+WHOLE: Final = 0.97
+"""An extent of so many sides tells places apart by less than 1 %: exp(-(pi WHOLE)**2 / 2), see docs/mathematics.md."""
+
+BOUNDARIES: Final[dict[str, str]] = {
+    "reflect": "boundary reflect: the image is mirrored at its border, so that nothing is lost there",
+    "zero": "boundary zero: black lies around the image, and the loss may fall as objects leave the frame",
+}
 
 
 @dataclass(frozen=True, init=False)
@@ -126,35 +142,50 @@ class ScaleSpace:
         return cls(scales["sigma"], scales["alpha"], scales["beta"], boundary=boundary)
 
     @classmethod
-    def for_image(cls, height: int, width: int, *, beta: float = 0.125, boundary: Boundary = "reflect") -> ScaleSpace:
+    def for_image(
+        cls,
+        height: int,
+        width: int,
+        *,
+        beta: float | None = None,
+        bounds: tuple[float, float] = (0.0, 1.0),
+        boundary: Boundary = "reflect",
+    ) -> ScaleSpace:
         """Scales that reach across an image of this size: one fine image, seen through wide neighbourhoods.
 
         The inner scale is 1 pixel. The widest extent is 0.35 of the longer side (45 pixels at 128), the others a
         third and a ninth of it. Wide inner scales would average appearance away, and narrow extents would hold
-        objects fast in places that only nearly fit; neither is needed to reach far.
+        objects fast in places that only nearly fit; neither is needed to reach far. The tonal scale is an eighth of
+        the bounds.
         """
-        for name, size in (("height", height), ("width", width)):
-            if (whole_number(size) or 0) < 1:
-                msg = f"`{name}` must be a whole number of pixels, 1 or more, got {shown(size)}"
-                raise ScaleError(msg)
+        _check_size(height, width)
         widest = 0.35 * max(height, width)
         extents = [round(widest / share, 2) for share in (9, 3, 1)]
-        return cls(1.0, [extent for extent in extents if extent > 1.0] or 1.0, beta, boundary=boundary)
+        if beta is None:
+            low, high = _bounds(bounds)
+            beta = (high - low) / LEVELS
+        return cls(1.0, [extent for extent in extents if extent > 1.0] or 1.0, beta, bounds, boundary)
 
     @classmethod
     def far_to_near(
-        cls, height: int, width: int, *, beta: float = 0.125, boundary: Boundary = "reflect"
+        cls,
+        height: int,
+        width: int,
+        *,
+        beta: float | None = None,
+        bounds: tuple[float, float] = (0.0, 1.0),
+        boundary: Boundary = "reflect",
     ) -> tuple[ScaleSpace, ...]:
         """Scales for the stages of a fit on images of this size, from those that reach far to those of `for_image`.
 
         Textures hold objects fast where they happen to fit, the more the narrower the scales. An inner scale of an
         eighth of the longer side averages them away, and what is left is seen from far.
         """
-        near = cls.for_image(height, width, beta=beta, boundary=boundary)
+        near = cls.for_image(height, width, beta=beta, bounds=bounds, boundary=boundary)
         blur = round(FAR_BLUR * max(height, width), 2)
         if blur <= near.sigma[0]:
             return (near,)
-        return cls((*near.sigma, blur), near.alpha[-2:], beta, boundary=boundary), near
+        return cls((*near.sigma, blur), near.alpha[-2:], near.beta, bounds, boundary), near
 
     @classmethod
     def released(
@@ -179,6 +210,82 @@ class ScaleSpace:
             convention="released",
             kernel_size=kernel_size,
         )
+
+    def describe(self, height: int, width: int) -> str:
+        """Which scales these are, what each of them does to images of this size, and why: lines to print.
+
+        Parameters
+        ----------
+        height, width : int
+            Size of the images, in pixels.
+
+        Returns
+        -------
+        str
+            A line for where the scales come from, one for every sigma, beta and alpha, and one for every rule.
+
+        Raises
+        ------
+        ScaleError
+            If the size is not of whole pixels, 1 or more.
+
+        Examples
+        --------
+        >>> print(ScaleSpace.for_image(96, 128).describe(96, 128).splitlines()[0])
+        ScaleSpace.for_image(96, 128): a fine image, seen through wide neighbourhoods
+        """
+        _check_size(height, width)
+        ours, source = self._source(height, width)
+        low, high = self.bounds
+        lines = [source, *(_told_sigma(sigma) for sigma in self.sigma)]
+        if ours:
+            lines[-1] += "; a wider blur would average appearance away, and extents see to the reach"
+        for beta in self.beta:
+            levels = self.levels(beta)
+            eighth = ", an eighth of the bounds" if math.isclose(beta * LEVELS, high - low) else ""
+            lines.append(
+                f"beta {beta:g}{eighth}: intensities that differ by about as much are told apart; {len(levels)} levels "
+                f"from {levels[0]:g} to {levels[-1]:g}, and time grows with their number"
+            )
+        lines += [self._told_alpha(alpha, max(height, width)) for alpha in self.alpha]
+        lines.append(
+            f"bounds {low:g} to {high:g}: what lies beyond counts as the bound; of its gradient, what points back stays"
+        )
+        lines.append(BOUNDARIES[self.boundary])
+        if self.p != 1.0:
+            lines.append(
+                f"p {self.p:g}: the difference of two cumulative histograms counts to the power {1 / self.p:g}"
+            )
+        if self.convention == "released":
+            lines.append(
+                f"released: normalised as the code of the paper's authors does, extents cut at {self.extent_taps} "
+                f"pixels and blurs at {self.inner_taps}"
+            )
+        return "\n".join(lines)
+
+    def _told_alpha(self, alpha: float, longer: int) -> str:
+        if alpha == 0.0:
+            return "alpha 0 px: pixel by pixel, so that only what overlaps once it is blurred is felt"
+        reached = REACH * math.hypot(alpha, max(self.sigma))
+        if self.extent_taps is not None and self.inner_taps is not None:
+            # Two neighbourhoods that are cut have nothing in common beyond the sum of their radii.
+            reached = min(reached, self.extent_taps + self.inner_taps - 2.0)
+        if alpha >= WHOLE * longer:
+            felt = "the histogram is nearly the same everywhere, and hardly tells places apart"
+        elif reached >= longer:
+            felt = "a small object alone is felt from everywhere in the image"
+        else:
+            felt = f"a small object alone is felt from up to about {reached:.0f} px away"
+        return f"alpha {alpha:g} px, {alpha / longer:.2g} of the longer side: {felt}"
+
+    def _source(self, height: int, width: int) -> tuple[bool, str]:
+        """Whether these are the scales of `for_image`, and what to call them."""
+        if self == ScaleSpace.for_image(height, width, beta=self.beta[0], bounds=self.bounds, boundary=self.boundary):
+            return True, f"ScaleSpace.for_image({height}, {width}): a fine image, seen through wide neighbourhoods"
+        for preset, scales in PAPER_PRESETS.items():
+            if self == ScaleSpace(scales["sigma"], scales["alpha"], scales["beta"], self.bounds, self.boundary):
+                return False, f"ScaleSpace.paper({preset!r}): what the paper used, whatever the size of the image"
+        return False, f"scales of your own, for {width} x {height} pixels"
 
     @property
     def padding(self) -> float:
@@ -237,6 +344,21 @@ class ScaleSpace:
     def scale_weight(self) -> float:
         """Weight of one scale in the total: 1, or one over their number as released."""
         return 1.0 / len(self.keys) if self.convention == "released" else 1.0
+
+
+def _check_size(height: int, width: int) -> None:
+    for name, size in (("height", height), ("width", width)):
+        if (whole_number(size) or 0) < 1:
+            msg = f"`{name}` must be a whole number of pixels, 1 or more, got {shown(size)}"
+            raise ScaleError(msg)
+
+
+def _told_sigma(sigma: float) -> str:
+    if sigma == 0.0:
+        return "sigma 0 px: pixels as they are"
+    if sigma <= 1.0:
+        return f"sigma {sigma:g} px: the image stays as fine as its pixels, and edges between them get a slope"
+    return f"sigma {sigma:g} px: what is narrower than about {2.0 * sigma:g} px is averaged away"
 
 
 def _odd(taps: int) -> int:

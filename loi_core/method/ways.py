@@ -12,13 +12,14 @@ from typing import Final, Protocol
 import numpy as np
 
 from loi_core.method.array_comparison import ArrayComparison
+from loi_core.method.blurs import Blur, GaussianBlur, PlaneBlur
 from loi_core.method.comparison import Comparison
 from loi_core.method.compiled import compiles
 from loi_core.method.plan import Plan
 from loi_core.method.scales import ScaleSpace
 from loi_core.support.arrays import Array, from_numpy, is_numpy_array, is_read_by_numpy, is_recorded, to_numpy
 
-__all__ = ["BY_ARRAYS", "BY_LOOPS", "Way", "loops_take", "way_for"]
+__all__ = ["BY_ARRAYS", "BY_LOOPS", "Way", "loops_take", "plane_blur", "way_for"]
 
 
 class Way(Protocol):
@@ -73,6 +74,15 @@ def loops_take(dtype: str) -> bool:
     The first time that a dtype is asked for, its loops are compiled, or loaded from a cache.
     """
     return dtype in ("float32", "float64") and compiles(dtype)
+
+
+def plane_blur(blur: PlaneBlur, like: Array) -> Blur:
+    """A blur of one plane, shape (H, W), that is an array like `like`: by loops wherever they can."""
+    if is_numpy_array(like) and loops_take(str(like.dtype)):
+        from loi_core.method.compiled.inner import LonePlaneBlur
+
+        return LonePlaneBlur.of(blur, like.dtype)
+    return GaussianBlur(blur, like)
 
 
 def way_for(image: Array) -> Way:

@@ -1,9 +1,20 @@
 """Image objectives: the paper's loss and its baselines, all with ``value``, ``value_and_grad`` and ``terms``."""
 
 from loi_core.objectives.base import Evaluation, ImageObjective, Objective
-from loi_core.objectives.loi import LOIObjective
+from loi_core.objectives.loi import LOIObjective, RangeWarning
 from loi_core.objectives.msssim import MSSSIM
 from loi_core.objectives.pixel import PixelL2
 from loi_core.objectives.pyramid import GaussianPyramid
+from loi_core.objectives.tiled import TiledLOIObjective
 
-__all__ = ["MSSSIM", "Evaluation", "GaussianPyramid", "ImageObjective", "LOIObjective", "Objective", "PixelL2"]
+__all__ = [
+    "MSSSIM",
+    "Evaluation",
+    "GaussianPyramid",
+    "ImageObjective",
+    "LOIObjective",
+    "Objective",
+    "PixelL2",
+    "RangeWarning",
+    "TiledLOIObjective",
+]

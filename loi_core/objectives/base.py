@@ -11,6 +11,7 @@ import numpy as np
 
 from loi_core.errors import ImageError, ImageTypeError, OptionError
 from loi_core.method.ways import BY_ARRAYS, Way
+from loi_core.objectives.facts import facts_of_options, facts_of_reference, in_notebook, printed
 from loi_core.pixels.layout import Layout, check_channel_axis
 from loi_core.pixels.nonfinite import NanPolicy, check_nan_policy, require_finite
 from loi_core.pixels.tone_curve import LogTone, check_tone
@@ -139,6 +140,19 @@ class ImageObjective(abc.ABC, Generic[PreparedT, KeyT]):
     def __getstate__(self) -> dict[str, Any]:
         # What is prepared can be prepared again; copies and pickles need not carry it.
         return {**self.__dict__, "_ready": {}}
+
+    def __repr__(self) -> str:
+        return printed(type(self).__name__, self._facts())
+
+    def _repr_html_(self) -> str:
+        return in_notebook(type(self).__name__, self._facts(), self._reference, self._channel_axis)
+
+    def _facts(self) -> dict[str, str]:
+        """What is said of it, for those who override it."""
+        weights = None if self.weights is None else self.weights.shape
+        return facts_of_reference(self._reference.shape, self._reference.dtype) | facts_of_options(
+            self._channel_axis, self._nan_policy, self._tone, weights
+        )
 
     @property
     def reference(self) -> Array:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import replace
 from typing import ClassVar, Final
 
@@ -14,15 +15,25 @@ from loi_core.method.sampling_error import error_of, is_within
 from loi_core.method.scales import ScaleSpace
 from loi_core.method.ways import BY_ARRAYS, BY_LOOPS, Way, way_for
 from loi_core.objectives.base import Evaluation, ImageObjective
+from loi_core.objectives.facts import facts_of_scales
 from loi_core.pixels.bounds import clip, clip_pullback
 from loi_core.pixels.nonfinite import NanPolicy
 from loi_core.pixels.tone_curve import LogTone
-from loi_core.support.arrays import Array, epsilon, is_numpy_array, values_may_decide, widened
+from loi_core.support.arrays import Array, epsilon, is_numpy_array, namespace, values_may_decide, widened
 from loi_core.support.values import real_number
 from loi_core.support.wording import shown
 
-__all__ = ["ACCURACIES", "LOIObjective", "ScaleKey", "gradient_tolerance"]
+__all__ = [
+    "ACCURACIES",
+    "LOIObjective",
+    "RangeWarning",
+    "ScaleKey",
+    "accuracy_name",
+    "gradient_tolerance",
+    "warn_if_clipped",
+]
 
+MOST_CLIPPED: Final = 0.02  # of the reference, without a word: a lamp or two in view
 ACCURACIES: Final = {"exact": 0.0, "balanced": 1e-2, "fast": 5e-2}
 
 
@@ -42,6 +53,15 @@ def gradient_tolerance(accuracy: str | float) -> float:
     names = ", ".join(map(repr, ACCURACIES))
     msg = f"`accuracy` must be one of {names}, or a relative error in [0, 1), got {shown(accuracy)}"
     raise OptionError(msg)
+
+
+def accuracy_name(tolerance: float) -> str:
+    """What a relative gradient error is called by; the number if it has no name."""
+    return next((name for name, one in ACCURACIES.items() if one == tolerance), f"{tolerance:g}")
+
+
+class RangeWarning(UserWarning):
+    """Much of a reference lies beyond the bounds of the scales, where nothing is told apart."""
 
 
 class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
@@ -105,6 +125,11 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
         self._scales = scales
         self._tolerance = gradient_tolerance(accuracy)
 
+    def _facts(self) -> dict[str, str]:
+        facts = super()._facts()
+        accuracy = {"accuracy": accuracy_name(self._tolerance)}
+        return {"reference": facts.pop("reference")} | facts_of_scales(self._scales) | accuracy | facts
+
     @property
     def scales(self) -> ScaleSpace:
         """The scales that are compared."""
@@ -117,8 +142,9 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
 
     @property
     def has_default_scales(self) -> bool:
-        """Whether the scales are those of :meth:`ScaleSpace.for_image`, whoever put them there."""
-        return self._scales == ScaleSpace.for_image(*self.size, boundary=self._scales.boundary)
+        """Whether the scales are those of :meth:`ScaleSpace.for_image`, with any bounds, whoever put them there."""
+        scales = self._scales
+        return scales == ScaleSpace.for_image(*self.size, bounds=scales.bounds, boundary=scales.boundary)
 
     def with_scales(self, scales: ScaleSpace) -> LOIObjective:
         """The same objective at other scales."""
@@ -172,6 +198,7 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
     def prepare_reference(self, reference: Array, weights: Array | None) -> _Prepared:
         """See :class:`ImageObjective`."""
         scales = self._scales
+        warn_if_clipped(reference, weights, scales.bounds)
         plan = self.plan(*reference.shape[-2:], eps=epsilon(reference))
         prepared = _Prepared(scales, plan, clip(reference, *scales.bounds), weights)
         # Now, and not when it is first used: that may be where JAX traces.
@@ -233,6 +260,26 @@ class _Prepared:
             plan = self._plan if key[0] else self._exact
             made = self._made[key] = way.comparison(self._scales, plan, self._reference, self._weights)
         return made
+
+
+def warn_if_clipped(reference: Array, weights: Array | None, bounds: tuple[float, float]) -> None:
+    """Tell of a reference that loses much to the bounds, as radiance above 1 does."""
+    if not values_may_decide(reference):
+        return
+    low, high = bounds
+    xp = namespace(reference)
+    beyond = (reference < low) | (reference > high)
+    if weights is not None:
+        beyond = beyond & (weights > 0.0)
+    share = float(xp.mean(xp.astype(beyond, reference.dtype)))
+    if share > MOST_CLIPPED:
+        least, most = float(xp.min(reference)), float(xp.max(reference))
+        msg = (
+            f"{share:.0%} of the reference lies beyond the scales' `bounds` ({low:g}, {high:g}) and counts as the "
+            f"bound, so that what differs there is not seen; it reaches from {least:.3g} to {most:.3g}: give "
+            f"ScaleSpace.for_image(height, width, bounds=...), or a `tone`"
+        )
+        warnings.warn(msg, RangeWarning, stacklevel=2)
 
 
 def _way_of(planes: Array) -> Way:

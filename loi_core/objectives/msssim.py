@@ -109,6 +109,9 @@ class MSSSIM(ImageObjective[_Prepared, str]):
         self._weights = tuple(weight / whole for weight in WEIGHTS[:count])
         self._luminance, self._contrast = ((constant * extent) ** 2 for constant in STABILISERS)
 
+    def _facts(self) -> dict[str, str]:
+        return super()._facts() | {"levels": str(len(self._weights))}
+
     def prepare_reference(self, reference: Array, weights: Array | None) -> _Prepared:  # noqa: ARG002  # masks only
         """See :class:`loi_core.ImageObjective`."""
         levels: list[_Level] = []

@@ -65,6 +65,9 @@ class GaussianPyramid(ImageObjective[_Prepared, int]):
             raise OptionError(msg)
         self._levels = count
 
+    def _facts(self) -> dict[str, str]:
+        return super()._facts() | {"levels": str(self._levels)}
+
     def prepare_reference(self, reference: Array, weights: Array | None) -> _Prepared:
         """See :class:`loi_core.ImageObjective`."""
         height, width = reference.shape[-2:]

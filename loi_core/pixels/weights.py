@@ -8,10 +8,10 @@ import numpy as np
 
 from loi_core.errors import ImageError, ImageTypeError
 from loi_core.pixels.layout import Layout
-from loi_core.support.arrays import Array, Host, from_numpy, is_array_api_obj, to_numpy
+from loi_core.support.arrays import Array, Host, from_numpy, is_array_api_obj, is_numpy_array, to_numpy
 from loi_core.support.wording import shown
 
-__all__ = ["PixelWeights"]
+__all__ = ["PixelWeights", "given_weights", "largest_weight", "require_some"]
 
 
 @dataclass(frozen=True)
@@ -40,28 +40,14 @@ class PixelWeights:
         ImageError
             If the shape does not fit, a weight is negative or not finite, or all are 0.
         """
-        if not is_array_api_obj(weights):
-            msg = f"`weights` must be an array, got {type(weights).__name__}"
-            raise ImageTypeError(msg)
-        given = np.asarray(to_numpy(weights))
-        if given.dtype.kind not in "fiub":
-            msg = f"`weights` must be real numbers, got {given.dtype}"
-            raise ImageTypeError(msg)
-        values = given.astype(np.float64)
+        values = np.asarray(given_weights(weights)).astype(np.float64)
         size = layout.height, layout.width
         whole = layout.planes_shape if layout.channel_axis is None else (*layout.planes_shape[:-3], *size)
         if values.shape not in (size, whole):
             wanted = f"{size}" if size == whole else f"{size} or {whole}"
             msg = f"`weights` must have shape {wanted}, one for each pixel of the reference, got {values.shape}"
             raise ImageError(msg)
-        if not np.all(np.isfinite(values) & (values >= 0.0)):
-            bad = values[~(np.isfinite(values) & (values >= 0.0))][0]
-            msg = f"`weights` must be finite and not negative, got {shown(float(bad))}"
-            raise ImageError(msg)
-        largest = float(values.max())
-        if largest == 0.0:
-            msg = "`weights` must not all be 0: nothing would be compared"
-            raise ImageError(msg)
+        largest = require_some(largest_weight(values))
         return cls(values / largest, largest)
 
     @property
@@ -94,3 +80,50 @@ class PixelWeights:
             msg = f"`weights` have shape {self.shares.shape}, which does not fit images of shape {layout.shape}"
             raise ImageError(msg) from None
         return from_numpy(np.ascontiguousarray(stack).reshape(-1, layout.height, layout.width), like)
+
+
+def given_weights(weights: object) -> Host:
+    """Weights as a NumPy array of real numbers; NumPy's own as they are, memory maps among them.
+
+    Raises
+    ------
+    ImageTypeError
+        If they are no array of numbers.
+    """
+    if not is_array_api_obj(weights):
+        msg = f"`weights` must be an array, got {type(weights).__name__}"
+        raise ImageTypeError(msg)
+    given: Host = weights if is_numpy_array(weights) else np.asarray(to_numpy(weights))
+    if given.dtype.kind not in "fiub":
+        msg = f"`weights` must be real numbers, got {given.dtype}"
+        raise ImageTypeError(msg)
+    return given
+
+
+def largest_weight(values: Host) -> float:
+    """The largest of some weights, float64.
+
+    Raises
+    ------
+    ImageError
+        If one is negative or not finite.
+    """
+    good = np.isfinite(values) & (values >= 0.0)
+    if not np.all(good):
+        msg = f"`weights` must be finite and not negative, got {shown(float(values[~good][0]))}"
+        raise ImageError(msg)
+    return float(values.max())
+
+
+def require_some(largest: float) -> float:
+    """The largest of all weights, if that is not 0.
+
+    Raises
+    ------
+    ImageError
+        If it is.
+    """
+    if largest == 0.0:
+        msg = "`weights` must not all be 0: nothing would be compared"
+        raise ImageError(msg)
+    return largest

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
@@ -16,16 +16,24 @@ from loi_core.renderers.contract import (
     ProjectingRenderer,
     Pullback,
     Renderer,
+    SteppedRenderer,
 )
+from loi_core.renderers.units import measure_units, pixels_of
 from loi_core.support.arrays import Array, from_numpy, namespace, to_numpy
 from loi_core.support.values import real_number, whole_number
 from loi_core.support.wording import shown
 
-__all__ = ["BlurredRenderer"]
+__all__ = ["BLUR_KEYS", "BlurredRenderer", "Sigma", "names_to_blur"]
 
 HALF: Final = 0.5  # of the steps: until then sigma is held
+USUAL: Final = "2 px"
+LAST: Final = 0.5  # of sigma, where it goes
+BLUR_KEYS: Final = ("sigma", "final_sigma", "names", "pairs", "together")
+"""What can be said of a blur, as in the table `blur` of a scene file."""
 
-Sigma = float | Mapping[str, float]
+Width: TypeAlias = float | str
+Sigma: TypeAlias = Width | Mapping[str, Width]
+"""A standard deviation, in a parameter's own unit or in pixels ("2 px"); or such by parameter."""
 
 
 class BlurredRenderer:
@@ -38,12 +46,11 @@ class BlurredRenderer:
     ----------
     renderer : Renderer
         Only its images are used for what is blurred.
-    sigma : float or dict of float
-        Standard deviations of the blur, in each parameter's own unit, more than 0: one for all, or by name.
-    final_sigma : float or dict of float, optional
-        Where `sigma` goes, along a line, over the second half of `steps`; it stays `sigma` by default.
-    steps : int, optional
-        Of the fit; needed with `final_sigma`, and `watch` as the fit's callback.
+    sigma : float, str, or dict of these
+        Standard deviations of the blur, more than 0, in each parameter's own unit, or in pixels that the image moves
+        ("2 px"), for which every unit is measured where the renderer has the parameters: one for all, or by name.
+    final_sigma : float, str, or dict of these, optional
+        Where `sigma` goes, along a line, over the second half of a fit; half of `sigma` by default.
     names : names of parameters, optional
         Those that are blurred; all by default. Others have the gradient of `renderer` itself, in the same fit.
     pairs : int
@@ -59,13 +66,14 @@ class BlurredRenderer:
     drawn parameters are made legal by it, which pulls the gradient inwards within a few sigma of a bound.
 
     The gradient is of the loss linearised at the sharp image. The released code of the paper compares the losses of a
-    pair instead, which is the same to first order in the difference of the two images. A fit that is resumed takes its
-    first step with the sigma of the first step of all.
+    pair instead, which is the same to first order in the difference of the two images. In a loop of your own `sigma`
+    stays as it is, unless you say how far that has come by `at_step`, as :func:`loi_core.fit` does.
 
     Raises
     ------
     OptionError
-        If an option is not allowed.
+        If an option is not allowed; at the first gradient, if a parameter leaves no trace in the image, which then has
+        no pixels to measure.
     ParameterError
         If a name is not one of the renderer's parameters.
 
@@ -82,10 +90,9 @@ class BlurredRenderer:
     def __init__(
         self,
         renderer: Renderer,
-        sigma: Sigma,
+        sigma: Sigma = USUAL,
         *,
         final_sigma: Sigma | None = None,
-        steps: int | None = None,
         names: Iterable[str] | None = None,
         pairs: int = 1,
         together: bool | None = None,
@@ -94,41 +101,41 @@ class BlurredRenderer:
         if isinstance(renderer, EncodedRenderer):
             self.encoding = renderer.encoding
         start = renderer.parameters()
-        self.names = tuple(start) if names is None else tuple(dict.fromkeys(names))
-        for name in self.names:
-            if name not in start:
-                msg = f"`names` must be of {', '.join(start)}, got {name!r}"
-                raise ParameterError(msg)
+        self.names = names_to_blur(names, start)
         if (whole_number(pairs) or 0) < 1:
             msg = f"`pairs` must be a whole number, 1 or more, got {shown(pairs)}"
             raise OptionError(msg)
-        if (final_sigma is not None or steps is not None) and (whole_number(steps) or 0) < 1:
-            msg = f"`steps` must be a whole number, 1 or more, where there is a `final_sigma`, got {shown(steps)}"
+        if together is not None and not isinstance(together, bool):
+            msg = f"`together` must be true or false, got {shown(together)}"
             raise OptionError(msg)
-        self._sigma = _by_name("sigma", sigma, self.names)
-        self._final = self._sigma if final_sigma is None else _by_name("final_sigma", final_sigma, self.names)
-        self._steps, self._pairs = steps or 1, int(pairs)
+        self._first = _by_name("sigma", sigma, self.names)
+        self._last = None if final_sigma is None else _by_name("final_sigma", final_sigma, self.names)
+        self._pairs = int(pairs)
         count = sum(math.prod(start[name].shape) for name in self.names)
-        self._together = count > 1 if together is None else bool(together)
-        self._step = 0
+        self._together = count > 1 if together is None else together
+        self._units: dict[str, float] | None = None
+        self._passed = 0.0
 
     @property
     def sigma(self) -> dict[str, float]:
-        """The standard deviations of the blur in this step."""
-        share = min(max((self._step / self._steps - HALF) / (1.0 - HALF), 0.0), 1.0)
-        return {name: (1.0 - share) * own + share * self._final[name] for name, own in self._sigma.items()}
+        """The standard deviations of the blur in this step, each in its parameter's own unit."""
+        share = max((self._passed - HALF) / (1.0 - HALF), 0.0)
+        first = self._in_own_units("sigma", self._first)
+        last = {name: LAST * one for name, one in first.items()}
+        if self._last is not None:
+            last = self._in_own_units("final_sigma", self._last)
+        return {name: (1.0 - share) * own + share * last[name] for name, own in first.items()}
 
     @property
     def unabridged(self) -> Renderer:
         """The renderer without its blur, and whole where it knows what that is."""
         return self.renderer.unabridged if isinstance(self.renderer, AbridgedRenderer) else self.renderer
 
-    def watch(self, step: Any, params: Parameters, image: Any) -> None:
-        """A callback for :func:`loi_core.fit`, and the renderer's own: `sigma` then is that of the next step."""
-        self._step = int(step.step) + 1
-        watch = getattr(self.renderer, "watch", None)
-        if watch is not None:
-            watch(step, params, image)
+    def at_step(self, step: int, steps: int, value: float | None) -> None:
+        """What :func:`loi_core.fit` says before every step: `sigma` is that of this step, of so many."""
+        self._passed = min(step / max(steps - 1, 1), 1.0)
+        if isinstance(self.renderer, SteppedRenderer):
+            self.renderer.at_step(step, steps, value)
 
     def parameters(self) -> Parameters:
         """As the renderer has them."""
@@ -150,19 +157,32 @@ class BlurredRenderer:
         def pullback(cotangent: Array) -> Parameters:
             pulled = {} if sharp is None else dict(sharp(cotangent))
             found = self._blurred(kept, sigma, cotangent, seed)
-            return {
-                name: from_numpy(found[name], value) if name in found else pulled[name] for name, value in kept.items()
-            }
+            return {name: found[name] if name in found else pulled[name] for name in kept}
 
         return image, pullback
+
+    def pull(self, params: Parameters, cotangent: Array, *, seed: int = 0) -> Parameters:
+        """What the pullback of `render_vjp` gives for the parameters that are blurred, without an image."""
+        return self._blurred(dict(params), self.sigma, cotangent, seed)
 
     def project(self, params: Parameters) -> Parameters:
         """The legal parameters next to these, if the renderer knows them."""
         return self.renderer.project(params) if isinstance(self.renderer, ProjectingRenderer) else dict(params)
 
-    def _blurred(
-        self, params: Parameters, sigma: Mapping[str, float], cotangent: Array, seed: int
-    ) -> dict[str, np.ndarray[Any, Any]]:
+    def _in_own_units(self, option: str, widths: Mapping[str, Width]) -> dict[str, float]:
+        """Standard deviations, those in pixels by units that are measured once."""
+        in_pixels = [name for name, width in widths.items() if isinstance(width, str)]
+        if in_pixels and self._units is None:
+            self._units, _ = measure_units([self.renderer], self.parameters(), None, self.names)
+        units, found = self._units or {}, {}
+        for name, width in widths.items():
+            found[name] = pixels_of(width) * units[name] if isinstance(width, str) else width
+            if not math.isfinite(found[name]):
+                msg = f"`{option}` of {name!r} must be a number, for it leaves no trace in the image to count pixels by"
+                raise OptionError(msg)
+        return found
+
+    def _blurred(self, params: Parameters, sigma: Mapping[str, float], cotangent: Array, seed: int) -> Parameters:
         """An unbiased draw of the gradient by what is blurred, before `project`."""
         rng = np.random.default_rng([int(seed), len(self.names)])
         found = {name: np.zeros(params[name].shape) for name in self.names}
@@ -181,7 +201,7 @@ class BlurredRenderer:
                     offsets[name][index] = math.sqrt(-2.0 * math.log(1.0 - rng.random()))
                     change = self._change(params, sigma, offsets, cotangent, rng)
                     found[name][index] += change / math.sqrt(2.0 * math.pi) / sigma[name] / self._pairs
-        return found
+        return {name: from_numpy(value, params[name]) for name, value in found.items()}
 
     def _change(
         self,
@@ -203,17 +223,43 @@ class BlurredRenderer:
         return float(to_numpy(xp.sum((images[0] - images[1]) * cotangent)))
 
 
-def _by_name(option: str, value: object, names: tuple[str, ...]) -> dict[str, float]:
-    """Standard deviations for all of `names`."""
+def names_to_blur(names: object, start: Mapping[str, Any]) -> tuple[str, ...]:
+    """The parameters to blur, each once; all of `start` if none are given.
+
+    Raises
+    ------
+    OptionError, ParameterError
+        If they are no names, or not of `start`.
+    """
+    if names is None:
+        return tuple(start)
+    if isinstance(names, str) or not isinstance(names, Iterable):
+        msg = f"`names` must be a list of names of parameters, got {shown(names)}"
+        raise OptionError(msg)
+    found = list(names)
+    for name in found or (None,):
+        if not isinstance(name, str) or name not in start:
+            msg = f"`names` must be of {', '.join(start)}, got {'none' if name is None else shown(name)}"
+            raise ParameterError(msg)
+    return tuple(dict.fromkeys(found))
+
+
+def _by_name(option: str, value: object, names: tuple[str, ...]) -> dict[str, Width]:
+    """Standard deviations for all of `names`, numbers or texts in pixels."""
     if isinstance(value, Mapping):
         if set(value) != set(names):
             msg = f"`{option}` must have {', '.join(map(repr, names))}, got {', '.join(map(repr, value)) or 'none'}"
             raise OptionError(msg)
-        found = {name: real_number(value[name]) for name in names}
+        given = {name: value[name] for name in names}
     else:
-        found = dict.fromkeys(names, real_number(value))
-    for name, one in found.items():
-        if not 0.0 < one < math.inf:
-            msg = f"`{option}` of {name!r} must be more than 0 and finite, got {shown(value)}"
+        given = dict.fromkeys(names, value)
+    found: dict[str, Width] = {}
+    for name, one in given.items():
+        number = pixels_of(one) if isinstance(one, str) else real_number(one)
+        if not 0.0 < number < math.inf:
+            msg = (
+                f"`{option}` of {name!r} must be a finite number, more than 0, or pixels as in '2 px', got {shown(one)}"
+            )
             raise OptionError(msg)
+        found[name] = one if isinstance(one, str) else number
     return found

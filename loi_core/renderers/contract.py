@@ -8,7 +8,15 @@ from typing import Protocol, TypeAlias, runtime_checkable
 from loi_core.pixels.encoding import Encoding
 from loi_core.support.arrays import Array
 
-__all__ = ["AbridgedRenderer", "EncodedRenderer", "Parameters", "ProjectingRenderer", "Pullback", "Renderer"]
+__all__ = [
+    "AbridgedRenderer",
+    "EncodedRenderer",
+    "Parameters",
+    "ProjectingRenderer",
+    "Pullback",
+    "Renderer",
+    "SteppedRenderer",
+]
 
 Parameters: TypeAlias = dict[str, Array]
 """Parameters of a scene by name; floating-point arrays of any shape, 0-d included."""
@@ -60,3 +68,14 @@ class EncodedRenderer(Renderer, Protocol):
     @property
     def encoding(self) -> Encoding:
         """Of its images: "linear" for radiance, "sRGB" for values as displays want them."""
+
+
+@runtime_checkable
+class SteppedRenderer(Renderer, Protocol):
+    """A renderer whose gradient depends on how far a fit has come; a fit calls `at_step` before every step."""
+
+    def at_step(self, step: int, steps: int, value: float | None) -> None:
+        """The next gradients are of this step, counted from 0, of so many.
+
+        `value` is the loss of the step before; None before the first, also where a fit begins anew from elsewhere.
+        """

@@ -12,40 +12,60 @@ from typing import Any, Final
 
 import numpy as np
 
-from loi_core.fitting.state import FitStep
+from loi_core.fitting.history import FitStep
 from loi_core.fitting.views import Images, by_view
 from loi_core.io.files import write_bytes, write_text
 from loi_core.io.images import write_png
-from loi_core.io.result_folder import CHECKPOINT_FILE, HISTORY_FILE, PAGE_FILE, RESULT_FILE, ResultFolder
-from loi_core.report.display import Display
+from loi_core.io.result_folder import (
+    CHECKPOINT_FILE,
+    CHECKPOINT_FILES,
+    HISTORY_FILE,
+    PAGE_FILE,
+    RESULT_FILE,
+    SCALES_FILE,
+    ResultFolder,
+)
+from loi_core.objectives.loi import ACCURACIES
+from loi_core.pixels.display import Display
+from loi_core.report.environment import environment
 from loi_core.report.plots import convergence_plot
-from loi_core.scenes.experiment import Trial, frame_steps, quality
+from loi_core.report.scales import GRADIENTS_FOLDER, scale_entries, scale_table, write_gradients
+from loi_core.scenes.by_scale import scale_objectives
+from loi_core.scenes.experiment import FrameWriter, Trial, frame_steps, quality
 from loi_core.scenes.scene import Scene
-from loi_core.support.arrays import Host, to_numpy
+from loi_core.support.arrays import Array, Host, epsilon, to_numpy, widened
 
-__all__ = ["FRAMES_FOLDER", "effect_file", "summary", "write_results"]
+__all__ = ["FRAMES_FOLDER", "effect_file", "frame_writer", "summary", "write_results"]
 
 FRAMES_FOLDER: Final = "frames"
 EFFECTS_FOLDER: Final = "effects"
 BRIGHTEST: Final = 0.998
+MOST_TRUTH: Final = 64  # numbers of a parameter: of more, no history holds them
 
 
-def write_results(scene: Scene, trials: Sequence[Trial]) -> dict[str, Any]:
+def write_results(scene: Scene, trials: Sequence[Trial], *, command: str = "") -> dict[str, Any]:
     """Write all results of a scene to its output folder, except for the page; return the summary.
 
     ``parameters.json``, ``history.csv``, ``initial.png``, ``final.png``, ``target.png``, ``error.png`` and
     ``frames/`` are those of the first objective; every other has ``final.png``, ``error.png``, ``history.csv`` and
     ``parameters.json`` in ``compare/NAME``. A renderer that plans its effects adds ``effects/NAME.png``, how each makes
-    the image change, grey where it does not. ``convergence.png`` and ``result.json`` hold all of them.
+    the image change, grey where it does not. An objective with scales adds ``scales.csv``, what each adds to its value
+    at the steps of the frames; the first also ``gradients/``, what each pulls at. ``convergence.png`` and
+    ``result.json`` hold all of them. `command` is how the fit can be made again.
 
     Raises
     ------
     OptionError
         If the folder is not one of results.
+    WriteError
+        If a file cannot be written.
     """
     folder = ResultFolder(scene.output)
     folder.claim([CHECKPOINT_FILE, PAGE_FILE])  # which others write
+    folder.remove_unfinished()
+    folder.remove([name for name in CHECKPOINT_FILES[1:] if not (folder.path / name).exists()])
     target, display = scene.strip({name: view.target.image for name, view in scene.views.items()}), _display(scene)
+    pulls: list[dict[str, Any]] = []
     for index, trial in enumerate(trials):
         own = "" if index == 0 else f"compare/{trial.objective}/"
         if index == 0:
@@ -53,26 +73,39 @@ def write_results(scene: Scene, trials: Sequence[Trial]) -> dict[str, Any]:
             write_png(folder.file("initial.png"), display.show(trial.initial))
         if trial.result is None:
             # What an earlier run left must not be taken for the outcome of this one.
-            stale = [f"{own}{name}" for name in ("final.png", "error.png", "parameters.json", HISTORY_FILE)]
-            folder.remove([*stale, *(folder.listed(FRAMES_FOLDER) if index == 0 else ())])
+            stale = [
+                f"{own}{name}" for name in ("final.png", "error.png", "parameters.json", HISTORY_FILE, SCALES_FILE)
+            ]
+            more = (*folder.listed(FRAMES_FOLDER), *folder.listed(GRADIENTS_FOLDER)) if index == 0 else ()
+            folder.remove([*stale, *more])
             continue
         final = scene.strip(_images(trial.result.image))
         write_png(folder.file(f"{own}final.png"), display.show(final))
         write_png(folder.file(f"{own}error.png"), display.difference(final, target) * _counted(scene))
         write_text(folder.file(f"{own}{HISTORY_FILE}"), _history(trial))
+        table = scale_table(trial)
+        if table:
+            write_text(folder.file(f"{own}{SCALES_FILE}"), table)
+        else:
+            folder.remove([f"{own}{SCALES_FILE}"])
         best = {name: to_numpy(value).tolist() for name, value in trial.result.best_params.items()}
         write_text(folder.file(f"{own}parameters.json"), json.dumps(best, indent=2) + "\n")
         if index == 0:
             _write_frames(folder, scene, trial, display)
             _write_effects(folder, trial)
+            pulls = scale_entries(write_gradients(folder, scene, trial))
     write_bytes(folder.file("convergence.png"), convergence_plot(trials))
-    result = summary(scene, trials)
+    result = summary(scene, trials, command=command)
+    if pulls:
+        result["scales"] = pulls
     write_text(folder.file(RESULT_FILE), json.dumps(result, indent=2, allow_nan=False) + "\n")
     return result
 
 
-def summary(scene: Scene, trials: Sequence[Trial]) -> dict[str, Any]:
+def summary(scene: Scene, trials: Sequence[Trial], *, command: str = "") -> dict[str, Any]:
     """What came out, as plain values for JSON; numbers that are not finite become null."""
+    first = trials[0].result
+    image = None if first is None else next(iter(by_view(first.image).values()))
     return {
         "title": scene.title,
         "scene": scene.path.name,
@@ -81,7 +114,23 @@ def summary(scene: Scene, trials: Sequence[Trial]) -> dict[str, Any]:
         "views": [name for name in scene.views if name],
         "notes": [*scene.notes, *filter(None, [_display(scene).note, _stages(trials)])],
         "trials": [_one(scene, trial) for trial in trials],
+        "command": command or None,
+        "seed": scene.fit.seed,
+        "truth": {name: true.tolist() for name, true in scene.truth.items() if true.size <= MOST_TRUTH},
+        "accuracy": _accuracy(scene, image),
+        "environment": environment(scene, image),
     } | _plan(trials[0])
+
+
+def _accuracy(scene: Scene, image: Array | None) -> dict[str, Any] | None:
+    """What the first objective that has scales may be off by, and what it does with that."""
+    for name in scene.objectives:
+        for objective in scale_objectives(scene, name).values():
+            named = {value: key for key, value in ACCURACIES.items()}
+            tolerance = objective.tolerance
+            plan = objective.plan(eps=None if image is None else epsilon(widened(image)))
+            return {"name": named.get(tolerance), "tolerance": tolerance, "plan": str(plan)}
+    return None
 
 
 def _plan(trial: Trial) -> dict[str, Any]:
@@ -152,14 +201,28 @@ def _counted(scene: Scene) -> Host:
     )
 
 
+def frame_writer(scene: Scene, folder: ResultFolder) -> FrameWriter:
+    """What writes a picture of the way of a fit to its folder at once, so that it is there whatever comes."""
+    display = _display(scene)
+
+    def write(step: int, frame: Host) -> None:
+        write_png(folder.file(_frame_file(step)), display.show(frame))
+
+    return write
+
+
+def _frame_file(step: int) -> str:
+    return f"{FRAMES_FOLDER}/{step:06d}.png"
+
+
 def _write_frames(folder: ResultFolder, scene: Scene, trial: Trial, display: Display) -> None:
-    new = {f"{FRAMES_FOLDER}/{step:06d}.png": frame for step, frame in trial.frames}
+    new = {_frame_file(step): frame for step, frame in trial.frames}
     folder.claim(new)
     for name, frame in new.items():
         write_png(folder.path / name, display.show(frame))
     done = len(trial.result.history) if trial.result else 0
     # A resumed fit keeps the pictures of its first part; those of a run with other steps must go.
-    kept = {step for step in frame_steps(scene.fit.steps) if step < done}
+    kept = {step for step in frame_steps(scene) if step < done}
     folder.remove([name for name in folder.listed(FRAMES_FOLDER) if int(Path(name).stem) not in kept])
 
 

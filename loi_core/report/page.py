@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import base64
 import json
-import re
-import stat
+import math
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -13,34 +11,23 @@ from typing import Any, Final
 
 from loi_core.errors import SceneError
 from loi_core.io.files import read_bytes, write_text
-from loi_core.io.result_folder import FRAME_NAME, PAGE_FILE, RESULT_FILE, is_listed
+from loi_core.io.result_folder import PAGE_FILE, RESULT_FILE, is_listed
 from loi_core.plugins.baselines import is_objective_name
-from loi_core.report.output import FRAMES_FOLDER, effect_file
+from loi_core.report.curves import curves
+from loi_core.report.document import MADE_BY, document
+from loi_core.report.downloads import downloads
+from loi_core.report.kept import Pictures
+from loi_core.report.making import making
 from loi_core.report.plots import LABELS
+from loi_core.report.viewer import effects, gradients, viewer
 from loi_core.support.values import real_number
 
-__all__ = ["Pictures", "document", "verdict_line", "write_index", "write_page"]
+__all__ = ["Pictures", "document", "run_page", "verdict_line", "write_index", "write_page"]
 
 MOST_RESULT: Final = 2**28  # bytes of result.json
-MOST_PICTURE: Final = 2**26  # bytes of one PNG
-MOST_PICTURES: Final = 2**28  # and of all on a page
-MOST_FRAMES: Final = 1000
-PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
-EFFECT_NAME: Final = re.compile(r"[\w -]{1,80}")
+MARK: Final = 4096  # bytes at the beginning of a page that say who made it
 SAME_START: Final = "every objective from the same start with the same optimiser"
-STYLE: Final = """
-:root { color-scheme: light dark; --line: #8884; --soft: #8882; --accent: #c2410c; }
-body { font: 16px/1.5 system-ui, sans-serif; max-width: 64rem; margin: 2rem auto; padding: 0 1rem; }
-h1 { font-size: 1.6rem; margin-bottom: .2rem; } h2 { font-size: 1.15rem; margin-top: 2.2rem; }
-p.lead { margin-top: 0; opacity: .8; }
-.row { display: flex; flex-wrap: wrap; gap: .8rem; } figure { margin: 0; }
-figcaption { font-size: .85rem; opacity: .8; }
-.row img { width: 14.5rem; image-rendering: pixelated; border: 1px solid var(--line); background: #000; }
-.film img { width: 7rem; } img.plot { max-width: 100%; background: #fff; border-radius: .3rem; }
-.ours figcaption { color: var(--accent); font-weight: 600; opacity: 1; }
-table { border-collapse: collapse; } th, td { padding: .3rem .8rem; border-bottom: 1px solid var(--line); }
-th { text-align: left; background: var(--soft); } td.n { text-align: right; font-variant-numeric: tabular-nums; }
-"""
+SCRIPT, STYLE = "report.js", "report.css"
 
 
 def write_page(folder: Path) -> Path:
@@ -55,14 +42,57 @@ def write_page(folder: Path) -> Path:
     if page.exists() and not is_listed(page):
         msg = f"{page} was not written by `loi`; move it away, and call again"
         raise SceneError(msg)
-    write_text(page, document(_read(folder)["title"], _section(folder, Pictures(folder))))
+    write_text(page, run_page(folder))
     return page
+
+
+def run_page(folder: Path) -> str:
+    """The page of a result folder. Errors as in :func:`write_page`."""
+    result = _read(folder)
+    return document(result["title"], f"<main>{_section(folder, result, 0)}</main>", style=STYLE, script=SCRIPT)
 
 
 def write_index(page: Path, folders: Sequence[Path], title: str) -> Path:
-    """Make one page of several result folders; returns its path. Errors as in :func:`write_page`."""
-    write_text(page, document(title, "\n".join(_section(folder, Pictures(folder)) for folder in folders)))
+    """Make one page of several result folders; returns its path.
+
+    Raises
+    ------
+    SceneError
+        If a folder does not hold the results of a scene, or there is a file at `page` that no report is.
+    """
+    try:
+        own = MADE_BY.encode("ascii") in page.read_bytes()[:MARK]
+    except FileNotFoundError:
+        own = True
+    except OSError:
+        own = False
+    if not own:
+        msg = f"{page} was not written by `loi`; move it away, or name another file"
+        raise SceneError(msg)
+    results = [_read(folder) for folder in folders]
+    sections = [_section(folder, one, run, 2) for run, (folder, one) in enumerate(zip(folders, results, strict=True))]
+    head = f"<header><h1>{escape(title)}</h1>{_contents(results)}</header>"
+    write_text(page, document(title, f"{head}<main>{''.join(sections)}</main>", style=STYLE, script=SCRIPT))
     return page
+
+
+def _contents(results: Sequence[Mapping[str, Any]]) -> str:
+    """Where each run stands on a page of several."""
+    rows = []
+    for run, result in enumerate(results):
+        trial = result["trials"][0]
+        start, end = (_number(trial.get(key), ".2f") for key in ("psnr_initial", "psnr"))
+        rows.append(
+            f'<tr><th scope="row"><a href="#run-{run}">{escape(result["title"])}</a></th><td>{_name(trial)}</td>'
+            f'<td class="n">{start}</td><td class="n">{end}</td><td>{escape(_came(trial))}</td></tr>'
+        )
+    heads = '<th scope="col">run</th><th scope="col">objective</th><th scope="col" class="n">PSNR at the start, dB</th>'
+    heads += '<th scope="col" class="n">at the end, dB</th><th scope="col">what came of it</th>'
+    return _scrolled("Runs", f"<table><thead><tr>{heads}</tr></thead><tbody>{''.join(rows)}</tbody></table>")
+
+
+def _scrolled(name: str, table: str) -> str:
+    return f'<div class="scroll" role="group" tabindex="0" aria-label="{escape(name)}">{table}</div>'
 
 
 def _read(folder: Path) -> dict[str, Any]:
@@ -77,7 +107,21 @@ def _read(folder: Path) -> dict[str, Any]:
     if not _is_result(result):
         msg = f"{path}: not the result of `loi fit`"
         raise SceneError(msg)
-    return dict(result)
+    return _without_paths(dict(result))
+
+
+def _without_paths(result: dict[str, Any]) -> dict[str, Any]:
+    """The same, without the place of the folder: a page is shown to others."""
+    place = result.get("output")
+    if not isinstance(place, str):
+        return result
+    result["output"] = Path(place).name
+    folder = place.rstrip("/\\")
+    if len(folder) > 1:
+        for trial in result["trials"]:
+            if isinstance(trial.get("error"), str):
+                trial["error"] = trial["error"].replace(folder, Path(place).name)
+    return result
 
 
 def _is_result(result: Any) -> bool:
@@ -100,41 +144,26 @@ def _is_trial(trial: Any) -> bool:
     return isinstance(trial.get("error"), str | None) and isinstance(errors, dict)
 
 
-def document(title: str, body: str) -> str:
-    """A whole HTML page around `body`."""
-    return (
-        f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
-        f'<meta name="viewport" content="width=device-width, initial-scale=1"><style>{STYLE}</style></head>\n'
-        f"<body>\n{body}\n</body></html>\n"
-    )
-
-
-def _section(folder: Path, pictures: Pictures) -> str:
-    result = _read(folder)
+def _section(folder: Path, result: Mapping[str, Any], run: int, level: int = 1) -> str:
+    """A run; on a page of several, its title is of the second level."""
+    pictures = Pictures(folder)
     trials = result["trials"]
-    first = trials[0]["objective"] if trials else ""
-    start = [pictures.figure("initial.png", "start"), pictures.figure("target.png", "target")]
-    finals, errors = [], []
-    for index, trial in enumerate(trials):
-        own = "" if index == 0 else f"compare/{trial['objective']}/"
-        label = LABELS.get(trial["objective"], trial["objective"])
-        ours = ' class="ours"' if index == 0 else ""
-        finals.append(pictures.figure(f"{own}final.png", label, ours))
-        errors.append(pictures.figure(f"{own}error.png", f"{label}: |final - target|", ours))
-    film = [pictures.figure(name, f"step {step}") for step, name in _frames(folder).items()]
-    plot = pictures.figure("convergence.png", "", image_class="plot")
+    lead = f"{result['scene']}, {int(result['steps'])} steps" + (f"; {SAME_START}" if len(trials) > 1 else "")
     return "\n".join(
         [
-            f"<h1>{escape(result['title'])}</h1>",
-            f'<p class="lead">{escape(result["scene"])}, {int(result["steps"])} steps; {SAME_START}</p>',
+            f'<section class="run" id="run-{run}">',
+            f'<h{level} class="title">{escape(result["title"])}</h{level}>',
+            f'<p class="lead">{escape(lead)}</p>',
             *_notes(result),
-            f'<div class="row">{"".join(start)}</div>',
-            f'<h2>Where each objective ended</h2><div class="row">{"".join(finals)}</div>',
-            f'<div class="row">{"".join(errors)}</div>',
+            _verdict(trials[0]),
+            viewer(pictures, folder, trials, run),
             f"<h2>Numbers</h2>{_table(trials)}",
-            f"<h2>Convergence</h2>{plot}",
-            f'<h2>The way of {escape(LABELS.get(first, first))}</h2><div class="row film">{"".join(film)}</div>',
-            *_effects(pictures, result),
+            *curves(pictures, result),
+            *gradients(pictures, result),
+            *effects(pictures, result),
+            making(result),
+            downloads(pictures, folder, result),
+            "</section>",
         ]
     )
 
@@ -148,81 +177,30 @@ def _notes(result: Mapping[str, Any]) -> list[str]:
     return [f'<p class="lead">{"<br>".join(map(escape, lines))}</p>'] if lines else []
 
 
-def _frames(folder: Path) -> dict[int, str]:
-    """The pictures of the way, by step."""
-    names = sorted(path.name for path in (folder / FRAMES_FOLDER).glob("*.png") if FRAME_NAME.fullmatch(path.name))
-    return {int(Path(name).stem): f"{FRAMES_FOLDER}/{name}" for name in names[:MOST_FRAMES]}
+def _verdict(trial: Mapping[str, Any]) -> str:
+    """What came of the first fit, in a line that stands out."""
+    start, end = real_number(trial.get("psnr_initial")), real_number(trial.get("psnr"))
+    told = f"PSNR from {start:.1f} to {end:.1f} dB; " if math.isfinite(start) and math.isfinite(end) else ""
+    line = _came(trial)
+    if not told and not line:
+        return ""
+    found = trial.get("diagnosis")
+    good = isinstance(found, Mapping) and found.get("verdict") == "converged" and not trial.get("error")
+    mark = "good" if good else "open"
+    return f'<p class="verdict {mark}"><b>{_name(trial)}</b> {escape(told)}{escape(line)}</p>'
 
 
-def _effects(pictures: Pictures, result: Mapping[str, Any]) -> list[str]:
-    """What each effect changes in the image at the start, and the plan; nothing if the renderer plans nothing."""
-    plan, effects = result.get("plan"), result.get("effects")
-    if not isinstance(plan, str) or not isinstance(effects, Mapping):
-        return []
-    shown = [
-        pictures.figure(effect_file(name), f"{name}: {'on' if on else 'off'}")
-        for name, on in effects.items()
-        if EFFECT_NAME.fullmatch(name)
-    ]
-    row = f'<div class="row">{"".join(shown)}</div>'
-    return [f"<h2>Effects: how each changes the image along the first descent</h2>{row}<pre>{escape(plan)}</pre>"]
+def _came(trial: Mapping[str, Any]) -> str:
+    return trial.get("error") or verdict_line(trial)
 
 
-class Pictures:
-    """The PNGs of a result folder, put into a page; what lies elsewhere, or is no PNG, is not.
-
-    Parameters
-    ----------
-    folder : Path
-        The folder of results.
-    """
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-        self._left = MOST_PICTURES
-
-    def figure(self, name: str, caption: str, attributes: str = "", *, image_class: str = "") -> str:
-        """A PNG with a caption; nothing if there is no such file, or it is not a PNG.
-
-        Raises
-        ------
-        SceneError
-            If it is a link, or too large.
-        """
-        png = self._read(name)
-        if png is None:
-            return ""
-        data = base64.b64encode(png).decode("ascii")
-        kind = f' class="{image_class}"' if image_class else ""
-        image = f'<img{kind} alt="{escape(caption)}" src="data:image/png;base64,{data}">'
-        return f"<figure{attributes}>{image}<figcaption>{escape(caption)}</figcaption></figure>"
-
-    def _read(self, name: str) -> bytes | None:
-        path, mode = self._folder, 0
-        for part in Path(name).parts:
-            path = path / part
-            try:
-                mode = path.lstat().st_mode
-            except (FileNotFoundError, NotADirectoryError):
-                return None
-            if stat.S_ISLNK(mode):
-                raise self._refused(path, "is a link, and may lead anywhere")
-        if not stat.S_ISREG(mode):
-            return None
-        if path.lstat().st_size > min(MOST_PICTURE, self._left):
-            raise self._refused(path, "is too large for a page")
-        content = read_bytes(path, MOST_PICTURE)
-        self._left -= len(content)
-        return content if content.startswith(PNG_SIGNATURE) else None
-
-    @staticmethod
-    def _refused(path: Path, why: str) -> SceneError:
-        return SceneError(f"{path} {why}; a report shows the pictures of its own folder")
+def _name(trial: Mapping[str, Any]) -> str:
+    return escape(LABELS.get(trial["objective"], trial["objective"]))
 
 
 def _table(trials: Sequence[Mapping[str, Any]]) -> str:
     names = sorted({name for trial in trials for name in trial.get("parameter_errors", {})})
-    heads = ["objective", "PSNR, dB", "best step", "seconds", *(f"error of {name}" for name in names), ""]
+    heads = ["objective", "PSNR, dB", "best step", "seconds", *(f"error of {name}" for name in names), "verdict"]
     rows = []
     for trial in trials:
         errors = trial.get("parameter_errors", {})
@@ -232,10 +210,14 @@ def _table(trials: Sequence[Mapping[str, Any]]) -> str:
             _number(trial.get("seconds"), ".1f"),
             *(_number(errors.get(name), ".4g") for name in names),
         ]
-        label = escape(LABELS.get(trial["objective"], trial["objective"]))
         numbers = "".join(f'<td class="n">{cell}</td>' for cell in cells)
-        rows.append(f"<tr><td>{label}</td>{numbers}<td>{escape(trial.get('error') or verdict_line(trial))}</td></tr>")
-    return f"<table><tr>{''.join(f'<th>{escape(head)}</th>' for head in heads)}</tr>{''.join(rows)}</table>"
+        rows.append(f"<tr><td>{_name(trial)}</td>{numbers}<td>{escape(_came(trial))}</td></tr>")
+    titles = "".join(
+        f'<th scope="col"{"" if index in (0, len(heads) - 1) else " class=n"}>{escape(head)}</th>'
+        for index, head in enumerate(heads)
+    )
+    table = f"<table><thead><tr>{titles}</tr></thead><tbody>{''.join(rows)}</tbody></table>"
+    return _scrolled("Numbers of every objective", table)
 
 
 def verdict_line(trial: Mapping[str, Any]) -> str:

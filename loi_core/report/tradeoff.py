@@ -237,4 +237,5 @@ def _html(heads: Sequence[str], rows: Iterable[Sequence[str]], texts: int) -> st
     for row in rows:
         words = "".join(f"<td>{escape(cell)}</td>" for cell in row[:texts])
         lines.append(words + "".join(f'<td class="n">{escape(cell)}</td>' for cell in row[texts:]))
-    return f"<table>{''.join(f'<tr>{line}</tr>' for line in lines)}</table>"
+    table = f"<table>{''.join(f'<tr>{line}</tr>' for line in lines)}</table>"
+    return f'<div class="scroll" role="group" tabindex="0" aria-label="{escape(heads[0])}">{table}</div>'

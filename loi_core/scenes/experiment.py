@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import math
 import time
 from collections.abc import Callable, Mapping
@@ -14,26 +12,36 @@ from typing import Final, TypeAlias
 import numpy as np
 
 from loi_core.effects import EffectPlan, PlanningRenderer
-from loi_core.errors import FitError, SceneError
+from loi_core.errors import FitError, SceneError, WriteError
 from loi_core.fitting.loop import FitInterruptedError, FitResult, FitStep, fit
 from loi_core.fitting.parameters import starting_parameters
 from loi_core.fitting.views import Images, by_view
-from loi_core.io.files import read_bytes
-from loi_core.io.result_folder import HISTORY_FILE
+from loi_core.method.comparison import ScaleKey
 from loi_core.objectives.base import Objective
 from loi_core.pixels.psnr import psnr
 from loi_core.renderers.contract import Parameters
+from loi_core.scenes.by_scale import scale_terms
 from loi_core.scenes.scene import Scene
 from loi_core.support.arrays import Array, Host, to_numpy
 from loi_core.support.guards import foreign
 
-__all__ = ["Progress", "Start", "Trial", "frame_steps", "plan_scene", "quality", "run_scene"]
+__all__ = ["FrameWriter", "Progress", "Start", "Trial", "Watch", "frame_steps", "plan_scene", "quality", "run_scene"]
 
-FRAMES: Final = 8  # pictures of the way that a report shows
-MOST_HISTORY: Final = 2**28  # bytes, of a million steps
+FRAMES: Final = 24  # pictures of the way that a report shows
+FEW_FRAMES: Final = 8  # and of large images
+LARGE: Final = 2**18  # pixels
+SEEN: Final = "seen/"  # what the images of views are called in a checkpoint
+FRAME: Final = "frame/"  # and frames, by their steps, that are not on disk yet
+TERMS: Final = "terms"  # rows of a step, a scale (alpha, beta, sigma) and what it adds to the value
 
 Progress: TypeAlias = Callable[[str, int, float], None]
 """Called as ``progress(objective, step, value)`` after every step of every fit."""
+
+FrameWriter: TypeAlias = Callable[[int, Host], None]
+"""Called as ``write(step, frame)`` for every picture of the way of the first fit, once that has come so far."""
+
+Watch: TypeAlias = Callable[[str, FitStep, float, Callable[[], Host]], None]
+"""Called as ``watch(objective, step, psnr, picture)`` after every step; ``picture()`` is a copy of its image."""
 
 
 @dataclass
@@ -51,7 +59,12 @@ class Trial:
     psnr : dict of float
         Step to PSNR of its image against the target, in dB; of several views, those that the step rendered.
     frames : list of (int, array)
-        Steps and images along the way, likewise side by side.
+        Steps and images along the way, likewise side by side; of a fit that was resumed, those since.
+    terms : dict of dict of float
+        Of the steps in `frames`, what each scale (alpha, beta, sigma) of the objective adds to its value; of one that
+        has no scales, empty.
+    starts : dict of arrays, shape (H, W, C)
+        The image of each view at the start.
     psnr_initial : float
         That of the start, of all views.
     elapsed : float
@@ -60,6 +73,8 @@ class Trial:
         The first step that it took since.
     error : str
         Why the fit ended early; empty if it did not.
+    can_resume : bool
+        Whether it can go on from its checkpoint: it was interrupted, or a file could not be written.
     plan : EffectPlan or None
         What was simulated at the end, if the renderer plans that.
     effects : dict of arrays, shape (H, W, C)
@@ -70,11 +85,14 @@ class Trial:
     result: FitResult | None = None
     initial: Host = field(default_factory=lambda: np.zeros((1, 1, 3)))
     psnr: dict[int, float] = field(default_factory=dict)
+    terms: dict[int, dict[ScaleKey, float]] = field(default_factory=dict)
+    starts: dict[str, Host] = field(default_factory=dict)
     psnr_initial: float = math.nan
     elapsed: float = 0.0
     began: int = 0
     frames: list[tuple[int, Host]] = field(default_factory=list)
     error: str = ""
+    can_resume: bool = False
     plan: EffectPlan | None = None
     effects: dict[str, Host] = field(default_factory=dict)
 
@@ -129,12 +147,19 @@ class Start:
 
 
 def run_scene(
-    scene: Scene, *, checkpoint: Path | None = None, resume: bool = False, progress: Progress | None = None
+    scene: Scene,
+    *,
+    checkpoint: Path | None = None,
+    resume: bool = False,
+    progress: Progress | None = None,
+    write_frame: FrameWriter | None = None,
+    watch: Watch | None = None,
 ) -> list[Trial]:
     """Fit a scene with each of its objectives.
 
     A fit that fails, or Ctrl-C, ends with what has been reached so far: the trial says so in ``error``, and after
-    Ctrl-C the remaining objectives are not tried. Only the first objective keeps a checkpoint.
+    Ctrl-C, or where a checkpoint cannot be written, the remaining objectives are not tried. Only the first objective
+    keeps a checkpoint, and in it what is seen on the way; but no frame that `write_frame` has written.
 
     Raises
     ------
@@ -142,13 +167,13 @@ def run_scene(
         If the scene's options are not allowed; nothing has been rendered then.
     """
     start = Start.of(scene)
-    initial = scene.strip({name: to_numpy(image) for name, image in start.images.items()})
-    first = quality(scene, {name: to_numpy(image) for name, image in start.images.items()})
-    earlier = _earlier_psnr(scene.output / HISTORY_FILE) if resume else {}
+    starts = {name: to_numpy(image).copy() for name, image in start.images.items()}
+    initial = scene.strip(starts)
+    first = quality(scene, starts)
     trials: list[Trial] = []
     for index, name in enumerate(scene.objectives):
-        trial = Trial(name, initial=initial, psnr_initial=first)
-        watcher = _Watcher(scene, trial, progress, {view: to_numpy(image) for view, image in start.images.items()})
+        trial = Trial(name, initial=initial, starts=starts, psnr_initial=first)
+        watcher = _Watcher(scene, trial, progress, write_frame if index == 0 else None, watch, dict(starts))
         trials.append(trial)
         started = time.perf_counter()
         try:
@@ -173,9 +198,13 @@ def run_scene(
         except FitError as error:
             trial.error = str(error)
             trial.result = error.result if isinstance(error.result, FitResult) else None
+            if isinstance(error.__cause__, WriteError):  # the results of others could not be written either
+                trial.can_resume = True
+                break
         except FitInterruptedError as stop:
             trial.error = str(stop)
             trial.result = stop.result
+            trial.can_resume = True
             break
         finally:
             trial.elapsed = time.perf_counter() - started
@@ -183,8 +212,6 @@ def run_scene(
                 trial.plan = scene.renderer.plan
             if trial.result is not None:
                 trial.result = replace(trial.result, image=_all_views(scene, trial.result, start))
-            if index == 0 and trial.result is not None:
-                trial.psnr = _known_psnr(trial.result, earlier) | trial.psnr
     return trials
 
 
@@ -251,22 +278,6 @@ def _effect_images(scene: Scene, start: Start, objective: str) -> dict[str, Host
     return {effect: to_numpy(one) for effect, one in found.items()}
 
 
-def _earlier_psnr(path: Path) -> dict[tuple[int, float], float]:
-    """PSNR by step and value from the history of an earlier fit; empty where there is none that can be read."""
-    try:
-        text = read_bytes(path, MOST_HISTORY).decode("utf-8")
-        rows = [row for row in csv.DictReader(io.StringIO(text, newline="")) if row["psnr"]]
-        return {(int(row["step"]), float(row["value"])): float(row["psnr"]) for row in rows}
-    except (OSError, ValueError, KeyError, TypeError, csv.Error):
-        return {}
-
-
-def _known_psnr(result: FitResult, earlier: Mapping[tuple[int, float], float]) -> dict[int, float]:
-    """PSNR by step, where the earlier fit had the same value: else that history is not of the fit resumed."""
-    keys = ((one.step, one.value) for one in result.history)
-    return {key[0]: earlier[key] for key in keys if key in earlier}
-
-
 def quality(scene: Scene, images: Mapping[str, Host]) -> float:
     """PSNR of the images of some views against their targets, in dB, where pixels count."""
     errors = []
@@ -277,32 +288,89 @@ def quality(scene: Scene, images: Mapping[str, Host]) -> float:
     return math.inf if error == 0.0 else -10.0 * math.log10(error)
 
 
-def frame_steps(steps: int) -> set[int]:
-    """The steps whose images a report of a fit of so many steps shows."""
-    return {round(k * (steps - 1) / (FRAMES - 1)) for k in range(FRAMES)}
+def frame_steps(scene: Scene) -> set[int]:
+    """The steps of a fit whose images a report shows."""
+    pixels = sum(math.prod(view.target.image.shape[:2]) for view in scene.views.values())
+    count = FRAMES if pixels <= LARGE else FEW_FRAMES
+    return {round(k * (scene.fit.steps - 1) / (count - 1)) for k in range(count)}
 
 
 @dataclass
 class _Watcher:
-    """The callback that keeps what a report shows."""
+    """The callback that keeps what a report shows, and has a checkpoint remember it."""
 
     scene: Scene
     trial: Trial
     progress: Progress | None
+    write_frame: FrameWriter | None
+    watch: Watch | None
     latest: dict[str, Host]  # the image of each view when it was last rendered
+    unwritten: dict[int, Host] = field(default_factory=dict)
+    called: bool = False
+    shown: set[int] = field(init=False)
 
-    def __call__(self, step: FitStep, params: Parameters, image: Images) -> None:
-        images = by_view(image)
-        seen = {name: to_numpy(one) for name, one in images.items()}
-        if not self.trial.psnr:
-            self.trial.began = step.step
+    def __post_init__(self) -> None:
+        self.shown = frame_steps(self.scene)
+
+    def __call__(self, step: FitStep, params: Parameters, image: Images, /) -> None:  # noqa: ARG002 - a callback's
+        seen = {name: to_numpy(one) for name, one in by_view(image).items()}
+        if not self.called:
+            self.trial.began, self.called = step.step, True
         self.latest |= seen
-        self.trial.psnr[step.step] = quality(self.scene, seen)
-        if step.step in frame_steps(self.scene.fit.steps):
-            self.trial.frames.append((step.step, self.scene.strip(self.latest).copy()))
-        for name, one in images.items():
-            view = self.scene.views[name]
-            if isinstance(view.renderer, PlanningRenderer):
-                view.renderer.watch(step, view.own(params, self.scene.optimise), one)
+        psnr = self.trial.psnr[step.step] = quality(self.scene, seen)
+        if step.step in self.shown:
+            self._add_frame(step.step, self._picture())
+            self.trial.terms[step.step] = scale_terms(self.scene, self.trial.objective, self.latest)
+        if self.watch is not None:
+            self.watch(self.trial.objective, step, psnr, self._picture)
         if self.progress is not None:
             self.progress(self.trial.objective, step.step, step.value)
+
+    def memory(self) -> dict[str, Host]:
+        """The PSNR of every step; the images of views that not every step renders; and frames that are not on disk."""
+        self._write_frames()
+        known = np.array(sorted(self.trial.psnr.items()), dtype=np.float64).reshape(-1, 2)
+        terms = [(step, *key, value) for step, each in self.trial.terms.items() for key, value in each.items()]
+        some = self.scene.fit.views_per_step is not None
+        views = {f"{SEEN}{name}": image for name, image in self.latest.items()} if some else {}
+        told = {"psnr": known, TERMS: np.array(terms, dtype=np.float64).reshape(-1, 5)}
+        return {**told, **views, **{f"{FRAME}{step}": frame for step, frame in self.unwritten.items()}}
+
+    def restore(self, memory: Mapping[str, Host], /) -> None:
+        """What :meth:`memory` gave to the checkpoint of an earlier fit; what is of another kind is left out."""
+        known = memory.get("psnr", np.zeros((0, 2)))
+        if known.ndim == 2 and known.shape[1] == 2 and np.all(np.isfinite(known[:, 0])):
+            self.trial.psnr |= {int(step): float(value) for step, value in known}
+        self.trial.began = len(self.trial.psnr)
+        terms = memory.get(TERMS, np.zeros((0, 5)))
+        if terms.ndim == 2 and terms.shape[1] == 5 and np.all(np.isfinite(terms)):
+            for step, alpha, beta, sigma, value in terms.tolist():
+                self.trial.terms.setdefault(int(step), {})[alpha, beta, sigma] = value
+        for name, image in self.latest.items():
+            seen = memory.get(f"{SEEN}{name}", image)
+            if seen.shape == image.shape:
+                self.latest[name] = seen
+        shape = self.scene.strip(self.latest).shape
+        for name, frame in memory.items():
+            step = name.removeprefix(FRAME)
+            if name.startswith(FRAME) and step.isascii() and step.isdecimal() and frame.shape == shape:
+                self._add_frame(int(step), frame)
+
+    def _picture(self) -> Host:
+        return self.scene.strip(self.latest).copy()
+
+    def _add_frame(self, step: int, frame: Host) -> None:
+        self.trial.frames.append((step, frame))
+        self.unwritten[step] = frame
+        self._write_frames()
+
+    def _write_frames(self) -> None:
+        """Write the frames that are not on disk; those that cannot be written wait: a picture does not end a fit."""
+        if self.write_frame is None:
+            return
+        for step, frame in list(self.unwritten.items()):
+            try:
+                self.write_frame(step, frame)
+            except WriteError:
+                return
+            del self.unwritten[step]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from inspect import Parameter, formatannotation, signature
 from pathlib import Path
 from typing import Any
@@ -11,10 +11,11 @@ from typing import Any
 from loi_core.errors import LoiError
 from loi_core.io.images import FloatImage, read_image
 from loi_core.plugins.registry import RendererFactory, load_renderer
+from loi_core.renderers.blurred import BLUR_KEYS, BlurredRenderer
 from loi_core.renderers.contract import Renderer
 from loi_core.scenes.target import read_target
 from loi_core.scenes.where import Where
-from loi_core.support.guards import is_ctrl_c
+from loi_core.support.guards import foreign, is_ctrl_c
 from loi_core.support.values import whole_number
 from loi_core.support.wording import described, shown
 
@@ -22,9 +23,18 @@ __all__ = ["make_renderer"]
 
 
 def make_renderer(
-    where: Where, heading: str, table: Mapping[str, Any], target: FloatImage, samples: int | None
+    where: Where,
+    heading: str,
+    table: Mapping[str, Any],
+    target: FloatImage,
+    *,
+    samples: int | None,
+    moving: Iterable[str],
 ) -> tuple[Renderer, int | None]:
-    """The renderer of a view, and its samples per pixel if that is an option."""
+    """The renderer of a view, and its samples per pixel if that is an option.
+
+    A table `blur` is for a renderer that takes it, or else for a blur around it, of what is `moving` by default.
+    """
     folder = where.path.parent
     if "name" not in table:
         raise where.error(heading, "`name` is missing")
@@ -32,6 +42,10 @@ def make_renderer(
     factory = load_renderer(name)
     accepted = _accepted(factory)
     options = {key: value for key, value in table.items() if key not in ("name", "images")}
+    blur = where.table(heading, table, "blur") if "blur" in table else None
+    where.known(f"{heading}.blur", blur or {}, BLUR_KEYS)
+    if "blur" not in (accepted or {}):
+        options.pop("blur", None)
     images = where.table(heading, table, "images")
     for key in images:
         if key in options:
@@ -72,8 +86,22 @@ def make_renderer(
         raise where.error(heading, said) from error
     if not usable:
         raise where.error(heading, f"{name} made a {type(renderer).__name__}, which is not a renderer")
+    if blur is not None and "blur" not in (accepted or {}):
+        renderer = _blurred(where, f"{heading}.blur", renderer, blur, moving)
     declared = (accepted or {}).get("spp")
     return renderer, whole_number(options.get("spp", declared.default if declared else None))
+
+
+def _blurred(
+    where: Where, heading: str, renderer: Renderer, table: Mapping[str, Any], moving: Iterable[str]
+) -> Renderer:
+    """A renderer whose gradients are those of its images blurred."""
+    try:
+        with foreign("blurring"):
+            names = [name for name in moving if name in renderer.parameters()]
+            return BlurredRenderer(renderer, **{"names": names, **table})
+    except LoiError as error:
+        raise where.error(heading, str(error)) from error
 
 
 def _picture(path: Path, accepted: Mapping[str, Parameter] | None) -> FloatImage:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 import re
 from collections.abc import Mapping
 from pathlib import Path
@@ -21,7 +20,6 @@ from loi_core.fitting.parameters import (
     own_parameters,
     starting_parameters,
 )
-from loi_core.io.files import check_writable
 from loi_core.io.images import FloatImage, StoredImage, read_stored
 from loi_core.io.toml import read_toml
 from loi_core.method.scales import ScaleSpace
@@ -36,12 +34,12 @@ from loi_core.scenes.where import Where
 from loi_core.support.values import real_number, whole_number
 from loi_core.support.wording import shown
 
-__all__ = ["load_scene"]
+__all__ = ["SCENE_KEYS", "load_scene", "make_scene"]
 
 OURS: Final = "loi"
 
 TARGET_KEYS: Final = ("target", "encoding", "alpha", "weights")
-TOP_KEYS: Final = (*TARGET_KEYS, "output", "title", "renderer", "views", "optimise", "scales", "objective", "fit")
+SCENE_KEYS: Final = (*TARGET_KEYS, "output", "title", "renderer", "views", "optimise", "scales", "objective", "fit")
 VIEW_KEYS: Final = (*TARGET_KEYS, "renderer")
 VIEW_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 MOST_VIEWS: Final = 256
@@ -71,9 +69,15 @@ def load_scene(path: Path, *, output: Path | None = None, samples: int | None = 
     LoiError
         For what it names: an image that cannot be read, a renderer that is not installed, a scale out of range.
     """
-    document = read_toml(path)
+    return make_scene(read_toml(path), path, output=output, samples=samples)
+
+
+def make_scene(
+    document: Mapping[str, Any], path: Path, *, output: Path | None = None, samples: int | None = None
+) -> Scene:
+    """The scene that a document describes, as if it stood in a file; arguments and errors of :func:`load_scene`."""
     where = Where(path)
-    where.known("", document, TOP_KEYS)
+    where.known("", document, SCENE_KEYS)
     for key in ("views" if "views" in document else "target", "renderer", "optimise"):
         if key not in document:
             raise where.error("", f"`{key}` is missing; a scene needs target, [renderer] and [optimise.NAME]")
@@ -85,7 +89,7 @@ def load_scene(path: Path, *, output: Path | None = None, samples: int | None = 
     optimise, truth = _optimise(where, where.table("", document, "optimise"), views)
     name = where.text("", document, "output") if "output" in document else f"{path.stem}-result"
     results = path.parent / name if output is None else output
-    _check_output(where, results, own=output is None)
+    where.check_output(results, own=output is None, of="scene", beside=" and its images")
     return Scene(
         path=path,
         title=where.text("", document, "title") if "title" in document else path.stem,
@@ -97,15 +101,6 @@ def load_scene(path: Path, *, output: Path | None = None, samples: int | None = 
         samples=spp,
         tone=tone,
     )
-
-
-def _check_output(where: Where, results: Path, *, own: bool) -> None:
-    check_writable("output", results)
-    home, there = (os.path.realpath(path) for path in (where.path.parent, results))
-    if own and not Path(there).is_relative_to(home):
-        raise where.error("", f"`output` must lie in the folder of the scene, got {shown(str(results))}; use --output")
-    if home == there:
-        raise where.error("", "`output` must be a folder of its own, not that of the scene and its images")
 
 
 def _view_tables(
@@ -151,7 +146,12 @@ def _view(
     path = where.path.parent / where.text(heading, table, "target")
     stored = read_stored(path)
     renderer, spp = make_renderer(
-        where, f"{heading}.renderer" if heading else "renderer", options, stored.colours, samples
+        where,
+        f"{heading}.renderer" if heading else "renderer",
+        options,
+        stored.colours,
+        samples=samples,
+        moving=where.table("", document, "optimise"),
     )
     target = _target(where, heading, table, path, stored, renderer)
     scales = _scales(where, where.table("", document, "scales"), target.image)
@@ -237,7 +237,7 @@ def _scales(where: Where, table: Mapping[str, Any], target: FloatImage) -> Scale
                 raise where.error("scales", f"`preset` and `{given[0]}` exclude each other; give one of them")
             base = ScaleSpace.paper(table["preset"])
         else:
-            base = ScaleSpace.for_image(*target.shape[:2])
+            base = ScaleSpace.for_image(*target.shape[:2], bounds=table.get("bounds", (0.0, 1.0)))
         chosen = {key: table.get(key, getattr(base, key)) for key in ("sigma", "alpha", "beta")}
         return ScaleSpace(**chosen, **options)
     except OptionError as error:

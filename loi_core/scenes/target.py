@@ -45,8 +45,8 @@ class Target:
 def read_target(
     path: Path | str,
     *,
-    to: str | None = None,
-    encoding: str | None = None,
+    to: Encoding | None = None,
+    encoding: Encoding | None = None,
     alpha: str | Sequence[float] | FloatImage = BLACK,
     weights: Path | str | None = None,
 ) -> Target:
@@ -55,7 +55,7 @@ def read_target(
     Parameters
     ----------
     path : path or str
-        A file of :func:`read_image`.
+        A file of ``loi_core.io.images.read_image``.
     to : {"linear", "sRGB"}, optional
         What the renderer makes: "linear" for radiance. Values stay as they are stored by default.
     encoding : {"linear", "sRGB"}, optional

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
@@ -9,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from loi_core.errors import SceneError
+from loi_core.io.files import check_writable
 from loi_core.support.wording import shown
 
 __all__ = ["Where"]
@@ -45,3 +47,29 @@ class Where:
         if not isinstance(value, str) or not value or "\0" in value:
             raise self.error(name, f"`{key}` must be a text that is not empty, got {shown(value)}")
         return value
+
+    def check_output(self, results: Path, *, own: bool, of: str, beside: str) -> None:
+        """Check the folder for what comes of a file, which may lie elsewhere if `own` is False: the user has said so.
+
+        Parameters
+        ----------
+        results : Path
+        own : bool
+            Whether the file itself names it.
+        of, beside : str
+            What the file is, "scene" or "sweep"; and what else is in its folder, with a space before.
+
+        Raises
+        ------
+        OptionError
+            If it cannot be written to.
+        SceneError
+            If it is not a folder of its own, or not within that of the file.
+        """
+        check_writable("output", results)
+        home, there = (os.path.realpath(path) for path in (self.path.parent, results))
+        if own and not Path(there).is_relative_to(home):
+            got = shown(str(results))
+            raise self.error("", f"`output` must lie in the folder of the {of}, got {got}; use --output")
+        if home == there:
+            raise self.error("", f"`output` must be a folder of its own, not that of the {of}{beside}")

@@ -126,7 +126,7 @@ def stability_rows(
     Parameters
     ----------
     cases : sequence of HardCase
-        Such as :func:`loi_core.testing.hard_cases`.
+        Such as :func:`loi_core.stability.hard_cases`.
     backends : mapping of str to Backend
     progress : callable, optional
         Called before each line.
@@ -248,4 +248,5 @@ PROPERTIES: Final = (
     StabilityProperty("apart", "images of a batch do not feel each other", _answered(_apart)),
     StabilityProperty("untouched", "the caller's image is not written to", lambda t: "it was" if t.written else ""),
 )
+"""What is asked of every hard case, each a `StabilityProperty`."""
 """What :class:`StabilityRow` checks of every trial."""

@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Hashable
-from typing import Generic, TypeVar
+from typing import Final, Generic, TypeVar
 
 from loi_core.support.forking import ForkSafeLock
 
-__all__ = ["Cache"]
+__all__ = ["BESIDE", "Cache"]
+
+BESIDE: Final = 1024
+"""Numbers that a kept array takes the memory of, beside its own: of the objects that hold it, and of its key."""
 
 Key = TypeVar("Key", bound=Hashable)
 Value = TypeVar("Value")

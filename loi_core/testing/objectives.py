@@ -245,3 +245,4 @@ OBJECTIVE_CHECKS: Final[tuple[_Check, ...]] = (
     Check("own_reference", "the reference is the objective's own: later writes change nothing", _check_own_reference),
     Check("non_finite", "a NaN pixel is refused with a ValueError, masked, or seen in the value", _check_non_finite),
 )
+"""What `check_objective` checks, in its order: each has a `name` and the `rule` that it holds an objective to."""

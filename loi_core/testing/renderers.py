@@ -313,3 +313,4 @@ RENDERER_CHECKS: Final[tuple[_Check, ...]] = (
     Check("finite_differences", "a pullback is the transpose of the image's derivative", _check_differences),
     Check("non_finite", "a parameter that is not finite is refused, or seen in the image", _check_non_finite),
 )
+"""What `check_renderer` checks, in its order: each has a `name` and the `rule` that it holds a renderer to."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from tests.frameworks import load
+from tests.frameworks import load_installed
 
-for framework in ("jax", "torch"):
-    load(framework)
+load_installed("jax", "torch")

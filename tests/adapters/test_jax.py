@@ -21,7 +21,7 @@ from loi_core.pixels.nonfinite import NanPolicy
 from loi_core.testing import check_objective
 from tests.helpers import by_arrays, images
 
-SCALES = ScaleSpace.paper("path")
+SCALES = ScaleSpace(1, (1, 5), 0.25)  # few: JAX compiles all that follows from them, in every test anew
 IMAGE, REFERENCE = images((17, 23, 3), seed=1)
 VALUE, GRADIENT = LOIObjective(REFERENCE, SCALES).value_and_grad(IMAGE)
 Loss = Callable[[Any], Any]

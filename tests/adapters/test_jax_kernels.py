@@ -19,9 +19,13 @@ from loi_core.method import compiled
 from loi_core.pixels.nonfinite import NanPolicy
 from tests.conformance.test_backends import TONES
 from tests.helpers import by_arrays, images
-from tests.strategies import Problem, problems
+from tests.strategies import FEWER, Problem, problems
 
-pytestmark = pytest.mark.skipif(not compiled.available(), reason="needs Numba")
+pytestmark = [
+    pytest.mark.skipif(not compiled.available(), reason="needs Numba"),
+    # Problems are drawn with values beyond the bounds as well.
+    pytest.mark.filterwarnings("ignore::loi_core.objectives.RangeWarning"),
+]
 
 SCALES = ScaleSpace(1, (1, 5), 0.25)
 IMAGE, REFERENCE = images((9, 7, 2), seed=1)
@@ -38,6 +42,7 @@ def lowered(function: Any, *platforms: str) -> str:
     return text
 
 
+@FEWER
 @given(problems(), st.sampled_from(TONES), st.sampled_from(["raise", "mask"]), st.sampled_from(["exact", "balanced"]))
 def test_every_transformation_gives_the_bits_of_numpy(
     problem: Problem, tone: LogTone | None, policy: NanPolicy, accuracy: str

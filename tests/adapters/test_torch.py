@@ -280,3 +280,13 @@ def test_it_may_be_made_and_called_in_inference_mode() -> None:
     image = leaf()
     loss(image).backward()
     assert image.grad is not None
+
+
+def test_a_module_is_printed_with_its_reference_scales_accuracy_and_dtype() -> None:
+    loss = LOILoss(REFERENCE.astype(np.float32), SCALES, "balanced", nan_policy="mask", weights=np.ones((17, 23)))
+    assert str(loss) == (
+        "LOILoss((2, 17, 23, 3), sigma=(1.0, 5.0), alpha=(1.0, 5.0, 15.0, 45.0), beta=(0.125,), accuracy='balanced', "
+        "dtype=torch.float32, nan_policy='mask', weights=(17, 23))"
+    )
+    assert "dtype=torch.float64" in str(torch.nn.Sequential(loss.double()))
+    assert "nan_policy" not in str(LOILoss(REFERENCE))

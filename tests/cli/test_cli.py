@@ -54,6 +54,28 @@ def test_demo_shows_pixels_failing_from_the_same_start(demo: dict[str, Any], sce
     assert first["psnr"] > second["psnr"] + 5.0
 
 
+def test_demo_finds_a_ball_in_mitsuba_that_does_not_overlap_its_photograph(demo: dict[str, Any]) -> None:
+    pytest.importorskip("mitsuba")
+    found, pixels = errors(demo, 2, "loi"), errors(demo, 2, "pixel_l2")
+    assert max(found.values()) < 0.15  # about a pixel
+    assert pixels["x"] > 1.0
+
+
+def test_the_demo_says_in_one_line_how_to_get_a_scene_that_needs_mitsuba(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(sys.modules, "loi_mitsuba", None)  # as if its import failed
+    monkeypatch.setattr("loi_core.cli.demo.run_and_write", lambda scene, **_: {"title": scene.title, "trials": []})
+    monkeypatch.setattr("loi_core.cli.demo.write_page", lambda page: page)
+    monkeypatch.setattr("loi_core.cli.demo.write_index", lambda page, folders, title: page)
+    assert main(["demo", "--output", str(tmp_path), "--json"]) == 0
+    told = capsys.readouterr()
+    (line,) = told.err.splitlines()
+    assert line.startswith("loi: the scene in Mitsuba is left out; ")
+    assert "pip install" in line
+    assert [one["title"] for one in json.loads(told.out)["scenes"]] == ["Three disks", "A photograph, darker and noisy"]
+
+
 def test_demo_ends_in_one_page_of_pictures(demo: dict[str, Any]) -> None:
     page = Path(demo["report"])
     assert page.name == "index.html"
@@ -123,6 +145,27 @@ def test_doctor_names_the_mend_for_what_is_missing_or_broken(
     assert (found["torch"]["state"], found["torch"]["fix"]) == ("missing", "pip install 'loi[torch]'")
     assert found["jax"]["state"] == "broken"
     assert "libcrooked.so" in found["jax"]["detail"]
+
+
+def test_doctor_says_what_is_slow_without_numba_and_that_it_may_be_switched_off(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(doctor, "BACKENDS", {})
+
+    def said() -> dict[str, str]:
+        main(["doctor", "--json"])
+        return dict(next(one for one in json.loads(capsys.readouterr().out) if one["name"] == "numba"))
+
+    with monkeypatch.context() as patch:
+        patch.setitem(sys.modules, "numba", None)
+        found = said()
+        assert (found["state"], found["fix"]) == ("missing", "pip install numba")
+        assert "several times as long" in found["detail"]
+    pytest.importorskip("numba")
+    monkeypatch.setenv("LOI_COMPILED", "0")
+    found = said()
+    assert found["state"] == "note"
+    assert "switched off by LOI_COMPILED=0" in found["detail"]
 
 
 def test_doctor_tries_every_announced_objective(

@@ -138,15 +138,17 @@ def test_the_readme_finds_a_mesh_in_under_twenty_lines(tmp_path: Path) -> None:
         ("numpy", (75.0, 45.0), 0.5),
         ("torch", (75.0, 45.0), 0.5),
         ("mesh", (2.0, -0.8, 0.0), 0.05),  # scene units; a pixel is 0.09
+        ("torch_distributed", (15.0, 45.0, -10.0), 0.5),
         ("jax", (75.0, 45.0), 0.5),
+        ("jax_sharding", (15.0, 45.0, -10.0), 0.5),
         ("mitsuba", (1.5, -1.0), 0.1),  # scene units; a pixel is 0.12
     ],
 )
 def test_the_loops_of_the_readme_find_a_place_that_they_do_not_overlap_at_first(
     name: str, place: tuple[float, ...], near: float
 ) -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", f"examples.loops.with_{name}"], capture_output=True, text=True, cwd=ROOT, check=True
-    )
+    ranks = ("torch.distributed.run", "--standalone", "--nproc-per-node", "2", "-m") if "distributed" in name else ()
+    command = [sys.executable, "-m", *ranks, f"examples.loops.with_{name}"]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=True)
     found = [float(one) for one in done.stdout.split()]
     assert found == pytest.approx(place, abs=near)

@@ -13,6 +13,7 @@ import pytest
 
 from examples.paper import guidance
 from examples.paper.means import Mean
+from examples.paper.runner import carry_out_all
 from examples.paper.store import is_done, keep, load, picture_path
 from examples.paper.table1.command import main
 from examples.paper.table1.extent import PARTS, Extent
@@ -59,6 +60,21 @@ def test_a_run_is_done_only_with_its_very_settings(tmp_path: Path) -> None:
     assert not is_done(tmp_path, replace(run, column=replace(run.column, noise=0.1)))
     next(tmp_path.glob("**/*.json")).write_text("{ cut sho")
     assert not is_done(tmp_path, run)
+
+
+def test_records_are_those_that_kept_runs_have(tmp_path: Path) -> None:
+    run = Run(replace(OURS["pixel_l2"], steps=FEW), SMALL, 7)
+    path = picture_path(tmp_path, run).with_suffix(".json")
+    path.parent.mkdir(parents=True)
+    path.write_text(json.dumps({"run": repr(run), "psnr": 31.5, "seconds": 2.0}) + "\n")
+    assert load(tmp_path, run) == {"run": repr(run), "psnr": 31.5, "seconds": 2.0}
+
+
+def test_a_run_that_fails_ends_all_and_leaves_no_record(tmp_path: Path) -> None:
+    runs = [Run(replace(OURS["pixel_l2"], steps=FEW, rate=rate), SMALL, 0) for rate in (8.0, -1.0)]
+    with pytest.raises(RuntimeError, match=r"rate=-1\.0.*`learning_rate` must"):
+        carry_out_all(runs, carry_out, tmp_path, 1)
+    assert [is_done(tmp_path, run) for run in runs] == [True, False]
 
 
 def test_what_is_told_of_a_run_has_only_those_later_fields_that_are_used() -> None:

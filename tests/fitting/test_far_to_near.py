@@ -16,8 +16,8 @@ from loi_core.fitting.loop import FitInterruptedError, FitStep
 from loi_core.fitting.parameters import bounds_of
 from loi_core.fitting.race import draw_starts
 from loi_core.fitting.stages import has_settled
-from loi_core.fitting.units import measure_units
 from loi_core.renderers import Disks, Warp
+from loi_core.renderers.units import measure_units
 from tests.contents import photograph
 from tests.strategies import SEEDS
 

@@ -128,6 +128,8 @@ def test_parameters_keep_their_dtype_and_shape() -> None:
     ids=["numpy", "torch", "jax"],
 )
 def test_parameters_of_16_bits_are_fitted_and_resumed(make: Any, tmp_path: Path) -> None:
+    make([0.0])  # skips here, and not within a fit, where the framework is not installed
+
     class Half(Bowl):
         def parameters(self) -> dict[str, Any]:
             return {"level": make([0.0, 0.0])}  # the second has no gradient

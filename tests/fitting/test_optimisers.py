@@ -12,7 +12,7 @@ import pytest
 from loi_core import FitInterruptedError, Optimiser, PixelL2, fit
 from loi_core.errors import FitError, OptionError, ParameterError
 from loi_core.fitting.adam import Adam
-from loi_core.fitting.state import FitStep
+from loi_core.fitting.history import FitStep
 from tests.fitting.fits import Bowl, run
 from tests.frameworks import load, loi_jax, loi_torch, torch
 from tests.helpers import Host
@@ -23,6 +23,7 @@ def torch_optimiser(name: str, **options: Any) -> Any:
 
 
 def optax_optimiser(name: str, *arguments: float) -> Any:
+    pytest.importorskip("optax")
     made = getattr(load("optax"), name)(*arguments)
     return loi_jax.OptaxOptimiser(made)
 

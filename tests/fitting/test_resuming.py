@@ -26,7 +26,7 @@ from tests.helpers import Host
 def test_a_checkpoint_that_cannot_be_written_leaves_the_result(
     interrupted: bool, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    def full(*_: object) -> None:
+    def full(*_: object, **__: object) -> None:
         message = "no space left"
         raise OSError(message)
 
@@ -34,7 +34,7 @@ def test_a_checkpoint_that_cannot_be_written_leaves_the_result(
         if interrupted and step.step == 2:
             raise KeyboardInterrupt
 
-    monkeypatch.setattr(sys.modules["loi_core.fitting.loop"], "save_checkpoint", full)
+    monkeypatch.setattr("loi_core.fitting.generations.save_checkpoint", full)
     error = FitInterruptedError if interrupted else FitError
     caught: Any
     with pytest.raises(error, match=r"step .: writing the checkpoint failed: OSError: no space left") as caught:
@@ -58,7 +58,7 @@ def test_a_fit_that_was_stopped_goes_on_as_if_it_had_not_been(tmp_path: Path) ->
     np.testing.assert_array_equal(resumed.params["positions"], whole.params["positions"])
     np.testing.assert_array_equal(resumed.best_params["positions"], whole.best_params["positions"])
     assert [one.value for one in resumed.history] == [one.value for one in whole.history]
-    assert [path.name for path in tmp_path.iterdir()] == ["state.npz"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["state.npz", "state.previous.npz"]
 
 
 def test_a_checkpoint_that_does_not_fit_is_refused(tmp_path: Path) -> None:
@@ -184,9 +184,8 @@ def interrupted_after(count: int) -> Any:
 
 def test_ctrl_c_at_any_instruction_leaves_the_state_after_whole_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     saved: list[Checkpoint] = []
-    loop = sys.modules["loi_core.fitting.loop"]
-    monkeypatch.setattr(loop, "CHECKPOINT_STEPS", 1)
-    monkeypatch.setattr(loop, "save_checkpoint", lambda path, state: saved.append(state))
+    monkeypatch.setattr("loi_core.fitting.generations.EVERY", 1)
+    monkeypatch.setattr("loi_core.fitting.generations.save_checkpoint", lambda path, state, **_: saved.append(state))
 
     def go(trace: Any) -> Any:
         """The result, or the KeyboardInterrupt."""

@@ -10,9 +10,9 @@ import pytest
 
 from loi_core import FitInterruptedError, Free, LOIObjective, PixelL2, fit
 from loi_core.errors import FitError, OptionError, RendererError
+from loi_core.fitting.history import FitStep
 from loi_core.fitting.parameters import bounds_of
 from loi_core.fitting.race import search
-from loi_core.fitting.state import FitStep
 from loi_core.fitting.views import Views
 from loi_core.renderers import Disks
 from tests.helpers import Host

@@ -14,13 +14,14 @@ from unittest import mock
 
 from loi_core.cli import main
 from loi_core.cli.doctor import Finding
+from loi_core.errors import RendererNotFoundError
 from loi_core.tradeoff import Row, Tradeoff, settings_of
 from tests.fuzz.claims import Call, fail
 from tests.fuzz.scenes import SCENE, VALUES, lay_out, spelled
 
 __all__ = ["command_lines", "places"]
 
-COMMANDS = ("fit", "demo", "tradeoff", "renderers", "doctor", "report")
+COMMANDS = ("fit", "sweep", "demo", "tradeoff", "renderers", "doctor", "report")
 OPTIONS = (
     *("--help", "--version", "--json", "--resume", "--output", "--image", "--reference", "--scene", "--backend"),
     *("--seconds", "-h", "--outp", "--", "-", "-x", "--json=1", "--output=", "--seconds=nan", "--x\x1b[2J"),
@@ -181,7 +182,8 @@ def _light() -> Iterator[None]:
             "loi_core.report.output.convergence_plot": lambda trials: b"",
             "loi_core.report.tradeoff.tradeoff_plot": lambda found: b"",
             "loi_core.cli.tradeoff.measure": measured,
-            "loi_core.cli.demo.run_and_write": lambda scene: {"title": scene.title, "trials": []},
+            "loi_core.cli.demo.make_ball": mock.Mock(side_effect=RendererNotFoundError("Mitsuba is heavy")),
+            "loi_core.cli.demo.run_and_write": lambda scene, **_: {"title": scene.title, "trials": []},
             "loi_core.cli.demo.write_page": shown,
             "loi_core.cli.demo.write_index": shown,
             "loi_core.cli.doctor.findings": lambda: [Finding("a", "ok", "b"), Finding("c", "missing", "d", "e")],

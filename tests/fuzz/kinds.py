@@ -28,7 +28,6 @@ KINDS: Final = (
     Kind("scene files, nests", scenes.nests),
     Kind("checkpoints", results.checkpoints, weight=3, writes=True),
     Kind("result folders", results.reports, writes=True),
-    Kind("histories", results.histories),
     Kind("command lines", commands.command_lines, weight=2, writes=True, megabytes=FRAMEWORKS),
     Kind("places", commands.places, writes=True),
     Kind("plugins", plugins.entry_points, weight=4),

@@ -16,13 +16,13 @@ import numpy as np
 
 from loi_core import PixelL2, fit
 from loi_core.errors import FitError
+from loi_core.fitting.checkpoint import seal
 from loi_core.renderers import Disks
 from loi_core.report import write_page
-from loi_core.scenes.experiment import _earlier_psnr
 from tests.fuzz.claims import Call, marked
 from tests.fuzz.damage import damaged
 
-__all__ = ["checkpoints", "histories", "reports"]
+__all__ = ["checkpoints", "reports", "sealed"]
 
 RENDERER = Disks(6, 6, [[2.0, 3.0]], [1.5], [[0.9, 0.2, 0.1]])
 TARGET = np.full((6, 6, 3), 0.25)
@@ -105,8 +105,15 @@ def _checkpoint(rng: random.Random, folder: Path) -> bytes:
             file.writestr(name if rng.random() < 0.5 else f"{name}.npy", content)
         if rng.random() < 0.01:  # a bomb: megabytes of nothing
             file.writestr("bomb.npy", _zeros(2**28), zipfile.ZIP_DEFLATED)
-    content = stream.getvalue()
+    content = sealed(stream.getvalue())
     return damaged(rng, content, 1) if rng.random() < 0.2 else content
+
+
+def sealed(archive: bytes) -> bytes:
+    """An archive with the digest that a checkpoint has, so that what is in it is looked at."""
+    stream = io.BytesIO(archive)
+    seal(stream)
+    return stream.getvalue()
 
 
 @functools.cache
@@ -145,23 +152,3 @@ def reports(rng: random.Random, folder: Path) -> Call:
         return "a page"
 
     return write
-
-
-HISTORY = "step,value,gradient_norm,rate,seconds,psnr\n0,0.5,1.0,1,0.1,10.0\n1,0.25,0.5,1,0.1,12.5\n"
-
-
-def histories(rng: random.Random, folder: Path) -> Call:
-    """The history of an earlier fit, of which a resumed one takes what it knows."""
-    content = damaged(rng, HISTORY.encode())
-    if rng.random() < 0.2:
-        long = "9" * rng.choice((5000, 200_000))
-        content = HISTORY.replace(
-            rng.choice(("0.5", "10.0", "step")), rng.choice((long, "nan", "", '"', "\0"))
-        ).encode()
-    (folder / "history.csv").write_bytes(content)
-
-    def read() -> str:
-        known = _earlier_psnr(folder / "history.csv")
-        return "a history" if known else "none"
-
-    return read

@@ -15,7 +15,7 @@ from loi_core.cli.demo import DISKS_SCENE, PHOTOGRAPH_SCENE
 from loi_core.io.images import write_png
 from loi_core.renderers import Disks
 from loi_core.scenes.experiment import Start
-from loi_core.scenes.reading import FIT_KEYS, FREE_KEYS, OBJECTIVE_KEYS, SCALE_KEYS, TOP_KEYS, VIEW_KEYS, load_scene
+from loi_core.scenes.reading import FIT_KEYS, FREE_KEYS, OBJECTIVE_KEYS, SCALE_KEYS, SCENE_KEYS, VIEW_KEYS, load_scene
 from tests.fuzz.claims import Call
 from tests.fuzz.damage import damaged
 
@@ -135,7 +135,7 @@ def _some_key(rng: random.Random, document: dict[str, Any]) -> tuple[dict[str, A
     """A table, and a key that it has, or could have, or should not have."""
     name = rng.choice(("", "renderer", "images", "optimise", "free", "scales", "objective", "fit", "views", "view"))
     tables: dict[str, tuple[str, ...]] = {
-        "": TOP_KEYS,
+        "": SCENE_KEYS,
         "views": ("one", "two", "three"),
         "view": VIEW_KEYS,
         "scales": SCALE_KEYS,

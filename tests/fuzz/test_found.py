@@ -28,7 +28,7 @@ from loi_core.renderers import Disks
 from loi_core.scenes.experiment import Start
 from loi_core.scenes.reading import load_scene
 from tests.fuzz.images import _exr_bomb, png_chunk, whole_exr
-from tests.fuzz.results import RENDERER, STEPS, TARGET, WHOLE
+from tests.fuzz.results import RENDERER, STEPS, TARGET, WHOLE, sealed
 from tests.fuzz.scenes import SCENE, lay_out, spelled
 from tests.helpers import FINISHED
 
@@ -157,7 +157,7 @@ def _changed(**changes: Any) -> bytes:
             np.save(member, changes.get(name.replace("/", "_"), stored[name]))
             raw = changes.get(name.replace("/", "_"))
             file.writestr(f"{name}.npy", raw if isinstance(raw, bytes) else member.getvalue())
-    return stream.getvalue()
+    return sealed(stream.getvalue())
 
 
 @pytest.mark.parametrize(
@@ -347,6 +347,7 @@ def test_an_npy_of_elements_without_size_does_not_end_the_process(dtype: str, tm
         read_image(tmp_path / "a.npy")
     with zipfile.ZipFile(tmp_path / "state.npz", "w") as file:
         file.write(tmp_path / "a.npy", "settings.npy")
+    (tmp_path / "state.npz").write_bytes(sealed((tmp_path / "state.npz").read_bytes()))
     with pytest.raises(ParameterError, match="is not a checkpoint"):
         load_checkpoint(tmp_path / "state.npz", {})
 

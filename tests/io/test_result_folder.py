@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import json
 import os
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -139,9 +138,8 @@ def test_a_fit_that_was_killed_before_its_first_result_can_go_on(scene: Path) ->
 def test_the_checkpoint_is_on_the_list_before_it_is_written(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     listed = []
     monkeypatch.setattr(
-        sys.modules["loi_core.fitting.loop"],
-        "save_checkpoint",
-        lambda path, *_: listed.append("checkpoint.npz" in ResultFolder(path.parent).names),
+        "loi_core.fitting.generations.save_checkpoint",
+        lambda path, *_, **__: listed.append("checkpoint.npz" in ResultFolder(path.parent).names),
     )
     assert main(["fit", str(scene)]) in FINISHED
     assert listed == [True]

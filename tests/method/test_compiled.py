@@ -24,7 +24,10 @@ from loi_core.method.compiled.records import GROUP, PAIRS, Plane
 from loi_core.method.gaussian import AxisBlur, AxisGrid
 from tests.contents import CONTENTS
 from tests.helpers import Host, by_arrays, program_says
-from tests.strategies import SEEDS, Problem, apart, problems
+from tests.strategies import SEEDS, THOROUGH, Problem, apart, problems
+
+# Problems are drawn with values beyond the bounds as well.
+pytestmark = pytest.mark.filterwarnings("ignore::loi_core.objectives.RangeWarning")
 
 KINDS = sorted(CONTENTS)
 DTYPES = ("float32", "float64")
@@ -241,6 +244,7 @@ print(repr(float(value)), way_for(image) is BY_LOOPS, rows.combine_pairs.__modul
 """
 
 
+@pytest.mark.skipif(not THOROUGH, reason="everything is compiled anew; in the thorough tier")
 def test_with_a_numba_whose_vectors_have_changed_all_is_still_compiled(tmp_path: Path) -> None:
     image, reference = np.random.default_rng(0).uniform(size=(2, 40, 30, 1))
     wanted = float(LOIObjective(reference, ScaleSpace.paper("path")).value(image))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 from collections.abc import Callable
 from pathlib import Path
 
@@ -10,6 +11,8 @@ import numpy as np
 import pytest
 
 pytest.importorskip("numba")
+
+from numba.core.caching import _CacheLocator
 
 from loi_core import LOIObjective
 from loi_core.method import compiled
@@ -34,7 +37,16 @@ def test_a_variable_keeps_numba_out() -> None:
     assert program_says(COMPARES, NUMBA_DISABLE_JIT="1") == "1 True"
 
 
+def copy_what_is_compiled(to: Path) -> None:
+    """Into a cache of its own, as what this process has compiled already need not be compiled again to be damaged."""
+    LOIObjective(np.zeros((4, 4, 1), np.float32)).value(np.ones((4, 4, 1), np.float32))
+    folder = Path(compiled.__file__).parent
+    within = to / _CacheLocator.get_suitable_cache_subpath(str(folder / "levels.py"))
+    shutil.copytree(folder / "__pycache__", within, ignore=shutil.ignore_patterns("*.pyc"))
+
+
 def test_a_cache_that_is_damaged_costs_time_and_one_warning(tmp_path: Path) -> None:
+    copy_what_is_compiled(tmp_path)
     assert program_says(COMPARES, NUMBA_CACHE_DIR=str(tmp_path)) == "1 True"
     kept = [path for path in tmp_path.rglob("*") if path.is_file()]
     assert kept

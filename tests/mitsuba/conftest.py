@@ -6,7 +6,7 @@ import importlib.util
 
 import pytest
 
-from tests.frameworks import load
+from tests.frameworks import load_installed
 
 if importlib.util.find_spec("mitsuba") is None:  # pragma: no cover - depends on the environment
     collect_ignore_glob = ["*.py"]
@@ -28,5 +28,4 @@ def _same_variant() -> None:
     mi.set_variant("llvm_ad_rgb")
 
 
-for framework in ("jax", "torch"):
-    load(framework)
+load_installed("jax", "torch")

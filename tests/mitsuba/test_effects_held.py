@@ -40,7 +40,7 @@ def two_balls() -> tuple[PlannedRenderer, PixelL2]:
 def test_what_cannot_be_seen_stays_where_it_is(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO, "loi_mitsuba")
     renderer, objective = two_balls()
-    found = fit(renderer, objective, steps=12, learning_rate=0.05, callback=renderer.watch)
+    found = fit(renderer, objective, steps=12, learning_rate=0.05)
     np.testing.assert_array_equal(found.params["behind"], NOWHERE)
     assert np.any(found.params["ball"] != 0.0)
     assert list(renderer.plan.held) == ["behind"]

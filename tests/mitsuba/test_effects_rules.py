@@ -134,11 +134,11 @@ def test_missing_gradients_are_told() -> None:
     fog = {"type": "homogeneous", "albedo": 0.5, "sigma_t": 0.5}
     cloud = {"type": "sphere", "bsdf": {"type": "null"}, "interior": fog}
     with pytest.warns(GradientWarning, match="no gradient of moving silhouettes"):
-        plan = plan_effects(shadow_scene(cloud=cloud), {"x": Translate("ball", (1, 0, 0))})
+        plan = plan_effects(shadow_scene(cloud=cloud), {"x": Translate("ball", (1, 0, 0))}, blur=None)
     assert any("where there is a medium" in note for note in plan.notes)
     assert not plan.on & EDGES
     with pytest.raises(ParameterError, match="for perspective only"):
-        plan_effects(shadow_scene(sensor={"type": "orthographic"}), {"x": Translate("ball", (1, 0, 0))})
+        plan_effects(shadow_scene(sensor={"type": "orthographic"}), {"x": Translate("ball", (1, 0, 0))}, blur=None)
 
 
 def test_a_plan_that_has_measured_edges_away_is_not_warned_of() -> None:
@@ -207,3 +207,12 @@ def test_a_shape_around_the_camera_lights_itself() -> None:
 def test_turning_a_shape_moves_it() -> None:
     plan = plan_effects(shadow_scene(box=box((1, 1, 0), 0.4)), {"turn": Rotate("box", (0, 1, 0))})
     assert plan.on >= EDGES
+
+
+def test_a_reason_names_a_few_of_many_parameters_and_counts_the_others() -> None:
+    scene = shadow_scene() | {
+        f"ball_{k}": {"type": "sphere", "center": [k - 3.0, 0.5, 1.0], "radius": 0.2} for k in range(6)
+    }
+    plan = plan_effects(scene, {f"x_{k}": Translate(f"ball_{k}", (1, 0, 0)) for k in range(6)})
+    reason = plan[Effect.PRIMARY].reason
+    assert "'x_0', 'x_1', 'x_2', 'x_3' and 2 others" in reason

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import os
 from itertools import pairwise
 
 import pytest
@@ -11,8 +10,7 @@ import pytest
 from examples.effects.__main__ import HEADS, cells
 from examples.effects.measure import FULL, Effort, looks_of_a_stall, measure
 from examples.effects.scenes import SUITE, Case
-
-THOROUGH = os.environ.get("HYPOTHESIS_PROFILE") == "thorough"
+from tests.strategies import THOROUGH
 
 
 def test_a_line_of_the_table_is_measured() -> None:

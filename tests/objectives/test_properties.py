@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -19,6 +20,9 @@ from loi_core import LOIObjective, ScaleSpace
 from loi_core.renderers import Disks
 from tests.helpers import Host
 from tests.strategies import Problem, apart, problems
+
+# Problems are drawn with values beyond the bounds as well.
+pytestmark = pytest.mark.filterwarnings("ignore::loi_core.objectives.RangeWarning")
 
 MOVES: Final[dict[str, Callable[[Host], Host]]] = {
     "batch axis": lambda image: image[None],

@@ -17,6 +17,9 @@ from tests.frameworks import array_api_strict, loi_jax, loi_torch, torch
 from tests.helpers import Host, by_arrays, directional_difference, images, relative_error
 from tests.strategies import SEEDS, Problem, apart, problems
 
+# Problems are drawn with values beyond the bounds as well.
+pytestmark = pytest.mark.filterwarnings("ignore::loi_core.objectives.RangeWarning")
+
 IMAGE, REFERENCE = images((24, 19, 3), 1)
 WEIGHTS: Host = np.random.default_rng(2).uniform(size=(24, 19))
 MASK: Host = WEIGHTS > 0.4

@@ -18,6 +18,9 @@ from loi_core.testing import check_objective
 from tests.frameworks import array_api_strict, jax, jnp, torch
 from tests.helpers import Host, directional_difference
 
+# What lies beyond the bounds is the point of these tests.
+pytestmark = pytest.mark.filterwarnings("ignore::loi_core.objectives.RangeWarning")
+
 TONES = st.builds(LogTone, st.floats(1e-12, 1e12), st.floats(1e-3, 1e6))
 WIDTHS = {"float32": 32, "float64": 64}
 OBJECTIVES: dict[str, Any] = {

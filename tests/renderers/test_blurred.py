@@ -109,11 +109,12 @@ def test_what_is_not_blurred_has_the_gradient_of_the_renderer() -> None:
 
 
 def test_sigma_is_held_and_then_falls_to_its_last_value() -> None:
-    blurred = BlurredRenderer(Steps(), 0.5, final_sigma=0.1, steps=100)
+    blurred = BlurredRenderer(Steps(), 0.5, final_sigma=0.1)
+    assert blurred.sigma["a"] == 0.5
     seen = []
     for step in range(100):
+        blurred.at_step(step, 100, None)
         seen.append(blurred.sigma["a"])
-        blurred.watch(type("Step", (), {"step": step}), {}, None)
     assert seen[:50] == [0.5] * 50
     assert np.all(np.diff(seen[50:]) < 0.0)
     assert blurred.sigma["b"] == pytest.approx(0.1)
@@ -138,8 +139,8 @@ def test_a_fit_finds_what_has_no_gradient_of_its_own() -> None:
     square = Square()
     target = square.render(truth)
     for objective in (LOIObjective(target), PixelL2(target)):
-        blurred = BlurredRenderer(square, 6.0, final_sigma=0.7, steps=150, pairs=2)
-        found = fit(blurred, objective, steps=150, learning_rate=0.6, callback=blurred.watch)
+        blurred = BlurredRenderer(square, 6.0, final_sigma=0.7, pairs=2)
+        found = fit(blurred, objective, steps=150, learning_rate=0.6)
         np.testing.assert_allclose(found.params["place"], truth["place"], atol=1.0)
 
 
@@ -163,19 +164,23 @@ def test_it_keeps_the_contract() -> None:
 @pytest.mark.parametrize(
     ("options", "error", "says"),
     [
-        ({"sigma": 0.0}, OptionError, r"`sigma` of 'positions' must be more than 0 and finite, got 0\.0"),
+        ({"sigma": 0.0}, OptionError, r"`sigma` of 'positions' must be a finite number, more than 0, or .*, got 0\.0"),
         (
             {"sigma": {"positions": 1.0}},
             OptionError,
             "`sigma` must have 'positions', 'radii', 'colours', got",
         ),
         ({"sigma": 1.0, "pairs": 0}, OptionError, "`pairs` must be a whole number, 1 or more, got 0"),
-        ({"sigma": 1.0, "final_sigma": 0.1}, OptionError, "`steps` must be a whole number, 1 or more, where there is"),
+        ({"sigma": 1.0, "final_sigma": -0.1}, OptionError, "`final_sigma` of 'positions' must be a finite number"),
         (
             {"sigma": 1.0, "names": ["speed"]},
             ParameterError,
             "`names` must be of positions, radii, colours, got 'speed'",
         ),
+        ({"names": []}, ParameterError, "`names` must be of positions, radii, colours, got none"),
+        ({"names": "radii"}, OptionError, "`names` must be a list of names of parameters, got 'radii'"),
+        ({"sigma": "4 miles"}, OptionError, r"more than 0, or pixels as in '2 px', got '4 miles'"),
+        ({"together": 1}, OptionError, "`together` must be true or false, got 1"),
     ],
 )
 def test_options_are_checked(options: dict[str, Any], error: type[Exception], says: str) -> None:
@@ -188,21 +193,21 @@ def test_what_the_renderer_says_of_itself_is_passed_on() -> None:
     @dataclass
     class Knowing(Steps):
         encoding: str = "sRGB"
-        watched: int = 0
+        told: list[Any] = field(default_factory=list)
 
         @property
         def unabridged(self) -> Steps:
             return Steps()
 
-        def watch(self, step: Any, params: Any, image: Any) -> None:
-            self.watched += 1
+        def at_step(self, step: int, steps: int, value: float | None) -> None:
+            self.told.append((step, steps, value))
 
     blurred = BlurredRenderer(Knowing(), 0.5)
     assert isinstance(blurred, EncodedRenderer)
     assert blurred.encoding == "sRGB"
     assert isinstance(blurred.unabridged, Steps)
-    blurred.watch(type("Step", (), {"step": 0}), {}, None)
-    assert blurred.renderer.watched == 1  # type: ignore[attr-defined]
+    blurred.at_step(3, 9, 0.5)
+    assert blurred.renderer.told == [(3, 9, 0.5)]  # type: ignore[attr-defined]
     assert not isinstance(BlurredRenderer(Steps(), 0.5), EncodedRenderer)
 
 
@@ -212,3 +217,19 @@ def test_blurred_parameters_stay_legal() -> None:
     blurred = BlurredRenderer(disks, 4.0, names=list(start))
     image, pullback = blurred.render_vjp(blurred.parameters())
     assert all(np.all(np.isfinite(one)) for one in pullback(image).values())
+
+
+def test_a_width_in_pixels_is_measured_in_each_parameters_own_unit() -> None:
+    disks = Disks(64, 64, [[30.0, 30.0]], 12.0, [[1.0, 1.0, 1.0]])
+    blurred = BlurredRenderer(disks, {"positions": "3 px", "radii": 0.5}, names=["positions", "radii"])
+    assert blurred.sigma["positions"] == pytest.approx(3.0, rel=0.3)
+    assert blurred.sigma["radii"] == 0.5
+    blurred.at_step(9, 10, None)
+    assert blurred.sigma["radii"] == 0.25  # half
+
+
+def test_what_leaves_no_trace_has_no_pixels() -> None:
+    away = Disks(16, 16, [[900.0, 900.0]], 1.0, [[1.0, 1.0, 1.0]])
+    blurred = BlurredRenderer(away, names=["colours"])
+    with pytest.raises(OptionError, match="`sigma` of 'colours' must be a number, for it leaves no trace in the image"):
+        blurred.render_vjp(blurred.parameters())

@@ -17,13 +17,13 @@ from loi_core import LOIObjective, read_target
 from loi_core.cli import main
 from loi_core.errors import ImageFileError, OptionError, SceneError
 from loi_core.io.images import read_image, write_png
+from loi_core.pixels.display import Display
 from loi_core.pixels.encoding import decode_srgb, encode_srgb
 from loi_core.pixels.psnr import psnr
-from loi_core.renderers import Disks
-from loi_core.report.display import Display
 from loi_core.scenes.experiment import run_scene
 from loi_core.scenes.reading import load_scene
 from tests.helpers import FINISHED, Host
+from tests.one_disk import DISK, START, lay_out_disk
 
 IMAGE: Host = np.round(np.random.default_rng(0).uniform(size=(12, 16, 3)) * 255.0) / 255.0
 OPACITY: Host = np.round(np.random.default_rng(1).uniform(size=(12, 16)) * 255.0) / 255.0
@@ -71,7 +71,7 @@ def test_half_of_a_display_is_a_fifth_of_the_light() -> None:
     ],
 )
 def test_a_target_becomes_what_the_renderer_makes(
-    name: str, to: str | None, encoding: str | None, wanted: Host, folder: Path
+    name: str, to: Any, encoding: Any, wanted: Host, folder: Path
 ) -> None:
     target = read_target(folder / name, to=to, encoding=encoding)
     np.testing.assert_allclose(target.image, wanted, atol=1e-12)
@@ -165,28 +165,16 @@ def test_what_no_target_can_be_is_refused(
         read_target(folder / "photo.png", **options)
 
 
-SCENE = """\
+SCENE = f"""\
 target = "target.png"
-[renderer]
-name = "disks"
-positions = [[10, 6]]
-radii = [3]
-colours = [[0.9, 0.2, 0.1]]
-[optimise.positions]
-initial = [[4, 12]]
-lower = 0
-upper = 16
-[fit]
+{DISK}{START}[fit]
 steps = 60
 """
 
 
 @pytest.fixture
 def scene(tmp_path: Path) -> Path:
-    disks = Disks(16, 16, [[10, 6]], 3.0, [[0.9, 0.2, 0.1]])
-    write_png(tmp_path / "target.png", disks.render(disks.parameters()))
-    (tmp_path / "scene.toml").write_text(SCENE)
-    return tmp_path / "scene.toml"
+    return lay_out_disk(tmp_path, SCENE)
 
 
 def test_a_scene_hides_what_its_weights_hide(scene: Path) -> None:

@@ -160,9 +160,6 @@ class Noisy(Blob):
 
 def test_noise_is_averaged_over_seeds_and_hides_no_error_of_one_in_twenty() -> None:
     check_renderer(Noisy(), seeds=100)
-    for factor in (1.1, 0.9):
-        with pytest.raises(ConformanceError, match=r"finite_differences: .* off by"):
-            check_renderer(Scaled(Noisy(), factor), seeds=100)
     for factor in (1.05, 0.95):
         with pytest.raises(ConformanceError, match=r"finite_differences: .* off by"):
             check_renderer(Scaled(Noisy(), factor), seeds=200)

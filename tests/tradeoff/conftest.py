@@ -26,6 +26,12 @@ def plugins(monkeypatch: pytest.MonkeyPatch) -> Plugins:
 
 
 @pytest.fixture
+def by_arrays(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Leaves Numba out, which each row, in a process of its own, would import for longer than it measures."""
+    monkeypatch.setenv("LOI_COMPILED", "0")
+
+
+@pytest.fixture
 def pair(tmp_path: Path) -> list[str]:
     first, second = images((12, 10, 3), 0)
     np.save(tmp_path / "a.npy", first)

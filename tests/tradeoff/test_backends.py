@@ -97,6 +97,7 @@ def test_a_backend_is_found_by_its_name(plugins: Plugins) -> None:
 
 def test_a_broken_backend_is_reported_and_the_others_are_measured(
     plugins: Plugins,
+    by_arrays: None,
     pair: list[str],
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],

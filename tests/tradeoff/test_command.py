@@ -62,13 +62,14 @@ def test_two_images_are_measured_end_to_end(
 
 
 def test_the_page_holds_all_that_it_shows(
-    plugins: Plugins, pair: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    plugins: Plugins, by_arrays: None, pair: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert main(["tradeoff", "--seconds", "1e-3", "--output", str(tmp_path / "out"), *pair]) == 0
     said = capsys.readouterr().out
     page = (tmp_path / "out" / "report.html").read_text()
     assert page.count("data:image/png;base64,") == 3
-    assert "http" not in page
+    assert "http:" not in page
+    assert "https:" not in page
     assert (tmp_path / "out" / "tradeoff.png").read_bytes().startswith(b"\x89PNG")
     sentence = json.loads((tmp_path / "out" / "tradeoff.json").read_text())["recommendation"]["sentence"]
     assert f"Recommended: {sentence}" in said
@@ -151,7 +152,7 @@ def test_a_busy_machine_is_told(
 
 
 def test_why_float32_is_far_off_on_flat_images_is_told(
-    plugins: Plugins, pair: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    plugins: Plugins, by_arrays: None, pair: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     plugins(NUMPY)
     for place, name in ((8, "left"), (72, "right")):

@@ -112,7 +112,7 @@ def test_a_scene_s_tone_curve_lies_between_loss_and_renderer(
 
 
 def test_a_stochastic_scene_is_judged_by_its_own_noise(
-    plugins: Plugins, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    plugins: Plugins, by_arrays: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     found = tradeoff(tmp_path / "out", capsys, "--scene", str(grain_scene(tmp_path, plugins)))
     assert found["stochastic"] is True

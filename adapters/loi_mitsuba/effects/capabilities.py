@@ -19,4 +19,5 @@ CAPABILITIES: Final = (
     Capability(Effect.CAMERA, "", "no gradient by sensors; move the scene instead", simulated=False),
     Capability(Effect.APPEARANCE, "sppc", "a part of continuous shading"),
 )
+"""How Mitsuba simulates each effect of light transport: the effect, the switch that does it, and what that takes."""
 """One for each effect."""

@@ -4,43 +4,40 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
 
-from loi_core.effects import Effect, EffectPlan, Holding, Schedule, Sizes
+from loi_core.effects import Draws, Effect, EffectPlan, Holding, Schedule, Sizes
 from loi_core.errors import OptionError, ParameterError
-from loi_core.fitting.loop import FitStep
 from loi_core.objectives.base import Objective
 from loi_core.pixels.encoding import Encoding
+from loi_core.renderers.blurred import BLUR_KEYS, BlurredRenderer
 from loi_core.support.arrays import to_numpy
 from loi_core.support.values import real_number
 from loi_core.support.wording import shown
+from loi_mitsuba.effects.base import base_of
 from loi_mitsuba.effects.images import effect_images
 from loi_mitsuba.effects.pilot import Pilot
-from loi_mitsuba.effects.probe import Probe
+from loi_mitsuba.effects.probe import APART, Probe
 from loi_mitsuba.effects.rules import everything, plan_by_rules, plan_of, plan_with
 from loi_mitsuba.effects.traits import groups_of, in_view, objects_of, traits_of
 from loi_mitsuba.effects.verify import Verification, verification
-from loi_mitsuba.entries import Names, Scene, named_scene
-from loi_mitsuba.handles import Host
-from loi_mitsuba.integrators import bordered, settings_of
-from loi_mitsuba.loading import (
-    Target,
-    checked_samples,
-    checked_targets,
-    find_sensor,
-    most_samples,
-    use_variant,
-)
-from loi_mitsuba.neighbour import Found, Neighbour, Surroundings, neighbour_of
-from loi_mitsuba.neighboured import NeighbouredRenderer, exchanged_targets, targets_of_lights
+from loi_mitsuba.entries import Scene
+from loi_mitsuba.handles import Host, Scale
+from loi_mitsuba.integrators import settings_of
+from loi_mitsuba.loading import Target
+from loi_mitsuba.neighbour import Neighbour
 from loi_mitsuba.renderer import MitsubaRenderer
 
 __all__ = ["FRACTION", "PlannedRenderer"]
 
+PAIRS: Final = 4  # of images of a blurred gradient; one ended fits of a glass ball elsewhere
+BLURRED_DRAWS: Final = 16  # that say whether a blurred gradient is noise as well; of 8 a highlight's was at 48 pixels
+LEAST: Final = 1e-3  # of what scales a shape
 FRACTION: Final = 0.1  # what is off together turns the gradient by less than 6 degrees, whose cosine is 0.995
 log = logging.getLogger("loi_mitsuba")
 
@@ -50,12 +47,13 @@ class PlannedRenderer:
 
     It begins with what sound rules say. The first gradient that is asked of it is also the first of a pilot, which
     turns off what carries less than a fraction of it. What was turned off is looked at again after 20 gradients, then
-    40, 80 and so on, at once when a shape that moves comes into view, and when a loss that it watches stalls; what
+    40, 80 and so on, at once when a shape that moves comes into view, and when the loss of a fit stalls; what
     appears or grows goes on and stays on.
 
-    Objects whose gradient the pilot cannot tell from noise are held: the gradient by their parameters is 0, so that a
-    fit leaves them where they are, until the gradients of further steps agree, or the object comes into view; see
-    :class:`loi_core.effects.Holding`. A change is logged in one line, at level INFO of the logger ``loi_mitsuba``.
+    Objects whose gradient the pilot cannot tell from noise are blurred, if that of images blurred over their parameters
+    can be told from it. Others are held: the gradient by their parameters is 0, so that a fit leaves them where they
+    are, until the gradients of further steps agree, or the object comes into view; see
+    ``loi_core.effects.Holding``. A change is logged in one line, at level INFO of the logger ``loi_mitsuba``.
 
     Parameters
     ----------
@@ -70,6 +68,11 @@ class PlannedRenderer:
         How far the scene may be from the one from which the gradient by what moves is taken, where Mitsuba has none in
         the scene itself: under point, spot and directional lights, in perfect mirrors and clear glass. None takes all
         gradients from the scene as it is, which the image always is of.
+    blur : table or None
+        How the parameters are blurred that have no gradient there either, such as cameras and what moves clear glass,
+        or nothing but noise; the plan lists them. The keys are the options of
+        :class:`loi_core.renderers.BlurredRenderer`, with 4 `pairs` by default; `names` blurs these parameters and no
+        others. None blurs nothing: such parameters are refused, or their gradient is what Mitsuba makes of it.
 
     Notes
     -----
@@ -91,12 +94,19 @@ class PlannedRenderer:
         fraction: float = FRACTION,
         sensor: int = 0,
         neighbour: Neighbour | Mapping[str, float] | None = Neighbour(),  # noqa: B008 - frozen
+        blur: Mapping[str, Any] | None = MappingProxyType({}),
     ) -> None:
         if not 0.0 <= real_number(fraction) < 1.0:
             msg = f"`fraction` must be at least 0 and less than 1, got {shown(fraction)}"
             raise OptionError(msg)
         self._fraction = real_number(fraction)
-        self._base, self._exchanged, self._smooth = _base(scene, parameters, sensor, spp, Neighbour.of(neighbour))
+        if blur is not None and (not isinstance(blur, Mapping) or set(blur) - set(BLUR_KEYS)):
+            msg = f"`blur` must be None, or a table of {', '.join(BLUR_KEYS)}, got {shown(blur)}"
+            raise OptionError(msg)
+        self._blur = blur
+        self._whole = base_of(scene, parameters, sensor, spp, Neighbour.of(neighbour), self._blur)
+        self._base = self._whole.renderer
+        self._blurred: BlurredRenderer | None = None
         self._samples = int(spp)
         self._begun = False
         self._schedule = Schedule()
@@ -104,7 +114,9 @@ class PlannedRenderer:
         self._sizes: Sizes = {}
         self._holding = Holding()
         self._seen: frozenset[str] = frozenset()
-        self._take(tuple(self._base.targets))
+        self._noisy: dict[str, Any] = {}  # shapes out of view, moved by what is blurred for its noise
+        self._optimised = tuple(self._base.targets)
+        self._take(self._optimised)
 
     @property
     def encoding(self) -> Encoding:
@@ -123,8 +135,13 @@ class PlannedRenderer:
 
     @property
     def groups(self) -> tuple[tuple[str, ...], ...]:
-        """The optimised parameters, those together whose gradients have one unit."""
+        """The optimised parameters that are not blurred, those together whose gradients have one unit."""
         return self._groups
+
+    @property
+    def targets(self) -> dict[str, Target]:
+        """What each parameter stands for."""
+        return self._base.targets
 
     @property
     def scene(self) -> Any:
@@ -153,11 +170,14 @@ class PlannedRenderer:
         def counted(cotangent: Any) -> dict[str, Host]:
             nonlocal held
             pulled = current.pull(kept, cotangent, seed=seed)
+            begins = not self._begun
+            if begins:
+                self.begin(kept, cotangent, optimise=self._optimised, seed=seed)
+            if self._blurred is not None:
+                pulled |= self._blurred.pull(kept, cotangent, seed=seed)
             self._last = Probe(self._base, kept, np.array(cotangent, dtype=np.float32), self._names, seed)
             self._schedule = self._schedule.counted()
-            if not self._begun:
-                self.begin(kept, cotangent, optimise=self._names, seed=seed)
-            elif held is None:  # a second gradient of one image has the same noise, and would agree with it
+            if not begins and held is None:  # a second gradient of one image has the same noise, and would agree
                 self._holding = self._holding.seen(pulled)
                 self._raise({}, "as gradients agree")
             if held is None:
@@ -184,25 +204,74 @@ class PlannedRenderer:
             if name not in self._base.targets:
                 msg = f"`optimise` must name parameters of {', '.join(self._base.targets)}, got {name or 'none'!r}"
                 raise ParameterError(msg)
+        self._optimised = names
+        self._noisy = {}
         self._take(names)
-        self._last = Probe(self._base, dict(params), np.array(to_numpy(cotangent), np.float32), names, seed)
+        self._last = Probe(self._base, dict(params), np.array(to_numpy(cotangent), np.float32), self._names, seed)
         self._begun = True
         self._schedule = Schedule()
-        found = self._pilot.run(self._plan, self._last)
-        self._sizes, self._holding = found.sizes, found.holding
         self._seen = self._in_view()
-        self._change(found.plan, "by the pilot")
+        self._run_pilot(self._last)
+        self._blur_noise(self._last)
         return self._plan
 
-    def watch(self, step: FitStep, params: Mapping[str, Any], image: Any) -> None:  # noqa: ARG002 - a callback's
-        """A callback for :func:`loi_core.fit`: looks again at what is off when the loss stalls.
+    def _run_pilot(self, probe: Probe) -> None:
+        """Plan by a few gradients."""
+        if self._names:
+            found = self._pilot.run(self._plan, probe)
+            self._sizes, self._holding = found.sizes, found.holding
+            self._change(found.plan, "by the pilot")
 
-        That is when it has reached no new least value for 20 steps, then for 40 more, 80 more and so on.
+    def _blur_noise(self, probe: Probe) -> None:
+        """Blur what is held, if its gradient can be told from noise that way."""
+        noisy = self._better_blurred(probe)
+        if noisy:
+            shown = self._in_view()
+            moving = self._traits.moving.items()
+            self._noisy |= {name: shape for name, shape in moving if name in noisy and name not in shown}
+            self._retake({**self._plan.blurred, **noisy}, "by the pilot")
+            self._last = replace(probe, names=self._names)
+            self._run_pilot(self._last)
+
+    def _retake(self, blurred: Mapping[str, str], when: str) -> None:
+        """Start from the rules again, with other parameters blurred."""
+        before = self._plan
+        self._take(self._optimised, blurred)
+        log.info("effects, %s: %s", when, self._plan.changes_from(before))
+
+    def _better_blurred(self, probe: Probe) -> dict[str, str]:
+        """Of what is held, the parameters whose gradient can be told from noise once they are blurred, and why."""
+        names = tuple(self._holding.reasons)
+        if not names or self._blur is None or self._blur.get("names") is not None:
+            return {}
+        place, seed = dict(probe.params), APART + probe.seed
+        try:
+            blurred = self._blurred_over(names)
+            first = blurred.pull(place, probe.cotangent, seed=seed)
+            if not any(np.any(value) for value in first.values()):
+                return {}  # nothing is seen of it within reach of the blur
+            others = [blurred.pull(place, probe.cotangent, seed=seed + k) for k in range(1, BLURRED_DRAWS)]
+        except OptionError:  # what leaves no trace in the image has no pixels to measure its blur by
+            return {}
+        held = Holding.begun(Draws.of([first, *others]), self._holding.groups).reasons
+        return {
+            name: f"{reason}; that of images blurred over it is significant in {BLURRED_DRAWS}"
+            for name, reason in self._holding.reasons.items()
+            if name not in held
+        }
+
+    def at_step(self, step: int, steps: int, value: float | None) -> None:
+        """What :func:`loi_core.fit` says before every step: looks again at what is off when the loss stalls.
+
+        That is when it has reached no new least value for 20 steps, then for 40 more, 80 more and so on. `value` is the
+        loss of the step before; None where a fit begins.
         """
-        self._schedule = self._schedule.watched(step.value)
+        if self._blurred is not None:
+            self._blurred.at_step(step, steps, value)
+        self._schedule = self._schedule.watched(value)
         if self._schedule.stalls:
             self._schedule = self._schedule.waited()
-            self._probe(f"at step {step.step}, where the loss stalls")
+            self._probe(f"before step {step}, where the loss stalls")
 
     @property
     def unabridged(self) -> MitsubaRenderer:
@@ -224,7 +293,17 @@ class PlannedRenderer:
             Gradients of each, 3 or more.
         seed : int
             First seed; the two use others.
+
+        Raises
+        ------
+        OptionError
+            If every parameter is blurred.
         """
+        if not self._names:
+            msg = (
+                f"there is nothing to verify: {' and '.join(map(repr, self._plan.blurred))} have no gradient in Mitsuba"
+            )
+            raise OptionError(msg)
         return verification(
             self._current,
             self._base.with_integrator(self.everything, follow=self._names),
@@ -241,31 +320,60 @@ class PlannedRenderer:
         Effects that a pilot has turned off are among them, those that the rules exclude are not. Empty where Mitsuba
         has no derivative of images, as in media, or the gradient is 0.
         """
+        if not self._names:
+            return {}
         return effect_images(
             self._base, self._rules, self._names, 4 * self._samples, params, to_numpy(cotangent), seed=seed
         )
 
-    def _take(self, names: tuple[str, ...]) -> None:
-        """Start from the rules for these parameters."""
-        targets = {name: target for name, target in self._base.targets.items() if name in names}
+    def _take(self, names: tuple[str, ...], noisy: Mapping[str, str] = MappingProxyType({})) -> None:
+        """Start from the rules for these parameters, of which those that are `noisy` are blurred too."""
+        missing = {name: reason for name, reason in {**self._whole.missing, **noisy}.items() if name in names}
+        targets = {name: one for name, one in self._base.targets.items() if name in names and name not in missing}
         self._names = tuple(targets)
         self._groups = groups_of(targets)
         traits = traits_of(self._base.names, targets, self._base.sensor)
-        self._traits = replace(traits, exchanged=self._exchanged if traits.moving else {}, smooth=self._smooth)
+        exchanged = self._whole.exchanged if traits.moving else {}
+        self._traits = replace(traits, exchanged=exchanged, smooth=self._whole.smooth, blurred=missing)
         objects = objects_of(targets, self._traits.moving)
         self._pilot = Pilot(self._traits, self._samples, self._fraction, self._groups, objects)
         self._holding = Holding()
         self._rules = plan_by_rules(self._traits, self._samples)
         self._set(self._rules)
+        if not missing:
+            self._blurred = None
+        elif self._blurred is None or self._blurred.names != tuple(missing):  # or else it knows how far a fit has come
+            self._blurred = self._blurred_over(tuple(missing))
+
+    def _blurred_over(self, names: tuple[str, ...]) -> BlurredRenderer:
+        """The images blurred over these parameters."""
+        options = {"pairs": PAIRS, **(self._blur or {}), "names": names}
+        for key in ("sigma", "final_sigma"):
+            if isinstance(options.get(key), Mapping):
+                own = set(self._whole.missing) - set(names)  # what is not known at all is refused
+                options[key] = {name: one for name, one in options[key].items() if name not in own}
+        return BlurredRenderer(_Images(self), **options)
 
     def _in_view(self) -> frozenset[str]:
         """Parameters whose shape may be in view, at the values of the last call."""
         return frozenset(name for name, shape in self._traits.moving.items() if in_view(self._base.sensor, shape))
 
     def _look(self) -> None:
-        """When a shape comes into view, sample outlines if that had been turned off, and let go what moves it."""
+        """When a shape comes into view, sample outlines if that had been turned off, and let go what moves it.
+
+        What was blurred for its noise has a gradient of its own then, and the next one is a pilot's.
+        """
+        if not self._begun:
+            return
+        shown = {name for name, shape in self._noisy.items() if in_view(self._base.sensor, shape)}
+        if shown:
+            self._noisy = {name: shape for name, shape in self._noisy.items() if name not in shown}
+            kept = {name: reason for name, reason in self._plan.blurred.items() if name not in shown}
+            self._retake(kept, "as it comes into view")
+            self._begun = False
+            return
         missing = settings_of(self._rules).sppp > 0 and settings_of(self._plan).sppp == 0
-        if not self._begun or not (missing or self._holding.groups):
+        if not (missing or self._holding.groups):
             return
         fresh = self._in_view() - self._seen
         if not fresh:
@@ -278,7 +386,11 @@ class PlannedRenderer:
     def _probe(self, when: str) -> None:
         """Look again at what is off."""
         self._schedule = self._schedule.looked()
-        if self._last is None or not self._plan.understood or not self._plan.measured:
+        if self._last is None or not self._names or not self._plan.understood or not self._plan.measured:
+            return
+        if self._holding.groups:
+            self._blur_noise(self._last)
+        if not self._names:
             return
         grown = self._pilot.grown(settings_of(self._rules), self._plan, self._last, self._sizes)
         self._raise(grown, when)
@@ -301,55 +413,25 @@ class PlannedRenderer:
         self._set(plan)
 
 
-def _base(
-    scene: Any, parameters: Any, sensor: int, spp: Any, near: Neighbour
-) -> tuple[MitsubaRenderer, dict[str, str], bool]:
-    """The scene by the rules' plan, with its neighbour where what moves calls for one.
+@dataclass(frozen=True)
+class _Images:
+    """What a blur looks at: the images of a planned renderer, whatever its plan is by then."""
 
-    Also what that has exchanged, and whether surfaces are left that are perfectly smooth. The film samples its border
-    if need be. The plan comes first, so that warnings of missing gradients are about its integrator.
-    """
-    use_variant()
-    targets = checked_targets(parameters)
-    names = named_scene(scene, targets)
-    found = find_sensor(names.scene, sensor)
-    samples = checked_samples("spp", spp, most_samples(found.film()))
-    traits = traits_of(names, targets, found)
-    plan = plan_by_rules(traits, samples)
-    ready = bordered(scene, plan)
-    if ready is not scene:
-        names = named_scene(ready, targets)
-    options: dict[str, Any] = {"integrator": plan, "spp": spp, "sensor": sensor}
-    if traits.moving and not traits.media and (traits.lights or traits.delta_reflection or traits.delta_transmission):
-        for size in (near, replace(near, mirrors=0.0)):  # rough surfaces may lack what a parameter stands for
-            try:
-                pair = _neighboured(ready, names, targets, traits.moving, size, options)
-            except ParameterError:
-                continue
-            if pair is None:
-                break
-            base, near_scene = pair
-            return base, {one.what: one.reason for one in near_scene.exchanges}, near_scene.smooth
-    return MitsubaRenderer(names.loaded, targets, **options), {}, True
+    planned: PlannedRenderer
 
+    def parameters(self) -> dict[str, Host]:
+        return self.planned.parameters()
 
-def _neighboured(
-    scene: Any,
-    called: Names,
-    targets: Mapping[str, Target],
-    moving: Mapping[str, Any],
-    near: Neighbour,
-    options: dict[str, Any],
-) -> tuple[NeighbouredRenderer, Found] | None:
-    """A scene and its neighbour, if there is something to exchange."""
-    loaded = called.loaded
-    lights = targets_of_lights(called, targets)
-    stay = [number for number, entry in lights.values() if entry not in ("intensity.value", "irradiance.value")]
-    around = Surroundings.of(loaded.scene, moving.values(), stay)
-    sensor = find_sensor(loaded.scene, options["sensor"])
-    found = neighbour_of(scene, near, around, lambda shape: in_view(sensor, shape), floats=loaded.floats)
-    if found is None:
-        return None
-    exchanged = exchanged_targets(lights, found, called)
-    base = NeighbouredRenderer(loaded, targets, neighbour=found.loaded, moving=moving, exchanged=exchanged, **options)
-    return base, found
+    def render(self, params: Mapping[str, Any], *, seed: int = 0) -> Host:
+        return self.planned.render(self._legal(params), seed=seed)
+
+    def render_vjp(self, params: Mapping[str, Any], *, seed: int = 0) -> tuple[Host, Callable[[Any], dict[str, Host]]]:
+        return self.planned.render_vjp(params, seed=seed)
+
+    def _legal(self, params: Mapping[str, Any]) -> dict[str, Any]:
+        """Values that can be set: what scales a shape is more than 0."""
+        targets = self.planned.targets
+        return {
+            name: np.maximum(value, np.float32(LEAST)) if isinstance(targets[name], Scale) else value
+            for name, value in params.items()
+        }

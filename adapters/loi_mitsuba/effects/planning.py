@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 from loi_core.effects import EffectPlan
@@ -27,6 +28,7 @@ def plan_effects(
     sensor: int = 0,
     seed: int = 0,
     neighbour: Neighbour | Mapping[str, float] | None = Neighbour(),  # noqa: B008 - frozen
+    blur: Mapping[str, Any] | None = MappingProxyType({}),
 ) -> EffectPlan:
     """Which effects a scene calls for when these parameters are optimised.
 
@@ -38,7 +40,7 @@ def plan_effects(
         The loss at hand; without one there is no pilot, and the plan is that of the sound rules.
     params : dict of arrays, optional
         Where the pilot measures; as the scene has them by default.
-    spp, fraction, neighbour
+    spp, fraction, neighbour, blur
         As those of :class:`PlannedRenderer`.
     seed : int
         Of the pilot.
@@ -53,7 +55,9 @@ def plan_effects(
     SceneLoadError, ParameterError, OptionError
         As :class:`MitsubaRenderer`.
     """
-    renderer = PlannedRenderer(scene, optimised, spp=spp, fraction=fraction, sensor=sensor, neighbour=neighbour)
+    renderer = PlannedRenderer(
+        scene, optimised, spp=spp, fraction=fraction, sensor=sensor, neighbour=neighbour, blur=blur
+    )
     if objective is not None:
         at = renderer.parameters() if params is None else dict(params)
         cotangent = objective.value_and_grad(renderer.render(at, seed=seed))[1]

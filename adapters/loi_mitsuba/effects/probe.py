@@ -12,7 +12,7 @@ from loi_mitsuba.handles import Host
 from loi_mitsuba.integrators import Settings
 from loi_mitsuba.renderer import MitsubaRenderer
 
-__all__ = ["Probe"]
+__all__ = ["APART", "Probe"]
 
 APART: Final = 2**63  # beyond all seeds of a fit: a step with the noise of a draw would seem to agree with it
 

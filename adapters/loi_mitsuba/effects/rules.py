@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Final
 
@@ -14,6 +14,7 @@ __all__ = ["DIRECT", "EFFECTS", "everything", "integrator_for", "plan_by_rules",
 
 EFFECTS: Final = {"sppc": Effect.CONTINUOUS, "sppp": Effect.PRIMARY, "sppi": Effect.INDIRECT}
 DIRECT: Final = 2  # paths from the camera over one surface to a light
+MOST_NAMED: Final = 4  # parameters in a reason, before others are counted
 STILL: Final = "nothing that is optimised moves a shape"
 
 
@@ -48,6 +49,7 @@ def plan_by_rules(traits: Traits, samples: int) -> EffectPlan:
             as_mapping(full),
             _why(traits, full),
             exchanged=traits.exchanged,
+            blurred=traits.blurred,
             notes=notes,
             understood=False,
         )
@@ -97,6 +99,7 @@ def plan_of(
         as_mapping(settings),
         _why(traits, settings),
         exchanged=traits.exchanged,
+        blurred=traits.blurred,
         notes=(*_missing(traits), *notes),
     )
 
@@ -219,5 +222,7 @@ def _missing(traits: Traits) -> tuple[str, ...]:
     return tuple(notes)
 
 
-def _names(names: object) -> str:
-    return ", ".join(repr(one) for one in dict.fromkeys(names))  # type: ignore[call-overload]  # an iterable of str
+def _names(names: Iterable[str]) -> str:
+    quoted = [repr(one) for one in dict.fromkeys(names)]
+    more = len(quoted) - MOST_NAMED
+    return ", ".join(quoted) if more <= 1 else f"{', '.join(quoted[:MOST_NAMED])} and {more} others"

@@ -13,7 +13,7 @@ import numpy as np
 from loi_mitsuba.entries import Names, ancestors
 from loi_mitsuba.handles import Handle, Translate
 
-__all__ = ["Traits", "groups_of", "in_view", "objects_of", "traits_of"]
+__all__ = ["Traits", "groups_of", "has_medium", "in_view", "objects_of", "traits_of"]
 
 CONVEX: Final = ("Sphere", "Rectangle", "Disk", "Cube")
 SHAPES: Final = (*CONVEX, "Cylinder", "BSplineCurve", "LinearCurve")  # and every mesh
@@ -67,6 +67,8 @@ class Traits:
         What a neighbouring scene, from which the gradient by what moves is taken, has otherwise, and why.
     smooth : bool
         Whether surfaces are left there that are perfectly smooth.
+    blurred : dict of str
+        By parameter whose gradient is of images blurred over it, and which is not among the others, why.
     """
 
     moving: Mapping[str, Any]
@@ -88,6 +90,7 @@ class Traits:
     samples_border: bool
     exchanged: Mapping[str, str] = field(default_factory=dict)
     smooth: bool = True
+    blurred: Mapping[str, str] = field(default_factory=dict)
 
 
 def traits_of(called: Names, targets: Mapping[str, str | Handle], sensor: Any) -> Traits:
@@ -121,8 +124,7 @@ def traits_of(called: Names, targets: Mapping[str, str | Handle], sensor: Any) -
     if kind not in SURFACE_INTEGRATORS and kind not in VOLUME_INTEGRATORS:
         unknown.append(f"the scene's own integrator, a {integrator.class_name()}")
     flags = [int(shape.bsdf().flags()) for shape in shapes if shape.bsdf() is not None]
-    media = any(one is not None for shape in shapes for one in (shape.interior_medium(), shape.exterior_medium()))
-    media = media or any(isinstance(one[2], mi.Medium) for one in params.properties.values())  # also around a sensor
+    media = has_medium(scene)
     fixed = SURFACE_INTEGRATORS.get(kind)
     limit = fixed if fixed is not None else _own_depth(integrator)
     transmits = any(one & int(mi.BSDFFlags.Transmission) for one in flags)
@@ -145,6 +147,14 @@ def traits_of(called: Names, targets: Mapping[str, str | Handle], sensor: Any) -
         hide_emitters=bool(getattr(integrator, "hide_emitters", False)),
         reaches_border=film.rfilter().border_size() > 0,
         samples_border=bool(film.sample_border()),
+    )
+
+
+def has_medium(scene: Any) -> bool:
+    """Whether there is a participating medium, within a shape or around it, or around a sensor."""
+    within = (one for shape in scene.shapes() for one in (shape.interior_medium(), shape.exterior_medium()))
+    return any(one is not None for one in within) or any(
+        isinstance(one[2], mi.Medium) for one in mi.traverse(scene).properties.values()
     )
 
 

@@ -69,7 +69,7 @@ class MeshRenderer(Painted):
 
     Notes
     -----
-    Coverage of outlines is exact; see :mod:`loi_torch.mesh.coverage`. What is seen where is found on the host, compiled
+    Coverage of outlines is exact; see ``loi_torch.mesh.coverage``. What is seen where is found on the host, compiled
     if Numba is installed. Shadows and mirrored meshes are not drawn.
 
     Examples

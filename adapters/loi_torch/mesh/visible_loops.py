@@ -111,7 +111,9 @@ def _prepare(corners: Any, depth: Any, faces: Any, height: int, width: int, near
         if not abs(det) > EDGE_ON * _largest(corners, faces[k], near):
             continue
         if det < 0.0:
-            edges[k] = -edges[k]
+            for j in range(3):
+                for axis in range(3):
+                    edges[k, j, axis] = -edges[k, j, axis]
         facing[k] = 1 if det > 0.0 else -1
         volume = abs(det)
         for axis in range(3):
@@ -213,7 +215,10 @@ def _grown(array: Any, size: int) -> Any:
     if size <= len(array):
         return array
     longer = np.empty((max(size, 2 * len(array)), *array.shape[1:]), array.dtype)
-    longer[: len(array)] = array
+    # Entry by entry: where Numba assigns arrays, it compiles for seconds what it would say of other shapes.
+    new, old = longer.reshape(-1), array.reshape(-1)
+    for index in range(len(old)):
+        new[index] = old[index]
     return longer
 
 
@@ -315,7 +320,9 @@ def _list(triangles: Triangles, wanted: Any, height: int, width: int) -> Lists:
         pixel = pixel_of[k]
         for j in range(len(own)):
             bound[j] = -_most_near(triangles.nearness[own[j]], pixel % width + 0.5, pixel // width + 0.5)
-        listed[first[k] : first[k + 1]] = own[np.argsort(bound, kind="mergesort")]
+        kept, order = own.copy(), np.argsort(bound, kind="mergesort")
+        for j in range(len(own)):
+            own[j] = kept[order[j]]  # which is a part of `listed`
     return Lists(slot, first, listed, pixel_of, width)
 
 

@@ -185,6 +185,7 @@ class Path:
 
 
 Shape: TypeAlias = Circle | Ellipse | Rectangle | Path
+"""Any of the shapes that a drawing is made of."""
 
 
 def polygon(points: Numbers, paint: Paint, *, closed: bool = True) -> Path:

@@ -2,40 +2,23 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
+from examples.paper.study import Part
 from examples.paper.table1.ablations import ABLATIONS
 from examples.paper.table1.problem import COLUMNS, HARDER, Column
 from examples.paper.table1.remedies import CHECKED, REMEDIES
 from examples.paper.table1.run import Run
 from examples.paper.table1.settings import LABELS, PROTOCOLS, Method, Setting
-from examples.paper.table1.tuning import tuning_runs
+from examples.paper.table1.tuning import RATES, tuning_runs
 
-__all__ = ["ABLATED", "FEW", "PARTS", "SEEDS", "Extent", "Part"]
+__all__ = ["ABLATED", "FEW", "PARTS", "SEEDS", "Extent"]
 
 SEEDS: Final = 10
 FEW: Final = 3
 ABLATED: Final = (COLUMNS[3], COLUMNS[4], HARDER[2])
 PARTS: Final = ("tuning", "ours", "published", "harder", "remedies", "ablations")
-
-
-@dataclass(frozen=True)
-class Part:
-    """Runs by the name of their row, and the columns over which a row goes; none for a search."""
-
-    rows: Mapping[str, Sequence[Run]]
-    columns: tuple[Column, ...]
-
-    @property
-    def runs(self) -> list[Run]:
-        """All of them."""
-        return [run for runs in self.rows.values() for run in runs]
-
-    def at(self, column: Column) -> dict[str, list[Run]]:
-        """Those of one column."""
-        return {name: [run for run in runs if run.column == column] for name, runs in self.rows.items()}
 
 
 @dataclass(frozen=True)
@@ -66,9 +49,9 @@ class Extent:
     steps: int | None = None
 
     @property
-    def tables(self) -> dict[str, Part]:
+    def tables(self) -> dict[str, Part[Run]]:
         """What stands in each table, by its name: one for each part, but for the remedies one for each column."""
-        found: dict[str, Part] = {}
+        found: dict[str, Part[Run]] = {}
         for name in self.parts:
             if name == "remedies":
                 found |= {f"remedies: {column.name}": self._remedies(column) for column in self.harder}
@@ -81,16 +64,17 @@ class Extent:
         """All runs of all tables, each once."""
         return list(dict.fromkeys(run for part in self.tables.values() for run in part.runs))
 
-    def _remedies(self, column: Column) -> Part:
+    def _remedies(self, column: Column) -> Part[Run]:
         starts = {one: self.seeds if (column, one) in CHECKED else self.few for one in REMEDIES[column]}
         return Part(
             {one.name: [self._run(one, column, seed) for seed in range(count)] for one, count in starts.items()},
             (column,),
+            converges=False,
         )
 
-    def _whole(self, name: str) -> Part:
+    def _whole(self, name: str) -> Part[Run]:
         if name == "tuning":
-            return Part({LABELS[method]: tuning_runs(method) for method in self.methods}, ())
+            return Part({LABELS[method]: tuning_runs(method) for method in self.methods}, rates=RATES)
         if name == "ablations":
             settings, columns, seeds = {one.name: one for one in ABLATIONS}, self.ablated, self.few
         else:
@@ -100,7 +84,7 @@ class Extent:
             name: [self._run(setting, column, seed) for column in columns for seed in range(seeds)]
             for name, setting in settings.items()
         }
-        return Part(rows, columns)
+        return Part(rows, columns, converges=name != "ablations")
 
     def _run(self, setting: Setting, column: Column, seed: int) -> Run:
         return Run(setting if self.steps is None else setting.limited(self.steps), column, seed)

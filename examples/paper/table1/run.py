@@ -40,6 +40,11 @@ class Run:
         """What it is filed under."""
         return self.setting.name, self.setting.method, self.column.name
 
+    @property
+    def steps(self) -> int:
+        """Of all fits that it takes."""
+        return sum(stage.steps for stage in self.setting.stages)
+
 
 @dataclass(frozen=True)
 class Outcome:

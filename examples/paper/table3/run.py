@@ -39,6 +39,11 @@ class Run:
         """What it is filed under."""
         return f"{self.setting.name} {self.setting.rate:g}", self.setting.method, self.column.name
 
+    @property
+    def steps(self) -> int:
+        """Of the fit."""
+        return self.setting.steps
+
 
 @dataclass(frozen=True)
 class Outcome:

@@ -1,4 +1,4 @@
-"""The loss on the processor, compiled by Numba if that is installed (``pip install "loi[compiled]"``).
+"""The loss on the processor, compiled by Numba if that is installed, as it is wherever it has wheels.
 
 Operations on whole arrays pass over memory hundreds of times; here each level of each plane stays in a core's cache
 from its isophotes to its gradient, and cores work on different ones. Values and gradients are those of
@@ -16,7 +16,7 @@ from typing import Final
 from loi_core.support.forking import ForkSafeLock
 from loi_core.support.wording import described
 
-__all__ = ["CompiledLoopsWarning", "available", "compiles"]
+__all__ = ["SWITCH", "CompiledLoopsWarning", "available", "compiles"]
 
 SWITCH: Final = "LOI_COMPILED"
 """Environment variable: 0 compares by operations on whole arrays also where Numba is installed."""

@@ -29,7 +29,7 @@ from loi_core.method.compiled.records import (
     Tonal,
 )
 
-__all__ = ["compare_levels"]
+__all__ = ["compare_levels", "sum_of_powers", "sum_of_sizes"]
 
 # Numba knows plain numbers only.
 SOURCE, TARGET, FORTH, BACK = map(int, EdgeColumn)
@@ -260,16 +260,16 @@ def _cost(arena: Floats, plane: Plane, box: Box, tie: Any, power: Any, weight: A
     for y in range(box.top, box.bottom):
         at = plane.at + y * plane.stride
         row = arena[at + box.left : at + box.right]
-        total += _sum_of_sizes(row, tie, weight) if power == 1 else _sum_of_powers(row, tie, power, weight)
+        total += sum_of_sizes(row, tie, weight) if power == 1 else sum_of_powers(row, tie, power, weight)
     cost: float = total * weight
     return cost
 
 
 @compiled_sums
-def _sum_of_sizes(row: Floats, tie: Any, weight: Any) -> Any:
+def sum_of_sizes(row: Floats, tie: Any, weight: Any) -> Any:
     """The sum of all magnitudes beyond the tie; `weight` with their signs replaces them.
 
-    It is what :func:`_sum_of_powers` does for a power of 1, on its own since one loop for both makes all slower by a
+    It is what :func:`sum_of_powers` does for a power of 1, on its own since one loop for both makes all slower by a
     tenth.
     """
     nothing = weight - weight
@@ -284,7 +284,7 @@ def _sum_of_sizes(row: Floats, tie: Any, weight: Any) -> Any:
 
 
 @compiled_sums
-def _sum_of_powers(row: Floats, tie: Any, power: Any, weight: Any) -> Any:
+def sum_of_powers(row: Floats, tie: Any, power: Any, weight: Any) -> Any:
     """The sum of a power of all magnitudes beyond the tie; its slopes, times `weight`, replace the differences."""
     nothing = weight - weight
     total = nothing

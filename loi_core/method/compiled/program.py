@@ -119,8 +119,10 @@ class Wiring:
         edges = np.zeros((len(self.edges), EdgeColumn.BACK + len(PassColumn)), np.int64)
         for index, (row, edge) in enumerate(zip(edges, self.edges, strict=True)):
             support = scope.route.support[edge.source]
-            reached = edge.blur.reached(support)
-            returning = scope.route.pulled[edge.target] if index < self.pyramid_levels else reached
+            if index < self.pyramid_levels:
+                reached, returning = edge.blur.reached(support), scope.route.pulled[edge.target]
+            else:
+                reached = returning = self.plan.extents[edge.target].reached(support)
             source, out = _laid(support, edge.source), _laid(reached, edge.source)
             end, back = _laid(returning, edge.source), _laid(edge.blur.reached_back(returning), edge.source)
             row[: EdgeColumn.FORTH] = edge.source, edge.target

@@ -7,20 +7,19 @@ anything counts as the movement that would change the image as much.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 
-from loi_core.fitting.parameters import Bounds
-from loi_core.fitting.views import View
 from loi_core.method.blurs import gaussian_blur
-from loi_core.renderers.contract import Parameters, Renderer
-from loi_core.support.arrays import Host, from_numpy, to_numpy
+from loi_core.renderers.contract import Parameters
+from loi_core.support.arrays import Array, Host, from_numpy, to_numpy
 from loi_core.support.guards import foreign
 
-__all__ = ["measure_units"]
+__all__ = ["measure_units", "pixels_of"]
 
 BLUR: Final = 2.0  # pixels: edges become slopes over which a movement of a pixel is a linear change
 MOST: Final = 10  # renders for a parameter
@@ -31,8 +30,36 @@ CHANGED: Final = 0.1  # of the largest change: less is not looked at
 NOISE: Final = 3.0  # times what other seeds change
 
 
+class Renders(Protocol):
+    """A renderer, or one view of a fit."""
+
+    def render(self, params: Parameters, *, seed: int = 0) -> Array:
+        """The image, shape (H, W, C)."""
+
+
+class Limits(Protocol):
+    """Bounds by parameter, as arrays like the parameters."""
+
+    @property
+    def lower(self) -> Mapping[str, Array]:
+        """The least values."""
+
+    @property
+    def upper(self) -> Mapping[str, Array]:
+        """The greatest."""
+
+
+def pixels_of(value: object) -> float:
+    """The number in a text such as "1.5 px"; NaN for anything else."""
+    match = re.fullmatch(r"\s*([0-9.eE+-]{1,32})\s*px\s*", value) if isinstance(value, str) else None
+    try:
+        return float(match[1]) if match else math.nan
+    except ValueError:
+        return math.nan
+
+
 def measure_units(
-    renderers: Sequence[Renderer | View], params: Parameters, bounds: Bounds, names: Iterable[str], *, seed: int = 0
+    renderers: Sequence[Renders], params: Parameters, bounds: Limits | None, names: Iterable[str], *, seed: int = 0
 ) -> tuple[dict[str, float], int]:
     """By how much a parameter changes when the image moves by a pixel.
 
@@ -42,8 +69,8 @@ def measure_units(
         One for each view; they render up to ten times for each parameter. The view that moves most counts.
     params : dict of arrays
         Where to measure.
-    bounds : Bounds
-        Nothing outside of them is rendered.
+    bounds : Bounds or None
+        Nothing outside of them is rendered; None for none.
     names : iterable of str
         The parameters to measure.
     seed : int
@@ -66,13 +93,13 @@ def measure_units(
 class _Seen:
     """A view before anything has moved: its image, the squared slope there, and its noise."""
 
-    renderer: Renderer | View
+    renderer: Renders
     image: Host
     slope: Host
     noise: float
 
     @classmethod
-    def of(cls, renderer: Renderer | View, params: Parameters, seed: int) -> _Seen:
+    def of(cls, renderer: Renders, params: Parameters, seed: int) -> _Seen:
         image, other = (_render(renderer, params, each) for each in (seed, seed + 1))
         return cls(renderer, image, _squared_slope(image), float(np.sqrt(np.mean((other - image) ** 2))))
 
@@ -81,9 +108,11 @@ class _Seen:
         return _movement(_render(self.renderer, params, seed) - self.image, self.slope, self.noise)
 
 
-def _unit(seen: Sequence[_Seen], params: Parameters, bounds: Bounds, name: str, seed: int) -> float:
+def _unit(seen: Sequence[_Seen], params: Parameters, bounds: Limits | None, name: str, seed: int) -> float:
     at = np.asarray(to_numpy(params[name]), dtype=np.float64)
-    low, high = (np.asarray(to_numpy(side[name]), dtype=np.float64) for side in (bounds.lower, bounds.upper))
+    low, high = np.full(at.shape, -math.inf), np.full(at.shape, math.inf)
+    if bounds is not None:
+        low, high = (np.asarray(to_numpy(side[name]), dtype=np.float64) for side in (bounds.lower, bounds.upper))
     room = np.maximum(high - at, at - low)
     sign = np.where(np.random.default_rng(0).random(at.shape) < 0.5, -1.0, 1.0)
     sign = np.where((sign > 0) & (high - at < at - low) & np.isfinite(room), -1.0, sign)
@@ -109,7 +138,7 @@ def _unit(seen: Sequence[_Seen], params: Parameters, bounds: Bounds, name: str, 
     return best
 
 
-def _render(renderer: Renderer | View, params: Parameters, seed: int) -> Host:
+def _render(renderer: Renders, params: Parameters, seed: int) -> Host:
     with foreign("rendering to measure a unit"):
         planes = np.moveaxis(np.asarray(to_numpy(renderer.render(params, seed=seed)), dtype=np.float64), -1, 0)
     height, width = planes.shape[-2:]

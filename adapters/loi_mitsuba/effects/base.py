@@ -1,0 +1,119 @@
+"""The scene that a plan is made for: what it lacks gradients of, and its neighbour that has some of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+from loi_core.errors import ParameterError
+from loi_core.renderers.blurred import names_to_blur
+from loi_mitsuba.effects.missing import missing_gradients
+from loi_mitsuba.effects.rules import plan_by_rules
+from loi_mitsuba.effects.traits import in_view, traits_of
+from loi_mitsuba.entries import Names, named_scene
+from loi_mitsuba.integrators import bordered
+from loi_mitsuba.loading import Target, checked_samples, checked_targets, find_sensor, most_samples, use_variant
+from loi_mitsuba.named import NamedParameters
+from loi_mitsuba.neighbour import Found, Neighbour, Surroundings, lights_of, neighbour_of
+from loi_mitsuba.neighboured import NeighbouredRenderer, exchanged_targets, targets_of_lights
+from loi_mitsuba.renderer import MitsubaRenderer
+from loi_mitsuba.seams import has_seams, is_hard
+
+__all__ = ["Base", "base_of"]
+
+
+@dataclass(frozen=True)
+class Base:
+    """A scene by the rules' plan, with its neighbour where what moves calls for one.
+
+    Also what that has exchanged, whether surfaces are left that are perfectly smooth, and why which parameters have no
+    gradient.
+    """
+
+    renderer: MitsubaRenderer
+    exchanged: Mapping[str, str]
+    smooth: bool
+    missing: Mapping[str, str]
+
+
+def base_of(
+    scene: Any, parameters: Any, sensor: int, spp: Any, near: Neighbour, blur: Mapping[str, Any] | None
+) -> Base:
+    """What a plan is made for.
+
+    The film samples its border if need be. The plan comes first, so that warnings of missing gradients are about its
+    integrator.
+    """
+    use_variant()
+    targets = checked_targets(parameters)
+    names = named_scene(scene, targets)
+    found = find_sensor(names.scene, sensor)
+    samples = checked_samples("spp", spp, most_samples(found.film()))
+    missing = _missing(names, targets, found, blur)
+    traits = traits_of(names, {name: target for name, target in targets.items() if name not in missing}, found)
+    plan = plan_by_rules(traits, samples)
+    ready = bordered(scene, plan)
+    if ready is not scene:
+        names = named_scene(ready, targets)
+    options: dict[str, Any] = {"integrator": plan, "spp": spp, "sensor": sensor, "without_gradient": tuple(missing)}
+    split = _split_meshes(names, targets, traits.moving)
+    delta = traits.lights or traits.delta_reflection or traits.delta_transmission
+    if traits.moving and not traits.media and (delta or (split and near.seams)):
+        for size in (near, replace(near, mirrors=0.0)):  # rough surfaces may lack what a parameter stands for
+            try:
+                pair = _neighboured(ready, names, targets, traits.moving, split, size, options)
+            except ParameterError:
+                continue
+            if pair is None:
+                break
+            base, near_scene = pair
+            return Base(base, {one.what: one.reason for one in near_scene.exchanges}, near_scene.smooth, missing)
+    return Base(MitsubaRenderer(names.loaded, targets, **options), {}, smooth=True, missing=missing)
+
+
+def _missing(
+    names: Names, targets: Mapping[str, Target], sensor: Any, blur: Mapping[str, Any] | None
+) -> dict[str, str]:
+    """The parameters to blur, each with the reason; those that are asked for, or that have no gradient."""
+    if blur is None:
+        return {}
+    found = missing_gradients(names, targets, sensor)
+    if blur.get("names") is None:
+        return found
+    return {name: found.get(name, "it was asked for") for name in names_to_blur(blur["names"], targets)}
+
+
+def _split_meshes(called: Names, targets: Mapping[str, Target], moving: Mapping[str, Any]) -> dict[int, Any]:
+    """By their numbers, smooth meshes that are moved as a whole and store vertices of an edge more than once."""
+    own = list(called.scene.shapes())
+    whole = [shape for name, shape in moving.items() if not isinstance(targets[name], str)]
+    parts = [shape for name, shape in moving.items() if isinstance(targets[name], str)]
+    return {
+        own.index(one): one for one in whole if one in own and one not in parts and has_seams(one) and not is_hard(one)
+    }
+
+
+def _neighboured(
+    scene: Any,
+    called: Names,
+    targets: Mapping[str, Target],
+    moving: Mapping[str, Any],
+    split: Mapping[int, Any],
+    near: Neighbour,
+    options: dict[str, Any],
+) -> tuple[NeighbouredRenderer, Found] | None:
+    """A scene and its neighbour, if there is something to exchange."""
+    loaded = called.loaded
+    lights = targets_of_lights(called, targets)
+    kinds = [one.class_name() for one in lights_of(loaded.scene)]
+    stay = [one.light for one in lights.values() if not one.can_follow(kinds[one.light])]
+    around = Surroundings.of(loaded.scene, moving.values(), stay)
+    sensor = find_sensor(loaded.scene, options["sensor"])
+    found = neighbour_of(scene, near, around, lambda shape: in_view(sensor, shape), floats=loaded.floats, split=split)
+    if found is None:
+        return None
+    start = NamedParameters(called, targets, options["without_gradient"]).start
+    exchanged = exchanged_targets(lights, found, called, start)
+    base = NeighbouredRenderer(loaded, targets, neighbour=found.loaded, moving=moving, exchanged=exchanged, **options)
+    return base, found

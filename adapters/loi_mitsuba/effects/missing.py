@@ -1,0 +1,57 @@
+"""Which parameters have no gradient in Mitsuba that is of use, and why: those that images alone have to tell of."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import mitsuba as mi
+
+from loi_mitsuba.effects.traits import has_medium
+from loi_mitsuba.entries import Names
+from loi_mitsuba.loading import Target
+
+__all__ = ["missing_gradients"]
+
+
+def missing_gradients(called: Names, targets: Mapping[str, Target], sensor: Any) -> dict[str, str]:
+    """The parameters without a gradient, each with the reason in a line.
+
+    Entries that can be set and have no gradient; cameras and lights without a surface that move; and shapes that move
+    where Mitsuba misses most of what changes, or finds it with too much noise.
+    """
+    medium = has_medium(called.scene)
+    found = {}
+    for name, target in targets.items():
+        if isinstance(target, str):
+            entry = called.known(target)
+            if entry is None:
+                continue  # which is told when it is looked for
+            if entry.problem and entry.settable:
+                found[name] = entry.problem.partition(";")[0]
+                continue
+            node = called.moved_by(entry)
+        else:
+            node = called.find_movable(target.shape)[1]
+        reason = "" if node is None else _of_moving(node, called.scene, sensor, medium=medium)
+        if reason:
+            found[name] = reason
+    return found
+
+
+def _of_moving(node: Any, scene: Any, sensor: Any, *, medium: bool) -> str:
+    """Why moving an object has no gradient; empty if it has one."""
+    if isinstance(node, mi.Sensor):
+        return "it moves a camera, by which Mitsuba has no gradient"
+    if isinstance(node, mi.Emitter):
+        return f"it moves a {node.class_name()}, by which Mitsuba's gradient is missing or wrong"
+    bsdf = node.bsdf()
+    if bsdf is not None and mi.has_flag(bsdf.flags(), mi.BSDFFlags.DeltaTransmission):
+        return "it moves clear glass, and what that bends light to has next to no gradient in Mitsuba"
+    if node not in scene.shapes():
+        return "it moves a shape of a shapegroup, whose outlines and shadows have no gradient in Mitsuba"
+    if medium:
+        return "it moves a shape where there is a medium, in which outlines and shadows have no gradient in Mitsuba"
+    if sensor.class_name() != "PerspectiveCamera":
+        return f"it moves a shape, and Mitsuba has no gradient of outlines for a {sensor.class_name()}"
+    return ""

@@ -1,0 +1,44 @@
+"""A ball is found in photographs from three sides, by two processes that share them out.
+
+``python -m torch.distributed.run --standalone --nproc-per-node 2 -m examples.loops.with_torch_distributed``
+"""
+
+import math
+from datetime import timedelta
+
+import torch
+import torch.distributed as dist
+
+import loi_torch
+from loi_core import ScaleSpace
+from loi_torch.distributed import mean_over_views, sum_gradients
+
+height, width, views = 64, 64, 3
+y, x = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
+
+
+def render(centre: torch.Tensor, view: int) -> torch.Tensor:
+    """A soft ball of radius 8 on black from one of the sides, which go round it, (height, width, 3)."""
+    angle = math.pi * view / views
+    across = width / 2 + centre[0] * math.cos(angle) + centre[2] * math.sin(angle)
+    inside = torch.sigmoid((64 - (x - across) ** 2 - (y - centre[1]) ** 2) / 8)
+    return inside[..., None] * torch.tensor([1.0, 0.6, 0.1])
+
+
+dist.init_process_group("gloo", timeout=timedelta(seconds=60))  # "nccl" on GPUs
+mine = range(dist.get_rank(), views, dist.get_world_size())
+target = torch.tensor([15.0, 45.0, -10.0])
+losses = {view: loi_torch.LOILoss(render(target, view), ScaleSpace.for_image(height, width)) for view in mine}
+centre = torch.tensor([-15.0, 15.0, 10.0], requires_grad=True)
+optimizer = torch.optim.Adam([centre], lr=1.0)
+
+for _ in range(200):
+    optimizer.zero_grad()
+    mean = mean_over_views(torch.stack([loss(render(centre, view)) for view, loss in losses.items()]))
+    mean.backward()  # type: ignore[no-untyped-call]  # untyped in torch
+    sum_gradients([centre])
+    optimizer.step()
+
+if dist.get_rank() == 0:
+    print(*(round(one, 1) for one in centre.tolist()))
+dist.destroy_process_group()

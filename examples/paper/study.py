@@ -1,0 +1,261 @@
+"""A table of the paper: its runs carried out side by side, each once, then Markdown, CSV and pictures of them."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import io
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final, Generic, Protocol, TypeVar
+
+import numpy as np
+
+from examples.paper.means import Mean
+from examples.paper.pages import fill
+from examples.paper.pictures import contact_sheet, convergence_plot
+from examples.paper.runner import carry_out_all
+from examples.paper.store import Run, load, slug
+from loi_core.errors import OptionError
+from loi_core.io.files import check_writable, write_text
+from loi_core.support.markdown import markdown
+
+__all__ = ["Fit", "Part", "Study", "add_options", "carry_out_and_report", "check_out"]
+
+SETTING: Final = ("setting", "method", "rate", "steps", "column", "seed")
+
+
+class _Setting(Protocol):
+    @property
+    def name(self) -> str: ...
+    @property
+    def method(self) -> str: ...
+    @property
+    def rate(self) -> float: ...
+
+
+class _Column(Protocol):
+    @property
+    def name(self) -> str: ...
+
+
+class Fit(Run, Protocol):
+    """One run of a table: a setting's fit of a column, from one of its starts."""
+
+    @property
+    def setting(self) -> _Setting:
+        """How it is done."""
+
+    @property
+    def column(self) -> _Column:
+        """Of what."""
+
+    @property
+    def steps(self) -> int:
+        """Of the whole fit."""
+
+
+Made = TypeVar("Made", bound=Fit)
+
+
+@dataclass(frozen=True)
+class Part(Generic[Made]):
+    """Runs by the name of their row, with the columns over which a row goes; or a search, with its rates.
+
+    Attributes
+    ----------
+    rows : dict of runs
+        By name.
+    columns : tuple
+        None of a search.
+    rates : tuple of float
+        Of a search; its runs are told apart by ``setting.rate``.
+    converges : bool
+        Whether a picture shows the convergence of its rows.
+    """
+
+    rows: Mapping[str, Sequence[Made]]
+    columns: tuple[Any, ...] = ()
+    rates: tuple[float, ...] = ()
+    converges: bool = True
+
+    @property
+    def runs(self) -> list[Made]:
+        """All of them, one start of everything before the next."""
+        return sorted((run for runs in self.rows.values() for run in runs), key=lambda run: run.seed)
+
+    def at(self, column: Any) -> dict[str, list[Made]]:
+        """Those of one column."""
+        return {name: [run for run in runs if run.column == column] for name, runs in self.rows.items()}
+
+
+@dataclass(frozen=True)
+class Study(Generic[Made]):
+    """What is to be known of a table to carry it out and to print it.
+
+    Attributes
+    ----------
+    name : str
+        Of its page, its CSV, and its folder of pictures.
+    carry_out : callable
+        Gives the outcome of a run; see :func:`examples.paper.store.keep`.
+    target : callable
+        Gives the picture that a run is after, shape (H, W, 3).
+    measures : tuple of str
+        Of an outcome, for the CSV.
+    beside : callable
+        The measure that stands beside PSNR in a column.
+    apart : int
+        Steps between two points of a convergence curve.
+    title : callable
+        Heads a column.
+    animate : callable
+        Draws further pictures, of runs in a folder, into another one.
+    others : callable
+        Gives further tables by their names, for the folder of runs and the parts.
+    columns : tuple
+        For which there are figures of the paper.
+    paper : dict
+        Those figures, PSNR and what is beside it for each column, by the name of the row that they are of.
+    """
+
+    name: str
+    carry_out: Callable[[Made], Any]
+    target: Callable[[Made], Any]
+    measures: tuple[str, ...]
+    beside: Callable[[Any], str]
+    apart: int
+    columns: tuple[Any, ...]
+    paper: Mapping[str, Sequence[tuple[float, float]]]
+    title: Callable[[Any], str] = field(default=lambda column: str(column.name))
+    animate: Callable[[Mapping[str, Part[Made]], Path, Path], None] = field(default=lambda *_: None)
+    others: Callable[[Path, Mapping[str, Part[Made]]], Mapping[str, list[str]]] = field(default=lambda *_: {})
+
+    def csv_of(self, folder: Path, runs: Sequence[Made]) -> str:
+        """A line for each run that is done."""
+        stream = io.StringIO()
+        writer = csv.writer(stream, lineterminator="\n")
+        writer.writerow((*SETTING, *self.measures, "seconds"))
+        for run in runs:
+            record = load(folder, run)
+            if record is not None:
+                setting = run.setting
+                about = (setting.name, setting.method, setting.rate, run.steps, run.column.name, run.seed)
+                writer.writerow((*about, *(f"{record[one]:.4f}" for one in self.measures), f"{record['seconds']:.1f}"))
+        return stream.getvalue()
+
+    def table_of(self, folder: Path, part: Part[Made]) -> list[str]:
+        """PSNR with its interval and the least of all seeds, and what is beside it; the paper's figures beneath.
+
+        Of a search: mean PSNR over all columns at each rate, the best of each row in bold.
+        """
+        if part.rates:
+            return self._search(folder, part)
+        table = []
+        for name, runs in part.rows.items():
+            table.append(
+                [name, *(self._cell(folder, [run for run in runs if run.column == at], at) for at in part.columns)]
+            )
+            if name in self.paper and part.columns == self.columns:
+                table.append(["&nbsp;&nbsp;the paper's", *map(_figures, self.paper[name])])
+        return markdown(["", *map(self.title, part.columns)], table)
+
+    def _cell(self, folder: Path, runs: Sequence[Made], column: Any) -> str:
+        records = [record for run in runs if (record := load(folder, run)) is not None]
+        if not records:
+            return ""
+        psnr = Mean.of([record["psnr"] for record in records])
+        other = Mean.of([record[self.beside(column)] for record in records])
+        spread = "" if psnr.count == 1 else f" ± {psnr.half:.1f} (least {psnr.least:.1f})"
+        missing = "" if len(records) == len(runs) else f", {len(records)} of {len(runs)} seeds"
+        return f"{psnr.value:.2f}{spread} / {other.value:.3f}{missing}"
+
+    def _search(self, folder: Path, part: Part[Made]) -> list[str]:
+        table = []
+        for name, runs in part.rows.items():
+            means = [_mean(folder, [run for run in runs if run.setting.rate == rate]) for rate in part.rates]
+            best = max((one for one in means if one is not None), default=None)
+            if best is not None:
+                cells = ["" if one is None else f"**{one:.2f}**" if one == best else f"{one:.2f}" for one in means]
+                table.append([name, *cells])
+        return markdown(["pixels a step", *(f"{rate:g}" for rate in part.rates)], table)
+
+    def write(self, parts: Mapping[str, Part[Made]], runs: Path, folder: Path) -> dict[str, list[str]]:
+        """Write ``table.md`` and ``runs.csv`` into a folder; the lines of each table."""
+        tables = {name: self.table_of(runs, part) for name, part in parts.items()} | dict(self.others(runs, parts))
+        write_text(folder / "table.md", _page(tables))
+        write_text(folder / "runs.csv", self.csv_of(runs, _every(parts)))
+        return tables
+
+    def draw(self, parts: Mapping[str, Part[Made]], runs: Path, folder: Path) -> None:
+        """A contact sheet for each column of each table, and the convergence of its rows."""
+        for name, part in parts.items():
+            for column in part.columns:
+                sheet = name if name.endswith(column.name) else f"{name}-{column.name}"
+                contact_sheet(folder / f"{slug(sheet)}.png", runs, part.at(column), self.target)
+            if part.columns and part.converges:
+                panels = {self.title(column): part.at(column) for column in part.columns}
+                convergence_plot(folder / f"{name}-convergence.png", runs, panels, self.apart)
+        self.animate(parts, runs, folder)
+
+
+def add_options(
+    parser: argparse.ArgumentParser, name: str, parts: Sequence[str], quick: str, processes: int = 2
+) -> None:
+    """Those that every table has; `quick` says what its quick tier is."""
+    parser.add_argument("--quick", action="store_true", help=quick)
+    parser.add_argument("--out", type=Path, default=Path("out") / name, help="folder; what is in it is not done again")
+    parser.add_argument("--processes", type=int, default=processes, help=f"runs side by side (default: {processes})")
+    parser.add_argument("--parts", nargs="+", choices=parts, default=list(parts), help="default: all")
+    parser.add_argument("--columns", nargs="+", metavar="NAME", help="columns of the table (default: all)")
+    parser.add_argument("--report", action="store_true", help="do no more runs: report those that are done")
+    parser.add_argument("--docs", type=Path, help=f"folder with {name}.md, which gets the tables, numbers and pictures")
+
+
+def carry_out_and_report(
+    parser: argparse.ArgumentParser, options: argparse.Namespace, study: Study[Made], parts: Mapping[str, Part[Made]]
+) -> None:
+    """Carry out what is missing and write everything anew, with ``--docs`` also what the documentation shows."""
+    if options.processes < 1:
+        parser.error("--processes must be 1 or more")
+    check_out(parser, options.out)
+    runs = options.out / "runs"
+    for part in () if options.report else parts.values():
+        carry_out_all(part.runs, study.carry_out, runs, options.processes)
+        study.write(parts, runs, options.out)
+    tables = study.write(parts, runs, options.out)
+    study.draw(parts, runs, options.out)
+    print(_page(tables), end="")
+    if options.docs:
+        fill(options.docs / f"{study.name}.md", tables)
+        write_text(options.docs / f"{study.name}.csv", study.csv_of(runs, _every(parts)))
+        study.draw(parts, runs, options.docs / "images" / study.name)
+
+
+def check_out(parser: argparse.ArgumentParser, folder: Path) -> None:
+    """End with a message if ``--out`` cannot be written to: before hours of runs, not after."""
+    try:
+        check_writable("--out", folder)
+    except OptionError as error:
+        parser.error(str(error))
+
+
+def _mean(folder: Path, runs: Sequence[Fit]) -> float | None:
+    """Of PSNR; None if there are no such runs, or not all of them are done."""
+    found = [record["psnr"] for run in runs if (record := load(folder, run)) is not None]
+    return float(np.mean(found)) if found and len(found) == len(runs) else None
+
+
+def _every(parts: Mapping[str, Part[Made]]) -> list[Made]:
+    return list(dict.fromkeys(run for part in parts.values() for run in part.runs))
+
+
+def _page(tables: Mapping[str, Sequence[str]]) -> str:
+    return "\n".join(line for name, table in tables.items() for line in (f"## {name}", "", *table, "")) + "\n"
+
+
+def _figures(pair: tuple[float, float]) -> str:
+    """As the paper prints them: a small error has more places."""
+    psnr, other = pair
+    return f"{psnr:.2f} / {other:.2f}" if other == round(other, 2) else f"{psnr:.2f} / {other:.4f}"

@@ -1,0 +1,122 @@
+"""``python -m examples.paper table2``: the runs, then tables, contact sheets and convergence plots."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, Final
+
+from examples.paper.pictures import animation, moments
+from examples.paper.store import load, slug
+from examples.paper.study import Part, Study, add_options, carry_out_and_report
+from examples.paper.table2.cost import cost_of
+from examples.paper.table2.problem import COLUMNS, Column, Problem
+from examples.paper.table2.published import PAPER
+from examples.paper.table2.run import CURVE_STEPS, VARIANT, Run, carry_out
+from examples.paper.table2.savings import savings
+from examples.paper.table2.settings import LABELS, PROTOCOLS, RATES, Method, ours
+
+# isort: split
+import mitsuba as mi
+import numpy as np
+
+__all__ = ["main"]
+
+PARTS: Final = ("tuning", "ours", "published", "noise", "savings")
+TUNED: Final = 100  # the seed of the search, which no table has
+NOISY: Final = COLUMNS[0]
+SAMPLES: Final = (256, 64, 16, 4, 1)
+NOISY_METHODS: Final[tuple[Method, ...]] = ("gaussian_pyramid", "ms_ssim", "loi")
+FRAME_SAMPLES: Final = 64
+GAMMA: Final = 1.0 / 2.2
+SEARCHED: Final = "Envlight"  # of the search: the column whose steps are cheapest
+
+
+def main(words: Sequence[str] | None = None) -> None:
+    """Carry out what is missing and write everything anew."""
+    parser = argparse.ArgumentParser(prog="python -m examples.paper table2", description=__doc__)
+    add_options(parser, "table2", PARTS, "two methods, one start, one tiny column, few steps", processes=1)
+    parser.add_argument("--methods", nargs="+", choices=list(LABELS), default=list(LABELS), help="default: all")
+    parser.add_argument("--seeds", type=int, default=3, help="starts (default: 3)")
+    options = parser.parse_args(words)
+    names = [column.name for column in COLUMNS]
+    if set(options.columns or names) - set(names) or options.seeds < 1:
+        parser.error(f"--columns must be of {', '.join(map(repr, names))}; --seeds 1 or more")
+    methods = tuple(method for method in LABELS if method in options.methods)
+    columns = tuple(column for column in COLUMNS if column.name in (options.columns or names))
+    mi.set_variant(VARIANT)
+    parts = {name: _part(name, methods, columns, options.seeds) for name in options.parts if name != "savings"}
+    study = STUDY
+    if "savings" in options.parts and not options.quick:
+        saved = {"savings": savings(columns)}  # measured anew on every call: a time is of this machine, now
+        study = replace(STUDY, others=lambda folder, parts: _costs(folder, parts) | saved)
+    carry_out_and_report(parser, options, study, {"ours": _quick()} if options.quick else parts)
+
+
+def _part(name: str, methods: Sequence[Method], columns: Sequence[Column], seeds: int) -> Part[Run]:
+    if name == "tuning":
+        searched = [column for column in columns if column.name == SEARCHED]
+        rows = {
+            LABELS[method]: [Run(ours(method, rate), column, TUNED) for rate in RATES for column in searched]
+            for method in methods
+        }
+        return Part(rows, rates=RATES)
+    settings = PROTOCOLS["published" if name == "published" else "ours"]
+    if name == "noise":
+        methods = [method for method in methods if method in NOISY_METHODS]
+        columns = [replace(NOISY, samples=samples) for samples in SAMPLES]
+    rows = {
+        LABELS[method]: [Run(settings[method], column, seed) for column in columns for seed in range(seeds)]
+        for method in methods
+    }
+    return Part(rows, tuple(columns))
+
+
+def _quick() -> Part[Run]:
+    column = replace(COLUMNS[4], width=32, samples=4)
+    methods: tuple[Method, ...] = ("prdpt", "loi")
+    few = {method: replace(PROTOCOLS["ours"][method], steps=8) for method in methods}
+    return Part({LABELS[method]: [Run(setting, column, 0)] for method, setting in few.items()}, (column,))
+
+
+def _costs(folder: Path, parts: Mapping[str, Part[Run]]) -> dict[str, list[str]]:
+    wanted = {name: part for name, part in parts.items() if name in PROTOCOLS}
+    return {f"cost, {name}": cost_of(folder, part) for name, part in wanted.items()}
+
+
+def _animate(parts: Mapping[str, Part[Run]], runs: Path, folder: Path) -> None:
+    """Our first fit of each column, as it converges."""
+    part = parts.get("ours")
+    for run in part.rows.get(LABELS["loi"], ()) if part else ():
+        record = load(runs, run)
+        if record is not None and run.seed == 0:
+            problem = Problem.of(run.column, 0)
+            images = (problem.picture(params, FRAME_SAMPLES) for params in moments(record["path"]))
+            shown = [np.clip(image, 0.0, 1.0) ** GAMMA for image in images]
+            animation(folder / f"{slug(run.column.name)}.webp", shown, _target(run))
+
+
+def _title(column: Column) -> str:
+    known = column in COLUMNS
+    return f"{column.name}, MAE" if known else f"{column.samples} samples, MAE"
+
+
+def _target(run: Run) -> Any:
+    return np.clip(Problem.of(run.column, run.seed).target, 0.0, 1.0) ** GAMMA
+
+
+STUDY: Final = Study(
+    name="table2",
+    carry_out=carry_out,
+    target=_target,
+    measures=("psnr", "mae"),
+    beside=lambda _: "mae",
+    apart=CURVE_STEPS,
+    columns=COLUMNS,
+    paper=PAPER,
+    title=_title,
+    animate=_animate,
+    others=_costs,
+)

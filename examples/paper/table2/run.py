@@ -1,0 +1,161 @@
+"""One fit, and what it came to."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+
+from examples.paper.table2.problem import Column, Problem, images_of, numbers
+from examples.paper.table2.scenes import FloatArray
+from examples.paper.table2.settings import PAPER_SCALES, UNIT, Setting
+from loi_core import Free, LOIObjective, fit
+from loi_core.objectives import MSSSIM, GaussianPyramid, Objective, PixelL2
+from loi_core.pixels.psnr import psnr
+from loi_core.renderers import BlurredRenderer
+from loi_core.renderers.contract import Parameters, Renderer
+from loi_mitsuba import PlannedRenderer
+from loi_torch.lpips import LPIPS
+
+# isort: split
+import mitsuba as mi
+
+__all__ = ["CURVE_STEPS", "Outcome", "Run", "carry_out", "objective", "renderer"]
+
+CURVE_STEPS: Final = 5  # between two points of a curve
+PAIRS: Final = 5  # of images for a gradient from images alone: ten renders
+VARIANT: Final = "llvm_ad_rgb"
+
+
+@dataclass(frozen=True)
+class Run:
+    """One fit of the table: how, of what, and from which start."""
+
+    setting: Setting
+    column: Column
+    seed: int
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """What it is filed under."""
+        setting = self.setting
+        size = f"{self.column.width} {self.column.samples}"
+        return f"{setting.name} {setting.rate:g}", setting.method, f"{self.column.name} {size}"
+
+    @property
+    def steps(self) -> int:
+        """Of the fit."""
+        return self.setting.steps
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a run came to.
+
+    Attributes
+    ----------
+    psnr : float
+        Of a converged image at the last parameters, clipped to 0 to 1, linear RGB; dB.
+    mae : float
+        Mean absolute error of the parameters, units of the scene.
+    verdict : str
+        What the fit says of itself.
+    setup, seconds : float
+        Until the first step is done, and of the whole fit; what else the machine did is in both.
+    curve : tuple of float
+        PSNR of every fifth step's own image, with its noise.
+    errors, clock : tuple of float
+        MAE before every fifth step, and the seconds that had passed.
+    path : dict of tuple of float
+        The parameters before every fifth step, and at the end.
+    image : array, shape (H, W, 3)
+        At the end, as a display wants it.
+    """
+
+    psnr: float
+    mae: float
+    verdict: str
+    setup: float
+    seconds: float
+    curve: tuple[float, ...]
+    errors: tuple[float, ...]
+    clock: tuple[float, ...]
+    path: dict[str, tuple[float, ...]]
+    image: FloatArray
+
+
+def carry_out(run: Run) -> Outcome:
+    """Fit, and measure the last iterate."""
+    mi.set_variant(VARIANT)
+    setting = run.setting
+    problem = Problem.of(run.column, run.seed)
+    curve: list[float] = []
+    errors: list[float] = []
+    clock: list[float] = []
+    way: list[dict[str, float]] = []
+
+    def note(_: Any, params: Parameters, image: Any) -> None:
+        clock.append(time.perf_counter() - began)
+        errors.append(problem.error(params))
+        way.append({name: round(float(value), 4) for name, value in params.items()})
+        curve.append(psnr(_seen(image), _seen(problem.target)))
+
+    reach = problem.built.reach
+    rate: float | str = setting.rate if setting.name == "published" else f"{setting.rate * run.column.width / UNIT} px"
+    free = {name: Free(value, -reach, reach) for name, value in numbers(problem.built.start).items()}
+    options: dict[str, Any] = {"stages": None, "decay": "none"} if setting.name == "published" else {}
+    began = time.perf_counter()
+    result = fit(
+        renderer(setting, problem),
+        objective(setting, problem.target),
+        steps=setting.steps,
+        learning_rate=rate,
+        seed=10**4 * run.seed,
+        optimise=free,
+        callback=note,
+        **options,
+    )
+    seconds = time.perf_counter() - began
+    image = problem.picture(result.params)
+    kept = [*way[::CURVE_STEPS], {name: float(value) for name, value in result.params.items()}]
+    return Outcome(
+        psnr(_seen(image), _seen(problem.target)),
+        problem.error(result.params),
+        result.diagnosis.verdict if result.diagnosis else "",
+        clock[0],
+        seconds,
+        tuple(round(one, 3) for one in curve[::CURVE_STEPS]),
+        tuple(round(one, 5) for one in errors[::CURVE_STEPS]),
+        tuple(round(one, 2) for one in clock[::CURVE_STEPS]),
+        {name: tuple(one[name] for one in kept) for name in problem.built.truth},
+        _seen(image) ** (1.0 / 2.2),
+    )
+
+
+def renderer(setting: Setting, problem: Problem) -> Renderer:
+    """What gives images and their gradient to a setting."""
+    built, samples = problem.built, problem.column.samples
+    if not setting.blurred:
+        return PlannedRenderer(built.scene, built.parameters, spp=samples)
+    return BlurredRenderer(images_of(built, samples), setting.sigma, final_sigma=setting.final_sigma, pairs=PAIRS)
+
+
+def objective(setting: Setting, target: Any) -> Objective:
+    """The objective of a setting."""
+    kind = setting.compares
+    if kind == "loi":
+        return LOIObjective(target, PAPER_SCALES if setting.name == "published" else None, accuracy="balanced")
+    if kind == "gaussian_pyramid":
+        return GaussianPyramid(target)
+    if kind == "ms_ssim":
+        return MSSSIM(target)
+    if kind == "pixel_l2":
+        return PixelL2(target)
+    return LPIPS(np.clip(target, 0.0, 1.0), "alex")
+
+
+def _seen(image: Any) -> FloatArray:
+    clipped: FloatArray = np.clip(np.asarray(image, dtype=np.float64), 0.0, 1.0)
+    return clipped

@@ -1,0 +1,76 @@
+"""How a fit is done: the published protocol, and ours, whose rates are in pixels."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Literal
+
+from loi_core import ScaleSpace
+
+__all__ = ["LABELS", "PAPER_SCALES", "PROTOCOLS", "RATES", "UNIT", "Method", "Setting", "ours"]
+
+Method = Literal["pixel_l2", "gaussian_pyramid", "ms_ssim", "lpips_alex", "prdpt", "loi_prdpt", "loi"]
+
+LABELS: Final[dict[Method, str]] = {
+    "pixel_l2": "pixel L2",
+    "gaussian_pyramid": "Gaussian pyramid",
+    "ms_ssim": "MS-SSIM",
+    "lpips_alex": "LPIPS (AlexNet)",
+    "prdpt": "PRDPT",
+    "loi_prdpt": "loi + PRDPT",
+    "loi": "loi (ours)",
+}
+PAPER_SCALES: Final = ScaleSpace((1.0, 5.0), (1.0, 5.0, 15.0, 45.0), 0.125)
+UNIT: Final = 256  # width of the image whose pixels a rate is in
+
+
+@dataclass(frozen=True)
+class Setting:
+    """One way to fit.
+
+    Attributes
+    ----------
+    name : {"published", "ours"}
+        The protocol. "published": Adam at 0.01 units of the scene, and the paper's scales. "ours": rates in pixels,
+        which fall along a cosine, and the library's own scales and stages. Both have the same bounds.
+    method : str
+        Which objective; those with ``prdpt`` take their gradient from ten images at drawn parameters, and all others
+        Mitsuba's, by a plan.
+    rate : float
+        Adam's, in units of the protocol.
+    steps : int
+        Of the fit.
+    sigma, final_sigma : float
+        Of the blur over parameters, in units of the scene: held for half of the steps.
+    """
+
+    name: Literal["published", "ours"]
+    method: Method
+    rate: float
+    steps: int = 100
+    sigma: float = 0.5
+    final_sigma: float = 0.01
+
+    @property
+    def blurred(self) -> bool:
+        """Whether its gradient is that of images blurred over their parameters."""
+        return self.method in ("prdpt", "loi_prdpt")
+
+    @property
+    def compares(self) -> str:
+        """The objective."""
+        return {"prdpt": "pixel_l2", "loi_prdpt": "loi"}.get(self.method, self.method)
+
+
+def ours(method: Method, rate: float) -> Setting:
+    """The setting of our protocol at a rate in pixels."""
+    return Setting("ours", method, rate)
+
+
+# Steps are not published; 400 are those of PRDPT's own example, and at this rate what the farthest start needs.
+PUBLISHED: Final = {method: Setting("published", method, 0.01, steps=400) for method in LABELS}
+
+# Pixels that the image moves by a step; those of the second table are the best of a search over these, for each method.
+RATES: Final = (1.0, 3.0, 9.0)
+CHOSEN: Final = dict.fromkeys(LABELS, 3.0) | {"ms_ssim": 9.0}
+PROTOCOLS: Final = {"ours": {method: ours(method, CHOSEN[method]) for method in LABELS}, "published": PUBLISHED}

@@ -1,0 +1,40 @@
+"""A figure as the paper has it, and a fit as it converges."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from PIL import Image
+
+from examples.paper.pictures import animation, moments, row_of, shown_as
+from examples.paper.store import load, picture_path
+from examples.paper.variational.run import Run, image_at, problem_of
+from loi_core.io.files import write_bytes
+
+__all__ = ["animate", "figure"]
+
+
+def figure(path: Path, folder: Path, rows: Mapping[str, Sequence[Run]], number: int) -> None:
+    """One start: where it begins, where each method ends, and the target, side by side."""
+    runs = {name: own[number] for name, own in rows.items() if number < len(own)}
+    done = {name: record for name, run in runs.items() if (record := load(folder, run)) is not None}
+    if not done:
+        return
+    first = next(iter(runs.values()))
+    problem = problem_of(first.scene, first.size)
+    pictures = {"start": shown_as(image_at(problem, problem.start(first.seed)))}
+    for name, record in done.items():
+        with Image.open(picture_path(folder, runs[name])) as end:
+            pictures[f"{name}, {record['psnr']:.1f} dB"] = end.convert("RGB")
+    pictures["target"] = shown_as(problem.target)
+    write_bytes(path, row_of(pictures))
+
+
+def animate(path: Path, folder: Path, run: Run) -> None:
+    """A fit, step by step, beside its target: a WebP."""
+    record = load(folder, run)
+    if record is None:
+        return
+    problem = problem_of(run.scene, run.size)
+    animation(path, [image_at(problem, params) for params in moments(record["path"])], problem.target)

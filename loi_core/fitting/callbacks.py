@@ -1,0 +1,30 @@
+"""What a fit calls after every step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Protocol, TypeAlias, runtime_checkable
+
+from loi_core.fitting.history import FitStep
+from loi_core.fitting.views import Images
+from loi_core.renderers.contract import Parameters
+from loi_core.support.arrays import Host
+
+__all__ = ["Callback", "RememberingCallback"]
+
+Callback: TypeAlias = Callable[[FitStep, Parameters, Images], bool | None]
+"""Called after every step with the step, its parameters and its image; returning True ends the fit."""
+
+
+@runtime_checkable
+class RememberingCallback(Protocol):
+    """A callback whose memory a checkpoint keeps, so that one of a resumed fit knows what was called before."""
+
+    def __call__(self, step: FitStep, params: Parameters, image: Images, /) -> bool | None:
+        """What every callback is called with."""
+
+    def memory(self) -> Mapping[str, Host]:
+        """What a checkpoint is to keep: arrays of numbers by name. It may be of more steps than the checkpoint is."""
+
+    def restore(self, memory: Mapping[str, Host], /) -> None:
+        """Go on with what was kept, before the first step is called; empty if another callback was there before."""

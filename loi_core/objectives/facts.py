@@ -1,0 +1,60 @@
+"""What is said of an objective where it is printed or shown in a notebook."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+from loi_core.method.scales import ScaleSpace
+from loi_core.pixels.thumbnail import pictured
+from loi_core.support.arrays import Array
+from loi_core.support.html import card, side_by_side, table
+from loi_core.support.wording import printable
+
+__all__ = ["facts_of_options", "facts_of_reference", "facts_of_scales", "in_notebook", "printed", "unusual_settings"]
+
+USUAL: Final[Mapping[str, Any]] = {
+    "bounds": (0.0, 1.0),
+    "boundary": "reflect",
+    "p": 1.0,
+    "tails": 4.0,
+    "convention": "paper",
+    "kernel_size": None,
+}
+
+
+def facts_of_reference(shape: tuple[int, ...], dtype: object) -> dict[str, str]:
+    """Its size and dtype, in whatever library."""
+    return {"reference": f"{'x'.join(map(str, shape))} {str(dtype).rpartition('.')[2]}"}
+
+
+def facts_of_scales(scales: ScaleSpace) -> dict[str, str]:
+    """The scales, and of their settings those that are not the usual ones."""
+    facts = {name: " ".join(f"{one:g}" for one in getattr(scales, name)) for name in ("sigma", "alpha", "beta")}
+    return facts | {name: str(value) for name, value in unusual_settings(scales).items()}
+
+
+def unusual_settings(scales: ScaleSpace) -> dict[str, Any]:
+    """Of the settings that go with scales, those that are not the usual ones."""
+    return {name: getattr(scales, name) for name, usual in USUAL.items() if getattr(scales, name) != usual}
+
+
+def facts_of_options(
+    channel_axis: int | None, nan_policy: str, tone: object, weights: tuple[int, ...] | None
+) -> dict[str, str]:
+    """The options that every objective has, where they are not the usual ones; of weights the shape."""
+    facts = {} if channel_axis == -1 else {"channel_axis": str(channel_axis)}
+    facts |= {} if nan_policy == "raise" else {"nan_policy": nan_policy}
+    facts |= {} if tone is None else {"tone": str(tone)}
+    return facts | ({} if weights is None else {"weights": "x".join(map(str, weights))})
+
+
+def printed(name: str, facts: Mapping[str, str]) -> str:
+    """An objective in one line."""
+    return printable(f"<{name}: {', '.join(f'{what} {fact}' for what, fact in facts.items())}>")
+
+
+def in_notebook(name: str, facts: Mapping[str, str], reference: Array, channel_axis: int | None) -> str:
+    """An objective as HTML: the reference, small, beside the facts."""
+    picture = pictured(reference, "reference", channel_axis)
+    return card(name, side_by_side([picture, table(list(facts.items()))]))

@@ -1,0 +1,80 @@
+"""The folder of a sweep: its records, its runs, and that only one sweep at a time works in it."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any, Final
+
+from loi_core.errors import OptionError
+from loi_core.io.files import TEMPORARY, check_writable, write_text
+from loi_core.io.lock import LOCK, FileLock
+from loi_core.runs import read_record, write_record
+from loi_core.support.wording import printable, shown
+from loi_core.sweeps.plan import SweepRun
+
+__all__ = ["SweepFolder"]
+
+MARK: Final = "loi-sweep.json"
+RECORDS: Final = "records"
+RUNS: Final = "runs"
+
+
+class SweepFolder:
+    """A folder of results of a sweep.
+
+    Parameters
+    ----------
+    path : Path
+        The folder. It need not be there.
+
+    Raises
+    ------
+    OptionError
+        If it cannot be written to, or holds something and is not of a sweep.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        check_writable("output", path)
+        held = sorted(each.name for each in path.iterdir()) if path.is_dir() else []
+        strange = [name for name in held if not name.startswith(TEMPORARY)]
+        if strange and MARK not in strange:
+            msg = (
+                f"`output` must be a new or empty folder, or one of a sweep; {shown(str(path))} holds "
+                f"{shown(strange[0])} and no {MARK}"
+            )
+            raise OptionError(printable(msg))
+
+    @property
+    def runs(self) -> Path:
+        """Holds a folder for each run, with what `loi fit` writes."""
+        return self.path / RUNS
+
+    def read(self, run: SweepRun) -> dict[str, Any] | None:
+        """What is on record of a run; None if it has not ended."""
+        return read_record(self._record(run), run.identity)
+
+    def keep(self, run: SweepRun, content: dict[str, Any]) -> None:
+        """Put on record how a run has ended."""
+        write_record(self._record(run), run.identity, content)
+
+    def _record(self, run: SweepRun) -> Path:
+        return self.path / RECORDS / f"{run.name}.json"
+
+    @contextlib.contextmanager
+    def held(self) -> Iterator[None]:
+        """Keep others from working in it.
+
+        Raises
+        ------
+        InUseError
+            If somebody else does.
+        """
+        mark = self.path / MARK
+        if not mark.exists():
+            write_text(mark, json.dumps({"made by": "loi sweep; the folder and all in it are its own"}) + "\n")
+        with FileLock(self.path / LOCK, self.path):
+            yield

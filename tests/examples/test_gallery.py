@@ -1,0 +1,100 @@
+"""Every program of the gallery, and the notebook, finds what it looks for from a start that does not overlap it."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from tests.strategies import THOROUGH
+
+ROOT = Path(__file__).parents[2]
+GALLERY = ROOT / "examples" / "gallery"
+PROGRAMS = sorted(path.stem for path in GALLERY.glob("plot_*.py"))
+QUICK = ("plot_mitsuba_shadow", "plot_numpy_renderer")
+NEEDS = {"jax": "jax", "mesh": "torch", "mitsuba": "mitsuba", "svg": "torch", "torch": "torch"}
+"""Package by the second word of a program's name; the others need nothing but NumPy."""
+
+REPORT = """
+import json, runpy, sys
+import matplotlib
+matplotlib.use("agg")
+import matplotlib.pyplot as plt
+sys.path.insert(0, {folder!r})  # as for `python plot_x.py`
+left = runpy.run_path({path!r}, run_name="__main__")
+film = left["film"]
+film.play().save({film!r})
+print(json.dumps({{"figures": len(plt.get_fignums()), "frames": len(film.frames), **{{
+    name: left[name] for name in ("before", "after")}}}}))
+"""
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=() if name in QUICK else pytest.mark.skipif(not THOROUGH, reason="takes long"))
+        for name in PROGRAMS
+    ],
+)
+def test_a_program_of_the_gallery_finds_what_it_looks_for_and_shows_it(name: str, tmp_path: Path) -> None:
+    pytest.importorskip(NEEDS.get(name.split("_")[1], "numpy"))
+    code = REPORT.format(folder=str(GALLERY), path=str(GALLERY / f"{name}.py"), film=str(tmp_path / "film.webp"))
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=tmp_path, check=True)
+    *_, said, last = done.stdout.splitlines()
+    report = json.loads(last)
+    assert report["figures"] == 1
+    assert report["frames"] >= 50
+    assert report["after"] < 0.05 * report["before"]
+    assert re.search(r"\d", said)
+    assert (tmp_path / "film.webp").stat().st_size < 200_000
+    first, final, target = frames(tmp_path / "film.webp")
+    # A photograph with noise, or with something in the way, is never met exactly.
+    assert apart(final, target) < (0.7 if name == "plot_mask" else 0.2) * apart(first, target)
+
+
+def frames(path: Path) -> tuple[Any, Any, Any]:
+    """The first and the last image of a film, and its target."""
+    with Image.open(path) as film:
+        pages = []
+        for index in (0, getattr(film, "n_frames", 1) - 1):
+            film.seek(index)
+            pages.append(np.asarray(film.convert("RGB"), dtype=np.float64))
+    half = pages[0].shape[1] // 2 - 3
+    return pages[0][:, :half], pages[1][:, :half], pages[1][:, -half:]
+
+
+def apart(one: Any, other: Any) -> float:
+    """The mean squared difference."""
+    return float(np.mean((one - other) ** 2))
+
+
+def test_the_gallery_has_a_program_for_every_framework_and_titles_that_sphinx_gallery_reads() -> None:
+    assert {name.split("_")[1] for name in PROGRAMS} >= set(NEEDS) | {"numpy"}
+    assert set(QUICK) <= set(PROGRAMS)
+    for name in PROGRAMS:
+        _, title, line, empty, *_ = (GALLERY / f"{name}.py").read_text().splitlines()
+        assert line == "=" * len(title), name
+        assert not empty, name
+
+
+def test_the_notebook_runs_from_end_to_end_and_finds_the_portrait(tmp_path: Path) -> None:
+    nbclient, nbformat = pytest.importorskip("nbclient"), pytest.importorskip("nbformat")
+    pytest.importorskip("ipykernel")
+    path = ROOT / "examples" / "first_steps.ipynb"
+    notebook = nbformat.read(path, as_version=4)
+    nbformat.validate(notebook)
+    assert not any(cell.get("outputs") for cell in notebook.cells)  # none are stored
+    nbclient.NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    said = "".join(one["text"] for cell in notebook.cells for one in cell.get("outputs", []) if "text" in one)
+    off = {name: float(pixels) for name, pixels in re.findall(r"(\w+): ([\d.]+) px", said)}
+    assert off.keys() == {"loop", "fit"}
+    assert max(off.values()) < 0.2
+    pictures = [one for cell in notebook.cells for one in cell.get("outputs", []) if "image/png" in one.get("data", {})]
+    assert len(pictures) == 4

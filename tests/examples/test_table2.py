@@ -1,0 +1,84 @@
+"""Table 2: its scenes are what they say, its errors count what is alike once, and its quick tier runs end to end."""
+
+from __future__ import annotations
+
+import csv
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from examples.paper import teaser
+from examples.paper.table2 import main
+from examples.paper.table2.problem import COLUMNS, Column, Problem
+from examples.paper.table2.scenes import SCENES
+
+# isort: split
+import mitsuba as mi
+
+
+@pytest.fixture(autouse=True)
+def variant() -> None:
+    """The scenes are made of Mitsuba's own transforms, which need one."""
+    mi.set_variant("llvm_ad_rgb")
+
+
+@pytest.mark.parametrize("column", COLUMNS, ids=lambda column: column.name)
+def test_every_start_is_within_its_bounds_and_away_from_the_truth(column: Column) -> None:
+    starts = []
+    for seed in range(4):
+        built = SCENES[column.name](16, 12, seed)
+        assert set(built.parameters) == set(built.truth) == set(built.start)
+        assert all(abs(value) <= built.reach for some in (built.truth, built.start) for value in some.values())
+        assert np.mean([abs(built.truth[name] - built.start[name]) for name in built.truth]) > 0.3
+        starts.append(tuple(built.start.values()))
+    assert len(set(starts)) == len(starts)
+
+
+def test_sort_has_65_colours_and_130_parameters() -> None:
+    built = SCENES["Sort"](16, 12, 0)
+    assert len(built.parameters) == 130
+    tints = {
+        tuple(one["bsdf"]["bsdf"]["reflectance"]["value"])
+        for name, one in built.scene.items()
+        if name.startswith("one_")
+    }
+    assert len(tints) == 65
+
+
+def test_glass_balls_may_change_places_and_lamps_may_not() -> None:
+    problem = Problem(COLUMNS[2], SCENES["Caustics and Lights"](16, 12, 0), None)
+    truth = dict(problem.built.truth)
+
+    def exchanged(first: str, second: str) -> dict[str, float]:
+        return truth | {
+            f"{a}_{axis}": truth[f"{b}_{axis}"] for a, b in ((first, second), (second, first)) for axis in "xz"
+        }
+
+    assert problem.error(truth) == 0.0
+    assert problem.error(exchanged("ball_1", "ball_2")) == 0.0
+    assert problem.error(exchanged("lamp_1", "lamp_2")) > 1.0
+
+
+def test_the_quick_tier_runs_and_is_not_done_twice(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for _ in range(2):
+        main(["--quick", "--out", str(tmp_path)])
+        printed = capsys.readouterr().out
+        assert "loi (ours)" in printed
+        assert "## cost, ours" in printed
+    rows = list(csv.DictReader((tmp_path / "runs.csv").read_text().splitlines()))
+    assert {row["method"] for row in rows} == {"prdpt", "loi"}
+    assert (tmp_path / "ours-envlight.png").exists()
+    assert (tmp_path / "ours-convergence.png").exists()
+
+
+def test_wrong_words_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["--columns", "Caustics", "--out", str(tmp_path)])
+    assert "--columns must be of 'Shadow'" in capsys.readouterr().err
+
+
+def test_the_teaser_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    teaser.main(["--quick", "--out", str(tmp_path)])
+    assert "| loi (ours) | (" in capsys.readouterr().out
+    assert (tmp_path / "teaser.png").stat().st_size > 10_000

@@ -1,0 +1,124 @@
+"""The kaleidoscope and the orb: targets are made as they say, gradients point home, and the quick tier runs."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from examples.paper import kaleidoscope, mug, orb
+from examples.paper.variational import orb_scene
+from examples.paper.variational.objectives import BlurredL2, objective
+from examples.paper.variational.photograph import Photograph
+from examples.paper.variational.problem import AT_TRUTH, Problem, as_arrays
+from examples.paper.variational.run import blurred, image_at, problem_of
+from examples.paper.variational.settings import Method, Setting, Size
+from loi_core.errors import RendererError
+from loi_core.pixels.psnr import psnr
+
+SIDE, SAMPLES = 40, 4
+
+
+@pytest.fixture(params=["kaleidoscope", "orb"])
+def problem(request: pytest.FixtureRequest) -> Problem:
+    return problem_of(request.param, Size(SIDE, SAMPLES, 1))
+
+
+def test_starts_fill_the_range_and_the_truth_is_found(problem: Problem) -> None:
+    starts = [problem.start(seed) for seed in range(200)]
+    for name in problem.truth:
+        values = [start[name] for start in starts]
+        assert problem.low[name] <= min(values) < problem.low[name] + 0.1 * problem.span(name)
+        assert problem.high[name] >= max(values) > problem.high[name] - 0.1 * problem.span(name)
+    assert problem.is_found(problem.start(AT_TRUTH))
+    assert not any(problem.is_found(start) for start in starts)
+
+
+def test_the_target_is_like_the_model_at_the_truth_and_unlike_it_elsewhere(problem: Problem) -> None:
+    there = psnr(image_at(problem, problem.truth), problem.target)
+    elsewhere = [psnr(image_at(problem, problem.start(seed)), problem.target) for seed in range(3)]
+    assert there > max(elsewhere) + 3.0
+
+
+def test_the_orb_has_a_photograph_and_no_render_of_its_model() -> None:
+    problem = orb_scene.problem(SIDE, SAMPLES)
+    np.testing.assert_allclose(255.0 * problem.target, np.rint(255.0 * problem.target), atol=1e-4)
+    one, other = (np.mean([image_at(problem, problem.truth, seed=seed) for seed in range(k, k + 8)], 0) for k in (0, 8))
+    assert psnr(one, problem.target) < psnr(one, other) - 5.0
+
+
+def test_a_photograph_is_dark_at_its_corners_blurred_and_noisy() -> None:
+    light = np.full((32, 32, 3), 0.25)
+    flat = Photograph(reading=0.0, full=1e12).of(light, seed=0)
+    assert flat[0, 0, 0] < flat[8, 8, 0]
+    noisy = [Photograph().of(light, seed=seed) for seed in (0, 1)]
+    assert 0.002 < float(np.std(noisy[0] - noisy[1])) < 0.05
+    light[:, 16:] = 0.75
+    edge = Photograph(vignetting=0.0, reading=0.0, full=1e12).of(light, seed=0)[8, :, 0]
+    assert np.unique(edge).size > 3
+
+
+@pytest.mark.parametrize("method", ["sigma", "paper"])
+def test_near_the_truth_the_gradient_leads_to_it(method: Method) -> None:
+    problem = orb_scene.problem(SIDE, SAMPLES)
+    renderer = blurred(problem, Setting(method, 0.01, 0.05))
+    compared = objective(method, problem.target)
+    slopes = []
+    for sign in (1.0, -1.0):
+        params: dict[str, Any] = as_arrays(dict(problem.truth, x=problem.truth["x"] + 0.7 * sign * orb_scene.RADIUS))
+        drawn = [renderer.render_vjp(params, seed=seed) for seed in range(5)]
+        slopes.append(np.mean([float(pullback(compared.value_and_grad(image)[1])["x"]) for image, pullback in drawn]))
+    assert slopes[0] > 0.0 > slopes[1]
+
+
+def test_images_have_no_gradient_of_their_own(problem: Problem) -> None:
+    with pytest.raises(RendererError, match="images only"):
+        problem.images.render_vjp(problem.at_truth())
+
+
+def test_the_gradient_of_blurred_pixels_is_that_of_their_value() -> None:
+    rng = np.random.default_rng(0)
+    image, reference, direction = rng.random((3, 24, 20, 3))
+    compared = BlurredL2(reference)
+    _, gradient = compared.value_and_grad(image)
+    step = 1e-3  # the value is quadratic, so the difference is exact up to rounding
+    slope = float(compared.value(image + step * direction) - compared.value(image - step * direction)) / (2.0 * step)
+    assert float(np.sum(gradient * direction)) == pytest.approx(slope, rel=1e-8)
+
+
+@pytest.mark.parametrize("command", [kaleidoscope, orb])
+def test_the_quick_tier_runs_and_is_not_done_twice(
+    command: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    name = command.__name__.rpartition(".")[2]
+    command.main(["--quick", "--out", str(tmp_path)])
+    first = capsys.readouterr()
+    assert "loi, the paper's scales" in first.out
+    if command is orb:
+        command.main(["--quick", "--report", "--out", str(tmp_path)])
+        assert capsys.readouterr().out == first.out
+    rows = list(csv.DictReader((tmp_path / "runs.csv").read_text().splitlines()))
+    assert {row["method"] for row in rows} == {"pixels", "paper"}
+    for file in (f"{name}.png", f"{name}-starts.png", f"{name}.webp"):
+        assert (tmp_path / file).exists()
+
+
+def test_wrong_words_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match="2"):
+        orb.main(["--steps", "0", "--out", str(tmp_path)])
+    assert "must be 1 or more" in capsys.readouterr().err
+
+
+def test_a_handle_out_of_sight_is_found_by_looking_at_other_angles(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mug.main(["--quick", "--json", "--out", str(tmp_path)])
+    found = {one["method"]: one for one in map(json.loads, capsys.readouterr().out.splitlines())}
+    assert found["loi"]["verdict"] == "no gradient"
+    assert found["loi"]["end"] == found["loi"]["start"]
+    assert found["loi + PRDPT"]["found"]
+    assert (tmp_path / "mug.png").exists()

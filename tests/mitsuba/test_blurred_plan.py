@@ -1,0 +1,323 @@
+"""Parameters without a gradient in Mitsuba are blurred, all others are not, and one fit finds both."""
+
+from __future__ import annotations
+
+import json
+import logging
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from loi_core import Free, LOIObjective, PixelL2, fit
+from loi_core.cli import main
+from loi_core.effects import Effect
+from loi_core.errors import OptionError, ParameterError
+from loi_core.io.images import write_png
+from loi_core.pixels.encoding import encode_srgb
+from loi_core.renderers import BlurredRenderer
+from loi_mitsuba import MitsubaRenderer, PlannedRenderer, Rotate, Scale, Translate
+from tests.mitsuba.scenes import shadow_scene
+from tests.mitsuba.test_scene_file import SCENE, XML
+
+X = (1, 0, 0)
+FLOOR = "floor.bsdf.reflectance.value"
+GREY = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.5, 0.5, 0.5]}}
+
+
+def lit_scene(**changes: Any) -> dict[str, Any]:
+    """A ball on a grey floor under a point light, all of it direct light."""
+    floor = {"type": "rectangle", "to_world": mi.ScalarTransform4f().rotate(X, -90).scale(8), "bsdf": GREY}
+    return shadow_scene(
+        **{
+            "floor": floor,
+            "ball": {"type": "sphere", "center": [0, 0.8, 0], "radius": 0.8},
+            "lamp": {"type": "point", "position": [-2, 3, 1], "intensity": 15.0},
+            "integrator": {"type": "path", "max_depth": 2},
+            **changes,
+        }
+    )
+
+
+def test_one_fit_finds_what_has_a_gradient_and_what_has_none() -> None:
+    """A colour, and the place of a point light, of which only its light and the ball's shadow tell."""
+    scene = lit_scene()
+    scene["sensor"]["film"] |= {"width": 32, "height": 24}
+    planned = PlannedRenderer(scene, {"light": Translate("lamp", X), "floor": FLOOR}, spp=8)
+    assert list(planned.plan.blurred) == ["light"]
+    truth: dict[str, Any] = {"light": np.float32(3.0), "floor": np.array([0.7, 0.5, 0.3], np.float32)}
+    target = planned.render(truth, seed=10**6)
+    free = {"light": Free(None, -1.0, 5.0), "floor": Free(None, 0.0, 1.0)}
+    found = fit(planned, LOIObjective(target), steps=40, optimise=free)
+    assert float(found.best_params["light"]) == pytest.approx(3.0, abs=0.1)
+    np.testing.assert_allclose(found.best_params["floor"], truth["floor"], atol=0.03)
+    assert found.diagnosis is not None
+    assert found.diagnosis.verdict == "converged"
+
+
+def shining_scene() -> dict[str, Any]:
+    """A ball that is nearly a mirror, and a lamp behind the camera that it shows as a small highlight."""
+    ball = {"type": "roughconductor", "alpha": 0.02}
+    lamp = {"type": "area", "radiance": {"type": "rgb", "value": [60.0] * 3}}
+    return lit_scene(
+        sensor={
+            "type": "perspective",
+            "fov": 36.0,
+            "to_world": mi.ScalarTransform4f().look_at([0, 0, 6], [0, 0, 0], [0, 1, 0]),
+            "film": {"type": "hdrfilm", "width": 48, "height": 36, "rfilter": {"type": "box"}},
+        },
+        ball={"type": "sphere", "radius": 1.6, "bsdf": ball},
+        lamp={"type": "sphere", "center": [2, -1, 7], "radius": 0.25, "emitter": lamp},
+        sky={"type": "constant", "radiance": {"type": "rgb", "value": [0.25] * 3}},
+    )
+
+
+def test_what_has_nothing_but_noise_is_blurred_once_that_is_known() -> None:
+    lamp = {"x": Translate("lamp", X), "y": Translate("lamp", (0, 1, 0))}
+    scene = shining_scene()
+    del scene["floor"]
+    planned, held = PlannedRenderer(scene, lamp, spp=16), PlannedRenderer(scene, lamp, spp=16, blur=None)
+    truth = {"x": np.float32(-1.5), "y": np.float32(2.0)}
+    objective = LOIObjective(planned.unabridged.render(truth, seed=10**6))
+    free = {name: Free(None, -5.0, 5.0) for name in lamp}
+    assert not planned.plan.blurred
+    found = fit(planned, objective, steps=60, optimise=free)
+    assert not planned.plan.held
+    assert list(planned.plan.blurred) == ["x", "y"]
+    assert "cannot be distinguished from noise in 8 draws; that of images blurred over it is" in str(planned.plan)
+    for name, value in truth.items():
+        assert float(found.best_params[name]) == pytest.approx(float(value), abs=0.7)  # a pixel and a half
+    held.begin(held.parameters(), objective.value_and_grad(held.render(held.parameters()))[1], optimise=lamp)
+    assert list(held.plan.held) == ["x", "y"]
+    assert not held.plan.blurred
+
+
+def test_what_was_blurred_for_its_noise_has_a_gradient_of_its_own_in_view(caplog: pytest.LogCaptureFixture) -> None:
+    """A ball above the view, of which a faint shadow tells at first."""
+    caplog.set_level(logging.INFO, "loi_mitsuba")
+    planned = PlannedRenderer(shadow_scene(integrator={"type": "direct"}), {"place": Translate("ball")})
+    objective = PixelL2(planned.render({"place": np.array([0.5, 0.0, 0.3])}, seed=10**6))
+
+    def gradient(place: list[float], seed: int) -> Any:
+        image, pullback = planned.render_vjp({"place": np.array(place)}, seed=seed)
+        return pullback(objective.value_and_grad(image)[1])["place"]
+
+    gradient([-0.3, 0.0, 0.0], 0)
+    assert list(planned.plan.blurred) == ["place"]
+    gradient([0.0, -3.5, 0.0], 1)
+    assert not planned.plan.blurred
+    assert planned.plan.measured
+    assert Effect.PRIMARY in planned.plan.on
+    said = [one.getMessage() for one in caplog.records]
+    assert any(line.startswith("effects, by the pilot: ") and "'place' blurred (its gradient" in line for line in said)
+    assert any("as it comes into view" in line and "'place' no longer blurred" in line for line in said)
+
+
+def test_a_plan_with_nothing_missing_is_not_blurred(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(BlurredRenderer, "__init__", refuse)
+    planned = PlannedRenderer(lit_scene(), {"floor": FLOOR}, spp=4)
+    image, pullback = planned.render_vjp(planned.parameters())
+    assert np.any(pullback(np.ones_like(image))["floor"])
+    assert not planned.plan.blurred
+    assert "blurred" not in str(planned.plan)
+
+
+GLASS: dict[str, Any] = {
+    "ball": {"type": "sphere", "center": [0, 1.2, 0], "radius": 0.8, "bsdf": {"type": "dielectric"}},
+    "integrator": {"type": "path", "max_depth": 5},
+}
+HIGH = {"lamp": {"type": "point", "position": [0.5, 12, 0], "intensity": 150.0}}  # out of view
+PARALLEL: dict[str, Any] = {
+    "type": "orthographic",
+    "to_world": ("look_at", [0, 6, 6], [0, 0, 0], [0, 1, 0]),
+    "film": {"type": "hdrfilm", "width": 64, "height": 48, "rfilter": {"type": "box"}},
+}
+FOG = {"type": "homogeneous", "albedo": 0.5, "sigma_t": 0.5}
+
+
+@pytest.mark.parametrize(
+    ("changes", "target", "says"),
+    [
+        ({}, "lamp.position", "gradient for moving a PointLight is missing or wrong"),
+        ({}, Translate("lamp"), "it moves a PointLight"),
+        ({}, Rotate("sensor", (0, 1, 0)), "it moves a camera"),
+        ({}, "sensor.x_fov", "no gradient for sensors"),
+        (GLASS, Translate("ball", X), "it moves clear glass"),
+        (GLASS, Scale("ball"), "it moves clear glass"),
+        (GLASS, "ball.bsdf.eta", "Mitsuba gives no gradient for it"),
+        (
+            {"cloud": {"type": "sphere", "bsdf": {"type": "null"}, "interior": FOG}},
+            Translate("ball", X),
+            "it moves a shape where there is a medium",
+        ),
+        (
+            {"sensor": PARALLEL},
+            Translate("ball", X),
+            "no gradient of outlines for a OrthographicCamera",
+        ),
+        (
+            {
+                "group": {"type": "shapegroup", "inner": {"type": "sphere"}},
+                "one": {"type": "instance", "shapegroup": {"type": "ref", "id": "group"}},
+            },
+            Translate("group.inner", X),
+            "it moves a shape of a shapegroup",
+        ),
+    ],
+    ids=["position", "light", "camera", "lens", "glass", "size of glass", "index", "medium", "parallel", "instance"],
+)
+def test_the_plan_names_what_is_blurred_and_why(changes: dict[str, Any], target: Any, says: str) -> None:
+    if "sensor" in changes:
+        place = mi.ScalarTransform4f().look_at(*PARALLEL["to_world"][1:]).scale(3)
+        changes = {"sensor": {**PARALLEL, "to_world": place}}
+    planned = PlannedRenderer(lit_scene(**changes), {"it": target}, spp=4)
+    assert says in planned.plan.blurred["it"]
+    (row,) = (line for line in str(planned.plan).splitlines() if line.startswith("| 'it'"))
+    assert "| blurred |" in row
+    start = planned.parameters()
+    image = planned.render(start)
+    moved = {"it": start["it"] + np.float32(0.1)}
+    assert not np.array_equal(planned.render(moved), image)
+    np.testing.assert_array_equal(planned.render(start), image)
+
+
+def test_without_a_blur_what_has_no_gradient_is_refused_or_left_to_mitsuba() -> None:
+    with pytest.raises(ParameterError, match=r"is missing or wrong; .* leave it to PlannedRenderer"):
+        PlannedRenderer(lit_scene(), {"light": "lamp.position"}, blur=None)
+    with pytest.raises(ParameterError, match=r"'sensor' cannot be moved: .*; or leave it to PlannedRenderer"):
+        PlannedRenderer(lit_scene(), {"pose": Translate("sensor")}, blur=None)
+    plan = PlannedRenderer(lit_scene(**GLASS, **HIGH), {"x": Translate("ball", X)}, blur=None).plan
+    assert not plan.blurred
+    assert "dielectric 'bsdf'" in plan.exchanged
+    with pytest.raises(ParameterError, match=r"has no entry 'lamp\.place'"):
+        PlannedRenderer(lit_scene(), {"light": "lamp.place"})
+
+
+def test_a_matrix_is_moved_by_a_handle_and_not_by_its_numbers() -> None:
+    with pytest.raises(ParameterError, match=r"'sensor.to_world' cannot be fitted: .*move the scene instead$"):
+        PlannedRenderer(lit_scene(), {"pose": "sensor.to_world"})
+
+
+def test_a_camera_that_moves_sees_the_scene_move_the_other_way() -> None:
+    scene = shadow_scene(ball={"type": "sphere", "radius": 0.7}, lamp={"type": "constant"}, floor={"type": "null"})
+    del scene["floor"]
+    camera = PlannedRenderer(scene, {"it": Translate("sensor", X)}, spp=4)
+    ball = PlannedRenderer(scene, {"it": Translate("ball", X)}, spp=4)
+    seen, wanted = camera.render({"it": np.float32(0.5)}), ball.render({"it": np.float32(-0.5)})
+    assert np.mean(np.abs(seen - wanted)) < 0.01 * np.mean(np.abs(wanted - ball.render({"it": np.float32(0.0)})))
+
+
+def test_the_gradient_is_that_of_finite_differences() -> None:
+    planned = PlannedRenderer(lit_scene(), {"light": Translate("lamp", X)}, spp=32, blur={"sigma": 0.2, "pairs": 4})
+    image, pullback = planned.render_vjp(planned.parameters())
+    ramp = np.linspace(-1.0, 1.0, 64, dtype=np.float32)[None, :, None] * np.ones_like(image)
+    drawn = [float(planned.render_vjp(planned.parameters(), seed=seed)[1](ramp)["light"]) for seed in range(8)]
+    ahead, behind = (planned.render({"light": np.float32(by)}, seed=1) for by in (0.2, -0.2))
+    slope = float(np.sum((ahead - behind) * ramp)) / 0.4
+    assert np.mean(drawn) == pytest.approx(slope, rel=0.05, abs=3.0 * np.std(drawn) / np.sqrt(8))
+    assert float(pullback(ramp)["light"]) == pytest.approx(slope, rel=0.3)
+
+
+@pytest.mark.parametrize("light", ["lamp.position", Translate("lamp"), Translate("lamp", X)], ids=str)
+def test_the_lamp_in_the_neighbour_goes_where_the_light_goes(light: Any) -> None:
+    sharp = {"x": Translate("ball", X)}
+    planned = PlannedRenderer(lit_scene(**HIGH), {**sharp, "light": light}, spp=16)
+    assert list(planned.plan.exchanged) == ["point light 'lamp'"]
+    assert list(planned.plan.blurred) == ["light"]
+    params = planned.parameters()
+    params["light"] = params["light"] + np.float32(1.0)
+    ramp = np.linspace(-1.0, 1.0, 64, dtype=np.float32)[None, :, None] * np.ones((48, 64, 3), np.float32)
+    pulled = planned.unabridged.pull(params, ramp)
+    assert np.any(pulled["x"])
+    assert not np.any(pulled["light"])
+    near = mi.traverse(planned.unabridged.neighbour)["loi_lamp_0.to_world"]  # type: ignore[attr-defined]
+    moved = [1.5, 12, 0] if isinstance(light, Translate) and light.axis is not None else [1.5, 13, 1]
+    np.testing.assert_allclose(np.array(near.matrix).reshape(4, 4)[:3, 3], moved, atol=1e-5)
+
+
+def test_only_what_is_named_is_blurred() -> None:
+    both: dict[str, Any] = {"x": Translate("ball", X), "floor": FLOOR}
+    planned = PlannedRenderer(shadow_scene(floor=lit_scene()["floor"]), both, blur={"names": ["x"]}, spp=4)
+    assert planned.plan.blurred == {"x": "it was asked for"}
+    assert planned.groups == (("floor",),)
+    with pytest.raises(ParameterError, match=r"'lamp\.position' cannot be fitted"):
+        PlannedRenderer(lit_scene(), {"light": "lamp.position", "floor": FLOOR}, blur={"names": ["floor"]})
+
+
+@pytest.mark.parametrize(
+    ("blur", "error", "says"),
+    [
+        (
+            {"width": 1},
+            OptionError,
+            "`blur` must be None, or a table of sigma, final_sigma, names, pairs, together, got",
+        ),
+        (0.3, OptionError, r"`blur` must be None, or a table of .*, got 0\.3"),
+        ({"sigma": 0}, OptionError, "`sigma` of 'light' must be a finite number, more than 0"),
+        ({"sigma": {"floor": 1.0}}, OptionError, "`sigma` must have 'light', got 'floor'"),
+        ({"names": ["place"]}, ParameterError, "`names` must be of light, got 'place'"),
+    ],
+)
+def test_options_are_checked(blur: Any, error: type[Exception], says: str) -> None:
+    with pytest.raises(error, match=says):
+        PlannedRenderer(lit_scene(), {"light": "lamp.position"}, blur=blur)
+
+
+def test_where_all_is_blurred_there_is_nothing_to_measure() -> None:
+    planned = PlannedRenderer(lit_scene(), {"light": Translate("lamp", X)}, spp=4, blur={"sigma": 0.3})
+    image = planned.render(planned.parameters())
+    objective = PixelL2(planned.render({"light": np.float32(1.0)}, seed=9))
+    planned.begin(planned.parameters(), objective.value_and_grad(image)[1], optimise=["light"])
+    assert not planned.plan.held
+    assert np.any(planned.render_vjp(planned.parameters())[1](np.ones_like(image))["light"])
+    assert planned.effect_images(planned.parameters(), np.ones_like(image)) == {}
+    with pytest.raises(OptionError, match="nothing to verify: 'light'"):
+        planned.verify(objective)
+
+
+def test_what_is_not_optimised_is_not_blurred() -> None:
+    lights: dict[str, Any] = {"light": Translate("lamp", X), "floor": FLOOR}
+    planned = PlannedRenderer(lit_scene(), lights, spp=4, blur={"sigma": {"light": 0.3}})
+    image = planned.render(planned.parameters())
+    planned.begin(planned.parameters(), np.ones_like(image), optimise=["floor"])
+    pulled = planned.render_vjp(planned.parameters())[1](np.ones_like(image))
+    assert not np.any(pulled["light"])
+    assert np.any(pulled["floor"])
+    assert not planned.plan.blurred
+
+
+def test_any_renderer_of_mitsuba_can_be_blurred() -> None:
+    plain = MitsubaRenderer(lit_scene(), {"light": "lamp.position", "floor": FLOOR}, spp=4, without_gradient=["light"])
+    image, pullback = plain.render_vjp(plain.parameters())
+    assert not np.any(pullback(np.ones_like(image))["light"])
+    blurred = BlurredRenderer(plain, 0.3, names=["light"])
+    pulled = blurred.render_vjp(plain.parameters())[1](np.ones_like(image))
+    assert np.any(pulled["light"])
+    assert np.any(pulled["floor"])
+
+
+def test_a_scene_file_sets_the_blur_and_explains_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    light = '<emitter type="point" id="lamp"><point name="position" x="0" y="9" z="0"/></emitter></scene>'
+    (tmp_path / "scene.xml").write_text(XML.replace("</scene>", light))
+    text = SCENE.replace('"mitsuba"', '"mitsuba-planned"')
+    text = text.replace("[renderer.parameters]", '[renderer.parameters]\nlight = "lamp.position"')
+    renderer = MitsubaRenderer(tmp_path / "scene.xml", {"light": "lamp.position"}, spp=4, without_gradient=["light"])
+    write_png(tmp_path / "target.png", encode_srgb(renderer.render(renderer.parameters())))
+    scene = tmp_path / "scene.toml"
+    scene.write_text(f"{text}\n[renderer.blur]\nsigma = 0.5\n")
+    assert main(["fit", str(scene), "--explain", "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["blurred"] == {}  # it is not among what is optimised
+    scene.write_text(f"{text}\n[renderer.blur]\nsigma = 0.5\n[optimise.light]\n")
+    assert main(["fit", str(scene), "--explain", "--json"]) == 0
+    assert list(json.loads(capsys.readouterr().out)["blurred"]) == ["light"]
+    scene.write_text(f"{text}\n[renderer.blur]\nsigma = 0\n")
+    assert main(["fit", str(scene), "--explain"]) == 2
+    assert "`sigma` of 'light' must be a finite number, more than 0" in capsys.readouterr().err
+    scene.write_text(f"{text}\n[renderer.blur]\nsigm = 1\n")
+    assert main(["fit", str(scene), "--explain"]) == 2
+    assert "[renderer.blur] unknown key `sigm`; did you mean `sigma`?" in capsys.readouterr().err

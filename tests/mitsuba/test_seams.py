@@ -1,0 +1,114 @@
+"""Meshes that store the vertices of an edge twice have the gradient that they would have if they did not."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import pytest
+import trimesh
+
+from loi_core.errors import OptionError
+from loi_mitsuba import GradientWarning, PlannedRenderer, Rotate, Translate
+from loi_mitsuba.seams import has_seams, is_hard
+from tests.mitsuba.scenes import HEIGHT, WIDTH, box, shadow_scene
+
+RAMP = np.linspace(-1.0, 1.0, WIDTH, dtype=np.float32)[None, :, None] * np.ones((HEIGHT, WIDTH, 3), np.float32)
+MOVES: dict[str, Any] = {"x": Translate("mesh", (1, 0, 0))}
+TURNS: dict[str, Any] = MOVES | {"turn": Rotate("mesh", (0, 0, 1))}
+PLACE = mi.ScalarTransform4f
+
+
+def ball_file(folder: Path, *, split: bool, normals: bool = False) -> str:
+    """A ball of triangles, every one of which has vertices of its own if it is split."""
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
+    corners, triangles = np.array(ball.vertices), np.array(ball.faces)
+    if split:
+        corners, triangles = corners[triangles.ravel()], np.arange(triangles.size).reshape(-1, 3)
+    mesh = trimesh.Trimesh(corners, triangles, vertex_normals=corners if normals else None, process=False)
+    path = folder / f"{split}-{normals}.ply"
+    mesh.export(path, vertex_normal=normals)
+    return str(path)
+
+
+def scene_of(mesh: dict[str, Any]) -> dict[str, Any]:
+    """One that throws a shadow and is in view."""
+    return shadow_scene(
+        mesh={"to_world": PLACE().translate([0.3, 1.5, 0.2]).rotate([0.6, 0.0, 0.8], 30).scale(0.7), **mesh}
+    )
+
+
+def gradients(renderer: PlannedRenderer, draws: int = 1) -> Any:
+    """By parameter, the gradient of each draw."""
+    here = renderer.parameters()
+    drawn = [renderer.unabridged.pull(here, RAMP, seed=seed) for seed in range(draws)]
+    return {name: np.array([float(one[name]) for one in drawn]) for name in here}
+
+
+@pytest.mark.parametrize("normals", [False, True], ids=["flat", "smooth"])
+def test_a_mesh_with_seams_has_the_gradient_of_the_same_mesh_without(normals: bool, tmp_path: Path) -> None:
+    meshes = (
+        {"type": "ply", "filename": ball_file(tmp_path, split=split, normals=normals), "face_normals": not normals}
+        for split in (True, False)
+    )
+    split, whole = (PlannedRenderer(scene_of(mesh), TURNS, spp=16) for mesh in meshes)
+    assert list(split.plan.exchanged) == ["mesh 'mesh'"]
+    assert not whole.plan.exchanged
+    found, wanted = gradients(split), gradients(whole)
+    for name in TURNS:
+        assert abs(wanted[name]) > 0.0
+        np.testing.assert_allclose(found[name], wanted[name], rtol=1e-3)
+
+
+def test_images_are_those_of_the_mesh_as_it_is(tmp_path: Path) -> None:
+    ball = {"type": "ply", "filename": ball_file(tmp_path, split=True)}
+    with pytest.warns(GradientWarning, match=r"mesh 'mesh' stores the vertices .* PlannedRenderer does where"):
+        alone = PlannedRenderer(scene_of(ball), MOVES, spp=8, neighbour={"seams": False})
+    assert not alone.plan.exchanged
+    planned = PlannedRenderer(scene_of(ball), MOVES, spp=8)
+    here = planned.parameters()
+    np.testing.assert_allclose(planned.render(here, seed=3), alone.render(here, seed=3), rtol=1e-4, atol=1e-5)
+
+
+def test_a_mesh_that_is_an_object_of_the_user_stays_as_it_is(tmp_path: Path) -> None:
+    mesh = mi.load_dict({"type": "ply", "filename": ball_file(tmp_path, split=True)})
+    faces = np.array(mi.traverse(mesh)["faces"])
+    with pytest.warns(GradientWarning, match="stores the vertices of an edge more than once"):
+        assert not PlannedRenderer(shadow_scene(mesh=mesh), MOVES).plan.exchanged
+    np.testing.assert_array_equal(mi.traverse(mesh)["faces"], faces)
+
+
+def test_hard_edges_stay_since_they_have_a_gradient_of_their_own() -> None:
+    with pytest.warns(GradientWarning, match="mesh 'mesh' stores the vertices of an edge more than once"):
+        assert not PlannedRenderer(scene_of({"type": "cube"}), MOVES).plan.exchanged
+
+
+def test_a_mesh_whose_vertices_move_apart_stays_as_it_is() -> None:
+    with pytest.warns(GradientWarning, match="mesh 'mesh' stores the vertices of an edge more than once"):
+        planned = PlannedRenderer(scene_of({"type": "cube"}), {"corners": "mesh.vertex_positions"})
+    assert not planned.plan.exchanged
+
+
+def test_edges_are_hard_where_triangles_that_meet_are_shaded_otherwise(tmp_path: Path) -> None:
+    def loaded(mesh: dict[str, Any]) -> Any:
+        return mi.load_dict({"type": "scene", "mesh": mesh}, optimize=False).shapes()[0]
+
+    cube = loaded({"type": "cube"})
+    smooth = loaded({"type": "ply", "filename": ball_file(tmp_path, split=True, normals=True)})
+    whole = loaded({"type": "ply", "filename": ball_file(tmp_path, split=False)})
+    assert [has_seams(one) for one in (cube, smooth, whole, loaded({"type": "rectangle"}))] == [
+        True,
+        True,
+        False,
+        False,
+    ]
+    flat = loaded({"type": "ply", "filename": ball_file(tmp_path, split=True), "face_normals": True})
+    assert [is_hard(one) for one in (cube, smooth, flat, box((0.0, 0.0, 0.0), 1.0))] == [True, False, False, True]
+    assert not has_seams(loaded({"type": "sphere"}))
+
+
+def test_the_switch_is_true_or_false() -> None:
+    with pytest.raises(OptionError, match=r"`neighbour.seams` must be true or false, got 1"):
+        PlannedRenderer(scene_of({"type": "cube"}), MOVES, neighbour={"seams": 1})

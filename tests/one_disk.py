@@ -1,0 +1,33 @@
+"""One disk on 16 x 16 pixels, which many tests fit from a scene file: its renderer, where it starts, and its target."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from loi_core.io.images import write_png
+from loi_core.renderers import Disks
+
+__all__ = ["DISK", "START", "lay_out_disk"]
+
+DISK = """\
+[renderer]
+name = "disks"
+positions = [[10, 6]]
+radii = [3]
+colours = [[0.9, 0.2, 0.1]]
+"""
+START = """\
+[optimise.positions]
+initial = [[4, 12]]
+lower = 0
+upper = 16
+"""
+
+
+def lay_out_disk(folder: Path, scene: str) -> Path:
+    """Write the target, ``target.png``, and a scene file beside it; the path of that."""
+    disk = Disks(16, 16, [[10, 6]], 3.0, [[0.9, 0.2, 0.1]])
+    write_png(folder / "target.png", disk.render(disk.parameters()))
+    path = folder / "scene.toml"
+    path.write_text(scene)
+    return path

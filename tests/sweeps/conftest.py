@@ -1,0 +1,28 @@
+"""A sweep that is done, and arrays instead of loops that would have to be compiled first."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from loi_core.sweeps import sweep
+from tests.helpers import by_arrays
+from tests.sweeps.scenes import lay_out
+
+
+@pytest.fixture(autouse=True)
+def _arrays() -> Iterator[None]:
+    with by_arrays():
+        yield
+
+
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The path of a sweep file whose runs are all done, by two processes."""
+    path = lay_out(tmp_path_factory.mktemp("sweep"))
+    with by_arrays():
+        found = sweep(path, processes=2)
+    assert found.count("done") == 8
+    return path

@@ -1,0 +1,65 @@
+"""What the tests of sweeps share: a small scene, and the outcome of its fits."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from loi_core.sweeps.one_fit import FitTask, carry_out
+from loi_core.sweeps.reading import read_sweep
+from tests.one_disk import DISK, START, lay_out_disk
+
+SCENE = f"""\
+target = "target.png"
+
+{DISK}confine = true
+
+{START}truth = [[10, 6]]
+
+[scales]
+sigma = 1
+alpha = [2, 6]
+beta = 0.125
+
+[fit]
+steps = 30
+learning_rate = 1
+"""
+SWEEP = """\
+scene = "scene.toml"
+starts = 2
+
+[vary]
+objective.name = ["loi", "pixel_l2"]
+optimise.positions.learning_rate = [1, 2.5]
+"""
+TIMES = ("seconds", "attempts")  # what may differ between two carryings out of the same run
+
+
+def lay_out(folder: Path, sweep: str = SWEEP) -> Path:
+    """Write a scene, its target and a sweep; the path of the last."""
+    lay_out_disk(folder, SCENE)
+    (folder / "sweep.toml").write_text(sweep)
+    return folder / "sweep.toml"
+
+
+def records(output: Path) -> dict[str, dict[str, Any]]:
+    """What is on record, by the name of the run."""
+    return {path.stem: json.loads(path.read_text()) for path in (output / "records").glob("*.json")}
+
+
+def outcome(record: Mapping[str, Any], folder: Path) -> dict[str, Any]:
+    """All that came of a run but times: its numbers, its parameters and its last image."""
+    return {name: value for name, value in record.items() if name not in ("run", *TIMES)} | {
+        name: (folder / name).read_bytes() for name in ("parameters.json", "final.png")
+    }
+
+
+def outcome_here(path: Path, name: str, output: Path) -> dict[str, Any]:
+    """That of a run of a sweep file, carried out in this process."""
+    plan = read_sweep(path)
+    run = next(one for one in plan.runs if one.name == name)
+    task = FitTask(name, run.scene, run.document, run.start, output / name)
+    return outcome(carry_out(task), output / name)
