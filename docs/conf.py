@@ -11,7 +11,7 @@ HERE: Final = Path(__file__).parent
 sys.path[:0] = [str(HERE)]  # for the extensions of this folder
 
 import loi_mitsuba  # noqa: E402, F401 - before Dr.Jit is imported, so that it gets an LLVM that works
-from loi_core import __version__  # noqa: E402
+from loi_core import __version__  # noqa: E402 - the path is set before
 
 project = "loi"
 author = "The loi authors"

@@ -7,7 +7,7 @@ from pathlib import Path
 from loi_core.io.images import write_png
 from loi_core.renderers import Disks
 
-__all__ = ["DISK", "START", "lay_out_disk"]
+__all__ = ["DISK", "DISK_TO_FIND", "START", "lay_out_disk"]
 
 DISK = """\
 [renderer]
@@ -21,6 +21,16 @@ START = """\
 initial = [[4, 12]]
 lower = 0
 upper = 16
+"""
+DISK_TO_FIND = f"""\
+{DISK}confine = true
+
+{START}truth = [[10, 6]]
+
+[scales]
+sigma = 1
+alpha = [2, 6]
+beta = 0.125
 """
 
 

@@ -15,21 +15,19 @@ from loi_core.method.blurs import blur_about, gaussian_blur
 from loi_core.method.scales import ScaleSpace
 from loi_core.method.tonal import isophote_density
 from loi_core.pixels.bounds import clip
+from loi_core.pixels.signed import brightest
 from loi_core.support.arrays import Host
 
 __all__ = [
-    "brightest",
     "curve",
     "encoded",
     "fitted",
-    "gradient_colours",
     "inner_image",
     "isophote_lines",
     "loss_colours",
     "tones",
 ]
 
-BRIGHTEST: Final = 0.998  # quantile of a map that is shown as its brightest
 JPEG_QUALITY: Final = 90
 JPEG_SAVES: Final = 0.6  # a JPEG is taken if it is smaller than this part of the PNG
 MOST_COLOURS: Final = 256  # of a palette
@@ -83,11 +81,6 @@ def fitted(image: FloatImage, longest: int) -> FloatImage:
     return result[..., 0] if image.ndim == 2 else result
 
 
-def brightest(image: FloatImage) -> float:
-    """The largest magnitude of an image, but for a few values."""
-    return float(np.quantile(np.abs(image), BRIGHTEST)) or float(np.max(np.abs(image)))
-
-
 def loss_colours(loss: FloatImage) -> FloatImage:
     """A map of losses, shape (H, W), as colours from black at 0 over red and orange to pale yellow at its brightest."""
     from matplotlib import colormaps
@@ -95,15 +88,6 @@ def loss_colours(loss: FloatImage) -> FloatImage:
     most = brightest(loss)
     shown = loss / most if most > 0.0 else loss
     colours: FloatImage = colormaps["inferno"](np.clip(shown, 0.0, 1.0))[..., :3]
-    return colours
-
-
-def gradient_colours(gradient: FloatImage) -> FloatImage:
-    """What a gradient, shape (H, W, C), asks for: grey where nothing, otherwise the colour to go to."""
-    size = brightest(gradient)
-    if size == 0.0:
-        return np.full_like(gradient, 0.5)
-    colours: FloatImage = 0.5 - 0.5 * np.clip(gradient / size, -1.0, 1.0)
     return colours
 
 

@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 
-from loi_core.inspection.maps import gradients, loss_maps
+from loi_core.inspection.maps import loss_maps
 from loi_core.inspection.pair import Pair
 from loi_core.inspection.reach import Reach, Shifts, reach_of_object, shifts_of_picture
 from loi_core.io.images import FloatImage
 from loi_core.method.comparison import ScaleKey
-from loi_core.objectives.loi import RangeWarning
+from loi_core.objectives.by_scale import gradients_by_scale
+from loi_core.objectives.loi import LOIObjective, RangeWarning
 
 __all__ = ["Findings", "ScaleFindings", "inspect_pair"]
 
@@ -80,7 +81,7 @@ def inspect_pair(pair: Pair) -> Findings:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RangeWarning)  # it is among the notes of the pair
         maps = loss_maps(ours, theirs, scales)
-        slopes = dict(gradients(ours, theirs, scales))
+        slopes = dict(gradients_by_scale(LOIObjective(theirs, scales), ours))
         reaches = reach_of_object(pair.scales, pair.height, pair.width)
         shifts = shifts_of_picture(theirs, pair.scales, pair.factor)
     values = {key: float(np.mean(found)) for key, found in maps.items()}

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -17,10 +16,9 @@ from loi_core.method.planner import make_plan
 from loi_core.method.reference import DOUBLE, cost
 from loi_core.method.scales import ScaleSpace
 from loi_core.method.tonal import in_levels, level_weights
-from loi_core.objectives.loi import LOIObjective
 from loi_core.pixels.bounds import above_padding, clip
 
-__all__ = ["gradients", "histograms_at", "loss_maps"]
+__all__ = ["histograms_at", "loss_maps"]
 
 
 def loss_maps(image: FloatImage, reference: FloatImage, scales: ScaleSpace) -> dict[ScaleKey, FloatImage]:
@@ -53,13 +51,6 @@ def loss_maps(image: FloatImage, reference: FloatImage, scales: ScaleSpace) -> d
                     # A plan may compare what is flat in one cell, which counts for every pixel.
                     maps[alpha, beta, inner.sigma] += weight * cost(np.abs(blurred), scales.p, tie)
     return maps
-
-
-def gradients(image: FloatImage, reference: FloatImage, scales: ScaleSpace) -> Iterator[tuple[ScaleKey, FloatImage]]:
-    """The gradient of every scale's part of the loss by the image, shape (H, W, C); they sum to that of the loss."""
-    for alpha, beta, sigma in scales.keys:
-        objective = LOIObjective(reference, replace(scales, alpha=(alpha,), beta=(beta,), sigma=(sigma,)))
-        yield (alpha, beta, sigma), objective.value_and_grad(image)[1]
 
 
 def histograms_at(

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import base64
-import hashlib
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from html import escape
@@ -14,11 +11,9 @@ from typing import Final
 
 from loi_core.errors import OptionError
 from loi_core.inspection.drawing import (
-    brightest,
     curve,
     encoded,
     fitted,
-    gradient_colours,
     inner_image,
     isophote_lines,
     loss_colours,
@@ -32,13 +27,13 @@ from loi_core.io.files import write_text
 from loi_core.io.images import FloatImage
 from loi_core.method.comparison import ScaleKey
 from loi_core.pixels.display import Display
-from loi_core.report.theme import asset
+from loi_core.pixels.signed import about_grey, brightest
+from loi_core.report.document import document, embedded_json, is_made_by
 from loi_core.support.arrays import Host
 
 __all__ = ["check_page", "write_inspection"]
 
-MARK: Final = '<meta name="generator" content="loi inspect">'
-LOOKED_FOR: Final = 2048  # bytes of an older page, of which the mark is one of the first
+COMMAND: Final = "loi inspect"
 LARGE: Final = 640  # longest side of the pictures, in pixels
 MANY: Final = 400  # and of those at each scale, if there are more than a few
 MAP: Final = 400  # of maps,
@@ -64,9 +59,7 @@ def check_page(path: Path) -> None:
     if not path.is_file():
         msg = f"`--output` must be a file, but {path} is none"
         raise OptionError(msg)
-    with path.open("rb") as stream:
-        head = stream.read(LOOKED_FOR)
-    if head and MARK.encode() not in head:
+    if path.stat().st_size and not is_made_by(path, COMMAND):
         msg = f"{path} was not written by `loi inspect`; move it away, or give another `--output`"
         raise OptionError(msg)
 
@@ -109,21 +102,13 @@ class _Page:
         )
         body = body.replace("%EXPLORER%", self._explorer(), 1)
         ratio = f":root {{ --wide: {pair.width}; --high: {pair.height}; }}\n"
-        style = asset("theme.css") + _own("inspect.css") + ratio
-        script = _own("inspect.js")
-        facts = json.dumps(packed_histograms(pair), separators=(",", ":"), allow_nan=False).replace("<", "\\u003c")
-        policy = (
-            f"default-src 'none'; img-src data:; style-src {_hashed(style)}; script-src {_hashed(script)}; "
-            f"base-uri 'none'; form-action 'none'"
-        )
-        return (
-            '<!doctype html>\n<html lang="en"><head><meta charset="utf-8">'
-            f'<meta http-equiv="Content-Security-Policy" content="{policy}">{MARK}'
-            f"<title>What the loss sees: {escape(pair.names[0])}</title>"
-            '<meta name="viewport" content="width=device-width, initial-scale=1">'
-            f"<style>{style}</style></head>\n<body>\n{body}\n"
-            f'<script type="application/json" id="facts">{facts}</script>\n<script>{script}</script>\n'
-            "</body></html>\n"
+        facts = embedded_json(packed_histograms(pair))
+        return document(
+            f"What the loss sees: {pair.names[0]}",
+            f'{body}\n<script type="application/json" id="facts">{facts}</script>',
+            style=_own("inspect.css") + ratio,
+            script=_own("inspect.js"),
+            command=COMMAND,
         )
 
     def _head(self) -> Iterator[str]:
@@ -199,7 +184,7 @@ cumulative histograms: the distance</span></p>
         pair = self.found.pair
         name = _name(one.key, pair)
         loss = loss_colours(fitted(one.loss, side))
-        gradient = gradient_colours(fitted(one.gradient, side))
+        gradient = about_grey(fitted(-one.gradient, side))
         maps = [
             self._figure(f"loss{index}", loss, f"loss map, {name}", f"loss map, up to {brightest(one.loss):.3g}"),
             self._figure(f"gradient{index}", gradient, f"gradient, {name}", "gradient"),
@@ -326,8 +311,3 @@ def _swatch(kind: str) -> str:
 
 def _own(name: str) -> str:
     return files("loi_core.inspection").joinpath(name).read_text(encoding="utf-8")
-
-
-def _hashed(text: str) -> str:
-    """A text in a policy that allows nothing else."""
-    return f"'sha256-{base64.b64encode(hashlib.sha256(text.encode()).digest()).decode('ascii')}'"

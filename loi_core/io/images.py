@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import warnings
 from dataclasses import dataclass
 from pathlib import Path
@@ -11,11 +12,11 @@ import numpy as np
 
 from loi_core.errors import ImageFileError
 from loi_core.io.exr import read_exr
-from loi_core.io.files import atomic_path, open_regular
+from loi_core.io.files import open_regular, write_bytes
 from loi_core.io.npy import read_npy_header, read_npy_values
 from loi_core.support.wording import described
 
-__all__ = ["IMAGE_SUFFIXES", "FloatImage", "StoredImage", "read_image", "read_stored", "write_png"]
+__all__ = ["IMAGE_SUFFIXES", "FloatImage", "StoredImage", "png_bytes", "read_image", "read_stored", "write_png"]
 
 FloatImage: TypeAlias = np.ndarray[Any, np.dtype[np.float64]]
 
@@ -109,11 +110,17 @@ def _read(path: Path) -> tuple[FloatImage, str]:
 
 def write_png(path: Path, image: np.ndarray[Any, Any]) -> None:
     """Write an image, shape (H, W, 3), values clipped to [0, 1], as an 8-bit PNG, whole or not at all."""
+    write_bytes(path, png_bytes(image))
+
+
+def png_bytes(image: np.ndarray[Any, Any]) -> bytes:
+    """What :func:`write_png` writes of an image."""
     from PIL import Image
 
     clipped = np.clip(np.nan_to_num(np.asarray(image, dtype=np.float64)), 0.0, 1.0)
-    with atomic_path(path) as temporary:
-        Image.fromarray(np.rint(clipped * 255.0).astype(np.uint8)).save(temporary, format="PNG")
+    stream = io.BytesIO()
+    Image.fromarray(np.rint(clipped * 255.0).astype(np.uint8)).save(stream, format="PNG")
+    return stream.getvalue()
 
 
 def _check_size(path: Path, height: int, width: int) -> None:

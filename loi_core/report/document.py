@@ -6,17 +6,29 @@ import base64
 import hashlib
 import json
 from html import escape
+from pathlib import Path
 from typing import Any, Final
 
 from loi_core.report.theme import asset
 
-__all__ = ["MADE_BY", "document", "embedded_json"]
+__all__ = ["REPORT", "document", "embedded_json", "is_made_by"]
 
-MADE_BY: Final = '<meta name="generator" content="loi report">'
-"""What tells a page of several runs from somebody's own."""
+REPORT: Final = "loi report"
+LOOKED_FOR: Final = 4096  # bytes at the beginning of a page that say what made it
 
 
-def document(title: str, body: str, *, style: str = "", script: str = "", served: bool = False) -> str:
+def is_made_by(page: Path, command: str) -> bool:
+    """Whether a file is a page that `command` made, and not somebody's own."""
+    try:
+        with page.open("rb") as stream:
+            return _mark(command).encode() in stream.read(LOOKED_FOR)
+    except OSError:
+        return False
+
+
+def document(
+    title: str, body: str, *, style: str = "", script: str = "", served: bool = False, command: str = REPORT
+) -> str:
     """A whole HTML page around `body`.
 
     Parameters
@@ -24,23 +36,24 @@ def document(title: str, body: str, *, style: str = "", script: str = "", served
     title, body : str
         The first is escaped, the second is not.
     style, script : str
-        Files of this package that the page needs beside ``theme.css``.
+        What the page needs beside ``theme.css``, as text.
     served : bool
         Whether it may ask its own server for more.
+    command : str
+        What made it.
     """
-    styles = asset("theme.css") + (asset(style) if style else "")
-    code = asset(script) if script else ""
+    styles = asset("theme.css") + style
     own = " 'self'" if served else ""
     policy = [f"default-src 'none'; img-src data:{own}; style-src {_digest(styles)}"]
-    policy += [f"script-src {_digest(code)}"] if code else []
+    policy += [f"script-src {_digest(script)}"] if script else []
     policy += ["connect-src 'self'"] if served else []
     policy += ["base-uri 'none'; form-action 'none'"]
     head = (
         f'<meta charset="utf-8"><meta http-equiv="Content-Security-Policy" content="{"; ".join(policy)}">'
-        f'<meta name="viewport" content="width=device-width, initial-scale=1">{MADE_BY}'
+        f'<meta name="viewport" content="width=device-width, initial-scale=1">{_mark(command)}'
         f"<title>{escape(title)}</title><style>{styles}</style>"
     )
-    end = f"<script>{code}</script>\n" if code else ""
+    end = f"<script>{script}</script>\n" if script else ""
     return f'<!doctype html>\n<html lang="en"><head>{head}</head>\n<body>\n{body}\n{end}</body></html>\n'
 
 
@@ -48,6 +61,10 @@ def embedded_json(value: Any) -> str:
     """`value` as JSON that may stand in a script element: nothing in it ends that, or begins a comment."""
     text = json.dumps(value, separators=(",", ":"), allow_nan=False)
     return text.replace("&", "\\u0026").replace("<", "\\u003c").replace(">", "\\u003e")
+
+
+def _mark(command: str) -> str:
+    return f'<meta name="generator" content="{command}">'
 
 
 def _digest(content: str) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import io
 import math
 import threading
 import time
@@ -11,12 +10,12 @@ from collections.abc import Callable
 from html import escape
 from typing import Any, Final
 
-import numpy as np
-
 from loi_core.fitting.history import FitStep
+from loi_core.io.images import png_bytes
 from loi_core.pixels.display import Display
 from loi_core.report.document import document
 from loi_core.report.plots import LABELS
+from loi_core.report.theme import asset
 from loi_core.scenes.scene import Scene
 from loi_core.support.arrays import Host
 
@@ -91,11 +90,7 @@ class Live:
 
     def encoded(self, image: Host) -> bytes:
         """An image as it is shown, as a PNG."""
-        from PIL import Image
-
-        stream = io.BytesIO()
-        Image.fromarray(np.rint(255.0 * self._display.show(image)).astype(np.uint8)).save(stream, format="PNG")
-        return stream.getvalue()
+        return png_bytes(self._display.show(image))
 
 
 def _finite(value: float) -> float | None:
@@ -132,4 +127,4 @@ def live_page(scene: Scene, live: Live) -> str:
 </div>
 <noscript><p>Without scripts this page stands still: load it again for the report, once the fit is over.</p></noscript>
 </main>"""
-    return document(scene.title, body, style="report.css", script="live.js", served=True)
+    return document(scene.title, body, style=asset("report.css"), script=asset("live.js"), served=True)

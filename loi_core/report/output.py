@@ -27,6 +27,7 @@ from loi_core.io.result_folder import (
 )
 from loi_core.objectives.loi import ACCURACIES
 from loi_core.pixels.display import Display
+from loi_core.pixels.signed import about_grey, brightest
 from loi_core.report.environment import environment
 from loi_core.report.plots import convergence_plot
 from loi_core.report.scales import GRADIENTS_FOLDER, scale_entries, scale_table, write_gradients
@@ -39,7 +40,6 @@ __all__ = ["FRAMES_FOLDER", "effect_file", "frame_writer", "summary", "write_res
 
 FRAMES_FOLDER: Final = "frames"
 EFFECTS_FOLDER: Final = "effects"
-BRIGHTEST: Final = 0.998
 MOST_TRUTH: Final = 64  # numbers of a parameter: of more, no history holds them
 
 
@@ -232,9 +232,9 @@ def _write_effects(folder: ResultFolder, trial: Trial) -> None:
     folder.remove(set(folder.listed(EFFECTS_FOLDER)) - set(new))
     folder.claim(new)
     if new:
-        size = float(np.quantile(np.abs(sum(new.values())), BRIGHTEST)) or 1.0
+        largest = brightest(np.sum(list(new.values()), axis=0))
         for name, image in new.items():
-            write_png(folder.path / name, np.clip(0.5 + 0.5 * image / size, 0.0, 1.0))
+            write_png(folder.path / name, about_grey(image, largest))
 
 
 def effect_file(name: str) -> str:

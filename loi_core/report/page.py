@@ -14,20 +14,19 @@ from loi_core.io.files import read_bytes, write_text
 from loi_core.io.result_folder import PAGE_FILE, RESULT_FILE, is_listed
 from loi_core.plugins.baselines import is_objective_name
 from loi_core.report.curves import curves
-from loi_core.report.document import MADE_BY, document
+from loi_core.report.document import REPORT, document, is_made_by
 from loi_core.report.downloads import downloads
 from loi_core.report.kept import Pictures
 from loi_core.report.making import making
 from loi_core.report.plots import LABELS
+from loi_core.report.theme import asset
 from loi_core.report.viewer import effects, gradients, viewer
 from loi_core.support.values import real_number
 
 __all__ = ["Pictures", "document", "run_page", "verdict_line", "write_index", "write_page"]
 
 MOST_RESULT: Final = 2**28  # bytes of result.json
-MARK: Final = 4096  # bytes at the beginning of a page that say who made it
 SAME_START: Final = "every objective from the same start with the same optimiser"
-SCRIPT, STYLE = "report.js", "report.css"
 
 
 def write_page(folder: Path) -> Path:
@@ -49,7 +48,7 @@ def write_page(folder: Path) -> Path:
 def run_page(folder: Path) -> str:
     """The page of a result folder. Errors as in :func:`write_page`."""
     result = _read(folder)
-    return document(result["title"], f"<main>{_section(folder, result, 0)}</main>", style=STYLE, script=SCRIPT)
+    return _page(result["title"], f"<main>{_section(folder, result, 0)}</main>")
 
 
 def write_index(page: Path, folders: Sequence[Path], title: str) -> Path:
@@ -60,20 +59,18 @@ def write_index(page: Path, folders: Sequence[Path], title: str) -> Path:
     SceneError
         If a folder does not hold the results of a scene, or there is a file at `page` that no report is.
     """
-    try:
-        own = MADE_BY.encode("ascii") in page.read_bytes()[:MARK]
-    except FileNotFoundError:
-        own = True
-    except OSError:
-        own = False
-    if not own:
+    if page.exists() and not is_made_by(page, REPORT):
         msg = f"{page} was not written by `loi`; move it away, or name another file"
         raise SceneError(msg)
     results = [_read(folder) for folder in folders]
     sections = [_section(folder, one, run, 2) for run, (folder, one) in enumerate(zip(folders, results, strict=True))]
     head = f"<header><h1>{escape(title)}</h1>{_contents(results)}</header>"
-    write_text(page, document(title, f"{head}<main>{''.join(sections)}</main>", style=STYLE, script=SCRIPT))
+    write_text(page, _page(title, f"{head}<main>{''.join(sections)}</main>"))
     return page
+
+
+def _page(title: str, body: str) -> str:
+    return document(title, body, style=asset("report.css"), script=asset("report.js"))
 
 
 def _contents(results: Sequence[Mapping[str, Any]]) -> str:

@@ -13,6 +13,7 @@ from loi_core.fitting.views import by_view
 from loi_core.io.images import write_png
 from loi_core.io.result_folder import ResultFolder
 from loi_core.method.comparison import ScaleKey
+from loi_core.pixels.signed import about_grey
 from loi_core.scenes.by_scale import scale_objectives, scale_pulls
 from loi_core.scenes.experiment import Trial
 from loi_core.scenes.scene import Scene
@@ -33,7 +34,6 @@ GRADIENTS_FOLDER: Final = "gradients"
 COLUMNS: Final = ("step", "sigma", "alpha", "beta", "value")
 MOMENTS: Final = ("start", "end")
 MOST_SCALES: Final = 24  # that have pictures
-BRIGHTEST: Final = 0.998
 
 
 def scale_table(trial: Trial) -> str:
@@ -83,8 +83,7 @@ def write_gradients(folder: ResultFolder, scene: Scene, trial: Trial) -> dict[Sc
     folder.remove(set(folder.listed(GRADIENTS_FOLDER)) - set(pictures))
     folder.claim(pictures)
     for name, pull in pictures.items():
-        size = float(np.quantile(np.abs(pull), BRIGHTEST)) or float(np.max(np.abs(pull))) or 1.0
-        write_png(folder.path / name, np.clip(0.5 + 0.5 * pull / size, 0.0, 1.0))
+        write_png(folder.path / name, about_grey(pull))
     return strengths
 
 

@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 import numpy as np
 
 from loi_core.errors import LoiError
 from loi_core.method.comparison import ScaleKey
 from loi_core.objectives import LOIObjective
+from loi_core.objectives.by_scale import gradients_by_scale
 from loi_core.scenes.scene import Scene
 from loi_core.support.arrays import Host
 
@@ -58,13 +58,10 @@ def scale_pulls(scene: Scene, name: str, images: Mapping[str, Host]) -> dict[Sca
     """
     each: dict[ScaleKey, dict[str, Host]] = {}
     for view, objective in scale_objectives(scene, name).items():
-        for key in objective.scales.keys:
-            alpha, beta, sigma = key
-            alone = objective.with_scales(replace(objective.scales, alpha=(alpha,), beta=(beta,), sigma=(sigma,)))
-            try:
-                gradient = alone.value_and_grad(images[view])[1]
-            except LoiError:
-                return {}
-            each.setdefault(key, {})[view] = -np.asarray(gradient) / len(scene.views)
+        try:
+            for key, gradient in gradients_by_scale(objective, images[view]):
+                each.setdefault(key, {})[view] = -np.asarray(gradient) / len(scene.views)
+        except LoiError:
+            return {}
     blank = {view: np.zeros_like(image) for view, image in images.items()}
     return {key: scene.strip({**blank, **found}) for key, found in each.items()}

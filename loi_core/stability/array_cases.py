@@ -90,7 +90,7 @@ def batch_cases() -> list[HardCase]:
         HardCase(
             "batch with one bad image, masked",
             "a NaN spreads to the other image",
-            "the other image's gradient is the same to the bit",
+            "the other image's gradient is the same",
             lambda: batch(np.nan),
             nan_policy="mask",
         ),

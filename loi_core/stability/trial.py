@@ -15,7 +15,7 @@ from loi_core.stability.bounds import allowed
 from loi_core.stability.case import HardCase
 from loi_core.support.arrays import Host, to_numpy
 
-__all__ = ["Answer", "Expected", "Trial", "expected", "one_line", "trials_of", "try_case"]
+__all__ = ["Answer", "Expected", "Trial", "epsilon_of", "expected", "one_line", "trials_of", "try_case"]
 
 HALVES: Final = {"float16": (2.0**-10, 2.0**-24), "bfloat16": (2.0**-7, 2.0**-133)}
 """Machine epsilon and smallest step of the dtypes of 16 bits."""
@@ -109,6 +109,11 @@ def expected(case: HardCase, dtype: str) -> Expected:
         loss += 0.5 * (rounding * (abs(value) + loss) + step)
         slopes = slopes + 0.5 * (rounding * (np.abs(gradient) + slopes) + step)
     return Expected(image, reference, value, gradient, loss, slopes)
+
+
+def epsilon_of(dtype: str) -> float:
+    """Machine epsilon of a dtype, those of 16 bits included."""
+    return HALVES[dtype][0] if dtype in HALVES else float(np.finfo(dtype).eps)
 
 
 def trials_of(case: HardCase, backend: Backend) -> tuple[str, ...]:

@@ -251,3 +251,16 @@ def test_with_a_numba_whose_vectors_have_changed_all_is_still_compiled(tmp_path:
     value, compiled, module = program_says(OTHER_NUMBA, NUMBA_CACHE_DIR=str(tmp_path)).split()
     assert (compiled, module) == ("True", "plain_rows")
     assert float(value) == pytest.approx(wanted, rel=1e-12)
+
+
+@given(st.tuples(st.integers(1, 30), st.integers(1, 30)), SEEDS, st.sampled_from(DTYPES))
+def test_an_image_of_a_batch_has_the_same_bits_whatever_the_others_are(
+    shape: tuple[int, int], seed: int, dtype: str
+) -> None:
+    rng = np.random.default_rng(seed)
+    batch, reference = rng.uniform(size=(2, 3, *shape, 2)).astype(dtype)
+    others = batch.copy()
+    others[0], others[2] = 0.5 * batch[0], reference[2]
+    objective = LOIObjective(reference, ScaleSpace.for_image(*shape))
+    before, after = (objective.value_and_grad(one)[1][1] for one in (batch, others))
+    np.testing.assert_array_equal(before, after)

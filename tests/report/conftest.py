@@ -9,22 +9,14 @@ import pytest
 
 from loi_core.cli import main
 from tests.helpers import FINISHED
-from tests.one_disk import DISK, START, lay_out_disk
+from tests.one_disk import DISK_TO_FIND, lay_out_disk
 
 SCENE = f"""\
 title = "One disk"
 target = "target.png"
 output = "result"
 
-{DISK}confine = true
-
-{START}truth = [[10, 6]]
-
-[scales]
-sigma = 1
-alpha = [2, 6]
-beta = 0.125
-
+{DISK_TO_FIND}
 [objective]
 compare = ["pixel_l2"]
 

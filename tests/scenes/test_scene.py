@@ -21,7 +21,7 @@ from loi_core.renderers import Disks
 from loi_core.scenes.experiment import run_scene
 from loi_core.scenes.reading import load_scene
 from tests.helpers import FINISHED
-from tests.one_disk import DISK, START, lay_out_disk
+from tests.one_disk import DISK_TO_FIND, lay_out_disk
 
 if TYPE_CHECKING:
     KnownToTypeCheckers = str
@@ -30,15 +30,7 @@ SCENE = f"""\
 target = "target.png"
 output = "result"
 
-{DISK}confine = true
-
-{START}truth = [[10, 6]]
-
-[scales]
-sigma = 1
-alpha = [2, 6]
-beta = 0.125
-
+{DISK_TO_FIND}
 [objective]
 compare = ["pixel_l2"]
 

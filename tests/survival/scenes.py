@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from tests.one_disk import DISK, START, lay_out_disk
+from tests.one_disk import DISK, DISK_TO_FIND, lay_out_disk
 
 __all__ = ["SCENES", "lay_out"]
 
@@ -12,15 +12,7 @@ ONE = f"""\
 target = "target.png"
 output = "result"
 
-{DISK}confine = true
-
-{START}truth = [[10, 6]]
-
-[scales]
-sigma = 1
-alpha = [2, 6]
-beta = 0.125
-
+{DISK_TO_FIND}
 [objective]
 compare = ["pixel_l2"]
 

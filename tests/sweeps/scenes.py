@@ -9,20 +9,12 @@ from typing import Any
 
 from loi_core.sweeps.one_fit import FitTask, carry_out
 from loi_core.sweeps.reading import read_sweep
-from tests.one_disk import DISK, START, lay_out_disk
+from tests.one_disk import DISK_TO_FIND, lay_out_disk
 
 SCENE = f"""\
 target = "target.png"
 
-{DISK}confine = true
-
-{START}truth = [[10, 6]]
-
-[scales]
-sigma = 1
-alpha = [2, 6]
-beta = 0.125
-
+{DISK_TO_FIND}
 [fit]
 steps = 30
 learning_rate = 1
