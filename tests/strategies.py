@@ -7,6 +7,7 @@ from collections.abc import Callable
 from typing import Final, TypeAlias
 
 import numpy as np
+import pytest
 from hypothesis import settings
 from hypothesis import strategies as st
 
@@ -14,10 +15,13 @@ from loi_core import ScaleSpace
 from loi_core.stability import allowed
 from tests.helpers import Host
 
-__all__ = ["FEWER", "SEEDS", "THOROUGH", "Problem", "apart", "problems"]
+__all__ = ["FEWER", "SEEDS", "THOROUGH", "Problem", "apart", "problems", "thorough"]
 
 THOROUGH: Final = os.environ.get("HYPOTHESIS_PROFILE") == "thorough"
 """Whether this is the tier for which an hour is not too long."""
+
+thorough: Final = pytest.mark.skipif(not THOROUGH, reason="takes long; in the thorough tier")
+"""For tests of which others, that are always run, say the most."""
 
 FEWER: Final = settings(max_examples=max(1, settings().max_examples // 8))
 """For what takes long for each example, as where JAX compiles for each shape anew: an eighth of the tier's examples."""

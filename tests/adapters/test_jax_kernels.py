@@ -19,7 +19,7 @@ from loi_core.method import compiled
 from loi_core.pixels.nonfinite import NanPolicy
 from tests.conformance.test_backends import TONES
 from tests.helpers import by_arrays, images
-from tests.strategies import FEWER, Problem, problems
+from tests.strategies import FEWER, Problem, problems, thorough
 
 pytestmark = [
     pytest.mark.skipif(not compiled.available(), reason="needs Numba"),
@@ -176,7 +176,7 @@ print("done")
 
 # JAX computes small things in the thread that calls, and large ones in threads of its own; where only a context has
 # 64 bits, those do not know.
-@pytest.mark.parametrize(("size", "calls"), [(48, 60), (1024, 2)], ids=["small", "large"])
+@pytest.mark.parametrize(("size", "calls"), [(48, 60), pytest.param(1024, 2, marks=thorough)], ids=["small", "large"])
 @pytest.mark.parametrize("alone", [True, False], ids=["one core", "all cores"])
 def test_many_calls_that_nobody_waits_for_end_and_keep_all_bits(alone: bool, size: int, calls: int) -> None:
     assert run(MANY.format(alone=alone, size=size, calls=calls)) == "done"

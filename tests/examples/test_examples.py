@@ -10,6 +10,8 @@ from pathlib import Path
 import pytest
 import trimesh
 
+from tests.strategies import thorough
+
 ROOT = Path(__file__).parents[2]
 
 
@@ -138,9 +140,9 @@ def test_the_readme_finds_a_mesh_in_under_twenty_lines(tmp_path: Path) -> None:
         ("numpy", (75.0, 45.0), 0.5),
         ("torch", (75.0, 45.0), 0.5),
         ("mesh", (2.0, -0.8, 0.0), 0.05),  # scene units; a pixel is 0.09
-        ("torch_distributed", (15.0, 45.0, -10.0), 0.5),
+        pytest.param("torch_distributed", (15.0, 45.0, -10.0), 0.5, marks=thorough),
         ("jax", (75.0, 45.0), 0.5),
-        ("jax_sharding", (15.0, 45.0, -10.0), 0.5),
+        pytest.param("jax_sharding", (15.0, 45.0, -10.0), 0.5, marks=thorough),
         ("mitsuba", (1.5, -1.0), 0.1),  # scene units; a pixel is 0.12
     ],
 )

@@ -7,8 +7,10 @@ import json
 import pytest
 
 from examples.paper import shadow
+from tests.strategies import thorough
 
 
+@thorough
 def test_what_throws_a_shadow_is_found_with_the_scene_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
     shadow.main(["--quick", "--json"])
     (line,) = capsys.readouterr().out.strip().splitlines()

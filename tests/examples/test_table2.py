@@ -12,6 +12,7 @@ from examples.paper import teaser
 from examples.paper.table2 import main
 from examples.paper.table2.problem import COLUMNS, Column, Problem
 from examples.paper.table2.scenes import SCENES
+from tests.strategies import thorough
 
 # isort: split
 import mitsuba as mi
@@ -78,6 +79,7 @@ def test_wrong_words_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "--columns must be of 'Shadow'" in capsys.readouterr().err
 
 
+@thorough
 def test_the_teaser_is_drawn(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     teaser.main(["--quick", "--out", str(tmp_path)])
     assert "| loi (ours) | (" in capsys.readouterr().out

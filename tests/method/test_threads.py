@@ -16,8 +16,10 @@ pytest.importorskip("numba")
 from loi_core import LOIObjective, ScaleSpace
 from loi_core.method.compiled import threads
 from tests.helpers import program_says
+from tests.strategies import FEWER
 
 
+@FEWER
 @given(st.integers(1, 90), st.integers(1, 90), st.sampled_from(("float32", "float64")))
 @example(1, 1, "float32")
 @example(90, 90, "float64")

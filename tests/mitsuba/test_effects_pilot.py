@@ -18,6 +18,7 @@ from loi_core.testing import check_renderer
 from loi_mitsuba import MitsubaRenderer, PlannedRenderer, Translate, plan_effects
 from tests.helpers import Host
 from tests.mitsuba.scenes import shadow_scene
+from tests.strategies import thorough
 
 CASES = {case.name: case for case in SUITE}
 SIZE = (WIDTH // 2, HEIGHT // 2)
@@ -75,6 +76,7 @@ HIGH: dict[str, Any] = {"place": Translate("ball")}
 DIRECT: dict[str, Any] = {"type": "direct"}  # no bounces: fewer kernels to compile
 
 
+@thorough
 def test_an_object_that_comes_into_view_has_its_outline_at_once(caplog: pytest.LogCaptureFixture) -> None:
     """At first only its shadow is seen; who then never samples outlines misses the object itself."""
     caplog.set_level(logging.INFO, "loi_mitsuba")

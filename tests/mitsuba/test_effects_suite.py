@@ -10,7 +10,7 @@ import pytest
 from examples.effects.__main__ import HEADS, cells
 from examples.effects.measure import FULL, Effort, looks_of_a_stall, measure
 from examples.effects.scenes import SUITE, Case
-from tests.strategies import THOROUGH
+from tests.strategies import thorough
 
 
 def test_a_line_of_the_table_is_measured() -> None:
@@ -32,7 +32,7 @@ def test_looks_at_what_is_off_are_few_and_ever_rarer() -> None:
     assert all(more - fewer in (0, 1) for fewer, more in pairwise(looks))
 
 
-@pytest.mark.skipif(not THOROUGH, reason="minutes a scene; in the thorough tier")
+@thorough
 @pytest.mark.parametrize("case", SUITE, ids=[case.name for case in SUITE])
 def test_no_plan_turns_the_gradient(case: Case) -> None:
     # Noise in the image makes the gradient smaller (docs/noise.md), and with everything on the shadow has more of it.

@@ -62,7 +62,7 @@ def test_gradient_equals_jax_grad_through_the_same_forward_code(name: str) -> No
     def forward(stack: Any) -> Any:
         return sum(objective.compare_planes(stack, prepared, gradient=False).terms.values())
 
-    traced = jnp.moveaxis(jax.grad(forward)(planes), 0, -1)
+    traced = jnp.moveaxis(jax.jit(jax.grad(forward))(planes), 0, -1)
     assert relative_error(np.asarray(traced), gradient) < 1e-10
 
 

@@ -13,6 +13,7 @@ from loi_core.errors import OptionError, ParameterError
 from loi_core.renderers import BlurredRenderer, Disks
 from loi_core.renderers.contract import EncodedRenderer
 from loi_core.testing import check_renderer
+from tests.strategies import thorough
 
 
 @dataclass
@@ -144,21 +145,24 @@ def test_a_fit_finds_what_has_no_gradient_of_its_own() -> None:
         np.testing.assert_allclose(found.params["place"], truth["place"], atol=1.0)
 
 
-def test_it_keeps_the_contract() -> None:
+@pytest.mark.parametrize(
+    ("start", "pairs", "seeds"), [([0.3], 20, 50), pytest.param([0.3, 0.6], 100, 200, marks=thorough)]
+)
+def test_it_keeps_the_contract(start: list[float], pairs: int, seeds: int) -> None:
     """Of an image that is linear in its parameters, the blurred image is the sharp one."""
 
     class Linear:
         def parameters(self) -> dict[str, Any]:
-            return {"a": np.array([0.3, 0.6])}
+            return {"a": np.array(start)}
 
         def render(self, params: dict[str, Any], *, seed: int = 0) -> Any:
-            basis = np.linspace(0.1, 1.0, 8 * 8 * 3 * 2).reshape(8, 8, 3, 2)
+            basis = np.linspace(0.1, 1.0, 8 * 8 * 3 * len(start)).reshape(8, 8, 3, len(start))
             return basis @ params["a"]
 
         def render_vjp(self, params: dict[str, Any], *, seed: int = 0) -> Any:  # not asked for
             raise AssertionError
 
-    check_renderer(BlurredRenderer(Linear(), 0.1, pairs=100), seeds=200)
+    check_renderer(BlurredRenderer(Linear(), 0.1, pairs=pairs), seeds=seeds)
 
 
 @pytest.mark.parametrize(

@@ -15,7 +15,7 @@ import pytest
 
 from tests.environments import ROOT
 from tests.frameworks import load
-from tests.strategies import THOROUGH
+from tests.strategies import THOROUGH, thorough
 from tests.survival.leftovers import different
 from tests.survival.processes import FIT, ends, environment, start, until
 from tests.survival.scenes import lay_out
@@ -54,8 +54,8 @@ def test_a_killed_fit_that_is_resumed_leaves_what_an_unbroken_one_does(scene: st
 def test_a_disk_that_fills_ends_a_fit_with_a_named_file_and_loses_nothing(
     how: str, reason: str, tmp_path: Path
 ) -> None:
-    found = came_of(tmp_path, "disks", "starve", how, "10000" if THOROUGH else "6")
-    assert found["cut"] >= 6
+    found = came_of(tmp_path, "disks", "starve", how, "10000" if THOROUGH else "4")
+    assert found["cut"] >= 4
     assert found["unlike"] == {}
     for said in found["said"].values():
         assert said.startswith("exit 1: loi: ")
@@ -66,7 +66,7 @@ def test_a_disk_that_fills_ends_a_fit_with_a_named_file_and_loses_nothing(
 
 @forks
 def test_files_that_may_not_grow_end_a_fit_likewise(tmp_path: Path) -> None:
-    found = came_of(tmp_path, "disks", "squeeze", "100" if THOROUGH else "8")
+    found = came_of(tmp_path, "disks", "squeeze", "100" if THOROUGH else "5")
     assert found["unlike"] == {}
     for said in found["said"].values():
         assert said.startswith("exit 1: loi: ")
@@ -134,6 +134,7 @@ def test_of_two_that_resume_a_folder_one_is_refused_and_a_dead_one_refuses_nobod
     assert not list(output.glob(".*"))
 
 
+@thorough
 def test_a_fit_on_jax_that_was_killed_comes_within_a_millionth_of_a_pixel(tmp_path: Path) -> None:
     load("jax")
     broken, whole = ends(lay_out(tmp_path, "JAX"), "positions")
