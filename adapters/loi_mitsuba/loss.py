@@ -13,6 +13,7 @@ from loi_core import LogTone, LOIObjective, ScaleSpace
 from loi_core.errors import ImageTypeError, LoiError, OptionError
 from loi_core.pixels.nonfinite import NanPolicy
 from loi_core.support.arrays import Array, namespace
+from loi_core.support.installed import how_to_install
 from loi_core.support.wording import shown
 
 __all__ = ["Backend", "BackendMissingError", "LOILoss"]
@@ -207,7 +208,7 @@ def _check_backend(backend: object) -> Backend:
             try:
                 importlib.import_module(known)
             except ImportError as error:
-                msg = f"`backend` is {known!r}, which cannot be imported ({error}); pip install 'loi[{known}]'"
+                msg = f"`backend` is {known!r}, which cannot be imported ({error}); {how_to_install(known)}"
                 raise BackendMissingError(msg) from None
             return known  # type: ignore[no-any-return]  # one of the literals
     msg = f"`backend` must be one of {', '.join(map(repr, get_args(Backend)))} or None, got {shown(backend)}"

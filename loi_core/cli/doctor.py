@@ -21,6 +21,7 @@ from loi_core.errors import LoiError, WeightsError
 from loi_core.method.compiled import SWITCH, available
 from loi_core.plugins.baselines import make_baseline
 from loi_core.plugins.registry import OBJECTIVES, PluginInfo, available_renderers
+from loi_core.support.installed import how_to_install
 from loi_core.support.processors import usable_processors
 
 __all__ = ["Finding", "examine", "findings"]
@@ -89,12 +90,12 @@ def findings() -> list[Finding]:
         _package(name, module, "pip install --force-reinstall loi", required=True) for name, module in REQUIRED.items()
     ]
     for name, module in BACKENDS.items():
-        found.append(_package(name, module, f"pip install 'loi[{name}]'", required=False))
+        found.append(_package(name, module, how_to_install(name), required=False))
         if found[-1].state == "ok":
             diagnose = getattr(sys.modules[module], "diagnose", list)
             found += [Finding(one, "ok", detail) for one, detail in diagnose()]
     found.append(_numba())
-    found += [_package(name, name, f"pip install 'loi[{extra}]'", required=False) for name, extra in EXTRAS.items()]
+    found += [_package(name, name, how_to_install(extra), required=False) for name, extra in EXTRAS.items()]
     found.append(_gpu())
     found += [_plugin("renderer", one) for one in available_renderers()]
     found += [_objective(one) for one in OBJECTIVES.available()]

@@ -18,6 +18,7 @@ import numpy as np
 from loi_core.errors import OptionError
 from loi_core.method.scales import ScaleSpace
 from loi_core.objectives import LOIObjective, Objective
+from loi_core.support.arrays import Array, to_numpy
 from loi_core.support.values import whole_number
 from loi_core.support.wording import shown
 
@@ -119,10 +120,16 @@ class FarToNear:
         self._values: list[float] = []
         self._first: float | None = None
 
-    def step(self, value: float) -> None:
-        """Take note of the value that the loss of this stage had in this step."""
+    def step(self, value: float | Array) -> None:
+        """Take note of the value that the loss of this stage had in this step.
+
+        Parameters
+        ----------
+        value : float, or array of one number
+            Of any library, as its loss returns it; what it recorded for its gradient stays as it is.
+        """
         self._taken += 1
-        self._values = [*self._values[1 - 2 * self._window :], float(value)]
+        self._values = [*self._values[1 - 2 * self._window :], float(to_numpy(value).reshape(()))]
         if self.stage == self._last:
             if self._searches > 0 and self.passed < HALF and has_settled(self._values, self._window):
                 self.lost = self.level > self._enough

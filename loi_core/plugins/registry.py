@@ -27,6 +27,7 @@ from loi_core.objectives import Objective
 from loi_core.plugins.backends import Backend
 from loi_core.renderers.contract import Renderer
 from loi_core.support.guards import is_ctrl_c
+from loi_core.support.installed import how_to_install
 from loi_core.support.wording import described, shown
 
 __all__ = [
@@ -184,7 +185,7 @@ def _examine(point: EntryPoint, claims: list[str]) -> tuple[Callable[..., Any] |
             raise
         problem = described(error)
         if extra and isinstance(error, ModuleNotFoundError):
-            fix = f"pip install '{package}[{extra}]'"
+            fix = how_to_install(extra, package)
             return None, PluginInfo(point.name, package, version, extra, target, "missing", problem, fix)
     else:
         if not problem:

@@ -9,6 +9,7 @@ from concurrent.futures import Executor, Future
 from typing import Any, Final, ParamSpec, TypeVar
 
 from loi_core.errors import ExecutorError
+from loi_core.support.installed import how_to_install
 from loi_core.support.wording import described, shown
 
 __all__ = ["DaskExecutor"]
@@ -40,7 +41,7 @@ class DaskExecutor(Executor):
         try:
             from distributed import Client
         except ModuleNotFoundError as error:
-            msg = f"runs on Dask need the package {error.name}: pip install 'loi[dask]'"
+            msg = f"runs on Dask need the package {error.name}: {how_to_install('dask')}"
             raise ExecutorError(msg) from None
         self._own = not isinstance(cluster, Client)
         try:

@@ -17,6 +17,7 @@ from loi_core.cli import doctor, main
 from loi_core.errors import RendererNotFoundError
 from loi_core.plugins import registry
 from loi_core.renderers import Disks
+from loi_core.support.installed import how_to_install
 from tests.helpers import FINISHED
 
 
@@ -142,7 +143,7 @@ def test_doctor_names_the_mend_for_what_is_missing_or_broken(
     monkeypatch.setattr(doctor, "BACKENDS", {"torch": "no_such_module", "jax": "crooked"})
     assert main(["doctor", "--json"]) == 1
     found = {one["name"]: one for one in json.loads(capsys.readouterr().out)}
-    assert (found["torch"]["state"], found["torch"]["fix"]) == ("missing", "pip install 'loi[torch]'")
+    assert (found["torch"]["state"], found["torch"]["fix"]) == ("missing", how_to_install("torch"))
     assert found["jax"]["state"] == "broken"
     assert "libcrooked.so" in found["jax"]["detail"]
 

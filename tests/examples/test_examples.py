@@ -124,6 +124,29 @@ def test_the_snippets_of_the_readme_are_six_lines_and_run(name: str) -> None:
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
+def test_the_loop_of_the_readme_that_begins_from_far_finds_a_spot_on_stripes() -> None:
+    snippets = [block.split("```")[0] for block in (ROOT / "README.md").read_text().split("```python\n")[1:]]
+    (snippet,) = [one for one in snippets if "FarToNear(" in one]
+    start = """
+        import torch
+        from loi_core import FarToNear, ScaleSpace
+        from loi_torch import LOILoss
+
+        height, width = 48, 64
+        y, x = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
+        params = torch.tensor([12.0, 10.0], requires_grad=True)
+        optimizer = torch.optim.Adam([params], lr=0.5)
+
+        def render(place):
+            spot = torch.exp(-((x - place[0]) ** 2 + (y - place[1]) ** 2) / 32)
+            return (spot + (1 - spot) * (0.3 + 0.1 * torch.sin(x)))[..., None].expand(-1, -1, 3)
+
+        photograph = render(torch.tensor([48.0, 36.0]))
+    """
+    code = textwrap.dedent(start) + snippet + "assert torch.dist(params, torch.tensor([48.0, 36.0])) < 0.5, params"
+    subprocess.run([sys.executable, "-W", "error", "-c", code], check=True)
+
+
 def test_the_readme_finds_a_mesh_in_under_twenty_lines(tmp_path: Path) -> None:
     snippets = [block.split("```")[0] for block in (ROOT / "README.md").read_text().split("```python\n")[1:]]
     (snippet,) = [one for one in snippets if "loi_torch.mesh" in one]

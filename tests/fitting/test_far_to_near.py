@@ -19,6 +19,7 @@ from loi_core.fitting.stages import has_settled
 from loi_core.renderers import Disks, Warp
 from loi_core.renderers.units import measure_units
 from tests.contents import photograph
+from tests.frameworks import jnp, torch
 from tests.strategies import SEEDS
 
 HEIGHT, WIDTH = 48, 64
@@ -221,3 +222,26 @@ def test_noise_in_a_target_is_not_taken_for_its_encoding() -> None:
     result = fit(dark, PixelL2(target), steps=10, optimise={"translation": free})
     assert result.diagnosis is not None
     assert result.diagnosis.verdict != "other range"
+
+
+@pytest.mark.parametrize("library", ["python", "numpy", "torch", "jax", "drjit"])
+def test_a_schedule_takes_what_a_loss_of_any_library_returns(library: str) -> None:
+    def returned(value: float) -> Any:
+        if library == "torch":
+            return (torch.tensor([value], requires_grad=True) * 1.0).sum()
+        if library == "jax":
+            return jnp.asarray(value)
+        if library == "drjit":
+            pytest.importorskip("loi_mitsuba")  # before Dr.Jit, so that it gets an LLVM that works
+            drjit = pytest.importorskip("drjit")
+            leaf = drjit.llvm.ad.Float(value)
+            drjit.enable_grad(leaf)
+            return leaf * 1.0
+        return np.float64(value) if library == "numpy" else value
+
+    schedule = FarToNear(stages=2, steps=100)
+    while schedule.stage == 0:
+        schedule.step(returned(1.0))
+    assert schedule.passed == 0.0
+    schedule.step(returned(0.5))
+    assert schedule.level == 0.5

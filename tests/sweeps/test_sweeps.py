@@ -23,6 +23,7 @@ from loi_core.errors import ExecutorError, InUseError, LoiError, OptionError, Sc
 from loi_core.io.images import read_image, write_png
 from loi_core.runs import DaskExecutor
 from loi_core.runs.reply import Reply
+from loi_core.support.installed import how_to_install
 from loi_core.sweeps import sweep
 from loi_core.sweeps.folder import SweepFolder
 from loi_core.sweeps.reading import read_sweep
@@ -284,7 +285,7 @@ def test_dask_that_is_missing_or_does_not_answer_is_told_in_one_line(
     assert main(["sweep", str(path), "--dask", "tcp://127.0.0.1:1", "--processes", "2"]) == 2
     assert "exclude each other" in capsys.readouterr().err
     monkeypatch.setitem(sys.modules, "distributed", None)
-    with pytest.raises(ExecutorError, match=r"need the package distributed: pip install 'loi\[dask\]'"):
+    with pytest.raises(ExecutorError, match=re.escape(f"need the package distributed: {how_to_install('dask')}")):
         DaskExecutor("tcp://127.0.0.1:1")
 
 
