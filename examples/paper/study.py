@@ -8,53 +8,21 @@ import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, Generic, Protocol, TypeVar
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from examples.paper.known import KEY, Fit, Known, key_of, read_figures
 from examples.paper.means import Mean
 from examples.paper.pages import fill
 from examples.paper.pictures import contact_sheet, convergence_plot
 from examples.paper.runner import carry_out_all
-from examples.paper.store import Run, load, slug
+from examples.paper.store import slug
 from loi_core.errors import OptionError
 from loi_core.io.files import check_writable, write_text
 from loi_core.support.markdown import markdown
 
-__all__ = ["Fit", "Part", "Study", "add_options", "carry_out_and_report", "check_out"]
-
-SETTING: Final = ("setting", "method", "rate", "steps", "column", "seed")
-
-
-class _Setting(Protocol):
-    @property
-    def name(self) -> str: ...
-    @property
-    def method(self) -> str: ...
-    @property
-    def rate(self) -> float: ...
-
-
-class _Column(Protocol):
-    @property
-    def name(self) -> str: ...
-
-
-class Fit(Run, Protocol):
-    """One run of a table: a setting's fit of a column, from one of its starts."""
-
-    @property
-    def setting(self) -> _Setting:
-        """How it is done."""
-
-    @property
-    def column(self) -> _Column:
-        """Of what."""
-
-    @property
-    def steps(self) -> int:
-        """Of the whole fit."""
-
+__all__ = ["Part", "Study", "add_options", "carry_out_and_report", "check_out"]
 
 Made = TypeVar("Made", bound=Fit)
 
@@ -132,37 +100,36 @@ class Study(Generic[Made]):
     animate: Callable[[Mapping[str, Part[Made]], Path, Path], None] = field(default=lambda *_: None)
     others: Callable[[Path, Mapping[str, Part[Made]]], Mapping[str, list[str]]] = field(default=lambda *_: {})
 
-    def csv_of(self, folder: Path, runs: Sequence[Made]) -> str:
-        """A line for each run that is done."""
+    def csv_of(self, known: Known, runs: Sequence[Made]) -> str:
+        """A line for each run that is known."""
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
-        writer.writerow((*SETTING, *self.measures, "seconds"))
+        writer.writerow((*KEY, *self.measures, "seconds"))
         for run in runs:
-            record = load(folder, run)
+            record = known.of(run)
             if record is not None:
-                setting = run.setting
-                about = (setting.name, setting.method, setting.rate, run.steps, run.column.name, run.seed)
-                writer.writerow((*about, *(f"{record[one]:.4f}" for one in self.measures), f"{record['seconds']:.1f}"))
+                figures = (f"{record[one]:.4f}" for one in self.measures)
+                writer.writerow((*key_of(run), *figures, f"{record['seconds']:.1f}"))
         return stream.getvalue()
 
-    def table_of(self, folder: Path, part: Part[Made]) -> list[str]:
+    def table_of(self, known: Known, part: Part[Made]) -> list[str]:
         """PSNR with its interval and the least of all seeds, and what is beside it; the paper's figures beneath.
 
         Of a search: mean PSNR over all columns at each rate, the best of each row in bold.
         """
         if part.rates:
-            return self._search(folder, part)
+            return self._search(known, part)
         table = []
         for name, runs in part.rows.items():
             table.append(
-                [name, *(self._cell(folder, [run for run in runs if run.column == at], at) for at in part.columns)]
+                [name, *(self._cell(known, [run for run in runs if run.column == at], at) for at in part.columns)]
             )
             if name in self.paper and part.columns == self.columns:
                 table.append(["&nbsp;&nbsp;the paper's", *map(_figures, self.paper[name])])
         return markdown(["", *map(self.title, part.columns)], table)
 
-    def _cell(self, folder: Path, runs: Sequence[Made], column: Any) -> str:
-        records = [record for run in runs if (record := load(folder, run)) is not None]
+    def _cell(self, known: Known, runs: Sequence[Made], column: Any) -> str:
+        records = [record for run in runs if (record := known.of(run)) is not None]
         if not records:
             return ""
         psnr = Mean.of([record["psnr"] for record in records])
@@ -171,30 +138,40 @@ class Study(Generic[Made]):
         missing = "" if len(records) == len(runs) else f", {len(records)} of {len(runs)} seeds"
         return f"{psnr.value:.2f}{spread} / {other.value:.3f}{missing}"
 
-    def _search(self, folder: Path, part: Part[Made]) -> list[str]:
+    def _search(self, known: Known, part: Part[Made]) -> list[str]:
         table = []
         for name, runs in part.rows.items():
-            means = [_mean(folder, [run for run in runs if run.setting.rate == rate]) for rate in part.rates]
+            means = [_mean(known, [run for run in runs if run.setting.rate == rate]) for rate in part.rates]
             best = max((one for one in means if one is not None), default=None)
             if best is not None:
                 cells = ["" if one is None else f"**{one:.2f}**" if one == best else f"{one:.2f}" for one in means]
                 table.append([name, *cells])
         return markdown(["pixels a step", *(f"{rate:g}" for rate in part.rates)], table)
 
-    def write(self, parts: Mapping[str, Part[Made]], runs: Path, folder: Path) -> dict[str, list[str]]:
-        """Write ``table.md`` and ``runs.csv`` into a folder; the lines of each table."""
-        tables = {name: self.table_of(runs, part) for name, part in parts.items()} | dict(self.others(runs, parts))
-        write_text(folder / "table.md", _page(tables))
-        write_text(folder / "runs.csv", self.csv_of(runs, _every(parts)))
-        return tables
+    def tables(self, parts: Mapping[str, Part[Made]], known: Known) -> dict[str, list[str]]:
+        """The lines of each table."""
+        return {name: self.table_of(known, part) for name, part in parts.items()} | dict(
+            self.others(known.folder, parts)
+        )
 
-    def draw(self, parts: Mapping[str, Part[Made]], runs: Path, folder: Path) -> None:
-        """A contact sheet for each column of each table, and the convergence of its rows."""
+    def write(self, parts: Mapping[str, Part[Made]], known: Known, folder: Path) -> None:
+        """Write ``table.md`` and ``runs.csv`` into a folder."""
+        write_text(folder / "table.md", _page(self.tables(parts, known)))
+        write_text(folder / "runs.csv", self.csv_of(known, _every(parts)))
+
+    def draw(self, parts: Mapping[str, Part[Made]], known: Known, folder: Path) -> None:
+        """A contact sheet for each column of each table, and the convergence of its rows.
+
+        What would show less than is known, since pictures of earlier runs are gone, is left as it is.
+        """
+        runs = known.folder
         for name, part in parts.items():
             for column in part.columns:
+                if known.has_figures_only([run for row in part.at(column).values() for run in row]):
+                    continue
                 sheet = name if name.endswith(column.name) else f"{name}-{column.name}"
                 contact_sheet(folder / f"{slug(sheet)}.png", runs, part.at(column), self.target)
-            if part.columns and part.converges:
+            if part.columns and part.converges and not known.has_figures_only(part.runs):
                 panels = {self.title(column): part.at(column) for column in part.columns}
                 convergence_plot(folder / f"{name}-convergence.png", runs, panels, self.apart)
         self.animate(parts, runs, folder)
@@ -216,21 +193,30 @@ def add_options(
 def carry_out_and_report(
     parser: argparse.ArgumentParser, options: argparse.Namespace, study: Study[Made], parts: Mapping[str, Part[Made]]
 ) -> None:
-    """Carry out what is missing and write everything anew, with ``--docs`` also what the documentation shows."""
+    """Carry out what is missing and write everything anew, with ``--docs`` also what the documentation shows.
+
+    There, what the CSV says of runs that are not in the folder counts as well, so that a table can grow in parts.
+    """
     if options.processes < 1:
         parser.error("--processes must be 1 or more")
     check_out(parser, options.out)
     runs = options.out / "runs"
+    done = Known(runs)
     for part in () if options.report else parts.values():
         carry_out_all(part.runs, study.carry_out, runs, options.processes)
-        study.write(parts, runs, options.out)
-    tables = study.write(parts, runs, options.out)
-    study.draw(parts, runs, options.out)
+        study.write(parts, done, options.out)
+    study.write(parts, done, options.out)
+    study.draw(parts, done, options.out)
+    if not options.docs:
+        print(_page(study.tables(parts, done)), end="")
+        return
+    numbers = options.docs / f"{study.name}.csv"
+    known = Known(runs, read_figures(numbers), study.columns)
+    tables = study.tables(parts, known)
     print(_page(tables), end="")
-    if options.docs:
-        fill(options.docs / f"{study.name}.md", tables)
-        write_text(options.docs / f"{study.name}.csv", study.csv_of(runs, _every(parts)))
-        study.draw(parts, runs, options.docs / "images" / study.name)
+    fill(options.docs / f"{study.name}.md", tables)
+    write_text(numbers, study.csv_of(known, _every(parts)))
+    study.draw(parts, known, options.docs / "images" / study.name)
 
 
 def check_out(parser: argparse.ArgumentParser, folder: Path) -> None:
@@ -241,9 +227,9 @@ def check_out(parser: argparse.ArgumentParser, folder: Path) -> None:
         parser.error(str(error))
 
 
-def _mean(folder: Path, runs: Sequence[Fit]) -> float | None:
+def _mean(known: Known, runs: Sequence[Fit]) -> float | None:
     """Of PSNR; None if there are no such runs, or not all of them are done."""
-    found = [record["psnr"] for run in runs if (record := load(folder, run)) is not None]
+    found = [record["psnr"] for run in runs if (record := known.of(run)) is not None]
     return float(np.mean(found)) if found and len(found) == len(runs) else None
 
 

@@ -1,0 +1,115 @@
+"""A table of the paper may grow in parts: what it says of runs whose files are gone stays."""
+
+from __future__ import annotations
+
+import argparse
+import csv
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from examples.paper.study import Part, Study, add_options, carry_out_and_report
+
+
+@dataclass(frozen=True)
+class Setting:
+    name: str
+    method: str
+    rate: float = 1.0
+
+
+@dataclass(frozen=True)
+class Column:
+    name: str
+    width: int = 4
+
+
+@dataclass(frozen=True)
+class OneFit:
+    setting: Setting
+    column: Column
+    seed: int
+    steps: int = 10
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        return self.setting.name, self.setting.method, f"{self.column.name} {self.column.width}"
+
+
+@dataclass(frozen=True)
+class Outcome:
+    image: Any
+    psnr: float
+    mae: float
+    seconds: float
+    curve: list[float]
+
+
+def carry_out(run: OneFit) -> Outcome:
+    return Outcome(np.full((4, 4, 3), 0.5), 20.0 + run.seed, 0.25, 1.5, [10.0, 20.0 + run.seed])
+
+
+COLUMNS = (Column("Shadow"), Column("Envlight"))
+STUDY = Study(
+    name="table9",
+    carry_out=carry_out,
+    target=lambda _: np.full((4, 4, 3), 0.5),
+    measures=("psnr", "mae"),
+    beside=lambda _: "mae",
+    apart=5,
+    columns=COLUMNS,
+    paper={"ours": ((30.0, 0.1), (31.0, 0.2))},
+)
+
+
+def reported(folder: Path, out: str, *, seeds: int, report: bool = False, columns: Any = COLUMNS) -> list[str]:
+    """The cells of our row after a call."""
+    parser = argparse.ArgumentParser()
+    add_options(parser, "table9", ("ours",), "none", processes=1)
+    words = ["--out", str(folder / out), "--docs", str(folder / "docs"), *(["--report"] if report else [])]
+    part = Part(
+        {"ours": [OneFit(Setting("ours", "loi"), at, seed) for at in columns for seed in range(seeds)]}, columns
+    )
+    carry_out_and_report(parser, parser.parse_args(words), STUDY, {"ours": part})
+    (row,) = [line for line in (folder / "docs" / "table9.md").read_text().splitlines() if line.startswith("| ours")]
+    return [cell.strip() for cell in row.strip("|").split("|")][1:]
+
+
+@pytest.fixture
+def docs(tmp_path: Path) -> Path:
+    (tmp_path / "docs").mkdir()
+    (tmp_path / "docs" / "table9.md").write_text("# Nine\n\n<!-- ours -->\n<!-- end -->\n")
+    return tmp_path
+
+
+def test_figures_of_runs_whose_files_are_gone_stay_and_so_do_their_pictures(docs: Path) -> None:
+    first = reported(docs, "out", seeds=1)
+    assert first == ["20.00 / 0.250", "20.00 / 0.250"]
+    sheet = docs / "docs" / "images" / "table9" / "ours-shadow.png"
+    drawn = sheet.read_bytes()
+    rows = (docs / "docs" / "table9.csv").read_text()
+    assert reported(docs, "elsewhere", seeds=3, report=True) == ["20.00 / 0.250, 1 of 3 seeds"] * 2
+    assert (docs / "docs" / "table9.csv").read_text() == rows
+    assert sheet.read_bytes() == drawn
+    assert not (docs / "elsewhere" / "runs").exists()  # and are not taken for runs that are done
+
+
+def test_new_runs_stand_beside_them_and_replace_them(docs: Path) -> None:
+    reported(docs, "out", seeds=1)
+    numbers = docs / "docs" / "table9.csv"
+    numbers.write_text(numbers.read_text().replace("20.0000", "10.0000"))
+    assert reported(docs, "elsewhere", seeds=2, report=True)[0] == "10.00 / 0.250, 1 of 2 seeds"
+    assert reported(docs, "elsewhere", seeds=2)[0].startswith("20.50 ± ")
+    rows = list(csv.DictReader(numbers.read_text().splitlines()))
+    assert {(row["column"], row["seed"], row["psnr"]) for row in rows} == {
+        (column.name, str(seed), f"{20 + seed:.4f}") for column in COLUMNS for seed in range(2)
+    }
+    assert len(rows) == 4
+
+
+def test_figures_are_not_taken_for_those_of_a_column_of_the_same_name(docs: Path) -> None:
+    reported(docs, "out", seeds=1)
+    assert reported(docs, "elsewhere", seeds=1, report=True, columns=(Column("Shadow", 8),)) == [""]
