@@ -25,6 +25,8 @@ lint: .venv/.developed
 docs: .venv/.documented
 	.venv/bin/python -m sphinx -b html -W --keep-going -n -d docs/_build/doctrees docs docs/_build/html
 	.venv/bin/python docs/other_sites.py
+	.venv/bin/python docs/site_pictures.py
+
 lowest: .venv/.developed  # the lowest versions that pyproject.toml allows
 	.venv/bin/python -m tests.lowest
 
