@@ -132,12 +132,14 @@ class Crowd:
                     address=worker.address, now=started, metrics=self.metrics(), executing=running, extensions={}
                 )
 
+    # Its arguments are those of the method that it replaces.
     async def _get_data(self, comm: Any, keys: Any, who: Any = None, serializers: Any = None) -> Status:  # noqa: ARG002
         data = {key: to_serialize(self.results[key]) for key in keys if key in self.results}
         await comm.write({"status": "OK", "data": data}, serializers=serializers)
         await comm.read(deserializers=serializers)
         return Status.dont_reply
 
+    # Its arguments are those of the method that it replaces.
     async def _run(self, comm: Any, function: Any, args: Any = (), kwargs: Any = None, wait: bool = True) -> Any:  # noqa: ARG002, FBT001, FBT002
         """Told to all: there are no processes to end."""
         return {"status": "OK", "result": to_serialize(None)}

@@ -66,7 +66,7 @@ def mean_over_views(losses: Tensor, *, group: dist.ProcessGroup | None = None) -
         raise OptionError(msg)
     if not losses.numel() and torch.is_grad_enabled():
         losses = losses.detach().requires_grad_()  # so that `backward` can be called here as elsewhere
-    mean: Tensor = _Mean.apply(losses, values.mean().to(losses.dtype), values.numel())  # type: ignore[no-untyped-call]
+    mean: Tensor = _Mean.apply(losses, values.mean().to(losses.dtype), values.numel())  # type: ignore[no-untyped-call]  # untyped in torch
     return mean
 
 

@@ -154,10 +154,12 @@ class Study(Generic[Made]):
             self.others(known.folder, parts)
         )
 
-    def write(self, parts: Mapping[str, Part[Made]], known: Known, folder: Path) -> None:
-        """Write ``table.md`` and ``runs.csv`` into a folder."""
-        write_text(folder / "table.md", _page(self.tables(parts, known)))
+    def write(self, parts: Mapping[str, Part[Made]], known: Known, folder: Path) -> dict[str, list[str]]:
+        """Write ``table.md`` and ``runs.csv`` into a folder; the lines of each table."""
+        tables = self.tables(parts, known)
+        write_text(folder / "table.md", _page(tables))
         write_text(folder / "runs.csv", self.csv_of(known, _every(parts)))
+        return tables
 
     def draw(self, parts: Mapping[str, Part[Made]], known: Known, folder: Path) -> None:
         """A contact sheet for each column of each table, and the convergence of its rows.
@@ -205,10 +207,10 @@ def carry_out_and_report(
     for part in () if options.report else parts.values():
         carry_out_all(part.runs, study.carry_out, runs, options.processes)
         study.write(parts, done, options.out)
-    study.write(parts, done, options.out)
+    tables = study.write(parts, done, options.out)
     study.draw(parts, done, options.out)
     if not options.docs:
-        print(_page(study.tables(parts, done)), end="")
+        print(_page(tables), end="")
         return
     numbers = options.docs / f"{study.name}.csv"
     known = Known(runs, read_figures(numbers), study.columns)
