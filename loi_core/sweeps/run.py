@@ -165,12 +165,12 @@ def _carry_out(
             if time.monotonic() - written > PAUSE:
                 _write(plan, folder, records)
                 written = time.monotonic()
-    except KeyboardInterrupt:
-        _write(plan, folder, records)
-        msg = f"interrupted; {len(records)} of {len(plan.runs)} runs have ended and are kept, the same call goes on"
-        raise KeyboardInterrupt(msg) from None
-    except BaseException:
-        _write(plan, folder, records)
+    except BaseException as stop:
+        kept = _recorded(plan, folder)  # a run whose record was just written may not be among `records` yet
+        _write(plan, folder, kept)
+        if isinstance(stop, KeyboardInterrupt):
+            msg = f"interrupted; {len(kept)} of {len(plan.runs)} runs have ended and are kept, the same call goes on"
+            raise KeyboardInterrupt(msg) from None
         raise
     return _write(plan, folder, records)
 

@@ -26,6 +26,7 @@ from loi_core.runs.reply import Reply
 from loi_core.support.installed import how_to_install
 from loi_core.sweeps import sweep
 from loi_core.sweeps.folder import SweepFolder
+from loi_core.sweeps.plan import SweepRun
 from loi_core.sweeps.reading import read_sweep
 from tests.environments import ROOT
 from tests.sweeps.scenes import SCENE, SWEEP, lay_out, outcome, outcome_here, records
@@ -212,6 +213,23 @@ def test_ctrl_c_keeps_what_has_ended_and_the_same_call_goes_on(tmp_path: Path) -
     ended: list[int] = []
     assert sweep(path, processes=2, progress=lambda *counts: ended.append(counts[1])).count("done") == 8
     assert set(ended) == {8 - len(kept)}
+
+
+def test_an_interrupt_right_after_a_record_is_written_counts_that_run(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = lay_out(tmp_path)
+    keep = SweepFolder.keep
+
+    def keep_and_interrupt(folder: SweepFolder, run: SweepRun, content: dict[str, Any]) -> None:
+        keep(folder, run, content)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(SweepFolder, "keep", keep_and_interrupt)
+    with pytest.raises(KeyboardInterrupt, match="interrupted; 1 of 8 runs"):
+        sweep(path, processes=1)
+    with (tmp_path / "sweep-result" / "sweep.csv").open(newline="") as stream:
+        assert [row["status"] for row in csv.DictReader(stream)].count("missing") == 7
 
 
 def test_two_sweeps_do_not_work_in_one_folder(done: Path) -> None:
