@@ -34,8 +34,8 @@ from loi_torch.mesh import (
     sphere,
     visibility,
     visible_arrays,
-    visible_loops,
 )
+from loi_torch.mesh.loops import visible
 from tests.helpers import Host
 from tests.strategies import SEEDS
 
@@ -180,7 +180,7 @@ def test_both_ways_of_looking_see_the_same(seed: int) -> None:
     rng = np.random.default_rng(seed)
     places = PLACES + torch.as_tensor(rng.normal(0.0, 0.3, 6))
     images = []
-    for look in (visible_loops.look, visible_arrays.look):
+    for look in (visible.look, visible_arrays.look):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(visibility, "look", look)
             images.append(draw(crossing(places), VIEW, 33, 36, lights=LIT).numpy())
@@ -380,7 +380,7 @@ def test_coplanar_triangles_are_drawn_in_their_order() -> None:
     assert float(image[..., 0].sum()) == pytest.approx(128.0)
 
 
-@pytest.mark.parametrize("look", [visible_loops.look, visible_arrays.look])
+@pytest.mark.parametrize("look", [visible.look, visible_arrays.look])
 def test_nothing_is_drawn_of_nothing(look: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(visibility, "look", look)
     empty = Mesh(np.zeros((0, 3)), np.zeros((0, 3), int))

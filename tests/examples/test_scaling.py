@@ -8,7 +8,8 @@ from pathlib import Path
 import pytest
 
 from benchmarks import scaling
-from benchmarks.scaling import Costs, simulate
+from benchmarks.costs import Costs
+from benchmarks.sweeps import simulate
 from tests.helpers import by_arrays
 
 COSTS = Costs(before=1e-3, after=1e-3, client=2e-3, scheduler=4e-3, worker=0.5, start=5.0)

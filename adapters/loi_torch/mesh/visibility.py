@@ -11,9 +11,9 @@ __all__ = ["look"]
 def look(scene: Projected) -> Seen:
     """What is seen of a projected scene; none of it carries a gradient."""
     if compiled.available():
-        from loi_torch.mesh import visible_loops
+        from loi_torch.mesh.loops import visible
 
-        return visible_loops.look(scene)
+        return visible.look(scene)
     from loi_torch.mesh import visible_arrays
 
     return visible_arrays.look(scene)

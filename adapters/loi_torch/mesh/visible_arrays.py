@@ -1,4 +1,4 @@
-"""What is visible where, by operations of torch on whole arrays: the steps of `visible_loops`, where Numba is not.
+"""What is visible where, by operations of torch on whole arrays: the steps of `loops`, where Numba is not.
 
 Several times slower on a processor. Pairs of triangles and pixels are looked at in batches, so that memory is bounded.
 """
@@ -23,7 +23,7 @@ BATCH: Final = 2**22  # pairs that are looked at together
 
 @dataclass(frozen=True)
 class Triangles:
-    """Of the triangles that are drawn, and then of all: see :class:`loi_torch.mesh.visible_loops.Triangles`."""
+    """Of the triangles that are drawn, and then of all: see :class:`loi_torch.mesh.loops.triangles.Triangles`."""
 
     drawn: Tensor  # (m,) bool
     edges: Tensor  # (m, 3, 3)

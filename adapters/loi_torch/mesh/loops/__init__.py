@@ -1,0 +1,1 @@
+"""What is visible where, by loops over triangles and pixels that Numba compiles."""
