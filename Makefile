@@ -12,8 +12,8 @@ develop: .venv/.developed
 demo: .venv/.shown
 	.venv/bin/loi demo
 
-test: .venv/.developed lint
-	.venv/bin/python -m pytest -n auto --dist worksteal
+test: .venv/.developed lint  # a process for each core, and a thread for each process
+	OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n auto --dist worksteal
 
 lint: .venv/.developed
 	.venv/bin/ruff format --check .

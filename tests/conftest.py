@@ -37,7 +37,7 @@ if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
             shutil.rmtree(os.environ["JAX_COMPILATION_CACHE_DIR"], ignore_errors=True)
 
 
-for name, examples in (("quick", 10), ("ci", 40), ("thorough", 1000)):
+for name, examples in (("quick", 10), ("ci", 25), ("thorough", 1000)):
     settings.register_profile(
         name,
         max_examples=examples,

@@ -148,8 +148,10 @@ def test_the_core_passes_its_tests_with_numpy_alone_where_only_the_wheel_is(fres
     pins = "-c", ROOT / "constraints.txt"
     run(fresh, "-m", "pip", "install", "-q", "--no-compile", "--disable-pip-version-check", *pins, *TEST_PACKAGES)
     without = ALONE.format(absent=ABSENT)
-    folders = ("pixels", "objectives", *(("method", "renderers") if THOROUGH else ()))
-    said = run_copied_tests(fresh, tmp_path, *folders, before=without)
+    some = ("pixels", "objectives/test_loss.py", "objectives/test_gradient.py")
+    said = run_copied_tests(
+        fresh, tmp_path, *(("method", "objectives", "pixels", "renderers") if THOROUGH else some), before=without
+    )
     assert re.search(r"[1-9]\d+ passed", said)
 
 

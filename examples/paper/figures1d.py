@@ -40,7 +40,7 @@ DRAWN: Final = {  # pictures of landscapes: their files, and the distance from t
     "signal, noise 0.1": ("noisy-signal", NEAR),
     "picture, noise 0.2": ("noisy-picture", NEAR),
 }
-QUICK: Final = {"signal": 0.35, "three intensities in a row": 0.7, "signal, noise 0.1": 1.3}  # and their spacing
+QUICK: Final = {"signal": 0.7, "three intensities in a row": 1.4, "signal, noise 0.1": 2.6}  # and their spacing
 
 
 def main(arguments: Sequence[str]) -> None:

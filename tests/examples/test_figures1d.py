@@ -20,6 +20,7 @@ from examples.paper.methods import METHODS, SIGMAS, SigmaSpace
 from examples.paper.problems import PROBLEMS, SUPPORT, TONAL, TWO
 from examples.paper.signals import Line, Movers
 from loi_core.testing import check_objective
+from tests.strategies import thorough
 
 ROOT = Path(__file__).parents[2]
 BY_NAME = {one.name: one for one in METHODS}
@@ -155,7 +156,11 @@ def test_quick_figures_are_drawn_and_show_what_the_paper_says(tmp_path: Path) ->
     assert done.stdout.strip().splitlines()[-1] in page
 
 
-@pytest.mark.parametrize("problem", [SUPPORT[0], *TONAL], ids=lambda one: one.name)
+@pytest.mark.parametrize(
+    "problem",
+    [SUPPORT[0], TONAL[0], *(pytest.param(one, marks=thorough) for one in TONAL[1:])],
+    ids=lambda one: one.name,
+)
 @pytest.mark.parametrize("name", ["pixel L2", "sigma only", "loi, for_image"])
 def test_the_numbers_in_the_documentation_can_be_had_again(problem: Any, name: str) -> None:
     with (ROOT / "docs" / "figures-1d.csv").open() as stream:

@@ -18,7 +18,7 @@ from tests.strategies import THOROUGH
 ROOT = Path(__file__).parents[2]
 GALLERY = ROOT / "examples" / "gallery"
 PROGRAMS = sorted(path.stem for path in GALLERY.glob("plot_*.py"))
-QUICK = ("plot_mitsuba_shadow", "plot_numpy_renderer")
+QUICK = ("plot_numpy_renderer",)
 NEEDS = {"jax": "jax", "mesh": "torch", "mitsuba": "mitsuba", "svg": "torch", "torch": "torch"}
 """Package by the second word of a program's name; the others need nothing but NumPy."""
 

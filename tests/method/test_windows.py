@@ -28,7 +28,7 @@ from tests.helpers import Host, by_arrays
 from tests.strategies import apart
 
 SIZES = st.integers(1, 150)
-SIDES = st.integers(1, 90)  # where every bound is derived pixel by pixel
+SIDES = st.integers(1, 64)  # where every bound is derived pixel by pixel
 
 
 @contextmanager

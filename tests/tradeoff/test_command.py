@@ -155,9 +155,9 @@ def test_why_float32_is_far_off_on_flat_images_is_told(
     plugins: Plugins, by_arrays: None, pair: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     plugins(NUMPY)
-    for place, name in ((8, "left"), (72, "right")):
-        flat = np.full((96, 96, 3), 0.05)
-        flat[place : place + 16, place : place + 16] = 0.9
+    for place, name in ((4, "left"), (36, "right")):
+        flat = np.full((48, 48, 3), 0.05)
+        flat[place : place + 8, place : place + 8] = 0.9
         np.save(tmp_path / f"{name}.npy", flat)
     apart = ["--image", str(tmp_path / "left.npy"), "--reference", str(tmp_path / "right.npy")]
     for arguments, told in ((apart, True), (pair, False)):
