@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
 
-from loi_core.effects import Draws, Effect, EffectPlan, Holding, Schedule, Sizes
+from loi_core.effects import Effect, EffectPlan, Holding, Schedule, Sizes
 from loi_core.errors import OptionError, ParameterError
 from loi_core.objectives.base import Objective
 from loi_core.pixels.encoding import Encoding
@@ -20,14 +20,15 @@ from loi_core.support.arrays import to_numpy
 from loi_core.support.values import real_number
 from loi_core.support.wording import shown
 from loi_mitsuba.effects.base import base_of
+from loi_mitsuba.effects.blurring import Blurring
 from loi_mitsuba.effects.images import effect_images
 from loi_mitsuba.effects.pilot import Pilot
-from loi_mitsuba.effects.probe import APART, Probe
+from loi_mitsuba.effects.probe import Probe
 from loi_mitsuba.effects.rules import everything, plan_by_rules, plan_of, plan_with
 from loi_mitsuba.effects.traits import groups_of, in_view, objects_of, traits_of
 from loi_mitsuba.effects.verify import Verification, verification
 from loi_mitsuba.entries import Scene
-from loi_mitsuba.handles import Host, Scale
+from loi_mitsuba.handles import Host
 from loi_mitsuba.integrators import settings_of
 from loi_mitsuba.loading import Target
 from loi_mitsuba.neighbour import Neighbour
@@ -35,9 +36,6 @@ from loi_mitsuba.renderer import MitsubaRenderer
 
 __all__ = ["FRACTION", "PlannedRenderer"]
 
-PAIRS: Final = 4  # of images of a blurred gradient; one ended fits of a glass ball elsewhere
-BLURRED_DRAWS: Final = 16  # that say whether a blurred gradient is noise as well; of 8 a highlight's was at 48 pixels
-LEAST: Final = 1e-3  # of what scales a shape
 FRACTION: Final = 0.1  # what is off together turns the gradient by less than 6 degrees, whose cosine is 0.995
 log = logging.getLogger("loi_mitsuba")
 
@@ -104,7 +102,7 @@ class PlannedRenderer:
             msg = f"`blur` must be None, or a table of {', '.join(BLUR_KEYS)}, got {shown(blur)}"
             raise OptionError(msg)
         self._blur = blur
-        self._whole = base_of(scene, parameters, sensor, spp, Neighbour.of(neighbour), self._blur)
+        self._whole = base_of(scene, parameters, sensor, spp, Neighbour.of(neighbour), blur)
         self._base = self._whole.renderer
         self._blurred: BlurredRenderer | None = None
         self._samples = int(spp)
@@ -215,6 +213,10 @@ class PlannedRenderer:
         self._blur_noise(self._last)
         return self._plan
 
+    @property
+    def _blurring(self) -> Blurring:  # not kept: it refers back to this renderer
+        return Blurring(self, self._blur, tuple(self._whole.missing))
+
     def _run_pilot(self, probe: Probe) -> None:
         """Plan by a few gradients."""
         if self._names:
@@ -224,7 +226,7 @@ class PlannedRenderer:
 
     def _blur_noise(self, probe: Probe) -> None:
         """Blur what is held, if its gradient can be told from noise that way."""
-        noisy = self._better_blurred(probe)
+        noisy = self._blurring.better(probe, self._holding)
         if noisy:
             shown = self._in_view()
             moving = self._traits.moving.items()
@@ -238,27 +240,6 @@ class PlannedRenderer:
         before = self._plan
         self._take(self._optimised, blurred)
         log.info("effects, %s: %s", when, self._plan.changes_from(before))
-
-    def _better_blurred(self, probe: Probe) -> dict[str, str]:
-        """Of what is held, the parameters whose gradient can be told from noise once they are blurred, and why."""
-        names = tuple(self._holding.reasons)
-        if not names or self._blur is None or self._blur.get("names") is not None:
-            return {}
-        place, seed = dict(probe.params), APART + probe.seed
-        try:
-            blurred = self._blurred_over(names)
-            first = blurred.pull(place, probe.cotangent, seed=seed)
-            if not any(np.any(value) for value in first.values()):
-                return {}  # nothing is seen of it within reach of the blur
-            others = [blurred.pull(place, probe.cotangent, seed=seed + k) for k in range(1, BLURRED_DRAWS)]
-        except OptionError:  # what leaves no trace in the image has no pixels to measure its blur by
-            return {}
-        held = Holding.begun(Draws.of([first, *others]), self._holding.groups).reasons
-        return {
-            name: f"{reason}; that of images blurred over it is significant in {BLURRED_DRAWS}"
-            for name, reason in self._holding.reasons.items()
-            if name not in held
-        }
 
     def at_step(self, step: int, steps: int, value: float | None) -> None:
         """What :func:`loi_core.fit` says before every step: looks again at what is off when the loss stalls.
@@ -343,16 +324,7 @@ class PlannedRenderer:
         if not missing:
             self._blurred = None
         elif self._blurred is None or self._blurred.names != tuple(missing):  # or else it knows how far a fit has come
-            self._blurred = self._blurred_over(tuple(missing))
-
-    def _blurred_over(self, names: tuple[str, ...]) -> BlurredRenderer:
-        """The images blurred over these parameters."""
-        options = {"pairs": PAIRS, **(self._blur or {}), "names": names}
-        for key in ("sigma", "final_sigma"):
-            if isinstance(options.get(key), Mapping):
-                own = set(self._whole.missing) - set(names)  # what is not known at all is refused
-                options[key] = {name: one for name, one in options[key].items() if name not in own}
-        return BlurredRenderer(_Images(self), **options)
+            self._blurred = self._blurring.over(missing)
 
     def _in_view(self) -> frozenset[str]:
         """Parameters whose shape may be in view, at the values of the last call."""
@@ -411,27 +383,3 @@ class PlannedRenderer:
         if changes:
             log.info("effects, %s: %s", when, changes)
         self._set(plan)
-
-
-@dataclass(frozen=True)
-class _Images:
-    """What a blur looks at: the images of a planned renderer, whatever its plan is by then."""
-
-    planned: PlannedRenderer
-
-    def parameters(self) -> dict[str, Host]:
-        return self.planned.parameters()
-
-    def render(self, params: Mapping[str, Any], *, seed: int = 0) -> Host:
-        return self.planned.render(self._legal(params), seed=seed)
-
-    def render_vjp(self, params: Mapping[str, Any], *, seed: int = 0) -> tuple[Host, Callable[[Any], dict[str, Host]]]:
-        return self.planned.render_vjp(params, seed=seed)
-
-    def _legal(self, params: Mapping[str, Any]) -> dict[str, Any]:
-        """Values that can be set: what scales a shape is more than 0."""
-        targets = self.planned.targets
-        return {
-            name: np.maximum(value, np.float32(LEAST)) if isinstance(targets[name], Scale) else value
-            for name, value in params.items()
-        }
