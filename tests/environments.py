@@ -46,6 +46,16 @@ def fresh_python(folder: Path, wheel: Path) -> Path:
     return python
 
 
+def copied_python(python: Path, folder: Path) -> Path:
+    """The Python of a copy of an environment, which takes a fraction of the time of one more."""
+    shutil.copytree(python.parents[1], folder, symlinks=True, dirs_exist_ok=True)
+    for script in (folder / "bin").iterdir():
+        content = b"" if script.is_symlink() else script.read_bytes()
+        if content.startswith(b"#!"):  # and the path of the Python that runs it
+            script.write_bytes(content.replace(os.fsencode(python.parents[1]), os.fsencode(folder)))
+    return folder / "bin" / "python"
+
+
 def lowest_python(folder: Path, wheel: Path, *extras: str) -> Path:
     """The Python of an environment with the lowest versions that the wheel and some of its extras allow.
 

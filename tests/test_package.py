@@ -15,7 +15,7 @@ from packaging.requirements import Requirement
 
 from loi_core import __version__
 from tests.environments import ROOT, TEST_PACKAGES, build_sdist, build_wheel, run, run_copied_tests
-from tests.strategies import THOROUGH
+from tests.strategies import THOROUGH, thorough
 
 PACKAGES = {"loi_core", "loi_torch", "loi_jax", "loi_mitsuba"}
 FRAMEWORKS = ("torch", "jax", "mitsuba", "drjit", "numba", "matplotlib", "PIL", "scipy")
@@ -86,6 +86,7 @@ def test_the_wheel_works_in_an_empty_environment(fresh: Path, tmp_path: Path) ->
     assert not re.search(r"^(torch|jax|mitsuba|scipy)==", installed, re.MULTILINE)
 
 
+@thorough
 def test_the_wheel_measures_what_accuracy_costs_in_an_empty_environment(fresh: Path, tmp_path: Path) -> None:
     code = "import numpy as np; np.save('a.npy', np.eye(12)); np.save('b.npy', np.eye(12)[::-1])"
     run(fresh, "-c", code, cwd=tmp_path)

@@ -166,7 +166,7 @@ def test_the_readme_finds_a_mesh_in_under_twenty_lines(tmp_path: Path) -> None:
         pytest.param("torch_distributed", (15.0, 45.0, -10.0), 0.5, marks=thorough),
         pytest.param("jax", (75.0, 45.0), 0.5, marks=thorough),
         pytest.param("jax_sharding", (15.0, 45.0, -10.0), 0.5, marks=thorough),
-        ("mitsuba", (1.5, -1.0), 0.1),  # scene units; a pixel is 0.12
+        pytest.param("mitsuba", (1.5, -1.0), 0.1, marks=thorough),  # scene units; a pixel is 0.12
     ],
 )
 def test_the_loops_of_the_readme_find_a_place_that_they_do_not_overlap_at_first(

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tests.environments import ROOT, fresh_python, run
+from tests.environments import ROOT, copied_python, run
 
 PAGE = (ROOT / "docs" / "write-an-adapter.md").read_text()
 FILES = dict(re.findall(r'^```\w+ title="([^"]+)"\n(.*?)^```$', PAGE, re.MULTILINE | re.DOTALL))
@@ -44,11 +44,11 @@ class Shell:
 
 
 @pytest.fixture(scope="module")
-def shell(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Shell:
+def shell(fresh: Path, tmp_path_factory: pytest.TempPathFactory) -> Shell:
     folder = tmp_path_factory.mktemp("blob")
     for name, text in FILES.items():
         (folder / name).write_text(text)
-    shell = Shell(folder, fresh_python(tmp_path_factory.mktemp("plugin"), wheel))
+    shell = Shell(folder, copied_python(fresh, tmp_path_factory.mktemp("plugin")))
     shell(COMMANDS[0])
     return shell
 

@@ -16,6 +16,7 @@ from loi_core.fitting.race import search
 from loi_core.fitting.views import Views
 from loi_core.renderers import Disks
 from tests.helpers import Host
+from tests.strategies import thorough
 
 GOAL = np.array([22.0, 9.0, 14.0])
 START = np.array([8.0, 23.0, 25.0])
@@ -118,7 +119,9 @@ def test_steps_that_render_some_views_render_all_equally_often_and_not_in_turn()
     assert len(rounds) > 2
 
 
-@pytest.mark.parametrize(("at_once", "last"), [(None, 37), (1, 37), (1, 1), (2, 0)])
+@pytest.mark.parametrize(
+    ("at_once", "last"), [pytest.param(None, 37, marks=thorough), (1, 37), pytest.param(1, 1, marks=thorough), (2, 0)]
+)
 def test_a_fit_of_views_is_resumed_as_if_it_had_not_stopped(at_once: int | None, last: int, tmp_path: Path) -> None:
     whole, file = go(steps=60, views_per_step=at_once), tmp_path / "state.npz"
 

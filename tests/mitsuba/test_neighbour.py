@@ -13,6 +13,7 @@ from loi_core.errors import OptionError, ParameterError
 from loi_mitsuba import GradientWarning, MitsubaRenderer, Neighbour, PlannedRenderer, Translate, list_entries
 from loi_mitsuba.neighbour import Surroundings, neighbour_of
 from tests.mitsuba.scenes import shadow_scene
+from tests.strategies import thorough
 
 AXES: dict[str, Any] = {"x": Translate("ball", (1, 0, 0)), "z": Translate("ball", (0, 0, 1))}
 HERE = {"x": np.float32(0.0), "z": np.float32(0.0)}
@@ -76,7 +77,7 @@ def test_what_stands_for_a_light_is_as_bright(kind: str) -> None:
     np.testing.assert_allclose(near, own, rtol=0.02)  # of a directional light, a disk's rays are not quite parallel
 
 
-@pytest.mark.parametrize("kind", ["point", "directional", "spot"])
+@pytest.mark.parametrize("kind", ["point", "directional", pytest.param("spot", marks=thorough)])
 def test_shadows_of_lights_without_a_size_have_the_gradient_of_finite_differences(kind: str) -> None:
     scene = lit_scene(kind)
     planned = PlannedRenderer(scene, AXES, spp=64)
