@@ -31,7 +31,7 @@ import loi_torch
 from loi_core import LogTone, LOIObjective, ScaleSpace
 from loi_core.support.arrays import sum_of_all
 from tests.helpers import Host, by_arrays
-from tests.strategies import Problem, apart, problems, thorough
+from tests.strategies import FEWER, Problem, apart, problems, thorough
 
 # Problems are drawn with values beyond the bounds as well.
 pytestmark = pytest.mark.filterwarnings("ignore::loi_core.objectives.RangeWarning")
@@ -130,7 +130,8 @@ def test_every_backend_gives_the_loss_and_gradient_of_numpy(problem: Problem, to
     check(problem, tone, BACKENDS)
 
 
-@thorough  # for each shape anew; that a batch of shapes keeps every rule where JAX compiles is in tests/stability
+@thorough  # JAX compiles anew for each shape; tests/stability compiles one of each case
+@FEWER
 @given(problems(), st.sampled_from(TONES))
 @hard_problems
 def test_so_does_what_jax_compiles(problem: Problem, tone: LogTone | None) -> None:
