@@ -49,7 +49,7 @@ def main(words: Sequence[str] | None = None) -> None:
     mi.set_variant(VARIANT)
     parts = {name: _part(name, methods, columns, options.seeds) for name in options.parts if name != "savings"}
     study = STUDY
-    if "savings" in options.parts and not options.quick:
+    if "savings" in options.parts and not (options.quick or options.report):
         saved = {"savings": savings(columns)}  # measured anew on every call: a time is of this machine, now
         study = replace(STUDY, others=lambda folder, parts: _costs(folder, parts) | saved)
     carry_out_and_report(parser, options, study, {"ours": _quick()} if options.quick else parts)
