@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from tests.strategies import THOROUGH
+from tests.strategies import thorough
 
 ROOT = Path(__file__).parents[2]
 GALLERY = ROOT / "examples" / "gallery"
@@ -38,10 +38,7 @@ print(json.dumps({{"figures": len(plt.get_fignums()), "frames": len(film.frames)
 
 @pytest.mark.parametrize(
     "name",
-    [
-        pytest.param(name, marks=() if name in QUICK else pytest.mark.skipif(not THOROUGH, reason="takes long"))
-        for name in PROGRAMS
-    ],
+    [pytest.param(name, marks=() if name in QUICK else thorough) for name in PROGRAMS],
 )
 def test_a_program_of_the_gallery_finds_what_it_looks_for_and_shows_it(name: str, tmp_path: Path) -> None:
     pytest.importorskip(NEEDS.get(name.split("_")[1], "numpy"))
