@@ -18,6 +18,7 @@ from loi_mitsuba import MitsubaRenderer, Rotate, Scale, SceneLoadError, Translat
 from tests.helpers import Host, relative_error
 from tests.mitsuba.scenes import HEIGHT, PARAMETERS, WIDTH, box, random_cotangent, shadow_scene
 
+AXES = {"x": (1, 0, 0), "z": (0, 0, 1)}
 XML = """<scene version="3.0.0">
 <sensor type="perspective"><film type="hdrfilm"><integer name="width" value="8"/>
     <integer name="height" value="6"/></film></sensor>
@@ -71,6 +72,25 @@ def test_an_image_depends_on_parameters_and_seed_alone(renderer: MitsubaRenderer
     assert not np.array_equal(renderer.render(other, seed=5), image)
     fresh = MitsubaRenderer(shadow_scene(box=box((1.0, 0.6, 0.0), 0.4)), PARAMETERS, spp=8)
     np.testing.assert_array_equal(fresh.render(params, seed=5), image)
+
+
+def test_many_parameters_are_compiled_once() -> None:
+    balls = {f"ball_{k}": {"type": "sphere", "center": [k - 4.0, 1.0, 0.0], "radius": 0.3} for k in range(8)}
+    boxes = {f"box_{k}": box((k - 4.0, 0.5, 2.0), 0.3) for k in range(8)}
+    targets = {f"{name}_{letter}": Translate(name, axis) for name in balls | boxes for letter, axis in AXES.items()}
+    renderer = MitsubaRenderer(shadow_scene(**balls, **boxes), targets, spp=2)
+    params = renderer.parameters()
+    for seed in range(3):  # what is read from NumPy's memory, what is from Mitsuba's own, and their kernels kept
+        params = moved(params, seed)
+        renderer.render(params, seed=seed)
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history_clear()
+        for seed in range(3, 7):
+            params = moved(params, seed)
+            renderer.render(params, seed=seed)
+        kernels = [one for one in dr.kernel_history() if one["type"] == dr.KernelType.JIT]
+    assert kernels
+    assert all(one["cache_hit"] for one in kernels)
 
 
 def test_nothing_attached_is_left_in_the_scene(renderer: MitsubaRenderer) -> None:

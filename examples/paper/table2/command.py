@@ -37,7 +37,7 @@ SEARCHED: Final = "Envlight"  # of the search: the column whose steps are cheape
 def main(words: Sequence[str] | None = None) -> None:
     """Carry out what is missing and write everything anew."""
     parser = argparse.ArgumentParser(prog="python -m examples.paper table2", description=__doc__)
-    add_options(parser, "table2", PARTS, "two methods, one start, one tiny column, few steps", processes=1)
+    add_options(parser, "table2", PARTS, "two methods, one start, one tiny column, few steps")
     parser.add_argument("--methods", nargs="+", choices=list(LABELS), default=list(LABELS), help="default: all")
     parser.add_argument("--seeds", type=int, default=3, help="starts (default: 3)")
     options = parser.parse_args(words)

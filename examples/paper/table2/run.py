@@ -10,7 +10,7 @@ import numpy as np
 
 from examples.paper.table2.problem import Column, Problem, images_of, numbers
 from examples.paper.table2.scenes import FloatArray
-from examples.paper.table2.settings import PAPER_SCALES, UNIT, Setting
+from examples.paper.table2.settings import FINISH_RATE, PAPER_SCALES, UNIT, Setting
 from loi_core import Free, LOIObjective, fit
 from loi_core.objectives import MSSSIM, GaussianPyramid, Objective, PixelL2
 from loi_core.pixels.psnr import psnr
@@ -20,6 +20,7 @@ from loi_mitsuba import PlannedRenderer
 from loi_torch.lpips import LPIPS
 
 # isort: split
+import drjit as dr
 import mitsuba as mi
 
 __all__ = ["CURVE_STEPS", "Outcome", "Run", "carry_out", "objective", "renderer"]
@@ -89,6 +90,7 @@ class Outcome:
 def carry_out(run: Run) -> Outcome:
     """Fit, and measure the last iterate."""
     mi.set_variant(VARIANT)
+    dr.set_thread_count(1)  # runs go side by side
     setting = run.setting
     problem = Problem.of(run.column, run.seed)
     curve: list[float] = []
@@ -107,16 +109,28 @@ def carry_out(run: Run) -> Outcome:
     free = {name: Free(value, -reach, reach) for name, value in numbers(problem.built.start).items()}
     options: dict[str, Any] = {"stages": None, "decay": "none"} if setting.name == "published" else {}
     began = time.perf_counter()
+    last = round(setting.steps * setting.finish)
+    gradient = renderer(setting, problem)
     result = fit(
-        renderer(setting, problem),
+        gradient,
         objective(setting, problem.target),
-        steps=setting.steps,
+        steps=setting.steps - last,
         learning_rate=rate,
         seed=10**4 * run.seed,
         optimise=free,
         callback=note,
         **options,
     )
+    if last:
+        result = fit(
+            _sharpest(gradient),
+            PixelL2(problem.target),
+            steps=last,
+            learning_rate=f"{FINISH_RATE * setting.rate * run.column.width / UNIT} px",
+            seed=10**4 * run.seed + setting.steps,
+            optimise={name: Free(value, -reach, reach) for name, value in result.params.items()},
+            callback=note,
+        )
     seconds = time.perf_counter() - began
     image = problem.picture(result.params)
     kept = [*way[::CURVE_STEPS], {name: float(value) for name, value in result.params.items()}]
@@ -140,6 +154,13 @@ def renderer(setting: Setting, problem: Problem) -> Renderer:
     if not setting.blurred:
         return PlannedRenderer(built.scene, built.parameters, spp=samples)
     return BlurredRenderer(images_of(built, samples), setting.sigma, final_sigma=setting.final_sigma, pairs=PAIRS)
+
+
+def _sharpest(gradient: Renderer) -> Renderer:
+    """The same with the blur over parameters that it ends with."""
+    if not isinstance(gradient, BlurredRenderer):
+        return gradient
+    return BlurredRenderer(gradient.renderer, gradient.sigma, final_sigma=gradient.sigma, pairs=PAIRS)
 
 
 def objective(setting: Setting, target: Any) -> Objective:

@@ -7,7 +7,7 @@ from typing import Final, Literal
 
 from loi_core import ScaleSpace
 
-__all__ = ["LABELS", "PAPER_SCALES", "PROTOCOLS", "RATES", "UNIT", "Method", "Setting", "ours"]
+__all__ = ["FINISH_RATE", "LABELS", "PAPER_SCALES", "PROTOCOLS", "RATES", "UNIT", "Method", "Setting", "ours"]
 
 Method = Literal["pixel_l2", "gaussian_pyramid", "ms_ssim", "lpips_alex", "prdpt", "loi_prdpt", "loi"]
 
@@ -22,6 +22,10 @@ LABELS: Final[dict[Method, str]] = {
 }
 PAPER_SCALES: Final = ScaleSpace((1.0, 5.0), (1.0, 5.0, 15.0, 45.0), 0.125)
 UNIT: Final = 256  # width of the image whose pixels a rate is in
+
+# Wide scales see how bright an image is as well as where things are: light that a plan leaves out moves their minimum.
+FINISH: Final = 0.25
+FINISH_RATE: Final = 1.0 / 3.0
 
 
 @dataclass(frozen=True)
@@ -40,14 +44,18 @@ class Setting:
         Adam's, in units of the protocol.
     steps : int
         Of the fit.
+    finish : float
+        Share of the steps, at the end, that compare pixels, at :data:`FINISH_RATE` of the rate.
     sigma, final_sigma : float
-        Of the blur over parameters, in units of the scene: held for half of the steps.
+        Of the blur over parameters, in units of the scene: held for half of the steps before those of the finish,
+        which has the last one.
     """
 
     name: Literal["published", "ours"]
     method: Method
     rate: float
     steps: int = 100
+    finish: float = 0.0
     sigma: float = 0.5
     final_sigma: float = 0.01
 
@@ -64,7 +72,7 @@ class Setting:
 
 def ours(method: Method, rate: float) -> Setting:
     """The setting of our protocol at a rate in pixels."""
-    return Setting("ours", method, rate)
+    return Setting("ours", method, rate, finish=FINISH if method in ("loi", "loi_prdpt") else 0.0)
 
 
 # Steps are not published; 400 are those of PRDPT's own example, and at this rate what the farthest start needs.
