@@ -15,7 +15,7 @@ from matplotlib import get_data_path
 from PIL import Image
 from playwright.sync_api import Page, sync_playwright
 
-from loi_core.cli.demo import make_disks
+from loi_core.cli.bundled import make_disks
 from loi_core.cli.main import main
 from loi_core.io.images import write_png
 from loi_core.scenes.experiment import Start

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from tqdm import tqdm
 
-from loi_core.cli.demo import make_disks, make_photograph
+from loi_core.cli.bundled import make_disks, make_photograph
 from loi_core.errors import OptionError, SceneError
 from loi_core.io.files import check_writable
 from loi_core.io.images import FloatImage, read_image

@@ -182,7 +182,7 @@ def diagnose(seen: Findings) -> Diagnosis:
     return say(
         "stalled",
         f"{rest} and no longer falls",
-        "if the renderer can make the target exactly, try starts=8, or start nearer",
+        "if the renderer can make the target exactly, try more steps, starts=8, or a nearer start",
     )
 
 

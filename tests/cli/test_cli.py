@@ -62,18 +62,28 @@ def test_demo_finds_a_ball_in_mitsuba_that_does_not_overlap_its_photograph(demo:
     assert pixels["x"] > 1.0
 
 
-def test_the_demo_says_in_one_line_how_to_get_a_scene_that_needs_mitsuba(
+def test_demo_finds_a_mesh_on_torch_that_does_not_overlap_its_photograph(demo: dict[str, Any]) -> None:
+    pytest.importorskip("torch")
+    found, pixels = errors(demo, -1, "loi"), errors(demo, -1, "pixel_l2")
+    assert found["place"] < 0.09  # about a pixel
+    assert found["turn"] < 2.0
+    assert pixels["place"] > 1.0
+
+
+def test_the_demo_says_in_one_line_how_to_get_each_scene_that_needs_more_than_numpy(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setitem(sys.modules, "loi_mitsuba", None)  # as if its import failed
+    for name in ("loi_mitsuba", "loi_torch"):
+        monkeypatch.setitem(sys.modules, name, None)  # as if its import failed
     monkeypatch.setattr("loi_core.cli.demo.run_and_write", lambda scene, **_: {"title": scene.title, "trials": []})
     monkeypatch.setattr("loi_core.cli.demo.write_page", lambda page: page)
     monkeypatch.setattr("loi_core.cli.demo.write_index", lambda page, folders, title: page)
     assert main(["demo", "--output", str(tmp_path), "--json"]) == 0
     told = capsys.readouterr()
-    (line,) = told.err.splitlines()
-    assert line.startswith("loi: the scene in Mitsuba is left out; ")
-    assert "pip install" in line
+    lines = told.err.splitlines()
+    for line, needed in zip(lines, ("Mitsuba", "torch"), strict=True):
+        assert line.startswith(f"loi: the scene with {needed} is left out; ")
+        assert "pip install" in line
     assert [one["title"] for one in json.loads(told.out)["scenes"]] == ["Three disks", "A photograph, darker and noisy"]
 
 

@@ -182,7 +182,7 @@ def _light() -> Iterator[None]:
             "loi_core.report.output.convergence_plot": lambda trials: b"",
             "loi_core.report.tradeoff.tradeoff_plot": lambda found: b"",
             "loi_core.cli.tradeoff.measure": measured,
-            "loi_core.cli.demo.make_ball": mock.Mock(side_effect=RendererNotFoundError("Mitsuba is heavy")),
+            "loi_core.cli.demo.OTHERS": {"Mitsuba": ("ball", mock.Mock(side_effect=RendererNotFoundError("heavy")))},
             "loi_core.cli.demo.run_and_write": lambda scene, **_: {"title": scene.title, "trials": []},
             "loi_core.cli.demo.write_page": shown,
             "loi_core.cli.demo.write_index": shown,

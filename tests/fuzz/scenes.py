@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from loi_core.cli.demo import DISKS_SCENE, PHOTOGRAPH_SCENE
+from loi_core.cli.bundled import DISKS_SCENE, PHOTOGRAPH_SCENE
 from loi_core.io.images import write_png
 from loi_core.renderers import Disks
 from loi_core.scenes.experiment import Start

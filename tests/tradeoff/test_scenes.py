@@ -13,7 +13,7 @@ import pytest
 
 from loi_core import LogTone, LOIObjective
 from loi_core.cli import main
-from loi_core.cli.demo import make_disks
+from loi_core.cli.bundled import make_disks
 from loi_core.plugins import registry
 from loi_core.scenes.reading import load_scene
 from loi_core.tradeoff import HIDDEN, Setting, noise, rows, run

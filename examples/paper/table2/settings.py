@@ -25,7 +25,7 @@ UNIT: Final = 256  # width of the image whose pixels a rate is in
 
 # Wide scales see how bright an image is as well as where things are: light that a plan leaves out moves their minimum.
 FINISH: Final = 0.25
-FINISH_RATE: Final = 1.0 / 3.0
+FINISH_RATE: Final = 0.1
 
 
 @dataclass(frozen=True)
