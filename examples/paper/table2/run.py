@@ -15,7 +15,7 @@ from loi_core import Free, LOIObjective, fit
 from loi_core.objectives import MSSSIM, GaussianPyramid, Objective, PixelL2
 from loi_core.pixels.psnr import psnr
 from loi_core.renderers import BlurredRenderer
-from loi_core.renderers.contract import Parameters, Renderer
+from loi_core.renderers.contract import Parameters, Pullback, Renderer, SteppedRenderer
 from loi_mitsuba import PlannedRenderer
 from loi_torch.lpips import LPIPS
 
@@ -87,6 +87,29 @@ class Outcome:
     image: FloatArray
 
 
+class _Sharpest:
+    """A renderer whose blur over parameters, if it has any, is as narrow as at the end of a fit, in every step."""
+
+    def __init__(self, renderer: Renderer) -> None:
+        self._renderer = renderer
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._renderer, name)
+
+    def parameters(self) -> Parameters:
+        return self._renderer.parameters()
+
+    def render(self, params: Parameters, *, seed: int = 0) -> Any:
+        return self._renderer.render(params, seed=seed)
+
+    def render_vjp(self, params: Parameters, *, seed: int = 0) -> tuple[Any, Pullback]:
+        return self._renderer.render_vjp(params, seed=seed)
+
+    def at_step(self, step: int, steps: int, value: float | None) -> None:  # noqa: ARG002  # it is always the last
+        if isinstance(self._renderer, SteppedRenderer):
+            self._renderer.at_step(steps - 1, steps, value)
+
+
 def carry_out(run: Run) -> Outcome:
     """Fit, and measure the last iterate."""
     mi.set_variant(VARIANT)
@@ -123,7 +146,7 @@ def carry_out(run: Run) -> Outcome:
     )
     if last:
         result = fit(
-            _sharpest(gradient),
+            _Sharpest(gradient),
             PixelL2(problem.target),
             steps=last,
             learning_rate=f"{FINISH_RATE * setting.rate * run.column.width / UNIT} px",
@@ -154,13 +177,6 @@ def renderer(setting: Setting, problem: Problem) -> Renderer:
     if not setting.blurred:
         return PlannedRenderer(built.scene, built.parameters, spp=samples)
     return BlurredRenderer(images_of(built, samples), setting.sigma, final_sigma=setting.final_sigma, pairs=PAIRS)
-
-
-def _sharpest(gradient: Renderer) -> Renderer:
-    """The same with the blur over parameters that it ends with."""
-    if not isinstance(gradient, BlurredRenderer):
-        return gradient
-    return BlurredRenderer(gradient.renderer, gradient.sigma, final_sigma=gradient.sigma, pairs=PAIRS)
 
 
 def objective(setting: Setting, target: Any) -> Objective:
