@@ -127,6 +127,21 @@ def test_a_plan_with_nothing_missing_is_not_blurred(monkeypatch: pytest.MonkeyPa
     assert "blurred" not in str(planned.plan)
 
 
+def test_many_numbers_at_once_are_held_and_not_blurred(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sixteen draws of images would show none of them, and cost hundreds of renders."""
+
+    def refuse(*_: object, **__: object) -> None:
+        raise AssertionError
+
+    monkeypatch.setattr(BlurredRenderer, "__init__", refuse)
+    far = {f"far_{k}": {"type": "sphere", "center": [4.0 * k, 9, 90], "radius": 1} for k in range(6)}
+    planned = PlannedRenderer(shadow_scene(**far), {name: Translate(name) for name in far}, spp=4)
+    image, pullback = planned.render_vjp(planned.parameters())
+    pullback(np.ones_like(image))
+    assert list(planned.plan.held) == list(far)
+    assert not planned.plan.blurred
+
+
 GLASS: dict[str, Any] = {
     "ball": {"type": "sphere", "center": [0, 1.2, 0], "radius": 0.8, "bsdf": {"type": "dielectric"}},
     "integrator": {"type": "path", "max_depth": 5},

@@ -19,6 +19,7 @@ __all__ = ["Blurring"]
 
 PAIRS: Final = 4  # of images of a blurred gradient; one ended fits of a glass ball elsewhere
 DRAWS: Final = 16  # that say whether a blurred gradient is noise as well; of 8 a highlight's was at 48 pixels
+MOST: Final = 16  # numbers that are tried together: of n alike, that many images show one at 8 / sqrt(n + 1) errors
 LEAST: Final = 1e-3  # of what scales a shape
 
 
@@ -68,6 +69,8 @@ class Blurring:
         """Of what is held, the parameters whose gradient can be told from noise once they are blurred, and why."""
         names = tuple(holding.reasons)
         if not names or self.options is None or self.options.get("names") is not None:
+            return {}
+        if sum(np.size(probe.params[name]) for name in names) > MOST:
             return {}
         place, seed = dict(probe.params), APART + probe.seed
         try:
