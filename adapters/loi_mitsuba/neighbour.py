@@ -29,6 +29,7 @@ ROUGH: Final = {"conductor": "roughconductor", "dielectric": "roughdielectric", 
 KINDS: Final = {"PointLight": "point", "SpotLight": "spot", "DirectionalEmitter": "directional"}
 LAMP: Final = "loi_lamp_"
 LIGHT: Final = "loi_light_"
+WIDEST: Final = 2.0  # times what casts a shadow: its umbra then reaches as far behind it as the lamp is before it
 FAR: Final = 100.0  # how many times the scene's radius away the disk is that stands for a directional light
 
 
@@ -39,9 +40,10 @@ class Neighbour:
     Attributes
     ----------
     lights : float
-        Radius of the sphere that stands for a point or spot light, over its distance from what moves; and half the
-        angle, in radians, of the disk that stands for a directional light. 0 to 0.5. A shadow is blurred by about its
-        distance from what casts it, times this; a smaller lamp is hit by fewer rays, and its gradient noisier.
+        Radius of the sphere that stands for a point or spot light, over its distance from what moves, though no larger
+        than twice the least of that; and half the angle, in radians, of the disk that stands for a directional light.
+        0 to 0.5. A shadow is blurred by about its distance from what casts it, times this; a smaller lamp is hit by
+        fewer rays, and its gradient noisier.
     mirrors : float
         Roughness (`alpha`) of what stands for perfect mirrors and clear glass. 0 to 0.5.
     seams : bool
@@ -142,6 +144,11 @@ class Surroundings:
         away = np.linalg.norm(outside, axis=1)
         middles = np.linalg.norm(self.boxes.mean(axis=1) - point, axis=1)
         return float(np.min(np.where(away > 0.0, away, middles)))
+
+    @property
+    def least(self) -> float:
+        """Half the longest side of the smallest box."""
+        return 0.5 * float(np.min(np.max(self.boxes[:, 1] - self.boxes[:, 0], axis=1)))
 
 
 def lights_of(scene: Any) -> list[Any]:
@@ -327,10 +334,12 @@ def _exchange_light(
         origin = np.array(props["position"]) if "position" in props else place[:3, 3]
         if kind == "spot" and not _lights(props, place, origin, around):
             return
-        radius, shape = max(size * around.distance(origin), 1e-4 * around.radius), "sphere"
+        share, most = size * around.distance(origin), WIDEST * around.least
+        radius, shape = max(min(share, most), 1e-4 * around.radius), "sphere"
         pose = mi.ScalarTransform4f().translate(origin.tolist())
         factor = 1.0 / (math.pi * radius**2)
-        how = f"a sphere of radius {radius:.3g}, {size:g} of its distance from what moves, for"
+        of = f"{size:g} of its distance from what moves" if share <= most else f"{WIDEST:g} times that of what moves"
+        how = f"a sphere of radius {radius:.3g}, {of}, for"
     lamp, surface = mi.Properties("area"), mi.Properties("diffuse")
     lamp["radiance"] = mi.ScalarColor3f((factor * power).tolist())
     surface["reflectance"] = 0.0

@@ -9,6 +9,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
+from loi_core import PixelL2
 from loi_core.errors import OptionError, ParameterError
 from loi_mitsuba import GradientWarning, MitsubaRenderer, Neighbour, PlannedRenderer, Translate, list_entries
 from loi_mitsuba.neighbour import Surroundings, neighbour_of
@@ -92,6 +93,24 @@ def test_shadows_of_lights_without_a_size_have_the_gradient_of_finite_difference
     size, error = float(np.linalg.norm(slopes)), float(np.linalg.norm(errors))
     assert np.linalg.norm(found - slopes) < 0.1 * size + 3.0 * error
     assert error < 0.1 * size
+
+
+def test_the_shadow_of_something_small_has_a_gradient_that_pixels_see() -> None:
+    """A lamp much larger than what casts the shadow would leave no umbra, and of the gradient of pixels a twentieth."""
+    planned = PlannedRenderer(lit_scene(ball={"type": "sphere", "center": [0, 5, 0], "radius": 0.12}), AXES, spp=64)
+    (reason,) = planned.plan.exchanged.values()
+    assert "a sphere of radius 0.24, 2 times that of what moves" in reason
+    exact = planned.unabridged.with_integrator("scene", spp=512)
+    objective = PixelL2(exact.render(HERE, seed=10**6))
+    beside = {**HERE, "x": HERE["x"] + np.float32(0.1)}
+    drawn = []
+    for seed in range(8):
+        cotangent = objective.value_and_grad(planned.render(beside, seed=seed))[1]
+        drawn.append(float(planned.unabridged.pull(beside, cotangent, seed=seed)["x"]))
+    ahead, behind = (
+        float(objective.value(exact.render({**HERE, "x": HERE["x"] + np.float32(by)}, seed=1))) for by in (0.15, 0.05)
+    )
+    assert np.mean(drawn) > 0.5 * (ahead - behind) / 0.1 > 0.0
 
 
 def test_the_image_is_that_of_the_scene_as_it_is() -> None:
