@@ -7,11 +7,13 @@ through a loss is least, the mean over several renders of 32 samples, in units o
 
 from __future__ import annotations
 
-from typing import Any, Final
+from dataclasses import replace
+from typing import Final
 
 import numpy as np
 
 from examples.paper.table2.problem import COLUMNS, Problem, images_of, numbers
+from examples.paper.table2.scenes import Built
 from loi_core import LOIObjective, ScaleSpace
 from loi_core.objectives import GaussianPyramid, Objective, PixelL2
 from loi_mitsuba import MitsubaRenderer
@@ -37,13 +39,9 @@ def least(renderer: MitsubaRenderer, problem: Problem, objectives: dict[str, Obj
     return {name: float(-line / (2.0 * square)) for name, (square, line, _) in fits.items()}
 
 
-def direct(problem: Problem) -> MitsubaRenderer:
+def direct(built: Built) -> Built:
     """The scene with light that comes straight from the lamp."""
-    built = problem.built
-    scene: dict[str, Any] = {**built.scene, "integrator": {"type": "direct"}}
-    return MitsubaRenderer(
-        scene, built.parameters, spp=SAMPLES, integrator="scene", without_gradient=tuple(built.parameters)
-    )
+    return replace(built, scene={**built.scene, "integrator": {"type": "direct"}})
 
 
 def main() -> None:
@@ -59,9 +57,9 @@ def main() -> None:
     }
     print(f"| image with | {' | '.join(objectives)} |")
     print("| --- " * (1 + len(objectives)) + "|")
-    images = {"direct light alone": direct(problem), "all light": images_of(problem.built, SAMPLES)}
-    for name, renderer in images.items():
-        found = least(renderer, problem, objectives)
+    images = {"direct light alone": direct(problem.built), "all light": problem.built}
+    for name, built in images.items():
+        found = least(images_of(built, SAMPLES), problem, objectives)
         print(f"| {name} | {' | '.join(f'{one:.4f}' for one in found.values())} |", flush=True)
 
 

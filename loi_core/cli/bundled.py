@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -244,8 +245,7 @@ def make_ball(folder: Path) -> None:
     write_text(folder / "scene.xml", BALL_XML)
     write_text(folder / "scene.toml", BALL_SCENE)
     renderer = mitsuba(scene=folder / "scene.xml", parameters=options["renderer"]["parameters"], spp=TARGET_SAMPLES)
-    truth = {name: np.asarray(free["truth"], np.float32) for name, free in options["optimise"].items()}
-    write_png(folder / "target.png", encode_srgb(np.asarray(renderer.render(truth, seed=TARGET_SEED))))
+    write_png(folder / "target.png", encode_srgb(np.asarray(renderer.render(_truth(options), seed=TARGET_SEED))))
 
 
 def make_crate(folder: Path) -> None:
@@ -262,9 +262,14 @@ def make_crate(folder: Path) -> None:
     write_text(folder / "scene.toml", CRATE_SCENE)
     given = {name: value for name, value in options["renderer"].items() if name not in ("name", "meshes")}
     renderer = mesh_renderer(height=64, width=96, meshes={"crate": folder / "crate.ply"}, **given)
-    truth = {name: np.asarray(free["truth"], np.float32) for name, free in options["optimise"].items()}
-    image = renderer.render({name: from_numpy(value, renderer.parameters()[name]) for name, value in truth.items()})
+    like = renderer.parameters()
+    image = renderer.render({name: from_numpy(value, like[name]) for name, value in _truth(options).items()})
     write_png(folder / "target.png", encode_srgb(to_numpy(image)))
+
+
+def _truth(options: Mapping[str, Any]) -> dict[str, Any]:
+    """What a scene file says its parameters are."""
+    return {name: np.asarray(free["truth"], np.float32) for name, free in options["optimise"].items()}
 
 
 def _cube() -> str:
