@@ -148,6 +148,14 @@ class Names:
         moves = isinstance(node, mi.Shape) and self._params.flags(entry.key) & mi.ParamFlags.Discontinuous
         return node if moves else None
 
+    def placed_by(self, key: str) -> Any:
+        """The light whose position the entry of that name or key is; None if it is no light's."""
+        entry = self.known(key)
+        if entry is None or entry.key.rpartition(".")[2] != "position":
+            return None
+        node = self._params.properties[entry.key][2]
+        return node if isinstance(node, mi.Emitter) else None
+
     def find_movable(self, name: str) -> tuple[str, Any]:
         """As :meth:`find_shape`, and of sensors and of lights without a surface as well, which have no gradient."""
         for key in self._params.properties:

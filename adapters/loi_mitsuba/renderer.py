@@ -32,7 +32,7 @@ from loi_mitsuba.loading import (
 from loi_mitsuba.named import NamedParameters, as_host, host_numbers
 from loi_mitsuba.untrusted import SceneLoadError, check_types
 
-__all__ = ["MitsubaRenderer"]
+__all__ = ["MitsubaRenderer", "seeds_of"]
 
 
 OWN_INTEGRATOR: Final = "scene"
@@ -186,7 +186,7 @@ class MitsubaRenderer:
         self._named.set(self._leaves(params))
         with dr.suspend_grad():
             image = self._integrator.render(
-                self._scene, self._sensor, _seeds(seed)[0], self._spp, develop=True, evaluate=True
+                self._scene, self._sensor, seeds_of(seed)[0], self._spp, develop=True, evaluate=True
             )
         return np.array(image.numpy(), dtype=np.float32, order="C")
 
@@ -221,7 +221,7 @@ class MitsubaRenderer:
                         self._named.entries,
                         mi.TensorXf(np.ascontiguousarray(cotangent, dtype=np.float32)),
                         self._sensor,
-                        _seeds(seed)[1],
+                        seeds_of(seed)[1],
                         self._spp_grad,
                     )
                 return {name: as_host(dr.grad(leaf), self._named.start[name].shape) for name, leaf in leaves.items()}
@@ -244,7 +244,7 @@ class MitsubaRenderer:
                     dr.enqueue(dr.ADMode.Forward, leaves[name])
                 # Up to the scene's own entries, since Mitsuba's loops do not look any further back than these.
                 dr.traverse(dr.ADMode.Forward, dr.ADFlag.ClearEdges)
-                first, second = _seeds(seed)
+                first, second = seeds_of(seed)
                 image = mi.render(
                     self._scene,
                     self._named.entries,
@@ -324,7 +324,7 @@ def _gradient_samples(integrator: Any, spp: int, spp_grad: int | None, most: int
     return 0 if any(getattr(integrator, name, None) for name in PARTS) else spp
 
 
-def _seeds(seed: int) -> tuple[int, int]:
+def seeds_of(seed: int) -> tuple[int, int]:
     """Independent seeds for the image and for its gradient, the same for the same `seed` everywhere."""
     number = whole_number(seed)
     if number is None or number < 0:

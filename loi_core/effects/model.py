@@ -102,6 +102,8 @@ class EffectPlan:
         Reasons of settings that are no effect's own, by their name.
     exchanged : mapping of str
         What is not in the scene that gradients are taken from, and what is there instead and why: a line each.
+    followed : mapping of str
+        By parameter that moves a light, whose gradient is of samples that move with it, why: a line each.
     blurred : mapping of str
         By parameter without a gradient of its own, whose gradient is of images blurred over it, why: a line each.
     held : mapping of str
@@ -123,6 +125,7 @@ class EffectPlan:
     settings: Mapping[str, Any] = field(default_factory=dict)
     why: Mapping[str, str] = field(default_factory=dict)
     exchanged: Mapping[str, str] = field(default_factory=dict)
+    followed: Mapping[str, str] = field(default_factory=dict)
     blurred: Mapping[str, str] = field(default_factory=dict)
     held: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
@@ -148,7 +151,7 @@ class EffectPlan:
         return f"<EffectPlan: {on or 'nothing'} on, {len(self.held)} parameters held>"
 
     def __str__(self) -> str:
-        """The plan as a small table, which is also Markdown, of effects and what is exchanged, blurred or held."""
+        """The plan as a small table, also Markdown, of effects and what is exchanged, followed, blurred or held."""
         return "\n".join([*markdown(HEADS, self._rows), "", *self._settings, *self._notes])
 
     def _repr_html_(self) -> str:
@@ -167,6 +170,7 @@ class EffectPlan:
             for one in self.choices
         ]
         rows += [[what, "exchanged", "", "", reason] for what, reason in self.exchanged.items()]
+        rows += [[repr(name), "followed", "", "", reason] for name, reason in self.followed.items()]
         rows += [[repr(name), "blurred", "", "", reason] for name, reason in self.blurred.items()]
         rows += [[repr(name), "held", "", "", reason] for name, reason in self.held.items()]
         return rows
@@ -192,6 +196,7 @@ class EffectPlan:
         changes += [
             f"{name!r} blurred ({reason})" for name, reason in self.blurred.items() if name not in other.blurred
         ]
+        changes += [f"{name!r} no longer followed" for name in other.followed if name not in self.followed]
         changes += [f"{name!r} no longer blurred" for name in other.blurred if name not in self.blurred]
         changes += [f"{name!r} free" for name in other.held if name not in {**self.held, **self.blurred}]
         for name in dict.fromkeys([*other.settings, *self.settings]):

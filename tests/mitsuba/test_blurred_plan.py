@@ -45,7 +45,7 @@ def test_one_fit_finds_what_has_a_gradient_and_what_has_none() -> None:
     """A colour, and the place of a point light, of which only its light and the ball's shadow tell."""
     scene = lit_scene()
     scene["sensor"]["film"] |= {"width": 32, "height": 24}
-    planned = PlannedRenderer(scene, {"light": Translate("lamp", X), "floor": FLOOR}, spp=8)
+    planned = PlannedRenderer(scene, {"light": Translate("lamp", X), "floor": FLOOR}, spp=8, follow_lights=False)
     assert list(planned.plan.blurred) == ["light"]
     truth: dict[str, Any] = {"light": np.float32(3.0), "floor": np.array([0.7, 0.5, 0.3], np.float32)}
     target = planned.render(truth, seed=10**6)
@@ -78,7 +78,8 @@ def test_what_has_nothing_but_noise_is_blurred_once_that_is_known() -> None:
     lamp = {"x": Translate("lamp", X), "y": Translate("lamp", (0, 1, 0))}
     scene = shining_scene()
     del scene["floor"]
-    planned, held = PlannedRenderer(scene, lamp, spp=16), PlannedRenderer(scene, lamp, spp=16, blur=None)
+    planned = PlannedRenderer(scene, lamp, spp=16, follow_lights=False)
+    held = PlannedRenderer(scene, lamp, spp=16, follow_lights=False, blur=None)
     truth = {"x": np.float32(-1.5), "y": np.float32(2.0)}
     objective = LOIObjective(planned.unabridged.render(truth, seed=10**6))
     free = {name: Free(None, -5.0, 5.0) for name in lamp}
@@ -190,7 +191,7 @@ def test_the_plan_names_what_is_blurred_and_why(changes: dict[str, Any], target:
     if "sensor" in changes:
         place = mi.ScalarTransform4f().look_at(*PARALLEL["to_world"][1:]).scale(3)
         changes = {"sensor": {**PARALLEL, "to_world": place}}
-    planned = PlannedRenderer(lit_scene(**changes), {"it": target}, spp=4)
+    planned = PlannedRenderer(lit_scene(**changes), {"it": target}, spp=4, follow_lights=False)
     assert says in planned.plan.blurred["it"]
     (row,) = (line for line in str(planned.plan).splitlines() if line.startswith("| 'it'"))
     assert "| blurred |" in row
@@ -203,7 +204,7 @@ def test_the_plan_names_what_is_blurred_and_why(changes: dict[str, Any], target:
 
 def test_without_a_blur_what_has_no_gradient_is_refused_or_left_to_mitsuba() -> None:
     with pytest.raises(ParameterError, match=r"is missing or wrong; .* leave it to PlannedRenderer"):
-        PlannedRenderer(lit_scene(), {"light": "lamp.position"}, blur=None)
+        PlannedRenderer(lit_scene(), {"light": "lamp.position"}, blur=None, follow_lights=False)
     with pytest.raises(ParameterError, match=r"'sensor' cannot be moved: .*; or leave it to PlannedRenderer"):
         PlannedRenderer(lit_scene(), {"pose": Translate("sensor")}, blur=None)
     plan = PlannedRenderer(lit_scene(**GLASS, **HIGH), {"x": Translate("ball", X)}, blur=None).plan
@@ -228,7 +229,8 @@ def test_a_camera_that_moves_sees_the_scene_move_the_other_way() -> None:
 
 
 def test_the_gradient_is_that_of_finite_differences() -> None:
-    planned = PlannedRenderer(lit_scene(), {"light": Translate("lamp", X)}, spp=32, blur={"sigma": 0.2, "pairs": 4})
+    blur = {"sigma": 0.2, "pairs": 4}
+    planned = PlannedRenderer(lit_scene(), {"light": Translate("lamp", X)}, spp=32, blur=blur, follow_lights=False)
     image, pullback = planned.render_vjp(planned.parameters())
     ramp = np.linspace(-1.0, 1.0, 64, dtype=np.float32)[None, :, None] * np.ones_like(image)
     drawn = [float(planned.render_vjp(planned.parameters(), seed=seed)[1](ramp)["light"]) for seed in range(8)]
@@ -241,7 +243,7 @@ def test_the_gradient_is_that_of_finite_differences() -> None:
 @pytest.mark.parametrize("light", ["lamp.position", Translate("lamp"), Translate("lamp", X)], ids=str)
 def test_the_lamp_in_the_neighbour_goes_where_the_light_goes(light: Any) -> None:
     sharp = {"x": Translate("ball", X)}
-    planned = PlannedRenderer(lit_scene(**HIGH), {**sharp, "light": light}, spp=16)
+    planned = PlannedRenderer(lit_scene(**HIGH), {**sharp, "light": light}, spp=16, follow_lights=False)
     assert list(planned.plan.exchanged) == ["point light 'lamp'"]
     assert list(planned.plan.blurred) == ["light"]
     params = planned.parameters()
@@ -261,7 +263,9 @@ def test_only_what_is_named_is_blurred() -> None:
     assert planned.plan.blurred == {"x": "it was asked for"}
     assert planned.groups == (("floor",),)
     with pytest.raises(ParameterError, match=r"'lamp\.position' cannot be fitted"):
-        PlannedRenderer(lit_scene(), {"light": "lamp.position", "floor": FLOOR}, blur={"names": ["floor"]})
+        PlannedRenderer(
+            lit_scene(), {"light": "lamp.position", "floor": FLOOR}, blur={"names": ["floor"]}, follow_lights=False
+        )
 
 
 @pytest.mark.parametrize(
@@ -284,7 +288,8 @@ def test_options_are_checked(blur: Any, error: type[Exception], says: str) -> No
 
 
 def test_where_all_is_blurred_there_is_nothing_to_measure() -> None:
-    planned = PlannedRenderer(lit_scene(), {"light": Translate("lamp", X)}, spp=4, blur={"sigma": 0.3})
+    lamp = {"light": Translate("lamp", X)}
+    planned = PlannedRenderer(lit_scene(), lamp, spp=4, blur={"sigma": 0.3}, follow_lights=False)
     image = planned.render(planned.parameters())
     objective = PixelL2(planned.render({"light": np.float32(1.0)}, seed=9))
     planned.begin(planned.parameters(), objective.value_and_grad(image)[1], optimise=["light"])
@@ -327,6 +332,10 @@ def test_a_scene_file_sets_the_blur_and_explains_it(tmp_path: Path, capsys: pyte
     scene.write_text(f"{text}\n[renderer.blur]\nsigma = 0.5\n")
     assert main(["fit", str(scene), "--explain", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["blurred"] == {}  # it is not among what is optimised
+    scene.write_text(f"{text}\n[renderer.blur]\nsigma = 0.5\n[optimise.light]\n")
+    assert main(["fit", str(scene), "--explain", "--json"]) == 0
+    assert list(json.loads(capsys.readouterr().out)["followed"]) == ["light"]
+    text = text.replace('"mitsuba-planned"', '"mitsuba-planned"\nfollow_lights = false')
     scene.write_text(f"{text}\n[renderer.blur]\nsigma = 0.5\n[optimise.light]\n")
     assert main(["fit", str(scene), "--explain", "--json"]) == 0
     assert list(json.loads(capsys.readouterr().out)["blurred"]) == ["light"]

@@ -8,6 +8,7 @@ from typing import Any
 
 from loi_core.errors import ParameterError
 from loi_core.renderers.blurred import names_to_blur
+from loi_mitsuba.effects.lamps import is_shape, lamps_of
 from loi_mitsuba.effects.missing import missing_gradients
 from loi_mitsuba.effects.rules import plan_by_rules
 from loi_mitsuba.effects.traits import in_view, traits_of
@@ -27,18 +28,26 @@ __all__ = ["Base", "base_of"]
 class Base:
     """A scene by the rules' plan, with its neighbour where what moves calls for one.
 
-    Also what that has exchanged, whether surfaces are left that are perfectly smooth, and why which parameters have no
-    gradient.
+    Also what that has exchanged, whether surfaces are left that are perfectly smooth, why which parameters have no
+    gradient, and the lights that parameters move.
     """
 
     renderer: MitsubaRenderer
     exchanged: Mapping[str, str]
     smooth: bool
     missing: Mapping[str, str]
+    lights: Mapping[str, Any]
 
 
 def base_of(
-    scene: Any, parameters: Any, sensor: int, spp: Any, near: Neighbour, blur: Mapping[str, Any] | None
+    scene: Any,
+    parameters: Any,
+    sensor: int,
+    spp: Any,
+    near: Neighbour,
+    blur: Mapping[str, Any] | None,
+    *,
+    follow_lights: bool,
 ) -> Base:
     """What a plan is made for.
 
@@ -51,12 +60,17 @@ def base_of(
     found = find_sensor(names.scene, sensor)
     samples = checked_samples("spp", spp, most_samples(found.film()))
     missing = _missing(names, targets, found, blur)
-    traits = traits_of(names, {name: target for name, target in targets.items() if name not in missing}, found)
+    lights = lamps_of(names, targets) if follow_lights else {}
+    if blur is not None and blur.get("names") is not None:
+        lights = {name: light for name, light in lights.items() if name not in missing}
+    points = (name for name, light in lights.items() if not is_shape(light))
+    images = tuple(dict.fromkeys((*missing, *points)))
+    traits = traits_of(names, {name: target for name, target in targets.items() if name not in images}, found)
     plan = plan_by_rules(traits, samples)
     ready = bordered(scene, plan)
     if ready is not scene:
         names = named_scene(ready, targets)
-    options: dict[str, Any] = {"integrator": plan, "spp": spp, "sensor": sensor, "without_gradient": tuple(missing)}
+    options: dict[str, Any] = {"integrator": plan, "spp": spp, "sensor": sensor, "without_gradient": images}
     split = _split_meshes(names, targets, traits.moving)
     delta = traits.lights or traits.delta_reflection or traits.delta_transmission
     if traits.moving and not traits.media and (delta or (split and near.seams)):
@@ -68,8 +82,10 @@ def base_of(
             if pair is None:
                 break
             base, near_scene = pair
-            return Base(base, {one.what: one.reason for one in near_scene.exchanges}, near_scene.smooth, missing)
-    return Base(MitsubaRenderer(names.loaded, targets, **options), {}, smooth=True, missing=missing)
+            return Base(
+                base, {one.what: one.reason for one in near_scene.exchanges}, near_scene.smooth, missing, lights
+            )
+    return Base(MitsubaRenderer(names.loaded, targets, **options), {}, smooth=True, missing=missing, lights=lights)
 
 
 def _missing(

@@ -22,8 +22,9 @@ from loi_core.support.wording import shown
 from loi_mitsuba.effects.base import base_of
 from loi_mitsuba.effects.blurring import Blurring
 from loi_mitsuba.effects.images import effect_images
+from loi_mitsuba.effects.lamps import Lamps, is_shape, reason_of
 from loi_mitsuba.effects.pilot import Pilot
-from loi_mitsuba.effects.probe import Probe
+from loi_mitsuba.effects.probe import APART, Probe
 from loi_mitsuba.effects.rules import everything, plan_by_rules, plan_of, plan_with
 from loi_mitsuba.effects.traits import groups_of, in_view, objects_of, traits_of
 from loi_mitsuba.effects.verify import Verification, verification
@@ -71,6 +72,9 @@ class PlannedRenderer:
         or nothing but noise; the plan lists them. The keys are the options of
         :class:`loi_core.renderers.BlurredRenderer`, with 4 `pairs` by default; `names` blurs these parameters and no
         others. None blurs nothing: such parameters are refused, or their gradient is what Mitsuba makes of it.
+    follow_lights : bool
+        Whether the gradient by lights that move is of samples that move with them, for shapes that emit, points and
+        spots, where Mitsuba's own has nothing more that is not noise. The plan lists them.
 
     Notes
     -----
@@ -93,6 +97,7 @@ class PlannedRenderer:
         sensor: int = 0,
         neighbour: Neighbour | Mapping[str, float] | None = Neighbour(),  # noqa: B008 - frozen
         blur: Mapping[str, Any] | None = MappingProxyType({}),
+        follow_lights: bool = True,
     ) -> None:
         if not 0.0 <= real_number(fraction) < 1.0:
             msg = f"`fraction` must be at least 0 and less than 1, got {shown(fraction)}"
@@ -101,11 +106,18 @@ class PlannedRenderer:
         if blur is not None and (not isinstance(blur, Mapping) or set(blur) - set(BLUR_KEYS)):
             msg = f"`blur` must be None, or a table of {', '.join(BLUR_KEYS)}, got {shown(blur)}"
             raise OptionError(msg)
+        if not isinstance(follow_lights, bool):
+            msg = f"`follow_lights` must be true or false, got {shown(follow_lights)}"
+            raise OptionError(msg)
         self._blur = blur
-        self._whole = base_of(scene, parameters, sensor, spp, Neighbour.of(neighbour), blur)
+        self._whole = base_of(
+            scene, parameters, sensor, spp, Neighbour.of(neighbour), blur, follow_lights=follow_lights
+        )
         self._base = self._whole.renderer
         self._blurred: BlurredRenderer | None = None
         self._samples = int(spp)
+        self._lamps = Lamps(self._base, self._whole.lights, self._samples)
+        self._lit = self._points  # whose gradient is that of their own light
         self._begun = False
         self._schedule = Schedule()
         self._last: Probe | None = None
@@ -115,6 +127,8 @@ class PlannedRenderer:
         self._noisy: dict[str, Any] = {}  # shapes out of view, moved by what is blurred for its noise
         self._optimised = tuple(self._base.targets)
         self._take(self._optimised)
+        if self._points and self._whole.missing:
+            self._blurring.over(self._whole.missing)  # checked now, for a light may turn out to be blurred later
 
     @property
     def encoding(self) -> Encoding:
@@ -133,7 +147,7 @@ class PlannedRenderer:
 
     @property
     def groups(self) -> tuple[tuple[str, ...], ...]:
-        """The optimised parameters that are not blurred, those together whose gradients have one unit."""
+        """The optimised parameters whose gradient is Mitsuba's, those together whose gradients have one unit."""
         return self._groups
 
     @property
@@ -171,6 +185,8 @@ class PlannedRenderer:
             begins = not self._begun
             if begins:
                 self.begin(kept, cotangent, optimise=self._optimised, seed=seed)
+            if self._plan.followed:
+                pulled |= self._lamps.pull(kept, cotangent, names=self._plan.followed, seed=seed)
             if self._blurred is not None:
                 pulled |= self._blurred.pull(kept, cotangent, seed=seed)
             self._last = Probe(self._base, kept, np.array(cotangent, dtype=np.float32), self._names, seed)
@@ -204,14 +220,25 @@ class PlannedRenderer:
                 raise ParameterError(msg)
         self._optimised = names
         self._noisy = {}
+        self._lit = self._points
         self._take(names)
+        if self._whole.missing:
+            points = tuple(self._plan.followed)
+            self._lit = self._lamps.seen(params, cotangent, names=points, seed=APART + seed)
+            self._take(names)
         self._last = Probe(self._base, dict(params), np.array(to_numpy(cotangent), np.float32), self._names, seed)
         self._begun = True
         self._schedule = Schedule()
         self._seen = self._in_view()
         self._run_pilot(self._last)
+        self._follow_lamps(self._last, self._names)
         self._blur_noise(self._last)
         return self._plan
+
+    @property
+    def _points(self) -> frozenset[str]:
+        """Parameters that move a light without a surface, by which Mitsuba has no gradient."""
+        return frozenset(name for name, light in self._whole.lights.items() if not is_shape(light))
 
     @property
     def _blurring(self) -> Blurring:  # not kept: it refers back to this renderer
@@ -223,6 +250,19 @@ class PlannedRenderer:
             found = self._pilot.run(self._plan, probe)
             self._sizes, self._holding = found.sizes, found.holding
             self._change(found.plan, "by the pilot")
+
+    def _follow_lamps(self, probe: Probe, names: Iterable[str]) -> None:
+        """Of the lamps among what is optimised, take those by their own light that have the better gradient so."""
+        lamps = tuple(name for name in names if name in self._whole.lights)
+        if not lamps:
+            return
+        own = self._base.with_integrator(self._plan, follow=lamps)
+        better = self._lamps.better(own, probe.params, probe.cotangent, names=lamps, seed=APART + probe.seed)
+        if better:
+            self._lit |= better
+            self._retake(self._plan.blurred, "by the pilot")
+            self._last = replace(probe, names=self._names)
+            self._run_pilot(self._last)
 
     def _blur_noise(self, probe: Probe) -> None:
         """Blur what is held, if its gradient can be told from noise that way."""
@@ -309,13 +349,19 @@ class PlannedRenderer:
 
     def _take(self, names: tuple[str, ...], noisy: Mapping[str, str] = MappingProxyType({})) -> None:
         """Start from the rules for these parameters, of which those that are `noisy` are blurred too."""
-        missing = {name: reason for name, reason in {**self._whole.missing, **noisy}.items() if name in names}
-        targets = {name: one for name, one in self._base.targets.items() if name in names and name not in missing}
+        lit = [name for name in names if name in self._lit and name not in noisy]
+        followed = {name: reason_of(self._whole.lights[name]) for name in lit}
+        blurred = {**self._whole.missing, **noisy}
+        missing = {name: reason for name, reason in blurred.items() if name in names and name not in followed}
+        apart = {*missing, *followed}
+        targets = {name: one for name, one in self._base.targets.items() if name in names and name not in apart}
         self._names = tuple(targets)
         self._groups = groups_of(targets)
         traits = traits_of(self._base.names, targets, self._base.sensor)
         exchanged = self._whole.exchanged if traits.moving else {}
-        self._traits = replace(traits, exchanged=exchanged, smooth=self._whole.smooth, blurred=missing)
+        self._traits = replace(
+            traits, exchanged=exchanged, smooth=self._whole.smooth, followed=followed, blurred=missing
+        )
         objects = objects_of(targets, self._traits.moving)
         self._pilot = Pilot(self._traits, self._samples, self._fraction, self._groups, objects)
         self._holding = Holding()
@@ -361,6 +407,7 @@ class PlannedRenderer:
         if self._last is None or not self._names or not self._plan.understood or not self._plan.measured:
             return
         if self._holding.groups:
+            self._follow_lamps(self._last, self._holding.reasons)
             self._blur_noise(self._last)
         if not self._names:
             return

@@ -29,6 +29,7 @@ def plan_effects(
     seed: int = 0,
     neighbour: Neighbour | Mapping[str, float] | None = Neighbour(),  # noqa: B008 - frozen
     blur: Mapping[str, Any] | None = MappingProxyType({}),
+    follow_lights: bool = True,
 ) -> EffectPlan:
     """Which effects a scene calls for when these parameters are optimised.
 
@@ -40,7 +41,7 @@ def plan_effects(
         The loss at hand; without one there is no pilot, and the plan is that of the sound rules.
     params : dict of arrays, optional
         Where the pilot measures; as the scene has them by default.
-    spp, fraction, neighbour, blur
+    spp, fraction, neighbour, blur, follow_lights
         As those of :class:`PlannedRenderer`.
     seed : int
         Of the pilot.
@@ -56,7 +57,14 @@ def plan_effects(
         As :class:`MitsubaRenderer`.
     """
     renderer = PlannedRenderer(
-        scene, optimised, spp=spp, fraction=fraction, sensor=sensor, neighbour=neighbour, blur=blur
+        scene,
+        optimised,
+        spp=spp,
+        fraction=fraction,
+        sensor=sensor,
+        neighbour=neighbour,
+        blur=blur,
+        follow_lights=follow_lights,
     )
     if objective is not None:
         at = renderer.parameters() if params is None else dict(params)

@@ -49,6 +49,7 @@ def plan_by_rules(traits: Traits, samples: int) -> EffectPlan:
             as_mapping(full),
             _why(traits, full),
             exchanged=traits.exchanged,
+            followed=traits.followed,
             blurred=traits.blurred,
             notes=notes,
             understood=False,
@@ -99,6 +100,7 @@ def plan_of(
         as_mapping(settings),
         _why(traits, settings),
         exchanged=traits.exchanged,
+        followed=traits.followed,
         blurred=traits.blurred,
         notes=(*_missing(traits), *notes),
     )

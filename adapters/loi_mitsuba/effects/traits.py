@@ -67,6 +67,8 @@ class Traits:
         What a neighbouring scene, from which the gradient by what moves is taken, has otherwise, and why.
     smooth : bool
         Whether surfaces are left there that are perfectly smooth.
+    followed : dict of str
+        By parameter that moves a light, and is not among the others, what is to be said of its gradient.
     blurred : dict of str
         By parameter whose gradient is of images blurred over it, and which is not among the others, why.
     """
@@ -90,6 +92,7 @@ class Traits:
     samples_border: bool
     exchanged: Mapping[str, str] = field(default_factory=dict)
     smooth: bool = True
+    followed: Mapping[str, str] = field(default_factory=dict)
     blurred: Mapping[str, str] = field(default_factory=dict)
 
 
