@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
-from typing import Any, Final, TypeAlias
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import Any, Final, Literal, TypeAlias, get_args
 
 import numpy as np
 
@@ -12,14 +12,16 @@ from loi_core.errors import OptionError, ParameterError
 from loi_core.renderers.contract import (
     AbridgedRenderer,
     EncodedRenderer,
+    Loss,
     Parameters,
     ProjectingRenderer,
     Pullback,
     Renderer,
     SteppedRenderer,
 )
+from loi_core.renderers.pullbacks import OfLoss, pull_of
 from loi_core.renderers.units import measure_units, pixels_of
-from loi_core.support.arrays import Array, from_numpy, namespace, to_numpy
+from loi_core.support.arrays import Array, detached, from_numpy, namespace, to_numpy
 from loi_core.support.values import real_number, whole_number
 from loi_core.support.wording import shown
 
@@ -28,10 +30,12 @@ __all__ = ["BLUR_KEYS", "BlurredRenderer", "Sigma", "names_to_blur"]
 HALF: Final = 0.5  # of the steps: until then sigma is held
 USUAL: Final = "2 px"
 LAST: Final = 0.5  # of sigma, where it goes
-BLUR_KEYS: Final = ("sigma", "final_sigma", "names", "pairs", "together")
+BLUR_KEYS: Final = ("sigma", "final_sigma", "names", "pairs", "together", "compare")
 """What can be said of a blur, as in the table `blur` of a scene file."""
 
 Width: TypeAlias = float | str
+Compared: TypeAlias = Literal["images", "losses", "both"]
+_Judge: TypeAlias = Callable[[Array, Array], float]
 Sigma: TypeAlias = Width | Mapping[str, Width]
 """A standard deviation, in a parameter's own unit or in pixels ("2 px"); or such by parameter."""
 
@@ -59,15 +63,23 @@ class BlurredRenderer:
         Whether all numbers are drawn at once, from Gaussians, so that a pair of images serves all. Otherwise each has
         pairs of its own, whose offset by that number is drawn where the derivative of the Gaussian is large. One number
         alone is drawn so by default; of several, images that serve all are worth more.
+    compare : {"images", "losses", "both"}
+        What of a pair is compared, where the loss is known; see below.
 
     Notes
     -----
     Both images of a pair share a seed, so that most of a renderer's own noise cancels. If `renderer` has ``project``,
     drawn parameters are made legal by it, which pulls the gradient inwards within a few sigma of a bound.
 
-    The gradient is of the loss linearised at the sharp image. The released code of the paper compares the losses of a
-    pair instead, which is the same to first order in the difference of the two images. In a loop of your own `sigma`
-    stays as it is, unless you say how far that has come by `at_step`, as :func:`loi_core.fit` does.
+    With `compare` "images", the loss is linearised at the sharp image; with "losses", those of the two images of a pair
+    are compared, as in the released code of the paper. The first is more exact near the end, and where the renderer has
+    no noise of its own. The second has less noise, and looks further: of something bright that moves on by more than
+    its own size, the slope at the sharp image says nothing. "both" is their mean. A :func:`loi_core.fit` tells what its
+    loss is; in a loop of your own, ``pullback.of_loss(objective.value, cotangent)`` does. There `sigma` stays as it is,
+    unless you say how far the loop has come by `at_step`.
+
+    The offsets of up to as many pairs as there are numbers are at right angles to each other, each of them still from
+    a Gaussian: pairs that look in the same direction tell less.
 
     Raises
     ------
@@ -96,10 +108,15 @@ class BlurredRenderer:
         names: Iterable[str] | None = None,
         pairs: int = 1,
         together: bool | None = None,
+        compare: Compared = "images",
     ) -> None:
         self.renderer = renderer
         if isinstance(renderer, EncodedRenderer):
             self.encoding = renderer.encoding
+        if compare not in get_args(Compared):
+            msg = f"`compare` must be 'images', 'losses' or 'both', got {shown(compare)}"
+            raise OptionError(msg)
+        self._compare: Compared = compare
         start = renderer.parameters()
         self.names = names_to_blur(names, start)
         if (whole_number(pairs) or 0) < 1:
@@ -154,16 +171,19 @@ class BlurredRenderer:
         else:
             image = self.renderer.render(params, seed=seed)
 
-        def pullback(cotangent: Array) -> Parameters:
-            pulled = {} if sharp is None else dict(sharp(cotangent))
-            found = self._blurred(kept, sigma, cotangent, seed)
+        def of(loss: Loss | None, cotangent: Array) -> Parameters:
+            pulled = {} if sharp is None else dict(pull_of(sharp, loss, cotangent))
+            found = self._blurred(kept, sigma, self._judge(loss, cotangent), seed)
             return {name: found[name] if name in found else pulled[name] for name in kept}
 
-        return image, pullback
+        return image, OfLoss(of)
 
-    def pull(self, params: Parameters, cotangent: Array, *, seed: int = 0) -> Parameters:
-        """What the pullback of `render_vjp` gives for the parameters that are blurred, without an image."""
-        return self._blurred(dict(params), self.sigma, cotangent, seed)
+    def pull(self, params: Parameters, cotangent: Array, *, seed: int = 0, loss: Loss | None = None) -> Parameters:
+        """What the pullback of `render_vjp` gives for the parameters that are blurred, without an image.
+
+        Of the loss itself, if that is given and losses are compared.
+        """
+        return self._blurred(dict(params), self.sigma, self._judge(loss, cotangent), seed)
 
     def project(self, params: Parameters) -> Parameters:
         """The legal parameters next to these, if the renderer knows them."""
@@ -182,24 +202,38 @@ class BlurredRenderer:
                 raise OptionError(msg)
         return found
 
-    def _blurred(self, params: Parameters, sigma: Mapping[str, float], cotangent: Array, seed: int) -> Parameters:
+    def _judge(self, loss: Loss | None, cotangent: Array) -> _Judge:
+        """How much more one image costs than another, by the loss itself or by its slope."""
+
+        def slope(first: Array, second: Array) -> float:
+            return float(to_numpy(namespace(first).sum((first - second) * cotangent)))
+
+        def change(first: Array, second: Array) -> float:
+            return (
+                slope(first, second) if loss is None else float(detached(loss(first))) - float(detached(loss(second)))
+            )
+
+        if self._compare == "both":
+            return lambda first, second: 0.5 * (slope(first, second) + change(first, second))
+        return change if self._compare == "losses" else slope
+
+    def _blurred(self, params: Parameters, sigma: Mapping[str, float], judge: _Judge, seed: int) -> Parameters:
         """An unbiased draw of the gradient by what is blurred, before `project`."""
         rng = np.random.default_rng([int(seed), len(self.names)])
         found = {name: np.zeros(params[name].shape) for name in self.names}
-        for _ in range(self._pairs):
-            if self._together:
-                offsets = {name: rng.standard_normal(params[name].shape) for name in self.names}
-                change = self._change(params, sigma, offsets, cotangent, rng)
-                for name in self.names:
-                    # The derivative of a Gaussian over the Gaussian, at an offset of z sigma, is z / sigma.
-                    found[name] += 0.5 * change * offsets[name] / sigma[name] / self._pairs
-                continue
+        shapes = {name: params[name].shape for name in self.names}
+        for offsets in _across(rng, shapes, self._pairs) if self._together else ():
+            change = self._change(params, sigma, offsets, judge, rng)
+            for name in self.names:
+                # The derivative of a Gaussian over the Gaussian, at an offset of z sigma, is z / sigma.
+                found[name] += 0.5 * change * offsets[name] / sigma[name] / self._pairs
+        for _ in () if self._together else range(self._pairs):
             for name in self.names:
                 for index in np.ndindex(params[name].shape):
                     offsets = {one: rng.standard_normal(params[one].shape) for one in self.names}
                     # Offsets of either sign with the density of the derivative's size, z exp(-z^2 / 2) / 2.
                     offsets[name][index] = math.sqrt(-2.0 * math.log(1.0 - rng.random()))
-                    change = self._change(params, sigma, offsets, cotangent, rng)
+                    change = self._change(params, sigma, offsets, judge, rng)
                     found[name][index] += change / math.sqrt(2.0 * math.pi) / sigma[name] / self._pairs
         return {name: from_numpy(value, params[name]) for name, value in found.items()}
 
@@ -208,10 +242,10 @@ class BlurredRenderer:
         params: Parameters,
         sigma: Mapping[str, float],
         offsets: Mapping[str, np.ndarray[Any, Any]],
-        cotangent: Array,
+        judge: _Judge,
         rng: np.random.Generator,
     ) -> float:
-        """What the cotangent makes of the difference between the images of a pair."""
+        """How much more the loss is on one side of a pair than on the other."""
         seed = int(rng.integers(2**31))
         images = []
         for sign in (1.0, -1.0):
@@ -219,8 +253,23 @@ class BlurredRenderer:
             for name, offset in offsets.items():
                 moved[name] = params[name] + from_numpy(sign * sigma[name] * offset, params[name])
             images.append(self.renderer.render(self.project(moved), seed=seed))
-        xp = namespace(images[0])
-        return float(to_numpy(xp.sum((images[0] - images[1]) * cotangent)))
+        return judge(images[0], images[1])
+
+
+def _across(
+    rng: np.random.Generator, shapes: Mapping[str, tuple[int, ...]], count: int
+) -> Iterator[dict[str, np.ndarray[Any, Any]]]:
+    """So many offsets, each from a standard Gaussian, at right angles to each other as far as there is room."""
+    sizes = [math.prod(shape) for shape in shapes.values()]
+    total = sum(sizes)
+    for begin in range(0, count, total):
+        rows = min(total, count - begin)
+        directions, triangle = np.linalg.qr(rng.standard_normal((total, rows)))
+        directions = directions * np.sign(np.diag(triangle))  # or else they would favour some
+        lengths = np.linalg.norm(rng.standard_normal((rows, total)), axis=1)
+        for flat in (directions * lengths).T:
+            parts = np.split(flat, np.cumsum(sizes)[:-1])
+            yield {name: part.reshape(shape) for (name, shape), part in zip(shapes.items(), parts, strict=True)}
 
 
 def names_to_blur(names: object, start: Mapping[str, Any]) -> tuple[str, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Protocol, TypeAlias, runtime_checkable
+from typing import Any, Protocol, TypeAlias, runtime_checkable
 
 from loi_core.pixels.encoding import Encoding
 from loi_core.support.arrays import Array
@@ -11,6 +11,8 @@ from loi_core.support.arrays import Array
 __all__ = [
     "AbridgedRenderer",
     "EncodedRenderer",
+    "Loss",
+    "LossPullback",
     "Parameters",
     "ProjectingRenderer",
     "Pullback",
@@ -23,6 +25,20 @@ Parameters: TypeAlias = dict[str, Array]
 
 Pullback: TypeAlias = Callable[[Array], Parameters]
 """Carries a cotangent of the image, shape (H, W, C), to a cotangent of every parameter."""
+
+Loss: TypeAlias = Callable[[Array], Any]
+"""The number that an objective makes of an image, shape (H, W, C)."""
+
+
+@runtime_checkable
+class LossPullback(Protocol):
+    """A pullback that looks at the loss itself, where it is known, and not only at its slope at one image."""
+
+    def __call__(self, cotangent: Array) -> Parameters:
+        """As any :data:`Pullback`."""
+
+    def of_loss(self, loss: Loss, cotangent: Array) -> Parameters:
+        """The gradient of a loss, whose own gradient at the image is `cotangent`; a fit asks for this one."""
 
 
 @runtime_checkable

@@ -274,7 +274,7 @@ def test_only_what_is_named_is_blurred() -> None:
         (
             {"width": 1},
             OptionError,
-            "`blur` must be None, or a table of sigma, final_sigma, names, pairs, together, got",
+            "`blur` must be None, or a table of sigma, final_sigma, names, pairs, together, compare, got",
         ),
         (0.3, OptionError, r"`blur` must be None, or a table of .*, got 0\.3"),
         ({"sigma": 0}, OptionError, "`sigma` of 'light' must be a finite number, more than 0"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -70,6 +71,100 @@ def test_the_gradient_is_that_of_the_blurred_image(together: bool) -> None:
         error = own.std(axis=0, ddof=1) / np.sqrt(len(own))
         assert np.all(np.abs(own.mean(axis=0) - value) < 4.0 * error), name
         assert np.all(error < 0.1 * np.abs(wanted["a"]))
+
+
+def loss_of(image: Any) -> float:
+    """Far from linear in the image."""
+    return float(np.sum(COTANGENT * image) ** 2 + np.sum(image) ** 1.5)
+
+
+def blurred_loss(renderer: Any, params: dict[str, Any], sigma: dict[str, float]) -> dict[str, Any]:
+    """The gradient of the blurred loss, on a grid over all three numbers."""
+    offsets = np.linspace(-4.5, 4.5, 46)
+    density = np.exp(-0.5 * offsets**2)
+    density /= density.sum()
+    gradient = {"a": np.zeros(()), "b": np.zeros(2)}
+    for (i, z1), (j, z2), (k, z3) in itertools.product(list(enumerate(offsets)), repeat=3):
+        moved = {"a": params["a"] + sigma["a"] * z1, "b": params["b"] + sigma["b"] * np.array([z2, z3])}
+        value = density[i] * density[j] * density[k] * loss_of(renderer.render(moved))
+        gradient["a"] += value * z1 / sigma["a"]
+        gradient["b"] += value * np.array([z2, z3]) / sigma["b"]
+    return gradient
+
+
+@pytest.mark.parametrize("together", [True, pytest.param(False, marks=thorough)])
+def test_where_losses_are_compared_the_gradient_is_that_of_the_blurred_loss(together: bool) -> None:
+    renderer = Steps()
+    params = renderer.parameters()
+    wanted = blurred_loss(Steps(), params, SIGMA)
+    blurred = BlurredRenderer(renderer, SIGMA, together=together, compare="losses")
+    drawn = [blurred.render_vjp(params, seed=seed)[1].of_loss(loss_of, COTANGENT) for seed in range(3000)]  # type: ignore[attr-defined]
+    for name, value in wanted.items():
+        own = np.array([one[name] for one in drawn])
+        error = own.std(axis=0, ddof=1) / np.sqrt(len(own))
+        assert np.all(np.abs(own.mean(axis=0) - value) < 4.0 * error + 0.01 * np.abs(value)), name
+
+
+def test_both_is_the_mean_of_images_and_losses_and_a_cotangent_alone_is_of_images() -> None:
+    renderer = Steps()
+    params = renderer.parameters()
+    found = {}
+    for compare in ("images", "losses", "both"):
+        pullback: Any = BlurredRenderer(renderer, SIGMA, compare=compare).render_vjp(params, seed=5)[1]
+        found[compare] = pullback.of_loss(loss_of, COTANGENT)
+        found[f"{compare}, linear"] = pullback(COTANGENT)
+    for name in params:
+        np.testing.assert_allclose(found["both"][name], 0.5 * (found["images"][name] + found["losses"][name]))
+        for compare in ("images", "losses", "both"):
+            np.testing.assert_array_equal(found[f"{compare}, linear"][name], found["images"][name])
+    assert np.any(found["losses"]["b"] != found["images"]["b"])
+
+
+def test_a_fit_compares_losses_where_it_is_asked_to() -> None:
+    asked = []
+
+    class Watched(PixelL2):
+        def value(self, image: Any) -> Any:
+            asked.append(image)
+            return super().value(image)
+
+    disks = Disks(16, 16, positions=[[4.0, 4.0]], radii=2.0, colours=[[1.0, 1.0, 1.0]])
+    objective = Watched(disks.render({**disks.parameters(), "positions": np.array([[9.0, 9.0]])}))
+    for compare in ("images", "losses"):
+        asked.clear()
+        fit(BlurredRenderer(disks, 2.0, names=["positions"], pairs=2, compare=compare), objective, steps=15)
+        assert (len(asked) >= 4 * 15) == (compare == "losses")  # four images in each step
+
+
+@pytest.mark.parametrize("pairs", [2, 3, 5])
+def test_pairs_are_at_right_angles_and_each_is_from_a_gaussian(pairs: int) -> None:
+    """Of a linear image, as many pairs as numbers leave no other noise than that of their lengths."""
+
+    class Linear:
+        def parameters(self) -> dict[str, Any]:
+            return {"a": np.zeros(2), "b": np.zeros(())}
+
+        def render(self, params: dict[str, Any], *, seed: int = 0) -> Any:
+            seen.append(np.array([*params["a"], params["b"]]))
+            return np.zeros((1, 1, 3)) + params["a"][0]
+
+        def render_vjp(self, params: dict[str, Any], *, seed: int = 0) -> Any:
+            return self.render(params), lambda _: params
+
+    seen: list[Any] = []
+    blurred = BlurredRenderer(Linear(), 1.0, pairs=pairs)
+    drawn = []
+    for seed in range(400):
+        seen.clear()
+        blurred.pull(blurred.parameters(), np.ones((1, 1, 3)), seed=seed)
+        offsets = np.array(seen[::2])
+        drawn.append(offsets)
+        together = offsets[: min(pairs, 3)]
+        angles = together @ together.T
+        np.testing.assert_allclose(angles - np.diag(np.diag(angles)), 0.0, atol=1e-9)
+    every = np.concatenate(drawn)
+    np.testing.assert_allclose(every.mean(axis=0), 0.0, atol=4.0 / np.sqrt(len(every)))
+    np.testing.assert_allclose(np.cov(every.T), np.eye(3), atol=4.0 * np.sqrt(2.0 / len(every)))
 
 
 @pytest.mark.parametrize(("names", "best"), [(["a"], False), (["a", "b"], True)])

@@ -144,8 +144,8 @@ class Lamps:
         if not seen:
             return seen
         wanted = tuple(name for name in names if name in seen)
-        alls = Draws.of([_of(own.pull(params, cotangent, seed=seed + k), wanted) for k in range(DRAWS)])
-        lacking = alls.less(self._draws(params, cotangent, wanted, seed))
+        every = Draws.of([_of(own.pull(params, cotangent, seed=seed + k), wanted) for k in range(DRAWS)])
+        lacking = every.less(self._draws(params, cotangent, wanted, seed))
         more = {name for name in wanted if lacking.heard(name, CLEAR)}
         return frozenset(name for group in self._objects(wanted) for name in group if not more & set(group))
 

@@ -16,6 +16,8 @@ from loi_core.errors import OptionError, ParameterError
 from loi_core.objectives.base import Objective
 from loi_core.pixels.encoding import Encoding
 from loi_core.renderers.blurred import BLUR_KEYS, BlurredRenderer
+from loi_core.renderers.contract import Loss
+from loi_core.renderers.pullbacks import OfLoss
 from loi_core.support.arrays import to_numpy
 from loi_core.support.values import real_number
 from loi_core.support.wording import shown
@@ -179,7 +181,7 @@ class PlannedRenderer:
         kept = {name: np.array(value, dtype=np.float32) for name, value in params.items()}
         held: frozenset[str] | None = None
 
-        def counted(cotangent: Any) -> dict[str, Host]:
+        def counted(loss: Loss | None, cotangent: Any) -> dict[str, Host]:
             nonlocal held
             pulled = current.pull(kept, cotangent, seed=seed)
             begins = not self._begun
@@ -188,7 +190,7 @@ class PlannedRenderer:
             if self._plan.followed:
                 pulled |= self._lamps.pull(kept, cotangent, names=self._plan.followed, seed=seed)
             if self._blurred is not None:
-                pulled |= self._blurred.pull(kept, cotangent, seed=seed)
+                pulled |= self._blurred.pull(kept, cotangent, seed=seed, loss=loss)
             self._last = Probe(self._base, kept, np.array(cotangent, dtype=np.float32), self._names, seed)
             self._schedule = self._schedule.counted()
             if not begins and held is None:  # a second gradient of one image has the same noise, and would agree
@@ -200,7 +202,7 @@ class PlannedRenderer:
                 self._probe("on schedule")
             return pulled | {name: np.zeros_like(pulled[name]) for name in held}
 
-        return image, counted
+        return image, OfLoss(counted)
 
     def begin(self, params: Mapping[str, Any], cotangent: Any, *, optimise: Iterable[str], seed: int = 0) -> EffectPlan:
         """Plan a fit that starts at `params`, where the loss has the gradient `cotangent`, shape (H, W, C).
