@@ -48,7 +48,7 @@ class Run:
     @property
     def steps(self) -> int:
         """Of the fit."""
-        return self.setting.steps
+        return self.setting.steps * self.column.longer
 
 
 @dataclass(frozen=True)
@@ -132,12 +132,12 @@ def carry_out(run: Run) -> Outcome:
     free = {name: Free(value, -reach, reach) for name, value in numbers(problem.built.start).items()}
     options: dict[str, Any] = {"stages": None, "decay": "none"} if setting.name == "published" else {}
     began = time.perf_counter()
-    last = round(setting.steps * setting.finish)
+    last = round(run.steps * setting.finish)
     gradient = renderer(setting, problem)
     result = fit(
         gradient,
         objective(setting, problem.target),
-        steps=setting.steps - last,
+        steps=run.steps - last,
         learning_rate=rate,
         seed=10**4 * run.seed,
         optimise=free,
@@ -150,7 +150,7 @@ def carry_out(run: Run) -> Outcome:
             PixelL2(problem.target),
             steps=last,
             learning_rate=f"{FINISH_RATE * setting.rate * run.column.width / UNIT} px",
-            seed=10**4 * run.seed + setting.steps,
+            seed=10**4 * run.seed + run.steps,
             optimise={name: Free(value, -reach, reach) for name, value in result.params.items()},
             callback=note,
         )
