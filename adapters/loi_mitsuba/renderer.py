@@ -19,7 +19,7 @@ from loi_core.support.wording import shown
 from loi_mitsuba.cautions import warn_of_moving
 from loi_mitsuba.entries import Names, Scene, named_scene
 from loi_mitsuba.handles import Host
-from loi_mitsuba.integrators import PARTS, bordered, integrator_of, leaves_edges_out, settings_of
+from loi_mitsuba.integrators import PARTS, bordered, integrator_of, leaves_edges_out, loaded, settings_of
 from loi_mitsuba.loading import (
     Target,
     checked_samples,
@@ -307,7 +307,7 @@ def _integrator(scene: Any, integrator: Any) -> Any:
     if isinstance(integrator, dict):
         try:
             check_types(integrator)
-            integrator = mi.load_dict(integrator)
+            integrator = loaded(integrator)
         except (RuntimeError, SceneLoadError) as error:
             msg = f"`integrator` cannot be loaded: {one_line(error)}"
             raise OptionError(msg) from None

@@ -109,6 +109,20 @@ def test_a_lamp_in_view_has_its_outline_too() -> None:
     assert np.mean(drawn) == pytest.approx(wanted[0], rel=0.03, abs=4.0 * error)
 
 
+def test_a_lamp_that_comes_into_view_has_its_outline_there() -> None:
+    """The film samples beyond its border, for which the scene is loaded twice: the lamp is that of the scene in use."""
+    scene = lit_scene("ball")
+    scene["sensor"]["film"]["rfilter"] = {"type": "tent"}
+    planned = PlannedRenderer(scene, {"x": Translate("lamp", X), "y": Translate("lamp", Y)}, spp=32)
+    planned.begin(planned.parameters(), RAMP, optimise=["x", "y"])
+    assert list(planned.plan.followed) == ["x", "y"]
+    at: dict[str, Any] = {"x": np.float32(0.0), "y": np.float32(-4.5)}
+    drawn = [float(planned.render_vjp(at, seed=seed)[1](RAMP)["x"]) for seed in range(8)]
+    wanted, unsure = differences(planned.unabridged.with_integrator("scene", spp=128), at, {"x": 0.1})
+    error = np.hypot(np.std(drawn, ddof=1) / np.sqrt(8), unsure[0])
+    assert np.mean(drawn) == pytest.approx(wanted[0], rel=0.03, abs=4.0 * error)
+
+
 @pytest.mark.parametrize("light", ["lamp.position", Translate("lamp")], ids=str)
 @pytest.mark.parametrize("blur", [{}, None], ids=["blur", "no blur"])
 def test_a_fit_finds_a_point_light(light: Any, blur: dict[str, Any] | None) -> None:
@@ -138,6 +152,9 @@ def test_a_light_that_shines_where_nobody_looks_is_left_to_others() -> None:
         plan = begun(lit_scene(kind, lid=lid), {"x": Translate("lamp", X)}, spp=4).plan
         assert not plan.followed
         assert list(getattr(plan, otherwise)) == ["x"]
+    both: dict[str, Any] = {"x": Translate("lamp", X), "ball": Translate("ball", X)}
+    plan = begun(lit_scene("point", lid=lid), both, spp=4, blur={"names": ["ball"]}).plan  # there are no others
+    assert list(plan.followed) == ["x"]
 
 
 def test_a_lamp_that_a_mirror_shows_keeps_the_gradient_of_all_its_light() -> None:

@@ -432,3 +432,24 @@ def test_the_loss_and_mi_render_need_no_renderer() -> None:
     params.update()
     dr.backward(loss(mi.render(scene, params, spp=64, seed=2)))
     assert np.all(np.array(dr.grad(params[key])) < 0.0)  # more light brings it nearer
+
+
+@pytest.mark.parametrize("rfilter", ["box", "tent", "gaussian"])
+@pytest.mark.parametrize("height", [0.0, -3.6], ids=["a shadow", "an outline"])
+def test_edges_count_alike_whether_or_not_the_film_samples_its_border(rfilter: str, height: float) -> None:
+    """A ball over a floor; the image is small, so that its border has up to a third of its pixels."""
+    scene = shadow_scene(integrator={"type": "direct"})
+    scene["sensor"]["film"] |= {"width": 32, "height": 24, "rfilter": {"type": rfilter}, "sample_border": True}
+    renderer = MitsubaRenderer(scene, {"place": Translate("ball")}, spp=256)
+    at = {"place": np.array([0.3, height, 0.2], np.float32)}
+    ramp = np.linspace(-1.0, 1.0, 32, dtype=np.float32)[None, :, None] * np.ones((24, 32, 3), np.float32)
+    drawn = [float(renderer.pull(at, ramp, seed=seed)["place"][0]) for seed in range(6)]
+    slopes = []
+    for seed in range(4):
+        ahead, behind = (
+            renderer.render({"place": at["place"] + np.array([by, 0, 0], np.float32)}, seed=seed).astype(np.float64)
+            for by in (0.1, -0.1)
+        )
+        slopes.append(float(np.sum((ahead - behind) * ramp)) / 0.2)
+    error = np.hypot(np.std(drawn, ddof=1) / np.sqrt(6), np.std(slopes, ddof=1) / 2.0)
+    assert np.mean(drawn) == pytest.approx(np.mean(slopes), rel=0.02, abs=4.0 * error)

@@ -60,9 +60,9 @@ def base_of(
     found = find_sensor(names.scene, sensor)
     samples = checked_samples("spp", spp, most_samples(found.film()))
     missing = _missing(names, targets, found, blur)
-    lights = lamps_of(names, targets) if follow_lights else {}
-    if blur is not None and blur.get("names") is not None:
-        lights = {name: light for name, light in lights.items() if name not in missing}
+    asked = {} if blur is None or blur.get("names") is None else missing
+    followable = {name: target for name, target in targets.items() if follow_lights and name not in asked}
+    lights = lamps_of(names, followable)
     points = (name for name, light in lights.items() if not is_shape(light))
     images = tuple(dict.fromkeys((*missing, *points)))
     traits = traits_of(names, {name: target for name, target in targets.items() if name not in images}, found)
@@ -70,6 +70,7 @@ def base_of(
     ready = bordered(scene, plan)
     if ready is not scene:
         names = named_scene(ready, targets)
+        lights = lamps_of(names, followable)
     options: dict[str, Any] = {"integrator": plan, "spp": spp, "sensor": sensor, "without_gradient": images}
     split = _split_meshes(names, targets, traits.moving)
     delta = traits.lights or traits.delta_reflection or traits.delta_transmission

@@ -224,9 +224,10 @@ class PlannedRenderer:
         self._noisy = {}
         self._lit = self._points
         self._take(names)
-        if self._whole.missing:
-            points = tuple(self._plan.followed)
-            self._lit = self._lamps.seen(params, cotangent, names=points, seed=APART + seed)
+        otherwise = tuple(name for name in self._plan.followed if name in self._whole.missing)
+        seen = self._lamps.seen(params, cotangent, names=otherwise, seed=APART + seed)
+        if len(seen) < len(otherwise):
+            self._lit = self._points - (set(otherwise) - seen)
             self._take(names)
         self._last = Probe(self._base, dict(params), np.array(to_numpy(cotangent), np.float32), self._names, seed)
         self._begun = True
