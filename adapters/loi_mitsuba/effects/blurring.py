@@ -58,7 +58,7 @@ class Blurring:
 
     def over(self, names: Iterable[str]) -> BlurredRenderer:
         """The images blurred over these parameters."""
-        options = {"pairs": PAIRS, "compare": "both", **(self.options or {}), "names": tuple(names)}
+        options = {"pairs": PAIRS, **(self.options or {}), "names": tuple(names)}
         for key in ("sigma", "final_sigma"):
             if isinstance(options.get(key), Mapping):
                 others = set(self.missing) - set(options["names"])  # what is not known at all is refused

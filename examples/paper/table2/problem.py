@@ -33,8 +33,6 @@ class Column:
         Of the image, in pixels; its height is three quarters of it.
     samples : int
         Per pixel and step, of the image and of each part of its gradient.
-    longer : int
-        How many times the protocol's steps it has, for its many unknowns.
     alike : tuple of str
         Things that nothing tells apart, so that any of them may be at the place of any other.
     """
@@ -43,7 +41,6 @@ class Column:
     seeds: int = 3
     width: int = 256
     samples: int = 32
-    longer: int = 1
     alike: tuple[str, ...] = ()
 
     @property
@@ -55,7 +52,7 @@ class Column:
 COLUMNS: Final = (
     Column("Shadow"),
     Column("Shadow Mini"),
-    Column("Caustics and Lights", longer=2, alike=("ball_1", "ball_2")),
+    Column("Caustics and Lights", alike=("ball_1", "ball_2")),
     Column("Sort"),
     Column("Envlight"),
 )

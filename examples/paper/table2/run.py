@@ -48,7 +48,7 @@ class Run:
     @property
     def steps(self) -> int:
         """Of the fit."""
-        return self.setting.steps * self.column.longer
+        return self.setting.steps
 
 
 @dataclass(frozen=True)
