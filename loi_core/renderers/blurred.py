@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from itertools import product
 from typing import Any, Final, Literal, TypeAlias, get_args
 
 import numpy as np
@@ -208,29 +209,31 @@ class BlurredRenderer:
         def slope(first: Array, second: Array) -> float:
             return float(to_numpy(namespace(first).sum((first - second) * cotangent)))
 
-        def change(first: Array, second: Array) -> float:
-            return (
-                slope(first, second) if loss is None else float(detached(loss(first))) - float(detached(loss(second)))
-            )
+        if loss is None or self._compare == "images":
+            return slope
 
-        if self._compare == "both":
-            return lambda first, second: 0.5 * (slope(first, second) + change(first, second))
-        return change if self._compare == "losses" else slope
+        def change(first: Array, second: Array) -> float:
+            return float(detached(loss(first))) - float(detached(loss(second)))
+
+        if self._compare == "losses":
+            return change
+        return lambda first, second: 0.5 * (slope(first, second) + change(first, second))
 
     def _blurred(self, params: Parameters, sigma: Mapping[str, float], judge: _Judge, seed: int) -> Parameters:
         """An unbiased draw of the gradient by what is blurred, before `project`."""
         rng = np.random.default_rng([int(seed), len(self.names)])
         found = {name: np.zeros(params[name].shape) for name in self.names}
         shapes = {name: params[name].shape for name in self.names}
-        for offsets in _across(rng, shapes, self._pairs) if self._together else ():
-            change = self._change(params, sigma, offsets, judge, rng)
-            for name in self.names:
-                # The derivative of a Gaussian over the Gaussian, at an offset of z sigma, is z / sigma.
-                found[name] += 0.5 * change * offsets[name] / sigma[name] / self._pairs
-        for _ in () if self._together else range(self._pairs):
-            for name in self.names:
-                for index in np.ndindex(params[name].shape):
-                    offsets = {one: rng.standard_normal(params[one].shape) for one in self.names}
+        if self._together:
+            for offsets in _across(rng, shapes, self._pairs):
+                change = self._change(params, sigma, offsets, judge, rng)
+                for name in self.names:
+                    # The derivative of a Gaussian over the Gaussian, at an offset of z sigma, is z / sigma.
+                    found[name] += 0.5 * change * offsets[name] / sigma[name] / self._pairs
+        else:
+            for _, name in product(range(self._pairs), self.names):
+                for index in np.ndindex(shapes[name]):
+                    offsets = {one: rng.standard_normal(shape) for one, shape in shapes.items()}
                     # Offsets of either sign with the density of the derivative's size, z exp(-z^2 / 2) / 2.
                     offsets[name][index] = math.sqrt(-2.0 * math.log(1.0 - rng.random()))
                     change = self._change(params, sigma, offsets, judge, rng)

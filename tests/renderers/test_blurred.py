@@ -280,6 +280,7 @@ def test_it_keeps_the_contract(start: list[float], pairs: int, seeds: int) -> No
         ({"names": "radii"}, OptionError, "`names` must be a list of names of parameters, got 'radii'"),
         ({"sigma": "4 miles"}, OptionError, r"more than 0, or pixels as in '2 px', got '4 miles'"),
         ({"together": 1}, OptionError, "`together` must be true or false, got 1"),
+        ({"compare": "image"}, OptionError, r"`compare` must be 'images', 'losses' or 'both', got 'image'"),
     ],
 )
 def test_options_are_checked(options: dict[str, Any], error: type[Exception], says: str) -> None:

@@ -206,7 +206,7 @@ def _integrator_of(variant: str) -> Any:  # noqa: ARG001 - Mitsuba's classes are
     """An integrator of direct light at what the camera sees, by samples of the lights alone."""
     from mitsuba.ad.integrators.common import ADIntegrator
 
-    class FollowsLamps(ADIntegrator):  # type: ignore[misc]
+    class FollowsLamps(ADIntegrator):  # type: ignore[misc]  # Mitsuba's integrators have no types
         slopes: tuple[tuple[Any, int, Any], ...] = ()
 
         def visibility(self, scene: Any, sensor: Any, seed: int, samples: int) -> tuple[Any, Any]:
@@ -226,7 +226,7 @@ def _integrator_of(variant: str) -> Any:  # noqa: ARG001 - Mitsuba's classes are
             with dr.suspend_grad():
                 si = scene.ray_intersect(mi.Ray3f(ray))
                 bsdf = si.bsdf(mi.RayDifferential3f(ray))
-                lit = si.is_valid() & (si.emitter(scene) == None)  # noqa: E711
+                lit = si.is_valid() & (si.emitter(scene) == None)  # noqa: E711 - as above
             ds, weight = scene.sample_emitter_direction(si, sampler.next_2d(lit), test_visibility=False, active=lit)
             lit &= ds.pdf != 0.0
             with dr.suspend_grad():
