@@ -1,4 +1,4 @@
-"""The gradient by lights that move, three ways, beside the truth: ``python -m benchmarks.lamps`` from the root.
+"""The gradient by lights and glass that move, three ways, beside the truth: ``python -m benchmarks.lamps``.
 
 The truth is the cotangent of a loss times central differences of images of many samples, the same on both sides. Beside
 it stand the mean of some draws of each gradient, with its standard error: *ratio* is its norm over the truth's,
@@ -78,6 +78,19 @@ def over_a_floor(kind: str) -> dict[str, Any]:
     }
 
 
+def glass() -> dict[str, Any]:
+    """A ball of clear glass over a floor, under a wide lamp, so that images of many samples can tell the truth."""
+    turned = mi.ScalarTransform4f().rotate([1, 0, 0], -90).scale(8)
+    return {
+        "type": "scene",
+        "integrator": {"type": "path", "max_depth": 7},
+        "sensor": camera([0, 7, 7], 45.0),
+        "floor": {"type": "rectangle", "to_world": turned},
+        "ball": {"type": "sphere", "center": [-1, 1.2, 0], "radius": 0.9, "bsdf": {"type": "dielectric"}},
+        "lamp": {"type": "sphere", "center": [1, 7, 2], "radius": 1.5, "emitter": {"type": "area", "radiance": 5.0}},
+    }
+
+
 def highlight() -> dict[str, Any]:
     """A nearly perfect mirror of a ball, in which a small lamp behind the camera can be seen."""
     glow = {"type": "area", "radiance": 60.0}
@@ -91,9 +104,9 @@ def highlight() -> dict[str, Any]:
     }
 
 
-def cells(described: dict[str, Any], samples: int, draws: int) -> list[str]:
+def cells(described: dict[str, Any], moved: str, samples: int, draws: int) -> list[str]:
     """Of one scene, what is said of each way."""
-    targets = {name: Translate("lamp", axis) for name, axis in AXES.items()}
+    targets = {name: Translate(moved, axis) for name, axis in AXES.items()}
     here = {name: np.float32(value) for name, value in HERE.items()}
     images = MitsubaRenderer(described, targets, integrator="scene", spp=samples, without_gradient=tuple(targets))
     image = images.render(here, seed=2)
@@ -102,10 +115,10 @@ def cells(described: dict[str, Any], samples: int, draws: int) -> list[str]:
     planned = PlannedRenderer(described, targets, spp=SAMPLES)
     planned.begin(here, cotangent, optimise=targets)
     if not planned.plan.followed:
-        msg = "the light that moves is not followed"
+        msg = f"the {moved} that moves is not followed"
         raise RuntimeError(msg)
     ways: list[Callable[..., Mapping[str, Any]] | None] = [partial(_pulled, planned), None]
-    if described["lamp"]["type"] not in ("point", "spot"):
+    if moved != "lamp" or described["lamp"]["type"] not in ("point", "spot"):
         own = MitsubaRenderer(described, targets, spp=SAMPLES)
         ways[1] = own.pull
     plain = MitsubaRenderer(described, targets, integrator="scene", spp=SAMPLES, without_gradient=tuple(targets))
@@ -154,9 +167,10 @@ def main() -> None:
     warnings.simplefilter("ignore", GradientWarning)
     print("| ratio / cosine / noise / seconds | samples that move | Mitsuba's own | images blurred by 2 px, 4 pairs |")
     print("| --- | --- | --- | --- |")
-    scenes = {kind: over_a_floor(kind) for kind in FLOOR_KINDS} | {"highlight": highlight()}
+    scenes = {kind: over_a_floor(kind) for kind in FLOOR_KINDS} | {"highlight": highlight(), "glass": glass()}
     for kind, described in scenes.items():
-        print(f"| {kind} | " + " | ".join(cells(described, options.samples, options.draws)) + " |", flush=True)
+        moved = "ball" if kind == "glass" else "lamp"
+        print(f"| {kind} | " + " | ".join(cells(described, moved, options.samples, options.draws)) + " |", flush=True)
 
 
 if __name__ == "__main__":

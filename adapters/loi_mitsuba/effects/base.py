@@ -8,6 +8,7 @@ from typing import Any
 
 from loi_core.errors import ParameterError
 from loi_core.renderers.blurred import names_to_blur
+from loi_mitsuba.effects.glass import glass_of
 from loi_mitsuba.effects.lamps import is_shape, lamps_of
 from loi_mitsuba.effects.missing import missing_gradients
 from loi_mitsuba.effects.rules import plan_by_rules
@@ -29,7 +30,7 @@ class Base:
     """A scene by the rules' plan, with its neighbour where what moves calls for one.
 
     Also what that has exchanged, whether surfaces are left that are perfectly smooth, why which parameters have no
-    gradient, and the lights that parameters move.
+    gradient, and the lights and the clear glass that parameters move, and that are followed.
     """
 
     renderer: MitsubaRenderer
@@ -37,6 +38,13 @@ class Base:
     smooth: bool
     missing: Mapping[str, str]
     lights: Mapping[str, Any]
+    glass: Mapping[str, Any]
+
+    @property
+    def without_gradient(self) -> frozenset[str]:
+        """Of what is followed, the parameters by which Mitsuba has no gradient of use: points, and glass."""
+        points = (name for name, light in self.lights.items() if not is_shape(light))
+        return frozenset((*points, *self.glass))
 
 
 def base_of(
@@ -48,6 +56,7 @@ def base_of(
     blur: Mapping[str, Any] | None,
     *,
     follow_lights: bool,
+    follow_glass: bool,
 ) -> Base:
     """What a plan is made for.
 
@@ -61,16 +70,18 @@ def base_of(
     samples = checked_samples("spp", spp, most_samples(found.film()))
     missing = _missing(names, targets, found, blur)
     asked = {} if blur is None or blur.get("names") is None else missing
-    followable = {name: target for name, target in targets.items() if follow_lights and name not in asked}
-    lights = lamps_of(names, followable)
+    free = {name: target for name, target in targets.items() if name not in asked}
+    lights = lamps_of(names, free) if follow_lights else {}
+    glass = glass_of(names, free, found) if follow_glass else {}
     points = (name for name, light in lights.items() if not is_shape(light))
-    images = tuple(dict.fromkeys((*missing, *points)))
+    images = tuple(dict.fromkeys((*missing, *points, *glass)))
     traits = traits_of(names, {name: target for name, target in targets.items() if name not in images}, found)
     plan = plan_by_rules(traits, samples)
     ready = bordered(scene, plan)
     if ready is not scene:
         names = named_scene(ready, targets)
-        lights = lamps_of(names, followable)
+        lights = lamps_of(names, free) if follow_lights else {}
+        glass = glass_of(names, free, found) if follow_glass else {}
     options: dict[str, Any] = {"integrator": plan, "spp": spp, "sensor": sensor, "without_gradient": images}
     split = _split_meshes(names, targets, traits.moving)
     delta = traits.lights or traits.delta_reflection or traits.delta_transmission
@@ -83,10 +94,10 @@ def base_of(
             if pair is None:
                 break
             base, near_scene = pair
-            return Base(
-                base, {one.what: one.reason for one in near_scene.exchanges}, near_scene.smooth, missing, lights
-            )
-    return Base(MitsubaRenderer(names.loaded, targets, **options), {}, smooth=True, missing=missing, lights=lights)
+            exchanged = {one.what: one.reason for one in near_scene.exchanges}
+            return Base(base, exchanged, near_scene.smooth, missing, lights, glass)
+    renderer = MitsubaRenderer(names.loaded, targets, **options)
+    return Base(renderer, {}, smooth=True, missing=missing, lights=lights, glass=glass)
 
 
 def _missing(

@@ -23,8 +23,8 @@ from loi_core.support.values import real_number
 from loi_core.support.wording import shown
 from loi_mitsuba.effects.base import base_of
 from loi_mitsuba.effects.blurring import Blurring
+from loi_mitsuba.effects.following import Following
 from loi_mitsuba.effects.images import effect_images
-from loi_mitsuba.effects.lamps import Lamps, is_shape, reason_of
 from loi_mitsuba.effects.pilot import Pilot
 from loi_mitsuba.effects.probe import APART, Probe
 from loi_mitsuba.effects.rules import everything, plan_by_rules, plan_of, plan_with
@@ -77,6 +77,9 @@ class PlannedRenderer:
     follow_lights : bool
         Whether the gradient by lights that move is of samples that move with them, for shapes that emit, points and
         spots, where Mitsuba's own has nothing more that is not noise. The plan lists them.
+    follow_glass : bool
+        Whether the gradient by clear glass that moves, balls and smooth meshes, is of light and views that are followed
+        through it. The plan lists it.
 
     Notes
     -----
@@ -100,6 +103,7 @@ class PlannedRenderer:
         neighbour: Neighbour | Mapping[str, float] | None = Neighbour(),  # noqa: B008 - frozen
         blur: Mapping[str, Any] | None = MappingProxyType({}),
         follow_lights: bool = True,
+        follow_glass: bool = True,
     ) -> None:
         if not 0.0 <= real_number(fraction) < 1.0:
             msg = f"`fraction` must be at least 0 and less than 1, got {shown(fraction)}"
@@ -108,18 +112,26 @@ class PlannedRenderer:
         if blur is not None and (not isinstance(blur, Mapping) or set(blur) - set(BLUR_KEYS)):
             msg = f"`blur` must be None, or a table of {', '.join(BLUR_KEYS)}, got {shown(blur)}"
             raise OptionError(msg)
-        if not isinstance(follow_lights, bool):
-            msg = f"`follow_lights` must be true or false, got {shown(follow_lights)}"
-            raise OptionError(msg)
+        for option, value in (("follow_lights", follow_lights), ("follow_glass", follow_glass)):
+            if not isinstance(value, bool):
+                msg = f"`{option}` must be true or false, got {shown(value)}"
+                raise OptionError(msg)
         self._blur = blur
         self._whole = base_of(
-            scene, parameters, sensor, spp, Neighbour.of(neighbour), blur, follow_lights=follow_lights
+            scene,
+            parameters,
+            sensor,
+            spp,
+            Neighbour.of(neighbour),
+            blur,
+            follow_lights=follow_lights,
+            follow_glass=follow_glass,
         )
         self._base = self._whole.renderer
         self._blurred: BlurredRenderer | None = None
         self._samples = int(spp)
-        self._lamps = Lamps(self._base, self._whole.lights, self._samples)
-        self._lit = self._points  # whose gradient is that of their own light
+        self._following = Following(self._base, self._whole.lights, self._whole.glass, self._samples)
+        self._followed = self._whole.without_gradient  # whose gradient is of samples that move with them
         self._begun = False
         self._schedule = Schedule()
         self._last: Probe | None = None
@@ -129,8 +141,10 @@ class PlannedRenderer:
         self._noisy: dict[str, Any] = {}  # shapes out of view, moved by what is blurred for its noise
         self._optimised = tuple(self._base.targets)
         self._take(self._optimised)
-        if self._points and self._whole.missing:
-            self._blurring.over(self._whole.missing)  # checked now, for a light may turn out to be blurred later
+        if self._followed and self._whole.missing:
+            self._blurring.over(
+                self._whole.missing
+            )  # checked now, for what is followed may turn out to be blurred later
 
     @property
     def encoding(self) -> Encoding:
@@ -188,7 +202,7 @@ class PlannedRenderer:
             if begins:
                 self.begin(kept, cotangent, optimise=self._optimised, seed=seed)
             if self._plan.followed:
-                pulled |= self._lamps.pull(kept, cotangent, names=self._plan.followed, seed=seed)
+                pulled |= self._following.pull(kept, cotangent, names=self._plan.followed, seed=seed)
             if self._blurred is not None:
                 pulled |= self._blurred.pull(kept, cotangent, seed=seed, loss=loss)
             self._last = Probe(self._base, kept, np.array(cotangent, dtype=np.float32), self._names, seed)
@@ -222,12 +236,12 @@ class PlannedRenderer:
                 raise ParameterError(msg)
         self._optimised = names
         self._noisy = {}
-        self._lit = self._points
+        self._followed = self._whole.without_gradient
         self._take(names)
         otherwise = tuple(name for name in self._plan.followed if name in self._whole.missing)
-        seen = self._lamps.seen(params, cotangent, names=otherwise, seed=APART + seed)
+        seen = self._following.seen(params, cotangent, names=otherwise, seed=APART + seed)
         if len(seen) < len(otherwise):
-            self._lit = self._points - (set(otherwise) - seen)
+            self._followed -= set(otherwise) - seen
             self._take(names)
         self._last = Probe(self._base, dict(params), np.array(to_numpy(cotangent), np.float32), self._names, seed)
         self._begun = True
@@ -237,11 +251,6 @@ class PlannedRenderer:
         self._follow_lamps(self._last, self._names)
         self._blur_noise(self._last)
         return self._plan
-
-    @property
-    def _points(self) -> frozenset[str]:
-        """Parameters that move a light without a surface, by which Mitsuba has no gradient."""
-        return frozenset(name for name, light in self._whole.lights.items() if not is_shape(light))
 
     @property
     def _blurring(self) -> Blurring:  # not kept: it refers back to this renderer
@@ -260,9 +269,9 @@ class PlannedRenderer:
         if not lamps:
             return
         own = self._base.with_integrator(self._plan, follow=lamps)
-        better = self._lamps.better(own, probe.params, probe.cotangent, names=lamps, seed=APART + probe.seed)
+        better = self._following.lamps.better(own, probe.params, probe.cotangent, names=lamps, seed=APART + probe.seed)
         if better:
-            self._lit |= better
+            self._followed |= better
             self._retake(self._plan.blurred, "by the pilot")
             self._last = replace(probe, names=self._names)
             self._run_pilot(self._last)
@@ -321,12 +330,11 @@ class PlannedRenderer:
         Raises
         ------
         OptionError
-            If every parameter is blurred.
+            If every parameter is blurred or followed.
         """
         if not self._names:
-            msg = (
-                f"there is nothing to verify: {' and '.join(map(repr, self._plan.blurred))} have no gradient in Mitsuba"
-            )
+            others = " and ".join(map(repr, (*self._plan.blurred, *self._plan.followed)))
+            msg = f"there is nothing to verify: no gradient by {others} is Mitsuba's own"
             raise OptionError(msg)
         return verification(
             self._current,
@@ -352,8 +360,8 @@ class PlannedRenderer:
 
     def _take(self, names: tuple[str, ...], noisy: Mapping[str, str] = MappingProxyType({})) -> None:
         """Start from the rules for these parameters, of which those that are `noisy` are blurred too."""
-        lit = [name for name in names if name in self._lit and name not in noisy]
-        followed = {name: reason_of(self._whole.lights[name]) for name in lit}
+        ours = [name for name in names if name in self._followed and name not in noisy]
+        followed = {name: self._following.reason_of(name) for name in ours}
         blurred = {**self._whole.missing, **noisy}
         missing = {name: reason for name, reason in blurred.items() if name in names and name not in followed}
         apart = {*missing, *followed}

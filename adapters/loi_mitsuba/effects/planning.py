@@ -30,6 +30,7 @@ def plan_effects(
     neighbour: Neighbour | Mapping[str, float] | None = Neighbour(),  # noqa: B008 - frozen
     blur: Mapping[str, Any] | None = MappingProxyType({}),
     follow_lights: bool = True,
+    follow_glass: bool = True,
 ) -> EffectPlan:
     """Which effects a scene calls for when these parameters are optimised.
 
@@ -41,7 +42,7 @@ def plan_effects(
         The loss at hand; without one there is no pilot, and the plan is that of the sound rules.
     params : dict of arrays, optional
         Where the pilot measures; as the scene has them by default.
-    spp, fraction, neighbour, blur, follow_lights
+    spp, fraction, neighbour, blur, follow_lights, follow_glass
         As those of :class:`PlannedRenderer`.
     seed : int
         Of the pilot.
@@ -65,6 +66,7 @@ def plan_effects(
         neighbour=neighbour,
         blur=blur,
         follow_lights=follow_lights,
+        follow_glass=follow_glass,
     )
     if objective is not None:
         at = renderer.parameters() if params is None else dict(params)

@@ -1,0 +1,360 @@
+"""The gradient by clear glass that moves, from light and from views that are followed through it.
+
+Mitsuba's own path tracer meets what glass throws light on by chance alone, and its gradient by the glass is noise.
+Here every sample is a point of the glass that stays there as the glass moves. Light is followed from that point to what
+it falls on, and what the camera sees at that point, both with their derivative. From each is taken what would be
+there without glass. At its outline glass bends nothing, so that the difference ends there without a step, and no edge
+has to be sampled.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any, Final
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from loi_core.effects import Draws, Holding
+from loi_mitsuba.effects.traits import has_medium, objects_of
+from loi_mitsuba.entries import Names
+from loi_mitsuba.handles import Host, Scale
+from loi_mitsuba.loading import Target
+from loi_mitsuba.named import NamedParameters, as_host
+from loi_mitsuba.renderer import MitsubaRenderer, seeds_of
+from loi_mitsuba.seams import is_hard
+
+__all__ = ["REASON", "Glass", "Samples", "glass_of"]
+
+REASON: Final = "it moves clear glass, and samples of what that bends move with it"
+DEPTH: Final = 6  # surfaces of a path, of which two balls of glass are four
+SHARE: Final = 8  # samples of the image for one of each kind here
+LEAST: Final = 20_000
+GRAZING: Final = 0.01  # cosine below which the derivative of a direction, without bound at 0, is left out
+LIFT: Final = 4.0  # times as far as Mitsuba lifts rays from surfaces, do rays begin before one that they are to meet
+DRAWS: Final = 4
+
+
+def glass_of(called: Names, targets: Mapping[str, Target], sensor: Any) -> dict[str, Any]:
+    """The parameters that move clear glass whose light can be followed, each with its shape: balls and smooth meshes.
+
+    None where colours are not red, green and blue, where there is a medium, or where the camera is not a perspective
+    one that sees its whole film and every lamp.
+    """
+    film = sensor.film()
+    shown = sensor.class_name() == "PerspectiveCamera" and np.array_equal(film.size(), film.crop_size())
+    if not mi.is_rgb or mi.is_polarized or not shown or has_medium(called.scene):
+        return {}
+    if getattr(called.scene.integrator(), "hide_emitters", False):
+        return {}
+    found = {}
+    for name, target in targets.items():
+        if isinstance(target, str):
+            entry = called.known(target)
+            shape = None if entry is None or entry.problem else called.moved_by(entry)
+        else:
+            shape = called.find_movable(target.shape)[1]
+        if not isinstance(shape, mi.Shape) or shape not in called.scene.shapes() or not _is_clear(shape):
+            continue
+        if shape.class_name() == "Sphere" or (_is_smooth(shape) and not isinstance(target, (str, Scale))):
+            found[name] = shape
+    return found
+
+
+class Glass:
+    """The gradient of a scene by the clear glass that moves in it.
+
+    It is that of direct light that falls through glass, or by way of it, on a surface that the camera sees past glass
+    or through it; and of what the camera sees in glass, under the same light as without. Caustics that are seen in
+    glass, light over several surfaces, and shadows that others throw on what glass shows are followed no further.
+
+    Parameters
+    ----------
+    renderer : MitsubaRenderer
+        Of the scene, whose values are those of the start.
+    shapes : dict of mi.Shape
+        By parameter, the shape of clear glass that it moves.
+    samples : int
+        Per pixel of the image; as many as one to 8 of these are followed each way.
+    """
+
+    def __init__(self, renderer: MitsubaRenderer, shapes: Mapping[str, Any], samples: int) -> None:
+        self._renderer = renderer
+        self._shapes = dict(shapes)
+        width, height = (int(one) for one in renderer.sensor.film().size())
+        self._count = max(LEAST, samples * width * height // SHARE)
+        self._named = NamedParameters(renderer.names, renderer.targets, tuple(renderer.targets))
+
+    def pull(
+        self, params: Mapping[str, Any], cotangent: Any, *, names: Iterable[str], seed: int = 0
+    ) -> dict[str, Host]:
+        """A cotangent of the image, shape (H, W, C), carried to the parameters `names`."""
+        wanted = tuple(names)
+        leaves = self._named.leaves(params)
+        try:
+            with dr.resume_grad():
+                dr.enable_grad([leaves[name] for name in wanted])
+                self._named.set(leaves)
+                samples = Samples(self._renderer.scene, self._renderer.sensor)
+                samples.pull(cotangent, self._count, seeds_of(seed)[1])
+                return {name: as_host(dr.grad(leaves[name]), self._named.start[name].shape) for name in wanted}
+        finally:
+            self._named.set(self._named.leaves(params))
+
+    def seen(self, params: Mapping[str, Any], cotangent: Any, *, names: Sequence[str], seed: int = 0) -> frozenset[str]:
+        """Of `names`, those of glass whose gradient can be distinguished from noise, in a few draws."""
+        if not names:
+            return frozenset()
+        draws = Draws.of([self.pull(params, cotangent, names=names, seed=seed + k) for k in range(DRAWS)])
+        shapes = {name: self._shapes[name] for name in names}
+        objects = objects_of({name: self._renderer.targets[name] for name in names}, shapes)
+        return frozenset(names) - Holding.begun(draws, objects).reasons.keys()
+
+
+class Samples:
+    """What samples on the glass of a scene add to its image, and the gradient of that."""
+
+    def __init__(self, scene: Any, sensor: Any) -> None:
+        self._scene = scene
+        glass = [index for index, shape in enumerate(scene.shapes()) if _is_clear(shape)]
+        self._glass = mi.UInt32(glass)
+        self._kinds = len(glass)
+        self._eye = _Eye(sensor)
+
+    def image(self, count: int, seed: int) -> Host:
+        """What they add, by `count` samples each way: the image less that without glass, shape (H, W, 3)."""
+        with dr.suspend_grad():
+            light = self._thrown(count, seed)
+            return self._eye.cropped(light + self._eye.splat(self._views(_texture(light), count, seed)))
+
+    def pull(self, cotangent: Any, count: int, seed: int) -> None:
+        """Carry a cotangent of the image by `count` samples each way to whatever of the scene has a gradient."""
+        with dr.suspend_grad():
+            light = self._thrown(count, seed)
+        wanted = self._eye.padded(cotangent)
+        dr.enable_grad(light)
+        self._back(self._views(_texture(light), count, seed), wanted)
+        wanted += dr.grad(light)  # light is seen past glass, and by way of glass
+        self._back(self._light(count, seed), wanted)
+
+    def _thrown(self, count: int, seed: int) -> Any:
+        """The light that glass throws on what the camera sees, less what it takes."""
+        return self._eye.splat(self._light(count, seed))
+
+    def _back(self, values: Iterable[tuple[Any, Any]], cotangent: Any) -> None:
+        """Carry back a cotangent of an image to values at their places."""
+        texture = _texture(cotangent)
+        total = sum(dr.sum(value * self._eye.looked_up(texture, place), axis=None) for value, place in values)
+        dr.backward(total, dr.ADFlag.ClearInterior)  # edges stay, for all ways share those of the scene
+
+    def _points(self, sampler: Any, count: int) -> tuple[Any, Any]:
+        """Points of the glass, attached to it, and the area that each stands for."""
+        index = dr.minimum(mi.UInt32(sampler.next_1d() * self._kinds), self._kinds - 1)
+        shape = dr.gather(mi.ShapePtr, self._scene.shapes_dr(), dr.gather(mi.UInt32, self._glass, index))
+        sample = shape.sample_position(0.0, sampler.next_2d(), True)  # noqa: FBT003 - Mitsuba's own
+        point = dr.zeros(mi.SurfaceInteraction3f, count)
+        point.p, point.n, point.t = mi.Point3f(sample.p), mi.Normal3f(sample.n), mi.Float(1.0)
+        return point, self._kinds / (sample.pdf * count)
+
+    def _light(self, count: int, seed: int) -> list[tuple[Any, Any]]:
+        """Light of the lamps that passes glass, where it falls, less where it would: values in pixels, and places."""
+        sampler = _sampler(seed, count)
+        point, area = self._points(sampler, count)
+        lamp, weight = self._scene.sample_emitter_direction(point, sampler.next_2d(), False)  # noqa: FBT003
+        cosine = dr.dot(point.n, lamp.d)
+        lit = (lamp.pdf != 0.0) & (cosine > 0.0)
+        with dr.suspend_grad():
+            lit &= ~self._scene.ray_test(point.spawn_ray_to(lamp.p), lit)
+        start = _before(point, lamp.d)
+        power = weight * cosine * area
+        fallen, share = self._bent(start, sampler, lit, mi.TransportMode.Importance)
+        return [self._shown(fallen, power * share, lit), self._shown(self._straight(start, lit), -power, lit)]
+
+    def _views(self, light: Any, count: int, seed: int) -> list[tuple[Any, Any]]:
+        """What the camera sees in glass, less what it would see there: values in pixels, and places."""
+        sampler = _sampler(seed + 1, count)
+        point, area = self._points(sampler, count)
+        along, weight, place, visible = self._eye.sees(point.p)
+        cosine = dr.dot(point.n, along)
+        visible &= cosine > 0.0
+        with dr.suspend_grad():
+            visible &= ~self._scene.ray_test(point.spawn_ray_to(self._eye.place), visible)
+        start = _before(point, along)
+        number = sampler.next_2d()
+        shown, share = self._bent(start, sampler, visible, mi.TransportMode.Radiance)
+        bent = share * self._lit(shown, light, number, visible)
+        straight = self._lit(self._straight(start, visible), light, number, visible)
+        return [(dr.select(visible, weight * cosine * area * (bent - straight), 0.0), place)]
+
+    def _bent(self, ray: Any, sampler: Any, active: Any, mode: Any) -> tuple[Any, Any]:
+        """What a ray meets first that is not glass, on its way through glass; and what is left of it there."""
+        context = mi.BSDFContext(mode)
+        active = mi.Bool(active)
+        share = mi.Color3f(1.0)
+        met = self._scene.ray_intersect(ray, mi.RayFlags.All, False, active)  # noqa: FBT003
+        for _ in range(DEPTH - 1):
+            active &= met.is_valid() & _clear_at(met)
+            sample, weight = met.bsdf().sample(context, met, sampler.next_1d(), sampler.next_2d(), active)
+            with dr.suspend_grad():
+                steady = active & (dr.abs(met.wi.z) > GRAZING) & (dr.abs(sample.wo.z) > GRAZING)
+            share = dr.select(active, share * dr.select(steady, weight, dr.detach(weight)), share)
+            along = met.to_world(sample.wo)
+            ray = met.spawn_ray(dr.select(steady, along, dr.detach(along)))
+            ray.o = dr.replace_grad(ray.o, dr.select(steady, met.p, dr.detach(met.p)))
+            met = dr.select(active, self._scene.ray_intersect(ray, mi.RayFlags.All, False, active), met)  # noqa: FBT003
+        return met, share
+
+    def _straight(self, ray: Any, active: Any) -> Any:
+        """What a ray meets first that is not glass."""
+        with dr.suspend_grad():
+            passed = self._passed(dr.detach(ray), active)
+        ray = mi.Ray3f(ray.o + passed * ray.d, ray.d)
+        return self._scene.ray_intersect(ray, mi.RayFlags.All, False, active)  # noqa: FBT003
+
+    def _passed(self, ray: Any, active: Any) -> Any:
+        """How far a ray goes through glass, until there is none before what it meets next."""
+
+        def on(ray: Any, active: Any, passed: Any, left: Any) -> tuple[Any, ...]:
+            met = self._scene.ray_intersect(ray, mi.RayFlags.All, False, active)  # noqa: FBT003
+            active = active & met.is_valid() & _clear_at(met)
+            further = met.spawn_ray(ray.d)
+            step = dr.dot(further.o - ray.o, ray.d)
+            further.maxt = ray.maxt - step
+            passed = dr.select(active, passed + step, passed)
+            return further, active, passed, left - 1
+
+        state = (mi.Ray3f(ray), mi.Bool(active), mi.Float(0.0), mi.UInt32(DEPTH))
+        return dr.while_loop(state, lambda ray, active, passed, left: active & (left > 0), on)[2]  # noqa: ARG005
+
+    def _shown(self, si: Any, power: Any, active: Any) -> tuple[Any, Any]:
+        """Of light that falls on a surface, what the camera sees of it past glass, and its place."""
+        active = active & si.is_valid() & ~_clear_at(si)
+        along, weight, place, visible = self._eye.sees(si.p)
+        active &= visible & self._is_open(si, self._eye.place, active)
+        context = mi.BSDFContext(mi.TransportMode.Importance)
+        value = si.bsdf().eval(context, si, si.to_local(along), active)
+        return dr.select(active, power * value * weight, 0.0), place
+
+    def _lit(self, si: Any, light: Any, number: Any, active: Any) -> Any:
+        """What a surface emits, and shows of the lamps, and of the `light` that glass throws on it.
+
+        The latter is as the camera sees it without glass, for a diffuse surface shows the same to all sides.
+        """
+        emitted = dr.select(active, si.emitter(self._scene, active).eval(si, active), 0.0)
+        active = active & si.is_valid() & ~_clear_at(si)
+        lamp, weight = self._scene.sample_emitter_direction(si, number, False, active)  # noqa: FBT003
+        lit = active & (lamp.pdf != 0.0) & self._is_open(si, lamp.p, active)
+        value = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(lamp.d), lit)
+        along, _, place, visible = self._eye.sees(si.p)
+        shown = active & visible & (dr.dot(si.n, along) > 0.0) & self._is_open(si, self._eye.place, active)
+        thrown = dr.select(shown, self._eye.looked_up(light, place), 0.0)
+        return emitted + dr.select(lit, value * weight, 0.0) + thrown
+
+    def _is_open(self, si: Any, place: Any, active: Any) -> Any:
+        """Whether nothing but glass lies between a surface and a place."""
+        with dr.suspend_grad():
+            ray = dr.detach(si.spawn_ray_to(place))
+            whole = ray.maxt
+            passed = self._passed(ray, active)
+            ray.o += passed * ray.d
+            ray.maxt = whole - passed
+            return ~self._scene.ray_test(ray, active)
+
+
+class _Eye:
+    """A perspective camera; of points around the image, to a quarter of its longer side, it knows the place as well."""
+
+    def __init__(self, sensor: Any) -> None:
+        width, height = (int(one) for one in sensor.film().size())
+        self._size = (width, height)
+        self._around = 1 + max(width, height) // 4
+        to_world = sensor.world_transform()
+        self.place = mi.Point3f(to_world.translation())
+        self._to_local = to_world.inverse()
+        self._to_film = sensor.projection_transform()
+        matrix = np.array(self._to_film.matrix, dtype=np.float64).reshape(4, 4)
+        # Pixels to the area of the film at distance 1.
+        self._density = abs(float(width * height * matrix[0, 0] * matrix[1, 1] / matrix[3, 2] ** 2))
+
+    def padded(self, cotangent: Any) -> Any:
+        """A cotangent of the image, shape (H, W, C), with zeros around it."""
+        around = (self._around, self._around)
+        colours = np.asarray(cotangent, dtype=np.float32)[..., :3]
+        return mi.TensorXf(np.ascontiguousarray(np.pad(colours, (around, around, (0, 0)))))
+
+    def cropped(self, image: Any) -> Host:
+        """An image without what is around it."""
+        inner = slice(self._around, -self._around)
+        return np.array(image, dtype=np.float32)[inner, inner]
+
+    def splat(self, values: Iterable[tuple[Any, Any]]) -> Any:
+        """Values at places, as an image with what is around it: what :meth:`looked_up` is the transpose of."""
+        width, height = (one + 2 * self._around for one in self._size)
+        image = dr.zeros(mi.Float, 3 * width * height)
+        for value, place in values:
+            at = self._pixels(place) - 0.5
+            low = mi.Point2i(dr.floor(at))
+            high = at - mi.Point2f(low)
+            for right in (0, 1):
+                for down in (0, 1):
+                    x, y = low.x + right, low.y + down
+                    there = (x >= 0) & (y >= 0) & (x < width) & (y < height)
+                    part = (high.x if right else 1.0 - high.x) * (high.y if down else 1.0 - high.y)
+                    first = 3 * mi.UInt32(y * width + x)
+                    for channel in range(3):
+                        dr.scatter_add(image, part * value[channel], first + channel, there)
+        return mi.TensorXf(image, shape=(height, width, 3))
+
+    def looked_up(self, texture: Any, place: Any) -> Any:
+        """An image with what is around it, at places of the film."""
+        width, height = (one + 2 * self._around for one in self._size)
+        at = self._pixels(place)
+        return mi.Color3f(*texture.eval(mi.Point2f(at.x / width, at.y / height)))
+
+    def _pixels(self, place: Any) -> Any:
+        """Places of the film, 0 to 1 both ways, in pixels of an image with what is around it."""
+        return mi.Point2f(place.x * self._size[0], place.y * self._size[1]) + self._around
+
+    def sees(self, point: Any) -> tuple[Any, Any, Any, Any]:
+        """Of a point: the direction to the camera, weight in pixels, place on the film, whether it is in front."""
+        away = self.place - point
+        distance = dr.norm(away)
+        local = self._to_local @ point
+        ahead = local.z / distance
+        visible = local.z > 0.0
+        place = self._to_film @ local
+        weight = self._density / (dr.square(distance) * ahead * ahead * ahead)
+        return away / distance, dr.select(visible, weight, 0.0), mi.Point2f(place.x, place.y), visible
+
+
+def _sampler(seed: int, count: int) -> Any:
+    """Random numbers for as many samples."""
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(seed % 2**32, count)
+    return sampler
+
+
+def _before(point: Any, away: Any) -> Any:
+    """A ray that comes from where `away` points to, and meets next the surface at a point of it."""
+    step = LIFT * mi.math.RayEpsilon * (1.0 + dr.max(dr.abs(dr.detach(point.p))))
+    return mi.Ray3f(point.p + step * away, -away)
+
+
+def _texture(image: Any) -> Any:
+    """An image to look up between its pixels, with zero beyond."""
+    return mi.Texture2f(image, filter_mode=dr.FilterMode.Linear, wrap_mode=dr.WrapMode.Clamp)
+
+
+def _clear_at(si: Any) -> Any:
+    return mi.has_flag(si.bsdf().flags(), mi.BSDFFlags.DeltaTransmission)
+
+
+def _is_clear(shape: Any) -> bool:
+    bsdf = shape.bsdf()
+    return bsdf is not None and bool(mi.has_flag(bsdf.flags(), mi.BSDFFlags.DeltaTransmission))
+
+
+def _is_smooth(shape: Any) -> bool:
+    """Whether a mesh has one normal where its triangles meet, so that what it bends has no steps."""
+    return isinstance(shape, mi.Mesh) and shape.has_vertex_normals() and not is_hard(shape)
