@@ -13,7 +13,7 @@ import numpy as np
 
 from loi_core.support.arrays import Host
 
-__all__ = ["has_seams", "is_hard", "merge_seams"]
+__all__ = ["has_seams", "is_closed", "is_hard", "merge_seams"]
 
 HARD: Final = 0.5  # of the triangles, and between the unit normals of two that meet: some 30 degrees
 
@@ -27,6 +27,12 @@ def has_seams(shape: Any) -> bool:
         return False
     faces, place = _faces(params), _places(params)
     return _borders(place[faces]) < _borders(faces)
+
+
+def is_closed(shape: Any) -> bool:
+    """Whether a mesh has no border, however its vertices are stored. A rectangle, whose outline is one, is not."""
+    params = mi.traverse(shape)
+    return "faces" in params and _borders(_places(params)[_faces(params)]) == 0
 
 
 def is_hard(shape: Any) -> bool:

@@ -207,7 +207,8 @@ def test_without_a_blur_what_has_no_gradient_is_refused_or_left_to_mitsuba() -> 
         PlannedRenderer(lit_scene(), {"light": "lamp.position"}, blur=None, follow_lights=False)
     with pytest.raises(ParameterError, match=r"'sensor' cannot be moved: .*; or leave it to PlannedRenderer"):
         PlannedRenderer(lit_scene(), {"pose": Translate("sensor")}, blur=None)
-    plan = PlannedRenderer(lit_scene(**GLASS, **HIGH), {"x": Translate("ball", X)}, blur=None).plan
+    moved = {"x": Translate("ball", X)}
+    plan = PlannedRenderer(lit_scene(**GLASS, **HIGH), moved, blur=None, follow_glass=False).plan
     assert not plan.blurred
     assert "dielectric 'bsdf'" in plan.exchanged
     with pytest.raises(ParameterError, match=r"has no entry 'lamp\.place'"):

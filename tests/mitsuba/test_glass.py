@@ -82,7 +82,7 @@ def test_each_parameter_has_its_own() -> None:
 
 
 def test_a_fit_finds_a_ball_of_glass() -> None:
-    """Within a third of a pixel, after a way of seven: what it throws on the floor tells, and what is seen in it."""
+    """Within half a pixel, after a way of eight: what it throws on the floor tells, and what is seen in it."""
     scene = glass_scene()
     scene["sensor"]["film"] |= {"width": 32, "height": 24}
     targets: dict[str, Any] = {"x": Translate("ball", X), "z": Translate("ball", Z)}
@@ -93,7 +93,7 @@ def test_a_fit_finds_a_ball_of_glass() -> None:
     assert list(planned.plan.followed) == ["x", "z"]
     assert not planned.plan.blurred
     for name, value in truth.items():
-        np.testing.assert_allclose(found.best_params[name], value, atol=0.09)
+        np.testing.assert_allclose(found.best_params[name], value, atol=0.11)  # a pixel is 0.22
 
 
 def test_the_plan_says_so() -> None:

@@ -23,7 +23,7 @@ from loi_mitsuba.handles import Host, Scale
 from loi_mitsuba.loading import Target
 from loi_mitsuba.named import NamedParameters, as_host
 from loi_mitsuba.renderer import MitsubaRenderer, seeds_of
-from loi_mitsuba.seams import is_hard
+from loi_mitsuba.seams import is_closed, is_hard
 
 __all__ = ["REASON", "Glass", "Samples", "glass_of"]
 
@@ -356,5 +356,5 @@ def _is_clear(shape: Any) -> bool:
 
 
 def _is_smooth(shape: Any) -> bool:
-    """Whether a mesh has one normal where its triangles meet, so that what it bends has no steps."""
-    return isinstance(shape, mi.Mesh) and shape.has_vertex_normals() and not is_hard(shape)
+    """Whether a mesh is closed, with one normal where its triangles meet: what it bends has no steps then."""
+    return isinstance(shape, mi.Mesh) and shape.has_vertex_normals() and is_closed(shape) and not is_hard(shape)

@@ -334,7 +334,7 @@ class PlannedRenderer:
         """
         if not self._names:
             others = " and ".join(map(repr, (*self._plan.blurred, *self._plan.followed)))
-            msg = f"there is nothing to verify: no gradient by {others} is Mitsuba's own"
+            msg = f"there is nothing to verify: {others} are blurred or followed, and no gradient is Mitsuba's own"
             raise OptionError(msg)
         return verification(
             self._current,
