@@ -81,6 +81,26 @@ def test_each_parameter_has_its_own() -> None:
         np.testing.assert_allclose(alone, both[name], rtol=1e-3)
 
 
+@pytest.mark.parametrize("film", ["rgba", "luminance", "luminance_alpha"])
+def test_films_without_colour_or_with_alpha_have_it_too(film: str) -> None:
+    """A weight of one for luminance is that of its shares of red, green and blue."""
+    moved = {"x": Translate("ball", X)}
+    colours, glass = followed(glass_scene(), moved, spp=4)
+    shares = np.array([0.2126, 0.7152, 0.0722], np.float32)
+    wanted = glass.pull(colours.parameters(), RAMP * shares, names=moved)["x"]
+    scene = glass_scene()
+    scene["sensor"]["film"]["pixel_format"] = film
+    other, glass = followed(scene, moved, spp=4)
+    image = other.render(other.parameters())
+    cotangent = np.zeros_like(image)
+    if film == "rgba":
+        cotangent[..., :3] = RAMP * shares
+    else:
+        cotangent[..., :1] = RAMP[..., :1]
+    found = glass.pull(other.parameters(), cotangent, names=moved)["x"]
+    np.testing.assert_allclose(found, wanted, rtol=1e-3)
+
+
 def test_a_fit_finds_a_ball_of_glass() -> None:
     """Within half a pixel, after a way of eight: what it throws on the floor tells, and what is seen in it."""
     scene = glass_scene()

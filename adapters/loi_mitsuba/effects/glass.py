@@ -33,6 +33,7 @@ SHARE: Final = 8  # samples of the image for one of each kind here
 LEAST: Final = 20_000
 GRAZING: Final = 0.01  # cosine below which the derivative of a direction, without bound at 0, is left out
 LIFT: Final = 4.0  # times as far as Mitsuba lifts rays from surfaces, do rays begin before one that they are to meet
+LUMINANCE: Final = (0.2126, 0.7152, 0.0722)  # of linear red, green and blue (Rec. 709)
 DRAWS: Final = 4
 
 
@@ -278,9 +279,13 @@ class _Eye:
         self._density = abs(float(width * height * matrix[0, 0] * matrix[1, 1] / matrix[3, 2] ** 2))
 
     def padded(self, cotangent: Any) -> Any:
-        """A cotangent of the image, shape (H, W, C), with zeros around it."""
+        """A cotangent of the image, shape (H, W, C), as one of its colours, with zeros around it.
+
+        C is 3 for a film of colours and 1 for one of luminance; one more is alpha, by which glass has no gradient.
+        """
         around = (self._around, self._around)
-        colours = np.asarray(cotangent, dtype=np.float32)[..., :3]
+        colours = np.asarray(cotangent, dtype=np.float32)
+        colours = colours[..., :3] if colours.shape[-1] > 2 else colours[..., :1] * np.asarray(LUMINANCE, np.float32)
         return mi.TensorXf(np.ascontiguousarray(np.pad(colours, (around, around, (0, 0)))))
 
     def cropped(self, image: Any) -> Host:
