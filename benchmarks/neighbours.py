@@ -131,7 +131,7 @@ def caustics(samples: int, draws: int) -> None:
         "wide scales": LOIObjective(target, ScaleSpace(1.0, 34.0, 0.125)),
         "narrow": LOIObjective(target, ScaleSpace(1.0, 4.0, 0.125)),
     }
-    near = PlannedRenderer(described, targets, spp=64, blur=None).unabridged
+    near = PlannedRenderer(described, targets, spp=64, blur=None, follow_glass=False).unabridged
     plain = exact.with_integrator("scene", spp=64)
     blurs = {f"blurred by {width}": BlurredRenderer(plain, width) for width in ("1 px", "2 px", "4 px")}
     ways: dict[str, Callable[..., Mapping[str, Any]]] = {"rough glass, alpha 0.05": near.pull}
