@@ -66,9 +66,9 @@ def glass_of(called: Names, targets: Mapping[str, Target], sensor: Any) -> dict[
 class Glass:
     """The gradient of a scene by the clear glass that moves in it.
 
-    It is that of direct light that falls through glass, or by way of it, on a surface that the camera sees past glass
-    or through it; and of what the camera sees in glass, under the same light as without. Caustics that are seen in
-    glass, light over several surfaces, and shadows that others throw on what glass shows are followed no further.
+    It is that of direct light that reaches a surface by way of glass, and of what the camera sees in glass, such light
+    included. Light over several surfaces has no part in it, nor have edges of other things that are seen in glass, nor a
+    camera or a lamp that is within glass itself.
 
     Parameters
     ----------
