@@ -67,8 +67,8 @@ class Glass:
     """The gradient of a scene by the clear glass that moves in it.
 
     It is that of direct light that reaches a surface by way of glass, and of what the camera sees in glass, such light
-    included. Light over several surfaces has no part in it, nor have edges of other things that are seen in glass, nor a
-    camera or a lamp that is within glass itself.
+    included. Light over several surfaces has no part in it, nor have edges of other things that are seen in glass, nor
+    has a camera or a lamp that is within glass itself.
 
     Parameters
     ----------
