@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -122,6 +123,25 @@ class NamedParameters:
                 raise ParameterError(msg)
             leaves[name] = mi.Float(_aligned(value.reshape(-1)))
         return leaves
+
+    @contextmanager
+    def attached(self, params: Mapping[str, Any], wanted: Iterable[str]) -> Iterator[dict[str, Any]]:
+        """`params` in the scene, and their leaves, of which those that are `wanted` have a gradient meanwhile.
+
+        No graph is left behind in the scene, also where Mitsuba fails; errors as of :meth:`leaves`.
+        """
+        leaves = self.leaves(params)
+        try:
+            with dr.resume_grad():  # the caller may have suspended gradients
+                dr.enable_grad([leaves[name] for name in wanted])
+                self.set(leaves)
+                yield leaves
+        finally:
+            self.set(self.leaves(params))
+
+    def gradients(self, leaves: Mapping[str, Any], names: Iterable[str]) -> dict[str, Host]:
+        """What has arrived at leaves, in the shapes of their parameters."""
+        return {name: as_host(dr.grad(leaves[name]), self.start[name].shape) for name in names}
 
     def set(self, leaves: Mapping[str, Any]) -> None:
         """Put values into the scene. All are, on every call, so that none is left from the call before."""

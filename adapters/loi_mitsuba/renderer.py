@@ -29,7 +29,7 @@ from loi_mitsuba.loading import (
     one_line,
     use_variant,
 )
-from loi_mitsuba.named import NamedParameters, as_host, host_numbers
+from loi_mitsuba.named import NamedParameters, host_numbers
 from loi_mitsuba.untrusted import SceneLoadError, check_types
 
 __all__ = ["MitsubaRenderer", "seeds_of"]
@@ -206,58 +206,49 @@ class MitsubaRenderer:
 
         It is what the pullback of :meth:`render_vjp` with the same `params` and `seed` gives.
         """
-        leaves = self._leaves(params)
         if not self._followed:
+            self._leaves(params)  # which checks them
             return {name: np.zeros_like(start) for name, start in self._named.start.items()}
-        try:
-            with dr.resume_grad():  # the caller may have suspended gradients
-                dr.enable_grad([leaves[name] for name in self._followed])
-                self._named.set(leaves)
-                # Within this scope nothing flows on into the parameters' own graph before all parts of the
-                # gradient, some of which Mitsuba carries back one after the other, have arrived there.
-                with dr.isolate_grad():
-                    self._integrator.render_backward(
-                        self._scene,
-                        self._named.entries,
-                        mi.TensorXf(np.ascontiguousarray(cotangent, dtype=np.float32)),
-                        self._sensor,
-                        seeds_of(seed)[1],
-                        self._spp_grad,
-                    )
-                return {name: as_host(dr.grad(leaf), self._named.start[name].shape) for name, leaf in leaves.items()}
-        finally:
-            self._named.set(self._leaves(params))  # no graph is left behind in the scene, also where Mitsuba failed
+        self._check_variant()
+        with self._named.attached(params, self._followed) as leaves:
+            # Within this scope nothing flows on into the parameters' own graph before all parts of the
+            # gradient, some of which Mitsuba carries back one after the other, have arrived there.
+            with dr.isolate_grad():
+                self._integrator.render_backward(
+                    self._scene,
+                    self._named.entries,
+                    mi.TensorXf(np.ascontiguousarray(cotangent, dtype=np.float32)),
+                    self._sensor,
+                    seeds_of(seed)[1],
+                    self._spp_grad,
+                )
+            return self._named.gradients(leaves, leaves)
 
     def push(self, params: Mapping[str, Any], tangent: Mapping[str, Any], *, seed: int = 0) -> Host:
         """How the image changes along a direction of the parameters: shape (H, W, C); errors as of `render`.
 
         The derivative that :meth:`pull` is the transpose of. Not every integrator of Mitsuba has it.
         """
-        leaves = self._leaves(params)
-        try:
-            with dr.resume_grad():
-                dr.enable_grad([leaves[name] for name in self._followed])
-                self._named.set(leaves)
-                for name in self._followed:
-                    direction = host_numbers(name, tangent[name], self._named.start[name].shape)
-                    dr.set_grad(leaves[name], mi.Float(direction.reshape(-1)))
-                    dr.enqueue(dr.ADMode.Forward, leaves[name])
-                # Up to the scene's own entries, since Mitsuba's loops do not look any further back than these.
-                dr.traverse(dr.ADMode.Forward, dr.ADFlag.ClearEdges)
-                first, second = seeds_of(seed)
-                image = mi.render(
-                    self._scene,
-                    self._named.entries,
-                    self._sensor,
-                    self._integrator,
-                    seed=first,
-                    seed_grad=second,
-                    spp_grad=self._spp_grad,
-                )
-                image = dr.forward_to(image)
-                return np.array(image.numpy(), dtype=np.float32, order="C")
-        finally:
-            self._named.set(self._leaves(params))
+        self._check_variant()
+        with self._named.attached(params, self._followed) as leaves:
+            for name in self._followed:
+                direction = host_numbers(name, tangent[name], self._named.start[name].shape)
+                dr.set_grad(leaves[name], mi.Float(direction.reshape(-1)))
+                dr.enqueue(dr.ADMode.Forward, leaves[name])
+            # Up to the scene's own entries, since Mitsuba's loops do not look any further back than these.
+            dr.traverse(dr.ADMode.Forward, dr.ADFlag.ClearEdges)
+            first, second = seeds_of(seed)
+            image = mi.render(
+                self._scene,
+                self._named.entries,
+                self._sensor,
+                self._integrator,
+                seed=first,
+                seed_grad=second,
+                spp_grad=self._spp_grad,
+            )
+            image = dr.forward_to(image)
+            return np.array(image.numpy(), dtype=np.float32, order="C")
 
     def _use(self, integrator: Any, spp: int, spp_grad: int | None) -> None:
         """Take an integrator and its samples."""
@@ -278,12 +269,16 @@ class MitsubaRenderer:
 
     def _leaves(self, params: Mapping[str, Any]) -> dict[str, Any]:
         """`params`, checked, as flat arrays of Dr.Jit."""
+        self._check_variant()
+        return self._named.leaves(params)
+
+    def _check_variant(self) -> None:
+        """Refuse to go on where Mitsuba's variant is no longer that of the scene."""
         if mi.variant() != self._variant:
             msg = (
                 f"Mitsuba's variant is {mi.variant()!r}, the scene's is {self._variant!r}; call mi.set_variant with it"
             )
             raise OptionError(msg)
-        return self._named.leaves(params)
 
     def _check_moving(self, *, told: bool) -> None:
         """Refuse or warn where the gradient of moving shapes is missing, unless a plan has told why."""

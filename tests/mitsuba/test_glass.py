@@ -11,7 +11,7 @@ import pytest
 from loi_core import LOIObjective, fit
 from loi_core.errors import OptionError
 from loi_mitsuba import MitsubaRenderer, PlannedRenderer, Rotate, Scale, Translate
-from loi_mitsuba.effects.glass import Glass, Samples, glass_of
+from loi_mitsuba.effects.glass import Glass, Samples
 from tests.helpers import Host
 from tests.mitsuba.scenes import HEIGHT, WIDTH, shadow_scene
 from tests.mitsuba.test_lamps import RAMP, X, Y, Z, begun, differences
@@ -35,7 +35,7 @@ def glass_scene(**changes: Any) -> dict[str, Any]:
 def followed(scene: dict[str, Any], targets: dict[str, Any], **options: Any) -> tuple[MitsubaRenderer, Glass]:
     """The scene by its own integrator, and what is followed in it."""
     renderer = MitsubaRenderer(scene, targets, integrator="scene", without_gradient=tuple(targets), **options)
-    return renderer, Glass(renderer, glass_of(renderer.names, renderer.targets, renderer.sensor), 128)
+    return renderer, Glass(renderer, 128)
 
 
 def in_blocks(image: Host) -> Host:
@@ -150,4 +150,4 @@ def test_it_can_be_turned_off() -> None:
     assert list(PlannedRenderer(glass_scene(), moved, spp=4, follow_glass=False).plan.blurred) == ["it"]
     assert list(PlannedRenderer(glass_scene(), moved, spp=4, blur={"names": ["it"]}).plan.blurred) == ["it"]
     with pytest.raises(OptionError, match="`follow_glass` must be true or false, got 1"):
-        PlannedRenderer(glass_scene(), moved, follow_glass=1)  # type: ignore[arg-type]
+        PlannedRenderer(glass_scene(), moved, follow_glass=1)  # type: ignore[arg-type]  # what is tested

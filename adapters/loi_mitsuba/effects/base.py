@@ -8,8 +8,7 @@ from typing import Any
 
 from loi_core.errors import ParameterError
 from loi_core.renderers.blurred import names_to_blur
-from loi_mitsuba.effects.glass import glass_of
-from loi_mitsuba.effects.lamps import is_shape, lamps_of
+from loi_mitsuba.effects.following import Followed
 from loi_mitsuba.effects.missing import missing_gradients
 from loi_mitsuba.effects.rules import plan_by_rules
 from loi_mitsuba.effects.traits import in_view, traits_of
@@ -30,21 +29,14 @@ class Base:
     """A scene by the rules' plan, with its neighbour where what moves calls for one.
 
     Also what that has exchanged, whether surfaces are left that are perfectly smooth, why which parameters have no
-    gradient, and the lights and the clear glass that parameters move, and that are followed.
+    gradient, and what can be followed.
     """
 
     renderer: MitsubaRenderer
     exchanged: Mapping[str, str]
     smooth: bool
     missing: Mapping[str, str]
-    lights: Mapping[str, Any]
-    glass: Mapping[str, Any]
-
-    @property
-    def without_gradient(self) -> frozenset[str]:
-        """Of what is followed, the parameters by which Mitsuba has no gradient of use: points, and glass."""
-        points = (name for name, light in self.lights.items() if not is_shape(light))
-        return frozenset((*points, *self.glass))
+    followed: Followed
 
 
 def base_of(
@@ -71,17 +63,14 @@ def base_of(
     missing = _missing(names, targets, found, blur)
     asked = {} if blur is None or blur.get("names") is None else missing
     free = {name: target for name, target in targets.items() if name not in asked}
-    lights = lamps_of(names, free) if follow_lights else {}
-    glass = glass_of(names, free, found) if follow_glass else {}
-    points = (name for name, light in lights.items() if not is_shape(light))
-    images = tuple(dict.fromkeys((*missing, *points, *glass)))
+    followed = Followed.of(names, free, found, lights=follow_lights, glass=follow_glass)
+    images = tuple(name for name in targets if name in missing or name in followed.without_gradient)
     traits = traits_of(names, {name: target for name, target in targets.items() if name not in images}, found)
     plan = plan_by_rules(traits, samples)
     ready = bordered(scene, plan)
     if ready is not scene:
-        names = named_scene(ready, targets)
-        lights = lamps_of(names, free) if follow_lights else {}
-        glass = glass_of(names, free, found) if follow_glass else {}
+        names = named_scene(ready, targets)  # whose objects are others
+        followed = Followed.of(names, free, found, lights=follow_lights, glass=follow_glass)
     options: dict[str, Any] = {"integrator": plan, "spp": spp, "sensor": sensor, "without_gradient": images}
     split = _split_meshes(names, targets, traits.moving)
     delta = traits.lights or traits.delta_reflection or traits.delta_transmission
@@ -95,9 +84,9 @@ def base_of(
                 break
             base, near_scene = pair
             exchanged = {one.what: one.reason for one in near_scene.exchanges}
-            return Base(base, exchanged, near_scene.smooth, missing, lights, glass)
+            return Base(base, exchanged, near_scene.smooth, missing, followed)
     renderer = MitsubaRenderer(names.loaded, targets, **options)
-    return Base(renderer, {}, smooth=True, missing=missing, lights=lights, glass=glass)
+    return Base(renderer, {}, smooth=True, missing=missing, followed=followed)
 
 
 def _missing(

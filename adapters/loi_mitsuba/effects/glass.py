@@ -9,19 +9,18 @@ has to be sampled.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from typing import Any, Final
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_core.effects import Draws, Holding
-from loi_mitsuba.effects.traits import has_medium, objects_of
+from loi_mitsuba.effects.traits import has_medium, is_clear
 from loi_mitsuba.entries import Names
 from loi_mitsuba.handles import Host, Scale
 from loi_mitsuba.loading import Target
-from loi_mitsuba.named import NamedParameters, as_host
+from loi_mitsuba.named import NamedParameters
 from loi_mitsuba.renderer import MitsubaRenderer, seeds_of
 from loi_mitsuba.seams import is_closed, is_hard
 
@@ -34,7 +33,6 @@ LEAST: Final = 20_000
 GRAZING: Final = 0.01  # cosine below which the derivative of a direction, without bound at 0, is left out
 LIFT: Final = 4.0  # times as far as Mitsuba lifts rays from surfaces, do rays begin before one that they are to meet
 LUMINANCE: Final = (0.2126, 0.7152, 0.0722)  # of linear red, green and blue (Rec. 709)
-DRAWS: Final = 4
 
 
 def glass_of(called: Names, targets: Mapping[str, Target], sensor: Any) -> dict[str, Any]:
@@ -56,7 +54,7 @@ def glass_of(called: Names, targets: Mapping[str, Target], sensor: Any) -> dict[
             shape = None if entry is None or entry.problem else called.moved_by(entry)
         else:
             shape = called.find_movable(target.shape)[1]
-        if not isinstance(shape, mi.Shape) or shape not in called.scene.shapes() or not _is_clear(shape):
+        if not isinstance(shape, mi.Shape) or shape not in called.scene.shapes() or not is_clear(shape):
             continue
         if shape.class_name() == "Sphere" or (_is_smooth(shape) and not isinstance(target, (str, Scale))):
             found[name] = shape
@@ -74,15 +72,12 @@ class Glass:
     ----------
     renderer : MitsubaRenderer
         Of the scene, whose values are those of the start.
-    shapes : dict of mi.Shape
-        By parameter, the shape of clear glass that it moves.
     samples : int
         Per pixel of the image; as many as one to 8 of these are followed each way.
     """
 
-    def __init__(self, renderer: MitsubaRenderer, shapes: Mapping[str, Any], samples: int) -> None:
+    def __init__(self, renderer: MitsubaRenderer, samples: int) -> None:
         self._renderer = renderer
-        self._shapes = dict(shapes)
         width, height = (int(one) for one in renderer.sensor.film().size())
         self._count = max(LEAST, samples * width * height // SHARE)
         self._named = NamedParameters(renderer.names, renderer.targets, tuple(renderer.targets))
@@ -92,25 +87,10 @@ class Glass:
     ) -> dict[str, Host]:
         """A cotangent of the image, shape (H, W, C), carried to the parameters `names`."""
         wanted = tuple(names)
-        leaves = self._named.leaves(params)
-        try:
-            with dr.resume_grad():
-                dr.enable_grad([leaves[name] for name in wanted])
-                self._named.set(leaves)
-                samples = Samples(self._renderer.scene, self._renderer.sensor)
-                samples.pull(cotangent, self._count, seeds_of(seed)[1])
-                return {name: as_host(dr.grad(leaves[name]), self._named.start[name].shape) for name in wanted}
-        finally:
-            self._named.set(self._named.leaves(params))
-
-    def seen(self, params: Mapping[str, Any], cotangent: Any, *, names: Sequence[str], seed: int = 0) -> frozenset[str]:
-        """Of `names`, those of glass whose gradient can be distinguished from noise, in a few draws."""
-        if not names:
-            return frozenset()
-        draws = Draws.of([self.pull(params, cotangent, names=names, seed=seed + k) for k in range(DRAWS)])
-        shapes = {name: self._shapes[name] for name in names}
-        objects = objects_of({name: self._renderer.targets[name] for name in names}, shapes)
-        return frozenset(names) - Holding.begun(draws, objects).reasons.keys()
+        with self._named.attached(params, wanted) as leaves:
+            samples = Samples(self._renderer.scene, self._renderer.sensor)
+            samples.pull(cotangent, self._count, seeds_of(seed)[1])
+            return self._named.gradients(leaves, wanted)
 
 
 class Samples:
@@ -118,7 +98,7 @@ class Samples:
 
     def __init__(self, scene: Any, sensor: Any) -> None:
         self._scene = scene
-        glass = [index for index, shape in enumerate(scene.shapes()) if _is_clear(shape)]
+        glass = [index for index, shape in enumerate(scene.shapes()) if is_clear(shape)]
         self._glass = mi.UInt32(glass)
         self._kinds = len(glass)
         self._eye = _Eye(sensor)
@@ -153,7 +133,7 @@ class Samples:
         """Points of the glass, attached to it, and the area that each stands for."""
         index = dr.minimum(mi.UInt32(sampler.next_1d() * self._kinds), self._kinds - 1)
         shape = dr.gather(mi.ShapePtr, self._scene.shapes_dr(), dr.gather(mi.UInt32, self._glass, index))
-        sample = shape.sample_position(0.0, sampler.next_2d(), True)  # noqa: FBT003 - Mitsuba's own
+        sample = shape.sample_position(0.0, sampler.next_2d())
         point = dr.zeros(mi.SurfaceInteraction3f, count)
         point.p, point.n, point.t = mi.Point3f(sample.p), mi.Normal3f(sample.n), mi.Float(1.0)
         return point, self._kinds / (sample.pdf * count)
@@ -162,7 +142,7 @@ class Samples:
         """Light of the lamps that passes glass, where it falls, less where it would: values in pixels, and places."""
         sampler = _sampler(seed, count)
         point, area = self._points(sampler, count)
-        lamp, weight = self._scene.sample_emitter_direction(point, sampler.next_2d(), False)  # noqa: FBT003
+        lamp, weight = self._scene.sample_emitter_direction(point, sampler.next_2d(), test_visibility=False)
         cosine = dr.dot(point.n, lamp.d)
         lit = (lamp.pdf != 0.0) & (cosine > 0.0)
         with dr.suspend_grad():
@@ -193,7 +173,7 @@ class Samples:
         context = mi.BSDFContext(mode)
         active = mi.Bool(active)
         share = mi.Color3f(1.0)
-        met = self._scene.ray_intersect(ray, mi.RayFlags.All, False, active)  # noqa: FBT003
+        met = self._scene.ray_intersect(ray, active)
         for _ in range(DEPTH - 1):
             active &= met.is_valid() & _clear_at(met)
             sample, weight = met.bsdf().sample(context, met, sampler.next_1d(), sampler.next_2d(), active)
@@ -203,7 +183,7 @@ class Samples:
             along = met.to_world(sample.wo)
             ray = met.spawn_ray(dr.select(steady, along, dr.detach(along)))
             ray.o = dr.replace_grad(ray.o, dr.select(steady, met.p, dr.detach(met.p)))
-            met = dr.select(active, self._scene.ray_intersect(ray, mi.RayFlags.All, False, active), met)  # noqa: FBT003
+            met = dr.select(active, self._scene.ray_intersect(ray, active), met)
         return met, share
 
     def _straight(self, ray: Any, active: Any) -> Any:
@@ -211,13 +191,13 @@ class Samples:
         with dr.suspend_grad():
             passed = self._passed(dr.detach(ray), active)
         ray = mi.Ray3f(ray.o + passed * ray.d, ray.d)
-        return self._scene.ray_intersect(ray, mi.RayFlags.All, False, active)  # noqa: FBT003
+        return self._scene.ray_intersect(ray, active)
 
     def _passed(self, ray: Any, active: Any) -> Any:
         """How far a ray goes through glass, until there is none before what it meets next."""
 
         def on(ray: Any, active: Any, passed: Any, left: Any) -> tuple[Any, ...]:
-            met = self._scene.ray_intersect(ray, mi.RayFlags.All, False, active)  # noqa: FBT003
+            met = self._scene.ray_intersect(ray, active)
             active = active & met.is_valid() & _clear_at(met)
             further = met.spawn_ray(ray.d)
             step = dr.dot(further.o - ray.o, ray.d)
@@ -226,7 +206,7 @@ class Samples:
             return further, active, passed, left - 1
 
         state = (mi.Ray3f(ray), mi.Bool(active), mi.Float(0.0), mi.UInt32(DEPTH))
-        return dr.while_loop(state, lambda ray, active, passed, left: active & (left > 0), on)[2]  # noqa: ARG005
+        return dr.while_loop(state, lambda _ray, active, _passed, left: active & (left > 0), on)[2]
 
     def _shown(self, si: Any, power: Any, active: Any) -> tuple[Any, Any]:
         """Of light that falls on a surface, what the camera sees of it past glass, and its place."""
@@ -244,7 +224,7 @@ class Samples:
         """
         emitted = dr.select(active, si.emitter(self._scene, active).eval(si, active), 0.0)
         active = active & si.is_valid() & ~_clear_at(si)
-        lamp, weight = self._scene.sample_emitter_direction(si, number, False, active)  # noqa: FBT003
+        lamp, weight = self._scene.sample_emitter_direction(si, number, test_visibility=False, active=active)
         lit = active & (lamp.pdf != 0.0) & self._is_open(si, lamp.p, active)
         value = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(lamp.d), lit)
         along, _, place, visible = self._eye.sees(si.p)
@@ -353,11 +333,6 @@ def _texture(image: Any) -> Any:
 
 def _clear_at(si: Any) -> Any:
     return mi.has_flag(si.bsdf().flags(), mi.BSDFFlags.DeltaTransmission)
-
-
-def _is_clear(shape: Any) -> bool:
-    bsdf = shape.bsdf()
-    return bsdf is not None and bool(mi.has_flag(bsdf.flags(), mi.BSDFFlags.DeltaTransmission))
 
 
 def _is_smooth(shape: Any) -> bool:

@@ -8,7 +8,7 @@ same samples with the lamp a little to either side.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any, Final
@@ -17,14 +17,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_core.effects import Draws, Holding
-from loi_core.effects.holding import CLEAR
-from loi_mitsuba.effects.traits import has_medium, in_view, objects_of
+from loi_mitsuba.effects.traits import has_medium, in_view
 from loi_mitsuba.entries import Names
 from loi_mitsuba.handles import Host, Rotate, Scale
 from loi_mitsuba.integrators import Settings
 from loi_mitsuba.loading import Target
-from loi_mitsuba.named import NamedParameters, as_host
+from loi_mitsuba.named import NamedParameters
 from loi_mitsuba.renderer import MitsubaRenderer, seeds_of
 
 __all__ = ["Lamps", "is_shape", "lamps_of", "reason_of"]
@@ -34,7 +32,6 @@ OF_LAMP: Final = 0.25  # of a lamp's longest side that it is put to either side:
 OF_SCENE: Final = 0.01  # of the scene's radius, for points and small lamps
 DEGREES: Final = 1.0
 OF_SCALE: Final = 0.02
-DRAWS: Final = 4
 OUTLINE: Final = Settings("direct_projective", 2, 0)
 
 
@@ -101,61 +98,24 @@ class Lamps:
         integrator = _integrator_of(mi.variant())(mi.Properties())
         number = seeds_of(seed)[1]
         slopes = self._slopes(integrator, params, wanted, number)
-        leaves = self._named.leaves(params)
-        try:
-            with dr.resume_grad():
-                dr.enable_grad([leaves[name] for name in wanted])
-                self._named.set(leaves)
-                integrator.slopes = [(leaves[name], index, slope) for name, index, slope in slopes]
-                with dr.isolate_grad():
-                    integrator.render_backward(
-                        self._renderer.scene,
-                        self._named.entries,
-                        mi.TensorXf(np.ascontiguousarray(cotangent, dtype=np.float32)),
-                        self._renderer.sensor,
-                        number,
-                        self._samples,
-                    )
-                pulled = {name: as_host(dr.grad(leaves[name]), self._named.start[name].shape) for name in wanted}
-        finally:
-            self._named.set(self._named.leaves(params))
+        with self._named.attached(params, wanted) as leaves:
+            integrator.slopes = [(leaves[name], index, slope) for name, index, slope in slopes]
+            with dr.isolate_grad():
+                integrator.render_backward(
+                    self._renderer.scene,
+                    self._named.entries,
+                    mi.TensorXf(np.ascontiguousarray(cotangent, dtype=np.float32)),
+                    self._renderer.sensor,
+                    number,
+                    self._samples,
+                )
+            pulled = self._named.gradients(leaves, wanted)
         seen = [name for name in wanted if self._is_seen(name)]
         if seen:
             outline = self._renderer.with_integrator(replace(OUTLINE, sppp=self._samples).load(), follow=seen)
             added = outline.pull(params, cotangent, seed=seed)
             pulled |= {name: pulled[name] + added[name] for name in seen}
         return pulled
-
-    def seen(self, params: Mapping[str, Any], cotangent: Any, *, names: Sequence[str], seed: int = 0) -> frozenset[str]:
-        """Of `names`, those of lights whose gradient can be distinguished from noise, in a few draws."""
-        if not names:
-            return frozenset()
-        draws = self._draws(params, cotangent, names, seed)
-        return frozenset(names) - Holding.begun(draws, self._objects(names)).reasons.keys()
-
-    def better(
-        self, own: MitsubaRenderer, params: Mapping[str, Any], cotangent: Any, *, names: Sequence[str], seed: int = 0
-    ) -> frozenset[str]:
-        """Of `names`, those of lamps that are seen by their direct light, and about which Mitsuba knows nothing more.
-
-        That is where its `own` gradient, which has all light, differs by no more than its noise.
-        """
-        seen = self.seen(params, cotangent, names=names, seed=seed)
-        if not seen:
-            return seen
-        wanted = tuple(name for name in names if name in seen)
-        every = Draws.of([_of(own.pull(params, cotangent, seed=seed + k), wanted) for k in range(DRAWS)])
-        lacking = every.less(self._draws(params, cotangent, wanted, seed))
-        more = {name for name in wanted if lacking.heard(name, CLEAR)}
-        return frozenset(name for group in self._objects(wanted) for name in group if not more & set(group))
-
-    def _draws(self, params: Mapping[str, Any], cotangent: Any, names: Sequence[str], seed: int) -> Draws:
-        return Draws.of([self.pull(params, cotangent, names=names, seed=seed + k) for k in range(DRAWS)])
-
-    def _objects(self, names: Sequence[str]) -> tuple[tuple[str, ...], ...]:
-        """Names of one light together."""
-        lights = {name: self._lights[name] for name in names}
-        return objects_of({name: self._renderer.targets[name] for name in names}, lights)
 
     def _is_seen(self, name: str) -> bool:
         return is_shape(self._lights[name]) and in_view(self._renderer.sensor, self._lights[name])
@@ -183,10 +143,6 @@ class Lamps:
                 dr.eval(slope)
                 found.append((name, index, slope))
         return found
-
-
-def _of(pulled: Mapping[str, Host], names: Iterable[str]) -> dict[str, Host]:
-    return {name: pulled[name] for name in names}
 
 
 def _shift(target: Target, light: Any, radius: float) -> float:

@@ -7,7 +7,7 @@ from typing import Any
 
 import mitsuba as mi
 
-from loi_mitsuba.effects.traits import has_medium
+from loi_mitsuba.effects.traits import has_medium, is_clear
 from loi_mitsuba.entries import Names
 from loi_mitsuba.loading import Target
 
@@ -45,8 +45,7 @@ def _of_moving(node: Any, scene: Any, sensor: Any, *, medium: bool) -> str:
         return "it moves a camera, by which Mitsuba has no gradient"
     if isinstance(node, mi.Emitter):
         return f"it moves a {node.class_name()}, by which Mitsuba's gradient is missing or wrong"
-    bsdf = node.bsdf()
-    if bsdf is not None and mi.has_flag(bsdf.flags(), mi.BSDFFlags.DeltaTransmission):
+    if is_clear(node):
         return "it moves clear glass, and what that bends light to has next to no gradient in Mitsuba"
     if node not in scene.shapes():
         return "it moves a shape of a shapegroup, whose outlines and shadows have no gradient in Mitsuba"

@@ -130,8 +130,8 @@ class PlannedRenderer:
         self._base = self._whole.renderer
         self._blurred: BlurredRenderer | None = None
         self._samples = int(spp)
-        self._following = Following(self._base, self._whole.lights, self._whole.glass, self._samples)
-        self._followed = self._whole.without_gradient  # whose gradient is of samples that move with them
+        self._following = Following(self._base, self._whole.followed, self._samples)
+        self._followed = self._whole.followed.without_gradient  # whose gradient is of samples that move with them
         self._begun = False
         self._schedule = Schedule()
         self._last: Probe | None = None
@@ -142,9 +142,7 @@ class PlannedRenderer:
         self._optimised = tuple(self._base.targets)
         self._take(self._optimised)
         if self._followed and self._whole.missing:
-            self._blurring.over(
-                self._whole.missing
-            )  # checked now, for what is followed may turn out to be blurred later
+            self._blurring.over(self._whole.missing)  # checked now: what is followed may turn out to be blurred later
 
     @property
     def encoding(self) -> Encoding:
@@ -236,7 +234,7 @@ class PlannedRenderer:
                 raise ParameterError(msg)
         self._optimised = names
         self._noisy = {}
-        self._followed = self._whole.without_gradient
+        self._followed = self._whole.followed.without_gradient
         self._take(names)
         otherwise = tuple(name for name in self._plan.followed if name in self._whole.missing)
         seen = self._following.seen(params, cotangent, names=otherwise, seed=APART + seed)
@@ -265,11 +263,11 @@ class PlannedRenderer:
 
     def _follow_lamps(self, probe: Probe, names: Iterable[str]) -> None:
         """Of the lamps among what is optimised, take those by their own light that have the better gradient so."""
-        lamps = tuple(name for name in names if name in self._whole.lights)
+        lamps = tuple(name for name in names if name in self._whole.followed.lights)
         if not lamps:
             return
         own = self._base.with_integrator(self._plan, follow=lamps)
-        better = self._following.lamps.better(own, probe.params, probe.cotangent, names=lamps, seed=APART + probe.seed)
+        better = self._following.better(own, probe.params, probe.cotangent, names=lamps, seed=APART + probe.seed)
         if better:
             self._followed |= better
             self._retake(self._plan.blurred, "by the pilot")

@@ -13,7 +13,7 @@ import numpy as np
 from loi_mitsuba.entries import Names, ancestors
 from loi_mitsuba.handles import Handle, Translate
 
-__all__ = ["Traits", "groups_of", "has_medium", "in_view", "objects_of", "traits_of"]
+__all__ = ["Traits", "groups_of", "has_medium", "in_view", "is_clear", "objects_of", "traits_of"]
 
 CONVEX: Final = ("Sphere", "Rectangle", "Disk", "Cube")
 SHAPES: Final = (*CONVEX, "Cylinder", "BSplineCurve", "LinearCurve")  # and every mesh
@@ -174,6 +174,12 @@ def objects_of(targets: Mapping[str, str | Handle], moving: Mapping[str, Any]) -
     for name in targets:
         together.setdefault(moving.get(name, name), []).append(name)
     return tuple(map(tuple, together.values()))
+
+
+def is_clear(shape: Any) -> bool:
+    """Whether a shape is of clear glass: light goes through it in single directions."""
+    bsdf = shape.bsdf()
+    return bsdf is not None and bool(mi.has_flag(bsdf.flags(), mi.BSDFFlags.DeltaTransmission))
 
 
 def in_view(sensor: Any, shape: Any) -> bool:
