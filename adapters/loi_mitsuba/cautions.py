@@ -7,6 +7,7 @@ from typing import Any
 
 import mitsuba as mi
 
+from loi_core.support.wording import clause
 from loi_mitsuba.seams import has_seams
 
 __all__ = ["GradientWarning", "warn_of_moving"]
@@ -32,14 +33,15 @@ def warn_of_moving(scene: Any, integrator: Any, shapes: list[Any]) -> None:
         )
         warnings.warn(msg, GradientWarning, stacklevel=4)
         return
-    own = scene.shapes()
-    for shape in shapes:
-        if shape not in own:
-            msg = (
-                f"shape {shape.id()!r} moves in a shapegroup, and the motion of its instances' silhouettes and shadows "
-                f"has no gradient; put the shape into the scene itself"
-            )
-            warnings.warn(msg, GradientWarning, stacklevel=4)
+    each, own = list(dict.fromkeys(shapes)), scene.shapes()
+    grouped = [shape.id() for shape in each if shape not in own]
+    if grouped:
+        moves = f"{'shape' if len(grouped) == 1 else 'shapes'} {clause(grouped, 'moves', 'move')}"
+        msg = (
+            f"{moves} in a shapegroup, and the motion of its instances' silhouettes and shadows has no gradient; put "
+            f"the shape into the scene itself"
+        )
+        warnings.warn(msg, GradientWarning, stacklevel=4)
     delta = [emitter for emitter in scene.emitters() if mi.has_flag(emitter.flags(), mi.EmitterFlags.Delta)]
     if shapes and delta:
         kinds = " and ".join(sorted({emitter.class_name() for emitter in delta}))
@@ -48,11 +50,12 @@ def warn_of_moving(scene: Any, integrator: Any, shapes: list[Any]) -> None:
             f"with an area emitter"
         )
         warnings.warn(msg, GradientWarning, stacklevel=4)
-    for shape in shapes:
-        if has_seams(shape):
-            msg = (
-                f"mesh {shape.id()!r} stores the vertices of an edge more than once, and Mitsuba counts the gradient "
-                f"of such an edge as often; merge equal vertices (and set face_normals for flat shading); "
-                f"PlannedRenderer does where shading is smooth"
-            )
-            warnings.warn(msg, GradientWarning, stacklevel=4)
+    split = [shape.id() for shape in each if has_seams(shape)]
+    if split:
+        stores = f"{'mesh' if len(split) == 1 else 'meshes'} {clause(split, 'stores', 'store')}"
+        msg = (
+            f"{stores} the vertices of an edge more than once, and Mitsuba counts the gradient of such an edge as "
+            f"often; merge equal vertices (and set face_normals for flat shading); PlannedRenderer does where shading "
+            f"is smooth"
+        )
+        warnings.warn(msg, GradientWarning, stacklevel=4)

@@ -10,7 +10,7 @@ from typing import Any, Final
 from loi_core.errors import OptionError
 from loi_core.support.html import card, paragraph, table
 from loi_core.support.markdown import markdown
-from loi_core.support.wording import shown
+from loi_core.support.wording import LISTED, listed, shown
 
 __all__ = ["Capability", "Choice", "Effect", "EffectPlan"]
 
@@ -170,9 +170,8 @@ class EffectPlan:
             for one in self.choices
         ]
         rows += [[what, "exchanged", "", "", reason] for what, reason in self.exchanged.items()]
-        rows += [[repr(name), "followed", "", "", reason] for name, reason in self.followed.items()]
-        rows += [[repr(name), "blurred", "", "", reason] for name, reason in self.blurred.items()]
-        rows += [[repr(name), "held", "", "", reason] for name, reason in self.held.items()]
+        for state, reasons in (("followed", self.followed), ("blurred", self.blurred), ("held", self.held)):
+            rows += [[names, state, "", "", reason] for names, reason in _together(reasons)]
         return rows
 
     @property
@@ -192,15 +191,26 @@ class EffectPlan:
             for new, old in zip(self.choices, other.choices, strict=True)
             if new.on != old.on
         ]
-        changes += [f"{name!r} held ({reason})" for name, reason in self.held.items() if name not in other.held]
-        changes += [
-            f"{name!r} blurred ({reason})" for name, reason in self.blurred.items() if name not in other.blurred
-        ]
-        changes += [f"{name!r} no longer followed" for name in other.followed if name not in self.followed]
-        changes += [f"{name!r} no longer blurred" for name in other.blurred if name not in self.blurred]
-        changes += [f"{name!r} free" for name in other.held if name not in {**self.held, **self.blurred}]
+        for state, now, before in (("held", self.held, other.held), ("blurred", self.blurred, other.blurred)):
+            fresh = {name: reason for name, reason in now.items() if name not in before}
+            changes += [f"{names} {state} ({reason})" for names, reason in _together(fresh)]
+        for state, before, now in (
+            ("no longer followed", other.followed, self.followed),
+            ("no longer blurred", other.blurred, self.blurred),
+            ("free", other.held, {**self.held, **self.blurred}),
+        ):
+            changes += [f"{names} {state}" for names, _ in _together({name: "" for name in before if name not in now})]
         for name in dict.fromkeys([*other.settings, *self.settings]):
             old_value, new_value = other.settings.get(name), self.settings.get(name)
             if old_value != new_value:
                 changes.append(f"{name} {old_value} -> {new_value}")
         return "; ".join(changes)
+
+
+def _together(reasons: Mapping[str, str]) -> list[tuple[str, str]]:
+    """Names, each with its reason; those of one reason together, in short, if they are many."""
+    names: dict[str, list[str]] = {}
+    for name, reason in reasons.items():
+        names.setdefault(reason, []).append(name)
+    many = {reason: listed(group) for reason, group in names.items() if len(group) > LISTED + 1}
+    return list(dict.fromkeys((many.get(reason, repr(name)), reason) for name, reason in reasons.items()))

@@ -20,6 +20,7 @@ from loi_core.pixels.psnr import psnr
 from loi_core.renderers.contract import Parameters
 from loi_core.renderers.units import measure_units
 from loi_core.support.arrays import Host, detached, from_numpy, to_numpy
+from loi_core.support.wording import clause, listed
 
 __all__ = ["Findings", "diagnose", "judged", "nearness"]
 
@@ -153,7 +154,11 @@ def diagnose(seen: Findings) -> Diagnosis:
     if max(norms, default=0.0) == 0.0:
         hidden = [name for name, one in seen.visible.items() if not one]
         if hidden:
-            return say("no gradient", f"{_listed(hidden)} leave no trace in the image", "check that they are in view")
+            return say(
+                "no gradient",
+                clause(hidden, "leaves no trace in the image", "leave no trace in the image"),
+                "check that they are in view",
+            )
         return say(
             "no gradient",
             "start and target differ, but the gradient is 0 throughout",
@@ -171,7 +176,7 @@ def diagnose(seen: Findings) -> Diagnosis:
         return say("left the frame", f"{rest}, and the gradient is gone", "start nearer, or set bounds")
     held = _at_bounds(seen.params, seen.bounds)
     if held:
-        return say("at a bound", f"{rest}, and {_listed(held)} ended at a bound", "widen it, or start elsewhere")
+        return say("at a bound", f"{rest}, and {listed(held)} ended at a bound", "widen it, or start elsewhere")
     last = [one.value for one in seen.history if one.stage == seen.history[-1].stage]
     quarter = last[-max(len(last) // 4, 2) :]
     if len(quarter) >= 4:
@@ -184,10 +189,6 @@ def diagnose(seen: Findings) -> Diagnosis:
         f"{rest} and no longer falls",
         "if the renderer can make the target exactly, try more steps, starts=8, or a nearer start",
     )
-
-
-def _listed(names: list[str]) -> str:
-    return " and ".join(map(repr, names))
 
 
 def _at_bounds(params: Parameters, bounds: Bounds) -> list[str]:

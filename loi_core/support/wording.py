@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 import io
+from collections.abc import Collection, Iterable
 from typing import Final, TextIO
 
-__all__ = ["PlainText", "described", "printable", "shown"]
+__all__ = ["LISTED", "PlainText", "clause", "described", "listed", "printable", "shown"]
 
 MOST: Final = 60
 MOST_DESCRIBED: Final = 500
+LISTED: Final = 4
+"""Names in a list, before others are counted; one more is named as well."""
 
 
 def shown(value: object) -> str:
@@ -21,6 +24,18 @@ def shown(value: object) -> str:
     except Exception:  # noqa: BLE001 - whatever it is, the message that shows it matters more
         return f"a {type(value).__name__} that cannot be printed"
     return " ".join(text[:MOST].split())
+
+
+def listed(names: Iterable[str]) -> str:
+    """Each of `names` once, in quotes; of more than five the first four, and how many others there are."""
+    quoted = [repr(one) for one in dict.fromkeys(names)]
+    more = len(quoted) - LISTED
+    return ", ".join(quoted) if more <= 1 else f"{', '.join(quoted[:LISTED])} and {more} others"
+
+
+def clause(names: Collection[str], one: str, several: str) -> str:
+    """The names as :func:`listed`, and what they do: `one` if there is one of them, or else `several`."""
+    return f"{listed(names)} {one if len(set(names)) == 1 else several}"
 
 
 def described(error: BaseException) -> str:

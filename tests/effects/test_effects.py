@@ -184,3 +184,20 @@ def test_draws_add_group_and_cancel() -> None:
     assert both.gradients["x, z"].shape == (4, 4)
     with pytest.raises(OptionError, match="the same 2 or more draws"):
         noisy([1.0], 0.1, 1, 0)
+
+
+@pytest.mark.parametrize("count", [5, 6])
+def test_many_that_are_held_for_one_reason_share_a_row(count: int) -> None:
+    far = {f"far {k}": "it cannot be seen" for k in range(count)}
+    held = dataclasses.replace(plan(), held={**far, "noisy": "it is noise"})
+    rows = [line for line in str(held).splitlines() if " held " in line]
+    changes = held.changes_from(plan()).split("; ")
+    freed = plan().changes_from(held).split("; ")
+    if count == 5:
+        assert len(rows) == len(changes) == 6
+    else:
+        names = "'far 0', 'far 1', 'far 2', 'far 3' and 2 others"
+        assert [row.split("|")[1].strip() for row in rows] == [names, "'noisy'"]
+        assert changes == [f"{names} held (it cannot be seen)", "'noisy' held (it is noise)"]
+    assert freed == [f"'far 0', 'far 1', 'far 2', 'far 3' and {count - 3} others free"]
+    assert len(held.held) == count + 1  # where every name is

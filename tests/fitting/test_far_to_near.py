@@ -130,7 +130,7 @@ def test_what_leaves_no_trace_has_no_unit_and_says_so() -> None:
     result = fit(renderer, LOIObjective(renderer.render(params)[:, ::-1].copy()), steps=4, optimise=free)
     assert result.diagnosis is not None
     assert result.diagnosis.verdict == "no gradient"
-    assert "'mood' leave no trace" in str(result.diagnosis)
+    assert "'mood' leaves no trace" in str(result.diagnosis)
 
 
 def test_a_target_that_is_encoded_is_recognised() -> None:

@@ -51,3 +51,14 @@ def test_colours_of_vertices_do_not_move_a_mesh() -> None:
 def test_meshes_that_count_twice_are_warned_of() -> None:
     with pytest.warns(GradientWarning, match="mesh 'cube' stores the vertices of an edge more than once"):
         MitsubaRenderer(shadow_scene(cube={"type": "cube"}), {"place": Translate("cube")})
+
+
+def test_many_meshes_are_warned_of_once(recwarn: pytest.WarningsRecorder) -> None:
+    """However many parameters move each."""
+    cubes = {f"cube {k}": {"type": "cube"} for k in range(7)}
+    moved = {f"{name} {axis}": Translate(name, axis) for name in cubes for axis in ((1, 0, 0), (0, 1, 0))}
+    MitsubaRenderer(shadow_scene(**cubes), moved)
+    (message,) = [str(one.message) for one in recwarn if one.category is GradientWarning]
+    assert message.startswith(
+        "meshes 'cube 0', 'cube 1', 'cube 2', 'cube 3' and 3 others store the vertices of an edge"
+    )

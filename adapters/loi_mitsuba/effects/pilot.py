@@ -25,6 +25,7 @@ from loi_core.effects import (
     total,
     whole_samples,
 )
+from loi_core.support.wording import listed
 from loi_mitsuba.effects.probe import Probe
 from loi_mitsuba.effects.rules import DIRECT, EFFECTS, everything, integrator_for, plan_of
 from loi_mitsuba.effects.traits import Traits
@@ -294,7 +295,7 @@ def _notes(each: Draws, holding: Holding, samples: int) -> tuple[str, ...]:
         )
     if lost:
         notes.append(
-            f"the gradient by {' and '.join(map(repr, lost))} cannot be distinguished from noise in {each.count} draws "
+            f"the gradient by {listed(lost)} cannot be distinguished from noise in {each.count} draws "
             f"of {samples} samples a pixel; it is not held, for that of what moves with it can"
         )
     return tuple(notes)

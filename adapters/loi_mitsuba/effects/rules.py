@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final
 
 from loi_core.effects import Choice, Effect, EffectPlan
+from loi_core.support.wording import clause
 from loi_mitsuba.effects.traits import SURFACE_INTEGRATORS, VOLUME_INTEGRATORS, Traits
 from loi_mitsuba.integrators import OWN, PARTS, Settings, as_mapping, settings_of
 
@@ -14,7 +15,6 @@ __all__ = ["DIRECT", "EFFECTS", "everything", "integrator_for", "plan_by_rules",
 
 EFFECTS: Final = {"sppc": Effect.CONTINUOUS, "sppp": Effect.PRIMARY, "sppi": Effect.INDIRECT}
 DIRECT: Final = 2  # paths from the camera over one surface to a light
-MOST_NAMED: Final = 4  # parameters in a reason, before others are counted
 STILL: Final = "nothing that is optimised moves a shape"
 
 
@@ -134,7 +134,8 @@ def _camera() -> Choice:
 
 
 def _reasons(traits: Traits, settings: Settings) -> dict[Effect, str]:
-    moves = f"{_names(traits.moving)} moves {'a shape' if len(traits.moving) == 1 else 'shapes'}"
+    moves = clause(traits.moving, "moves a shape", "move shapes")
+    single = len(traits.moving) == 1
     shades = [*traits.moving, *traits.appearance, *traits.emission, *traits.volumes]
     limit = (
         f"the scene's own limit is {traits.depth}"
@@ -146,8 +147,8 @@ def _reasons(traits: Traits, settings: Settings) -> dict[Effect, str]:
     elif not settings.projective:
         primary = indirect = f"{moves}, but {settings.integrator} has no gradient of edges"
     else:
-        primary = f"{moves}, and its outline in view with it"
-        indirect = f"{moves}, and with it shadows, and edges seen in other surfaces"
+        primary = f"{moves}, and {'its outline' if single else 'their outlines'} in view"
+        indirect = f"{moves}, and with {'it' if single else 'them'} shadows, and edges seen in other surfaces"
         if traits.alone:
             indirect = "the scene is one convex shape, which neither shadows nor reflects itself"
     if settings.max_depth > DIRECT:
@@ -155,17 +156,19 @@ def _reasons(traits: Traits, settings: Settings) -> dict[Effect, str]:
     else:
         bounces = "the scene is one convex shape, which does not light itself" if traits.alone else limit
     return {
-        Effect.CONTINUOUS: f"{_names(shades)} changes how surfaces or media look" if shades else "nothing is optimised",
+        Effect.CONTINUOUS: clause(shades, "changes how surfaces or media look", "change how surfaces or media look")
+        if shades
+        else "nothing is optimised",
         Effect.PRIMARY: primary,
         Effect.INDIRECT: indirect,
         Effect.BOUNCES: bounces,
         Effect.SPECULAR: _surfaces(traits),
         Effect.MEDIA: "the scene has a participating medium" if traits.media else "the scene has no medium",
-        Effect.EMITTERS: f"{_names(traits.emission)} changes emitters"
+        Effect.EMITTERS: clause(traits.emission, "changes emitters", "change emitters")
         if traits.emission
         else "no emitter is optimised",
         Effect.CAMERA: _camera().reason,
-        Effect.APPEARANCE: f"{_names(traits.appearance)} changes materials"
+        Effect.APPEARANCE: clause(traits.appearance, "changes materials", "change materials")
         if traits.appearance
         else "no material is optimised",
     }
@@ -222,9 +225,3 @@ def _missing(traits: Traits) -> tuple[str, ...]:
     if traits.moving and traits.reaches_border and not traits.samples_border:
         notes.append("the film must have sample_border=True, for shapes that cross the border of the image")
     return tuple(notes)
-
-
-def _names(names: Iterable[str]) -> str:
-    quoted = [repr(one) for one in dict.fromkeys(names)]
-    more = len(quoted) - MOST_NAMED
-    return ", ".join(quoted) if more <= 1 else f"{', '.join(quoted[:MOST_NAMED])} and {more} others"
