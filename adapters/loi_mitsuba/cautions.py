@@ -33,8 +33,8 @@ def warn_of_moving(scene: Any, integrator: Any, shapes: list[Any]) -> None:
         )
         warnings.warn(msg, GradientWarning, stacklevel=4)
         return
-    each, own = list(dict.fromkeys(shapes)), scene.shapes()
-    grouped = [shape.id() for shape in each if shape not in own]
+    each, own = dict.fromkeys(shapes), scene.shapes()
+    grouped = dict.fromkeys(shape.id() for shape in each if shape not in own)
     if grouped:
         moves = f"{'shape' if len(grouped) == 1 else 'shapes'} {clause(grouped, 'moves', 'move')}"
         msg = (
@@ -50,7 +50,7 @@ def warn_of_moving(scene: Any, integrator: Any, shapes: list[Any]) -> None:
             f"with an area emitter"
         )
         warnings.warn(msg, GradientWarning, stacklevel=4)
-    split = [shape.id() for shape in each if has_seams(shape)]
+    split = dict.fromkeys(shape.id() for shape in each if has_seams(shape))
     if split:
         stores = f"{'mesh' if len(split) == 1 else 'meshes'} {clause(split, 'stores', 'store')}"
         msg = (

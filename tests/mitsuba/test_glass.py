@@ -150,4 +150,4 @@ def test_it_can_be_turned_off() -> None:
     assert list(PlannedRenderer(glass_scene(), moved, spp=4, follow_glass=False).plan.blurred) == ["it"]
     assert list(PlannedRenderer(glass_scene(), moved, spp=4, blur={"names": ["it"]}).plan.blurred) == ["it"]
     with pytest.raises(OptionError, match="`follow_glass` must be true or false, got 1"):
-        PlannedRenderer(glass_scene(), moved, follow_glass=1)  # type: ignore[arg-type]  # what is tested
+        PlannedRenderer(glass_scene(), moved, follow_glass=1)  # type: ignore[arg-type]  # the wrong type is refused

@@ -20,7 +20,7 @@ from loi_core.renderers.contract import Loss
 from loi_core.renderers.pullbacks import OfLoss
 from loi_core.support.arrays import to_numpy
 from loi_core.support.values import real_number
-from loi_core.support.wording import shown
+from loi_core.support.wording import clause, listed, shown
 from loi_mitsuba.effects.base import base_of
 from loi_mitsuba.effects.blurring import Blurring
 from loi_mitsuba.effects.following import Following
@@ -331,8 +331,8 @@ class PlannedRenderer:
             If every parameter is blurred or followed.
         """
         if not self._names:
-            others = " and ".join(map(repr, (*self._plan.blurred, *self._plan.followed)))
-            msg = f"there is nothing to verify: {others} are blurred or followed, and no gradient is Mitsuba's own"
+            others = clause({**self._plan.blurred, **self._plan.followed}, "is", "are")
+            msg = f"there is nothing to verify: {others} blurred or followed, and no gradient is Mitsuba's own"
             raise OptionError(msg)
         return verification(
             self._current,
@@ -407,7 +407,7 @@ class PlannedRenderer:
             return
         self._seen |= fresh
         self._holding = self._holding.without(fresh)
-        reason = f"what {', '.join(map(repr, sorted(fresh)))} moves has come into view"
+        reason = f"what {listed(sorted(fresh))} moves has come into view"
         self._raise({Effect.PRIMARY: reason} if missing else {}, "as it comes into view")
 
     def _probe(self, when: str) -> None:
