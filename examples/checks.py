@@ -6,7 +6,6 @@ Run it from the root of the repository, with the development extras installed.
 from __future__ import annotations
 
 import json
-import subprocess
 import sys
 from pathlib import Path
 from typing import Any, Final
@@ -81,21 +80,7 @@ def rows() -> list[tuple[str, float, float]]:
     flat = LOIObjective(reference[..., :1], ScaleSpace(0, 1e6, 1e-3)).value(image[..., :1])
     distance = stats.wasserstein_distance(image[..., 0].ravel(), reference[..., 0].ravel())
     table.append(("whole image against scipy's Wasserstein distance, beta 1e-3", abs(float(flat) - distance), 1e-3))
-    return [*table, ("time to import loi_core after numpy, over that of numpy", import_ratio(), 3.0)]
-
-
-def import_ratio() -> float:
-    """How much longer it takes to import the core than to import NumPy first: least of five times of each.
-
-    A processor's time, not the clock's, and beside a peer: what else the machine does is hardly in it.
-    """
-    code = (
-        "import time; a = time.process_time(); import numpy; b = time.process_time(); import loi_core; "
-        "print(b - a, time.process_time() - b)"
-    )
-    runs = [subprocess.run([sys.executable, "-c", code], capture_output=True, check=True) for _ in range(5)]
-    times = np.array([one.stdout.split() for one in runs], dtype=np.float64).min(axis=0)
-    return float(times[1] / times[0])
+    return table
 
 
 def main() -> int:

@@ -6,8 +6,6 @@ import importlib.metadata
 import json
 import shlex
 from pathlib import Path
-from urllib.parse import urlsplit
-from urllib.request import url2pathname
 
 __all__ = ["how_to_install"]
 
@@ -24,6 +22,10 @@ def how_to_install(extra: str, package: str = "loi") -> str:
 
 def _clone(package: str) -> Path | None:
     """The folder of a package that is used from where its sources are (``pip install -e``), or None."""
+    # Here, for they load what makes up a tenth of the time to import loi: sockets and encryption.
+    from urllib.parse import urlsplit
+    from urllib.request import url2pathname
+
     try:
         said = importlib.metadata.distribution(package).read_text("direct_url.json")
         origin = json.loads(said) if said else {}

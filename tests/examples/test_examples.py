@@ -16,12 +16,11 @@ ROOT = Path(__file__).parents[2]
 
 
 def test_every_promised_tolerance_is_kept() -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "examples.checks"], capture_output=True, text=True, cwd=ROOT, check=True
-    )
+    done = subprocess.run([sys.executable, "-m", "examples.checks"], capture_output=True, text=True, cwd=ROOT)
+    assert done.returncode == 0, done.stdout + done.stderr
     rows = [line.split(" | ")[0].removeprefix("| ") for line in done.stdout.splitlines()[2:]]
     documented = (ROOT / "docs" / "mathematics.md").read_text()
-    assert len(rows) == 10
+    assert len(rows) == 9
     assert all(f"| {name} | " in documented for name in rows)
 
 
