@@ -50,6 +50,10 @@
 
   // --- the charts ---------------------------------------------------------------------------------------------------
 
+  function called(channel, alpha) {
+    return `${channel}, extent ${number(alpha)} px`;
+  }
+
   function layOut() {
     const { alphas, sigma, beta } = facts.groups[group ? group.selectedIndex : 0];
     charts.replaceChildren();
@@ -63,15 +67,16 @@
       const line = document.createElement("div");
       line.className = "charts";
       charts.append(head, line);
-      return { distance, charts: facts.channels.map((channel) => chart(channel, line)) };
+      return { distance, charts: facts.channels.map((channel) => chart(channel, alpha, line)) };
     });
   }
 
-  function chart(channel, parent) {
+  function chart(channel, alpha, parent) {
     const figure = document.createElement("div");
     figure.className = "chart";
     figure.dataset.channel = channel;
     const svg = element("svg", { viewBox: `0 0 ${CHART.width} 130`, role: "img" }, figure);
+    svg.setAttribute("aria-label", called(channel, alpha)); // until the point rests, and how far apart is told
     element("path", { class: "axis", d: `M0 ${CHART.base}H${CHART.width}M0 ${CHART.bottom}H${CHART.width}` }, svg);
     const found = { channel, svg };
     for (const name of ["ours", "theirs", "apart", "steps"]) found[name] = element("path", { class: name }, svg);
@@ -130,12 +135,11 @@
 
   function tell() {
     const said = cells.map((cell, extent) => {
-      const alpha = number(facts.groups[group ? group.selectedIndex : 0].alphas[extent]);
+      const alpha = facts.groups[group ? group.selectedIndex : 0].alphas[extent];
       for (const one of cell.charts) {
-        const name = `${one.channel}, extent ${alpha} px: histograms ${one.far.toFixed(3)} apart`;
-        one.svg.setAttribute("aria-label", name);
+        one.svg.setAttribute("aria-label", `${called(one.channel, alpha)}: histograms ${one.far.toFixed(3)} apart`);
       }
-      return `extent ${alpha}: ${cell.distance.textContent}`;
+      return `extent ${number(alpha)}: ${cell.distance.textContent}`;
     });
     find("told").textContent = `${place.textContent}; ${said.join(", ")}`;
   }

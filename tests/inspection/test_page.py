@@ -112,6 +112,21 @@ def test_the_distance_that_is_shown_is_that_of_the_loss_map(browser: Browser, wr
         assert [float(one.removeprefix("distance ")) for one in said] == pytest.approx(wanted, abs=0.01)
 
 
+def test_every_chart_has_a_name_from_the_moment_it_is_drawn(browser: Browser, written: Path) -> None:
+    opened = Opened(browser, written)
+    named = """index => {
+        const group = document.getElementById("group");
+        group.selectedIndex = index;
+        group.dispatchEvent(new Event("change"));
+        return [...document.querySelectorAll("svg[role=img]")].map(one => one.getAttribute("aria-label"));
+    }"""
+    for index in (1, 0):
+        names = opened.page.evaluate(named, index)
+        assert [one for extent in (2, 8) for one in names if one.endswith(f"extent {extent} px")] == names
+        assert len(set(names)) == 6
+    opened.page.wait_for_selector("svg[aria-label*='extent 8 px: histograms']")
+
+
 def test_every_map_can_lie_behind_the_point(browser: Browser, written: Path) -> None:
     opened = Opened(browser, written)
     own, *names = opened.page.eval_on_selector_all("#view option", "all => all.map(one => one.value)")
