@@ -92,6 +92,8 @@ def read_figures(path: Path) -> dict[Key, dict[str, float]]:
         return {}
     rows = csv.DictReader(io.StringIO(path.read_text(encoding="utf-8")))
     return {
-        tuple(row[name] for name in KEY): {name: float(value) for name, value in row.items() if name not in KEY}
+        tuple(row[name] for name in KEY): {
+            name: float(value) for name, value in row.items() if name not in KEY and value
+        }
         for row in rows
     }

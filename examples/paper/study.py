@@ -81,11 +81,13 @@ class Study(Generic[Made]):
     animate : callable
         Draws further pictures, of runs in a folder, into another one.
     others : callable
-        Gives further tables by their names, for the folder of runs and the parts.
+        Gives further tables by their names, for what is known of the runs of the parts.
     columns : tuple
         For which there are figures of the paper.
     paper : dict
         Those figures, PSNR and what is beside it for each column, by the name of the row that they are of.
+    further : tuple
+        Columns of which the paper has none, and the CSV has; no two have one name.
     """
 
     name: str
@@ -98,7 +100,8 @@ class Study(Generic[Made]):
     paper: Mapping[str, Sequence[tuple[float, float]]]
     title: Callable[[Any], str] = field(default=lambda column: str(column.name))
     animate: Callable[[Mapping[str, Part[Made]], Path, Path], None] = field(default=lambda *_: None)
-    others: Callable[[Path, Mapping[str, Part[Made]]], Mapping[str, list[str]]] = field(default=lambda *_: {})
+    others: Callable[[Known, Mapping[str, Part[Made]]], Mapping[str, list[str]]] = field(default=lambda *_: {})
+    further: tuple[Any, ...] = ()
 
     def csv_of(self, known: Known, runs: Sequence[Made]) -> str:
         """A line for each run that is known."""
@@ -108,7 +111,7 @@ class Study(Generic[Made]):
         for run in runs:
             record = known.of(run)
             if record is not None:
-                figures = (f"{record[one]:.4f}" for one in self.measures)
+                figures = (f"{record[one]:.4f}" if one in record else "" for one in self.measures)
                 writer.writerow((*key_of(run), *figures, f"{record['seconds']:.1f}"))
         return stream.getvalue()
 
@@ -150,9 +153,7 @@ class Study(Generic[Made]):
 
     def tables(self, parts: Mapping[str, Part[Made]], known: Known) -> dict[str, list[str]]:
         """The lines of each table."""
-        return {name: self.table_of(known, part) for name, part in parts.items()} | dict(
-            self.others(known.folder, parts)
-        )
+        return {name: self.table_of(known, part) for name, part in parts.items()} | dict(self.others(known, parts))
 
     def write(self, parts: Mapping[str, Part[Made]], known: Known, folder: Path) -> dict[str, list[str]]:
         """Write ``table.md`` and ``runs.csv`` into a folder; the lines of each table."""
@@ -213,7 +214,7 @@ def carry_out_and_report(
         print(_page(tables), end="")
         return
     numbers = options.docs / f"{study.name}.csv"
-    known = Known(runs, read_figures(numbers), study.columns)
+    known = Known(runs, read_figures(numbers), (*study.columns, *study.further))
     tables = study.tables(parts, known)
     print(_page(tables), end="")
     fill(options.docs / f"{study.name}.md", tables)

@@ -9,7 +9,9 @@ import numpy as np
 import pytest
 
 from examples.paper import teaser
+from examples.paper.known import key_of
 from examples.paper.table2 import main
+from examples.paper.table2.command import PARTS, part_of
 from examples.paper.table2.problem import COLUMNS, Column, Problem
 from examples.paper.table2.scenes import SCENES
 from tests.strategies import thorough
@@ -34,6 +36,11 @@ def test_every_start_is_within_its_bounds_and_away_from_the_truth(column: Column
         assert np.mean([abs(built.truth[name] - built.start[name]) for name in built.truth]) > 0.3
         starts.append(tuple(built.start.values()))
     assert len(set(starts)) == len(starts)
+
+
+def test_no_two_runs_share_a_line_of_the_numbers() -> None:
+    runs = {run for name in PARTS if name != "savings" for run in part_of(name).runs}
+    assert len({key_of(run) for run in runs}) == len(runs)
 
 
 def test_sort_has_65_colours_and_130_parameters() -> None:

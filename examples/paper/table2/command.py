@@ -8,6 +8,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, Final
 
+from examples.paper.known import Known
 from examples.paper.pictures import animation, moments
 from examples.paper.store import load, slug
 from examples.paper.study import Part, Study, add_options, carry_out_and_report
@@ -22,12 +23,20 @@ from examples.paper.table2.settings import LABELS, PROTOCOLS, RATES, Method, our
 import mitsuba as mi
 import numpy as np
 
-__all__ = ["main"]
+__all__ = ["PARTS", "main", "part_of"]
 
 PARTS: Final = ("tuning", "ours", "published", "noise", "savings")
 TUNED: Final = 100  # the seed of the search, which no table has
-NOISY: Final = COLUMNS[0]
-SAMPLES: Final = (256, 64, 16, 4, 1)
+NOISY: Final = tuple(
+    replace(COLUMNS[0], name=f"{COLUMNS[0].name}, {words}", samples=samples, scene=COLUMNS[0].name)
+    for samples, words in (
+        (256, "256 samples"),
+        (64, "64 samples"),
+        (16, "16 samples"),
+        (4, "4 samples"),
+        (1, "1 sample"),
+    )
+)
 NOISY_METHODS: Final[tuple[Method, ...]] = ("gaussian_pyramid", "ms_ssim", "loi")
 FRAME_SAMPLES: Final = 64
 GAMMA: Final = 1.0 / 2.2
@@ -47,15 +56,18 @@ def main(words: Sequence[str] | None = None) -> None:
     methods = tuple(method for method in LABELS if method in options.methods)
     columns = tuple(column for column in COLUMNS if column.name in (options.columns or names))
     mi.set_variant(VARIANT)
-    parts = {name: _part(name, methods, columns, options.seeds) for name in options.parts if name != "savings"}
+    parts = {name: part_of(name, methods, columns, options.seeds) for name in options.parts if name != "savings"}
     study = STUDY
     if "savings" in options.parts and not (options.quick or options.report):
         saved = {"savings": savings(columns)}  # measured anew on every call: a time is of this machine, now
-        study = replace(STUDY, others=lambda folder, parts: _costs(folder, parts) | saved)
+        study = replace(STUDY, others=lambda known, parts: _costs(known, parts) | saved)
     carry_out_and_report(parser, options, study, {"ours": _quick()} if options.quick else parts)
 
 
-def _part(name: str, methods: Sequence[Method], columns: Sequence[Column], seeds: int) -> Part[Run]:
+def part_of(
+    name: str, methods: Sequence[Method] = tuple(LABELS), columns: Sequence[Column] = COLUMNS, seeds: int = 3
+) -> Part[Run]:
+    """The runs of a part that has runs, which is all but "savings"."""
     if name == "tuning":
         searched = [column for column in columns if column.name == SEARCHED]
         rows = {
@@ -66,7 +78,7 @@ def _part(name: str, methods: Sequence[Method], columns: Sequence[Column], seeds
     settings = PROTOCOLS["published" if name == "published" else "ours"]
     if name == "noise":
         methods = [method for method in methods if method in NOISY_METHODS]
-        columns = [replace(NOISY, samples=samples) for samples in SAMPLES]
+        columns = NOISY
     rows = {
         LABELS[method]: [Run(settings[method], column, seed) for column in columns for seed in range(seeds)]
         for method in methods
@@ -81,9 +93,9 @@ def _quick() -> Part[Run]:
     return Part({LABELS[method]: [Run(setting, column, 0)] for method, setting in few.items()}, (column,))
 
 
-def _costs(folder: Path, parts: Mapping[str, Part[Run]]) -> dict[str, list[str]]:
+def _costs(known: Known, parts: Mapping[str, Part[Run]]) -> dict[str, list[str]]:
     wanted = {name: part for name, part in parts.items() if name in PROTOCOLS}
-    return {f"cost, {name}": cost_of(folder, part) for name, part in wanted.items()}
+    return {f"cost, {name}": cost_of(known, part) for name, part in wanted.items()}
 
 
 def _animate(parts: Mapping[str, Part[Run]], runs: Path, folder: Path) -> None:
@@ -99,8 +111,7 @@ def _animate(parts: Mapping[str, Part[Run]], runs: Path, folder: Path) -> None:
 
 
 def _title(column: Column) -> str:
-    known = column in COLUMNS
-    return f"{column.name}, MAE" if known else f"{column.samples} samples, MAE"
+    return f"{column.name}, MAE"
 
 
 def _target(run: Run) -> Any:
@@ -111,7 +122,7 @@ STUDY: Final = Study(
     name="table2",
     carry_out=carry_out,
     target=_target,
-    measures=("psnr", "mae"),
+    measures=("psnr", "mae", "step", "near"),
     beside=lambda _: "mae",
     apart=CURVE_STEPS,
     columns=COLUMNS,
@@ -119,4 +130,5 @@ STUDY: Final = Study(
     title=_title,
     animate=_animate,
     others=_costs,
+    further=NOISY,
 )

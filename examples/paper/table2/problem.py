@@ -35,6 +35,8 @@ class Column:
         Per pixel and step, of the image and of each part of its gradient.
     alike : tuple of str
         Things that nothing tells apart, so that any of them may be at the place of any other.
+    scene : str
+        Of :data:`SCENES`; that of the column's name by default.
     """
 
     name: str
@@ -42,6 +44,11 @@ class Column:
     width: int = 256
     samples: int = 32
     alike: tuple[str, ...] = ()
+    scene: str = ""
+
+    def at(self, seed: int) -> Built:
+        """The scene for a seed."""
+        return SCENES[self.scene or self.name](self.width, self.height, seed)
 
     @property
     def height(self) -> int:
@@ -77,7 +84,7 @@ class Problem:
     @classmethod
     def of(cls, column: Column, seed: int) -> Problem:
         """The problem of a column and seed."""
-        built = SCENES[column.name](column.width, column.height, seed)
+        built = column.at(seed)
         return cls(column, built, _target(column))
 
     def picture(self, found: Mapping[str, Any], samples: int = REFERENCE) -> Any:
@@ -97,7 +104,7 @@ class Problem:
 
 @lru_cache
 def _target(column: Column) -> Any:
-    built = SCENES[column.name](column.width, column.height, 0)  # whose truth all seeds share
+    built = column.at(0)  # whose truth all seeds share
     return images_of(built, REFERENCE).render(numbers(built.truth), seed=TARGET_SEED)
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -26,6 +28,7 @@ import mitsuba as mi
 __all__ = ["CURVE_STEPS", "Outcome", "Run", "carry_out", "objective", "renderer"]
 
 CURVE_STEPS: Final = 5  # between two points of a curve
+NEAR: Final = 0.05  # units of the scene, mean over the parameters
 PAIRS: Final = 5  # of images for a gradient from images alone: ten renders
 VARIANT: Final = "llvm_ad_rgb"
 
@@ -65,6 +68,10 @@ class Outcome:
         What the fit says of itself.
     setup, seconds : float
         Until the first step is done, and of the whole fit; what else the machine did is in both.
+    step : float
+        Seconds that each step takes but the first.
+    near : float
+        Seconds until the mean error is below `NEAR` and stays there; infinite if it never is.
     curve : tuple of float
         PSNR of every fifth step's own image, with its noise.
     errors, clock : tuple of float
@@ -80,6 +87,8 @@ class Outcome:
     verdict: str
     setup: float
     seconds: float
+    step: float
+    near: float
     curve: tuple[float, ...]
     errors: tuple[float, ...]
     clock: tuple[float, ...]
@@ -163,6 +172,8 @@ def carry_out(run: Run) -> Outcome:
         result.diagnosis.verdict if result.diagnosis else "",
         clock[0],
         seconds,
+        (seconds - clock[0]) / (run.steps - 1),
+        _arrival(errors, clock),
         tuple(round(one, 3) for one in curve[::CURVE_STEPS]),
         tuple(round(one, 5) for one in errors[::CURVE_STEPS]),
         tuple(round(one, 2) for one in clock[::CURVE_STEPS]),
@@ -191,6 +202,13 @@ def objective(setting: Setting, target: Any) -> Objective:
     if kind == "pixel_l2":
         return PixelL2(target)
     return LPIPS(np.clip(target, 0.0, 1.0), "alex")
+
+
+def _arrival(errors: Sequence[float], clock: Sequence[float]) -> float:
+    """When the error was below the bound and stayed there."""
+    far = [step for step, error in enumerate(errors) if error >= NEAR]
+    first = far[-1] + 1 if far else 0
+    return clock[first] if first < len(clock) else math.inf
 
 
 def _seen(image: Any) -> FloatArray:
