@@ -56,6 +56,6 @@ def warn_of_moving(scene: Any, integrator: Any, shapes: list[Any]) -> None:
         msg = (
             f"{stores} the vertices of an edge more than once, and Mitsuba counts the gradient of such an edge as "
             f"often; merge equal vertices (and set face_normals for flat shading); PlannedRenderer does where shading "
-            f"is smooth"
+            f"is smooth or flat throughout"
         )
         warnings.warn(msg, GradientWarning, stacklevel=4)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from copy import copy
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,6 +19,7 @@ from loi_core.pixels.encoding import Encoding
 from loi_core.support.values import whole_number
 from loi_core.support.wording import shown
 from loi_mitsuba.cautions import warn_of_moving
+from loi_mitsuba.edges import Edges
 from loi_mitsuba.entries import Names, Scene, named_scene
 from loi_mitsuba.handles import Host
 from loi_mitsuba.integrators import PARTS, bordered, integrator_of, leaves_edges_out, loaded, settings_of
@@ -29,13 +32,15 @@ from loi_mitsuba.loading import (
     one_line,
     use_variant,
 )
-from loi_mitsuba.named import NamedParameters, host_numbers
+from loi_mitsuba.named import NamedParameters, as_host, host_numbers
 from loi_mitsuba.untrusted import SceneLoadError, check_types
 
 __all__ = ["MitsubaRenderer", "seeds_of"]
 
 
 OWN_INTEGRATOR: Final = "scene"
+DIRECT: Final = 2  # the longest paths of an integrator of direct light, which it does not tell
+ENDLESS: Final = 2**31  # at least so much says one that has no longest
 
 
 class MitsubaRenderer:
@@ -109,6 +114,9 @@ class MitsubaRenderer:
         images = frozenset(without_gradient)
         self._named = NamedParameters(self._names, targets, images)
         self._followed = self._able = tuple(name for name in targets if name not in images)
+        self._edges = Edges.of(self._scene, self._sensor, self._named.moving(self._able))
+        known = [] if self._edges is None else self._edges.shapes
+        self._sided = frozenset(name for name in self._able if any(one in known for one in self._named.moving([name])))
         self._check_moving(told=isinstance(integrator, EffectPlan) and leaves_edges_out(integrator))
 
     @property
@@ -210,19 +218,16 @@ class MitsubaRenderer:
             self._leaves(params)  # which checks them
             return {name: np.zeros_like(start) for name, start in self._named.start.items()}
         self._check_variant()
-        with self._named.attached(params, self._followed) as leaves:
-            # Within this scope nothing flows on into the parameters' own graph before all parts of the
-            # gradient, some of which Mitsuba carries back one after the other, have arrived there.
-            with dr.isolate_grad():
-                self._integrator.render_backward(
-                    self._scene,
-                    self._named.entries,
-                    mi.TensorXf(np.ascontiguousarray(cotangent, dtype=np.float32)),
-                    self._sensor,
-                    seeds_of(seed)[1],
-                    self._spp_grad,
-                )
-            return self._named.gradients(leaves, leaves)
+        pulled = {name: np.zeros_like(start) for name, start in self._named.start.items()}
+        for carry, names in self._parts():
+            with self._named.attached(params, names) as leaves:
+                # Within this scope nothing flows on into the parameters' own graph before all parts of the
+                # gradient, some of which Mitsuba carries back one after the other, have arrived there.
+                with dr.isolate_grad():
+                    carry.pull(np.ascontiguousarray(cotangent, dtype=np.float32), seeds_of(seed)[1])
+                found = self._named.gradients(leaves, names)
+            pulled |= {name: pulled[name] + found[name] for name in names}
+        return pulled
 
     def push(self, params: Mapping[str, Any], tangent: Mapping[str, Any], *, seed: int = 0) -> Host:
         """How the image changes along a direction of the parameters: shape (H, W, C); errors as of `render`.
@@ -230,25 +235,53 @@ class MitsubaRenderer:
         The derivative that :meth:`pull` is the transpose of. Not every integrator of Mitsuba has it.
         """
         self._check_variant()
-        with self._named.attached(params, self._followed) as leaves:
-            for name in self._followed:
-                direction = host_numbers(name, tangent[name], self._named.start[name].shape)
-                dr.set_grad(leaves[name], mi.Float(direction.reshape(-1)))
-                dr.enqueue(dr.ADMode.Forward, leaves[name])
-            # Up to the scene's own entries, since Mitsuba's loops do not look any further back than these.
-            dr.traverse(dr.ADMode.Forward, dr.ADFlag.ClearEdges)
-            first, second = seeds_of(seed)
-            image = mi.render(
-                self._scene,
-                self._named.entries,
-                self._sensor,
-                self._integrator,
-                seed=first,
-                seed_grad=second,
-                spp_grad=self._spp_grad,
-            )
-            image = dr.forward_to(image)
-            return np.array(image.numpy(), dtype=np.float32, order="C")
+        total: Any = 0.0
+        for carry, names in self._parts():
+            with self._named.attached(params, names) as leaves:
+                for name in names:
+                    direction = host_numbers(name, tangent[name], self._named.start[name].shape)
+                    dr.set_grad(leaves[name], mi.Float(direction.reshape(-1)))
+                    dr.enqueue(dr.ADMode.Forward, leaves[name])
+                # Up to the scene's own entries, since Mitsuba's loops do not look any further back than these.
+                dr.traverse(dr.ADMode.Forward, dr.ADFlag.ClearEdges)
+                total = total + carry.push(*seeds_of(seed))
+        return np.asarray(total, dtype=np.float32)
+
+    def _parts(self) -> list[tuple[_ByMitsuba | _ByEdges, tuple[str, ...]]]:
+        """What carries which parts of the gradient, and to which parameters.
+
+        Outlines of meshes with sides are not Mitsuba's.
+        """
+        sided = tuple(name for name in self._followed if name in self._sided) if self._outlines else ()
+        whole = {part: getattr(self._integrator, part, 0) for part in PARTS}
+        if not sided or self._edges is None:
+            return [(_ByMitsuba(self, whole), self._followed)]
+        parts: list[tuple[_ByMitsuba | _ByEdges, tuple[str, ...]]] = [(_ByEdges(self, self._edges), sided)]
+        inner = {**whole, "sppp": 0}
+        if any(inner.values()):
+            parts.append((_ByMitsuba(self, inner), self._followed))
+        others = tuple(name for name in self._followed if name not in self._sided)
+        if self._named.moving(others):
+            parts.append((_ByMitsuba(self, dict.fromkeys(PARTS, 0) | {"sppp": whole["sppp"]}), others))
+        return parts
+
+    @property
+    def _outlines(self) -> int:
+        """Samples per pixel of outlines in view; 0 for an integrator that has none."""
+        own = getattr(self._integrator, "sppp", 0)
+        return self._spp_grad if own and self._spp_grad else own
+
+    @property
+    def _radiance(self) -> Any:
+        """What says how bright it is where a ray goes, over as many surfaces as the gradient has."""
+        depth = getattr(self._integrator, "max_depth", DIRECT)
+        return mi.load_dict(
+            {
+                "type": "path",
+                "max_depth": depth if 0 <= depth < ENDLESS else -1,
+                "hide_emitters": bool(getattr(self._integrator, "hide_emitters", False)),
+            }
+        )
 
     def _use(self, integrator: Any, spp: int, spp_grad: int | None) -> None:
         """Take an integrator and its samples."""
@@ -292,6 +325,64 @@ class MitsubaRenderer:
                 f"a narrow perspective, or an integrator with sppp=0 if nothing that moves is in view"
             )
             raise ParameterError(msg)
+
+
+@dataclass(frozen=True)
+class _ByMitsuba:
+    """What Mitsuba carries of the gradient, with so many samples per pixel of each of its parts, if it has parts."""
+
+    renderer: MitsubaRenderer
+    samples: Mapping[str, int]
+
+    def pull(self, cotangent: Host, seed: int) -> None:
+        one = self.renderer
+        with self._sampled():
+            one._integrator.render_backward(
+                one._scene, one._named.entries, mi.TensorXf(cotangent), one._sensor, seed, one._spp_grad
+            )
+
+    def push(self, seed: int, seed_grad: int) -> Host:
+        one = self.renderer
+        with self._sampled():
+            image = mi.render(
+                one._scene,
+                one._named.entries,
+                one._sensor,
+                one._integrator,
+                seed=seed,
+                seed_grad=seed_grad,
+                spp_grad=one._spp_grad,
+            )
+            return as_host(dr.forward_to(image), image.shape)
+
+    @contextmanager
+    def _sampled(self) -> Iterator[None]:
+        """Tell the integrator, for as long."""
+        integrator = self.renderer._integrator
+        before = {part: getattr(integrator, part) for part in PARTS if hasattr(integrator, part)}
+        for part in before:
+            setattr(integrator, part, self.samples[part])
+        try:
+            yield
+        finally:
+            for part, count in before.items():
+                setattr(integrator, part, count)
+
+
+@dataclass(frozen=True)
+class _ByEdges:
+    """The edges in view of meshes that have sides."""
+
+    renderer: MitsubaRenderer
+    edges: Edges
+
+    def pull(self, cotangent: Host, seed: int) -> None:
+        one = self.renderer
+        self.edges.pull(one._scene, one._radiance, cotangent, one._outlines, seed)
+
+    def push(self, seed: int, seed_grad: int) -> Host:  # noqa: ARG002  # there is no image to draw
+        one = self.renderer
+        return self.edges.push(one._scene, one._radiance, one._outlines, seed_grad)
 
 
 def _integrator(scene: Any, integrator: Any) -> Any:

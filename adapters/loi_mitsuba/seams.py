@@ -8,13 +8,15 @@ from __future__ import annotations
 
 from typing import Any, Final
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from loi_core.support.arrays import Host
 
-__all__ = ["has_seams", "is_closed", "is_hard", "merge_seams"]
+__all__ = ["edges_of", "has_seams", "has_sides", "is_closed", "is_flat", "is_hard", "merge_seams"]
 
+CREASE: Final = 0.05  # between the unit normals of two triangles that are not of one side: 3 degrees
 HARD: Final = 0.5  # of the triangles, and between the unit normals of two that meet: some 30 degrees
 
 
@@ -27,6 +29,50 @@ def has_seams(shape: Any) -> bool:
         return False
     faces, place = _faces(params), _places(params)
     return _borders(place[faces]) < _borders(faces)
+
+
+def has_sides(shape: Any) -> bool:
+    """Whether shading jumps between triangles of a shape that meet, as between the sides of a box."""
+    if not isinstance(shape, mi.Mesh) or "faces" not in mi.traverse(shape):
+        return False
+    pairs, _ = _meetings(shape)
+    corners = _corner_normals(shape).reshape(-1, 3)
+    after = np.arange(len(corners)).reshape(-1, 3)[:, [1, 2, 0]].ravel()
+    first, second = pairs.T
+    # The two go along the edge in opposite directions, so that one begins where the other ends.
+    turn = np.maximum(_apart(corners[first], corners[after[second]]), _apart(corners[after[first]], corners[second]))
+    return bool(np.any(turn > CREASE))
+
+
+def edges_of(shape: Any) -> Host:
+    """The ends of all edges of a mesh at which it bends or ends: numbers of vertices, shape (n, 2)."""
+    pairs, alone = _meetings(shape)
+    params = mi.traverse(shape)
+    faces = _faces(params)
+    flat = _flat_normals(params, faces).reshape(-1, 3)
+    bent = pairs[_apart(flat[pairs[:, 0]], flat[pairs[:, 1]]) > CREASE]
+    begin = np.concatenate([bent[:, 0], alone])
+    ends = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
+    return np.asarray(ends[begin])
+
+
+def _meetings(shape: Any) -> tuple[Host, Host]:
+    """Sides of triangles, 3 a triangle in their order, that are at one place: in pairs, shape (n, 2), or by themselves.
+
+    Of an edge at which more than two triangles meet, all are by themselves.
+    """
+    params = mi.traverse(shape)
+    at = _places(params)[_faces(params)]
+    edges = np.sort(np.stack([at, np.roll(at, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
+    _, which, counts = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
+    which = which.reshape(-1)
+    order = np.argsort(which, kind="stable")
+    twice = counts[which[order]] == 2
+    return order[twice].reshape(-1, 2), order[~twice]
+
+
+def _apart(one: Host, other: Host) -> Host:
+    return np.asarray(np.linalg.norm(one - other, axis=-1))
 
 
 def is_closed(shape: Any) -> bool:
@@ -43,13 +89,7 @@ def is_hard(shape: Any) -> bool:
     """
     params = mi.traverse(shape)
     faces, place = _faces(params), _places(params)
-    normals = np.array(params["vertex_normals"], dtype=np.float64).reshape(-1, 3)
-    if shape.has_face_normals() or not len(normals):
-        a, b, c = np.array(params["vertex_positions"], dtype=np.float64).reshape(-1, 3)[faces].transpose(1, 0, 2)
-        flat = np.cross(b - a, c - a)
-        corners = np.repeat((flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-30))[:, None], 3, axis=1)
-    else:
-        corners = normals[faces]
+    corners = _corner_normals(shape)
     at = place[faces]
     first = np.zeros((len(place), 3))
     first[at] = corners  # of each place, that of one of its corners
@@ -58,17 +98,46 @@ def is_hard(shape: Any) -> bool:
     return float(np.mean(np.any(hard[at], axis=1))) > HARD
 
 
+def _corner_normals(shape: Any) -> Host:
+    """What the corners of each triangle of a mesh are shaded by: unit normals, shape (m, 3, 3)."""
+    params = mi.traverse(shape)
+    faces = _faces(params)
+    normals = np.array(params["vertex_normals"], dtype=np.float64).reshape(-1, 3)
+    if len(normals) and not shape.has_face_normals():
+        return np.asarray(normals[faces])
+    return _flat_normals(params, faces)
+
+
+def is_flat(shape: Any) -> bool:
+    """Whether a mesh is shaded as its triangles lie, as a cube is."""
+    params = mi.traverse(shape)
+    return bool(
+        np.all(np.linalg.norm(_corner_normals(shape) - _flat_normals(params, _faces(params)), axis=-1) < CREASE)
+    )
+
+
+def _flat_normals(params: Any, faces: Host) -> Host:
+    """The normals of triangles, at each of their corners: shape (m, 3, 3)."""
+    a, b, c = np.array(params["vertex_positions"], dtype=np.float64).reshape(-1, 3)[faces].transpose(1, 0, 2)
+    flat = np.cross(b - a, c - a)
+    return np.repeat((flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-30))[:, None], 3, axis=1)
+
+
 def merge_seams(shape: Any) -> None:
     """Have triangles share the first of the vertices at a place; the others stay, and belong to none.
 
     Only where all vertices of the shape are moved together, since those that belong to no triangle have no gradient.
+    What is flat stays so: without normals at its vertices, it is shaded by those of its triangles.
     """
     params = mi.traverse(shape)
+    if "vertex_normals" in params and is_flat(shape):
+        params["vertex_normals"] = dr.zeros(mi.Float, 0)
     params["faces"] = mi.UInt32(_places(params)[_faces(params)].astype(np.uint32).ravel())
     params.update()
 
 
 def _faces(params: Any) -> Host:
+    """The vertices of each triangle, shape (m, 3)."""
     return np.array(params["faces"], dtype=np.int64).reshape(-1, 3)
 
 

@@ -19,7 +19,7 @@ from loi_mitsuba.named import NamedParameters
 from loi_mitsuba.neighbour import Found, Neighbour, Surroundings, lights_of, neighbour_of
 from loi_mitsuba.neighboured import NeighbouredRenderer, exchanged_targets, targets_of_lights
 from loi_mitsuba.renderer import MitsubaRenderer
-from loi_mitsuba.seams import has_seams, is_hard
+from loi_mitsuba.seams import has_seams, is_flat, is_hard
 
 __all__ = ["Base", "base_of"]
 
@@ -102,13 +102,15 @@ def _missing(
 
 
 def _split_meshes(called: Names, targets: Mapping[str, Target], moving: Mapping[str, Any]) -> dict[int, Any]:
-    """By their numbers, smooth meshes that are moved as a whole and store vertices of an edge more than once."""
+    """By their numbers, meshes that are moved as a whole and store vertices of an edge more than once.
+
+    Not those that are smooth in part and have hard edges: shared vertices would have them smooth throughout.
+    """
     own = list(called.scene.shapes())
     whole = [shape for name, shape in moving.items() if not isinstance(targets[name], str)]
     parts = [shape for name, shape in moving.items() if isinstance(targets[name], str)]
-    return {
-        own.index(one): one for one in whole if one in own and one not in parts and has_seams(one) and not is_hard(one)
-    }
+    split = [one for one in whole if one in own and one not in parts and has_seams(one)]
+    return {own.index(one): one for one in split if is_flat(one) or not is_hard(one)}
 
 
 def _neighboured(

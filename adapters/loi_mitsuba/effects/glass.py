@@ -18,6 +18,7 @@ import numpy as np
 
 from loi_mitsuba.effects.traits import has_medium, is_clear
 from loi_mitsuba.entries import Names
+from loi_mitsuba.eye import Eye, sampler_of, texture_of
 from loi_mitsuba.handles import Host, Scale
 from loi_mitsuba.loading import Target
 from loi_mitsuba.named import NamedParameters
@@ -32,7 +33,6 @@ SHARE: Final = 8  # samples of the image for one of each kind here
 LEAST: Final = 20_000
 GRAZING: Final = 0.01  # cosine below which the derivative of a direction, without bound at 0, is left out
 LIFT: Final = 4.0  # times as far as Mitsuba lifts rays from surfaces, do rays begin before one that they are to meet
-LUMINANCE: Final = (0.2126, 0.7152, 0.0722)  # of linear red, green and blue (Rec. 709)
 
 
 def glass_of(called: Names, targets: Mapping[str, Target], sensor: Any) -> dict[str, Any]:
@@ -101,13 +101,13 @@ class Samples:
         glass = [index for index, shape in enumerate(scene.shapes()) if is_clear(shape)]
         self._glass = mi.UInt32(glass)
         self._kinds = len(glass)
-        self._eye = _Eye(sensor)
+        self._eye = Eye(sensor)
 
     def image(self, count: int, seed: int) -> Host:
         """What they add, by `count` samples each way: the image less that without glass, shape (H, W, 3)."""
         with dr.suspend_grad():
             light = self._thrown(count, seed)
-            return self._eye.cropped(light + self._eye.splat(self._views(_texture(light), count, seed)))
+            return self._eye.cropped(light + self._eye.splat(self._views(texture_of(light), count, seed)))
 
     def pull(self, cotangent: Any, count: int, seed: int) -> None:
         """Carry a cotangent of the image by `count` samples each way to whatever of the scene has a gradient."""
@@ -115,7 +115,7 @@ class Samples:
             light = self._thrown(count, seed)
         wanted = self._eye.padded(cotangent)
         dr.enable_grad(light)
-        self._back(self._views(_texture(light), count, seed), wanted)
+        self._back(self._views(texture_of(light), count, seed), wanted)
         wanted += dr.grad(light)  # light is seen past glass, and by way of glass
         self._back(self._light(count, seed), wanted)
 
@@ -125,7 +125,7 @@ class Samples:
 
     def _back(self, values: Iterable[tuple[Any, Any]], cotangent: Any) -> None:
         """Carry back a cotangent of an image to values at their places."""
-        texture = _texture(cotangent)
+        texture = texture_of(cotangent)
         total = sum(dr.sum(value * self._eye.looked_up(texture, place), axis=None) for value, place in values)
         dr.backward(total, dr.ADFlag.ClearInterior)  # edges stay, for all ways share those of the scene
 
@@ -140,7 +140,7 @@ class Samples:
 
     def _light(self, count: int, seed: int) -> list[tuple[Any, Any]]:
         """Light of the lamps that passes glass, where it falls, less where it would: values in pixels, and places."""
-        sampler = _sampler(seed, count)
+        sampler = sampler_of(seed, count)
         point, area = self._points(sampler, count)
         lamp, weight = self._scene.sample_emitter_direction(point, sampler.next_2d(), test_visibility=False)
         cosine = dr.dot(point.n, lamp.d)
@@ -154,7 +154,7 @@ class Samples:
 
     def _views(self, light: Any, count: int, seed: int) -> list[tuple[Any, Any]]:
         """What the camera sees in glass, less what it would see there: values in pixels, and places."""
-        sampler = _sampler(seed + 1, count)
+        sampler = sampler_of(seed + 1, count)
         point, area = self._points(sampler, count)
         along, weight, place, visible = self._eye.sees(point.p)
         cosine = dr.dot(point.n, along)
@@ -243,92 +243,10 @@ class Samples:
             return ~self._scene.ray_test(ray, active)
 
 
-class _Eye:
-    """A perspective camera; of points around the image, to a quarter of its longer side, it knows the place as well."""
-
-    def __init__(self, sensor: Any) -> None:
-        width, height = (int(one) for one in sensor.film().size())
-        self._size = (width, height)
-        self._around = 1 + max(width, height) // 4
-        to_world = sensor.world_transform()
-        self.place = mi.Point3f(to_world.translation())
-        self._to_local = to_world.inverse()
-        self._to_film = sensor.projection_transform()
-        matrix = np.array(self._to_film.matrix, dtype=np.float64).reshape(4, 4)
-        # Pixels to the area of the film at distance 1.
-        self._density = abs(float(width * height * matrix[0, 0] * matrix[1, 1] / matrix[3, 2] ** 2))
-
-    def padded(self, cotangent: Any) -> Any:
-        """A cotangent of the image, shape (H, W, C), as one of its colours, with zeros around it.
-
-        C is 3 for a film of colours and 1 for one of luminance; one more is alpha, by which glass has no gradient.
-        """
-        around = (self._around, self._around)
-        colours = np.asarray(cotangent, dtype=np.float32)
-        colours = colours[..., :3] if colours.shape[-1] > 2 else colours[..., :1] * np.asarray(LUMINANCE, np.float32)
-        return mi.TensorXf(np.ascontiguousarray(np.pad(colours, (around, around, (0, 0)))))
-
-    def cropped(self, image: Any) -> Host:
-        """An image without what is around it."""
-        inner = slice(self._around, -self._around)
-        return np.array(image, dtype=np.float32)[inner, inner]
-
-    def splat(self, values: Iterable[tuple[Any, Any]]) -> Any:
-        """Values at places, as an image with what is around it: what :meth:`looked_up` is the transpose of."""
-        width, height = (one + 2 * self._around for one in self._size)
-        image = dr.zeros(mi.Float, 3 * width * height)
-        for value, place in values:
-            at = self._pixels(place) - 0.5
-            low = mi.Point2i(dr.floor(at))
-            high = at - mi.Point2f(low)
-            for right in (0, 1):
-                for down in (0, 1):
-                    x, y = low.x + right, low.y + down
-                    there = (x >= 0) & (y >= 0) & (x < width) & (y < height)
-                    part = (high.x if right else 1.0 - high.x) * (high.y if down else 1.0 - high.y)
-                    first = 3 * mi.UInt32(y * width + x)
-                    for channel in range(3):
-                        dr.scatter_add(image, part * value[channel], first + channel, there)
-        return mi.TensorXf(image, shape=(height, width, 3))
-
-    def looked_up(self, texture: Any, place: Any) -> Any:
-        """An image with what is around it, at places of the film."""
-        width, height = (one + 2 * self._around for one in self._size)
-        at = self._pixels(place)
-        return mi.Color3f(*texture.eval(mi.Point2f(at.x / width, at.y / height)))
-
-    def _pixels(self, place: Any) -> Any:
-        """Places of the film, 0 to 1 both ways, in pixels of an image with what is around it."""
-        return mi.Point2f(place.x * self._size[0], place.y * self._size[1]) + self._around
-
-    def sees(self, point: Any) -> tuple[Any, Any, Any, Any]:
-        """Of a point: the direction to the camera, weight in pixels, place on the film, whether it is in front."""
-        away = self.place - point
-        distance = dr.norm(away)
-        local = self._to_local @ point
-        ahead = local.z / distance
-        visible = local.z > 0.0
-        place = self._to_film @ local
-        weight = self._density / (dr.square(distance) * ahead * ahead * ahead)
-        return away / distance, dr.select(visible, weight, 0.0), mi.Point2f(place.x, place.y), visible
-
-
-def _sampler(seed: int, count: int) -> Any:
-    """Random numbers for as many samples."""
-    sampler = mi.load_dict({"type": "independent"})
-    sampler.seed(seed % 2**32, count)
-    return sampler
-
-
 def _before(point: Any, away: Any) -> Any:
     """A ray that comes from where `away` points to, and meets next the surface at a point of it."""
     step = LIFT * mi.math.RayEpsilon * (1.0 + dr.max(dr.abs(dr.detach(point.p))))
     return mi.Ray3f(point.p + step * away, -away)
-
-
-def _texture(image: Any) -> Any:
-    """An image to look up between its pixels, with zero beyond."""
-    return mi.Texture2f(image, filter_mode=dr.FilterMode.Linear, wrap_mode=dr.WrapMode.Clamp)
 
 
 def _clear_at(si: Any) -> Any:

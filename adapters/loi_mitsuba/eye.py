@@ -1,0 +1,98 @@
+"""A perspective camera as what shows a point of the scene: where on the film, and with what weight."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any, Final
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from loi_mitsuba.handles import Host
+
+__all__ = ["Eye", "sampler_of", "texture_of"]
+
+LUMINANCE: Final = (0.2126, 0.7152, 0.0722)  # of linear red, green and blue (Rec. 709)
+
+
+class Eye:
+    """A perspective camera; of points around the image, to a quarter of its longer side, it knows the place as well."""
+
+    def __init__(self, sensor: Any) -> None:
+        width, height = (int(one) for one in sensor.film().size())
+        self._size = (width, height)
+        self._around = 1 + max(width, height) // 4
+        to_world = sensor.world_transform()
+        self.place = mi.Point3f(to_world.translation())
+        self._to_local = to_world.inverse()
+        self._to_film = sensor.projection_transform()
+        matrix = np.array(self._to_film.matrix, dtype=np.float64).reshape(4, 4)
+        # Pixels to the area of the film at distance 1.
+        self._density = abs(float(width * height * matrix[0, 0] * matrix[1, 1] / matrix[3, 2] ** 2))
+
+    def padded(self, cotangent: Any) -> Any:
+        """A cotangent of the image, shape (H, W, C), as one of its colours, with zeros around it.
+
+        C is 3 for a film of colours and 1 for one of luminance; one more is alpha, by which glass has no gradient.
+        """
+        around = (self._around, self._around)
+        colours = np.asarray(cotangent, dtype=np.float32)
+        colours = colours[..., :3] if colours.shape[-1] > 2 else colours[..., :1] * np.asarray(LUMINANCE, np.float32)
+        return mi.TensorXf(np.ascontiguousarray(np.pad(colours, (around, around, (0, 0)))))
+
+    def cropped(self, image: Any) -> Host:
+        """An image without what is around it."""
+        inner = slice(self._around, -self._around)
+        return np.array(image, dtype=np.float32)[inner, inner]
+
+    def splat(self, values: Iterable[tuple[Any, Any]]) -> Any:
+        """Values at places, as an image with what is around it: what :meth:`looked_up` is the transpose of."""
+        width, height = (one + 2 * self._around for one in self._size)
+        image = dr.zeros(mi.Float, 3 * width * height)
+        for value, place in values:
+            at = self._pixels(place) - 0.5
+            low = mi.Point2i(dr.floor(at))
+            high = at - mi.Point2f(low)
+            for right in (0, 1):
+                for down in (0, 1):
+                    x, y = low.x + right, low.y + down
+                    there = (x >= 0) & (y >= 0) & (x < width) & (y < height)
+                    part = (high.x if right else 1.0 - high.x) * (high.y if down else 1.0 - high.y)
+                    first = 3 * mi.UInt32(y * width + x)
+                    for channel in range(3):
+                        dr.scatter_add(image, part * value[channel], first + channel, there)
+        return mi.TensorXf(image, shape=(height, width, 3))
+
+    def looked_up(self, texture: Any, place: Any) -> Any:
+        """An image with what is around it, at places of the film."""
+        width, height = (one + 2 * self._around for one in self._size)
+        at = self._pixels(place)
+        return mi.Color3f(*texture.eval(mi.Point2f(at.x / width, at.y / height)))
+
+    def _pixels(self, place: Any) -> Any:
+        """Places of the film, 0 to 1 both ways, in pixels of an image with what is around it."""
+        return mi.Point2f(place.x * self._size[0], place.y * self._size[1]) + self._around
+
+    def sees(self, point: Any) -> tuple[Any, Any, Any, Any]:
+        """Of a point: the direction to the camera, weight in pixels, place on the film, whether it is in front."""
+        away = self.place - point
+        distance = dr.norm(away)
+        local = self._to_local @ point
+        ahead = local.z / distance
+        visible = local.z > 0.0
+        place = self._to_film @ local
+        weight = self._density / (dr.square(distance) * ahead * ahead * ahead)
+        return away / distance, dr.select(visible, weight, 0.0), mi.Point2f(place.x, place.y), visible
+
+
+def sampler_of(seed: int, count: int) -> Any:
+    """Random numbers for as many samples."""
+    sampler = mi.load_dict({"type": "independent"})
+    sampler.seed(seed % 2**32, count)
+    return sampler
+
+
+def texture_of(image: Any) -> Any:
+    """An image to look up between its pixels, with zero beyond."""
+    return mi.Texture2f(image, filter_mode=dr.FilterMode.Linear, wrap_mode=dr.WrapMode.Clamp)

@@ -1,0 +1,171 @@
+"""What moves a mesh with sides has the gradient of its outlines, of edges between sides, and of its shadow, each once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import pytest
+import trimesh
+
+from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, Rotate, Scale, Translate
+from loi_mitsuba.seams import edges_of, has_sides, is_flat
+from tests.helpers import Host
+from tests.mitsuba.scenes import HEIGHT, WIDTH, box, shadow_scene
+from tests.strategies import thorough
+
+PLACE = mi.ScalarTransform4f
+RED = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.7, 0.2, 0.1]}}
+MOVES: dict[str, Any] = {
+    "x": Translate("block", (1, 0, 0)),
+    "z": Translate("block", (0, 0, 1)),
+    "turn": Rotate("block", (0.2, 1, 0)),
+    "size": Scale("block"),
+}
+AT: dict[str, Any] = {"x": np.float32(0.1), "z": np.float32(-0.1), "turn": np.float32(25.0), "size": np.float32(1.1)}
+STEPS = {"x": 0.05, "z": 0.05, "turn": 2.0, "size": 0.03}
+LIGHTS: dict[str, dict[str, Any]] = {
+    "lamp": {},
+    "sky": {"lamp": {"type": "constant", "radiance": 0.6}},
+    "both": {"sky": {"type": "constant", "radiance": 0.6}},
+}
+EXACT = {"type": "direct_projective", "guiding": "none", "sppc": 0, "sppp": 64, "sppi": 0}
+
+
+def bump() -> Host:
+    """A weight on one side of the block and its shadow."""
+    rows, columns = np.mgrid[:HEIGHT, :WIDTH]
+    weight = np.exp(-((columns - 40.0) ** 2 + (rows - 20.0) ** 2) / 100.0)
+    return np.asarray(weight[..., None] * np.array([1.0, 0.5, -0.5]), dtype=np.float32)
+
+
+def lit_scene(light: str, block: Any) -> dict[str, Any]:
+    """A block over a floor, which a lamp lights from the side.
+
+    The floor has no end: how much of the sky it hides from the sides of the block does not change as these move, for
+    Mitsuba has no gradient of the shadows that others throw on what moves.
+    """
+    lamp = {
+        "type": "sphere",
+        "to_world": PLACE().translate([4, 9, 3]).scale(0.8),
+        "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 60.0}},
+    }
+    direct = {"type": "path", "max_depth": 2}
+    scene = shadow_scene(**({"integrator": direct, "lamp": lamp, "block": block} | LIGHTS[light]))
+    del scene["ball"]
+    scene["floor"]["to_world"] = PLACE().rotate([1, 0, 0], -90).scale(400)
+    return scene
+
+
+def cube(kind: str, folder: Path) -> dict[str, Any]:
+    """A box of Mitsuba's own, or of a file: each corner once, or once for each side; in one colour."""
+    pose = PLACE().translate([0, 1.2, 0]).scale(0.7)
+    if kind == "cube":
+        return {"type": "cube", "to_world": pose, "bsdf": RED}
+    made = trimesh.creation.box(extents=[2.0, 2.0, 2.0])
+    if kind == "split":
+        corners = np.array(made.vertices)[made.faces.ravel()]
+        normals = np.repeat(np.array(made.face_normals), 3, axis=0)
+        made = trimesh.Trimesh(corners, np.arange(36).reshape(-1, 3), vertex_normals=normals, process=False)
+    path = folder / f"{kind}.ply"
+    made.export(path, vertex_normal=kind == "split")
+    return {"type": "ply", "filename": str(path), "face_normals": kind == "whole", "to_world": pose, "bsdf": RED}
+
+
+def slopes(renderer: MitsubaRenderer) -> tuple[Host, Host]:
+    """By central differences of images, in the order of the parameters; and the errors."""
+    weight, drawn = bump().astype(np.float64), []
+    for seed in range(4):
+        sides = {
+            name: [renderer.render(AT | {name: AT[name] + np.float32(by)}, seed=seed) for by in (step, -step)]
+            for name, step in STEPS.items()
+        }
+        drawn.append(
+            [np.sum((ahead - behind) * weight) / (2.0 * STEPS[name]) for name, (ahead, behind) in sides.items()]
+        )
+    return np.mean(drawn, axis=0), np.std(drawn, axis=0, ddof=1) / 2.0
+
+
+@pytest.mark.parametrize("kind", ["cube", pytest.param("split", marks=thorough), pytest.param("whole", marks=thorough)])
+@pytest.mark.parametrize("light", ["lamp", *(pytest.param(one, marks=thorough) for one in ("sky", "both"))])
+def test_a_box_has_the_gradient_of_finite_differences(light: str, kind: str, tmp_path: Path) -> None:
+    """Mitsuba's own has the sign wrong in some of these cases, and up to seven times the size."""
+    scene = lit_scene(light, cube(kind, tmp_path))
+    planned = PlannedRenderer(scene, MOVES, spp=64)
+    drawn = [planned.unabridged.pull(AT, bump(), seed=seed) for seed in range(8)]
+    rows = np.array([[float(one[name]) for name in MOVES] for one in drawn])
+    error = np.std(rows, axis=0, ddof=1) / np.sqrt(len(rows))
+    images = MitsubaRenderer(scene, MOVES, integrator="scene", spp=512, without_gradient=MOVES)
+    wanted, unsure = slopes(images)
+    off = np.abs(np.mean(rows, axis=0) - wanted)
+    np.testing.assert_array_less(off, 0.05 * np.abs(wanted) + 4.0 * np.hypot(error, unsure))
+
+
+@pytest.mark.filterwarnings("ignore:mesh 'block' stores the vertices:loi_mitsuba.GradientWarning")
+def test_what_carries_forward_is_the_transpose_of_what_carries_back() -> None:
+    names = {name: MOVES[name] for name in ("x", "turn")}
+    at = {name: AT[name] for name in names}
+    scene = lit_scene("both", {"type": "cube", "to_world": PLACE().translate([0, 1.2, 0]).scale(0.7), "bsdf": RED})
+    renderer = MitsubaRenderer(scene, names, integrator=EXACT, spp=16)
+    back = renderer.pull(at, bump(), seed=3)
+    for name in names:
+        along = {other: np.float32(other == name) for other in names}
+        forward = np.sum(renderer.push(at, along, seed=3).astype(np.float64) * bump())
+        assert float(back[name]) == pytest.approx(forward, rel=1e-3)
+
+
+def test_what_else_moves_keeps_mitsubas_outlines() -> None:
+    """One renderer of both has the gradients of one renderer each."""
+    ball = {"type": "sphere", "center": [-1.8, 1.0, 0.5], "radius": 0.6, "bsdf": RED}
+    scene = lit_scene("sky", box((0.3, 1.2, 0.0), 0.7)) | {"other": ball}
+    targets = {"x": MOVES["x"], "other": Translate("other", (1, 0, 0))}
+    here = dict.fromkeys(targets, np.float32(0.0))
+    both = MitsubaRenderer(scene, targets, integrator=EXACT)
+    pulled = [both.pull(here, bump(), seed=seed) for seed in range(4)]
+    for name, target in targets.items():
+        alone = MitsubaRenderer(scene, {name: target}, integrator=EXACT)
+        wanted = [float(alone.pull({name: here[name]}, bump(), seed=seed)[name]) for seed in range(4)]
+        found = [float(one[name]) for one in pulled]
+        error = np.hypot(np.std(found, ddof=1), np.std(wanted, ddof=1)) / 2.0
+        assert abs(np.mean(wanted)) > 10.0 * error
+        assert np.mean(found) == pytest.approx(np.mean(wanted), abs=4.0 * error)
+
+
+def test_edges_are_where_a_mesh_bends_or_ends(tmp_path: Path) -> None:
+    def loaded(mesh: Any) -> Any:
+        return mi.load_dict({"type": "scene", "block": mesh}, optimize=False).shapes()[0]
+
+    trimesh.creation.icosphere(2).export(tmp_path / "ball.ply")
+    smooth = loaded({"type": "ply", "filename": str(tmp_path / "ball.ply")})
+    for kind in ("cube", "split", "whole"):
+        made = loaded(cube(kind, tmp_path))
+        assert has_sides(made)
+        assert is_flat(made)
+        assert edges_of(made).shape == (12, 2)  # without the diagonals of its sides
+    assert not has_sides(smooth)
+    assert not has_sides(loaded({"type": "sphere"}))
+    assert not has_sides(loaded({"type": "rectangle"}))
+    trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 0, 1]], [[0, 1, 2], [0, 3, 1]]).export(tmp_path / "open.ply")
+    assert edges_of(loaded({"type": "ply", "filename": str(tmp_path / "open.ply"), "face_normals": True})).shape == (
+        5,
+        2,
+    )
+
+
+def test_a_mesh_that_is_smooth_in_part_keeps_its_vertices(tmp_path: Path) -> None:
+    rim = trimesh.creation.cylinder(0.7, 1.4, sections=24)
+    corners = np.concatenate([np.array(rim.vertices)] * 2)  # the side once more than the lids
+    lids = np.abs(np.array(rim.face_normals)[:, 2]) > 0.5
+    faces = np.array(rim.faces)
+    faces[lids] += len(rim.vertices)
+    radial = np.array(rim.vertices) * [1, 1, 0]
+    upright = np.array(rim.vertices) * [0, 0, 1]
+    normals = np.concatenate([radial, upright])
+    can = trimesh.Trimesh(corners, faces, vertex_normals=normals, process=False)
+    can.export(tmp_path / "can.ply", vertex_normal=True)
+    block = {"type": "ply", "filename": str(tmp_path / "can.ply"), "to_world": PLACE().translate([0, 1.5, 0])}
+    with pytest.warns(GradientWarning, match=r"PlannedRenderer does where shading is smooth or flat throughout"):
+        planned = PlannedRenderer(lit_scene("lamp", block), {"x": MOVES["x"]})
+    assert not planned.plan.exchanged
