@@ -258,7 +258,7 @@ class MitsubaRenderer:
             return [(_ByMitsuba(self, whole), self._followed)]
         parts: list[tuple[_ByMitsuba | _ByEdges, tuple[str, ...]]] = [(_ByEdges(self, self._edges), sided)]
         inner = {**whole, "sppp": 0}
-        if any(inner.values()):
+        if any(count != 0 for count in inner.values()):
             parts.append((_ByMitsuba(self, inner), self._followed))
         others = tuple(name for name in self._followed if name not in self._sided)
         if self._named.moving(others):
@@ -268,8 +268,8 @@ class MitsubaRenderer:
     @property
     def _outlines(self) -> int:
         """Samples per pixel of outlines in view; 0 for an integrator that has none."""
-        own = getattr(self._integrator, "sppp", 0)
-        return self._spp_grad if own and self._spp_grad else own
+        own = getattr(self._integrator, "sppp", 0)  # None where it has not been told
+        return 0 if own == 0 else int(self._spp_grad or own or self._spp)
 
     @property
     def _radiance(self) -> Any:

@@ -64,8 +64,8 @@ def _meetings(shape: Any) -> tuple[Host, Host]:
     params = mi.traverse(shape)
     at = _places(params)[_faces(params)]
     edges = np.sort(np.stack([at, np.roll(at, -1, axis=1)], axis=-1).reshape(-1, 2), axis=1)
-    _, which, counts = np.unique(edges, axis=0, return_inverse=True, return_counts=True)
-    which = which.reshape(-1)
+    numbers = edges[:, 0] * (at.max(initial=0) + 1) + edges[:, 1]
+    _, which, counts = np.unique(numbers, return_inverse=True, return_counts=True)
     order = np.argsort(which, kind="stable")
     twice = counts[which[order]] == 2
     return order[twice].reshape(-1, 2), order[~twice]

@@ -8,7 +8,7 @@ import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from loi_core.support.markdown import markdown
 __all__ = ["Part", "Study", "add_options", "carry_out_and_report", "check_out"]
 
 Made = TypeVar("Made", bound=Fit)
+HEADER: Final = 2  # lines of a table without rows
 
 
 @dataclass(frozen=True)
@@ -217,7 +218,8 @@ def carry_out_and_report(
     known = Known(runs, read_figures(numbers), (*study.columns, *study.further))
     tables = study.tables(parts, known)
     print(_page(tables), end="")
-    fill(options.docs / f"{study.name}.md", tables)
+    # A table of which nothing is known, since what it was of is gone, stays as it is.
+    fill(options.docs / f"{study.name}.md", {name: table for name, table in tables.items() if len(table) > HEADER})
     write_text(numbers, study.csv_of(known, _every(parts)))
     study.draw(parts, known, options.docs / "images" / study.name)
 

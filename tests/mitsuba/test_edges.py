@@ -1,4 +1,4 @@
-"""What moves a mesh with sides has the gradient of its outlines, of edges between sides, and of its shadow, each once."""
+"""What moves a mesh with sides has the gradient of its outlines, of its edges in view, and of its shadow, each once."""
 
 from __future__ import annotations
 
@@ -114,6 +114,23 @@ def test_what_carries_forward_is_the_transpose_of_what_carries_back() -> None:
         along = {other: np.float32(other == name) for other in names}
         forward = np.sum(renderer.push(at, along, seed=3).astype(np.float64) * bump())
         assert float(back[name]) == pytest.approx(forward, rel=1e-3)
+
+
+def test_outlines_are_drawn_by_any_integrator_that_has_them() -> None:
+    """Also by one that has not been told how many samples: the default. Here nothing but outlines has a gradient."""
+    shining = {"type": "area", "radiance": {"type": "rgb", "value": [1.0, 0.2, 0.1]}}
+    pose = PLACE().translate([0, 1.2, 0]).scale(0.7)
+    scene = lit_scene("lamp", {"type": "cube", "to_world": pose, "emitter": shining})
+    scene["lamp"] = {"type": "constant", "radiance": 0.0}
+    scene["floor"]["bsdf"] = {"type": "diffuse", "reflectance": 0.0}
+    with pytest.warns(GradientWarning, match="stores the vertices of an edge more than once"):
+        renderers = [MitsubaRenderer(scene, MOVES, integrator=one, spp=64) for one in (None, EXACT)]
+    drawn = [[float(one.pull(AT, bump(), seed=seed)["x"]) for seed in range(4)] for one in renderers]
+    wanted = slopes(MitsubaRenderer(scene, MOVES, integrator="scene", spp=256, without_gradient=MOVES))[0][0]
+    for found in drawn:
+        error = np.std(found, ddof=1) / 2.0
+        assert abs(wanted) > 20.0 * error
+        assert np.mean(found) == pytest.approx(wanted, rel=0.02, abs=float(4.0 * error))
 
 
 def test_what_else_moves_keeps_mitsubas_outlines() -> None:
