@@ -79,12 +79,12 @@ class Edges:
         texture = texture_of(self._eye.padded(cotangent))
         dr.backward(dr.sum(value * self._eye.looked_up(texture, place), axis=None), dr.ADFlag.ClearInterior)
 
-    def push(self, scene: Any, integrator: Any, samples: int, seed: int) -> Host:
-        """How the image changes with the vertices, which have a gradient: shape (H, W, 3)."""
+    def push(self, scene: Any, integrator: Any, channels: int, samples: int, seed: int) -> Host:
+        """How the image changes with the vertices, which have a gradient: shape (H, W, channels)."""
         value, place = self._jumps(scene, integrator, samples, seed)
         change = mi.Color3f(dr.forward_to(value, flags=dr.ADFlag.ClearInterior))
         with dr.suspend_grad():
-            return self._eye.cropped(self._eye.splat([(change, place)]))
+            return self._eye.on_film(self._eye.cropped(self._eye.splat([(change, place)])), channels)
 
     def _jumps(self, scene: Any, integrator: Any, samples: int, seed: int) -> tuple[Any, Any]:
         """At points of the edges, 0 with how it changes: the jump times how far the edge moves across; and places."""

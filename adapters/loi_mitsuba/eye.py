@@ -41,6 +41,13 @@ class Eye:
         colours = colours[..., :3] if colours.shape[-1] > 2 else colours[..., :1] * np.asarray(LUMINANCE, np.float32)
         return mi.TensorXf(np.ascontiguousarray(np.pad(colours, (around, around, (0, 0)))))
 
+    def on_film(self, image: Host, channels: int) -> Host:
+        """An image of three colours, shape (H, W, 3), in so many channels: what :meth:`padded` is the transpose of."""
+        if channels > 2:
+            return np.pad(image, ((0, 0), (0, 0), (0, channels - 3)))
+        brightness = image @ np.asarray(LUMINANCE, np.float32)
+        return np.pad(brightness[..., None], ((0, 0), (0, 0), (0, channels - 1)))
+
     def cropped(self, image: Any) -> Host:
         """An image without what is around it."""
         inner = slice(self._around, -self._around)

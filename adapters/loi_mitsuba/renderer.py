@@ -382,7 +382,8 @@ class _ByEdges:
 
     def push(self, seed: int, seed_grad: int) -> Host:  # noqa: ARG002  # there is no image to draw
         one = self.renderer
-        return self.edges.push(one._scene, one._radiance, one._outlines, seed_grad)
+        channels = one._sensor.film().base_channels_count()
+        return self.edges.push(one._scene, one._radiance, channels, one._outlines, seed_grad)
 
 
 def _integrator(scene: Any, integrator: Any) -> Any:

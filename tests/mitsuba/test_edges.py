@@ -104,15 +104,18 @@ def test_a_box_has_the_gradient_of_finite_differences(light: str, kind: str, tmp
 
 
 @pytest.mark.filterwarnings("ignore:mesh 'block' stores the vertices:loi_mitsuba.GradientWarning")
-def test_what_carries_forward_is_the_transpose_of_what_carries_back() -> None:
+@pytest.mark.parametrize("pixels", ["rgb", "rgba", "luminance", "luminance_alpha"])
+def test_what_carries_forward_is_the_transpose_of_what_carries_back(pixels: str) -> None:
     names = {name: MOVES[name] for name in ("x", "turn")}
     at = {name: AT[name] for name in names}
     scene = lit_scene("both", {"type": "cube", "to_world": PLACE().translate([0, 1.2, 0]).scale(0.7), "bsdf": RED})
+    scene["sensor"]["film"]["pixel_format"] = pixels
     renderer = MitsubaRenderer(scene, names, integrator=EXACT, spp=16)
-    back = renderer.pull(at, bump(), seed=3)
+    weight = np.resize(bump(), renderer.render(at).shape)
+    back = renderer.pull(at, weight, seed=3)
     for name in names:
         along = {other: np.float32(other == name) for other in names}
-        forward = np.sum(renderer.push(at, along, seed=3).astype(np.float64) * bump())
+        forward = np.sum(renderer.push(at, along, seed=3).astype(np.float64) * weight)
         assert float(back[name]) == pytest.approx(forward, rel=1e-3)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 
-import loi_mitsuba  # noqa: F401  # before drjit and mitsuba
+from loi_mitsuba import MitsubaRenderer, Translate  # before drjit and mitsuba
 
 # isort: split
 import drjit as dr
@@ -92,6 +92,15 @@ def test_the_gradient_of_a_box_is_the_slope_of_its_images(tmp_path: Path) -> Non
         ahead, behind = (np.array(mi.render(scene, spp=256, seed=seed), dtype=np.float64) for scene in scenes)
         estimates.append(float(np.sum((ahead - behind) * weights())) / (2.0 * STEP))
     assert agreed(slope("box"), estimates, 0.005)
+
+
+@pytest.mark.filterwarnings("ignore:a shape moves under a DirectionalEmitter:loi_mitsuba.GradientWarning")
+def test_both_renderers_have_one_gradient_of_a_box(tmp_path: Path) -> None:
+    scene = theirs("box", tmp_path)
+    renderer = MitsubaRenderer(scene, {"x": Translate("shape", (1, 0, 0))}, integrator="scene", spp_grad=256)
+    weight = weights().astype(np.float32)
+    estimates = [float(renderer.pull({"x": np.float32(OFFSET)}, weight, seed=seed)["x"]) for seed in range(8)]
+    assert agreed(slope("box"), estimates, 0.03)
 
 
 def test_the_gradient_of_a_ball_is_that_of_its_outline(tmp_path: Path) -> None:
