@@ -1,7 +1,7 @@
 """Table 2's *Sort* as flat disks, whose gradient is exact: what the loss does where the renderer is not in its way.
 
-The same 65 places and colours, from the same starts, at half the size. MAE is in units of the scene, rates are pixels of
-the image of the table, and a disk is found within 0.1.
+The same 65 places and colours, from the same starts, at half the size. MAE is in units of the scene, rates are in
+pixels of the table's image, and a disk is found within 0.1.
 
     python -m benchmarks.flat_sort    # two minutes
 """
