@@ -105,15 +105,17 @@ class Study(Generic[Made]):
     further: tuple[Any, ...] = ()
 
     def csv_of(self, known: Known, runs: Sequence[Made]) -> str:
-        """A line for each run that is known."""
+        """A line for each run that is known, and then for each that only figures are left of."""
+        records = {key_of(run): record for run in runs if (record := known.of(run)) is not None}
         stream = io.StringIO()
         writer = csv.writer(stream, lineterminator="\n")
         writer.writerow((*KEY, *self.measures, "seconds"))
-        for run in runs:
-            record = known.of(run)
-            if record is not None:
-                figures = (f"{record[one]:.4f}" if one in record else "" for one in self.measures)
-                writer.writerow((*key_of(run), *figures, f"{record['seconds']:.1f}"))
+        for key, record in {
+            **records,
+            **{key: one for key, one in known.figures.items() if key not in records},
+        }.items():
+            figures = (f"{record[one]:.4f}" if one in record else "" for one in self.measures)
+            writer.writerow((*key, *figures, f"{record['seconds']:.1f}"))
         return stream.getvalue()
 
     def table_of(self, known: Known, part: Part[Made]) -> list[str]:

@@ -110,6 +110,24 @@ def test_new_runs_stand_beside_them_and_replace_them(docs: Path) -> None:
     assert len(rows) == 4
 
 
+def test_a_call_for_a_part_of_a_table_loses_nothing_of_the_rest(docs: Path) -> None:
+    reported(docs, "out", seeds=2)
+    before = set((docs / "docs" / "table9.csv").read_text().splitlines())
+    reported(docs, "elsewhere", seeds=1, report=True, columns=COLUMNS[:1])
+    assert set((docs / "docs" / "table9.csv").read_text().splitlines()) == before
+
+
+def test_a_table_of_which_nothing_is_known_stays_as_it_is(docs: Path) -> None:
+    page = docs / "docs" / "table9.md"
+    page.write_text("<!-- ours -->\nby hand\n<!-- end -->\n")
+    parser = argparse.ArgumentParser()
+    add_options(parser, "table9", ("ours",), "none", processes=1)
+    words = ["--out", str(docs / "out"), "--docs", str(docs / "docs"), "--report"]
+    search = Part({"ours": [OneFit(Setting("ours", "loi"), COLUMNS[0], 100)]}, rates=(1.0,))
+    carry_out_and_report(parser, parser.parse_args(words), STUDY, {"ours": search})
+    assert "by hand" in page.read_text()
+
+
 def test_figures_are_not_taken_for_those_of_a_column_of_the_same_name(docs: Path) -> None:
     reported(docs, "out", seeds=1)
     assert reported(docs, "elsewhere", seeds=1, report=True, columns=(Column("Shadow", 8),)) == [""]
