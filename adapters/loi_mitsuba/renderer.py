@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Callable, Iterable, Mapping
 from copy import copy
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
@@ -18,6 +16,7 @@ from loi_core.errors import OptionError, ParameterError
 from loi_core.pixels.encoding import Encoding
 from loi_core.support.values import whole_number
 from loi_core.support.wording import shown
+from loi_mitsuba.carriers import ByEdges, ByMitsuba, parts_of
 from loi_mitsuba.cautions import warn_of_moving
 from loi_mitsuba.edges import Edges
 from loi_mitsuba.entries import Names, Scene, named_scene
@@ -32,7 +31,7 @@ from loi_mitsuba.loading import (
     one_line,
     use_variant,
 )
-from loi_mitsuba.named import NamedParameters, as_host, host_numbers
+from loi_mitsuba.named import NamedParameters, host_numbers
 from loi_mitsuba.untrusted import SceneLoadError, check_types
 
 __all__ = ["MitsubaRenderer", "seeds_of"]
@@ -247,22 +246,25 @@ class MitsubaRenderer:
                 total = total + carry.push(*seeds_of(seed))
         return np.asarray(total, dtype=np.float32)
 
-    def _parts(self) -> list[tuple[_ByMitsuba | _ByEdges, tuple[str, ...]]]:
+    def _parts(self) -> list[tuple[ByMitsuba | ByEdges, tuple[str, ...]]]:
         """What carries which parts of the gradient, and to which parameters.
 
         Outlines of meshes with sides are not Mitsuba's.
         """
+        entries, sensor, samples = self._named.entries, self._sensor, self._spp_grad
+        whole = ByMitsuba(self._scene, entries, sensor, self._integrator, samples, parts_of(self._integrator))
         sided = tuple(name for name in self._followed if name in self._sided) if self._outlines else ()
-        whole = {part: getattr(self._integrator, part, 0) for part in PARTS}
         if not sided or self._edges is None:
-            return [(_ByMitsuba(self, whole), self._followed)]
-        parts: list[tuple[_ByMitsuba | _ByEdges, tuple[str, ...]]] = [(_ByEdges(self, self._edges), sided)]
-        inner = {**whole, "sppp": 0}
-        if any(count != 0 for count in inner.values()):
-            parts.append((_ByMitsuba(self, inner), self._followed))
+            return [(whole, self._followed)]
+        parts: list[tuple[ByMitsuba | ByEdges, tuple[str, ...]]] = [
+            (ByEdges(self._edges, self._scene, sensor, self._radiance, self._outlines), sided)
+        ]
+        inner = whole.but(sppp=0)
+        if any(count != 0 for count in inner.counts.values()):
+            parts.append((inner, self._followed))
         others = tuple(name for name in self._followed if name not in self._sided)
         if self._named.moving(others):
-            parts.append((_ByMitsuba(self, dict.fromkeys(PARTS, 0) | {"sppp": whole["sppp"]}), others))
+            parts.append((whole.but(sppc=0, sppi=0), others))
         return parts
 
     @property
@@ -325,65 +327,6 @@ class MitsubaRenderer:
                 f"a narrow perspective, or an integrator with sppp=0 if nothing that moves is in view"
             )
             raise ParameterError(msg)
-
-
-@dataclass(frozen=True)
-class _ByMitsuba:
-    """What Mitsuba carries of the gradient, with so many samples per pixel of each of its parts, if it has parts."""
-
-    renderer: MitsubaRenderer
-    samples: Mapping[str, int]
-
-    def pull(self, cotangent: Host, seed: int) -> None:
-        one = self.renderer
-        with self._sampled():
-            one._integrator.render_backward(
-                one._scene, one._named.entries, mi.TensorXf(cotangent), one._sensor, seed, one._spp_grad
-            )
-
-    def push(self, seed: int, seed_grad: int) -> Host:
-        one = self.renderer
-        with self._sampled():
-            image = mi.render(
-                one._scene,
-                one._named.entries,
-                one._sensor,
-                one._integrator,
-                seed=seed,
-                seed_grad=seed_grad,
-                spp_grad=one._spp_grad,
-            )
-            return as_host(dr.forward_to(image), image.shape)
-
-    @contextmanager
-    def _sampled(self) -> Iterator[None]:
-        """Tell the integrator, for as long."""
-        integrator = self.renderer._integrator
-        before = {part: getattr(integrator, part) for part in PARTS if hasattr(integrator, part)}
-        for part in before:
-            setattr(integrator, part, self.samples[part])
-        try:
-            yield
-        finally:
-            for part, count in before.items():
-                setattr(integrator, part, count)
-
-
-@dataclass(frozen=True)
-class _ByEdges:
-    """The edges in view of meshes that have sides."""
-
-    renderer: MitsubaRenderer
-    edges: Edges
-
-    def pull(self, cotangent: Host, seed: int) -> None:
-        one = self.renderer
-        self.edges.pull(one._scene, one._radiance, cotangent, one._outlines, seed)
-
-    def push(self, seed: int, seed_grad: int) -> Host:  # noqa: ARG002  # there is no image to draw
-        one = self.renderer
-        channels = one._sensor.film().base_channels_count()
-        return self.edges.push(one._scene, one._radiance, channels, one._outlines, seed_grad)
 
 
 def _integrator(scene: Any, integrator: Any) -> Any:

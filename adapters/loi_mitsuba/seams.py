@@ -1,7 +1,8 @@
-"""Meshes that store the vertices of an edge more than once, as along the seams of a texture.
+"""Meshes as Mitsuba stores them: where they bend or end, and where they store the vertices of an edge more than once.
 
-Projective sampling takes an edge that belongs to one triangle for a border of the surface. An edge whose vertices are
-stored twice is two such edges, and what moves them counts twice.
+They do so along the seams of a texture, and between sides that are shaded apart. Projective sampling takes an edge that
+belongs to one triangle for a border of the surface. An edge whose vertices are stored twice is two such edges, and what
+moves them counts twice.
 """
 
 from __future__ import annotations

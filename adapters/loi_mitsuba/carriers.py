@@ -1,0 +1,112 @@
+"""What carries parts of the gradient of a scene between its image and its entries: Mitsuba, and edges drawn here."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from loi_mitsuba.edges import Edges
+from loi_mitsuba.handles import Host
+from loi_mitsuba.integrators import PARTS
+from loi_mitsuba.named import as_host
+
+__all__ = ["ByEdges", "ByMitsuba", "parts_of"]
+
+
+def parts_of(integrator: Any) -> dict[str, int | None]:
+    """Samples per pixel of each part that an integrator has; None where it has not been told."""
+    return {part: getattr(integrator, part) for part in PARTS if hasattr(integrator, part)}
+
+
+@dataclass(frozen=True)
+class ByMitsuba:
+    """What an integrator of Mitsuba has of the gradient.
+
+    Attributes
+    ----------
+    scene, sensor, integrator : mi.Scene, mi.Sensor, mi.Integrator
+    entries : mi.SceneParameters
+        What the scene can be set by, some of it with a gradient.
+    samples : int
+        Per pixel of each part that is not off; 0 leaves it to `counts`.
+    counts : dict
+        By part; see :func:`parts_of`.
+    """
+
+    scene: Any
+    entries: Any
+    sensor: Any
+    integrator: Any
+    samples: int
+    counts: Mapping[str, int | None]
+
+    def but(self, **counts: int) -> ByMitsuba:
+        """The same with other samples of some parts."""
+        return replace(self, counts={**self.counts, **counts})
+
+    def pull(self, cotangent: Host, seed: int) -> None:
+        """Carry a cotangent of the image, shape (H, W, C), back to the entries."""
+        with self._told():
+            image = mi.TensorXf(cotangent)
+            self.integrator.render_backward(self.scene, self.entries, image, self.sensor, seed, self.samples)
+
+    def push(self, seed: int, seed_grad: int) -> Host:
+        """How the image changes with the entries: shape (H, W, C)."""
+        with self._told():
+            image = mi.render(
+                self.scene,
+                self.entries,
+                self.sensor,
+                self.integrator,
+                seed=seed,
+                seed_grad=seed_grad,
+                spp_grad=self.samples,
+            )
+            return as_host(dr.forward_to(image), image.shape)
+
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        """The integrator knows the counts meanwhile."""
+        before = parts_of(self.integrator)
+        for part, count in self.counts.items():
+            setattr(self.integrator, part, count)
+        try:
+            yield
+        finally:
+            for part, count in before.items():
+                setattr(self.integrator, part, count)
+
+
+@dataclass(frozen=True)
+class ByEdges:
+    """What edges in view have of it, of meshes with sides.
+
+    Attributes
+    ----------
+    edges : Edges
+    scene, sensor : mi.Scene, mi.Sensor
+    radiance : mi.Integrator
+        Says how bright it is where a ray goes.
+    samples : int
+        Per pixel of the image.
+    """
+
+    edges: Edges
+    scene: Any
+    sensor: Any
+    radiance: Any
+    samples: int
+
+    def pull(self, cotangent: Host, seed: int) -> None:
+        """Carry a cotangent of the image, shape (H, W, C), back to the vertices."""
+        self.edges.pull(self.scene, self.radiance, cotangent, self.samples, seed)
+
+    def push(self, seed: int, seed_grad: int) -> Host:  # noqa: ARG002  # there is no image to draw
+        """How the image changes with the vertices: shape (H, W, C)."""
+        channels = self.sensor.film().base_channels_count()
+        return self.edges.push(self.scene, self.radiance, channels, self.samples, seed_grad)
