@@ -18,6 +18,7 @@ from loi_core.support.arrays import Host
 __all__ = ["edges_of", "has_seams", "has_sides", "is_closed", "is_flat", "is_hard", "merge_seams"]
 
 CREASE: Final = 0.05  # between the unit normals of two triangles that are not of one side: 3 degrees
+BENT: Final = 1e-4  # between them where two triangles are not of one plane, rounding apart
 HARD: Final = 0.5  # of the triangles, and between the unit normals of two that meet: some 30 degrees
 
 
@@ -51,7 +52,7 @@ def edges_of(shape: Any) -> Host:
     params = mi.traverse(shape)
     faces = _faces(params)
     flat = _flat_normals(params, faces).reshape(-1, 3)
-    bent = pairs[_apart(flat[pairs[:, 0]], flat[pairs[:, 1]]) > CREASE]
+    bent = pairs[_apart(flat[pairs[:, 0]], flat[pairs[:, 1]]) > BENT]
     begin = np.concatenate([bent[:, 0], alone])
     ends = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
     return np.asarray(ends[begin])
@@ -112,9 +113,7 @@ def _corner_normals(shape: Any) -> Host:
 def is_flat(shape: Any) -> bool:
     """Whether a mesh is shaded as its triangles lie, as a cube is."""
     params = mi.traverse(shape)
-    return bool(
-        np.all(np.linalg.norm(_corner_normals(shape) - _flat_normals(params, _faces(params)), axis=-1) < CREASE)
-    )
+    return bool(np.all(_apart(_corner_normals(shape), _flat_normals(params, _faces(params))) < CREASE))
 
 
 def _flat_normals(params: Any, faces: Host) -> Host:

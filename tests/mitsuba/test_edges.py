@@ -174,6 +174,17 @@ def test_edges_are_where_a_mesh_bends_or_ends(tmp_path: Path) -> None:
     )
 
 
+def test_a_fine_mesh_with_sides_keeps_the_edges_that_its_outline_is_made_of(tmp_path: Path) -> None:
+    """Each is bent by less than two degrees, and any of them may be the outline."""
+    trimesh.creation.cylinder(0.7, 1.4, sections=200).export(tmp_path / "can.ply")
+    block = {"type": "ply", "filename": str(tmp_path / "can.ply"), "face_normals": True}
+    can = mi.load_dict({"type": "scene", "block": block}, optimize=False).shapes()[0]
+    assert has_sides(can)
+    along = np.array(mi.traverse(can)["vertex_positions"]).reshape(-1, 3)[edges_of(can)]
+    upright = np.all(np.abs(np.diff(along, axis=1)[:, 0, :2]) < 1e-6, axis=1)
+    assert np.count_nonzero(upright) == 200
+
+
 def test_a_mesh_that_is_smooth_in_part_keeps_its_vertices(tmp_path: Path) -> None:
     rim = trimesh.creation.cylinder(0.7, 1.4, sections=24)
     corners = np.concatenate([np.array(rim.vertices)] * 2)  # the side once more than the lids

@@ -28,14 +28,13 @@ __all__ = ["PARTS", "main", "part_of"]
 PARTS: Final = ("tuning", "ours", "published", "noise", "savings")
 TUNED: Final = 100  # the seed of the search, which no table has
 NOISY: Final = tuple(
-    replace(COLUMNS[0], name=f"{COLUMNS[0].name}, {words}", samples=samples, scene=COLUMNS[0].name)
-    for samples, words in (
-        (256, "256 samples"),
-        (64, "64 samples"),
-        (16, "16 samples"),
-        (4, "4 samples"),
-        (1, "1 sample"),
+    replace(
+        COLUMNS[0],
+        name=f"{COLUMNS[0].name}, {samples} sample{'s' if samples > 1 else ''}",
+        samples=samples,
+        scene=COLUMNS[0].name,
     )
+    for samples in (256, 64, 16, 4, 1)
 )
 NOISY_METHODS: Final[tuple[Method, ...]] = ("gaussian_pyramid", "ms_ssim", "loi")
 FRAME_SAMPLES: Final = 64
