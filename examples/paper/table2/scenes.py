@@ -22,6 +22,8 @@ __all__ = ["SCENES", "Built", "FloatArray"]
 FloatArray = np.ndarray[Any, np.dtype[np.float64]]
 
 REACH: Final = 5.0  # of everything that moves on a floor
+ASTRAY: Final = 2.0  # what is to be sorted is at most this far along either axis from where it belongs
+SHOWN: Final = np.array([[-4.6, -3.2], [4.6, 3.2]])  # of the floor, from one corner to the other
 ROWS, LINE = 5, 13  # of primitives, when sorted
 SHADOW: Final = tuple(map(float, TRUTH.values()))  # where the sphere is
 
@@ -91,7 +93,18 @@ def caustics(width: int, height: int, seed: int) -> Built:
 
 
 def sort(width: int, height: int, seed: int) -> Built:
-    """65 primitives of 65 colours on a floor, by row and hue; anywhere at the start."""
+    """65 primitives of 65 colours on a floor, by row and hue; starts within 2 of where each belongs, along both axes."""
+    rng = np.random.default_rng(seed)
+    return _primitives(width, height, lambda place: np.clip(place + rng.uniform(-ASTRAY, ASTRAY, 2), *SHOWN))
+
+
+def scattered(width: int, height: int, seed: int) -> Built:
+    """The same, anywhere at the start."""
+    rng = np.random.default_rng(seed)
+    return _primitives(width, height, lambda _: rng.uniform(*SHOWN))
+
+
+def _primitives(width: int, height: int, start: Callable[[FloatArray], FloatArray]) -> Built:
     scene: dict[str, Any] = {
         "type": "scene",
         "integrator": {"type": "path", "max_depth": 3},
@@ -111,8 +124,7 @@ def sort(width: int, height: int, seed: int) -> Built:
                 up = mi.ScalarTransform4f().translate([0, 0.24, 0]).scale(0.24)
                 scene[name] = {"type": "cube", "to_world": up, "bsdf": bsdf}
             truth[name] = (0.72 * (place - (LINE - 1) / 2), 1.3 * (row - (ROWS - 1) / 2))
-    rng = np.random.default_rng(seed)
-    return _on_floor(scene, truth, {name: rng.uniform([-4.6, -3.2], [4.6, 3.2]) for name in truth})
+    return _on_floor(scene, truth, {name: start(np.array(place)) for name, place in truth.items()})
 
 
 def _tint(hue: float, row: int) -> list[float]:
@@ -191,6 +203,7 @@ SCENES: Final[Mapping[str, Callable[[int, int, int], Built]]] = {
     "Shadow Mini": shadow_mini,
     "Caustics and Lights": caustics,
     "Sort": sort,
+    "Sort, anywhere": scattered,
     "Envlight": envlight,
     "Teaser": teaser,
 }
