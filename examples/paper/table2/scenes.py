@@ -93,7 +93,7 @@ def caustics(width: int, height: int, seed: int) -> Built:
 
 
 def sort(width: int, height: int, seed: int) -> Built:
-    """65 primitives of 65 colours on a floor, by row and hue; starts within 2 of where each belongs, along both axes."""
+    """65 primitives of 65 colours on a floor, by row and hue; each starts within 2 of where it belongs, on either axis."""
     rng = np.random.default_rng(seed)
     return _primitives(width, height, lambda place: np.clip(place + rng.uniform(-ASTRAY, ASTRAY, 2), *SHOWN))
 
