@@ -133,6 +133,25 @@ def test_glass_that_nobody_sees_is_blurred() -> None:
     assert not plan.followed
 
 
+def test_what_neither_can_tell_from_noise_is_followed() -> None:
+    """The blurred gradient has ten times the noise, and a fit would have it to the end."""
+    planned = PlannedRenderer(glass_scene(), {"x": Translate("ball", X)}, spp=2)
+    noise = np.random.default_rng(0).normal(size=(HEIGHT, WIDTH, 3)).astype(np.float32)
+    plan = planned.begin(planned.parameters(), noise, optimise=["x"])
+    assert list(plan.followed) == ["x"]
+    assert not plan.blurred
+
+
+def test_glass_that_comes_into_view_is_followed_from_then_on() -> None:
+    """It begins far to the side, where it bends no light that the camera sees."""
+    planned = PlannedRenderer(glass_scene(), {"x": Translate("ball", X)}, spp=4)
+    planned.begin({"x": np.float32(60.0)}, RAMP, optimise=["x"])
+    assert list(planned.plan.blurred) == ["x"]
+    planned.render_vjp(planned.parameters())[1](RAMP)
+    assert list(planned.plan.followed) == ["x"]
+    assert not planned.plan.blurred
+
+
 def test_what_it_does_not_know_is_blurred() -> None:
     box = {"type": "cube", "to_world": mi.ScalarTransform4f().translate([0, 1, 0]).scale(0.7), "bsdf": CLEAR}
     turned: dict[str, Any] = {"it": Rotate("ball", Z)}

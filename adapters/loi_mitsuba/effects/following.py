@@ -16,7 +16,7 @@ from loi_mitsuba.handles import Host
 from loi_mitsuba.loading import Target
 from loi_mitsuba.renderer import MitsubaRenderer
 
-__all__ = ["Followed", "Following"]
+__all__ = ["DRAWS", "Followed", "Following"]
 
 DRAWS: Final = 4
 
@@ -73,9 +73,11 @@ class Following:
         pulled = self._lamps.pull(params, cotangent, names=lamps, seed=seed) if lamps else {}
         return pulled | (self._glass.pull(params, cotangent, names=glass, seed=seed) if glass else {})
 
-    def seen(self, params: Mapping[str, Any], cotangent: Any, *, names: Sequence[str], seed: int = 0) -> frozenset[str]:
-        """Of `names`, those whose gradient can be distinguished from noise, in a few draws."""
-        return self._seen(self._draws(params, cotangent, names, seed), names) if names else frozenset()
+    def doubtful(self, params: Mapping[str, Any], cotangent: Any, *, names: Sequence[str], seed: int = 0) -> Holding:
+        """Of `names`, those whose gradient is 0, or cannot be distinguished from noise, in a few draws."""
+        if not names:
+            return Holding()
+        return Holding.begun(self._draws(params, cotangent, names, seed), self._objects(names))
 
     def better(
         self, own: MitsubaRenderer, params: Mapping[str, Any], cotangent: Any, *, names: Sequence[str], seed: int = 0

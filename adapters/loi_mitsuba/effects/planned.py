@@ -23,7 +23,7 @@ from loi_core.support.values import real_number
 from loi_core.support.wording import clause, listed, shown
 from loi_mitsuba.effects.base import base_of
 from loi_mitsuba.effects.blurring import Blurring
-from loi_mitsuba.effects.following import Following
+from loi_mitsuba.effects.following import DRAWS, Following
 from loi_mitsuba.effects.images import effect_images
 from loi_mitsuba.effects.pilot import Pilot
 from loi_mitsuba.effects.probe import APART, Probe
@@ -236,12 +236,9 @@ class PlannedRenderer:
         self._noisy = {}
         self._followed = self._whole.followed.without_gradient
         self._take(names)
-        otherwise = tuple(name for name in self._plan.followed if name in self._whole.missing)
-        seen = self._following.seen(params, cotangent, names=otherwise, seed=APART + seed)
-        if len(seen) < len(otherwise):
-            self._followed -= set(otherwise) - seen
-            self._take(names)
-        self._last = Probe(self._base, dict(params), np.array(to_numpy(cotangent), np.float32), self._names, seed)
+        probe = Probe(self._base, dict(params), np.array(to_numpy(cotangent), np.float32), self._names, seed)
+        self._blur_doubtful(probe)
+        self._last = replace(probe, names=self._names)
         self._begun = True
         self._schedule = Schedule()
         self._seen = self._in_view()
@@ -273,6 +270,24 @@ class PlannedRenderer:
             self._retake(self._plan.blurred, "by the pilot")
             self._last = replace(probe, names=self._names)
             self._run_pilot(self._last)
+
+    def _blur_doubtful(self, probe: Probe) -> None:
+        """Blur what is followed and has no gradient, or nothing but noise where the blurred one has more.
+
+        Where neither can be told from noise, what is followed has less of it.
+        """
+        otherwise = tuple(name for name in self._plan.followed if name in self._whole.missing)
+        doubtful = self._following.doubtful(probe.params, probe.cotangent, names=otherwise, seed=APART + probe.seed)
+        if not doubtful.groups:
+            return
+        glass = self._whole.followed.glass
+        hidden = {name for name in doubtful.reasons if name in glass and not in_view(self._base.sensor, glass[name])}
+        unseen = [group for group in doubtful.groups if not any(doubtful.evidence[name].count for name in group)]
+        silent = frozenset(name for group in unseen for name in group)
+        worse = silent | self._blurring.better(probe, doubtful.without(silent), DRAWS).keys()
+        self._noisy |= {name: glass[name] for name in worse & hidden}
+        self._followed -= worse
+        self._take(self._optimised)
 
     def _blur_noise(self, probe: Probe) -> None:
         """Blur what is held, if its gradient can be told from noise that way."""

@@ -25,7 +25,7 @@ import numpy as np
 
 __all__ = ["PARTS", "main", "part_of"]
 
-PARTS: Final = ("tuning", "ours", "published", "noise", "savings")
+PARTS: Final = ("tuning", "ours", "published", "noise", "anywhere", "savings")
 TUNED: Final = 100  # the seed of the search, which no table has
 NOISY: Final = tuple(
     replace(
@@ -36,6 +36,7 @@ NOISY: Final = tuple(
     )
     for samples in (256, 64, 16, 4, 1)
 )
+ANYWHERE: Final = replace(COLUMNS[3], name="Sort, anywhere", scene="Sort, anywhere")
 NOISY_METHODS: Final[tuple[Method, ...]] = ("gaussian_pyramid", "ms_ssim", "loi")
 FRAME_SAMPLES: Final = 64
 GAMMA: Final = 1.0 / 2.2
@@ -77,12 +78,12 @@ def part_of(
     settings = PROTOCOLS["published" if name == "published" else "ours"]
     if name == "noise":
         methods = [method for method in methods if method in NOISY_METHODS]
-        columns = NOISY
+    columns = {"noise": NOISY, "anywhere": (ANYWHERE,)}.get(name, tuple(columns))
     rows = {
         LABELS[method]: [Run(settings[method], column, seed) for column in columns for seed in range(seeds)]
         for method in methods
     }
-    return Part(rows, tuple(columns))
+    return Part(rows, columns)
 
 
 def _quick() -> Part[Run]:
@@ -129,5 +130,5 @@ STUDY: Final = Study(
     title=_title,
     animate=_animate,
     others=_costs,
-    further=NOISY,
+    further=(*NOISY, ANYWHERE),
 )

@@ -76,24 +76,27 @@ def _shadow(width: int, height: int, radius: float, start: FloatArray) -> Built:
 
 
 def caustics(width: int, height: int, seed: int) -> Built:
-    """Two glass spheres throw the light of two lamps, which are out of view, on a floor."""
-    truth = {"ball_1": (-1.8, -0.6), "ball_2": (1.7, 0.9), "lamp_1": (-3.5, -3.0), "lamp_2": (3.0, 2.0)}
+    """Two glass spheres throw the light of two lamps, which are out of view, on a floor.
+
+    The unit is such that spheres within the bounds are in view; starts are anywhere within 4.
+    """
+    truth = {"ball_1": (-2.6, -0.9), "ball_2": (2.5, 1.3), "lamp_1": (-3.5, -3.0), "lamp_2": (3.0, 2.0)}
     scene: dict[str, Any] = {
         "type": "scene",
         "integrator": {"type": "path", "max_depth": 8},
-        "sensor": camera(width, height, [0, 10, 8], [0, 0, 0.3], 45.0),
-        "floor": _floor(12.0, [0.7, 0.7, 0.7]),
+        "sensor": camera(width, height, [0, 14.5, 11.6], [0, 0, 0.4], 45.0),
+        "floor": _floor(17.0, [0.7, 0.7, 0.7]),
     }
     for name in ("ball_1", "ball_2"):
-        scene[name] = ball([0, 1.6, 0], 0.9, bsdf={"type": "dielectric", "int_ior": 1.5})
+        scene[name] = ball([0, 2.3, 0], 1.3, bsdf={"type": "dielectric", "int_ior": 1.5})
     for name, tint in (("lamp_1", [60.0, 36.0, 20.0]), ("lamp_2", [20.0, 36.0, 60.0])):
-        scene[name] = ball([0, 11, 0], 0.8, emitter={"type": "area", "radiance": colour(tint)})
+        scene[name] = ball([0, 16, 0], 1.15, emitter={"type": "area", "radiance": colour(tint)})
     rng = np.random.default_rng(seed)
-    return _on_floor(scene, truth, {name: rng.uniform(-3.0, 3.0, 2) for name in truth})
+    return _on_floor(scene, truth, {name: rng.uniform(-4.0, 4.0, 2) for name in truth})
 
 
 def sort(width: int, height: int, seed: int) -> Built:
-    """65 primitives of 65 colours on a floor, by row and hue; each starts within 2 of where it belongs, on either axis."""
+    """65 primitives of 65 colours on a floor, by row and hue; each starts within 2 of its place, along either axis."""
     rng = np.random.default_rng(seed)
     return _primitives(width, height, lambda place: np.clip(place + rng.uniform(-ASTRAY, ASTRAY, 2), *SHOWN))
 
