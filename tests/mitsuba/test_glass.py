@@ -133,7 +133,7 @@ def test_glass_that_nobody_sees_is_blurred() -> None:
     assert not plan.followed
 
 
-def test_what_neither_can_tell_from_noise_is_followed() -> None:
+def test_it_is_followed_where_it_cannot_be_told_from_noise() -> None:
     """The blurred gradient has ten times the noise, and a fit would have it to the end."""
     planned = PlannedRenderer(glass_scene(), {"x": Translate("ball", X)}, spp=2)
     noise = np.random.default_rng(0).normal(size=(HEIGHT, WIDTH, 3)).astype(np.float32)

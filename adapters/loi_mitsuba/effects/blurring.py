@@ -65,7 +65,7 @@ class Blurring:
                 options[key] = {name: one for name, one in options[key].items() if name not in others}
         return BlurredRenderer(_Images(self.planned), **options)
 
-    def better(self, probe: Probe, holding: Holding, draws: int = DRAWS) -> dict[str, str]:
+    def better(self, probe: Probe, holding: Holding) -> dict[str, str]:
         """Of what is held, the parameters whose gradient can be told from noise once they are blurred, and why."""
         names = tuple(holding.reasons)
         if not names or self.options is None or self.options.get("names") is not None:
@@ -78,12 +78,12 @@ class Blurring:
             first = blurred.pull(place, probe.cotangent, seed=seed)
             if not any(np.any(value) for value in first.values()):
                 return {}  # nothing is seen of it within reach of the blur
-            others = [blurred.pull(place, probe.cotangent, seed=seed + k) for k in range(1, draws)]
+            others = [blurred.pull(place, probe.cotangent, seed=seed + k) for k in range(1, DRAWS)]
         except OptionError:  # what leaves no trace in the image has no pixels to measure its blur by
             return {}
         held = Holding.begun(Draws.of([first, *others]), holding.groups).reasons
         return {
-            name: f"{reason}; that of images blurred over it is significant in {draws}"
+            name: f"{reason}; that of images blurred over it is significant in {DRAWS}"
             for name, reason in holding.reasons.items()
             if name not in held
         }

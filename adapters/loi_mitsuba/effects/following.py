@@ -16,7 +16,7 @@ from loi_mitsuba.handles import Host
 from loi_mitsuba.loading import Target
 from loi_mitsuba.renderer import MitsubaRenderer
 
-__all__ = ["DRAWS", "Followed", "Following"]
+__all__ = ["Followed", "Following"]
 
 DRAWS: Final = 4
 
@@ -73,11 +73,14 @@ class Following:
         pulled = self._lamps.pull(params, cotangent, names=lamps, seed=seed) if lamps else {}
         return pulled | (self._glass.pull(params, cotangent, names=glass, seed=seed) if glass else {})
 
-    def doubtful(self, params: Mapping[str, Any], cotangent: Any, *, names: Sequence[str], seed: int = 0) -> Holding:
-        """Of `names`, those whose gradient is 0, or cannot be distinguished from noise, in a few draws."""
+    def silent(
+        self, params: Mapping[str, Any], cotangent: Any, *, names: Sequence[str], seed: int = 0
+    ) -> frozenset[str]:
+        """Of `names`, those of lights and shapes by which the gradient is exactly 0, in a few draws."""
         if not names:
-            return Holding()
-        return Holding.begun(self._draws(params, cotangent, names, seed), self._objects(names))
+            return frozenset()
+        draws = self._draws(params, cotangent, names, seed)
+        return frozenset(name for group in self._objects(names) if all(map(draws.zero, group)) for name in group)
 
     def better(
         self, own: MitsubaRenderer, params: Mapping[str, Any], cotangent: Any, *, names: Sequence[str], seed: int = 0

@@ -23,7 +23,7 @@ from loi_core.support.values import real_number
 from loi_core.support.wording import clause, listed, shown
 from loi_mitsuba.effects.base import base_of
 from loi_mitsuba.effects.blurring import Blurring
-from loi_mitsuba.effects.following import DRAWS, Following
+from loi_mitsuba.effects.following import Following
 from loi_mitsuba.effects.images import effect_images
 from loi_mitsuba.effects.pilot import Pilot
 from loi_mitsuba.effects.probe import APART, Probe
@@ -138,7 +138,7 @@ class PlannedRenderer:
         self._sizes: Sizes = {}
         self._holding = Holding()
         self._seen: frozenset[str] = frozenset()
-        self._noisy: dict[str, Any] = {}  # shapes out of view, moved by what is blurred for its noise
+        self._noisy: dict[str, Any] = {}  # shapes out of view, moved by what is blurred since it has no gradient there
         self._optimised = tuple(self._base.targets)
         self._take(self._optimised)
         if self._followed and self._whole.missing:
@@ -237,7 +237,7 @@ class PlannedRenderer:
         self._followed = self._whole.followed.without_gradient
         self._take(names)
         probe = Probe(self._base, dict(params), np.array(to_numpy(cotangent), np.float32), self._names, seed)
-        self._blur_doubtful(probe)
+        self._blur_silent(probe)
         self._last = replace(probe, names=self._names)
         self._begun = True
         self._schedule = Schedule()
@@ -271,22 +271,18 @@ class PlannedRenderer:
             self._last = replace(probe, names=self._names)
             self._run_pilot(self._last)
 
-    def _blur_doubtful(self, probe: Probe) -> None:
-        """Blur what is followed and has no gradient, or nothing but noise where the blurred one has more.
+    def _blur_silent(self, probe: Probe) -> None:
+        """Blur what is followed and has no gradient at all here.
 
-        Where neither can be told from noise, what is followed has less of it.
+        What has nothing but noise stays as it is: that of what is blurred has ten times the noise.
         """
         otherwise = tuple(name for name in self._plan.followed if name in self._whole.missing)
-        doubtful = self._following.doubtful(probe.params, probe.cotangent, names=otherwise, seed=APART + probe.seed)
-        if not doubtful.groups:
+        silent = self._following.silent(probe.params, probe.cotangent, names=otherwise, seed=APART + probe.seed)
+        if not silent:
             return
-        glass = self._whole.followed.glass
-        hidden = {name for name in doubtful.reasons if name in glass and not in_view(self._base.sensor, glass[name])}
-        unseen = [group for group in doubtful.groups if not any(doubtful.evidence[name].count for name in group)]
-        silent = frozenset(name for group in unseen for name in group)
-        worse = silent | self._blurring.better(probe, doubtful.without(silent), DRAWS).keys()
-        self._noisy |= {name: glass[name] for name in worse & hidden}
-        self._followed -= worse
+        glass, sensor = self._whole.followed.glass, self._base.sensor
+        self._noisy |= {name: glass[name] for name in silent if name in glass and not in_view(sensor, glass[name])}
+        self._followed -= silent
         self._take(self._optimised)
 
     def _blur_noise(self, probe: Probe) -> None:

@@ -110,7 +110,7 @@ def scattered(width: int, height: int, seed: int) -> Built:
 def _primitives(width: int, height: int, start: Callable[[FloatArray], FloatArray]) -> Built:
     scene: dict[str, Any] = {
         "type": "scene",
-        "integrator": {"type": "path", "max_depth": 3},
+        "integrator": {"type": "path", "max_depth": 2},
         "sensor": camera(width, height, [0, 13, 4.5], [0, 0, 0.2], 42.0),
         "floor": _floor(20.0, [0.35, 0.35, 0.35]),
         "sky": {"type": "constant", "radiance": 0.5},
