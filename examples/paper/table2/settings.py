@@ -2,12 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 from loi_core import ScaleSpace
 
-__all__ = ["FINISH_RATE", "LABELS", "PAPER_SCALES", "PROTOCOLS", "RATES", "UNIT", "Method", "Setting", "ours"]
+__all__ = [
+    "FINISH_RATE",
+    "LABELS",
+    "PAPER_SCALES",
+    "PROTOCOLS",
+    "RATES",
+    "UNIT",
+    "Method",
+    "Setting",
+    "of_many",
+    "ours",
+]
 
 Method = Literal["pixel_l2", "gaussian_pyramid", "ms_ssim", "lpips_alex", "prdpt", "loi_prdpt", "loi"]
 
@@ -73,6 +84,15 @@ class Setting:
 def ours(method: Method, rate: float) -> Setting:
     """The setting of our protocol at a rate in pixels."""
     return Setting("ours", method, rate, finish=FINISH if method in ("loi", "loi_prdpt") else 0.0)
+
+
+def of_many(setting: Setting) -> Setting:
+    """The setting where many numbers move.
+
+    Some of them have next to nothing but noise for a gradient. Adam makes these walk at random, and the less far, the
+    more and smaller its steps are.
+    """
+    return replace(setting, rate=1.0, steps=200)
 
 
 # Steps are not published; 400 are those of PRDPT's own example, and at this rate what the farthest start needs.
