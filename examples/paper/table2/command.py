@@ -17,7 +17,7 @@ from examples.paper.table2.problem import COLUMNS, Column, Problem
 from examples.paper.table2.published import PAPER
 from examples.paper.table2.run import CURVE_STEPS, VARIANT, Run, carry_out
 from examples.paper.table2.savings import savings
-from examples.paper.table2.settings import LABELS, PROTOCOLS, RATES, Method, Setting, of_many, ours
+from examples.paper.table2.settings import LABELS, PROTOCOLS, RATES, Method, Setting, many, ours
 
 # isort: split
 import mitsuba as mi
@@ -81,7 +81,7 @@ def part_of(
     columns = {"noise": NOISY, "anywhere": (ANYWHERE,)}.get(name, tuple(columns))
     rows = {
         LABELS[method]: [
-            Run(_of(settings[method], column), column, seed) for column in columns for seed in range(seeds)
+            Run(_in_column(settings[method], column), column, seed) for column in columns for seed in range(seeds)
         ]
         for method in methods
     }
@@ -89,8 +89,8 @@ def part_of(
 
 
 def _in_column(setting: Setting, column: Column) -> Setting:
-    many = setting.name == "ours" and column.name in (COLUMNS[3].name, ANYWHERE.name)
-    return of_many(setting) if many else setting
+    crowded = setting.name == "ours" and column.name in (COLUMNS[3].name, ANYWHERE.name)
+    return many(setting) if crowded else setting
 
 
 def _quick() -> Part[Run]:

@@ -86,7 +86,7 @@ def ours(method: Method, rate: float) -> Setting:
     return Setting("ours", method, rate, finish=FINISH if method in ("loi", "loi_prdpt") else 0.0)
 
 
-def of_many(setting: Setting) -> Setting:
+def many(setting: Setting) -> Setting:
     """The setting where many numbers move.
 
     Some of them have next to nothing but noise for a gradient. Adam makes these walk at random, and the less far, the
