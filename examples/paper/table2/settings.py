@@ -16,7 +16,7 @@ __all__ = [
     "UNIT",
     "Method",
     "Setting",
-    "of_many",
+    "many",
     "ours",
 ]
 
