@@ -54,6 +54,29 @@ def test_sort_has_65_colours_and_130_parameters() -> None:
     assert len(tints) == 65
 
 
+def test_what_is_to_be_sorted_starts_near_its_place_in_one_scene_and_anywhere_in_the_other() -> None:
+    """Near, yet so that most of them do not overlap with where they belong: a shape is half a unit wide."""
+    errors = {}
+    for name in ("Sort", "Sort, anywhere"):
+        built = SCENES[name](16, 12, 0)
+        errors[name] = np.array([abs(built.start[one] - built.truth[one]) for one in built.truth]).reshape(-1, 2)
+    assert np.max(errors["Sort"]) <= 2.0 < np.max(errors["Sort, anywhere"])
+    assert np.mean(np.max(errors["Sort"], axis=1) > 0.5) > 0.9
+
+
+def test_a_glass_ball_has_its_middle_in_view_wherever_its_bounds_let_it_go() -> None:
+    """What leaves the view leaves no gradient, and cannot come back."""
+    built = SCENES["Caustics and Lights"](64, 48, 0)
+    sensor = built.scene["sensor"]
+    to_camera = np.linalg.inv(np.array(sensor["to_world"].matrix, dtype=np.float64))
+    half = np.tan(np.radians(sensor["fov"] / 2.0)) * np.array([1.0, 48 / 64])
+    height = np.array(built.scene["ball_1"]["to_world"].matrix)[1, 3]
+    for x in (-built.reach, built.reach):
+        for z in (-built.reach, built.reach):
+            place = to_camera @ np.array([x, height, z, 1.0])
+            assert np.all(np.abs(place[:2]) < half * place[2])
+
+
 def test_glass_balls_may_change_places_and_lamps_may_not() -> None:
     problem = Problem(COLUMNS[2], SCENES["Caustics and Lights"](16, 12, 0), None)
     truth = dict(problem.built.truth)
