@@ -87,12 +87,8 @@ def ours(method: Method, rate: float) -> Setting:
 
 
 def many(setting: Setting) -> Setting:
-    """The setting where many numbers move.
-
-    Some of them have next to nothing but noise for a gradient. Adam makes these walk at random, and the less far, the
-    more and smaller its steps are.
-    """
-    return replace(setting, rate=1.0, steps=200)
+    """The setting where many numbers move: some begin held, and all come nearer slowly, for the noise of their gradient."""
+    return replace(setting, steps=200)
 
 
 # Steps are not published; 400 are those of PRDPT's own example, and at this rate what the farthest start needs.
