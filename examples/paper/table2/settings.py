@@ -87,7 +87,7 @@ def ours(method: Method, rate: float) -> Setting:
 
 
 def many(setting: Setting) -> Setting:
-    """The setting where many numbers move: some begin held, and all come nearer slowly, for the noise of their gradient."""
+    """The setting where many numbers move, whose gradients are noisy: it takes longer."""
     return replace(setting, steps=200)
 
 
