@@ -138,7 +138,7 @@ class PlannedRenderer:
         self._sizes: Sizes = {}
         self._holding = Holding()
         self._seen: frozenset[str] = frozenset()
-        self._noisy: dict[str, Any] = {}  # shapes out of view, moved by what is blurred since it has no gradient there
+        self._hidden: dict[str, Any] = {}  # shapes out of view, moved by what is blurred since it has no gradient there
         self._optimised = tuple(self._base.targets)
         self._take(self._optimised)
         if self._followed and self._whole.missing:
@@ -233,7 +233,7 @@ class PlannedRenderer:
                 msg = f"`optimise` must name parameters of {', '.join(self._base.targets)}, got {name or 'none'!r}"
                 raise ParameterError(msg)
         self._optimised = names
-        self._noisy = {}
+        self._hidden = {}
         self._followed = self._whole.followed.without_gradient
         self._take(names)
         probe = Probe(self._base, dict(params), np.array(to_numpy(cotangent), np.float32), self._names, seed)
@@ -281,7 +281,7 @@ class PlannedRenderer:
         if not silent:
             return
         glass, sensor = self._whole.followed.glass, self._base.sensor
-        self._noisy |= {name: glass[name] for name in silent if name in glass and not in_view(sensor, glass[name])}
+        self._hidden |= {name: glass[name] for name in silent if name in glass and not in_view(sensor, glass[name])}
         self._followed -= silent
         self._take(self._optimised)
 
@@ -291,7 +291,7 @@ class PlannedRenderer:
         if noisy:
             shown = self._in_view()
             moving = self._traits.moving.items()
-            self._noisy |= {name: shape for name, shape in moving if name in noisy and name not in shown}
+            self._hidden |= {name: shape for name, shape in moving if name in noisy and name not in shown}
             self._retake({**self._plan.blurred, **noisy}, "by the pilot")
             self._last = replace(probe, names=self._names)
             self._run_pilot(self._last)
@@ -403,9 +403,9 @@ class PlannedRenderer:
         """
         if not self._begun:
             return
-        shown = {name for name, shape in self._noisy.items() if in_view(self._base.sensor, shape)}
+        shown = {name for name, shape in self._hidden.items() if in_view(self._base.sensor, shape)}
         if shown:
-            self._noisy = {name: shape for name, shape in self._noisy.items() if name not in shown}
+            self._hidden = {name: shape for name, shape in self._hidden.items() if name not in shown}
             kept = {name: reason for name, reason in self._plan.blurred.items() if name not in shown}
             self._retake(kept, "as it comes into view")
             self._begun = False
