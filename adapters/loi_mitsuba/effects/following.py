@@ -85,7 +85,7 @@ class Following:
     def better(
         self, own: MitsubaRenderer, params: Mapping[str, Any], cotangent: Any, *, names: Sequence[str], seed: int = 0
     ) -> frozenset[str]:
-        """Of `names`, those that can be distinguished so, and about which Mitsuba knows nothing more.
+        """Of `names`, those whose gradient is more than noise in a few draws, and of which Mitsuba knows nothing more.
 
         That is where its `own` gradient, which has all light, differs by no more than its noise.
         """
