@@ -12,6 +12,7 @@ import numpy as np
 from loi_core import LogTone, LOIObjective, ScaleSpace
 from loi_core.errors import NonFiniteImageError
 from loi_core.method.ways import loops_take
+from loi_core.pixels.colours import Colours
 from loi_core.pixels.nonfinite import NanPolicy
 from loi_jax.primitive import Host, evaluate
 
@@ -29,6 +30,7 @@ def loi_loss(
     nan_policy: NanPolicy = "raise",
     tone: LogTone | None = None,
     weights: Any = None,
+    colours: Colours = "channels",
 ) -> Callable[[jax.Array], jax.Array]:
     """The locally orderless image loss against a reference, as a function of the image.
 
@@ -38,7 +40,7 @@ def loi_loss(
         What the image should look like; JAX or NumPy, concrete, not a tracer.
     scales : ScaleSpace, optional
         The scales to compare; ``ScaleSpace.for_image(H, W)`` by default.
-    accuracy, channel_axis, nan_policy, tone, weights
+    accuracy, channel_axis, nan_policy, tone, weights, colours
         See :class:`loi_core.LOIObjective`.
 
     Returns
@@ -58,7 +60,14 @@ def loi_loss(
         host = host.astype(np.float32)
     # Checked here, with the core's messages; what is kept is NumPy, which no trace can leak into.
     objective = LOIObjective(
-        host, scales, accuracy, channel_axis=channel_axis, nan_policy=nan_policy, tone=tone, weights=weights
+        host,
+        scales,
+        accuracy,
+        channel_axis=channel_axis,
+        nan_policy=nan_policy,
+        tone=tone,
+        weights=weights,
+        colours=colours,
     )
     return _Loss(objective)
 

@@ -11,6 +11,7 @@ import mitsuba as mi
 
 from loi_core import LogTone, LOIObjective, ScaleSpace
 from loi_core.errors import ImageTypeError, LoiError, OptionError
+from loi_core.pixels.colours import Colours
 from loi_core.pixels.nonfinite import NanPolicy
 from loi_core.support.arrays import Array, namespace
 from loi_core.support.installed import how_to_install
@@ -56,6 +57,8 @@ class LOILoss:
         A tone curve for images of high dynamic range, as ``mi.render`` gives them; see :class:`loi_core.LOIObjective`.
     weights : mi.TensorXf or array, shape (H, W), optional
         How much each pixel counts; a mask is weights of 0 and 1. See :class:`loi_core.LOIObjective`.
+    colours : {"channels", "differences"}
+        What of the colours is compared; see :class:`loi_core.LOIObjective`.
     backend : {"torch", "numpy", "jax"}, optional
         The array library that does the work. By default torch if it is installed, and computes on GPUs if Mitsuba's
         variant does, or else NumPy.
@@ -91,6 +94,7 @@ class LOILoss:
         nan_policy: NanPolicy = "raise",
         tone: LogTone | None = None,
         weights: Tensor | Array | None = None,
+        colours: Colours = "channels",
         backend: Backend | None = None,
     ) -> None:
         self._backend = _check_backend(backend)
@@ -103,6 +107,7 @@ class LOILoss:
             nan_policy=nan_policy,
             tone=tone,
             weights=weights,
+            colours=colours,
         )
 
     def __repr__(self) -> str:

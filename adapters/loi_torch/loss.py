@@ -13,12 +13,13 @@ from torch.autograd.function import FunctionCtx
 from loi_core import LogTone, LOIObjective, ScaleSpace
 from loi_core.errors import DerivativeError, ImageTypeError
 from loi_core.objectives.facts import unusual_settings
+from loi_core.pixels.colours import Colours
 from loi_core.pixels.nonfinite import NanPolicy
 
 __all__ = ["LOILoss", "loi_loss"]
 
 REDUCED: Final = (torch.float16, torch.bfloat16)
-USUAL: Final[dict[str, Any]] = {"channel_axis": -1, "nan_policy": "raise", "tone": None}
+USUAL: Final[dict[str, Any]] = {"channel_axis": -1, "nan_policy": "raise", "tone": None, "colours": "channels"}
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -50,6 +51,8 @@ class LOILoss(torch.nn.Module):
     weights : Tensor or NumPy array, shape (H, W), optional
         How much each pixel counts; a mask is weights of 0 and 1. See :class:`loi_core.LOIObjective`. Kept as the
         buffer ``weights``.
+    colours : {"channels", "differences"}
+        What of the colours is compared; see :class:`loi_core.LOIObjective`.
 
     Notes
     -----
@@ -72,6 +75,7 @@ class LOILoss(torch.nn.Module):
         nan_policy: NanPolicy = "raise",
         tone: LogTone | None = None,
         weights: Any = None,
+        colours: Colours = "channels",
     ) -> None:
         super().__init__()
         # The core checks the arguments, and copies: later writes of the caller to `reference` change nothing.
@@ -83,6 +87,7 @@ class LOILoss(torch.nn.Module):
             nan_policy=nan_policy,
             tone=tone,
             weights=weights,
+            colours=colours,
         )
         self._options: dict[str, Any] = {
             "scales": objective.scales,
@@ -90,6 +95,7 @@ class LOILoss(torch.nn.Module):
             "channel_axis": channel_axis,
             "nan_policy": nan_policy,
             "tone": tone,
+            "colours": colours,
         }
         self.register_buffer("reference", torch.as_tensor(objective.reference))
         self.register_buffer("weights", None if objective.weights is None else torch.as_tensor(objective.weights))
@@ -157,13 +163,21 @@ def loi_loss(
     nan_policy: NanPolicy = "raise",
     tone: LogTone | None = None,
     weights: Any = None,
+    colours: Colours = "channels",
 ) -> LOILoss:
     """The locally orderless image loss against a reference, as a function of the image; as ``loi_jax.loi_loss``.
 
     Parameters are those of :class:`LOILoss`, which is what comes back.
     """
     return LOILoss(
-        reference, scales, accuracy, channel_axis=channel_axis, nan_policy=nan_policy, tone=tone, weights=weights
+        reference,
+        scales,
+        accuracy,
+        channel_axis=channel_axis,
+        nan_policy=nan_policy,
+        tone=tone,
+        weights=weights,
+        colours=colours,
     )
 
 

@@ -225,7 +225,9 @@ def objectives_of(objective: Objective, stages: object) -> tuple[Objective, ...]
             return (objective,)
         height, width = objective.size
         scales = objective.scales
-        before = ScaleSpace.far_to_near(height, width, bounds=scales.bounds, boundary=scales.boundary)[:-1]
+        before = ScaleSpace.far_to_near(
+            height, width, beta=scales.beta[0], bounds=scales.bounds, boundary=scales.boundary
+        )[:-1]
         return (*map(objective.with_scales, before), objective)
     if isinstance(stages, str) or not isinstance(stages, Sequence):
         msg = f"`stages` must be 'auto', None, or a sequence of ScaleSpace or objectives, got {shown(stages)}"

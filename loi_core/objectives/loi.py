@@ -12,11 +12,12 @@ from loi_core.method.compiled import available
 from loi_core.method.plan import Plan
 from loi_core.method.planner import make_plan
 from loi_core.method.sampling_error import error_of, is_within
-from loi_core.method.scales import ScaleSpace
+from loi_core.method.scales import Boundary, ScaleSpace
 from loi_core.method.ways import BY_ARRAYS, BY_LOOPS, Way, way_for
 from loi_core.objectives.base import Evaluation, ImageObjective
 from loi_core.objectives.facts import facts_of_scales
 from loi_core.pixels.bounds import clip, clip_pullback
+from loi_core.pixels.colours import LARGEST_FACTOR, Colours, check_colours, differences, differences_pullback
 from loi_core.pixels.nonfinite import NanPolicy
 from loi_core.pixels.tone_curve import LogTone
 from loi_core.support.arrays import Array, epsilon, is_numpy_array, namespace, values_may_decide, widened
@@ -29,6 +30,7 @@ __all__ = [
     "RangeWarning",
     "ScaleKey",
     "accuracy_name",
+    "default_scales",
     "gradient_tolerance",
     "warn_if_clipped",
 ]
@@ -60,6 +62,19 @@ def accuracy_name(tolerance: float) -> str:
     return next((name for name, one in ACCURACIES.items() if one == tolerance), f"{tolerance:g}")
 
 
+def default_scales(
+    height: int,
+    width: int,
+    colours: Colours = "channels",
+    *,
+    bounds: tuple[float, float] = (0.0, 1.0),
+    boundary: Boundary = "reflect",
+) -> ScaleSpace:
+    """The scales of :meth:`ScaleSpace.for_image`; with half the beta for differences of colours, which are halved."""
+    scales = ScaleSpace.for_image(height, width, bounds=bounds, boundary=boundary)
+    return scales if colours == "channels" else replace(scales, beta=(scales.beta[0] / 2.0,))
+
+
 class RangeWarning(UserWarning):
     """Much of a reference lies beyond the bounds of the scales, where nothing is told apart."""
 
@@ -77,7 +92,7 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
     reference : array, shape (*batch, H, W, C)
         What the image should look like. Real floating point; see :class:`ImageObjective`.
     scales : ScaleSpace, optional
-        The scales to compare; ``ScaleSpace.for_image(H, W)`` by default.
+        The scales to compare; ``ScaleSpace.for_image(H, W)`` by default, with half its beta for differences of colours.
     accuracy : {"exact", "balanced", "fast"} or float
         Largest relative error of the gradient that is allowed in exchange for time: 0, 1e-2, 5e-2, or the number
         given; in the 2-norm, beside "exact". :meth:`plan` says what is done with it. Every call estimates its error
@@ -91,6 +106,10 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
         those of the values that it gives.
     weights : array, shape (H, W) or that of the reference without channels, optional
         How much each pixel counts, 0 or more, and so in the histograms of its neighbours; see :class:`ImageObjective`.
+    colours : {"channels", "differences"}
+        "differences" compares half of red - green, green - blue and blue - red, around the middle of the bounds. White
+        light on a grey surface, and shadows there, change none of them: for scenes where objects of many colours throw
+        shadows as they move. What is grey is not seen. Needs three channels.
 
     Examples
     --------
@@ -115,10 +134,13 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
         nan_policy: NanPolicy = "raise",
         tone: LogTone | None = None,
         weights: Array | None = None,
+        colours: Colours = "channels",
     ) -> None:
         super().__init__(reference, channel_axis=channel_axis, nan_policy=nan_policy, tone=tone, weights=weights)
+        layout = self._reference_layout
+        self._colours = check_colours(colours, None if layout.channel_axis is None else layout.planes_shape[-3])
         if scales is None:
-            scales = ScaleSpace.for_image(*self.size)
+            scales = default_scales(*self.size, self._colours)
         if not isinstance(scales, ScaleSpace):
             msg = f"`scales` must be a ScaleSpace, got {type(scales).__name__}"
             raise ScaleError(msg)
@@ -128,7 +150,8 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
     def _facts(self) -> dict[str, str]:
         facts = super()._facts()
         accuracy = {"accuracy": accuracy_name(self._tolerance)}
-        return {"reference": facts.pop("reference")} | facts_of_scales(self._scales) | accuracy | facts
+        colours = {} if self._colours == "channels" else {"colours": self._colours}
+        return {"reference": facts.pop("reference")} | facts_of_scales(self._scales) | accuracy | facts | colours
 
     @property
     def scales(self) -> ScaleSpace:
@@ -142,9 +165,9 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
 
     @property
     def has_default_scales(self) -> bool:
-        """Whether the scales are those of :meth:`ScaleSpace.for_image`, with any bounds, whoever put them there."""
+        """Whether the scales are the default ones, with any bounds, whoever put them there."""
         scales = self._scales
-        return scales == ScaleSpace.for_image(*self.size, bounds=scales.bounds, boundary=scales.boundary)
+        return scales == default_scales(*self.size, self._colours, bounds=scales.bounds, boundary=scales.boundary)
 
     def with_scales(self, scales: ScaleSpace) -> LOIObjective:
         """The same objective at other scales."""
@@ -163,7 +186,13 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
             nan_policy=self._nan_policy,
             tone=self._tone,
             weights=self.weights,
+            colours=self._colours,
         )
+
+    @property
+    def colours(self) -> Colours:
+        """What of the colours is compared."""
+        return self._colours
 
     @property
     def tolerance(self) -> float:
@@ -198,6 +227,7 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
     def prepare_reference(self, reference: Array, weights: Array | None) -> _Prepared:
         """See :class:`ImageObjective`."""
         scales = self._scales
+        reference = self._coloured(reference)
         warn_if_clipped(reference, weights, scales.bounds)
         plan = self.plan(*reference.shape[-2:], eps=epsilon(reference))
         prepared = _Prepared(scales, plan, clip(reference, *scales.bounds), weights)
@@ -212,20 +242,30 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
     def compare_planes(self, planes: Array, prepared: _Prepared, *, gradient: bool) -> Evaluation[ScaleKey]:
         """See :class:`ImageObjective`."""
         bounds = self._scales.bounds
+        planes = self._coloured(planes)
         clipped = clip(planes, *bounds)
         compared = prepared.first(planes).compare(clipped, gradient=gradient)
         if not gradient:
             return Evaluation(compared.terms, None)
-        error = error_of(compared.misplaced)
+        error = error_of(compared.misplaced) * (1.0 if self._colours == "channels" else LARGEST_FACTOR)
 
         def better(norm: float, factor: float) -> Array | None:
             if is_within(error * factor, self._tolerance, norm):
                 return None
             exact = prepared.exact(planes).compare(clipped, gradient=True)
-            return clip_pullback(planes, exact.cotangent, *bounds)
+            return carried_back(exact.cotangent)
 
-        cotangent = clip_pullback(planes, compared.cotangent, *bounds)
-        return Evaluation(compared.terms, cotangent, better if error > 0.0 else None)
+        def carried_back(cotangent: Array) -> Array:
+            inside = clip_pullback(planes, cotangent, *bounds)
+            return inside if self._colours == "channels" else differences_pullback(inside)
+
+        return Evaluation(compared.terms, carried_back(compared.cotangent), better if error > 0.0 else None)
+
+    def _coloured(self, planes: Array) -> Array:
+        if self._colours == "channels":
+            return planes
+        low, high = self._scales.bounds
+        return differences(planes, 0.5 * (low + high))
 
 
 class _Prepared:

@@ -24,6 +24,8 @@ from loi_core.io.images import FloatImage, StoredImage, read_stored
 from loi_core.io.toml import read_toml
 from loi_core.method.scales import ScaleSpace
 from loi_core.objectives import LOIObjective, Objective
+from loi_core.objectives.loi import default_scales
+from loi_core.pixels.colours import Colours
 from loi_core.pixels.tone_curve import LogTone
 from loi_core.plugins.baselines import baseline_names, make_baseline
 from loi_core.renderers.contract import EncodedRenderer, Renderer
@@ -45,7 +47,7 @@ VIEW_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 MOST_VIEWS: Final = 256
 FREE_KEYS: Final = ("initial", "lower", "upper", "learning_rate", "truth")
 SCALE_KEYS: Final = ("preset", "sigma", "alpha", "beta", "bounds", "boundary", "p")
-OBJECTIVE_KEYS: Final = ("name", "compare", "accuracy", "nan_policy", "tone")
+OBJECTIVE_KEYS: Final = ("name", "compare", "accuracy", "nan_policy", "tone", "colours")
 TONE_KEYS: Final = ("peak", "compression")
 FIT_KEYS: Final = ("steps", "learning_rate", "decay", "seed", "stages", "starts", "views_per_step")
 
@@ -154,8 +156,9 @@ def _view(
         moving=where.table("", document, "optimise"),
     )
     target = _target(where, heading, table, path, stored, renderer)
-    scales = _scales(where, where.table("", document, "scales"), target.image)
-    objectives = _objectives(where, where.table("", document, "objective"), target, scales)
+    comparison = where.table("", document, "objective")
+    scales = _scales(where, where.table("", document, "scales"), target.image, comparison.get("colours"))
+    objectives = _objectives(where, comparison, target, scales)
     return SceneView(renderer, target, scales, objectives), spp
 
 
@@ -227,7 +230,7 @@ def _numbers(where: Where, heading: str, key: str, value: object, shape: tuple[i
         raise where.error(heading, f"`{key}` must be one number or have shape {shape}, got shape {array.shape}")
 
 
-def _scales(where: Where, table: Mapping[str, Any], target: FloatImage) -> ScaleSpace:
+def _scales(where: Where, table: Mapping[str, Any], target: FloatImage, colours: object) -> ScaleSpace:
     where.known("scales", table, SCALE_KEYS)
     given = [key for key in ("sigma", "alpha", "beta") if key in table]
     options = {key: value for key, value in table.items() if key not in ("preset", "sigma", "alpha", "beta")}
@@ -237,7 +240,9 @@ def _scales(where: Where, table: Mapping[str, Any], target: FloatImage) -> Scale
                 raise where.error("scales", f"`preset` and `{given[0]}` exclude each other; give one of them")
             base = ScaleSpace.paper(table["preset"])
         else:
-            base = ScaleSpace.for_image(*target.shape[:2], bounds=table.get("bounds", (0.0, 1.0)))
+            height, width = target.shape[:2]
+            known: Colours = "differences" if colours == "differences" else "channels"  # others are refused further on
+            base = default_scales(height, width, known, bounds=table.get("bounds", (0.0, 1.0)))
         chosen = {key: table.get(key, getattr(base, key)) for key in ("sigma", "alpha", "beta")}
         return ScaleSpace(**chosen, **options)
     except OptionError as error:
@@ -274,7 +279,13 @@ def _objectives(where: Where, table: Mapping[str, Any], target: Target, scales: 
         for name in dict.fromkeys(names):
             if name == OURS:
                 made[name] = LOIObjective(
-                    target.image, scales, accuracy, nan_policy=policy, tone=tone, weights=target.weights
+                    target.image,
+                    scales,
+                    accuracy,
+                    nan_policy=policy,
+                    tone=tone,
+                    weights=target.weights,
+                    colours=table.get("colours", "channels"),
                 )
             else:
                 made[name] = make_baseline(name, target.image, nan_policy=policy, tone=tone, weights=target.weights)

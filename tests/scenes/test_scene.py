@@ -141,6 +141,7 @@ MISTAKES: list[tuple[str, str, str]] = [
     ),
     ('compare = ["pixel_l2"]', 'accuracy = "perfect"', "[objective] `accuracy` must be one of"),
     ('compare = ["pixel_l2"]', 'nan_policy = "keep"', "[objective] `nan_policy` must be one of"),
+    ('compare = ["pixel_l2"]', 'colours = "grey"', "[objective] `colours` must be 'channels' or 'differences'"),
     ('compare = ["pixel_l2"]', "tone = 3", "[objective] `tone` must be a table, got 3"),
     ('compare = ["pixel_l2"]', "tone = {}", "[objective.tone] `peak` is missing"),
     ('compare = ["pixel_l2"]', "tone = { peak = 1, gamma = 2 }", "[objective.tone] unknown key `gamma`"),
@@ -194,6 +195,16 @@ def test_a_tone_curve_is_part_of_every_objective(folder: Path) -> None:
     assert scene.tone == LogTone(2.0, 50.0)
     assert len(scene.objectives) == 3
     assert all(isinstance(one, ImageObjective) and one.tone == scene.tone for one in scene.objectives.values())
+
+
+def test_colours_are_those_of_our_objective_alone(folder: Path) -> None:
+    line = 'compare = ["pixel_l2"]\ncolours = "differences"'
+    text = SCENE.replace('compare = ["pixel_l2"]', line)
+    (folder / "scene.toml").write_text(text.replace("sigma = 1\nalpha = [2, 6]\nbeta = 0.125", ""))
+    objective = load_scene(folder / "scene.toml").objectives["loi"]
+    assert isinstance(objective, LOIObjective)
+    assert objective.colours == "differences"
+    assert objective.has_default_scales
 
 
 def test_objectives_of_other_packages_are_known_by_name(

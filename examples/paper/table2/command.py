@@ -89,8 +89,7 @@ def part_of(
 
 
 def _in_column(setting: Setting, column: Column) -> Setting:
-    crowded = setting.name == "ours" and column.name in (COLUMNS[3].name, ANYWHERE.name)
-    return many(setting) if crowded else setting
+    return many(setting) if setting.name == "ours" and column.crowded else setting
 
 
 def _quick() -> Part[Run]:

@@ -37,6 +37,8 @@ class Column:
         Things that nothing tells apart, so that any of them may be at the place of any other.
     scene : str
         Of :data:`SCENES`; that of the column's name by default.
+    crowded : bool
+        Whether many things of many colours move, which throw shadows on each other.
     """
 
     name: str
@@ -45,6 +47,7 @@ class Column:
     samples: int = 32
     alike: tuple[str, ...] = ()
     scene: str = ""
+    crowded: bool = False
 
     def at(self, seed: int) -> Built:
         """The scene for a seed."""
@@ -60,7 +63,7 @@ COLUMNS: Final = (
     Column("Shadow"),
     Column("Shadow Mini"),
     Column("Caustics and Lights", alike=("ball_1", "ball_2")),
-    Column("Sort"),
+    Column("Sort", crowded=True),
     Column("Envlight"),
 )
 

@@ -194,7 +194,8 @@ def objective(setting: Setting, target: Any) -> Objective:
     """The objective of a setting."""
     kind = setting.compares
     if kind == "loi":
-        return LOIObjective(target, PAPER_SCALES if setting.name == "published" else None, accuracy="balanced")
+        scales = PAPER_SCALES if setting.name == "published" else None
+        return LOIObjective(target, scales, accuracy="balanced", colours=setting.colours)
     if kind == "gaussian_pyramid":
         return GaussianPyramid(target)
     if kind == "ms_ssim":

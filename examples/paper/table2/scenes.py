@@ -25,6 +25,7 @@ REACH: Final = 5.0  # of everything that moves on a floor
 ASTRAY: Final = 2.0  # what is to be sorted is at most this far along either axis from where it belongs
 SHOWN: Final = np.array([[-4.6, -3.2], [4.6, 3.2]])  # of the floor, from one corner to the other
 ROWS, LINE = 5, 13  # of primitives, when sorted
+LADDER: Final = 0.0012  # half of what a box is taller than the one before: tops in one plane would flicker
 SHADOW: Final = tuple(map(float, TRUTH.values()))  # where the sphere is
 
 
@@ -116,7 +117,7 @@ def _primitives(width: int, height: int, start: Callable[[FloatArray], FloatArra
         "sky": {"type": "constant", "radiance": 0.5},
         "lamp": lamp([4, 14, 6], 1.0, 40.0),
     }
-    truth = {}
+    truth: dict[str, tuple[float, float]] = {}
     for row in range(ROWS):
         for place in range(LINE):
             name = f"one_{row}_{place}"
@@ -124,7 +125,8 @@ def _primitives(width: int, height: int, start: Callable[[FloatArray], FloatArra
             if (row + place) % 2:
                 scene[name] = ball([0, 0.27, 0], 0.27, bsdf=bsdf)
             else:
-                up = mi.ScalarTransform4f().translate([0, 0.24, 0]).scale(0.24)
+                tall = 0.24 + LADDER * (len(truth) - ROWS * LINE // 2)
+                up = mi.ScalarTransform4f().translate([0, tall, 0]).scale([0.24, tall, 0.24])
                 scene[name] = {"type": "cube", "to_world": up, "bsdf": bsdf}
             truth[name] = (0.72 * (place - (LINE - 1) / 2), 1.3 * (row - (ROWS - 1) / 2))
     return _on_floor(scene, truth, {name: start(np.array(place)) for name, place in truth.items()})

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 from loi_core import ScaleSpace
+from loi_core.pixels.colours import Colours
 
 __all__ = [
     "FINISH_RATE",
@@ -57,6 +58,8 @@ class Setting:
         Of the fit.
     finish : float
         Share of the steps, at the end, that compare pixels, at :data:`FINISH_RATE` of the rate.
+    colours : {"channels", "differences"}
+        What of them our loss compares.
     sigma, final_sigma : float
         Of the blur over parameters, in units of the scene: held for half of the steps before those of the finish,
         which has the last one.
@@ -67,6 +70,7 @@ class Setting:
     rate: float
     steps: int = 100
     finish: float = 0.0
+    colours: Colours = "channels"
     sigma: float = 0.5
     final_sigma: float = 0.01
 
@@ -87,8 +91,8 @@ def ours(method: Method, rate: float) -> Setting:
 
 
 def many(setting: Setting) -> Setting:
-    """The setting where many numbers move, whose gradients are noisy: it takes longer."""
-    return replace(setting, steps=200)
+    """The setting where many things move, each in the shadows of others: longer, and our loss does not see shadows."""
+    return replace(setting, steps=200, colours="differences" if setting.compares == "loi" else "channels")
 
 
 # Steps are not published; 400 are those of PRDPT's own example, and at this rate what the farthest start needs.

@@ -1,0 +1,174 @@
+"""Differences of colours: what is compared, what white light and its shadows cannot change, and how it goes back."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import loi_jax
+import loi_mitsuba
+import loi_torch
+from loi_core import LOIObjective, ScaleSpace
+from loi_core.errors import OptionError
+from loi_core.fitting.stages import objectives_of
+from loi_core.pixels.colours import LARGEST_FACTOR, differences, differences_pullback
+from loi_core.testing import check_objective
+from tests.frameworks import array_api_strict, jax, jnp, torch
+from tests.helpers import Host
+from tests.strategies import SEEDS
+
+# isort: split
+import drjit as dr
+import mitsuba as mi
+
+# What lies beyond the bounds is met here, and is no point of these tests.
+pytestmark = pytest.mark.filterwarnings("ignore::loi_core.objectives.RangeWarning")
+
+SCALES = ScaleSpace((0, 1), (1, 5), 0.125)
+SHAPES = st.sampled_from([(9, 12, 3), (2, 7, 5, 3)])
+EPS = float(np.finfo(np.float64).eps)
+
+
+def by_hand(image: Host) -> Host:
+    """The differences of an image, shape (..., 3), within [0, 1] if the image is."""
+    return 0.5 + 0.5 * np.stack([image[..., one] - image[..., (one + 1) % 3] for one in range(3)], axis=-1)
+
+
+def images(shape: tuple[int, ...], seed: int) -> tuple[Host, Host]:
+    first, second = np.random.default_rng(seed).uniform(-0.2, 1.2, (2, *shape))
+    return first, second
+
+
+@given(SEEDS)
+def test_the_pullback_is_the_adjoint_and_no_cotangent_grows_by_more_than_its_factor(seed: int) -> None:
+    planes, cotangent = np.random.default_rng(seed).normal(size=(2, 6, 4, 5))
+    back = differences_pullback(cotangent)
+    assert np.vdot(differences(planes, 0.0), cotangent) == pytest.approx(np.vdot(planes, back), rel=1e-12, abs=1e-12)
+    assert np.linalg.norm(back) <= LARGEST_FACTOR * np.linalg.norm(cotangent) * (1.0 + 8 * EPS)
+    worst = differences_pullback(differences(planes, 0.0))  # without the mean of the channels: the factor is reached
+    assert np.linalg.norm(worst) == pytest.approx(LARGEST_FACTOR * np.linalg.norm(differences(planes, 0.0)))
+
+
+@pytest.mark.parametrize("library", [torch, jnp, array_api_strict], ids=["torch", "JAX", "strict"])
+def test_every_library_gives_the_same_differences(library: Any) -> None:
+    planes = np.random.default_rng(0).uniform(size=(6, 4, 5))
+    there = library.asarray(planes)
+    for found, expected in (
+        (differences(there, 0.5), differences(planes, 0.5)),
+        (differences_pullback(there), differences_pullback(planes)),
+    ):
+        np.testing.assert_allclose(np.asarray(found), expected, atol=4 * float(np.finfo(expected.dtype).eps))
+
+
+def test_no_two_finite_values_overflow() -> None:
+    largest = np.finfo(np.float32).max
+    planes = np.array([largest, -largest, 0.0], dtype=np.float32).reshape(3, 1, 1)
+    assert np.all(np.isfinite(differences(planes, 0.5)))
+
+
+@given(SHAPES, SEEDS)
+def test_it_is_the_objective_of_the_differences_made_by_hand(shape: tuple[int, ...], seed: int) -> None:
+    image, reference = images(shape, seed)
+    value, gradient = LOIObjective(reference, SCALES, colours="differences").value_and_grad(image)
+    plain, slopes = LOIObjective(by_hand(reference), SCALES).value_and_grad(by_hand(image))
+    expected = 0.5 * np.stack([slopes[..., one] - slopes[..., one - 1] for one in range(3)], axis=-1)
+    assert float(value) == pytest.approx(float(plain), rel=1e-12)
+    np.testing.assert_allclose(gradient, expected, atol=1e-11 * float(np.abs(expected).max()))
+
+
+@given(SEEDS)
+def test_light_without_colour_on_a_grey_surface_is_not_seen(seed: int) -> None:
+    image, reference = images((9, 12, 3), seed)
+    light = np.random.default_rng(seed + 1).uniform(-1.0, 1.0, (9, 12, 1))
+    objective = LOIObjective(reference, SCALES, colours="differences")
+    value, gradient = objective.value_and_grad(image)
+    assert float(objective.value(image + light)) == pytest.approx(float(value), rel=1e-9)
+    np.testing.assert_allclose(gradient.sum(axis=-1), 0.0, atol=1e-12 * float(np.abs(gradient).max()))
+    grey = np.random.default_rng(seed + 2).uniform(size=(9, 12, 1)) * np.ones(3)
+    assert float(LOIObjective(grey, SCALES, colours="differences").value(light * np.ones(3))) == 0.0
+
+
+def test_it_passes_the_kit() -> None:
+    check_objective(lambda reference: LOIObjective(reference, SCALES, colours="differences"))
+
+
+@pytest.mark.parametrize("accuracy", ["balanced", "fast"])
+@pytest.mark.parametrize("content", ["noise", "stripes"])
+def test_the_accuracy_promise_is_kept(accuracy: str, content: str) -> None:
+    rng = np.random.default_rng(0)
+    shape, columns = (48, 64, 3), np.arange(64)[None, :, None]
+    image, reference = rng.uniform(size=(2, *shape))
+    if content == "stripes":
+        image, reference = (
+            np.broadcast_to(0.5 + 0.4 * np.sin(columns / 3.0 + np.arange(3) + turn), shape) for turn in (0, 1)
+        )
+    exact = LOIObjective(reference, colours="differences").value_and_grad(image)[1]
+    objective = LOIObjective(reference, accuracy=accuracy, colours="differences")
+    gradient = objective.value_and_grad(image)[1]
+    assert np.linalg.norm(gradient - exact) <= objective.tolerance * np.linalg.norm(exact)
+
+
+@given(SEEDS)
+def test_every_adapter_compares_the_same(seed: int) -> None:
+    mi.set_variant("llvm_ad_rgb")
+    image, reference = (each.astype(np.float32) for each in images((9, 12, 3), seed))
+    value, gradient = LOIObjective(reference, SCALES, colours="differences").value_and_grad(image)
+
+    leaf = torch.tensor(image, requires_grad=True)
+    by_torch = loi_torch.loi_loss(reference, SCALES, colours="differences")(leaf)
+    by_torch.backward()
+    by_jax = jax.value_and_grad(loi_jax.loi_loss(reference, SCALES, colours="differences"))(jnp.asarray(image))
+    tensor = mi.TensorXf(image)
+    dr.enable_grad(tensor)
+    by_mitsuba = loi_mitsuba.LOILoss(reference, SCALES, colours="differences")(tensor)
+    dr.backward(by_mitsuba)
+
+    for other, slopes in (
+        (float(by_torch.detach()), leaf.grad.numpy()),
+        (float(by_jax[0]), np.asarray(by_jax[1])),
+        (float(by_mitsuba.numpy()[0]), dr.grad(tensor).numpy()),
+    ):
+        assert other == pytest.approx(float(value), rel=1e-5)
+        np.testing.assert_allclose(slopes, gradient, atol=1e-4 * float(np.abs(gradient).max()))
+
+
+def test_it_goes_on_to_other_scales_and_references_and_is_told() -> None:
+    image, reference = images((9, 12, 3), 4)
+    objective = LOIObjective(reference, SCALES, colours="differences")
+    assert (
+        objective.with_scales(ScaleSpace(1, 2, 0.5)).colours == objective.with_reference(image).colours == "differences"
+    )
+    assert "colours differences" in repr(objective)
+    assert "colours" not in repr(LOIObjective(reference, SCALES))
+    assert "colours='differences'" in repr(loi_torch.LOILoss(reference, SCALES, colours="differences"))
+
+
+def test_the_default_scales_tell_as_much_apart_as_those_of_channels_and_have_a_stage_before_them() -> None:
+    reference = np.zeros((48, 64, 3))
+    objective = LOIObjective(reference, colours="differences")
+    assert objective.scales == replace(LOIObjective(reference).scales, beta=(0.0625,))
+    first, last = objectives_of(objective, "auto")
+    assert isinstance(first, LOIObjective)
+    assert (first.colours, first.scales.beta) == ("differences", objective.scales.beta)
+    assert last is objective
+
+
+@pytest.mark.parametrize(
+    ("shape", "axis", "colours", "message"),
+    [
+        ((8, 8, 1), -1, "differences", "for images of three channels, `reference` has 1"),
+        ((8, 8), None, "differences", "for images of three channels, `reference` has none"),
+        ((8, 8, 3), -1, "opponent", "`colours` must be 'channels' or 'differences', got 'opponent'"),
+        ((8, 8, 3), -1, 3, "`colours` must be 'channels' or 'differences', got 3"),
+    ],
+)
+def test_what_cannot_be_compared_is_refused(
+    shape: tuple[int, ...], axis: int | None, colours: Any, message: str
+) -> None:
+    with pytest.raises(OptionError, match=message):
+        LOIObjective(np.zeros(shape), channel_axis=axis, colours=colours)
