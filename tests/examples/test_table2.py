@@ -54,6 +54,15 @@ def test_sort_has_65_colours_and_130_parameters() -> None:
     assert len(tints) == 65
 
 
+def test_no_two_boxes_have_their_tops_in_one_plane() -> None:
+    """Where such tops overlap it is chance which is seen, and no gradient says how that changes."""
+    scene = SCENES["Sort"](16, 12, 0).scene
+    boxes = [one for one in scene.values() if isinstance(one, dict) and one["type"] == "cube"]
+    tops = sorted((np.array(box["to_world"].matrix) @ [0.0, 1.0, 0.0, 1.0])[1] for box in boxes)
+    assert len(tops) > 30
+    assert np.min(np.diff(tops)) > 1e-3
+
+
 def test_what_is_to_be_sorted_starts_near_its_place_in_one_scene_and_anywhere_in_the_other() -> None:
     """Near, yet so that most of them do not overlap with where they belong: a shape is half a unit wide."""
     errors = {}

@@ -139,7 +139,8 @@ def carry_out(run: Run) -> Outcome:
     reach = problem.built.reach
     rate: float | str = setting.rate if setting.name == "published" else f"{setting.rate * run.column.width / UNIT} px"
     free = {name: Free(value, -reach, reach) for name, value in numbers(problem.built.start).items()}
-    options: dict[str, Any] = {"stages": None, "decay": "none"} if setting.name == "published" else {}
+    options: dict[str, Any] = {} if setting.staged else {"stages": None}
+    options |= {"decay": "none"} if setting.name == "published" else {}
     began = time.perf_counter()
     last = round(run.steps * setting.finish)
     gradient = renderer(setting, problem)

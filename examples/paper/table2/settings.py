@@ -60,6 +60,8 @@ class Setting:
         Share of the steps, at the end, that compare pixels, at :data:`FINISH_RATE` of the rate.
     colours : {"channels", "differences"}
         What of them our loss compares.
+    staged : bool
+        Whether our loss begins with scales that reach far, as by default.
     sigma, final_sigma : float
         Of the blur over parameters, in units of the scene: held for half of the steps before those of the finish,
         which has the last one.
@@ -71,6 +73,7 @@ class Setting:
     steps: int = 100
     finish: float = 0.0
     colours: Colours = "channels"
+    staged: bool = True
     sigma: float = 0.5
     final_sigma: float = 0.01
 
@@ -91,12 +94,17 @@ def ours(method: Method, rate: float) -> Setting:
 
 
 def many(setting: Setting) -> Setting:
-    """The setting where many things move, each in the shadows of others: longer, and our loss does not see shadows."""
-    return replace(setting, steps=200, colours="differences" if setting.compares == "loi" else "channels")
+    """The setting where many things move, each in the shadows of others.
+
+    It takes longer. Our loss does not see shadows there, nor does it begin with an image so blurred that things which
+    crowd are one.
+    """
+    longer = replace(setting, steps=200)
+    return replace(longer, colours="differences", staged=False) if setting.compares == "loi" else longer
 
 
 # Steps are not published; 400 are those of PRDPT's own example, and at this rate what the farthest start needs.
-PUBLISHED: Final = {method: Setting("published", method, 0.01, steps=400) for method in LABELS}
+PUBLISHED: Final = {method: Setting("published", method, 0.01, steps=400, staged=False) for method in LABELS}
 
 # Pixels that the image moves by a step; those of the second table are the best of a search over these, for each method.
 RATES: Final = (1.0, 3.0, 9.0)
