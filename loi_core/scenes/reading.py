@@ -272,6 +272,8 @@ def _objectives(where: Where, table: Mapping[str, Any], target: Target, scales: 
         known = (OURS, *baseline_names())
         if name not in known:
             raise where.error("objective", f"objectives are {', '.join(known)}, got {shown(name)}")
+    if "colours" in table and OURS not in names:
+        raise where.error("objective", f"`colours` is an option of {OURS}, got {', '.join(names)}")
     policy, tone = table.get("nan_policy", "raise"), _tone(where, table)
     accuracy = table.get("accuracy", "exact")
     made: dict[str, Objective] = {}

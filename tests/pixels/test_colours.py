@@ -93,6 +93,22 @@ def test_light_without_colour_on_a_grey_surface_is_not_seen(seed: int) -> None:
     assert float(LOIObjective(grey, SCALES, colours="differences").value(light * np.ones(3))) == 0.0
 
 
+@pytest.mark.parametrize("how", ["mask", "weights"])
+def test_what_is_hidden_changes_nothing(how: str) -> None:
+    image, reference = images((9, 12, 3), 5)
+    hidden = np.zeros((9, 12), dtype=bool)
+    hidden[2:5, 3:8] = True
+    options: dict[str, Any] = {"nan_policy": "mask"} if how == "mask" else {"weights": np.where(hidden, 0.0, 1.0)}
+    objective = LOIObjective(reference, SCALES, colours="differences", **options)
+    first, second = image.copy(), image.copy()
+    first[hidden], second[hidden] = (np.nan, np.inf) if how == "mask" else (0.3, [0.9, 0.0, 0.2])
+    value, gradient = objective.value_and_grad(first)
+    other, slopes = objective.value_and_grad(second)
+    assert float(value) == float(other) > 0.0
+    np.testing.assert_array_equal(gradient, slopes)
+    assert np.all(gradient[hidden] == 0.0)
+
+
 def test_it_passes_the_kit() -> None:
     check_objective(lambda reference: LOIObjective(reference, SCALES, colours="differences"))
 

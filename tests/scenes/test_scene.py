@@ -141,6 +141,11 @@ MISTAKES: list[tuple[str, str, str]] = [
     ),
     ('compare = ["pixel_l2"]', 'accuracy = "perfect"', "[objective] `accuracy` must be one of"),
     ('compare = ["pixel_l2"]', 'nan_policy = "keep"', "[objective] `nan_policy` must be one of"),
+    (
+        'compare = ["pixel_l2"]',
+        'name = "pixel_l2"\ncolours = "differences"',
+        "[objective] `colours` is an option of loi",
+    ),
     ('compare = ["pixel_l2"]', 'colours = "grey"', "[objective] `colours` must be 'channels' or 'differences'"),
     ('compare = ["pixel_l2"]', "tone = 3", "[objective] `tone` must be a table, got 3"),
     ('compare = ["pixel_l2"]', "tone = {}", "[objective.tone] `peak` is missing"),
