@@ -10,21 +10,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-import loi_jax
-import loi_mitsuba
-import loi_torch
 from loi_core import LOIObjective, ScaleSpace
 from loi_core.errors import OptionError
 from loi_core.fitting.stages import objectives_of
 from loi_core.pixels.colours import LARGEST_FACTOR, differences, differences_pullback
 from loi_core.testing import check_objective
-from tests.frameworks import array_api_strict, jax, jnp, torch
+from tests.frameworks import array_api_strict, jnp, torch
 from tests.helpers import Host
 from tests.strategies import SEEDS
-
-# isort: split
-import drjit as dr
-import mitsuba as mi
 
 # What lies beyond the bounds is met here, and is no point of these tests.
 pytestmark = pytest.mark.filterwarnings("ignore::loi_core.objectives.RangeWarning")
@@ -129,30 +122,6 @@ def test_the_accuracy_promise_is_kept(accuracy: str, content: str) -> None:
     assert np.linalg.norm(gradient - exact) <= objective.tolerance * np.linalg.norm(exact)
 
 
-@given(SEEDS)
-def test_every_adapter_compares_the_same(seed: int) -> None:
-    mi.set_variant("llvm_ad_rgb")
-    image, reference = (each.astype(np.float32) for each in images((9, 12, 3), seed))
-    value, gradient = LOIObjective(reference, SCALES, colours="differences").value_and_grad(image)
-
-    leaf = torch.tensor(image, requires_grad=True)
-    by_torch = loi_torch.loi_loss(reference, SCALES, colours="differences")(leaf)
-    by_torch.backward()
-    by_jax = jax.value_and_grad(loi_jax.loi_loss(reference, SCALES, colours="differences"))(jnp.asarray(image))
-    tensor = mi.TensorXf(image)
-    dr.enable_grad(tensor)
-    by_mitsuba = loi_mitsuba.LOILoss(reference, SCALES, colours="differences")(tensor)
-    dr.backward(by_mitsuba)
-
-    for other, slopes in (
-        (float(by_torch.detach()), leaf.grad.numpy()),
-        (float(by_jax[0]), np.asarray(by_jax[1])),
-        (float(by_mitsuba.numpy()[0]), dr.grad(tensor).numpy()),
-    ):
-        assert other == pytest.approx(float(value), rel=1e-5)
-        np.testing.assert_allclose(slopes, gradient, atol=1e-4 * float(np.abs(gradient).max()))
-
-
 def test_it_goes_on_to_other_scales_and_references_and_is_told() -> None:
     image, reference = images((9, 12, 3), 4)
     objective = LOIObjective(reference, SCALES, colours="differences")
@@ -161,7 +130,6 @@ def test_it_goes_on_to_other_scales_and_references_and_is_told() -> None:
     )
     assert "colours differences" in repr(objective)
     assert "colours" not in repr(LOIObjective(reference, SCALES))
-    assert "colours='differences'" in repr(loi_torch.LOILoss(reference, SCALES, colours="differences"))
 
 
 def test_the_default_scales_tell_as_much_apart_as_those_of_channels_and_have_a_stage_before_them() -> None:
