@@ -11,7 +11,7 @@ as the table has them.
 from __future__ import annotations
 
 import argparse
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final, get_args
 
@@ -84,8 +84,7 @@ def _heights(problem: Problem, draws: int) -> Iterator[list[str]]:
         objective = LOIObjective(problem.target, accuracy="balanced")
         cotangent = objective.value_and_grad(images.render(numbers(at)))[1]
         pulled = [images.unabridged.pull(numbers(at), cotangent, seed=seed + 1) for seed in range(draws)]
-        ours = np.array([np.mean([float(one[moved]) for one in pulled]) for moved in some])
-        yield [name, f"{_cosine(ours, _differences(built, at, cotangent, some)):.2f}"]
+        yield [name, f"{_cosine(_mean(pulled, some), _differences(built, at, cotangent, some)):.2f}"]
 
 
 def _between(built: Built, share: float) -> dict[str, float]:
@@ -97,7 +96,11 @@ def _gradient(images: PlannedRenderer, built: Built, at: Way, objective: LOIObje
         images.unabridged.pull(numbers(at), objective.value_and_grad(image)[1], seed=seed + len(seen))
         for seed, image in enumerate(seen)
     ]
-    return np.array([np.mean([float(one[name]) for one in pulled]) for name in built.truth])
+    return _mean(pulled, built.truth)
+
+
+def _mean(pulled: Sequence[Mapping[str, Any]], names: Iterable[str]) -> FloatArray:
+    return np.array([np.mean([float(one[name]) for one in pulled]) for name in names])
 
 
 def _differences(built: Built, at: Way, cotangent: FloatArray, names: list[str]) -> FloatArray:

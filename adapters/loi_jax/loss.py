@@ -39,7 +39,7 @@ def loi_loss(
     reference : array, shape (*batch, H, W, C)
         What the image should look like; JAX or NumPy, concrete, not a tracer.
     scales : ScaleSpace, optional
-        The scales to compare; ``ScaleSpace.for_image(H, W)`` by default.
+        The scales to compare; ``ScaleSpace.for_image(H, W)`` by default, with half its beta for differences of colours.
     accuracy, channel_axis, nan_policy, tone, weights, colours
         See :class:`loi_core.LOIObjective`.
 

@@ -46,7 +46,7 @@ class LOILoss:
     reference : mi.TensorXf or array, shape (H, W, C)
         What the image should look like. It is copied; later writes to it change nothing.
     scales : ScaleSpace, optional
-        The scales to compare; ``ScaleSpace.for_image(H, W)`` by default.
+        The scales to compare; ``ScaleSpace.for_image(H, W)`` by default, with half its beta for differences of colours.
     accuracy : {"exact", "balanced", "fast"} or float
         Largest relative error of the gradient allowed in exchange for time; see :class:`loi_core.LOIObjective`.
     channel_axis : int or None

@@ -39,7 +39,7 @@ class LOILoss(torch.nn.Module):
         What the image should look like; kept as the buffer ``reference``, so it moves with ``.to`` and is saved in
         the state dict.
     scales : ScaleSpace, optional
-        The scales to compare; ``ScaleSpace.for_image(H, W)`` by default.
+        The scales to compare; ``ScaleSpace.for_image(H, W)`` by default, with half its beta for differences of colours.
     accuracy : {"exact", "balanced", "fast"} or float
         See :class:`loi_core.LOIObjective`.
     channel_axis : int or None

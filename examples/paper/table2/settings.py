@@ -59,7 +59,7 @@ class Setting:
     finish : float
         Share of the steps, at the end, that compare pixels, at :data:`FINISH_RATE` of the rate.
     colours : {"channels", "differences"}
-        What of them our loss compares.
+        What of the colours our loss compares.
     staged : bool
         Whether our loss begins with scales that reach far, as by default.
     sigma, final_sigma : float
