@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from typing import Any
 
 import numpy as np
@@ -44,6 +45,19 @@ def test_points_are_drawn_to_where_they_are_in_the_reference() -> None:
         assert bool((gradient[..., 3][ball] < 0.0).all())
 
 
+def test_each_point_of_the_reference_has_one_match_and_none_is_nearer_on_the_whole() -> None:
+    """Against all 24 ways to match four points."""
+    draws = np.random.default_rng(0)
+    for _ in range(20):
+        image = torch.from_numpy(draws.uniform(size=(2, 2, 5)))
+        reference = draws.uniform(size=(2, 2, 3))
+        centres = np.array([[[0.25, 0.25], [0.75, 0.25]], [[0.25, 0.75], [0.75, 0.75]]])
+        wanted = np.concatenate([reference, centres], axis=2).reshape(4, 5)
+        points = image.numpy().reshape(4, 5)
+        least = min(np.mean((points - wanted[list(order)]) ** 2) for order in itertools.permutations(range(4)))
+        assert float(RGBXY(reference).value(image)) == pytest.approx(least, rel=1e-12)
+
+
 def test_matches_are_kept_for_an_interval() -> None:
     objective = RGBXY(places(1.5), interval=2)
     first = float(objective.value_and_grad(places(0.0))[0])
@@ -60,6 +74,11 @@ def test_matches_are_kept_for_an_interval() -> None:
         (OptionError, {"interval": 0}, "`interval` must be a whole number, 1 or more, got 0"),
         (OptionError, {"weight": -1.0}, "`weight` must be a number more than 0, got -1"),
         (ImageError, {"reference": np.zeros((4, 4, 4))}, r"`reference` must have shape \(H, W, 3\) or"),
+        (
+            ImageError,
+            {"reference": np.full((4, 4, 3), np.nan)},
+            "`reference` must have finite numbers, got 48 that are not",
+        ),
     ],
 )
 def test_wrong_arguments_are_refused(error: type[Exception], options: dict[str, Any], says: str) -> None:
@@ -71,3 +90,10 @@ def test_images_without_places_are_refused() -> None:
     flat = draw([sphere(subdivisions=1)], VIEW, 16, 16)
     with pytest.raises(ImageError, match=r"`image` must have shape \(16, 16, 5\), red, green, blue, x and y, got"):
         RGBXY(places(0.0)).value(flat)
+
+
+def test_images_that_are_not_finite_are_refused() -> None:
+    image = places(0.0)
+    image[3, 4, 0] = np.inf
+    with pytest.raises(ImageError, match="`image` must have finite numbers, got 1 that are not"):
+        RGBXY(places(0.0)).value(image)
