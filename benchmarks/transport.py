@@ -24,7 +24,7 @@ from loi_core.support.markdown import markdown
 
 __all__ = ["main"]
 
-BLUR: Final = 0.01  # as in the released code
+BLUR: Final = 0.01  # as in the released code, and in loi_torch.rgbxy
 NAMES: Final = ("Translation", "Trans. + Rot.", "Material")
 GRIDS: Final = (16, 32, 64)
 TURNS: Final = 3

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from typing import Any
 
 import numpy as np
@@ -43,19 +42,6 @@ def test_points_are_drawn_to_where_they_are_in_the_reference() -> None:
     for grid in (None, 8):
         gradient = RGBXY(places(1.5), grid=grid).value_and_grad(image)[1]
         assert bool((gradient[..., 3][ball] < 0.0).all())
-
-
-def test_each_point_of_the_reference_has_one_match_and_none_is_nearer_on_the_whole() -> None:
-    """Against all 24 ways to match four points."""
-    draws = np.random.default_rng(0)
-    for _ in range(20):
-        image = torch.from_numpy(draws.uniform(size=(2, 2, 5)))
-        reference = draws.uniform(size=(2, 2, 3))
-        centres = np.array([[[0.25, 0.25], [0.75, 0.25]], [[0.25, 0.75], [0.75, 0.75]]])
-        wanted = np.concatenate([reference, centres], axis=2).reshape(4, 5)
-        points = image.numpy().reshape(4, 5)
-        least = min(np.mean((points - wanted[list(order)]) ** 2) for order in itertools.permutations(range(4)))
-        assert float(RGBXY(reference).value(image)) == pytest.approx(least, rel=1e-12)
 
 
 def test_matches_are_kept_for_an_interval() -> None:
