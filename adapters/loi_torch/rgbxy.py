@@ -46,9 +46,8 @@ class RGBXY:
     -----
     Images have five channels: what :func:`loi_torch.mesh.draw_places` draws, or a ``MeshRenderer(places=True)``. The
     value is the mean squared distance of the points from their matches, which are held fixed in the gradient. The
-    matching is entropic transport by geomloss, as in the released code. Its matches are means of points of the
-    reference, and move as smoothly as the image does. Exact transport (POT) takes a quarter of the time, and of most
-    scenes of Table 3 finds less: its matches are single points, which change all at once.
+    matching is entropic transport by geomloss, as in the released code. Exact transport takes a quarter of the time;
+    it was better in three columns of Table 3, and worse in three (docs/table3.md).
     """
 
     def __init__(self, reference: Any, *, grid: int | None = None, interval: int = 1, weight: float = 1.0) -> None:

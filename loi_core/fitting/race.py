@@ -14,10 +14,11 @@ from loi_core.fitting.parameters import Bounds
 from loi_core.renderers.contract import Parameters
 from loi_core.support.arrays import from_numpy, to_numpy
 
-__all__ = ["can_search", "draw_starts", "race", "search"]
+__all__ = ["PLACES", "can_search", "draw_starts", "race", "search"]
 
 LAP: Final = 1.0 / 6.0  # of the steps of a fit
-PLACES: Final = 16  # that a search looks at
+PLACES: Final = 48  # that a search looks at; of 16, too few show an object that the views of a scene have lost
+NEAR: Final = 32  # that a search near the parameters looks at
 BOX: Final = 0.15  # of the range, to either side: what is near
 Value: TypeAlias = Callable[[Parameters], float]
 """What the loss is somewhere."""
@@ -81,7 +82,7 @@ def search(
 ) -> tuple[float, Parameters] | None:
     """The least value at some places within the bounds, and where that is; others in every turn.
 
-    With `near`, there are twice as many, every other in a smaller box about where the parameters are; and if there are
+    With `near`, every other place is in a smaller box about where the parameters are; and if there are
     several parameters, at three of four places only one of them is elsewhere, each in turn: the others may be right.
     """
     best: tuple[float, Parameters] | None = None
@@ -102,7 +103,7 @@ def _places(params: Parameters, bounds: Bounds, count: int, turn: int) -> list[P
 
 
 def _near_places(params: Parameters, bounds: Bounds, turn: int) -> Iterator[Parameters]:
-    far, close = (_places(params, box, 2 * PLACES, turn) for box in (bounds, _about(params, bounds)))
+    far, close = (_places(params, box, NEAR, turn) for box in (bounds, _about(params, bounds)))
     names, alone = list(bounds.lower), 0
     for index, (there, here) in enumerate(zip(far, close, strict=True)):
         if len(names) > 1 and index % 8 > 1:
