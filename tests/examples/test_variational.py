@@ -17,6 +17,7 @@ from examples.paper.variational.photograph import Photograph
 from examples.paper.variational.problem import AT_TRUTH, Problem, as_arrays
 from examples.paper.variational.run import blurred, image_at, problem_of
 from examples.paper.variational.settings import Method, Setting, Size
+from examples.paper.variational.tables import kept_lines
 from loi_core.errors import RendererError
 from loi_core.pixels.psnr import psnr
 
@@ -105,6 +106,19 @@ def test_the_quick_tier_runs_and_is_not_done_twice(
     assert {row["method"] for row in rows} == {"pixels", "paper"}
     for file in (f"{name}.png", f"{name}-starts.png", f"{name}.webp"):
         assert (tmp_path / file).exists()
+
+
+def test_a_csv_keeps_the_runs_that_are_not_done_anew(tmp_path: Path) -> None:
+    before = tmp_path / "orb.csv"
+    head, old, other = (
+        "method,rate,sigma,final,side,samples,steps,seed,found,psnr,seconds\n",
+        "pixels,0.02,0.1,0.4,100,4,120,1,True,20.0,0.5\n",
+        "sigma,0.02,0.1,0.4,100,4,120,1,False,18.0,0.5\n",
+    )
+    new = old.replace("20.0", "21.0")
+    assert kept_lines(head + new, before) == head + new
+    before.write_text(head + old + other, encoding="utf-8")
+    assert kept_lines(head + new, before) == head + new + other
 
 
 def test_wrong_words_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -26,7 +26,7 @@ from examples.paper.variational.settings import (
     Setting,
     Size,
 )
-from examples.paper.variational.tables import csv_of, search_table, starts_table, summary
+from examples.paper.variational.tables import csv_of, kept_lines, search_table, starts_table, summary
 from loi_core.io.files import write_text
 from loi_core.pixels.psnr import psnr
 
@@ -86,7 +86,8 @@ def run_scene(scene: Name, about: str | None, words: Sequence[str] | None = None
     _draw(scene, parts, folder, options.out)
     if options.docs:
         fill(options.docs / "variational.md", tables)
-        write_text(options.docs / f"{scene}.csv", numbers)
+        shown = options.docs / f"{scene}.csv"
+        write_text(shown, kept_lines(numbers, shown))
         _draw(scene, parts, folder, options.docs / "images" / "variational")
 
 

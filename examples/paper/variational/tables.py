@@ -14,18 +14,17 @@ from examples.paper.store import load
 from examples.paper.variational.run import Run
 from loi_core.support.markdown import markdown
 
-__all__ = ["csv_of", "search_table", "starts_table", "summary"]
+__all__ = ["csv_of", "kept_lines", "search_table", "starts_table", "summary"]
 
 FEW: Final = 4  # runs, of which an interval says nothing
+COLUMNS: Final = ("method", "rate", "sigma", "final", "side", "samples", "steps", "seed")  # that tell runs apart
 
 
 def csv_of(folder: Path, runs: Sequence[Run], groups: Sequence[str]) -> str:
     """A line for each run that is done; `groups` name its errors."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(
-        ["method", "rate", "sigma", "final", "side", "samples", "steps", "seed", "found", "psnr", *groups, "seconds"]
-    )
+    writer.writerow([*COLUMNS, "found", "psnr", *groups, "seconds"])
     for run in runs:
         record = load(folder, run)
         if record is not None:
@@ -35,6 +34,19 @@ def csv_of(folder: Path, runs: Sequence[Run], groups: Sequence[str]) -> str:
             found = [run.seed, record["found"], f"{record['psnr']:.3f}"]
             writer.writerow([*how, *found, *errors, f"{record['seconds']:.3f}"])
     return stream.getvalue()
+
+
+def kept_lines(numbers: str, before: Path) -> str:
+    """A CSV of :func:`csv_of`, and the lines of the one `before`, if there is one, of runs that it has not."""
+    if not before.is_file():
+        return numbers
+    known = {_run_of(line) for line in numbers.splitlines()}
+    others = [line for line in before.read_text(encoding="utf-8").splitlines() if _run_of(line) not in known]
+    return numbers + "".join(f"{line}\n" for line in others)
+
+
+def _run_of(line: str) -> tuple[str, ...]:
+    return tuple(line.split(",")[: len(COLUMNS)])
 
 
 def summary(folder: Path, rows: Mapping[str, Sequence[Run]], groups: Sequence[str]) -> list[str]:
