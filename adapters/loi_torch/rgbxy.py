@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.nn import functional
 
 from loi_core.errors import ImageError, OptionError
+from loi_core.pixels.nonfinite import count_non_finite
 from loi_core.support.arrays import from_numpy, to_numpy
 from loi_core.support.values import real_number, whole_number
 from loi_core.support.wording import shown
@@ -38,7 +39,7 @@ class RGBXY:
     Raises
     ------
     ImageError
-        If the reference has a wrong shape, or a number that is not finite; images likewise.
+        If the reference has a wrong shape, or holds NaN or infinite values; images likewise.
     OptionError
         If another argument is not allowed, such as a `grid` that does not divide both sides.
 
@@ -128,7 +129,7 @@ def _distance(points: Tensor, matches: Tensor) -> Tensor:
 
 
 def _require_finite(tensor: Tensor, name: str) -> None:
-    number = int((~torch.isfinite(tensor)).sum())
+    number = count_non_finite(tensor)
     if number:
         msg = f"`{name}` must have finite numbers, got {number} that are not"
         raise ImageError(msg)

@@ -82,8 +82,8 @@ def search(
 ) -> tuple[float, Parameters] | None:
     """The least value at some places within the bounds, and where that is; others in every turn.
 
-    With `near`, every other place is in a smaller box about where the parameters are; and if there are
-    several parameters, at three of four places only one of them is elsewhere, each in turn: the others may be right.
+    With `near`, every other place is in a smaller box about where the parameters are; and if there are several
+    parameters, at three of four places only one of them is elsewhere, each in turn: the others may be right.
     """
     best: tuple[float, Parameters] | None = None
     for place in _near_places(params, bounds, turn) if near else _places(params, bounds, PLACES, turn):
