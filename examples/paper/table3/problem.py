@@ -38,6 +38,7 @@ FOV: Final = 60.0
 FAR: Final = 100.0
 CUBE: Final = 128  # texels along each side of a cube map; 512 in the released code
 RADIAN: Final = 180.0 / np.pi
+DIFFERENT: Final = 1e-5  # world units by which the starts of Shape differ: about what rounding makes of one start
 AXES: Final = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1], [0, 0, -1]], dtype=float)
 HEADLIGHT: Final = {"light": Light()}
 PLASTIC: Final = Material(ambient=0.0, diffuse=0.8, specular=0.2)
@@ -52,7 +53,7 @@ class Column:
     name : str
     views : int
     seeds : int
-        How many starts the paper has.
+        How many starts there are; the paper has one of *Shape*.
     error : "MAE" or "SSIM"
         What stands beside PSNR.
     side : int
@@ -69,7 +70,7 @@ class Column:
 COLUMNS: Final = (
     Column("Translation", 6, 10, "MAE"),
     Column("Rotation", 6, 10, "MAE"),
-    Column("Shape", 1, 1, "MAE"),
+    Column("Shape", 1, 10, "MAE"),
     Column("Trans. + Rot.", 4, 10, "MAE"),
     Column("Camera pose", 1, 10, "SSIM"),
     Column("Material", 6, 10, "SSIM"),
@@ -198,12 +199,13 @@ def _rotation(rng: np.random.Generator) -> _Scene:
     )
 
 
-def _shape(_: np.random.Generator) -> _Scene:
+def _shape(rng: np.random.Generator) -> _Scene:
     outline = _outline("S", 160)
     triangles = _triangulated(outline)
     angle = 2.0 * np.pi * np.arange(len(outline)) / len(outline)
     first = np.arctan2(*(outline[0] - outline.mean(axis=0))[::-1])
     circle = 1.2 * np.stack([np.cos(angle + first), np.sin(angle + first)], axis=1) + (0.8, -0.5)
+    circle = circle + DIFFERENT * rng.normal(size=circle.shape)
     flat = [np.concatenate([points, np.zeros((len(points), 1))], axis=1) for points in (outline, circle)]
     return _Scene(
         {"outline": Mesh(flat[0], triangles, colours=(1.0, 1.0, 1.0))},

@@ -18,6 +18,9 @@ from loi_core import fit
 from loi_core.fitting.adam import Adam
 from loi_core.fitting.loop import FitStep, Free
 from loi_core.fitting.optimiser import Memory
+from loi_core.fitting.parameters import bounds_of
+from loi_core.fitting.race import can_search
+from loi_core.fitting.stages import LEAST, WINDOW, has_settled, objectives_of
 from loi_core.renderers.contract import Parameters
 
 __all__ = ["CURVE_STEPS", "Outcome", "Run", "carry_out"]
@@ -94,14 +97,12 @@ def carry_out(run: Run) -> Outcome:
     problem = Problem.of(run.column, run.seed)
     params = {name: torch.as_tensor(value, dtype=torch.float32) for name, value in problem.start.items()}
     curve: list[float] = []
-    last = round(setting.steps * setting.finish)
-    done = 0
+    first = setting.steps - round(setting.steps * setting.finish)
     started = time.perf_counter()
-    for method, steps in ((setting.method, setting.steps - last), ("pixel_l2", last)):
-        if steps:
-            part = replace(setting, method=method)
-            params = _part(part, problem, params, steps, done, curve)
-            done += steps
+    params, done = _part(setting, problem, params, first, 0, curve)
+    if setting.finish:
+        last = replace(setting, method="pixel_l2")
+        params, _ = _part(last, problem, params, setting.steps - done, done, curve)
     seconds = time.perf_counter() - started
     found = {name: value.numpy() for name, value in params.items()}
     images = {name: image_of(view, found) for name, view in problem.views.items()}
@@ -119,19 +120,16 @@ def carry_out(run: Run) -> Outcome:
 
 def _part(
     setting: Setting, problem: Problem, start: Parameters, steps: int, done: int, curve: list[float]
-) -> Parameters:
-    """The parameters after some steps of one objective."""
+) -> tuple[Parameters, int]:
+    """The parameters after some steps of one objective, and how many there were.
+
+    Ours ends once its loss no longer falls, as a stage of :func:`loi_core.fit` does, unless the fit may search.
+    """
     matching = setting.method in ("rgbxy", "rgbxy_finetune")
     views = problem.places if matching else problem.views
-    shown: dict[str, Any] = {}
-
-    def note(_: FitStep, __: Parameters, images: Any) -> None:
-        shown.update(images)
-        name, image = next(iter(images.items()))
-        curve.append(_decibels(float(np.mean((image.numpy()[..., :3] - problem.targets[name]) ** 2))))
-
     objectives = {name: objective(setting, target) for name, target in problem.targets.items()}
-    common: dict[str, Any] = {"steps": steps, "seed": done, "views_per_step": 1, "callback": note}
+    common: dict[str, Any] = {"steps": steps, "seed": done, "views_per_step": 1}
+    settles = False
     if setting.name == "published":
         rates = {name: setting.rate * problem.unit(name) for name in start}
         common |= {"decay": "none", "stages": None, "optimiser": _Decaying(done)}
@@ -140,7 +138,23 @@ def _part(
         rate = setting.rate if done == 0 else FINISH_RATE * setting.rate
         common |= {"learning_rate": f"{rate} px"}
         free = {name: Free(value, *problem.bounds(name)) for name, value in start.items()}
-    return fit(views, objectives, optimise=free, **common).params
+        settles = setting.method == "loi" and not can_search(bounds_of(start, free))
+        if settles:
+            common["decay"] = "none"
+
+    last_stage = len(objectives_of(next(iter(objectives.values())), "auto")) - 1
+    window = max(LEAST, round(WINDOW * steps))
+    values: list[float] = []  # of the last stage
+
+    def note(step: FitStep, __: Parameters, images: Any) -> bool:
+        name, image = next(iter(images.items()))
+        curve.append(_decibels(float(np.mean((image.numpy()[..., :3] - problem.targets[name]) ** 2))))
+        if step.stage == last_stage:
+            values.append(step.value)
+        return settles and has_settled(values, window)
+
+    result = fit(views, objectives, optimise=free, callback=note, **common)
+    return result.params, len(result.history)
 
 
 def _decibels(error: float) -> float:
