@@ -92,7 +92,7 @@ def crossings(triangles: Triangles, lists: Lists, piece: Any, wanted: Any, width
                 nearest = min(max(0.0, low + ends_of), high - ends_of)
                 qx, qy = px + nearest * dx, py + nearest * dy
                 # Triangles that only meet at an edge of one of them do not cut into each other.
-                if ends_at(triangles.edges[t], qx, qy) or ends_at(triangles.edges[u], qx, qy):
+                if ends_at(triangles, t, qx, qy) or ends_at(triangles, u, qx, qy):
                     continue
                 # Left of the direction (dx, dy) is (-dy, dx) = (nx, ny), where t is nearer.
                 if nearest_at(triangles, lists, one, qx + ASIDE * nx, qy + ASIDE * ny) != t:

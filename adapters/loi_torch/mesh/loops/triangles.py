@@ -31,26 +31,30 @@ class Triangles(NamedTuple):
 
 
 @compiled_as_written
-def _cross(u: Any, v: Any, out: Any) -> None:
-    out[0] = u[1] * v[2] - u[2] * v[1]
-    out[1] = u[2] * v[0] - u[0] * v[2]
-    out[2] = u[0] * v[1] - u[1] * v[0]
+def _cross(corners: Any, i: int, j: int) -> tuple[float, float, float]:
+    # Entry by entry, here and elsewhere: each row that is taken out takes longer than what is done with it.
+    x, y, w = corners[i, 0], corners[i, 1], corners[i, 2]
+    u, v, s = corners[j, 0], corners[j, 1], corners[j, 2]
+    return y * s - w * v, w * u - x * s, x * v - y * u
 
 
 @compiled_as_written
-def _largest(corners: Any, face: Any, near: float) -> float:
+def _largest(corners: Any, faces: Any, k: int, near: float) -> float:
     """The square of a triangle's longest side, times its corners' w: its volume is at most about this.
 
     Rounding would decide which way a triangle faces that is seen edge-on. 0 for triangles through the near plane.
     """
-    longest = 0.0
+    longest, depth = 0.0, 1.0
     for j in range(3):
-        a, b = corners[face[j]], corners[face[(j + 1) % 3]]
-        if a[2] < near:
+        a, b = faces[k, j], faces[k, (j + 1) % 3]
+        wa, wb = corners[a, 2], corners[b, 2]
+        if wa < near:
             return 0.0
-        if b[2] >= near:
-            longest = max(longest, (a[0] / a[2] - b[0] / b[2]) ** 2 + (a[1] / a[2] - b[1] / b[2]) ** 2)
-    return float(longest * corners[face[0], 2] * corners[face[1], 2] * corners[face[2], 2])
+        if wb >= near:
+            x, y = corners[a, 0] / wa - corners[b, 0] / wb, corners[a, 1] / wa - corners[b, 1] / wb
+            longest = max(longest, x * x + y * y)
+        depth *= wa
+    return float(longest * depth)
 
 
 @compiled_as_written
@@ -66,11 +70,11 @@ def prepare(corners: Any, depth: Any, faces: Any, height: int, width: int, near:
         i0, i1, i2 = faces[k, 0], faces[k, 1], faces[k, 2]
         if corners[i0, 2] < near and corners[i1, 2] < near and corners[i2, 2] < near:
             continue
-        _cross(corners[i1], corners[i2], edges[k, 0])
-        _cross(corners[i2], corners[i0], edges[k, 1])
-        _cross(corners[i0], corners[i1], edges[k, 2])
+        edges[k, 0, 0], edges[k, 0, 1], edges[k, 0, 2] = _cross(corners, i1, i2)
+        edges[k, 1, 0], edges[k, 1, 1], edges[k, 1, 2] = _cross(corners, i2, i0)
+        edges[k, 2, 0], edges[k, 2, 1], edges[k, 2, 2] = _cross(corners, i0, i1)
         det = corners[i0, 0] * edges[k, 0, 0] + corners[i0, 1] * edges[k, 0, 1] + corners[i0, 2] * edges[k, 0, 2]
-        if not abs(det) > EDGE_ON * _largest(corners, faces[k], near):
+        if not abs(det) > EDGE_ON * _largest(corners, faces, k, near):
             continue
         if det < 0.0:
             for j in range(3):
@@ -103,10 +107,10 @@ def prepare(corners: Any, depth: Any, faces: Any, height: int, width: int, near:
 
 
 @compiled_as_written
-def _columns(edges: Any, y: float, first: int, last: int) -> tuple[int, int]:
+def _columns(edges: Any, k: int, y: float, first: int, last: int) -> tuple[int, int]:
     """The columns of a row in which all edge functions may be positive; rounding may add one at either end."""
     for j in range(3):
-        slope, at_zero = edges[j, 0], edges[j, 1] * y + edges[j, 2]
+        slope, at_zero = edges[k, j, 0], edges[k, j, 1] * y + edges[k, j, 2]
         if slope > 0.0:
             first = max(first, int(min(max(-at_zero / slope - 1.5, -1.0), 2.0e9)))
         elif slope < 0.0:
@@ -121,21 +125,21 @@ def depth_buffer(triangles: Triangles, height: int, width: int) -> Any:
     """The triangle that is nearest at the centre of each pixel, or -1; of several equally near ones, the first."""
     found = np.full(height * width, -1, np.int32)
     nearest = np.full(height * width, -math.inf)
-    for k in range(len(triangles.drawn)):
-        if not triangles.drawn[k]:
+    drawn, edges, planes, box = triangles.drawn, triangles.edges, triangles.nearness, triangles.box
+    for k in range(len(drawn)):
+        if not drawn[k]:
             continue
-        e, n = triangles.edges[k], triangles.nearness[k]
-        for row in range(triangles.box[k, 2], triangles.box[k, 3] + 1):
+        for row in range(box[k, 2], box[k, 3] + 1):
             y = row + 0.5
-            first, last = _columns(e, y, triangles.box[k, 0], triangles.box[k, 1])
+            first, last = _columns(edges, k, y, box[k, 0], box[k, 1])
             for column in range(first, last + 1):
                 x = column + 0.5
                 if (
-                    e[0, 0] * x + e[0, 1] * y + e[0, 2] >= 0.0
-                    and e[1, 0] * x + e[1, 1] * y + e[1, 2] >= 0.0
-                    and e[2, 0] * x + e[2, 1] * y + e[2, 2] >= 0.0
+                    edges[k, 0, 0] * x + edges[k, 0, 1] * y + edges[k, 0, 2] >= 0.0
+                    and edges[k, 1, 0] * x + edges[k, 1, 1] * y + edges[k, 1, 2] >= 0.0
+                    and edges[k, 2, 0] * x + edges[k, 2, 1] * y + edges[k, 2, 2] >= 0.0
                 ):
-                    near = n[0] * x + n[1] * y + n[2]
+                    near = planes[k, 0] * x + planes[k, 1] * y + planes[k, 2]
                     pixel = row * width + column
                     if near > nearest[pixel] and near <= triangles.most:
                         nearest[pixel] = near
@@ -146,14 +150,16 @@ def depth_buffer(triangles: Triangles, height: int, width: int) -> Any:
 @compiled_as_written
 def nearness_at(triangles: Triangles, k: int, x: float, y: float) -> float:
     """Of the plane of triangle `k`, at a point."""
-    plane = triangles.nearness[k]
-    return float(plane[0] * x + plane[1] * y + plane[2])
+    planes = triangles.nearness
+    return float(planes[k, 0] * x + planes[k, 1] * y + planes[k, 2])
 
 
 @compiled_as_written
-def ends_at(e: Any, x: float, y: float) -> bool:
-    """Whether a triangle has an edge at a point."""
+def ends_at(triangles: Triangles, k: int, x: float, y: float) -> bool:
+    """Whether triangle `k` has an edge at a point."""
+    edges = triangles.edges
     found = False
     for j in range(3):
-        found |= abs(e[j, 0] * x + e[j, 1] * y + e[j, 2]) <= SAME_PLACE * math.hypot(e[j, 0], e[j, 1])
+        a, b = edges[k, j, 0], edges[k, j, 1]
+        found |= abs(a * x + b * y + edges[k, j, 2]) <= SAME_PLACE * math.hypot(a, b)
     return found

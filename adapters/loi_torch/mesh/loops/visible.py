@@ -36,14 +36,16 @@ class Line(NamedTuple):
     wb: float
 
 
-class Shown(NamedTuple):
-    """Parts of edges that show, as in :class:`loi_torch.mesh.projected.Seen`."""
+class Scene(NamedTuple):
+    """Edges in space, as in :class:`loi_torch.mesh.projected.Projected`."""
 
-    edge: Any
-    span: Any
-    pixel: Any
-    sides: Any
-    beyond: Any
+    corners: Any
+    ends: Any
+    joined: Any
+    joined_ends: Any
+    height: int
+    width: int
+    near: float
 
 
 @compiled_as_written
@@ -62,8 +64,10 @@ def _front(triangles: Triangles, left: int, right: int, x: float, y: float) -> i
 
 
 @compiled_as_written
-def _has(face: Any, a: int, b: int) -> bool:
-    return bool((face[0] == a or face[1] == a or face[2] == a) and (face[0] == b or face[1] == b or face[2] == b))
+def _has(joined: Any, k: int, a: int, b: int) -> bool:
+    # Entry by entry, here and elsewhere: each row that is taken out costs as much as looking at a triangle.
+    one, two, three = joined[k, 0], joined[k, 1], joined[k, 2]
+    return bool((one == a or two == a or three == a) and (one == b or two == b or three == b))
 
 
 @compiled_as_written
@@ -79,12 +83,28 @@ def _sides(triangles: Triangles, lists: Lists, one: int, joined: Any, line: Line
     if left == right:
         return False, left, right
     if left < 0 or right < 0 or not _touching(triangles, left, right, x, y):
-        return _has(joined[_front(triangles, left, right, x, y)], line.a, line.b), left, right
-    of_left, of_right = _has(joined[left], line.a, line.b), _has(joined[right], line.a, line.b)
+        return _has(joined, _front(triangles, left, right, x, y), line.a, line.b), left, right
+    of_left, of_right = _has(joined, left, line.a, line.b), _has(joined, right, line.a, line.b)
     if of_left == of_right:
         return of_left, left, right
     own, other = (left, right) if of_left else (right, left)
-    return own < other or not ends_at(triangles.edges[other], x, y), left, right
+    return own < other or not ends_at(triangles, other, x, y), left, right
+
+
+@compiled_as_written
+def _comes_to_light(
+    triangles: Triangles, lists: Lists, one: int, joined: Any, line: Line, light: float, dark: float
+) -> tuple[float, int]:
+    """Where between two points, of which it shows at one, an edge comes to light, and what hides it there."""
+    for _ in range(HALVINGS):
+        middle = 0.5 * (light + dark)
+        if _sides(triangles, lists, one, joined, line, middle)[0]:
+            light = middle
+        else:
+            dark = middle
+    _, left, right = _sides(triangles, lists, one, joined, line, dark)
+    hider = _front(triangles, left, right, line.x + dark * line.dx, line.y + dark * line.dy)
+    return 0.5 * (light + dark), hider
 
 
 @compiled_as_written
@@ -100,6 +120,71 @@ def _beside(line: Line, pixel: int, width: int, low: float, high: float) -> floa
 def _in_space(line: Line, s: float) -> float:
     """From the share of an edge on the screen to that of the whole edge in space."""
     return line.start + (line.end - line.start) * (s * line.wa / (line.wb - s * (line.wb - line.wa)))
+
+
+@compiled_as_written
+def _line_of(scene: Scene, number: int) -> Line:
+    """An edge on the screen, of which a part is in the frame."""
+    one, other = scene.ends[number, 0], scene.ends[number, 1]
+    _, xa, ya, xb, yb, start, end, _, _ = edge_in_frame(
+        scene.corners[one], scene.corners[other], scene.near, scene.height, scene.width
+    )
+    length = math.hypot(xb - xa, yb - ya)
+    w, deeper = scene.corners[one, 2], scene.corners[other, 2] - scene.corners[one, 2]
+    return Line(
+        xa,
+        ya,
+        xb - xa,
+        yb - ya,
+        -(yb - ya) / length,
+        (xb - xa) / length,
+        scene.joined_ends[number, 0],
+        scene.joined_ends[number, 1],
+        start,
+        end,
+        w + start * deeper,
+        w + end * deeper,
+    )
+
+
+@compiled_as_written
+def _shown(
+    scene: Scene, triangles: Triangles, lists: Lists, active: Any, part_edge: Any, part_pixel: Any, part: Any
+) -> tuple[Any, Any, Any, Any, Any]:
+    """The parts of edges that show, as in :class:`loi_torch.mesh.projected.Seen`."""
+    total = len(part_pixel)
+    edge, span, pixels = np.empty(2 * total, np.int32), np.empty((2 * total, 2)), np.empty(2 * total, np.int32)
+    sides, beyond = np.empty((2 * total, 2), np.int32), np.full((2 * total, 2), -1, np.int32)
+    joined, slot = scene.joined, lists.slot
+    count = 0
+    for k in range(total):
+        number, pixel = active[part_edge[k]], part_pixel[k]
+        if k == 0 or part_edge[k] != part_edge[k - 1]:
+            line = _line_of(scene, number)
+        one = slot[pixel]
+        middle = _beside(line, pixel, scene.width, part[k, 0], part[k, 1])
+        lit, left, right = _sides(triangles, lists, one, joined, line, middle)
+        for side in range(2):
+            limit = part[k, side]
+            shows, at_left, at_right = _sides(triangles, lists, one, joined, line, limit + 1e-4 * (middle - limit))
+            if shows == lit:
+                if lit:
+                    span[count, side] = _in_space(line, limit)
+                continue
+            light, dark = (middle, limit) if lit else (limit, middle)
+            border, hider = _comes_to_light(triangles, lists, one, joined, line, light, dark)
+            away = side if lit else 1 - side
+            span[count, away], beyond[count, away] = _in_space(line, border), hider
+            if not lit:
+                span[count, side] = _in_space(line, limit)
+                sides[count, 0], sides[count, 1] = at_left, at_right
+                edge[count], pixels[count] = number, pixel
+                count += 1
+        if lit:
+            sides[count, 0], sides[count, 1] = left, right
+            edge[count], pixels[count] = number, pixel
+            count += 1
+    return edge[:count], span[:count], pixels[:count], sides[:count], beyond[:count]
 
 
 @compiled_as_written
@@ -128,72 +213,16 @@ def _look(
     for pixel in part_pixel:
         wanted[pixel] = True
     lists = lists_of(triangles, wanted, height, width)
-    total = len(part_pixel)
-    shown = Shown(
-        np.empty(2 * total, np.int32),
-        np.empty((2 * total, 2)),
-        np.empty(2 * total, np.int32),
-        np.empty((2 * total, 2), np.int32),
-        np.full((2 * total, 2), -1, np.int32),
-    )
-    count = 0
-    last_edge = -1
-    line = Line(0.0, 0.0, 1.0, 1.0, 1.0, 0.0, np.int32(0), np.int32(0), 0.0, 1.0, 1.0, 1.0)
-    for k in range(total):
-        number = active[part_edge[k]]
-        if number != last_edge:
-            last_edge = number
-            first, second = corners[ends[number, 0]], corners[ends[number, 1]]
-            _, xa, ya, xb, yb, start, end, _, _ = edge_in_frame(first, second, near, height, width)
-            length = math.hypot(xb - xa, yb - ya)
-            nx, ny = -(yb - ya) / length, (xb - xa) / length
-            wa, wb = first[2] + start * (second[2] - first[2]), first[2] + end * (second[2] - first[2])
-            a, b = joined_ends[number, 0], joined_ends[number, 1]
-            line = Line(xa, ya, xb - xa, yb - ya, nx, ny, a, b, start, end, wa, wb)
-        one = lists.slot[part_pixel[k]]
-        low, high = part[k, 0], part[k, 1]
-        middle = _beside(line, part_pixel[k], width, low, high)
-        lit, left, right = _sides(triangles, lists, one, joined, line, middle)
-        bounds = np.array([low, high])
-        hidden = np.full(2, -1, np.int32)
-        for side in range(2):
-            limit = bounds[side]
-            shows, at_left, at_right = _sides(triangles, lists, one, joined, line, limit + 1e-4 * (middle - limit))
-            if shows == lit:
-                continue
-            light, dark = (middle, limit) if lit else (limit, middle)
-            for _ in range(HALVINGS):
-                between_both = 0.5 * (light + dark)
-                if _sides(triangles, lists, one, joined, line, between_both)[0]:
-                    light = between_both
-                else:
-                    dark = between_both
-            _, dark_left, dark_right = _sides(triangles, lists, one, joined, line, dark)
-            hider = _front(triangles, dark_left, dark_right, line.x + dark * line.dx, line.y + dark * line.dy)
-            if lit:
-                bounds[side], hidden[side] = 0.5 * (light + dark), hider
-            else:
-                away = 1 - side
-                shown.beyond[count, away] = hider
-                shown.span[count, side] = _in_space(line, limit)
-                shown.span[count, away] = _in_space(line, 0.5 * (light + dark))
-                shown.sides[count, 0], shown.sides[count, 1] = at_left, at_right
-                shown.edge[count], shown.pixel[count] = number, part_pixel[k]
-                count += 1
-        if lit:
-            shown.beyond[count] = hidden
-            shown.span[count, 0], shown.span[count, 1] = _in_space(line, bounds[0]), _in_space(line, bounds[1])
-            shown.sides[count, 0], shown.sides[count, 1] = left, right
-            shown.edge[count], shown.pixel[count] = number, part_pixel[k]
-            count += 1
+    scene = Scene(corners, ends, joined, joined_ends, height, width, near)
+    edge, span, pixels, sides, beyond = _shown(scene, triangles, lists, active, part_edge, part_pixel, part)
     cross_pixels, cross_sides, cross_ends, crosses = crossings(triangles, lists, piece, crossed, width)
     return (
         found,
-        shown.edge[:count],
-        shown.span[:count],
-        shown.pixel[:count],
-        shown.sides[:count],
-        shown.beyond[:count],
+        edge,
+        span,
+        pixels,
+        sides,
+        beyond,
         cross_pixels[:crosses],
         cross_sides[:crosses],
         cross_ends[:crosses],
