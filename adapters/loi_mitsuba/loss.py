@@ -8,6 +8,7 @@ from typing import Any, Final, Literal, TypeAlias, get_args
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from loi_core import LogTone, LOIObjective, ScaleSpace
 from loi_core.errors import ImageTypeError, LoiError, OptionError
@@ -26,6 +27,8 @@ Tensor: TypeAlias = Any
 
 Float: TypeAlias = Any
 """A flat array of Dr.Jit, ``mi.Float``."""
+
+ALIGNMENT: Final = 64  # bytes
 
 EXPORTS: Final[dict[str, Callable[[Tensor], Array]]] = {
     "torch": lambda tensor: tensor.torch(),
@@ -187,8 +190,24 @@ def _host(array: Any) -> Any:
 
 
 def _flat(kind: Any, array: Array) -> Float:
-    """`array` as a flat array of Dr.Jit, without a copy where it is contiguous."""
-    return kind(namespace(array).reshape(array, (-1,)))
+    """`array` as a flat array of Dr.Jit, without a copy where it is contiguous and aligned."""
+    flat = namespace(array).reshape(array, (-1,))
+    return kind(_aligned(flat) if isinstance(flat, np.ndarray) else flat)
+
+
+def _aligned(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """A flat array at an address that is a multiple of 64, where other libraries put theirs.
+
+    Dr.Jit compiles one kernel for such arrays and another one for others. NumPy's are either, by chance, so a loop
+    would now and then compile in the middle.
+    """
+    if array.ctypes.data % ALIGNMENT == 0:
+        return array
+    room = np.empty(array.nbytes + ALIGNMENT, np.uint8)
+    first = -room.ctypes.data % ALIGNMENT
+    aligned = room[first : first + array.nbytes].view(array.dtype)
+    aligned[:] = array
+    return aligned
 
 
 def _check_not_frozen() -> None:

@@ -141,6 +141,22 @@ def test_a_loop_compiles_nothing_anew(backend: Any) -> None:
     assert counts[2:] == [(launches, 0)] * 4
 
 
+@pytest.mark.parametrize("offset", [0, 4, 16, 32])
+def test_a_gradient_of_numpy_s_has_one_kernel_wherever_it_lies(offset: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Dr.Jit compiles for arrays at multiples of 64 bytes, and again for others."""
+    image, reference = images(SHAPE, 8)
+    loss = LOILoss(reference, SCALES, backend="numpy")
+    gradient = loss.value_and_grad(attached(image))[1].numpy()
+    room = np.empty(gradient.size + 32, np.float32)
+    first = (-room.ctypes.data % 64 + offset) // room.itemsize
+    moved = room[first : first + gradient.size].reshape(gradient.shape)
+    moved[...] = gradient
+    monkeypatch.setattr(type(loss.objective), "value_and_grad", lambda *_: (np.float32(0.0), moved))
+    given = loss.value_and_grad(attached(image))[1]
+    np.testing.assert_array_equal(given.numpy(), gradient)
+    assert given.numpy().ctypes.data % 64 == 0  # which shares its memory
+
+
 def test_a_loop_does_not_grow() -> None:
     """In a process of its own: what other tests have left to be freed would hide, or feign, a leak of 28 MB."""
     if not Path("/proc/self/statm").exists():
