@@ -205,7 +205,7 @@ def _aligned(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
         return array
     room = np.empty(array.nbytes + ALIGNMENT, np.uint8)
     first = -room.ctypes.data % ALIGNMENT
-    aligned = room[first : first + array.nbytes].view(array.dtype)
+    aligned: np.ndarray[Any, Any] = room[first : first + array.nbytes].view(array.dtype)
     aligned[:] = array
     return aligned
 
