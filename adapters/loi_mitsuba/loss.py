@@ -17,6 +17,7 @@ from loi_core.pixels.nonfinite import NanPolicy
 from loi_core.support.arrays import Array, namespace
 from loi_core.support.installed import how_to_install
 from loi_core.support.wording import shown
+from loi_mitsuba.aligned import ALIGNMENT, aligned
 
 __all__ = ["Backend", "BackendMissingError", "LOILoss"]
 
@@ -27,8 +28,6 @@ Tensor: TypeAlias = Any
 
 Float: TypeAlias = Any
 """A flat array of Dr.Jit, ``mi.Float``."""
-
-ALIGNMENT: Final = 64  # bytes
 
 EXPORTS: Final[dict[str, Callable[[Tensor], Array]]] = {
     "torch": lambda tensor: tensor.torch(),
@@ -192,22 +191,9 @@ def _host(array: Any) -> Any:
 def _flat(kind: Any, array: Array) -> Float:
     """`array` as a flat array of Dr.Jit, without a copy where it is contiguous and aligned."""
     flat = namespace(array).reshape(array, (-1,))
-    return kind(_aligned(flat) if isinstance(flat, np.ndarray) else flat)
-
-
-def _aligned(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
-    """A flat array at an address that is a multiple of 64, where other libraries put theirs.
-
-    Dr.Jit compiles one kernel for such arrays and another one for others. NumPy's are either, by chance, so a loop
-    would now and then compile in the middle.
-    """
-    if array.ctypes.data % ALIGNMENT == 0:
-        return array
-    room = np.empty(array.nbytes + ALIGNMENT, np.uint8)
-    first = -room.ctypes.data % ALIGNMENT
-    aligned: np.ndarray[Any, Any] = room[first : first + array.nbytes].view(array.dtype)
-    aligned[:] = array
-    return aligned
+    if isinstance(flat, np.ndarray) and flat.ctypes.data % ALIGNMENT:
+        flat = aligned(flat)
+    return kind(flat)
 
 
 def _check_not_frozen() -> None:

@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -14,14 +14,12 @@ import numpy as np
 
 from loi_core.errors import ParameterError
 from loi_core.support.wording import shown
+from loi_mitsuba.aligned import aligned
 from loi_mitsuba.entries import Names, numbers
 from loi_mitsuba.handles import Host, Scale, posed
 from loi_mitsuba.loading import Target
 
 __all__ = ["NamedParameters", "as_host", "host_numbers"]
-
-ALIGNMENT: Final = 64
-"""Bytes: the widest vector that a processor has."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +119,7 @@ class NamedParameters:
             if isinstance(self.targets[name], Scale) and value <= 0:
                 msg = f"`{name}` scales a shape and must be more than 0, got {float(value):g}"
                 raise ParameterError(msg)
-            leaves[name] = mi.Float(_aligned(value.reshape(-1)))
+            leaves[name] = mi.Float(aligned(value.reshape(-1)))
         return leaves
 
     @contextmanager
@@ -177,19 +175,6 @@ def host_numbers(name: str, value: Any, shape: tuple[int, ...]) -> Host:
         msg = f"`{name}` must have shape {shape}, got {array.shape}"
         raise ParameterError(msg)
     return array
-
-
-def _aligned(flat: Host) -> Host:
-    """A copy whose address is a multiple of ALIGNMENT.
-
-    Dr.Jit reads NumPy's memory in place, and compiles its kernels by whether each array in them is aligned: with many
-    parameters, wherever NumPy happens to put them, it would hardly ever find a kernel that it has compiled before.
-    """
-    memory = np.empty(flat.nbytes + ALIGNMENT, dtype=np.uint8)
-    first = -memory.ctypes.data % ALIGNMENT
-    copy: Host = memory[first : first + flat.nbytes].view(flat.dtype)
-    copy[:] = flat
-    return copy
 
 
 def as_host(value: Any, shape: tuple[int, ...]) -> Host:

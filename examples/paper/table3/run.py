@@ -136,11 +136,9 @@ def _part(
         free = {name: Free(value, learning_rate=rates[name]) for name, value in start.items()}
     else:
         rate = setting.rate if done == 0 else FINISH_RATE * setting.rate
-        common |= {"learning_rate": f"{rate} px"}
         free = {name: Free(value, *problem.bounds(name)) for name, value in start.items()}
         settles = setting.method == "loi" and not can_search(bounds_of(start, free))
-        if settles:
-            common["decay"] = "none"
+        common |= {"learning_rate": f"{rate} px", "decay": "none" if settles else "cosine"}
 
     last_stage = len(objectives_of(next(iter(objectives.values())), "auto")) - 1
     window = max(LEAST, round(WINDOW * steps))
