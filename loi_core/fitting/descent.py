@@ -32,7 +32,7 @@ Decay: TypeAlias = Literal["cosine", "none"]
 
 FINAL_RATE: Final = 1e-3  # where a cosine decay ends, as a factor of the learning rate
 SEARCHES: Final = 3
-LOST: Final = 0.025  # of the value at the start: the last stage is to leave less
+LOST: Final = 0.025  # of the value at the start: the stage that places is to leave less
 BETTER: Final = 0.9  # of the value that a stage has settled at: somewhere else has to be below
 
 
@@ -100,13 +100,13 @@ class Descent:
         return state.seen(value, images, state.schedule.stage) if math.isfinite(value) else state
 
     def enough(self, state: State) -> float:
-        """What the last objective may leave of its value here without being lost: a little, and what noise makes."""
+        """What the objective that places may leave of its value here without being lost: a little, and noise."""
         with keeping(state, "measuring the start"):
-            images, last = self.views.render(state.params, self.seed), self.views.stages - 1
-            value = mean(self.views.values(images, last))
+            images, placing = self.views.render(state.params, self.seed), self.views.placing
+            value = mean(self.views.values(images, placing))
             noise = {}
             for name, image in self.views.render(state.params, self.seed + 1).items():
-                objective = self.views.each[name].objectives[last]
+                objective = self.views.each[name].objectives[placing]
                 if isinstance(objective, LOIObjective) and not np.array_equal(to_numpy(image), to_numpy(images[name])):
                     noise[name] = float(detached(objective.with_reference(image).value(images[name])))
                 else:

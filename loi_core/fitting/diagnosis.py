@@ -14,7 +14,7 @@ from loi_core.fitting.parameters import Bounds
 from loi_core.fitting.state import FitResult
 from loi_core.fitting.verdict import Diagnosis, Verdict
 from loi_core.fitting.views import Images, View, Views, by_view, mean
-from loi_core.objectives import ImageObjective, LOIObjective
+from loi_core.objectives import ImageObjective, LOIObjective, Objective
 from loi_core.pixels.encoding import encode_srgb
 from loi_core.pixels.psnr import psnr
 from loi_core.renderers.contract import Parameters
@@ -56,8 +56,8 @@ class Findings:
     Attributes
     ----------
     start, end : float
-        The last objective at the start and at the best parameters; there of the mean of some renders, where these
-        are random.
+        The objective at the start and at the best parameters; there of the mean of some renders, where these are
+        random.
     noise : float
         The same objective between one of these renders and their mean; 0 where nothing is random.
     history : sequence of FitStep
@@ -83,12 +83,13 @@ class Findings:
 def judged(views: Views, start: Parameters, bounds: Bounds, result: FitResult, seed: int) -> Diagnosis | None:
     """What came of a fit from a start; None if a renderer or an objective refuses to say."""
     try:
-        views, last = views.unabridged(), views.stages - 1
+        views, placing = views.unabridged(), views.placing
         images = views.render(start, seed)
-        first = mean(views.values(images, last))
+        first = mean(views.values(images, placing))
         ends, noises = {}, {}
         for name, view in views.each.items():
-            ends[name], noises[name] = _end_and_noise(view, result.best_params, seed + result.best_step)
+            objective, at = view.objectives[placing], seed + result.best_step
+            ends[name], noises[name] = _end_and_noise(view, objective, result.best_params, at)
         visible: dict[str, bool] = {}
         if all(one.gradient_norm == 0.0 for one in result.history):
             units, _ = measure_units(list(views.each.values()), start, bounds, bounds.lower, seed=seed)
@@ -126,9 +127,8 @@ def nearness(views: Views, images: Images) -> float | None:
     return math.inf if error == 0.0 else -10.0 * math.log10(error)
 
 
-def _end_and_noise(view: View, params: Parameters, seed: int) -> tuple[float, float]:
-    """The value of the last objective for the mean of some renders, and what it says of one beside that mean."""
-    objective = view.objectives[-1]
+def _end_and_noise(view: View, objective: Objective, params: Parameters, seed: int) -> tuple[float, float]:
+    """The value of an objective for the mean of some renders, and what it says of one beside that mean."""
     image, noise = view.render(params, seed=seed), 0.0
     again = [view.render(params, seed=seed + 1)]
     if not np.array_equal(to_numpy(again[0]), to_numpy(image)):

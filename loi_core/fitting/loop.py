@@ -29,7 +29,7 @@ from loi_core.fitting.parameters import (
 )
 from loi_core.fitting.race import can_search, race
 from loi_core.fitting.resuming import resumed, settings_of, snapshot
-from loi_core.fitting.stages import FarToNear, Stages
+from loi_core.fitting.stages import FarToNear, Finish, Stages
 from loi_core.fitting.state import FitResult, State
 from loi_core.fitting.views import Views
 from loi_core.io.files import check_writable
@@ -83,6 +83,7 @@ def fit(
     optimise: Mapping[str, Free] | Iterable[str] | None = None,
     decay: Decay = "cosine",
     stages: Stages = "auto",
+    finish: Finish = None,
     starts: int = 1,
     optimiser: Optimiser | None = None,
     views_per_step: int | None = None,
@@ -116,12 +117,17 @@ def fit(
     optimise : dict of Free, or names, optional
         What moves, and how; every parameter by default.
     decay : {"cosine", "none"}
-        "cosine" takes the rate down to a thousandth of `learning_rate` over the steps of the last stage.
+        "cosine" takes the rate down to a thousandth of `learning_rate` over the steps of the last stage, which is the
+        finish if there is one.
     stages : "auto", None, or a sequence of ScaleSpace or Objective
         What comes before `objective`, from far to near; each until its loss no longer falls. "auto" puts
         :meth:`ScaleSpace.far_to_near` there if the objective is a :class:`LOIObjective` with default scales, and
         nothing otherwise; if the first stage ends with most of its loss left, and the parameters are few and bounded,
         it also looks for a better start within the bounds, up to three times.
+    finish : "pixels", optional
+        What comes after `objective`: "pixels" compares pixels once its loss no longer falls, or for the last two fifths
+        of the steps, for the last digits of what the renderer can make exactly. `best_value` is of the pixels then.
+        None, as by default, is right for photographs, which no renderer makes to the last digit.
     starts : int
         From how many places to start: the parameters' own, and others within their bounds, which then all have to be
         finite. They race by successive halving; a race takes some `starts` thirds of the time of a fit.
@@ -173,7 +179,7 @@ def fit(
     # NumPy's own numbers would wrap around in a sum, or widen the dtype of what they are multiplied with.
     steps, seed = int(steps), int(seed)
     kept = _checkpoints(checkpoint)
-    views = Views.of(renderer, objective, stages, views_per_step)
+    views = Views.of(renderer, objective, stages, views_per_step, finish)
     free = free_parameters(optimise, own_parameters(views))
     views = views.moving(free)
     params = starting_parameters(views, free)
@@ -195,11 +201,12 @@ def fit(
                 callback.restore(saved.callback)
         else:
             if starts > 1:
-                winner, agreeing = race(params, bounds, starts, views.stages, steps, _lap(descent, asked))
+                winner, agreeing = race(params, bounds, starts, views.placing + 1, steps, _lap(descent, asked))
                 state = replace(state, params=winner, agreeing=agreeing)
             state = replace(state, rates=_rates(views, state.params, bounds, asked, steps, seed))
-            if stages == "auto" and views.stages > 1 and can_search(bounds):
-                schedule = FarToNear(views.stages, steps, searches=SEARCHES, enough=descent.enough(state))
+            if stages == "auto" and views.placing > 0 and can_search(bounds):
+                enough = descent.enough(state)
+                schedule = FarToNear(views.stages, steps, searches=SEARCHES, enough=enough, finish=views.finish)
                 state = replace(state, schedule=schedule)
         while state.step < steps:
             state, entry, seen, image = descent.step(state)
@@ -253,7 +260,7 @@ def _lap(descent: Descent, asked: Mapping[str, object]) -> Callable[[Parameters,
         best = short.finished(state).best
         if best is None:  # pragma: no cover - a step has seen at least one value
             return math.inf, start
-        return descent.views.value(best.params, descent.views.stages - 1, descent.seed + best.step), best.params
+        return descent.views.value(best.params, descent.views.placing, descent.seed + best.step), best.params
 
     return run
 

@@ -56,7 +56,7 @@ def settings_of(
         "decay": decay,
         "learning rates": json.dumps(dict(rates)),
         "bounds": hashlib.sha256(json.dumps(limits).encode()).hexdigest()[:12],
-        "stages": str(views.stages),
+        "stages": f"{views.stages}, the last of them to finish" if views.finish else str(views.stages),
         "views": json.dumps([*views.each, views.at_once]),
         "optimiser": optimiser,
     }

@@ -11,20 +11,21 @@ import copy
 import json
 import math
 from collections.abc import Sequence
-from typing import Final, Literal, TypeAlias
+from typing import Final, Literal, TypeAlias, get_args
 
 import numpy as np
 
 from loi_core.errors import OptionError
 from loi_core.method.scales import ScaleSpace
-from loi_core.objectives import LOIObjective, Objective
+from loi_core.objectives import ImageObjective, LOIObjective, Objective, PixelL2
 from loi_core.support.arrays import Array, to_numpy
 from loi_core.support.values import whole_number
 from loi_core.support.wording import shown
 
-__all__ = ["FarToNear", "Stages", "has_settled", "objectives_of"]
+__all__ = ["FarToNear", "Finish", "Stages", "finish_of", "has_settled", "objectives_of"]
 
 Stages: TypeAlias = Literal["auto"] | Sequence[ScaleSpace | Objective] | None
+Finish: TypeAlias = Literal["pixels"] | None
 
 FAR: Final = 0.6
 """All stages before the last may take this fraction of the steps together: the last needs the rest to converge."""
@@ -45,7 +46,7 @@ LOST: Final = 0.3
 """Of the first value of the first stage: a stage that settles with more has not found what it was to find."""
 
 HALF: Final = 0.5
-"""Of the last stage: later than that there is no time to begin again."""
+"""Of the stage that places: later than that there is no time to begin again."""
 
 
 def has_settled(values: Sequence[float], window: int) -> bool:
@@ -81,15 +82,17 @@ class FarToNear:
     searches : int
         How often a stage may be `lost`.
     enough : float
-        A value of the last loss with which it is not `lost`.
+        A value of the loss that places with which it is not `lost`.
+    finish : bool
+        Whether the last loss only finishes what the one before it has placed: it is never `lost`.
 
     Attributes
     ----------
     stage : int
         The loss to use in the next step: 0 at first.
     lost : bool
-        Whether the first loss, or the last, has settled with much of it left: then :meth:`begin_again` or
-        :meth:`go_on`.
+        Whether the first loss, or the one that places, which is the last but for a finish, has settled with much of
+        it left: then :meth:`begin_again` or :meth:`go_on`.
 
     Examples
     --------
@@ -102,7 +105,9 @@ class FarToNear:
     1
     """
 
-    def __init__(self, stages: int, steps: int, *, searches: int = 0, enough: float = math.inf) -> None:
+    def __init__(
+        self, stages: int, steps: int, *, searches: int = 0, enough: float = math.inf, finish: bool = False
+    ) -> None:
         for name, value in (("stages", stages), ("steps", steps)):
             if (whole_number(value) or 0) < 1:
                 msg = f"`{name}` must be a whole number, 1 or more, got {shown(value)}"
@@ -113,10 +118,11 @@ class FarToNear:
         self._searches = searches
         self._enough = enough
         self._last = stages - 1
+        self._placing = max(self._last - finish, 0)
         self._steps = steps
         self._window = min(max(LEAST, round(WINDOW * steps)), MOST)
         self._taken = 0
-        self._began = 0  # the step in which the last stage did
+        self._began = 0  # the step in which this stage did
         self._values: list[float] = []
         self._first: float | None = None
 
@@ -130,32 +136,44 @@ class FarToNear:
         """
         self._taken += 1
         self._values = [*self._values[1 - 2 * self._window :], float(to_numpy(value).reshape(()))]
-        if self.stage == self._last:
-            if self._searches > 0 and self.passed < HALF and has_settled(self._values, self._window):
-                self.lost = self.level > self._enough
-            return
-        latest = FAR * self._steps * (self.stage + 1) / self._last
         if self.stage == 0 and self._first is None:
             self._first = self._values[0]
-        if has_settled(self._values, self._window):
-            self.lost = self._searches > 0 and self.stage == 0 and self.level > LOST * (self._first or 0.0)
-            if not self.lost:
-                self.go_on()
-        elif self._taken >= latest:
-            self.go_on()
+        last = self.stage == self._last
+        settled = (not last or self._searches > 0) and has_settled(self._values, self._window)
+        self.lost = settled and self._searches > 0 and self._is_lost()
+        if not last and not self.lost and (settled or self._taken >= self._latest):
+            self._next()
+
+    def _is_lost(self) -> bool:
+        if self.stage == self._placing:
+            return self._share < HALF and self.level > self._enough
+        return self.stage == 0 and self.level > LOST * (self._first or 0.0)
+
+    @property
+    def _latest(self) -> float:
+        """The step at which the stage ends at the latest."""
+        return self._steps if self.stage == self._last else FAR * self._steps * (self.stage + 1) / self._last
+
+    @property
+    def _share(self) -> float:
+        """How much of the stage is over, from 0 to 1, if it takes as long as it may."""
+        return (self._taken - self._began) / max(self._latest - self._began - 1, 1)
+
+    def _next(self) -> None:
+        self.stage, self._began, self._values = self.stage + 1, self._taken, []
 
     def go_on(self) -> None:
-        """Go on to the next stage, or in the last one."""
-        if self.stage < self._last:
-            self.stage, self._began = self.stage + 1, self._taken
-        else:
+        """Go on from where it was `lost`: with the next stage, or with the one that places."""
+        if self.stage == self._placing:
             self._searches -= 1
+        else:
+            self._next()
         self.lost, self._values = False, []
 
     def begin_again(self) -> None:
         """Begin the stage again, from somewhere else."""
         self.lost, self._searches, self._values = False, self._searches - 1, []
-        if self.stage == self._last:
+        if self.stage == self._placing:
             self._began = self._taken
 
     @property
@@ -197,9 +215,7 @@ class FarToNear:
     @property
     def passed(self) -> float:
         """How much of the last stage is over, from 0 to 1; 0 before it. A rate may fall with it."""
-        if self.stage < self._last:
-            return 0.0
-        return (self._taken - self._began) / max(self._steps - self._began - 1, 1)
+        return 0.0 if self.stage < self._last else self._share
 
 
 def objectives_of(objective: Objective, stages: object) -> tuple[Objective, ...]:
@@ -242,3 +258,30 @@ def objectives_of(objective: Objective, stages: object) -> tuple[Objective, ...]
             msg = f"`stages` must hold scales (for a LOIObjective) or objectives, got {shown(one)}"
             raise OptionError(msg)
     return (*found, objective)
+
+
+def finish_of(objective: Objective, finish: object) -> tuple[Objective, ...]:
+    """What comes after an objective, for what was asked for as `finish`: nothing, or its pixels compared.
+
+    Raises
+    ------
+    OptionError
+        For anything else, and if the objective has no reference image.
+    """
+    if finish is None:
+        return ()
+    if not isinstance(finish, str) or finish not in get_args(get_args(Finish)[0]):
+        msg = f"`finish` must be 'pixels' or None, got {shown(finish)}"
+        raise OptionError(msg)
+    if not isinstance(objective, ImageObjective):
+        msg = f"`finish` needs an objective that has a reference image, got {type(objective).__name__}"
+        raise OptionError(msg)
+    return (
+        PixelL2(
+            objective.reference,
+            channel_axis=objective.channel_axis,
+            nan_policy=objective.nan_policy,
+            tone=objective.tone,
+            weights=objective.weights,
+        ),
+    )

@@ -10,7 +10,7 @@ import numpy as np
 
 from loi_core.errors import OptionError
 from loi_core.fitting.parameters import SharedParameters, own_parameters
-from loi_core.fitting.stages import objectives_of
+from loi_core.fitting.stages import finish_of, objectives_of
 from loi_core.method.scales import ScaleSpace
 from loi_core.objectives import Objective
 from loi_core.renderers.contract import (
@@ -90,20 +90,23 @@ class Views:
         Whether there is one that has no name.
     at_once : int
         How many are rendered in a step.
+    finish : bool
+        Whether the last objectives only finish what those before have placed.
     """
 
     each: Mapping[str, View]
     single: bool
     at_once: int
+    finish: bool = False
 
     @classmethod
-    def of(cls, renderer: object, objective: object, stages: object, at_once: object) -> Views:
+    def of(cls, renderer: object, objective: object, stages: object, at_once: object, finish: object = None) -> Views:
         """The views that arguments of :func:`loi_core.fit` stand for.
 
         Raises
         ------
         OptionError
-            If names, stages or `views_per_step` do not fit.
+            If names, stages, `views_per_step` or `finish` do not fit.
         RendererError
             If a parameter differs in shape from view to view.
         """
@@ -134,12 +137,13 @@ class Views:
         }
         most = max(len(one.objectives) for one in views.values())
         for name, one in views.items():  # a view without far scales has its objective in all stages
-            views[name] = replace(one, objectives=one.objectives[:1] * (most - len(one.objectives)) + one.objectives)
+            same = one.objectives[:1] * (most - len(one.objectives))
+            views[name] = replace(one, objectives=same + one.objectives + finish_of(compared[name], finish))
         count = len(views) if at_once is None else whole_number(at_once)
         if count is None or not 1 <= count <= len(views):
             msg = f"`views_per_step` must be a whole number from 1 to {len(views)}, the views, got {shown(at_once)}"
             raise OptionError(msg)
-        made = cls(views, single, count)
+        made = cls(views, single, count, finish is not None)
         made.parameters()
         return made
 
@@ -147,6 +151,11 @@ class Views:
     def stages(self) -> int:
         """How many objectives there are, from far to near."""
         return len(next(iter(self.each.values())).objectives)
+
+    @property
+    def placing(self) -> int:
+        """The stage of the objectives that were asked for: the last, but for a finish."""
+        return self.stages - 1 - self.finish
 
     @property
     def all_at_once(self) -> bool:
@@ -215,7 +224,7 @@ class Views:
     def at(self, stage: int) -> Views:
         """The same views with the objectives of one stage alone, all at once."""
         each = {name: replace(view, objectives=(view.objectives[stage],)) for name, view in self.each.items()}
-        return replace(self, each=each, at_once=len(each))
+        return replace(self, each=each, at_once=len(each), finish=False)
 
     def unabridged(self) -> Views:
         """The same views, rendered whole."""

@@ -49,7 +49,7 @@ FREE_KEYS: Final = ("initial", "lower", "upper", "learning_rate", "truth")
 SCALE_KEYS: Final = ("preset", "sigma", "alpha", "beta", "bounds", "boundary", "p")
 OBJECTIVE_KEYS: Final = ("name", "compare", "accuracy", "nan_policy", "tone", "colours")
 TONE_KEYS: Final = ("peak", "compression")
-FIT_KEYS: Final = ("steps", "learning_rate", "decay", "seed", "stages", "starts", "views_per_step")
+FIT_KEYS: Final = ("steps", "learning_rate", "decay", "seed", "stages", "finish", "starts", "views_per_step")
 
 
 def load_scene(path: Path, *, output: Path | None = None, samples: int | None = None) -> Scene:
@@ -305,6 +305,8 @@ def _fit_options(where: Where, table: Mapping[str, Any], views: int) -> FitOptio
         raise where.error("fit", str(error)) from error
     if options.stages not in ("auto", "none"):
         raise where.error("fit", f"`stages` must be 'auto' or 'none', got {shown(options.stages)}")
+    if options.finish not in ("pixels", "none"):
+        raise where.error("fit", f"`finish` must be 'pixels' or 'none', got {shown(options.finish)}")
     at_once = options.views_per_step
     if at_once is not None and not 1 <= (whole_number(at_once) or 0) <= views:
         raise where.error("fit", f"`views_per_step` must be a whole number from 1 to {views}, got {shown(at_once)}")

@@ -32,6 +32,7 @@ class FitOptions:
     decay: Any = "cosine"
     seed: int = 0
     stages: Any = "auto"
+    finish: Any = "none"
     starts: int = 1
     views_per_step: int | None = None
 
