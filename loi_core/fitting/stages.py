@@ -28,7 +28,10 @@ Stages: TypeAlias = Literal["auto"] | Sequence[ScaleSpace | Objective] | None
 Finish: TypeAlias = Literal["pixels"] | None
 
 FAR: Final = 0.6
-"""All stages before the last may take this fraction of the steps together: the last needs the rest to converge."""
+"""All stages before the one that places may take this fraction of the steps together: it needs the rest to converge."""
+
+PLACED: Final = 0.8
+"""With a finish, the stages before it may take this fraction of the steps together."""
 
 WINDOW: Final = 0.08
 """How many of the last values are looked at, as a fraction of the steps; from LEAST to MOST."""
@@ -152,7 +155,9 @@ class FarToNear:
     @property
     def _latest(self) -> float:
         """The step at which the stage ends at the latest."""
-        return self._steps if self.stage == self._last else FAR * self._steps * (self.stage + 1) / self._last
+        if self.stage < self._placing:
+            return FAR * self._steps * (self.stage + 1) / self._placing
+        return self._steps if self.stage == self._last else PLACED * self._steps
 
     @property
     def _share(self) -> float:
