@@ -83,7 +83,13 @@ class Descent:
         seconds = time.perf_counter() - started
         entry = FitStep(state.step, value, norm, factor, seconds, stage, few_numbers(seen, self.bounds.lower))
         after = state.stepped(entry, moved, memory, latest)
-        return (self._searched(after) if after.schedule.lost else after), entry, seen, as_given(images)
+        if after.schedule.lost:
+            after = self._searched(after)
+        elif self.views.finish and stage < after.schedule.stage == self.views.stages - 1:
+            # Pixels have gradients of another size, which Adam would take a thousand steps to learn.
+            own = {name: after.params[name] for name in self.bounds.lower}
+            after = replace(after, memory=self.optimiser.start(own))
+        return after, entry, seen, as_given(images)
 
     def finished(self, state: State) -> State:
         """The state once the last parameters are measured, and, where a step renders some views, the best as well."""
