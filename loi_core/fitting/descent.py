@@ -65,6 +65,9 @@ class Descent:
         started = time.perf_counter()
         seen, stage = state.params, state.schedule.stage
         factor = self._rate(state.schedule, state.step)
+        if self.views.finish and stage == self.views.stages - 1:
+            import os
+            factor *= float(os.environ.get("FR", 1))
         with keeping(state, "telling the renderer how far the fit has come"):
             self.views.at_step(state.step, self.steps, state.history[-1].value if state.step else None)
         images, values, gradient = self._evaluate(state)
