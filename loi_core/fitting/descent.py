@@ -16,6 +16,7 @@ from loi_core.fitting.keeping import keeping
 from loi_core.fitting.optimiser import Optimiser
 from loi_core.fitting.parameters import Bounds
 from loi_core.fitting.race import search
+from loi_core.fitting.rates import measured_rates
 from loi_core.fitting.resuming import few_numbers
 from loi_core.fitting.stages import FarToNear
 from loi_core.fitting.state import State
@@ -46,6 +47,8 @@ class Descent:
         What is compared.
     bounds : Bounds
         Of the free parameters.
+    asked : dict of float, str or None
+        The rate of each free parameter, as :func:`loi_core.fit` takes them.
     optimiser : Optimiser
     decay : {"cosine", "none"}
     steps : int
@@ -55,6 +58,7 @@ class Descent:
 
     views: Views
     bounds: Bounds
+    asked: Mapping[str, float | str | None]
     optimiser: Optimiser
     decay: Decay
     steps: int
@@ -92,6 +96,9 @@ class Descent:
             # Pixels have gradients of another size, which Adam would take a thousand steps to learn.
             own = {name: after.params[name] for name in self.bounds.lower}
             after = replace(after, memory=self.optimiser.start(own))
+            import os
+            if "NOMEAS" not in os.environ:
+                after = replace(after, rates=measured_rates(self.views, after.params, self.bounds, self.asked, self.steps, self.seed))
         return after, entry, seen, as_given(images)
 
     def finished(self, state: State) -> State:

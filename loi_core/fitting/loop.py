@@ -28,6 +28,7 @@ from loi_core.fitting.parameters import (
     starting_parameters,
 )
 from loi_core.fitting.race import can_search, race
+from loi_core.fitting.rates import measured_rates, named_rates
 from loi_core.fitting.resuming import resumed, settings_of, snapshot
 from loi_core.fitting.stages import FarToNear, Finish, Stages
 from loi_core.fitting.state import FitResult, State
@@ -35,8 +36,7 @@ from loi_core.fitting.views import Views
 from loi_core.io.files import check_writable
 from loi_core.objectives import Objective
 from loi_core.renderers.contract import Parameters, Renderer
-from loi_core.renderers.units import measure_units, pixels_of
-from loi_core.support.values import real_number, whole_number
+from loi_core.support.values import whole_number
 from loi_core.support.wording import shown
 
 __all__ = [
@@ -55,9 +55,6 @@ __all__ = [
 
 MOST_STEPS: Final = 2**31 - 1
 MOST_STARTS: Final = 4096
-CROSSINGS: Final = 2.0  # of the longer side by all steps, if none decayed: once with the decay
-LEAST_PIXELS: Final = 0.25  # a step
-MOST_PIXELS: Final = 1.0 / 16.0  # of the longer side, a step
 MOST_SEED: Final = 2**63 - 1  # of 64 bits with a sign, which is what TOML, JSON and a checkpoint hold anywhere
 
 
@@ -185,10 +182,10 @@ def fit(
     params = starting_parameters(views, free)
     bounds = bounds_of(params, free)
     asked = {name: learning_rate if one.learning_rate is None else one.learning_rate for name, one in free.items()}
-    named = {name: rate if isinstance(rate, str) else real_number(rate) for name, rate in _named(asked).items()}
+    named = named_rates(asked)
     identity = optimiser.identity({name: params[name] for name in free})
     settings = settings_of(steps, seed, decay, named, bounds, views, identity)
-    descent = Descent(views, bounds, optimiser, decay, steps, seed)
+    descent = Descent(views, bounds, asked, optimiser, decay, steps, seed)
     # The state is only ever replaced whole, so that Ctrl-C falls before a step or after it, never within.
     state = called = _beginning(descent, params, dict.fromkeys(free, 1.0))
     try:
@@ -201,9 +198,9 @@ def fit(
                 callback.restore(saved.callback)
         else:
             if starts > 1:
-                winner, agreeing = race(params, bounds, starts, views.placing + 1, steps, _lap(descent, asked))
+                winner, agreeing = race(params, bounds, starts, views.placing + 1, steps, _lap(descent))
                 state = replace(state, params=winner, agreeing=agreeing)
-            state = replace(state, rates=_rates(views, state.params, bounds, asked, steps, seed))
+            state = replace(state, rates=measured_rates(views, state.params, bounds, asked, steps, seed))
             if stages == "auto" and views.placing > 0 and can_search(bounds):
                 enough = descent.enough(state)
                 schedule = FarToNear(views.stages, steps, searches=SEARCHES, enough=enough, finish=views.finish)
@@ -248,12 +245,12 @@ def _beginning(descent: Descent, params: Parameters, rates: Mapping[str, float])
     return State(params, memory, rates=rates, schedule=FarToNear(descent.views.stages, descent.steps))
 
 
-def _lap(descent: Descent, asked: Mapping[str, object]) -> Callable[[Parameters, int, int], tuple[float, Parameters]]:
+def _lap(descent: Descent) -> Callable[[Parameters, int, int], tuple[float, Parameters]]:
     """What runs a lap of a race: from a start, some steps of one stage, to where they lead."""
 
     def run(start: Parameters, stage: int, steps: int) -> tuple[float, Parameters]:
         short = replace(descent, views=descent.views.at(stage), decay="none")  # early in the fit, not a fit of its own
-        rates = _rates(short.views, start, descent.bounds, asked, steps, descent.seed)
+        rates = measured_rates(short.views, start, descent.bounds, descent.asked, steps, descent.seed)
         state = _beginning(short, start, rates)
         while state.step < steps:
             state, *_ = short.step(state)
@@ -263,32 +260,6 @@ def _lap(descent: Descent, asked: Mapping[str, object]) -> Callable[[Parameters,
         return descent.views.value(best.params, descent.views.placing, descent.seed + best.step), best.params
 
     return run
-
-
-def _named(asked: Mapping[str, object]) -> dict[str, object]:
-    """Rates as they were asked for; those that are left to the library by name."""
-    return {name: "auto" if rate is None else rate for name, rate in asked.items()}
-
-
-def _rates(
-    views: Views, params: Parameters, bounds: Bounds, asked: Mapping[str, object], steps: int, seed: int
-) -> dict[str, float]:
-    """How far a step moves each parameter, in its own unit."""
-    in_pixels = [name for name, rate in asked.items() if rate is None or isinstance(rate, str)]
-    units: dict[str, float] = {}
-    if in_pixels:
-        units, side = measure_units(list(views.each.values()), params, bounds, in_pixels, seed=seed)
-        least, most = LEAST_PIXELS, side * MOST_PIXELS
-        usual = min(max(CROSSINGS * side / steps, least), max(most, least))
-    rates = {}
-    for name, rate in asked.items():
-        if name in units:
-            pixels = usual if rate is None else pixels_of(rate)
-            # What leaves no trace has no unit, and no gradient either: any rate will do.
-            rates[name] = pixels * units[name] if math.isfinite(units[name]) else 1.0
-        else:
-            rates[name] = real_number(rate)
-    return rates
 
 
 def _release(kept: Checkpoints | None) -> None:
