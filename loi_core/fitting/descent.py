@@ -32,6 +32,7 @@ __all__ = ["SEARCHES", "Decay", "Descent"]
 Decay: TypeAlias = Literal["cosine", "none"]
 
 FINAL_RATE: Final = 1e-3  # where a cosine decay ends, as a factor of the learning rate
+FINISH_RATE: Final = 2.0 / 3.0  # of the learning rate, for the finish: what is in its place has less far to go
 SEARCHES: Final = 3
 LOST: Final = 0.025  # of the value at the start: the stage that places is to leave less
 BETTER: Final = 0.9  # of the value that a stage has settled at: somewhere else has to be below
@@ -69,9 +70,6 @@ class Descent:
         started = time.perf_counter()
         seen, stage = state.params, state.schedule.stage
         factor = self._rate(state.schedule, state.step)
-        if self.views.finish and stage == self.views.stages - 1:
-            import os
-            factor *= float(os.environ.get("FR", 1))
         with keeping(state, "telling the renderer how far the fit has come"):
             self.views.at_step(state.step, self.steps, state.history[-1].value if state.step else None)
         images, values, gradient = self._evaluate(state)
@@ -92,13 +90,8 @@ class Descent:
         after = state.stepped(entry, moved, memory, latest)
         if after.schedule.lost:
             after = self._searched(after)
-        elif self.views.finish and stage < after.schedule.stage == self.views.stages - 1:
-            # Pixels have gradients of another size, which Adam would take a thousand steps to learn.
-            own = {name: after.params[name] for name in self.bounds.lower}
-            after = replace(after, memory=self.optimiser.start(own))
-            import os
-            if "NOMEAS" not in os.environ:
-                after = replace(after, rates=measured_rates(self.views, after.params, self.bounds, self.asked, self.steps, self.seed))
+        elif self.views.finish and stage == self.views.placing < after.schedule.stage:
+            after = self._finishing(after)
         return after, entry, seen, as_given(images)
 
     def finished(self, state: State) -> State:
@@ -151,6 +144,20 @@ class Descent:
         schedule.begin_again()
         memory = self.optimiser.start({name: found[1][name] for name in self.bounds.lower}, state.memory)
         return replace(state, params=found[1], memory=memory, schedule=schedule, latest={})
+
+    def _finishing(self, state: State) -> State:
+        """The state as the finish begins: a descent of its own, which remembers nothing, at rates measured here.
+
+        Gradients of pixels have another size, which Adam would take a thousand steps to learn; and what moves the image
+        by a pixel here may have moved it far less at the start.
+        """
+        memory = self.optimiser.start({name: state.params[name] for name in self.bounds.lower})
+        with keeping(state, "measuring rates for the finish"):
+            rates = measured_rates(
+                self.views, state.params, self.bounds, self.asked, self.steps, self.seed + state.step
+            )
+        slower = {name: FINISH_RATE * rate for name, rate in rates.items()}
+        return replace(state, memory=memory, rates=slower)
 
     def _evaluate(self, state: State) -> tuple[dict[str, Array], dict[str, float], Parameters]:
         """Images and values of the views of a step, and the gradient of their mean by the free parameters."""

@@ -19,7 +19,6 @@ from loi_core.fitting.history import FitStep
 from loi_core.fitting.keeping import keeping
 from loi_core.fitting.optimiser import Optimiser
 from loi_core.fitting.parameters import (
-    Bounds,
     Free,
     bounds_of,
     check_rate,

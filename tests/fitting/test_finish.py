@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from loi_core import FarToNear, Free, LOIObjective, LogTone, PixelL2, fit
+from loi_core import FarToNear, Free, LogTone, LOIObjective, PixelL2, fit
 from loi_core.errors import OptionError, ParameterError
 from loi_core.fitting.loop import FitInterruptedError, FitStep
 from tests.contents import photograph
@@ -39,6 +39,8 @@ def test_a_texture_ends_nearer_with_a_finish() -> None:
     target = photograph((SIZE, SIZE, 3), np.random.default_rng(5))
     options: dict[str, Any] = {"steps": 300, "optimise": {"pixels": Free(None, 0.0, 1.0, learning_rate=0.02)}}
     alone, finished = (fit(Picture(), LOIObjective(target), finish=finish, **options) for finish in (None, "pixels"))
+    assert alone.psnr is not None
+    assert finished.psnr is not None
     assert finished.psnr > alone.psnr + 10.0
 
 
