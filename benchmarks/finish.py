@@ -21,7 +21,6 @@ __all__ = ["main"]
 SIDE: Final = 24
 STEPS: Final = (100, 300, 1000)
 SEEDS: Final = range(3)
-RATE: Final = 0.02  # of the range of a pixel
 WAYS: Final[dict[str, tuple[Callable[[Host], Any], dict[str, Any]]]] = {
     "ours": (LOIObjective, {}),
     'ours, `finish="pixels"`': (LOIObjective, {"finish": "pixels"}),
@@ -54,7 +53,7 @@ def main() -> None:
             found = []
             for seed in SEEDS:
                 target = photograph(SIDE, SIDE, np.random.default_rng(seed))
-                free = {"texels": Free(None, 0.0, 1.0, learning_rate=RATE)}
+                free = {"texels": Free(None, 0.0, 1.0)}
                 result = fit(Picture(), objective(target), steps=steps, optimise=free, **options)
                 found.append(result.psnr or 0.0)
             cells.append(f"{np.mean(found):.1f}")

@@ -146,17 +146,18 @@ class Descent:
         return replace(state, params=found[1], memory=memory, schedule=schedule, latest={})
 
     def _finishing(self, state: State) -> State:
-        """The state as the finish begins: a descent of its own, which remembers nothing, at rates measured here.
+        """The state as the finish begins: a descent of its own, which remembers nothing, at rates measured here as well.
 
         Gradients of pixels have another size, which Adam would take a thousand steps to learn; and what moves the image
-        by a pixel here may have moved it far less at the start.
+        by a pixel here may have moved it far less at the start. The higher rate counts: a decay makes up for one that
+        is too high, and nothing for one that is too low.
         """
         memory = self.optimiser.start({name: state.params[name] for name in self.bounds.lower})
         with keeping(state, "measuring rates for the finish"):
             rates = measured_rates(
                 self.views, state.params, self.bounds, self.asked, self.steps, self.seed + state.step
             )
-        slower = {name: FINISH_RATE * rate for name, rate in rates.items()}
+        slower = {name: FINISH_RATE * max(rate, state.rates[name]) for name, rate in rates.items()}
         return replace(state, memory=memory, rates=slower)
 
     def _evaluate(self, state: State) -> tuple[dict[str, Array], dict[str, float], Parameters]:

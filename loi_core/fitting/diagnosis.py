@@ -11,6 +11,7 @@ import numpy as np
 
 from loi_core.fitting.history import FitStep
 from loi_core.fitting.parameters import Bounds
+from loi_core.fitting.race import moving, unbounded
 from loi_core.fitting.state import FitResult
 from loi_core.fitting.verdict import Diagnosis, Verdict
 from loi_core.fitting.views import Images, View, Views, by_view, mean
@@ -48,6 +49,11 @@ MOSTLY: Final = 0.6
 FADED: Final = 1e-6
 """Of the largest gradient on the way: less is none."""
 
+MANY: Final = 64
+"""Numbers: those of a texture or of a mesh, whose last digits are for pixels to find."""
+
+FINISH: Final = 'for so many numbers, finish="pixels" comes nearer, if the renderer can make the target exactly'
+
 
 @dataclass(frozen=True)
 class Findings:
@@ -68,6 +74,8 @@ class Findings:
         Of each free parameter, whether a change of it changed the image.
     pairs : list of (array, array)
         The start's render and the target, shape (H, W, C), of each view.
+    finish : bool
+        Whether the fit had a finish on pixels.
     """
 
     start: float
@@ -78,12 +86,13 @@ class Findings:
     bounds: Bounds
     visible: Mapping[str, bool]
     pairs: Sequence[tuple[Host, Host]] = ()
+    finish: bool = False
 
 
 def judged(views: Views, start: Parameters, bounds: Bounds, result: FitResult, seed: int) -> Diagnosis | None:
     """What came of a fit from a start; None if a renderer or an objective refuses to say."""
     try:
-        views, placing = views.unabridged(), views.placing
+        views, placing, finish = views.unabridged(), views.placing, views.finish
         images = views.render(start, seed)
         first = mean(views.values(images, placing))
         ends, noises = {}, {}
@@ -101,9 +110,8 @@ def judged(views: Views, start: Parameters, bounds: Bounds, result: FitResult, s
         ]
     except Exception:  # noqa: BLE001 - the fit is done, whatever a renderer does beyond it
         return None
-    return diagnose(
-        Findings(first, mean(ends), mean(noises), result.history, result.best_params, bounds, visible, pairs)
-    )
+    found = result.best_params
+    return diagnose(Findings(first, mean(ends), mean(noises), result.history, found, bounds, visible, pairs, finish))
 
 
 def nearness(views: Views, images: Images) -> float | None:
@@ -166,7 +174,7 @@ def diagnose(seen: Findings) -> Diagnosis:
             "give bounds and `starts`, or start elsewhere",
         )
     if left <= FOUND[0] + FOUND[1] * noise:
-        return say("converged", rest)
+        return say("converged", rest, FINISH if moving(seen.bounds) > MANY and not seen.finish else "")
     if noise > LOUD * (1.0 + left):
         return say("follows noise", f"{rest}, and noise makes {noise:.0%} of it", "raise the samples")
     encoded = next(filter(None, (_encoding(image, reference) for image, reference in seen.pairs)), "")
@@ -184,11 +192,17 @@ def diagnose(seen: Findings) -> Diagnosis:
         first, second = float(np.mean(quarter[:half])), float(np.mean(quarter[half:]))
         if first - second > FALLING * abs(second):
             return say("still falling", rest, "give it more steps")
-    return say(
-        "stalled",
-        f"{rest} and no longer falls",
-        "if the renderer can make the target exactly, try more steps, starts=8, or a nearer start",
-    )
+    return say("stalled", f"{rest} and no longer falls", _for_one_that_stalls(seen))
+
+
+def _for_one_that_stalls(seen: Findings) -> str:
+    """What to try where a loss no longer falls, and it may be that the renderer can make the target exactly."""
+    if moving(seen.bounds) > MANY and not seen.finish:
+        return f"{FINISH}; if things are out of place as well, free fewer numbers first"
+    endless = unbounded(seen.bounds)
+    if endless:
+        return f"give {listed(endless)} bounds: within them the fit searches, and starts=8 can begin elsewhere"
+    return "if the renderer can make the target exactly, try more steps, starts=8, or a nearer start"
 
 
 def _at_bounds(params: Parameters, bounds: Bounds) -> list[str]:

@@ -14,7 +14,7 @@ from loi_core.fitting.parameters import Bounds
 from loi_core.renderers.contract import Parameters
 from loi_core.support.arrays import from_numpy, to_numpy
 
-__all__ = ["PLACES", "can_search", "draw_starts", "race", "search"]
+__all__ = ["PLACES", "can_search", "draw_starts", "moving", "race", "search", "unbounded"]
 
 LAP: Final = 1.0 / 6.0  # of the steps of a fit
 PLACES: Final = 48  # that a search looks at; of 16, too few show an object that the views of a scene have lost
@@ -66,15 +66,26 @@ def draw_starts(params: Parameters, bounds: Bounds, count: int, *, first: int = 
     return starts
 
 
+def moving(bounds: Bounds) -> int:
+    """How many numbers may move."""
+    return sum(
+        int(np.sum(np.asarray(to_numpy(low)) < np.asarray(to_numpy(bounds.upper[name]))))
+        for name, low in bounds.lower.items()
+    )
+
+
+def unbounded(bounds: Bounds) -> list[str]:
+    """The free parameters that have an entry without a lower or an upper bound."""
+    return [
+        name
+        for name, lower in bounds.lower.items()
+        if not (np.all(np.isfinite(to_numpy(lower))) and np.all(np.isfinite(to_numpy(bounds.upper[name]))))
+    ]
+
+
 def can_search(bounds: Bounds) -> bool:
     """Whether there are few enough parameters, all bounded, for a few places to say something about the others."""
-    moving = 0
-    for name, lower in bounds.lower.items():
-        low, high = (np.asarray(to_numpy(one)) for one in (lower, bounds.upper[name]))
-        if not (np.all(np.isfinite(low)) and np.all(np.isfinite(high))):
-            return False
-        moving += int(np.sum(low < high))
-    return moving <= FEW
+    return not unbounded(bounds) and moving(bounds) <= FEW
 
 
 def search(

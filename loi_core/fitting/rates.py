@@ -8,8 +8,10 @@ from typing import Final
 
 from loi_core.fitting.parameters import Bounds
 from loi_core.fitting.views import Views
+from loi_core.objectives import ImageObjective, Objective
 from loi_core.renderers.contract import Parameters
 from loi_core.renderers.units import measure_units, pixels_of
+from loi_core.support.arrays import Array
 from loi_core.support.values import real_number
 
 __all__ = ["measured_rates", "named_rates"]
@@ -37,7 +39,10 @@ def measured_rates(
     in_pixels = [name for name, rate in asked.items() if rate is None or isinstance(rate, str)]
     units: dict[str, float] = {}
     if in_pixels:
-        units, side = measure_units(list(views.each.values()), params, bounds, in_pixels, seed=seed)
+        each = list(views.each.values())
+        units, side = measure_units(
+            each, params, bounds, in_pixels, targets=[_target(view.objectives[-1]) for view in each], seed=seed
+        )
         least, most = LEAST_PIXELS, side * MOST_PIXELS
         usual = min(max(CROSSINGS * side / steps, least), max(most, least))
     rates = {}
@@ -49,3 +54,10 @@ def measured_rates(
         else:
             rates[name] = real_number(rate)
     return rates
+
+
+def _target(objective: Objective) -> Array | None:
+    """What an image is compared with, shape (H, W, C), if that is known."""
+    if isinstance(objective, ImageObjective) and objective.channel_axis == -1:
+        return objective.reference
+    return None

@@ -1,7 +1,8 @@
 """How far each parameter has to change for the image to move by a pixel, measured from the renderer.
 
 A rate in pixels then serves metres, angles, scales and exposures alike. What changes intensities without moving
-anything counts as the movement that would change the image as much.
+anything counts as the movement that would change the image as much; or, where the image is flat yet, as a grey texture
+is, as the movement that would change the target as much.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ FIRST: Final = 1e-2  # of the range between the bounds, or of the size of the va
 GROWTH: Final = 8.0
 CHANGED: Final = 0.1  # of the largest change: less is not looked at
 NOISE: Final = 3.0  # times what other seeds change
+FLAT: Final = 0.1  # of the squared slope of a target as bright: an image with less has to get its slopes yet
 
 
 class Renders(Protocol):
@@ -59,7 +61,13 @@ def pixels_of(value: object) -> float:
 
 
 def measure_units(
-    renderers: Sequence[Renders], params: Parameters, bounds: Limits | None, names: Iterable[str], *, seed: int = 0
+    renderers: Sequence[Renders],
+    params: Parameters,
+    bounds: Limits | None,
+    names: Iterable[str],
+    *,
+    targets: Sequence[Array | None] = (),
+    seed: int = 0,
 ) -> tuple[dict[str, float], int]:
     """By how much a parameter changes when the image moves by a pixel.
 
@@ -73,6 +81,8 @@ def measure_units(
         Nothing outside of them is rendered; None for none.
     names : iterable of str
         The parameters to measure.
+    targets : sequence of array or None
+        What each view is to show, shape (H, W, C), as far as it is known: nothing, by default.
     seed : int
         Of all renders but one, which tells what noise changes.
 
@@ -80,32 +90,54 @@ def measure_units(
     -------
     units : dict of float
         In the parameter's own unit, for an array that of each entry if all of them change. Infinite where nothing that
-        is within the bounds changes the image.
+        is within the bounds changes the image. Where neither the image, nor the target, nor what the image turns into
+        has a slope, the range between the bounds counts as the side of the image.
     side : int
         The longest side of an image, in pixels.
     """
-    seen = [_Seen.of(renderer, params, seed) for renderer in renderers]
+    known = [*targets, *[None] * (len(renderers) - len(targets))]
+    seen = [_Seen.of(renderer, params, target, seed) for renderer, target in zip(renderers, known, strict=True)]
     units = {name: _unit(seen, params, bounds, name, seed) for name in names}
-    return units, max(max(one.image.shape[-2:]) for one in seen)
+    return units, max(one.side for one in seen)
 
 
 @dataclass(frozen=True)
 class _Seen:
-    """A view before anything has moved: its image, the squared slope there, and its noise."""
+    """A view before anything has moved: its image, the squared slopes of that and of its target, and its noise."""
 
     renderer: Renders
     image: Host
     slope: Host
+    wanted: Host
     noise: float
 
     @classmethod
-    def of(cls, renderer: Renders, params: Parameters, seed: int) -> _Seen:
+    def of(cls, renderer: Renders, params: Parameters, target: Array | None, seed: int) -> _Seen:
         image, other = (_render(renderer, params, each) for each in (seed, seed + 1))
-        return cls(renderer, image, _squared_slope(image), float(np.sqrt(np.mean((other - image) ** 2))))
+        noise = float(np.sqrt(np.mean((other - image) ** 2)))
+        return cls(renderer, image, _squared_slope(image), _wanted(image, target), noise)
 
     def movement(self, params: Parameters, seed: int) -> float:
-        """How far the image has moved, in pixels."""
-        return _movement(_render(self.renderer, params, seed) - self.image, self.slope, self.noise)
+        """How far the image has moved, in pixels; 0 if noise explains the change, infinite if nothing has a slope."""
+        after = _render(self.renderer, params, seed)
+        change = after - self.image
+        size = np.abs(change)
+        largest = float(size.max(initial=0.0))
+        if largest <= NOISE * self.noise or largest == 0.0 or not math.isfinite(largest):
+            return 0.0
+        seen = size > max(CHANGED * largest, self.noise)
+        energy = float(np.sum(change[seen] ** 2))
+        steep, wanted = (float(np.sum(slope[seen])) for slope in (self.slope, self.wanted))
+        steep = wanted if steep < FLAT * wanted else steep
+        if energy > self.side**2 * steep:  # farther than anything can move: the slopes come with the change
+            steep = float(np.sum(_squared_slope(after)[seen]))
+        return math.inf if energy > self.side**2 * steep else math.sqrt(energy / steep)
+
+    @property
+    def side(self) -> int:
+        """The longer side of the image, in pixels."""
+        height, width = self.image.shape[-2:]
+        return max(int(height), int(width))
 
 
 def _unit(seen: Sequence[_Seen], params: Parameters, bounds: Limits | None, name: str, seed: int) -> float:
@@ -128,7 +160,10 @@ def _unit(seen: Sequence[_Seen], params: Parameters, bounds: Limits | None, name
         if change == 0.0:
             break
         there = params | {name: from_numpy(moved, params[name])}
-        pixels = max(one.movement(there, seed) for one in seen)
+        moved_by = [one.movement(there, seed) for one in seen]
+        pixels = max((each for each in moved_by if math.isfinite(each)), default=0.0)
+        if pixels == 0.0 and math.inf in moved_by:
+            return size / max(one.side for one in seen)
         off = abs(math.log(pixels)) if pixels > 0.0 else math.inf
         if off < error:
             best, error = change / pixels, off
@@ -140,7 +175,12 @@ def _unit(seen: Sequence[_Seen], params: Parameters, bounds: Limits | None, name
 
 def _render(renderer: Renders, params: Parameters, seed: int) -> Host:
     with foreign("rendering to measure a unit"):
-        planes = np.moveaxis(np.asarray(to_numpy(renderer.render(params, seed=seed)), dtype=np.float64), -1, 0)
+        return _blurred(renderer.render(params, seed=seed))
+
+
+def _blurred(image: Array) -> Host:
+    """Planes of an image, shape (C, H, W), blurred."""
+    planes = np.moveaxis(np.asarray(to_numpy(image), dtype=np.float64), -1, 0)
     height, width = planes.shape[-2:]
     blurred: Host = gaussian_blur(height, width, BLUR, "reflect", like=planes).apply(np.ascontiguousarray(planes))
     return blurred
@@ -153,12 +193,18 @@ def _squared_slope(image: Host) -> Host:
     return squares
 
 
-def _movement(change: Host, slope: Host, noise: float) -> float:
-    """How far a movement is that changes the image so, in pixels; 0 if noise explains the change."""
-    size = np.abs(change)
-    largest = float(size.max(initial=0.0))
-    if largest <= NOISE * noise or largest == 0.0 or not math.isfinite(largest):
-        return 0.0
-    seen = size > max(CHANGED * largest, noise)
-    steep = float(np.sum(slope[seen]))
-    return math.sqrt(float(np.sum(change[seen] ** 2)) / max(steep, 1e-30))
+def _wanted(image: Host, target: Array | None) -> Host:
+    """The squared slope of a target that is no brighter than the image; 0 where it is not known.
+
+    At least as steep as it takes to become the target along the side of the image: a smooth one may be far as well.
+    """
+    if target is None or tuple(target.shape) != (*image.shape[1:], image.shape[0]):
+        return np.zeros_like(image)
+    pixels = np.asarray(to_numpy(target), dtype=np.float64)
+    known = np.isfinite(pixels)
+    planes = _blurred(np.where(known, pixels, np.mean(pixels, where=known) if known.any() else 0.0))
+    ours, theirs = (float(np.mean(np.abs(each))) for each in (image, planes))
+    dimmed = min(ours / theirs, 1.0) if theirs > 0.0 else 0.0
+    way = (dimmed * planes - image) / max(image.shape[-2:])
+    wanted: Host = np.maximum(dimmed**2 * _squared_slope(planes), way**2)
+    return wanted

@@ -149,6 +149,15 @@ def test_pixels_that_do_not_overlap_stall_and_the_verdict_says_it() -> None:
     assert result.diagnosis is not None
     assert not result.diagnosis.ok
     assert result.diagnosis.left > 0.5
+    assert "starts=8" in result.diagnosis.advice
+
+
+def test_what_stalls_without_bounds_is_told_of_them() -> None:
+    renderer = Disks(HEIGHT, WIDTH, [[12.0, 12.0]], 5.0, [[0.9, 0.4, 0.2]])
+    target = renderer.render({**renderer.parameters(), "positions": np.array([[50.0, 36.0]])})
+    result = fit(renderer, PixelL2(target), steps=20, optimise={"positions": Free()})
+    assert result.diagnosis is not None
+    assert "give 'positions' bounds" in result.diagnosis.advice
 
 
 def test_starts_fill_their_bounds_and_leave_alone_what_does_not_move() -> None:

@@ -135,3 +135,20 @@ def test_a_finish_needs_a_reference() -> None:
 
     with pytest.raises(OptionError, match="`finish` needs an objective that has a reference image, got Sum"):
         fit(Bowl(), Sum(), finish="pixels")
+
+
+def test_a_texture_that_has_no_finish_is_told_of_it() -> None:
+    target = photograph((SIZE, SIZE, 3), np.random.default_rng(8))
+    free = {"pixels": Free(None, 0.0, 1.0)}
+    for steps in (4, 60):  # too few, and enough
+        alone, finished = (
+            fit(Picture(), LOIObjective(target), steps=steps, optimise=free, finish=finish)
+            for finish in (None, "pixels")
+        )
+        assert alone.diagnosis is not None
+        assert finished.diagnosis is not None
+        assert 'finish="pixels"' in alone.diagnosis.advice
+        assert "finish" not in finished.diagnosis.advice
+    few = run(60)
+    assert few.diagnosis.ok
+    assert not few.diagnosis.advice
