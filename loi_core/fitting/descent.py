@@ -146,7 +146,7 @@ class Descent:
         return replace(state, params=found[1], memory=memory, schedule=schedule, latest={})
 
     def _finishing(self, state: State) -> State:
-        """The state as the finish begins: a descent of its own, which remembers nothing, at rates measured here as well.
+        """The state as the finish begins: a descent of its own, which remembers nothing, at rates measured anew.
 
         Gradients of pixels have another size, which Adam would take a thousand steps to learn; and what moves the image
         by a pixel here may have moved it far less at the start. The higher rate counts: a decay makes up for one that
