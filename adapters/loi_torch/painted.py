@@ -75,12 +75,16 @@ def _vjp(
         image = paint(leaves)
 
     def pullback(cotangent: Tensor) -> Tensors:
+        given = torch.as_tensor(cotangent).detach()
+        if given.shape != image.shape:
+            msg = f"`cotangent` must have the image's shape, {tuple(image.shape)}, got {tuple(given.shape)}"
+            raise ParameterError(msg)
         if not image.requires_grad:  # a scene without disks
             return {name: torch.zeros_like(leaf, dtype=dtype) for name, leaf in leaves.items()}
         slopes = torch.autograd.grad(
             image,
             list(leaves.values()),
-            torch.as_tensor(cotangent).detach().to(image),
+            given.to(image),
             retain_graph=True,  # a pullback may be called again
             materialize_grads=True,  # what a scene has no use for, such as the width of a stroke of no length, gets 0
         )

@@ -50,7 +50,7 @@ def make_renderer(
     for key in images:
         if key in options:
             raise where.error(f"{heading}.images", f"`{key}` is given in [renderer] as well")
-        options[key] = _picture(folder / where.text(f"{heading}.images", images, key), accepted)
+        options[key] = _picture(folder / where.text(f"{heading}.images", images, key), factory)
     for key, argument in (accepted or {}).items():
         given = options.get(key)
         if not _is_path(argument):
@@ -104,11 +104,11 @@ def _blurred(
         raise where.error(heading, str(error)) from error
 
 
-def _picture(path: Path, accepted: Mapping[str, Parameter] | None) -> FloatImage:
-    """An image for a renderer: as light if it knows encodings, so that it mixes light, and else as it is stored."""
-    if accepted is None or "encoding" not in accepted:
-        return read_image(path)
-    return read_target(path, to="linear", alpha="ignore").image
+def _picture(path: Path, factory: RendererFactory) -> FloatImage:
+    """An image for a renderer: as light if its images are in a known encoding, and else as it is stored."""
+    if hasattr(factory, "encoding"):
+        return read_target(path, to="linear", alpha="ignore").image
+    return read_image(path)
 
 
 def _accepted(factory: RendererFactory) -> Mapping[str, Parameter] | None:

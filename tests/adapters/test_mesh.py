@@ -24,6 +24,7 @@ from loi_torch.mesh import (
     Material,
     Mesh,
     MeshRenderer,
+    MeshWarning,
     Rotate,
     Scale,
     Translate,
@@ -36,6 +37,7 @@ from loi_torch.mesh import (
     visible_arrays,
 )
 from loi_torch.mesh.loops import visible
+from loi_torch.mesh.textures import Pyramid
 from tests.helpers import Host
 from tests.strategies import SEEDS
 
@@ -419,6 +421,103 @@ def test_nvdiffrast_draws_the_same_where_it_is() -> None:
 # What is refused.
 
 
+def torn(mesh: Mesh) -> Mesh:
+    """The same with corners of each triangle's own, as an STL has them."""
+    return Mesh(mesh.vertices[mesh.faces.ravel()], np.arange(mesh.faces.size).reshape(-1, 3), colours=mesh.colours)
+
+
+def test_vertices_that_began_in_one_place_stay_together() -> None:
+    whole = sphere(subdivisions=1, colours=(0.8, 0.5, 0.2))
+    apart = torn(whole)
+    shift = torch.from_numpy(0.1 * np.random.default_rng(0).standard_normal(tuple(whole.vertices.shape)))
+    moved = replace(apart, vertices=apart.vertices + shift[whole.faces.ravel()])
+    expected = draw([replace(whole, vertices=whole.vertices + shift)], VIEW, SIZE, SIZE)
+    torch.testing.assert_close(draw([moved], VIEW, SIZE, SIZE), expected, atol=1e-12, rtol=0.0)
+
+    leaf = apart.vertices.clone().requires_grad_()
+    (draw([replace(apart, vertices=leaf)], VIEW, SIZE, SIZE)[..., 0] * smooth_weights(SIZE)[..., 0]).sum().backward()
+    own = whole.vertices.clone().requires_grad_()
+    (draw([replace(whole, vertices=own)], VIEW, SIZE, SIZE)[..., 0] * smooth_weights(SIZE)[..., 0]).sum().backward()
+    assert leaf.grad is not None
+    assert own.grad is not None
+    summed = torch.zeros_like(own.grad).index_add(0, torch.as_tensor(whole.faces.ravel()).long(), leaf.grad)
+    torch.testing.assert_close(summed, own.grad, atol=1e-10, rtol=0.0)
+    for number in range(len(own)):  # each of them has the same part, so that a fit keeps them together
+        parts = leaf.grad[whole.faces.ravel() == number]
+        torch.testing.assert_close(parts, parts[:1].expand_as(parts), atol=1e-12, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"faces": sphere(subdivisions=2).faces[::2]},
+        {"smooth": False},
+        {"colours": np.random.default_rng(1).uniform(size=(320, 3))},
+        {"colours": np.random.default_rng(1).uniform(size=(162, 3))},
+    ],
+    ids=["faces", "smooth", "of triangles", "of vertices"],
+)
+def test_what_is_replaced_is_drawn_as_if_it_were_made_so(change: dict[str, Any]) -> None:
+    mesh = sphere(subdivisions=2)
+    expected = Mesh(**{"vertices": mesh.vertices, "faces": mesh.faces, **change})
+    torch.testing.assert_close(
+        draw([replace(mesh, **change)], VIEW, SIZE, SIZE, lights=LIT), draw([expected], VIEW, SIZE, SIZE, lights=LIT)
+    )
+
+
+def test_triangles_that_face_opposite_ways_are_told_of() -> None:
+    mesh = sphere(subdivisions=1)
+    faces = mesh.faces.copy()
+    faces[::2] = faces[::2, ::-1]
+    with pytest.warns(MeshWarning, match="must run counterclockwise as seen from outside"):
+        Mesh(mesh.vertices, faces)
+
+
+@pytest.mark.parametrize("lights", [(), LIT])
+def test_what_has_left_the_frame_has_a_gradient_of_0(lights: Any) -> None:
+    place = torch.tensor([90.0, 0.0, 0.0], dtype=torch.float64, requires_grad=True)
+    ball = sphere(subdivisions=1)
+    for paint in (draw, draw_places):
+        image = paint([replace(ball, vertices=ball.vertices + place)], VIEW, SIZE, SIZE, lights=lights)
+        (slope,) = torch.autograd.grad(image.sum(), place)
+        assert not slope.any()
+
+
+@pytest.mark.parametrize("shape", [(7, 9), (5, 30), (1, 64), (8, 8)])
+def test_every_texel_counts_as_much_where_a_texture_is_far_away(shape: tuple[int, int]) -> None:
+    texture = torch.from_numpy(np.random.default_rng(3).uniform(size=(*shape, 3))).requires_grad_()
+    pyramid = Pyramid(texture[None], (True, True))
+    seen = pyramid.look_up(torch.zeros(1, dtype=torch.int64), torch.full((1, 2), 0.5).double(), torch.ones(1).double())
+    torch.testing.assert_close(seen[0], texture.detach().mean(dim=(0, 1)))
+    (slope,) = torch.autograd.grad(seen.sum(), texture)
+    torch.testing.assert_close(slope, torch.full_like(slope, 1.0 / (shape[0] * shape[1])))
+
+
+@pytest.mark.parametrize("rows", [[[-1, 1, -1], [1, -1, 1]], [[0, 0, 0], [0, 0, 0]], [[1, 0, 0], [0, 0, 0]]])
+def test_a_free_rotation_that_bounds_have_made_none_becomes_one(rows: Any) -> None:
+    renderer = MeshRenderer(8, 8, {"ball": sphere(subdivisions=1)}, VIEW, {"turn": Rotate("ball")})
+    legal = renderer.project({"turn": torch.tensor(rows, dtype=torch.float64)})
+    torch.testing.assert_close(legal["turn"] @ legal["turn"].T, torch.eye(2, dtype=torch.float64))
+    renderer.render(legal)
+
+
+def test_a_free_rotation_within_bounds_may_begin_in_several_places() -> None:
+    renderer = MeshRenderer(24, 32, {"cube": box(colours=np.eye(3).repeat(4, axis=0))}, VIEW, {"turn": Rotate("cube")})
+    angle = np.radians(80.0)
+    goal = torch.tensor([[np.cos(angle), -np.sin(angle), 0.0], [np.sin(angle), np.cos(angle), 0.0]]).double()
+    free = Free(np.eye(2, 3), -1.0, 1.0)
+    objective = LOIObjective(renderer.render({"turn": goal}))
+    for seed in range(2):
+        assert fit(renderer, objective, optimise={"turn": free}, starts=4, steps=30, seed=seed).diagnosis is not None
+
+
+def test_a_cotangent_of_another_shape_is_refused() -> None:
+    renderer = MeshRenderer(8, 8, {"ball": sphere(subdivisions=1)}, VIEW, {"place": Translate("ball")})
+    _, pullback = renderer.render_vjp(renderer.parameters())
+    with pytest.raises(ParameterError, match=r"`cotangent` must have the image's shape, \(8, 8, 3\), got \(4, 4, 3\)"):
+        pullback(torch.zeros((4, 4, 3)))
+
+
 def test_vertices_that_are_not_finite_are_refused_by_name() -> None:
     renderer = MeshRenderer(8, 8, {"ball": sphere(subdivisions=1)}, VIEW, {"corners": "ball.vertices"})
     params = renderer.parameters()
@@ -442,6 +541,19 @@ def test_vertices_that_are_not_finite_are_refused_by_name() -> None:
         (lambda: Camera((0, 1, 0)), "nor `up` along the direction of view"),
         (lambda: Camera((0, 0, 1), fov=180.0), "`fov` must be between 0 and 180 degrees, got 180"),
         (lambda: Camera((0, 0, 1), near=0.0), "`near` must be more than 0 in perspective"),
+        (lambda: Camera((0, 0, 1), near="1"), "`near` must be a finite number, got '1'"),
+        (lambda: Camera((0, 0, 1), near=np.inf), "`near` must be a finite number, got inf"),
+        (lambda: Material(shininess=0.0), "`shininess` must be more than 0, got 0"),
+        (lambda: Mesh(np.zeros((3, 3)), [[0, 1, 2], [0, 1]]), r"`faces` must be whole numbers of shape \(m, 3\)"),
+        (lambda: Mesh(np.zeros((3, 3), complex), [[0, 1, 2]]), "`vertices` must be numbers"),
+        (lambda: replace(sphere(), material={"diffuse": 1}), "`material` must be a Material"),
+        (
+            lambda: Mesh(np.zeros((3, 3)), [[0, 1, 2]], uv=np.zeros((3, 2)), texture=np.zeros((0, 4, 3))),
+            "`texture` must have a texel or more",
+        ),
+        (lambda: draw(sphere(), VIEW, 4, 4), "`meshes` must be a list of Mesh"),  # type: ignore[arg-type]
+        (lambda: draw([], VIEW, 2.5, 4), "`height` must be a whole number of pixels"),  # type: ignore[arg-type]
+        (lambda: draw([], VIEW, 4, 4, lights=Light()), "`lights` must be a list"),  # type: ignore[arg-type]
         (lambda: Camera((0, 0, 1), extent=-1.0), "`extent` must be more than 0, got -1"),
         (lambda: Light((0, 0, 0), (0, 0, 1)), "`position` and `direction` of a light exclude each other"),
         (lambda: Environment(np.zeros((5, 4, 4, 3))), r"must have shape \(6, s, s, 3\) or \(h, w, 3\)"),
@@ -467,6 +579,10 @@ def test_what_makes_no_scene_is_refused(make: Callable[[], Any], says: str) -> N
         ({"camera": 3}, "`camera` must be a Camera or a table"),
         ({"meshes": {"light": sphere(subdivisions=1)}}, "must have names of their own, without dots, got 'light'"),
         ({"textures": {"cube": np.zeros((2, 2, 3))}}, r"`textures\['cube'\]` is of no mesh; they are ball"),
+        ({"lights": [Light()]}, "`lights` must be a dict of names and lights"),
+        ({"background": np.full(3, np.nan)}, "`background` must be finite, got 3"),
+        ({"background": np.zeros((4, 3))}, r"`background` must have shape \(3,\) or \(8, 8, 3\), got \(4, 3\)"),
+        ({"meshes": {"ball": {"vertices": np.zeros((3, 3))}}}, r"`meshes\['ball'\]`: `faces` is missing"),
         ({"materials": {"ball": {"gloss": 1}}}, r"`materials\['ball'\]`: unknown key `gloss`"),
     ],
 )

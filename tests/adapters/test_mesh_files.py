@@ -16,7 +16,7 @@ from loi_core.cli import main
 from loi_core.errors import MeshError
 from loi_core.io.images import write_png
 from loi_core.pixels.encoding import encode_srgb
-from loi_torch.mesh import Camera, Light, MeshRenderer, Translate, box, draw, read_mesh
+from loi_torch.mesh import Camera, Light, MeshRenderer, MeshWarning, Translate, box, draw, read_mesh
 
 TRIANGLES = trimesh.creation.box((1.0, 2.0, 3.0))
 
@@ -49,6 +49,57 @@ def test_the_texture_of_a_glb_is_its_meshs(tmp_path: Path) -> None:
     mesh = read_mesh(tmp_path / "box.glb")
     np.testing.assert_allclose(mesh.texture.numpy(), 1.0)
     np.testing.assert_allclose(np.sort(mesh.uv.numpy(), axis=0), np.sort(uv, axis=0), atol=1e-6)
+
+
+def test_an_stl_has_the_vertices_that_a_ply_has(tmp_path: Path) -> None:
+    ball = trimesh.creation.icosphere(subdivisions=2)
+    for suffix in ("ply", "stl"):
+        ball.export(tmp_path / f"ball.{suffix}")
+    assert len(read_mesh(tmp_path / "ball.stl").vertices) == len(read_mesh(tmp_path / "ball.ply").vertices)
+
+
+def test_colours_of_triangles_are_decoded(tmp_path: Path) -> None:
+    coloured = TRIANGLES.copy()
+    colours = np.tile([255, 128, 0, 255], (12, 1)).astype(np.uint8)
+    coloured.visual = trimesh.visual.ColorVisuals(coloured, face_colors=colours)  # type: ignore[no-untyped-call]
+    coloured.export(tmp_path / "box.ply")
+    mesh = read_mesh(tmp_path / "box.ply")
+    assert mesh.per == "triangle"
+    np.testing.assert_allclose(mesh.colours.numpy(), np.tile([1.0, 0.2158605, 0.0], (12, 1)), atol=1e-6)
+
+
+def glb(path: Path, *materials: Any) -> Path:
+    """Boxes side by side, one of each material."""
+    scene = trimesh.Scene()
+    for number, material in enumerate(materials):
+        one = TRIANGLES.copy()
+        one.apply_translation([3.0 * number, 0.0, 0.0])
+        one.visual = trimesh.visual.TextureVisuals(uv=np.full((8, 2), 0.5), material=material)  # type: ignore[no-untyped-call]
+        scene.add_geometry(one)
+    scene.export(path)
+    return path
+
+
+def painted(**options: Any) -> Any:
+    return trimesh.visual.material.PBRMaterial(**options)  # type: ignore[no-untyped-call]
+
+
+def test_the_base_colours_of_a_glb_are_its_meshs_and_linear(tmp_path: Path) -> None:
+    red, grey = painted(baseColorFactor=[255, 0, 0, 255]), painted(baseColorFactor=[128, 128, 128, 255])
+    one = read_mesh(glb(tmp_path / "one.glb", red))
+    np.testing.assert_allclose(one.colours.numpy(), [1.0, 0.0, 0.0])
+    two = read_mesh(glb(tmp_path / "two.glb", red, grey))
+    np.testing.assert_allclose(np.unique(two.colours.numpy(), axis=0), [[128 / 255] * 3, [1.0, 0.0, 0.0]], atol=1e-6)
+
+
+def test_textures_that_one_mesh_cannot_hold_are_told_of(tmp_path: Path) -> None:
+    from PIL import Image
+
+    picture = Image.fromarray(np.full((4, 4, 3), 255, np.uint8))
+    path = glb(tmp_path / "two.glb", painted(baseColorTexture=picture), painted(baseColorTexture=picture))
+    with pytest.warns(MeshWarning, match=r"two\.glb: has 2 parts with textures of their own"):
+        read_mesh(path)
+    read_mesh(path, colours=(1.0, 0.0, 0.0))  # said what to show instead: no warning
 
 
 @pytest.mark.parametrize(
@@ -134,6 +185,34 @@ def test_a_mesh_of_a_scene_file_is_found(tmp_path: Path) -> None:
     assert np.ravel(found["best"]["place"] if "best" in found else found["place"]) == pytest.approx(
         [1.0, -0.4, 0.0], abs=0.02
     )
+
+
+@pytest.mark.parametrize("way", ["images", "path"])
+def test_a_background_of_a_scene_file_is_light_as_the_target_is(way: str, tmp_path: Path) -> None:
+    (tmp_path / "models").mkdir()
+    TRIANGLES.export(tmp_path / "models" / "box.obj")
+    behind = np.random.default_rng(5).uniform(size=(48, 64, 3))
+    write_png(tmp_path / "behind.png", encode_srgb(behind))
+    line = '[renderer.images]\nbackground = "behind.png"\n[optimise.place]'
+    scene = SCENE.replace("[optimise.place]", line)
+    if way == "path":
+        scene = SCENE.replace("textures = {}", 'background = "behind.png"')
+    scene = scene.replace("[-1.5, 0.3, 0.0]", "[1.0, -0.4, 0.0]").replace("steps = 60", "steps = 2")
+    (tmp_path / "scene.toml").write_text(scene)
+    renderer = MeshRenderer(
+        48,
+        64,
+        {"box": tmp_path / "models" / "box.obj"},
+        Camera((0, 2, 8), fov=40.0),
+        {"place": Translate("box")},
+        lights={"sun": Light(direction=(-1, -2, -3))},
+        background=behind,
+    )
+    there = torch.tensor([1.0, -0.4, 0.0], dtype=torch.float64)
+    write_png(tmp_path / "photo.png", encode_srgb(renderer.render({"place": there}).numpy()))
+    main(["fit", str(tmp_path / "scene.toml")])
+    found = json.loads((tmp_path / "scene-result" / "result.json").read_text())
+    assert found["trials"][0]["psnr_initial"] > 50.0  # the start is the truth, up to 8 bits
 
 
 def test_a_mesh_of_a_scene_file_that_is_not_there_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

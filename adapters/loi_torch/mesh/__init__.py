@@ -4,7 +4,7 @@ from loi_core.renderers.handles import Rotate, Scale, Translate
 from loi_torch.mesh.cameras import Camera
 from loi_torch.mesh.drawing import draw, draw_places
 from loi_torch.mesh.lighting import Environment, Light
-from loi_torch.mesh.meshes import Material, Mesh
+from loi_torch.mesh.meshes import Material, Mesh, MeshWarning
 from loi_torch.mesh.reading import read_mesh
 from loi_torch.mesh.renderer import MeshRenderer
 from loi_torch.mesh.shapes import box, quad, sphere
@@ -16,6 +16,7 @@ __all__ = [
     "Material",
     "Mesh",
     "MeshRenderer",
+    "MeshWarning",
     "Rotate",
     "Scale",
     "Translate",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -9,6 +10,7 @@ import torch
 from torch import Tensor
 
 from loi_core.errors import ParameterError
+from loi_core.support.values import real_number
 from loi_core.support.wording import shown
 from loi_torch.mesh.projected import View
 from loi_torch.mesh.tensors import tensor_of, unit
@@ -63,9 +65,14 @@ class Camera:
             if not float(self.extent.detach()) > 0.0:
                 msg = f"`extent` must be more than 0, got {float(self.extent.detach()):g}"
                 raise ParameterError(msg)
-        elif not self.near > 0.0:
-            msg = f"`near` must be more than 0 in perspective, got {shown(self.near)}"
+        near = real_number(self.near)
+        if not math.isfinite(near):
+            msg = f"`near` must be a finite number, got {shown(self.near)}"
             raise ParameterError(msg)
+        if self.extent is None and not near > 0.0:
+            msg = f"`near` must be more than 0 in perspective, got {near:g}"
+            raise ParameterError(msg)
+        object.__setattr__(self, "near", near)
         forward, up = self.target.detach() - self.position.detach(), self.up.detach()
         sine = torch.linalg.vector_norm(torch.linalg.cross(forward, up))
         scale = torch.linalg.vector_norm(forward) * torch.linalg.vector_norm(up)

@@ -16,7 +16,9 @@ import torch
 from torch import Tensor
 
 from loi_core.errors import ParameterError
+from loi_core.renderers.checks import check_size
 from loi_core.support.arrays import to_numpy
+from loi_core.support.wording import shown
 from loi_torch.mesh import visibility
 from loi_torch.mesh.cameras import Camera
 from loi_torch.mesh.coverage import hidden_area, nearest_point
@@ -69,8 +71,11 @@ def draw(
     Raises
     ------
     ParameterError
-        If `background` has a wrong shape.
+        If an argument is of another kind or shape.
     """
+    if isinstance(lights, Light):
+        msg = "`lights` must be a list of Light, got one"
+        raise ParameterError(msg)
     frame = Frame(meshes, camera, height, width)
     behind = frame.behind(background)
     covered = np.flatnonzero(frame.seen.found >= 0)
@@ -94,7 +99,7 @@ def draw(
             for known, own, colour in zip(jumps.known, rows, colours, strict=True)
         )
         image = image.index_add(0, at, jumps.areas[:, None] * (right - left))
-    return image.reshape(height, width, 3)
+    return frame.attached(image).reshape(height, width, 3)
 
 
 def draw_places(
@@ -131,7 +136,7 @@ def draw_places(
         places = interpolate(frame.world, samples.corners, shares)
         moved = camera.project(places, height, width)[0]
         result = result.index_copy(0, at, torch.cat([colours, moved[:, :2] / moved[:, 2:] / size], dim=1))
-    return result.reshape(height, width, 5)
+    return frame.attached(result).reshape(height, width, 5)
 
 
 @dataclass(frozen=True)
@@ -177,6 +182,13 @@ class Frame:
         width: int,
         look: Callable[[Projected], Seen] | None = None,
     ) -> None:
+        if isinstance(meshes, Mesh) or not all(isinstance(one, Mesh) for one in meshes):
+            msg = f"`meshes` must be a list of Mesh, got {shown(meshes)}"
+            raise ParameterError(msg)
+        if not isinstance(camera, Camera):
+            msg = f"`camera` must be a Camera, got {shown(camera)}"
+            raise ParameterError(msg)
+        height, width = check_size("height", height), check_size("width", width)
         self.meshes, self.camera = meshes, camera
         self.size = height, width
         self.world = torch.cat([one.vertices for one in meshes]) if meshes else torch.zeros((0, 3), dtype=torch.float64)
@@ -224,6 +236,17 @@ class Frame:
             msg = f"`background` must have shape (3,) or ({height}, {width}, 3), got {tuple(colours.shape)}"
             raise ParameterError(msg)
         return colours.expand(height * width, 3)
+
+    def attached(self, image: Tensor) -> Tensor:
+        """An image that belongs to the graph of what is drawn, also where nothing of it is seen: its gradient is 0."""
+        if image.requires_grad:
+            return image
+        drawn = [value for one in self.meshes for value in (one.vertices, one.colours, one.texture)]
+        drawn += [self.camera.position, self.camera.target, self.camera.up, self.camera.fov, self.camera.extent]
+        for value in drawn:
+            if value is not None and value.requires_grad:
+                image = image + 0.0 * value.sum()
+        return image
 
     def pixel_angle(self, count: int) -> Tensor:
         """About the angle that a pixel sees, in radians, shape (count,)."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, field, fields
 from typing import Any
 
@@ -11,11 +12,16 @@ from torch import Tensor
 
 from loi_core.errors import ParameterError
 from loi_core.support.arrays import to_numpy
+from loi_core.support.wording import shown
 from loi_torch.mesh.projected import IndexArray
 from loi_torch.mesh.tensors import tensor_of, unit
-from loi_torch.mesh.topology import joined_corners, topology_of
+from loi_torch.mesh.topology import joined_corners, topology_of, twisted_edges
 
-__all__ = ["Material", "Mesh"]
+__all__ = ["Material", "Mesh", "MeshWarning"]
+
+
+class MeshWarning(UserWarning):
+    """A mesh, or the file that it is from, has something that its images will not show."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +37,11 @@ class Material:
         Shares, linear RGB.
     shininess : float
         Exponent, more than 0.
+
+    Raises
+    ------
+    ParameterError
+        If a value has a wrong shape or range.
     """
 
     ambient: Any = 0.1
@@ -47,6 +58,9 @@ class Material:
                 msg = f"`{one.name}` must be a number{' or three' if shape else ''}, got shape {tuple(value.shape)}"
                 raise ParameterError(msg)
             object.__setattr__(self, one.name, value.expand(shape))
+        if not float(self.shininess.detach()) > 0.0:
+            msg = f"`shininess` must be more than 0, got {float(self.shininess.detach()):g}"
+            raise ParameterError(msg)
 
 
 @dataclass(frozen=True, eq=False)
@@ -71,13 +85,19 @@ class Mesh:
         How it reflects light.
     smooth : bool
         Whether normals are averaged at vertices, and not each triangle's own.
-    places, topology
-        Made from the vertices and faces, and kept when other values are replaced.
+    places, topology, jumping
+        Made of the rest. ``dataclasses.replace`` keeps which vertices were in one place: they stay together, at their
+        mean. Other faces, or another number of vertices, begin anew.
 
     Raises
     ------
     ParameterError
         If a value has a wrong shape or is not finite, or a triangle names a vertex that is not there.
+
+    Warns
+    -----
+    MeshWarning
+        If triangles that meet at an edge face opposite ways.
     """
 
     vertices: Any
@@ -90,18 +110,21 @@ class Mesh:
     per: str | None = None
     places: Any = field(default=None, repr=False)
     topology: Any = field(default=None, repr=False)
+    jumping: Any = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         put = object.__setattr__
         vertices = tensor_of("vertices", self.vertices, (None, 3))
         count = len(vertices)
         faces = _checked_faces(self.faces, count)
-        put(self, "vertices", vertices)
         put(self, "faces", faces)
         default = (1.0, 1.0, 1.0) if self.texture is not None else (0.8, 0.8, 0.8)
         colours = tensor_of("colours", default if self.colours is None else self.colours)
         put(self, "per", _per(self.per, colours, count, len(faces)))
         put(self, "colours", colours)
+        if not isinstance(self.material, Material):
+            msg = f"`material` must be a Material, got {shown(self.material)}"
+            raise ParameterError(msg)
         if (self.uv is None) != (self.texture is None):
             missing = "uv" if self.uv is None else "texture"
             msg = f"`{missing}` is missing; a textured mesh has both `texture` and `uv`"
@@ -109,11 +132,30 @@ class Mesh:
         if self.texture is not None:
             put(self, "uv", tensor_of("uv", self.uv, (count, 2)))
             put(self, "texture", tensor_of("texture", self.texture, (None, None, 3)))
-        if self.topology is None:
+            if not self.texture.numel():
+                msg = f"`texture` must have a texel or more, got shape {tuple(self.texture.shape)}"
+                raise ParameterError(msg)
+        self._connect(vertices)
+
+    def _connect(self, vertices: Tensor) -> None:
+        """Find which corners are in one place, and which triangles meet, unless that is known."""
+        put = object.__setattr__
+        if self.topology is None or len(self.places) != len(vertices) or not _same(self.topology.faces, self.faces):
             put(self, "places", joined_corners(np.asarray(to_numpy(vertices.detach()), dtype=np.float64)))
-            seams = self.per == "vertex" or self.texture is not None
-            creased = self.per == "triangle" or not self.smooth
-            put(self, "topology", topology_of(faces, self.places, creased=creased, seams=seams))
+            put(self, "jumping", None)
+            twisted = twisted_edges(self.faces, self.places)
+            if twisted:
+                msg = (
+                    f"`faces` must run counterclockwise as seen from outside; at {twisted} edges two triangles face "
+                    "opposite ways, and outlines there may be missed"
+                )
+                warnings.warn(msg, MeshWarning, stacklevel=4)
+        put(self, "vertices", _together(vertices, self.places))
+        creased = self.per == "triangle" or not self.smooth
+        seams = self.per == "vertex" or self.texture is not None
+        if self.jumping != (creased, seams):
+            put(self, "topology", topology_of(self.faces, self.places, creased=creased, seams=seams))
+            put(self, "jumping", (creased, seams))
 
     def normals(self) -> Tensor:
         """Unit normals: of vertices, shape (n, 3), or of triangles, shape (m, 3), where they are not smooth."""
@@ -129,8 +171,30 @@ class Mesh:
         return unit(across)
 
 
+def _same(one: IndexArray, other: IndexArray) -> bool:
+    return one is other or np.array_equal(one, other)
+
+
+def _together(vertices: Tensor, places: IndexArray) -> Tensor:
+    """Vertices, of which those that share a place are at their mean."""
+    count = int(places.max(initial=-1)) + 1
+    if count == len(vertices):
+        return vertices
+    first = np.empty(count, np.int64)
+    first[places[::-1]] = np.arange(len(vertices))[::-1]
+    at, leading = (torch.as_tensor(one, device=vertices.device, dtype=torch.int64) for one in (places, first))
+    base = vertices.index_select(0, leading)
+    # As what is beside the first of each place: exact where all are there, as they are at first.
+    off = torch.zeros_like(base).index_add(0, at, vertices - base.index_select(0, at))
+    return (base + off / torch.bincount(at)[:, None]).index_select(0, at)
+
+
 def _checked_faces(value: Any, count: int) -> IndexArray:
-    faces = np.asarray(to_numpy(value) if isinstance(value, Tensor) else value)
+    try:
+        faces = np.asarray(to_numpy(value) if isinstance(value, Tensor) else value)
+    except ValueError as error:  # rows of several lengths
+        msg = f"`faces` must be whole numbers of shape (m, 3), got {shown(value)}"
+        raise ParameterError(msg) from error
     if faces.size == 0:
         return np.zeros((0, 3), np.int32)
     if faces.dtype.kind not in "iu" or faces.ndim != 2 or faces.shape[1] != 3:

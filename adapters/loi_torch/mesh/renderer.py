@@ -6,9 +6,8 @@ import copy
 import pathlib
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, Final
 
-import torch
 from torch import Tensor
 
 from loi_core.errors import OptionError, ParameterError
@@ -22,10 +21,13 @@ from loi_torch.mesh.drawing import draw, draw_places
 from loi_torch.mesh.lighting import Environment, Light
 from loi_torch.mesh.meshes import Material, Mesh
 from loi_torch.mesh.reading import read_mesh
+from loi_torch.mesh.tensors import tensor_of
 from loi_torch.mesh.values import Scene, Values
 from loi_torch.painted import Painted, Tensors
 
 __all__ = ["MeshRenderer"]
+
+NEEDED: Final[dict[type[Any], tuple[str, ...]]] = {Camera: ("position",), Mesh: ("vertices", "faces")}
 
 
 class MeshRenderer(Painted):
@@ -51,8 +53,8 @@ class MeshRenderer(Painted):
         By name. One at the camera, named ``light``, by default; an empty dict shows colours as they are.
     environment : Environment, path or array, optional
         What mirrors show: an image of longitude and latitude, linear RGB, or a cube map, shape (6, s, s, 3).
-    background : float, array of shape (3,) or (height, width, 3), or Environment
-        Linear RGB behind all meshes.
+    background : float, array of shape (3,) or (height, width, 3), path, or Environment
+        Linear RGB behind all meshes; an image file is decoded.
     places : bool
         Whether the image has x and y of what it shows as two further channels, and jagged outlines: for RGBXY.
     dtype : {"float64", "float32"}
@@ -92,12 +94,15 @@ class MeshRenderer(Painted):
         materials: Mapping[str, Material | Mapping[str, Any]] | None = None,
         lights: Mapping[str, Light | Mapping[str, Any]] | None = None,
         environment: Environment | pathlib.Path | Any = None,
-        background: Any = 0.0,
+        background: Environment | pathlib.Path | Any = 0.0,
         places: bool = False,
         dtype: str = "float64",
         device: str = "cpu",
     ) -> None:
         self._size = check_size("height", height), check_size("width", width)
+        if lights is not None and not isinstance(lights, Mapping):
+            msg = f"`lights` must be a dict of names and lights, got {shown(lights)}"
+            raise ParameterError(msg)
         made = {name: _made(Light, "lights", name, value) for name, value in (lights or {}).items()}
         if lights is None:
             made = {"light": Light()}
@@ -108,7 +113,7 @@ class MeshRenderer(Painted):
             _made(Camera, "camera", None, camera),
             made,
             environment,
-            background if isinstance(background, Environment) else torch.as_tensor(background, dtype=torch.float64),
+            self._behind(background),
         )
         clashing = [*scene.meshes, *scene.lights, "camera", "environment", "background"]
         for name in clashing:
@@ -119,6 +124,17 @@ class MeshRenderer(Painted):
         self._values = Values(scene, targets_of(parameters))
         self._places = bool(places)
         super().__init__(self._values, dtype, device)
+
+    def _behind(self, background: Any) -> Any:
+        """The background, once its shape is known to fit."""
+        if isinstance(background, Environment):
+            return background
+        height, width = self._size
+        colours = tensor_of("background", _image(background))
+        if tuple(colours.shape) not in ((), (3,), (height, width, 3)):
+            msg = f"`background` must have shape (3,) or ({height}, {width}, 3), got {tuple(colours.shape)}"
+            raise ParameterError(msg)
+        return colours
 
     @property
     def encoding(self) -> Encoding:
@@ -139,8 +155,13 @@ class MeshRenderer(Painted):
         Raises
         ------
         OptionError
-            If a parameter is the camera's own.
+                If a parameter is the camera's own.
+        ParameterError
+            If `camera` is none.
         """
+        if not isinstance(camera, Camera):
+            msg = f"`camera` must be a Camera, got {shown(camera)}"
+            raise ParameterError(msg)
         targets = self._values.targets
         held = [name for name, target in targets.items() if isinstance(target, str) and target.startswith("camera.")]
         if held:
@@ -177,9 +198,10 @@ def _made(kind: type[Any], argument: str, name: str | None, value: Any) -> Any:
         if key not in known:
             msg = f"`{where}`: unknown key `{key}`; {kind.__name__} takes {', '.join(known)}"
             raise ParameterError(msg)
-    if kind is Camera and "position" not in value:
-        msg = f"`{where}`: `position` is missing"
-        raise ParameterError(msg)
+    for key in NEEDED.get(kind, ()):
+        if key not in value:
+            msg = f"`{where}`: `{key}` is missing"
+            raise ParameterError(msg)
     try:
         return kind(**value)
     except ParameterError as error:

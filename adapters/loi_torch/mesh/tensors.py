@@ -17,7 +17,7 @@ __all__ = ["tensor_of", "unit"]
 def tensor_of(name: str, value: Any, shape: tuple[int | None, ...] | None = None) -> Tensor:
     """`value` as finite float64 numbers of a shape, None being any number of rows; a tensor keeps its graph."""
     try:
-        tensor = value if isinstance(value, Tensor) else torch.as_tensor(np.asarray(value, dtype=np.float64))
+        tensor = value if isinstance(value, Tensor) else torch.as_tensor(_real(value))
         tensor = tensor.to(torch.float64)
     except (TypeError, ValueError, RuntimeError) as error:
         msg = f"`{name}` must be numbers, got {shown(value)}"
@@ -34,6 +34,14 @@ def tensor_of(name: str, value: Any, shape: tuple[int | None, ...] | None = None
         msg = f"`{name}` must be finite, got {int(bad.sum())} that are not, the first at {first}"
         raise ParameterError(msg)
     return tensor
+
+
+def _real(value: Any) -> np.ndarray[Any, Any]:
+    array = np.asarray(value)
+    if array.dtype.kind not in "fiub":
+        msg = f"{array.dtype} is no real number"
+        raise TypeError(msg)
+    return array.astype(np.float64)
 
 
 def unit(vector: Tensor) -> Tensor:

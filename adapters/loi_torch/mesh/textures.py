@@ -23,7 +23,7 @@ class Pyramid:
     def __init__(self, texture: Tensor, wrap: tuple[bool, bool], deepest: int | None = None) -> None:
         self._wrap = wrap
         self._levels = [texture]
-        while min(self._levels[-1].shape[1:3]) > 1 and (deepest is None or len(self._levels) <= deepest):
+        while max(self._levels[-1].shape[1:3]) > 1 and (deepest is None or len(self._levels) <= deepest):
             self._levels.append(_halved(self._levels[-1]))
 
     def look_up(self, layer: Tensor, place: Tensor, footprint: Tensor | None = None) -> Tensor:
@@ -74,13 +74,22 @@ class Pyramid:
 
 
 def _halved(texture: Tensor) -> Tensor:
-    """Means of blocks of 2 x 2 texels; of an odd side the last row or column is left out, unless it is the only one."""
-    _, height, width, _ = texture.shape
-    if height > 1:
-        texture = 0.5 * (texture[:, 0 : height // 2 * 2 : 2] + texture[:, 1 : height // 2 * 2 : 2])
-    if width > 1:
-        texture = 0.5 * (texture[:, :, 0 : width // 2 * 2 : 2] + texture[:, :, 1 : width // 2 * 2 : 2])
-    return texture
+    """Means of areas of 2 x 2 texels, or a little more where a side is odd, so that each texel counts as much."""
+    return _halved_along(_halved_along(texture, 1), 2)
+
+
+def _halved_along(texture: Tensor, axis: int) -> Tensor:
+    size = texture.shape[axis]
+    if size == 1:
+        return texture
+    half = size // 2
+    first, second = (texture.narrow(axis, k, size - 1).unfold(axis, 1, 2)[..., 0] for k in (0, 1))
+    if size % 2 == 0:
+        return 0.5 * (first + second)
+    # Of 2 m + 1 texels each of m takes 2 + 1 / m: two and a part, or one and parts of both of its neighbours.
+    third = texture.narrow(axis, 2, size - 2).unfold(axis, 1, 2)[..., 0]
+    row = torch.arange(half, dtype=texture.dtype, device=texture.device).reshape([-1] + [1] * (3 - axis))
+    return ((half - row) * first + half * second + (row + 1.0) * third) / size
 
 
 def _at(place: Tensor, size: int, *, wrap: bool) -> Tensor:

@@ -8,7 +8,7 @@ import numpy as np
 
 from loi_torch.mesh.projected import FloatArray, IndexArray, Topology
 
-__all__ = ["join", "joined_corners", "topology_of"]
+__all__ = ["join", "joined_corners", "topology_of", "twisted_edges"]
 
 
 def joined_corners(vertices: FloatArray) -> IndexArray:
@@ -20,6 +20,19 @@ def joined_corners(vertices: FloatArray) -> IndexArray:
     places = np.empty(len(vertices), np.int32)
     places[order] = np.append(0, np.cumsum(new))
     return places
+
+
+def twisted_edges(faces: IndexArray, places: IndexArray) -> int:
+    """At how many edges two triangles, and no third, run the same way, so that one of them shows its back."""
+    joined = places[faces].astype(np.int64).reshape(-1, 3)
+    one, other = joined.ravel(), np.roll(joined, -1, axis=1).ravel()
+    real = one != other
+    one, other = one[real], other[real]
+    span = int(places.max(initial=0)) + 1
+    key, direction = np.minimum(one, other) * span + np.maximum(one, other), np.where(one < other, 1, -1)
+    _, index, count = np.unique(key, return_inverse=True, return_counts=True)
+    turns = np.bincount(index, weights=direction, minlength=len(count))
+    return int(np.sum((count == 2) & (turns != 0.0)))
 
 
 def topology_of(faces: IndexArray, places: IndexArray, *, creased: bool, seams: bool) -> Topology:

@@ -152,7 +152,7 @@ class Values:
         if isinstance(target, Scale):
             return np.maximum(value, LEAST_SCALE)
         if isinstance(target, Rotate) and target.axis is None:
-            return rotation(torch.from_numpy(value))[:2].numpy() if _independent(value) else value
+            return rotation(torch.from_numpy(value if _independent(value) else _beside(value)))[:2].numpy()
         if isinstance(target, Rotate | Translate):
             return value
         key = target.rpartition(".")[2]
@@ -185,3 +185,9 @@ def _independent(rows: FloatArray) -> bool:
     lengths: Sequence[float] = np.linalg.norm(rows, axis=1).tolist()
     across = float(np.linalg.norm(np.cross(rows[0], rows[1])))
     return across > PARALLEL * lengths[0] * lengths[1]
+
+
+def _beside(rows: FloatArray) -> FloatArray:
+    """Two rows that are not parallel, the first as it is if it has a length: what a bound may make of a rotation."""
+    first = rows[0] if np.any(rows[0]) else np.array([1.0, 0.0, 0.0])
+    return np.stack([first, np.eye(3)[np.argmin(np.abs(first))]])
