@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import warnings
-from typing import Any
+from typing import Any, Final
 
 import mitsuba as mi
 
 from loi_core.support.wording import clause
-from loi_mitsuba.seams import has_seams
+from loi_mitsuba.seams import crowded_share, has_seams
 
-__all__ = ["GradientWarning", "warn_of_moving"]
+__all__ = ["CROWDED", "GradientWarning", "lets_through", "warn_of_moving"]
+
+CROWDED: Final = 0.05  # of a mesh's edges, by length: what its gradient may be off by
 
 
 class GradientWarning(UserWarning):
@@ -59,3 +61,23 @@ def warn_of_moving(scene: Any, integrator: Any, shapes: list[Any]) -> None:
             f"is smooth or flat throughout"
         )
         warnings.warn(msg, GradientWarning, stacklevel=4)
+    crowded = dict.fromkeys(shape.id() for shape in each if crowded_share(shape) > CROWDED)
+    if crowded:
+        has = f"{'mesh' if len(crowded) == 1 else 'meshes'} {clause(crowded, 'has', 'have')}"
+        msg = (
+            f"{has} edges at which more than two triangles meet, or that run along others, and Mitsuba counts the "
+            f"gradient of such an edge several times; mend the mesh, or use PlannedRenderer, which blurs"
+        )
+        warnings.warn(msg, GradientWarning, stacklevel=4)
+    open_to_light = dict.fromkeys(shape.id() for shape in each if lets_through(shape))
+    if open_to_light:
+        msg = (
+            f"{clause(open_to_light, 'lets', 'let')} light straight through in part, and Mitsuba has no gradient of "
+            f"cutouts; use PlannedRenderer, which blurs"
+        )
+        warnings.warn(msg, GradientWarning, stacklevel=4)
+
+
+def lets_through(shape: Any) -> bool:
+    """Whether light may go straight through a shape, as through the cutouts of a mask."""
+    return shape.bsdf() is not None and bool(mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Null))

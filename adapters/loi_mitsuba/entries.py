@@ -331,6 +331,9 @@ def _settable(params: SceneParameters, key: str) -> bool:
 
 def _fixed(node: Any) -> str:
     if isinstance(node, mi.Sensor):
-        return "Mitsuba gives no gradient for sensors; move the scene instead"
+        return "Mitsuba gives no gradient for sensors; give PlannedRenderer a Translate or Rotate, or move the scene"
     kind = node.class_name()
-    return f"Mitsuba's gradient for moving a {kind} is missing or wrong; use a small sphere with an area emitter"
+    return (
+        f"Mitsuba's gradient for moving a {kind} is missing or wrong; give PlannedRenderer a Translate or Rotate, or "
+        "use a small sphere with an area emitter"
+    )

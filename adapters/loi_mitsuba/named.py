@@ -113,9 +113,6 @@ class NamedParameters:
         leaves = {}
         for name, start in self.start.items():
             value = host_numbers(name, params[name], start.shape)
-            if not np.all(np.isfinite(value)):
-                msg = f"`{name}` must be finite, got {int((~np.isfinite(value)).sum())} values that are not"
-                raise ParameterError(msg)
             if isinstance(self.targets[name], Scale) and value <= 0:
                 msg = f"`{name}` scales a shape and must be more than 0, got {float(value):g}"
                 raise ParameterError(msg)
@@ -164,7 +161,7 @@ def _centre(node: Any, start: Any) -> tuple[float, float, float]:
 
 
 def host_numbers(name: str, value: Any, shape: tuple[int, ...]) -> Host:
-    """`value` as a new float32 array, once it is known to be numbers of `shape`."""
+    """`value` as a new float32 array, once it is known to be finite numbers of `shape`."""
     try:
         with np.errstate(over="ignore"):  # what is too large for float32 becomes infinite
             array = np.array(value, dtype=np.float32, order="C")
@@ -173,6 +170,9 @@ def host_numbers(name: str, value: Any, shape: tuple[int, ...]) -> Host:
         raise ParameterError(msg) from None
     if array.shape != shape:
         msg = f"`{name}` must have shape {shape}, got {array.shape}"
+        raise ParameterError(msg)
+    if not np.all(np.isfinite(array)):
+        msg = f"`{name}` must be finite, got {int((~np.isfinite(array)).sum())} values that are not"
         raise ParameterError(msg)
     return array
 

@@ -15,11 +15,13 @@ import numpy as np
 
 from loi_core.support.arrays import Host
 
-__all__ = ["edges_of", "has_seams", "has_sides", "is_closed", "is_flat", "is_hard", "merge_seams"]
+__all__ = ["crowded_share", "edges_of", "has_seams", "has_sides", "is_closed", "is_flat", "is_hard", "merge_seams"]
 
 CREASE: Final = 0.05  # between the unit normals of two triangles that are not of one side: 3 degrees
 BENT: Final = 1e-4  # between them where two triangles are not of one plane, rounding apart
 HARD: Final = 0.5  # of the triangles, and between the unit normals of two that meet: some 30 degrees
+MOST_BORDERS: Final = 4000  # edges: of more it would take too long to find which run along others
+ALONG: Final = 1e-4  # of its length: how far beside an edge a vertex may be that lies on it
 
 
 def has_seams(shape: Any) -> bool:
@@ -56,6 +58,48 @@ def edges_of(shape: Any) -> Host:
     begin = np.concatenate([bent[:, 0], alone])
     ends = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
     return np.asarray(ends[begin])
+
+
+def crowded_share(shape: Any) -> float:
+    """How much, by length, of a mesh's edges Mitsuba counts several times however vertices are shared: 0 to 1.
+
+    Those are edges at which more than two triangles meet, and borders that run along others (T-junctions).
+    """
+    if not isinstance(shape, mi.Mesh) or "faces" not in mi.traverse(shape):
+        return 0.0
+    params = mi.traverse(shape)
+    positions = np.array(params["vertex_positions"], dtype=np.float64).reshape(-1, 3)
+    pairs, alone = _meetings(shape)
+    faces = _faces(params)
+    flat = _flat_normals(params, faces).reshape(-1, 3)
+    bent = pairs[_apart(flat[pairs[:, 0]], flat[pairs[:, 1]]) > BENT][:, 0]
+    at = _places(params)[faces]
+    ends = np.stack([at, np.roll(at, -1, axis=1)], axis=-1).reshape(-1, 2)
+    single = np.sort(ends[alone], axis=1)
+    kinds, counts = np.unique(single, axis=0, return_counts=True) if len(single) else (single, np.zeros(0))
+    crowded, borders = kinds[counts > 2], kinds[counts == 1]
+    if 0 < len(borders) <= MOST_BORDERS:
+        crowded = np.concatenate([crowded, borders[_run_along_others(positions, borders)]])
+
+    def length(edges: Host) -> float:
+        return float(np.sum(np.linalg.norm(positions[edges[:, 0]] - positions[edges[:, 1]], axis=1)))
+
+    total = length(ends[bent]) + length(kinds)
+    return length(crowded) / total if total > 0.0 else 0.0
+
+
+def _run_along_others(positions: Host, borders: Host) -> Host:
+    """Which borders, pairs of vertices, have an end of another border between their own."""
+    others = positions[np.unique(borders)]
+    found = np.zeros(len(borders), dtype=bool)
+    for number, (one, other) in enumerate(borders):
+        along = positions[other] - positions[one]
+        size = float(along @ along)
+        share = (others - positions[one]) @ along / max(size, 1e-300)
+        inside = (share > ALONG) & (share < 1.0 - ALONG)
+        beside = others[inside] - positions[one] - share[inside, None] * along
+        found[number] = bool(np.any(np.sum(beside**2, axis=1) < ALONG**2 * size))
+    return found
 
 
 def _meetings(shape: Any) -> tuple[Host, Host]:

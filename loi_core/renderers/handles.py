@@ -54,7 +54,7 @@ class Rotate:
 
     Without an axis it turns freely. The parameter is then two rows of three, from which a matrix of rotation follows by
     Gram and Schmidt's process: unlike angles, they have no singularity (Zhou et al. 2019). Two rows that are parallel
-    have no such matrix.
+    have no such matrix. Mitsuba's shapes turn about an axis only.
 
     Parameters
     ----------

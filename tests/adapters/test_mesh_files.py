@@ -61,7 +61,7 @@ def test_an_stl_has_the_vertices_that_a_ply_has(tmp_path: Path) -> None:
 def test_colours_of_triangles_are_decoded(tmp_path: Path) -> None:
     coloured = TRIANGLES.copy()
     colours = np.tile([255, 128, 0, 255], (12, 1)).astype(np.uint8)
-    coloured.visual = trimesh.visual.ColorVisuals(coloured, face_colors=colours)  # type: ignore[no-untyped-call]
+    coloured.visual = trimesh.visual.ColorVisuals(coloured, face_colors=colours)
     coloured.export(tmp_path / "box.ply")
     mesh = read_mesh(tmp_path / "box.ply")
     assert mesh.per == "triangle"
@@ -76,7 +76,7 @@ def glb(path: Path, *materials: Any) -> Path:
         one.apply_translation([3.0 * number, 0.0, 0.0])
         one.visual = trimesh.visual.TextureVisuals(uv=np.full((8, 2), 0.5), material=material)  # type: ignore[no-untyped-call]
         scene.add_geometry(one)
-    scene.export(path)
+    scene.export(path)  # type: ignore[no-untyped-call]
     return path
 
 

@@ -14,7 +14,7 @@ import pytest
 
 from loi_core import Free, LOIObjective, Renderer, fit
 from loi_core.errors import OptionError, ParameterError
-from loi_mitsuba import MitsubaRenderer, Rotate, Scale, SceneLoadError, Translate, list_entries
+from loi_mitsuba import MitsubaRenderer, PlannedRenderer, Rotate, Scale, SceneLoadError, Translate, list_entries
 from tests.helpers import Host, relative_error
 from tests.mitsuba.scenes import HEIGHT, PARAMETERS, WIDTH, box, random_cotangent, shadow_scene
 
@@ -278,7 +278,7 @@ def test_names_are_the_same_in_every_process(tmp_path: Path) -> None:
     listed = list_entries(renderer.scene)
     assert listed["sphere_0.to_world"].shape == (4, 4)
     assert "object_" in listed["sphere_0.to_world"].key
-    assert "move the scene instead" in listed["perspective_camera_0.to_world"].problem
+    assert "move the scene" in listed["perspective_camera_0.to_world"].problem
     by_key = MitsubaRenderer(renderer.scene, {"colour": listed["sphere_0.bsdf.reflectance.value"].key})
     assert by_key.parameters()["colour"].shape == (3,)
     code = "import loi_mitsuba as lm, mitsuba as mi, sys; mi.set_variant('llvm_ad_rgb')\n"
@@ -321,10 +321,13 @@ def test_the_scene_s_own_integrator_can_be_asked_for() -> None:
         ({}, "`parameters` must be a dict of names and what they stand for, at least one"),
         ({"a": 3}, r"`parameters\['a'\]` must be an entry's name, Translate, Rotate or Scale, got 3"),
         ({"a": "floor.reflectance.value"}, "no entry 'floor.reflectance.value'; near: floor.bsdf.reflectance"),
-        ({"a": "sensor.to_world"}, "'sensor.to_world' cannot be fitted: .*for sensors; move the scene instead"),
-        ({"a": "sensor.x_fov"}, "move the scene instead"),
-        ({"a": Translate("sensor")}, "'sensor' cannot be moved: .*move the scene instead"),
-        ({"a": "spot.to_world"}, "a SpotLight is missing or wrong; use a small sphere with an area emitter"),
+        (
+            {"a": "sensor.to_world"},
+            "'sensor.to_world' cannot be fitted: .*for sensors; give PlannedRenderer a Translate",
+        ),
+        ({"a": "sensor.x_fov"}, "move the scene"),
+        ({"a": Translate("sensor")}, "'sensor' cannot be moved: .*move the scene"),
+        ({"a": "spot.to_world"}, "a SpotLight is missing or wrong; give PlannedRenderer a Translate"),
         ({"a": Translate("point")}, "'point' cannot be moved: .*use a small sphere with an area emitter"),
         ({"a": Translate("nobody")}, "no shape 'nobody' that can be moved; it has: floor, ball, lamp"),
         ({"a": "ball.silhouette_sampling_weight"}, "cannot be fitted: Mitsuba gives no gradient for it"),
@@ -453,3 +456,16 @@ def test_edges_count_alike_whether_or_not_the_film_samples_its_border(rfilter: s
         slopes.append(float(np.sum((ahead - behind) * ramp)) / 0.2)
     error = np.hypot(np.std(drawn, ddof=1) / np.sqrt(6), np.std(slopes, ddof=1) / 2.0)
     assert np.mean(drawn) == pytest.approx(np.mean(slopes), rel=0.02, abs=4.0 * error)
+
+
+@pytest.mark.parametrize("kind", [MitsubaRenderer, PlannedRenderer])
+def test_a_cotangent_that_is_none_is_refused(kind: Any) -> None:
+    renderer = kind(shadow_scene(), {"x": Translate("ball", (1, 0, 0))}, spp=4)
+    image, pullback = renderer.render_vjp(renderer.parameters())
+    turned = np.zeros((image.shape[1], image.shape[0], 3), np.float32)
+    with pytest.raises(ParameterError, match=r"`cotangent` must have shape .*, got"):
+        pullback(turned)
+    hole = np.zeros_like(image)
+    hole[3, 4] = np.nan
+    with pytest.raises(ParameterError, match=r"`cotangent` must be finite, got 3 values that are not"):
+        pullback(hole)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -11,8 +12,9 @@ import pytest
 import trimesh
 
 from loi_core.errors import OptionError
-from loi_mitsuba import GradientWarning, PlannedRenderer, Rotate, Translate
-from loi_mitsuba.seams import has_seams, is_hard
+from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, Rotate, Translate
+from loi_mitsuba.cautions import CROWDED
+from loi_mitsuba.seams import crowded_share, has_seams, is_hard
 from tests.mitsuba.scenes import HEIGHT, WIDTH, box, shadow_scene
 
 RAMP = np.linspace(-1.0, 1.0, WIDTH, dtype=np.float32)[None, :, None] * np.ones((HEIGHT, WIDTH, 3), np.float32)
@@ -108,6 +110,77 @@ def test_edges_are_hard_where_triangles_that_meet_are_shaded_otherwise(tmp_path:
     flat = loaded({"type": "ply", "filename": ball_file(tmp_path, split=True), "face_normals": True})
     assert [is_hard(one) for one in (cube, smooth, flat, box((0.0, 0.0, 0.0), 1.0))] == [True, False, False, True]
     assert not has_seams(loaded({"type": "sphere"}))
+
+
+@pytest.mark.parametrize("film", [{}, {"sample_border": True}, {"rfilter": {"type": "box"}}])
+def test_a_cube_of_a_dict_is_exchanged_whatever_film_it_is_seen_on(film: dict[str, Any]) -> None:
+    """Where a filter reaches over the border, the scene is loaded anew, and its shapes are others."""
+    scene = scene_of({"type": "cube"})
+    scene["sensor"]["film"] = {"type": "hdrfilm", "width": WIDTH, "height": HEIGHT, **film}
+    assert list(PlannedRenderer(scene, MOVES, spp=4).plan.exchanged) == ["mesh 'mesh'"]
+
+
+def crowded_file(folder: Path, kind: str) -> str:
+    """A box: as it is, with strips for a top, with a wall across it, or with every side there twice, back to back."""
+    corners: list[tuple[float, float, float]] = []
+    faces: list[list[int]] = []
+
+    def side(*four: tuple[float, float, float]) -> None:
+        faces.extend(
+            [[len(corners), len(corners) + 1, len(corners) + 2], [len(corners), len(corners) + 2, len(corners) + 3]]
+        )
+        corners.extend(four)
+
+    around = [(-1.0, -1.0), (-1.0, 1.0), (1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)]
+    for (x, z), (u, w) in pairwise(around):
+        side((x, -1.0, z), (u, -1.0, w), (u, 1.0, w), (x, 1.0, z))
+    cuts = (-1.0, -0.2, 0.4, 1.0) if kind == "strips" else (-1.0, 1.0)
+    for a, b in pairwise(cuts):
+        side((a, 1.0, -1.0), (a, 1.0, 1.0), (b, 1.0, 1.0), (b, 1.0, -1.0))
+        side((a, -1.0, 1.0), (a, -1.0, -1.0), (b, -1.0, -1.0), (b, -1.0, 1.0))
+    if kind == "wall":
+        side((-1.0, -1.0, -1.0), (-1.0, 1.0, -1.0), (1.0, 1.0, 1.0), (1.0, -1.0, 1.0))
+    if kind == "twice":
+        faces += [[a, c, b] for a, b, c in faces]
+    path = folder / f"{kind}.ply"
+    trimesh.Trimesh(corners, faces, process=False).export(path)
+    return str(path)
+
+
+@pytest.mark.parametrize(("kind", "crowded"), [("box", False), ("strips", True), ("wall", True), ("twice", True)])
+def test_edges_that_mitsuba_counts_several_times_are_told_of_and_blurred(
+    kind: str,
+    crowded: bool,
+    tmp_path: Path,
+) -> None:
+    mesh = {"type": "ply", "filename": crowded_file(tmp_path, kind), "face_normals": True}
+    shape = mi.load_dict({"type": "scene", "mesh": mesh}, optimize=False).shapes()[0]
+    assert (crowded_share(shape) > CROWDED) == crowded
+    planned = PlannedRenderer(scene_of(mesh), MOVES, spp=4)
+    assert list(planned.plan.blurred) == (["x"] if crowded else [])
+    with pytest.warns(GradientWarning) as told:
+        MitsubaRenderer(scene_of(mesh), MOVES, spp=4)
+    assert any("more than two triangles meet" in str(one.message) for one in told) == crowded
+
+
+def test_a_smooth_mesh_is_not_crowded(tmp_path: Path) -> None:
+    for split in (True, False):
+        mesh = {"type": "ply", "filename": ball_file(tmp_path, split=split)}
+        assert crowded_share(mi.load_dict({"type": "scene", "mesh": mesh}, optimize=False).shapes()[0]) == 0.0
+
+
+def test_a_cutout_is_blurred_and_told_of() -> None:
+    opacity = np.zeros((8, 8, 1), np.float32)
+    opacity[2:6, 2:6] = 1.0
+    mask = {
+        "type": "mask",
+        "opacity": {"type": "bitmap", "data": mi.TensorXf(opacity), "raw": True},
+        "within": {"type": "twosided", "within": {"type": "diffuse"}},
+    }
+    scene = scene_of({"type": "rectangle", "bsdf": mask})
+    assert "cutouts" in PlannedRenderer(scene, MOVES, spp=4).plan.blurred["x"]
+    with pytest.warns(GradientWarning, match="no gradient of cutouts"):
+        MitsubaRenderer(scene, MOVES, spp=4)
 
 
 def test_the_switch_is_true_or_false() -> None:

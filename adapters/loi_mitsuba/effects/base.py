@@ -70,7 +70,9 @@ def base_of(
     ready = bordered(scene, plan)
     if ready is not scene:
         names = named_scene(ready, targets)  # whose objects are others
+        found = find_sensor(names.scene, sensor)
         followed = Followed.of(names, free, found, lights=follow_lights, glass=follow_glass)
+        traits = traits_of(names, {name: target for name, target in targets.items() if name not in images}, found)
     options: dict[str, Any] = {"integrator": plan, "spp": spp, "sensor": sensor, "without_gradient": images}
     split = _split_meshes(names, targets, traits.moving)
     delta = traits.lights or traits.delta_reflection or traits.delta_transmission

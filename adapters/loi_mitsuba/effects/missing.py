@@ -7,9 +7,11 @@ from typing import Any
 
 import mitsuba as mi
 
+from loi_mitsuba.cautions import CROWDED, lets_through
 from loi_mitsuba.effects.traits import has_medium, is_clear
 from loi_mitsuba.entries import Names
 from loi_mitsuba.loading import Target
+from loi_mitsuba.seams import crowded_share
 
 __all__ = ["missing_gradients"]
 
@@ -49,6 +51,10 @@ def _of_moving(node: Any, scene: Any, sensor: Any, *, medium: bool) -> str:
         return "it moves clear glass, and what that bends light to has next to no gradient in Mitsuba"
     if node not in scene.shapes():
         return "it moves a shape of a shapegroup, whose outlines and shadows have no gradient in Mitsuba"
+    if lets_through(node):
+        return "it moves a shape that light goes straight through in part, and Mitsuba has no gradient of cutouts"
+    if crowded_share(node) > CROWDED:
+        return "it moves a mesh at whose edges several triangles meet, and Mitsuba counts such an edge several times"
     if medium:
         return "it moves a shape where there is a medium, in which outlines and shadows have no gradient in Mitsuba"
     if sensor.class_name() != "PerspectiveCamera":

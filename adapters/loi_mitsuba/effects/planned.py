@@ -34,6 +34,7 @@ from loi_mitsuba.entries import Scene
 from loi_mitsuba.handles import Host
 from loi_mitsuba.integrators import settings_of
 from loi_mitsuba.loading import Target
+from loi_mitsuba.named import host_numbers
 from loi_mitsuba.neighbour import Neighbour
 from loi_mitsuba.renderer import MitsubaRenderer
 
@@ -193,8 +194,9 @@ class PlannedRenderer:
         kept = {name: np.array(value, dtype=np.float32) for name, value in params.items()}
         held: frozenset[str] | None = None
 
-        def counted(loss: Loss | None, cotangent: Any) -> dict[str, Host]:
+        def counted(loss: Loss | None, given: Any) -> dict[str, Host]:
             nonlocal held
+            cotangent = host_numbers("cotangent", given, image.shape)
             pulled = current.pull(kept, cotangent, seed=seed)
             begins = not self._begun
             if begins:

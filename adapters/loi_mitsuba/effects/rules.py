@@ -16,6 +16,7 @@ __all__ = ["DIRECT", "EFFECTS", "everything", "integrator_for", "plan_by_rules",
 EFFECTS: Final = {"sppc": Effect.CONTINUOUS, "sppp": Effect.PRIMARY, "sppi": Effect.INDIRECT}
 DIRECT: Final = 2  # paths from the camera over one surface to a light
 STILL: Final = "nothing that is optimised moves a shape"
+APART: Final = ", but what is followed or blurred"
 
 
 def everything(traits: Traits, samples: int) -> Settings:
@@ -130,10 +131,11 @@ def _choice(effect: Effect, on: bool, reason: str, settings: Settings) -> Choice
 
 
 def _camera() -> Choice:
-    return Choice(Effect.CAMERA, on=False, reason="Mitsuba has no gradient by sensors; move the scene instead")
+    return Choice(Effect.CAMERA, on=False, reason="Mitsuba has no gradient by sensors")
 
 
 def _reasons(traits: Traits, settings: Settings) -> dict[Effect, str]:
+    but = APART if traits.followed or traits.blurred else ""
     moves = clause(traits.moving, "moves a shape", "move shapes")
     single = len(traits.moving) == 1
     shades = [*traits.moving, *traits.appearance, *traits.emission, *traits.volumes]
@@ -143,7 +145,7 @@ def _reasons(traits: Traits, settings: Settings) -> dict[Effect, str]:
         else f"the scene sets no limit, {traits.depth} stands for all"
     )
     if not traits.moving:
-        primary = indirect = STILL
+        primary = indirect = STILL + but
     elif not settings.projective:
         primary = indirect = f"{moves}, but {settings.integrator} has no gradient of edges"
     else:
@@ -158,7 +160,7 @@ def _reasons(traits: Traits, settings: Settings) -> dict[Effect, str]:
     return {
         Effect.CONTINUOUS: clause(shades, "changes how surfaces or media look", "change how surfaces or media look")
         if shades
-        else "nothing is optimised",
+        else f"nothing is optimised{but}",
         Effect.PRIMARY: primary,
         Effect.INDIRECT: indirect,
         Effect.BOUNCES: bounces,
@@ -166,11 +168,11 @@ def _reasons(traits: Traits, settings: Settings) -> dict[Effect, str]:
         Effect.MEDIA: "the scene has a participating medium" if traits.media else "the scene has no medium",
         Effect.EMITTERS: clause(traits.emission, "changes emitters", "change emitters")
         if traits.emission
-        else "no emitter is optimised",
+        else f"no emitter is optimised{but}",
         Effect.CAMERA: _camera().reason,
         Effect.APPEARANCE: clause(traits.appearance, "changes materials", "change materials")
         if traits.appearance
-        else "no material is optimised",
+        else f"no material is optimised{but}",
     }
 
 
@@ -217,8 +219,8 @@ def _missing(traits: Traits) -> tuple[str, ...]:
     notes = []
     if traits.moving and (traits.delta_reflection or traits.delta_transmission) and traits.smooth:
         notes.append(
-            "edges that are seen in a perfect mirror or through clear glass have no gradient in Mitsuba; a rough "
-            "conductor or dielectric has"
+            "edges that are seen in a perfect mirror or through clear glass have no gradient in Mitsuba; those in a "
+            "rough conductor or dielectric have, and so has what `blur` names"
         )
     if traits.moving and traits.media:
         notes.append("the motion of outlines and shadows has no gradient in Mitsuba where there is a medium")
