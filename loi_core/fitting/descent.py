@@ -94,19 +94,29 @@ class Descent:
             after = self._finishing(after)
         return after, entry, seen, as_given(images)
 
-    def finished(self, state: State) -> State:
-        """The state once the last parameters are measured, and, where a step renders some views, the best as well."""
+    def finished(self, state: State, start: Parameters) -> State:
+        """The state once the last parameters are measured, and, where a step renders some views, the best as well.
+
+        The start is the best where nothing that came after it is better by the last loss, which it never saw.
+        """
+        stage = state.schedule.stage
         with keeping(state, "measuring the last step"):
             try:
                 images = self.views.render(state.params, self.seed + state.step)
-                value = mean(self.views.values(images, state.schedule.stage))
+                value = mean(self.views.values(images, stage))
                 if state.best is not None and not self.views.all_at_once:
                     best = self.views.render(state.best.params, self.seed + state.best.step)
                     known = mean(self.views.values(best, state.best.stage))
                     state = replace(state, best=replace(state.best, value=known, images=best, partial=False))
             except LoiError:
                 return state  # refused for what they are: the best iterate stands
-        return state.seen(value, images, state.schedule.stage) if math.isfinite(value) else state
+            if math.isfinite(value):
+                state = state.seen(value, images, stage)
+            if stage > 0:
+                first = self.views.render(start, self.seed)
+                before = replace(state, params=start, step=0).seen(mean(self.views.values(first, stage)), first, stage)
+                state = replace(state, best=before.best)
+        return state
 
     def enough(self, state: State) -> float:
         """What the objective that places may leave of its value here without being lost: a little, and noise."""

@@ -213,7 +213,7 @@ def fit(
                 _save(kept, state, settings, callback)
             if stop:
                 break
-        state = called = descent.finished(state)
+        state = called = descent.finished(state, params)
         _save(kept, state, settings, callback)
         result = state.result()
         if result is None:  # pragma: no cover - steps >= 1 has seen at least one value
@@ -253,7 +253,7 @@ def _lap(descent: Descent) -> Callable[[Parameters, int, int], tuple[float, Para
         state = _beginning(short, start, rates)
         while state.step < steps:
             state, *_ = short.step(state)
-        best = short.finished(state).best
+        best = short.finished(state, start).best
         if best is None:  # pragma: no cover - a step has seen at least one value
             return math.inf, start
         return descent.views.value(best.params, descent.views.placing, descent.seed + best.step), best.params

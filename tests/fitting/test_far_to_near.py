@@ -152,6 +152,19 @@ def test_pixels_that_do_not_overlap_stall_and_the_verdict_says_it() -> None:
     assert "starts=8" in result.diagnosis.advice
 
 
+@pytest.mark.parametrize("steps", [2, 5, 12])
+def test_a_fit_too_short_to_come_back_ends_no_worse_than_it_began(steps: int) -> None:
+    renderer, goal, free = scene()
+    objective = LOIObjective(target_of(renderer, goal))
+    near = Free(goal + 0.2, free.lower, free.upper)
+    result = fit(renderer, objective, steps=steps, optimise={"translation": near})
+    start = renderer.render(renderer.parameters() | {"translation": near.initial})
+    assert result.best_value <= float(objective.value(start))
+    assert result.best_value == pytest.approx(float(objective.value(result.image)), rel=1e-12)
+    assert result.diagnosis is not None
+    assert result.diagnosis.left <= 1.0
+
+
 def test_what_stalls_without_bounds_is_told_of_them() -> None:
     renderer = Disks(HEIGHT, WIDTH, [[12.0, 12.0]], 5.0, [[0.9, 0.4, 0.2]])
     target = renderer.render({**renderer.parameters(), "positions": np.array([[50.0, 36.0]])})
