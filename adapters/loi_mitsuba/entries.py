@@ -17,13 +17,15 @@ import numpy as np
 from loi_core.errors import ParameterError
 from loi_mitsuba.loading import Loaded, load_scene, load_with_floats, use_variant
 
-__all__ = ["Entry", "Names", "Scene", "ancestors", "list_entries", "named_scene", "numbers"]
+__all__ = ["INSTANCE", "Entry", "Names", "Scene", "ancestors", "is_instance", "list_entries", "named_scene", "numbers"]
 
 Scene: TypeAlias = Any
 SceneParameters: TypeAlias = Any
 
 EIGHT_BITS: Final = "it is an 8-bit texture, which has no gradient; load the bitmap with format='variant'"
+INSTANCE: Final = "it moves an instance of a shapegroup, by which Mitsuba has no gradient"
 BY_IMAGES: Final = "; or leave it to PlannedRenderer, which finds it by images alone"
+BY_HANDLE: Final = "; or give PlannedRenderer a Translate or Rotate of {!r}, which it finds by images alone"
 _ADDRESS = re.compile(r"object_\d+(_\d+)?")
 _WORD = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 
@@ -138,9 +140,17 @@ class Names:
             msg = f"the scene has no entry {key!r}; {'near' if near != usable else 'it has'}: {', '.join(near)}"
             raise ParameterError(msg)
         if entry.problem and not (images and entry.settable):
-            msg = f"{key!r} cannot be fitted: {entry.problem}{BY_IMAGES if entry.settable and not images else ''}"
+            otherwise = BY_IMAGES if entry.settable and not images else self._by_handle(entry)
+            msg = f"{key!r} cannot be fitted: {entry.problem}{otherwise}"
             raise ParameterError(msg)
         return entry
+
+    def _by_handle(self, entry: Entry) -> str:
+        """How else what an entry moves can be moved; empty if not."""
+        folder, _, last = entry.key.rpartition(".")
+        node = self._params.properties[entry.key][2]
+        placed = isinstance(node, mi.Sensor | mi.Emitter) or is_instance(node)
+        return BY_HANDLE.format(self._readable.get(folder, folder)) if placed and last == "to_world" else ""
 
     def moved_by(self, entry: Entry) -> Any:
         """The shape that an entry moves; None if it moves none."""
@@ -157,11 +167,14 @@ class Names:
         return node if isinstance(node, mi.Emitter) else None
 
     def find_movable(self, name: str) -> tuple[str, Any]:
-        """As :meth:`find_shape`, and of sensors and of lights without a surface as well, which have no gradient."""
+        """As :meth:`find_shape`, and of sensors, instances and lights without a surface, which have no gradient."""
         for key in self._params.properties:
             folder, _, last = key.rpartition(".")
             node = self._params.properties[key][2]
-            placed = isinstance(node, mi.Sensor | mi.Emitter) and last in ("to_world", "position")
+            placed = (isinstance(node, mi.Sensor | mi.Emitter) or is_instance(node)) and last in (
+                "to_world",
+                "position",
+            )
             if placed and name in (folder, self._readable.get(folder)):
                 return key, node
         return self.find_shape(name)
@@ -189,10 +202,14 @@ class Names:
                 problem = _problem(self._params, key)
                 if name in called and not problem:
                     return key, node
+                if name in called and is_instance(node):
+                    msg = f"{name!r} cannot be moved: {INSTANCE}{BY_IMAGES}"
+                    raise ParameterError(msg)
                 if name in called and folder and _is_merged(node):
                     msg = f"{name!r} cannot be moved: {problem}"
                     raise ParameterError(msg)
-                shapes.append(self._readable[folder])
+                if not is_instance(node):
+                    shapes.append(self._readable[folder])
             elif folder and name in called and isinstance(node, mi.Sensor | mi.Emitter):
                 msg = f"{name!r} cannot be moved: {_fixed(node)}{BY_IMAGES}"
                 raise ParameterError(msg)
@@ -287,6 +304,11 @@ def _is_merged(node: Any) -> bool:
     return " + " in str(node).partition("bbox")[0]
 
 
+def is_instance(node: Any) -> bool:
+    """Whether an object is an instance of a shapegroup."""
+    return isinstance(node, mi.Shape) and node.class_name() == "Instance"
+
+
 def ancestors(params: SceneParameters, node: Any) -> list[Any]:
     """The objects from the scene down to `node`."""
     chain = []
@@ -331,9 +353,6 @@ def _settable(params: SceneParameters, key: str) -> bool:
 
 def _fixed(node: Any) -> str:
     if isinstance(node, mi.Sensor):
-        return "Mitsuba gives no gradient for sensors; give PlannedRenderer a Translate or Rotate, or move the scene"
+        return "Mitsuba gives no gradient for sensors; move the scene instead"
     kind = node.class_name()
-    return (
-        f"Mitsuba's gradient for moving a {kind} is missing or wrong; give PlannedRenderer a Translate or Rotate, or "
-        "use a small sphere with an area emitter"
-    )
+    return f"Mitsuba's gradient for moving a {kind} is missing or wrong; use a small sphere with an area emitter"

@@ -19,7 +19,7 @@ from loi_core.io.images import write_png
 from loi_core.pixels.encoding import encode_srgb
 from loi_core.renderers import BlurredRenderer
 from loi_mitsuba import MitsubaRenderer, PlannedRenderer, Rotate, Scale, Translate
-from tests.mitsuba.scenes import shadow_scene
+from tests.mitsuba.scenes import HEIGHT, WIDTH, shadow_scene
 from tests.mitsuba.test_scene_file import SCENE, XML
 
 X = (1, 0, 0)
@@ -216,7 +216,10 @@ def test_without_a_blur_what_has_no_gradient_is_refused_or_left_to_mitsuba() -> 
 
 
 def test_a_matrix_is_moved_by_a_handle_and_not_by_its_numbers() -> None:
-    with pytest.raises(ParameterError, match=r"'sensor.to_world' cannot be fitted: .*move the scene$"):
+    with pytest.raises(
+        ParameterError,
+        match=r"'sensor.to_world' cannot be fitted: .*a Translate or Rotate of 'sensor', which it finds by images",
+    ):
         PlannedRenderer(lit_scene(), {"pose": "sensor.to_world"})
 
 
@@ -346,3 +349,30 @@ def test_a_scene_file_sets_the_blur_and_explains_it(tmp_path: Path, capsys: pyte
     scene.write_text(f"{text}\n[renderer.blur]\nsigm = 1\n")
     assert main(["fit", str(scene), "--explain"]) == 2
     assert "[renderer.blur] unknown key `sigm`; did you mean `sigma`?" in capsys.readouterr().err
+
+
+def test_an_instance_moves_by_images_alone() -> None:
+    place = mi.ScalarTransform4f
+    group = {"type": "shapegroup", "within": {"type": "sphere", "radius": 0.7, "center": [0.0, 1.0, 0.0]}}
+    instance = {
+        "type": "instance",
+        "to_world": place().translate([0.3, 0.0, 0.0]),
+        "of": {"type": "ref", "id": "group"},
+    }
+    scene = shadow_scene(group=group, copy=instance)
+    moves: dict[str, Any] = {"x": Translate("copy", (1, 0, 0))}
+    with pytest.raises(ParameterError, match="'copy' cannot be moved: it moves an instance of a shapegroup"):
+        MitsubaRenderer(scene, moves)
+    planned = PlannedRenderer(scene, moves, spp=16, blur={"sigma": 0.2})
+    assert "instance" in planned.plan.blurred["x"]
+    weight = np.linspace(-1.0, 1.0, WIDTH, dtype=np.float32)[None, :, None] * np.ones((HEIGHT, WIDTH, 3), np.float32)
+    drawn = []
+    for seed in range(4):
+        _, pullback = planned.render_vjp(planned.parameters(), seed=seed)
+        drawn.append(float(pullback(weight)["x"]))
+
+    def there(x: float) -> float:
+        return float(np.sum(planned.render({"x": np.float32(x)}, seed=9) * weight))
+
+    wanted = (there(0.2) - there(-0.2)) / 0.4
+    assert np.mean(drawn) == pytest.approx(wanted, rel=0.3)

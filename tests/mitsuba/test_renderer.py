@@ -278,7 +278,7 @@ def test_names_are_the_same_in_every_process(tmp_path: Path) -> None:
     listed = list_entries(renderer.scene)
     assert listed["sphere_0.to_world"].shape == (4, 4)
     assert "object_" in listed["sphere_0.to_world"].key
-    assert "move the scene" in listed["perspective_camera_0.to_world"].problem
+    assert "move the scene instead" in listed["perspective_camera_0.to_world"].problem
     by_key = MitsubaRenderer(renderer.scene, {"colour": listed["sphere_0.bsdf.reflectance.value"].key})
     assert by_key.parameters()["colour"].shape == (3,)
     code = "import loi_mitsuba as lm, mitsuba as mi, sys; mi.set_variant('llvm_ad_rgb')\n"
@@ -323,11 +323,14 @@ def test_the_scene_s_own_integrator_can_be_asked_for() -> None:
         ({"a": "floor.reflectance.value"}, "no entry 'floor.reflectance.value'; near: floor.bsdf.reflectance"),
         (
             {"a": "sensor.to_world"},
-            "'sensor.to_world' cannot be fitted: .*for sensors; give PlannedRenderer a Translate",
+            "'sensor.to_world' cannot be fitted: .*move the scene instead; or give PlannedRenderer a Translate",
         ),
-        ({"a": "sensor.x_fov"}, "move the scene"),
+        ({"a": "sensor.x_fov"}, "move the scene instead"),
         ({"a": Translate("sensor")}, "'sensor' cannot be moved: .*move the scene"),
-        ({"a": "spot.to_world"}, "a SpotLight is missing or wrong; give PlannedRenderer a Translate"),
+        (
+            {"a": "spot.to_world"},
+            "a SpotLight is missing or wrong; use a small sphere .*; or give PlannedRenderer a Translate",
+        ),
         ({"a": Translate("point")}, "'point' cannot be moved: .*use a small sphere with an area emitter"),
         ({"a": Translate("nobody")}, "no shape 'nobody' that can be moved; it has: floor, ball, lamp"),
         ({"a": "ball.silhouette_sampling_weight"}, "cannot be fitted: Mitsuba gives no gradient for it"),

@@ -9,7 +9,7 @@ import mitsuba as mi
 
 from loi_mitsuba.cautions import CROWDED, lets_through
 from loi_mitsuba.effects.traits import has_medium, is_clear
-from loi_mitsuba.entries import Names
+from loi_mitsuba.entries import INSTANCE, Names, is_instance
 from loi_mitsuba.loading import Target
 from loi_mitsuba.seams import crowded_share
 
@@ -47,6 +47,8 @@ def _of_moving(node: Any, scene: Any, sensor: Any, *, medium: bool) -> str:
         return "it moves a camera, by which Mitsuba has no gradient"
     if isinstance(node, mi.Emitter):
         return f"it moves a {node.class_name()}, by which Mitsuba's gradient is missing or wrong"
+    if is_instance(node):
+        return INSTANCE
     if is_clear(node):
         return "it moves clear glass, and what that bends light to has next to no gradient in Mitsuba"
     if node not in scene.shapes():
