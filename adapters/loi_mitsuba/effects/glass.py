@@ -27,7 +27,7 @@ from loi_mitsuba.seams import is_closed, is_hard
 
 __all__ = ["REASON", "Glass", "Samples", "glass_of"]
 
-REASON: Final = "it moves clear glass, and samples of what that bends move with it"
+REASON: Final = "it moves clear glass, and samples of what that bends move with it, but for edges seen through it"
 DEPTH: Final = 6  # surfaces of a path, of which two balls of glass are four
 SHARE: Final = 8  # samples of the image for one of each kind here
 LEAST: Final = 20_000
