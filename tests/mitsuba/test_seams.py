@@ -163,6 +163,13 @@ def test_edges_that_mitsuba_counts_several_times_are_told_of_and_blurred(
     assert any("more than two triangles meet" in str(one.message) for one in told) == crowded
 
 
+def test_vertices_of_a_crowded_mesh_are_not_blurred_but_told_of(tmp_path: Path) -> None:
+    mesh = {"type": "ply", "filename": crowded_file(tmp_path, "twice"), "face_normals": True}
+    with pytest.warns(GradientWarning, match="more than two triangles meet"):
+        planned = PlannedRenderer(scene_of(mesh), {"corners": "mesh.vertex_positions"}, spp=4)
+    assert not planned.plan.blurred
+
+
 def test_a_smooth_mesh_is_not_crowded(tmp_path: Path) -> None:
     for split in (True, False):
         mesh = {"type": "ply", "filename": ball_file(tmp_path, split=split)}

@@ -35,14 +35,18 @@ def missing_gradients(called: Names, targets: Mapping[str, Target], sensor: Any)
             node = called.moved_by(entry)
         else:
             node = called.find_movable(target.shape)[1]
-        reason = "" if node is None else _of_moving(node, called.scene, sensor, medium=medium)
+        whole = not isinstance(target, str)
+        reason = "" if node is None else _of_moving(node, called.scene, sensor, medium=medium, whole=whole)
         if reason:
             found[name] = reason
     return found
 
 
-def _of_moving(node: Any, scene: Any, sensor: Any, *, medium: bool) -> str:
-    """Why moving an object has no gradient; empty if it has one."""
+def _of_moving(node: Any, scene: Any, sensor: Any, *, medium: bool, whole: bool) -> str:
+    """Why moving an object, as a whole or by its vertices, has no gradient; empty if it has one, or one is off.
+
+    What is off by vertices is told of in a warning: there are too many of them to blur.
+    """
     if isinstance(node, mi.Sensor):
         return "it moves a camera, by which Mitsuba has no gradient"
     if isinstance(node, mi.Emitter):
@@ -53,9 +57,9 @@ def _of_moving(node: Any, scene: Any, sensor: Any, *, medium: bool) -> str:
         return "it moves clear glass, and what that bends light to has next to no gradient in Mitsuba"
     if node not in scene.shapes():
         return "it moves a shape of a shapegroup, whose outlines and shadows have no gradient in Mitsuba"
-    if lets_through(node):
+    if whole and lets_through(node):
         return "it moves a shape that light goes straight through in part, and Mitsuba has no gradient of cutouts"
-    if crowded_share(node) > CROWDED:
+    if whole and crowded_share(node) > CROWDED:
         return "it moves a mesh at whose edges several triangles meet, and Mitsuba counts such an edge several times"
     if medium:
         return "it moves a shape where there is a medium, in which outlines and shadows have no gradient in Mitsuba"
