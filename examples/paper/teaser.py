@@ -96,10 +96,11 @@ def _figure(problem: Problem, runs: Mapping[str, Run], done: Mapping[str, Mappin
         below.plot(*one["path"].values(), color="white", linewidth=1.2)
         below.plot(*problem.built.start.values(), "o", color="white", markersize=5)
         below.plot(*problem.built.truth.values(), "*", color="#34d399", markersize=11)
-        below.set(title="its loss, and its way", aspect="equal", xlim=places[[0, -1]], ylim=places[[0, -1]])
+        below.set_title("its loss, and its way", fontsize=9)
+        below.set(aspect="equal", xlim=places[[0, -1]], ylim=places[[0, -1]])
         below.tick_params(labelsize=7)
     stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=100)
+    figure.savefig(stream, format="png", dpi=100, bbox_inches="tight")
     return stream.getvalue()
 
 
