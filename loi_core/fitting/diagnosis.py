@@ -157,16 +157,17 @@ def diagnose(seen: Findings) -> Diagnosis:
     def say(verdict: Verdict, message: str, advice: str = "") -> Diagnosis:
         return Diagnosis(verdict, message, advice, left, noise)
 
+    blind = max(norms, default=0.0) == 0.0
+    hidden = [name for name, one in seen.visible.items() if not one]
+    if blind and hidden:
+        return say(
+            "no gradient",
+            clause(hidden, "leaves no trace in the image", "leave no trace in the image"),
+            "check that they are in view",
+        )
     if seen.start == 0.0:
         return say("converged", "the start is the target, as far as the loss sees")
-    if max(norms, default=0.0) == 0.0:
-        hidden = [name for name, one in seen.visible.items() if not one]
-        if hidden:
-            return say(
-                "no gradient",
-                clause(hidden, "leaves no trace in the image", "leave no trace in the image"),
-                "check that they are in view",
-            )
+    if blind:
         return say(
             "no gradient",
             "start and target differ, but the gradient is 0 throughout",

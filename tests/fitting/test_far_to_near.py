@@ -131,6 +131,9 @@ def test_what_leaves_no_trace_has_no_unit_and_says_so() -> None:
     assert result.diagnosis is not None
     assert result.diagnosis.verdict == "no gradient"
     assert "'mood' leaves no trace" in str(result.diagnosis)
+    same = fit(renderer, LOIObjective(renderer.render(params)), steps=4, optimise=free)
+    assert same.diagnosis is not None
+    assert same.diagnosis.verdict == "no gradient"  # the images are alike because nothing in them can differ
 
 
 def test_a_target_that_is_encoded_is_recognised() -> None:
