@@ -166,18 +166,24 @@ steps = 60
 """
 
 
+def as_in_the_scene(folder: Path, **options: Any) -> MeshRenderer:
+    """What the scene file describes."""
+    return MeshRenderer(
+        48,
+        64,
+        {"box": folder / "models" / "box.obj"},
+        Camera((0, 2, 8), fov=40.0),
+        {"place": Translate("box")},
+        lights={"sun": Light(direction=(-1, -2, -3))},
+        **options,
+    )
+
+
 def test_a_mesh_of_a_scene_file_is_found(tmp_path: Path) -> None:
     (tmp_path / "models").mkdir()
     TRIANGLES.export(tmp_path / "models" / "box.obj")
     (tmp_path / "scene.toml").write_text(SCENE)
-    renderer = MeshRenderer(
-        48,
-        64,
-        {"box": tmp_path / "models" / "box.obj"},
-        Camera((0, 2, 8), fov=40.0),
-        {"place": Translate("box")},
-        lights={"sun": Light(direction=(-1, -2, -3))},
-    )
+    renderer = as_in_the_scene(tmp_path)
     there = torch.tensor([1.0, -0.4, 0.0], dtype=torch.float64)
     write_png(tmp_path / "photo.png", encode_srgb(renderer.render({"place": there}).numpy()))
     assert main(["fit", str(tmp_path / "scene.toml")]) in (0, 3)
@@ -199,15 +205,7 @@ def test_a_background_of_a_scene_file_is_light_as_the_target_is(way: str, tmp_pa
         scene = SCENE.replace("textures = {}", 'background = "behind.png"')
     scene = scene.replace("[-1.5, 0.3, 0.0]", "[1.0, -0.4, 0.0]").replace("steps = 60", "steps = 2")
     (tmp_path / "scene.toml").write_text(scene)
-    renderer = MeshRenderer(
-        48,
-        64,
-        {"box": tmp_path / "models" / "box.obj"},
-        Camera((0, 2, 8), fov=40.0),
-        {"place": Translate("box")},
-        lights={"sun": Light(direction=(-1, -2, -3))},
-        background=behind,
-    )
+    renderer = as_in_the_scene(tmp_path, background=behind)
     there = torch.tensor([1.0, -0.4, 0.0], dtype=torch.float64)
     write_png(tmp_path / "photo.png", encode_srgb(renderer.render({"place": there}).numpy()))
     main(["fit", str(tmp_path / "scene.toml")])
