@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Callable, Iterator
 from typing import Any, Final
 
 import mitsuba as mi
@@ -10,7 +11,7 @@ import mitsuba as mi
 from loi_core.support.wording import clause
 from loi_mitsuba.seams import crowded_share, has_seams
 
-__all__ = ["CROWDED", "GradientWarning", "lets_through", "warn_of_moving"]
+__all__ = ["GradientWarning", "is_crowded", "lets_through", "warn_of_moving"]
 
 CROWDED: Final = 0.05  # of a mesh's edges, by length: what its gradient may be off by
 
@@ -24,58 +25,68 @@ def warn_of_moving(scene: Any, integrator: Any, shapes: list[Any]) -> None:
 
     An integrator without projective sampling differentiates what lies inside the outlines of shapes and shadows, not
     that the outlines move. Projective sampling finds the rays that graze a shape and asks how bright what lies behind
-    is. It looks at the scene's own shapes only, not into groups. Hardly any ray hits a point, so shadows of point,
-    spot and directional lights have no gradient at all. And it takes every edge of a mesh that belongs to one
-    triangle for a border, so an edge whose vertices are stored twice counts twice.
+    is. It looks at the scene's own shapes only, not into groups, and takes them for whole, without cutouts. Hardly any
+    ray hits a point, so shadows of point, spot and directional lights have no gradient at all. And it takes every edge
+    of a mesh that belongs to one triangle, or to more than two, for a border, so that an edge whose vertices are stored
+    twice counts twice.
     """
+    for msg in _cautions(scene, integrator, shapes):
+        warnings.warn(msg, GradientWarning, stacklevel=4)
+
+
+def _cautions(scene: Any, integrator: Any, shapes: list[Any]) -> Iterator[str]:
+    """What there is to warn of, one message each."""
     if shapes and not hasattr(integrator, "sppp"):  # only projective integrators count samples of outlines
-        msg = (
+        yield (
             "a shape moves, and the integrator has no gradient of moving silhouettes and shadows; use "
             "direct_projective or prb_projective"
         )
-        warnings.warn(msg, GradientWarning, stacklevel=4)
         return
-    each, own = dict.fromkeys(shapes), scene.shapes()
-    grouped = dict.fromkeys(shape.id() for shape in each if shape not in own)
-    if grouped:
+    each, own = list(dict.fromkeys(shapes)), scene.shapes()
+    if grouped := _ids(each, lambda shape: shape not in own):
         moves = f"{'shape' if len(grouped) == 1 else 'shapes'} {clause(grouped, 'moves', 'move')}"
-        msg = (
+        yield (
             f"{moves} in a shapegroup, and the motion of its instances' silhouettes and shadows has no gradient; put "
             f"the shape into the scene itself"
         )
-        warnings.warn(msg, GradientWarning, stacklevel=4)
     delta = [emitter for emitter in scene.emitters() if mi.has_flag(emitter.flags(), mi.EmitterFlags.Delta)]
     if shapes and delta:
         kinds = " and ".join(sorted({emitter.class_name() for emitter in delta}))
-        msg = (
+        yield (
             f"a shape moves under a {kinds}, and the motion of its shadows has no gradient there; use a small sphere "
             f"with an area emitter"
         )
-        warnings.warn(msg, GradientWarning, stacklevel=4)
-    split = dict.fromkeys(shape.id() for shape in each if has_seams(shape))
-    if split:
-        stores = f"{'mesh' if len(split) == 1 else 'meshes'} {clause(split, 'stores', 'store')}"
-        msg = (
-            f"{stores} the vertices of an edge more than once, and Mitsuba counts the gradient of such an edge as "
-            f"often; merge equal vertices (and set face_normals for flat shading); PlannedRenderer does where shading "
-            f"is smooth or flat throughout"
+    if split := _ids(each, has_seams):
+        yield (
+            f"{_meshes(split, 'stores', 'store')} the vertices of an edge more than once, and Mitsuba counts the "
+            f"gradient of such an edge as often; merge equal vertices (and set face_normals for flat shading); "
+            f"PlannedRenderer does where shading is smooth or flat throughout"
         )
-        warnings.warn(msg, GradientWarning, stacklevel=4)
-    crowded = dict.fromkeys(shape.id() for shape in each if crowded_share(shape) > CROWDED)
-    if crowded:
-        has = f"{'mesh' if len(crowded) == 1 else 'meshes'} {clause(crowded, 'has', 'have')}"
-        msg = (
-            f"{has} edges at which more than two triangles meet, or that run along others, and Mitsuba counts the "
-            f"gradient of such an edge several times; mend the mesh, or use PlannedRenderer, which blurs"
+    if crowded := _ids(each, is_crowded):
+        yield (
+            f"{_meshes(crowded, 'has', 'have')} edges at which more than two triangles meet, or that run along others, "
+            f"and Mitsuba counts the gradient of such an edge several times; mend the mesh, or use PlannedRenderer, "
+            f"which blurs"
         )
-        warnings.warn(msg, GradientWarning, stacklevel=4)
-    open_to_light = dict.fromkeys(shape.id() for shape in each if lets_through(shape))
-    if open_to_light:
-        msg = (
-            f"{clause(open_to_light, 'lets', 'let')} light straight through in part, and Mitsuba has no gradient of "
-            f"cutouts; use PlannedRenderer, which blurs"
+    if cut := _ids(each, lets_through):
+        yield (
+            f"{clause(cut, 'lets', 'let')} light straight through in part, and Mitsuba has no gradient of cutouts; use "
+            f"PlannedRenderer, which blurs"
         )
-        warnings.warn(msg, GradientWarning, stacklevel=4)
+
+
+def _ids(shapes: list[Any], is_one: Callable[[Any], bool]) -> list[str]:
+    """The ids of the shapes of a kind, each once."""
+    return list(dict.fromkeys(shape.id() for shape in shapes if is_one(shape)))
+
+
+def _meshes(ids: list[str], one: str, several: str) -> str:
+    return f"{'mesh' if len(ids) == 1 else 'meshes'} {clause(ids, one, several)}"
+
+
+def is_crowded(shape: Any) -> bool:
+    """Whether Mitsuba counts so many of a shape's edges several times that its gradient is well off."""
+    return crowded_share(shape) > CROWDED
 
 
 def lets_through(shape: Any) -> bool:

@@ -149,8 +149,8 @@ class Names:
         """How else what an entry moves can be moved; empty if not."""
         folder, _, last = entry.key.rpartition(".")
         node = self._params.properties[entry.key][2]
-        placed = isinstance(node, mi.Sensor | mi.Emitter) or is_instance(node)
-        return BY_HANDLE.format(self._readable.get(folder, folder)) if placed and last == "to_world" else ""
+        movable = last == "to_world" and _is_placed(node)
+        return BY_HANDLE.format(self._readable.get(folder, folder)) if movable else ""
 
     def moved_by(self, entry: Entry) -> Any:
         """The shape that an entry moves; None if it moves none."""
@@ -171,11 +171,9 @@ class Names:
         for key in self._params.properties:
             folder, _, last = key.rpartition(".")
             node = self._params.properties[key][2]
-            placed = (isinstance(node, mi.Sensor | mi.Emitter) or is_instance(node)) and last in (
-                "to_world",
-                "position",
-            )
-            if placed and name in (folder, self._readable.get(folder)):
+            if last not in ("to_world", "position") or not _is_placed(node):
+                continue
+            if name in (folder, self._readable.get(folder)):
                 return key, node
         return self.find_shape(name)
 
@@ -307,6 +305,11 @@ def _is_merged(node: Any) -> bool:
 def is_instance(node: Any) -> bool:
     """Whether an object is an instance of a shapegroup."""
     return isinstance(node, mi.Shape) and node.class_name() == "Instance"
+
+
+def _is_placed(node: Any) -> bool:
+    """Whether an object is moved by images alone: a sensor, an instance, or a light."""
+    return isinstance(node, mi.Sensor | mi.Emitter) or is_instance(node)
 
 
 def ancestors(params: SceneParameters, node: Any) -> list[Any]:

@@ -53,9 +53,7 @@ def edges_of(shape: Any) -> Host:
     pairs, alone = _meetings(shape)
     params = mi.traverse(shape)
     faces = _faces(params)
-    flat = _flat_normals(params, faces).reshape(-1, 3)
-    bent = pairs[_apart(flat[pairs[:, 0]], flat[pairs[:, 1]]) > BENT]
-    begin = np.concatenate([bent[:, 0], alone])
+    begin = np.concatenate([_bent(params, faces, pairs), alone])
     ends = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
     return np.asarray(ends[begin])
 
@@ -71,8 +69,6 @@ def crowded_share(shape: Any) -> float:
     positions = np.array(params["vertex_positions"], dtype=np.float64).reshape(-1, 3)
     pairs, alone = _meetings(shape)
     faces = _faces(params)
-    flat = _flat_normals(params, faces).reshape(-1, 3)
-    bent = pairs[_apart(flat[pairs[:, 0]], flat[pairs[:, 1]]) > BENT][:, 0]
     at = _places(params)[faces]
     ends = np.stack([at, np.roll(at, -1, axis=1)], axis=-1).reshape(-1, 2)
     single = np.sort(ends[alone], axis=1)
@@ -84,7 +80,7 @@ def crowded_share(shape: Any) -> float:
     def length(edges: Host) -> float:
         return float(np.sum(np.linalg.norm(positions[edges[:, 0]] - positions[edges[:, 1]], axis=1)))
 
-    total = length(ends[bent]) + length(kinds)
+    total = length(ends[_bent(params, faces, pairs)]) + length(kinds)
     return length(crowded) / total if total > 0.0 else 0.0
 
 
@@ -100,6 +96,12 @@ def _run_along_others(positions: Host, borders: Host) -> Host:
         beside = others[inside] - positions[one] - share[inside, None] * along
         found[number] = bool(np.any(np.sum(beside**2, axis=1) < ALONG**2 * size))
     return found
+
+
+def _bent(params: Any, faces: Host, pairs: Host) -> Host:
+    """Of pairs of sides, the first of each at which triangles do not lie in one plane."""
+    flat = _flat_normals(params, faces).reshape(-1, 3)
+    return np.asarray(pairs[_apart(flat[pairs[:, 0]], flat[pairs[:, 1]]) > BENT, 0])
 
 
 def _meetings(shape: Any) -> tuple[Host, Host]:

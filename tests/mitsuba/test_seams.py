@@ -13,7 +13,7 @@ import trimesh
 
 from loi_core.errors import OptionError
 from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, Rotate, Translate
-from loi_mitsuba.cautions import CROWDED
+from loi_mitsuba.cautions import is_crowded
 from loi_mitsuba.seams import crowded_share, has_seams, is_hard
 from tests.mitsuba.scenes import HEIGHT, WIDTH, box, shadow_scene
 
@@ -155,7 +155,7 @@ def test_edges_that_mitsuba_counts_several_times_are_told_of_and_blurred(
 ) -> None:
     mesh = {"type": "ply", "filename": crowded_file(tmp_path, kind), "face_normals": True}
     shape = mi.load_dict({"type": "scene", "mesh": mesh}, optimize=False).shapes()[0]
-    assert (crowded_share(shape) > CROWDED) == crowded
+    assert is_crowded(shape) == crowded
     planned = PlannedRenderer(scene_of(mesh), MOVES, spp=4)
     assert list(planned.plan.blurred) == (["x"] if crowded else [])
     with pytest.warns(GradientWarning) as told:

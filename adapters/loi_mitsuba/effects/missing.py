@@ -7,11 +7,10 @@ from typing import Any
 
 import mitsuba as mi
 
-from loi_mitsuba.cautions import CROWDED, lets_through
+from loi_mitsuba.cautions import is_crowded, lets_through
 from loi_mitsuba.effects.traits import has_medium, is_clear
 from loi_mitsuba.entries import INSTANCE, Names, is_instance
 from loi_mitsuba.loading import Target
-from loi_mitsuba.seams import crowded_share
 
 __all__ = ["missing_gradients"]
 
@@ -59,7 +58,7 @@ def _of_moving(node: Any, scene: Any, sensor: Any, *, medium: bool, whole: bool)
         return "it moves a shape of a shapegroup, whose outlines and shadows have no gradient in Mitsuba"
     if whole and lets_through(node):
         return "it moves a shape that light goes straight through in part, and Mitsuba has no gradient of cutouts"
-    if whole and crowded_share(node) > CROWDED:
+    if whole and is_crowded(node):
         return "it moves a mesh at whose edges several triangles meet, and Mitsuba counts such an edge several times"
     if medium:
         return "it moves a shape where there is a medium, in which outlines and shadows have no gradient in Mitsuba"

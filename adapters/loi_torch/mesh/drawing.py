@@ -27,7 +27,7 @@ from loi_torch.mesh.junctions import CROSSING, EDGE, HORIZONTAL, VERTICAL, Parts
 from loi_torch.mesh.lighting import Environment, Light, reflected
 from loi_torch.mesh.meshes import Mesh
 from loi_torch.mesh.projected import Projected, Seen, View
-from loi_torch.mesh.tensors import tensor_of, unit
+from loi_torch.mesh.tensors import colours_behind, unit
 from loi_torch.mesh.textures import Pyramid
 from loi_torch.mesh.topology import join
 
@@ -229,13 +229,8 @@ class Frame:
             centres = self.centres(np.arange(height * width))
             directions = self.camera.directions(centres, height, width)
             return background.radiance(directions, self.pixel_angle(height * width))
-        colours = tensor_of("background", background).to(self.device)
-        if tuple(colours.shape) == (height, width, 3):
-            return colours.reshape(-1, 3)
-        if tuple(colours.shape) not in ((), (3,)):
-            msg = f"`background` must have shape (3,) or ({height}, {width}, 3), got {tuple(colours.shape)}"
-            raise ParameterError(msg)
-        return colours.expand(height * width, 3)
+        colours = colours_behind(background, height, width).to(self.device)
+        return colours.reshape(-1, 3) if colours.ndim == 3 else colours.expand(height * width, 3)
 
     def attached(self, image: Tensor) -> Tensor:
         """An image that belongs to the graph of what is drawn, also where nothing of it is seen: its gradient is 0."""

@@ -15,7 +15,7 @@ from loi_core.support.arrays import to_numpy
 from loi_core.support.wording import shown
 from loi_torch.mesh.projected import IndexArray
 from loi_torch.mesh.tensors import tensor_of, unit
-from loi_torch.mesh.topology import joined_corners, topology_of, twisted_edges
+from loi_torch.mesh.topology import joined_corners, topology_of
 
 __all__ = ["Material", "Mesh", "MeshWarning"]
 
@@ -140,22 +140,26 @@ class Mesh:
     def _connect(self, vertices: Tensor) -> None:
         """Find which corners are in one place, and which triangles meet, unless that is known."""
         put = object.__setattr__
-        if self.topology is None or len(self.places) != len(vertices) or not _same(self.topology.faces, self.faces):
+        if (
+            self.topology is None
+            or len(self.places) != len(vertices)
+            or not np.array_equal(self.topology.faces, self.faces)
+        ):
             put(self, "places", joined_corners(np.asarray(to_numpy(vertices.detach()), dtype=np.float64)))
             put(self, "jumping", None)
-            twisted = twisted_edges(self.faces, self.places)
-            if twisted:
-                msg = (
-                    f"`faces` must run counterclockwise as seen from outside; at {twisted} edges two triangles face "
-                    "opposite ways, and outlines there may be missed"
-                )
-                warnings.warn(msg, MeshWarning, stacklevel=4)
         put(self, "vertices", _together(vertices, self.places))
         creased = self.per == "triangle" or not self.smooth
         seams = self.per == "vertex" or self.texture is not None
-        if self.jumping != (creased, seams):
-            put(self, "topology", topology_of(self.faces, self.places, creased=creased, seams=seams))
-            put(self, "jumping", (creased, seams))
+        if self.jumping == (creased, seams):
+            return
+        put(self, "topology", topology_of(self.faces, self.places, creased=creased, seams=seams))
+        if self.topology.twisted and self.jumping is None:
+            msg = (
+                f"`faces` must run counterclockwise as seen from outside; at {self.topology.twisted} edges two "
+                "triangles face opposite ways, and outlines there may be missed"
+            )
+            warnings.warn(msg, MeshWarning, stacklevel=4)
+        put(self, "jumping", (creased, seams))
 
     def normals(self) -> Tensor:
         """Unit normals: of vertices, shape (n, 3), or of triangles, shape (m, 3), where they are not smooth."""
@@ -169,10 +173,6 @@ class Mesh:
             summed = across.new_zeros((count, 3)).index_add(0, at, across.repeat_interleave(3, dim=0))
             across = summed.index_select(0, places)
         return unit(across)
-
-
-def _same(one: IndexArray, other: IndexArray) -> bool:
-    return one is other or np.array_equal(one, other)
 
 
 def _together(vertices: Tensor, places: IndexArray) -> Tensor:

@@ -37,6 +37,8 @@ class Topology:
         Edges at which colours may jump however the triangles face: rims, creases, and where three or more meet.
     several : bool
         Whether there are several pieces, which may cut into each other.
+    twisted : int
+        At how many edges two triangles, and no third, run the same way, so that one of them shows its back.
     """
 
     faces: IndexArray
@@ -48,6 +50,7 @@ class Topology:
     between: IndexArray
     always: np.ndarray[Any, np.dtype[np.bool_]]
     several: bool
+    twisted: int
 
 
 @dataclass(frozen=True)

@@ -21,7 +21,7 @@ from loi_torch.mesh.drawing import draw, draw_places
 from loi_torch.mesh.lighting import Environment, Light
 from loi_torch.mesh.meshes import Material, Mesh
 from loi_torch.mesh.reading import read_mesh
-from loi_torch.mesh.tensors import tensor_of
+from loi_torch.mesh.tensors import colours_behind
 from loi_torch.mesh.values import Scene, Values
 from loi_torch.painted import Painted, Tensors
 
@@ -113,7 +113,7 @@ class MeshRenderer(Painted):
             _made(Camera, "camera", None, camera),
             made,
             environment,
-            self._behind(background),
+            background if isinstance(background, Environment) else colours_behind(_image(background), *self._size),
         )
         clashing = [*scene.meshes, *scene.lights, "camera", "environment", "background"]
         for name in clashing:
@@ -124,17 +124,6 @@ class MeshRenderer(Painted):
         self._values = Values(scene, targets_of(parameters))
         self._places = bool(places)
         super().__init__(self._values, dtype, device)
-
-    def _behind(self, background: Any) -> Any:
-        """The background, once its shape is known to fit."""
-        if isinstance(background, Environment):
-            return background
-        height, width = self._size
-        colours = tensor_of("background", _image(background))
-        if tuple(colours.shape) not in ((), (3,), (height, width, 3)):
-            msg = f"`background` must have shape (3,) or ({height}, {width}, 3), got {tuple(colours.shape)}"
-            raise ParameterError(msg)
-        return colours
 
     @property
     def encoding(self) -> Encoding:
@@ -155,7 +144,7 @@ class MeshRenderer(Painted):
         Raises
         ------
         OptionError
-                If a parameter is the camera's own.
+            If a parameter is the camera's own.
         ParameterError
             If `camera` is none.
         """

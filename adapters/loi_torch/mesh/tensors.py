@@ -11,7 +11,7 @@ from torch import Tensor
 from loi_core.errors import ParameterError
 from loi_core.support.wording import shown
 
-__all__ = ["tensor_of", "unit"]
+__all__ = ["colours_behind", "tensor_of", "unit"]
 
 
 def tensor_of(name: str, value: Any, shape: tuple[int | None, ...] | None = None) -> Tensor:
@@ -42,6 +42,15 @@ def _real(value: Any) -> np.ndarray[Any, Any]:
         msg = f"{array.dtype} is no real number"
         raise TypeError(msg)
     return array.astype(np.float64)
+
+
+def colours_behind(background: Any, height: int, width: int) -> Tensor:
+    """A background of an image of this size: one number, one colour, or the colours of all pixels."""
+    colours = tensor_of("background", background)
+    if tuple(colours.shape) not in ((), (3,), (height, width, 3)):
+        msg = f"`background` must have shape (3,) or ({height}, {width}, 3), got {tuple(colours.shape)}"
+        raise ParameterError(msg)
+    return colours
 
 
 def unit(vector: Tensor) -> Tensor:

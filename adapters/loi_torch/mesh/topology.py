@@ -8,7 +8,7 @@ import numpy as np
 
 from loi_torch.mesh.projected import FloatArray, IndexArray, Topology
 
-__all__ = ["join", "joined_corners", "topology_of", "twisted_edges"]
+__all__ = ["join", "joined_corners", "topology_of"]
 
 
 def joined_corners(vertices: FloatArray) -> IndexArray:
@@ -20,19 +20,6 @@ def joined_corners(vertices: FloatArray) -> IndexArray:
     places = np.empty(len(vertices), np.int32)
     places[order] = np.append(0, np.cumsum(new))
     return places
-
-
-def twisted_edges(faces: IndexArray, places: IndexArray) -> int:
-    """At how many edges two triangles, and no third, run the same way, so that one of them shows its back."""
-    joined = places[faces].astype(np.int64).reshape(-1, 3)
-    one, other = joined.ravel(), np.roll(joined, -1, axis=1).ravel()
-    real = one != other
-    one, other = one[real], other[real]
-    span = int(places.max(initial=0)) + 1
-    key, direction = np.minimum(one, other) * span + np.maximum(one, other), np.where(one < other, 1, -1)
-    _, index, count = np.unique(key, return_inverse=True, return_counts=True)
-    turns = np.bincount(index, weights=direction, minlength=len(count))
-    return int(np.sum((count == 2) & (turns != 0.0)))
 
 
 def topology_of(faces: IndexArray, places: IndexArray, *, creased: bool, seams: bool) -> Topology:
@@ -57,10 +44,10 @@ def topology_of(faces: IndexArray, places: IndexArray, *, creased: bool, seams: 
     corners[turned] = corners[turned, ::-1]
     triangle = np.repeat(np.arange(len(faces), dtype=np.int32), 3)
     real = ends[:, 0] != ends[:, 1]
-    ends, corners, triangle = ends[real], corners[real], triangle[real]
+    ends, corners, triangle, turned = ends[real], corners[real], triangle[real], turned[real]
     key = ends[:, 0].astype(np.int64) * (int(places.max(initial=0)) + 1) + ends[:, 1]
     order = np.argsort(key, kind="stable")
-    key, ends, corners, triangle = key[order], ends[order], corners[order], triangle[order]
+    key, ends, corners, triangle, turned = key[order], ends[order], corners[order], triangle[order], turned[order]
     first = np.flatnonzero(np.append(True, key[1:] != key[:-1])) if len(key) else np.zeros(0, np.int64)
     count = np.diff(np.append(first, len(key)))
     second = np.minimum(first + 1, max(len(key) - 1, 0))
@@ -82,6 +69,7 @@ def topology_of(faces: IndexArray, places: IndexArray, *, creased: bool, seams: 
         between=between,
         always=always,
         several=bool(piece.any()),
+        twisted=int(np.sum((count == 2) & (turned[first] == turned[second]))),
     )
 
 
@@ -108,6 +96,7 @@ def join(parts: Sequence[Topology], counts: Sequence[int]) -> Topology:
         between=np.concatenate(between).astype(np.int32) if parts else np.zeros((0, 2), np.int32),
         always=np.concatenate([one.always for one in parts]) if parts else np.zeros(0, np.bool_),
         several=used > 1,
+        twisted=sum(one.twisted for one in parts),
     )
 
 
