@@ -1,4 +1,4 @@
-"""What carries parts of the gradient of a scene between its image and its entries: Mitsuba, and edges drawn here."""
+"""What carries parts of the gradient of a scene between its image and its entries: Mitsuba, and jumps drawn here."""
 
 from __future__ import annotations
 
@@ -9,13 +9,16 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
+from loi_mitsuba.crossings import Crossings
 from loi_mitsuba.edges import Edges
+from loi_mitsuba.eye import Eye, texture_of
 from loi_mitsuba.handles import Host
 from loi_mitsuba.integrators import PARTS
 from loi_mitsuba.named import as_host
 
-__all__ = ["ByEdges", "ByMitsuba", "parts_of"]
+__all__ = ["ByJumps", "ByMitsuba", "parts_of"]
 
 
 def parts_of(integrator: Any) -> dict[str, int | None]:
@@ -83,12 +86,12 @@ class ByMitsuba:
 
 
 @dataclass(frozen=True)
-class ByEdges:
-    """What edges in view have of it, of meshes with sides.
+class ByJumps:
+    """What jumps of brightness in view have of it: at edges of meshes with sides, or where shapes cross.
 
     Attributes
     ----------
-    edges : Edges
+    drawn : Edges or Crossings
     scene, sensor : mi.Scene, mi.Sensor
     radiance : mi.Integrator
         Says how bright it is where a ray goes.
@@ -96,17 +99,30 @@ class ByEdges:
         Per pixel of the image.
     """
 
-    edges: Edges
+    drawn: Edges | Crossings
     scene: Any
     sensor: Any
     radiance: Any
     samples: int
 
     def pull(self, cotangent: Host, seed: int) -> None:
-        """Carry a cotangent of the image, shape (H, W, C), back to the vertices."""
-        self.edges.pull(self.scene, self.radiance, cotangent, self.samples, seed)
+        """Carry a cotangent of the image, shape (H, W, C), back to the shapes."""
+        found = self.drawn.jumps(self.scene, self.radiance, self.samples, seed)
+        if found is not None:
+            value, place = found
+            eye = Eye(self.sensor)
+            weight = eye.looked_up(texture_of(eye.padded(cotangent)), place)
+            dr.backward(dr.sum(value * weight, axis=None), dr.ADFlag.ClearInterior)
 
     def push(self, seed: int, seed_grad: int) -> Host:  # noqa: ARG002  # there is no image to draw
-        """How the image changes with the vertices: shape (H, W, C)."""
-        channels = self.sensor.film().base_channels_count()
-        return self.edges.push(self.scene, self.radiance, channels, self.samples, seed_grad)
+        """How the image changes with the shapes, which have a gradient: shape (H, W, C)."""
+        film = self.sensor.film()
+        width, height = film.size()
+        found = self.drawn.jumps(self.scene, self.radiance, self.samples, seed_grad)
+        if found is None:
+            return np.zeros((height, width, film.base_channels_count()), dtype=np.float32)
+        value, place = found
+        change = mi.Color3f(dr.forward_to(value, flags=dr.ADFlag.ClearInterior))
+        with dr.suspend_grad():
+            eye = Eye(self.sensor)
+            return eye.on_film(eye.cropped(eye.splat([(change, place)])), film.base_channels_count())

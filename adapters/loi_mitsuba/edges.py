@@ -14,7 +14,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.eye import Eye, sampler_of, texture_of
+from loi_mitsuba.eye import NEARLY, Eye, brighter, is_plain, sampler_of
 from loi_mitsuba.handles import Host
 from loi_mitsuba.seams import edges_of, has_sides
 
@@ -22,9 +22,7 @@ __all__ = ["Edges"]
 
 SHARE: Final = 4  # samples of the image for one here
 LEAST: Final = 4096
-BESIDE: Final = 0.05  # pixels from an edge, to either side
 STEP: Final = 0.01  # of the distance to the camera, along an edge to either side, for the direction that it is seen in
-NEARLY: Final = 1e-3  # of that distance: what is nearer than an edge by less does not hide it
 
 
 class Edges:
@@ -46,7 +44,6 @@ class Edges:
     def __init__(self, sensor: Any, shapes: list[Any], edges: list[Host]) -> None:
         self.shapes = shapes
         self._sensor = sensor
-        self._eye = Eye(sensor)
         self._params = [mi.traverse(shape) for shape in shapes]
         counts = [len(one["vertex_positions"]) // 3 for one in self._params]
         first = np.concatenate([[0], np.cumsum(counts)[:-1]])
@@ -60,34 +57,19 @@ class Edges:
 
     @classmethod
     def of(cls, scene: Any, sensor: Any, shapes: Iterable[Any]) -> Edges | None:
-        """The edges of those of some shapes that are meshes of a scene and have sides; None where there are none.
+        """The edges of those of some shapes that are meshes of a scene and have sides.
 
-        None also where colours are not red, green and blue, in media, and for cameras other than a perspective one that
-        shows its whole film.
+        None where there are none, or the scene is not plain.
         """
-        film = sensor.film()
-        shown = sensor.class_name() == "PerspectiveCamera" and np.array_equal(film.size(), film.crop_size())
-        own = scene.shapes()
-        if not shown or not mi.is_rgb or mi.is_polarized or any(one.is_medium_transition() for one in own):
+        if not is_plain(scene, sensor):
             return None
+        own = scene.shapes()
         meshes = [one for one in dict.fromkeys(shapes) if one in own and has_sides(one)]
         return cls(sensor, meshes, [edges_of(one) for one in meshes]) if meshes else None
 
-    def pull(self, scene: Any, integrator: Any, cotangent: Any, samples: int, seed: int) -> None:
-        """Carry a cotangent of the image, shape (H, W, C), back to the vertices, by `samples` a pixel of the image."""
-        value, place = self._jumps(scene, integrator, samples, seed)
-        texture = texture_of(self._eye.padded(cotangent))
-        dr.backward(dr.sum(value * self._eye.looked_up(texture, place), axis=None), dr.ADFlag.ClearInterior)
-
-    def push(self, scene: Any, integrator: Any, channels: int, samples: int, seed: int) -> Host:
-        """How the image changes with the vertices, which have a gradient: shape (H, W, channels)."""
-        value, place = self._jumps(scene, integrator, samples, seed)
-        change = mi.Color3f(dr.forward_to(value, flags=dr.ADFlag.ClearInterior))
-        with dr.suspend_grad():
-            return self._eye.on_film(self._eye.cropped(self._eye.splat([(change, place)])), channels)
-
-    def _jumps(self, scene: Any, integrator: Any, samples: int, seed: int) -> tuple[Any, Any]:
+    def jumps(self, scene: Any, integrator: Any, samples: int, seed: int) -> tuple[Any, Any]:
         """At points of the edges, 0 with how it changes: the jump times how far the edge moves across; and places."""
+        eye = Eye(self._sensor)  # which may move
         pixels = int(self._size.x[0] * self._size.y[0])
         count = max(LEAST, samples * pixels // SHARE)
         sampler = sampler_of(seed, count)
@@ -95,31 +77,22 @@ class Edges:
         positions = dr.concat([one["vertex_positions"] for one in self._params])
         first, second = (dr.gather(mi.Point3f, positions, dr.gather(mi.UInt32, end, index)) for end in self._ends)
         point = dr.lerp(first, second, along)
-        place = self._eye.sees(point)[2]
+        place = eye.sees(point)[2]
         with dr.suspend_grad():
             point, edge = dr.detach(point), dr.detach(second - first)
-            away = self._eye.place - point
+            away = eye.place - point
             distance = dr.norm(away)
             step = STEP * distance * dr.normalize(edge)
-            ahead, behind = (self._eye.sees(point + sign * step)[2] for sign in (1.0, -1.0))
+            ahead, behind = (eye.sees(point + sign * step)[2] for sign in (1.0, -1.0))
             seen = (ahead - behind) * self._size
             length = dr.norm(seen)
             across = mi.Vector2f(-seen.y, seen.x) / length
-            ray = mi.Ray3f(self._eye.place, -away / distance)
+            ray = mi.Ray3f(eye.place, -away / distance)
             ray.maxt = distance * (1.0 - NEARLY)
-            active = self._eye.sees(point)[3] & (length > 0.0) & ~scene.ray_test(ray)
-            jump = self._radiance(scene, integrator, place, across, active, sampler)
+            active = eye.sees(point)[3] & (length > 0.0) & ~scene.ray_test(ray)
+            jump = brighter(self._sensor, integrator, scene, dr.detach(place), across / self._size, active, sampler)
             density = self._drawn.eval_pmf_normalized(index) * count / dr.norm(edge)  # points to a unit of length
             pixels_each = length / (2.0 * STEP * distance * density)
         moved = dr.dot(across, place * self._size)
         moved = dr.select(active, moved - dr.detach(moved), 0.0)
         return dr.select(active, -jump * pixels_each, 0.0) * moved, dr.detach(place)
-
-    def _radiance(self, scene: Any, integrator: Any, place: Any, across: Any, active: Any, sampler: Any) -> Any:
-        """How much brighter it is on the far side of an edge than on the near one."""
-        values = []
-        for sign in (1.0, -1.0):
-            beside = dr.detach(place) + sign * BESIDE * across / self._size
-            ray, weight = self._sensor.sample_ray(0.0, 0.5, beside, mi.Point2f(0.5))
-            values.append(integrator.sample(scene, sampler, ray, active=active)[0] * weight)
-        return values[0] - values[1]

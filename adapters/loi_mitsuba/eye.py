@@ -11,8 +11,10 @@ import numpy as np
 
 from loi_mitsuba.handles import Host
 
-__all__ = ["Eye", "sampler_of", "texture_of"]
+__all__ = ["NEARLY", "Eye", "brighter", "is_plain", "sampler_of", "texture_of"]
 
+BESIDE: Final = 0.05  # pixels from a jump of brightness, to either side
+NEARLY: Final = 1e-3  # of the distance to the camera: what is nearer than an edge by less does not hide it
 LUMINANCE: Final = (0.2126, 0.7152, 0.0722)  # of linear red, green and blue (Rec. 709)
 
 
@@ -91,6 +93,29 @@ class Eye:
         place = self._to_film @ local
         weight = self._density / (dr.square(distance) * ahead * ahead * ahead)
         return away / distance, dr.select(visible, weight, 0.0), mi.Point2f(place.x, place.y), visible
+
+
+def is_plain(scene: Any, sensor: Any) -> bool:
+    """Whether jumps of brightness can be drawn here.
+
+    Not where colours are not red, green and blue, in media, and for cameras other than a perspective one that shows its
+    whole film.
+    """
+    film = sensor.film()
+    whole = sensor.class_name() == "PerspectiveCamera" and np.array_equal(film.size(), film.crop_size())
+    return whole and mi.is_rgb and not mi.is_polarized and not any(one.is_medium_transition() for one in scene.shapes())
+
+
+def brighter(sensor: Any, integrator: Any, scene: Any, place: Any, across: Any, active: Any, sampler: Any) -> Any:
+    """How much brighter it is a little beyond places of the film, 0 to 1 both ways, than before them.
+
+    `across` goes over them, and is a pixel long.
+    """
+    values = []
+    for sign in (1.0, -1.0):
+        ray, weight = sensor.sample_ray(0.0, 0.5, place + sign * BESIDE * across, mi.Point2f(0.5))
+        values.append(integrator.sample(scene, sampler, ray, active=active)[0] * weight)
+    return values[0] - values[1]
 
 
 def sampler_of(seed: int, count: int) -> Any:

@@ -16,8 +16,9 @@ from loi_core.errors import OptionError, ParameterError
 from loi_core.pixels.encoding import Encoding
 from loi_core.support.values import whole_number
 from loi_core.support.wording import shown
-from loi_mitsuba.carriers import ByEdges, ByMitsuba, parts_of
+from loi_mitsuba.carriers import ByJumps, ByMitsuba, parts_of
 from loi_mitsuba.cautions import warn_of_moving
+from loi_mitsuba.crossings import Crossings
 from loi_mitsuba.edges import Edges
 from loi_mitsuba.entries import Names, Scene, named_scene
 from loi_mitsuba.handles import Host
@@ -114,6 +115,7 @@ class MitsubaRenderer:
         self._named = NamedParameters(self._names, targets, images)
         self._followed = self._able = tuple(name for name in targets if name not in images)
         self._edges = Edges.of(self._scene, self._sensor, self._named.moving(self._able))
+        self._crossings = Crossings.of(self._scene, self._sensor, self._named.moving(self._able))
         known = [] if self._edges is None else self._edges.shapes
         self._sided = frozenset(name for name in self._able if any(one in known for one in self._named.moving([name])))
         self._check_moving(told=isinstance(integrator, EffectPlan) and leaves_edges_out(integrator))
@@ -246,24 +248,28 @@ class MitsubaRenderer:
                 total = total + carry.push(*seeds_of(seed))
         return np.asarray(total, dtype=np.float32)
 
-    def _parts(self) -> list[tuple[ByMitsuba | ByEdges, tuple[str, ...]]]:
+    def _parts(self) -> list[tuple[ByMitsuba | ByJumps, tuple[str, ...]]]:
         """What carries which parts of the gradient, and to which parameters.
 
-        Outlines of meshes with sides are not Mitsuba's.
+        Outlines of meshes with sides are not Mitsuba's, nor are curves along which shapes go through each other.
         """
         entries, sensor, samples = self._named.entries, self._sensor, self._spp_grad
         whole = ByMitsuba(self._scene, entries, sensor, self._integrator, samples, parts_of(self._integrator))
-        sided = tuple(name for name in self._followed if name in self._sided) if self._outlines else ()
-        if not sided or self._edges is None:
+        if not self._outlines:
             return [(whole, self._followed)]
-        parts: list[tuple[ByMitsuba | ByEdges, tuple[str, ...]]] = [
-            (ByEdges(self._edges, self._scene, sensor, self._radiance, self._outlines), sided)
-        ]
+        parts: list[tuple[ByMitsuba | ByJumps, tuple[str, ...]]] = []
+        moving = tuple(name for name in self._followed if self._named.moving([name]))
+        sided = tuple(name for name in moving if name in self._sided)
+        for drawn, names in ((self._crossings, moving), (self._edges, sided)):
+            if drawn is not None and names:
+                parts.append((ByJumps(drawn, self._scene, sensor, self._radiance, self._outlines), names))
+        if not sided:
+            return [*parts, (whole, self._followed)]
         inner = whole.but(sppp=0)
         if any(count != 0 for count in inner.counts.values()):
             parts.append((inner, self._followed))
-        others = tuple(name for name in self._followed if name not in self._sided)
-        if self._named.moving(others):
+        others = tuple(name for name in moving if name not in self._sided)
+        if others:
             parts.append((whole.but(sppc=0, sppi=0), others))
         return parts
 

@@ -1,0 +1,207 @@
+"""The curves in view along which shapes go through each other: the gradient by how they move.
+
+A ball that is half in a floor meets it in a curve, at which brightness jumps, and which moves when the ball does. It is
+no outline: projective sampling does not look for it. So it is searched for here, along lines of a pixel's length. Where
+one crosses from a shape to another, and each goes on behind the other, the depths of both say how the crossing moves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, Final
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from loi_mitsuba.eye import NEARLY, brighter, is_plain, sampler_of
+
+__all__ = ["Crossings"]
+
+SHARE: Final = 4  # samples of the image for one line across and one down
+HALVINGS: Final = 16  # of a line
+STEP: Final = 0.05  # pixels to either side, for the slope of a depth
+NEAR: Final = 0.05  # pixels between a crossing and where the planes of the two shapes cross
+AROUND: Final = 0.5  # of how far a shape lies behind the other, to either side of where its plane is
+
+
+@dataclass(frozen=True)
+class _Hit:
+    """What the ends of lines see.
+
+    Attributes
+    ----------
+    t : mi.Float
+        How far away it is along the ray, which changes with the shape.
+    p, n : mi.Point3f, mi.Normal3f
+        Where, and the normal there.
+    shape : mi.UInt32
+        The number of its shape; 0 for none.
+    """
+
+    t: Any
+    p: Any
+    n: Any
+    shape: Any
+
+
+class Crossings:
+    """Where shapes go through each other in view, and the gradient by how they move.
+
+    Parameters
+    ----------
+    sensor : mi.Sensor
+        A perspective camera that shows its whole film.
+    shapes : list of mi.Shape
+        Those that move.
+    """
+
+    def __init__(self, sensor: Any, shapes: list[Any]) -> None:
+        self._sensor = sensor
+        self._shapes = shapes
+        self._size = mi.Point2f(*map(float, sensor.film().size()))
+
+    @classmethod
+    def of(cls, scene: Any, sensor: Any, shapes: Iterable[Any]) -> Crossings | None:
+        """Those of shapes that move with all others of a scene; None where there are none, or it is not plain."""
+        own = scene.shapes()
+        moving = [one for one in dict.fromkeys(shapes) if one in own]
+        return cls(sensor, moving) if moving and len(own) > 1 and is_plain(scene, sensor) else None
+
+    def jumps(self, scene: Any, integrator: Any, samples: int, seed: int) -> tuple[Any, Any] | None:
+        """At crossings, 0 with how it changes: the jump times how far the crossing moves; and places. None without."""
+        if not self._may_meet(scene):
+            return None
+        lines = max(1, samples // SHARE)
+        with dr.suspend_grad():
+            found = self._changes(scene, lines, seed)
+            if found is None:
+                return None
+            first, second, along = self._narrowed(scene, *found)
+        near, far = self._hits(scene, first, second)
+        with dr.suspend_grad():
+            middle = dr.lerp(first, second, 0.5)
+            slope, active = self._slope(scene, near, far, middle, along)
+            place = middle / self._size
+            sampler = sampler_of(seed + 1, dr.width(middle))
+            jump = brighter(self._sensor, integrator, scene, place, along / self._size, active, sampler)
+        gap = near.t - far.t
+        moved = dr.select(active, -(gap - dr.detach(gap)) / slope, 0.0)
+        return dr.select(active, -jump / lines, 0.0) * moved, place
+
+    def _may_meet(self, scene: Any) -> bool:
+        """Whether the box of a shape that moves touches that of another."""
+        every = scene.shapes()
+        boxes = [one.bbox() for one in every]
+        low, high = (np.array([np.array(end(box)).ravel() for box in boxes]) for end in (_least, _most))
+        moving = [every.index(one) for one in self._shapes]
+        meet = np.all((low[moving, None] <= high) & (low <= high[moving, None]), axis=-1)
+        meet[np.arange(len(moving)), moving] = False
+        return bool(np.any(meet))
+
+    def _changes(self, scene: Any, lines: int, seed: int) -> tuple[Any, Any, Any] | None:
+        """Lines that begin at one shape and end at another, at random: their ends, in pixels, and their directions.
+
+        From every pixel, and those left of and above the film, go `lines` across and as many down.
+        """
+        width, height = (int(size) + 1 for size in self._sensor.film().size())
+        number = dr.arange(mi.UInt32, 2 * lines * width * height)
+        pixel = number // (2 * lines)
+        sampler = sampler_of(seed, dr.width(number))
+        first = mi.Point2f(pixel % width, pixel // width) - 1.0 + sampler.next_2d()
+        along = dr.select(number % 2 == 0, mi.Vector2f(1.0, 0.0), mi.Vector2f(0.0, 1.0))
+        second = first + along
+        before, after = self._seen(scene, first), self._seen(scene, second)
+        which = dr.compress((before != 0) & (after != 0) & (before != after))
+        if dr.width(which) == 0:
+            return None
+        return tuple(dr.gather(type(one), one, which) for one in (first, second, along))
+
+    def _narrowed(self, scene: Any, first: Any, second: Any, along: Any) -> tuple[Any, Any, Any]:
+        """The same lines, from the last point that sees the first shape to the next that does not."""
+        shape = self._seen(scene, first)
+        for _ in range(HALVINGS):
+            middle = dr.lerp(first, second, 0.5)
+            same = self._seen(scene, middle) == shape
+            first, second = dr.select(same, middle, first), dr.select(same, second, middle)
+            dr.eval(first, second)
+        return first, second, along
+
+    def _slope(self, scene: Any, near: _Hit, far: _Hit, middle: Any, along: Any) -> tuple[Any, Any]:
+        """How fast the first shape falls behind the second along a line, by pixel; and whether they do cross there."""
+        aside = mi.Vector2f(along.y, along.x)
+        slope, other = (self._behind(near, far, middle, way) for way in (along, aside))
+        away = dr.norm(near.p - self._eye)
+        # Lines of one direction find curves that are within 45 degrees of upright to it, each once.
+        active = (near.shape != 0) & (far.shape != 0) & (slope > 0.0) & (slope >= dr.abs(other))
+        active &= dr.abs(self._depth(near, middle) - self._depth(far, middle)) < NEAR * slope
+        # What goes no deeper than this ends there, and its edge is drawn as one.
+        beyond = NEARLY * away / slope * along
+        active &= self._goes_on(scene, near, far, middle + beyond, active)
+        active &= self._goes_on(scene, far, near, middle - beyond, active)
+        return dr.select(active, slope, 1.0), active
+
+    def _behind(self, near: _Hit, far: _Hit, middle: Any, way: Any) -> Any:
+        """The slope along a direction of how far the first shape's plane is behind the second's."""
+        ahead, back = (
+            self._depth(near, at) - self._depth(far, at) for at in (middle + STEP * way, middle - STEP * way)
+        )
+        return (ahead - back) / (2.0 * STEP)
+
+    def _goes_on(self, scene: Any, hidden: _Hit, front: _Hit, at: Any, active: Any) -> Any:
+        """Whether a shape is where its plane is behind another one."""
+        ray = self._ray(at)
+        depth = self._depth(front, at)
+        behind = self._depth(hidden, at) - depth
+        ray.o = self._eye + ray.d * (depth + (1.0 - AROUND) * behind)
+        ray.maxt = 2.0 * AROUND * behind
+        active = active & (behind > 0.0)
+        return active & (_shape(scene.ray_intersect_preliminary(ray, active=active)) == hidden.shape)
+
+    def _depth(self, hit: _Hit, at: Any) -> Any:
+        """How far away the plane of what was hit is, where a place in pixels looks."""
+        return dr.dot(hit.p - self._eye, hit.n) / dr.dot(self._ray(at).d, hit.n)
+
+    @property
+    def _eye(self) -> Any:
+        """Where the camera is, which may move."""
+        return mi.Point3f(self._sensor.world_transform().translation())
+
+    def _hits(self, scene: Any, *ends: Any) -> list[_Hit]:
+        """What places in pixels see, as many of each.
+
+        All by one call: Dr.Jit carries no gradient forward through two of one shape.
+        """
+        at = mi.Point2f(dr.concat([end.x for end in ends]), dr.concat([end.y for end in ends]))
+        found = scene.ray_intersect(self._ray(at))
+        shape, count = _shape(found), dr.width(ends[0])
+        each = [dr.arange(mi.UInt32, count) + number * count for number in range(len(ends))]
+        return [
+            _Hit(
+                dr.gather(mi.Float, found.t, part),
+                dr.gather(mi.Point3f, dr.detach(found.p), part),
+                dr.gather(mi.Normal3f, dr.detach(found.n), part),
+                dr.gather(mi.UInt32, shape, part),
+            )
+            for part in each
+        ]
+
+    def _seen(self, scene: Any, at: Any) -> Any:
+        """The number of the shape that a place in pixels sees; 0 for none."""
+        return _shape(scene.ray_intersect_preliminary(self._ray(at)))
+
+    def _ray(self, at: Any) -> Any:
+        return self._sensor.sample_ray(0.0, 0.5, at / self._size, mi.Point2f(0.5))[0]
+
+
+def _shape(hit: Any) -> Any:
+    return dr.select(hit.is_valid(), dr.reinterpret_array(mi.UInt32, hit.shape), 0)
+
+
+def _least(box: Any) -> Any:
+    return box.min
+
+
+def _most(box: Any) -> Any:
+    return box.max
