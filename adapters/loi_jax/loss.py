@@ -14,6 +14,7 @@ from loi_core.errors import NonFiniteImageError
 from loi_core.method.ways import loops_take
 from loi_core.pixels.colours import Colours
 from loi_core.pixels.nonfinite import NanPolicy
+from loi_core.support.arrays import as_floating
 from loi_jax.primitive import Host, evaluate
 
 __all__ = ["loi_loss"]
@@ -121,6 +122,7 @@ class _Traceable:
         return value, slope
 
     def _evaluate(self, image: jax.Array, *, gradient: bool) -> list[jax.Array]:
+        as_floating("image", image)
         dtype = image.dtype
         if dtype in REDUCED:
             image = image.astype(jnp.float32)

@@ -15,7 +15,7 @@ from loi_core.errors import OptionError
 from loi_core.fitting.optimiser import Memory, require_shapes
 from loi_core.renderers.contract import Parameters
 from loi_core.support.arrays import Host, from_numpy, namespace, to_numpy
-from loi_core.support.wording import shown
+from loi_core.support.wording import described, shown
 
 __all__ = ["OptaxOptimiser"]
 
@@ -57,7 +57,7 @@ class OptaxOptimiser:
         """See :class:`loi_core.Optimiser`."""
         moving = _live({name: params[name] for name in rates})
         shapes = jax.eval_shape(self._transformation.init, moving)
-        leaves = [memory[str(index)] for index in range(len(jax.tree.leaves(shapes)))]
+        leaves = [_like(memory[str(index)], leaf) for index, leaf in enumerate(jax.tree.leaves(shapes))]
         state = jax.tree.unflatten(jax.tree.structure(shapes), leaves)
         slopes = {name: jnp.asarray(to_numpy(gradient[name]), dtype=moving[name].dtype) for name in rates}
         updates, state = self._update(slopes, state, moving)
@@ -69,9 +69,23 @@ class OptaxOptimiser:
         return moved, _flat(state)
 
     def identity(self, params: Parameters) -> str:
-        """See :class:`loi_core.Optimiser`. What it computes tells transformations apart: they have no names."""
+        """See :class:`loi_core.Optimiser`. What it computes tells transformations apart: they have no names.
+
+        Raises
+        ------
+        OptionError
+            If it cannot be called with these parameters and a gradient alone, as those that search along a line or want
+            the value cannot.
+        """
         live = _live(params)
-        computed = str(jax.make_jaxpr(self._transformation.update)(live, self._transformation.init(live), live))
+        try:
+            computed = str(jax.make_jaxpr(self._transformation.update)(live, self._transformation.init(live), live))
+        except Exception as error:
+            msg = (
+                f"`optimiser` must be a transformation that a gradient alone can step, without value or line search, "
+                f"and for the parameters {', '.join(params)}; optax says {described(error):.200}"
+            )
+            raise OptionError(msg) from error
         return f"optax {hashlib.sha256(re.sub('0x[0-9a-f]+', '', computed).encode()).hexdigest()[:16]}"
 
     def restore(self, params: Parameters, stored: Mapping[str, Host]) -> Memory:
@@ -88,4 +102,14 @@ def _live(params: Parameters) -> dict[str, jax.Array]:
 
 
 def _flat(state: Any) -> dict[str, jax.Array]:
-    return {str(index): jnp.asarray(leaf) for index, leaf in enumerate(jax.tree.leaves(state))}
+    """Its arrays by their numbers, as a checkpoint can hold them: a random key by what it is made of."""
+    leaves = [jnp.asarray(leaf) for leaf in jax.tree.leaves(state)]
+    return {str(index): jax.random.key_data(one) if _is_key(one) else one for index, one in enumerate(leaves)}
+
+
+def _like(stored: Any, leaf: Any) -> Any:
+    return jax.random.wrap_key_data(stored) if _is_key(leaf) else stored
+
+
+def _is_key(leaf: Any) -> bool:
+    return bool(jnp.issubdtype(leaf.dtype, jax.dtypes.prng_key))

@@ -15,7 +15,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.eye import NEARLY, brighter, is_plain, sampler_of
+from loi_mitsuba.eye import BESIDE, NEARLY, brighter, is_plain, sampler_of
 
 __all__ = ["Crossings"]
 
@@ -83,9 +83,9 @@ class Crossings:
         with dr.suspend_grad():
             middle = dr.lerp(first, second, 0.5)
             slope, active = self._slope(scene, near, far, middle, along)
-            place = middle / self._size
+            place, aside = middle / self._size, BESIDE * along / self._size
             sampler = sampler_of(seed + 1, dr.width(middle))
-            jump = brighter(self._sensor, integrator, scene, place, along / self._size, active, sampler)
+            jump = brighter(self._sensor, integrator, scene, (place - aside, place + aside), active, sampler)
         gap = near.t - far.t
         moved = dr.select(active, -(gap - dr.detach(gap)) / slope, 0.0)
         return dr.select(active, -jump / lines, 0.0) * moved, place

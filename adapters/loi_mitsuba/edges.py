@@ -1,8 +1,9 @@
 """The edges of meshes with sides, as of a box: the gradient by how they move in view.
 
 Projective sampling asks how bright a mesh is at an outline, and takes for it the triangle that the edge was found with,
-which of a box is as often the side that is turned away. Between two sides that are both seen it looks for no edge. So
-points of such edges are drawn here, and the jump at each is that of two rays, one on either side of it.
+which of a box is as often the side that is turned away. Between two sides that are both seen it looks for no edge. And
+edges of a rectangle that leans count for more or less than they are long. So points of such edges are drawn here, and
+the jump at each is that of two rays, one on either side of it.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.eye import NEARLY, Eye, brighter, is_plain, sampler_of
+from loi_mitsuba.eye import BESIDE, NEARLY, Eye, brighter, is_plain, sampler_of
 from loi_mitsuba.handles import Host
 from loi_mitsuba.seams import edges_of, has_sides
 
@@ -22,50 +23,55 @@ __all__ = ["Edges"]
 
 SHARE: Final = 4  # samples of the image for one here
 LEAST: Final = 4096
+WITHIN: Final = 0.25  # of the way from an edge to the middle of a triangle, at most, for a ray that is to hit it
+HIDDEN: Final = 0.02  # of the length of an edge: what is nearer than it by less does not hide it
+CORNERS: Final = ((-1.0, -1.0, 0.0), (1.0, -1.0, 0.0), (1.0, 1.0, 0.0), (-1.0, 1.0, 0.0))  # of a rectangle of Mitsuba's
 STEP: Final = 0.01  # of the distance to the camera, along an edge to either side, for the direction that it is seen in
 
 
 class Edges:
-    """The edges of meshes that have sides, and the gradient of what is in view by where their vertices are.
+    """The edges of rectangles, and of meshes that have sides, and the gradient of what is in view by where they are.
 
     Parameters
     ----------
     sensor : mi.Sensor
         A perspective camera that shows its whole film.
-    shapes : list of mi.Mesh
-    edges : list of array of int, shape (n, 2)
-        Of each, the ends of its edges.
+    shapes : list of mi.Shape
 
     Attributes
     ----------
-    shapes : list of mi.Mesh
+    shapes : list of mi.Shape
     """
 
-    def __init__(self, sensor: Any, shapes: list[Any], edges: list[Host]) -> None:
+    def __init__(self, sensor: Any, shapes: list[Any]) -> None:
         self.shapes = shapes
         self._sensor = sensor
         self._params = [mi.traverse(shape) for shape in shapes]
-        counts = [len(one["vertex_positions"]) // 3 for one in self._params]
-        first = np.concatenate([[0], np.cumsum(counts)[:-1]])
-        ends = np.concatenate([one + start for one, start in zip(edges, first, strict=True)]).astype(np.uint32)
-        self._ends = [mi.UInt32(np.ascontiguousarray(end)) for end in ends.T]
-        places = np.concatenate([np.array(one["vertex_positions"]).reshape(-1, 3) for one in self._params])
-        lengths = np.linalg.norm(places[ends[:, 0]] - places[ends[:, 1]], axis=1)
-        self._drawn = mi.DiscreteDistribution(mi.Float(lengths.astype(np.float32)))
+        places = [np.array(_positions(one)).reshape(-1, 3) for one in self._params]
+        first = np.cumsum([0, *map(len, places[:-1])])
+        found = [_edges_of(shape) for shape in shapes]
+        ends, third = (
+            np.concatenate([one[k] + start for one, start in zip(found, first, strict=True)]) for k in (0, 1)
+        )
+        self._ends, self._third = (
+            [mi.UInt32(np.ascontiguousarray(one, dtype=np.uint32)) for one in every.T] for every in (ends, third)
+        )
+        between = np.subtract(*np.concatenate(places)[ends].transpose(1, 0, 2))
+        self._drawn = mi.DiscreteDistribution(mi.Float(np.linalg.norm(between, axis=1).astype(np.float32)))
         width, height = sensor.film().size()
         self._size = mi.Point2f(float(width), float(height))
 
     @classmethod
     def of(cls, scene: Any, sensor: Any, shapes: Iterable[Any]) -> Edges | None:
-        """The edges of those of some shapes that are meshes of a scene and have sides.
+        """The edges of those of some shapes of a scene that are rectangles, or meshes with sides.
 
         None where there are none, or the scene is not plain.
         """
         if not is_plain(scene, sensor):
             return None
         own = scene.shapes()
-        meshes = [one for one in dict.fromkeys(shapes) if one in own and has_sides(one)]
-        return cls(sensor, meshes, [edges_of(one) for one in meshes]) if meshes else None
+        sided = [one for one in dict.fromkeys(shapes) if one in own and (_is_rectangle(one) or has_sides(one))]
+        return cls(sensor, sided) if sided else None
 
     def jumps(self, scene: Any, integrator: Any, samples: int, seed: int) -> tuple[Any, Any]:
         """At points of the edges, 0 with how it changes: the jump times how far the edge moves across; and places."""
@@ -74,8 +80,10 @@ class Edges:
         count = max(LEAST, samples * pixels // SHARE)
         sampler = sampler_of(seed, count)
         index, along = self._drawn.sample_reuse(sampler.next_1d())
-        positions = dr.concat([one["vertex_positions"] for one in self._params])
-        first, second = (dr.gather(mi.Point3f, positions, dr.gather(mi.UInt32, end, index)) for end in self._ends)
+        positions = dr.concat([_positions(one) for one in self._params])
+        first, second, *third = (
+            dr.gather(mi.Point3f, positions, dr.gather(mi.UInt32, one, index)) for one in (*self._ends, *self._third)
+        )
         point = dr.lerp(first, second, along)
         place = eye.sees(point)[2]
         with dr.suspend_grad():
@@ -88,11 +96,48 @@ class Edges:
             length = dr.norm(seen)
             across = mi.Vector2f(-seen.y, seen.x) / length
             ray = mi.Ray3f(eye.place, -away / distance)
-            ray.maxt = distance * (1.0 - NEARLY)
+            ray.maxt = distance - dr.minimum(NEARLY * distance, HIDDEN * dr.norm(edge))
             active = eye.sees(point)[3] & (length > 0.0) & ~scene.ray_test(ray)
-            jump = brighter(self._sensor, integrator, scene, dr.detach(place), across / self._size, active, sampler)
+            middles = [eye.sees((first + second + one) / 3.0)[2] for one in third]
+            ends = self._sides(dr.detach(place), across, middles)
+            jump = brighter(self._sensor, integrator, scene, ends, active, sampler)
             density = self._drawn.eval_pmf_normalized(index) * count / dr.norm(edge)  # points to a unit of length
             pixels_each = length / (2.0 * STEP * distance * density)
         moved = dr.dot(across, place * self._size)
         moved = dr.select(active, moved - dr.detach(moved), 0.0)
         return dr.select(active, -jump * pixels_each, 0.0) * moved, dr.detach(place)
+
+    def _sides(self, place: Any, across: Any, middles: list[Any]) -> tuple[Any, Any]:
+        """A place before an edge and one beyond it, of the film: in the triangle that is there, or close to the edge.
+
+        A triangle that is seen nearly edge-on is much narrower than what is close.
+        """
+        ends = []
+        for sign in (-1.0, 1.0):
+            beside = place + sign * BESIDE * across / self._size
+            for middle in middles:
+                way = middle - place
+                far = sign * dr.dot(across, way * self._size)
+                inside = place + dr.minimum(WITHIN, BESIDE / far) * way
+                beside = dr.select(far > 0.0, inside, beside)
+            ends.append(beside)
+        return ends[0], ends[1]
+
+
+def _is_rectangle(shape: Any) -> bool:
+    return str(shape.class_name()) == "Rectangle"
+
+
+def _positions(params: Any) -> Any:
+    """Of the vertices of a shape, one after the other; they change with what moves it."""
+    if "to_world" not in params:
+        return params["vertex_positions"]
+    return dr.ravel(params["to_world"] @ mi.Point3f(np.array(CORNERS, dtype=np.float32).T))
+
+
+def _edges_of(shape: Any) -> tuple[Host, Host]:
+    """As :func:`edges_of`, of a rectangle as well."""
+    if not _is_rectangle(shape):
+        return edges_of(shape)
+    ends = np.array([[0, 1], [1, 2], [2, 3], [3, 0]])
+    return ends, np.roll(ends, -1, axis=0)[:, [1, 1]]

@@ -11,7 +11,7 @@ import numpy as np
 
 from loi_mitsuba.handles import Host
 
-__all__ = ["NEARLY", "Eye", "brighter", "is_plain", "sampler_of", "texture_of"]
+__all__ = ["BESIDE", "NEARLY", "Eye", "brighter", "is_plain", "sampler_of", "texture_of"]
 
 BESIDE: Final = 0.05  # pixels from a jump of brightness, to either side
 NEARLY: Final = 1e-3  # of the distance to the camera: what is nearer than an edge by less does not hide it
@@ -106,16 +106,13 @@ def is_plain(scene: Any, sensor: Any) -> bool:
     return whole and mi.is_rgb and not mi.is_polarized and not any(one.is_medium_transition() for one in scene.shapes())
 
 
-def brighter(sensor: Any, integrator: Any, scene: Any, place: Any, across: Any, active: Any, sampler: Any) -> Any:
-    """How much brighter it is a little beyond places of the film, 0 to 1 both ways, than before them.
-
-    `across` goes over them, and is a pixel long.
-    """
+def brighter(sensor: Any, integrator: Any, scene: Any, ends: tuple[Any, Any], active: Any, sampler: Any) -> Any:
+    """How much brighter it is at the second of two places of the film, 0 to 1 both ways, than at the first."""
     values = []
-    for sign in (1.0, -1.0):
-        ray, weight = sensor.sample_ray(0.0, 0.5, place + sign * BESIDE * across, mi.Point2f(0.5))
+    for place in ends:
+        ray, weight = sensor.sample_ray(0.0, 0.5, place, mi.Point2f(0.5))
         values.append(integrator.sample(scene, sampler, ray, active=active)[0] * weight)
-    return values[0] - values[1]
+    return values[1] - values[0]
 
 
 def sampler_of(seed: int, count: int) -> Any:

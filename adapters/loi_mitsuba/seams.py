@@ -48,14 +48,18 @@ def has_sides(shape: Any) -> bool:
     return bool(np.any(turn > CREASE))
 
 
-def edges_of(shape: Any) -> Host:
-    """The ends of all edges of a mesh at which it bends or ends: numbers of vertices, shape (n, 2)."""
+def edges_of(shape: Any) -> tuple[Host, Host]:
+    """All edges of a mesh at which it bends or ends, as numbers of vertices, shape (n, 2).
+
+    First their ends; then the third corners of the two triangles that meet there, the same one twice where one ends.
+    """
     pairs, alone = _meetings(shape)
     params = mi.traverse(shape)
     faces = _faces(params)
-    begin = np.concatenate([_bent(params, faces, pairs), alone])
+    bent = _bent(params, faces, pairs)
+    sides = np.concatenate([bent, np.stack([alone, alone], axis=1)])
     ends = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
-    return np.asarray(ends[begin])
+    return np.asarray(ends[sides[:, 0]]), np.asarray(np.roll(faces, -2, axis=1).ravel()[sides])
 
 
 def crowded_share(shape: Any) -> float:
@@ -80,7 +84,7 @@ def crowded_share(shape: Any) -> float:
     def length(edges: Host) -> float:
         return float(np.sum(np.linalg.norm(positions[edges[:, 0]] - positions[edges[:, 1]], axis=1)))
 
-    total = length(ends[_bent(params, faces, pairs)]) + length(kinds)
+    total = length(ends[_bent(params, faces, pairs)[:, 0]]) + length(kinds)
     return length(crowded) / total if total > 0.0 else 0.0
 
 
@@ -99,9 +103,9 @@ def _run_along_others(positions: Host, borders: Host) -> Host:
 
 
 def _bent(params: Any, faces: Host, pairs: Host) -> Host:
-    """Of pairs of sides, the first of each at which triangles do not lie in one plane."""
+    """Of pairs of sides, those at which triangles do not lie in one plane."""
     flat = _flat_normals(params, faces).reshape(-1, 3)
-    return np.asarray(pairs[_apart(flat[pairs[:, 0]], flat[pairs[:, 1]]) > BENT, 0])
+    return np.asarray(pairs[_apart(flat[pairs[:, 0]], flat[pairs[:, 1]]) > BENT])
 
 
 def _meetings(shape: Any) -> tuple[Host, Host]:

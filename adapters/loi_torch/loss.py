@@ -219,7 +219,7 @@ class _Loss(torch.autograd.Function):
     def backward(ctx: Any, upstream: Tensor | None, second: Tensor | None) -> tuple[Tensor | None, None, None]:
         """Scale the gradient. As a result like the value it is no constant to autograd, which asks for its slope."""
         if second is not None:
-            msg = "loi's loss has no second derivatives on torch; loi_jax.loi_loss has"
+            msg = "loi's loss has no second derivatives on torch; its gradient alone can be had"
             raise DerivativeError(msg)
         (gradient,) = ctx.saved_tensors
         return None if upstream is None else _product(upstream, gradient), None, None

@@ -5,12 +5,10 @@ from __future__ import annotations
 import json
 import shlex
 import sys
-import warnings
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, TextIO
+from typing import Any
 
 from tqdm import tqdm
 
@@ -18,9 +16,8 @@ from loi_core.cli.codes import DONE, FAILED, NOT_FOUND
 from loi_core.cli.watch import check_port, watched
 from loi_core.effects import PlanningRenderer
 from loi_core.errors import SceneError, WriteError
-from loi_core.fitting.generations import CheckpointWarning
 from loi_core.fitting.loop import check_fit_options
-from loi_core.io.lock import FileLock, LockWarning
+from loi_core.io.lock import FileLock
 from loi_core.io.result_folder import CHECKPOINT_FILE, CHECKPOINT_FILES, LOCK_FILE, ResultFolder
 from loi_core.report import write_page, write_results
 from loi_core.report.output import frame_writer
@@ -79,7 +76,7 @@ def fit_scene(
 
 def _fit_alone(scene: Scene, command: str, watch: Watch | None, *, resume: bool) -> tuple[dict[str, Any], Path]:
     """Fit in a folder that nobody else writes to meanwhile; the summary and the page."""
-    with _aloud(), FileLock(scene.output / LOCK_FILE, scene.output):
+    with FileLock(scene.output / LOCK_FILE, scene.output):
         try:
             result = run_and_write(scene, resume=resume, command=command, watch=watch)
             return result, write_page(scene.output)
@@ -100,31 +97,6 @@ def _tell(result: Mapping[str, Any], page: Path, *, as_json: bool) -> None:
     print_summary(result)
     print_verdicts(result)
     print(f"\nreport: {page}", flush=True)
-
-
-@contextmanager
-def _aloud() -> Iterator[None]:
-    """Warnings of checkpoints and locks as lines like all that the command says."""
-    with warnings.catch_warnings():
-        kept = warnings.showwarning
-
-        def show(
-            message: Warning | str,
-            category: type[Warning],
-            filename: str,
-            lineno: int,
-            file: TextIO | None = None,
-            line: str | None = None,
-        ) -> None:
-            if issubclass(category, CheckpointWarning | LockWarning):
-                print(f"loi: {printable(str(message))}", file=sys.stderr)
-            else:
-                kept(message, category, filename, lineno, file, line)
-
-        for category in (CheckpointWarning, LockWarning):
-            warnings.simplefilter("always", category)
-        warnings.showwarning = show
-        yield
 
 
 def print_verdicts(result: Mapping[str, Any]) -> None:

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from loi_core import __version__
+from loi_core.cli.aloud import warning_aloud
 from loi_core.cli.codes import DONE, FAILED, WRONG_CALL
 from loi_core.cli.signals import ended_like_ctrl_c
 from loi_core.errors import ExecutorError, FitError, LoiError, RendererError, WriteError
@@ -28,7 +29,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except SystemExit as stop:  # argparse has printed the help, the version, or what is wrong
         return stop.code if isinstance(stop.code, int) else WRONG_CALL
     try:
-        with ended_like_ctrl_c(), contextlib.redirect_stdout(PlainText(sys.stdout)):
+        with ended_like_ctrl_c(), warning_aloud(), contextlib.redirect_stdout(PlainText(sys.stdout)):
             return _run(options)
     except KeyboardInterrupt as stop:
         return _say(str(stop) or "interrupted", FAILED)

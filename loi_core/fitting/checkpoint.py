@@ -134,7 +134,9 @@ def load_checkpoint(path: Path, settings: Mapping[str, str]) -> Checkpoint:
         if name == "steps" and state.settings.get(name, "").isdecimal() and int(value) >= state.step:
             continue  # more steps, or fewer that are still to come, go on from here
         if state.settings.get(name) != value:
-            msg = f"`checkpoint` was made with {name} = {state.settings.get(name)!s:.80}, this fit has {value}"
+            before = state.settings.get(name, "none")
+            told = f"other {name}" if value.startswith("sha256 ") else f"{name} = {before:.80}, this fit has {value}"
+            msg = f"`checkpoint` was made with {told}; start without resume"
             raise ParameterError(msg)
     return state
 

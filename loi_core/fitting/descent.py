@@ -90,6 +90,8 @@ class Descent:
         after = state.stepped(entry, moved, memory, latest)
         if after.schedule.lost:
             after = self._searched(after)
+        elif stage < self.views.placing == after.schedule.stage:
+            after = replace(after, rates=self._higher_rates(after, "measuring rates anew"))
         elif self.views.finish and stage == self.views.placing < after.schedule.stage:
             after = self._finishing(after)
         return after, entry, seen, as_given(images)
@@ -156,19 +158,26 @@ class Descent:
         return replace(state, params=found[1], memory=memory, schedule=schedule, latest={})
 
     def _finishing(self, state: State) -> State:
-        """The state as the finish begins: a descent of its own, which remembers nothing, at rates measured anew.
+        """The state as the finish begins: a descent of its own, which remembers nothing.
 
-        Gradients of pixels have another size, which Adam would take a thousand steps to learn; and what moves the image
-        by a pixel here may have moved it far less at the start. The higher rate counts: a decay makes up for one that
-        is too high, and nothing for one that is too low.
+        Gradients of pixels have another size, which Adam would take a thousand steps to learn.
         """
         memory = self.optimiser.start({name: state.params[name] for name in self.bounds.lower})
-        with keeping(state, "measuring rates for the finish"):
+        rates = self._higher_rates(state, "measuring rates for the finish")
+        return replace(state, memory=memory, rates={name: FINISH_RATE * rate for name, rate in rates.items()})
+
+    def _higher_rates(self, state: State, doing: str) -> dict[str, float]:
+        """Rates as measured here, where they are higher than before.
+
+        What moves the image by a pixel here may have moved it far less at the start, as a distance does, or a
+        logarithm. The higher rate counts: a decay makes up for one that is too high, and nothing for one that is too
+        low.
+        """
+        with keeping(state, doing):
             rates = measured_rates(
                 self.views, state.params, self.bounds, self.asked, self.steps, self.seed + state.step
             )
-        slower = {name: FINISH_RATE * max(rate, state.rates[name]) for name, rate in rates.items()}
-        return replace(state, memory=memory, rates=slower)
+        return {name: max(rate, state.rates[name]) for name, rate in rates.items()}
 
     def _evaluate(self, state: State) -> tuple[dict[str, Array], dict[str, float], Parameters]:
         """Images and values of the views of a step, and the gradient of their mean by the free parameters."""

@@ -14,7 +14,7 @@ from loi_core.fitting.parameters import Bounds
 from loi_core.fitting.race import moving, unbounded
 from loi_core.fitting.state import FitResult
 from loi_core.fitting.verdict import Diagnosis, Verdict
-from loi_core.fitting.views import Images, View, Views, by_view, mean
+from loi_core.fitting.views import Images, View, Views, as_given, by_view, mean
 from loi_core.objectives import ImageObjective, LOIObjective, Objective
 from loi_core.pixels.encoding import encode_srgb
 from loi_core.pixels.psnr import psnr
@@ -49,6 +49,15 @@ MOSTLY: Final = 0.6
 FADED: Final = 1e-6
 """Of the largest gradient on the way: less is none."""
 
+STEADY: Final = 0.9
+"""Of the steps of the last stage: where a loss falls in so many, it was not yet there."""
+
+SHORT: Final = 16
+"""Steps of a stage: of fewer one can say little more than whether the loss has fallen."""
+
+SEEN: Final = 40.0
+"""dB: images that are further apart differ to the eye."""
+
 MANY: Final = 64
 """Numbers: those of a texture or of a mesh, whose last digits are for pixels to find."""
 
@@ -76,6 +85,8 @@ class Findings:
         The start's render and the target, shape (H, W, C), of each view.
     finish : bool
         Whether the fit had a finish on pixels.
+    psnr : float, optional
+        Of the start's render, where pixels count; dB.
     """
 
     start: float
@@ -87,6 +98,7 @@ class Findings:
     visible: Mapping[str, bool]
     pairs: Sequence[tuple[Host, Host]] = ()
     finish: bool = False
+    psnr: float | None = None
 
 
 def judged(views: Views, start: Parameters, bounds: Bounds, result: FitResult, seed: int) -> Diagnosis | None:
@@ -110,8 +122,10 @@ def judged(views: Views, start: Parameters, bounds: Bounds, result: FitResult, s
         ]
     except Exception:  # noqa: BLE001 - the fit is done, whatever a renderer does beyond it
         return None
-    found = result.best_params
-    return diagnose(Findings(first, mean(ends), mean(noises), result.history, found, bounds, visible, pairs, finish))
+    found, near = result.best_params, nearness(views, as_given(images))
+    return diagnose(
+        Findings(first, mean(ends), mean(noises), result.history, found, bounds, visible, pairs, finish, near)
+    )
 
 
 def nearness(views: Views, images: Images) -> float | None:
@@ -165,6 +179,12 @@ def diagnose(seen: Findings) -> Diagnosis:
             clause(hidden, "leaves no trace in the image", "leave no trace in the image"),
             "check that they are in view",
         )
+    if seen.start == 0.0 and seen.psnr is not None and seen.psnr < SEEN:
+        return say(
+            "no gradient",
+            f"start and target differ ({seen.psnr:.1f} dB), and the loss does not see it",
+            "it may compare too little: look at its scales and their bounds, and at `colours`",
+        )
     if seen.start == 0.0:
         return say("converged", "the start is the target, as far as the loss sees")
     if blind:
@@ -178,22 +198,34 @@ def diagnose(seen: Findings) -> Diagnosis:
         return say("converged", rest, FINISH if moving(seen.bounds) > MANY and not seen.finish else "")
     if noise > LOUD * (1.0 + left):
         return say("follows noise", f"{rest}, and noise makes {noise:.0%} of it", "raise the samples")
-    encoded = next(filter(None, (_encoding(image, reference) for image, reference in seen.pairs)), "")
-    if encoded:
-        return say("other range", f"{rest}; {encoded}", "compare linear with linear: read_target(file, to='linear')")
+    ranges = [found for image, reference in seen.pairs if (found := _other_range(image, reference))]
+    if ranges:
+        return say("other range", f"{rest}; {ranges[0][0]}", ranges[0][1])
     if norms[-1] <= FADED * max(norms):
         return say("left the frame", f"{rest}, and the gradient is gone", "start nearer, or set bounds")
     held = _at_bounds(seen.params, seen.bounds)
     if held:
         return say("at a bound", f"{rest}, and {listed(held)} ended at a bound", "widen it, or start elsewhere")
     last = [one.value for one in seen.history if one.stage == seen.history[-1].stage]
-    quarter = last[-max(len(last) // 4, 2) :]
-    if len(quarter) >= 4:
-        half = len(quarter) // 2
-        first, second = float(np.mean(quarter[:half])), float(np.mean(quarter[half:]))
-        if first - second > FALLING * abs(second):
-            return say("still falling", rest, "give it more steps")
+    if _falls(last):
+        return say("still falling", rest, "give it more steps")
+    if np.mean(np.diff(last) < 0.0) >= STEADY:
+        return say(
+            "still falling",
+            f"{rest}, and it fell in nearly every step",
+            "give it more steps, or a higher learning_rate",
+        )
     return say("stalled", f"{rest} and no longer falls", _for_one_that_stalls(seen))
+
+
+def _falls(values: Sequence[float]) -> bool:
+    """Whether the values of the last stage still fall at its end; of few values, whether they fell at all."""
+    if len(values) < SHORT:
+        return len(values) < 2 or values[-1] < values[0]
+    quarter = values[-(len(values) // 4) :]
+    half = len(quarter) // 2
+    first, second = float(np.mean(quarter[:half])), float(np.mean(quarter[half:]))
+    return first - second > FALLING * abs(second)
 
 
 def _for_one_that_stalls(seen: Findings) -> str:
@@ -216,13 +248,14 @@ def _at_bounds(params: Parameters, bounds: Bounds) -> list[str]:
     return found
 
 
-def _encoding(image: Host, reference: Host) -> str:
-    """What is wrong if one of two images looks as if it were encoded for a display and the other not; or empty.
+def _other_range(image: Host, reference: Host) -> tuple[str, str] | None:
+    """What is wrong if one of two images looks as if it were encoded for a display and the other not, and what to do.
 
     The distribution of values has to say so, and most pixels as well: noise shifts the one, but not along the curve.
+    Where one exposure explains as much, it is that.
     """
     if image.shape != reference.shape:
-        return ""
+        return None
     levels = np.linspace(0.02, 0.98, 49)
     ours, theirs = (np.clip(np.nan_to_num(each), 0.0, 1.0) for each in (image, reference))
     for linear, encoded, says in (
@@ -235,5 +268,8 @@ def _encoding(image: Host, reference: Host) -> str:
         low, high, goal = (np.quantile(each, levels) for each in (linear, seen, wanted))
         values = float(np.mean(np.abs(high - goal))), float(np.mean(np.abs(low - goal)))
         if values[1] > APART and values[0] < ALIKE * values[1] and pixels[0] < MOSTLY * pixels[1]:
-            return says
-    return ""
+            exposure = float(np.sum(ours * theirs) / np.sum(ours * ours))
+            if np.mean(np.abs(exposure * ours - theirs)) < pixels[0]:
+                return f"the target is {exposure:.2g} times as bright as the render", "match the exposure, or fit it"
+            return says, "compare linear with linear: read_target(file, to='linear')"
+    return None

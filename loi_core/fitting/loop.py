@@ -31,10 +31,11 @@ from loi_core.fitting.rates import measured_rates, named_rates
 from loi_core.fitting.resuming import resumed, settings_of, snapshot
 from loi_core.fitting.stages import FarToNear, Finish, Stages
 from loi_core.fitting.state import FitResult, State
-from loi_core.fitting.views import Views
+from loi_core.fitting.views import Images, Views, as_given, by_view
 from loi_core.io.files import check_writable
 from loi_core.objectives import Objective
 from loi_core.renderers.contract import Parameters, Renderer
+from loi_core.support.arrays import copied
 from loi_core.support.values import whole_number
 from loi_core.support.wording import shown
 
@@ -143,7 +144,8 @@ def fit(
         first step.
     callback : callable, optional
         ``callback(step, params, image)`` after every step; returning True ends the fit. Of several views, `image` is a
-        dict of those that the step has rendered. A checkpoint holds the steps whose callback has returned; what a
+        dict of those that the step has rendered. The arrays are its own, to write to.
+        A checkpoint holds the steps whose callback has returned; what a
         ``loi_core.fitting.callbacks.RememberingCallback`` knows is in it as well.
 
     Returns
@@ -183,7 +185,7 @@ def fit(
     asked = {name: learning_rate if one.learning_rate is None else one.learning_rate for name, one in free.items()}
     named = named_rates(asked)
     identity = optimiser.identity({name: params[name] for name in free})
-    settings = settings_of(steps, seed, decay, named, bounds, views, identity)
+    settings = settings_of(steps, seed, decay, named, free, starts, bounds, views, identity)
     descent = Descent(views, bounds, asked, optimiser, decay, steps, seed)
     # The state is only ever replaced whole, so that Ctrl-C falls before a step or after it, never within.
     state = called = _beginning(descent, params, dict.fromkeys(free, 1.0))
@@ -207,7 +209,7 @@ def fit(
         while state.step < steps:
             state, entry, seen, image = descent.step(state)
             _begin(kept, state)
-            stop = callback is not None and callback(entry, seen, image)
+            stop = callback is not None and callback(entry, *_own(seen, image))
             called = state  # only now may a checkpoint hold the step: a callback that was cut off sees it again
             if is_due(state.step):
                 _save(kept, state, settings, callback)
@@ -236,6 +238,12 @@ def fit(
     except BaseException:
         _release(kept)
         raise
+
+
+def _own(params: Parameters, images: Images) -> tuple[Parameters, Images]:
+    """What a callback may write to: the fit goes on from its own."""
+    each = {name: copied(image) for name, image in by_view(images).items()}
+    return {name: copied(value) for name, value in params.items()}, as_given(each)
 
 
 def _beginning(descent: Descent, params: Parameters, rates: Mapping[str, float]) -> State:

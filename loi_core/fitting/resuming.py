@@ -15,7 +15,7 @@ from loi_core.fitting.callbacks import RememberingCallback
 from loi_core.fitting.checkpoint import Checkpoint
 from loi_core.fitting.history import FIRST_COLUMNS, StepLog
 from loi_core.fitting.optimiser import Optimiser, require_shapes
-from loi_core.fitting.parameters import Bounds
+from loi_core.fitting.parameters import Bounds, Free
 from loi_core.fitting.stages import FarToNear
 from loi_core.fitting.state import Best, State
 from loi_core.fitting.views import Views, mean
@@ -41,25 +41,35 @@ def settings_of(
     seed: int,
     decay: str,
     rates: Mapping[str, float | str],
+    free: Mapping[str, Free],
+    starts: int,
     bounds: Bounds,
     views: Views,
     optimiser: str,
 ) -> dict[str, str]:
     """What must be the same for a fit to go on as if it had not stopped, by name.
 
-    `rates` are those that were asked for, in a parameter's own unit or as text in pixels.
+    `rates` are those that were asked for, in a parameter's own unit or as text in pixels. A start counts if it was
+    given: the renderer's own may be where an earlier fit has left a scene.
     """
+    given = {name: np.asarray(to_numpy(one.initial)).tolist() for name, one in free.items() if one.initial is not None}
     limits = {name: [to_numpy(side[name]).tolist() for side in (bounds.lower, bounds.upper)] for name in rates}
     return {
         "steps": str(steps),
         "seed": str(seed),
         "decay": decay,
         "learning rates": json.dumps(dict(rates)),
-        "bounds": hashlib.sha256(json.dumps(limits).encode()).hexdigest()[:12],
+        "start": _digest(given),
+        "starts": str(starts),
+        "bounds": _digest(limits),
         "stages": f"{views.stages}, the last of them to finish" if views.finish else str(views.stages),
         "views": json.dumps([*views.each, views.at_once]),
         "optimiser": optimiser,
     }
+
+
+def _digest(value: object) -> str:
+    return f"sha256 {hashlib.sha256(json.dumps(value).encode()).hexdigest()[:12]}"
 
 
 def few_numbers(params: Parameters, names: Iterable[str]) -> dict[str, np.ndarray[Any, Any]]:

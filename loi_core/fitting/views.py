@@ -124,6 +124,11 @@ class Views:
             if not isinstance(name, str) or not name:
                 msg = f"`renderer` must name its views by texts that are not empty, got {shown(name)}"
                 raise OptionError(msg)
+        for name, one in compared.items():
+            if not isinstance(one, Objective) or isinstance(one, type):
+                where = f" of view {name!r}" if name else ""
+                msg = f"`objective`{where} must be an Objective, such as LOIObjective(photograph), got {shown(one)}"
+                raise OptionError(msg)
         if len(renderers) > 1 and isinstance(stages, Sequence) and not isinstance(stages, str):
             strange = next((one for one in stages if not isinstance(one, ScaleSpace)), None)
             if strange is not None:

@@ -20,10 +20,11 @@ def psnr(image: Host, target: Host, weights: Host | None = None) -> float:
     weights : array, shape (H, W), optional
         How much each pixel counts.
     """
-    squares = np.mean((np.asarray(image, dtype=np.float64) - target) ** 2, axis=-1)
-    if weights is None:
-        error = float(np.mean(squares))
-    else:
-        counts = weights > 0.0  # the others may hold anything
-        error = float(np.average(squares[counts], weights=weights[counts]))
+    with np.errstate(all="ignore"):  # a square may overflow: then the images are infinitely far apart
+        squares = np.mean((np.asarray(image, dtype=np.float64) - target) ** 2, axis=-1)
+        if weights is None:
+            error = float(np.mean(squares))
+        else:
+            counts = weights > 0.0  # the others may hold anything
+            error = float(np.average(squares[counts], weights=weights[counts]))
     return math.inf if error == 0.0 else -10.0 * math.log10(error)

@@ -188,8 +188,9 @@ def _blurred(image: Array) -> Host:
 
 def _squared_slope(image: Host) -> Host:
     """The squared gradient of planes by position, per pixel."""
-    down, across = (np.gradient(image, axis=axis) if image.shape[axis] > 1 else np.zeros_like(image) for axis in (1, 2))
-    squares: Host = down**2 + across**2
+    with np.errstate(all="ignore"):  # what overflows is infinitely steep
+        down, across = (np.gradient(image, axis=axis) if image.shape[axis] > 1 else image * 0.0 for axis in (1, 2))
+        squares: Host = down**2 + across**2
     return squares
 
 
@@ -203,7 +204,10 @@ def _wanted(image: Host, target: Array | None) -> Host:
     pixels = np.asarray(to_numpy(target), dtype=np.float64)
     known = np.isfinite(pixels)
     planes = _blurred(np.where(known, pixels, np.mean(pixels, where=known) if known.any() else 0.0))
-    ours, theirs = (float(np.mean(np.abs(each))) for each in (image, planes))
+    with np.errstate(all="ignore"):
+        ours, theirs = (float(np.mean(np.abs(each))) for each in (image, planes))
+    if not math.isfinite(theirs):
+        return np.zeros_like(image)
     dimmed = min(ours / theirs, 1.0) if theirs > 0.0 else 0.0
     way = (dimmed * planes - image) / max(image.shape[-2:])
     wanted: Host = np.maximum(dimmed**2 * _squared_slope(planes), way**2)

@@ -17,6 +17,7 @@ __all__ = [
     "Host",
     "Namespace",
     "as_floating",
+    "copied",
     "detached",
     "device",
     "epsilon",
@@ -77,6 +78,11 @@ def from_numpy(values: np.ndarray[Any, Any], like: Array) -> Array:
     """`values` as an array of the library, dtype and device of `like`."""
     xp = namespace(like)
     return xp.asarray(values, dtype=like.dtype, device=device(like))
+
+
+def copied(array: Array) -> Array:
+    """The same numbers, in an array of their own."""
+    return namespace(array).asarray(array, copy=True)
 
 
 def widened(array: Array) -> Array:

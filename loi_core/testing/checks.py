@@ -11,6 +11,7 @@ import numpy as np
 
 from loi_core.errors import ConformanceError, OptionError
 from loi_core.support.arrays import Host
+from loi_core.support.wording import described
 
 __all__ = ["Check", "Slopes", "measure_slopes", "run_checks", "slope_tolerance"]
 
@@ -58,8 +59,14 @@ class Check(Generic[SubjectT]):
     test: Callable[[Check[SubjectT], SubjectT], None]
 
     def __call__(self, subject: SubjectT) -> None:
-        """Run the check; raises :class:`ConformanceError` if the subject breaks the rule."""
-        self.test(self, subject)
+        """Run the check; raises :class:`ConformanceError` if the subject breaks the rule, or fails with an error."""
+        try:
+            self.test(self, subject)
+        except ConformanceError:
+            raise
+        except Exception as error:
+            msg = f"the check ended with {described(error)}"
+            raise ConformanceError(self.name, self.rule, msg) from error
 
     def __str__(self) -> str:
         return self.name

@@ -157,6 +157,30 @@ def _check_weights(check: _Check, subject: ObjectiveSubject) -> None:
     _check_slopes(check, subject, weighed, image)
 
 
+def _check_batch(check: _Check, subject: ObjectiveSubject) -> None:
+    """Of what takes batches; others may refuse them."""
+    image, reference = subject.images()
+    pairs = [(image, reference), (0.5 * (image + reference), image[::-1].copy())]
+    images, references = (np.stack(each).astype(image.dtype) for each in zip(*pairs, strict=True))
+    try:
+        value = float(subject.make(subject.asarray(references)).value(subject.asarray(images)))
+    except ValueError:
+        return
+    each = [float(subject.make(subject.asarray(two)).value(subject.asarray(one))) for one, two in pairs]
+    if abs(value - sum(each) / 2.0) > 1e3 * float(np.finfo(subject.dtype).eps) * abs(value):
+        check.fail(f"a batch of two gave {value:.6g}, the two alone {each[0]:.6g} and {each[1]:.6g}")
+
+
+def _check_channels(check: _Check, subject: ObjectiveSubject) -> None:
+    image, reference = subject.images()
+    objective = subject.make(subject.asarray(reference))
+    for channel in range(image.shape[-1]):
+        other = reference.copy()
+        other[..., channel] = image[..., channel]
+        if float(objective.value(subject.asarray(other))) == float(objective.value(subject.asarray(reference))):
+            check.fail(f"the value is the same whatever channel {channel} is")
+
+
 def _check_slopes(check: _Check, subject: ObjectiveSubject, objective: Objective, image: Host) -> None:
     _, gradient = objective.value_and_grad(subject.asarray(image))
 
@@ -240,6 +264,8 @@ OBJECTIVE_CHECKS: Final[tuple[_Check, ...]] = (
     Check("minimum", "the reference is the least of all images, and the gradient is zero there", _check_minimum),
     Check("finite_differences", "the gradient is the derivative of the value", _check_differences),
     Check("weights", "if it takes weights, pixels count by them, and by nothing if they are 0", _check_weights),
+    Check("batch", "if it takes batches, the value of one is the mean of its images' values", _check_batch),
+    Check("channels", "every channel counts", _check_channels),
     Check("no_memory", "a value depends on the image given, not on earlier calls", _check_no_memory),
     Check("no_mutation", "nothing that is given is written to", _check_no_mutation),
     Check("own_reference", "the reference is the objective's own: later writes change nothing", _check_own_reference),

@@ -29,6 +29,9 @@ __all__ = ["RENDERER_CHECKS", "RendererSubject", "check_renderer"]
 
 ATTEMPTS: Final = 4  # to find parameters where slopes can be measured
 NEARBY: Final = 0.01
+POINTS: Final = 16  # of a way through the parameters, at which its gradient is taken
+SUMS: Final = 8  # random ones, of the pixels
+UNACCOUNTED: Final = 0.3  # of how an image changes along such a way
 
 
 @dataclass(frozen=True)
@@ -108,6 +111,10 @@ def _check_parameters(check: _Check, subject: RendererSubject) -> None:
     again = subject.renderer.parameters()
     if again is params or list(again) != list(params):
         check.fail("expected a new dict with the same names on each call")
+    for name, value in params.items():
+        first, second = to_numpy(value), to_numpy(again[name])
+        if first.flags.writeable and np.shares_memory(first, second):
+            check.fail(f"two calls gave the same array of {name!r}, so that writing to one changes the other")
 
 
 def _check_image(check: _Check, subject: RendererSubject) -> None:
@@ -146,8 +153,11 @@ def _check_determinism(check: _Check, subject: RendererSubject) -> None:
 def _check_no_memory(check: _Check, subject: RendererSubject) -> None:
     renderer, params = subject.renderer, subject.renderer.parameters()
     moved = _moved(params, subject.seed)
-    first = to_numpy(renderer.render(params, seed=subject.seed)).copy()
+    image = to_numpy(renderer.render(params, seed=subject.seed))
+    first = image.copy()
     elsewhere = to_numpy(renderer.render(moved, seed=subject.seed)).copy()
+    if not same(image, first):
+        check.fail("rendering other parameters wrote to an image that had been returned")
     if same(first, elsewhere):
         check.fail("changing all parameters by a little left the image the same to the bit")
     back = to_numpy(renderer.render(params, seed=subject.seed))
@@ -215,18 +225,32 @@ def _check_pullback_memory(check: _Check, subject: RendererSubject) -> None:
     params, image, pullback = _rendered(subject)
     cotangent = _cotangent(image, subject.seed)
     first = {name: to_numpy(value).copy() for name, value in pullback(cotangent).items()}
-    _, pullback = subject.renderer.render_vjp(params, seed=subject.seed)
+    given = subject.renderer.parameters()
+    _, pullback = subject.renderer.render_vjp(given, seed=subject.seed)
     moved = _moved(params, subject.seed)
     _, other = subject.renderer.render_vjp(moved, seed=subject.seed)
     other(cotangent)
-    tolerance = 1e3 * epsilon(image)
-    for name, value in pullback(cotangent).items():
-        if not np.allclose(to_numpy(value), first[name], rtol=tolerance, atol=tolerance * np.abs(first[name]).max()):
-            check.fail(f"after rendering other parameters, an earlier pullback gave another cotangent of {name!r}")
+    _expect_same(check, pullback(cotangent), first, "after rendering other parameters, an earlier pullback")
+    _, pullback = subject.renderer.render_vjp(given, seed=subject.seed)
+    for name, value in given.items():
+        host = to_numpy(value)
+        if host.flags.writeable:
+            host[...] = to_numpy(moved[name])
+    given.clear()
+    _expect_same(check, pullback(cotangent), first, "after the caller wrote to what it had given, the pullback")
+
+
+def _expect_same(check: _Check, pulled: Parameters, before: Mapping[str, Host], which: str) -> None:
+    for name, wanted in before.items():
+        found = to_numpy(pulled[name])
+        tolerance = 1e3 * epsilon(pulled[name])
+        if not np.allclose(found, wanted, rtol=tolerance, atol=tolerance * np.abs(wanted).max(initial=0.0)):
+            check.fail(f"{which} gave another cotangent of {name!r}")
 
 
 def _check_differences(check: _Check, subject: RendererSubject) -> None:
-    params = subject.renderer.parameters()
+    # Not at the renderer's own, so that a gradient which is always of these is found out.
+    params = _moved(subject.renderer.parameters(), subject.seed)
     for name, value in params.items():
         image = subject.renderer.render(params, seed=subject.seed)
         coarsest = max(epsilon(value), epsilon(image))
@@ -263,6 +287,33 @@ def _slopes(subject: RendererSubject, name: str, params: Parameters, coarsest: f
         epsilon=coarsest,
         seed=subject.seed,
     )
+
+
+def _check_edges(check: _Check, subject: RendererSubject) -> None:
+    """Along a way on which edges pass over pixels, the gradient has to sum up to how the image changes."""
+    if subject.seeds > 1:
+        return  # noise would be summed up as well
+    renderer, start = subject.renderer, subject.renderer.parameters()
+    end = _moved(start, subject.seed)
+    way = {name: to_numpy(end[name]).astype(np.float64) - to_numpy(value) for name, value in start.items()}
+    first, last = (renderer.render(params, seed=subject.seed) for params in (start, end))
+    change = to_numpy(last).astype(np.float64) - to_numpy(first)
+    sums = [_cotangent(first, subject.seed + 11 + k) for k in range(SUMS)]
+    measured = np.array([np.sum(to_numpy(one) * change) for one in sums])
+    claimed = np.zeros(SUMS)
+    for point in (np.arange(POINTS) + 0.5) / POINTS:
+        there = {name: from_numpy(to_numpy(value) + point * way[name], value) for name, value in start.items()}
+        _, pullback = renderer.render_vjp(there, seed=subject.seed)
+        pulled = [pullback(one) for one in sums]
+        claimed += [sum(float(np.sum(to_numpy(one[name]) * way[name])) for name in way) / POINTS for one in pulled]
+    # A gradient that is too long or too short throughout is for another check to find.
+    fitted = claimed * float(claimed @ measured) / max(float(claimed @ claimed), 1e-300)
+    off, size = float(np.linalg.norm(fitted - measured)), float(np.linalg.norm(measured))
+    if off > UNACCOUNTED * size:
+        check.fail(
+            f"on a way of 5 % of the parameters the image changes by {size:.3g}, and the sum of its gradient is off by "
+            f"{off:.3g}: edges that pass over pixels may have none"
+        )
 
 
 def _check_non_finite(check: _Check, subject: RendererSubject) -> None:
@@ -311,6 +362,7 @@ RENDERER_CHECKS: Final[tuple[_Check, ...]] = (
         "pullback_memory", "a pullback belongs to its own render, whatever is rendered after", _check_pullback_memory
     ),
     Check("finite_differences", "a pullback is the transpose of the image's derivative", _check_differences),
+    Check("edges", "what changes the image has a gradient, also where edges pass over pixels", _check_edges),
     Check("non_finite", "a parameter that is not finite is refused, or seen in the image", _check_non_finite),
 )
 """What `check_renderer` checks, in its order: each has a `name` and the `rule` that it holds a renderer to."""

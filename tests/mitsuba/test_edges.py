@@ -13,6 +13,7 @@ import trimesh
 from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, Rotate, Scale, Translate
 from loi_mitsuba.seams import edges_of, has_sides, is_flat
 from tests.helpers import Host
+from tests.mitsuba.outlines import check_outlines, glow, glowing_scene
 from tests.mitsuba.scenes import HEIGHT, WIDTH, box, shadow_scene
 from tests.strategies import thorough
 
@@ -153,6 +154,22 @@ def test_what_else_moves_keeps_mitsubas_outlines() -> None:
         assert np.mean(found) == pytest.approx(np.mean(wanted), abs=4.0 * error)
 
 
+@pytest.mark.parametrize("kind", ["card", *(pytest.param(one, marks=thorough) for one in ("long card", "fine mesh"))])
+def test_outlines_count_once_however_they_are_seen(kind: str, tmp_path: Path) -> None:
+    """Mitsuba's own are off by 12 and 39 % for a rectangle that leans.
+
+    Near the outline of a fine mesh, triangles are seen nearly edge-on, and are much narrower than a pixel.
+    """
+    leaning = PLACE().translate([0, 1.7, 0]).rotate([1, 0.3, 0], -40)
+    trimesh.creation.icosphere(3).export(tmp_path / "fine.ply")
+    shapes: dict[str, dict[str, Any]] = {
+        "card": {"type": "rectangle", "to_world": leaning},
+        "long card": {"type": "rectangle", "to_world": leaning.scale([1, 0.5, 1])},
+        "fine mesh": {"type": "ply", "filename": str(tmp_path / "fine.ply"), "face_normals": True, "to_world": leaning},
+    }
+    check_outlines(glowing_scene(block=shapes[kind] | {"emitter": glow(0.9, 0.2, 0.1)}))
+
+
 def test_edges_are_where_a_mesh_bends_or_ends(tmp_path: Path) -> None:
     def loaded(mesh: Any) -> Any:
         return mi.load_dict({"type": "scene", "block": mesh}, optimize=False).shapes()[0]
@@ -163,12 +180,12 @@ def test_edges_are_where_a_mesh_bends_or_ends(tmp_path: Path) -> None:
         made = loaded(cube(kind, tmp_path))
         assert has_sides(made)
         assert is_flat(made)
-        assert edges_of(made).shape == (12, 2)  # without the diagonals of its sides
+        assert edges_of(made)[0].shape == (12, 2)  # without the diagonals of its sides
     assert not has_sides(smooth)
     assert not has_sides(loaded({"type": "sphere"}))
     assert not has_sides(loaded({"type": "rectangle"}))
     trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 0, 1]], [[0, 1, 2], [0, 3, 1]]).export(tmp_path / "open.ply")
-    assert edges_of(loaded({"type": "ply", "filename": str(tmp_path / "open.ply"), "face_normals": True})).shape == (
+    assert edges_of(loaded({"type": "ply", "filename": str(tmp_path / "open.ply"), "face_normals": True}))[0].shape == (
         5,
         2,
     )
@@ -180,7 +197,7 @@ def test_a_fine_mesh_with_sides_keeps_the_edges_that_its_outline_is_made_of(tmp_
     block = {"type": "ply", "filename": str(tmp_path / "can.ply"), "face_normals": True}
     can = mi.load_dict({"type": "scene", "block": block}, optimize=False).shapes()[0]
     assert has_sides(can)
-    along = np.array(mi.traverse(can)["vertex_positions"]).reshape(-1, 3)[edges_of(can)]
+    along = np.array(mi.traverse(can)["vertex_positions"]).reshape(-1, 3)[edges_of(can)[0]]
     upright = np.all(np.abs(np.diff(along, axis=1)[:, 0, :2]) < 1e-6, axis=1)
     assert np.count_nonzero(upright) == 200
 

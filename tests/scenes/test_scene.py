@@ -339,7 +339,7 @@ def test_ctrl_c_once_a_fit_is_done_keeps_it(folder: Path, monkeypatch: pytest.Mo
     [
         ("steps = 6", "steps = 4", "`checkpoint` was made with steps = 6, this fit has 4"),
         ("learning_rate = 1", "learning_rate = 2", "`checkpoint` was made with learning rates"),
-        ("upper = 16", "upper = 15", "`checkpoint` was made with bounds"),
+        ("upper = 16", "upper = 15", "`checkpoint` was made with other bounds"),
         ("sigma = 1", "sigma = 2", "another objective, reference or scene"),
         ("radii = [3]", "radii = [4]", "another scene: 'radii', which does not move, differs"),
     ],

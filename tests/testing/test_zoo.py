@@ -107,7 +107,7 @@ class Blob:
         return self.render_vjp(params)[0]
 
     def render_vjp(self, params: Params, *, seed: int = 0) -> Any:
-        centre, spread = params["centre"], params["spread"]
+        centre, spread = params["centre"].copy(), params["spread"].copy()
         right, down = self.columns - centre[0], self.rows - centre[1]
         squared = right * right + down * down
         image = np.exp(-squared / (2.0 * spread * spread))[..., None].astype(self.dtype)

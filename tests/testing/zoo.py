@@ -40,6 +40,69 @@ class SharedParameters(Sound):
         return self.kept
 
 
+class OwnArrays(Sound):
+    """A new dict of the renderer's own arrays."""
+
+    def parameters(self) -> Params:
+        self.kept = getattr(self, "kept", super().parameters())
+        return dict(self.kept)
+
+
+class SharedImage(Sound):
+    """All images are in one place."""
+
+    def render(self, params: Params, *, seed: int = 0) -> Any:
+        image = super().render(params)
+        self.image = getattr(self, "image", image)
+        self.image[...] = image
+        return self.image
+
+
+class AtOwnParameters(Sound):
+    """The image of the parameters that are given, and the gradient at the renderer's own."""
+
+    def render_vjp(self, params: Params, *, seed: int = 0) -> Any:
+        return super().render_vjp(params)[0], super().render_vjp(self.parameters())[1]
+
+
+class ReadsLater(Sound):
+    """A pullback of what the parameters have become."""
+
+    def render_vjp(self, params: Params, *, seed: int = 0) -> Any:
+        return super().render_vjp(params)[0], lambda g: super(ReadsLater, self).render_vjp(params)[1](g)
+
+
+class CalledOnce(Sound):
+    def render_vjp(self, params: Params, *, seed: int = 0) -> Any:
+        image, pullback = super().render_vjp(params)
+        left = [pullback]
+        return image, lambda g: left.pop()(g)
+
+
+class HardEdges(Sound):
+    """Disks by a comparison: colours have a gradient, edges have none."""
+
+    def owners(self, params: Params) -> Any:
+        y, x = np.mgrid[:14, :17] + 0.5
+        owner = np.zeros((14, 17), dtype=int)
+        for number, (place, radius) in enumerate(zip(params["positions"], params["radii"], strict=True)):
+            owner[np.hypot(x - place[0], y - place[1]) < radius] = number + 1
+        return owner
+
+    def render(self, params: Params, *, seed: int = 0) -> Any:
+        colours = np.concatenate([np.array([[0.2, 0.3, 0.1]]), params["colours"]])
+        return colours.astype(params["colours"].dtype)[self.owners(params)]
+
+    def render_vjp(self, params: Params, *, seed: int = 0) -> Any:
+        owner = self.owners(params)
+        still = {name: np.zeros_like(value) for name, value in params.items()}
+
+        def pullback(cotangent: Any) -> Params:
+            return {**still, "colours": np.stack([cotangent[owner == number].sum(axis=0) for number in (1, 2)])}
+
+        return self.render(params), pullback
+
+
 class FlatImage(Sound):
     def render_vjp(self, params: Params, *, seed: int = 0) -> Any:
         image, pullback = super().render_vjp(params)
@@ -190,18 +253,24 @@ BROKEN_RENDERERS: list[tuple[type[Sound], str]] = [
     (NoParameters, "parameters"),
     (IntegerParameters, "parameters"),
     (SharedParameters, "parameters"),
+    (OwnArrays, "parameters"),
     (FlatImage, "image"),
     (TwoImages, "image"),
     (TwoLibraries, "image"),
     (IgnoredSeed, "determinism"),
     (StaleImage, "no_memory"),
+    (SharedImage, "no_memory"),
     (SlowlyForgets, "no_memory"),
     (MutatesParameters, "no_mutation"),
     (MutatesCotangent, "no_mutation"),
     (OneParameterOnly, "gradient"),
     (WrongDtype, "gradient"),
     (Affine, "linearity"),
+    (CalledOnce, "linearity"),
     (SharedState, "pullback_memory"),
+    (ReadsLater, "pullback_memory"),
+    (AtOwnParameters, "finite_differences"),
+    (HardEdges, "edges"),
     (scaled(-1.0), "finite_differences"),
     (scaled(2.0), "finite_differences"),
     (scaled(1.01), "finite_differences"),
@@ -279,6 +348,23 @@ class StaleValue(Wrapped):
         return value
 
 
+class SumsBatches(Wrapped):
+    def value(self, image: Any) -> Any:
+        return super().value(image) * image.dtype.type(np.prod(image.shape[:-3]))
+
+
+class OneChannel(Wrapped):
+    def __init__(self, reference: Any) -> None:
+        super().__init__(reference[..., :1])
+
+    def value(self, image: Any) -> Any:
+        return super().value(image[..., :1])
+
+    def value_and_grad(self, image: Any) -> Any:
+        value, gradient = super().value_and_grad(image[..., :1])
+        return value, np.concatenate([gradient, np.zeros_like(image[..., 1:])], axis=-1)
+
+
 class MutatesImage(Wrapped):
     def value_and_grad(self, image: Any) -> Any:
         result = super().value_and_grad(image)
@@ -339,6 +425,8 @@ BROKEN_OBJECTIVES: list[tuple[Callable[[Any], Any], str]] = [
     (Maximised, "minimum"),
     (HalfGradient, "finite_differences"),
     (TransposedGradient, "finite_differences"),
+    (SumsBatches, "batch"),
+    (OneChannel, "channels"),
     (StaleValue, "no_memory"),
     (MutatesImage, "no_mutation"),
     (MutatesReference, "no_mutation"),
