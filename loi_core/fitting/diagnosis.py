@@ -202,19 +202,17 @@ def diagnose(seen: Findings) -> Diagnosis:
     if ranges:
         return say("other range", f"{rest}; {ranges[0][0]}", ranges[0][1])
     if norms[-1] <= FADED * max(norms):
-        return say("left the frame", f"{rest}, and the gradient is gone", "start nearer, or set bounds")
+        bounds = "set bounds" if unbounded(seen.bounds) else "narrow the bounds to what is in view"
+        return say("left the frame", f"{rest}, and the gradient is gone", f"start nearer, or {bounds}")
     held = _at_bounds(seen.params, seen.bounds)
     if held:
         return say("at a bound", f"{rest}, and {listed(held)} ended at a bound", "widen it, or start elsewhere")
     last = [one.value for one in seen.history if one.stage == seen.history[-1].stage]
     if _falls(last):
-        return say("still falling", rest, "give it more steps")
+        return say("still falling", rest, _with_finish("give it more steps", seen))
     if np.mean(np.diff(last) < 0.0) >= STEADY:
-        return say(
-            "still falling",
-            f"{rest}, and it fell in nearly every step",
-            "give it more steps, or a higher learning_rate",
-        )
+        more = _with_finish("give it more steps, or a higher learning_rate", seen)
+        return say("still falling", f"{rest}, and it fell in nearly every step", more)
     return say("stalled", f"{rest} and no longer falls", _for_one_that_stalls(seen))
 
 
@@ -226,6 +224,10 @@ def _falls(values: Sequence[float]) -> bool:
     half = len(quarter) // 2
     first, second = float(np.mean(quarter[:half])), float(np.mean(quarter[half:]))
     return first - second > FALLING * abs(second)
+
+
+def _with_finish(advice: str, seen: Findings) -> str:
+    return f"{advice}; {FINISH}" if moving(seen.bounds) > MANY and not seen.finish else advice
 
 
 def _for_one_that_stalls(seen: Findings) -> str:

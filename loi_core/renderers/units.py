@@ -194,6 +194,7 @@ def _squared_slope(image: Host) -> Host:
     return squares
 
 
+@np.errstate(all="ignore")  # what overflows is not finite, and looked for
 def _wanted(image: Host, target: Array | None) -> Host:
     """The squared slope of a target that is no brighter than the image; 0 where it is not known.
 
@@ -204,8 +205,7 @@ def _wanted(image: Host, target: Array | None) -> Host:
     pixels = np.asarray(to_numpy(target), dtype=np.float64)
     known = np.isfinite(pixels)
     planes = _blurred(np.where(known, pixels, np.mean(pixels, where=known) if known.any() else 0.0))
-    with np.errstate(all="ignore"):
-        ours, theirs = (float(np.mean(np.abs(each))) for each in (image, planes))
+    ours, theirs = (float(np.mean(np.abs(each))) for each in (image, planes))
     if not math.isfinite(theirs):
         return np.zeros_like(image)
     dimmed = min(ours / theirs, 1.0) if theirs > 0.0 else 0.0

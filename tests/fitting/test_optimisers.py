@@ -80,6 +80,24 @@ def test_a_fit_that_is_resumed_ends_as_if_it_had_not_stopped(name: str, tmp_path
     np.testing.assert_array_equal(again.params["pixels"], whole.params["pixels"])
 
 
+@pytest.mark.parametrize("name", ["lbfgs", "polyak_sgd"])
+def test_what_a_gradient_alone_cannot_step_is_refused_at_the_start(name: str) -> None:
+    with pytest.raises(OptionError, match="`optimiser` must be a transformation that a gradient alone can step"):
+        run(steps=3, optimiser=optax_optimiser(name))
+
+
+def test_a_checkpoint_holds_random_keys(tmp_path: Path) -> None:
+    def noisy() -> Any:
+        pytest.importorskip("optax")
+        optax = load("optax")
+        return loi_jax.OptaxOptimiser(optax.chain(optax.add_noise(0.01, 0.5, 0), optax.adam(1.0)))
+
+    whole, file = bowl(noisy(), steps=30, decay="none"), tmp_path / "state.npz"
+    bowl(noisy(), steps=15, checkpoint=file, decay="none")
+    again = bowl(noisy(), steps=30, checkpoint=file, decay="none", resume=True)
+    np.testing.assert_array_equal(again.params["pixels"], whole.params["pixels"])
+
+
 @pytest.mark.parametrize(
     ("one", "other"),
     [

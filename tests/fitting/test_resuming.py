@@ -77,6 +77,14 @@ def test_a_checkpoint_that_does_not_fit_is_refused(tmp_path: Path) -> None:
         run(steps=3, checkpoint=file / "below.npz")
 
 
+def test_a_checkpoint_of_another_start_is_refused(tmp_path: Path) -> None:
+    file, bounds = tmp_path / "state.npz", (0.0, 32.0)
+    for _ in range(2):
+        run(steps=3, checkpoint=file, resume=True)
+    with pytest.raises(ParameterError, match="`checkpoint` was made with other start; start without resume"):
+        run(steps=3, optimise={"positions": Free(np.add(START, 1.0), *bounds)}, checkpoint=file, resume=True)
+
+
 def test_the_order_of_names_is_nothing_to_a_checkpoint(tmp_path: Path) -> None:
     for names in (["positions", "radii"], ["radii", "positions"]):
         run(steps=3, optimise=names, checkpoint=tmp_path / "state.npz", resume=True)
