@@ -149,7 +149,9 @@ def run_and_write(
     for trial in trials:
         if trial.error:
             hint = "; `--resume` goes on" if trial.can_resume else ""
-            print(f"loi: {trial.objective}: {printable(trial.error)}{hint}", file=sys.stderr)
+            print(
+                f"loi: {LABELS.get(trial.objective, trial.objective)}: {printable(trial.error)}{hint}", file=sys.stderr
+            )
     return write_results(scene, trials, command=command)
 
 

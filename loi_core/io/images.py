@@ -95,7 +95,7 @@ def _read(path: Path) -> tuple[FloatImage, str]:
     readers = {".npy": _read_npy, ".exr": _read_exr}
     try:
         if not path.is_file():
-            msg = f"{path}: no such image file"
+            msg = f"{path}: {'not a regular file' if path.exists() else 'no such image file'}"
             raise ImageFileError(msg)
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # decoders warn of damage that they pass over

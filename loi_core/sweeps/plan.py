@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from loi_core.errors import OptionError
+from loi_core.support.wording import listed
 
 __all__ = ["MOST_RUNS", "REPEATS", "START", "Axis", "Sweep", "SweepRun", "dotted", "spelled"]
 
@@ -112,6 +113,22 @@ class Sweep:
         if count > MOST_RUNS:
             msg = f"{self.path}: a sweep may have {MOST_RUNS} runs, got {count}"
             raise OptionError(msg)
+        ranked = self.rank.removeprefix("error.")
+        if ranked != self.rank and ranked not in self._with_truth:
+            known = listed(sorted(self._with_truth)) or "none"
+            msg = f"{self.path}: `rank` is by the error of {ranked!r}; the scenes have a `truth` of {known}"
+            raise OptionError(msg)
+
+    @property
+    def _with_truth(self) -> set[str]:
+        """The parameters whose truth is in a scene, or varies."""
+        found = {axis.key[1] for axis in self.axes if len(axis.key) > 2 and axis.key[::2] == ("optimise", "truth")}
+        for document in self.scenes.values():
+            table = document.get("optimise")
+            for name, entry in table.items() if isinstance(table, Mapping) else ():
+                if isinstance(entry, Mapping) and "truth" in entry:
+                    found.add(str(name))
+        return found
 
     @cached_property
     def runs(self) -> tuple[SweepRun, ...]:

@@ -104,7 +104,7 @@ def test_sigterm_ends_a_fit_as_ctrl_c_does(tmp_path: Path) -> None:
     fit.send_signal(signal.SIGTERM)
     said = fit.communicate(timeout=120)[1]
     assert fit.returncode == 1
-    assert said == "loi: loi: interrupted; `--resume` goes on\n"
+    assert said == "loi: loi (ours): interrupted; `--resume` goes on\n"
     result = json.loads((tmp_path / "result" / "result.json").read_text())
     assert result["trials"][0]["error"] == "interrupted"
     with np.load(tmp_path / "result" / "checkpoint.npz") as stored:
@@ -130,7 +130,7 @@ def test_of_two_that_resume_a_folder_one_is_refused_and_a_dead_one_refuses_nobod
     third = start(scene, output, "--resume")
     until(output / "checkpoint.previous.npz", third)
     third.terminate()
-    assert third.communicate(timeout=120)[1] == "loi: loi: interrupted; `--resume` goes on\n"
+    assert third.communicate(timeout=120)[1] == "loi: loi (ours): interrupted; `--resume` goes on\n"
     assert not list(output.glob(".*"))
 
 

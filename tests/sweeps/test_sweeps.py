@@ -252,6 +252,10 @@ def test_two_sweeps_do_not_work_in_one_folder(done: Path) -> None:
         ('scene = "scene.toml"\nseeds = [1, -1]', "`seeds` must be"),
         ('scene = "scene.toml"\nstarts = true', "`starts` must be a whole number from 1 to 4096, got True"),
         ('scene = "scene.toml"\ntimeout = 0', "`timeout` must be a number of seconds, more than 0"),
+        (
+            'scene = "scene.toml"\nrank = "error.nope"',
+            "`rank` is by the error of 'nope'; the scenes have a `truth` of pos",
+        ),
         ('scene = "scene.toml"\nrank = "ssim"', "`rank` must be 'psnr', 'value', 'seconds' or 'error.PARAMETER'"),
         ('scene = "scene.toml"\noutput = "../elsewhere"', "`output` must lie in the folder of the sweep"),
         ('scene = "scene.toml"\noutput = "."', "`output` must be a folder of its own"),

@@ -14,6 +14,7 @@ from loi_core.pixels.encoding import Encoding, check_encoding
 from loi_core.renderers.checks import FloatArray, check_size, floats
 from loi_core.renderers.fragments import IndexArray
 from loi_core.support.arrays import to_numpy
+from loi_core.support.wording import shown
 from loi_torch.painted import Painted, Tensors
 from loi_torch.vector.coverage import Edges, Painting, check_near, cover
 from loi_torch.vector.outlines import Ring, Rings, ring_points, spread
@@ -98,6 +99,9 @@ class Vector(Painted):
         self._encoding = check_encoding(encoding)
         own: FloatArray = np.ones(3)
         if svg is not None:
+            if not isinstance(svg, str | pathlib.Path):
+                msg = f"`svg` must be the path of an SVG file, got {shown(svg)}"
+                raise ParameterError(msg)
             drawing = read_svg(pathlib.Path(svg), *self._size)
             shapes, own = drawing.shapes, drawing.background
         behind = own if background is None else background
