@@ -20,6 +20,7 @@ from loi_mitsuba.eye import BESIDE, NEARLY, brighter, is_plain, sampler_of
 __all__ = ["Crossings"]
 
 SHARE: Final = 4  # samples of the image for one line across and one down
+MOST: Final = 2**22  # lines of one direction: in large images curves are long, and fewer to a pixel will do
 HALVINGS: Final = 16  # of a line
 STEP: Final = 0.05  # pixels to either side, for the slope of a depth
 NEAR: Final = 0.05  # pixels between a crossing and where the planes of the two shapes cross
@@ -73,7 +74,8 @@ class Crossings:
         """At crossings, 0 with how it changes: the jump times how far the crossing moves; and places. None without."""
         if not self._may_meet(scene):
             return None
-        lines = max(1, samples // SHARE)
+        width, height = self._sensor.film().size()
+        lines = max(1, min(samples // SHARE, MOST // int(width * height)))
         with dr.suspend_grad():
             found = self._changes(scene, lines, seed)
             if found is None:

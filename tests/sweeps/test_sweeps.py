@@ -254,7 +254,7 @@ def test_two_sweeps_do_not_work_in_one_folder(done: Path) -> None:
         ('scene = "scene.toml"\ntimeout = 0', "`timeout` must be a number of seconds, more than 0"),
         (
             'scene = "scene.toml"\nrank = "error.nope"',
-            "`rank` is by the error of 'nope'; the scenes have a `truth` of pos",
+            "`rank` is by the error of 'nope'; the scenes have a `truth` of 'positions'",
         ),
         ('scene = "scene.toml"\nrank = "ssim"', "`rank` must be 'psnr', 'value', 'seconds' or 'error.PARAMETER'"),
         ('scene = "scene.toml"\noutput = "../elsewhere"', "`output` must lie in the folder of the sweep"),
