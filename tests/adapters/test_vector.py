@@ -231,7 +231,7 @@ def test_projection_gives_legal_parameters_and_leaves_its_argument() -> None:
     ("make", "says"),
     [
         (lambda: Vector(8, 8), "`shapes` and `svg` exclude each other"),
-        (lambda: Vector(8, 8, svg=cast(Any, 3)), "`svg` must be the path of an SVG file, got 3"),
+        (lambda: Vector(8, 8, svg=cast("Any", 3)), "`svg` must be the path of an SVG file, got 3"),
         (lambda: Vector(8, 8, []), "`shapes` must be a list of at least one shape"),
         (
             lambda: Vector(8, 8, ["circle"]),  # type: ignore[list-item]
