@@ -56,8 +56,6 @@ class Edges:
         self._ends, self._third = (
             [mi.UInt32(np.ascontiguousarray(one, dtype=np.uint32)) for one in every.T] for every in (ends, third)
         )
-        between = np.subtract(*np.concatenate(places)[ends].transpose(1, 0, 2))
-        self._drawn = mi.DiscreteDistribution(mi.Float(np.linalg.norm(between, axis=1).astype(np.float32)))
         width, height = sensor.film().size()
         self._size = mi.Point2f(float(width), float(height))
 
@@ -79,8 +77,10 @@ class Edges:
         pixels = int(self._size.x[0] * self._size.y[0])
         count = max(LEAST, samples * pixels // SHARE)
         sampler = sampler_of(seed, count)
-        index, along = self._drawn.sample_reuse(sampler.next_1d())
         positions = dr.concat([_positions(one) for one in self._params])
+        with dr.suspend_grad():
+            drawn = self._drawn(eye, dr.detach(positions))
+            index, along = drawn.sample_reuse(sampler.next_1d())
         first, second, *third = (
             dr.gather(mi.Point3f, positions, dr.gather(mi.UInt32, one, index)) for one in (*self._ends, *self._third)
         )
@@ -101,11 +101,27 @@ class Edges:
             middles = [eye.sees((first + second + one) / 3.0)[2] for one in third]
             ends = self._sides(dr.detach(place), across, middles)
             jump = brighter(self._sensor, integrator, scene, ends, active, sampler)
-            density = self._drawn.eval_pmf_normalized(index) * count / dr.norm(edge)  # points to a unit of length
+            density = drawn.eval_pmf_normalized(index) * count / dr.norm(edge)  # points to a unit of length
             pixels_each = length / (2.0 * STEP * distance * density)
         moved = dr.dot(across, place * self._size)
         moved = dr.select(active, moved - dr.detach(moved), 0.0)
         return dr.select(active, -jump * pixels_each, 0.0) * moved, dr.detach(place)
+
+    def _drawn(self, eye: Eye, positions: Any) -> Any:
+        """How often each edge is drawn: half of the time by its length, and half if it looks like an outline.
+
+        Of the edges of a fine mesh few are outlines, and brightness jumps most there.
+        """
+        first, second, *third = (dr.gather(mi.Point3f, positions, one) for one in (*self._ends, *self._third))
+        begin, end, middle = (eye.sees(one)[2] * self._size for one in (first, second, 0.5 * (first + second)))
+        across = mi.Vector2f(begin.y - end.y, end.x - begin.x)
+        one, other = (
+            dr.dot(across, eye.sees((first + second + each) / 3.0)[2] * self._size - middle) for each in third
+        )
+        length = dr.norm(second - first)
+        outline = dr.select(one * other > 0.0, length, 0.0)
+        shares = [each / dr.maximum(dr.sum(each), 1e-30) for each in (length, outline)]
+        return mi.DiscreteDistribution(shares[0] + shares[1])
 
     def _sides(self, place: Any, across: Any, middles: list[Any]) -> tuple[Any, Any]:
         """A place before an edge and one beyond it, of the film: in the triangle that is there, or close to the edge.
