@@ -23,6 +23,7 @@ from loi_mitsuba import MitsubaRenderer, Translate  # before mitsuba
 import drjit as dr
 import mitsuba as mi
 
+from benchmarks.edges import mean_and_error, own_slopes
 from examples.effects.parts import camera
 from loi_core.support.markdown import markdown
 
@@ -31,7 +32,6 @@ __all__ = ["main"]
 WIDTH, HEIGHT = 96, 72
 AXES: Final = {"x": (1, 0, 0), "y": (0, 1, 0), "z": (0, 0, 1)}
 STEP: Final = 0.03
-DIRECT: Final = {"type": "direct_projective", "guiding": "none"}
 
 
 def main() -> None:
@@ -60,7 +60,7 @@ def _rows(samples: int, draws: int, folder: Path) -> Iterator[list[str]]:
         for name in moves:
             ahead, behind = (images.render(at | {name: np.float32(by)}).astype(np.float64) for by in (STEP, -STEP))
             wanted = float(np.sum((ahead - behind) * weight)) / (2.0 * STEP)
-            found = (_mean([float(one[name]) for one in drawn]) for drawn in (ours, theirs))
+            found = (mean_and_error([float(one[name]) for one in drawn], 1) for drawn in (ours, theirs))
             yield [f"{kind}, {name}", f"{wanted:.1f}", *found]
 
 
@@ -121,14 +121,7 @@ def _own(scene: dict[str, Any], weight: Any, samples: int, seed: int) -> dict[st
     else:
         start = dr.unravel(mi.Point3f, entries["block.vertex_positions"])
         entries["block.vertex_positions"] = dr.ravel(start + way)
-    entries.update()
-    image = mi.render(loaded, entries, integrator=mi.load_dict(DIRECT), spp=samples, seed=seed, seed_grad=seed + 10**6)
-    dr.backward(dr.sum(image * mi.TensorXf(weight), axis=None))
-    return {name: float(np.array(dr.grad(leaf)).reshape(-1)[0]) for name, leaf in leaves.items()}
-
-
-def _mean(values: list[float]) -> str:
-    return f"{np.mean(values):.1f} ± {np.std(values, ddof=1) / np.sqrt(len(values)):.1f}"
+    return own_slopes(loaded, entries, leaves, weight, samples, seed)
 
 
 if __name__ == "__main__":

@@ -23,7 +23,7 @@ import mitsuba as mi
 from examples.effects.parts import camera, diffuse, lamp
 from loi_core.support.markdown import markdown
 
-__all__ = ["main"]
+__all__ = ["main", "mean_and_error", "own_slopes"]
 
 WIDTH, HEIGHT = 96, 72
 HALF: Final = 0.45
@@ -57,8 +57,8 @@ def _rows(samples: int, draws: int) -> Iterator[list[str]]:
             ours = [planned.pull(AT, weight, seed=seed) for seed in range(draws)]
             theirs = [_own(scene, weight, samples, seed) for seed in range(draws)]
             for name in MOVES:
-                found = (_mean([float(one[name]) for one in drawn]) for drawn in (ours, theirs))
-                yield [f"{light}, {where}, {name}", _mean(wanted[name]), *found]
+                found = (mean_and_error([float(one[name]) for one in drawn]) for drawn in (ours, theirs))
+                yield [f"{light}, {where}, {name}", mean_and_error(wanted[name]), *found]
 
 
 def _scene(light: str, height: float) -> dict[str, Any]:
@@ -105,14 +105,22 @@ def _own(scene: dict[str, Any], weight: Any, samples: int, seed: int) -> dict[st
     place = mi.Transform4f().translate(mi.Vector3f(leaves["x"], 0.0, 0.0) + middle)
     turned = place @ mi.Transform4f().rotate([0, 1, 0], leaves["turn"]) @ mi.Transform4f().translate(-middle)
     entries["cube.vertex_positions"] = dr.ravel(turned @ start)
+    return own_slopes(loaded, entries, leaves, weight, samples, seed)
+
+
+def own_slopes(
+    loaded: Any, entries: Any, leaves: dict[str, Any], weight: Any, samples: int, seed: int
+) -> dict[str, float]:
+    """The slopes of a weighted sum of pixels by what entries of a loaded scene depend on, by Mitsuba alone."""
     entries.update()
     image = mi.render(loaded, entries, integrator=mi.load_dict(DIRECT), spp=samples, seed=seed, seed_grad=seed + 10**6)
     dr.backward(dr.sum(image * mi.TensorXf(weight), axis=None))
     return {name: float(np.array(dr.grad(leaf)).reshape(-1)[0]) for name, leaf in leaves.items()}
 
 
-def _mean(values: list[float]) -> str:
-    return f"{np.mean(values):.3f} ± {np.std(values, ddof=1) / np.sqrt(len(values)):.3f}"
+def mean_and_error(values: list[float], digits: int = 3) -> str:
+    """The mean, and its standard error."""
+    return f"{np.mean(values):.{digits}f} ± {np.std(values, ddof=1) / np.sqrt(len(values)):.{digits}f}"
 
 
 if __name__ == "__main__":

@@ -80,7 +80,7 @@ class OptaxOptimiser:
         live = _live(params)
         try:
             computed = str(jax.make_jaxpr(self._transformation.update)(live, self._transformation.init(live), live))
-        except Exception as error:
+        except Exception as error:  # whatever a transformation of somebody's raises when it lacks an argument
             msg = (
                 f"`optimiser` must be a transformation that a gradient alone can step, without value or line search, "
                 f"and for the parameters {', '.join(params)}; optax says {described(error):.200}"

@@ -96,7 +96,7 @@ class Crossings:
         """Whether the box of a shape that moves touches that of another."""
         every = scene.shapes()
         boxes = [one.bbox() for one in every]
-        low, high = (np.array([np.array(end(box)).ravel() for box in boxes]) for end in (_least, _most))
+        low, high = (np.array(ends) for ends in zip(*((one.min, one.max) for one in boxes), strict=True))
         moving = [every.index(one) for one in self._shapes]
         meet = np.all((low[moving, None] <= high) & (low <= high[moving, None]), axis=-1)
         meet[np.arange(len(moving)), moving] = False
@@ -199,11 +199,3 @@ class Crossings:
 
 def _shape(hit: Any) -> Any:
     return dr.select(hit.is_valid(), dr.reinterpret_array(mi.UInt32, hit.shape), 0)
-
-
-def _least(box: Any) -> Any:
-    return box.min
-
-
-def _most(box: Any) -> Any:
-    return box.max

@@ -64,7 +64,7 @@ class Check(Generic[SubjectT]):
             self.test(self, subject)
         except ConformanceError:
             raise
-        except Exception as error:
+        except Exception as error:  # of the subject, which may raise anything
             msg = f"the check ended with {described(error)}"
             raise ConformanceError(self.name, self.rule, msg) from error
 
