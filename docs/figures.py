@@ -69,7 +69,7 @@ def show_scales(demo: Path) -> None:
     for axis, alpha in zip(axes[2, 1:], scales.alpha, strict=True):
         local = local_histograms(image, scales, sigma=0, beta=0.08, alpha=alpha, channel_axis=None)
         axis.bar(levels, local[:, row, column] * scales.spacing(0.08), width=0.07, color="#c2410c")
-        axis.set(xlim=(-0.2, 1.1), yticks=[], xlabel="intensity")
+        axis.set(xlim=(-0.2, 1.1), xticks=(0.0, 0.5, 1.0), yticks=[], xlabel="intensity")
         axis.set_title(f"alpha = {alpha:g}", fontsize=10)
     axes[0, 1].plot(column, row, "+", color="#c2410c", markersize=14, markeredgewidth=2)
     figure.savefig(IMAGES / "scales.png", dpi=90)

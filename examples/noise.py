@@ -189,13 +189,15 @@ def plot(
     axes[0].plot(*(start - 0.5), "+", color="#c2410c", markersize=12, markeredgewidth=2)
     axes[0].set(xticks=[], yticks=[], title=f"reference, noise {strengths[-1]:g}; a fit starts at the cross")
     axes[0].title.set_fontsize(8)
-    for name in OBJECTIVES:
+    for number, name in enumerate(OBJECTIVES):
+        width = 1.0 + 0.7 * (len(OBJECTIVES) - number)  # where lines lie on each other, the lower ones show as rims
         far = [one for one in slopes if one.objective == name and one.distance == DISTANCES[-1] and not one.both]
         style = "--" if name in ("pixel L2", "Gaussian pyramid", "sigma only") else "-"
         (line,) = axes[1].plot(
             [one.strength for one in far], [one.cosine for one in far], style, marker="o", label=name
         )
-        axes[2].plot(strengths, [one for one, _ in shares[name]], style, marker="o", color=line.get_color())
+        ends = {"marker": "o", "markersize": 3.0 + width, "linewidth": width, "color": line.get_color()}
+        axes[2].plot(strengths, [one for one, _ in shares[name]], style, **ends)
     axes[1].set(
         xlabel="noise in the render", title=f"cosine with the gradient without noise, {DISTANCES[-1]:g} pixels apart"
     )

@@ -81,6 +81,8 @@ class Findings:
     bounds : Bounds
     visible : dict of bool
         Of each free parameter, whether a change of it changed the image.
+    unmoved : sequence of str
+        Free parameters that have their starting values still.
     pairs : list of (array, array)
         The start's render and the target, shape (H, W, C), of each view.
     finish : bool
@@ -96,6 +98,7 @@ class Findings:
     params: Parameters
     bounds: Bounds
     visible: Mapping[str, bool]
+    unmoved: Sequence[str] = ()
     pairs: Sequence[tuple[Host, Host]] = ()
     finish: bool = False
     psnr: float | None = None
@@ -123,9 +126,20 @@ def judged(views: Views, start: Parameters, bounds: Bounds, result: FitResult, s
     except Exception:  # noqa: BLE001 - the fit is done, whatever a renderer does beyond it
         return None
     found, near = result.best_params, nearness(views, as_given(images))
+    unmoved = _unmoved(start, found, bounds)
     return diagnose(
-        Findings(first, mean(ends), mean(noises), result.history, found, bounds, visible, pairs, finish, near)
+        Findings(first, mean(ends), mean(noises), result.history, found, bounds, visible, unmoved, pairs, finish, near)
     )
+
+
+def _unmoved(start: Parameters, found: Parameters, bounds: Bounds) -> list[str]:
+    """The free parameters that no step has moved; none if nothing has moved, since the start may be the best."""
+    still = []
+    for name, lower in bounds.lower.items():
+        before, after, low, high = (to_numpy(one) for one in (start[name], found[name], lower, bounds.upper[name]))
+        if np.array_equal(before, after) and np.all((low < before) & (before < high)):
+            still.append(name)
+    return still if len(still) < len(bounds.lower) else []
 
 
 def nearness(views: Views, images: Images) -> float | None:
@@ -167,6 +181,8 @@ def diagnose(seen: Findings) -> Diagnosis:
     left, noise = (each / seen.start if seen.start > 0.0 else 0.0 for each in (seen.end, seen.noise))
     norms = [one.gradient_norm for one in seen.history]
     rest = f"{left:.0%} of the loss at the start is left"
+    if seen.unmoved:
+        rest += f", {clause(seen.unmoved, 'had no gradient and has', 'had no gradient and have')} not moved"
 
     def say(verdict: Verdict, message: str, advice: str = "") -> Diagnosis:
         return Diagnosis(verdict, message, advice, left, noise)

@@ -20,12 +20,13 @@ LABELS: Final = {
 }
 COLOURS: Final = {
     "loi": "#c2410c",
-    "pixel_l2": "#64748b",
+    "pixel_l2": "#1f2937",
     "gaussian_pyramid": "#0369a1",
     "ms_ssim": "#15803d",
     "lpips": "#7e22ce",
 }
 BACKEND_COLOURS: Final = ("#0369a1", "#15803d", "#7e22ce", "#64748b", "#a16207")
+PARETO: Final = "#c2410c"
 LEAST: Final = 1e-16  # where an error, or an objective, of 0 is drawn
 
 
@@ -56,7 +57,7 @@ def convergence_plot(trials: Sequence[Trial]) -> bytes:
 
 
 def tradeoff_plot(found: Tradeoff) -> bytes:
-    """Error of the gradient by time, both logarithmic, with the Pareto set joined and named, as a PNG."""
+    """Error of the gradient by time, both logarithmic, with the Pareto set joined, numbered and named, as a PNG."""
     figure = new_figure(9.0, 5.0)
     axes = figure.subplots()
     shown = [(row, mark) for row, mark in zip(found.rows, found.pareto, strict=True) if not row.problem]
@@ -71,10 +72,11 @@ def tradeoff_plot(found: Tradeoff) -> bytes:
                 label=f"{name}, other scales" if change else name,
             )
     front = sorted((1e3 * row.seconds, max(row.judged, LEAST), str(row.setting)) for row, mark in shown if mark)
-    axes.step([one[0] for one in front], [one[1] for one in front], where="post", color="#c2410c", label="Pareto set")
-    for milliseconds, error, name in front:
-        place = {"xytext": (3, -3), "textcoords": "offset points", "rotation": -25, "rotation_mode": "anchor"}
-        axes.annotate(name, (milliseconds, error), fontsize=8, va="top", **place)
+    axes.step([one[0] for one in front], [one[1] for one in front], where="post", color=PARETO, label="Pareto set")
+    for number, (milliseconds, error, _) in enumerate(front, 1):
+        axes.annotate(str(number), (milliseconds, error), (4, 3), textcoords="offset points", fontsize=8, color=PARETO)
+    names = [f"{number}  {name}" for number, (_, _, name) in enumerate(front, 1)]
+    axes.text(1.02, 1.0, "\n".join(names), transform=axes.transAxes, fontsize=8, va="top", linespacing=1.6)
     if found.noise is not None and found.noise.least is not None:
         axes.axhline(found.noise.least, color="#64748b", linestyle=":", label="noise of the renderer's gradient")
     whose = "parameters'" if any(row.parameter_error is not None for row, _ in shown) else "image's"
@@ -82,7 +84,7 @@ def tradeoff_plot(found: Tradeoff) -> bytes:
         xscale="log", yscale="log", xlabel="value and gradient, ms", ylabel=f"relative error of the {whose} gradient"
     )
     axes.set_title(f"{found.problem.name}; errors below {LEAST:g} are drawn there")
-    axes.margins(x=0.2, y=0.15)  # room for the names
+    axes.margins(x=0.1, y=0.15)
     axes.grid(visible=True, alpha=0.25)
     axes.spines[["top", "right"]].set_visible(False)
     axes.legend(frameon=False, fontsize=8, loc="lower left")

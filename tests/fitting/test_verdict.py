@@ -102,6 +102,23 @@ def test_another_exposure_is_not_taken_for_an_encoding(gain: float) -> None:
     assert "times as bright as the render" in result.diagnosis.message
 
 
+def test_a_parameter_without_effect_is_named_beside_one_that_is_found() -> None:
+    class WithMood(OnPicture):
+        def parameters(self) -> dict[str, Any]:
+            return super().parameters() | {"mood": np.array(0.5)}
+
+        def render_vjp(self, params: dict[str, Any], *, seed: int = 0) -> Any:
+            image, pullback = super().render_vjp({"positions": params["positions"]}, seed=seed)
+            return image, lambda given: {**pullback(given), "mood": np.array(0.0)}
+
+    target = OnPicture((40.0, 20.0)).render({"positions": np.array([[40.0, 20.0]])})
+    free = {"positions": Free(lower=0.0, upper=[[WIDTH, HEIGHT]]), "mood": Free(lower=0.0, upper=1.0)}
+    result = fit(WithMood((24.0, 30.0)), LOIObjective(target), steps=60, optimise=free)
+    assert result.diagnosis is not None
+    assert result.diagnosis.verdict == "converged"
+    assert result.diagnosis.message.endswith(", 'mood' had no gradient and has not moved")
+
+
 @pytest.mark.parametrize("steps", [1, 3, 8])
 def test_a_short_fit_does_not_say_that_its_loss_no_longer_falls(steps: int) -> None:
     start, truth = disk((12.0, 12.0)), disk((44.0, 30.0))
