@@ -13,7 +13,7 @@ from loi_core.errors import ImageTypeError, OptionError, ParameterError, Rendere
 from loi_core.pixels.nonfinite import count_non_finite
 from loi_core.renderers.contract import Parameters
 from loi_core.renderers.units import pixels_of
-from loi_core.support.arrays import Array, as_floating, detached, from_numpy, library_name, namespace, to_numpy
+from loi_core.support.arrays import Array, Host, as_floating, detached, from_numpy, library_name, namespace, to_numpy
 from loi_core.support.guards import foreign
 from loi_core.support.values import real_number
 from loi_core.support.wording import shown
@@ -25,6 +25,7 @@ __all__ = [
     "SharedParameters",
     "bounds_of",
     "check_rate",
+    "fills",
     "free_parameters",
     "own_parameters",
     "starting_parameters",
@@ -45,7 +46,8 @@ class Free:
     Attributes
     ----------
     initial : array, optional
-        Where it starts; where the renderer has it by default. Shape of the parameter, or a number for all of it.
+        Where it starts; where the renderer has it by default. Shape of the parameter, or what fills that by NumPy's
+        rules: a number for all of it, a row for every row.
     lower, upper : array, optional
         Bounds, inclusive, of the same kinds of shape; unbounded by default.
     learning_rate : float or str, optional
@@ -197,6 +199,14 @@ def bounds_of(params: Parameters, free: Mapping[str, Free]) -> Bounds:
     return Bounds(lower, upper)
 
 
+def fills(array: Host, shape: tuple[int, ...]) -> bool:
+    """Whether an array fills a shape by NumPy's rules, as a number does, or a row every row."""
+    try:
+        return np.broadcast_shapes(array.shape, shape) == shape
+    except ValueError:
+        return False
+
+
 def check_rate(name: str, rate: object) -> None:
     """Raise :class:`OptionError` unless `rate` is a finite number, more than 0, or such a number of pixels."""
     number = pixels_of(rate) if isinstance(rate, str) else real_number(rate)
@@ -206,7 +216,7 @@ def check_rate(name: str, rate: object) -> None:
 
 
 def _like(name: str, what: str, parameter: Array, value: object) -> Array:
-    """`value` as an array like `parameter`, a single number standing for all of it."""
+    """`value` as an array like `parameter`, which it fills by NumPy's rules: a number all of it, a row every row."""
     shape = tuple(parameter.shape)
     try:
         array = np.asarray(to_numpy(value))
@@ -215,8 +225,8 @@ def _like(name: str, what: str, parameter: Array, value: object) -> Array:
     if array.dtype.kind not in "fiu":
         msg = f"`{what}` of {name!r} must be numbers, got {shown(value)}"
         raise ParameterError(msg)
-    if array.shape not in ((), shape):
-        msg = f"`{what}` of {name!r} must be a number or have shape {shape}, got shape {array.shape}"
+    if not fills(array, shape):
+        msg = f"`{what}` of {name!r} must be a number or fill shape {shape}, got shape {array.shape}"
         raise ParameterError(msg)
     with np.errstate(over="ignore"):  # what the parameter's dtype cannot hold becomes infinite
         return from_numpy(np.broadcast_to(array.astype(np.float64), shape).copy(), parameter)

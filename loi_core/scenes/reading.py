@@ -10,13 +10,14 @@ from typing import Any, Final
 
 import numpy as np
 
-from loi_core.errors import LoiError, OptionError, RendererError
+from loi_core.errors import LoiError, OptionError, ParameterError, RendererError
 from loi_core.fitting.loop import check_fit_options
 from loi_core.fitting.parameters import (
     Free,
     SharedParameters,
     bounds_of,
     check_rate,
+    fills,
     own_parameters,
     starting_parameters,
 )
@@ -208,7 +209,10 @@ def _optimise(
         free[name] = Free(entry.get("initial"), entry.get("lower"), entry.get("upper"), rate)
         if "truth" in entry:
             truth[name] = np.broadcast_to(np.asarray(entry["truth"], dtype=np.float64), tuple(params[name].shape))
-    bounds_of(starting_parameters(shared, free), free)  # a start outside its bounds is told now, not after a render
+    try:  # a start outside its bounds is told now, not after a render
+        bounds_of(starting_parameters(shared, free), free)
+    except ParameterError as error:
+        raise where.error("optimise", str(error)) from error
     return free, truth
 
 
@@ -226,8 +230,8 @@ def _numbers(where: Where, heading: str, key: str, value: object, shape: tuple[i
         array = np.asarray(value, dtype=np.float64)
     except ValueError:
         raise where.error(heading, f"`{key}` must have shape {shape}, got rows of different lengths") from None
-    if array.shape not in ((), shape):
-        raise where.error(heading, f"`{key}` must be one number or have shape {shape}, got shape {array.shape}")
+    if not fills(array, shape):
+        raise where.error(heading, f"`{key}` must be one number or fill shape {shape}, got shape {array.shape}")
 
 
 def _scales(where: Where, table: Mapping[str, Any], target: FloatImage, colours: object) -> ScaleSpace:

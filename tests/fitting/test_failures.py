@@ -135,7 +135,7 @@ def test_a_non_finite_step_stops_the_fit_with_the_best_so_far(how: str, says: st
         ({"optimise": []}, "`optimise` must name at least one parameter"),
         ({"optimise": "positions"}, "`optimise` must be names"),
         ({"optimise": {"positions": 1}}, "must be a Free, got int"),
-        ({"optimise": {"positions": Free([1, 2, 3])}}, r"`initial` of 'positions' must be a number or have shape"),
+        ({"optimise": {"positions": Free([1, 2, 3])}}, r"`initial` of 'positions' must be a number or fill shape"),
         ({"optimise": {"positions": Free(np.nan)}}, "`initial` of 'positions' must be finite"),
         ({"optimise": {"positions": Free(lower=5, upper=1)}}, "`lower` of 'positions' must not exceed `upper`"),
         ({"optimise": {"positions": Free(lower=30)}}, "`initial` of 'positions' must lie within its bounds"),

@@ -16,6 +16,7 @@ import pytest
 from loi_core import GaussianPyramid, ImageObjective, LogTone, LOIObjective, PixelL2, ScaleSpace
 from loi_core.cli import main
 from loi_core.errors import LoiError, SceneError
+from loi_core.fitting.parameters import bounds_of, starting_parameters
 from loi_core.plugins import registry
 from loi_core.renderers import Disks
 from loi_core.scenes.experiment import run_scene
@@ -60,6 +61,13 @@ def test_a_scene_becomes_objects(folder: Path) -> None:
     assert scene.optimise["positions"].initial == [[4, 12]]
     assert scene.truth["positions"].tolist() == [[10.0, 6.0]]
     assert (scene.fit.steps, scene.fit.decay) == (6, "cosine")
+
+
+def test_a_row_of_bounds_is_that_of_every_row(folder: Path) -> None:
+    (folder / "scene.toml").write_text(SCENE.replace("lower = 0", "lower = [0, 1]"))
+    scene = load_scene(folder / "scene.toml")
+    params = starting_parameters(scene.renderer, scene.optimise)
+    assert bounds_of(params, scene.optimise).lower["positions"].tolist() == [[0.0, 1.0]]
 
 
 def test_what_a_scene_leaves_out_has_a_default(folder: Path) -> None:
@@ -122,9 +130,9 @@ MISTAKES: list[tuple[str, str, str]] = [
     ("radii = [3]", 'radii = [3]\nimages = "x"', "`images` must be a table"),
     ("radii = [3]", "radii = [3]\nheight = 20", "[renderer] `height` must be that of the target, 16, got 20"),
     ("[optimise.positions]", "[optimise.position]", "[optimise] unknown key `position`; did you mean `positions`?"),
-    ("initial = [[4, 12]]", "initial = [4, 12]", "[optimise.positions] `initial` must be one number or have shape"),
+    ("initial = [[4, 12]]", "initial = [4, 1, 2]", "[optimise.positions] `initial` must be one number or fill shape"),
     ("initial = [[4, 12]]", 'initial = "left"', "[optimise.positions] `initial` must be numbers"),
-    ("initial = [[4, 12]]", "initial = [[4, 99]]", "`initial` of 'positions' must lie within its bounds"),
+    ("initial = [[4, 12]]", "initial = [[4, 99]]", "[optimise] `initial` of 'positions' must lie within its bounds"),
     ("lower = 0", "lower = 99", "`lower` of 'positions' must not exceed `upper`"),
     ("lower = 0", "lowest = 0", "[optimise.positions] unknown key `lowest`"),
     ("lower = 0", "lower = nan", "`lower` must be numbers, got nan"),
