@@ -18,9 +18,9 @@ from loi_core.effects import PlanningRenderer
 from loi_core.errors import SceneError, WriteError
 from loi_core.fitting.loop import check_fit_options
 from loi_core.io.lock import FileLock
-from loi_core.io.result_folder import CHECKPOINT_FILE, CHECKPOINT_FILES, LOCK_FILE, ResultFolder
+from loi_core.io.result_folder import CHECKPOINT_FILE, CHECKPOINT_FILES, LOCK_FILE, RESULT_FILE, ResultFolder
 from loi_core.report import write_page, write_results
-from loi_core.report.output import frame_writer
+from loi_core.report.output import frame_writer, summary
 from loi_core.report.page import verdict_line
 from loi_core.report.plots import LABELS
 from loi_core.scenes.experiment import Trial, Watch, plan_scene, run_scene
@@ -152,6 +152,9 @@ def run_and_write(
             print(
                 f"loi: {LABELS.get(trial.objective, trial.objective)}: {printable(trial.error)}{hint}", file=sys.stderr
             )
+    if trials[0].result is None and trials[0].can_resume and (scene.output / RESULT_FILE).exists():
+        print(f"loi: {printable(str(scene.output))}: the results of an earlier fit are left as they are", file=sys.stderr)
+        return summary(scene, trials, command=command)
     return write_results(scene, trials, command=command)
 
 

@@ -23,11 +23,13 @@ from loi_core.io.npy import read_npy_header, read_npy_values
 from loi_core.support.arrays import Host
 from loi_core.support.wording import described
 
-__all__ = ["Checkpoint", "load_checkpoint", "save_checkpoint", "seal"]
+__all__ = ["Checkpoint", "is_checkpoint", "load_checkpoint", "save_checkpoint", "seal"]
 
 GROUPS = ("params", "memory", "best_params", "callback")
 NUMBERS = ("step", "best_step", "best_value", "history")
 KINDS: Final = {"memory": "fiub", "callback": "fiub"}  # of dtypes; of all other groups floats
+BEGINNING: Final = b"PK\x03\x04"  # of a zip archive, then 26 bytes on, the name of its first member
+FIRST: Final = f"{NUMBERS[0]}.npy".encode()
 SEAL: Final = b"sha256:"
 SEALED: Final = len(SEAL) + 2 * hashlib.sha256().digest_size
 
@@ -71,6 +73,19 @@ def save_checkpoint(path: Path, state: Checkpoint, *, before: Path | None = None
         if before is not None and not _has_seal(path, digest):
             with contextlib.suppress(FileNotFoundError):  # somebody has removed it
                 path.replace(before)
+
+
+def is_checkpoint(path: Path) -> bool:
+    """Whether a file begins as checkpoints do, though it may be torn, or is empty.
+
+    Raises
+    ------
+    OSError
+        If it cannot be read.
+    """
+    with open_regular(path) as stream:
+        head = stream.read(30 + len(FIRST))
+    return not head or (head.startswith(BEGINNING) and head[30:] == FIRST[: max(len(head) - 30, 0)])
 
 
 def seal(stream: BinaryIO) -> bytes:

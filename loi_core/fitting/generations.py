@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Final
 
-from loi_core.errors import CheckpointError
-from loi_core.fitting.checkpoint import Checkpoint, load_checkpoint, save_checkpoint
+from loi_core.errors import CheckpointError, OptionError
+from loi_core.fitting.checkpoint import Checkpoint, is_checkpoint, load_checkpoint, save_checkpoint
 from loi_core.io.files import remove_temporaries, unwritable
 from loi_core.io.lock import LOCK, FileLock
 
@@ -65,6 +65,27 @@ class Checkpoints:
         """
         self._lock.acquire()
         remove_temporaries(self.path)
+
+    def check_replaceable(self) -> None:
+        """See to it that a fit which begins anew replaces checkpoints and nothing else.
+
+        Raises
+        ------
+        OptionError
+            If another file lies at the path, or where the checkpoint before is kept.
+        WriteError
+            If what lies there cannot be read.
+        """
+        for path in (self.path, self.before):
+            try:
+                known = is_checkpoint(path)
+            except FileNotFoundError:
+                continue
+            except OSError as error:
+                raise unwritable(path, error) from error
+            if not known:
+                msg = f"`checkpoint`: {path} is there and is no checkpoint of a fit; remove it, or give another path"
+                raise OptionError(msg)
 
     def release(self) -> None:
         """Let others have it."""

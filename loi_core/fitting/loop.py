@@ -141,7 +141,7 @@ def fit(
         Whether to go on from `checkpoint` if it exists. The fit then ends as if it had never stopped, whatever has
         stopped it. Of a damaged checkpoint a ``CheckpointWarning`` tells, and the one before it is used; one of
         other settings, or of another objective or scene, is refused. Without `resume`, both are removed after the
-        first step.
+        first step; a file that is no checkpoint is refused.
     callback : callable, optional
         ``callback(step, params, image)`` after every step; returning True ends the fit. Of several views, `image` is a
         dict of those that the step has rendered. The arrays are its own, to write to.
@@ -192,6 +192,8 @@ def fit(
     try:
         if kept is not None:
             kept.acquire()
+            if not resume:
+                kept.check_replaceable()
         saved = kept.load(settings) if kept is not None and resume else None
         if saved is not None:
             state = called = resumed(saved, state, views, optimiser, free, seed)

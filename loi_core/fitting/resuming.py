@@ -21,6 +21,7 @@ from loi_core.fitting.state import Best, State
 from loi_core.fitting.views import Views, mean
 from loi_core.renderers.contract import Parameters
 from loi_core.support.arrays import from_numpy, to_numpy
+from loi_core.support.guards import foreign
 from loi_core.support.values import whole_number
 from loi_core.support.wording import described
 
@@ -128,7 +129,8 @@ def resumed(
             msg = f"`checkpoint` was made with another scene: {name!r}, which does not move, differs"
             raise ParameterError(msg)
     best = live(saved.best_params, fresh.params, "parameters")
-    images = views.render(best, seed + saved.best_step)
+    with foreign("rendering the best of the checkpoint"):
+        images = views.render(best, seed + saved.best_step)
     log = _log(saved, few_numbers(fresh.params, moving))
     stage, partial = _best(saved, views)
     with np.errstate(all="ignore"):  # a file may say anything: what overflows is not the value that was saved

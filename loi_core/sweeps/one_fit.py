@@ -99,4 +99,6 @@ def _fitted(scene: Scene) -> list[Trial]:
     try:
         return run_scene(scene, checkpoint=checkpoint, resume=True)
     except ParameterError:  # damaged, or from before something changed that a sweep does not know of
+        ResultFolder(scene.output).remove(CHECKPOINT_FILES)
+        ResultFolder(scene.output).claim(CHECKPOINT_FILES)
         return run_scene(scene, checkpoint=checkpoint)

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from loi_core.errors import CheckpointError, FitError, InUseError, ParameterError, WriteError
+from loi_core.errors import CheckpointError, FitError, InUseError, OptionError, ParameterError, WriteError
 from loi_core.fitting.generations import Checkpoints, CheckpointWarning, is_due
 from loi_core.fitting.loop import FitInterruptedError, FitStep
 from tests.fitting.fits import run
@@ -36,6 +36,16 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
     """The folder of a whole fit, and its result."""
     folder = tmp_path_factory.mktemp("whole")
     return folder, run(steps=STEPS, checkpoint=folder / "state.npz")
+
+
+@pytest.mark.parametrize("name", ["thesis.npz", "thesis.previous.npz"])
+def test_a_file_that_is_no_checkpoint_is_not_written_over(tmp_path: Path, name: str) -> None:
+    np.savez(tmp_path / name, months=np.arange(3))
+    content = (tmp_path / name).read_bytes()
+    with pytest.raises(OptionError, match=f"`checkpoint`: .*{name} is there and is no checkpoint of a fit"):
+        run(steps=1, checkpoint=tmp_path / "thesis.npz")
+    assert (tmp_path / name).read_bytes() == content
+    assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
 def resumed(folder: Path) -> Any:

@@ -66,6 +66,7 @@ def test_a_checkpoint_that_does_not_fit_is_refused(tmp_path: Path) -> None:
     file.write_bytes(b"not a checkpoint")
     with pytest.raises(ParameterError, match="is not a checkpoint of a fit"):
         run(steps=3, checkpoint=file, resume=True)
+    file.unlink()
     run(steps=3, checkpoint=file)
     with pytest.raises(ParameterError, match="`checkpoint` was made with learning rates"):
         fit(Bowl(), PixelL2(np.ones((2, 2, 1))), steps=3, learning_rate=1, checkpoint=file, resume=True)

@@ -378,6 +378,39 @@ def test_a_failed_fit_says_so_and_shows_nothing_of_an_earlier_one(
     assert "not finite" in (result / "report.html").read_text()
 
 
+@pytest.mark.parametrize("arguments", [[], ["--resume", "--steps", "20"]])
+@pytest.mark.parametrize("stop", [KeyboardInterrupt(), RuntimeError("the device is gone")])
+def test_what_stops_a_fit_before_it_has_come_to_anything_loses_nothing_of_the_one_before(
+    folder: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    arguments: list[str],
+    stop: BaseException,
+) -> None:
+    main(["fit", str(folder / "scene.toml")])
+    left = {path: path.read_bytes() for path in (folder / "result").rglob("*") if path.is_file()}
+    calls, kept = itertools.count(), Disks.render_vjp
+
+    def render(self: Disks, params: Any, *, seed: int = 0) -> Any:
+        if next(calls) == 1:  # after the start: the first step, or the best of the checkpoint
+            raise stop
+        return kept(self, params, seed=seed)
+
+    monkeypatch.setattr(Disks, "render_vjp", render)
+    assert main(["fit", str(folder / "scene.toml"), *arguments]) == 1
+    said = capsys.readouterr().err.splitlines()
+    if isinstance(stop, KeyboardInterrupt):
+        assert said == [
+            "loi: loi (ours): interrupted; `--resume` goes on",
+            f"loi: {folder / 'result'}: the results of an earlier fit are left as they are",
+        ]
+    elif arguments:
+        assert said == ["loi: rendering the best of the checkpoint failed: RuntimeError: the device is gone"]
+    else:
+        return  # a fit that fails shows nothing of an earlier one
+    assert {path: path.read_bytes() for path in (folder / "result").rglob("*") if path.is_file()} == left
+
+
 @pytest.mark.parametrize(
     "content",
     [
