@@ -13,7 +13,7 @@ import numpy as np
 
 from loi_mitsuba.crossings import Crossings
 from loi_mitsuba.edges import Edges
-from loi_mitsuba.eye import Eye, texture_of
+from loi_mitsuba.eye import Eye
 from loi_mitsuba.handles import Host
 from loi_mitsuba.integrators import PARTS
 from loi_mitsuba.named import as_host
@@ -111,7 +111,7 @@ class ByJumps:
         if found is not None:
             value, place = found
             eye = Eye(self.sensor)
-            weight = eye.looked_up(texture_of(eye.padded(cotangent)), place)
+            weight = eye.looked_up(eye.texture(eye.padded(cotangent)), place)
             dr.backward(dr.sum(value * weight, axis=None), dr.ADFlag.ClearInterior)
 
     def push(self, seed: int, seed_grad: int) -> Host:  # noqa: ARG002  # there is no image to draw

@@ -11,10 +11,11 @@ import numpy as np
 
 from loi_mitsuba.handles import Host
 
-__all__ = ["BESIDE", "NEARLY", "Eye", "brighter", "is_plain", "sampler_of", "texture_of"]
+__all__ = ["BESIDE", "NEARLY", "Eye", "brighter", "is_plain", "offset_of", "sampler_of"]
 
 BESIDE: Final = 0.05  # pixels from a jump of brightness, to either side
 NEARLY: Final = 1e-3  # of the distance to the camera: what is nearer than an edge by less does not hide it
+LEAST_AHEAD: Final = 1e-3  # cosine between the way to a point and where the camera looks: less is out of any view
 LUMINANCE: Final = (0.2126, 0.7152, 0.0722)  # of linear red, green and blue (Rec. 709)
 
 
@@ -29,6 +30,7 @@ class Eye:
         self.place = mi.Point3f(to_world.translation())
         self._to_local = to_world.inverse()
         self._to_film = sensor.projection_transform()
+        self._offset = offset_of(sensor)
         matrix = np.array(self._to_film.matrix, dtype=np.float64).reshape(4, 4)
         # Pixels to the area of the film at distance 1.
         self._density = abs(float(width * height * matrix[0, 0] * matrix[1, 1] / matrix[3, 2] ** 2))
@@ -73,8 +75,18 @@ class Eye:
                         dr.scatter_add(image, part * value[channel], first + channel, there)
         return mi.TensorXf(image, shape=(height, width, 3))
 
+    def texture(self, image: Any) -> Any:
+        """An image with what is around it, to look up between its pixels, with zero beyond.
+
+        Its outermost pixels count as beyond: they are what a lookup far away gives.
+        """
+        height, width = image.shape[:2]
+        inner = np.zeros((height, width, 1), dtype=np.float32)
+        inner[1:-1, 1:-1] = 1.0
+        return mi.Texture2f(image * mi.TensorXf(inner), filter_mode=dr.FilterMode.Linear, wrap_mode=dr.WrapMode.Clamp)
+
     def looked_up(self, texture: Any, place: Any) -> Any:
-        """An image with what is around it, at places of the film."""
+        """A texture of :meth:`texture` at places of the film."""
         width, height = (one + 2 * self._around for one in self._size)
         at = self._pixels(place)
         return mi.Color3f(*texture.eval(mi.Point2f(at.x / width, at.y / height)))
@@ -89,10 +101,18 @@ class Eye:
         distance = dr.norm(away)
         local = self._to_local @ point
         ahead = local.z / distance
-        visible = local.z > 0.0
+        visible = ahead > LEAST_AHEAD
         place = self._to_film @ local
         weight = self._density / (dr.square(distance) * ahead * ahead * ahead)
-        return away / distance, dr.select(visible, weight, 0.0), mi.Point2f(place.x, place.y), visible
+        shown = mi.Point2f(place.x, place.y) - mi.Point2f(*self._offset)
+        return away / distance, dr.select(visible, weight, 0.0), shown, visible
+
+
+def offset_of(sensor: Any) -> tuple[float, float]:
+    """How far the principal point of a perspective camera is from the middle of the film, whose sides are 1."""
+    params = mi.traverse(sensor)
+    x, y = (float(np.array(params[f"principal_point_offset_{axis}"]).reshape(-1)[0]) for axis in "xy")
+    return x, y
 
 
 def is_plain(scene: Any, sensor: Any) -> bool:
@@ -121,7 +141,3 @@ def sampler_of(seed: int, count: int) -> Any:
     sampler.seed(seed % 2**32, count)
     return sampler
 
-
-def texture_of(image: Any) -> Any:
-    """An image to look up between its pixels, with zero beyond."""
-    return mi.Texture2f(image, filter_mode=dr.FilterMode.Linear, wrap_mode=dr.WrapMode.Clamp)

@@ -6,7 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import drjit as dr
 import mitsuba as mi
@@ -21,6 +21,9 @@ from loi_mitsuba.loading import Target
 
 __all__ = ["NamedParameters", "as_host", "host_numbers"]
 
+NORMALS: Final = "vertex_normals"
+SAME: Final = 1e-3  # between unit normals that are one but for rounding
+
 
 @dataclass(frozen=True)
 class _Posed:
@@ -30,6 +33,7 @@ class _Posed:
     names: tuple[str, ...]
     centre: tuple[float, float, float]
     start: Any  # vertex positions as a Point3f, or the transform
+    normals: Any = None  # of the vertices, as a Normal3f, where they are not those that Mitsuba would compute
 
 
 class NamedParameters:
@@ -81,7 +85,8 @@ class NamedParameters:
         for key, names in by_shape.items():
             value = self.entries[key]
             start = value if isinstance(value, mi.Transform4f | mi.Point3f) else dr.unravel(mi.Point3f, value)
-            self._posed.append(_Posed(key, tuple(names), _centre(nodes[key], start), dr.detach(start)))
+            centre, normals = _centre(nodes[key], start), self._own_normals(key, nodes[key])
+            self._posed.append(_Posed(key, tuple(names), centre, dr.detach(start), normals))
         used = [*self._keys.values(), *by_shape]
         for key in used:
             if used.count(key) > 1:
@@ -144,10 +149,36 @@ class NamedParameters:
             self.entries[key] = _like(self.entries[key], leaves[name], self.start[name].shape)
         for one in self._posed:
             handles = [(self.targets[name], leaves[name]) for name in one.names]
-            moved = posed(handles, one.centre) @ one.start  # type: ignore[arg-type]  # handles, all of them
+            pose = posed(handles, one.centre)  # type: ignore[arg-type]  # handles, all of them
+            moved = pose @ one.start
             flat = isinstance(moved, mi.Point3f) and not isinstance(self.entries[one.key], mi.Point3f)
             self.entries[one.key] = dr.ravel(moved) if flat else moved
+            if one.normals is not None:
+                turned = dr.normalize(pose @ one.normals)
+                self.entries[_beside(one.key, NORMALS)] = dr.ravel(turned)
         self.entries.update()
+
+    def _own_normals(self, key: str, node: Any) -> Any:
+        """The normals of a mesh's vertices, if they are not those that Mitsuba computes when the vertices are set."""
+        beside = _beside(key, NORMALS)
+        if not isinstance(node, mi.Mesh) or node.has_face_normals() or beside not in self.entries:
+            return None
+        own = as_host(self.entries[beside], (-1, 3))
+        if not len(own):
+            return None
+        self.entries[key] = self.entries[key] + 0.0  # or it would count as it was
+        self.entries.set_dirty(key)
+        self.entries.update()
+        if np.max(np.abs(as_host(self.entries[beside], (-1, 3)) - own)) < SAME:
+            return None
+        self.entries[beside] = mi.Float(aligned(own.reshape(-1)))
+        self.entries.update()
+        return mi.Normal3f(*(mi.Float(aligned(each)) for each in own.T))
+
+
+def _beside(key: str, entry: str) -> str:
+    """The key of another entry of the same shape."""
+    return f"{key.rpartition('.')[0]}.{entry}"
 
 
 def _centre(node: Any, start: Any) -> tuple[float, float, float]:

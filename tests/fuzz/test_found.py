@@ -138,7 +138,7 @@ def test_whole_numbers_beyond_64_bits_are_numbers(folder: Path) -> None:
 
 def test_what_a_dtype_cannot_hold_is_an_error_without_a_warning(folder: Path) -> None:
     (folder / "scene.toml").write_text(TEXT.replace('"initial" = [[2, 3], [4, 4]]', "initial = 1e300"))
-    with pytest.raises(ParameterError, match="`initial` of 'positions' must be finite"):
+    with pytest.raises(SceneError, match="`initial` of 'positions' must be finite"):
         load_scene(folder / "scene.toml")
 
 

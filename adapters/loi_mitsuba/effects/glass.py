@@ -18,7 +18,7 @@ import numpy as np
 
 from loi_mitsuba.effects.traits import has_medium, is_clear
 from loi_mitsuba.entries import Names
-from loi_mitsuba.eye import Eye, sampler_of, texture_of
+from loi_mitsuba.eye import Eye, sampler_of
 from loi_mitsuba.handles import Host, Scale
 from loi_mitsuba.loading import Target
 from loi_mitsuba.named import NamedParameters
@@ -107,7 +107,7 @@ class Samples:
         """What they add, by `count` samples each way: the image less that without glass, shape (H, W, 3)."""
         with dr.suspend_grad():
             light = self._thrown(count, seed)
-            return self._eye.cropped(light + self._eye.splat(self._views(texture_of(light), count, seed)))
+            return self._eye.cropped(light + self._eye.splat(self._views(self._eye.texture(light), count, seed)))
 
     def pull(self, cotangent: Any, count: int, seed: int) -> None:
         """Carry a cotangent of the image by `count` samples each way to whatever of the scene has a gradient."""
@@ -115,7 +115,7 @@ class Samples:
             light = self._thrown(count, seed)
         wanted = self._eye.padded(cotangent)
         dr.enable_grad(light)
-        self._back(self._views(texture_of(light), count, seed), wanted)
+        self._back(self._views(self._eye.texture(light), count, seed), wanted)
         wanted += dr.grad(light)  # light is seen past glass, and by way of glass
         self._back(self._light(count, seed), wanted)
 
@@ -125,7 +125,7 @@ class Samples:
 
     def _back(self, values: Iterable[tuple[Any, Any]], cotangent: Any) -> None:
         """Carry back a cotangent of an image to values at their places."""
-        texture = texture_of(cotangent)
+        texture = self._eye.texture(cotangent)
         total = sum(dr.sum(value * self._eye.looked_up(texture, place), axis=None) for value, place in values)
         dr.backward(total, dr.ADFlag.ClearInterior)  # edges stay, for all ways share those of the scene
 

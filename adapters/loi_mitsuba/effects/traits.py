@@ -11,6 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from loi_mitsuba.entries import Names, ancestors
+from loi_mitsuba.eye import offset_of
 from loi_mitsuba.handles import Handle, Translate
 
 __all__ = ["Traits", "groups_of", "has_medium", "in_view", "is_clear", "objects_of", "traits_of"]
@@ -196,6 +197,7 @@ def in_view(sensor: Any, shape: Any) -> bool:
     )
     to_film = _matrix(sensor.projection_transform()) @ np.linalg.inv(_matrix(sensor.world_transform()))
     x, y, _, w = to_film @ corners.T
+    x, y = (one - offset * w for one, offset in zip((x, y), offset_of(sensor), strict=True))
     # Homogeneous coordinates: a corner behind the camera has w < 0, and the inequalities still hold.
     sides = (x < 0.0, x > w, y < 0.0, y > w, w < 0.0)
     return not any(bool(np.all(side)) for side in sides)
