@@ -116,13 +116,13 @@ class ByJumps:
 
     def push(self, seed: int, seed_grad: int) -> Host:  # noqa: ARG002  # there is no image to draw
         """How the image changes with the shapes, which have a gradient: shape (H, W, C)."""
-        film = self.sensor.film()
-        width, height = film.size()
         found = self.drawn.jumps(self.scene, self.radiance, self.samples, seed_grad)
         if found is None:
+            film = self.sensor.film()
+            width, height = film.crop_size()
             return np.zeros((height, width, film.base_channels_count()), dtype=np.float32)
         value, place = found
         change = mi.Color3f(dr.forward_to(value, flags=dr.ADFlag.ClearInterior))
         with dr.suspend_grad():
             eye = Eye(self.sensor)
-            return eye.on_film(eye.cropped(eye.splat([(change, place)])), film.base_channels_count())
+            return eye.on_film(eye.cropped(eye.splat([(change, place)])))

@@ -3,16 +3,34 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Container, Iterator, Mapping
 from typing import Any, Final
 
+import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from loi_core.support.wording import clause
+from loi_mitsuba.entries import Names
 from loi_mitsuba.seams import crowded_share, has_seams
 
-__all__ = ["GradientWarning", "is_crowded", "lets_through", "warn_of_moving"]
+__all__ = [
+    "GradientWarning",
+    "is_cropped",
+    "is_crowded",
+    "lets_through",
+    "misses_entry",
+    "warn_of_entries",
+    "warn_of_moving",
+]
 
+CURVES: Final = ("BSplineCurve", "LinearCurve")
+WITH_ALPHA: Final = (2, 4)  # channels
+PLACES: Final = 64
+CLOSE: Final = 1e-5  # of a texture, between two places of one texel
+STEADY: Final = 0.9  # of pairs of places so close, that are equal in a bitmap that is not interpolated
+CHOICES: Final = {"MaskBSDF": "opacity", "BlendBSDF": "weight"}
+COLOURS: Final = ("specular_reflectance", "specular_transmittance", "eta", "k")
 CROWDED: Final = 0.05  # of a mesh's edges, by length: what its gradient may be off by
 
 
@@ -20,21 +38,21 @@ class GradientWarning(UserWarning):
     """Part of the gradient that was asked for is missing or wrong."""
 
 
-def warn_of_moving(scene: Any, integrator: Any, shapes: list[Any]) -> None:
-    """Warn where moving `shapes` has a gradient that Mitsuba misses or counts twice.
+def warn_of_moving(scene: Any, sensor: Any, integrator: Any, shapes: list[Any], drawn: Container[Any]) -> None:
+    """Warn where moving `shapes` has a gradient that is missed or counted twice.
 
     An integrator without projective sampling differentiates what lies inside the outlines of shapes and shadows, not
     that the outlines move. Projective sampling finds the rays that graze a shape and asks how bright what lies behind
     is. It looks at the scene's own shapes only, not into groups, and takes them for whole, without cutouts. Hardly any
     ray hits a point, so shadows of point, spot and directional lights have no gradient at all. And it takes every edge
     of a mesh that belongs to one triangle, or to more than two, for a border, so that an edge whose vertices are stored
-    twice counts twice.
+    twice counts twice. The edges in view of those that are `drawn` are not its business.
     """
-    for msg in _cautions(scene, integrator, shapes):
+    for msg in (*_cautions(scene, integrator, shapes, drawn), *_cautions_in_view(sensor, shapes, drawn)):
         warnings.warn(msg, GradientWarning, stacklevel=4)
 
 
-def _cautions(scene: Any, integrator: Any, shapes: list[Any]) -> Iterator[str]:
+def _cautions(scene: Any, integrator: Any, shapes: list[Any], drawn: Container[Any]) -> Iterator[str]:
     """What there is to warn of, one message each."""
     if shapes and not hasattr(integrator, "sppp"):  # only projective integrators count samples of outlines
         yield (
@@ -56,12 +74,14 @@ def _cautions(scene: Any, integrator: Any, shapes: list[Any]) -> Iterator[str]:
             f"a shape moves under a {kinds}, and the motion of its shadows has no gradient there; use a small sphere "
             f"with an area emitter"
         )
-    if split := _ids(each, has_seams):
-        yield (
-            f"{_meshes(split, 'stores', 'store')} the vertices of an edge more than once, and Mitsuba counts the "
-            f"gradient of such an edge as often; merge equal vertices (and set face_normals for flat shading); "
-            f"PlannedRenderer does where shading is smooth or flat throughout"
-        )
+    for whose, met in (("", False), ("the shadow of ", True)):  # in view, our own edges stand for Mitsuba's
+        split = _ids(each, lambda shape, met=met: has_seams(shape) and (shape in drawn) == met)
+        if split:
+            yield (
+                f"{_meshes(split, 'stores', 'store')} the vertices of an edge more than once, and Mitsuba counts the "
+                f"gradient of {whose}such an edge as often; merge equal vertices (and set face_normals for flat "
+                f"shading); PlannedRenderer does where shading is smooth or flat throughout"
+            )
     if crowded := _ids(each, is_crowded):
         yield (
             f"{_meshes(crowded, 'has', 'have')} edges at which more than two triangles meet, or that run along others, "
@@ -75,6 +95,30 @@ def _cautions(scene: Any, integrator: Any, shapes: list[Any]) -> Iterator[str]:
         )
 
 
+def _cautions_in_view(sensor: Any, shapes: list[Any], drawn: Container[Any]) -> Iterator[str]:
+    """What there is to warn of where the shapes are seen, one message each."""
+    each, film = list(dict.fromkeys(shapes)), sensor.film()
+    if is_cropped(sensor) and (others := _ids(each, lambda shape: shape not in drawn)):
+        yield (
+            f"{clause(others, 'moves', 'move')} before a film with a crop window, where Mitsuba puts outlines in wrong "
+            f"places; render the whole film, or use PlannedRenderer, which blurs"
+        )
+    if each and (mi.is_spectral or mi.is_polarized):
+        yield (
+            f"a shape moves in the variant {mi.variant()}, where Mitsuba counts edges of boxes and leaning rectangles "
+            f"too much or too little, and misses curves in which shapes cross; use one of RGB"
+        )
+    if each and film.base_channels_count() in WITH_ALPHA:
+        yield "a shape moves, and outlines have no gradient in the film's alpha; compare its colours alone"
+    if curves := _ids(each, lambda shape: shape.class_name() in CURVES):
+        yield f"{clause(curves, 'is a curve', 'are curves')}, and Mitsuba's gradient of how its outline moves is wrong"
+    if stepped := _ids(each, has_steps):
+        yield (
+            f"{clause(stepped, 'has', 'have')} a texture with steps (a checkerboard, or a bitmap of filter_type "
+            f"'nearest'), and Mitsuba has no gradient of steps that move; use a bitmap that is interpolated"
+        )
+
+
 def _ids(shapes: list[Any], is_one: Callable[[Any], bool]) -> list[str]:
     """The ids of the shapes of a kind, each once."""
     return list(dict.fromkeys(shape.id() for shape in shapes if is_one(shape)))
@@ -82,6 +126,61 @@ def _ids(shapes: list[Any], is_one: Callable[[Any], bool]) -> list[str]:
 
 def _meshes(ids: list[str], one: str, several: str) -> str:
     return f"{'mesh' if len(ids) == 1 else 'meshes'} {clause(ids, one, several)}"
+
+
+def is_cropped(sensor: Any) -> bool:
+    """Whether a film shows a part of the view alone."""
+    film = sensor.film()
+    return not np.array_equal(film.size(), film.crop_size())
+
+
+def has_steps(shape: Any) -> bool:
+    """Whether a texture of a shape has steps, which move with it."""
+    nodes = {one[2] for one in mi.traverse(shape).properties.values()}
+    return any(isinstance(one, mi.Texture) and _is_stepped(one) for one in nodes)
+
+
+def _is_stepped(texture: Any) -> bool:
+    kind = texture.class_name()
+    if kind == "Checkerboard":
+        return True
+    if not kind.startswith("BitmapTexture") or not mi.is_rgb:
+        return False
+    alone = mi.traverse(texture)["data"].shape[-1] == 1
+    point = dr.zeros(mi.SurfaceInteraction3f, 2 * PLACES)
+    places = np.random.default_rng(0).random((PLACES, 2), dtype=np.float32)
+    point.uv = mi.Point2f(np.concatenate([places, places + np.float32(CLOSE)]).T)
+    values = np.array(texture.eval_1(point) if alone else texture.eval(point)).reshape(-1, 2, PLACES)
+    varies = np.any(np.ptp(values, axis=-1) > 0.0)
+    return bool(varies and np.mean(values[:, 0] == values[:, 1]) > STEADY)
+
+
+def warn_of_entries(called: Names, targets: Mapping[str, Any]) -> None:
+    """Warn of the entries of materials among `targets` by which Mitsuba's gradient is missing or wrong."""
+    for name, target in targets.items():
+        why = misses_entry(called, target) if isinstance(target, str) else ""
+        if why:
+            msg = f"{name!r}: {why}; use PlannedRenderer, which blurs"
+            warnings.warn(msg, GradientWarning, stacklevel=4)
+
+
+def misses_entry(called: Names, target: str) -> str:
+    """Why Mitsuba's gradient by an entry of a material is missing or wrong; empty if it is not.
+
+    Its path tracers take what a surface does in single directions from the sample, without a gradient.
+    """
+    entry = called.known(target)
+    material, part = (None, "") if entry is None else called.part_of_material(entry)
+    if material is None:
+        return ""
+    flags = mi.BSDFFlags
+    single = any(
+        mi.has_flag(material.flags(), one) for one in (flags.Null, flags.DeltaReflection, flags.DeltaTransmission)
+    )
+    chosen = CHOICES.get(material.class_name(), "") == part
+    if single and (chosen or part in COLOURS):
+        return f"it is the {part} of a material with light in single directions, by which Mitsuba has no gradient"
+    return ""
 
 
 def is_crowded(shape: Any) -> bool:

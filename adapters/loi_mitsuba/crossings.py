@@ -53,7 +53,7 @@ class Crossings:
     Parameters
     ----------
     sensor : mi.Sensor
-        A perspective camera that shows its whole film.
+        A perspective camera.
     shapes : list of mi.Shape
         Those that move.
     """
@@ -61,7 +61,7 @@ class Crossings:
     def __init__(self, sensor: Any, shapes: list[Any]) -> None:
         self._sensor = sensor
         self._shapes = shapes
-        self._size = mi.Point2f(*map(float, sensor.film().size()))
+        self._size = mi.Point2f(*map(float, sensor.film().crop_size()))
 
     @classmethod
     def of(cls, scene: Any, sensor: Any, shapes: Iterable[Any]) -> Crossings | None:
@@ -74,7 +74,7 @@ class Crossings:
         """At crossings, 0 with how it changes: the jump times how far the crossing moves; and places. None without."""
         if not self._may_meet(scene):
             return None
-        width, height = self._sensor.film().size()
+        width, height = self._sensor.film().crop_size()
         lines = max(1, min(samples // SHARE, MOST // int(width * height)))
         with dr.suspend_grad():
             found = self._changes(scene, lines, seed)
@@ -107,7 +107,7 @@ class Crossings:
 
         From every pixel, and those left of and above the film, go `lines` across and as many down.
         """
-        width, height = (int(size) + 1 for size in self._sensor.film().size())
+        width, height = (int(size) + 1 for size in self._sensor.film().crop_size())
         number = dr.arange(mi.UInt32, 2 * lines * width * height)
         pixel = number // (2 * lines)
         sampler = sampler_of(seed, dr.width(number))

@@ -35,7 +35,7 @@ class Edges:
     Parameters
     ----------
     sensor : mi.Sensor
-        A perspective camera that shows its whole film.
+        A perspective camera.
     shapes : list of mi.Shape
 
     Attributes
@@ -56,7 +56,7 @@ class Edges:
         self._ends, self._third = (
             [mi.UInt32(np.ascontiguousarray(one, dtype=np.uint32)) for one in every.T] for every in (ends, third)
         )
-        width, height = sensor.film().size()
+        width, height = sensor.film().crop_size()
         self._size = mi.Point2f(float(width), float(height))
 
     @classmethod

@@ -158,6 +158,14 @@ class Names:
         moves = isinstance(node, mi.Shape) and self._params.flags(entry.key) & mi.ParamFlags.Discontinuous
         return node if moves else None
 
+    def part_of_material(self, entry: Entry) -> tuple[Any, str]:
+        """The material nearest to an entry, and which of its inputs the entry belongs to; None and "" without."""
+        nodes, parts = ancestors(self._params, self._params.properties[entry.key][2]), entry.key.split(".")
+        for node, part in reversed([*zip(nodes, parts, strict=False)]):
+            if isinstance(node, mi.BSDF):
+                return node, part
+        return None, ""
+
     def placed_by(self, key: str) -> Any:
         """The light whose position the entry of that name or key is; None if it is no light's."""
         entry = self.known(key)
@@ -203,10 +211,10 @@ class Names:
                 if name in called and is_instance(node):
                     msg = f"{name!r} cannot be moved: {INSTANCE}{BY_IMAGES}"
                     raise ParameterError(msg)
-                if name in called and folder and _is_merged(node):
+                if name in called and problem:
                     msg = f"{name!r} cannot be moved: {problem}"
                     raise ParameterError(msg)
-                if not is_instance(node):
+                if not problem:
                     shapes.append(self._readable[folder])
             elif folder and name in called and isinstance(node, mi.Sensor | mi.Emitter):
                 msg = f"{name!r} cannot be moved: {_fixed(node)}{BY_IMAGES}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from typing import Any, Final
 
@@ -16,15 +17,18 @@ __all__ = ["BESIDE", "NEARLY", "Eye", "brighter", "is_plain", "offset_of", "samp
 BESIDE: Final = 0.05  # pixels from a jump of brightness, to either side
 NEARLY: Final = 1e-3  # of the distance to the camera: what is nearer than an edge by less does not hide it
 LEAST_AHEAD: Final = 1e-3  # cosine between the way to a point and where the camera looks: less is out of any view
-LUMINANCE: Final = (0.2126, 0.7152, 0.0722)  # of linear red, green and blue (Rec. 709)
+LUMINANCE: Final = ((0.2126, 0.7152, 0.0722),)  # of linear red, green and blue (Rec. 709)
+XYZ: Final = ((0.412453, 0.357580, 0.180423), (0.212671, 0.715160, 0.072169), (0.019334, 0.119193, 0.950227))
 
 
 class Eye:
     """A perspective camera; of points around the image, to a quarter of its longer side, it knows the place as well."""
 
     def __init__(self, sensor: Any) -> None:
-        width, height = (int(one) for one in sensor.film().size())
+        width, height = (int(one) for one in sensor.film().crop_size())  # the image, and what places are fractions of
         self._size = (width, height)
+        self._channels = int(sensor.film().base_channels_count())
+        self._mix = np.asarray(_mix_of(sensor.film(), self._channels), dtype=np.float32)
         self._around = 1 + max(width, height) // 4
         to_world = sensor.world_transform()
         self.place = mi.Point3f(to_world.translation())
@@ -36,21 +40,17 @@ class Eye:
         self._density = abs(float(width * height * matrix[0, 0] * matrix[1, 1] / matrix[3, 2] ** 2))
 
     def padded(self, cotangent: Any) -> Any:
-        """A cotangent of the image, shape (H, W, C), as one of its colours, with zeros around it.
+        """A cotangent of the image, shape (H, W, C), as one of its red, green and blue, with zeros around it.
 
-        C is 3 for a film of colours and 1 for one of luminance; one more is alpha, by which glass has no gradient.
+        Channels beyond colours have no gradient.
         """
         around = (self._around, self._around)
-        colours = np.asarray(cotangent, dtype=np.float32)
-        colours = colours[..., :3] if colours.shape[-1] > 2 else colours[..., :1] * np.asarray(LUMINANCE, np.float32)
+        colours = np.asarray(cotangent, dtype=np.float32)[..., : len(self._mix)] @ self._mix
         return mi.TensorXf(np.ascontiguousarray(np.pad(colours, (around, around, (0, 0)))))
 
-    def on_film(self, image: Host, channels: int) -> Host:
-        """An image of three colours, shape (H, W, 3), in so many channels: what :meth:`padded` is the transpose of."""
-        if channels > 2:
-            return np.pad(image, ((0, 0), (0, 0), (0, channels - 3)))
-        brightness = image @ np.asarray(LUMINANCE, np.float32)
-        return np.pad(brightness[..., None], ((0, 0), (0, 0), (0, channels - 1)))
+    def on_film(self, image: Host) -> Host:
+        """An image of red, green and blue, shape (H, W, 3), as the film has it: what :meth:`padded` is transpose of."""
+        return np.pad(image @ self._mix.T, ((0, 0), (0, 0), (0, self._channels - len(self._mix))))
 
     def cropped(self, image: Any) -> Host:
         """An image without what is around it."""
@@ -109,21 +109,31 @@ class Eye:
 
 
 def offset_of(sensor: Any) -> tuple[float, float]:
-    """How far the principal point of a perspective camera is from the middle of the film, whose sides are 1."""
-    params = mi.traverse(sensor)
-    x, y = (float(np.array(params[f"principal_point_offset_{axis}"]).reshape(-1)[0]) for axis in "xy")
-    return x, y
+    """How far the principal point of a perspective camera is from the middle, in sides of the image.
+
+    Mitsuba has it in sides of the whole film, of which the image may be a part.
+    """
+    params, film = mi.traverse(sensor), sensor.film()
+    given = (float(np.array(params[f"principal_point_offset_{axis}"]).reshape(-1)[0]) for axis in "xy")
+    x, y = (one * side / part for one, side, part in zip(given, film.size(), film.crop_size(), strict=True))
+    return float(x), float(y)
 
 
 def is_plain(scene: Any, sensor: Any) -> bool:
     """Whether jumps of brightness can be drawn here.
 
-    Not where colours are not red, green and blue, in media, and for cameras other than a perspective one that shows its
-    whole film.
+    Not with spectra or polarised light, in media, and for cameras other than a perspective one.
     """
-    film = sensor.film()
-    whole = sensor.class_name() == "PerspectiveCamera" and np.array_equal(film.size(), film.crop_size())
-    return whole and mi.is_rgb and not mi.is_polarized and not any(one.is_medium_transition() for one in scene.shapes())
+    colours = (mi.is_rgb or mi.is_monochromatic) and not mi.is_polarized
+    within = any(one.is_medium_transition() for one in scene.shapes())
+    return colours and sensor.class_name() == "PerspectiveCamera" and not within
+
+
+def _mix_of(film: Any, channels: int) -> Any:
+    """What the channels of a film that are colours have of red, green and blue, shape (C, 3)."""
+    if channels < 3:
+        return LUMINANCE
+    return XYZ if re.search(r"pixel_format = xyz", str(film)) else np.eye(3)
 
 
 def brighter(sensor: Any, integrator: Any, scene: Any, ends: tuple[Any, Any], active: Any, sampler: Any) -> Any:
@@ -132,7 +142,8 @@ def brighter(sensor: Any, integrator: Any, scene: Any, ends: tuple[Any, Any], ac
     for place in ends:
         ray, weight = sensor.sample_ray(0.0, 0.5, place, mi.Point2f(0.5))
         values.append(integrator.sample(scene, sampler, ray, active=active)[0] * weight)
-    return values[1] - values[0]
+    jump = values[1] - values[0]
+    return mi.Color3f(jump[0]) if mi.is_monochromatic else jump
 
 
 def sampler_of(seed: int, count: int) -> Any:
@@ -140,4 +151,3 @@ def sampler_of(seed: int, count: int) -> Any:
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(seed % 2**32, count)
     return sampler
-

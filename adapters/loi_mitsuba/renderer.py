@@ -17,7 +17,7 @@ from loi_core.pixels.encoding import Encoding
 from loi_core.support.values import whole_number
 from loi_core.support.wording import shown
 from loi_mitsuba.carriers import ByJumps, ByMitsuba, parts_of
-from loi_mitsuba.cautions import warn_of_moving
+from loi_mitsuba.cautions import warn_of_entries, warn_of_moving
 from loi_mitsuba.crossings import Crossings
 from loi_mitsuba.edges import Edges
 from loi_mitsuba.entries import Names, Scene, named_scene
@@ -325,7 +325,10 @@ class MitsubaRenderer:
         """Refuse or warn where the gradient of moving shapes is missing, unless a plan has told why."""
         moving = self._named.moving(self._followed)
         if not told:
-            warn_of_moving(self._scene, self._integrator, moving)
+            warn_of_moving(
+                self._scene, self._sensor, self._integrator, moving, self._edges.shapes if self._edges else ()
+            )
+        warn_of_entries(self._names, {name: self._named.targets[name] for name in self._able})
         kind = self._sensor.class_name()
         if moving and getattr(self._integrator, "sppp", 0) != 0 and kind != "PerspectiveCamera":
             msg = (

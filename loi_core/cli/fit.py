@@ -153,7 +153,9 @@ def run_and_write(
                 f"loi: {LABELS.get(trial.objective, trial.objective)}: {printable(trial.error)}{hint}", file=sys.stderr
             )
     if trials[0].result is None and trials[0].can_resume and (scene.output / RESULT_FILE).exists():
-        print(f"loi: {printable(str(scene.output))}: the results of an earlier fit are left as they are", file=sys.stderr)
+        print(
+            f"loi: {printable(str(scene.output))}: the results of an earlier fit are left as they are", file=sys.stderr
+        )
         return summary(scene, trials, command=command)
     return write_results(scene, trials, command=command)
 

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from typing import Any
 
+import mitsuba as mi
 import numpy as np
 import pytest
 
-from loi_mitsuba import GradientWarning, MitsubaRenderer, Translate
+from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, Translate
 from tests.mitsuba.scenes import PARAMETERS, box, random_cotangent, shadow_scene
 
 
@@ -62,3 +63,52 @@ def test_many_meshes_are_warned_of_once(recwarn: pytest.WarningsRecorder) -> Non
     assert message.startswith(
         "meshes 'cube 0', 'cube 1', 'cube 2', 'cube 3' and 3 others store the vertices of an edge"
     )
+
+
+@pytest.mark.parametrize(
+    ("texture", "told"),
+    [
+        ({"type": "checkerboard"}, True),
+        ({"type": "bitmap", "filter_type": "nearest"}, True),
+        ({"type": "bitmap"}, False),
+        ({"type": "bitmap", "filter_type": "nearest", "channels": 1}, True),
+    ],
+)
+def test_steps_of_a_texture_that_moves_are_warned_of(
+    texture: dict[str, Any], told: bool, recwarn: pytest.WarningsRecorder
+) -> None:
+    texture = dict(texture)
+    if texture["type"] == "bitmap":
+        values = np.random.default_rng(0).random((5, 7, texture.pop("channels", 3)), dtype=np.float32)
+        texture |= {"data": mi.TensorXf(values), "raw": True}
+    ball = {"type": "sphere", "bsdf": {"type": "twosided", "nested": {"type": "diffuse", "reflectance": texture}}}
+    MitsubaRenderer(shadow_scene(ball=ball), {"x": Translate("ball", (1, 0, 0))})
+    assert any("a texture with steps" in str(one.message) for one in recwarn) == told
+
+
+SINGLE: dict[str, tuple[dict[str, Any], str]] = {
+    "mask": ({"type": "mask", "opacity": 0.6, "nested": {"type": "diffuse"}}, "opacity"),
+    "blend": (
+        {"type": "blendbsdf", "weight": 0.6, "one": {"type": "diffuse"}, "other": {"type": "conductor"}},
+        "weight",
+    ),
+    "mirror": ({"type": "conductor", "specular_reflectance": 0.6}, "specular_reflectance"),
+}
+
+
+@pytest.mark.parametrize("kind", SINGLE)
+def test_what_material_in_single_directions_has_no_gradient_by_is_told_and_blurred(kind: str) -> None:
+    bsdf, part = SINGLE[kind]
+    scene = shadow_scene(ball={"type": "sphere", "bsdf": bsdf})
+    with pytest.warns(GradientWarning, match=f"'it': it is the {part} of a material with light in single directions"):
+        MitsubaRenderer(scene, {"it": f"ball.bsdf.{part}.value"})
+    planned = PlannedRenderer(scene, {"it": f"ball.bsdf.{part}.value"})
+    assert planned.plan.blurred["it"].startswith(f"it is the {part} of a material")
+
+
+def test_the_weight_of_a_blend_without_single_directions_keeps_mitsubas_gradient() -> None:
+    bsdf = {"type": "blendbsdf", "weight": 0.6, "one": {"type": "diffuse"}, "other": {"type": "plastic"}}
+    for other, kept in (("roughplastic", True), ("plastic", False)):
+        bsdf |= {"other": {"type": other}}
+        planned = PlannedRenderer(shadow_scene(ball={"type": "sphere", "bsdf": bsdf}), {"it": "ball.bsdf.weight.value"})
+        assert (not planned.plan.blurred) == kept

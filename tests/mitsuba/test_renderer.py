@@ -14,7 +14,16 @@ import pytest
 
 from loi_core import Free, LOIObjective, Renderer, fit
 from loi_core.errors import OptionError, ParameterError
-from loi_mitsuba import MitsubaRenderer, PlannedRenderer, Rotate, Scale, SceneLoadError, Translate, list_entries
+from loi_mitsuba import (
+    GradientWarning,
+    MitsubaRenderer,
+    PlannedRenderer,
+    Rotate,
+    Scale,
+    SceneLoadError,
+    Translate,
+    list_entries,
+)
 from tests.helpers import Host, relative_error
 from tests.mitsuba.scenes import HEIGHT, PARAMETERS, WIDTH, box, random_cotangent, shadow_scene
 
@@ -472,3 +481,25 @@ def test_a_cotangent_that_is_none_is_refused(kind: Any) -> None:
     hole[3, 4] = np.nan
     with pytest.raises(ParameterError, match=r"`cotangent` must be finite, got 3 values that are not"):
         pullback(hole)
+
+
+def test_a_mesh_with_normals_of_its_own_keeps_them_wherever_it_is(tmp_path: Path) -> None:
+    """Mitsuba computes normals anew when vertices are set, which shades a mesh otherwise than its file says."""
+    corners = [(-1, -1, 0), (1, -1, 0), (1, 1, 0), (-1, 1, 0)]
+    lines = [f"v {x} {y} {z}" for x, y, z in corners] + [f"vn {0.6 * x} 0 0.8" for x, _, _ in corners]
+    (tmp_path / "card.obj").write_text("\n".join([*lines, "f 1//1 2//2 3//3", "f 1//1 3//3 4//4"]))
+    place = mi.ScalarTransform4f
+
+    def scene(pose: Any) -> dict[str, Any]:
+        card = {"type": "obj", "filename": str(tmp_path / "card.obj"), "to_world": pose}
+        lamp = {"type": "directional", "direction": [-1, -1, -1], "irradiance": 3.0}
+        return shadow_scene(card=card | {"bsdf": {"type": "twosided", "nested": {"type": "diffuse"}}}, lamp=lamp)
+
+    pose = place().translate([0, 1.5, 0]).rotate([1, 0, 0], -60)
+    turned = place().translate([0, 1.5, 0]) @ place().rotate([0, 1, 0], 30) @ place().rotate([1, 0, 0], -60)
+    with pytest.warns(GradientWarning, match="moves under a DirectionalEmitter"):
+        renderer = MitsubaRenderer(scene(pose), {"turn": Rotate("card", (0, 1, 0))}, spp=16)
+    for angle, wanted in ((0.0, pose), (30.0, turned)):
+        image = renderer.render({"turn": np.float32(angle)}, seed=1)
+        still = MitsubaRenderer(scene(wanted), {"light": "lamp.irradiance.value"}, spp=16)
+        np.testing.assert_allclose(image, still.render(still.parameters(), seed=1), atol=2e-3)

@@ -14,7 +14,6 @@ from typing import Any, Final
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
 from loi_mitsuba.effects.traits import has_medium, is_clear
 from loi_mitsuba.entries import Names
@@ -39,11 +38,10 @@ def glass_of(called: Names, targets: Mapping[str, Target], sensor: Any) -> dict[
     """The parameters that move clear glass whose light can be followed, each with its shape: balls and smooth meshes.
 
     None where colours are not red, green and blue, where there is a medium, or where the camera is not a perspective
-    one that sees its whole film and every lamp.
+    one that sees every lamp.
     """
-    film = sensor.film()
-    shown = sensor.class_name() == "PerspectiveCamera" and np.array_equal(film.size(), film.crop_size())
-    if not mi.is_rgb or mi.is_polarized or not shown or has_medium(called.scene):
+    perspective = sensor.class_name() == "PerspectiveCamera"
+    if not mi.is_rgb or mi.is_polarized or not perspective or has_medium(called.scene):
         return {}
     if getattr(called.scene.integrator(), "hide_emitters", False):
         return {}
@@ -78,7 +76,7 @@ class Glass:
 
     def __init__(self, renderer: MitsubaRenderer, samples: int) -> None:
         self._renderer = renderer
-        width, height = (int(one) for one in renderer.sensor.film().size())
+        width, height = (int(one) for one in renderer.sensor.film().crop_size())
         self._count = max(LEAST, samples * width * height // SHARE)
         self._named = NamedParameters(renderer.names, renderer.targets, tuple(renderer.targets))
 

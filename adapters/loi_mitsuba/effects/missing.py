@@ -7,7 +7,7 @@ from typing import Any
 
 import mitsuba as mi
 
-from loi_mitsuba.cautions import is_crowded, lets_through
+from loi_mitsuba.cautions import is_cropped, is_crowded, lets_through, misses_entry
 from loi_mitsuba.effects.traits import has_medium, is_clear
 from loi_mitsuba.entries import INSTANCE, Names, is_instance
 from loi_mitsuba.loading import Target
@@ -30,6 +30,9 @@ def missing_gradients(called: Names, targets: Mapping[str, Target], sensor: Any)
                 continue  # which is told when it is looked for
             if entry.problem and entry.settable:
                 found[name] = entry.problem.partition(";")[0]
+                continue
+            if why := misses_entry(called, target):
+                found[name] = why
                 continue
             node = called.moved_by(entry)
         else:
@@ -60,6 +63,8 @@ def _of_moving(node: Any, scene: Any, sensor: Any, *, medium: bool, whole: bool)
         return "it moves a shape that light goes straight through in part, and Mitsuba has no gradient of cutouts"
     if whole and is_crowded(node):
         return "it moves a mesh at whose edges several triangles meet, and Mitsuba counts such an edge several times"
+    if whole and is_cropped(sensor):
+        return "it moves a shape before a film with a crop window, in which Mitsuba puts outlines in wrong places"
     if medium:
         return "it moves a shape where there is a medium, in which outlines and shadows have no gradient in Mitsuba"
     if sensor.class_name() != "PerspectiveCamera":

@@ -1,0 +1,68 @@
+"""However a perspective camera shows a scene, the gradient of outlines is that of its image."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, Translate
+from loi_mitsuba.eye import Eye
+from tests.mitsuba.outlines import PLACE, check_outlines, glow, glowing_scene
+from tests.mitsuba.scenes import HEIGHT, WIDTH, shadow_scene
+
+BLOCK = {"type": "cube", "to_world": PLACE().translate([0, 1.5, 0]).rotate([0, 1, 0], 20).scale(0.7)}
+CROP = {
+    "width": WIDTH + 20,
+    "height": HEIGHT + 10,
+    "crop_offset_x": 14,
+    "crop_offset_y": 3,
+    "crop_width": WIDTH,
+    "crop_height": HEIGHT,
+}
+ASIDE = {"principal_point_offset_x": 0.12, "principal_point_offset_y": -0.08}
+
+
+def scene_before(camera: dict[str, Any], film: dict[str, Any]) -> dict[str, Any]:
+    scene = glowing_scene(block=BLOCK | {"emitter": glow(0.9, 0.2, 0.1)})
+    scene["sensor"] |= camera
+    scene["sensor"]["film"] |= film
+    return scene
+
+
+@pytest.mark.filterwarnings("ignore:mesh 'block' stores the vertices:loi_mitsuba.GradientWarning")
+@pytest.mark.parametrize(
+    ("camera", "film"), [({}, CROP), (ASIDE, {}), ({}, {"pixel_format": "xyz"})], ids=["crop", "off centre", "XYZ"]
+)
+def test_outlines_are_where_the_camera_shows_them(camera: dict[str, Any], film: dict[str, Any]) -> None:
+    check_outlines(scene_before(camera, film), ("x", "y"))
+
+
+def test_a_point_is_seen_where_the_sensor_says() -> None:
+    for camera, film in (({}, CROP), (ASIDE, {}), (ASIDE, CROP)):
+        sensor = mi.load_dict(scene_before(camera, film)).sensors()[0]
+        there = mi.Point3f(0.4, 0.7, -0.3)
+        meeting = mi.SurfaceInteraction3f()
+        meeting.p = there
+        wanted = np.array(sensor.sample_direction(meeting, mi.Point2f(0.5))[0].uv).ravel()
+        found = np.array(Eye(sensor).sees(there)[2]).ravel() * [WIDTH, HEIGHT]
+        np.testing.assert_allclose(found, wanted, atol=1e-3)
+
+
+def test_what_mitsuba_puts_in_wrong_places_is_warned_of_and_blurred() -> None:
+    """Its own outlines, as those of a ball, in a crop window."""
+    scene = shadow_scene()
+    scene["sensor"]["film"] |= CROP
+    with pytest.warns(GradientWarning, match="'ball' moves before a film with a crop window"):
+        MitsubaRenderer(scene, {"x": Translate("ball", (1, 0, 0))})
+    planned = PlannedRenderer(scene, {"x": Translate("ball", (1, 0, 0))})
+    assert "a film with a crop window" in planned.plan.blurred["x"]
+
+
+def test_alpha_is_warned_of() -> None:
+    scene = shadow_scene()
+    scene["sensor"]["film"] |= {"pixel_format": "rgba"}
+    with pytest.warns(GradientWarning, match="outlines have no gradient in the film's alpha"):
+        MitsubaRenderer(scene, {"x": Translate("ball", (1, 0, 0))})
