@@ -149,6 +149,17 @@ def test_disks_are_those_of_the_core(seed: int) -> None:
     np.testing.assert_allclose(ours.render(ours.parameters()), expected, rtol=0, atol=0.03)
 
 
+@pytest.mark.parametrize("encoding", ["linear", "sRGB"])
+def test_a_shape_is_as_bright_wherever_it_lies_between_pixels(encoding: str) -> None:
+    """Or a fit from far away would see the wobble before it sees the target."""
+    renderer = Vector(24, 32, [Rectangle([12.0, 10.0], [9.0, 4.0], Paint((0.9, 0.2, 0.05, 0.7)))], encoding=encoding)
+    at = renderer.parameters()
+    sums = [
+        float(renderer.render(at | {"positions": at["positions"] + float(by)}).sum()) for by in np.linspace(0.0, 1.0, 9)
+    ]
+    assert np.ptp(sums) < 1e-9 * np.mean(sums)
+
+
 def test_the_later_shape_lies_on_top_and_lets_through_what_its_opacity_says() -> None:
     under = Rectangle([4.0, 4.0], [4.0, 4.0], Paint((1.0, 0.0, 0.0, 1.0)))
     over = Rectangle([4.0, 4.0], [2.0, 2.0], Paint((0.0, 1.0, 0.0, 0.25)))

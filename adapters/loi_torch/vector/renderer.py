@@ -41,9 +41,9 @@ class Vector(Painted):
     svg : Path, optional
         An SVG file to read the shapes from; its view box is fitted into the image.
     encoding : {"linear", "sRGB"}
-        Of the image. A target that is a PNG is decoded for "linear" in scene files, and elsewhere by
-        :func:`loi_core.read_target`.
-        Shapes are mixed as linear RGB either way.
+        Of the image, and what shapes are mixed in: light as a camera does, or "sRGB" as browsers do, where they overlap
+        in part or are not opaque. Either way the brightness of a shape does not change as it moves between pixels. A
+        target that is a PNG is decoded for "linear" in scene files, and elsewhere by :func:`loi_core.read_target`.
     dtype : {"float64", "float32"}
         Of parameters and images; the arithmetic inside is float64.
     device : str
@@ -109,7 +109,7 @@ class Vector(Painted):
         self._table = Table(shapes or [], dtype)
         super().__init__(self._table, dtype, device)
         behind = self.background if self.background.ndim == 1 else self.background.reshape(-1, 3)
-        self._behind = torch.as_tensor(behind, device=self._device)
+        self._behind = self._encoded(torch.as_tensor(behind, device=self._device))
 
     @property
     def encoding(self) -> Encoding:
@@ -125,9 +125,14 @@ class Vector(Painted):
         check_near(rings.points)
         points, edges = self._edges(rings, scene)
         painting = cover(points, edges, self._size)
-        image = composite(self._colours(painting, rings, scene), painting, self._behind, self._size[0] * self._size[1])
-        image = image.reshape(*self._size, 3)
-        return image if self._encoding == "linear" else _srgb(image)
+        colours = self._colours(painting, rings, scene)
+        colours = torch.cat([self._encoded(colours[:, :3]), colours[:, 3:]], dim=1)
+        # Colours are encoded, not the image: a share of a pixel would be brighter than its area is.
+        image = composite(colours, painting, self._behind, self._size[0] * self._size[1])
+        return image.reshape(*self._size, 3)
+
+    def _encoded(self, colours: Tensor) -> Tensor:
+        return colours if self._encoding == "linear" else _srgb(colours)
 
     def _edges(self, rings: Rings, scene: Tensors) -> tuple[Tensor, Edges]:
         """The edges of all layers, and the points that they join."""
@@ -184,8 +189,8 @@ class Vector(Painted):
         return bilinear(scene["blends"][layer.row], across, down)
 
 
-def _srgb(image: Tensor) -> Tensor:
+def _srgb(linear: Tensor) -> Tensor:
     """Linear RGB encoded as sRGB; straight near 0 and below, where a power has no slope that is finite."""
-    steep = image <= 0.0031308
-    power = torch.where(steep, torch.ones_like(image), image) ** (1.0 / 2.4)
-    return torch.where(steep, 12.92 * image, 1.055 * power - 0.055)
+    steep = linear <= 0.0031308
+    power = torch.where(steep, torch.ones_like(linear), linear) ** (1.0 / 2.4)
+    return torch.where(steep, 12.92 * linear, 1.055 * power - 0.055)

@@ -37,8 +37,8 @@ def write_svg(
     Notes
     -----
     Colours outside [0, 1] are clipped. Bilinear fills are written as their mean colour, and their corners in an
-    attribute that only :func:`read_svg` knows. Browsers mix colours as sRGB, not as linear RGB, so what is not opaque
-    looks a little different there.
+    attribute that only :func:`read_svg` knows. Browsers mix colours as sRGB: what is not opaque looks there as a
+    renderer with that encoding shows it.
     """
     rows, columns = check_size("height", height), check_size("width", width)
     style = f"background-color: {spell_colour(floats('background', background, (3,)))}"
