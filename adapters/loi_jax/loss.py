@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, Final
 
 import jax
@@ -88,7 +88,7 @@ class _Loss:
             return traceable.value_and_grad(image)
 
         def backward(gradient: jax.Array, upstream: jax.Array) -> tuple[jax.Array]:
-            return ((upstream * gradient).astype(gradient.dtype),)
+            return (upstream * gradient,)
 
         loss.defvjp(forward, backward)
         self._loss = loss
@@ -96,7 +96,9 @@ class _Loss:
 
     def __call__(self, image: jax.Array) -> jax.Array:
         """The loss of `image`."""
-        return self._loss(jnp.asarray(image))
+        image = as_floating("image", jnp.asarray(image))
+        # Out here, so that JAX scales the gradient before it rounds it: what 16 bits flush to 0 no scale brings back.
+        return self._loss(image.astype(jnp.float32) if image.dtype in REDUCED else image)
 
     def __repr__(self) -> str:
         return f"<loi_jax.loi_loss by {self._objective!r}>"
@@ -121,20 +123,14 @@ class _Traceable:
         value, slope = self._evaluate(image, gradient=True)
         return value, slope
 
-    def _evaluate(self, image: jax.Array, *, gradient: bool) -> list[jax.Array]:
-        as_floating("image", image)
-        dtype = image.dtype
-        if dtype in REDUCED:
-            image = image.astype(jnp.float32)
+    def _evaluate(self, image: jax.Array, *, gradient: bool) -> Sequence[jax.Array]:
         if not isinstance(image, jax.core.Tracer):
-            results = list(self._checked(image, gradient=gradient))
-        elif loops_take(str(image.dtype)) and jax.sharding.get_abstract_mesh().empty:
+            return self._checked(image, gradient=gradient)
+        if loops_take(str(image.dtype)) and jax.sharding.get_abstract_mesh().empty:
             # With a mesh it would be for several devices, each with its part.
             self._objective.check_shape(image.shape)  # where the caller is still to be seen, not where it is compiled
-            results = evaluate(self, image, gradient=gradient)
-        else:
-            results = list(self.by_arrays(image, gradient=gradient))
-        return [results[0], *(slope.astype(dtype) for slope in results[1:])]
+            return evaluate(self, image, gradient=gradient)
+        return self.by_arrays(image, gradient=gradient)
 
     def _checked(self, image: Any, *, gradient: bool) -> tuple[Any, ...]:
         """By the core alone, on arrays of any library."""

@@ -110,6 +110,18 @@ def test_low_precision_is_compared_in_float32(loss: Loss, dtype: Any) -> None:
     assert float(value) == pytest.approx(float(wanted), rel=1e-5)
 
 
+@pytest.mark.parametrize("dtype", [jnp.float16, jnp.bfloat16])
+@pytest.mark.parametrize("wrap", [lambda f: f, jax.jit], ids=["eager", "jit"])
+def test_a_gradient_is_scaled_before_it_is_rounded_to_16_bits(loss: Loss, dtype: Any, wrap: Any) -> None:
+    batch = jnp.broadcast_to(jnp.asarray(IMAGE, dtype=dtype), (64, *IMAGE.shape))  # of small gradients: it is a mean
+    slope = jax.grad(lambda images: 3072.0 * loss(images))
+    wanted = np.asarray(slope(batch.astype(jnp.float32)))
+    bound = 0.5 * float(jnp.finfo(dtype).eps) * np.abs(wanted) + 1e-5 * np.abs(wanted).max()
+    for found in (wrap(slope)(batch), wrap(jax.vmap(slope))(batch[None])[0]):
+        assert found.dtype == dtype
+        assert np.all(np.abs(np.asarray(found.astype(jnp.float32)) - wanted) <= bound)
+
+
 def test_it_works_with_64_bits_off() -> None:
     with jax.enable_x64(False):
         image = jnp.asarray(IMAGE)
