@@ -6,7 +6,7 @@ import math
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Final, Literal, TypeAlias
+from typing import Any, Final, Literal, TypeAlias
 
 import numpy as np
 
@@ -212,7 +212,7 @@ class Descent:
         with keeping(state, f"the pullback{where}"):
             pulled = pull_of(pullback, objective.value, cotangent)
             free = [name for name in self.bounds.lower if name in view.names]
-            gradient = {name: _like("cotangent", "pullback", name, pulled, state.params[name]) for name in free}
+            gradient = {name: _slope(name, pulled, state.params[name]) for name in free}
         for name, slope in gradient.items():
             bad = count_non_finite(slope)
             if bad:
@@ -232,6 +232,16 @@ class Descent:
                 return moved
             free = {name: _like("value", "projection", name, legal, moved[name]) for name in self.bounds.lower}
         return self.bounds.clip(moved | free)
+
+
+def _slope(name: str, pulled: object, parameter: Array) -> Array:
+    """The gradient by parameter `name` out of what a pullback gave, of the parameter's dtype."""
+    given: Any = pulled[name] if isinstance(pulled, Mapping) and name in pulled else None
+    # A cast would drop the imaginary part, and what has been rounded to integers is often 0.
+    if is_array_api_obj(given) and namespace(given).isdtype(given.dtype, ("bool", "integral", "complex floating")):
+        msg = f"the gradient of {name!r} must be floating-point, got {given.dtype}"
+        raise RendererError(msg)
+    return _like("cotangent", "pullback", name, pulled, parameter)
 
 
 def _like(what: str, source: str, name: str, given: object, parameter: Array) -> Array:

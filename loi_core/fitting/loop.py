@@ -11,7 +11,7 @@ from typing import Final, get_args
 
 from loi_core.errors import FitError, OptionError
 from loi_core.fitting.adam import Adam
-from loi_core.fitting.callbacks import Callback, RememberingCallback
+from loi_core.fitting.callbacks import Callback, RememberingCallback, ends_the_fit
 from loi_core.fitting.descent import SEARCHES, Decay, Descent
 from loi_core.fitting.diagnosis import judged, nearness
 from loi_core.fitting.generations import Checkpoints, CheckpointWarning, is_due
@@ -132,19 +132,20 @@ def fit(
         Adam by default; :class:`loi_torch.TorchOptimiser` and :class:`loi_jax.OptaxOptimiser` bring others. Rates in
         pixels suit those that, like Adam, move by about the rate whatever the size of the gradient.
     views_per_step : int, optional
-        How many views a step renders, in a random order in which all come about equally often; all by default.
+        How many of several views a step renders, in a random order in which all come about equally often; all by
+        default.
     checkpoint : path, optional
         File (.npz) in which the state is kept every 25 steps, or hundredth of the way so far if that is longer, and at
         the end, written whole or not at all. The one before it stays beside it, as ``NAME.previous.npz``. While the fit
         runs no other has it.
     resume : bool
-        Whether to go on from `checkpoint` if it exists. The fit then ends as if it had never stopped, whatever has
-        stopped it. Of a damaged checkpoint a ``CheckpointWarning`` tells, and the one before it is used; one of
-        other settings, or of another objective or scene, is refused. Without `resume`, both are removed after the
-        first step; a file that is no checkpoint is refused.
+        Whether to go on from `checkpoint`, which has to be given, if it exists. The fit then ends as if it had never
+        stopped, whatever has stopped it. Of a damaged checkpoint a ``CheckpointWarning`` tells, and the one before it
+        is used; one of other settings, or of another objective or scene, is refused. Without `resume`, both are removed
+        after the first step; a file that is no checkpoint is refused.
     callback : callable, optional
-        ``callback(step, params, image)`` after every step; returning True ends the fit. Of several views, `image` is a
-        dict of those that the step has rendered. The arrays are its own, to write to.
+        ``callback(step, params, image)`` after every step; returning True ends the fit, False or None does not. Of
+        several views, `image` is a dict of those that the step has rendered. The arrays are its own, to write to.
         A checkpoint holds the steps whose callback has returned; what a
         ``loi_core.fitting.callbacks.RememberingCallback`` knows is in it as well.
 
@@ -157,8 +158,8 @@ def fit(
     OptionError, ParameterError
         If an argument is not allowed.
     FitError
-        If the loss or gradient stops being finite, or the renderer fails or the checkpoint cannot be written after
-        the first step; its ``result`` holds the best parameters so far.
+        If the loss or gradient stops being finite, the callback returns something else, or the renderer fails or the
+        checkpoint cannot be written after the first step; its ``result`` holds the best parameters so far.
     RendererError
         If the renderer breaks the contract on the first step.
     CheckpointError
@@ -176,7 +177,7 @@ def fit(
         raise OptionError(msg)
     # NumPy's own numbers would wrap around in a sum, or widen the dtype of what they are multiplied with.
     steps, seed = int(steps), int(seed)
-    kept = _checkpoints(checkpoint)
+    kept = _checkpoints(checkpoint, resume=resume)
     views = Views.of(renderer, objective, stages, views_per_step, finish)
     free = free_parameters(optimise, own_parameters(views))
     views = views.moving(free)
@@ -211,8 +212,10 @@ def fit(
         while state.step < steps:
             state, entry, seen, image = descent.step(state)
             _begin(kept, state)
-            stop = callback is not None and callback(entry, *_own(seen, image))
+            answer = None if callback is None else callback(entry, *_own(seen, image))
             called = state  # only now may a checkpoint hold the step: a callback that was cut off sees it again
+            with keeping(state, "the callback"):
+                stop = ends_the_fit(answer)
             if is_due(state.step):
                 _save(kept, state, settings, callback)
             if stop:
@@ -307,8 +310,11 @@ def check_fit_options(steps: object, learning_rate: object, seed: object, decay:
         raise OptionError(msg)
 
 
-def _checkpoints(checkpoint: object) -> Checkpoints | None:
+def _checkpoints(checkpoint: object, *, resume: object) -> Checkpoints | None:
     if checkpoint is None:
+        if resume:
+            msg = f"`resume` must be False without a `checkpoint` to go on from, got {shown(resume)}"
+            raise OptionError(msg)
         return None
     if not isinstance(checkpoint, str | os.PathLike) or Path(checkpoint).is_dir():
         msg = f"`checkpoint` must be the path of a file, got {shown(checkpoint)}"

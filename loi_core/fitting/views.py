@@ -144,6 +144,9 @@ class Views:
         for name, one in views.items():  # a view without far scales has its objective in all stages
             same = one.objectives[:1] * (most - len(one.objectives))
             views[name] = replace(one, objectives=same + one.objectives + finish_of(compared[name], finish))
+        if single and at_once is not None:
+            msg = f"`views_per_step` must be left out unless `renderer` is a dict of views, got {shown(at_once)}"
+            raise OptionError(msg)
         count = len(views) if at_once is None else whole_number(at_once)
         if count is None or not 1 <= count <= len(views):
             msg = f"`views_per_step` must be a whole number from 1 to {len(views)}, the views, got {shown(at_once)}"

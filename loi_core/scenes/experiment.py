@@ -193,7 +193,7 @@ def run_scene(
                 views_per_step=scene.fit.views_per_step,
                 optimise=scene.optimise,
                 checkpoint=checkpoint if index == 0 else None,
-                resume=resume,
+                resume=resume and index == 0,
                 callback=watcher,
             )
         except FitError as error:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -100,7 +100,7 @@ def make_scene(
         views=views,
         optimise=optimise,
         truth=truth,
-        fit=_fit_options(where, where.table("", document, "fit"), len(views)),
+        fit=_fit_options(where, where.table("", document, "fit"), views),
         samples=spp,
         tone=tone,
     )
@@ -300,7 +300,7 @@ def _objectives(where: Where, table: Mapping[str, Any], target: Target, scales: 
     return made
 
 
-def _fit_options(where: Where, table: Mapping[str, Any], views: int) -> FitOptions:
+def _fit_options(where: Where, table: Mapping[str, Any], views: Collection[str]) -> FitOptions:
     where.known("fit", table, FIT_KEYS)
     options = FitOptions(**table)
     try:
@@ -312,6 +312,10 @@ def _fit_options(where: Where, table: Mapping[str, Any], views: int) -> FitOptio
     if options.finish not in ("pixels", "none"):
         raise where.error("fit", f"`finish` must be 'pixels' or 'none', got {shown(options.finish)}")
     at_once = options.views_per_step
-    if at_once is not None and not 1 <= (whole_number(at_once) or 0) <= views:
-        raise where.error("fit", f"`views_per_step` must be a whole number from 1 to {views}, got {shown(at_once)}")
+    if at_once is not None and "" in views:
+        raise where.error("fit", f"`views_per_step` must be left out of a scene without [views], got {shown(at_once)}")
+    if at_once is not None and not 1 <= (whole_number(at_once) or 0) <= len(views):
+        raise where.error(
+            "fit", f"`views_per_step` must be a whole number from 1 to {len(views)}, got {shown(at_once)}"
+        )
     return options

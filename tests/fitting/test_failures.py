@@ -35,6 +35,8 @@ def test_a_projection_that_is_none_is_told_so(legal: Any, says: str) -> None:
         (3.0, "the pullback gave no cotangent"),
         ({"pixels": np.zeros((2, 2))}, r"'pixels' must be an array of shape \(2, 2, 1\), got shape \(2, 2\)"),
         ({"pixels": 1.0}, "must be an array of shape .*, got float"),
+        ({"pixels": np.ones((2, 2, 1), complex)}, "the gradient of 'pixels' must be floating-point, got complex128"),
+        ({"pixels": np.zeros((2, 2, 1), int)}, "the gradient of 'pixels' must be floating-point, got int64"),
     ],
 )
 def test_a_renderer_that_breaks_the_contract_is_told_how(gradient: Any, says: str) -> None:
@@ -130,6 +132,8 @@ def test_a_non_finite_step_stops_the_fit_with_the_best_so_far(how: str, says: st
             "`learning_rate` must be a finite number, more than 0, or pixels as in '1.5 px', got -1",
         ),
         ({"seed": -1}, "`seed`"),
+        ({"resume": True}, "`resume` must be False without a `checkpoint` to go on from, got True"),
+        ({"views_per_step": 1}, "`views_per_step` must be left out unless `renderer` is a dict of views, got 1"),
         ({"decay": "linear"}, "`decay` must be one of 'cosine', 'none', got 'linear'"),
         ({"optimise": ["colour"]}, "'colour', which the renderer does not have; it has colours, positions, radii"),
         ({"optimise": []}, "`optimise` must name at least one parameter"),

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from loi_core import Free, LOIObjective, PixelL2, fit
+from loi_core.errors import FitError
 from loi_core.fitting.loop import FitInterruptedError, FitStep
 from loi_core.fitting.state import State
 from loi_core.renderers import Disks
@@ -230,6 +231,19 @@ def test_a_callback_sees_every_step_and_can_end_the_fit() -> None:
 
     assert len(run(steps=10, callback=watch).history) == 5
     assert seen == [0, 1, 2, 3, 4]
+
+
+@pytest.mark.parametrize(("answer", "steps"), [(np.True_, 1), (np.False_, 3), (None, 3)])
+def test_an_answer_of_a_callback_may_be_a_bool_of_numpy(answer: Any, steps: int) -> None:
+    assert len(run(steps=3, callback=lambda *_: answer).history) == steps
+
+
+@pytest.mark.parametrize("answer", [np.ones(2), np.ones(()), 1, "yes"])
+def test_any_other_answer_of_a_callback_is_refused_and_leaves_the_best_so_far(answer: Any) -> None:
+    with pytest.raises(FitError, match=r"step 1: .*`callback` must return True .*, got [^\n]+$") as caught:
+        run(steps=3, callback=lambda *_: answer)
+    result: Any = caught.value.result
+    assert len(result.history) == 1
 
 
 def test_a_step_does_not_copy_the_history() -> None:

@@ -160,6 +160,7 @@ MISTAKES: list[tuple[str, str, str]] = [
     ('compare = ["pixel_l2"]', "tone = { peak = 1, gamma = 2 }", "[objective.tone] unknown key `gamma`"),
     ('compare = ["pixel_l2"]', "tone = { peak = 0 }", "[objective.tone] `peak` of a tone curve must be a number from"),
     ("steps = 6", "steps = 0", "[fit] `steps` must be a whole number"),
+    ("steps = 6", "views_per_step = 1", "[fit] `views_per_step` must be left out of a scene without [views], got 1"),
     ("steps = 6", "step = 6", "[fit] unknown key `step`; did you mean `steps`?"),
     ("learning_rate = 1", 'learning_rate = "fast"', "[fit] `learning_rate` must be a finite number"),
     ("learning_rate = 1", "learning_rate = 1 1", "not a readable TOML file"),
