@@ -8,7 +8,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import get_args
 
-from loi_core.errors import OptionError
+from loi_core.errors import ImageError, NonFiniteImageError, OptionError
 from loi_core.inspection import Findings, inspect_pair, read_pair, write_inspection
 from loi_core.inspection.page import check_page
 from loi_core.io.files import check_writable
@@ -37,7 +37,11 @@ def inspect_images(
         if each is not None and each.resolve() == output.resolve():
             msg = f"`--output` must not be one of the images, got {output}"
             raise OptionError(msg)
-    pair = read_pair(image, reference, preset=preset, bounds=None if bounds is None else (bounds[0], bounds[1]))
+    limits = None if bounds is None else (bounds[0], bounds[1])
+    try:
+        pair = read_pair(image, reference, preset=preset, bounds=limits)
+    except NonFiniteImageError as error:
+        raise ImageError(_to_be_filled(error)) from error
     for note in pair.notes:
         print(f"loi: {printable(note)}", file=sys.stderr)
     found = inspect_pair(pair)
@@ -47,6 +51,15 @@ def inspect_images(
     else:
         print("\n".join(_lines(found)))
         print(f"\npage: {output} ({size / 1e6:.1f} MB)")
+
+
+def _to_be_filled(error: NonFiniteImageError) -> str:
+    """What can be done here, where nothing can be masked."""
+    several = "s" if error.count > 1 else ""
+    return (
+        f"`{error.name}` has {error.count} non-finite value{several} of {error.size}, the first at {error.axes} = "
+        f"{error.first}: {error.suspicion}; fix the picture, or fill them in, as numpy.nan_to_num does"
+    )
 
 
 def _lines(found: Findings) -> list[str]:

@@ -37,11 +37,11 @@ def write_page(folder: Path) -> Path:
     SceneError
         If the folder does not hold the results of a scene.
     """
-    page = folder / PAGE_FILE
+    page, text = folder / PAGE_FILE, run_page(folder)  # first, since what is not there comes before what is in its way
     if page.exists() and not is_listed(page):
         msg = f"{page} was not written by `loi`; move it away, and call again"
         raise SceneError(msg)
-    write_text(page, run_page(folder))
+    write_text(page, text)
     return page
 
 

@@ -142,6 +142,7 @@ def test_wrong_calls_get_one_line_and_write_nothing(
         "`IMAGE` and `REFERENCE` must be of one size, got 64 x 48 and 7 x 5 pixels": [
             *(files[0], str(tmp_path / "small.npy"), *page)
         ],
+        "almost 0; fix the picture, or fill them in, as numpy.nan_to_num does": [str(tmp_path / "broken.npy"), *page],
         "`image` has 3 non-finite values": [str(tmp_path / "broken.npy"), *page],
         "no such image file": [str(tmp_path / "none.png"), *page],
         "images must end in": [str(tmp_path / "image.tiff"), *page],

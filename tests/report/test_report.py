@@ -158,6 +158,15 @@ def test_several_folders_make_one_page(fitted: Path, tmp_path: Path, monkeypatch
     assert main(["report", str(fitted), str(fitted)]) == 0  # it may be made anew
 
 
+def test_the_page_of_several_folders_makes_no_result_of_where_it_lies(
+    fitted: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert main(["report", str(fitted), str(fitted)]) == 0
+    assert main(["report", "."]) == 2
+    assert capsys.readouterr().err == "loi: .: no result.json there; give a folder that `loi fit` has written\n"
+
+
 def test_a_page_of_several_replaces_nothing_of_somebody(
     fitted: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
