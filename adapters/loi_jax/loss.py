@@ -10,11 +10,11 @@ import jax.numpy as jnp
 import numpy as np
 
 from loi_core import LogTone, LOIObjective, ScaleSpace
-from loi_core.errors import NonFiniteImageError
+from loi_core.errors import DerivativeError, ImageTypeError, NonFiniteImageError
 from loi_core.method.ways import loops_take
 from loi_core.pixels.colours import Colours
 from loi_core.pixels.nonfinite import NanPolicy
-from loi_core.support.arrays import as_floating
+from loi_core.support.arrays import as_floating, is_traced
 from loi_jax.primitive import Host, evaluate
 
 __all__ = ["loi_loss"]
@@ -54,8 +54,13 @@ def loi_loss(
     -----
     Traced values cannot raise errors: under ``jit`` and ``vmap`` an image that is not finite gives the value NaN and
     a gradient of NaN with ``nan_policy="raise"``, which ``fit`` and ``jax.debug_nans`` catch. float16 and bfloat16
-    are compared in float32. Forward mode (``jvp``, ``jacfwd``) is refused by JAX, as for every ``custom_vjp``.
+    are compared in float32. Forward mode (``jvp``, ``jacfwd``) raises a DerivativeError; under ``jit``, or in what
+    ``linearize`` gives, JAX itself refuses it, by a TypeError.
     """
+    for name, given in (("reference", reference), ("weights", weights)):
+        if is_traced(given):
+            msg = f"`{name}` must be concrete, got a tracer; make the loss outside of `jit`, `grad` and `vmap`"
+            raise ImageTypeError(msg)
     host = np.asarray(reference)
     if host.dtype.kind == "V" or str(host.dtype) in ("bfloat16", "float16"):
         host = host.astype(np.float32)
@@ -98,7 +103,14 @@ class _Loss:
         """The loss of `image`."""
         image = as_floating("image", jnp.asarray(image))
         # Out here, so that JAX scales the gradient before it rounds it: what 16 bits flush to 0 no scale brings back.
-        return self._loss(image.astype(jnp.float32) if image.dtype in REDUCED else image)
+        precise = image.astype(jnp.float32) if image.dtype in REDUCED else image
+        try:
+            return self._loss(precise)
+        except TypeError as error:  # JAX has no type of its own for it
+            if "forward-mode" not in str(error):
+                raise
+            msg = "loi's loss has no forward mode on JAX; use jax.grad, jax.vjp or jax.jacrev"
+            raise DerivativeError(msg) from error
 
     def __repr__(self) -> str:
         return f"<loi_jax.loi_loss by {self._objective!r}>"

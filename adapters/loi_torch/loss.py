@@ -15,6 +15,7 @@ from loi_core.errors import DerivativeError, ImageTypeError
 from loi_core.objectives.facts import unusual_settings
 from loi_core.pixels.colours import Colours
 from loi_core.pixels.nonfinite import NanPolicy
+from loi_core.support.arrays import as_floating
 
 __all__ = ["LOILoss", "loi_loss"]
 
@@ -37,7 +38,7 @@ class LOILoss(torch.nn.Module):
     ----------
     reference : Tensor or NumPy array, shape (*batch, H, W, C)
         What the image should look like; kept as the buffer ``reference``, so it moves with ``.to`` and is saved in
-        the state dict.
+        the state dict. It is a copy that is not differentiated: a reference that requires a gradient gets none.
     scales : ScaleSpace, optional
         The scales to compare; ``ScaleSpace.for_image(H, W)`` by default, with half its beta for differences of colours.
     accuracy : {"exact", "balanced", "fast"} or float
@@ -185,6 +186,7 @@ def _apply(image: Tensor, objective: LOIObjective) -> Tensor:
     if not isinstance(image, Tensor):
         msg = f"`image` must be a torch tensor, got {type(image).__name__}"
         raise ImageTypeError(msg)
+    as_floating("image", image)  # autocast does not know every device, and says so in words of its own
     with torch.autocast(image.device.type, enabled=False):
         precise = image.float() if image.dtype in REDUCED else image
         return _evaluate(precise, objective, gradient=_is_recorded(precise))[0]

@@ -184,7 +184,8 @@ def as_floating(name: str, array: Array) -> Array:
     Raises
     ------
     ImageTypeError
-        For anything that is not an array, and for integer, boolean, complex, object and masked arrays.
+        For anything that is not an array, for integer, boolean, complex, object and masked arrays, and for tensors
+        that are sparse or have no values.
     """
     if isinstance(array, np.ma.MaskedArray):
         msg = f"`{name}` is a NumPy masked array; fill it (`.filled(nan)`) and pass nan_policy='mask'"
@@ -192,6 +193,8 @@ def as_floating(name: str, array: Array) -> Array:
     if not is_array_api_obj(array):
         msg = f"`{name}` must be an array of an array API library, got {type(array).__name__}"
         raise ImageTypeError(msg)
+    if is_torch_array(array):
+        _check_has_values(name, array)
     if is_numpy_array(array):
         floating = array.dtype.kind == "f"  # the compat test refuses dtypes that NumPy alone has (object, str)
     else:
@@ -204,6 +207,16 @@ def as_floating(name: str, array: Array) -> Array:
         msg = f"`{name}` must hold real floating-point values, got dtype {array.dtype}; {fix}"
         raise ImageTypeError(msg)
     return array
+
+
+def _check_has_values(name: str, tensor: Array) -> None:
+    """Raise :class:`ImageTypeError` unless a tensor holds each of its values: torch's own errors do not name it."""
+    if str(tensor.layout) != "torch.strided":
+        msg = f"`{name}` must be a dense tensor, got the layout {tensor.layout}; use `.to_dense()`"
+        raise ImageTypeError(msg)
+    if tensor.device.type == "meta":
+        msg = f"`{name}` must hold values, got a tensor on the device 'meta', which has none; make it on another"
+        raise ImageTypeError(msg)
 
 
 def same(first: Host, second: Host) -> bool:

@@ -15,7 +15,7 @@ import pytest
 
 import loi_jax
 from loi_core import LOIObjective, ScaleSpace
-from loi_core.errors import ImageError, NonFiniteImageError
+from loi_core.errors import DerivativeError, ImageError, ImageTypeError, NonFiniteImageError
 from loi_core.method.tonal import accumulate
 from loi_core.pixels.nonfinite import NanPolicy
 from loi_core.testing import check_objective
@@ -147,10 +147,21 @@ def test_pixels_that_are_not_finite_raise_eagerly_and_poison_traces(loss: Loss, 
 
 def test_forward_mode_is_refused_and_errors_are_those_of_the_core(loss: Loss) -> None:
     image = jnp.asarray(IMAGE)
-    with pytest.raises(TypeError, match="forward-mode"):
-        jax.jvp(loss, (image,), (image,))
+    for forward in (lambda: jax.jvp(loss, (image,), (image,)), lambda: jax.jacfwd(loss)(image)):
+        with pytest.raises(DerivativeError, match="no forward mode"):
+            forward()
     with pytest.raises(ImageError, match="does not fit"):
         jax.jit(loss)(jnp.zeros((5, 5, 3)))
+
+
+@pytest.mark.parametrize("name", ["reference", "weights"])
+def test_what_is_traced_is_no_reference(name: str) -> None:
+    def traced(given: jax.Array) -> jax.Array:
+        arguments: dict[str, Any] = {"reference": REFERENCE, name: given}
+        return loi_jax.loi_loss(**arguments)(jnp.asarray(IMAGE))
+
+    with pytest.raises(ImageTypeError, match=f"`{name}` must be concrete, got a tracer; make the loss outside"):
+        jax.jit(traced)(jnp.asarray(REFERENCE))
 
 
 def test_the_objective_conforms_on_jax_arrays() -> None:

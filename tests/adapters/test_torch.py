@@ -127,6 +127,21 @@ def test_low_precision_is_compared_in_float32(dtype: torch.dtype, autocast: bool
     assert np.all(np.abs(image.grad.float().numpy() - gradient) <= 2.0 * bound + rounding)
 
 
+@pytest.mark.parametrize(
+    ("bad", "says"),
+    [
+        (lambda image: image.to_sparse(), "must be a dense tensor, got the layout torch.sparse_coo"),
+        (lambda image: image.to("meta"), "must hold values, got a tensor on the device 'meta'"),
+    ],
+)
+def test_tensors_without_a_value_for_each_pixel_are_refused(bad: Callable[[Any], Any], says: str) -> None:
+    given = bad(torch.tensor(IMAGE))
+    with pytest.raises(ImageTypeError, match=f"`image` {says}"):
+        LOILoss(REFERENCE, SCALES)(given)
+    with pytest.raises(ImageTypeError, match=f"`reference` {says}"):
+        LOILoss(given, SCALES)
+
+
 def test_moving_loading_and_copying_are_followed() -> None:
     image, other = torch.tensor(IMAGE), images(IMAGE.shape, seed=9)[0]
     loss = LOILoss(REFERENCE, SCALES)
