@@ -6,7 +6,7 @@ import re
 from typing import Final
 
 import numpy as np
-from svgelements import Color
+from PIL import ImageColor
 
 from loi_core.renderers.checks import FloatArray
 
@@ -17,28 +17,38 @@ NAMESPACE: Final = "http://www.w3.org/2000/svg"
 CORNERS: Final = "data-loi-corners"
 """The attribute that holds the four colours of a bilinear fill, which SVG has no other place for."""
 
-NUMBER: Final = r"\s*([+-]?[0-9]+(?:\.[0-9]*)?(?:[eE][+-]?[0-9]+)?|[+-]?\.[0-9]+)(%?)\s*"
-FUNCTION: Final = re.compile(rf"rgb\({NUMBER},{NUMBER},{NUMBER}\)")
-NAME: Final = re.compile(r"#[0-9a-fA-F]{3}|#[0-9a-fA-F]{6}|[a-zA-Z]+")
+NUMBER: Final = r"([+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:e[+-]?[0-9]+)?)(%?)"
+COMMAS: Final = re.compile(rf"rgba?\(\s*{NUMBER}\s*,\s*{NUMBER}\s*,\s*{NUMBER}\s*(?:,\s*{NUMBER}\s*)?\)")
+SPACES: Final = re.compile(rf"rgba?\(\s*{NUMBER}\s+{NUMBER}\s+{NUMBER}\s*(?:/\s*{NUMBER}\s*)?\)")
+DIGITS: Final = re.compile(r"#(?:[0-9a-f]{3,4}|[0-9a-f]{6}|[0-9a-f]{8})")
 
 
 def read_colour(text: str) -> FloatArray | None:
-    """Linear RGB, shape (3,), of ``#rgb``, ``#rrggbb``, ``rgb(...)`` or a name; None if it is none of them."""
-    function = FUNCTION.fullmatch(text)
-    if function:
-        parts = function.groups()
-        values = [float(parts[at]) / (100.0 if parts[at + 1] else 255.0) for at in (0, 2, 4)]
-    elif NAME.fullmatch(text):
-        try:
-            colour = Color(text)
-        except ValueError:
-            return None
-        if colour.value is None:
-            return None
-        values = [one / 255.0 for one in (colour.red, colour.green, colour.blue)]
+    """Linear RGB and opacity, shape (4,); None if it is no colour.
+
+    Known are ``#rgb``, ``#rrggbb`` and ``rgb(...)``, each also with an opacity, and the names of CSS.
+    """
+    text = text.lower()
+    if text in ImageColor.colormap:
+        values = [part / 255.0 for part in ImageColor.getrgb(text)]
+    elif DIGITS.fullmatch(text):
+        length = 1 if len(text) < 6 else 2
+        parts = [text[at : at + length] * (3 - length) for at in range(1, len(text), length)]
+        values = [int(part, 16) / 255.0 for part in parts]
     else:
-        return None
-    return _linear(np.clip(np.array(values, dtype=np.float64), 0.0, 1.0))
+        commas, spaces = COMMAS.fullmatch(text), SPACES.fullmatch(text)
+        match = commas or spaces
+        if match is None or (commas and len(set(commas.groups()[1:6:2])) > 1):  # percent for all, or for none
+            return None
+        values = [
+            float(number) / (100.0 if percent else most)
+            for number, percent, most in zip(
+                match.groups()[::2], match.groups()[1::2], (255.0,) * 3 + (1.0,), strict=True
+            )
+            if number is not None
+        ]
+    colour = np.clip(np.array([*values, 1.0][:4], dtype=np.float64), 0.0, 1.0)
+    return np.append(_linear(colour[:3]), colour[3])
 
 
 def spell_colour(colour: FloatArray) -> str:

@@ -12,9 +12,52 @@ import svgelements as svg
 from loi_core.renderers.checks import FloatArray
 from loi_torch.vector.shapes import Outline
 
-__all__ = ["moved", "path_outlines", "without_arcs"]
+__all__ = ["Commands", "has_dot", "moved", "path_outlines", "without_arcs"]
 
 ARC: Final = math.tau / 10  # radians that one cubic stands for, at the most
+
+
+class Commands(svg.Path):  # type: ignore[misc]  # which has no types
+    """The path that commands draw, with what the library does in another way than SVG.
+
+    Smooth curves go on from a curve of their own kind alone. Arcs with a radius of 0 are lines, and radii that are too
+    small for their ends are made larger here, since the squares of small ones would be 0.
+    """
+
+    def smooth_cubic(self, *points: Any, relative: bool = False, **_: Any) -> None:
+        """Append a cubic curve that goes on from a cubic curve, or else begins with its start as control point."""
+        if isinstance(self[-1], svg.CubicBezier):
+            super().smooth_cubic(*points, relative=relative)
+        else:
+            self.cubic(self._here(), *points, relative=relative)
+
+    def smooth_quad(self, *points: Any, relative: bool = False, **_: Any) -> None:
+        """Append a quadratic curve that goes on from a quadratic curve, or else is a line."""
+        if isinstance(self[-1], svg.QuadraticBezier):
+            super().smooth_quad(*points, relative=relative)
+        else:
+            self.quad(self._here(), *points, relative=relative)
+
+    def arc(self, *arguments: Any, relative: bool = False, **_: Any) -> None:
+        """Append an arc, or a line if one of its radii is 0."""
+        rx, ry, rotation, *flags, end = arguments
+        rx, ry = abs(rx), abs(ry)
+        if rx == 0.0 or ry == 0.0:
+            self.line(end, relative=relative)
+            return
+        if not isinstance(end, str):  # which stands for where the path began
+            x, y = (0.5 * (one - other) for one, other in zip(self._here(), end, strict=True))
+            cos, sin = math.cos(math.radians(rotation)), math.sin(math.radians(rotation))
+            largest = max(rx, ry)
+            across, down = rx / largest, ry / largest
+            least = math.hypot((cos * x + sin * y) / across, (cos * y - sin * x) / down)
+            if least > largest:
+                rx, ry = least * across, least * down
+        super().arc(rx, ry, rotation, *flags, end, relative=relative)
+
+    def _here(self) -> tuple[float, float]:
+        point = self.current_point
+        return float(point.x), float(point.y)
 
 
 def moved(point: FloatArray, matrix: FloatArray) -> FloatArray:
@@ -44,7 +87,8 @@ def path_outlines(path: Iterable[Any], matrix: FloatArray) -> list[Outline]:
 
     def finish(*, closed: bool) -> None:
         if closed and degrees:
-            if len(degrees) > 1 and np.allclose(points[-1], points[0], rtol=0.0, atol=1e-9):
+            # A line that is alone stays, since an outline needs more than one point.
+            if len(points) > 2 and np.allclose(points[-1], points[0], rtol=0.0, atol=1e-9):
                 points.pop()  # it came back by itself
             else:
                 degrees.append(1)
@@ -67,6 +111,25 @@ def path_outlines(path: Iterable[Any], matrix: FloatArray) -> list[Outline]:
         degrees.append(len(inner) + 1)
     finish(closed=False)
     return outlines
+
+
+def has_dot(path: Iterable[Any], near: float) -> bool:
+    """Whether a part of a path of moves, lines and curves stays as `near`, so that of its stroke only caps are seen."""
+    drawn, first = False, None
+    for segment in path:
+        if isinstance(segment, svg.Move):
+            if drawn and first is not None:
+                return True
+            drawn, first = False, segment.end
+        elif first is not None:
+            drawn = True
+            if any(math.hypot(one.x - first.x, one.y - first.y) > near for one in segment if one is not None):
+                first = None  # it goes somewhere
+        if isinstance(segment, svg.Close):
+            if drawn and first is not None:
+                return True
+            drawn, first = False, segment.end
+    return drawn and first is not None
 
 
 def _point(point: Any, matrix: FloatArray) -> FloatArray:

@@ -19,6 +19,7 @@ from loi_torch.vector.coverage import FARTHEST
 from loi_torch.vector.shapes import Path, Shape
 from loi_torch.vector.svg_colours import CORNERS, NAMESPACE
 from loi_torch.vector.svg_shapes import GEOMETRY, MOST_POINTS, element_shape
+from loi_torch.vector.svg_transforms import read_transform
 from loi_torch.vector.svg_values import Values
 
 __all__ = ["Drawing", "read_svg"]
@@ -28,6 +29,7 @@ MOST_DEPTH: Final = 64
 
 SILENT: Final = ("title", "desc", "metadata")
 INHERITED: Final = {
+    "color": "black",
     "fill": "black",
     "fill-opacity": "1",
     "fill-rule": "nonzero",
@@ -36,11 +38,11 @@ INHERITED: Final = {
     "stroke-width": "1",
     "stroke-linecap": "butt",
     "stroke-linejoin": "miter",
+    "stroke-miterlimit": "4",
 }
 HARMLESS: Final = {
     # Allowed with these values alone, which are what is done anyway; any other would change the picture.
     "stroke-dasharray": ("none",),
-    "stroke-miterlimit": ("4",),
     "display": ("inline", "block"),
     "visibility": ("visible",),
     "paint-order": ("normal",),
@@ -48,11 +50,16 @@ HARMLESS: Final = {
     "color-interpolation": ("sRGB", "linearRGB", "auto"),
     "preserveAspectRatio": ("xMidYMid", "xMidYMid meet"),
     "mix-blend-mode": ("normal",),
+    "clip-path": ("none",),
+    "mask": ("none",),
+    "filter": ("none",),
 }
 UNSEEN: Final = re.compile(
     r"id|version|baseProfile|role|class|focusable|lang|xml:.*|xmlns.*|data-.*|aria-.*|enable-background"
-    r"|shape-rendering|stroke-dashoffset|clip-rule|font-.*|text-.*|.*:.*"
+    r"|shape-rendering|stroke-dashoffset|clip-rule|font-.*|text-.*|-inkscape-.*|.*:.*"
 )
+COMMENT: Final = re.compile(r"/\*.*?(?:\*/|\Z)", re.DOTALL)
+IMPORTANT: Final = re.compile(r"!\s*important", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -75,6 +82,7 @@ class Drawing:
 class _State:
     """What an element hands to those in it."""
 
+    tag: str
     matrix: FloatArray
     style: Mapping[str, str]
 
@@ -98,7 +106,7 @@ def read_svg(path: pathlib.Path, height: int, width: int) -> Drawing:
     -----
     Supported are svg, g, path, rect, circle, ellipse, line, polyline and polygon with transforms, plain fills and
     strokes, opacities, fill rules, caps and joins, as attributes or in ``style``. Arcs become cubic curves. Circles and
-    rectangles that are skewed become paths.
+    rectangles that are skewed become paths. Elements that SVG does not show are left out.
     """
     try:
         content = read_bytes(path, MOST_BYTES)
@@ -143,50 +151,58 @@ class _Reader:
 
     def start(self, name: str, attributes: dict[str, str]) -> None:
         space, _, tag = name.rpartition(" ")
-        if self._silent or (self._states and (tag in SILENT or space not in ("", NAMESPACE))):
+        known = space in ("", NAMESPACE)
+        if self._silent and known and tag == "style":
+            self._values.fail("<style> is not supported here, since it also holds outside of what is not shown")
+        if self._silent or (self._states and (tag in SILENT or not known)):
             self._silent += 1
             return
         if len(self._states) >= MOST_DEPTH:
             self._values.fail(f"elements lie more than {MOST_DEPTH} deep")
         if (tag == "svg") == bool(self._states) or (tag not in ("svg", "g", *GEOMETRY)):
-            known = f"svg (once, outermost), g, {', '.join(GEOMETRY)}"
-            self._values.fail(f"<{tag[:40]}> is not supported here; known are {known}")
-        own = self._attributes(tag, attributes)
-        above = self._states[-1] if self._states else _State(np.eye(3), INHERITED)
-        style = {**above.style, **{key: value for key, value in own.items() if key in INHERITED and value != "inherit"}}
-        matrix = self._root(own) if tag == "svg" else above.matrix @ self._values.transform(tag, own)
+            names = f"svg (once, outermost), g, {', '.join(GEOMETRY)}"
+            self._values.fail(f"<{tag[:40]}> is not supported here; known are {names}")
+        above = self._states[-1] if self._states else _State("", np.eye(3), INHERITED)
+        if above.tag in GEOMETRY:
+            self._values.fail(f"<{tag}> in a <{above.tag}> is not supported; SVG does not show it")
+        own = _attributes(attributes)
+        if tag != "svg" and own.get("display", "").lower() == "none":
+            self._silent += 1
+            return
+        self._check(tag, own)
+        style = {**above.style, **{key: value for key, value in own.items() if _changes(key, value)}}
+        if tag == "svg":
+            matrix = self._root(own)
+        else:
+            matrix = above.matrix @ read_transform(self._values, tag, own.get("transform", ""))
         if not np.all(np.abs(matrix) <= FARTHEST):
             self._values.fail(f"<{tag}>: all transforms together must stay within {FARTHEST:g}")
-        state = _State(matrix, style)
+        state = _State(tag, matrix, style)
         self._states.append(state)
-        opacity = self._values.number(tag, "opacity", own.get("opacity", "1"), percent=True)
+        opacity = self._values.share(tag, "opacity", own.get("opacity", "1"))
         if tag in GEOMETRY:
             self._shape(tag, own, state, opacity)
         elif opacity != 1.0:
             self._values.fail(f"<{tag}> with an `opacity` is not supported; give it to each shape")
 
-    def _attributes(self, tag: str, attributes: Mapping[str, str]) -> dict[str, str]:
-        """Own attributes, those of ``style`` included, once they are known to be supported."""
-        plain = {key.replace(" ", ":"): value.strip() for key, value in attributes.items()}
-        styled = {}
-        for part in plain.pop("style", "").split(";"):
-            key, colon, value = part.partition(":")
-            if colon:
-                styled[key.strip()] = value.strip()
-        both = plain | styled
+    def _check(self, tag: str, own: Mapping[str, str]) -> None:
+        """Refuse attributes that are not supported."""
         allowed = {*INHERITED, *GEOMETRY.get(tag, ()), "opacity", "transform"}
         if tag == "svg":
             allowed |= {"width", "height", "viewBox", "background-color", "x", "y"}
-        for key, value in both.items():
+        for key, value in own.items():
             if key in allowed or key == CORNERS or UNSEEN.fullmatch(key) or value in HARMLESS.get(key, ()):
                 continue
             self._values.fail(f"<{tag}>: `{key[:40]}` = {shown(value)} is not supported")
-        return both
 
     def _root(self, own: Mapping[str, str]) -> FloatArray:
         height, width = self._size
-        if "background-color" in own:
-            self.drawing.background[:] = self._values.colour("svg", "background-color", own["background-color"])
+        background = own.get("background-color", "transparent")
+        if background.lower() != "transparent":
+            colour = self._values.colour("svg", "background-color", background)
+            if colour[3] != 1.0:
+                self._values.fail(f"<svg>: `background-color` must be opaque, got {shown(background)}")
+            self.drawing.background[:] = colour[:3]
         if "transform" in own:
             self._values.fail("<svg>: `transform` is not supported here; give it to a <g>")
         if "viewBox" in own:
@@ -194,7 +210,7 @@ class _Reader:
             allowed = "`viewBox` must be four numbers, the last two more than 0"
         else:
             sides = [own.get(key, str(most)) for key, most in (("width", width), ("height", height))]
-            box = [0.0, 0.0, *(self._values.number("svg", "width or height", one) for one in sides)]
+            box = [0.0, 0.0, *(self._values.length("svg", "width or height", one) for one in sides)]
             allowed = "`width` and `height` must be more than 0"
         if len(box) != 4 or min(box[2:]) <= 0.0:
             self._values.fail(f"<svg>: {allowed}, got {shown(own.get('viewBox', box[2:]))}")
@@ -211,3 +227,24 @@ class _Reader:
         if isinstance(shape, Path):
             self._points_left -= sum(len(outline.points) for outline in shape.outlines)
         self.drawing.shapes.append(shape)
+
+
+def _attributes(attributes: Mapping[str, str]) -> dict[str, str]:
+    """Own attributes, those of ``style`` included, where what is important comes first."""
+    plain = {key.replace(" ", ":"): value.strip() for key, value in attributes.items()}
+    styled, important = {}, {}
+    for part in COMMENT.sub(" ", plain.pop("style", "")).split(";"):
+        key, colon, value = part.partition(":")
+        if colon:
+            text, mark, rest = value.rpartition("!")
+            if mark and IMPORTANT.fullmatch(mark + rest.strip()):
+                important[key.strip()] = text.strip()
+            else:
+                styled[key.strip()] = value.strip()
+    return plain | styled | important
+
+
+def _changes(key: str, value: str) -> bool:
+    """Whether an attribute changes what is inherited; the colour of a colour is the one that is inherited."""
+    same = ("inherit", "currentcolor") if key == "color" else ("inherit",)
+    return key in INHERITED and value.lower() not in same

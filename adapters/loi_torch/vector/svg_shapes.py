@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import itertools
 import re
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 import svgelements as svg
@@ -15,7 +16,7 @@ from loi_core.renderers.checks import FloatArray
 from loi_core.support.wording import described, shown
 from loi_torch.vector.shapes import Circle, Ellipse, Paint, Path, Rectangle, Shape
 from loi_torch.vector.svg_colours import CORNERS
-from loi_torch.vector.svg_paths import moved, path_outlines, without_arcs
+from loi_torch.vector.svg_paths import Commands, has_dot, moved, path_outlines, without_arcs
 from loi_torch.vector.svg_values import Values
 
 __all__ = ["GEOMETRY", "MOST_POINTS", "element_shape"]
@@ -32,12 +33,15 @@ GEOMETRY: Final[dict[str, tuple[str, ...]]] = {
     "polygon": ("points",),
 }
 COMMANDS: Final = re.compile(  # without going back over what has matched, which would take time without end
-    r"\s*+(?:[Mm](?>[MmZzLlHhVvCcSsQqTtAa,\s]|[+-]?(?:[0-9]++\.?[0-9]*+|\.[0-9]++)(?:[eE][+-]?[0-9]++)?)*+)?"
+    r"\s*+(?:[Mm](?>[MmZzLlHhVvCcSsQqTtAa, \t\n\r\f]|[+-]?(?:[0-9]++(?:\.[0-9]++)?|\.[0-9]++)(?:[eE][+-]?[0-9]++)?)*+)?"
 )
 LETTERS: Final = re.compile(r"[A-DF-Za-df-z]")  # each begins a segment; an e is part of a number
 CLOSINGS: Final = re.compile(r"[zZ](?:[\s,]*+[zZ])++")
 UNMOVED: Final = re.compile(r"[zZ][\s,]*+(?![MmZz\s,]|\Z)")
 MOST_UNMOVED: Final = 1000  # for each, the library goes back to the last move
+NEAR: Final = 1e-9  # pixels; strokes take points that are closer together for one
+WITHOUT_JOINS: Final = ("circle", "ellipse", "line")
+SIZES: Final = ("width", "height", "r", "rx", "ry")
 
 
 def element_shape(
@@ -76,8 +80,11 @@ def element_shape(
         paint = _paint(values, tag, own, style, matrix, opacity)
         if paint is None:
             return None
-        plain = _plain(values, tag, own, matrix, paint)
-        return plain if plain is not None else _general(values, tag, own, matrix, paint, most_points)
+        number = _numbers(values, tag, own)
+        if any(number.get(key, 1.0) == 0.0 for key in _extents(tag)):
+            return None
+        plain = _plain(tag, own, number, matrix, paint)
+        return plain if plain is not None else _general(values, tag, own, number, matrix, paint, most_points)
     except SvgError:
         raise
     except LoiError as error:
@@ -89,10 +96,10 @@ def _paint(
 ) -> Paint | None:
     colours: dict[str, FloatArray | None] = {}
     for key in ("fill", "stroke"):
-        text = style[key]
-        share = opacity * values.number(tag, f"{key}-opacity", style[f"{key}-opacity"], percent=True)
-        plain = None if text in ("none", "transparent") else values.colour(tag, key, text)
-        colours[key] = None if plain is None else np.append(plain, np.clip(share, 0.0, 1.0))
+        text = style["color"] if style[key].lower() == "currentcolor" else style[key]
+        share = opacity * values.share(tag, f"{key}-opacity", style[f"{key}-opacity"])
+        plain = None if text.lower() in ("none", "transparent") else values.colour(tag, key, text)
+        colours[key] = None if plain is None else plain * [1.0, 1.0, 1.0, share]
     if tag == "line":  # without an inside
         colours["fill"] = None
     if CORNERS in own:
@@ -112,15 +119,43 @@ def _paint(
             values.fail(f"<{tag}> with `opacity`, fill and stroke is not supported; use fill- and stroke-opacity")
         if not np.allclose(linear.T @ linear, scale**2 * np.eye(2), rtol=0.0, atol=1e-9 * max(1.0, scale**2)):
             values.fail(f"<{tag}>: a stroke under a `transform` that is not a similarity is not supported")
+        limit = values.number(tag, "stroke-miterlimit", style["stroke-miterlimit"])
+        mitred = style["stroke-linejoin"] == "miter" and tag not in WITHOUT_JOINS
+        if mitred and limit != 4.0 and not (tag == "rect" and limit >= 2.0):  # which a right angle does not reach
+            values.fail(f"<{tag}>: `stroke-miterlimit` = {shown(style['stroke-miterlimit'])} is not supported")
     cap, join, rule = (style[key] for key in ("stroke-linecap", "stroke-linejoin", "fill-rule"))
     return Paint(colours["fill"], colours["stroke"], width if width else 1.0, cap, join, rule)  # type: ignore[arg-type]  # checked by it
 
 
-def _plain(values: Values, tag: str, own: Mapping[str, str], matrix: FloatArray, paint: Paint) -> Shape | None:
+def _extents(tag: str) -> tuple[str, ...]:
+    """The lengths without which an element is not shown, also if it has a stroke."""
+    return {"rect": ("width", "height"), "circle": ("r",), "ellipse": ("rx", "ry")}.get(tag, ())
+
+
+def _numbers(values: Values, tag: str, own: Mapping[str, str]) -> dict[str, float]:
+    """What an element that is no path and has no points says, and what SVG takes for what it does not say."""
+    if tag in ("path", "polyline", "polygon"):
+        return {}
+    given = {key: values.number(tag, key, own[key]) for key in GEOMETRY[tag] if own.get(key, "auto") != "auto"}
+    for key in SIZES:
+        if given.get(key, 0.0) < 0.0:
+            values.fail(f"<{tag}>: `{key}` must be 0 or more, got {shown(given[key])}")
+    number = {key: given.get(key, 0.0) for key in GEOMETRY[tag]}
+    if "rx" in number:  # of which one stands for both
+        number["rx"], number["ry"] = given.get("rx", number["ry"]), given.get("ry", number["rx"])
+    if tag == "rect":
+        number["rx"], number["ry"] = (
+            min(number[f"r{one}"], 0.5 * number[side]) for one, side in (("x", "width"), ("y", "height"))
+        )
+    return number
+
+
+def _plain(
+    tag: str, own: Mapping[str, str], number: Mapping[str, float], matrix: FloatArray, paint: Paint
+) -> Shape | None:
     """The element as a circle, ellipse or rectangle, if it is one that is at most scaled, turned and moved."""
     if tag not in ("circle", "ellipse", "rect"):
         return None
-    number = {key: values.number(tag, key, own[key]) for key in GEOMETRY[tag] if own.get(key, "auto") != "auto"}
     across, down = matrix[:2, :2].T
     scale = np.array([np.linalg.norm(across), np.linalg.norm(down)])
     rotation = float(np.rad2deg(np.arctan2(across[1], across[0])))
@@ -128,48 +163,39 @@ def _plain(values: Values, tag: str, own: Mapping[str, str], matrix: FloatArray,
         return None
     even = abs(scale[0] - scale[1]) <= 1e-9 * scale.max()
     if tag == "rect":
-        sides = np.array([number.get("width", 0.0), number.get("height", 0.0)])
-        rx, ry = number.get("rx", number.get("ry", 0.0)), number.get("ry", number.get("rx", 0.0))
-        rx, ry = min(rx, 0.5 * sides[0]), min(ry, 0.5 * sides[1])
-        if min(*sides, rx, ry) < 0.0:
-            values.fail(f"<rect>: sides and radii must be 0 or more, got {shown(dict(number))}")
+        sides = np.array([number["width"], number["height"]])
+        rx, ry = number["rx"], number["ry"]
         if rx * ry > 0.0 and (rx != ry or not even):
             return None
-        middle = np.array([number.get("x", 0.0), number.get("y", 0.0)]) + 0.5 * sides
+        middle = np.array([number["x"], number["y"]]) + 0.5 * sides
         rounding = scale[0] * rx if rx * ry > 0.0 else 0.0
         return Rectangle(moved(middle, matrix), scale * sides, paint, float(rounding), rotation)
-    centre = moved(np.array([number.get("cx", 0.0), number.get("cy", 0.0)]), matrix)
+    centre = moved(np.array([number["cx"], number["cy"]]), matrix)
     if tag == "circle" and even:
-        return Circle(centre, float(scale[0] * number.get("r", 0.0)), paint)
-    radius = number.get("r", 0.0)
-    radii = np.array([number.get("rx", radius), number.get("ry", radius)])
+        return Circle(centre, float(scale[0] * number["r"]), paint)
+    radii = np.array([number["r"]] * 2 if tag == "circle" else [number["rx"], number["ry"]])
     return Ellipse(centre, scale * radii, paint, rotation)
 
 
 def _general(
-    values: Values, tag: str, own: Mapping[str, str], matrix: FloatArray, paint: Paint, most_points: int
+    values: Values,
+    tag: str,
+    own: Mapping[str, str],
+    number: Mapping[str, float],
+    matrix: FloatArray,
+    paint: Paint,
+    most_points: int,
 ) -> Path | None:
     if CORNERS in own and tag != "path":
         values.fail(f"<{tag}>: `{CORNERS}` under a skew or a reflection is not supported")
     try:
         if tag == "path":
-            commands = own.get("d", "")
-            if not COMMANDS.fullmatch(commands):  # the library would leave out what it does not know
-                values.fail(f"<path>: `d` must be commands and numbers, begun with M, got {shown(commands)}")
-            if len(LETTERS.findall(commands)) > most_points:
-                values.fail(f"more than {MOST_POINTS} points")
-            commands = CLOSINGS.sub("Z", commands)
-            if len(UNMOVED.findall(commands)) > MOST_UNMOVED:
-                values.fail(f"<path>: more than {MOST_UNMOVED} closed parts that go on without a move")
-            path = svg.Path(commands)
+            path = _commands(values, own.get("d", ""), most_points)
         elif tag in ("polyline", "polygon"):
-            numbers = [values.number(tag, "points", one) for one in own.get("points", "").replace(",", " ").split()]
-            kind = svg.Polygon if tag == "polygon" else svg.Polyline
-            path = svg.Path(kind(*zip(numbers[::2], numbers[1::2], strict=True)))
+            path = _corners(values, tag, own.get("points", ""))
         else:
-            keys = {key: values.number(tag, key, own.get(key, "0")) for key in GEOMETRY[tag] if key in own}
             kinds = {"rect": svg.Rect, "circle": svg.Circle, "ellipse": svg.Ellipse, "line": svg.SimpleLine}
-            path = svg.Path(kinds[tag](keys))
+            path = svg.Path(kinds[tag](dict(number)))
         segments = list(without_arcs(path))
     except SvgError:
         raise
@@ -177,5 +203,33 @@ def _general(
         values.fail(f"<{tag}>: {GEOMETRY[tag][0]!r} cannot be read ({described(error)})")
     if 4 * len(segments) > most_points:
         values.fail(f"more than {MOST_POINTS} points")
+    scale = max(float(np.abs(matrix[:2, :2]).max()), NEAR)
+    if paint.stroke is not None and paint.cap != "butt" and has_dot(segments, NEAR / scale):
+        values.fail(f"<{tag}>: a part without length, of which a {paint.cap} cap makes a dot, is not supported")
     outlines = tuple(path_outlines(segments, matrix))
     return Path(outlines, replace(paint)) if outlines else None
+
+
+def _commands(values: Values, commands: str, most_points: int) -> Iterable[Any]:
+    """The segments of a path."""
+    if not COMMANDS.fullmatch(commands):  # the library would leave out what it does not know
+        values.fail(f"<path>: `d` must be commands and numbers, begun with M, got {shown(commands)}")
+    if len(LETTERS.findall(commands)) > most_points:
+        values.fail(f"more than {MOST_POINTS} points")
+    commands = CLOSINGS.sub("Z", commands)
+    if len(UNMOVED.findall(commands)) > MOST_UNMOVED:
+        values.fail(f"<path>: more than {MOST_UNMOVED} closed parts that go on without a move")
+    path: Iterable[Any] = Commands(commands)
+    return path
+
+
+def _corners(values: Values, tag: str, text: str) -> Iterable[Any]:
+    """The segments of a polyline or polygon."""
+    numbers = values.numbers(tag, "points", text)
+    if len(numbers) % 2:
+        values.fail(f"<{tag}>: `points` must be pairs of numbers, got {len(numbers)} numbers")
+    points = list(zip(numbers[::2], numbers[1::2], strict=True))
+    if not points:
+        return []
+    lines = [svg.Line(one, other) for one, other in itertools.pairwise(points)]
+    return [svg.Move(None, points[0]), *lines, *([svg.Close(points[-1], points[0])] if tag == "polygon" else [])]

@@ -1,15 +1,11 @@
-"""What attributes of SVG say: numbers, colours and transforms."""
+"""What attributes of SVG say: numbers and colours."""
 
 from __future__ import annotations
 
 import pathlib
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Final, NoReturn
-
-import numpy as np
-import svgelements as svg
 
 from loi_core.errors import SvgError
 from loi_core.renderers.checks import FloatArray
@@ -17,9 +13,22 @@ from loi_core.support.wording import printable, shown
 from loi_torch.vector.coverage import FARTHEST
 from loi_torch.vector.svg_colours import read_colour
 
-__all__ = ["Values"]
+__all__ = ["PIXELS", "Values"]
 
-NUMBER: Final = re.compile(r"\s*([+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?)(?:px)?\s*")
+DIGITS: Final = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
+NUMBER: Final = re.compile(rf"\s*({DIGITS})(?:px)?\s*")
+LENGTH: Final = re.compile(rf"\s*({DIGITS})(px|mm|cm|in|pt|pc)?\s*")
+PIXELS: Final = {  # of each unit
+    "px": 1.0,
+    "mm": 96.0 / 25.4,
+    "cm": 96.0 / 2.54,
+    "in": 96.0,
+    "pt": 96.0 / 72.0,
+    "pc": 16.0,
+}
+# A list without going back over what has matched, which would take time that grows with the square.
+ONE: Final = re.compile(r"[+-]?(?:[0-9]++(?:\.[0-9]++)?|\.[0-9]++)(?:[eE][+-]?[0-9]++)?")
+LIST: Final = re.compile(rf"\s*+(?:{ONE.pattern}\s*+(?:,\s*+(?=[-+.0-9]))?)*+")
 
 
 @dataclass(frozen=True)
@@ -40,22 +49,27 @@ class Values:
             self.fail(f"<{tag}>: `{key}` must be a number up to {FARTHEST:g}, alone or in px, got {shown(text)}")
         return float(match[1]) * (0.01 if share else 1.0)
 
+    def share(self, tag: str, key: str, text: str) -> float:
+        """A share such as an opacity, a number or in percent; what is beyond [0, 1] is 0 or 1."""
+        return min(max(self.number(tag, key, text, percent=True), 0.0), 1.0)
+
+    def length(self, tag: str, key: str, text: str) -> float:
+        """A length in pixels, of which an inch has 96."""
+        match = LENGTH.fullmatch(text)
+        if match is None or not abs(result := float(match[1]) * PIXELS[match[2] or "px"]) <= FARTHEST:
+            units = ", ".join(PIXELS)
+            self.fail(f"<{tag}>: `{key}` must be a number up to {FARTHEST:g}, alone or in {units}, got {shown(text)}")
+        return result
+
+    def numbers(self, tag: str, key: str, text: str) -> list[float]:
+        """Numbers that are apart by spaces, a comma, or where the next one cannot belong to the one before."""
+        if LIST.fullmatch(text) is None:
+            self.fail(f"<{tag}>: `{key}` must be numbers, got {shown(text)}")
+        return [self.number(tag, key, one) for one in ONE.findall(text)]
+
     def colour(self, tag: str, key: str, text: str) -> FloatArray:
-        """A colour as linear RGB, shape (3,)."""
+        """A colour as linear RGB and opacity, shape (4,)."""
         colour = read_colour(text)
         if colour is None:
             self.fail(f"<{tag}>: `{key}` must be none, #rgb, #rrggbb, rgb(...) or a name, got {shown(text)}")
         return colour
-
-    def transform(self, tag: str, own: Mapping[str, str]) -> FloatArray:
-        """The element's own transform, shape (3, 3); the identity if it has none."""
-        text = own.get("transform", "")
-        try:
-            matrix = svg.Matrix(text)
-            values = [[matrix.a, matrix.c, matrix.e], [matrix.b, matrix.d, matrix.f], [0.0, 0.0, 1.0]]
-            result = np.array(values, dtype=np.float64)
-        except Exception:  # noqa: BLE001 - the library raises whatever its arithmetic does
-            self.fail(f"<{tag}>: `transform` = {shown(text)} cannot be read")
-        if not np.all(np.abs(result) <= FARTHEST):
-            self.fail(f"<{tag}>: `transform` must stay within {FARTHEST:g}, got {shown(text)}")
-        return result
