@@ -160,8 +160,16 @@ def test_what_it_does_not_know_is_blurred() -> None:
     hidden = {"type": "path", "hide_emitters": True}
     assert list(PlannedRenderer(glass_scene(integrator=hidden), moved, spp=4).plan.blurred) == ["it"]
     scene = glass_scene()
-    scene["sensor"]["film"] |= {"crop_width": 32, "crop_height": 24}
+    scene["sensor"] |= {"type": "thinlens", "aperture_radius": 0.1, "focus_distance": 8.0}
     assert list(PlannedRenderer(scene, moved, spp=4).plan.blurred) == ["it"]
+
+
+def test_light_from_all_around_does_not_drown_it() -> None:
+    """Most of it falls far out of view, where a point of the floor is ever so large a part of the film."""
+    targets = {"y": Translate("ball", Y)}
+    renderer, glass = followed(glass_scene(lamp={"type": "constant"}), targets, spp=4)
+    draws = [float(glass.pull(renderer.parameters(), RAMP, names=targets, seed=seed)["y"]) for seed in range(6)]
+    assert np.std(draws) < np.abs(np.mean(draws))
 
 
 def test_it_can_be_turned_off() -> None:
