@@ -440,17 +440,9 @@ def test_the_current_colour_is_that_of_the_element_that_is_painted(tmp_path: Fil
 @pytest.mark.parametrize(
     "text",
     [
-        *("colour", "initial", "unset", "revert", "random", "AccentColor", "Window", "context-fill", "", "#12", "#12345"),
-        *(
-            "#1234567",
-            "rgb(1,2)",
-            "rgb(1 2 3 .5)",
-            "rgb(1,2,3 / .5)",
-            "rgb(1, 2 3)",
-            "rgb(50%,1,2)",
-            "rgb(1 2 3",
-            "wh ite",
-        ),
+        *("colour", "initial", "unset", "revert", "random", "AccentColor", "Window", "context-fill", "", "wh ite"),
+        *("#12", "#12345", "#1234567", "rgb(1,2)", "rgb(1 2 3 .5)", "rgb(1,2,3 / .5)", "rgb(1, 2 3)", "rgb(1 2 3"),
+        "rgb(50%,1,2)",
     ],
 )
 def test_what_is_no_colour_is_refused(tmp_path: File, text: str) -> None:
