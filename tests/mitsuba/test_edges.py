@@ -105,7 +105,9 @@ def test_a_box_has_the_gradient_of_finite_differences(light: str, kind: str, tmp
 
 
 @pytest.mark.filterwarnings("ignore:mesh 'block' stores the vertices:loi_mitsuba.GradientWarning")
-@pytest.mark.filterwarnings("ignore:a shape moves, and outlines have no gradient in the film:loi_mitsuba.GradientWarning")
+@pytest.mark.filterwarnings(
+    "ignore:a shape moves, and outlines have no gradient in the film:loi_mitsuba.GradientWarning"
+)
 @pytest.mark.parametrize("pixels", ["rgb", "rgba", "luminance", "luminance_alpha"])
 def test_what_carries_forward_is_the_transpose_of_what_carries_back(pixels: str) -> None:
     names = {name: MOVES[name] for name in ("x", "turn")}
