@@ -75,7 +75,7 @@ def _cautions(scene: Any, integrator: Any, shapes: list[Any], drawn: Container[A
             f"with an area emitter"
         )
     for whose, met in (("", False), ("the shadow of ", True)):  # in view, our own edges stand for Mitsuba's
-        split = _ids(each, lambda shape, met=met: has_seams(shape) and (shape in drawn) == met)
+        split = _ids([one for one in each if (one in drawn) == met], has_seams)
         if split:
             yield (
                 f"{_meshes(split, 'stores', 'store')} the vertices of an edge more than once, and Mitsuba counts the "

@@ -18,6 +18,7 @@ from loi_core import LOIObjective, ScaleSpace
 from loi_core.errors import DerivativeError, ImageError, ImageTypeError, NonFiniteImageError
 from loi_core.method.tonal import accumulate
 from loi_core.pixels.nonfinite import NanPolicy
+from loi_core.support.arrays import epsilon
 from loi_core.testing import check_objective
 from tests.helpers import by_arrays, images
 
@@ -116,7 +117,7 @@ def test_a_gradient_is_scaled_before_it_is_rounded_to_16_bits(loss: Loss, dtype:
     batch = jnp.broadcast_to(jnp.asarray(IMAGE, dtype=dtype), (64, *IMAGE.shape))  # of small gradients: it is a mean
     slope = jax.grad(lambda images: 3072.0 * loss(images))
     wanted = np.asarray(slope(batch.astype(jnp.float32)))
-    bound = 0.5 * float(jnp.finfo(dtype).eps) * np.abs(wanted) + 1e-5 * np.abs(wanted).max()
+    bound = 0.5 * epsilon(batch) * np.abs(wanted) + 1e-5 * np.abs(wanted).max()
     for found in (wrap(slope)(batch), wrap(jax.vmap(slope))(batch[None])[0]):
         assert found.dtype == dtype
         assert np.all(np.abs(np.asarray(found.astype(jnp.float32)) - wanted) <= bound)
