@@ -117,9 +117,9 @@ class _Seen:
         noise = float(np.sqrt(np.mean((other - image) ** 2)))
         return cls(renderer, image, _squared_slope(image), _wanted(image, target), noise)
 
-    def movement(self, params: Parameters, seed: int) -> float:
-        """How far the image has moved, in pixels; 0 if noise explains the change, infinite if nothing has a slope."""
-        after = _render(self.renderer, params, seed)
+    def movement(self, params: Parameters, name: str, seed: int) -> float:
+        """How far the image has moved by `name`, in pixels; 0 if noise explains it, infinite if nothing has a slope."""
+        after = _render(self.renderer, params, seed, f"with {name!r} moved, to measure its unit,")
         change = after - self.image
         size = np.abs(change)
         largest = float(size.max(initial=0.0))
@@ -160,7 +160,7 @@ def _unit(seen: Sequence[_Seen], params: Parameters, bounds: Limits | None, name
         if change == 0.0:
             break
         there = params | {name: from_numpy(moved, params[name])}
-        moved_by = [one.movement(there, seed) for one in seen]
+        moved_by = [one.movement(there, name, seed) for one in seen]
         pixels = max((each for each in moved_by if math.isfinite(each)), default=0.0)
         if pixels == 0.0 and math.inf in moved_by:
             return size / max(one.side for one in seen)
@@ -173,8 +173,8 @@ def _unit(seen: Sequence[_Seen], params: Parameters, bounds: Limits | None, name
     return best
 
 
-def _render(renderer: Renders, params: Parameters, seed: int) -> Host:
-    with foreign("rendering to measure a unit"):
+def _render(renderer: Renders, params: Parameters, seed: int, why: str = "to measure units") -> Host:
+    with foreign(f"rendering {why}"):
         return _blurred(renderer.render(params, seed=seed))
 
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from loi_core import Free, LOIObjective, PixelL2, fit
+from loi_core.errors import RendererError
 from loi_core.fitting.parameters import bounds_of
 from loi_core.renderers import Disks
 from loi_core.renderers.units import measure_units
@@ -102,3 +103,18 @@ def test_pixels_of_a_target_that_are_not_finite_are_passed_over() -> None:
     whole, _ = measure_units([renderer], params, None, ["texels"], targets=[target])
     other, _ = measure_units([renderer], params, None, ["texels"], targets=[holed])
     assert other["texels"] == pytest.approx(whole["texels"], rel=0.3)
+
+
+def test_a_renderer_that_refuses_a_value_is_told_with_the_parameter_that_has_it() -> None:
+    class Strict(Disks):
+        def render(self, params: Any, *, seed: int = 0) -> Any:
+            if np.max(params["radii"]) > 6.0:
+                msg = "radius out of range"
+                raise ValueError(msg)
+            return super().render(params, seed=seed)
+
+    renderer = Strict(32, 48, [[20.0, 16.0]], 6.0, [[0.9, 0.4, 0.2]])
+    with pytest.raises(
+        RendererError, match="rendering with 'radii' moved, to measure its unit, failed: .*out of range"
+    ):
+        measure_units([renderer], renderer.parameters(), None, ["radii"])
