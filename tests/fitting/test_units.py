@@ -115,6 +115,6 @@ def test_a_renderer_that_refuses_a_value_is_told_with_the_parameter_that_has_it(
 
     renderer = Strict(32, 48, [[20.0, 16.0]], 6.0, [[0.9, 0.4, 0.2]])
     with pytest.raises(
-        RendererError, match="rendering with 'radii' moved, to measure its unit, failed: .*out of range"
+        RendererError, match=r"rendering with 'radii' moved, to measure its unit, failed: .*out of range"
     ):
         measure_units([renderer], renderer.parameters(), None, ["radii"])
