@@ -173,10 +173,7 @@ def misses_entry(called: Names, target: str) -> str:
     material, part = (None, "") if entry is None else called.part_of_material(entry)
     if material is None:
         return ""
-    flags = mi.BSDFFlags
-    single = any(
-        mi.has_flag(material.flags(), one) for one in (flags.Null, flags.DeltaReflection, flags.DeltaTransmission)
-    )
+    single = mi.has_flag(material.flags(), mi.BSDFFlags.Delta)
     chosen = CHOICES.get(material.class_name(), "") == part
     if single and (chosen or part in COLOURS):
         return f"it is the {part} of a material with light in single directions, by which Mitsuba has no gradient"

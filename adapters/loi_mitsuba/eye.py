@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Iterable
 from typing import Any, Final
 
@@ -133,7 +132,7 @@ def _mix_of(film: Any, channels: int) -> Any:
     """What the channels of a film that are colours have of red, green and blue, shape (C, 3)."""
     if channels < 3:
         return LUMINANCE
-    return XYZ if re.search(r"pixel_format = xyz", str(film)) else np.eye(3)
+    return XYZ if "pixel_format = xyz" in str(film) else np.eye(3)
 
 
 def brighter(sensor: Any, integrator: Any, scene: Any, ends: tuple[Any, Any], active: Any, sampler: Any) -> Any:

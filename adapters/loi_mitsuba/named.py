@@ -82,11 +82,12 @@ class NamedParameters:
                 by_shape[key].append(name)
                 nodes[key] = node
                 self.start[name] = target.initial().astype(np.float32)
+        normals = self._own_normals(nodes)
         for key, names in by_shape.items():
             value = self.entries[key]
             start = value if isinstance(value, mi.Transform4f | mi.Point3f) else dr.unravel(mi.Point3f, value)
-            centre, normals = _centre(nodes[key], start), self._own_normals(key, nodes[key])
-            self._posed.append(_Posed(key, tuple(names), centre, dr.detach(start), normals))
+            centre = _centre(nodes[key], start)
+            self._posed.append(_Posed(key, tuple(names), centre, dr.detach(start), normals.get(key)))
         used = [*self._keys.values(), *by_shape]
         for key in used:
             if used.count(key) > 1:
@@ -158,22 +159,25 @@ class NamedParameters:
                 self.entries[_beside(one.key, NORMALS)] = dr.ravel(turned)
         self.entries.update()
 
-    def _own_normals(self, key: str, node: Any) -> Any:
-        """The normals of a mesh's vertices, if they are not those that Mitsuba computes when the vertices are set."""
-        beside = _beside(key, NORMALS)
-        if not isinstance(node, mi.Mesh) or node.has_face_normals() or beside not in self.entries:
-            return None
-        own = as_host(self.entries[beside], (-1, 3))
-        if not len(own):
-            return None
-        self.entries[key] = self.entries[key] + 0.0  # or it would count as it was
-        self.entries.set_dirty(key)
+    def _own_normals(self, nodes: Mapping[str, Any]) -> dict[str, Any]:
+        """By key, normals of meshes that are not what Mitsuba computes when vertices are set."""
+        given = {
+            key: as_host(self.entries[_beside(key, NORMALS)], (-1, 3))
+            for key, node in nodes.items()
+            if isinstance(node, mi.Mesh) and not node.has_face_normals() and _beside(key, NORMALS) in self.entries
+        }
+        given = {key: own for key, own in given.items() if len(own)}
+        for key in given:
+            self.entries.set_dirty(key)
         self.entries.update()
-        if np.max(np.abs(as_host(self.entries[beside], (-1, 3)) - own)) < SAME:
-            return None
-        self.entries[beside] = mi.Float(aligned(own.reshape(-1)))
+        found = {}
+        for key, own in given.items():
+            beside = _beside(key, NORMALS)
+            if np.max(np.abs(as_host(self.entries[beside], (-1, 3)) - own)) >= SAME:
+                self.entries[beside] = mi.Float(aligned(own.reshape(-1)))
+                found[key] = mi.Normal3f(*(mi.Float(aligned(each)) for each in own.T))
         self.entries.update()
-        return mi.Normal3f(*(mi.Float(aligned(each)) for each in own.T))
+        return found
 
 
 def _beside(key: str, entry: str) -> str:

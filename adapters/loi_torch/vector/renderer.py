@@ -125,14 +125,16 @@ class Vector(Painted):
         check_near(rings.points)
         points, edges = self._edges(rings, scene)
         painting = cover(points, edges, self._size)
-        colours = self._colours(painting, rings, scene)
-        colours = torch.cat([self._encoded(colours[:, :3]), colours[:, 3:]], dim=1)
+        colours = self._encoded(self._colours(painting, rings, scene))
         # Colours are encoded, not the image: a share of a pixel would be brighter than its area is.
         image = composite(colours, painting, self._behind, self._size[0] * self._size[1])
         return image.reshape(*self._size, 3)
 
     def _encoded(self, colours: Tensor) -> Tensor:
-        return colours if self._encoding == "linear" else _srgb(colours)
+        """Linear RGB, and opacity if there is one, as the image has them: shape (..., 3) or (..., 4)."""
+        if self._encoding == "linear":
+            return colours
+        return torch.cat([_srgb(colours[..., :3]), colours[..., 3:]], dim=-1)
 
     def _edges(self, rings: Rings, scene: Tensors) -> tuple[Tensor, Edges]:
         """The edges of all layers, and the points that they join."""

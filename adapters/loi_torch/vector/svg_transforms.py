@@ -12,14 +12,14 @@ import numpy as np
 from loi_core.renderers.checks import FloatArray
 from loi_core.support.wording import shown
 from loi_torch.vector.coverage import FARTHEST
-from loi_torch.vector.svg_values import PIXELS, Values
+from loi_torch.vector.svg_values import ONE, PIXELS, Values
 
 __all__ = ["read_transform"]
 
 # None of these goes back over what has matched, which would take time that grows with the square.
 FUNCTION: Final = re.compile(r"([A-Za-z]++)\s*+\(([^()]*+)\)\s*+")
 NEXT: Final = re.compile(r",?\s*+(?=[A-Za-z])")
-VALUE: Final = re.compile(r"([+-]?(?:[0-9]++(?:\.[0-9]++)?|\.[0-9]++)(?:[eE][+-]?[0-9]++)?)([a-z]*+)\s*+")
+VALUE: Final = re.compile(rf"({ONE})([a-z]*+)\s*+")
 COMMA: Final = re.compile(r"(?:,\s*+)?(?=[-+.0-9])")
 
 PLAIN: Final = {"": 1.0}

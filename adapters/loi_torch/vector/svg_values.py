@@ -13,7 +13,7 @@ from loi_core.support.wording import printable, shown
 from loi_torch.vector.coverage import FARTHEST
 from loi_torch.vector.svg_colours import read_colour
 
-__all__ = ["PIXELS", "Values"]
+__all__ = ["ONE", "PIXELS", "Values"]
 
 DIGITS: Final = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
 NUMBER: Final = re.compile(rf"\s*({DIGITS})(?:px)?\s*")
@@ -27,8 +27,8 @@ PIXELS: Final = {  # of each unit
     "pc": 16.0,
 }
 # A list without going back over what has matched, which would take time that grows with the square.
-ONE: Final = re.compile(r"[+-]?(?:[0-9]++(?:\.[0-9]++)?|\.[0-9]++)(?:[eE][+-]?[0-9]++)?")
-LIST: Final = re.compile(rf"\s*+(?:{ONE.pattern}\s*+(?:,\s*+(?=[-+.0-9]))?)*+")
+ONE: Final = r"[+-]?(?:[0-9]++(?:\.[0-9]++)?|\.[0-9]++)(?:[eE][+-]?[0-9]++)?"
+LIST: Final = re.compile(rf"\s*+(?:{ONE}\s*+(?:,\s*+(?=[-+.0-9]))?)*+")
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ class Values:
         """Numbers that are apart by spaces, a comma, or where the next one cannot belong to the one before."""
         if LIST.fullmatch(text) is None:
             self.fail(f"<{tag}>: `{key}` must be numbers, got {shown(text)}")
-        return [self.number(tag, key, one) for one in ONE.findall(text)]
+        return [self.number(tag, key, one) for one in re.findall(ONE, text)]
 
     def colour(self, tag: str, key: str, text: str) -> FloatArray:
         """A colour as linear RGB and opacity, shape (4,)."""
