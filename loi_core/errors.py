@@ -83,13 +83,20 @@ class NonFiniteImageError(ImageError):
         self.axes = axes
         self.size = size
         self.suspicion = suspicion
-        named = ", ".join(f"{one} {what}" for one, what in zip(kinds, ("NaN", "+inf", "-inf"), strict=True) if one)
         fix = f"fix the {'reference' if name == 'reference' else 'render'}"
         if self.count < size:  # with nothing left to compare the loss would be 0, which fixes nothing
             fix += ", or pass nan_policy='mask' to leave such pixels out"
-        super().__init__(
-            f"`{name}` has {self.count} non-finite value{'s' if self.count != 1 else ''} of {size} ({named}), "
-            f"the first at {axes} = {first}: {suspicion}; {fix}"
+        super().__init__(f"{self.finding}; {fix}")
+
+    @property
+    def finding(self) -> str:
+        """What is wrong, without what to do about it."""
+        kinds = {"NaN": self.nan, "+inf": self.positive, "-inf": self.negative}
+        named = ", ".join(f"{one} {what}" for what, one in kinds.items() if one)
+        several = "s" if self.count != 1 else ""
+        return (
+            f"`{self.name}` has {self.count} non-finite value{several} of {self.size} ({named}), "
+            f"the first at {self.axes} = {self.first}: {self.suspicion}"
         )
 
     @property

@@ -41,7 +41,8 @@ def inspect_images(
     try:
         pair = read_pair(image, reference, preset=preset, bounds=limits)
     except NonFiniteImageError as error:
-        raise ImageError(_to_be_filled(error)) from error
+        msg = f"{error.finding}; fix the picture, or fill them in, as numpy.nan_to_num does"  # nothing is masked here
+        raise ImageError(msg) from error
     for note in pair.notes:
         print(f"loi: {printable(note)}", file=sys.stderr)
     found = inspect_pair(pair)
@@ -51,15 +52,6 @@ def inspect_images(
     else:
         print("\n".join(_lines(found)))
         print(f"\npage: {output} ({size / 1e6:.1f} MB)")
-
-
-def _to_be_filled(error: NonFiniteImageError) -> str:
-    """What can be done here, where nothing can be masked."""
-    several = "s" if error.count > 1 else ""
-    return (
-        f"`{error.name}` has {error.count} non-finite value{several} of {error.size}, the first at {error.axes} = "
-        f"{error.first}: {error.suspicion}; fix the picture, or fill them in, as numpy.nan_to_num does"
-    )
 
 
 def _lines(found: Findings) -> list[str]:

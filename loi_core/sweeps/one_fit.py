@@ -99,6 +99,7 @@ def _fitted(scene: Scene) -> list[Trial]:
     try:
         return run_scene(scene, checkpoint=checkpoint, resume=True)
     except ParameterError:  # damaged, or from before something changed that a sweep does not know of
-        ResultFolder(scene.output).remove(CHECKPOINT_FILES)
-        ResultFolder(scene.output).claim(CHECKPOINT_FILES)
+        folder = ResultFolder(scene.output)
+        folder.remove(CHECKPOINT_FILES)
+        folder.claim(CHECKPOINT_FILES)
         return run_scene(scene, checkpoint=checkpoint)
