@@ -241,6 +241,8 @@ def test_memory_at_work_stays_below_four_stacks_of_levels(way: Callable[[], Abst
     image, reference = (rng.uniform(size=shape).astype(np.float32) for _ in range(2))
     scales = ScaleSpace.paper("path")
     stack = scales.level_count(0.125) * image.nbytes
+    with way():  # compiled untraced, which would take a minute
+        LOIObjective(reference[:16], scales, "balanced").value_and_grad(image[:16])
     tracemalloc.start()
     try:
         with way():
