@@ -56,7 +56,11 @@ class ByMitsuba:
         """Carry a cotangent of the image, shape (H, W, C), back to the entries."""
         with self._told():
             image = mi.TensorXf(cotangent)
-            self.integrator.render_backward(self.scene, self.entries, image, self.sensor, seed, self.samples)
+            try:
+                self.integrator.render_backward(self.scene, self.entries, image, self.sensor, seed, self.samples)
+            except RuntimeError as error:
+                if "does not depend on the input" not in str(error):
+                    raise  # an image in which none of the entries is to be found, as one of depths, has the gradient 0
 
     def push(self, seed: int, seed_grad: int) -> Host:
         """How the image changes with the entries: shape (H, W, C)."""

@@ -184,8 +184,13 @@ FOG = {"type": "homogeneous", "albedo": 0.5, "sigma_t": 0.5}
             Translate("group.inner", X),
             "it moves a shape of a shapegroup",
         ),
+        ({"integrator": {"type": "aov", "aovs": "far:depth"}}, Translate("ball", X), "a AOVIntegrator has no gradient"),
+        ({"integrator": {"type": "depth"}}, Translate("ball", X), "a DepthIntegrator has no gradient of outlines"),
     ],
-    ids=["position", "light", "camera", "lens", "glass", "size of glass", "index", "medium", "parallel", "instance"],
+    ids=[
+        *("position", "light", "camera", "lens", "glass", "size of glass", "index", "medium", "parallel", "instance"),
+        *("values", "depths"),
+    ],
 )
 def test_the_plan_names_what_is_blurred_and_why(changes: dict[str, Any], target: Any, says: str) -> None:
     if "sensor" in changes:
@@ -200,6 +205,17 @@ def test_the_plan_names_what_is_blurred_and_why(changes: dict[str, Any], target:
     moved = {"it": start["it"] + np.float32(0.1)}
     assert not np.array_equal(planned.render(moved), image)
     np.testing.assert_array_equal(planned.render(start), image)
+
+
+def test_what_an_image_of_depths_does_not_show_has_the_gradient_0() -> None:
+    scene = lit_scene(integrator={"type": "depth"})
+    for renderer in (
+        MitsubaRenderer(scene, {"floor": FLOOR}, integrator="scene"),
+        PlannedRenderer(scene, {"floor": FLOOR}),
+    ):
+        image, pullback = renderer.render_vjp(renderer.parameters())
+        assert np.all(image > 0.0)
+        assert not np.any(pullback(np.ones_like(image))["floor"])
 
 
 def test_without_a_blur_what_has_no_gradient_is_refused_or_left_to_mitsuba() -> None:

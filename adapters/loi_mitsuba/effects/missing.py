@@ -8,7 +8,7 @@ from typing import Any
 import mitsuba as mi
 
 from loi_mitsuba.cautions import is_cropped, is_crowded, lets_through, misses_entry
-from loi_mitsuba.effects.traits import has_medium, is_clear
+from loi_mitsuba.effects.traits import has_medium, is_clear, is_known, kind_of
 from loi_mitsuba.entries import INSTANCE, Names, is_instance
 from loi_mitsuba.loading import Target
 
@@ -69,4 +69,7 @@ def _of_moving(node: Any, scene: Any, sensor: Any, *, medium: bool, whole: bool)
         return "it moves a shape where there is a medium, in which outlines and shadows have no gradient in Mitsuba"
     if sensor.class_name() != "PerspectiveCamera":
         return f"it moves a shape, and Mitsuba has no gradient of outlines for a {sensor.class_name()}"
+    own = scene.integrator()
+    if whole and not is_known(kind_of(own)) and not hasattr(own, "sppp"):  # who has outlines counts their samples
+        return f"it moves a shape, and a {own.class_name()} has no gradient of outlines and shadows"
     return ""

@@ -8,7 +8,7 @@ from typing import Final
 
 from loi_core.effects import Choice, Effect, EffectPlan
 from loi_core.support.wording import clause
-from loi_mitsuba.effects.traits import SURFACE_INTEGRATORS, VOLUME_INTEGRATORS, Traits
+from loi_mitsuba.effects.traits import VOLUME_INTEGRATORS, Traits, is_known
 from loi_mitsuba.integrators import OWN, PARTS, Settings, as_mapping, settings_of
 
 __all__ = ["DIRECT", "EFFECTS", "everything", "integrator_for", "plan_by_rules", "plan_of", "plan_with"]
@@ -22,7 +22,7 @@ APART: Final = ", but what is followed or blurred"
 def everything(traits: Traits, samples: int) -> Settings:
     """Every effect that Mitsuba has the gradient of, without guiding: what a plan is compared with."""
     border = bool(traits.moving) and traits.reaches_border
-    if traits.own_integrator not in SURFACE_INTEGRATORS and traits.own_integrator not in VOLUME_INTEGRATORS:
+    if not is_known(traits.own_integrator):
         return Settings(OWN, traits.depth, samples, sample_border=border)
     if traits.media or traits.own_integrator in VOLUME_INTEGRATORS:
         return Settings("prbvolpath", traits.depth, samples, hide_emitters=traits.hide_emitters, sample_border=border)

@@ -14,7 +14,7 @@ from loi_mitsuba.entries import Names, ancestors
 from loi_mitsuba.eye import offset_of
 from loi_mitsuba.handles import Handle, Translate
 
-__all__ = ["Traits", "groups_of", "has_medium", "in_view", "is_clear", "objects_of", "traits_of"]
+__all__ = ["Traits", "groups_of", "has_medium", "in_view", "is_clear", "is_known", "kind_of", "objects_of", "traits_of"]
 
 CONVEX: Final = ("Sphere", "Rectangle", "Disk", "Cube")
 SHAPES: Final = (*CONVEX, "Cylinder", "BSplineCurve", "LinearCurve")  # and every mesh
@@ -123,9 +123,8 @@ def traits_of(called: Names, targets: Mapping[str, str | Handle], sensor: Any) -
         if not isinstance(one, mi.Mesh) and one.class_name() not in SHAPES
     ]
     integrator = scene.integrator()
-    # By its words, for the class name of those written in Python is that of their base.
-    kind = "PathIntegrator" if integrator is None else str(integrator).partition("[")[0].strip()
-    if kind not in SURFACE_INTEGRATORS and kind not in VOLUME_INTEGRATORS:
+    kind = kind_of(integrator)
+    if not is_known(kind):
         unknown.append(f"the scene's own integrator, a {integrator.class_name()}")
     flags = [int(shape.bsdf().flags()) for shape in shapes if shape.bsdf() is not None]
     media = has_medium(scene)
@@ -152,6 +151,16 @@ def traits_of(called: Names, targets: Mapping[str, str | Handle], sensor: Any) -
         reaches_border=film.rfilter().border_size() > 0,
         samples_border=bool(film.sample_border()),
     )
+
+
+def kind_of(integrator: Any) -> str:
+    """The kind of a scene's own integrator, by its words: the class name of those written in Python is their base's."""
+    return "PathIntegrator" if integrator is None else str(integrator).partition("[")[0].strip()
+
+
+def is_known(integrator: str) -> bool:
+    """Whether the rules know this kind of integrator, and which of Mitsuba's stands for it."""
+    return integrator in SURFACE_INTEGRATORS or integrator in VOLUME_INTEGRATORS
 
 
 def has_medium(scene: Any) -> bool:
