@@ -6,13 +6,13 @@ import warnings
 from collections.abc import Callable, Container, Iterator, Mapping
 from typing import Any, Final
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from loi_core.support.wording import clause
 from loi_mitsuba.entries import Names
 from loi_mitsuba.seams import crowded_share, has_seams
+from loi_mitsuba.steps import has_steps
 
 __all__ = [
     "GradientWarning",
@@ -26,9 +26,6 @@ __all__ = [
 
 CURVES: Final = ("BSplineCurve", "LinearCurve")
 WITH_ALPHA: Final = (2, 4)  # channels
-PLACES: Final = 64
-CLOSE: Final = 1e-5  # of a texture, between two places of one texel
-STEADY: Final = 0.9  # of pairs of places so close, that are equal in a bitmap that is not interpolated
 CHOICES: Final = {"MaskBSDF": "opacity", "BlendBSDF": "weight"}
 COLOURS: Final = ("specular_reflectance", "specular_transmittance", "eta", "k")
 CROWDED: Final = 0.05  # of a mesh's edges, by length: what its gradient may be off by
@@ -115,7 +112,8 @@ def _cautions_in_view(sensor: Any, shapes: list[Any], drawn: Container[Any]) -> 
     if stepped := _ids(each, has_steps):
         yield (
             f"{clause(stepped, 'has', 'have')} a texture with steps (a checkerboard, or a bitmap of filter_type "
-            f"'nearest'), and Mitsuba has no gradient of steps that move; use a bitmap that is interpolated"
+            f"'nearest'), and Mitsuba has no gradient of steps that move; use a bitmap that is interpolated, as "
+            f"PlannedRenderer does where the scene is a dict or a file and nothing of the texture is fitted"
         )
 
 
@@ -132,27 +130,6 @@ def is_cropped(sensor: Any) -> bool:
     """Whether a film shows a part of the view alone."""
     film = sensor.film()
     return not np.array_equal(film.size(), film.crop_size())
-
-
-def has_steps(shape: Any) -> bool:
-    """Whether a texture of a shape has steps, which move with it."""
-    nodes = {one[2] for one in mi.traverse(shape).properties.values()}
-    return any(isinstance(one, mi.Texture) and _is_stepped(one) for one in nodes)
-
-
-def _is_stepped(texture: Any) -> bool:
-    kind = texture.class_name()
-    if kind == "Checkerboard":
-        return True
-    if not kind.startswith("BitmapTexture") or not mi.is_rgb:
-        return False
-    alone = mi.traverse(texture)["data"].shape[-1] == 1
-    point = dr.zeros(mi.SurfaceInteraction3f, 2 * PLACES)
-    places = np.random.default_rng(0).random((PLACES, 2), dtype=np.float32)
-    point.uv = mi.Point2f(np.concatenate([places, places + np.float32(CLOSE)]).T)
-    values = np.array(texture.eval_1(point) if alone else texture.eval(point)).reshape(-1, 2, PLACES)
-    varies = np.any(np.ptp(values, axis=-1) > 0.0)
-    return bool(varies and np.mean(values[:, 0] == values[:, 1]) > STEADY)
 
 
 def warn_of_entries(called: Names, targets: Mapping[str, Any]) -> None:

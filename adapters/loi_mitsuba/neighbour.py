@@ -2,7 +2,8 @@
 
 The image is that of the scene as it is. Only the gradient by what moves is taken from the neighbour, which differs from
 the scene by just enough: hardly any ray hits a point light, but a small sphere has an outline behind which rays that
-graze a shape find light or none; and where a mesh stores the vertices of an edge twice, its triangles share them.
+graze a shape find light or none; where a mesh stores the vertices of an edge twice, its triangles share them; and where
+a texture has steps, it has ramps.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from loi_core.support.values import real_number
 from loi_core.support.wording import shown
 from loi_mitsuba.loading import Loaded, SceneLoadError, parsed
 from loi_mitsuba.seams import merge_seams
+from loi_mitsuba.steps import RAMP, interpolate, textures_of
 
 __all__ = ["KINDS", "LAMP", "LIGHT", "Exchange", "Found", "Neighbour", "Surroundings", "lights_of", "neighbour_of"]
 
@@ -49,6 +51,8 @@ class Neighbour:
     seams : bool
         Whether the triangles of meshes that move share the vertices at one place. Along the seams of a texture,
         triangles may then show another part of it.
+    textures : bool
+        Whether checkerboards, and bitmaps that are not interpolated, are interpolated on what moves.
 
     Raises
     ------
@@ -59,6 +63,7 @@ class Neighbour:
     lights: float = 0.1
     mirrors: float = 0.05
     seams: bool = True
+    textures: bool = True
 
     def __post_init__(self) -> None:
         for name in ("lights", "mirrors"):
@@ -66,9 +71,10 @@ class Neighbour:
             if not 0.0 <= value <= 0.5:
                 msg = f"`neighbour.{name}` must be 0 to 0.5, got {shown(getattr(self, name))}"
                 raise OptionError(msg)
-        if not isinstance(self.seams, bool):
-            msg = f"`neighbour.seams` must be true or false, got {shown(self.seams)}"
-            raise OptionError(msg)
+        for name in ("seams", "textures"):
+            if not isinstance(getattr(self, name), bool):
+                msg = f"`neighbour.{name}` must be true or false, got {shown(getattr(self, name))}"
+                raise OptionError(msg)
 
     @classmethod
     def of(cls, value: object) -> Neighbour:
@@ -76,7 +82,7 @@ class Neighbour:
         if isinstance(value, Neighbour):
             return value
         if value is None:
-            return cls(0.0, 0.0, seams=False)
+            return cls(0.0, 0.0, seams=False, textures=False)
         names = [field.name for field in fields(cls)]
         if not isinstance(value, Mapping) or set(value) - set(names):
             msg = f"`neighbour` must be a Neighbour, None, or a table of {', '.join(names)}, got {shown(value)}"
@@ -180,6 +186,7 @@ def neighbour_of(
     floats: bool = False,
     keep: frozenset[int | None] = frozenset(),
     split: Mapping[int, Any] | None = None,
+    stepped: Mapping[int, Any] | None = None,
 ) -> Found | None:
     """The neighbouring scene of one that can be loaded; None if nothing is to be exchanged, or can be.
 
@@ -198,6 +205,8 @@ def neighbour_of(
         Numbers of lights that are not exchanged.
     split : dict of mi.Shape, optional
         By their numbers in the scene, from 0, meshes whose vertices are to be shared; of a loaded scene, none are.
+    stepped : dict of mi.Shape, optional
+        By their numbers, shapes whose textures are to be interpolated; of a loaded scene, none are.
     """
     if isinstance(scene, mi.Scene):
         described, shared = _described(scene)
@@ -215,6 +224,8 @@ def neighbour_of(
     with parsed(scene, floats=floats) as (config, state):
         grouped = any(node.props.plugin_name() == "shapegroup" for node in state.nodes)  # whose shapes are not numbered
         seams = dict(split or {}) if near.seams and not grouped else {}
+        for number, shape in (stepped or {}).items() if near.textures and not grouped else ():
+            _exchange_textures(state, number, shape, exchanges)
         for index in range(len(state.nodes)):
             node = state.nodes[index]
             kind = node.props.plugin_name()
@@ -241,7 +252,7 @@ def neighbour_of(
     seen = {shape.id() for shape in made.shapes() if shape.id().startswith(LAMP) and in_view(shape)}
     if seen:
         more = {one.light for one in exchanges if f"{LAMP}{one.light}" in seen}
-        return neighbour_of(scene, near, around, in_view, floats=floats, keep=keep | more, split=split)
+        return neighbour_of(scene, near, around, in_view, floats=floats, keep=keep | more, split=split, stepped=stepped)
     flags = [int(shape.bsdf().flags()) for shape in made.shapes() if shape.bsdf() is not None]
     smooth = any(one & int(mi.BSDFFlags.DeltaReflection | mi.BSDFFlags.DeltaTransmission) for one in flags)
     return Found(Loaded(made, in_order=True, floats=floats), _distinct(exchanges), smooth)
@@ -299,6 +310,14 @@ def _exchange_surface(node: Any, alpha: float, exchanges: list[Exchange]) -> Non
             f"a {ROUGH[kind]} of roughness {alpha:g}, for edges seen in what is perfectly smooth have no gradient",
         )
     )
+
+
+def _exchange_textures(state: Any, number: int, shape: Any, exchanges: list[Exchange]) -> None:
+    for node in textures_of(state, number):
+        kind = node.props.plugin_name()
+        if interpolate(node.props):
+            named = f" of {shape.id()!r}" if shape.id() else ""
+            exchanges.append(Exchange(f"{kind}{named}", f"an interpolated bitmap {RAMP}"))
 
 
 def _of_seams(shape: Any) -> Exchange:

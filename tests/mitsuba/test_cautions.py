@@ -72,6 +72,8 @@ def test_many_meshes_are_warned_of_once(recwarn: pytest.WarningsRecorder) -> Non
         ({"type": "bitmap", "filter_type": "nearest"}, True),
         ({"type": "bitmap"}, False),
         ({"type": "bitmap", "filter_type": "nearest", "channels": 1}, True),
+        ({"type": "bitmap", "filter_type": "nearest", "flat": True}, True),
+        ({"type": "bitmap", "flat": True}, False),
     ],
 )
 def test_steps_of_a_texture_that_moves_are_warned_of(
@@ -80,6 +82,8 @@ def test_steps_of_a_texture_that_moves_are_warned_of(
     texture = dict(texture)
     if texture["type"] == "bitmap":
         values = np.random.default_rng(0).random((5, 7, texture.pop("channels", 3)), dtype=np.float32)
+        if texture.pop("flat", False):  # as a logo is nearly everywhere
+            values = np.pad(values, ((40, 40), (40, 40), (0, 0)))
         texture |= {"data": mi.TensorXf(values), "raw": True}
     ball = {"type": "sphere", "bsdf": {"type": "twosided", "nested": {"type": "diffuse", "reflectance": texture}}}
     MitsubaRenderer(shadow_scene(ball=ball), {"x": Translate("ball", (1, 0, 0))})

@@ -6,13 +6,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
+import mitsuba as mi
+
 from loi_core.errors import ParameterError
 from loi_core.renderers.blurred import names_to_blur
 from loi_mitsuba.effects.following import Followed
 from loi_mitsuba.effects.missing import missing_gradients
 from loi_mitsuba.effects.rules import plan_by_rules
 from loi_mitsuba.effects.traits import in_view, traits_of
-from loi_mitsuba.entries import Names, named_scene
+from loi_mitsuba.entries import Names, ancestors, named_scene
 from loi_mitsuba.integrators import bordered
 from loi_mitsuba.loading import Target, checked_samples, checked_targets, find_sensor, most_samples, use_variant
 from loi_mitsuba.named import NamedParameters
@@ -20,6 +22,7 @@ from loi_mitsuba.neighbour import Found, Neighbour, Surroundings, lights_of, nei
 from loi_mitsuba.neighboured import NeighbouredRenderer, exchanged_targets, targets_of_lights
 from loi_mitsuba.renderer import MitsubaRenderer
 from loi_mitsuba.seams import has_seams, is_flat, is_hard
+from loi_mitsuba.steps import has_steps, is_stepped
 
 __all__ = ["Base", "base_of"]
 
@@ -75,11 +78,12 @@ def base_of(
         traits = traits_of(names, {name: target for name, target in targets.items() if name not in images}, found)
     options: dict[str, Any] = {"integrator": plan, "spp": spp, "sensor": sensor, "without_gradient": images}
     split = _split_meshes(names, targets, traits.moving)
+    stepped = _stepped_shapes(names, targets, traits.moving) if near.textures else {}
     delta = traits.lights or traits.delta_reflection or traits.delta_transmission
-    if traits.moving and not traits.media and (delta or (split and near.seams)):
+    if traits.moving and not traits.media and (delta or (split and near.seams) or stepped):
         for size in (near, replace(near, mirrors=0.0)):  # rough surfaces may lack what a parameter stands for
             try:
-                pair = _neighboured(ready, names, targets, traits.moving, split, size, options)
+                pair = _neighboured(ready, names, targets, traits.moving, split, stepped, size, options)
             except ParameterError:
                 continue
             if pair is None:
@@ -115,12 +119,24 @@ def _split_meshes(called: Names, targets: Mapping[str, Target], moving: Mapping[
     return {own.index(one): one for one in split if is_flat(one) or not is_hard(one)}
 
 
+def _stepped_shapes(called: Names, targets: Mapping[str, Target], moving: Mapping[str, Any]) -> dict[int, Any]:
+    """By their numbers, shapes that move and have textures with steps, of which no parameter is an entry."""
+    own = list(called.scene.shapes())
+    params = mi.traverse(called.scene)
+    entries = (called.known(target) for target in targets.values() if isinstance(target, str))
+    nodes = [one for entry in entries if entry for one in ancestors(params, params.properties[entry.key][2])]
+    if any(is_stepped(node) for node in nodes):
+        return {}
+    return {own.index(one): one for one in moving.values() if one in own and has_steps(one)}
+
+
 def _neighboured(
     scene: Any,
     called: Names,
     targets: Mapping[str, Target],
     moving: Mapping[str, Any],
     split: Mapping[int, Any],
+    stepped: Mapping[int, Any],
     near: Neighbour,
     options: dict[str, Any],
 ) -> tuple[NeighbouredRenderer, Found] | None:
@@ -131,7 +147,15 @@ def _neighboured(
     stay = [one.light for one in lights.values() if not one.can_follow(kinds[one.light])]
     around = Surroundings.of(loaded.scene, moving.values(), stay)
     sensor = find_sensor(loaded.scene, options["sensor"])
-    found = neighbour_of(scene, near, around, lambda shape: in_view(sensor, shape), floats=loaded.floats, split=split)
+    found = neighbour_of(
+        scene,
+        near,
+        around,
+        lambda shape: in_view(sensor, shape),
+        floats=loaded.floats,
+        split=split,
+        stepped=stepped,
+    )
     if found is None:
         return None
     start = NamedParameters(called, targets, options["without_gradient"]).start
