@@ -112,9 +112,11 @@ class Names:
         for key in self._params.properties:  # iterating over it itself yields pairs
             folder, _, last = key.rpartition(".")
             name = f"{self._readable[folder]}.{last}" if folder else last
-            entry = Entry(
-                name, key, _shape(self._params[key]), _problem(self._params, key), _settable(self._params, key)
-            )
+            try:
+                shape = _shape(self._params[key])
+            except TypeError:  # it is not set, as is what absorbs light in hair that has pigments
+                continue
+            entry = Entry(name, key, shape, _problem(self._params, key), _settable(self._params, key))
             self.entries[name] = self._also[key] = entry
             for own, place in places.items():
                 if folder == own or folder.startswith(f"{own}."):

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any, Final, TypeAlias
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -23,7 +24,18 @@ from loi_mitsuba.loading import Loaded, SceneLoadError, parsed
 from loi_mitsuba.seams import merge_seams
 from loi_mitsuba.steps import RAMP, interpolate, textures_of
 
-__all__ = ["KINDS", "LAMP", "LIGHT", "Exchange", "Found", "Neighbour", "Surroundings", "lights_of", "neighbour_of"]
+__all__ = [
+    "KINDS",
+    "LAMP",
+    "LIGHT",
+    "Exchange",
+    "Found",
+    "Neighbour",
+    "Surroundings",
+    "lights_of",
+    "neighbour_of",
+    "position_of",
+]
 
 Host: TypeAlias = np.ndarray[Any, np.dtype[np.float64]]
 
@@ -32,6 +44,8 @@ KINDS: Final = {"PointLight": "point", "SpotLight": "spot", "DirectionalEmitter"
 LAMP: Final = "loi_lamp_"
 LIGHT: Final = "loi_light_"
 WIDEST: Final = 2.0  # times what casts a shadow: its umbra then reaches as far behind it as the lamp is before it
+PLACES: Final = 64  # of a lamp, from which what moves is seen or hidden
+OPEN: Final = 0.9  # of them, that see it if the light does; if that does not, none may
 FAR: Final = 100.0  # how many times the scene's radius away the disk is that stands for a directional light
 
 
@@ -128,12 +142,15 @@ class Surroundings:
     powers : tuple of array or None
         Intensity or irradiance of each light without a size, as red, green and blue; None where it is not known, or the
         light is to stay as it is.
+    scene : mi.Scene
+        What there is.
     """
 
     boxes: Host
     middle: Host
     radius: float
     powers: tuple[Host | None, ...]
+    scene: Any
 
     @classmethod
     def of(cls, scene: Any, moving: Iterable[Any], stay: Iterable[int] = ()) -> Surroundings:
@@ -141,8 +158,8 @@ class Surroundings:
         boxes = np.array([_corners(one.bbox()) for one in moving])
         low, high = _corners(scene.bbox())
         kept = set(stay)
-        powers = (None if k in kept else _power(one) for k, one in enumerate(lights_of(scene)))
-        return cls(boxes, 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low)), tuple(powers))
+        powers = tuple(None if k in kept else _power(one) for k, one in enumerate(lights_of(scene)))
+        return cls(boxes, 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low)), powers, scene)
 
     def distance(self, point: Host) -> float:
         """From a point to the nearest box, or if it is within one, to that one's middle."""
@@ -150,6 +167,28 @@ class Surroundings:
         away = np.linalg.norm(outside, axis=1)
         middles = np.linalg.norm(self.boxes.mean(axis=1) - point, axis=1)
         return float(np.min(np.where(away > 0.0, away, middles)))
+
+    def fits(self, point: Host, radius: float) -> bool:
+        """Whether a sphere at a light sees what moves where the light does, and does not where that has a shade."""
+        turns = np.arange(PLACES) * math.pi * (3.0 - math.sqrt(5.0))
+        away = np.sqrt((np.arange(PLACES) + 0.5) / PLACES)
+        disk = radius * np.stack([away * np.cos(turns), away * np.sin(turns)], axis=1)
+        for low, high in self.boxes:
+            middle, reach = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
+            before = float(np.linalg.norm(middle - point)) - reach  # from there on, it may be what moves itself
+            if before <= 0.0:
+                continue
+            towards = (middle - point) / np.linalg.norm(middle - point)
+            across = np.linalg.svd(towards[None, :])[2][1:]
+            bulge = np.sqrt(radius**2 - np.sum(disk**2, axis=1))  # of the side of the sphere that is turned there
+            origins = np.concatenate([point[None, :], point + disk @ across + bulge[:, None] * towards])
+            room = before - np.append(0.0, bulge)
+            corners = low + (high - low) * np.indices((2, 2, 2)).reshape(3, 8).T
+            for goal in (middle, *corners):
+                hidden = _first_hit(self.scene, origins, goal) < room
+                if not (np.all(hidden) if hidden[0] else np.mean(~hidden) >= OPEN):
+                    return False
+        return True
 
     @property
     def least(self) -> float:
@@ -160,6 +199,22 @@ class Surroundings:
 def lights_of(scene: Any) -> list[Any]:
     """The lights without a size that can be exchanged, in the scene's order."""
     return [one for one in scene.emitters() if one.class_name() in KINDS]
+
+
+def position_of(light: Any) -> Host:
+    """Where a light without a size is, shape (3,); of a directional light, nowhere that means anything."""
+    params = mi.traverse(light)
+    told = params["position"] if "position" in params else params["to_world"].translation()
+    return np.array(told, dtype=np.float64).reshape(3)
+
+
+def _first_hit(scene: Any, origins: Host, goal: Host) -> Host:
+    """How far away the first surface is on the ways from points, shape (n, 3), to one; infinite where there is none."""
+    ways = goal - origins
+    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
+    ray = mi.Ray3f(mi.Point3f(origins.astype(np.float32).T), mi.Vector3f(ways.astype(np.float32).T))
+    with dr.suspend_grad():
+        return np.array(scene.ray_intersect_preliminary(ray).t, dtype=np.float64)
 
 
 def _corners(box: Any) -> Host:
@@ -353,11 +408,15 @@ def _exchange_light(
         origin = np.array(props["position"]) if "position" in props else place[:3, 3]
         if kind == "spot" and not _lights(props, place, origin, around):
             return
-        share, most = size * around.distance(origin), WIDEST * around.least
-        radius, shape = max(min(share, most), 1e-4 * around.radius), "sphere"
+        share, most, least = size * around.distance(origin), WIDEST * around.least, 1e-4 * around.radius
+        radius, shape = max(min(share, most), least), "sphere"
+        narrowed = not around.fits(origin, radius)
+        while radius > least and not around.fits(origin, radius):
+            radius = max(0.5 * radius, least)
         pose = mi.ScalarTransform4f().translate(origin.tolist())
         factor = 1.0 / (math.pi * radius**2)
         of = f"{size:g} of its distance from what moves" if share <= most else f"{WIDEST:g} times that of what moves"
+        of = f"{of}, less to stay within what is around it" if narrowed else of
         how = f"a sphere of radius {radius:.3g}, {of}, for"
     lamp, surface = mi.Properties("area"), mi.Properties("diffuse")
     lamp["radiance"] = mi.ScalarColor3f((factor * power).tolist())

@@ -100,6 +100,9 @@ class NeighbouredRenderer(MitsubaRenderer):
         Parameters whose gradient is the neighbour's.
     exchanged : dict of StandIn
         By parameter that stands for something else there, for what.
+    only_shadows : bool
+        Whether the neighbour has only the gradient of what is hidden behind what, off the camera's rays; all else is
+        the scene's own.
     """
 
     def __init__(
@@ -110,6 +113,7 @@ class NeighbouredRenderer(MitsubaRenderer):
         neighbour: Loaded,
         moving: Iterable[str],
         exchanged: Mapping[str, StandIn],
+        only_shadows: bool = False,
         integrator: Any = None,
         spp: int = 16,
         spp_grad: int | None = None,
@@ -117,6 +121,7 @@ class NeighbouredRenderer(MitsubaRenderer):
         without_gradient: Iterable[str] = (),
     ) -> None:
         self._moving = frozenset(moving)
+        self._apart = frozenset() if only_shadows else self._moving  # whose gradient is the neighbour's alone
         self._exchanged = dict(exchanged)
         images = tuple(without_gradient)
         targets = {**parameters, **{name: one.target for name, one in exchanged.items()}}
@@ -126,7 +131,9 @@ class NeighbouredRenderer(MitsubaRenderer):
         )
         self._near_shapes = {name: value.shape for name, value in self._near.parameters().items()}
         super().__init__(scene, parameters, integrator=integrator, **options)
-        self._followed = tuple(name for name in self._able if name not in self._moving)
+        if only_shadows:
+            self._left_out, self._near._left_out = frozenset({"sppi"}), frozenset({"sppc", "sppp"})
+        self._followed = tuple(name for name in self._able if name not in self._apart)
 
     @property
     def neighbour(self) -> Any:
@@ -145,7 +152,7 @@ class NeighbouredRenderer(MitsubaRenderer):
         names = set(self._named.targets if follow is None else follow)
         other = copy(self)
         other._use(integrator, self._spp if spp is None else spp, spp_grad)
-        other._followed = tuple(name for name in self._able if name in names - self._moving)
+        other._followed = tuple(name for name in self._able if name in names - self._apart)
         other._near = self._near.with_integrator(integrator, spp=spp, spp_grad=spp_grad, follow=names & self._moving)
         return other
 
@@ -157,7 +164,7 @@ class NeighbouredRenderer(MitsubaRenderer):
             pulled |= super().pull(params, cotangent, seed=seed)
         if self._near.follows:
             near = self._near.pull(self._nearly(params), cotangent, seed=seed)
-            pulled |= {name: near[name] for name in self._moving}
+            pulled |= {name: pulled[name] + near[name] for name in self._moving}
         return pulled
 
     def push(self, params: Mapping[str, Any], tangent: Mapping[str, Any], *, seed: int = 0) -> Host:
@@ -167,8 +174,7 @@ class NeighbouredRenderer(MitsubaRenderer):
             parts.append(super().push(params, tangent, seed=seed))
         if self._near.follows:
             parts.append(self._near.push(self._nearly(params), self._nearly(tangent), seed=seed))
-        total: Host = np.sum(parts, axis=0, dtype=np.float32)
-        return total
+        return np.asarray(sum(parts), dtype=np.float32)  # one may have nothing to add, and is a single 0
 
     def _nearly(self, params: Mapping[str, Any]) -> dict[str, Any]:
         """Values for the neighbour, where a light of one grey has three colours."""

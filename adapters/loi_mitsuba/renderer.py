@@ -94,6 +94,8 @@ class MitsubaRenderer:
     >>> fit(renderer, LOIObjective(photo), steps=200, learning_rate=0.02)   # doctest: +SKIP
     """
 
+    _left_out: frozenset[str] = frozenset()  # parts of the gradient that are left to another renderer
+
     def __init__(
         self,
         scene: dict[str, Any] | str | Path | Scene,  # scene files take from here that it may be a path
@@ -254,7 +256,13 @@ class MitsubaRenderer:
         Outlines of meshes with sides are not Mitsuba's, nor are curves along which shapes go through each other.
         """
         entries, sensor, samples = self._named.entries, self._sensor, self._spp_grad
-        whole = ByMitsuba(self._scene, entries, sensor, self._integrator, samples, parts_of(self._integrator))
+        counts = parts_of(self._integrator)
+        if "sppc" in self._left_out and "sppi" not in counts:
+            return []  # it has nothing but what is left to another renderer
+        counts |= {part: 0 for part in self._left_out if part in counts}
+        if counts and not any(count != 0 for count in counts.values()):
+            return []
+        whole = ByMitsuba(self._scene, entries, sensor, self._integrator, samples, counts)
         if not self._outlines:
             return [(whole, self._followed)]
         parts: list[tuple[ByMitsuba | ByJumps, tuple[str, ...]]] = []
@@ -276,7 +284,7 @@ class MitsubaRenderer:
     @property
     def _outlines(self) -> int:
         """Samples per pixel of outlines in view; 0 for an integrator that has none."""
-        own = getattr(self._integrator, "sppp", 0)  # None where it has not been told
+        own = 0 if "sppp" in self._left_out else getattr(self._integrator, "sppp", 0)  # None where it is not told
         return 0 if own == 0 else int(self._spp_grad or own or self._spp)
 
     @property

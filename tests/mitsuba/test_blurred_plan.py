@@ -207,6 +207,16 @@ def test_the_plan_names_what_is_blurred_and_why(changes: dict[str, Any], target:
     np.testing.assert_array_equal(planned.render(start), image)
 
 
+def test_where_a_directional_area_shines_what_moves_is_blurred() -> None:
+    pose = mi.ScalarTransform4f().translate([0, 5, 0]).rotate(X, 90)
+    beam = {"type": "rectangle", "to_world": pose, "emitter": {"type": "directionalarea"}}
+    scene = lit_scene(lamp=beam, sky={"type": "constant"})
+    planned = PlannedRenderer(scene, {"it": Translate("ball", X)}, spp=4)
+    assert "where a DirectionalArea shines" in planned.plan.blurred["it"]
+    image, pullback = planned.render_vjp(planned.parameters())
+    assert np.all(np.isfinite(pullback(np.ones_like(image))["it"]))
+
+
 def test_what_an_image_of_depths_does_not_show_has_the_gradient_0() -> None:
     scene = lit_scene(integrator={"type": "depth"})
     for renderer in (

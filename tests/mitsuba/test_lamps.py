@@ -87,6 +87,22 @@ def test_it_is_that_of_finite_differences(kind: str) -> None:
     np.testing.assert_array_less(np.abs(mean - wanted), 0.02 * np.abs(wanted) + 4.0 * np.hypot(error, unsure))
 
 
+@pytest.mark.parametrize("changes", [{"half": 400.0}, {"glow": 0.05}], ids=["wide floor", "glowing floor"])
+def test_the_floor_may_be_wide_and_may_shine_itself(changes: dict[str, float]) -> None:
+    scene = lit_scene("point")
+    scene["floor"]["to_world"] = mi.ScalarTransform4f().rotate(X, -90).scale(changes.get("half", 8.0))
+    if "glow" in changes:
+        scene["floor"]["emitter"] = {"type": "area", "radiance": {"type": "rgb", "value": changes["glow"]}}
+    handles: dict[str, Any] = {"x": Translate("lamp", X), "y": Translate("lamp", Y)}
+    at: dict[str, Any] = {"x": np.float32(1.5), "y": np.float32(0.0)}
+    renderer = MitsubaRenderer(scene, handles, spp=64, without_gradient=tuple(handles))
+    lamps = Lamps(renderer, lamps_of(renderer.names, renderer.targets), 32)
+    drawn = [list(lamps.pull(at, RAMP, names=handles, seed=seed).values()) for seed in range(6)]
+    mean, error = np.mean(drawn, axis=0), np.std(drawn, axis=0, ddof=1) / np.sqrt(6)
+    wanted, unsure = differences(renderer, at, {"x": 0.1, "y": 0.1})
+    np.testing.assert_array_less(np.abs(mean - wanted), 0.02 * np.abs(wanted) + 4.0 * np.hypot(error, unsure))
+
+
 def test_its_noise_is_less_than_a_fiftieth_of_mitsubas_own() -> None:
     place = {"place": Translate("lamp")}
     renderer = MitsubaRenderer(lit_scene("ball"), place, spp=16)

@@ -78,6 +78,24 @@ def test_what_stands_for_a_light_is_as_bright(kind: str) -> None:
     np.testing.assert_allclose(near, own, rtol=0.02)  # of a directional light, a disk's rays are not quite parallel
 
 
+def test_a_lamp_stays_within_a_shade_and_not_below_a_ceiling() -> None:
+    """What is outside of the light's cone is in the dark, and a lamp that pokes through the shade would light it."""
+    light, black = [2.5, 4.9, 0.5], {"type": "twosided", "nested": {"type": "diffuse"}}
+    above = mi.ScalarTransform4f().translate([0, 4.95, 0]).rotate([1, 0, 0], 90).scale(9)
+    shade = {"type": "cylinder", "p0": [2.5, 4.5, 0.5], "p1": [2.5, 5.0, 0.5], "radius": 0.1, "bsdf": black}
+    ceiling = {"type": "rectangle", "to_world": above, "bsdf": black}
+    reasons = []
+    for around in (shade, ceiling):
+        lamp = {"type": "point", "position": light, "intensity": 20.0}
+        ball = {"type": "sphere", "center": [0, 1.2, 0], "radius": 0.7}
+        planned = PlannedRenderer(
+            shadow_scene(ball=ball, around=around, lamp=lamp), {"x": Translate("ball", (1, 0, 0))}
+        )
+        (reason,) = planned.plan.exchanged.values()
+        reasons.append("less to stay within what is around it" in reason)
+    assert reasons == [True, False]
+
+
 @pytest.mark.parametrize("kind", ["point", "directional", pytest.param("spot", marks=thorough)])
 def test_shadows_of_lights_without_a_size_have_the_gradient_of_finite_differences(kind: str) -> None:
     scene = lit_scene(kind)

@@ -15,7 +15,7 @@ from loi_core.errors import OptionError
 from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, Rotate, Translate
 from loi_mitsuba.cautions import is_crowded
 from loi_mitsuba.seams import crowded_share, has_seams, is_hard
-from tests.mitsuba.scenes import HEIGHT, WIDTH, box, shadow_scene
+from tests.mitsuba.scenes import HEIGHT, WIDTH, box, random_cotangent, shadow_scene
 
 RAMP = np.linspace(-1.0, 1.0, WIDTH, dtype=np.float32)[None, :, None] * np.ones((HEIGHT, WIDTH, 3), np.float32)
 MOVES: dict[str, Any] = {"x": Translate("mesh", (1, 0, 0))}
@@ -193,3 +193,27 @@ def test_a_cutout_is_blurred_and_told_of() -> None:
 def test_the_switch_is_true_or_false() -> None:
     with pytest.raises(OptionError, match=r"`neighbour.seams` must be true or false, got 1"):
         PlannedRenderer(scene_of({"type": "cube"}), MOVES, neighbour={"seams": 1})
+
+
+def test_a_box_keeps_its_texture_though_its_corners_are_shared() -> None:
+    """All but the gradient of its shadow is that of the scene itself: shared corners show other parts of a texture."""
+    values = mi.TensorXf(np.random.default_rng(0).random((4, 4, 3)).astype(np.float32))
+    paint = {"type": "diffuse", "reflectance": {"type": "bitmap", "data": values, "raw": True}}
+    pose = mi.ScalarTransform4f().translate([0, 1, 0]).scale(0.7)
+    scene = shadow_scene(mesh={"type": "cube", "to_world": pose, "bsdf": paint})
+    planned = PlannedRenderer(scene, MOVES, spp=8)
+    assert list(planned.plan.exchanged) == ["mesh 'mesh'"]
+    seen = {"type": "direct_projective", "guiding": "none", "sppc": 8, "sppp": 8, "sppi": 0}
+    with pytest.warns(GradientWarning, match="mesh 'mesh' stores the vertices of an edge more than once"):
+        alone = MitsubaRenderer(scene, MOVES, integrator=seen)
+    both = planned.unabridged.with_integrator(seen)
+    here, cotangent = planned.parameters(), random_cotangent()
+    wanted, found = (one.pull(here, cotangent, seed=1)["x"] for one in (alone, both))
+    assert abs(wanted) > 0.0
+    np.testing.assert_allclose(found, wanted, rtol=1e-4)
+    shadow = both.with_integrator(seen | {"sppc": 0, "sppp": 0, "sppi": 8})
+    assert abs(shadow.pull(here, cotangent, seed=1)["x"]) > 0.0
+    whole = both.with_integrator(seen | {"sppi": 8})
+    ahead = {name: np.ones_like(value) for name, value in here.items()}
+    along = np.vdot(whole.push(here, ahead, seed=2), cotangent)
+    assert float(whole.pull(here, cotangent, seed=2)["x"]) == pytest.approx(float(along), rel=1e-3)

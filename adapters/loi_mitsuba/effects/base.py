@@ -21,7 +21,7 @@ from loi_mitsuba.named import NamedParameters
 from loi_mitsuba.neighbour import Found, Neighbour, Surroundings, lights_of, neighbour_of
 from loi_mitsuba.neighboured import NeighbouredRenderer, exchanged_targets, targets_of_lights
 from loi_mitsuba.renderer import MitsubaRenderer
-from loi_mitsuba.seams import has_seams, is_flat, is_hard
+from loi_mitsuba.seams import has_seams, has_sides, is_flat, is_hard
 from loi_mitsuba.steps import has_steps, is_stepped
 
 __all__ = ["Base", "base_of"]
@@ -160,5 +160,15 @@ def _neighboured(
         return None
     start = NamedParameters(called, targets, options["without_gradient"]).start
     exchanged = exchanged_targets(lights, found, called, start)
-    base = NeighbouredRenderer(loaded, targets, neighbour=found.loaded, moving=moving, exchanged=exchanged, **options)
+    # A box whose corners are shared has another texture. Its outlines are drawn in the scene itself, and so is that.
+    only_shadows = bool(split) and near.seams and not stepped and all(has_sides(one) for one in split.values())
+    base = NeighbouredRenderer(
+        loaded,
+        targets,
+        neighbour=found.loaded,
+        moving=moving,
+        exchanged=exchanged,
+        only_shadows=only_shadows,
+        **options,
+    )
     return base, found

@@ -23,13 +23,15 @@ from loi_mitsuba.handles import Host, Rotate, Scale
 from loi_mitsuba.integrators import Settings
 from loi_mitsuba.loading import Target
 from loi_mitsuba.named import NamedParameters
+from loi_mitsuba.neighbour import position_of
 from loi_mitsuba.renderer import MitsubaRenderer, seeds_of
 
 __all__ = ["Lamps", "is_shape", "lamps_of", "reason_of"]
 
 POINTS: Final = ("PointLight", "SpotLight")
 OF_LAMP: Final = 0.25  # of a lamp's longest side that it is put to either side: no more than its penumbras are wide
-OF_SCENE: Final = 0.01  # of the scene's radius, for points and small lamps
+OF_DISTANCE: Final = 0.02  # of its distance from what the camera sees, for points and small lamps
+NEAR: Final = 25.0  # percent of what the camera sees is nearer to the lamp than that distance
 DEGREES: Final = 1.0
 OF_SCALE: Final = 0.02
 OUTLINE: Final = Settings("direct_projective", 2, 0)
@@ -85,10 +87,8 @@ class Lamps:
         self._lights = dict(lights)
         self._samples = samples
         self._named = NamedParameters(renderer.names, renderer.targets, tuple(renderer.targets))
-        targets = renderer.targets
-        box = renderer.scene.bbox()
-        radius = 0.5 * float(np.linalg.norm(np.array(box.extents(), dtype=np.float64)))
-        self._shifts = {name: _shift(targets[name], light, radius) for name, light in lights.items()}
+        seen = _seen(renderer.scene, renderer.sensor)
+        self._shifts = {name: _shift(renderer.targets[name], light, seen) for name, light in lights.items()}
 
     def pull(
         self, params: Mapping[str, Any], cotangent: Any, *, names: Iterable[str], seed: int = 0
@@ -96,6 +96,7 @@ class Lamps:
         """A cotangent of the image, shape (H, W, C), carried to the parameters `names`."""
         wanted = tuple(names)
         integrator = _integrator_of(mi.variant())(mi.Properties())
+        integrator.lamps = tuple(one for one in self._lights.values() if is_shape(one))
         number = seeds_of(seed)[1]
         slopes = self._slopes(integrator, params, wanted, number)
         with self._named.attached(params, wanted) as leaves:
@@ -145,16 +146,32 @@ class Lamps:
         return found
 
 
-def _shift(target: Target, light: Any, radius: float) -> float:
+def _seen(scene: Any, sensor: Any) -> Host:
+    """Points that the camera sees, shape (n, 3)."""
+    size = np.array(sensor.film().crop_size(), dtype=np.int64).reshape(2)
+    with dr.suspend_grad():
+        sampler = sensor.sampler().clone()
+        sampler.seed(0, int(np.prod(size)))
+        place, aperture = sampler.next_2d(), sampler.next_2d()
+        si = scene.ray_intersect(sensor.sample_ray(0.0, 0.5, place, aperture)[0])
+        points: Host = np.array(si.p, dtype=np.float64).T[np.array(si.is_valid())]
+    return points
+
+
+def _shift(target: Target, light: Any, seen: Host) -> float:
     """How far to either side a parameter is put for the slope of what hides its lamp, in its own unit."""
     if isinstance(target, Rotate):
         return DEGREES
     if isinstance(target, Scale):
         return OF_SCALE
-    longest = 0.0
     if isinstance(light, mi.Shape):
-        longest = float(np.max(np.array(light.bbox().extents(), dtype=np.float64)))
-    return max(OF_LAMP * longest, OF_SCENE * radius)
+        box = light.bbox()
+        place, longest = np.array(box.center()), float(np.max(np.array(box.extents(), dtype=np.float64)))
+    else:
+        place, longest = position_of(light), 0.0
+    away = np.linalg.norm(seen - place.reshape(1, 3), axis=1)
+    distance = float(np.percentile(away, NEAR)) if away.size else 1.0  # where nothing is seen, nothing is to be found
+    return max(OF_LAMP * longest, OF_DISTANCE * distance)
 
 
 @lru_cache
@@ -164,6 +181,14 @@ def _integrator_of(variant: str) -> Any:  # noqa: ARG001 - Mitsuba's classes are
 
     class FollowsLamps(ADIntegrator):  # type: ignore[misc]  # Mitsuba's integrators have no types
         slopes: tuple[tuple[Any, int, Any], ...] = ()
+        lamps: tuple[Any, ...] = ()
+
+        def is_lit(self, si: Any) -> Any:
+            """Whether what is hit is lit by a lamp that moves, and is not one: a surface that shines may be lit too."""
+            lit = si.is_valid()
+            for lamp in self.lamps:
+                lit &= si.shape != mi.ShapePtr(lamp)
+            return lit
 
         def visibility(self, scene: Any, sensor: Any, seed: int, samples: int) -> tuple[Any, Any]:
             """Of each sample, whether its point of a lamp can be seen; and whether the camera sees no lamp there."""
@@ -171,7 +196,7 @@ def _integrator_of(variant: str) -> Any:  # noqa: ARG001 - Mitsuba's classes are
                 sampler, _ = self.prepare(sensor, seed, samples, [])
                 ray, _, _ = self.sample_rays(scene, sensor, sampler)
                 si = scene.ray_intersect(mi.Ray3f(ray))
-                lit = si.is_valid() & (si.emitter(scene) == None)  # noqa: E711 - Dr.Jit compares lane by lane
+                lit = self.is_lit(si)
                 ds, _ = scene.sample_emitter_direction(si, sampler.next_2d(lit), test_visibility=False, active=lit)
                 seen = (ds.pdf != 0.0) & ~scene.ray_test(si.spawn_ray_to(ds.p), lit)
                 dr.eval(seen, lit)
@@ -182,7 +207,7 @@ def _integrator_of(variant: str) -> Any:  # noqa: ARG001 - Mitsuba's classes are
             with dr.suspend_grad():
                 si = scene.ray_intersect(mi.Ray3f(ray))
                 bsdf = si.bsdf(mi.RayDifferential3f(ray))
-                lit = si.is_valid() & (si.emitter(scene) == None)  # noqa: E711 - as above
+                lit = self.is_lit(si)
             ds, weight = scene.sample_emitter_direction(si, sampler.next_2d(lit), test_visibility=False, active=lit)
             lit &= ds.pdf != 0.0
             with dr.suspend_grad():
