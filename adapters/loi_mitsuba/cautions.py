@@ -11,7 +11,7 @@ import numpy as np
 
 from loi_core.support.wording import clause
 from loi_mitsuba.entries import Names
-from loi_mitsuba.seams import crowded_share, has_seams
+from loi_mitsuba.seams import crowded_share, has_seams, is_inside_out
 from loi_mitsuba.steps import has_steps
 
 __all__ = [
@@ -84,6 +84,11 @@ def _cautions(scene: Any, integrator: Any, shapes: list[Any], drawn: Container[A
             f"{_meshes(crowded, 'has', 'have')} edges at which more than two triangles meet, or that run along others, "
             f"and Mitsuba counts the gradient of such an edge several times; mend the mesh, or use PlannedRenderer, "
             f"which blurs"
+        )
+    if turned := _ids(each, is_inside_out):
+        yield (
+            f"{clause(turned, 'has', 'have')} normals that point inwards, and Mitsuba misses the shadow of such a "
+            f"shape and counts its outline too much; turn it round, or use PlannedRenderer, which blurs"
         )
     if cut := _ids(each, lets_through):
         yield (

@@ -15,8 +15,19 @@ import numpy as np
 
 from loi_core.support.arrays import Host
 
-__all__ = ["crowded_share", "edges_of", "has_seams", "has_sides", "is_closed", "is_flat", "is_hard", "merge_seams"]
+__all__ = [
+    "crowded_share",
+    "edges_of",
+    "has_seams",
+    "has_sides",
+    "is_closed",
+    "is_flat",
+    "is_hard",
+    "is_inside_out",
+    "merge_seams",
+]
 
+SURFACE: Final = 1024  # points of a shape, for where its normals point
 CREASE: Final = 0.05  # between the unit normals of two triangles that are not of one side: 3 degrees
 BENT: Final = 1e-4  # between them where two triangles are not of one plane, rounding apart
 HARD: Final = 0.5  # of the triangles, and between the unit normals of two that meet: some 30 degrees
@@ -131,6 +142,27 @@ def is_closed(shape: Any) -> bool:
     """Whether a mesh has no border, however its vertices are stored. A rectangle, whose outline is one, is not."""
     params = mi.traverse(shape)
     return "faces" in params and _borders(_places(params)[_faces(params)]) == 0
+
+
+def is_inside_out(shape: Any) -> bool:
+    """Whether the normals of a sphere, or of a closed mesh that is not flat-shaded, point inwards."""
+    box = shape.bbox()
+    middle = np.array(box.center(), dtype=np.float64).reshape(3)
+    if shape.class_name() == "Sphere":
+        away = np.array([np.linalg.norm(np.array(box.extents())), 0.0, 0.0])
+        ray = mi.Ray3f(mi.Point3f(*(middle + away).tolist()), mi.Vector3f(-1.0, 0.0, 0.0))
+        with dr.suspend_grad():
+            return bool(np.array(shape.ray_intersect(ray).n).reshape(3)[0] < 0.0)
+    if not isinstance(shape, mi.Mesh) or not is_closed(shape) or "vertex_normals" not in mi.traverse(shape):
+        return False
+    params = mi.traverse(shape)
+    a, b, c = np.array(params["vertex_positions"], dtype=np.float64).reshape(-1, 3)[_faces(params)].transpose(1, 0, 2)
+    wound = float(np.sum(np.cross(a - middle, b - middle) * (c - middle)))  # six times the volume
+    with dr.suspend_grad():
+        places = np.random.default_rng(0).random((2, SURFACE), dtype=np.float32)
+        found = shape.sample_position(0.0, mi.Point2f(places))
+        turned = np.sum((np.array(found.p) - middle[:, None]) * np.array(found.n))  # of Gauss's theorem, as well
+    return wound < 0.0 or float(turned) < 0.0
 
 
 def is_hard(shape: Any) -> bool:

@@ -14,7 +14,7 @@ import trimesh
 from loi_core.errors import OptionError
 from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, Rotate, Translate
 from loi_mitsuba.cautions import is_crowded
-from loi_mitsuba.seams import crowded_share, has_seams, is_hard
+from loi_mitsuba.seams import crowded_share, has_seams, is_hard, is_inside_out
 from tests.mitsuba.scenes import HEIGHT, WIDTH, box, random_cotangent, shadow_scene
 
 RAMP = np.linspace(-1.0, 1.0, WIDTH, dtype=np.float32)[None, :, None] * np.ones((HEIGHT, WIDTH, 3), np.float32)
@@ -217,3 +217,35 @@ def test_a_box_keeps_its_texture_though_its_corners_are_shared() -> None:
     ahead = {name: np.ones_like(value) for name, value in here.items()}
     along = np.vdot(whole.push(here, ahead, seed=2), cotangent)
     assert float(whole.pull(here, cotangent, seed=2)["x"]) == pytest.approx(float(along), rel=1e-3)
+
+
+MIRRORED = {"to_world": ("scale", [-1, 1, 1])}
+
+
+@pytest.mark.parametrize(
+    ("shape", "inside_out"),
+    [
+        ({"type": "sphere"}, False),
+        ({"type": "sphere", "flip_normals": True}, True),
+        ({"type": "sphere"} | MIRRORED, True),
+        ({"type": "sphere", "flip_normals": True} | MIRRORED, False),
+        ({"type": "cube"}, False),
+        ({"type": "cube"} | MIRRORED, True),
+        ({"type": "cube", "flip_normals": True}, True),
+        ({"type": "rectangle", "flip_normals": True}, False),
+    ],
+    ids=str,
+)
+def test_what_is_turned_inside_out_is_blurred_and_told_of(
+    shape: dict[str, Any], inside_out: bool, recwarn: pytest.WarningsRecorder
+) -> None:
+    """Of a ball so turned, the gradient was three times too large along one axis; of a box, its sign was wrong."""
+    shape = dict(shape)
+    if "to_world" in shape:
+        shape["to_world"] = mi.ScalarTransform4f().scale(shape["to_world"][1])
+    scene = shadow_scene(mesh=shape | {"bsdf": {"type": "twosided", "nested": {"type": "diffuse"}}})
+    (found,) = (one for one in mi.load_dict(scene, optimize=False).shapes() if one.id() == "mesh")
+    assert is_inside_out(found) == inside_out
+    assert list(PlannedRenderer(scene, MOVES).plan.blurred) == (["x"] if inside_out else [])
+    MitsubaRenderer(scene, MOVES)
+    assert any("normals that point inwards" in str(one.message) for one in recwarn) == inside_out
