@@ -6,6 +6,7 @@ import warnings
 from collections.abc import Callable, Container, Iterator, Mapping
 from typing import Any, Final
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -16,6 +17,7 @@ from loi_mitsuba.steps import has_steps
 
 __all__ = [
     "GradientWarning",
+    "is_clipped",
     "is_cropped",
     "is_crowded",
     "lets_through",
@@ -28,6 +30,7 @@ CURVES: Final = ("BSplineCurve", "LinearCurve")
 WITH_ALPHA: Final = (2, 4)  # channels
 CHOICES: Final = {"MaskBSDF": "opacity", "BlendBSDF": "weight"}
 COLOURS: Final = ("specular_reflectance", "specular_transmittance", "eta", "k")
+GRID: Final = 64  # places of the image along either side
 CROWDED: Final = 0.05  # of a mesh's edges, by length: what its gradient may be off by
 
 
@@ -45,7 +48,7 @@ def warn_of_moving(scene: Any, sensor: Any, integrator: Any, shapes: list[Any], 
     of a mesh that belongs to one triangle, or to more than two, for a border, so that an edge whose vertices are stored
     twice counts twice. The edges in view of those that are `drawn` are not its business.
     """
-    for msg in (*_cautions(scene, integrator, shapes, drawn), *_cautions_in_view(sensor, shapes, drawn)):
+    for msg in (*_cautions(scene, integrator, shapes, drawn), *_cautions_in_view(scene, sensor, shapes, drawn)):
         warnings.warn(msg, GradientWarning, stacklevel=4)
 
 
@@ -97,13 +100,18 @@ def _cautions(scene: Any, integrator: Any, shapes: list[Any], drawn: Container[A
         )
 
 
-def _cautions_in_view(sensor: Any, shapes: list[Any], drawn: Container[Any]) -> Iterator[str]:
+def _cautions_in_view(scene: Any, sensor: Any, shapes: list[Any], drawn: Container[Any]) -> Iterator[str]:
     """What there is to warn of where the shapes are seen, one message each."""
     each, film = list(dict.fromkeys(shapes)), sensor.film()
     if is_cropped(sensor) and (others := _ids(each, lambda shape: shape not in drawn)):
         yield (
             f"{clause(others, 'moves', 'move')} before a film with a crop window, where Mitsuba puts outlines in wrong "
             f"places; render the whole film, or use PlannedRenderer, which blurs"
+        )
+    if each and is_clipped(scene, sensor):
+        yield (
+            "a shape moves before a camera whose near clipping plane cuts something away, and Mitsuba takes that for "
+            "what hides the rest; move it out of the way, or use PlannedRenderer, which blurs"
         )
     if each and (mi.is_spectral or mi.is_polarized):
         yield (
@@ -129,6 +137,19 @@ def _ids(shapes: list[Any], is_one: Callable[[Any], bool]) -> list[str]:
 
 def _meshes(ids: list[str], one: str, several: str) -> str:
     return f"{'mesh' if len(ids) == 1 else 'meshes'} {clause(ids, one, several)}"
+
+
+def is_clipped(scene: Any, sensor: Any) -> bool:
+    """Whether something is between a perspective camera and its near clipping plane, which the image does not show."""
+    if sensor.class_name() != "PerspectiveCamera":
+        return False
+    grid = (np.indices((GRID, GRID)).reshape(2, -1).astype(np.float32) + np.float32(0.5)) / np.float32(GRID)
+    with dr.suspend_grad():
+        ray, _ = sensor.sample_ray(0.0, 0.5, mi.Point2f(grid), mi.Point2f(0.5))
+        eye = mi.Point3f(sensor.world_transform().translation())
+        way = mi.Ray3f(eye, ray.d)
+        way.maxt = dr.norm(ray.o - eye)
+        return bool(np.any(np.array(scene.ray_test(way))))
 
 
 def is_cropped(sensor: Any) -> bool:

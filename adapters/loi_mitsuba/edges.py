@@ -95,8 +95,9 @@ class Edges:
             seen = (ahead - behind) * self._size
             length = dr.norm(seen)
             across = mi.Vector2f(-seen.y, seen.x) / length
-            ray = mi.Ray3f(eye.place, -away / distance)
-            ray.maxt = distance - dr.minimum(NEARLY * distance, HIDDEN * dr.norm(edge))
+            start = eye.opening(point)
+            ray = mi.Ray3f(start, -away / distance)
+            ray.maxt = dr.norm(point - start) - dr.minimum(NEARLY * distance, HIDDEN * dr.norm(edge))
             active = eye.sees(point)[3] & (length > 0.0) & ~scene.ray_test(ray)
             middles = [eye.sees((first + second + one) / 3.0)[2] for one in third]
             ends = self._sides(dr.detach(place), across, middles)

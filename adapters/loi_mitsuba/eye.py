@@ -34,6 +34,7 @@ class Eye:
         self._to_local = to_world.inverse()
         self._to_film = sensor.projection_transform()
         self._offset = offset_of(sensor)
+        self._near = float(np.array(sensor.near_clip()).reshape(-1)[0])
         matrix = np.array(self._to_film.matrix, dtype=np.float64).reshape(4, 4)
         # Pixels to the area of the film at distance 1.
         self._density = abs(float(width * height * matrix[0, 0] * matrix[1, 1] / matrix[3, 2] ** 2))
@@ -100,11 +101,16 @@ class Eye:
         distance = dr.norm(away)
         local = self._to_local @ point
         ahead = local.z / distance
-        visible = ahead > LEAST_AHEAD
+        visible = (ahead > LEAST_AHEAD) & (local.z > self._near)
         place = self._to_film @ local
         weight = self._density / (dr.square(distance) * ahead * ahead * ahead)
         shown = mi.Point2f(place.x, place.y) - mi.Point2f(*self._offset)
         return away / distance, dr.select(visible, weight, 0.0), shown, visible
+
+    def opening(self, point: Any) -> Any:
+        """Where the way to a point in front begins: what is nearer than the near clipping plane hides nothing."""
+        local = self._to_local @ point
+        return self.place + (point - self.place) * (self._near / dr.maximum(local.z, self._near))
 
 
 def offset_of(sensor: Any) -> tuple[float, float]:

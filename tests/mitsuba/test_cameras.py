@@ -66,3 +66,23 @@ def test_alpha_is_warned_of() -> None:
     scene["sensor"]["film"] |= {"pixel_format": "rgba"}
     with pytest.warns(GradientWarning, match="outlines have no gradient in the film's alpha"):
         MitsubaRenderer(scene, {"x": Translate("ball", (1, 0, 0))})
+
+
+def test_what_is_nearer_than_the_near_clipping_plane_hides_no_edge() -> None:
+    """A wall that the image does not show, as of a room that is looked into from without."""
+    scene = scene_before({"near_clip": 3.0}, {})
+    pose = PLACE().look_at([0, 4.5, 4.5], [0, 6, 6], [0, 1, 0]).scale(3)
+    walled = scene | {"wall": {"type": "rectangle", "to_world": pose, "emitter": glow(0.0, 0.4, 0.1)}}
+    targets = {"x": Translate("block", (1, 0, 0))}
+    edges = {"type": "direct_projective", "guiding": "none", "sppc": 0, "sppp": 64, "sppi": 0}
+    cotangent = np.random.default_rng(0).standard_normal((HEIGHT, WIDTH, 3)).astype(np.float32)
+    pulled = []
+    for one in (scene, walled):
+        with pytest.warns(GradientWarning):
+            renderer = MitsubaRenderer(one, targets, integrator=edges)
+        pulled.append(renderer.pull(renderer.parameters(), cotangent, seed=1)["x"])
+    assert abs(pulled[0]) > 0.0
+    assert pulled[1] == pytest.approx(pulled[0], rel=1e-3)
+    planned = PlannedRenderer(walled, targets)
+    assert "near clipping plane" in planned.plan.blurred["x"]
+    assert not PlannedRenderer(scene, targets).plan.blurred

@@ -158,7 +158,7 @@ class Samples:
         cosine = dr.dot(point.n, along)
         visible &= cosine > 0.0
         with dr.suspend_grad():
-            visible &= ~self._scene.ray_test(point.spawn_ray_to(self._eye.place), visible)
+            visible &= ~self._scene.ray_test(point.spawn_ray_to(self._eye.opening(point.p)), visible)
         start = _before(point, along)
         number = sampler.next_2d()
         shown, share = self._bent(start, sampler, visible, mi.TransportMode.Radiance)
@@ -210,7 +210,7 @@ class Samples:
         """Of light that falls on a surface, what the camera sees of it past glass, and its place."""
         active = active & si.is_valid() & ~_clear_at(si)
         along, weight, place, visible = self._eye.sees(si.p)
-        active &= visible & self._is_open(si, self._eye.place, active)
+        active &= visible & self._is_open(si, self._eye.opening(si.p), active)
         context = mi.BSDFContext(mi.TransportMode.Importance)
         value = si.bsdf().eval(context, si, si.to_local(along), active)
         return dr.select(active, power * value * weight, 0.0), place
@@ -226,7 +226,7 @@ class Samples:
         lit = active & (lamp.pdf != 0.0) & self._is_open(si, lamp.p, active)
         value = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(lamp.d), lit)
         along, _, place, visible = self._eye.sees(si.p)
-        shown = active & visible & (dr.dot(si.n, along) > 0.0) & self._is_open(si, self._eye.place, active)
+        shown = active & visible & (dr.dot(si.n, along) > 0.0) & self._is_open(si, self._eye.opening(si.p), active)
         thrown = dr.select(shown, self._eye.looked_up(light, place), 0.0)
         return emitted + dr.select(lit, value * weight, 0.0) + thrown
 
