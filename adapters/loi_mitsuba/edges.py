@@ -2,8 +2,8 @@
 
 Projective sampling asks how bright a mesh is at an outline, and takes for it the triangle that the edge was found with,
 which of a box is as often the side that is turned away. Between two sides that are both seen it looks for no edge. And
-edges of a rectangle that leans count for more or less than they are long. So points of such edges are drawn here, and
-the jump at each is that of two rays, one on either side of it.
+edges of a rectangle or disk that leans count for more or less than they are long. So points of such edges are drawn
+here, and the jump at each is that of two rays, one on either side of it.
 """
 
 from __future__ import annotations
@@ -25,12 +25,12 @@ SHARE: Final = 4  # samples of the image for one here
 LEAST: Final = 4096
 WITHIN: Final = 0.25  # of the way from an edge to the middle of a triangle, at most, for a ray that is to hit it
 HIDDEN: Final = 0.02  # of the length of an edge: what is nearer than it by less does not hide it
-CORNERS: Final = ((-1.0, -1.0, 0.0), (1.0, -1.0, 0.0), (1.0, 1.0, 0.0), (-1.0, 1.0, 0.0))  # of a rectangle of Mitsuba's
+RIM: Final = 1024  # edges of a disk: they are off its rim by less than BESIDE, up to 20,000 pixels across
 STEP: Final = 0.01  # of the distance to the camera, along an edge to either side, for the direction that it is seen in
 
 
 class Edges:
-    """The edges of rectangles, and of meshes that have sides, and the gradient of what is in view by where they are.
+    """The edges of flat shapes, and of meshes that have sides, and the gradient of what is in view by where they are.
 
     Parameters
     ----------
@@ -46,8 +46,8 @@ class Edges:
     def __init__(self, sensor: Any, shapes: list[Any]) -> None:
         self.shapes = shapes
         self._sensor = sensor
-        self._params = [mi.traverse(shape) for shape in shapes]
-        places = [np.array(_positions(one)).reshape(-1, 3) for one in self._params]
+        self._params = [(str(shape.class_name()), mi.traverse(shape)) for shape in shapes]
+        places = [np.array(_positions(*one)).reshape(-1, 3) for one in self._params]
         first = np.cumsum([0, *map(len, places[:-1])])
         found = [_edges_of(shape) for shape in shapes]
         ends, third = (
@@ -61,14 +61,14 @@ class Edges:
 
     @classmethod
     def of(cls, scene: Any, sensor: Any, shapes: Iterable[Any]) -> Edges | None:
-        """The edges of those of some shapes of a scene that are rectangles, or meshes with sides.
+        """The edges of those of some shapes of a scene that are flat, or meshes with sides.
 
         None where there are none, or the scene is not plain.
         """
         if not is_plain(scene, sensor):
             return None
         own = scene.shapes()
-        sided = [one for one in dict.fromkeys(shapes) if one in own and (_is_rectangle(one) or has_sides(one))]
+        sided = [one for one in dict.fromkeys(shapes) if one in own and (one.class_name() in FLAT or has_sides(one))]
         return cls(sensor, sided) if sided else None
 
     def jumps(self, scene: Any, integrator: Any, samples: int, seed: int) -> tuple[Any, Any]:
@@ -77,7 +77,7 @@ class Edges:
         pixels = int(self._size.x[0] * self._size.y[0])
         count = max(LEAST, samples * pixels // SHARE)
         sampler = sampler_of(seed, count)
-        positions = dr.concat([_positions(one) for one in self._params])
+        positions = dr.concat([_positions(*one) for one in self._params])
         with dr.suspend_grad():
             drawn = self._drawn(eye, dr.detach(positions))
             index, along = drawn.sample_reuse(sampler.next_1d())
@@ -141,20 +141,31 @@ class Edges:
         return ends[0], ends[1]
 
 
-def _is_rectangle(shape: Any) -> bool:
-    return str(shape.class_name()) == "Rectangle"
+def _rims() -> dict[str, Host]:
+    """The outlines of Mitsuba's flat shapes, in their own coordinates: shape (n, 3)."""
+    turns = 2.0 * np.pi * np.arange(RIM) / RIM
+    return {
+        "Rectangle": np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]]),
+        "Disk": np.stack([np.cos(turns), np.sin(turns), np.zeros(RIM)], axis=1),
+    }
 
 
-def _positions(params: Any) -> Any:
+FLAT: Final = _rims()
+
+
+def _positions(kind: str, params: Any) -> Any:
     """Of the vertices of a shape, one after the other; they change with what moves it."""
-    if "to_world" not in params:
+    if kind not in FLAT:
         return params["vertex_positions"]
-    return dr.ravel(params["to_world"] @ mi.Point3f(np.array(CORNERS, dtype=np.float32).T))
+    return dr.ravel(params["to_world"] @ mi.Point3f(np.ascontiguousarray(FLAT[kind].T, dtype=np.float32)))
 
 
 def _edges_of(shape: Any) -> tuple[Host, Host]:
-    """As :func:`edges_of`, of a rectangle as well."""
-    if not _is_rectangle(shape):
+    """As :func:`edges_of`, of a rectangle or disk as well."""
+    if shape.class_name() not in FLAT:
         return edges_of(shape)
-    ends = np.array([[0, 1], [1, 2], [2, 3], [3, 0]])
-    return ends, np.roll(ends, -1, axis=0)[:, [1, 1]]
+    count = len(FLAT[shape.class_name()])
+    first = np.arange(count)
+    ends: Host = np.stack([first, (first + 1) % count], axis=1)
+    across: Host = np.repeat(((first + count // 2) % count)[:, None], 2, axis=1)
+    return ends, across
