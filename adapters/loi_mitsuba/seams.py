@@ -28,6 +28,7 @@ __all__ = [
 ]
 
 SURFACE: Final = 1024  # points of a shape, for where its normals point
+INWARDS: Final = 0.5  # of what they enclose, that is to be negative: not where sides are there twice, back to back
 CREASE: Final = 0.05  # between the unit normals of two triangles that are not of one side: 3 degrees
 BENT: Final = 1e-4  # between them where two triangles are not of one plane, rounding apart
 HARD: Final = 0.5  # of the triangles, and between the unit normals of two that meet: some 30 degrees
@@ -157,12 +158,12 @@ def is_inside_out(shape: Any) -> bool:
         return False
     params = mi.traverse(shape)
     a, b, c = np.array(params["vertex_positions"], dtype=np.float64).reshape(-1, 3)[_faces(params)].transpose(1, 0, 2)
-    wound = float(np.sum(np.cross(a - middle, b - middle) * (c - middle)))  # six times the volume
+    wound = np.sum(np.cross(a - middle, b - middle) * (c - middle), axis=1)  # six times the volume, by triangle
     with dr.suspend_grad():
         places = np.random.default_rng(0).random((2, SURFACE), dtype=np.float32)
         found = shape.sample_position(0.0, mi.Point2f(places))
-        turned = np.sum((np.array(found.p) - middle[:, None]) * np.array(found.n))  # of Gauss's theorem, as well
-    return wound < 0.0 or float(turned) < 0.0
+        turned = np.sum((np.array(found.p) - middle[:, None]) * np.array(found.n), axis=0)  # so by Gauss's theorem
+    return any(float(np.sum(one)) < -INWARDS * float(np.sum(np.abs(one))) for one in (wound, turned))
 
 
 def is_hard(shape: Any) -> bool:

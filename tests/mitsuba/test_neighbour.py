@@ -318,8 +318,8 @@ def test_a_scene_s_dict_can_be_loaded_again_with_its_tensors() -> None:
         ({"lights": 0.6}, r"`neighbour\.lights` must be 0 to 0\.5, got 0\.6"),
         ({"mirrors": float("nan")}, r"`neighbour\.mirrors` must be 0 to 0\.5, got nan"),
         ({"mirrors": "rough"}, r"`neighbour\.mirrors` must be 0 to 0\.5, got 'rough'"),
-        ({"lamps": 0.1}, r"`neighbour` must be a Neighbour, None, or a table of lights, mirrors, seams, got"),
-        (0.1, r"`neighbour` must be a Neighbour, None, or a table of lights, mirrors, seams, got 0\.1"),
+        ({"lamps": 0.1}, r"`neighbour` must be a Neighbour, None, or a table of lights, mirrors, seams, textures, got"),
+        (0.1, r"`neighbour` must be a Neighbour, None, or a table of lights, mirrors, seams, textures, got 0\.1"),
     ],
 )
 def test_settings_of_a_neighbour_are_checked(neighbour: Any, says: str) -> None:
