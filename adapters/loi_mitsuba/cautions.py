@@ -20,6 +20,7 @@ __all__ = [
     "is_clipped",
     "is_cropped",
     "is_crowded",
+    "is_turned",
     "lets_through",
     "misses_entry",
     "warn_of_entries",
@@ -88,11 +89,6 @@ def _cautions(scene: Any, integrator: Any, shapes: list[Any], drawn: Container[A
             f"and Mitsuba counts the gradient of such an edge several times; mend the mesh, or use PlannedRenderer, "
             f"which blurs"
         )
-    if turned := _ids(each, is_inside_out):
-        yield (
-            f"{clause(turned, 'has', 'have')} normals that point inwards, and Mitsuba misses the shadow of such a "
-            f"shape and counts its outline too much; turn it round, or use PlannedRenderer, which blurs"
-        )
     if cut := _ids(each, lets_through):
         yield (
             f"{clause(cut, 'lets', 'let')} light straight through in part, and Mitsuba has no gradient of cutouts; use "
@@ -107,6 +103,11 @@ def _cautions_in_view(scene: Any, sensor: Any, shapes: list[Any], drawn: Contain
         yield (
             f"{clause(others, 'moves', 'move')} before a film with a crop window, where Mitsuba puts outlines in wrong "
             f"places; render the whole film, or use PlannedRenderer, which blurs"
+        )
+    if turned := _ids(each, lambda shape: is_turned(shape, sensor)):
+        yield (
+            f"{clause(turned, 'has', 'have')} normals that point inwards, and Mitsuba misses the shadow of such a "
+            f"shape and counts its outline too much; turn it round, or use PlannedRenderer, which blurs"
         )
     if each and is_clipped(scene, sensor):
         yield (
@@ -137,6 +138,12 @@ def _ids(shapes: list[Any], is_one: Callable[[Any], bool]) -> list[str]:
 
 def _meshes(ids: list[str], one: str, several: str) -> str:
     return f"{'mesh' if len(ids) == 1 else 'meshes'} {clause(ids, one, several)}"
+
+
+def is_turned(shape: Any, sensor: Any) -> bool:
+    """Whether the normals of a closed shape point inwards, and it is not one that is around the camera, as a sky."""
+    place = np.array(sensor.world_transform().translation(), dtype=np.float64).reshape(3)
+    return is_inside_out(shape) and not shape.bbox().contains(mi.ScalarPoint3f(place.tolist()))
 
 
 def is_clipped(scene: Any, sensor: Any) -> bool:

@@ -7,11 +7,10 @@ from typing import Any
 
 import mitsuba as mi
 
-from loi_mitsuba.cautions import is_clipped, is_cropped, is_crowded, lets_through, misses_entry
+from loi_mitsuba.cautions import is_clipped, is_cropped, is_crowded, is_turned, lets_through, misses_entry
 from loi_mitsuba.effects.traits import has_medium, is_clear, is_known, kind_of
 from loi_mitsuba.entries import INSTANCE, Names, is_instance
 from loi_mitsuba.loading import Target
-from loi_mitsuba.seams import is_inside_out
 
 __all__ = ["missing_gradients"]
 
@@ -62,7 +61,7 @@ def _of_moving(node: Any, scene: Any, sensor: Any, *, medium: bool, whole: bool)
         return "it moves a shape of a shapegroup, whose outlines and shadows have no gradient in Mitsuba"
     if whole and lets_through(node):
         return "it moves a shape that light goes straight through in part, and Mitsuba has no gradient of cutouts"
-    if whole and is_inside_out(node):
+    if whole and is_turned(node, sensor):
         return "it moves a shape whose normals point inwards, of which Mitsuba misses the shadow"
     if whole and is_crowded(node):
         return "it moves a mesh at whose edges several triangles meet, and Mitsuba counts such an edge several times"
