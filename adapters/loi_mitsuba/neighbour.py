@@ -409,14 +409,14 @@ def _exchange_light(
         if kind == "spot" and not _lights(props, place, origin, around):
             return
         share, most, least = size * around.distance(origin), WIDEST * around.least, 1e-4 * around.radius
-        radius, shape = max(min(share, most), least), "sphere"
-        narrowed = not around.fits(origin, radius)
+        radius = widest = max(min(share, most), least)
+        shape = "sphere"
         while radius > least and not around.fits(origin, radius):
             radius = max(0.5 * radius, least)
         pose = mi.ScalarTransform4f().translate(origin.tolist())
         factor = 1.0 / (math.pi * radius**2)
         of = f"{size:g} of its distance from what moves" if share <= most else f"{WIDEST:g} times that of what moves"
-        of = f"{of}, less to stay within what is around it" if narrowed else of
+        of = f"{of}, less to stay within what is around it" if radius < widest else of
         how = f"a sphere of radius {radius:.3g}, {of}, for"
     lamp, surface = mi.Properties("area"), mi.Properties("diffuse")
     lamp["radiance"] = mi.ScalarColor3f((factor * power).tolist())

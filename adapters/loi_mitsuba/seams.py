@@ -154,9 +154,9 @@ def is_inside_out(shape: Any) -> bool:
         ray = mi.Ray3f(mi.Point3f(*(middle + away).tolist()), mi.Vector3f(-1.0, 0.0, 0.0))
         with dr.suspend_grad():
             return bool(np.array(shape.ray_intersect(ray).n).reshape(3)[0] < 0.0)
-    if not isinstance(shape, mi.Mesh) or not is_closed(shape) or "vertex_normals" not in mi.traverse(shape):
-        return False
     params = mi.traverse(shape)
+    if not isinstance(shape, mi.Mesh) or "vertex_normals" not in params or not is_closed(shape):
+        return False
     a, b, c = np.array(params["vertex_positions"], dtype=np.float64).reshape(-1, 3)[_faces(params)].transpose(1, 0, 2)
     wound = np.sum(np.cross(a - middle, b - middle) * (c - middle), axis=1)  # six times the volume, by triangle
     with dr.suspend_grad():

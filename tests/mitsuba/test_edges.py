@@ -81,8 +81,10 @@ def slopes(renderer: MitsubaRenderer, names: Iterable[str] = MOVES) -> tuple[Hos
     weight, drawn = bump().astype(np.float64), []
     for seed in range(4):
         sides = {
-            name: [renderer.render(AT | {name: AT[name] + np.float32(by)}, seed=seed) for by in (step, -step)]
-            for name, step in ((name, STEPS[name]) for name in names)
+            name: [
+                renderer.render(AT | {name: AT[name] + np.float32(by)}, seed=seed) for by in (STEPS[name], -STEPS[name])
+            ]
+            for name in names
         }
         drawn.append(
             [np.sum((ahead - behind) * weight) / (2.0 * STEPS[name]) for name, (ahead, behind) in sides.items()]
