@@ -13,7 +13,7 @@ import numpy as np
 
 from loi_mitsuba.crossings import Crossings
 from loi_mitsuba.edges import Edges
-from loi_mitsuba.eye import Eye
+from loi_mitsuba.film import Film
 from loi_mitsuba.handles import Host
 from loi_mitsuba.integrators import PARTS
 from loi_mitsuba.named import as_host
@@ -96,7 +96,9 @@ class ByJumps:
     Attributes
     ----------
     drawn : Edges or Crossings
-    scene, sensor : mi.Scene, mi.Sensor
+    scene : mi.Scene
+    film : Film
+        Of the camera.
     radiance : mi.Integrator
         Says how bright it is where a ray goes.
     samples : int
@@ -105,7 +107,7 @@ class ByJumps:
 
     drawn: Edges | Crossings
     scene: Any
-    sensor: Any
+    film: Film
     radiance: Any
     samples: int
 
@@ -114,19 +116,16 @@ class ByJumps:
         found = self.drawn.jumps(self.scene, self.radiance, self.samples, seed)
         if found is not None:
             value, place = found
-            eye = Eye(self.sensor)
-            weight = eye.looked_up(eye.texture(eye.padded(cotangent)), place)
+            weight = self.film.looked_up(cotangent, place)
             dr.backward(dr.sum(value * weight, axis=None), dr.ADFlag.ClearInterior)
 
     def push(self, seed: int, seed_grad: int) -> Host:  # noqa: ARG002  # there is no image to draw
         """How the image changes with the shapes, which have a gradient: shape (H, W, C)."""
         found = self.drawn.jumps(self.scene, self.radiance, self.samples, seed_grad)
         if found is None:
-            film = self.sensor.film()
-            width, height = film.crop_size()
-            return np.zeros((height, width, film.base_channels_count()), dtype=np.float32)
+            width, height = self.film.size
+            return np.zeros((height, width, self.film.channels), dtype=np.float32)
         value, place = found
         change = mi.Color3f(dr.forward_to(value, flags=dr.ADFlag.ClearInterior))
         with dr.suspend_grad():
-            eye = Eye(self.sensor)
-            return eye.on_film(eye.cropped(eye.splat([(change, place)])))
+            return self.film.splat(change, place)

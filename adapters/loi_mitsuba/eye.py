@@ -9,6 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from loi_mitsuba.film import Film
 from loi_mitsuba.handles import Host
 
 __all__ = ["BESIDE", "NEARLY", "Eye", "brighter", "is_plain", "offset_of", "sampler_of"]
@@ -16,18 +17,14 @@ __all__ = ["BESIDE", "NEARLY", "Eye", "brighter", "is_plain", "offset_of", "samp
 BESIDE: Final = 0.05  # pixels from a jump of brightness, to either side
 NEARLY: Final = 1e-3  # of the distance to the camera: what is nearer than an edge by less does not hide it
 LEAST_AHEAD: Final = 1e-3  # cosine between the way to a point and where the camera looks: less is out of any view
-LUMINANCE: Final = ((0.2126, 0.7152, 0.0722),)  # of linear red, green and blue (Rec. 709)
-XYZ: Final = ((0.412453, 0.357580, 0.180423), (0.212671, 0.715160, 0.072169), (0.019334, 0.119193, 0.950227))
 
 
 class Eye:
     """A perspective camera; of points around the image, to a quarter of its longer side, it knows the place as well."""
 
     def __init__(self, sensor: Any) -> None:
-        width, height = (int(one) for one in sensor.film().crop_size())  # the image, and what places are fractions of
-        self._size = (width, height)
-        self._channels = int(sensor.film().base_channels_count())
-        self._mix = np.asarray(_mix_of(sensor.film(), self._channels), dtype=np.float32)
+        self._film = Film(sensor.film())
+        self._size = width, height = self._film.size  # of the image, and what places are fractions of
         self._around = 1 + max(width, height) // 4
         to_world = sensor.world_transform()
         self.place = mi.Point3f(to_world.translation())
@@ -40,17 +37,10 @@ class Eye:
         self._density = abs(float(width * height * matrix[0, 0] * matrix[1, 1] / matrix[3, 2] ** 2))
 
     def padded(self, cotangent: Any) -> Any:
-        """A cotangent of the image, shape (H, W, C), as one of its red, green and blue, with zeros around it.
-
-        Channels beyond colours have no gradient.
-        """
+        """A cotangent of the image, shape (H, W, C), as one of its red, green and blue, with zeros around it."""
         around = (self._around, self._around)
-        colours = np.asarray(cotangent, dtype=np.float32)[..., : len(self._mix)] @ self._mix
+        colours = self._film.colours_of(cotangent)
         return mi.TensorXf(np.ascontiguousarray(np.pad(colours, (around, around, (0, 0)))))
-
-    def on_film(self, image: Host) -> Host:
-        """An image of red, green and blue, shape (H, W, 3), as the film has it: what :meth:`padded` is transpose of."""
-        return np.pad(image @ self._mix.T, ((0, 0), (0, 0), (0, self._channels - len(self._mix))))
 
     def cropped(self, image: Any) -> Host:
         """An image without what is around it."""
@@ -132,13 +122,6 @@ def is_plain(scene: Any, sensor: Any) -> bool:
     colours = (mi.is_rgb or mi.is_monochromatic) and not mi.is_polarized
     within = any(one.is_medium_transition() for one in scene.shapes())
     return colours and sensor.class_name() == "PerspectiveCamera" and not within
-
-
-def _mix_of(film: Any, channels: int) -> Any:
-    """What the channels of a film that are colours have of red, green and blue, shape (C, 3)."""
-    if channels < 3:
-        return LUMINANCE
-    return XYZ if "pixel_format = xyz" in str(film) else np.eye(3)
 
 
 def brighter(sensor: Any, integrator: Any, scene: Any, ends: tuple[Any, Any], active: Any, sampler: Any) -> Any:

@@ -21,6 +21,7 @@ from loi_mitsuba.cautions import warn_of_entries, warn_of_moving
 from loi_mitsuba.crossings import Crossings
 from loi_mitsuba.edges import Edges
 from loi_mitsuba.entries import Names, Scene, named_scene
+from loi_mitsuba.film import Film
 from loi_mitsuba.handles import Host
 from loi_mitsuba.integrators import PARTS, bordered, integrator_of, leaves_edges_out, loaded, settings_of
 from loi_mitsuba.loading import (
@@ -118,6 +119,7 @@ class MitsubaRenderer:
         self._followed = self._able = tuple(name for name in targets if name not in images)
         self._edges = Edges.of(self._scene, self._sensor, self._named.moving(self._able))
         self._crossings = Crossings.of(self._scene, self._sensor, self._named.moving(self._able))
+        self._film = Film(self._sensor.film())
         known = [] if self._edges is None else self._edges.shapes
         self._sided = frozenset(name for name in self._able if any(one in known for one in self._named.moving([name])))
         self._check_moving(told=isinstance(integrator, EffectPlan) and leaves_edges_out(integrator))
@@ -270,7 +272,7 @@ class MitsubaRenderer:
         sided = tuple(name for name in moving if name in self._sided)
         for drawn, names in ((self._crossings, moving), (self._edges, sided)):
             if drawn is not None and names:
-                parts.append((ByJumps(drawn, self._scene, sensor, self._radiance, self._outlines), names))
+                parts.append((ByJumps(drawn, self._scene, self._film, self._radiance, self._outlines), names))
         if not sided:
             return [*parts, (whole, self._followed)]
         inner = whole.but(sppp=0)
