@@ -10,9 +10,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_core.support.wording import clause
+from loi_core.support.wording import clause, listed
 from loi_mitsuba.entries import Names
-from loi_mitsuba.seams import crowded_share, has_seams, is_inside_out
+from loi_mitsuba.seams import crowded_share, has_seams, is_inside_out, is_rounded
 from loi_mitsuba.steps import has_steps
 
 __all__ = [
@@ -121,6 +121,16 @@ def _cautions_in_view(scene: Any, sensor: Any, shapes: list[Any], drawn: Contain
         )
     if each and film.base_channels_count() in WITH_ALPHA:
         yield "a shape moves, and outlines have no gradient in the film's alpha; compare its colours alone"
+    if rounded := _ids(each, is_rounded):
+        yield (
+            f"{_meshes(rounded, 'is', 'are')} shaded as if sharp edges were round, and Mitsuba's gradient is then of a "
+            f"wrong size; set face_normals, or use more triangles"
+        )
+    if tubes := _ids(each, lambda shape: is_looked_into(shape, sensor)):
+        yield (
+            f"the camera looks into an open end of {listed(tubes)}, and Mitsuba's gradient of such an "
+            f"outline is wrong; use a mesh"
+        )
     if curves := _ids(each, lambda shape: shape.class_name() in CURVES):
         yield f"{clause(curves, 'is a curve', 'are curves')}, and Mitsuba's gradient of how its outline moves is wrong"
     if stepped := _ids(each, has_steps):
@@ -144,6 +154,15 @@ def is_turned(shape: Any, sensor: Any) -> bool:
     """Whether the normals of a closed shape point inwards, and it is not one that is around the camera, as a sky."""
     place = np.array(sensor.world_transform().translation(), dtype=np.float64).reshape(3)
     return is_inside_out(shape) and not shape.bbox().contains(mi.ScalarPoint3f(place.tolist()))
+
+
+def is_looked_into(shape: Any, sensor: Any) -> bool:
+    """Whether a shape is a cylinder, and a perspective camera is beyond one of its ends."""
+    if shape.class_name() != "Cylinder" or sensor.class_name() != "PerspectiveCamera":
+        return False
+    eye = mi.traverse(shape)["to_world"].inverse() @ mi.Point3f(sensor.world_transform().translation())
+    along = float(np.array(eye.z).reshape(-1)[0])  # 0 and 1 are its ends
+    return along < 0.0 or along > 1.0
 
 
 def is_clipped(scene: Any, sensor: Any) -> bool:

@@ -175,13 +175,19 @@ class Crossings:
 
         All by one call: Dr.Jit carries no gradient forward through two of one shape.
         """
-        at = mi.Point2f(dr.concat([end.x for end in ends]), dr.concat([end.y for end in ends]))
+        # How many there are must not be written into kernels: they would be compiled again for each other number. So it
+        # is opaque, and the gradient comes back without sums of each thread's own, which lie that far apart.
+        count = dr.opaque(mi.UInt32, dr.width(ends[0]))
+        number, at = dr.arange(mi.UInt32, len(ends) * dr.width(ends[0])), mi.Point2f(0.0)
+        for k, end in enumerate(ends):
+            part = (number >= k * count) & (number < (k + 1) * count)
+            at = dr.select(part, dr.gather(mi.Point2f, end, number - k * count, part), at)
         found = scene.ray_intersect(self._ray(at))
-        shape, count = _shape(found), dr.width(ends[0])
-        each = [dr.arange(mi.UInt32, count) + number * count for number in range(len(ends))]
+        shape = _shape(found)
+        each = [dr.arange(mi.UInt32, dr.width(ends[0])) + k * count for k in range(len(ends))]
         return [
             _Hit(
-                dr.gather(mi.Float, found.t, part),
+                dr.gather(mi.Float, found.t, part, mode=dr.ReduceMode.NoConflicts),
                 dr.gather(mi.Point3f, dr.detach(found.p), part),
                 dr.gather(mi.Normal3f, dr.detach(found.n), part),
                 dr.gather(mi.UInt32, shape, part),

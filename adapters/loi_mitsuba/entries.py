@@ -219,7 +219,9 @@ class Names:
                 if not problem:
                     shapes.append(self._readable[folder])
             elif folder and name in called and isinstance(node, mi.Sensor | mi.Emitter):
-                msg = f"{name!r} cannot be moved: {_fixed(node)}{BY_IMAGES}"
+                placed = any(f"{folder}.{last}" in self._params.properties for last in ("to_world", "position"))
+                problem = f"{_fixed(node)}{BY_IMAGES}" if placed else f"a {node.class_name()} is at no place"
+                msg = f"{name!r} cannot be moved: {problem}"
                 raise ParameterError(msg)
         msg = f"the scene has no shape {name!r} that can be moved; it has: {', '.join(dict.fromkeys(shapes)) or 'none'}"
         raise ParameterError(msg)

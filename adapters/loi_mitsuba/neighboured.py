@@ -11,10 +11,12 @@ import mitsuba as mi
 import numpy as np
 
 from loi_mitsuba.entries import Names, ancestors
+from loi_mitsuba.exchanges import LAMP, LIGHT
 from loi_mitsuba.handles import Host, Translate
 from loi_mitsuba.loading import Loaded, Target
-from loi_mitsuba.neighbour import KINDS, LAMP, LIGHT, Found, lights_of
+from loi_mitsuba.neighbour import Found
 from loi_mitsuba.renderer import MitsubaRenderer
+from loi_mitsuba.surroundings import KINDS, lights_of
 
 __all__ = ["NeighbouredRenderer", "OfLight", "StandIn", "exchanged_targets", "targets_of_lights"]
 

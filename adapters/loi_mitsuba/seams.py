@@ -24,6 +24,7 @@ __all__ = [
     "is_flat",
     "is_hard",
     "is_inside_out",
+    "is_rounded",
     "merge_seams",
 ]
 
@@ -32,6 +33,8 @@ INWARDS: Final = 0.5  # of what they enclose, that is to be negative: not where 
 CREASE: Final = 0.05  # between the unit normals of two triangles that are not of one side: 3 degrees
 BENT: Final = 1e-4  # between them where two triangles are not of one plane, rounding apart
 HARD: Final = 0.5  # of the triangles, and between the unit normals of two that meet: some 30 degrees
+ROUND: Final = 0.5  # between the normals of a corner and of its triangle: some 30 degrees, and twice that of an edge
+ROUNDED: Final = 0.25  # of the area of a mesh, in triangles with such a corner
 MOST_BORDERS: Final = 4000  # edges: of more it would take too long to find which run along others
 ALONG: Final = 1e-4  # of its length: how far beside an edge a vertex may be that lies on it
 
@@ -181,6 +184,18 @@ def is_hard(shape: Any) -> bool:
     hard = np.zeros(len(place), dtype=bool)
     hard[at[np.linalg.norm(corners - first[at], axis=-1) > HARD]] = True
     return float(np.mean(np.any(hard[at], axis=1))) > HARD
+
+
+def is_rounded(shape: Any) -> bool:
+    """Whether much of a mesh is shaded as if its sharp edges were round, as a box of eight vertices without normals."""
+    if not isinstance(shape, mi.Mesh) or "faces" not in mi.traverse(shape):
+        return False
+    params = mi.traverse(shape)
+    faces = _faces(params)
+    a, b, c = np.array(params["vertex_positions"], dtype=np.float64).reshape(-1, 3)[faces].transpose(1, 0, 2)
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    rounded = np.any(_apart(_corner_normals(shape), _flat_normals(params, faces)) > ROUND, axis=1)
+    return float(area @ rounded) > ROUNDED * float(np.sum(area))
 
 
 def _corner_normals(shape: Any) -> Host:

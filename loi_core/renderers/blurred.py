@@ -199,7 +199,10 @@ class BlurredRenderer:
         for name, width in widths.items():
             found[name] = pixels_of(width) * units[name] if isinstance(width, str) else width
             if not math.isfinite(found[name]):
-                msg = f"`{option}` of {name!r} must be a number, for it leaves no trace in the image to count pixels by"
+                msg = (
+                    f"`{option}` of {name!r} is in pixels, and nothing in the image changes with it to count them by; "
+                    f"give it in the parameter's own unit"
+                )
                 raise OptionError(msg)
         return found
 

@@ -175,7 +175,7 @@ FOG = {"type": "homogeneous", "albedo": 0.5, "sigma_t": 0.5}
         (
             {"sensor": PARALLEL},
             Translate("ball", X),
-            "no gradient of outlines for a OrthographicCamera",
+            "no gradient of outlines for the camera, which is of type OrthographicCamera",
         ),
         (
             {
@@ -239,6 +239,13 @@ def test_without_a_blur_what_has_no_gradient_is_refused_or_left_to_mitsuba() -> 
     assert "dielectric 'bsdf'" in plan.exchanged
     with pytest.raises(ParameterError, match=r"has no entry 'lamp\.place'"):
         PlannedRenderer(lit_scene(), {"light": "lamp.place"})
+
+
+def test_light_from_all_around_is_at_no_place() -> None:
+    scene = shadow_scene(sky={"type": "constant"})
+    for renderer in (MitsubaRenderer, PlannedRenderer):
+        with pytest.raises(ParameterError, match=r"'sky' cannot be moved: a ConstantBackgroundEmitter is at no place$"):
+            renderer(scene, {"turn": Rotate("sky", (0, 1, 0))})
 
 
 def test_a_matrix_is_moved_by_a_handle_and_not_by_its_numbers() -> None:

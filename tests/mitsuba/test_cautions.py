@@ -7,9 +7,13 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+from scipy.spatial import ConvexHull
 
 from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, Translate
+from tests.helpers import Host
 from tests.mitsuba.scenes import PARAMETERS, box, random_cotangent, shadow_scene
+
+Z = [0, 0, 1]
 
 
 @pytest.mark.parametrize(
@@ -88,6 +92,75 @@ def test_steps_of_a_texture_that_moves_are_warned_of(
     ball = {"type": "sphere", "bsdf": {"type": "twosided", "nested": {"type": "diffuse", "reflectance": texture}}}
     MitsubaRenderer(shadow_scene(ball=ball), {"x": Translate("ball", (1, 0, 0))})
     assert any("a texture with steps" in str(one.message) for one in recwarn) == told
+
+
+def smooth(vertices: Host, faces: Host, *, flat: bool = False) -> Any:
+    """A mesh with normals as Mitsuba gives those that bring none."""
+    settings = mi.Properties()
+    settings["face_normals"] = flat
+    mesh = mi.Mesh("it", len(vertices), len(faces), has_vertex_normals=not flat, props=settings)
+    params = mi.traverse(mesh)
+    params["vertex_positions"] = mi.Float(vertices.astype(np.float32).ravel())
+    params["faces"] = mi.UInt32(faces.astype(np.uint32).ravel())
+    params.update()
+    if not flat:
+        mesh.recompute_vertex_normals()
+    return mesh
+
+
+def hull(vertices: Host) -> tuple[Host, Host]:
+    """The triangles around points, wound outwards."""
+    faces = ConvexHull(vertices).simplices
+    a, b, c = vertices[faces].transpose(1, 0, 2)
+    inwards = np.sum(np.cross(b - a, c - a) * a, axis=1) < 0.0
+    return vertices, np.where(inwards[:, None], faces[:, ::-1], faces)
+
+
+def ball_of(count: int) -> tuple[Host, Host]:
+    """As even as a spiral gets them."""
+    height = 1.0 - 2.0 * (np.arange(count) + 0.5) / count
+    turn = np.arange(count) * np.pi * (3.0 - np.sqrt(5.0))
+    around = np.sqrt(1.0 - height**2)
+    return hull(np.stack([around * np.cos(turn), around * np.sin(turn), height], axis=1))
+
+
+def cone(sides: int) -> tuple[Host, Host]:
+    turn = 2.0 * np.pi * np.arange(sides) / sides
+    rim = np.stack([np.cos(turn), np.sin(turn), np.full(sides, -0.5)], axis=1)
+    return hull(np.concatenate([rim, [[0.0, 0.0, 1.0]]]))
+
+
+CUBE = np.stack(np.meshgrid(*3 * [[-1.0, 1.0]]), axis=-1).reshape(-1, 3)
+
+
+@pytest.mark.parametrize(
+    ("mesh", "flat", "told"),
+    [
+        (hull(CUBE), False, True),
+        (hull(CUBE), True, False),
+        (cone(24), False, True),
+        (ball_of(12), False, True),
+        (ball_of(42), False, False),
+        (ball_of(500), False, False),
+    ],
+    ids=["cube", "flat cube", "cone", "ball of 12", "ball of 42", "ball of 500"],
+)
+def test_sharp_edges_that_are_shaded_round_are_warned_of(
+    mesh: tuple[Host, Host], flat: bool, told: bool, recwarn: pytest.WarningsRecorder
+) -> None:
+    """Their gradient was 0.3 to 0.9 of what differences say; that of a ball of 42 vertices, 80 triangles, was right."""
+    MitsubaRenderer(shadow_scene(it=smooth(*mesh, flat=flat)), {"x": Translate("it", (1, 0, 0))})
+    assert any("mesh 'it' is shaded as if sharp edges were round" in str(one.message) for one in recwarn) == told
+
+
+@pytest.mark.parametrize(("leant", "told"), [(0.0, True), (90.0, False)])
+def test_cylinders_that_are_looked_into_are_warned_of(
+    leant: float, told: bool, recwarn: pytest.WarningsRecorder
+) -> None:
+    """Upright, before a camera above it; and lying from left to right."""
+    tube = {"type": "cylinder", "p0": [0, -1, 0], "p1": [0, 1, 0], "to_world": mi.ScalarTransform4f().rotate(Z, leant)}
+    MitsubaRenderer(shadow_scene(tube=tube), {"x": Translate("tube", (1, 0, 0))})
+    assert any("the camera looks into an open end of 'tube'" in str(one.message) for one in recwarn) == told
 
 
 SINGLE: dict[str, tuple[dict[str, Any], str]] = {

@@ -18,11 +18,12 @@ from loi_mitsuba.entries import Names, ancestors, named_scene
 from loi_mitsuba.integrators import bordered
 from loi_mitsuba.loading import Target, checked_samples, checked_targets, find_sensor, most_samples, use_variant
 from loi_mitsuba.named import NamedParameters
-from loi_mitsuba.neighbour import Found, Neighbour, Surroundings, lights_of, neighbour_of
+from loi_mitsuba.neighbour import Found, Neighbour, neighbour_of
 from loi_mitsuba.neighboured import NeighbouredRenderer, exchanged_targets, targets_of_lights
 from loi_mitsuba.renderer import MitsubaRenderer
 from loi_mitsuba.seams import has_seams, has_sides, is_flat, is_hard
 from loi_mitsuba.steps import has_steps, is_stepped
+from loi_mitsuba.surroundings import Surroundings, lights_of
 
 __all__ = ["Base", "base_of"]
 
@@ -77,10 +78,10 @@ def base_of(
         followed = Followed.of(names, free, found, lights=follow_lights, glass=follow_glass)
         traits = traits_of(names, {name: target for name, target in targets.items() if name not in images}, found)
     options: dict[str, Any] = {"integrator": plan, "spp": spp, "sensor": sensor, "without_gradient": images}
-    split = _split_meshes(names, targets, traits.moving)
+    split = _split_meshes(names, targets, traits.moving) if near.seams else {}
     stepped = _stepped_shapes(names, targets, traits.moving) if near.textures else {}
     delta = traits.lights or traits.delta_reflection or traits.delta_transmission
-    if traits.moving and not traits.media and (delta or (split and near.seams) or stepped):
+    if traits.moving and not traits.media and (delta or split or stepped):
         for size in (near, replace(near, mirrors=0.0)):  # rough surfaces may lack what a parameter stands for
             try:
                 pair = _neighboured(ready, names, targets, traits.moving, split, stepped, size, options)
@@ -161,7 +162,7 @@ def _neighboured(
     start = NamedParameters(called, targets, options["without_gradient"]).start
     exchanged = exchanged_targets(lights, found, called, start)
     # A box whose corners are shared has another texture. Its outlines are drawn in the scene itself, and so is that.
-    only_shadows = bool(split) and near.seams and not stepped and all(has_sides(one) for one in split.values())
+    only_shadows = bool(split) and not stepped and all(has_sides(one) for one in split.values())
     base = NeighbouredRenderer(
         loaded,
         targets,

@@ -23,8 +23,8 @@ from loi_mitsuba.handles import Host, Rotate, Scale
 from loi_mitsuba.integrators import Settings
 from loi_mitsuba.loading import Target
 from loi_mitsuba.named import NamedParameters
-from loi_mitsuba.neighbour import position_of
 from loi_mitsuba.renderer import MitsubaRenderer, seeds_of
+from loi_mitsuba.surroundings import position_of
 
 __all__ = ["Lamps", "is_shape", "lamps_of", "reason_of"]
 

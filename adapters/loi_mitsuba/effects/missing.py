@@ -72,12 +72,13 @@ def _of_moving(node: Any, scene: Any, sensor: Any, *, medium: bool, whole: bool)
     if medium:
         return "it moves a shape where there is a medium, in which outlines and shadows have no gradient in Mitsuba"
     if sensor.class_name() != "PerspectiveCamera":
-        return f"it moves a shape, and Mitsuba has no gradient of outlines for a {sensor.class_name()}"
+        kind = sensor.class_name()
+        return f"it moves a shape, and Mitsuba has no gradient of outlines for the camera, which is of type {kind}"
     if any(one.class_name() == "DirectionalArea" for one in scene.emitters()):
         return (
             "it moves a shape where a DirectionalArea shines, and Mitsuba has no gradient of outlines and shadows there"
         )
     own = scene.integrator()
     if whole and not is_known(kind_of(own)) and not hasattr(own, "sppp"):  # who has outlines counts their samples
-        return f"it moves a shape, and a {own.class_name()} has no gradient of outlines and shadows"
+        return f"it moves a shape, and an integrator of type {own.class_name()} has no gradient of outlines and shadows"
     return ""

@@ -69,8 +69,7 @@ class PlannedRenderer:
     neighbour : Neighbour, table or None
         How far the scene may be from the one from which the gradient by what moves is taken, where Mitsuba has none in
         the scene itself: under point, spot and directional lights, in perfect mirrors and clear glass, by textures with
-        steps. None takes all
-        gradients from the scene as it is, which the image always is of.
+        steps. None takes all gradients from the scene as it is, which the image always is of.
     blur : table or None
         How the parameters are blurred that have no gradient there either, such as cameras and what moves clear glass,
         or nothing but noise; the plan lists them. The keys are the options of

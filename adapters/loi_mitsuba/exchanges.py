@@ -1,0 +1,150 @@
+"""What a neighbouring scene has instead of what Mitsuba has no gradient of."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any, Final
+
+import mitsuba as mi
+import numpy as np
+
+from loi_mitsuba.steps import RAMP, interpolate, textures_of
+from loi_mitsuba.surroundings import Surroundings
+
+__all__ = [
+    "LAMP",
+    "LIGHT",
+    "ROUGH",
+    "Exchange",
+    "exchange_light",
+    "exchange_surface",
+    "exchange_textures",
+    "of_seams",
+]
+
+ROUGH: Final = {"conductor": "roughconductor", "dielectric": "roughdielectric", "plastic": "roughplastic"}
+LAMP: Final = "loi_lamp_"  # and a number: what stands for a light is called so
+LIGHT: Final = "loi_light_"  # and a number: a light without a name is called so
+WIDEST: Final = 2.0  # times what casts a shadow: its umbra then reaches as far behind it as the lamp is before it
+FAR: Final = 100.0  # how many times the scene's radius away the disk is that stands for a directional light
+
+
+@dataclass(frozen=True)
+class Exchange:
+    """One thing that the neighbour has instead of another: what, and in a line why and how large.
+
+    Of a light, also which of the scene's lights without a size it is, from 0, and how many times its intensity the
+    radiance is of what stands for it.
+    """
+
+    what: str
+    reason: str
+    light: int | None = None
+    factor: float = 1.0
+
+
+def exchange_surface(node: Any, alpha: float, exchanges: list[Exchange]) -> None:
+    """Make a perfectly smooth surface slightly rough."""
+    kind = node.props.plugin_name()
+    node.props.set_plugin_name(ROUGH[kind])
+    node.props["alpha"] = alpha
+    named = f" {node.props.id()!r}" if node.props.id() else ""
+    exchanges.append(
+        Exchange(
+            f"{kind}{named}",
+            f"a {ROUGH[kind]} of roughness {alpha:g}, for edges seen in what is perfectly smooth have no gradient",
+        )
+    )
+
+
+def exchange_textures(state: Any, number: int, shape: Any, exchanges: list[Exchange]) -> None:
+    """Interpolate the textures of a shape that have steps."""
+    for node in textures_of(state, number):
+        kind = node.props.plugin_name()
+        if interpolate(node.props):
+            named = f" of {shape.id()!r}" if shape.id() else ""
+            exchanges.append(Exchange(f"{kind}{named}", f"an interpolated bitmap {RAMP}"))
+
+
+def of_seams(shape: Any) -> Exchange:
+    """Of a mesh whose vertices are shared: what is told of it."""
+    named = f" {shape.id()!r}" if shape.id() else ""
+    reason = "with the vertices at one place shared, for an edge that is stored twice has its gradient twice"
+    return Exchange(f"mesh{named}", reason)
+
+
+def exchange_light(
+    state: Any,
+    index: int,
+    number: int,
+    size: float,
+    power: Any,
+    around: Surroundings,
+    exchanges: list[Exchange],
+) -> None:
+    """Put a lamp with a size, called by the light's number, where a light without one is."""
+    props = state.nodes[index].props
+    kind, called = props.plugin_name(), props.id()
+    place = np.array(props["to_world"].matrix, dtype=np.float64) if "to_world" in props else np.eye(4)
+    if kind == "directional":
+        along = np.array(props["direction"]) if "direction" in props else place[:3, 2]
+        along = along / np.linalg.norm(along)
+        away = FAR * around.radius
+        origin = around.middle - away * along
+        up = np.eye(3)[int(np.argmin(np.abs(along)))]
+        pose = mi.ScalarTransform4f().look_at(origin.tolist(), around.middle.tolist(), up.tolist())
+        radius, shape = away * math.tan(size), "disk"
+        # Seen from the scene, a disk of half the angle a lights what faces it with pi sin(a)^2 of its radiance.
+        factor = 1.0 / (math.pi * math.sin(size) ** 2)
+        how = f"a disk of {math.degrees(2.0 * size):.2g} degrees, for"
+    else:
+        origin = np.array(props["position"]) if "position" in props else place[:3, 3]
+        if kind == "spot" and not _lights(props, place, origin, around):
+            return
+        share, most, least = size * around.distance(origin), WIDEST * around.least, 1e-4 * around.radius
+        radius = widest = max(min(share, most), least)
+        shape = "sphere"
+        while radius > least and not around.fits(origin, radius):
+            radius = max(0.5 * radius, least)
+        pose = mi.ScalarTransform4f().translate(origin.tolist())
+        factor = 1.0 / (math.pi * radius**2)
+        of = f"{size:g} of its distance from what moves" if share <= most else f"{WIDEST:g} times that of what moves"
+        of = f"{of}, less to stay within what is around it" if radius < widest else of
+        how = f"a sphere of radius {radius:.3g}, {of}, for"
+    lamp, surface = mi.Properties("area"), mi.Properties("diffuse")
+    lamp["radiance"] = mi.ScalarColor3f((factor * power).tolist())
+    surface["reflectance"] = 0.0
+    parts = {"emitter": (lamp, mi.ObjectType.Emitter), "bsdf": (surface, mi.ObjectType.BSDF)}
+    for own, kind_of in parts.values():
+        one = mi.parser.SceneNode()
+        one.props, one.type = own, kind_of
+        state.nodes.append(one)  # which moves all nodes: what was referred to before is gone
+    node = state.nodes[index]
+    for key in list(node.props.keys()):
+        del node.props[key]
+    node.props.set_plugin_name(shape)
+    node.props.set_id(f"{LAMP}{number}")
+    node.props["to_world"] = pose @ mi.ScalarTransform4f().scale(radius)
+    for place_of, key in enumerate(parts, len(state.nodes) - len(parts)):
+        node.props[key] = mi.Properties.ResolvedReference(place_of)
+    node.type = mi.ObjectType.Shape
+    named = "" if called.startswith(LIGHT) else f" {called!r}"
+    told = "; outside of its cone the gradient is not that of a spot" if kind == "spot" else ""
+    reason = f"{how} a shadow of light from a point has no gradient{told}"
+    exchanges.append(Exchange(f"{kind} light{named}", reason, number, factor))
+
+
+def _lights(props: Any, place: Any, origin: Any, around: Surroundings) -> bool:
+    """Whether anything that moves reaches into the cone of a spot, as spheres around the boxes tell."""
+    along = place[:3, 2] / np.linalg.norm(place[:3, 2])
+    cutoff = math.radians(float(props["cutoff_angle"]) if "cutoff_angle" in props else 20.0)
+    for low, high in around.boxes:
+        towards = 0.5 * (low + high) - origin
+        away, radius = float(np.linalg.norm(towards)), 0.5 * float(np.linalg.norm(high - low))
+        if away <= radius:
+            return True
+        angle = math.acos(min(max(float(along @ towards) / away, -1.0), 1.0))
+        if angle - math.asin(radius / away) < cutoff:
+            return True
+    return False

@@ -1,0 +1,63 @@
+"""What is compiled is compiled once: the steps of a fit differ in their numbers, not in their kernels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from loi_mitsuba import MitsubaRenderer, PlannedRenderer, Translate
+from tests.mitsuba.scenes import random_cotangent, shadow_scene
+from tests.strategies import thorough
+
+WARM_UP, STEPS = 3, 6
+
+MOVES = {"x": Translate("ball", (1, 0, 0)), "z": Translate("ball", (0, 0, 1))}
+
+
+def ball(height: float, **more: Any) -> dict[str, Any]:
+    return {"type": "sphere", "to_world": mi.ScalarTransform4f().translate([0, height, 0]).scale(0.6), **more}
+
+
+@pytest.fixture(autouse=True)
+def _history() -> Iterator[None]:
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history()
+        yield
+        dr.kernel_history()
+
+
+def compiled(renderer: Any) -> list[int]:
+    """How many kernels each of a few steps needs that none before has needed."""
+    start, counts = renderer.parameters(), []
+    for step in range(WARM_UP + STEPS):
+        params = {name: value + np.float32(0.013 * step) for name, value in start.items()}
+        renderer.render_vjp(params, seed=step)[1](random_cotangent(step))
+        counts.append(sum(not one["cache_hit"] for one in dr.kernel_history([dr.KernelType.JIT])))
+    return counts[WARM_UP:]
+
+
+def test_a_curve_in_which_shapes_cross_is_another_number_of_points_each_time_and_no_other_kernel() -> None:
+    """Of a ball half in a floor, a step took 1.4 s, of which 1.3 compiled kernels in which that number was written."""
+    assert compiled(MitsubaRenderer(shadow_scene(ball=ball(0.3)), MOVES)) == [0] * STEPS
+
+
+@thorough
+@pytest.mark.parametrize(
+    ("changes", "moves"),
+    [
+        ({"ball": ball(1.0)}, MOVES),
+        ({"ball": {**ball(0.3), "type": "cube"}}, MOVES),
+        ({"ball": ball(0.3), "lamp": {"type": "point", "position": [0, 12, 0], "intensity": 200.0}}, MOVES),
+        ({"ball": ball(1.0, bsdf={"type": "dielectric"})}, MOVES),
+        ({"ball": ball(1.0)}, {"lamp": Translate("lamp")}),
+        ({"ball": ball(0.3)}, {"camera": Translate("sensor"), **MOVES}),
+    ],
+    ids=["ball", "box", "point light", "glass", "lamp", "camera"],
+)
+def test_nor_does_any_part_of_a_plan(changes: dict[str, Any], moves: dict[str, Any]) -> None:
+    assert compiled(PlannedRenderer(shadow_scene(**changes), moves)) == [0] * STEPS
