@@ -33,7 +33,7 @@ INWARDS: Final = 0.5  # of what they enclose, that is to be negative: not where 
 CREASE: Final = 0.05  # between the unit normals of two triangles that are not of one side: 3 degrees
 BENT: Final = 1e-4  # between them where two triangles are not of one plane, rounding apart
 HARD: Final = 0.5  # of the triangles, and between the unit normals of two that meet: some 30 degrees
-ROUND: Final = 0.5  # between the normals of a corner and of its triangle: some 30 degrees, and twice that of an edge
+ROUND: Final = 0.5  # between the normals of a corner and its triangle, and of that and a neighbour: some 30 degrees
 ROUNDED: Final = 0.25  # of the area of a mesh, in triangles with such a corner
 MOST_BORDERS: Final = 4000  # edges: of more it would take too long to find which run along others
 ALONG: Final = 1e-4  # of its length: how far beside an edge a vertex may be that lies on it
@@ -117,10 +117,10 @@ def _run_along_others(positions: Host, borders: Host) -> Host:
     return found
 
 
-def _bent(params: Any, faces: Host, pairs: Host) -> Host:
-    """Of pairs of sides, those at which triangles do not lie in one plane."""
+def _bent(params: Any, faces: Host, pairs: Host, least: float = BENT) -> Host:
+    """Of pairs of sides, those between whose triangles' unit normals there is more than so much."""
     flat = _flat_normals(params, faces).reshape(-1, 3)
-    return np.asarray(pairs[_apart(flat[pairs[:, 0]], flat[pairs[:, 1]]) > BENT])
+    return np.asarray(pairs[_apart(flat[pairs[:, 0]], flat[pairs[:, 1]]) > least])
 
 
 def _meetings(shape: Any) -> tuple[Host, Host]:
@@ -194,8 +194,12 @@ def is_rounded(shape: Any) -> bool:
     faces = _faces(params)
     a, b, c = np.array(params["vertex_positions"], dtype=np.float64).reshape(-1, 3)[faces].transpose(1, 0, 2)
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    pairs, _ = _meetings(shape)
+    sharp = np.isin(
+        np.arange(len(faces)), _bent(params, faces, pairs, ROUND) // 3
+    )  # not a card with normals of its own
     rounded = np.any(_apart(_corner_normals(shape), _flat_normals(params, faces)) > ROUND, axis=1)
-    return float(area @ rounded) > ROUNDED * float(np.sum(area))
+    return float(area @ (sharp & rounded)) > ROUNDED * float(np.sum(area))
 
 
 def _corner_normals(shape: Any) -> Host:

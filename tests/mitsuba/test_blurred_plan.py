@@ -185,8 +185,12 @@ FOG = {"type": "homogeneous", "albedo": 0.5, "sigma_t": 0.5}
             Translate("group.inner", X),
             "it moves a shape of a shapegroup",
         ),
-        ({"integrator": {"type": "aov", "aovs": "far:depth"}}, Translate("ball", X), "a AOVIntegrator has no gradient"),
-        ({"integrator": {"type": "depth"}}, Translate("ball", X), "a DepthIntegrator has no gradient of outlines"),
+        (
+            {"integrator": {"type": "aov", "aovs": "far:depth"}},
+            Translate("ball", X),
+            "type AOVIntegrator has no gradient",
+        ),
+        ({"integrator": {"type": "depth"}}, Translate("ball", X), "type DepthIntegrator has no gradient of outlines"),
     ],
     ids=[
         *("position", "light", "camera", "lens", "glass", "size of glass", "index", "medium", "parallel", "instance"),
