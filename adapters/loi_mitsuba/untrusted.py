@@ -18,7 +18,7 @@ import os
 import re
 import subprocess
 import sys
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
 from xml.parsers import expat
@@ -59,9 +59,9 @@ def check_scene_file(path: Path) -> None:
     bounds.check(path)
     nodes = _check_plugins_of(path, bounds.folders)
     named = [*bounds.named, *(value for node in nodes for value in _file_names(node.props))]
-    _check_regular(named, bounds.folders)
+    found = _check_regular(named, bounds.folders)
     if named:
-        _try_to_load(mi.variant(), str(path))
+        _try_once(str(path), "", None if found is None else [*bounds.files, *found])
 
 
 def _check_plugins_of(path: Path, folders: Iterable[Path]) -> list[Any]:
@@ -86,13 +86,13 @@ def check_types(description: Mapping[str, Any]) -> None:
     """
     _check_plugins((value for key, value in _leaves(description) if key == "type"), ())
     named = [value for key, value in _leaves(description) if key.endswith("filename")]
-    _check_regular(named, [Path.cwd()])
+    found = _check_regular(named, [Path.cwd()])
     if named:
         try:
             plain = json.dumps(description)
         except (TypeError, ValueError):
             return  # it holds objects, so a program has made it
-        _try_to_load(mi.variant(), "-", plain)
+        _try_once("-", plain, found)
 
 
 def _leaves(description: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
@@ -110,12 +110,15 @@ def _file_names(properties: Any) -> Iterator[str]:
             yield properties[name]
 
 
-def _check_regular(named: Iterable[str], folders: Iterable[Path]) -> None:
-    for name in named:
-        found = next((folder / name for folder in folders if (folder / name).exists()), None)
-        if found is not None and not found.is_file():
+def _check_regular(named: Collection[str], folders: Iterable[Path]) -> list[Path] | None:
+    """Where the named files are; None if some are not there."""
+    found = [next((folder / name for folder in folders if (folder / name).exists()), None) for name in named]
+    for name, path in zip(named, found, strict=True):
+        if path is not None and not path.is_file():
             msg = f"`scene` cannot be loaded: {name} is not a regular file"
             raise SceneLoadError(printable(msg))
+    files = [path for path in found if path is not None]
+    return files if len(files) == len(found) else None
 
 
 def _check_plugins(names: Iterable[str], folders: Iterable[Path]) -> None:
@@ -169,18 +172,18 @@ class _Bounds:
     def __init__(self) -> None:
         self._parameters: dict[str, int] = {}  # how long the value of each is
         self._texts = 0
-        self._files: list[Path] = []
+        self.files: list[Path] = []  # of XML
         self.named: list[str] = []  # files that the parser itself opens
 
     @property
     def folders(self) -> list[Path]:
         """Where files are looked for."""
-        return list(dict.fromkeys(file.absolute().parent for file in self._files))
+        return list(dict.fromkeys(file.absolute().parent for file in self.files))
 
     def check(self, path: Path) -> None:
         """Read a file and those that it includes."""
-        self._files.append(path)
-        if len(self._files) > MOST_FILES:
+        self.files.append(path)
+        if len(self.files) > MOST_FILES:
             raise _refused(path, f"more than {MOST_FILES} files include each other")
         try:
             content = read_bytes(path, MOST_XML)
@@ -234,7 +237,7 @@ class _Bounds:
     def _include(self, path: Path, name: str) -> None:
         if "$" in name:
             raise _refused(path, "files are included by their names, without parameters")
-        places = [file.parent / name for file in self._files]
+        places = [file.parent / name for file in self.files]
         self.check(next((place for place in places if place.exists()), path.parent / name))
 
     def _length(self, path: Path, value: str) -> int:
@@ -248,7 +251,23 @@ class _Bounds:
         return length
 
 
-def _try_to_load(variant: str, path: str, description: str = "") -> None:
+def _try_once(path: str, description: str, files: Iterable[Path] | None) -> None:
+    """As :func:`_try_to_load`, unless that has been and the files are those that they were; None for unknown ones."""
+    if files is None:
+        _try_to_load(mi.variant(), path, description)
+        return
+    told = [(str(file.absolute()), file.stat()) for file in files]
+    seen = tuple((name, one.st_dev, one.st_ino, one.st_size, one.st_mtime_ns, one.st_ctime_ns) for name, one in told)
+    _tried(mi.variant(), path, description, seen)
+
+
+@functools.lru_cache(maxsize=64)
+def _tried(variant: str, path: str, description: str, _seen: tuple[tuple[str | int, ...], ...]) -> None:
+    """Files as they are seen, which keeps none that are refused."""
+    _try_to_load(variant, path, description)
+
+
+def _try_to_load(variant: str, path: str, description: str) -> None:
     """Load a scene in a process of its own: that of a file, or for the path ``-`` of a dict in JSON."""
     command = [sys.executable, "-P", str(Path(__file__).with_name("trial.py")), variant, path]
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join(sys.path)}  # what can be imported here can be there

@@ -15,7 +15,7 @@ import pytest
 from loi_core.cli import main
 from loi_core.errors import OptionError
 from loi_core.io.images import write_png
-from loi_mitsuba import MitsubaRenderer, SceneLoadError, Translate
+from loi_mitsuba import MitsubaRenderer, SceneLoadError, Translate, untrusted
 from loi_mitsuba.untrusted import LIBRARY_SUFFIXES
 
 FILM = '<film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/></film>'
@@ -171,6 +171,32 @@ def test_a_mesh_without_the_vertices_that_it_refers_to_is_refused(last: int, tmp
         loaded(table)
     mesh(tmp_path / "m.ply", [0, 1, 2])
     loaded(scene)
+
+
+def test_a_scene_is_tried_again_only_where_one_of_its_files_has_changed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tried: list[str] = []
+    before = untrusted._try_to_load
+
+    def count(variant: str, path: str, description: str) -> None:
+        tried.append(path)
+        before(variant, path, description)
+
+    monkeypatch.setattr(untrusted, "_try_to_load", count)
+    scene = written(tmp_path, BALL + LIGHT + '<shape type="ply"><string name="filename" value="m.ply"/></shape>')
+    mesh(tmp_path / "m.ply", [0, 1, 2])
+    for _ in range(3):
+        loaded(scene)
+    assert len(tried) == 1
+    written(tmp_path, BALL + LIGHT + '<shape type="ply"><string name="filename" value="./m.ply"/></shape>')
+    loaded(scene)
+    assert len(tried) == 2
+    mesh(tmp_path / "m.ply", [0, 1, 3])
+    for count_now in (3, 4):  # what is refused is not kept
+        with pytest.raises(SceneLoadError, match=r"makes Mitsuba crash|refers to vertex"):
+            loaded(scene)
+        assert len(tried) == count_now
 
 
 def test_files_of_a_scene_may_lie_in_its_folder_and_in_those_of_what_it_includes(tmp_path: Path) -> None:
