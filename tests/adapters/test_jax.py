@@ -21,6 +21,7 @@ from loi_core.pixels.nonfinite import NanPolicy
 from loi_core.support.arrays import epsilon
 from loi_core.testing import check_objective
 from tests.helpers import by_arrays, images
+from tests.strategies import thorough
 
 SCALES = ScaleSpace(1, (1, 5), 0.25)  # few: JAX compiles all that follows from them, in every test anew
 IMAGE, REFERENCE = images((17, 23, 3), seed=1)
@@ -112,7 +113,7 @@ def test_low_precision_is_compared_in_float32(loss: Loss, dtype: Any) -> None:
 
 
 @pytest.mark.parametrize("dtype", [jnp.float16, jnp.bfloat16])
-@pytest.mark.parametrize("wrap", [lambda f: f, jax.jit], ids=["eager", "jit"])
+@pytest.mark.parametrize("wrap", [pytest.param(lambda f: f, marks=thorough), jax.jit], ids=["eager", "jit"])
 def test_a_gradient_is_scaled_before_it_is_rounded_to_16_bits(loss: Loss, dtype: Any, wrap: Any) -> None:
     batch = jnp.broadcast_to(jnp.asarray(IMAGE, dtype=dtype), (64, *IMAGE.shape))  # of small gradients: it is a mean
     slope = jax.grad(lambda images: 3072.0 * loss(images))

@@ -24,6 +24,7 @@ def test_every_promised_tolerance_is_kept() -> None:
     assert all(f"| {name} | " in documented for name in rows)
 
 
+@thorough
 def test_noise_changes_the_gradient_as_documented(tmp_path: Path) -> None:
     plot = tmp_path / "noise.png"
     done = subprocess.run(

@@ -20,6 +20,7 @@ from examples.paper.variational.settings import Method, Setting, Size
 from examples.paper.variational.tables import kept_lines
 from loi_core.errors import RendererError
 from loi_core.pixels.psnr import psnr
+from tests.strategies import thorough
 
 SIDE, SAMPLES = 40, 4
 
@@ -127,6 +128,7 @@ def test_wrong_words_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert "must be 1 or more" in capsys.readouterr().err
 
 
+@thorough
 def test_a_handle_out_of_sight_is_found_by_looking_at_other_angles(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -22,6 +22,7 @@ from loi_core.renderers import BlurredRenderer
 from loi_mitsuba import MitsubaRenderer, PlannedRenderer, Rotate, Scale, Translate
 from tests.mitsuba.scenes import HEIGHT, WIDTH, shadow_scene
 from tests.mitsuba.test_scene_file import SCENE, XML
+from tests.strategies import thorough
 
 X = (1, 0, 0)
 FLOOR = "floor.bsdf.reflectance.value"
@@ -75,6 +76,7 @@ def shining_scene() -> dict[str, Any]:
     )
 
 
+@thorough
 def test_what_has_nothing_but_noise_is_blurred_once_that_is_known() -> None:
     lamp = {"x": Translate("lamp", X), "y": Translate("lamp", (0, 1, 0))}
     scene = shining_scene()
@@ -281,7 +283,9 @@ def test_the_gradient_is_that_of_finite_differences() -> None:
     assert float(pullback(ramp)["light"]) == pytest.approx(slope, rel=0.3)
 
 
-@pytest.mark.parametrize("light", ["lamp.position", Translate("lamp"), Translate("lamp", X)], ids=str)
+@pytest.mark.parametrize(
+    "light", ["lamp.position", *(pytest.param(Translate("lamp", *one), marks=thorough) for one in ((), (X,)))], ids=str
+)
 def test_the_lamp_in_the_neighbour_goes_where_the_light_goes(light: Any) -> None:
     sharp = {"x": Translate("ball", X)}
     planned = PlannedRenderer(lit_scene(**HIGH), {**sharp, "light": light}, spp=16, follow_lights=False)

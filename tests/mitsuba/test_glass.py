@@ -81,7 +81,9 @@ def test_each_parameter_has_its_own() -> None:
         np.testing.assert_allclose(alone, both[name], rtol=1e-3)
 
 
-@pytest.mark.parametrize("film", ["rgba", "luminance", "luminance_alpha"])
+@pytest.mark.parametrize(
+    "film", [*(pytest.param(one, marks=thorough) for one in ("rgba", "luminance")), "luminance_alpha"]
+)
 def test_films_without_colour_or_with_alpha_have_it_too(film: str) -> None:
     """A weight of one for luminance is that of its shares of red, green and blue."""
     moved = {"x": Translate("ball", X)}
@@ -101,6 +103,7 @@ def test_films_without_colour_or_with_alpha_have_it_too(film: str) -> None:
     np.testing.assert_allclose(found, wanted, rtol=1e-3)
 
 
+@thorough
 def test_a_fit_finds_a_ball_of_glass() -> None:
     """Within half a pixel, after a way of eight: what it throws on the floor tells, and what is seen in it."""
     scene = glass_scene()
@@ -164,6 +167,7 @@ def test_what_it_does_not_know_is_blurred() -> None:
     assert list(PlannedRenderer(scene, moved, spp=4).plan.blurred) == ["it"]
 
 
+@thorough
 def test_light_from_all_around_does_not_drown_it() -> None:
     """Most of it falls far out of view, where a point of the floor is ever so large a part of the film."""
     targets = {"y": Translate("ball", Y)}

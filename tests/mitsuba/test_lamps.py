@@ -67,7 +67,14 @@ def differences(renderer: MitsubaRenderer, at: dict[str, Any], steps: dict[str, 
 
 @pytest.mark.filterwarnings("ignore:mesh 'lamp' stores the vertices:loi_mitsuba.GradientWarning")
 @pytest.mark.parametrize(
-    "kind", ["ball", "point", pytest.param("panel", marks=thorough), pytest.param("box", marks=thorough), "spot"]
+    "kind",
+    [
+        "ball",
+        "point",
+        pytest.param("panel", marks=thorough),
+        pytest.param("box", marks=thorough),
+        pytest.param("spot", marks=thorough),
+    ],
 )
 def test_it_is_that_of_finite_differences(kind: str) -> None:
     """Brightness, highlights and shadows alike."""
@@ -125,6 +132,7 @@ def test_a_lamp_in_view_has_its_outline_too() -> None:
     assert np.mean(drawn) == pytest.approx(wanted[0], rel=0.03, abs=4.0 * error)
 
 
+@thorough
 def test_a_lamp_that_comes_into_view_has_its_outline_there() -> None:
     """The film samples beyond its border, for which the scene is loaded twice: the lamp is that of the scene in use."""
     scene = lit_scene("ball")
@@ -139,8 +147,8 @@ def test_a_lamp_that_comes_into_view_has_its_outline_there() -> None:
     assert np.mean(drawn) == pytest.approx(wanted[0], rel=0.03, abs=4.0 * error)
 
 
-@pytest.mark.parametrize("light", ["lamp.position", Translate("lamp")], ids=str)
-@pytest.mark.parametrize("blur", [{}, None], ids=["blur", "no blur"])
+@pytest.mark.parametrize("light", ["lamp.position", pytest.param(Translate("lamp"), marks=thorough)], ids=str)
+@pytest.mark.parametrize("blur", [{}, pytest.param(None, marks=thorough)], ids=["blur", "no blur"])
 def test_a_fit_finds_a_point_light(light: Any, blur: dict[str, Any] | None) -> None:
     """Within 0.05 of a way of 2.7; what the ball hides tells of it as well."""
     scene = lit_scene("point")
@@ -191,6 +199,7 @@ def test_a_lamp_that_a_mirror_shows_keeps_the_gradient_of_all_its_light() -> Non
     assert not planned.plan.blurred
 
 
+@thorough
 def test_each_parameter_has_the_gradient_that_is_best_for_it() -> None:
     """A ball that moves has Mitsuba's, the lamp above it that of its light; and the scene is left as it was."""
     both = {"lamp": Translate("lamp", X), "ball": Translate("ball", X)}

@@ -19,6 +19,7 @@ import torch
 
 from loi_torch.mesh import Camera, Light, Material, box, draw, sphere
 from tests.helpers import Host
+from tests.strategies import thorough
 
 SIDE = 32
 WHERE = (2.2, 1.5, 4.0)
@@ -103,6 +104,7 @@ def test_both_renderers_have_one_gradient_of_a_box(tmp_path: Path) -> None:
     assert agreed(slope("box"), estimates, 0.03)
 
 
+@thorough
 def test_the_gradient_of_a_ball_is_that_of_its_outline(tmp_path: Path) -> None:
     scene = theirs("ball", tmp_path)
     params = mi.traverse(scene)

@@ -97,7 +97,7 @@ def test_a_lamp_stays_within_a_shade_and_not_below_a_ceiling() -> None:
     assert reasons == [True, False]
 
 
-@pytest.mark.parametrize("kind", ["point", "directional", pytest.param("spot", marks=thorough)])
+@pytest.mark.parametrize("kind", ["point", *(pytest.param(one, marks=thorough) for one in ("directional", "spot"))])
 def test_shadows_of_lights_without_a_size_have_the_gradient_of_finite_differences(kind: str) -> None:
     scene = lit_scene(kind)
     planned = PlannedRenderer(scene, AXES, spp=64)

@@ -26,6 +26,7 @@ from loi_mitsuba import (
 )
 from tests.helpers import Host, relative_error
 from tests.mitsuba.scenes import HEIGHT, PARAMETERS, WIDTH, box, random_cotangent, shadow_scene
+from tests.strategies import thorough
 
 AXES = {"x": (1, 0, 0), "z": (0, 0, 1)}
 XML = """<scene version="3.0.0">
@@ -177,8 +178,8 @@ def test_colours_agree_with_finite_differences(integrator: Any) -> None:
     ("target", "step"),
     [
         (Translate("ball", (1, 0, 0)), 0.1),
-        (Translate("box", (2, 0, 0)), 0.1),
-        (Rotate("box", (0, 1, 0), (-2, 5, 0)), 4.0),
+        pytest.param(Translate("box", (2, 0, 0)), 0.1, marks=thorough),
+        pytest.param(Rotate("box", (0, 1, 0), (-2, 5, 0)), 4.0, marks=thorough),
     ],
     ids=["ball", "box", "turn"],
 )
@@ -449,7 +450,7 @@ def test_the_loss_and_mi_render_need_no_renderer() -> None:
     assert np.all(np.array(dr.grad(params[key])) < 0.0)  # more light brings it nearer
 
 
-@pytest.mark.parametrize("rfilter", ["box", "tent", "gaussian"])
+@pytest.mark.parametrize("rfilter", [*(pytest.param(one, marks=thorough) for one in ("box", "tent")), "gaussian"])
 @pytest.mark.parametrize("height", [0.0, -3.6], ids=["a shadow", "an outline"])
 def test_edges_count_alike_whether_or_not_the_film_samples_its_border(rfilter: str, height: float) -> None:
     """A ball over a floor; the image is small, so that its border has up to a third of its pixels."""

@@ -16,6 +16,7 @@ from loi_core.pixels.encoding import encode_srgb
 from loi_core.scenes.reading import load_scene
 from loi_mitsuba import MitsubaRenderer, Rotate, Scale, Translate
 from tests.helpers import FINISHED
+from tests.strategies import thorough
 
 GOAL = [0.9, -0.5, 0.0]
 
@@ -44,6 +45,7 @@ def test_a_handle_moves_a_shape_to_where_the_target_has_it(
     np.testing.assert_allclose(found["place"], GOAL, atol=0.1)
 
 
+@thorough
 def test_the_ball_of_the_examples_is_found_within_a_pixel(tmp_path: Path) -> None:
     assert main(["fit", str(BALL / "scene.toml"), "--output", str(tmp_path / "result")]) in FINISHED
     found = json.loads((tmp_path / "result" / "parameters.json").read_text())

@@ -16,6 +16,7 @@ from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, Rotat
 from loi_mitsuba.cautions import is_crowded
 from loi_mitsuba.seams import crowded_share, has_seams, is_hard, is_inside_out
 from tests.mitsuba.scenes import HEIGHT, WIDTH, box, random_cotangent, shadow_scene
+from tests.strategies import thorough
 
 RAMP = np.linspace(-1.0, 1.0, WIDTH, dtype=np.float32)[None, :, None] * np.ones((HEIGHT, WIDTH, 3), np.float32)
 MOVES: dict[str, Any] = {"x": Translate("mesh", (1, 0, 0))}
@@ -60,6 +61,7 @@ def test_a_smooth_mesh_with_seams_has_the_gradient_of_the_same_mesh_without(tmp_
         np.testing.assert_allclose(found[name], wanted[name], rtol=1e-3)
 
 
+@thorough
 def test_a_flat_mesh_with_seams_has_the_gradient_of_the_same_mesh_without(tmp_path: Path) -> None:
     """But for noise, for the two number their edges otherwise, and draw others."""
     files = (ball_file(tmp_path, split=split) for split in (True, False))

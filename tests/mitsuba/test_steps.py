@@ -16,6 +16,7 @@ from loi_mitsuba.loading import parsed
 from loi_mitsuba.steps import has_steps, interpolate, textures_of
 from tests.helpers import Host
 from tests.mitsuba.scenes import HEIGHT, WIDTH, shadow_scene
+from tests.strategies import thorough
 
 PLACE = mi.ScalarTransform4f
 MOVES: dict[str, Any] = {"x": Translate("card", (1, 0, 0)), "turn": Rotate("card", (0, 1, 0))}
@@ -88,7 +89,7 @@ def test_an_interpolated_texture_is_that_with_steps_but_near_them(kind: str, tmp
     assert np.mean(equal) == pytest.approx(0.75**2, abs=0.05)  # at more than an eighth of a check from its sides
 
 
-@pytest.mark.parametrize("kind", ["board", "file"])
+@pytest.mark.parametrize("kind", ["board", pytest.param("file", marks=thorough)])
 def test_a_texture_that_moves_has_the_gradient_of_finite_differences(kind: str, tmp_path: Path) -> None:
     scene = lit_scene(KINDS[kind](tmp_path))
     planned = PlannedRenderer(scene, MOVES, spp=64)

@@ -50,7 +50,10 @@ def test_a_killed_fit_that_is_resumed_leaves_what_an_unbroken_one_does(scene: st
 
 
 @forks
-@pytest.mark.parametrize(("how", "reason"), [("full", "No space left on device"), ("read-only", "Read-only file sys")])
+@pytest.mark.parametrize(
+    ("how", "reason"),
+    [("full", "No space left on device"), pytest.param("read-only", "Read-only file sys", marks=thorough)],
+)
 def test_a_disk_that_fills_ends_a_fit_with_a_named_file_and_loses_nothing(
     how: str, reason: str, tmp_path: Path
 ) -> None:
