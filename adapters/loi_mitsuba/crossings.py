@@ -177,14 +177,15 @@ class Crossings:
         """
         # How many there are must not be written into kernels: they would be compiled again for each other number. So it
         # is opaque, and the gradient comes back without sums of each thread's own, which lie that far apart.
-        count = dr.opaque(mi.UInt32, dr.width(ends[0]))
-        number, at = dr.arange(mi.UInt32, len(ends) * dr.width(ends[0])), mi.Point2f(0.0)
+        lines = dr.width(ends[0])
+        count = dr.opaque(mi.UInt32, lines)
+        number, at = dr.arange(mi.UInt32, len(ends) * lines), mi.Point2f(0.0)
         for k, end in enumerate(ends):
             part = (number >= k * count) & (number < (k + 1) * count)
             at = dr.select(part, dr.gather(mi.Point2f, end, number - k * count, part), at)
         found = scene.ray_intersect(self._ray(at))
         shape = _shape(found)
-        each = [dr.arange(mi.UInt32, dr.width(ends[0])) + k * count for k in range(len(ends))]
+        each = [dr.arange(mi.UInt32, lines) + k * count for k in range(len(ends))]
         return [
             _Hit(
                 dr.gather(mi.Float, found.t, part, mode=dr.ReduceMode.NoConflicts),

@@ -24,6 +24,7 @@ SceneParameters: TypeAlias = Any
 
 EIGHT_BITS: Final = "it is an 8-bit texture, which has no gradient; load the bitmap with format='variant'"
 INSTANCE: Final = "it moves an instance of a shapegroup, by which Mitsuba has no gradient"
+PLACING: Final = ("to_world", "position")  # what places a sensor or a light
 BY_IMAGES: Final = "; or leave it to PlannedRenderer, which finds it by images alone"
 BY_HANDLE: Final = "; or give PlannedRenderer a Translate or Rotate of {!r}, which it finds by images alone"
 _ADDRESS = re.compile(r"object_\d+(_\d+)?")
@@ -181,7 +182,7 @@ class Names:
         for key in self._params.properties:
             folder, _, last = key.rpartition(".")
             node = self._params.properties[key][2]
-            if last not in ("to_world", "position") or not _is_placed(node):
+            if last not in PLACING or not _is_placed(node):
                 continue
             if name in (folder, self._readable.get(folder)):
                 return key, node
@@ -219,7 +220,7 @@ class Names:
                 if not problem:
                     shapes.append(self._readable[folder])
             elif folder and name in called and isinstance(node, mi.Sensor | mi.Emitter):
-                placed = any(f"{folder}.{last}" in self._params.properties for last in ("to_world", "position"))
+                placed = any(f"{folder}.{last}" in self._params.properties for last in PLACING)
                 problem = f"{_fixed(node)}{BY_IMAGES}" if placed else f"a {node.class_name()} is at no place"
                 msg = f"{name!r} cannot be moved: {problem}"
                 raise ParameterError(msg)

@@ -195,9 +195,8 @@ def is_rounded(shape: Any) -> bool:
     a, b, c = np.array(params["vertex_positions"], dtype=np.float64).reshape(-1, 3)[faces].transpose(1, 0, 2)
     area = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     pairs, _ = _meetings(shape)
-    sharp = np.isin(
-        np.arange(len(faces)), _bent(params, faces, pairs, ROUND) // 3
-    )  # not a card with normals of its own
+    # A card with normals of its own is shaded otherwise than it lies, and has no sharp edge.
+    sharp = np.isin(np.arange(len(faces)), _bent(params, faces, pairs, ROUND) // 3)
     rounded = np.any(_apart(_corner_normals(shape), _flat_normals(params, faces)) > ROUND, axis=1)
     return float(area @ (sharp & rounded)) > ROUNDED * float(np.sum(area))
 
