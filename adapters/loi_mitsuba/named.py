@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Final
@@ -126,29 +126,41 @@ class NamedParameters:
         return leaves
 
     @contextmanager
-    def attached(self, params: Mapping[str, Any], wanted: Iterable[str]) -> Iterator[dict[str, Any]]:
+    def attached(
+        self, params: Mapping[str, Any], wanted: Collection[str], *, settled: bool = False
+    ) -> Iterator[dict[str, Any]]:
         """`params` in the scene, and their leaves, of which those that are `wanted` have a gradient meanwhile.
 
         No graph is left behind in the scene, also where Mitsuba fails; errors as of :meth:`leaves`.
+
+        Parameters
+        ----------
+        params : mapping of arrays
+        wanted : names
+        settled : bool
+            Whether the scene has these `params` already, so that only what is wanted is to be set.
         """
         leaves = self.leaves(params)
         try:
             with dr.resume_grad():  # the caller may have suspended gradients
                 dr.enable_grad([leaves[name] for name in wanted])
-                self.set(leaves)
+                self.set(leaves, wanted if settled else None)
                 yield leaves
         finally:
-            self.set(self.leaves(params))
+            self.set(self.leaves(params), wanted)
 
     def gradients(self, leaves: Mapping[str, Any], names: Iterable[str]) -> dict[str, Host]:
         """What has arrived at leaves, in the shapes of their parameters."""
         return {name: as_host(dr.grad(leaves[name]), self.start[name].shape) for name in names}
 
-    def set(self, leaves: Mapping[str, Any]) -> None:
-        """Put values into the scene. All are, on every call, so that none is left from the call before."""
+    def set(self, leaves: Mapping[str, Any], names: Collection[str] | None = None) -> None:
+        """Put values into the scene: all, so that none is left from the call before, or what some of them set."""
         for name, key in self._keys.items():
-            self.entries[key] = _like(self.entries[key], leaves[name], self.start[name].shape)
+            if names is None or name in names:
+                self.entries[key] = _like(self.entries[key], leaves[name], self.start[name].shape)
         for one in self._posed:
+            if names is not None and not any(name in names for name in one.names):
+                continue
             handles = [(self.targets[name], leaves[name]) for name in one.names]
             pose = posed(handles, one.centre)  # type: ignore[arg-type]  # handles, all of them
             moved = pose @ one.start

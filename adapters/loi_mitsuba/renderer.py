@@ -224,12 +224,17 @@ class MitsubaRenderer:
             return {name: np.zeros_like(start) for name, start in self._named.start.items()}
         self._check_variant()
         pulled = {name: np.zeros_like(start) for name, start in self._named.start.items()}
+        together: dict[tuple[str, ...], list[ByMitsuba | ByJumps]] = {}
         for carry, names in self._parts():
-            with self._named.attached(params, names) as leaves:
+            together.setdefault(names, []).append(carry)
+        given = np.ascontiguousarray(cotangent, dtype=np.float32)
+        for number, (names, carries) in enumerate(together.items()):
+            with self._named.attached(params, frozenset(names), settled=number > 0) as leaves:
                 # Within this scope nothing flows on into the parameters' own graph before all parts of the
                 # gradient, some of which Mitsuba carries back one after the other, have arrived there.
                 with dr.isolate_grad():
-                    carry.pull(np.ascontiguousarray(cotangent, dtype=np.float32), seeds_of(seed)[1])
+                    for carry in carries:
+                        carry.pull(given, seeds_of(seed)[1])
                 found = self._named.gradients(leaves, names)
             pulled |= {name: pulled[name] + found[name] for name in names}
         return pulled
@@ -242,7 +247,7 @@ class MitsubaRenderer:
         self._check_variant()
         total: Any = 0.0
         for carry, names in self._parts():
-            with self._named.attached(params, names) as leaves:
+            with self._named.attached(params, frozenset(names)) as leaves:
                 for name in names:
                     direction = host_numbers(name, tangent[name], self._named.start[name].shape)
                     dr.set_grad(leaves[name], mi.Float(direction.reshape(-1)))
@@ -271,8 +276,8 @@ class MitsubaRenderer:
         moving = tuple(name for name in self._followed if self._named.moving([name]))
         sided = tuple(name for name in moving if name in self._sided)
         for drawn, names in ((self._crossings, moving), (self._edges, sided)):
-            if drawn is not None and names:
-                parts.append((ByJumps(drawn, self._scene, self._film, self._radiance, self._outlines), names))
+            if drawn is not None and names:  # either has a gradient by its own shapes only
+                parts.append((ByJumps(drawn, self._scene, self._film, self._radiance, self._outlines), moving))
         if not sided:
             return [*parts, (whole, self._followed)]
         inner = whole.but(sppp=0)

@@ -1,12 +1,18 @@
-"""One variant and one thread for all tests of the Mitsuba adapter, and none of them where Mitsuba is not installed."""
+"""One variant and one thread for all tests of the Mitsuba adapter, and none of them where Mitsuba is not installed.
+
+``LOI_MITSUBA_VARIANT=cuda_ad_rgb`` runs them on a GPU.
+"""
 
 from __future__ import annotations
 
 import importlib.util
+import os
 
 import pytest
 
 from tests.frameworks import load_installed
+
+VARIANT = os.environ.get("LOI_MITSUBA_VARIANT", "llvm_ad_rgb")
 
 if importlib.util.find_spec("mitsuba") is None:  # pragma: no cover - depends on the environment
     collect_ignore_glob = ["*.py"]
@@ -17,7 +23,7 @@ else:
     import drjit as dr
     import mitsuba as mi
 
-    mi.set_variant("llvm_ad_rgb")
+    mi.set_variant(VARIANT)
     dr.set_thread_count(1)
     mi.set_log_level(mi.LogLevel.Error)  # Mitsuba logs advice about every new projective integrator
 
@@ -25,7 +31,7 @@ else:
 @pytest.fixture(autouse=True)
 def _same_variant() -> None:
     """Tests that change the variant do so for themselves only."""
-    mi.set_variant("llvm_ad_rgb")
+    mi.set_variant(VARIANT)
 
 
 load_installed("jax", "torch")

@@ -13,7 +13,7 @@ from loi_core.renderers.blurred import names_to_blur
 from loi_mitsuba.effects.following import Followed
 from loi_mitsuba.effects.missing import missing_gradients
 from loi_mitsuba.effects.rules import plan_by_rules
-from loi_mitsuba.effects.traits import in_view, traits_of
+from loi_mitsuba.effects.traits import View, traits_of
 from loi_mitsuba.entries import Names, ancestors, named_scene
 from loi_mitsuba.integrators import bordered
 from loi_mitsuba.loading import Target, checked_samples, checked_targets, find_sensor, most_samples, use_variant
@@ -152,7 +152,7 @@ def _neighboured(
         scene,
         near,
         around,
-        lambda shape: in_view(sensor, shape),
+        View(sensor).has,
         floats=loaded.floats,
         split=split,
         stepped=stepped,

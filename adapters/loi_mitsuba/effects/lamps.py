@@ -17,7 +17,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.effects.traits import has_medium, in_view
+from loi_mitsuba.effects.traits import View, has_medium
 from loi_mitsuba.entries import Names
 from loi_mitsuba.handles import Host, Rotate, Scale
 from loi_mitsuba.integrators import Settings
@@ -119,7 +119,7 @@ class Lamps:
         return pulled
 
     def _is_seen(self, name: str) -> bool:
-        return is_shape(self._lights[name]) and in_view(self._renderer.sensor, self._lights[name])
+        return is_shape(self._lights[name]) and View(self._renderer.sensor).has(self._lights[name])
 
     def _slopes(
         self, integrator: Any, params: Mapping[str, Any], names: Iterable[str], seed: int

@@ -28,7 +28,7 @@ from loi_mitsuba.effects.images import effect_images
 from loi_mitsuba.effects.pilot import Pilot
 from loi_mitsuba.effects.probe import APART, Probe
 from loi_mitsuba.effects.rules import everything, plan_by_rules, plan_of, plan_with
-from loi_mitsuba.effects.traits import groups_of, in_view, objects_of, traits_of
+from loi_mitsuba.effects.traits import View, groups_of, objects_of, traits_of
 from loi_mitsuba.effects.verify import Verification, verification
 from loi_mitsuba.entries import Scene
 from loi_mitsuba.handles import Host
@@ -282,8 +282,8 @@ class PlannedRenderer:
         silent = self._following.silent(probe.params, probe.cotangent, names=otherwise, seed=APART + probe.seed)
         if not silent:
             return
-        glass, sensor = self._whole.followed.glass, self._base.sensor
-        self._hidden |= {name: glass[name] for name in silent if name in glass and not in_view(sensor, glass[name])}
+        glass, view = self._whole.followed.glass, View(self._base.sensor)
+        self._hidden |= {name: glass[name] for name in silent if name in glass and not view.has(glass[name])}
         self._followed -= silent
         self._take(self._optimised)
 
@@ -396,7 +396,8 @@ class PlannedRenderer:
 
     def _in_view(self) -> frozenset[str]:
         """Parameters whose shape may be in view, at the values of the last call."""
-        return frozenset(name for name, shape in self._traits.moving.items() if in_view(self._base.sensor, shape))
+        view = View(self._base.sensor)
+        return frozenset(name for name, shape in self._traits.moving.items() if view.has(shape))
 
     def _look(self) -> None:
         """When a shape comes into view, sample outlines if that had been turned off, and let go what moves it.
@@ -405,7 +406,8 @@ class PlannedRenderer:
         """
         if not self._begun:
             return
-        shown = {name for name, shape in self._hidden.items() if in_view(self._base.sensor, shape)}
+        view = View(self._base.sensor)
+        shown = {name for name, shape in self._hidden.items() if view.has(shape)}
         if shown:
             self._hidden = {name: shape for name, shape in self._hidden.items() if name not in shown}
             kept = {name: reason for name, reason in self._plan.blurred.items() if name not in shown}

@@ -14,7 +14,7 @@ from loi_mitsuba.entries import Names, ancestors
 from loi_mitsuba.eye import offset_of
 from loi_mitsuba.handles import Handle, Translate
 
-__all__ = ["Traits", "groups_of", "has_medium", "in_view", "is_clear", "is_known", "kind_of", "objects_of", "traits_of"]
+__all__ = ["Traits", "View", "groups_of", "has_medium", "is_clear", "is_known", "kind_of", "objects_of", "traits_of"]
 
 CONVEX: Final = ("Sphere", "Rectangle", "Disk", "Cube")
 SHAPES: Final = (*CONVEX, "Cylinder", "BSplineCurve", "LinearCurve")  # and every mesh
@@ -192,24 +192,38 @@ def is_clear(shape: Any) -> bool:
     return bsdf is not None and bool(mi.has_flag(bsdf.flags(), mi.BSDFFlags.DeltaTransmission))
 
 
-def in_view(sensor: Any, shape: Any) -> bool:
-    """Whether the box around a shape reaches into what a perspective camera sees; True if that is not known.
+class View:
+    """What a perspective camera sees.
 
-    No corner of the box beyond one side of the pyramid of view is the only case in which it surely does not.
+    Parameters
+    ----------
+    sensor : mi.Sensor
+        What any other sees is not known.
     """
-    if sensor.class_name() != "PerspectiveCamera":
-        return True
-    box = shape.bbox()
-    low, high = (np.array(one, dtype=np.float64).reshape(3) for one in (box.min, box.max))
-    corners = np.array(
-        [[x, y, z, 1.0] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
-    )
-    to_film = _matrix(sensor.projection_transform()) @ np.linalg.inv(_matrix(sensor.world_transform()))
-    x, y, _, w = to_film @ corners.T
-    x, y = (one - offset * w for one, offset in zip((x, y), offset_of(sensor), strict=True))
-    # Homogeneous coordinates: a corner behind the camera has w < 0, and the inequalities still hold.
-    sides = (x < 0.0, x > w, y < 0.0, y > w, w < 0.0)
-    return not any(bool(np.all(side)) for side in sides)
+
+    def __init__(self, sensor: Any) -> None:
+        self._to_film: Any = None
+        if sensor.class_name() == "PerspectiveCamera":
+            self._to_film = _matrix(sensor.projection_transform()) @ np.linalg.inv(_matrix(sensor.world_transform()))
+            self._offset = offset_of(sensor)
+
+    def has(self, shape: Any) -> bool:
+        """Whether the box around a shape reaches into the view; True if that is not known.
+
+        No corner of the box beyond one side of the pyramid of view is the only case in which it surely does not.
+        """
+        if self._to_film is None:
+            return True
+        box = shape.bbox()
+        low, high = (np.array(one, dtype=np.float64).reshape(3) for one in (box.min, box.max))
+        corners = np.array(
+            [[x, y, z, 1.0] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
+        )
+        x, y, _, w = self._to_film @ corners.T
+        x, y = (one - offset * w for one, offset in zip((x, y), self._offset, strict=True))
+        # Homogeneous coordinates: a corner behind the camera has w < 0, and the inequalities still hold.
+        sides = (x < 0.0, x > w, y < 0.0, y > w, w < 0.0)
+        return not any(bool(np.all(side)) for side in sides)
 
 
 def _matrix(transform: Any) -> Any:

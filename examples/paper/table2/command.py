@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -25,6 +26,7 @@ import numpy as np
 
 __all__ = ["PARTS", "main", "part_of"]
 
+VARIANTS: Final = (VARIANT, "cuda_ad_rgb")
 PARTS: Final = ("tuning", "ours", "published", "noise", "anywhere", "savings")
 TUNED: Final = 100  # the seed of the search, which no table has
 NOISY: Final = tuple(
@@ -49,18 +51,19 @@ def main(words: Sequence[str] | None = None) -> None:
     add_options(parser, "table2", PARTS, "two methods, one start, one tiny column, few steps")
     parser.add_argument("--methods", nargs="+", choices=list(LABELS), default=list(LABELS), help="default: all")
     parser.add_argument("--seeds", type=int, default=3, help="starts (default: 3)")
+    parser.add_argument("--variant", choices=VARIANTS, default=VARIANT, help=f"Mitsuba's (default: {VARIANT})")
     options = parser.parse_args(words)
     names = [column.name for column in COLUMNS]
     if set(options.columns or names) - set(names) or options.seeds < 1:
         parser.error(f"--columns must be of {', '.join(map(repr, names))}; --seeds 1 or more")
     methods = tuple(method for method in LABELS if method in options.methods)
     columns = tuple(column for column in COLUMNS if column.name in (options.columns or names))
-    mi.set_variant(VARIANT)
+    mi.set_variant(options.variant)
     parts = {name: part_of(name, methods, columns, options.seeds) for name in options.parts if name != "savings"}
-    study = STUDY
+    study = replace(STUDY, carry_out=partial(carry_out, variant=options.variant))
     if "savings" in options.parts and not (options.quick or options.report):
         saved = {"savings": savings(columns)}  # measured anew on every call: a time is of this machine, now
-        study = replace(STUDY, others=lambda known, parts: _costs(known, parts) | saved)
+        study = replace(study, others=lambda known, parts: _costs(known, parts) | saved)
     carry_out_and_report(parser, options, study, {"ours": _quick()} if options.quick else parts)
 
 

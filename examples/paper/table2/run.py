@@ -30,7 +30,7 @@ __all__ = ["CURVE_STEPS", "Outcome", "Run", "carry_out", "objective", "renderer"
 CURVE_STEPS: Final = 5  # between two points of a curve
 NEAR: Final = 0.05  # units of the scene, mean over the parameters
 PAIRS: Final = 5  # of images for a gradient from images alone: ten renders
-VARIANT: Final = "llvm_ad_rgb"
+VARIANT: Final = "llvm_ad_rgb"  # of Mitsuba, by default
 
 
 @dataclass(frozen=True)
@@ -119,9 +119,9 @@ class _Sharpest:
             self._renderer.at_step(steps - 1, steps, value)
 
 
-def carry_out(run: Run) -> Outcome:
+def carry_out(run: Run, variant: str = VARIANT) -> Outcome:
     """Fit, and measure the last iterate."""
-    mi.set_variant(VARIANT)
+    mi.set_variant(variant)
     dr.set_thread_count(1)  # runs go side by side
     setting = run.setting
     problem = Problem.of(run.column, run.seed)
