@@ -6,20 +6,22 @@ has looked at the plugins' names. Exit code 1 and a last line on standard error 
 
 from __future__ import annotations
 
+import contextlib
 import json
 import sys
+from collections.abc import Collection
+from typing import Any
+
+resource: Any = None
+with contextlib.suppress(ImportError):  # on Windows
+    import resource
 
 MOST_MEMORY = 16 * 2**30  # bytes of addresses, of which Dr.Jit reserves many and uses few
 
 
 def main(variant: str, path: str) -> int:
     """Load the scene; make sure that its meshes refer to vertices that they have."""
-    try:
-        import resource
-    except ImportError:  # not on Windows
-        pass
-    else:
-        resource.setrlimit(resource.RLIMIT_AS, (MOST_MEMORY, MOST_MEMORY))
+    if resource:
         resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     from loi_mitsuba.llvm import prepare
 
@@ -29,7 +31,10 @@ def main(variant: str, path: str) -> int:
 
     from loi_mitsuba.untrusted import SceneLoadError, load_own_plugins
 
+    variant = on_processor(variant, mi.variants())
     mi.set_variant(variant)
+    if resource and not variant.startswith("cuda"):  # which reserves more addresses than there is memory
+        resource.setrlimit(resource.RLIMIT_AS, (MOST_MEMORY, MOST_MEMORY))
     try:
         load_own_plugins()
         described = path == "-"
@@ -45,6 +50,12 @@ def main(variant: str, path: str) -> int:
         sys.stderr.write(f"{' '.join(str(error).split()) or type(error).__name__}\n")
         return 1
     return 0
+
+
+def on_processor(variant: str, known: Collection[str]) -> str:
+    """The variant that does on the processor what another does on a GPU; that itself if Mitsuba was built without."""
+    sibling = f"llvm{variant.removeprefix('cuda')}"
+    return sibling if variant.startswith("cuda") and sibling in known else variant
 
 
 if __name__ == "__main__":

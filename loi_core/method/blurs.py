@@ -18,7 +18,15 @@ import numpy as np
 from loi_core.method.gaussian import AxisBlur, AxisGrid, Matrix
 from loi_core.method.scales import Boundary
 from loi_core.method.windows import Window
-from loi_core.support.arrays import Array, device, from_numpy, library_name, namespace, outlives_its_context
+from loi_core.support.arrays import (
+    Array,
+    device,
+    from_numpy,
+    library_name,
+    matrix_product,
+    namespace,
+    outlives_its_context,
+)
 from loi_core.support.cache import BESIDE, Cache
 
 __all__ = ["Blur", "DenseBlur", "GaussianBlur", "PlaneBlur", "PlaneGrid", "blur_about", "gaussian_blur"]
@@ -206,12 +214,14 @@ class _AxisProduct:
 
     def along_rows(self, planes: Array) -> Array:
         """The product with the vertical axis of planes, shape (..., H, W)."""
-        parts = [block.left @ planes[..., block.seen.start : block.seen.stop, :] for block in self.blocks]
+        parts = [
+            matrix_product(block.left, planes[..., block.seen.start : block.seen.stop, :]) for block in self.blocks
+        ]
         return parts[0] if len(parts) == 1 else namespace(planes).concat(parts, axis=-2)
 
     def along_columns(self, planes: Array) -> Array:
         """The product with the horizontal axis of planes, shape (..., H, W)."""
-        parts = [planes[..., block.seen.start : block.seen.stop] @ block.right for block in self.blocks]
+        parts = [matrix_product(planes[..., block.seen.start : block.seen.stop], block.right) for block in self.blocks]
         return parts[0] if len(parts) == 1 else namespace(planes).concat(parts, axis=-1)
 
     @property
@@ -330,8 +340,8 @@ class DenseBlur:
 def _sandwich(left: Array, planes: Array, right: Array) -> Array:
     xp = namespace(planes)
     *stack, height, width = planes.shape
-    across = xp.matmul(xp.reshape(planes, (-1, width)), right.T)
-    return xp.matmul(left, xp.reshape(across, (*stack, height, right.shape[0])))
+    across = matrix_product(xp.reshape(planes, (-1, width)), right.T)
+    return matrix_product(left, xp.reshape(across, (*stack, height, right.shape[0])))
 
 
 def blur_about(blur: Blur, planes: Array, padding: float) -> Array:

@@ -35,6 +35,7 @@ __all__ = [
     "warn_if_clipped",
 ]
 
+ROUNDING: Final = 1e-6  # of the bounds' distance: a reference in float32, white but for that, is not beyond them
 MOST_CLIPPED: Final = 0.02  # of the reference, without a word: a lamp or two in view
 ACCURACIES: Final = {"exact": 0.0, "balanced": 1e-2, "fast": 5e-2}
 
@@ -307,8 +308,9 @@ def warn_if_clipped(reference: Array, weights: Array | None, bounds: tuple[float
     if not values_may_decide(reference):
         return
     low, high = bounds
+    rounding = ROUNDING * (high - low)
     xp = namespace(reference)
-    beyond = (reference < low) | (reference > high)
+    beyond = (reference < low - rounding) | (reference > high + rounding)
     if weights is not None:
         beyond = beyond & (weights > 0.0)
     share = float(xp.mean(xp.astype(beyond, reference.dtype)))

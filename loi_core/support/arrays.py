@@ -29,6 +29,7 @@ __all__ = [
     "is_torch_array",
     "is_traced",
     "library_name",
+    "matrix_product",
     "namespace",
     "narrowed",
     "norm",
@@ -152,6 +153,12 @@ def sum_of_all(array: Array) -> Array:
     while mean.ndim:
         mean = namespace(array).mean(mean, axis=-1)
     return mean * array.size
+
+
+def matrix_product(left: Array, right: Array) -> Array:
+    """``left @ right`` in the precision of their dtype, which JAX does not keep by default on GPUs and TPUs."""
+    xp = namespace(left)
+    return xp.matmul(left, right, precision="highest") if is_jax_array(left) else xp.matmul(left, right)
 
 
 def norm(array: Array) -> float:

@@ -186,6 +186,17 @@ def test_what_is_compiled_does_not_grow_with_the_levels() -> None:
     assert operations(4096) < 3 * operations(64)  # 64 blocks of 64, side by side
 
 
+@pytest.mark.parametrize("platform", ["cuda", "tpu"])
+def test_products_keep_the_precision_of_their_dtype_on_accelerators(platform: str) -> None:
+    """By default JAX rounds their factors there, to 10 bits or 7."""
+    image = jnp.asarray(IMAGE, dtype=jnp.float32)
+    loss = loi_jax.loi_loss(REFERENCE.astype(np.float32), SCALES)
+    lowered = jax.jit(jax.value_and_grad(loss)).trace(image).lower(lowering_platforms=(platform,))
+    products = [line for line in lowered.as_text().splitlines() if "dot_general" in line]
+    assert products
+    assert all("precision = [HIGHEST, HIGHEST]" in line for line in products)
+
+
 def test_it_can_be_pickled_and_copied(loss: Loss) -> None:
     image = jnp.asarray(IMAGE)
     pickled = pickle.loads(pickle.dumps(loss))  # noqa: S301  # of our own making

@@ -91,7 +91,9 @@ def test_it_is_that_of_finite_differences(kind: str) -> None:
     drawn = [list(lamps.pull(at, RAMP, names=handles, seed=seed).values()) for seed in range(6)]
     mean, error = np.mean(drawn, axis=0), np.std(drawn, axis=0, ddof=1) / np.sqrt(6)
     wanted, unsure = differences(renderer, at, steps)
-    np.testing.assert_array_less(np.abs(mean - wanted), 0.02 * np.abs(wanted) + 4.0 * np.hypot(error, unsure))
+    rounding = 32.0 * np.finfo(np.float32).eps * np.max(np.abs(wanted))  # all that is there where a ball turns
+    bound = 0.02 * np.abs(wanted) + 4.0 * np.hypot(error, unsure) + rounding
+    np.testing.assert_array_less(np.abs(mean - wanted), bound)
 
 
 @pytest.mark.parametrize("changes", [{"half": 400.0}, {"glow": 0.05}], ids=["wide floor", "glowing floor"])

@@ -109,7 +109,7 @@ def test_nothing_is_shared_with_the_caller(backend: Any) -> None:
     image, reference = (one.astype(np.float32) for one in images(SHAPE, 7))
     given = reference.copy()
     loss, same = LOILoss(given, SCALES, backend=backend), LOILoss(mi.TensorXf(given), SCALES, backend=backend)
-    tensor = mi.TensorXf(image)  # aliases `image`
+    tensor = mi.TensorXf(image)  # aliases `image`, but on a GPU
     value, gradient = loss.value_and_grad(tensor)
     kept = gradient.numpy().copy()
     given[:] = 0.0
@@ -117,7 +117,8 @@ def test_nothing_is_shared_with_the_caller(backend: Any) -> None:
         assert float(one(tensor)[0]) == pytest.approx(float(value[0]), rel=VALUE)
     image[:] = 0.0
     assert np.array_equal(gradient.numpy(), kept)
-    assert float(loss(tensor)[0]) != pytest.approx(float(value[0]), rel=VALUE)
+    if mi.variant().startswith("llvm"):
+        assert float(loss(tensor)[0]) != pytest.approx(float(value[0]), rel=VALUE)
 
 
 def step(loss: LOILoss, image: Host, index: int) -> None:

@@ -173,6 +173,16 @@ def test_a_mesh_without_the_vertices_that_it_refers_to_is_refused(last: int, tmp
     loaded(scene)
 
 
+def test_what_goes_to_a_gpu_is_tried_on_the_processor(tmp_path: Path) -> None:
+    """CUDA reserves more addresses than the process may have that tries it; here there need not be any GPU."""
+    scene = written(tmp_path, BALL + LIGHT + '<shape type="ply"><string name="filename" value="m.ply"/></shape>')
+    mesh(tmp_path / "m.ply", [0, 1, 2])
+    untrusted._try_to_load("cuda_ad_rgb", str(scene), "")
+    mesh(tmp_path / "m.ply", [0, 1, 3])
+    with pytest.raises(SceneLoadError, match=r"makes Mitsuba crash|refers to vertex"):
+        untrusted._try_to_load("cuda_ad_rgb", str(scene), "")
+
+
 def test_a_scene_is_tried_again_only_where_one_of_its_files_has_changed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

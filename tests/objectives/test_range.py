@@ -26,11 +26,12 @@ def test_a_reference_beyond_the_bounds_is_told_of_with_its_range() -> None:
     "objective",
     [
         LOIObjective(np.where(RADIANCE > 2.97, 50.0, RADIANCE / 3.0)),
+        LOIObjective(np.where(RADIANCE > 1.0, np.nextafter(np.float32(1.0), np.float32(2.0)), RADIANCE)),
         LOIObjective(RADIANCE, ScaleSpace.for_image(24, 32, bounds=(0.0, 3.0))),
         LOIObjective(RADIANCE, tone=LogTone(peak=3.0)),
         LOIObjective(RADIANCE, weights=BRIGHT),
     ],
-    ids=["a few highlights", "wider bounds", "a tone curve", "masked"],
+    ids=["a few highlights", "white but for a rounding", "wider bounds", "a tone curve", "masked"],
 )
 def test_nothing_is_said_where_little_is_lost(objective: LOIObjective) -> None:
     with warnings.catch_warnings():
