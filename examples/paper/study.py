@@ -115,7 +115,7 @@ class Study(Generic[Made]):
             **{key: one for key, one in known.figures.items() if key not in records},
         }.items():
             figures = (f"{record[one]:.4f}" if one in record else "" for one in self.measures)
-            writer.writerow((*key, *figures, f"{record['seconds']:.1f}"))
+            writer.writerow((*key, *figures, f"{record['seconds']:.1f}" if "seconds" in record else ""))
         return stream.getvalue()
 
     def table_of(self, known: Known, part: Part[Made]) -> list[str]:
