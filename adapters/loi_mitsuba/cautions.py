@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Container, Iterator, Mapping
+from collections.abc import Callable, Container, Iterator, Mapping, Sequence
 from typing import Any, Final
 
 import drjit as dr
@@ -32,6 +32,7 @@ WITH_ALPHA: Final = (2, 4)  # channels
 CHOICES: Final = {"MaskBSDF": "opacity", "BlendBSDF": "weight"}
 COLOURS: Final = ("specular_reflectance", "specular_transmittance", "eta", "k")
 GRID: Final = 64  # places of the image along either side
+LIFTED: Final = 1e-3  # of a shape's extent: what it may be lifted by
 CROWDED: Final = 0.05  # of a mesh's edges, by length: what its gradient may be off by
 
 
@@ -98,7 +99,7 @@ def _cautions(scene: Any, integrator: Any, shapes: list[Any], drawn: Container[A
 
 def _cautions_in_view(scene: Any, sensor: Any, shapes: list[Any], drawn: Container[Any]) -> Iterator[str]:
     """What there is to warn of where the shapes are seen, one message each."""
-    each, film = list(dict.fromkeys(shapes)), sensor.film()
+    each, own, film = list(dict.fromkeys(shapes)), scene.shapes(), sensor.film()
     if is_cropped(sensor) and (others := _ids(each, lambda shape: shape not in drawn)):
         yield (
             f"{clause(others, 'moves', 'move')} before a film with a crop window, where Mitsuba puts outlines in wrong "
@@ -130,6 +131,12 @@ def _cautions_in_view(scene: Any, sensor: Any, shapes: list[Any], drawn: Contain
         yield (
             f"the camera looks into an open end of {listed(tubes)}, and Mitsuba's gradient of such an "
             f"outline is wrong; use a mesh"
+        )
+    if lifted := _ids(each, lambda shape: is_lifted(shape, own)):
+        yield (
+            f"{clause(lifted, 'touches', 'touch')} another shape, so small or so far from the origin that Mitsuba "
+            f"lifts rays off it by more than {LIFTED:.1%} of its extent, and the gradient is then of a wrong size; give "
+            f"the scene in units of its size, near the origin"
         )
     if curves := _ids(each, lambda shape: shape.class_name() in CURVES):
         yield f"{clause(curves, 'is a curve', 'are curves')}, and Mitsuba's gradient of how its outline moves is wrong"
@@ -163,6 +170,23 @@ def is_looked_into(shape: Any, sensor: Any) -> bool:
     eye = mi.traverse(shape)["to_world"].inverse() @ mi.Point3f(sensor.world_transform().translation())
     along = float(np.array(eye.z).reshape(-1)[0])  # 0 and 1 are its ends
     return along < 0.0 or along > 1.0
+
+
+def is_lifted(shape: Any, others: Sequence[Any]) -> bool:
+    """Whether a shape's box touches another's, and rays that leave it begin far off its surface for its extent."""
+    low, high = _box(shape)
+    lift = mi.math.RayEpsilon * (1.0 + np.max(np.abs(np.stack([low, high]))))
+    if lift <= LIFTED * np.linalg.norm(high - low):
+        return False
+    boxes = [_box(one) for one in others if one != shape]
+    return any(bool(np.all(low <= top) and np.all(bottom <= high)) for bottom, top in boxes)
+
+
+def _box(shape: Any) -> tuple[Any, Any]:
+    """The least and the largest coordinates."""
+    box = shape.bbox()
+    low, high = (np.array(one, dtype=np.float64).reshape(3) for one in (box.min, box.max))
+    return low, high
 
 
 def is_clipped(scene: Any, sensor: Any) -> bool:

@@ -15,7 +15,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.eye import BESIDE, NEARLY, brighter, is_plain, sampler_of
+from loi_mitsuba.eye import NEARLY, brighter, is_plain, sampler_of
 
 __all__ = ["Crossings"]
 
@@ -24,6 +24,8 @@ MOST: Final = 2**22  # lines of one direction: in large images curves are long, 
 HALVINGS: Final = 16  # of a line
 STEP: Final = 0.05  # pixels to either side, for the slope of a depth
 NEAR: Final = 0.05  # pixels between a crossing and where the planes of the two shapes cross
+BESIDE: Final = (0.0125, 0.05)  # pixels from a crossing, to either side: at least, and at the most in reach of LIFTS
+LIFTS: Final = 4.0  # of what Mitsuba lifts a ray by, off the surface that it leaves
 AROUND: Final = 0.5  # of how far a shape lies behind the other, to either side of where its plane is
 
 
@@ -85,9 +87,17 @@ class Crossings:
         with dr.suspend_grad():
             middle = dr.lerp(first, second, 0.5)
             slope, active = self._slope(scene, near, far, middle, along)
-            place, aside = middle / self._size, BESIDE * along / self._size
-            sampler = sampler_of(seed + 1, dr.width(middle))
-            jump = brighter(self._sensor, integrator, scene, (place - aside, place + aside), active, sampler)
+            count = dr.width(middle)
+            place = middle / self._size
+            aside = self._aside(near, middle) * along / self._size
+            # Under a shape that bulges over the crossing, light grows as the root of the distance from it.
+            close, off = (
+                brighter(
+                    self._sensor, integrator, scene, (place - way, place + way), active, sampler_of(seed + 1, count)
+                )
+                for way in (aside, 4.0 * aside)
+            )
+            jump = 2.0 * close - off
         gap = near.t - far.t
         moved = dr.select(active, -(gap - dr.detach(gap)) / slope, 0.0)
         return dr.select(active, -jump / lines, 0.0) * moved, place
@@ -143,6 +153,12 @@ class Crossings:
         active &= self._goes_on(scene, near, far, middle + beyond, active)
         active &= self._goes_on(scene, far, near, middle - beyond, active)
         return dr.select(active, slope, 1.0), active
+
+    def _aside(self, hit: _Hit, middle: Any) -> Any:
+        """Pixels from a crossing to where brightness is looked up: rays that start there see what is around it."""
+        one = dr.norm(self._ray(middle + mi.Vector2f(1.0, 0.0)).d - self._ray(middle).d) * dr.norm(hit.p - self._eye)
+        lift = mi.math.RayEpsilon * (1.0 + dr.max(dr.abs(hit.p)))
+        return dr.clip(LIFTS * lift / one, *BESIDE)
 
     def _behind(self, near: _Hit, far: _Hit, middle: Any, way: Any) -> Any:
         """The slope along a direction of how far the first shape's plane is behind the second's."""

@@ -163,6 +163,23 @@ def test_cylinders_that_are_looked_into_are_warned_of(
     assert any("the camera looks into an open end of 'tube'" in str(one.message) for one in recwarn) == told
 
 
+@pytest.mark.parametrize(
+    ("size", "away", "height", "told"),
+    [(1.0, 0.0, 0.3, False), (0.01, 0.0, 0.3, True), (1.0, 100.0, 0.3, True), (0.01, 0.0, 3.0, False)],
+    ids=["of its size", "small", "far away", "small and apart"],
+)
+def test_shapes_that_mitsuba_lifts_rays_far_off_are_warned_of_where_they_touch(
+    size: float, away: float, height: float, told: bool, recwarn: pytest.WarningsRecorder
+) -> None:
+    place = mi.ScalarTransform4f
+    scene = shadow_scene(
+        ball={"type": "sphere", "to_world": place().translate([away, height * size, 0]).scale(0.4 * size)},
+        floor={"type": "rectangle", "to_world": place().translate([away, 0, 0]).rotate([1, 0, 0], -90).scale(8)},
+    )
+    MitsubaRenderer(scene, {"x": Translate("ball", (1, 0, 0))})
+    assert any("'ball' touches another shape, so small or" in str(one.message) for one in recwarn) == told
+
+
 SINGLE: dict[str, tuple[dict[str, Any], str]] = {
     "mask": ({"type": "mask", "opacity": 0.6, "nested": {"type": "diffuse"}}, "opacity"),
     "blend": (
