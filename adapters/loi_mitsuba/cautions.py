@@ -135,8 +135,8 @@ def _cautions_in_view(scene: Any, sensor: Any, shapes: list[Any], drawn: Contain
     if lifted := _ids(each, lambda shape: is_lifted(shape, own)):
         yield (
             f"{clause(lifted, 'touches', 'touch')} another shape, so small or so far from the origin that Mitsuba "
-            f"lifts rays off it by more than {LIFTED:.1%} of its extent, and the gradient is then of a wrong size; give "
-            f"the scene in units of its size, near the origin"
+            f"lifts rays off it by more than {LIFTED:.1%} of its extent, and the gradient is then of a wrong size; "
+            f"give the scene in units of its size, near the origin"
         )
     if curves := _ids(each, lambda shape: shape.class_name() in CURVES):
         yield f"{clause(curves, 'is a curve', 'are curves')}, and Mitsuba's gradient of how its outline moves is wrong"
