@@ -276,7 +276,8 @@ class MitsubaRenderer:
         moving = tuple(name for name in self._followed if self._named.moving([name]))
         sided = tuple(name for name in moving if name in self._sided)
         for drawn, names in ((self._crossings, moving), (self._edges, sided)):
-            if drawn is not None and names:  # either has a gradient by its own shapes only
+            if drawn is not None and names:
+                # Edges have no gradient by what has none of them, so that both may be asked of one scene.
                 parts.append((ByJumps(drawn, self._scene, self._film, self._radiance, self._outlines), moving))
         if not sided:
             return [*parts, (whole, self._followed)]
