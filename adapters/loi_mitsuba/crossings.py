@@ -15,7 +15,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.eye import NEARLY, brighter, is_plain, sampler_of
+from loi_mitsuba.eye import NEARLY, brighter, is_plain, lift_of, sampler_of
 
 __all__ = ["Crossings"]
 
@@ -158,8 +158,7 @@ class Crossings:
     def _aside(self, hit: _Hit, middle: Any) -> Any:
         """Pixels from a crossing to where brightness is looked up: rays that start there see what is around it."""
         one = dr.norm(self._ray(middle + mi.Vector2f(1.0, 0.0)).d - self._ray(middle).d) * dr.norm(hit.p - self._eye)
-        lift = mi.math.RayEpsilon * (1.0 + dr.max(dr.abs(hit.p)))
-        return dr.clip(LIFTS * lift / one, *BESIDE)
+        return dr.clip(LIFTS * lift_of(hit.p) / one, *BESIDE)
 
     def _behind(self, near: _Hit, far: _Hit, middle: Any, way: Any) -> Any:
         """The slope along a direction of how far the first shape's plane is behind the second's."""

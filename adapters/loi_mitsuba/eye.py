@@ -12,7 +12,7 @@ import numpy as np
 from loi_mitsuba.film import Film
 from loi_mitsuba.handles import Host
 
-__all__ = ["BESIDE", "NEARLY", "Eye", "brighter", "is_plain", "offset_of", "sampler_of"]
+__all__ = ["BESIDE", "NEARLY", "Eye", "brighter", "is_plain", "lift_of", "offset_of", "sampler_of"]
 
 BESIDE: Final = 0.05  # pixels from a jump of brightness, to either side
 NEARLY: Final = 1e-3  # of the distance to the camera: what is nearer than an edge by less does not hide it
@@ -132,6 +132,11 @@ def brighter(sensor: Any, integrator: Any, scene: Any, ends: tuple[Any, Any], ac
         values.append(integrator.sample(scene, sampler, ray, active=active)[0] * weight)
     jump = values[1] - values[0]
     return mi.Color3f(jump[0]) if mi.is_monochromatic else jump
+
+
+def lift_of(point: Any) -> Any:
+    """How far off a surface Mitsuba begins the rays that leave it at a point."""
+    return mi.math.RayEpsilon * (1.0 + dr.max(dr.abs(point)))
 
 
 def sampler_of(seed: int, count: int) -> Any:

@@ -17,7 +17,7 @@ import mitsuba as mi
 
 from loi_mitsuba.effects.traits import has_medium, is_clear
 from loi_mitsuba.entries import Names
-from loi_mitsuba.eye import Eye, sampler_of
+from loi_mitsuba.eye import Eye, lift_of, sampler_of
 from loi_mitsuba.handles import Host, Scale
 from loi_mitsuba.loading import Target
 from loi_mitsuba.named import NamedParameters
@@ -243,7 +243,7 @@ class Samples:
 
 def _before(point: Any, away: Any) -> Any:
     """A ray that comes from where `away` points to, and meets next the surface at a point of it."""
-    step = LIFT * mi.math.RayEpsilon * (1.0 + dr.max(dr.abs(dr.detach(point.p))))
+    step = LIFT * lift_of(dr.detach(point.p))
     return mi.Ray3f(point.p + step * away, -away)
 
 

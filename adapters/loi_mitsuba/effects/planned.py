@@ -282,8 +282,9 @@ class PlannedRenderer:
         silent = self._following.silent(probe.params, probe.cotangent, names=otherwise, seed=APART + probe.seed)
         if not silent:
             return
-        glass, view = self._whole.followed.glass, View(self._base.sensor)
-        self._hidden |= {name: glass[name] for name in silent if name in glass and not view.has(glass[name])}
+        glass = {name: shape for name, shape in self._whole.followed.glass.items() if name in silent}
+        shown = self._shown(glass)
+        self._hidden |= {name: shape for name, shape in glass.items() if name not in shown}
         self._followed -= silent
         self._take(self._optimised)
 
@@ -396,8 +397,14 @@ class PlannedRenderer:
 
     def _in_view(self) -> frozenset[str]:
         """Parameters whose shape may be in view, at the values of the last call."""
+        return self._shown(self._traits.moving)
+
+    def _shown(self, shapes: Mapping[str, Any]) -> frozenset[str]:
+        """Those whose shape may be in view; what the camera sees is found out only where there are any."""
+        if not shapes:
+            return frozenset()
         view = View(self._base.sensor)
-        return frozenset(name for name, shape in self._traits.moving.items() if view.has(shape))
+        return frozenset(name for name, shape in shapes.items() if view.has(shape))
 
     def _look(self) -> None:
         """When a shape comes into view, sample outlines if that had been turned off, and let go what moves it.
@@ -406,8 +413,7 @@ class PlannedRenderer:
         """
         if not self._begun:
             return
-        view = View(self._base.sensor)
-        shown = {name for name, shape in self._hidden.items() if view.has(shape)}
+        shown = self._shown(self._hidden)
         if shown:
             self._hidden = {name: shape for name, shape in self._hidden.items() if name not in shown}
             kept = {name: reason for name, reason in self._plan.blurred.items() if name not in shown}

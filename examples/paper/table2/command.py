@@ -19,6 +19,7 @@ from examples.paper.table2.published import PAPER
 from examples.paper.table2.run import CURVE_STEPS, VARIANT, Run, carry_out
 from examples.paper.table2.savings import savings
 from examples.paper.table2.settings import LABELS, PROTOCOLS, RATES, Method, Setting, many, ours
+from loi_mitsuba.loading import VARIANTS
 
 # isort: split
 import mitsuba as mi
@@ -26,7 +27,6 @@ import numpy as np
 
 __all__ = ["PARTS", "main", "part_of"]
 
-VARIANTS: Final = (VARIANT, "cuda_ad_rgb")
 PARTS: Final = ("tuning", "ours", "published", "noise", "anywhere", "savings")
 TUNED: Final = 100  # the seed of the search, which no table has
 NOISY: Final = tuple(
