@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from loi_core.support.wording import clause, listed
-from loi_mitsuba.entries import Names
+from loi_mitsuba.entries import Names, corners_of
 from loi_mitsuba.seams import crowded_share, has_seams, is_inside_out, is_rounded
 from loi_mitsuba.steps import has_steps
 
@@ -174,19 +174,12 @@ def is_looked_into(shape: Any, sensor: Any) -> bool:
 
 def is_lifted(shape: Any, others: Sequence[Any]) -> bool:
     """Whether a shape's box touches another's, and rays that leave it begin far off its surface for its extent."""
-    low, high = _box(shape)
+    low, high = corners_of(shape)
     lift = mi.math.RayEpsilon * (1.0 + np.max(np.abs(np.stack([low, high]))))
     if lift <= LIFTED * np.linalg.norm(high - low):
         return False
-    boxes = [_box(one) for one in others if one != shape]
+    boxes = [corners_of(one) for one in others if one != shape]
     return any(bool(np.all(low <= top) and np.all(bottom <= high)) for bottom, top in boxes)
-
-
-def _box(shape: Any) -> tuple[Any, Any]:
-    """The least and the largest coordinates."""
-    box = shape.bbox()
-    low, high = (np.array(one, dtype=np.float64).reshape(3) for one in (box.min, box.max))
-    return low, high
 
 
 def is_clipped(scene: Any, sensor: Any) -> bool:

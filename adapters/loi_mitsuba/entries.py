@@ -17,7 +17,18 @@ import numpy as np
 from loi_core.errors import ParameterError
 from loi_mitsuba.loading import Loaded, load_scene, load_with_floats, use_variant
 
-__all__ = ["INSTANCE", "Entry", "Names", "Scene", "ancestors", "is_instance", "list_entries", "named_scene", "numbers"]
+__all__ = [
+    "INSTANCE",
+    "Entry",
+    "Names",
+    "Scene",
+    "ancestors",
+    "corners_of",
+    "is_instance",
+    "list_entries",
+    "named_scene",
+    "numbers",
+]
 
 Scene: TypeAlias = Any
 SceneParameters: TypeAlias = Any
@@ -275,8 +286,8 @@ def _places(params: SceneParameters) -> dict[str, str]:
             if _is_merged(node):
                 found[folder] = "merged_meshes"
                 continue
-            found[folder] = f"{_kind_of(node)}_at_{_numbers(_corners(node).mean(axis=0))}"
-            sizes[folder] = f"_size_{_numbers(np.ptp(_corners(node), axis=0))}"
+            found[folder] = f"{_kind_of(node)}_at_{_numbers(corners_of(node).mean(axis=0))}"
+            sizes[folder] = f"_size_{_numbers(np.ptp(corners_of(node), axis=0))}"
     named = list(found.values())
     found = {key: name + sizes.get(key, "") if named.count(name) > 1 else name for key, name in found.items()}
     named = list(found.values())
@@ -285,7 +296,8 @@ def _places(params: SceneParameters) -> dict[str, str]:
     return {key: f"{name}_{next(numbered[name])}" if named.count(name) > 1 else name for key, name in found.items()}
 
 
-def _corners(node: Any) -> Any:
+def corners_of(node: Any) -> Any:
+    """The least and the largest coordinates of a shape, or of a scene: shape (2, 3), float64."""
     box = node.bbox()
     return np.array([np.array(one, dtype=np.float64).reshape(3) for one in (box.min, box.max)])
 

@@ -10,7 +10,7 @@ from typing import Any, Final
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.entries import Names, ancestors
+from loi_mitsuba.entries import Names, ancestors, corners_of
 from loi_mitsuba.eye import offset_of
 from loi_mitsuba.handles import Handle, Translate
 
@@ -214,8 +214,7 @@ class View:
         """
         if self._to_film is None:
             return True
-        box = shape.bbox()
-        low, high = (np.array(one, dtype=np.float64).reshape(3) for one in (box.min, box.max))
+        low, high = corners_of(shape)
         corners = np.array(
             [[x, y, z, 1.0] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
         )
