@@ -11,6 +11,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from loi_mitsuba.entries import corners_of
+
 __all__ = ["KINDS", "Surroundings", "lights_of", "position_of", "power_of"]
 
 Host: TypeAlias = np.ndarray[Any, np.dtype[np.float64]]
@@ -48,8 +50,8 @@ class Surroundings:
     @classmethod
     def of(cls, scene: Any, moving: Iterable[Any], stay: Iterable[int] = ()) -> Surroundings:
         """Of a loaded scene, the shapes that move in it, and the numbers of lights that are to stay as they are."""
-        boxes = np.array([_corners(one.bbox()) for one in moving])
-        low, high = _corners(scene.bbox())
+        boxes = np.array([corners_of(one) for one in moving])
+        low, high = corners_of(scene)
         kept = set(stay)
         powers = tuple(None if k in kept else power_of(one) for k, one in enumerate(lights_of(scene)))
         return cls(boxes, 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low)), powers, scene)
@@ -108,10 +110,6 @@ def _first_hit(scene: Any, origins: Host, goal: Host) -> Host:
     ray = mi.Ray3f(mi.Point3f(origins.astype(np.float32).T), mi.Vector3f(ways.astype(np.float32).T))
     with dr.suspend_grad():
         return np.array(scene.ray_intersect_preliminary(ray).t, dtype=np.float64)
-
-
-def _corners(box: Any) -> Host:
-    return np.array([np.array(one, dtype=np.float64).reshape(3) for one in (box.min, box.max)])
 
 
 def power_of(light: Any) -> Host | None:
