@@ -11,7 +11,8 @@ import mitsuba as mi
 import numpy as np
 
 from loi_core.support.wording import clause, listed
-from loi_mitsuba.entries import Names, corners_of
+from loi_mitsuba.boxes import corners_of
+from loi_mitsuba.entries import Names
 from loi_mitsuba.seams import crowded_share, has_seams, is_inside_out, is_rounded
 from loi_mitsuba.steps import has_steps
 

@@ -15,6 +15,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from loi_mitsuba.boxes import corners_of
 from loi_mitsuba.eye import NEARLY, brighter, is_plain, lift_of, sampler_of
 
 __all__ = ["Crossings"]
@@ -106,8 +107,7 @@ class Crossings:
     def _may_meet(self, scene: Any) -> bool:
         """Whether the box of a shape that moves touches that of another."""
         every = scene.shapes()
-        boxes = [one.bbox() for one in every]
-        low, high = (np.array(ends) for ends in zip(*((one.min, one.max) for one in boxes), strict=True))
+        low, high = np.stack([corners_of(one) for one in every], axis=1)
         moving = [every.index(one) for one in self._shapes]
         meet = np.all((low[moving, None] <= high) & (low <= high[moving, None]), axis=-1)
         meet[np.arange(len(moving)), moving] = False

@@ -15,6 +15,7 @@ import mitsuba as mi
 import numpy as np
 
 from loi_core.errors import ParameterError
+from loi_mitsuba.boxes import corners_of
 from loi_mitsuba.loading import Loaded, load_scene, load_with_floats, use_variant
 
 __all__ = [
@@ -23,7 +24,6 @@ __all__ = [
     "Names",
     "Scene",
     "ancestors",
-    "corners_of",
     "is_instance",
     "list_entries",
     "named_scene",
@@ -294,12 +294,6 @@ def _places(params: SceneParameters) -> dict[str, str]:
     numbered = {name: iter(range(len(named))) for name in named}
     # Nothing that is known here says which is which of meshes of one size in one place.
     return {key: f"{name}_{next(numbered[name])}" if named.count(name) > 1 else name for key, name in found.items()}
-
-
-def corners_of(node: Any) -> Any:
-    """The least and the largest coordinates of a shape, or of a scene: shape (2, 3), float64."""
-    box = node.bbox()
-    return np.array([np.array(one, dtype=np.float64).reshape(3) for one in (box.min, box.max)])
 
 
 def _numbers(values: Any) -> str:

@@ -14,6 +14,7 @@ import mitsuba as mi
 import numpy as np
 
 from loi_core.support.arrays import Host
+from loi_mitsuba.boxes import corners_of
 
 __all__ = [
     "crowded_share",
@@ -150,10 +151,10 @@ def is_closed(shape: Any) -> bool:
 
 def is_inside_out(shape: Any) -> bool:
     """Whether the normals of a sphere, or of a closed mesh that is not flat-shaded, point inwards."""
-    box = shape.bbox()
-    middle = np.array(box.center(), dtype=np.float64).reshape(3)
+    corners = corners_of(shape)
+    middle = corners.mean(axis=0)
     if shape.class_name() == "Sphere":
-        away = np.array([np.linalg.norm(np.array(box.extents())), 0.0, 0.0])
+        away = np.array([np.linalg.norm(np.ptp(corners, axis=0)), 0.0, 0.0])
         ray = mi.Ray3f(mi.Point3f(*(middle + away).tolist()), mi.Vector3f(-1.0, 0.0, 0.0))
         with dr.suspend_grad():
             return bool(np.array(shape.ray_intersect(ray).n).reshape(3)[0] < 0.0)

@@ -11,7 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.entries import corners_of
+from loi_mitsuba.boxes import corners_of
 
 __all__ = ["KINDS", "Surroundings", "lights_of", "position_of", "power_of"]
 

@@ -17,6 +17,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from loi_mitsuba.boxes import corners_of
 from loi_mitsuba.effects.traits import View, has_medium
 from loi_mitsuba.entries import Names
 from loi_mitsuba.handles import Host, Rotate, Scale
@@ -165,8 +166,8 @@ def _shift(target: Target, light: Any, seen: Host) -> float:
     if isinstance(target, Scale):
         return OF_SCALE
     if isinstance(light, mi.Shape):
-        box = light.bbox()
-        place, longest = np.array(box.center()), float(np.max(np.array(box.extents(), dtype=np.float64)))
+        corners = corners_of(light)
+        place, longest = corners.mean(axis=0), float(np.max(np.ptp(corners, axis=0)))
     else:
         place, longest = position_of(light), 0.0
     away = np.linalg.norm(seen - place.reshape(1, 3), axis=1)

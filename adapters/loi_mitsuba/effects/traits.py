@@ -10,7 +10,8 @@ from typing import Any, Final
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.entries import Names, ancestors, corners_of
+from loi_mitsuba.boxes import corners_of
+from loi_mitsuba.entries import Names, ancestors
 from loi_mitsuba.eye import offset_of
 from loi_mitsuba.handles import Handle, Translate
 
@@ -249,8 +250,7 @@ def _alone(shapes: list[Any], sensor: Any) -> bool:
     if len(shapes) != 1 or shapes[0].class_name() not in CONVEX:
         return False
     eye = _matrix(sensor.world_transform())[:3, 3]
-    box = shapes[0].bbox()
-    low, high = (np.array(one, dtype=np.float64).reshape(3) for one in (box.min, box.max))
+    low, high = corners_of(shapes[0])
     return not bool(np.all((low <= eye) & (eye <= high)))
 
 
