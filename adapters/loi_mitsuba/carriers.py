@@ -1,10 +1,10 @@
-"""What carries parts of the gradient of a scene between its image and its entries: Mitsuba, and jumps drawn here."""
+"""What carries parts of the gradient of a scene between its image and its entries: shading, and jumps."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
@@ -17,18 +17,14 @@ from loi_mitsuba.film import Film
 from loi_mitsuba.handles import Host
 from loi_mitsuba.integrators import PARTS
 from loi_mitsuba.named import as_host
+from loi_mitsuba.silhouettes import Silhouettes, tangents_on
 
-__all__ = ["ByJumps", "ByMitsuba", "parts_of"]
-
-
-def parts_of(integrator: Any) -> dict[str, int | None]:
-    """Samples per pixel of each part that an integrator has; None where it has not been told."""
-    return {part: getattr(integrator, part) for part in PARTS if hasattr(integrator, part)}
+__all__ = ["ByJumps", "Shading"]
 
 
 @dataclass(frozen=True)
-class ByMitsuba:
-    """What an integrator of Mitsuba has of the gradient.
+class Shading:
+    """What an integrator of Mitsuba has of the gradient, but for silhouettes.
 
     Attributes
     ----------
@@ -36,9 +32,7 @@ class ByMitsuba:
     entries : mi.SceneParameters
         What the scene can be set by, some of it with a gradient.
     samples : int
-        Per pixel of each part that is not off; 0 leaves it to `counts`.
-    counts : dict
-        By part; see :func:`parts_of`.
+        Per pixel; 0 leaves them to the integrator.
     """
 
     scene: Any
@@ -46,15 +40,10 @@ class ByMitsuba:
     sensor: Any
     integrator: Any
     samples: int
-    counts: Mapping[str, int | None]
-
-    def but(self, **counts: int) -> ByMitsuba:
-        """The same with other samples of some parts."""
-        return replace(self, counts={**self.counts, **counts})
 
     def pull(self, cotangent: Host, seed: int) -> None:
         """Carry a cotangent of the image, shape (H, W, C), back to the entries."""
-        with self._told():
+        with self._alone():
             image = mi.TensorXf(cotangent)
             try:
                 self.integrator.render_backward(self.scene, self.entries, image, self.sensor, seed, self.samples)
@@ -64,7 +53,13 @@ class ByMitsuba:
 
     def push(self, seed: int, seed_grad: int) -> Host:
         """How the image changes with the entries: shape (H, W, C)."""
-        with self._told():
+        with self._alone():
+            if not getattr(self.integrator, "radiative_backprop", True):  # it would differentiate through the film
+                with tangents_on(self.sensor.film()):
+                    image = self.integrator.render_ad(
+                        self.scene, self.sensor, seed_grad, self.samples, dr.ADMode.Forward
+                    )
+                return as_host(image, image.shape)
             image = mi.render(
                 self.scene,
                 self.entries,
@@ -77,11 +72,11 @@ class ByMitsuba:
             return as_host(dr.forward_to(image), image.shape)
 
     @contextmanager
-    def _told(self) -> Iterator[None]:
-        """The integrator knows the counts meanwhile."""
-        before = parts_of(self.integrator)
-        for part, count in self.counts.items():
-            setattr(self.integrator, part, count)
+    def _alone(self) -> Iterator[None]:
+        """The integrator has no silhouettes meanwhile."""
+        before = {part: getattr(self.integrator, part) for part in PARTS[1:] if hasattr(self.integrator, part)}
+        for part in before:
+            setattr(self.integrator, part, 0)
         try:
             yield
         finally:
@@ -91,21 +86,21 @@ class ByMitsuba:
 
 @dataclass(frozen=True)
 class ByJumps:
-    """What jumps of brightness in view have of it: at edges of meshes with sides, or where shapes cross.
+    """What jumps of brightness have of it: at silhouettes, at edges of meshes with sides, or where shapes cross.
 
     Attributes
     ----------
-    drawn : Edges or Crossings
+    drawn : Silhouettes, Edges or Crossings
     scene : mi.Scene
     film : Film
         Of the camera.
     radiance : mi.Integrator
-        Says how bright it is where a ray goes.
+        Says how bright it is where a ray goes; of silhouettes, what draws them.
     samples : int
         Per pixel of the image.
     """
 
-    drawn: Edges | Crossings
+    drawn: Silhouettes | Edges | Crossings
     scene: Any
     film: Film
     radiance: Any
@@ -116,8 +111,8 @@ class ByJumps:
         found = self.drawn.jumps(self.scene, self.radiance, self.samples, seed)
         if found is not None:
             value, place = found
-            weight = self.film.looked_up(cotangent, place)
-            dr.backward(dr.sum(value * weight, axis=None), dr.ADFlag.ClearInterior)
+            # Their sum, which Dr.Jit would evaluate, would trace all rays twice.
+            dr.backward(value * self.film.looked_up(cotangent, place), dr.ADFlag.ClearInterior)
 
     def push(self, seed: int, seed_grad: int) -> Host:  # noqa: ARG002  # there is no image to draw
         """How the image changes with the shapes, which have a gradient: shape (H, W, C)."""
@@ -126,6 +121,6 @@ class ByJumps:
             width, height = self.film.size
             return np.zeros((height, width, self.film.channels), dtype=np.float32)
         value, place = found
-        change = mi.Color3f(dr.forward_to(value, flags=dr.ADFlag.ClearInterior))
+        change = mi.Color3f(dr.forward_to(value))
         with dr.suspend_grad():
             return self.film.splat(change, place)

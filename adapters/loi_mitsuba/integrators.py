@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
-from functools import partial
 from typing import Any, Final
 
 import mitsuba as mi
-import numpy as np
 
 from loi_core.effects import EffectPlan
 from loi_core.errors import OptionError
@@ -22,7 +20,6 @@ __all__ = [
     "bordered",
     "integrator_of",
     "leaves_edges_out",
-    "loaded",
     "settings_of",
 ]
 
@@ -84,32 +81,10 @@ class Settings:
             described["max_depth"] = self.max_depth
         if self.projective:
             described |= {name: getattr(self, name) for name in PARTS} | {"guiding": self.guiding}
-        made = loaded(described)
+        made = mi.load_dict(described)
         if self.projective:
             made.sample_border_warning = False  # each new integrator gives it once, and a plan says what is called for
         return made
-
-
-def loaded(described: dict[str, Any]) -> Any:
-    """An integrator of Mitsuba, whose gradient of edges is as large on films that sample their border as on others.
-
-    Mitsuba draws samples for the border too, and weighs each as if it had not: edges then count as often as the film
-    with its border has pixels for each that it has without.
-    """
-    made = mi.load_dict(described)
-    for name in ("render_primarily_visible_silhouette", "render_indirect_silhouette"):
-        render = getattr(made, name, None)
-        if render is not None:
-            setattr(made, name, partial(_weighed, render))
-    return made
-
-
-def _weighed(render: Callable[..., Any], scene: Any, sensor: Any, sampler: Any, spp: float) -> Any:
-    """A part of the gradient, by the samples that there are to a pixel of the film without its border."""
-    film = sensor.film()
-    size = np.array(film.crop_size(), dtype=np.float64)
-    border = 2.0 * film.rfilter().border_size() if film.sample_border() else 0.0
-    return render(scene, sensor, sampler, spp * float(np.prod((size + border) / size)))
 
 
 def settings_of(plan: EffectPlan) -> Settings:

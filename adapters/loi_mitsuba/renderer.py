@@ -16,14 +16,14 @@ from loi_core.errors import OptionError, ParameterError
 from loi_core.pixels.encoding import Encoding
 from loi_core.support.values import whole_number
 from loi_core.support.wording import shown
-from loi_mitsuba.carriers import ByJumps, ByMitsuba, parts_of
+from loi_mitsuba.carriers import ByJumps, Shading
 from loi_mitsuba.cautions import warn_of_entries, warn_of_moving
 from loi_mitsuba.crossings import Crossings
 from loi_mitsuba.edges import Edges
 from loi_mitsuba.entries import Names, Scene, named_scene
 from loi_mitsuba.film import Film
 from loi_mitsuba.handles import Host
-from loi_mitsuba.integrators import PARTS, bordered, integrator_of, leaves_edges_out, loaded, settings_of
+from loi_mitsuba.integrators import PARTS, bordered, integrator_of, leaves_edges_out, settings_of
 from loi_mitsuba.loading import (
     Target,
     checked_samples,
@@ -34,6 +34,7 @@ from loi_mitsuba.loading import (
     use_variant,
 )
 from loi_mitsuba.named import NamedParameters, host_numbers
+from loi_mitsuba.silhouettes import Silhouettes
 from loi_mitsuba.untrusted import SceneLoadError, check_types
 
 __all__ = ["MitsubaRenderer", "seeds_of"]
@@ -224,7 +225,7 @@ class MitsubaRenderer:
             return {name: np.zeros_like(start) for name, start in self._named.start.items()}
         self._check_variant()
         pulled = {name: np.zeros_like(start) for name, start in self._named.start.items()}
-        together: dict[tuple[str, ...], list[ByMitsuba | ByJumps]] = {}
+        together: dict[tuple[str, ...], list[Shading | ByJumps]] = {}
         for carry, names in self._parts():
             together.setdefault(names, []).append(carry)
         given = np.ascontiguousarray(cotangent, dtype=np.float32)
@@ -245,7 +246,8 @@ class MitsubaRenderer:
         The derivative that :meth:`pull` is the transpose of. Not every integrator of Mitsuba has it.
         """
         self._check_variant()
-        total: Any = 0.0
+        width, height = self._film.size
+        total: Host = np.zeros((height, width, self._film.channels), np.float32)
         for carry, names in self._parts():
             with self._named.attached(params, frozenset(names)) as leaves:
                 for name in names:
@@ -255,45 +257,41 @@ class MitsubaRenderer:
                 # Up to the scene's own entries, since Mitsuba's loops do not look any further back than these.
                 dr.traverse(dr.ADMode.Forward, dr.ADFlag.ClearEdges)
                 total = total + carry.push(*seeds_of(seed))
-        return np.asarray(total, dtype=np.float32)
+        return total
 
-    def _parts(self) -> list[tuple[ByMitsuba | ByJumps, tuple[str, ...]]]:
+    def _parts(self) -> list[tuple[Shading | ByJumps, tuple[str, ...]]]:
         """What carries which parts of the gradient, and to which parameters.
 
         Outlines of meshes with sides are not Mitsuba's, nor are curves along which shapes go through each other.
         """
-        entries, sensor, samples = self._named.entries, self._sensor, self._spp_grad
-        counts = parts_of(self._integrator)
-        if "sppc" in self._left_out and "sppi" not in counts:
-            return []  # it has nothing but what is left to another renderer
-        counts |= {part: 0 for part in self._left_out if part in counts}
-        if counts and not any(count != 0 for count in counts.values()):
-            return []
-        whole = ByMitsuba(self._scene, entries, sensor, self._integrator, samples, counts)
-        if not self._outlines:
-            return [(whole, self._followed)]
-        parts: list[tuple[ByMitsuba | ByJumps, tuple[str, ...]]] = []
         moving = tuple(name for name in self._followed if self._named.moving([name]))
         sided = tuple(name for name in moving if name in self._sided)
-        for drawn, names in ((self._crossings, moving), (self._edges, sided)):
-            if drawn is not None and names:
-                # Edges have no gradient by what has none of them, so that both may be asked of one scene.
-                parts.append((ByJumps(drawn, self._scene, self._film, self._radiance, self._outlines), moving))
-        if not sided:
-            return [*parts, (whole, self._followed)]
-        inner = whole.but(sppp=0)
-        if any(count != 0 for count in inner.counts.values()):
-            parts.append((inner, self._followed))
-        others = tuple(name for name in moving if name not in self._sided)
-        if others:
-            parts.append((whole.but(sppc=0, sppi=0), others))
+        round_ones = tuple(name for name in moving if name not in self._sided)
+        own, outlines, hidden = self._integrator, self._samples_of("sppp"), self._samples_of("sppi")
+        first, second = Silhouettes(self._sensor, "sppp"), Silhouettes(self._sensor, "sppi")
+        # Edges have no gradient by what has none of them, so that they may be asked of a scene in which more moves.
+        drawn = [
+            (self._crossings, self._radiance, outlines, moving),
+            (self._edges if sided else None, self._radiance, outlines, moving),
+            (first, own, outlines, round_ones),
+            (second, own, hidden, moving),
+        ]
+        parts: list[tuple[Shading | ByJumps, tuple[str, ...]]] = [
+            (ByJumps(one, self._scene, self._film, integrator, samples), names)
+            for one, integrator, samples, names in drawn
+            if one is not None and samples and names
+        ]
+        if "sppc" not in self._left_out and getattr(own, "sppc", None) != 0:
+            shading = Shading(self._scene, self._named.entries, self._sensor, own, self._spp_grad)
+            parts.append((shading, self._followed))
         return parts
 
-    @property
-    def _outlines(self) -> int:
-        """Samples per pixel of outlines in view; 0 for an integrator that has none."""
-        own = 0 if "sppp" in self._left_out else getattr(self._integrator, "sppp", 0)  # None where it is not told
-        return 0 if own == 0 else int(self._spp_grad or own or self._spp)
+    def _samples_of(self, part: str) -> int:
+        """Samples per pixel of silhouettes in view, or of the others; 0 where the integrator has none."""
+        if part in self._left_out or not hasattr(self._integrator, part):
+            return 0
+        usual = self._sensor.sampler().sample_count()
+        return int(self._integrator.override_spp(getattr(self._integrator, part), self._spp_grad, usual))
 
     @property
     def _radiance(self) -> Any:
@@ -362,7 +360,7 @@ def _integrator(scene: Any, integrator: Any) -> Any:
     if isinstance(integrator, dict):
         try:
             check_types(integrator)
-            integrator = loaded(integrator)
+            integrator = mi.load_dict(integrator)
         except (RuntimeError, SceneLoadError) as error:
             msg = f"`integrator` cannot be loaded: {one_line(error)}"
             raise OptionError(msg) from None

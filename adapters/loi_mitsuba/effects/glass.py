@@ -124,8 +124,11 @@ class Samples:
     def _back(self, values: Iterable[tuple[Any, Any]], cotangent: Any) -> None:
         """Carry back a cotangent of an image to values at their places."""
         texture = self._eye.texture(cotangent)
-        total = sum(dr.sum(value * self._eye.looked_up(texture, place), axis=None) for value, place in values)
-        dr.backward(total, dr.ADFlag.ClearInterior)  # edges stay, for all ways share those of the scene
+        for value, place in values:  # not as their sum, which Dr.Jit would evaluate, and so trace all rays twice
+            product = value * self._eye.looked_up(texture, place)
+            dr.set_grad(product, 1.0)
+            dr.enqueue(dr.ADMode.Backward, product)
+        dr.traverse(dr.ADMode.Backward, dr.ADFlag.ClearInterior)  # edges stay, for all ways share those of the scene
 
     def _points(self, sampler: Any, count: int) -> tuple[Any, Any]:
         """Points of the glass, attached to it, and the area that each stands for."""

@@ -1,0 +1,123 @@
+"""What Mitsuba draws of silhouettes is its own gradient, in half of the time: no rays are traced for an image of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+
+from loi_mitsuba import MitsubaRenderer, Translate
+from loi_mitsuba.renderer import seeds_of
+from tests.helpers import Host
+from tests.mitsuba.scenes import HEIGHT, WIDTH, shadow_scene
+
+SAMPLES = 8
+CROP = {"crop_offset_x": 8, "crop_offset_y": 4, "crop_width": WIDTH - 16, "crop_height": HEIGHT - 8}
+MOVES = {"x": Translate("ball", (1, 0, 0))}
+
+
+def integrator(kind: str, part: str, samples: int = SAMPLES) -> dict[str, Any]:
+    return {"type": kind, "guiding": "none", "sppc": 0, "sppp": 0, "sppi": 0, part: samples}
+
+
+def ball_in_view(**film: Any) -> dict[str, Any]:
+    scene = shadow_scene(ball={"type": "sphere", "to_world": mi.ScalarTransform4f().translate([0, 1.5, 0]).scale(0.6)})
+    scene["sensor"]["film"] |= film
+    return scene
+
+
+def smooth(image: Host) -> Host:
+    return np.cumsum(np.random.default_rng(0).standard_normal(image.shape), axis=1).astype(np.float32)
+
+
+@pytest.fixture
+def _history() -> Iterator[None]:
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history()
+        yield
+        dr.kernel_history()
+
+
+def kernels() -> list[dict[str, Any]]:
+    """Those that have run since the last call and trace rays, of which each has hundreds of operations."""
+    return [one for one in dr.kernel_history([dr.KernelType.JIT]) if one["operation_count"] > 500]
+
+
+@pytest.mark.filterwarnings("ignore:'ball' moves before a film with a crop window:loi_mitsuba.GradientWarning")
+@pytest.mark.parametrize("film", [{}, CROP], ids=["whole", "crop"])
+@pytest.mark.parametrize("part", ["sppp", "sppi"])
+@pytest.mark.parametrize("kind", ["direct_projective", "prb_projective"])
+def test_the_gradient_is_that_of_mitsuba(kind: str, part: str, film: dict[str, int]) -> None:
+    """With a box filter: others weigh a sample by its own pixels there, and here by those of the whole film."""
+    described = integrator(kind, part)
+    renderer = MitsubaRenderer(ball_in_view(**film), MOVES, integrator=described)
+    at = {"x": np.float32(0.0)}
+    weight = smooth(renderer.render(at))
+    found = float(renderer.pull(at, weight, seed=3)["x"])
+
+    params = mi.traverse(renderer.scene)
+    x = mi.Float(0.0)
+    dr.enable_grad(x)
+    params["ball.to_world"] = mi.Transform4f().translate(mi.Vector3f(x, 0.0, 0.0)) @ params["ball.to_world"]
+    params.update()
+    own = mi.load_dict(described)
+    own.render_backward(renderer.scene, params, mi.TensorXf(weight), renderer.sensor, seeds_of(3)[1], 0)
+    wanted = float(dr.grad(x)[0])
+    assert abs(wanted) > 1.0
+    assert found == pytest.approx(wanted, rel=1e-4)  # sums of some ten thousand float32
+
+
+@pytest.mark.usefixtures("_history")
+@pytest.mark.parametrize("part", ["sppp", "sppi"])
+def test_rays_are_traced_once_for_a_gradient_and_once_for_the_change_of_the_image(part: str) -> None:
+    """Mitsuba traces them twice, and for the change of an image once for each of 25 pixels under the filter."""
+    scene = ball_in_view(rfilter={"type": "gaussian"})
+    renderer = MitsubaRenderer(scene, MOVES, integrator=integrator("direct_projective", part))
+    at, ones = {"x": np.float32(0.0)}, np.ones((HEIGHT, WIDTH, 3), np.float32)
+    kernels()
+    renderer.pull(at, ones)
+    assert len(kernels()) == 1
+    renderer.push(at, {"x": np.float32(1.0)})
+    assert len(kernels()) == 1
+
+
+@pytest.mark.usefixtures("_history")
+def test_rays_are_traced_once_for_how_shading_changes_the_image() -> None:
+    scene = ball_in_view(rfilter={"type": "gaussian"})
+    target = {"floor": "floor.bsdf.reflectance.value"}
+    renderer = MitsubaRenderer(scene, target, integrator=integrator("direct_projective", "sppc"))
+    params = renderer.parameters()
+    kernels()
+    pushed = renderer.push(params, {"floor": np.ones(3, np.float32)})
+    assert len(kernels()) == 1
+    assert np.any(pushed)
+
+
+@pytest.mark.usefixtures("_history")
+@pytest.mark.parametrize("part", ["sppc", "sppp", "sppi"])
+def test_another_number_of_samples_compiles_nothing(part: str) -> None:
+    """A plan shares samples out as the first gradients turn out, and each count was a kernel of its own."""
+    counts = []
+    renderer = MitsubaRenderer(ball_in_view(), MOVES)
+    for samples in (8, 4, 2):
+        one = renderer.with_integrator(integrator("direct_projective", part, samples))
+        kernels()
+        one.pull({"x": np.float32(0.0)}, np.ones((HEIGHT, WIDTH, 3), np.float32))
+        counts.append(sum(not kernel["cache_hit"] for kernel in kernels()))
+    assert counts[1:] == [0, 0]
+
+
+@pytest.mark.usefixtures("_history")
+def test_silhouettes_are_not_drawn_where_nothing_moves() -> None:
+    renderer = MitsubaRenderer(ball_in_view(), {"floor": "floor.bsdf.reflectance.value"})
+    params = renderer.parameters()
+    kernels()
+    renderer.pull(params, np.ones((HEIGHT, WIDTH, 3), np.float32))
+    both = len(kernels())
+    shading = renderer.with_integrator(integrator("direct_projective", "sppc"))
+    shading.pull(params, np.ones((HEIGHT, WIDTH, 3), np.float32))
+    assert len(kernels()) == both
