@@ -19,7 +19,6 @@ from loi_mitsuba.steps import has_steps
 __all__ = [
     "GradientWarning",
     "is_clipped",
-    "is_cropped",
     "is_crowded",
     "is_turned",
     "lets_through",
@@ -51,7 +50,7 @@ def warn_of_moving(scene: Any, sensor: Any, integrator: Any, shapes: list[Any], 
     of a mesh that belongs to one triangle, or to more than two, for a border, so that an edge whose vertices are stored
     twice counts twice. The edges in view of those that are `drawn` are not its business.
     """
-    for msg in (*_cautions(scene, integrator, shapes, drawn), *_cautions_in_view(scene, sensor, shapes, drawn)):
+    for msg in (*_cautions(scene, integrator, shapes, drawn), *_cautions_in_view(scene, sensor, shapes)):
         warnings.warn(msg, GradientWarning, stacklevel=4)
 
 
@@ -98,14 +97,9 @@ def _cautions(scene: Any, integrator: Any, shapes: list[Any], drawn: Container[A
         )
 
 
-def _cautions_in_view(scene: Any, sensor: Any, shapes: list[Any], drawn: Container[Any]) -> Iterator[str]:
+def _cautions_in_view(scene: Any, sensor: Any, shapes: list[Any]) -> Iterator[str]:
     """What there is to warn of where the shapes are seen, one message each."""
     each, own, film = list(dict.fromkeys(shapes)), scene.shapes(), sensor.film()
-    if is_cropped(sensor) and (others := _ids(each, lambda shape: shape not in drawn)):
-        yield (
-            f"{clause(others, 'moves', 'move')} before a film with a crop window, where Mitsuba puts outlines in wrong "
-            f"places; render the whole film, or use PlannedRenderer, which blurs"
-        )
     if turned := _ids(each, lambda shape: is_turned(shape, sensor)):
         yield (
             f"{clause(turned, 'has', 'have')} normals that point inwards, and Mitsuba misses the shadow of such a "
@@ -194,12 +188,6 @@ def is_clipped(scene: Any, sensor: Any) -> bool:
         way = mi.Ray3f(eye, ray.d)
         way.maxt = dr.norm(ray.o - eye)
         return bool(np.any(np.array(scene.ray_test(way))))
-
-
-def is_cropped(sensor: Any) -> bool:
-    """Whether a film shows a part of the view alone."""
-    film = sensor.film()
-    return not np.array_equal(film.size(), film.crop_size())
 
 
 def warn_of_entries(called: Names, targets: Mapping[str, Any]) -> None:

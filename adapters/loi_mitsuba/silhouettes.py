@@ -66,7 +66,7 @@ class Silhouettes:
         elif mi.is_monochromatic:
             value = mi.Color3f(value.x)
         value = dr.select(sample["active"], value, 0.0) * dr.opaque(mi.Float, 1.0 / each)
-        return value, (dr.detach(sample["pos"]) - mi.Point2f(film.crop_offset())) / mi.Point2f(size.tolist())
+        return value, dr.detach(sample["pos"]) / mi.Point2f(size.tolist())
 
 
 @contextmanager

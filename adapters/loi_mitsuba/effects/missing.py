@@ -7,7 +7,7 @@ from typing import Any
 
 import mitsuba as mi
 
-from loi_mitsuba.cautions import is_clipped, is_cropped, is_crowded, is_turned, lets_through, misses_entry
+from loi_mitsuba.cautions import is_clipped, is_crowded, is_turned, lets_through, misses_entry
 from loi_mitsuba.effects.traits import has_medium, is_clear, is_known, kind_of
 from loi_mitsuba.entries import INSTANCE, Names, is_instance
 from loi_mitsuba.loading import Target
@@ -65,8 +65,6 @@ def _of_moving(node: Any, scene: Any, sensor: Any, *, medium: bool, whole: bool)
         return "it moves a shape whose normals point inwards, of which Mitsuba misses the shadow"
     if whole and is_crowded(node):
         return "it moves a mesh at whose edges several triangles meet, and Mitsuba counts such an edge several times"
-    if whole and is_cropped(sensor):
-        return "it moves a shape before a film with a crop window, in which Mitsuba puts outlines in wrong places"
     if whole and is_clipped(scene, sensor):
         return "it moves a shape before a near clipping plane that cuts something away, which Mitsuba takes for opaque"
     if medium:
