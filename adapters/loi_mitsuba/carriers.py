@@ -17,7 +17,8 @@ from loi_mitsuba.film import Film
 from loi_mitsuba.handles import Host
 from loi_mitsuba.integrators import PARTS
 from loi_mitsuba.named import as_host
-from loi_mitsuba.silhouettes import Silhouettes, tangents_on
+from loi_mitsuba.samples import samples_taken
+from loi_mitsuba.silhouettes import Silhouettes
 
 __all__ = ["ByJumps", "Shading"]
 
@@ -31,6 +32,8 @@ class Shading:
     scene, sensor, integrator : mi.Scene, mi.Sensor, mi.Integrator
     entries : mi.SceneParameters
         What the scene can be set by, some of it with a gradient.
+    film : Film
+        Of the camera.
     samples : int
         Per pixel; 0 leaves them to the integrator.
     """
@@ -38,15 +41,23 @@ class Shading:
     scene: Any
     entries: Any
     sensor: Any
+    film: Film
     integrator: Any
     samples: int
 
     def pull(self, cotangent: Host, seed: int) -> None:
         """Carry a cotangent of the image, shape (H, W, C), back to the entries."""
         with self._alone():
-            image = mi.TensorXf(cotangent)
+            if self._by_film:
+                value, place = self._samples(seed, dr.ADMode.Backward)
+                if dr.grad_enabled(value):
+                    weight = self.film.looked_up(self.film.shared(cotangent, place), place)
+                    dr.backward(value * weight, dr.ADFlag.ClearInterior)
+                return
             try:
-                self.integrator.render_backward(self.scene, self.entries, image, self.sensor, seed, self.samples)
+                self.integrator.render_backward(
+                    self.scene, self.entries, mi.TensorXf(cotangent), self.sensor, seed, self.samples
+                )
             except RuntimeError as error:
                 if "does not depend on the input" not in str(error):
                     raise  # an image in which none of the entries is to be found, as one of depths, has the gradient 0
@@ -54,12 +65,11 @@ class Shading:
     def push(self, seed: int, seed_grad: int) -> Host:
         """How the image changes with the entries: shape (H, W, C)."""
         with self._alone():
-            if not getattr(self.integrator, "radiative_backprop", True):  # it would differentiate through the film
-                with tangents_on(self.sensor.film()):
-                    image = self.integrator.render_ad(
-                        self.scene, self.sensor, seed_grad, self.samples, dr.ADMode.Forward
-                    )
-                return as_host(image, image.shape)
+            if self._by_film:
+                value, place = self._samples(seed_grad, dr.ADMode.Forward)
+                change = dr.forward_to(value) if dr.grad_enabled(value) else mi.Color3f(0.0)
+                with dr.suspend_grad():
+                    return self.film.mean(change, place)
             image = mi.render(
                 self.scene,
                 self.entries,
@@ -70,6 +80,21 @@ class Shading:
                 spp_grad=self.samples,
             )
             return as_host(dr.forward_to(image), image.shape)
+
+    @property
+    def _by_film(self) -> bool:
+        """Whether the integrator differentiates through the film."""
+        special = mi.has_flag(self.sensor.film().flags(), mi.FilmFlags.Special)
+        return not special and not getattr(self.integrator, "radiative_backprop", True)
+
+    def _samples(self, seed: int, mode: Any) -> tuple[Any, Any]:
+        """Red, green and blue of samples, with their gradient, and places."""
+        with samples_taken() as taken:
+            self.integrator.render_ad(self.scene, self.sensor, seed, self.samples, mode)
+        (sample,) = taken
+        film = self.sensor.film()
+        offset, size = (mi.Point2f(*map(float, one)) for one in (film.crop_offset(), film.crop_size()))
+        return mi.Color3f(*sample["values"][:3]), (dr.detach(sample["pos"]) - offset) / size
 
     @contextmanager
     def _alone(self) -> Iterator[None]:

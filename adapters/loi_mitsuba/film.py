@@ -83,11 +83,27 @@ class Film:
 
         What :meth:`looked_up` is the transpose of.
         """
+        return self.shown(self._sums(value, place))
+
+    def mean(self, value: Any, place: Any) -> Host:
+        """The image, shape (H, W, C), of samples that are red, green and blue at places."""
+        sums = self._sums(mi.Vector4f(*value, 1.0), place)
+        return self.shown(sums[..., :3] / _above(sums[..., 3:]))
+
+    def shared(self, cotangent: Any, place: Any) -> Host:
+        """A cotangent of the image, shape (H, W, C), for :meth:`looked_up` at the places of all samples of an image.
+
+        What :meth:`mean` is then the transpose of.
+        """
+        return np.asarray(cotangent, dtype=np.float32) / _above(self._sums(mi.Vector1f(1.0), place))
+
+    def _sums(self, value: Any, place: Any) -> Host:
+        """Sums of values over the pixels that show their places, shape (H, W, channels of the values)."""
         width, height = self.size
-        image = dr.zeros(mi.Float, 3 * width * height)
+        image = dr.zeros(mi.Float, len(value) * width * height)
         for first, weight, there in self._pixels(place):
             dr.scatter_add(image, weight * value, first, there)
-        return self.shown(np.array(image, dtype=np.float32).reshape(height, width, 3))
+        return np.array(image, dtype=np.float32).reshape(height, width, len(value))
 
     def _pixels(self, place: Any) -> Iterator[tuple[Any, Any, Any]]:
         """The pixels that show places: index in the image, share of it, and whether the image has that pixel."""
@@ -106,6 +122,11 @@ class Film:
             there = sampled & (pixel >= 0) & (pixel < self.size[axis])
             weight = self._filter.eval(at - 0.5 - mi.Float(pixel)) if radius > 0.5 else mi.Float(1.0)
             yield pixel, weight * dr.gather(mi.Float, self._norms[axis], mi.UInt32(pixel), there), there
+
+
+def _above(weights: Host) -> Host:
+    """Weights of pixels, and 1 where there is no sample."""
+    return np.where(weights > 0.0, weights, np.float32(1.0))
 
 
 def _mix_of(film: Any, channels: int) -> Any:

@@ -282,7 +282,7 @@ class MitsubaRenderer:
             if one is not None and samples and names
         ]
         if "sppc" not in self._left_out and getattr(own, "sppc", None) != 0:
-            shading = Shading(self._scene, self._named.entries, self._sensor, own, self._spp_grad)
+            shading = Shading(self._scene, self._named.entries, self._sensor, self._film, own, self._spp_grad)
             parts.append((shading, self._followed))
         return parts
 

@@ -1,4 +1,4 @@
-"""What Mitsuba draws of silhouettes is its own gradient, in half of the time: no rays are traced for an image of it."""
+"""What Mitsuba draws of a gradient is its own, in half of the time: no rays are traced for an image of it."""
 
 from __future__ import annotations
 
@@ -47,12 +47,21 @@ def kernels() -> list[dict[str, Any]]:
     return [one for one in dr.kernel_history([dr.KernelType.JIT]) if one["operation_count"] > 500]
 
 
-@pytest.mark.parametrize("part", ["sppp", "sppi"])
+@pytest.mark.parametrize(
+    ("part", "film"),
+    [
+        ("sppp", {}),
+        ("sppi", {}),
+        ("sppc", CROP | {"rfilter": {"type": "gaussian"}}),
+        ("sppc", {"sample_border": True, "rfilter": {"type": "tent"}}),
+        ("sppc", {"pixel_format": "luminance"}),
+    ],
+)
 @pytest.mark.parametrize("kind", ["direct_projective", "prb_projective"])
-def test_the_gradient_is_that_of_mitsuba(kind: str, part: str) -> None:
-    """With a box filter: of others, Mitsuba divides by the weights of the pixels that one sample reaches."""
+def test_the_gradient_is_that_of_mitsuba(kind: str, part: str, film: dict[str, Any]) -> None:
+    """Of silhouettes with a box filter: of others, Mitsuba divides by the weights of the pixels that one reaches."""
     described = integrator(kind, part)
-    renderer = MitsubaRenderer(ball_in_view(), MOVES, integrator=described)
+    renderer = MitsubaRenderer(ball_in_view(**film), MOVES, integrator=described)
     at = {"x": np.float32(0.0)}
     weight = smooth(renderer.render(at))
     found = float(renderer.pull(at, weight, seed=3)["x"])
