@@ -113,7 +113,7 @@ def test_nothing_attached_is_left_where_mitsuba_fails(
     renderer: MitsubaRenderer, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     image, pullback = renderer.render_vjp(renderer.parameters(), seed=2)
-    wanted = pullback(image)
+    wanted, put = pullback(image), mi.ImageBlock.put
 
     def failing(*_: Any, **__: Any) -> None:
         assert attached(renderer.scene)
@@ -121,10 +121,11 @@ def test_nothing_attached_is_left_where_mitsuba_fails(
         raise RuntimeError(msg)
 
     with monkeypatch.context() as patch:
-        patch.setattr(type(renderer._integrator), "render_backward", failing)
+        patch.setattr(type(renderer._integrator), "render_ad", failing)
         with pytest.raises(RuntimeError, match="out of memory"):
             pullback(image)
     assert not attached(renderer.scene)
+    assert mi.ImageBlock.put is put
     for name, value in pullback(image).items():
         np.testing.assert_allclose(value, wanted[name], rtol=1e-4, atol=1e-4)  # sums by atomic adds, in any order
 
