@@ -17,7 +17,7 @@ from loi_mitsuba.film import Film
 from loi_mitsuba.handles import Host
 from loi_mitsuba.integrators import PARTS
 from loi_mitsuba.named import as_host
-from loi_mitsuba.samples import samples_taken
+from loi_mitsuba.samples import pull_samples, samples_of
 from loi_mitsuba.silhouettes import Silhouettes
 
 __all__ = ["ByJumps", "Shading"]
@@ -50,9 +50,7 @@ class Shading:
         with self._alone():
             if self._by_film:
                 value, place = self._samples(seed, dr.ADMode.Backward)
-                if dr.grad_enabled(value):
-                    weight = self.film.looked_up(self.film.shared(cotangent, place), place)
-                    dr.backward(value * weight, dr.ADFlag.ClearInterior)
+                pull_samples(value, place, self.film, cotangent)
                 return
             try:
                 self.integrator.render_backward(
@@ -88,13 +86,9 @@ class Shading:
         return not special and not getattr(self.integrator, "radiative_backprop", True)
 
     def _samples(self, seed: int, mode: Any) -> tuple[Any, Any]:
-        """Red, green and blue of samples, with their gradient, and places."""
-        with samples_taken() as taken:
-            self.integrator.render_ad(self.scene, self.sensor, seed, self.samples, mode)
-        (sample,) = taken
-        film = self.sensor.film()
-        offset, size = (mi.Point2f(*map(float, one)) for one in (film.crop_offset(), film.crop_size()))
-        return mi.Color3f(*sample["values"][:3]), (dr.detach(sample["pos"]) - offset) / size
+        usual = self.sensor.sampler().sample_count()
+        count = self.integrator.override_spp(self.integrator.sppc, self.samples, usual)
+        return samples_of(self.integrator, self.scene, self.sensor, count, seed, mode)
 
     @contextmanager
     def _alone(self) -> Iterator[None]:

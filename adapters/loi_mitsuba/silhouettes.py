@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.samples import samples_taken
+from loi_mitsuba.samples import in_colours, samples_taken
 
 __all__ = ["Silhouettes"]
 
@@ -55,10 +55,6 @@ class Silhouettes:
         size = np.array(film.crop_size(), dtype=np.float64)
         border = 2.0 * film.rfilter().border_size() if film.sample_border() else 0.0
         each = number * float(np.prod((size + border) / size))  # for each pixel of the film without its border
-        value = sample["value"]
-        if mi.is_spectral:
-            value = mi.spectrum_to_srgb(value, sample["wavelengths"], sample["active"])
-        elif mi.is_monochromatic:
-            value = mi.Color3f(value.x)
+        value = in_colours(sample["value"], sample["wavelengths"], active=sample["active"])
         value = dr.select(sample["active"], value, 0.0) * dr.opaque(mi.Float, 1.0 / each)
         return value, dr.detach(sample["pos"]) / mi.Point2f(size.tolist())

@@ -20,11 +20,13 @@ import numpy as np
 from loi_mitsuba.boxes import corners_of
 from loi_mitsuba.effects.traits import View, has_medium
 from loi_mitsuba.entries import Names
+from loi_mitsuba.film import Film
 from loi_mitsuba.handles import Host, Rotate, Scale
 from loi_mitsuba.integrators import Settings
 from loi_mitsuba.loading import Target
 from loi_mitsuba.named import NamedParameters
 from loi_mitsuba.renderer import MitsubaRenderer, seeds_of
+from loi_mitsuba.samples import pull_samples, samples_of
 from loi_mitsuba.surroundings import position_of
 
 __all__ = ["Lamps", "is_shape", "lamps_of", "reason_of"]
@@ -87,6 +89,7 @@ class Lamps:
         self._renderer = renderer
         self._lights = dict(lights)
         self._samples = samples
+        self._film = Film(renderer.sensor.film())
         self._named = NamedParameters(renderer.names, renderer.targets, tuple(renderer.targets))
         seen = _seen(renderer.scene, renderer.sensor)
         self._shifts = {name: _shift(renderer.targets[name], light, seen) for name, light in lights.items()}
@@ -98,19 +101,13 @@ class Lamps:
         wanted = tuple(names)
         integrator = _integrator_of(mi.variant())(mi.Properties())
         integrator.lamps = tuple(one for one in self._lights.values() if is_shape(one))
-        number = seeds_of(seed)[1]
+        number, scene, sensor = seeds_of(seed)[1], self._renderer.scene, self._renderer.sensor
         slopes = self._slopes(integrator, params, wanted, number)
         with self._named.attached(params, wanted) as leaves:
             integrator.slopes = [(leaves[name], index, slope) for name, index, slope in slopes]
             with dr.isolate_grad():
-                integrator.render_backward(
-                    self._renderer.scene,
-                    self._named.entries,
-                    mi.TensorXf(np.ascontiguousarray(cotangent, dtype=np.float32)),
-                    self._renderer.sensor,
-                    number,
-                    self._samples,
-                )
+                value, place = samples_of(integrator, scene, sensor, self._samples, number, dr.ADMode.Backward)
+                pull_samples(value, place, self._film, np.asarray(cotangent))
             pulled = self._named.gradients(leaves, wanted)
         seen = [name for name in wanted if self._is_seen(name)]
         if seen:
@@ -205,19 +202,20 @@ def _integrator_of(variant: str) -> Any:  # noqa: ARG001 - Mitsuba's classes are
 
         def sample(self, *, scene: Any, sampler: Any, ray: Any, **_: Any) -> tuple[Any, ...]:
             """Radiance of each ray; attached to where the lamps are, and to nothing else that moves."""
-            with dr.suspend_grad():
-                si = scene.ray_intersect(mi.Ray3f(ray))
-                bsdf = si.bsdf(mi.RayDifferential3f(ray))
-                lit = self.is_lit(si)
-            ds, weight = scene.sample_emitter_direction(si, sampler.next_2d(lit), test_visibility=False, active=lit)
-            lit &= ds.pdf != 0.0
-            with dr.suspend_grad():
-                seen = ~scene.ray_test(si.spawn_ray_to(ds.p), lit)
-            share = dr.select(seen, mi.Float(1.0), 0.0)
-            for leaf, index, slope in self.slopes:
-                value = dr.gather(mi.Float, leaf, mi.UInt32(index))
-                share += slope * (value - dr.detach(value))
-            value = bsdf.eval(mi.BSDFContext(), si, si.to_local(ds.d), lit) * weight
-            return dr.select(lit, value * share, 0.0), si.is_valid(), [], None
+            with dr.resume_grad():
+                with dr.suspend_grad():
+                    si = scene.ray_intersect(mi.Ray3f(ray))
+                    bsdf = si.bsdf(mi.RayDifferential3f(ray))
+                    lit = self.is_lit(si)
+                ds, weight = scene.sample_emitter_direction(si, sampler.next_2d(lit), test_visibility=False, active=lit)
+                lit &= ds.pdf != 0.0
+                with dr.suspend_grad():
+                    seen = ~scene.ray_test(si.spawn_ray_to(ds.p), lit)
+                share = dr.select(seen, mi.Float(1.0), 0.0)
+                for leaf, index, slope in self.slopes:
+                    value = dr.gather(mi.Float, leaf, mi.UInt32(index))
+                    share += slope * (value - dr.detach(value))
+                value = bsdf.eval(mi.BSDFContext(), si, si.to_local(ds.d), lit) * weight
+                return dr.select(lit, value * share, 0.0), si.is_valid(), [], None
 
     return FollowsLamps
