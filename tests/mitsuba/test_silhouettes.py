@@ -54,7 +54,7 @@ def kernels() -> list[dict[str, Any]]:
         ("sppi", {}),
         ("sppc", CROP | {"rfilter": {"type": "gaussian"}}),
         ("sppc", {"sample_border": True, "rfilter": {"type": "tent"}}),
-        ("sppc", {"pixel_format": "luminance", "width": 37, "height": 53}),
+        ("sppc", {"pixel_format": "luminance", "width": 100, "height": 75}),
     ],
 )
 @pytest.mark.parametrize("kind", ["direct_projective", "prb_projective"])
