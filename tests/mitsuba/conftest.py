@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import importlib.util
 import os
+from collections.abc import Iterator
 
 import pytest
 
@@ -29,9 +30,20 @@ else:
 
 
 @pytest.fixture(autouse=True)
-def _same_variant() -> None:
-    """Tests that change the variant do so for themselves only."""
+def _same_variant() -> Iterator[None]:
+    """Tests that change the variant do so for themselves only, and for no fixture of the module after them."""
     mi.set_variant(VARIANT)
+    yield
+    mi.set_variant(VARIANT)
+
+
+@pytest.fixture
+def kernel_history() -> Iterator[None]:
+    """Dr.Jit tells of its kernels meanwhile."""
+    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+        dr.kernel_history()
+        yield
+        dr.kernel_history()
 
 
 load_installed("jax", "torch")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import drjit as dr
@@ -14,6 +13,8 @@ from loi_mitsuba import MitsubaRenderer, PlannedRenderer, Translate
 from tests.mitsuba.scenes import random_cotangent, shadow_scene
 from tests.strategies import thorough
 
+pytestmark = pytest.mark.usefixtures("kernel_history")
+
 WARM_UP, STEPS = 3, 6
 
 MOVES = {"x": Translate("ball", (1, 0, 0)), "z": Translate("ball", (0, 0, 1))}
@@ -21,14 +22,6 @@ MOVES = {"x": Translate("ball", (1, 0, 0)), "z": Translate("ball", (0, 0, 1))}
 
 def ball(height: float, **more: Any) -> dict[str, Any]:
     return {"type": "sphere", "to_world": mi.ScalarTransform4f().translate([0, height, 0]).scale(0.6), **more}
-
-
-@pytest.fixture(autouse=True)
-def _history() -> Iterator[None]:
-    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
-        dr.kernel_history()
-        yield
-        dr.kernel_history()
 
 
 def compiled(renderer: Any) -> list[int]:

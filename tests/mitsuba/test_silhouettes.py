@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import drjit as dr
@@ -32,14 +31,6 @@ def ball_in_view(**film: Any) -> dict[str, Any]:
 
 def smooth(image: Host) -> Host:
     return np.cumsum(np.random.default_rng(0).standard_normal(image.shape), axis=1).astype(np.float32)
-
-
-@pytest.fixture
-def _history() -> Iterator[None]:
-    with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
-        dr.kernel_history()
-        yield
-        dr.kernel_history()
 
 
 def kernels() -> list[dict[str, Any]]:
@@ -94,7 +85,7 @@ def test_a_crop_window_has_the_gradient_of_that_part_of_the_whole_film(part: str
     assert window == pytest.approx(whole, abs=4.0 * error)
 
 
-@pytest.mark.usefixtures("_history")
+@pytest.mark.usefixtures("kernel_history")
 @pytest.mark.parametrize("part", ["sppp", "sppi"])
 def test_rays_are_traced_once_for_a_gradient_and_once_for_the_change_of_the_image(part: str) -> None:
     """Mitsuba traces them twice, and for the change of an image once for each of 25 pixels under the filter."""
@@ -108,7 +99,7 @@ def test_rays_are_traced_once_for_a_gradient_and_once_for_the_change_of_the_imag
     assert len(kernels()) == 1
 
 
-@pytest.mark.usefixtures("_history")
+@pytest.mark.usefixtures("kernel_history")
 def test_rays_are_traced_once_for_how_shading_changes_the_image() -> None:
     scene = ball_in_view(rfilter={"type": "gaussian"})
     target = {"floor": "floor.bsdf.reflectance.value"}
@@ -120,7 +111,7 @@ def test_rays_are_traced_once_for_how_shading_changes_the_image() -> None:
     assert np.any(pushed)
 
 
-@pytest.mark.usefixtures("_history")
+@pytest.mark.usefixtures("kernel_history")
 @pytest.mark.parametrize("part", ["sppc", "sppp", "sppi"])
 def test_another_number_of_samples_compiles_nothing(part: str) -> None:
     """A plan shares samples out as the first gradients turn out, and each count was a kernel of its own."""
@@ -134,7 +125,7 @@ def test_another_number_of_samples_compiles_nothing(part: str) -> None:
     assert counts[1:] == [0, 0]
 
 
-@pytest.mark.usefixtures("_history")
+@pytest.mark.usefixtures("kernel_history")
 def test_silhouettes_are_not_drawn_where_nothing_moves() -> None:
     renderer = MitsubaRenderer(ball_in_view(), {"floor": "floor.bsdf.reflectance.value"})
     params = renderer.parameters()
