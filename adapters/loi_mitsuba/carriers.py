@@ -35,7 +35,7 @@ class Shading:
     film : Film
         Of the camera.
     samples : int
-        Per pixel; 0 leaves them to the integrator.
+        Per pixel.
     """
 
     scene: Any
@@ -47,11 +47,10 @@ class Shading:
 
     def pull(self, cotangent: Host, seed: int) -> None:
         """Carry a cotangent of the image, shape (H, W, C), back to the entries."""
+        if self._by_film:
+            pull_samples(*self._samples(seed, dr.ADMode.Backward), self.film, cotangent)
+            return
         with self._alone():
-            if self._by_film:
-                value, place = self._samples(seed, dr.ADMode.Backward)
-                pull_samples(value, place, self.film, cotangent)
-                return
             try:
                 self.integrator.render_backward(
                     self.scene, self.entries, mi.TensorXf(cotangent), self.sensor, seed, self.samples
@@ -62,12 +61,12 @@ class Shading:
 
     def push(self, seed: int, seed_grad: int) -> Host:
         """How the image changes with the entries: shape (H, W, C)."""
+        if self._by_film:
+            value, place = self._samples(seed_grad, dr.ADMode.Forward)
+            change = dr.forward_to(value) if dr.grad_enabled(value) else mi.Color3f(0.0)
+            with dr.suspend_grad():
+                return self.film.mean(change, place)
         with self._alone():
-            if self._by_film:
-                value, place = self._samples(seed_grad, dr.ADMode.Forward)
-                change = dr.forward_to(value) if dr.grad_enabled(value) else mi.Color3f(0.0)
-                with dr.suspend_grad():
-                    return self.film.mean(change, place)
             image = mi.render(
                 self.scene,
                 self.entries,
@@ -86,9 +85,7 @@ class Shading:
         return not special and not getattr(self.integrator, "radiative_backprop", True)
 
     def _samples(self, seed: int, mode: Any) -> tuple[Any, Any]:
-        usual = self.sensor.sampler().sample_count()
-        count = self.integrator.override_spp(self.integrator.sppc, self.samples, usual)
-        return samples_of(self.integrator, self.scene, self.sensor, count, seed, mode)
+        return samples_of(self.integrator, self.scene, self.sensor, self.samples, seed, mode)
 
     @contextmanager
     def _alone(self) -> Iterator[None]:

@@ -43,6 +43,11 @@ class Film:
         self._filter = film.rfilter()
         self._beyond = float(self._filter.border_size()) if film.sample_border() else 0.0
 
+    @property
+    def sampled(self) -> float:
+        """How many pixels samples are drawn for, with those of a border, to each of the image."""
+        return math.prod(1.0 + 2.0 * self._beyond / side for side in self.size)
+
     @cached_property
     def _norms(self) -> list[Any]:
         """Along each axis, one over the integral of the filter around each pixel, as far as it is sampled."""

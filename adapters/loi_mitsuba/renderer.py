@@ -267,27 +267,29 @@ class MitsubaRenderer:
         moving = tuple(name for name in self._followed if self._named.moving([name]))
         sided = tuple(name for name in moving if name in self._sided)
         round_ones = tuple(name for name in moving if name not in self._sided)
-        own, outlines, hidden = self._integrator, self._samples_of("sppp"), self._samples_of("sppi")
-        first, second = Silhouettes(self._sensor, "sppp"), Silhouettes(self._sensor, "sppi")
-        # Edges have no gradient by what has none of them, so that they may be asked of a scene in which more moves.
-        drawn = [
-            (self._crossings, self._radiance, outlines, moving),
-            (self._edges if sided else None, self._radiance, outlines, moving),
-            (first, own, outlines, round_ones),
-            (second, own, hidden, moving),
+        own, outlines = self._integrator, self._samples_of("sppp")
+        drawn: list[tuple[Silhouettes | Edges | Crossings, Any, int, tuple[str, ...]]] = [
+            (Silhouettes(self._sensor, self._film, "sppp"), own, outlines, round_ones),
+            (Silhouettes(self._sensor, self._film, "sppi"), own, self._samples_of("sppi"), moving),
         ]
+        ours = [one for one in (self._crossings, self._edges if sided else None) if one is not None]
+        if ours and outlines:
+            # Edges have no gradient by what has none of them, so that they may be asked of a scene in which more moves.
+            radiance = self._radiance
+            drawn = [*((one, radiance, outlines, moving) for one in ours), *drawn]
         parts: list[tuple[Shading | ByJumps, tuple[str, ...]]] = [
             (ByJumps(one, self._scene, self._film, integrator, samples), names)
             for one, integrator, samples, names in drawn
-            if one is not None and samples and names
+            if samples and names
         ]
         if "sppc" not in self._left_out and getattr(own, "sppc", None) != 0:
-            shading = Shading(self._scene, self._named.entries, self._sensor, self._film, own, self._spp_grad)
+            samples = self._samples_of("sppc") or self._spp_grad
+            shading = Shading(self._scene, self._named.entries, self._sensor, self._film, own, samples)
             parts.append((shading, self._followed))
         return parts
 
     def _samples_of(self, part: str) -> int:
-        """Samples per pixel of silhouettes in view, or of the others; 0 where the integrator has none."""
+        """Samples per pixel of a part of the gradient; 0 where the integrator does not have it, or it is off."""
         if part in self._left_out or not hasattr(self._integrator, part):
             return 0
         usual = self._sensor.sampler().sample_count()

@@ -64,7 +64,7 @@ def samples_taken() -> Iterator[list[dict[str, Any]]]:
     """What Mitsuba would put on films meanwhile, which stay empty: arguments of `mi.ImageBlock.put`, by their names."""
     taken: list[dict[str, Any]] = []
     put = mi.ImageBlock.put
-    mi.ImageBlock.put = lambda block, **sample: taken.append(sample)  # noqa: ARG005
+    mi.ImageBlock.put = lambda block, **sample: taken.append(sample)  # noqa: ARG005 - no block gets it
     try:
         yield taken
     finally:

@@ -7,8 +7,8 @@ from typing import Any, Final, Literal
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
+from loi_mitsuba.film import Film
 from loi_mitsuba.samples import in_colours, samples_taken
 
 __all__ = ["Silhouettes"]
@@ -24,11 +24,14 @@ class Silhouettes:
     Attributes
     ----------
     sensor : mi.Sensor
+    film : Film
+        Of the camera.
     part : str
         "sppp", outlines in view, or "sppi", those of what is seen in mirrors, or hides light.
     """
 
     sensor: Any
+    film: Film
     part: Literal["sppp", "sppi"]
 
     def jumps(self, scene: Any, integrator: Any, samples: int, seed: int) -> tuple[Any, Any] | None:
@@ -51,10 +54,6 @@ class Silhouettes:
         if not taken:
             return None
         (sample,) = taken
-        film = self.sensor.film()
-        size = np.array(film.crop_size(), dtype=np.float64)
-        border = 2.0 * film.rfilter().border_size() if film.sample_border() else 0.0
-        each = number * float(np.prod((size + border) / size))  # for each pixel of the film without its border
         value = in_colours(sample["value"], sample["wavelengths"], active=sample["active"])
-        value = dr.select(sample["active"], value, 0.0) * dr.opaque(mi.Float, 1.0 / each)
-        return value, dr.detach(sample["pos"]) / mi.Point2f(size.tolist())
+        value = dr.select(sample["active"], value, 0.0) / dr.opaque(mi.Float, number * self.film.sampled)
+        return value, dr.detach(sample["pos"]) / mi.Point2f(*map(float, self.film.size))
