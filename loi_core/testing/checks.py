@@ -116,11 +116,14 @@ class Slopes:
         Along each direction.
     uncertainty : float
         How far the measured ones may be off, 2-norm over directions.
+    noise : float
+        What of it is noise of the seeds, which is there wherever slopes are measured.
     """
 
     claimed: tuple[float, ...]
     measured: tuple[float, ...]
     uncertainty: float
+    noise: float
 
     @property
     def size(self) -> float:
@@ -130,7 +133,16 @@ class Slopes:
     @property
     def doubt(self) -> float:
         """How far the measured ones may be off, relative to the larger of the two."""
-        return self.uncertainty / max(self.size, math.hypot(*self.claimed), 1e-300)
+        return self.uncertainty / self._larger
+
+    @property
+    def roughness(self) -> float:
+        """What of `doubt` comes of where they are measured, and may be less elsewhere."""
+        return (self.uncertainty - self.noise) / self._larger
+
+    @property
+    def _larger(self) -> float:
+        return max(self.size, math.hypot(*self.claimed), 1e-300)
 
     @property
     def off(self) -> float:
@@ -213,7 +225,10 @@ def measure_slopes(
         deviations = np.std(measured - claimed, axis=0, ddof=1) / math.sqrt(len(functions))
         chance = SIGMAS * float(np.linalg.norm(deviations))
     return Slopes(
-        tuple(map(float, np.mean(claimed, axis=0))), tuple(map(float, np.mean(measured, axis=0))), errors[best] + chance
+        tuple(map(float, np.mean(claimed, axis=0))),
+        tuple(map(float, np.mean(measured, axis=0))),
+        errors[best] + chance,
+        chance,
     )
 
 

@@ -257,11 +257,11 @@ def _check_differences(check: _Check, subject: RendererSubject) -> None:
         rtol = slope_tolerance(coarsest) if subject.rtol is None else subject.rtol
         slopes = _slopes(subject, name, params, coarsest)
         for attempt in range(ATTEMPTS):
-            if slopes.doubt <= 0.5 * rtol:
+            if slopes.roughness <= 0.5 * rtol:
                 break
             # An edge may just touch a pixel here; a little aside it does not.
             other = _slopes(subject, name, _moved(params, subject.seed + attempt, NEARBY), coarsest)
-            slopes = min(slopes, other, key=lambda each: each.doubt)
+            slopes = min(slopes, other, key=lambda each: each.roughness)
         finding = slopes.finding(rtol)
         if finding:
             check.fail(f"{name!r}: {finding}")

@@ -167,6 +167,19 @@ def test_noise_is_averaged_over_seeds_and_hides_no_error_of_one_in_twenty() -> N
         check_renderer(Noisy(1.0), seeds=4)
 
 
+class Counted(Noisy):
+    def render(self, params: Params, *, seed: int = 0) -> Any:
+        self.renders = getattr(self, "renders", 0) + 1
+        return super().render(params, seed=seed)
+
+
+def test_noise_is_not_measured_again_elsewhere() -> None:
+    noisy, still = Counted(0.05), Counted(0.0)
+    check_renderer(noisy, seeds=25)
+    check_renderer(still, seeds=25)
+    assert noisy.renders == still.renders
+
+
 @pytest.mark.parametrize("dtype", ["float64", "float32"])
 @pytest.mark.parametrize("shape", [(16, 12, 3), (3, 9, 1)])
 def test_all_objectives_of_the_library_conform(dtype: str, shape: tuple[int, ...]) -> None:
