@@ -9,6 +9,7 @@ from typing import Any, Final
 import mitsuba as mi
 import numpy as np
 
+from loi_mitsuba.spots import register_cone
 from loi_mitsuba.steps import RAMP, interpolate, textures_of
 from loi_mitsuba.surroundings import Surroundings
 
@@ -108,11 +109,18 @@ def exchange_light(
         while radius > least and not around.fits(origin, radius):
             radius = max(0.5 * radius, least)
         pose = mi.ScalarTransform4f().translate(origin.tolist())
+        if kind == "spot":  # whose cone turns with it
+            turned = np.eye(4)
+            turned[:3, :3] = place[:3, :3] / np.linalg.norm(place[:3, :3], axis=0)
+            pose = pose @ mi.ScalarTransform4f(turned)
         factor = 1.0 / (math.pi * radius**2)
         of = f"{size:g} of its distance from what moves" if share <= most else f"{WIDEST:g} times that of what moves"
         of = f"{of}, less to stay within what is around it" if radius < widest else of
         how = f"a sphere of radius {radius:.3g}, {of}, for"
-    lamp, surface = mi.Properties("area"), mi.Properties("diffuse")
+    lamp, surface = mi.Properties(register_cone() if kind == "spot" else "area"), mi.Properties("diffuse")
+    if kind == "spot":
+        lamp["cutoff_angle"] = cutoff = _cutoff(props)
+        lamp["beam_width"] = float(props["beam_width"]) if "beam_width" in props else 0.75 * cutoff
     lamp["radiance"] = mi.ScalarColor3f((factor * power).tolist())
     surface["reflectance"] = 0.0
     parts = {"emitter": (lamp, mi.ObjectType.Emitter), "bsdf": (surface, mi.ObjectType.BSDF)}
@@ -130,15 +138,14 @@ def exchange_light(
         node.props[key] = mi.Properties.ResolvedReference(place_of)
     node.type = mi.ObjectType.Shape
     named = "" if called.startswith(LIGHT) else f" {called!r}"
-    told = "; outside of its cone the gradient is not that of a spot" if kind == "spot" else ""
-    reason = f"{how} a shadow of light from a point has no gradient{told}"
+    reason = f"{how} a shadow of light from a point has no gradient"
     exchanges.append(Exchange(f"{kind} light{named}", reason, number, factor))
 
 
 def _lights(props: Any, place: Any, origin: Any, around: Surroundings) -> bool:
     """Whether anything that moves reaches into the cone of a spot, as spheres around the boxes tell."""
     along = place[:3, 2] / np.linalg.norm(place[:3, 2])
-    cutoff = math.radians(float(props["cutoff_angle"]) if "cutoff_angle" in props else 20.0)
+    cutoff = math.radians(_cutoff(props))
     for low, high in around.boxes:
         towards = 0.5 * (low + high) - origin
         away, radius = float(np.linalg.norm(towards)), 0.5 * float(np.linalg.norm(high - low))
@@ -148,3 +155,8 @@ def _lights(props: Any, place: Any, origin: Any, around: Surroundings) -> bool:
         if angle - math.asin(radius / away) < cutoff:
             return True
     return False
+
+
+def _cutoff(props: Any) -> float:
+    """The half-angle of a spot's cone, in degrees."""
+    return float(props["cutoff_angle"]) if "cutoff_angle" in props else 20.0

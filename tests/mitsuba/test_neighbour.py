@@ -23,7 +23,7 @@ RAMP = np.linspace(-1.0, 1.0, 64, dtype=np.float32)[None, :, None] * np.ones((48
 LIGHTS: dict[str, dict[str, Any]] = {
     "point": {"type": "point", "position": [0.5, 12.0, 0.0], "intensity": 150.0},
     "point placed": {"type": "point", "intensity": {"type": "rgb", "value": [150.0, 120.0, 90.0]}},
-    "spot": {"type": "spot", "cutoff_angle": 50.0, "beam_width": 50.0, "intensity": 150.0},
+    "spot": {"type": "spot", "cutoff_angle": 10.0, "beam_width": 3.0, "intensity": 150.0},
     "directional": {"type": "directional", "direction": [0.1, -1.0, 0.0], "irradiance": 2.0},
     "directional placed": {"type": "directional", "irradiance": {"type": "rgb", "value": [2.0, 1.0, 0.5]}},
 }
@@ -75,8 +75,11 @@ def test_what_stands_for_a_light_is_as_bright(kind: str) -> None:
     found = neighbour_of(scene, Neighbour(lights=0.02), around, lambda _: False)
     assert found is not None
     assert [one.what for one in found.exchanges] == [f"{kind.split()[0]} light 'lamp'"]
-    own, near = (np.mean(mi.render(one, spp=256, seed=1).numpy(), axis=(0, 1)) for one in (loaded, found.loaded.scene))
-    np.testing.assert_allclose(near, own, rtol=0.02)  # of a directional light, a disk's rays are not quite parallel
+    own, near = (mi.render(one, spp=256, seed=1).numpy() for one in (loaded, found.loaded.scene))
+    blocks = [one.reshape(6, 8, 8, 8, -1).mean(axis=(1, 3)) for one in (own, near)]
+    # Of a directional light, a disk's rays are not quite parallel; and the shadow is a little soft.
+    np.testing.assert_allclose(near.mean(axis=(0, 1)), own.mean(axis=(0, 1)), rtol=0.02)
+    np.testing.assert_allclose(*blocks, rtol=0.02, atol=0.02 * float(own.max()))
 
 
 def test_a_lamp_stays_within_a_shade_and_not_below_a_ceiling() -> None:
@@ -97,7 +100,7 @@ def test_a_lamp_stays_within_a_shade_and_not_below_a_ceiling() -> None:
     assert reasons == [True, False]
 
 
-@pytest.mark.parametrize("kind", ["point", *(pytest.param(one, marks=thorough) for one in ("directional", "spot"))])
+@pytest.mark.parametrize("kind", ["point", "spot", pytest.param("directional", marks=thorough)])
 def test_shadows_of_lights_without_a_size_have_the_gradient_of_finite_differences(kind: str) -> None:
     scene = lit_scene(kind)
     planned = PlannedRenderer(scene, AXES, spp=64)
