@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeAlias
 
 import drjit as dr
 import mitsuba as mi
@@ -15,12 +15,17 @@ from loi_mitsuba.crossings import Crossings
 from loi_mitsuba.edges import Edges
 from loi_mitsuba.film import Film
 from loi_mitsuba.handles import Host
+from loi_mitsuba.horizons import horizons_bounded
 from loi_mitsuba.integrators import PARTS
 from loi_mitsuba.named import as_host
+from loi_mitsuba.received import Received
 from loi_mitsuba.samples import pull_samples, samples_of
 from loi_mitsuba.silhouettes import Silhouettes
 
-__all__ = ["ByJumps", "Shading"]
+__all__ = ["ByJumps", "Jumping", "Shading"]
+
+Jumping: TypeAlias = Silhouettes | Edges | Crossings | Received
+"""What finds jumps of brightness, and how far they move."""
 
 
 @dataclass(frozen=True)
@@ -50,7 +55,7 @@ class Shading:
         if self._by_film:
             pull_samples(*self._samples(seed, dr.ADMode.Backward), self.film, cotangent)
             return
-        with self._alone():
+        with self._alone(), horizons_bounded(self.integrator):
             try:
                 self.integrator.render_backward(
                     self.scene, self.entries, mi.TensorXf(cotangent), self.sensor, seed, self.samples
@@ -66,7 +71,7 @@ class Shading:
             change = dr.forward_to(value) if dr.grad_enabled(value) else mi.Color3f(0.0)
             with dr.suspend_grad():
                 return self.film.mean(change, place)
-        with self._alone():
+        with self._alone(), horizons_bounded(self.integrator):
             image = mi.render(
                 self.scene,
                 self.entries,
@@ -85,7 +90,8 @@ class Shading:
         return not special and not getattr(self.integrator, "radiative_backprop", True)
 
     def _samples(self, seed: int, mode: Any) -> tuple[Any, Any]:
-        return samples_of(self.integrator, self.scene, self.sensor, self.samples, seed, mode)
+        with horizons_bounded(self.integrator):
+            return samples_of(self.integrator, self.scene, self.sensor, self.samples, seed, mode)
 
     @contextmanager
     def _alone(self) -> Iterator[None]:
@@ -102,11 +108,11 @@ class Shading:
 
 @dataclass(frozen=True)
 class ByJumps:
-    """What jumps of brightness have of it: at silhouettes, at edges of meshes with sides, or where shapes cross.
+    """What jumps of brightness have of it, of one kind.
 
     Attributes
     ----------
-    drawn : Silhouettes, Edges or Crossings
+    drawn : Silhouettes, Edges, Crossings or Received
     scene : mi.Scene
     film : Film
         Of the camera.
@@ -116,7 +122,7 @@ class ByJumps:
         Per pixel of the image.
     """
 
-    drawn: Silhouettes | Edges | Crossings
+    drawn: Jumping
     scene: Any
     film: Film
     radiance: Any

@@ -17,13 +17,10 @@ import numpy as np
 
 from loi_mitsuba.boxes import corners_of
 from loi_mitsuba.eye import NEARLY, brighter, is_plain, lift_of, sampler_of
+from loi_mitsuba.lines import HALVINGS, STEP, Lines, shape_of
 
 __all__ = ["Crossings"]
 
-SHARE: Final = 4  # samples of the image for one line across and one down
-MOST: Final = 2**22  # lines of one direction: in large images curves are long, and fewer to a pixel will do
-HALVINGS: Final = 16  # of a line
-STEP: Final = 0.05  # pixels to either side, for the slope of a depth
 NEAR: Final = 0.05  # pixels between a crossing and where the planes of the two shapes cross
 BESIDE: Final = (0.0125, 0.05)  # pixels from a crossing, to either side: at least, and at the most in reach of LIFTS
 LIFTS: Final = 4.0  # of what Mitsuba lifts a ray by, off the surface that it leaves
@@ -64,7 +61,7 @@ class Crossings:
     def __init__(self, sensor: Any, shapes: list[Any]) -> None:
         self._sensor = sensor
         self._shapes = shapes
-        self._size = mi.Point2f(*map(float, sensor.film().crop_size()))
+        self._lines = Lines(sensor)
 
     @classmethod
     def of(cls, scene: Any, sensor: Any, shapes: Iterable[Any]) -> Crossings | None:
@@ -77,10 +74,8 @@ class Crossings:
         """At crossings, 0 with how it changes: the jump times how far the crossing moves; and places. None without."""
         if not self._may_meet(scene):
             return None
-        width, height = self._sensor.film().crop_size()
-        lines = max(1, min(samples // SHARE, MOST // int(width * height)))
         with dr.suspend_grad():
-            found = self._changes(scene, lines, seed)
+            found = self._changes(scene, samples, seed)
             if found is None:
                 return None
             first, second, along = self._narrowed(scene, *found)
@@ -89,8 +84,8 @@ class Crossings:
             middle = dr.lerp(first, second, 0.5)
             slope, active = self._slope(scene, near, far, middle, along)
             count = dr.width(middle)
-            place = middle / self._size
-            aside = self._aside(near, middle) * along / self._size
+            place = middle / self._lines.size
+            aside = self._aside(near, middle) * along / self._lines.size
             # Under a shape that bulges over the crossing, light grows as the root of the distance from it, which is
             # twice as much at four times the distance.
             close, off = (
@@ -102,7 +97,7 @@ class Crossings:
             jump = 2.0 * close - off
         gap = near.t - far.t
         moved = dr.select(active, -(gap - dr.detach(gap)) / slope, 0.0)
-        return dr.select(active, -jump / lines, 0.0) * moved, place
+        return dr.select(active, self._lines.mean(-jump, samples), 0.0) * moved, place
 
     def _may_meet(self, scene: Any) -> bool:
         """Whether the box of a shape that moves touches that of another."""
@@ -113,17 +108,9 @@ class Crossings:
         meet[np.arange(len(moving)), moving] = False
         return bool(np.any(meet))
 
-    def _changes(self, scene: Any, lines: int, seed: int) -> tuple[Any, Any, Any] | None:
-        """Lines that begin at one shape and end at another, at random: their ends, in pixels, and their directions.
-
-        From every pixel, and those left of and above the film, go `lines` across and as many down.
-        """
-        width, height = (int(size) + 1 for size in self._sensor.film().crop_size())
-        number = dr.arange(mi.UInt32, 2 * lines * width * height)
-        pixel = number // (2 * lines)
-        sampler = sampler_of(seed, dr.width(number))
-        first = mi.Point2f(pixel % width, pixel // width) - 1.0 + sampler.next_2d()
-        along = dr.select(number % 2 == 0, mi.Vector2f(1.0, 0.0), mi.Vector2f(0.0, 1.0))
+    def _changes(self, scene: Any, samples: int, seed: int) -> tuple[Any, Any, Any] | None:
+        """Lines that begin at one shape and end at another: their ends, in pixels, and their directions."""
+        first, along = self._lines.drawn(samples, seed)
         second = first + along
         before, after = self._seen(scene, first), self._seen(scene, second)
         which = dr.compress((before != 0) & (after != 0) & (before != after))
@@ -145,7 +132,7 @@ class Crossings:
         """How fast the first shape falls behind the second along a line, by pixel; and whether they do cross there."""
         aside = mi.Vector2f(along.y, along.x)
         slope, other = (self._behind(near, far, middle, way) for way in (along, aside))
-        away = dr.norm(near.p - self._eye)
+        away = dr.norm(near.p - self._lines.eye)
         # Lines of one direction find curves that are within 45 degrees of upright to it, each once.
         active = (near.shape != 0) & (far.shape != 0) & (slope > 0.0) & (slope >= dr.abs(other))
         active &= dr.abs(self._depth(near, middle) - self._depth(far, middle)) < NEAR * slope
@@ -157,7 +144,9 @@ class Crossings:
 
     def _aside(self, hit: _Hit, middle: Any) -> Any:
         """Pixels from a crossing to where brightness is looked up: rays that start there see what is around it."""
-        one = dr.norm(self._ray(middle + mi.Vector2f(1.0, 0.0)).d - self._ray(middle).d) * dr.norm(hit.p - self._eye)
+        one = dr.norm(self._lines.ray(middle + mi.Vector2f(1.0, 0.0)).d - self._lines.ray(middle).d) * dr.norm(
+            hit.p - self._lines.eye
+        )
         return dr.clip(LIFTS * lift_of(hit.p) / one, *BESIDE)
 
     def _behind(self, near: _Hit, far: _Hit, middle: Any, way: Any) -> Any:
@@ -169,22 +158,17 @@ class Crossings:
 
     def _goes_on(self, scene: Any, hidden: _Hit, front: _Hit, at: Any, active: Any) -> Any:
         """Whether a shape is where its plane is behind another one."""
-        ray = self._ray(at)
+        ray = self._lines.ray(at)
         depth = self._depth(front, at)
         behind = self._depth(hidden, at) - depth
-        ray.o = self._eye + ray.d * (depth + (1.0 - AROUND) * behind)
+        ray.o = self._lines.eye + ray.d * (depth + (1.0 - AROUND) * behind)
         ray.maxt = 2.0 * AROUND * behind
         active = active & (behind > 0.0)
-        return active & (_shape(scene.ray_intersect_preliminary(ray, active=active)) == hidden.shape)
+        return active & (shape_of(scene.ray_intersect_preliminary(ray, active=active)) == hidden.shape)
 
     def _depth(self, hit: _Hit, at: Any) -> Any:
         """How far away the plane of what was hit is, where a place in pixels looks."""
-        return dr.dot(hit.p - self._eye, hit.n) / dr.dot(self._ray(at).d, hit.n)
-
-    @property
-    def _eye(self) -> Any:
-        """Where the camera is, which may move."""
-        return mi.Point3f(self._sensor.world_transform().translation())
+        return dr.dot(hit.p - self._lines.eye, hit.n) / dr.dot(self._lines.ray(at).d, hit.n)
 
     def _hits(self, scene: Any, *ends: Any) -> list[_Hit]:
         """What places in pixels see, as many of each.
@@ -199,8 +183,8 @@ class Crossings:
         for k, end in enumerate(ends):
             part = (number >= k * count) & (number < (k + 1) * count)
             at = dr.select(part, dr.gather(mi.Point2f, end, number - k * count, part), at)
-        found = scene.ray_intersect(self._ray(at))
-        shape = _shape(found)
+        found = scene.ray_intersect(self._lines.ray(at))
+        shape = shape_of(found)
         each = [dr.arange(mi.UInt32, lines) + k * count for k in range(len(ends))]
         return [
             _Hit(
@@ -214,11 +198,4 @@ class Crossings:
 
     def _seen(self, scene: Any, at: Any) -> Any:
         """The number of the shape that a place in pixels sees; 0 for none."""
-        return _shape(scene.ray_intersect_preliminary(self._ray(at)))
-
-    def _ray(self, at: Any) -> Any:
-        return self._sensor.sample_ray(0.0, 0.5, at / self._size, mi.Point2f(0.5))[0]
-
-
-def _shape(hit: Any) -> Any:
-    return dr.select(hit.is_valid(), dr.reinterpret_array(mi.UInt32, hit.shape), 0)
+        return shape_of(scene.ray_intersect_preliminary(self._lines.ray(at)))

@@ -16,7 +16,7 @@ from loi_core.errors import OptionError, ParameterError
 from loi_core.pixels.encoding import Encoding
 from loi_core.support.values import whole_number
 from loi_core.support.wording import shown
-from loi_mitsuba.carriers import ByJumps, Shading
+from loi_mitsuba.carriers import ByJumps, Jumping, Shading
 from loi_mitsuba.cautions import warn_of_entries, warn_of_moving
 from loi_mitsuba.crossings import Crossings
 from loi_mitsuba.edges import Edges
@@ -34,6 +34,7 @@ from loi_mitsuba.loading import (
     use_variant,
 )
 from loi_mitsuba.named import NamedParameters, host_numbers
+from loi_mitsuba.received import Received
 from loi_mitsuba.silhouettes import Silhouettes
 from loi_mitsuba.untrusted import SceneLoadError, check_types
 
@@ -119,7 +120,9 @@ class MitsubaRenderer:
         self._named = NamedParameters(self._names, targets, images)
         self._followed = self._able = tuple(name for name in targets if name not in images)
         self._edges = Edges.of(self._scene, self._sensor, self._named.moving(self._able))
-        self._crossings = Crossings.of(self._scene, self._sensor, self._named.moving(self._able))
+        moving = self._named.moving(self._able)
+        self._crossings = Crossings.of(self._scene, self._sensor, moving)
+        self._received = Received.of(self._scene, self._sensor, moving)
         self._film = Film(self._sensor.film())
         known = [] if self._edges is None else self._edges.shapes
         self._sided = frozenset(name for name in self._able if any(one in known for one in self._named.moving([name])))
@@ -262,16 +265,19 @@ class MitsubaRenderer:
     def _parts(self) -> list[tuple[Shading | ByJumps, tuple[str, ...]]]:
         """What carries which parts of the gradient, and to which parameters.
 
-        Outlines of meshes with sides are not Mitsuba's, nor are curves along which shapes go through each other.
+        Outlines of meshes with sides are not Mitsuba's, nor are curves along which shapes go through each other, nor
+        shadows that fall on what moves.
         """
         moving = tuple(name for name in self._followed if self._named.moving([name]))
         sided = tuple(name for name in moving if name in self._sided)
         round_ones = tuple(name for name in moving if name not in self._sided)
-        own, outlines = self._integrator, self._samples_of("sppp")
-        drawn: list[tuple[Silhouettes | Edges | Crossings, Any, int, tuple[str, ...]]] = [
+        own, outlines, shadows = self._integrator, self._samples_of("sppp"), self._samples_of("sppi")
+        drawn: list[tuple[Jumping, Any, int, tuple[str, ...]]] = [
             (Silhouettes(self._sensor, self._film, "sppp"), own, outlines, round_ones),
-            (Silhouettes(self._sensor, self._film, "sppi"), own, self._samples_of("sppi"), moving),
+            (Silhouettes(self._sensor, self._film, "sppi"), own, shadows, moving),
         ]
+        if self._received is not None:
+            drawn.append((self._received, own, shadows, moving))
         ours = [one for one in (self._crossings, self._edges if sided else None) if one is not None]
         if ours and outlines:
             # Edges have no gradient by what has none of them, so that they may be asked of a scene in which more moves.

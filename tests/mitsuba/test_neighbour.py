@@ -76,10 +76,10 @@ def test_what_stands_for_a_light_is_as_bright(kind: str) -> None:
     assert found is not None
     assert [one.what for one in found.exchanges] == [f"{kind.split()[0]} light 'lamp'"]
     own, near = (mi.render(one, spp=256, seed=1).numpy() for one in (loaded, found.loaded.scene))
-    blocks = [one.reshape(6, 8, 8, 8, -1).mean(axis=(1, 3)) for one in (own, near)]
+    of_own, of_near = (one.reshape(6, 8, 8, 8, -1).mean(axis=(1, 3)) for one in (own, near))
     # Of a directional light, a disk's rays are not quite parallel; and the shadow is a little soft.
     np.testing.assert_allclose(near.mean(axis=(0, 1)), own.mean(axis=(0, 1)), rtol=0.02)
-    np.testing.assert_allclose(*blocks, rtol=0.02, atol=0.02 * float(own.max()))
+    np.testing.assert_allclose(of_near, of_own, rtol=0.02, atol=0.02 * float(own.max()))
 
 
 def test_a_lamp_stays_within_a_shade_and_not_below_a_ceiling() -> None:

@@ -1,0 +1,97 @@
+"""Lines of a pixel's length on the film of a perspective camera, along which jumps of brightness are searched for."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from loi_mitsuba.boxes import corners_of
+from loi_mitsuba.eye import Eye, sampler_of
+
+__all__ = ["HALVINGS", "STEP", "Lines", "shape_of"]
+
+SHARE: Final = 4  # samples of the image for one line across and one down
+MOST: Final = 2**22  # lines of one direction: in large images curves are long, and fewer to a pixel will do
+HALVINGS: Final = 16  # of a line
+STEP: Final = 0.05  # pixels to either side, for a slope
+
+
+class Lines:
+    """Lines across and down the film of a camera.
+
+    Parameters
+    ----------
+    sensor : mi.Sensor
+        A perspective camera.
+
+    Attributes
+    ----------
+    size : mi.Point2f
+        Of the image, in pixels.
+    """
+
+    def __init__(self, sensor: Any) -> None:
+        self._sensor = sensor
+        self._pixels = tuple(int(side) for side in sensor.film().crop_size())
+        self.size = mi.Point2f(*map(float, self._pixels))
+
+    def number(self, samples: int) -> int:
+        """How many go across, and as many down, from every pixel."""
+        width, height = self._pixels
+        return max(1, min(samples // SHARE, MOST // (width * height)))
+
+    def mean(self, value: Any, samples: int) -> Any:
+        """What lines have found, as a change of the image."""
+        return value / dr.opaque(mi.Float, self.number(samples))
+
+    def drawn(self, samples: int, seed: int, pixels: Any = None) -> tuple[Any, Any]:
+        """Where lines begin, in pixels, at random, and their directions: also left of and above the film.
+
+        `pixels` are those that :meth:`around` gives, or all.
+        """
+        width, height = (side + 1 for side in self._pixels)
+        both = 2 * self.number(samples)
+        number = dr.arange(mi.UInt32, both * (width * height if pixels is None else dr.width(pixels)))
+        pixel = number // dr.opaque(mi.UInt32, both)  # or kernels would be compiled again for each other number
+        if pixels is not None:
+            pixel = dr.gather(mi.UInt32, pixels, pixel)
+        sampler = sampler_of(seed, dr.width(number))
+        first = mi.Point2f(pixel % width, pixel // width) - 1.0 + sampler.next_2d()
+        return first, dr.select(number % 2 == 0, mi.Vector2f(1.0, 0.0), mi.Vector2f(0.0, 1.0))
+
+    def around(self, shapes: list[Any]) -> Any:
+        """Pixels from which lines may reach some shapes; those of all lines where one is beside or behind the camera.
+
+        The boxes of the shapes tell.
+        """
+        width, height = (side + 1 for side in self._pixels)
+        within = np.zeros((height, width), dtype=bool)
+        eye = Eye(self._sensor)
+        for low, high in (corners_of(one) for one in shapes):
+            corners = low + (high - low) * np.indices((2, 2, 2)).reshape(3, 8).T
+            _, _, place, visible = eye.sees(mi.Point3f(np.ascontiguousarray(corners.T, dtype=np.float32)))
+            if not np.all(np.array(visible)):
+                within[:] = True
+                break
+            at = np.array(place) * np.array(self._pixels)[:, None]
+            least = np.clip(np.floor(at.min(axis=1)), 0, (width, height)).astype(int)
+            most = np.clip(np.floor(at.max(axis=1)) + 2.0, 0, (width, height)).astype(int)
+            within[least[1] : most[1], least[0] : most[0]] = True
+        return mi.UInt32(np.flatnonzero(within).astype(np.uint32))
+
+    @property
+    def eye(self) -> Any:
+        """Where the camera is, which may move."""
+        return mi.Point3f(self._sensor.world_transform().translation())
+
+    def ray(self, at: Any) -> Any:
+        """What a place in pixels looks along."""
+        return self._sensor.sample_ray(0.0, 0.5, at / self.size, mi.Point2f(0.5))[0]
+
+
+def shape_of(hit: Any) -> Any:
+    """The number of the shape that a ray has hit; 0 for none."""
+    return dr.select(hit.is_valid(), dr.reinterpret_array(mi.UInt32, hit.shape), 0)
