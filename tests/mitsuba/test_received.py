@@ -1,0 +1,67 @@
+"""Shadows that fall on what moves have a gradient, and light from surfaces seen edge-on does not outweigh it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from loi_mitsuba import MitsubaRenderer, Translate
+from loi_mitsuba.received import Received
+from tests.helpers import Host
+from tests.mitsuba.scenes import HEIGHT, WIDTH, shadow_scene
+
+MOVES: dict[str, Any] = {"x": Translate("ball", (1, 0, 0)), "z": Translate("ball", (0, 0, 1))}
+HERE = {name: np.float32(0.0) for name in MOVES}
+STEP = 0.03
+DIRECT = {"integrator": {"type": "direct"}}
+
+
+def ball(x: float, y: float, z: float, radius: float) -> dict[str, Any]:
+    return {"type": "sphere", "center": [x, y, z], "radius": radius}
+
+
+def scene_of(kind: str) -> dict[str, Any]:
+    scene = shadow_scene(**DIRECT, ball=ball(0.0, 1.2, 0.0, 0.9))
+    if kind == "under the sky":
+        del scene["lamp"]
+        return scene | {"sky": {"type": "constant", "radiance": 0.8}, "other": ball(1.7, 1.4, 0.3, 0.9)}
+    return scene | {"other": ball(0.3, 3.0, 0.3, 0.5)}
+
+
+def slopes_of(renderer: MitsubaRenderer, weight: Host, seeds: int) -> tuple[Host, Host]:
+    """Mean gradient over seeds, and its standard error."""
+    drawn = np.array([list(renderer.pull(HERE, weight, seed=seed).values()) for seed in range(seeds)])
+    return drawn.mean(axis=0), drawn.std(axis=0, ddof=1) / np.sqrt(seeds)
+
+
+@pytest.mark.parametrize("kind", ["under a ball", "under the sky"])
+def test_it_is_that_of_finite_differences(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    scene = scene_of(kind)
+    renderer = MitsubaRenderer(scene, MOVES, spp=64)
+    image = renderer.with_integrator("scene", spp=1024)
+    row, column = np.mgrid[:HEIGHT, :WIDTH]
+    weight = np.exp(-((column - 40.0) ** 2 + (row - 18.0) ** 2) / 60.0).astype(np.float32)[..., None].repeat(3, axis=2)
+    wanted = []
+    for name in MOVES:
+        ahead, behind = (image.render({**HERE, name: np.float32(by)}, seed=0) for by in (STEP, -STEP))
+        wanted.append(float(np.sum((ahead - behind) * weight)) / (2.0 * STEP))
+    found, error = slopes_of(renderer, weight, 8)
+    size = float(np.linalg.norm(wanted))
+    assert np.linalg.norm(error) < 0.1 * size
+    assert np.linalg.norm(found - wanted) < 0.05 * size + 3.0 * np.linalg.norm(error)
+
+    monkeypatch.setattr(Received, "of", lambda *_: None)
+    without, _ = slopes_of(MitsubaRenderer(scene, MOVES, spp=64), weight, 8)
+    assert np.linalg.norm(without - wanted) > 0.1 * size
+
+
+def test_no_sample_of_a_round_lamp_outweighs_the_gradient() -> None:
+    """Relative to itself, the solid angle of what is seen edge-on changes without bound: seed 0 has such a sample."""
+    lamp = {"type": "sphere", "center": [1.5, 6.0, 1.0], "radius": 0.7, "emitter": {"type": "area", "radiance": 60.0}}
+    scene = shadow_scene(**DIRECT, ball=ball(0.0, 1.5, 0.0, 0.6), lamp=lamp)
+    renderer = MitsubaRenderer(scene, {"y": Translate("floor", (0, 1, 0))}, spp=32)
+    weight = np.ones((HEIGHT, WIDTH, 3), np.float32)
+    drawn = [float(renderer.pull({"y": np.float32(0.0)}, weight, seed=seed)["y"]) for seed in range(100, 112)]
+    assert np.ptp(drawn) < 0.3 * abs(np.median(drawn))
