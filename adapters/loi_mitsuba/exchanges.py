@@ -9,6 +9,7 @@ from typing import Any, Final
 import mitsuba as mi
 import numpy as np
 
+from loi_mitsuba.seams import has_sides
 from loi_mitsuba.spots import register_cone
 from loi_mitsuba.steps import RAMP, interpolate, textures_of
 from loi_mitsuba.surroundings import Surroundings
@@ -35,12 +36,13 @@ FAR: Final = 100.0  # how many times the scene's radius away the disk is that st
 class Exchange:
     """One thing that the neighbour has instead of another: what, and in a line why and how large.
 
-    Of a light, also which of the scene's lights without a size it is, from 0, and how many times its intensity the
-    radiance is of what stands for it.
+    Also whether nothing but shadows is any better for it, and of a light, which of the scene's lights without a size it
+    is, from 0, and how many times its intensity the radiance is of what stands for it.
     """
 
     what: str
     reason: str
+    only_shadows: bool = False
     light: int | None = None
     factor: float = 1.0
 
@@ -72,7 +74,8 @@ def of_seams(shape: Any) -> Exchange:
     """Of a mesh whose vertices are shared: what is told of it."""
     named = f" {shape.id()!r}" if shape.id() else ""
     reason = "with the vertices at one place shared, for an edge that is stored twice has its gradient twice"
-    return Exchange(f"mesh{named}", reason)
+    # A box whose corners are shared has another texture. Its outlines are drawn in the scene itself, and so is that.
+    return Exchange(f"mesh{named}", reason, only_shadows=has_sides(shape))
 
 
 def exchange_light(
@@ -138,8 +141,10 @@ def exchange_light(
         node.props[key] = mi.Properties.ResolvedReference(place_of)
     node.type = mi.ObjectType.Shape
     named = "" if called.startswith(LIGHT) else f" {called!r}"
+    # All but shadows is the scene's own, with less noise; but by what moves, Mitsuba has no gradient of a spot's cone.
+    only_shadows = kind != "spot"
     reason = f"{how} a shadow of light from a point has no gradient"
-    exchanges.append(Exchange(f"{kind} light{named}", reason, number, factor))
+    exchanges.append(Exchange(f"{kind} light{named}", reason, only_shadows=only_shadows, light=number, factor=factor))
 
 
 def _lights(props: Any, place: Any, origin: Any, around: Surroundings) -> bool:

@@ -117,6 +117,19 @@ def test_shadows_of_lights_without_a_size_have_the_gradient_of_finite_difference
     assert error < 0.1 * size
 
 
+@pytest.mark.filterwarnings("ignore::loi_mitsuba.GradientWarning")
+@pytest.mark.parametrize("kind", ["point", "directional"])
+def test_all_but_shadows_is_the_scene_s_own_under_lights_without_a_size(kind: str) -> None:
+    scene = lit_scene(kind, ball={"type": "sphere", "center": [0, 1, 0], "radius": 0.6})
+    without_shadows = {"type": "direct_projective", "guiding": "none", "sppc": 8, "sppp": 8, "sppi": 0}
+    planned = PlannedRenderer(scene, AXES).unabridged.with_integrator(without_shadows)
+    own = MitsubaRenderer(scene, AXES, integrator=without_shadows)
+    found, wanted = (one.pull(HERE, RAMP, seed=2) for one in (planned, own))
+    assert all(wanted.values())
+    for name, value in wanted.items():
+        np.testing.assert_allclose(found[name], value, rtol=1e-4)
+
+
 def test_the_shadow_of_something_small_has_a_gradient_that_pixels_see() -> None:
     """A lamp much larger than what casts the shadow would leave no umbra, and of the gradient of pixels a twentieth."""
     planned = PlannedRenderer(lit_scene(ball={"type": "sphere", "center": [0, 5, 0], "radius": 0.12}), AXES, spp=64)

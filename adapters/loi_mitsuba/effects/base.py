@@ -21,7 +21,7 @@ from loi_mitsuba.named import NamedParameters
 from loi_mitsuba.neighbour import Found, Neighbour, neighbour_of
 from loi_mitsuba.neighboured import NeighbouredRenderer, exchanged_targets, targets_of_lights
 from loi_mitsuba.renderer import MitsubaRenderer
-from loi_mitsuba.seams import has_seams, has_sides, is_flat, is_hard
+from loi_mitsuba.seams import has_seams, is_flat, is_hard
 from loi_mitsuba.steps import has_steps, is_stepped
 from loi_mitsuba.surroundings import Surroundings, lights_of
 
@@ -161,8 +161,8 @@ def _neighboured(
         return None
     start = NamedParameters(called, targets, options["without_gradient"]).start
     exchanged = exchanged_targets(lights, found, called, start)
-    # A box whose corners are shared has another texture. Its outlines are drawn in the scene itself, and so is that.
-    only_shadows = bool(split) and not stepped and all(has_sides(one) for one in split.values())
+    still = all(one.is_power for name, one in lights.items() if name not in options["without_gradient"])
+    only_shadows = still and all(one.only_shadows for one in found.exchanges)
     base = NeighbouredRenderer(
         loaded,
         targets,
