@@ -10,7 +10,7 @@ how that moves.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import drjit as dr
@@ -61,9 +61,8 @@ class _Light:
 
     def gathered(self, which: Any) -> _Light:
         """That of some lines."""
-        return _Light(
-            *(dr.gather(type(one), one, which) for one in (getattr(self, each.name) for each in fields(self)))
-        )
+        parts = (self.p, self.n, self.d, self.far, self.flat, self.power)
+        return _Light(*(dr.gather(type(one), one, which) for one in parts))
 
     def reaching(self, point: Any) -> Any:
         """What of it comes to a point, if nothing is in between."""
@@ -237,6 +236,8 @@ class Received:
             dr.eval(first, second, there)
         first, second = self._narrowed(scene, first, second, light, lit)
         beside = dr.lerp(first, second, 0.5)
+        shape = self._seen(scene, middle)  # off which another one may be lit where it is not
+        there &= (self._seen(scene, first) == shape) & (self._seen(scene, second) == shape)
         # Lines of one direction find edges that are within 45 degrees of upright to it, each once.
         return beside, there & (dr.abs(dr.dot(beside - middle, along)) <= ASIDE)
 
