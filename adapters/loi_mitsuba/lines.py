@@ -68,18 +68,18 @@ class Lines:
         The boxes of the shapes tell.
         """
         width, height = (side + 1 for side in self._pixels)
+        low, high = np.stack([corners_of(one) for one in shapes], axis=1)[..., None]
+        corners = low + (high - low) * np.indices((2, 2, 2)).reshape(3, 8)  # shape (shapes, 3, 8)
+        points = np.ascontiguousarray(corners.transpose(1, 0, 2).reshape(3, -1), dtype=np.float32)
+        _, _, place, visible = Eye(self._sensor).sees(mi.Point3f(points))
         within = np.zeros((height, width), dtype=bool)
-        eye = Eye(self._sensor)
-        for low, high in (corners_of(one) for one in shapes):
-            corners = low + (high - low) * np.indices((2, 2, 2)).reshape(3, 8).T
-            _, _, place, visible = eye.sees(mi.Point3f(np.ascontiguousarray(corners.T, dtype=np.float32)))
-            if not np.all(np.array(visible)):
-                within[:] = True
-                break
-            at = np.array(place) * np.array(self._pixels)[:, None]
-            least = np.clip(np.floor(at.min(axis=1)), 0, (width, height)).astype(int)
-            most = np.clip(np.floor(at.max(axis=1)) + 2.0, 0, (width, height)).astype(int)
-            within[least[1] : most[1], least[0] : most[0]] = True
+        if not np.all(np.array(visible)):
+            within[:] = True
+        at = np.nan_to_num(np.array(place)).reshape(2, len(shapes), 8) * np.array(self._pixels)[:, None, None]
+        least = np.clip(np.floor(at.min(axis=2)), 0, [[width], [height]]).astype(int)
+        most = np.clip(np.floor(at.max(axis=2)) + 2.0, 0, [[width], [height]]).astype(int)
+        for (left, top), (right, bottom) in zip(least.T, most.T, strict=True):
+            within[top:bottom, left:right] = True
         return mi.UInt32(np.flatnonzero(within).astype(np.uint32))
 
     @property
