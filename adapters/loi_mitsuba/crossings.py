@@ -17,7 +17,7 @@ import numpy as np
 
 from loi_mitsuba.boxes import corners_of
 from loi_mitsuba.eye import NEARLY, brighter, is_plain, lift_of, sampler_of
-from loi_mitsuba.lines import HALVINGS, STEP, Lines, shape_of
+from loi_mitsuba.lines import STEP, Lines, narrowed, shape_of
 
 __all__ = ["Crossings"]
 
@@ -112,7 +112,7 @@ class Crossings:
         """Lines that begin at one shape and end at another: their ends, in pixels, and their directions."""
         first, along = self._lines.drawn(samples, seed)
         second = first + along
-        before, after = self._seen(scene, first), self._seen(scene, second)
+        before, after = self._lines.seen(scene, first), self._lines.seen(scene, second)
         which = dr.compress((before != 0) & (after != 0) & (before != after))
         if dr.width(which) == 0:
             return None
@@ -120,12 +120,8 @@ class Crossings:
 
     def _narrowed(self, scene: Any, first: Any, second: Any, along: Any) -> tuple[Any, Any, Any]:
         """The same lines, from the last point that sees the first shape to the next that does not."""
-        shape = self._seen(scene, first)
-        for _ in range(HALVINGS):
-            middle = dr.lerp(first, second, 0.5)
-            same = self._seen(scene, middle) == shape
-            first, second = dr.select(same, middle, first), dr.select(same, second, middle)
-            dr.eval(first, second)
+        shape = self._lines.seen(scene, first)
+        first, second = narrowed(first, second, lambda at: self._lines.seen(scene, at) == shape)
         return first, second, along
 
     def _slope(self, scene: Any, near: _Hit, far: _Hit, middle: Any, along: Any) -> tuple[Any, Any]:
@@ -195,7 +191,3 @@ class Crossings:
             )
             for part in each
         ]
-
-    def _seen(self, scene: Any, at: Any) -> Any:
-        """The number of the shape that a place in pixels sees; 0 for none."""
-        return shape_of(scene.ray_intersect_preliminary(self._lines.ray(at)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any, Final
 
 import drjit as dr
@@ -11,7 +12,7 @@ import numpy as np
 from loi_mitsuba.boxes import corners_of
 from loi_mitsuba.eye import Eye, sampler_of
 
-__all__ = ["HALVINGS", "STEP", "Lines", "shape_of"]
+__all__ = ["STEP", "Lines", "narrowed", "shape_of"]
 
 SHARE: Final = 4  # samples of the image for one line across and one down
 MOST: Final = 2**22  # lines of one direction: in large images curves are long, and fewer to a pixel will do
@@ -91,7 +92,21 @@ class Lines:
         """What a place in pixels looks along."""
         return self._sensor.sample_ray(0.0, 0.5, at / self.size, mi.Point2f(0.5))[0]
 
+    def seen(self, scene: Any, at: Any) -> Any:
+        """The number of the shape that a place in pixels sees; 0 for none."""
+        return shape_of(scene.ray_intersect_preliminary(self.ray(at)))
+
 
 def shape_of(hit: Any) -> Any:
     """The number of the shape that a ray has hit; 0 for none."""
     return dr.select(hit.is_valid(), dr.reinterpret_array(mi.UInt32, hit.shape), 0)
+
+
+def narrowed(first: Any, second: Any, is_first: Callable[[Any], Any]) -> tuple[Any, Any]:
+    """Lines narrowed to where what holds at their first ends ceases to hold."""
+    for _ in range(HALVINGS):
+        middle = dr.lerp(first, second, 0.5)
+        same = is_first(middle)
+        first, second = dr.select(same, middle, first), dr.select(same, second, middle)
+        dr.eval(first, second)
+    return first, second

@@ -18,7 +18,7 @@ import mitsuba as mi
 import numpy as np
 
 from loi_mitsuba.eye import is_plain, sampler_of
-from loi_mitsuba.lines import HALVINGS, STEP, Lines, shape_of
+from loi_mitsuba.lines import STEP, Lines, narrowed, shape_of
 
 __all__ = ["Received"]
 
@@ -168,7 +168,7 @@ class Received:
             return None
         first, along = self._lines.drawn(samples, seed, pixels)
         second = mi.Point2f(first + along)
-        one, other = self._seen(scene, first), self._seen(scene, second)
+        one, other = self._lines.seen(scene, first), self._lines.seen(scene, second)
         # Where a line sees two shapes that move, it is taken for either, half of the time.
         two = self._moving(one) & self._moving(other) & (one != other)
         turn = ~self._moving(one) | (two & (sampler_of(seed + 1, dr.width(one)).next_1d() < 0.5))
@@ -204,11 +204,7 @@ class Received:
         turned, shape = dr.gather(mi.Bool, turn, which), dr.gather(mi.UInt32, shape, which)
         low, high = (dr.gather(type(end), end, which) for end in (first, second))
         inside, outside = dr.select(turned, high, low), dr.select(turned, low, high)
-        for _ in range(HALVINGS):
-            middle = dr.lerp(inside, outside, 0.5)
-            same = self._seen(scene, middle) == shape
-            inside, outside = dr.select(same, middle, inside), dr.select(same, outside, middle)
-            dr.eval(inside, outside)
+        inside, _ = narrowed(inside, outside, lambda at: self._lines.seen(scene, at) == shape)
         first, second = mi.Point2f(first), mi.Point2f(second)
         dr.scatter(first, dr.select(turned, inside, low), which)
         dr.scatter(second, dr.select(turned, high, inside), which)
@@ -216,12 +212,7 @@ class Received:
 
     def _narrowed(self, scene: Any, first: Any, second: Any, light: _Light, lit: Any) -> tuple[Any, Any]:
         """Lines narrowed to where lit and unlit meet."""
-        for _ in range(HALVINGS):
-            middle = dr.lerp(first, second, 0.5)
-            same = self._lit_at(scene, middle, light) == lit
-            first, second = dr.select(same, middle, first), dr.select(same, second, middle)
-            dr.eval(first, second)
-        return first, second
+        return narrowed(first, second, lambda at: self._lit_at(scene, at, light) == lit)
 
     def _beside(self, scene: Any, middle: Any, along: Any, light: _Light, lit: Any) -> tuple[Any, Any]:
         """A second point of the edge of each shadow, and whether there is one, on lines nearly upright to it."""
@@ -236,8 +227,8 @@ class Received:
             dr.eval(first, second, there)
         first, second = self._narrowed(scene, first, second, light, lit)
         beside = dr.lerp(first, second, 0.5)
-        shape = self._seen(scene, middle)  # off which another one may be lit where it is not
-        there &= (self._seen(scene, first) == shape) & (self._seen(scene, second) == shape)
+        shape = self._lines.seen(scene, middle)  # off which another one may be lit where it is not
+        there &= (self._lines.seen(scene, first) == shape) & (self._lines.seen(scene, second) == shape)
         # Lines of one direction find edges that are within 45 degrees of upright to it, each once.
         return beside, there & (dr.abs(dr.dot(beside - middle, along)) <= ASIDE)
 
@@ -257,10 +248,6 @@ class Received:
 
     def _lit_at(self, scene: Any, at: Any, light: _Light) -> Any:
         return self._lit(scene, scene.ray_intersect(self._lines.ray(at)), light)
-
-    def _seen(self, scene: Any, at: Any) -> Any:
-        """The number of the shape that a place in pixels sees; 0 for none."""
-        return shape_of(scene.ray_intersect_preliminary(self._lines.ray(at)))
 
     def _moving(self, shape: Any) -> Any:
         """Whether the shape of a number moves."""
