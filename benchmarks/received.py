@@ -21,7 +21,7 @@ from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, Trans
 import mitsuba as mi
 
 from benchmarks.edges import mean_and_error
-from examples.effects.parts import camera
+from examples.effects.parts import GREY, ball, camera, diffuse, floor, lamp
 from loi_core.support.markdown import markdown
 from loi_mitsuba.received import Received
 
@@ -73,35 +73,31 @@ def _drawn(scene: dict[str, Any], moves: dict[str, Any], weight: Any, samples: i
 
 def _scenes() -> dict[str, dict[str, Any]]:
     place = mi.ScalarTransform4f
-    red, grey = (_diffuse(*colour) for colour in ((0.7, 0.2, 0.1), (0.5, 0.4, 0.3)))
-    block = {"type": "sphere", "center": [0, 0.8, 0], "radius": 0.6, **red}
-    above = {"other": {"type": "sphere", "center": [0.75, 3, 0.5], "radius": 0.4, **grey}}
-    lamp = {
-        "lamp": {"type": "sphere", "center": [1.5, 6, 1], "radius": 0.7, "emitter": {"type": "area", "radiance": 60}}
-    }
-    point = {"lamp": {"type": "point", "position": [1.5, 6, 1], "intensity": 90.0}}
-    sky = {"sky": {"type": "constant", "radiance": 0.6}}
+    red, grey = ({"bsdf": diffuse(tint)} for tint in ([0.7, 0.2, 0.1], GREY))
+    block = ball([0, 0.8, 0], 0.6, **red)
     box = {"type": "cube", "to_world": place().translate([0, 0.8, 0]).rotate([0, 1, 0], 20).scale(0.5), **red}
-    wall = {"other": {"type": "rectangle", "to_world": place().translate([0, 0, -1]).scale(5), **grey}}
-    beside = {"other": {"type": "sphere", "center": [1.4, 0.8, 0.2], "radius": 0.6, **grey}}
-    common: dict[str, Any] = {
+    above, beside = ball([0.75, 3, 0.5], 0.4, **grey), ball([1.4, 0.8, 0.2], 0.6, **grey)
+    wall = {"type": "rectangle", "to_world": place().translate([0, 0, -1]).scale(5), **grey}
+    point = {"type": "point", "position": [1.5, 6, 1], "intensity": 90.0}
+    sphere = lamp([1.5, 6, 1], 0.7, 60.0)
+    sky = {"type": "constant", "radiance": 0.6}
+    common = {
         "type": "scene",
         "integrator": {"type": "direct"},
         "sensor": camera(WIDTH, HEIGHT, [0, 6, 6], [0, 0, 0], 30.0),
-        "floor": {"type": "rectangle", "to_world": place().rotate([1, 0, 0], -90).scale(50), **grey},
+        "floor": floor(50.0),
     }
-    scenes: dict[str, dict[str, Any]] = {
-        "ball under a ball, lamp": {"block": block, **above, **lamp},
-        "ball under a ball, point light": {"block": block, **above, **point},
-        "box under a ball, lamp": {"block": box, **above, **lamp},
-        "ball beside a ball, sky": {"block": block, **beside, **sky},
-        "ball before a wall, sky": {"block": block, **wall, **sky},
+    scenes = {
+        "ball under a ball, lamp": (block, above, sphere),
+        "ball under a ball, point light": (block, above, point),
+        "box under a ball, lamp": (box, above, sphere),
+        "ball beside a ball, sky": (block, beside, sky),
+        "ball before a wall, sky": (block, wall, sky),
     }
-    return {kind: common | shapes for kind, shapes in scenes.items()}
-
-
-def _diffuse(*colour: float) -> dict[str, Any]:
-    return {"bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": list(colour)}}}
+    return {
+        kind: {**common, "block": block, "other": other, "light": light}
+        for kind, (block, other, light) in scenes.items()
+    }
 
 
 if __name__ == "__main__":

@@ -13,6 +13,7 @@ import numpy as np
 from loi_core.support.wording import clause, listed
 from loi_mitsuba.boxes import corners_of
 from loi_mitsuba.entries import Names
+from loi_mitsuba.eye import lift_of
 from loi_mitsuba.seams import crowded_share, has_seams, is_inside_out, is_rounded
 from loi_mitsuba.steps import has_steps
 
@@ -170,8 +171,8 @@ def is_looked_into(shape: Any, sensor: Any) -> bool:
 def is_lifted(shape: Any, others: Sequence[Any]) -> bool:
     """Whether a shape's box touches another's, and rays that leave it begin far off its surface for its extent."""
     low, high = corners_of(shape)
-    lift = mi.math.RayEpsilon * (1.0 + np.max(np.abs(np.stack([low, high]))))
-    if lift <= LIFTED * np.linalg.norm(high - low):
+    farthest = np.max(np.abs(np.stack([low, high])), axis=0)
+    if lift_of(mi.ScalarPoint3f(farthest.tolist())) <= LIFTED * np.linalg.norm(high - low):
         return False
     boxes = [corners_of(one) for one in others if one != shape]
     return any(bool(np.all(low <= top) and np.all(bottom <= high)) for bottom, top in boxes)

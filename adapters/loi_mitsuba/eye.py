@@ -11,6 +11,7 @@ import numpy as np
 
 from loi_mitsuba.film import Film
 from loi_mitsuba.handles import Host
+from loi_mitsuba.samples import in_colours
 
 __all__ = ["BESIDE", "NEARLY", "Eye", "brighter", "is_plain", "lift_of", "offset_of", "sampler_of"]
 
@@ -130,8 +131,7 @@ def brighter(sensor: Any, integrator: Any, scene: Any, ends: tuple[Any, Any], ac
     for place in ends:
         ray, weight = sensor.sample_ray(0.0, 0.5, place, mi.Point2f(0.5))
         values.append(integrator.sample(scene, sampler, ray, active=active)[0] * weight)
-    jump = values[1] - values[0]
-    return mi.Color3f(jump[0]) if mi.is_monochromatic else jump
+    return in_colours(values[1] - values[0])
 
 
 def lift_of(point: Any) -> Any:

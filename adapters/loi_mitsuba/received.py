@@ -19,6 +19,7 @@ import numpy as np
 
 from loi_mitsuba.eye import is_plain, sampler_of
 from loi_mitsuba.lines import STEP, Lines, narrowed, shape_of
+from loi_mitsuba.samples import in_colours
 
 __all__ = ["Received"]
 
@@ -52,7 +53,7 @@ class _Light:
     def drawn(cls, scene: Any, si: Any, sample: Any) -> _Light:
         """From one point that lights each of some places."""
         ds, power = scene.sample_emitter_direction(si, sample, test_visibility=False, active=si.is_valid())
-        power = dr.select(ds.pdf > 0.0, mi.Color3f(power[0]) if mi.is_monochromatic else power, 0.0)
+        power = dr.select(ds.pdf > 0.0, in_colours(power), 0.0)
         flags = ds.emitter.flags()
         far, flat = (mi.has_flag(flags, one) for one in (mi.EmitterFlags.Infinite, mi.EmitterFlags.Surface))
         light = cls(ds.p, ds.n, ds.d, far, flat, power)
@@ -154,7 +155,7 @@ class Received:
             speed = dr.dot(normal, over)
             active &= dr.abs(speed) > 1e-3 * dr.norm(over)
             value = light.reaching(at.p) * at.bsdf().eval(mi.BSDFContext(), at, at.to_local(way), active)
-            jump = mi.Color3f(value[0]) if mi.is_monochromatic else value
+            jump = in_colours(value)
             jump = self._lines.mean(dr.select(lit, jump, -jump) * found.weight, samples)
             jump = dr.select(active, jump, 0.0)
             scale = dr.select(active, -dr.rcp(speed), 0.0)

@@ -42,11 +42,11 @@ def samples_of(integrator: Any, scene: Any, sensor: Any, samples: int, seed: int
         corner = film.rfilter().is_box_filter()  # of its pixel: all that Mitsuba tells of a place then
         offset, size = (mi.Point2f(*map(float, one)) for one in (film.crop_offset(), film.crop_size()))
         place = (mi.Point2f(pos) + (0.5 if corner else 0.0) - offset) / size
-    return in_colours(value * weight, ray.wavelengths, active=True), place
+    return in_colours(value * weight, ray.wavelengths), place
 
 
-def in_colours(value: Any, wavelengths: Any, *, active: Any) -> Any:
-    """Red, green and blue of a spectrum of Mitsuba's variant."""
+def in_colours(value: Any, wavelengths: Any = None, *, active: Any = True) -> Any:
+    """Red, green and blue of a spectrum of Mitsuba's variant, which has wavelengths if it is a spectral one."""
     if mi.is_spectral:
         return mi.spectrum_to_srgb(value, wavelengths, active)
     return mi.Color3f(value.x) if mi.is_monochromatic else value

@@ -11,6 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 __all__ = [
+    "GREY",
     "ball",
     "bitmap",
     "camera",

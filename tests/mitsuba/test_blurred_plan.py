@@ -20,7 +20,7 @@ from loi_core.io.images import write_png
 from loi_core.pixels.encoding import encode_srgb
 from loi_core.renderers import BlurredRenderer
 from loi_mitsuba import MitsubaRenderer, PlannedRenderer, Rotate, Scale, Translate
-from tests.mitsuba.scenes import HEIGHT, WIDTH, shadow_scene
+from tests.mitsuba.scenes import HEIGHT, WIDTH, random_cotangent, shadow_scene
 from tests.mitsuba.test_scene_file import SCENE, XML
 from tests.strategies import thorough
 
@@ -117,6 +117,19 @@ def test_what_was_blurred_for_its_noise_has_a_gradient_of_its_own_in_view(caplog
     said = [one.getMessage() for one in caplog.records]
     assert any(line.startswith("effects, by the pilot: ") and "'place' blurred (its gradient" in line for line in said)
     assert any("as it comes into view" in line and "'place' no longer blurred" in line for line in said)
+
+
+def test_what_was_blurred_for_its_noise_goes_free_once_its_gradient_can_be_told_from_it() -> None:
+    """A ball out of view, of whose shadow one loss tells next to nothing, and the next one much."""
+    scene = shadow_scene(integrator={"type": "direct"})
+    planned = PlannedRenderer(scene, {"x": Translate("ball", X)}, spp=4)
+    planned.render_vjp(planned.parameters())[1](random_cotangent())
+    assert list(planned.plan.blurred) == ["x"]
+    ramp = np.linspace(-1.0, 1.0, WIDTH, dtype=np.float32)[None, :, None] * np.ones((HEIGHT, WIDTH, 3), np.float32)
+    pulled = [planned.render_vjp(planned.parameters(), seed=seed)[1](ramp)["x"] for seed in range(1, 22)]
+    assert not planned.plan.blurred
+    assert not planned.plan.held
+    assert pulled[-1] == pytest.approx(np.mean(pulled[:-1]), rel=0.5)
 
 
 def test_a_plan_with_nothing_missing_is_not_blurred(monkeypatch: pytest.MonkeyPatch) -> None:

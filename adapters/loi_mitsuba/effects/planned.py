@@ -28,7 +28,7 @@ from loi_mitsuba.effects.images import effect_images
 from loi_mitsuba.effects.pilot import Pilot
 from loi_mitsuba.effects.probe import APART, Probe
 from loi_mitsuba.effects.rules import everything, plan_by_rules, plan_of, plan_with
-from loi_mitsuba.effects.traits import View, groups_of, objects_of, traits_of
+from loi_mitsuba.effects.traits import Traits, View, groups_of, objects_of, traits_of
 from loi_mitsuba.effects.verify import Verification, verification
 from loi_mitsuba.entries import Scene
 from loi_mitsuba.handles import Host
@@ -41,6 +41,7 @@ from loi_mitsuba.renderer import MitsubaRenderer
 __all__ = ["FRACTION", "PlannedRenderer"]
 
 FRACTION: Final = 0.1  # what is off together turns the gradient by less than 6 degrees, whose cosine is 0.995
+DRAWS: Final = 8  # of the gradient of what is blurred for its noise: as many as told that it was
 log = logging.getLogger("loi_mitsuba")
 
 
@@ -54,8 +55,9 @@ class PlannedRenderer:
 
     Objects whose gradient the pilot cannot tell from noise are blurred, if that of images blurred over their parameters
     can be told from it. Others are held: the gradient by their parameters is 0, so that a fit leaves them where they
-    are, until the gradients of further steps agree, or the object comes into view; see
-    ``loi_core.effects.Holding``. A change is logged in one line, at level INFO of the logger ``loi_mitsuba``.
+    are, until the gradients of further steps agree; see ``loi_core.effects.Holding``. Either ends when the object comes
+    into view, and blurring also once the object's own gradient can be told from noise, which is looked up whenever what
+    was turned off is. A change is logged in one line, at level INFO of the logger ``loi_mitsuba``.
 
     Parameters
     ----------
@@ -138,6 +140,7 @@ class PlannedRenderer:
         self._last: Probe | None = None
         self._sizes: Sizes = {}
         self._holding = Holding()
+        self._noisy: tuple[tuple[str, ...], ...] = ()  # objects that are blurred for their noise
         self._seen: frozenset[str] = frozenset()
         self._hidden: dict[str, Any] = {}  # shapes out of view, moved by what is blurred since it has no gradient there
         self._optimised = tuple(self._base.targets)
@@ -236,6 +239,7 @@ class PlannedRenderer:
                 raise ParameterError(msg)
         self._optimised = names
         self._hidden = {}
+        self._noisy = ()
         self._followed = self._whole.followed.without_gradient
         self._take(names)
         probe = Probe(self._base, dict(params), np.array(to_numpy(cotangent), np.float32), self._names, seed)
@@ -253,12 +257,12 @@ class PlannedRenderer:
     def _blurring(self) -> Blurring:  # not kept: it refers back to this renderer
         return Blurring(self, self._blur, tuple(self._whole.missing))
 
-    def _run_pilot(self, probe: Probe) -> None:
-        """Plan by a few gradients."""
+    def _run_pilot(self, probe: Probe, free: frozenset[str] = frozenset()) -> None:
+        """Plan by a few gradients; what is `free` is not held, for more of them have been seen to agree."""
         if self._names:
             found = self._pilot.run(self._plan, probe)
-            self._sizes, self._holding = found.sizes, found.holding
-            self._change(found.plan, "by the pilot")
+            self._sizes, self._holding = found.sizes, found.holding.without(free)
+            self._change(replace(found.plan, held=self._holding.reasons), "by the pilot")
 
     def _follow_lamps(self, probe: Probe, names: Iterable[str]) -> None:
         """Of the lamps among what is optimised, take those by their own light that have the better gradient so."""
@@ -295,9 +299,26 @@ class PlannedRenderer:
             shown = self._in_view()
             moving = self._traits.moving.items()
             self._hidden |= {name: shape for name, shape in moving if name in noisy and name not in shown}
+            self._noisy += tuple(group for group in self._holding.groups if set(group) <= noisy.keys())
             self._retake({**self._plan.blurred, **noisy}, "by the pilot")
             self._last = replace(probe, names=self._names)
             self._run_pilot(self._last)
+
+    def _unblur(self, probe: Probe, when: str) -> None:
+        """Take from the scene itself again what was blurred for its noise, and has a gradient that is no more noise."""
+        # Together with all others, as in a step, since they share its samples.
+        names = (*self._names, *(name for group in self._noisy for name in group))
+        rules = plan_by_rules(self._traits_of({name: self._base.targets[name] for name in names}), self._samples)
+        drawn = replace(probe, names=names).gradients(settings_of(rules), range(probe.seed, probe.seed + DRAWS))
+        still = Holding.begun(drawn, self._noisy).groups
+        free = frozenset(name for group in self._noisy if group not in still for name in group)
+        if not free:
+            return
+        self._noisy = still
+        self._hidden = {name: shape for name, shape in self._hidden.items() if name not in free}
+        self._retake({name: reason for name, reason in self._plan.blurred.items() if name not in free}, when)
+        self._last = replace(probe, names=self._names)
+        self._run_pilot(self._last, free)
 
     def _retake(self, blurred: Mapping[str, str], when: str) -> None:
         """Start from the rules again, with other parameters blurred."""
@@ -380,11 +401,7 @@ class PlannedRenderer:
         targets = {name: one for name, one in self._base.targets.items() if name in names and name not in apart}
         self._names = tuple(targets)
         self._groups = groups_of(targets)
-        traits = traits_of(self._base.names, targets, self._base.sensor)
-        exchanged = self._whole.exchanged if traits.moving else {}
-        self._traits = replace(
-            traits, exchanged=exchanged, smooth=self._whole.smooth, followed=followed, blurred=missing
-        )
+        self._traits = replace(self._traits_of(targets), followed=followed, blurred=missing)
         objects = objects_of(targets, self._traits.moving)
         self._pilot = Pilot(self._traits, self._samples, self._fraction, self._groups, objects)
         self._holding = Holding()
@@ -394,6 +411,10 @@ class PlannedRenderer:
             self._blurred = None
         elif self._blurred is None or self._blurred.names != tuple(missing):  # or else it knows how far a fit has come
             self._blurred = self._blurring.over(missing)
+
+    def _traits_of(self, targets: Mapping[str, Target]) -> Traits:
+        traits = traits_of(self._base.names, targets, self._base.sensor)
+        return replace(traits, exchanged=self._whole.exchanged if traits.moving else {}, smooth=self._whole.smooth)
 
     def _in_view(self) -> frozenset[str]:
         """Parameters whose shape may be in view, at the values of the last call."""
@@ -434,6 +455,8 @@ class PlannedRenderer:
     def _probe(self, when: str) -> None:
         """Look again at what is off."""
         self._schedule = self._schedule.looked()
+        if self._last is not None and self._noisy:
+            self._unblur(self._last, when)
         if self._last is None or not self._names or not self._plan.understood or not self._plan.measured:
             return
         if self._holding.groups:
