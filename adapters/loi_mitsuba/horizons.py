@@ -14,7 +14,7 @@ from typing import Any, Final
 
 import drjit as dr
 
-__all__ = ["horizons_bounded"]
+__all__ = ["LEAST", "horizons_bounded"]
 
 NAME: Final = "solid_angle_to_area_jacobian"  # what Mitsuba's integrators differentiate
 LEAST: Final = 0.01  # the cosine below which a surface counts as no more turned: 0.0001 of the light of a round lamp

@@ -18,6 +18,7 @@ import mitsuba as mi
 import numpy as np
 
 from loi_mitsuba.eye import is_plain, sampler_of
+from loi_mitsuba.horizons import LEAST
 from loi_mitsuba.lines import STEP, Lines, narrowed, shape_of
 from loi_mitsuba.samples import in_colours
 
@@ -57,8 +58,8 @@ class _Light:
         flags = ds.emitter.flags()
         far, flat = (mi.has_flag(flags, one) for one in (mi.EmitterFlags.Infinite, mi.EmitterFlags.Surface))
         light = cls(ds.p, ds.n, ds.d, far, flat, power)
-        share = light._share(si.p)
-        return replace(light, power=power * dr.select(share > 0.0, dr.rcp(share), 0.0))
+        share = light._share(si.p, LEAST)  # what is seen edge-on from here may be seen much better from there
+        return replace(light, power=power * dr.select(light._share(si.p) > 0.0, dr.rcp(share), 0.0))
 
     def gathered(self, which: Any) -> _Light:
         """That of some lines."""
@@ -69,10 +70,10 @@ class _Light:
         """What of it comes to a point, if nothing is in between."""
         return self.power * self._share(point)
 
-    def _share(self, point: Any) -> Any:
-        """The solid angle that an area of its surface has from a point; 1 where it has none."""
+    def _share(self, point: Any, least: float = 0.0) -> Any:
+        """The solid angle of an area of its surface from a point, by a cosine of at least this; 1 where it has none."""
         way, away = self.way(point)
-        return dr.select(self.flat, dr.maximum(-dr.dot(self.n, way), 0.0) / dr.square(away), 1.0)
+        return dr.select(self.flat, dr.maximum(-dr.dot(self.n, way), least) / dr.square(away), 1.0)
 
     def way(self, point: Any) -> tuple[Any, Any]:
         """The direction from a point to the light, and how far it is."""

@@ -38,7 +38,7 @@ def _sampled(samples: int) -> Column:
 
 
 NOISY: Final = tuple(map(_sampled, (256, 64, 16, 4, 1)))
-STARTS: Final = 10  # of the part of that name
+STARTS: Final = 6  # of the part of that name
 EQUAL: Final = _sampled(128)  # with which a step of ours takes no longer than one of PRDPT with 32
 ANYWHERE: Final = replace(COLUMNS[3], name="Sort, anywhere", scene="Sort, anywhere")
 NOISY_METHODS: Final[tuple[Method, ...]] = ("gaussian_pyramid", "ms_ssim", "loi")
