@@ -17,7 +17,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.eye import is_plain, sampler_of
+from loi_mitsuba.eye import is_plain, lift_of, sampler_of
 from loi_mitsuba.horizons import LEAST
 from loi_mitsuba.lines import STEP, Lines, narrowed, shape_of
 from loi_mitsuba.samples import in_colours
@@ -77,7 +77,14 @@ class _Light:
 
     def way(self, point: Any) -> tuple[Any, Any]:
         """The direction from a point to the light, and how far it is."""
-        to = self.p - point
+        return self._way_to(self.p, point)
+
+    def way_clear_of_it(self, point: Any) -> tuple[Any, Any]:
+        """The same to where its surface, seen nearly edge-on, does not hide the light by an error of rounding."""
+        return self._way_to(dr.select(self.flat, self.p + lift_of(self.p) * self.n, self.p), point)
+
+    def _way_to(self, there: Any, point: Any) -> tuple[Any, Any]:
+        to = there - point
         away = dr.norm(to)
         return dr.select(self.far, self.d, to / away), dr.select(self.far, dr.largest(mi.Float), away)
 
@@ -265,7 +272,7 @@ class Received:
     @staticmethod
     def _lit(scene: Any, si: Any, light: _Light) -> Any:
         """Whether light comes to where a ray has hit."""
-        way, away = light.way(si.p)
+        way, away = light.way_clear_of_it(si.p)
         ray = si.spawn_ray(way)
         ray.maxt = dr.select(light.far, away, away * (1.0 - mi.math.ShadowEpsilon))
         return ~scene.ray_test(ray, active=si.is_valid())

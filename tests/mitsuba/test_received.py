@@ -58,6 +58,19 @@ def test_it_is_that_of_finite_differences(kind: str, monkeypatch: pytest.MonkeyP
     assert np.linalg.norm(without - wanted) > 0.1 * size
 
 
+def test_a_ball_alone_receives_no_shadow(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not from the lamp either, whose far side the ray to a point of its rim may seem to come from."""
+    lamp = {"type": "sphere", "center": [1.5, 5.0, 1.0], "radius": 0.6, "emitter": {"type": "area", "radiance": 60.0}}
+    scene = shadow_scene(**DIRECT, ball=ball(0.0, 1.0, 0.0, 0.6), lamp=lamp)
+    weight = np.ones((HEIGHT, WIDTH, 3), np.float32)
+    found = MitsubaRenderer(scene, MOVES, integrator=SHADOWS).pull(HERE, weight)
+    monkeypatch.setattr(Received, "of", lambda *_: None)
+    wanted = MitsubaRenderer(scene, MOVES, integrator=SHADOWS).pull(HERE, weight)
+    assert all(wanted.values())
+    for name, value in wanted.items():
+        np.testing.assert_allclose(found[name], value, rtol=1e-5)
+
+
 @pytest.mark.parametrize(("integrator", "draws"), [(None, 12), (SHADOWS, 6)], ids=["all of it", "shadows"])
 def test_no_sample_of_a_round_lamp_outweighs_the_gradient(integrator: dict[str, Any] | None, draws: int) -> None:
     """Relative to itself, the solid angle of what is seen edge-on changes without bound."""
