@@ -27,19 +27,17 @@ import numpy as np
 
 __all__ = ["PARTS", "main", "part_of"]
 
-PARTS: Final = ("tuning", "ours", "published", "starts", "noise", "anywhere", "savings")
+PARTS: Final = ("tuning", "ours", "published", "noise", "anywhere", "savings")
 TUNED: Final = 100  # the seed of the search, which no table has
-
-
-def _sampled(samples: int) -> Column:
-    """The first column with other samples a pixel."""
-    name = f"{COLUMNS[0].name}, {samples} sample{'s' if samples > 1 else ''}"
-    return replace(COLUMNS[0], name=name, samples=samples, scene=COLUMNS[0].name)
-
-
-NOISY: Final = tuple(map(_sampled, (256, 64, 16, 4, 1)))
-STARTS: Final = 6  # of the part of that name
-EQUAL: Final = _sampled(128)  # with which a step of ours takes no longer than one of PRDPT with 32
+NOISY: Final = tuple(
+    replace(
+        COLUMNS[0],
+        name=f"{COLUMNS[0].name}, {samples} sample{'s' if samples > 1 else ''}",
+        samples=samples,
+        scene=COLUMNS[0].name,
+    )
+    for samples in (256, 64, 16, 4, 1)
+)
 ANYWHERE: Final = replace(COLUMNS[3], name="Sort, anywhere", scene="Sort, anywhere")
 NOISY_METHODS: Final[tuple[Method, ...]] = ("gaussian_pyramid", "ms_ssim", "loi")
 FRAME_SAMPLES: Final = 64
@@ -81,8 +79,6 @@ def part_of(
         }
         return Part(rows, rates=RATES)
     settings = PROTOCOLS["published" if name == "published" else "ours"]
-    if name == "starts":
-        return _starts(methods)
     if name == "noise":
         methods = [method for method in methods if method in NOISY_METHODS]
     columns = {"noise": NOISY, "anywhere": (ANYWHERE,)}.get(name, tuple(columns))
@@ -93,17 +89,6 @@ def part_of(
         for method in methods
     }
     return Part(rows, columns)
-
-
-def _starts(methods: Sequence[Method]) -> Part[Run]:
-    """The method that renders ten images for a gradient beside ours, with as many samples and in as long a step."""
-    columns: dict[Method, tuple[Column, ...]] = {"prdpt": COLUMNS[:1], "loi": (COLUMNS[0], EQUAL)}
-    rows = {
-        LABELS[method]: [Run(PROTOCOLS["ours"][method], column, seed) for column in of_method for seed in range(STARTS)]
-        for method, of_method in columns.items()
-        if method in methods
-    }
-    return Part(rows, columns["loi"], converges=False)
 
 
 def _in_column(setting: Setting, column: Column) -> Setting:
@@ -118,7 +103,7 @@ def _quick() -> Part[Run]:
 
 
 def _costs(known: Known, parts: Mapping[str, Part[Run]]) -> dict[str, list[str]]:
-    wanted = {name: part for name, part in parts.items() if name in (*PROTOCOLS, "starts")}
+    wanted = {name: part for name, part in parts.items() if name in PROTOCOLS}
     return {f"cost, {name}": cost_of(known, part) for name, part in wanted.items()}
 
 
@@ -154,5 +139,5 @@ STUDY: Final = Study(
     title=_title,
     animate=_animate,
     others=_costs,
-    further=(*NOISY, EQUAL, ANYWHERE),
+    further=(*NOISY, ANYWHERE),
 )

@@ -155,9 +155,8 @@ def carry_out(run: Run, variant: str = VARIANT) -> Outcome:
         **options,
     )
     if last:
-        exact = gradient if setting.blurred else renderer(setting, problem, fraction=0.0)
         result = fit(
-            _Sharpest(exact),
+            _Sharpest(gradient),
             PixelL2(problem.target),
             steps=last,
             learning_rate=f"{FINISH_RATE * setting.rate * run.column.width / UNIT} px",
@@ -184,11 +183,11 @@ def carry_out(run: Run, variant: str = VARIANT) -> Outcome:
     )
 
 
-def renderer(setting: Setting, problem: Problem, **options: Any) -> Renderer:
-    """What gives images and their gradient to a setting, with options of a plan where there is one."""
+def renderer(setting: Setting, problem: Problem) -> Renderer:
+    """What gives images and their gradient to a setting."""
     built, samples = problem.built, problem.column.samples
     if not setting.blurred:
-        return PlannedRenderer(built.scene, built.parameters, spp=samples, **options)
+        return PlannedRenderer(built.scene, built.parameters, spp=samples)
     return BlurredRenderer(images_of(built, samples), setting.sigma, final_sigma=setting.final_sigma, pairs=PAIRS)
 
 

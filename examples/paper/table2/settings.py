@@ -35,8 +35,7 @@ LABELS: Final[dict[Method, str]] = {
 PAPER_SCALES: Final = ScaleSpace((1.0, 5.0), (1.0, 5.0, 15.0, 45.0), 0.125)
 UNIT: Final = 256  # width of the image whose pixels a rate is in
 
-# Wide scales see how bright an image is as well as where things are: light that a plan leaves out moves their minimum,
-# and that of pixels less. So the last steps compare pixels, and leave nothing out.
+# Wide scales see how bright an image is as well as where things are: light that a plan leaves out moves their minimum.
 FINISH: Final = 0.25
 FINISH_RATE: Final = 0.1
 
