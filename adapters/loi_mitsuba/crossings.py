@@ -84,20 +84,25 @@ class Crossings:
             middle = dr.lerp(first, second, 0.5)
             slope, active = self._slope(scene, near, far, middle, along)
             count = dr.width(middle)
-            place = middle / self._lines.size
-            aside = self._aside(near, middle) * along / self._lines.size
+            aside = self._aside(near, middle) * along
             # Under a shape that bulges over the crossing, light grows as the root of the distance from it, which is
-            # twice as much at four times the distance.
+            # twice as much at four times the distance; unless that is beyond the outline of something in front.
             close, off = (
                 brighter(
-                    self._sensor, integrator, scene, (place - way, place + way), active, sampler_of(seed + 1, count)
+                    self._sensor,
+                    integrator,
+                    scene,
+                    ((middle - way) / self._lines.size, (middle + way) / self._lines.size),
+                    active,
+                    sampler_of(seed + 1, count),
                 )
                 for way in (aside, 4.0 * aside)
             )
-            jump = 2.0 * close - off
+            active &= self._shows(scene, near, far, middle, aside)
+            jump = dr.select(self._shows(scene, near, far, middle, 4.0 * aside), 2.0 * close - off, close)
         gap = near.t - far.t
         moved = dr.select(active, -(gap - dr.detach(gap)) / slope, 0.0)
-        return dr.select(active, self._lines.mean(-jump, samples), 0.0) * moved, place
+        return dr.select(active, self._lines.mean(-jump, samples), 0.0) * moved, middle / self._lines.size
 
     def _may_meet(self, scene: Any) -> bool:
         """Whether the box of a shape that moves touches that of another."""
@@ -137,6 +142,11 @@ class Crossings:
         active &= self._goes_on(scene, near, far, middle + beyond, active)
         active &= self._goes_on(scene, far, near, middle - beyond, active)
         return dr.select(active, slope, 1.0), active
+
+    def _shows(self, scene: Any, near: _Hit, far: _Hit, middle: Any, way: Any) -> Any:
+        """Whether the first shape is seen on one side of a crossing, and the second on the other."""
+        before, after = self._lines.seen(scene, middle - way), self._lines.seen(scene, middle + way)
+        return (before == near.shape) & (after == far.shape)
 
     def _aside(self, hit: _Hit, middle: Any) -> Any:
         """Pixels from a crossing to where brightness is looked up: rays that start there see what is around it."""

@@ -17,6 +17,7 @@ import numpy as np
 
 from loi_mitsuba.eye import BESIDE, NEARLY, Eye, brighter, is_plain, sampler_of
 from loi_mitsuba.handles import Host
+from loi_mitsuba.lines import number_of, shape_of
 from loi_mitsuba.seams import edges_of, has_sides
 
 __all__ = ["Edges"]
@@ -25,6 +26,7 @@ SHARE: Final = 4  # samples of the image for one here
 LEAST: Final = 4096
 WITHIN: Final = 0.25  # of the way from an edge to the middle of a triangle, at most, for a ray that is to hit it
 HIDDEN: Final = 0.02  # of the length of an edge: what is nearer than it by less does not hide it
+IN_FRONT: Final = 0.01  # of the distance to the camera: what is nearer by less touches the edge, as a floor under a box
 RIM: Final = 1024  # edges of a disk: they are off its rim by less than BESIDE, up to 20,000 pixels across
 STEP: Final = 0.01  # of the distance to the camera, along an edge to either side, for the direction that it is seen in
 
@@ -56,6 +58,8 @@ class Edges:
         self._ends, self._third = (
             [mi.UInt32(np.ascontiguousarray(one, dtype=np.uint32)) for one in every.T] for every in (ends, third)
         )
+        counts = [len(one[0]) for one in found]
+        self._shape = mi.UInt32(np.repeat([number_of(one) for one in shapes], counts).astype(np.uint32))
         width, height = sensor.film().crop_size()
         self._size = mi.Point2f(float(width), float(height))
 
@@ -101,12 +105,22 @@ class Edges:
             active = eye.sees(point)[3] & (length > 0.0) & ~scene.ray_test(ray)
             middles = [eye.sees((first + second + one) / 3.0)[2] for one in third]
             ends = self._sides(dr.detach(place), across, middles)
+            own = dr.gather(mi.UInt32, self._shape, index)
+            for end in ends:
+                active &= ~self._is_hidden(scene, end, eye, distance, own)
             jump = brighter(self._sensor, integrator, scene, ends, active, sampler)
             density = drawn.eval_pmf_normalized(index) * count / dr.norm(edge)  # points to a unit of length
             pixels_each = length / (2.0 * STEP * distance * density)
         moved = dr.dot(across, place * self._size)
         moved = dr.select(active, moved - dr.detach(moved), 0.0)
         return dr.select(active, -jump * pixels_each, 0.0) * moved, dr.detach(place)
+
+    def _is_hidden(self, scene: Any, place: Any, eye: Eye, distance: Any, own: Any) -> Any:
+        """Whether a place beside an edge shows another shape, in front of it, which ends between the two."""
+        ray = self._sensor.sample_ray(0.0, 0.5, place, mi.Point2f(0.5))[0]
+        hit = scene.ray_intersect_preliminary(ray)
+        nearer = hit.t + dr.norm(ray.o - eye.place) < (1.0 - IN_FRONT) * distance
+        return hit.is_valid() & nearer & (shape_of(hit) != own)
 
     def _drawn(self, eye: Eye, positions: Any) -> Any:
         """How often each edge is drawn: half of the time by its length, and half if it looks like an outline.

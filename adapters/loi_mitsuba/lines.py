@@ -12,7 +12,7 @@ import numpy as np
 from loi_mitsuba.boxes import corners_of
 from loi_mitsuba.eye import Eye, sampler_of
 
-__all__ = ["STEP", "Lines", "narrowed", "shape_of"]
+__all__ = ["STEP", "Lines", "narrowed", "number_of", "shape_of"]
 
 SHARE: Final = 4  # samples of the image for one line across and one down
 MOST: Final = 2**22  # lines of one direction: in large images curves are long, and fewer to a pixel will do
@@ -100,6 +100,11 @@ class Lines:
 def shape_of(hit: Any) -> Any:
     """The number of the shape that a ray has hit; 0 for none."""
     return dr.select(hit.is_valid(), dr.reinterpret_array(mi.UInt32, hit.shape), 0)
+
+
+def number_of(shape: Any) -> int:
+    """The number that :func:`shape_of` gives of a shape."""
+    return int(np.array(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))).item())
 
 
 def narrowed(first: Any, second: Any, is_first: Callable[[Any], Any]) -> tuple[Any, Any]:

@@ -19,7 +19,7 @@ import numpy as np
 
 from loi_mitsuba.eye import is_plain, lift_of, sampler_of
 from loi_mitsuba.horizons import LEAST
-from loi_mitsuba.lines import STEP, Lines, narrowed, shape_of
+from loi_mitsuba.lines import STEP, Lines, narrowed, number_of, shape_of
 from loi_mitsuba.samples import in_colours
 
 __all__ = ["Received"]
@@ -129,8 +129,8 @@ class Received:
     def __init__(self, sensor: Any, shapes: list[Any]) -> None:
         self._lines = Lines(sensor)
         self._shapes = shapes
-        numbers = np.array([np.array(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(one))).item() for one in shapes])
-        moves = np.zeros(int(numbers.max()) + 1, dtype=bool)
+        numbers = [number_of(one) for one in shapes]
+        moves = np.zeros(max(numbers) + 1, dtype=bool)
         moves[numbers] = True
         self._moves = mi.Bool(moves)
 

@@ -181,6 +181,30 @@ def test_outlines_count_once_however_they_are_seen(kind: str, tmp_path: Path) ->
     check_outlines(glowing_scene(block=shapes[kind] | {"emitter": glow(0.9, 0.2, 0.1)}))
 
 
+TIPPED = PLACE().translate([0, 1.2, 0]).rotate([1, 0, 0], -50)
+BEHIND: dict[str, dict[str, Any]] = {
+    "ball in the floor": {"type": "sphere", "center": [0, 0.2, 0]},
+    "box in the floor": {"type": "cube", "to_world": PLACE().translate([0, 0.2, 0]).rotate([0, 1, 0], 20).scale(0.7)},
+    "rectangle": {"type": "rectangle", "to_world": TIPPED},
+    "disk": {"type": "disk", "to_world": TIPPED},
+}
+
+
+@pytest.mark.filterwarnings("ignore:mesh 'block' stores the vertices:loi_mitsuba.GradientWarning")
+@pytest.mark.parametrize("kind", BEHIND)
+def test_how_bright_something_in_front_is_has_no_part_in_the_gradient(kind: str) -> None:
+    """Beside an outline, or a curve in which two shapes meet, something may end that goes over both."""
+    shining = {"block": BEHIND[kind] | {"emitter": glow(0.9, 0.2, 0.1)}}
+    weight = np.ones((HEIGHT, WIDTH, 3), np.float32)
+    drawn = []
+    for brightness in (0.5, 50.0):
+        white = {"type": "sphere", "radius": 0.3, "emitter": glow(*[brightness] * 3)}
+        fronts = {"near": {"center": [0.45, 3.2, 3.0], **white}, "far": {"center": [0.15, 2.0, 2.6], **white}}
+        renderer = MitsubaRenderer(glowing_scene(**shining, **fronts), MOVES, integrator=EXACT | {"sppp": 256})
+        drawn.append([list(renderer.pull(AT, weight, seed=seed).values()) for seed in range(3)])
+    np.testing.assert_allclose(drawn[1], drawn[0], rtol=1e-4, atol=1e-4 * np.max(np.abs(drawn[0])))
+
+
 def test_edges_are_where_a_mesh_bends_or_ends(tmp_path: Path) -> None:
     def loaded(mesh: Any) -> Any:
         return mi.load_dict({"type": "scene", "block": mesh}, optimize=False).shapes()[0]

@@ -258,7 +258,7 @@ class PlannedRenderer:
         return Blurring(self, self._blur, tuple(self._whole.missing))
 
     def _run_pilot(self, probe: Probe, free: frozenset[str] = frozenset()) -> None:
-        """Plan by a few gradients; what is `free` is not held, for more of them have been seen to agree."""
+        """Plan by a few gradients; what is `free` is not held, as others have told it from noise."""
         if self._names:
             found = self._pilot.run(self._plan, probe)
             self._sizes, self._holding = found.sizes, found.holding.without(free)
