@@ -113,7 +113,7 @@ def test_the_example_of_the_guide_can_be_read(folder: Path) -> None:
 
 def test_the_samples_of_a_scene_are_known_and_can_be_overridden(folder: Path) -> None:
     scene = load_scene(folder / "scene.toml")
-    assert scene.samples == 8
+    assert scene.samples == 32
     few, many = load_scene(folder / "scene.toml", samples=1), load_scene(folder / "scene.toml", samples=64)
     assert (few.samples, many.samples) == (1, 64)
     noises = []
