@@ -437,6 +437,7 @@ class PlannedRenderer:
         shown = self._shown(self._hidden)
         if shown:
             self._hidden = {name: shape for name, shape in self._hidden.items() if name not in shown}
+            self._noisy = tuple(group for group in self._noisy if shown.isdisjoint(group))
             kept = {name: reason for name, reason in self._plan.blurred.items() if name not in shown}
             self._retake(kept, "as it comes into view")
             self._begun = False
