@@ -85,6 +85,7 @@ class Crossings:
             slope, active = self._slope(scene, near, far, middle, along)
             count = dr.width(middle)
             aside = self._aside(near, middle) * along
+            active &= self._shows(scene, near, far, middle, aside)
             # Under a shape that bulges over the crossing, light grows as the root of the distance from it, which is
             # twice as much at four times the distance; unless that is beyond the outline of something in front.
             close, off = (
@@ -98,7 +99,6 @@ class Crossings:
                 )
                 for way in (aside, 4.0 * aside)
             )
-            active &= self._shows(scene, near, far, middle, aside)
             jump = dr.select(self._shows(scene, near, far, middle, 4.0 * aside), 2.0 * close - off, close)
         gap = near.t - far.t
         moved = dr.select(active, -(gap - dr.detach(gap)) / slope, 0.0)

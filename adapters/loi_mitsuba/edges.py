@@ -107,7 +107,7 @@ class Edges:
             ends = self._sides(dr.detach(place), across, middles)
             own = dr.gather(mi.UInt32, self._shape, index)
             for end in ends:
-                active &= ~self._is_hidden(scene, end, eye, distance, own)
+                active &= ~self._is_hidden(scene, end, eye, distance, own, active)
             jump = brighter(self._sensor, integrator, scene, ends, active, sampler)
             density = drawn.eval_pmf_normalized(index) * count / dr.norm(edge)  # points to a unit of length
             pixels_each = length / (2.0 * STEP * distance * density)
@@ -115,10 +115,10 @@ class Edges:
         moved = dr.select(active, moved - dr.detach(moved), 0.0)
         return dr.select(active, -jump * pixels_each, 0.0) * moved, dr.detach(place)
 
-    def _is_hidden(self, scene: Any, place: Any, eye: Eye, distance: Any, own: Any) -> Any:
+    def _is_hidden(self, scene: Any, place: Any, eye: Eye, distance: Any, own: Any, active: Any) -> Any:
         """Whether a place beside an edge shows another shape, in front of it, which ends between the two."""
         ray = self._sensor.sample_ray(0.0, 0.5, place, mi.Point2f(0.5))[0]
-        hit = scene.ray_intersect_preliminary(ray)
+        hit = scene.ray_intersect_preliminary(ray, active=active)
         nearer = hit.t + dr.norm(ray.o - eye.place) < (1.0 - IN_FRONT) * distance
         return hit.is_valid() & nearer & (shape_of(hit) != own)
 

@@ -21,9 +21,9 @@ from tests.strategies import thorough
 GOAL = [0.9, -0.5, 0.0]
 
 BALL = Path(__file__).parents[2] / "examples" / "ball"
-# The same on fewer pixels, which is quicker, and with more samples of each, or a fit of 40 steps is a matter of luck.
+# The same on fewer pixels, which is quicker.
 XML = (BALL / "scene.xml").read_text().replace('value="96"', 'value="32"').replace('value="72"', 'value="24"')
-SCENE = (BALL / "scene.toml").read_text().replace("spp = 8", "spp = 32")
+SCENE = (BALL / "scene.toml").read_text()
 
 
 @pytest.fixture
@@ -38,6 +38,8 @@ def folder(tmp_path: Path) -> Path:
 def test_a_handle_moves_a_shape_to_where_the_target_has_it(
     folder: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    # On so few pixels, gradients with 8 samples are half noise, and a fit of 40 steps a matter of luck.
+    (folder / "scene.toml").write_text(SCENE.replace("spp = 8", "spp = 32"))
     monkeypatch.chdir(tmp_path_factory.mktemp("elsewhere"))
     assert main(["fit", str(folder / "scene.toml")]) in FINISHED
     found = json.loads((folder / "scene-result" / "parameters.json").read_text())
@@ -113,7 +115,7 @@ def test_the_example_of_the_guide_can_be_read(folder: Path) -> None:
 
 def test_the_samples_of_a_scene_are_known_and_can_be_overridden(folder: Path) -> None:
     scene = load_scene(folder / "scene.toml")
-    assert scene.samples == 32
+    assert scene.samples == 8
     few, many = load_scene(folder / "scene.toml", samples=1), load_scene(folder / "scene.toml", samples=64)
     assert (few.samples, many.samples) == (1, 64)
     noises = []

@@ -32,7 +32,7 @@ from loi_mitsuba.effects.traits import Traits
 from loi_mitsuba.handles import Host
 from loi_mitsuba.integrators import OWN, PARTS, Settings, settings_of
 
-__all__ = ["Findings", "Pilot"]
+__all__ = ["MOST_DRAWS", "Findings", "Pilot"]
 
 DRAWS: Final = 4
 DEEP_DRAWS: Final = 3  # of everything, which costs most

@@ -25,7 +25,7 @@ from loi_mitsuba.effects.base import base_of
 from loi_mitsuba.effects.blurring import Blurring
 from loi_mitsuba.effects.following import Following
 from loi_mitsuba.effects.images import effect_images
-from loi_mitsuba.effects.pilot import Pilot
+from loi_mitsuba.effects.pilot import MOST_DRAWS, Pilot
 from loi_mitsuba.effects.probe import APART, Probe
 from loi_mitsuba.effects.rules import everything, plan_by_rules, plan_of, plan_with
 from loi_mitsuba.effects.traits import Traits, View, groups_of, objects_of, traits_of
@@ -41,7 +41,6 @@ from loi_mitsuba.renderer import MitsubaRenderer
 __all__ = ["FRACTION", "PlannedRenderer"]
 
 FRACTION: Final = 0.1  # what is off together turns the gradient by less than 6 degrees, whose cosine is 0.995
-DRAWS: Final = 8  # of the gradient of what is blurred for its noise: as many as told that it was
 log = logging.getLogger("loi_mitsuba")
 
 
@@ -140,7 +139,6 @@ class PlannedRenderer:
         self._last: Probe | None = None
         self._sizes: Sizes = {}
         self._holding = Holding()
-        self._noisy: tuple[tuple[str, ...], ...] = ()  # objects that are blurred for their noise
         self._seen: frozenset[str] = frozenset()
         self._hidden: dict[str, Any] = {}  # shapes out of view, moved by what is blurred since it has no gradient there
         self._optimised = tuple(self._base.targets)
@@ -239,7 +237,6 @@ class PlannedRenderer:
                 raise ParameterError(msg)
         self._optimised = names
         self._hidden = {}
-        self._noisy = ()
         self._followed = self._whole.followed.without_gradient
         self._take(names)
         probe = Probe(self._base, dict(params), np.array(to_numpy(cotangent), np.float32), self._names, seed)
@@ -299,22 +296,25 @@ class PlannedRenderer:
             shown = self._in_view()
             moving = self._traits.moving.items()
             self._hidden |= {name: shape for name, shape in moving if name in noisy and name not in shown}
-            self._noisy += tuple(group for group in self._holding.groups if set(group) <= noisy.keys())
             self._retake({**self._plan.blurred, **noisy}, "by the pilot")
             self._last = replace(probe, names=self._names)
             self._run_pilot(self._last)
 
     def _unblur(self, probe: Probe, when: str) -> None:
         """Take from the scene itself again what was blurred for its noise, and has a gradient that is no more noise."""
+        noisy = self._plan.blurred.keys() - self._whole.missing.keys()
+        if not noisy:
+            return
         # Together with all others, as in a step, since they share its samples.
-        names = (*self._names, *(name for group in self._noisy for name in group))
-        rules = plan_by_rules(self._traits_of({name: self._base.targets[name] for name in names}), self._samples)
-        drawn = replace(probe, names=names).gradients(settings_of(rules), range(probe.seed, probe.seed + DRAWS))
-        still = Holding.begun(drawn, self._noisy).groups
-        free = frozenset(name for group in self._noisy if group not in still for name in group)
+        targets = {name: one for name, one in self._base.targets.items() if name in noisy or name in self._names}
+        traits = self._traits_of(targets)
+        rules = settings_of(plan_by_rules(traits, self._samples))
+        seeds = range(probe.seed, probe.seed + MOST_DRAWS)
+        drawn = replace(probe, names=tuple(targets)).gradients(rules, seeds)
+        objects = objects_of({name: targets[name] for name in targets if name in noisy}, traits.moving)
+        free = frozenset(noisy) - Holding.begun(drawn, objects).reasons.keys()
         if not free:
             return
-        self._noisy = still
         self._hidden = {name: shape for name, shape in self._hidden.items() if name not in free}
         self._retake({name: reason for name, reason in self._plan.blurred.items() if name not in free}, when)
         self._last = replace(probe, names=self._names)
@@ -437,7 +437,6 @@ class PlannedRenderer:
         shown = self._shown(self._hidden)
         if shown:
             self._hidden = {name: shape for name, shape in self._hidden.items() if name not in shown}
-            self._noisy = tuple(group for group in self._noisy if shown.isdisjoint(group))
             kept = {name: reason for name, reason in self._plan.blurred.items() if name not in shown}
             self._retake(kept, "as it comes into view")
             self._begun = False
@@ -456,7 +455,7 @@ class PlannedRenderer:
     def _probe(self, when: str) -> None:
         """Look again at what is off."""
         self._schedule = self._schedule.looked()
-        if self._last is not None and self._noisy:
+        if self._last is not None:
             self._unblur(self._last, when)
         if self._last is None or not self._names or not self._plan.understood or not self._plan.measured:
             return
