@@ -5,6 +5,9 @@ of some draws of the pullback, with its standard error, of neighbours of several
 truth's, *cosine* that of the angle between them, *noise* the spread of one draw over its norm. A loss of wide local
 histograms is what a fit uses far away, one of narrow ones what it uses near the end.
 
+In the case `mirror` the mirror stands still; in `shiny-mirror` and `shiny-plastic` the ball itself is smooth, and
+moves.
+
 The case `caustic` is a glass ball in view, with its caustic. There the neighbour stands beside blurred images, noise is
 over the norm of the truth, and the truth is of images: the cotangent of a loss times central differences.
 """
@@ -22,6 +25,7 @@ import numpy as np
 from loi_core import LOIObjective, Objective, PixelL2, ScaleSpace
 from loi_core.renderers import BlurredRenderer
 from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, Translate  # before mitsuba
+from loi_mitsuba.exchanges import MOVING
 
 # isort: split
 import mitsuba as mi
@@ -35,8 +39,9 @@ LAMPS: Final[dict[str, dict[str, Any]]] = {
     "spot": {"type": "spot", "cutoff_angle": 40.0, "beam_width": 38.0, "intensity": 300.0},
     "directional": {"type": "directional", "direction": [-0.1, -1.0, -0.2], "irradiance": 3.0},
 }
-SIZES: Final = (0.005, 0.01, 0.02, 0.05, 0.1)
+SIZES: Final[tuple[float, ...]] = (0.005, 0.01, 0.02, 0.05, 0.1)
 MIRRORS: Final = (0.01, 0.02, 0.05, 0.1, 0.2)
+SHINY: Final = tuple(alpha / MOVING for alpha in (0.05, 0.1, 0.2, 0.3, 0.4, 0.6))  # by how rough what moves then is
 
 
 def scene(changes: dict[str, Any]) -> dict[str, Any]:
@@ -70,6 +75,18 @@ def mirror_scene(material: dict[str, Any]) -> dict[str, Any]:
                 "radius": 0.8,
                 "emitter": {"type": "area", "radiance": 1.0},
             },
+        }
+    )
+
+
+def shiny_scene(material: dict[str, Any]) -> dict[str, Any]:
+    """The ball in view, near the floor, under a sun and a sky."""
+    return scene(
+        {
+            "integrator": {"type": "path", "max_depth": 4},
+            "ball": {"type": "sphere", "center": [0, 1.2, 0], "radius": 0.8, "bsdf": material},
+            "lamp": LAMPS["directional"],
+            "sky": {"type": "constant", "radiance": 0.3},
         }
     )
 
@@ -178,7 +195,11 @@ def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--samples", type=int, default=2048, help="per pixel of the truth's images")
-    parser.add_argument("--cases", nargs="+", help="point, spot, directional, mirror, caustic (default: all)")
+    parser.add_argument(
+        "--cases",
+        nargs="+",
+        help="point, spot, directional, mirror, shiny-mirror, shiny-plastic, caustic (default: all)",
+    )
     parser.add_argument("--draws", type=int, default=16, help="of each gradient")
     options = parser.parse_args()
     mi.set_variant("llvm_ad_rgb")
@@ -186,10 +207,12 @@ def main() -> None:
     lamps = {**LAMPS, "spot": {**LAMPS["spot"], "to_world": place}}
     cases = [(kind, "lights", SIZES, scene({"lamp": lamp})) for kind, lamp in lamps.items()]
     cases.append(("mirror", "mirrors", MIRRORS, mirror_scene({"type": "conductor"})))
+    for label, kind in (("shiny-mirror", "conductor"), ("shiny-plastic", "plastic")):
+        cases.append((label, "mirrors", SHINY, shiny_scene({"type": kind})))
     for label, switch, sizes, described in cases:
         if options.cases and label not in options.cases:
             continue
-        print(f"| {label}: ratio / cosine / noise | " + " | ".join(f"{switch} {size:g}" for size in sizes) + " |")
+        print(f"| {label}: ratio / cosine / noise | " + " | ".join(f"{switch} {size:.3g}" for size in sizes) + " |")
         print("| --- |" + " --- |" * len(sizes))
         columns = [measured(described, {switch: size}, options.samples, options.draws) for size in sizes]
         for row, loss in enumerate(("wide", "narrow")):

@@ -9,14 +9,17 @@ from typing import Any, Final
 import mitsuba as mi
 import numpy as np
 
+from loi_mitsuba.lamp import register_lamp
+from loi_mitsuba.mirror import register_mirror
+from loi_mitsuba.nodes import parts_of
 from loi_mitsuba.seams import has_sides
-from loi_mitsuba.spots import register_cone
-from loi_mitsuba.steps import RAMP, interpolate, textures_of
+from loi_mitsuba.steps import RAMP, interpolate
 from loi_mitsuba.surroundings import Surroundings
 
 __all__ = [
     "LAMP",
     "LIGHT",
+    "MOVING",
     "ROUGH",
     "Exchange",
     "exchange_light",
@@ -28,6 +31,7 @@ __all__ = [
 ROUGH: Final = {"conductor": "roughconductor", "dielectric": "roughdielectric", "plastic": "roughplastic"}
 LAMP: Final = "loi_lamp_"  # and a number: what stands for a light is called so
 LIGHT: Final = "loi_light_"  # and a number: a light without a name is called so
+MOVING: Final = 6.0  # times as rough as a mirror that stands still is one that moves
 WIDEST: Final = 2.0  # times what casts a shadow: its umbra then reaches as far behind it as the lamp is before it
 FAR: Final = 100.0  # how many times the scene's radius away the disk is that stands for a directional light
 
@@ -47,23 +51,38 @@ class Exchange:
     factor: float = 1.0
 
 
-def exchange_surface(node: Any, alpha: float, exchanges: list[Exchange]) -> None:
-    """Make a perfectly smooth surface slightly rough."""
-    kind = node.props.plugin_name()
-    node.props.set_plugin_name(ROUGH[kind])
-    node.props["alpha"] = alpha
-    named = f" {node.props.id()!r}" if node.props.id() else ""
-    exchanges.append(
-        Exchange(
-            f"{kind}{named}",
-            f"a {ROUGH[kind]} of roughness {alpha:g}, for edges seen in what is perfectly smooth have no gradient",
-        )
-    )
+def exchange_surface(
+    state: Any, index: int, size: float, exchanges: list[Exchange], *, moves: bool, unlit: bool
+) -> None:
+    """Make a perfectly smooth surface slightly rough, that of what moves rougher.
+
+    It is `unlit` where it shall not reflect light that comes straight from a lamp that is sampled.
+    """
+    props = state.nodes[index].props
+    kind = props.plugin_name()
+    moves = moves and kind != "dielectric"  # through which nothing would be seen
+    alpha = min(MOVING * size, 1.0) if moves else size
+    props.set_plugin_name(ROUGH[kind])
+    props["alpha"] = alpha
+    named = f" {props.id()!r}" if props.id() else ""
+    why = "edges seen in what is perfectly smooth have no gradient"
+    also = ", and that of what moves has the less noise, the rougher it is" if moves else ""
+    exchanges.append(Exchange(f"{kind}{named}", f"a {ROUGH[kind]} of roughness {alpha:g}, for {why}{also}"))
+    if unlit:
+        rough = mi.parser.SceneNode()
+        rough.props, rough.type = mi.Properties(ROUGH[kind]), mi.ObjectType.BSDF
+        for key in list(props.keys()):
+            rough.props[key] = props[key]
+            del props[key]
+        props.set_plugin_name(register_mirror())
+        props["rough"] = mi.Properties.ResolvedReference(len(state.nodes))
+        state.nodes.append(rough)  # which moves all nodes: what was referred to before is gone
 
 
 def exchange_textures(state: Any, number: int, shape: Any, exchanges: list[Exchange]) -> None:
     """Interpolate the textures of a shape that have steps."""
-    for node in textures_of(state, number):
+    for part in parts_of(state, number, mi.ObjectType.Texture):
+        node = state.nodes[part]
         kind = node.props.plugin_name()
         if interpolate(node.props):
             named = f" of {shape.id()!r}" if shape.id() else ""
@@ -86,8 +105,13 @@ def exchange_light(
     power: Any,
     around: Surroundings,
     exchanges: list[Exchange],
+    *,
+    unseen: bool,
 ) -> None:
-    """Put a lamp with a size, called by the light's number, where a light without one is."""
+    """Put a lamp with a size, called by the light's number, where a light without one is.
+
+    It is `unseen` where rays that hit it by chance shall not find its light.
+    """
     props = state.nodes[index].props
     kind, called = props.plugin_name(), props.id()
     place = np.array(props["to_world"].matrix, dtype=np.float64) if "to_world" in props else np.eye(4)
@@ -120,7 +144,8 @@ def exchange_light(
         of = f"{size:g} of its distance from what moves" if share <= most else f"{WIDEST:g} times that of what moves"
         of = f"{of}, less to stay within what is around it" if radius < widest else of
         how = f"a sphere of radius {radius:.3g}, {of}, for"
-    lamp, surface = mi.Properties(register_cone() if kind == "spot" else "area"), mi.Properties("diffuse")
+    lamp = mi.Properties(register_lamp() if unseen or kind == "spot" else "area")
+    surface = mi.Properties("diffuse")
     if kind == "spot":
         lamp["cutoff_angle"] = cutoff = _cutoff(props)
         lamp["beam_width"] = float(props["beam_width"]) if "beam_width" in props else 0.75 * cutoff

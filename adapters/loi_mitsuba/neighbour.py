@@ -29,6 +29,7 @@ from loi_mitsuba.exchanges import (
     of_seams,
 )
 from loi_mitsuba.loading import Loaded, SceneLoadError, parsed
+from loi_mitsuba.nodes import parts_of
 from loi_mitsuba.seams import merge_seams
 from loi_mitsuba.surroundings import KINDS, Surroundings, lights_of, power_of
 
@@ -47,7 +48,9 @@ class Neighbour:
         0 to 0.5. A shadow is blurred by about its distance from what casts it, times this; a smaller lamp is hit by
         fewer rays, and its gradient noisier.
     mirrors : float
-        Roughness (`alpha`) of what stands for perfect mirrors and clear glass. 0 to 0.5.
+        Roughness (`alpha`) of what stands for perfect mirrors, smooth plastic and clear glass. 0 to 0.5. A mirror or
+        plastic that moves is six times as rough, at most 1, since the noise of its gradient grows steeply as it gets
+        smoother.
     seams : bool
         Whether the triangles of meshes that move share the vertices at one place. Along the seams of a texture,
         triangles may then show another part of it.
@@ -109,6 +112,8 @@ def neighbour_of(
     keep: frozenset[int | None] = frozenset(),
     split: Mapping[int, Any] | None = None,
     stepped: Mapping[int, Any] | None = None,
+    moving: frozenset[int] = frozenset(),
+    unlit: bool = False,
 ) -> Found | None:
     """The neighbouring scene of one that can be loaded; None if nothing is to be exchanged, or can be.
 
@@ -129,12 +134,16 @@ def neighbour_of(
         By their numbers in the scene, from 0, meshes whose vertices are to be shared; of a loaded scene, none are.
     stepped : dict of mi.Shape, optional
         By their numbers, shapes whose textures are to be interpolated; of a loaded scene, none are.
+    moving : frozenset of int
+        The numbers of shapes that move, whose surfaces are rougher.
+    unlit : bool
+        Whether what stands for lights without a size is to have no image in what stands for mirrors.
     """
     if isinstance(scene, mi.Scene):
         described, shared = _described(scene)
         ids = [one.id() for one in shared]
         try:
-            found = neighbour_of(described, near, around, in_view)
+            found = neighbour_of(described, near, around, in_view, unlit=unlit)
         except SceneLoadError:  # not every scene can be made of the objects of another, such as one with instances
             return None
         finally:  # what a dict holds is called by its key
@@ -146,6 +155,8 @@ def neighbour_of(
     with parsed(scene, floats=floats) as (config, state):
         numbered = all(node.props.plugin_name() != "shapegroup" for node in state.nodes)  # whose shapes have no number
         seams = dict(split or {}) if numbered else {}
+        surfaces = (parts_of(state, number, mi.ObjectType.BSDF) for number in moving) if numbered else ()
+        rougher = {index for parts in surfaces for index in parts}
         for number, shape in (stepped or {}).items() if numbered else ():
             exchange_textures(state, number, shape, exchanges)
         for index in range(len(state.nodes)):
@@ -156,10 +167,10 @@ def neighbour_of(
                 node.props.set_id(called or f"{LIGHT}{lights}")
                 power = around.powers[lights] if lights < len(around.powers) else None
                 if near.lights > 0.0 and power is not None and lights not in keep:
-                    exchange_light(state, index, lights, near.lights, power, around, exchanges)
+                    exchange_light(state, index, lights, near.lights, power, around, exchanges, unseen=unlit)
                 lights += 1
             elif kind in ROUGH and node.type == mi.ObjectType.BSDF and near.mirrors > 0.0:
-                exchange_surface(node, near.mirrors, exchanges)
+                exchange_surface(state, index, near.mirrors, exchanges, moves=index in rougher, unlit=unlit)
         if not exchanges and not seams:
             return None
         loaded = mi.parser.instantiate(config, state)
@@ -174,7 +185,18 @@ def neighbour_of(
     seen = {shape.id() for shape in made.shapes() if shape.id().startswith(LAMP) and in_view(shape)}
     if seen:
         more = {one.light for one in exchanges if f"{LAMP}{one.light}" in seen}
-        return neighbour_of(scene, near, around, in_view, floats=floats, keep=keep | more, split=split, stepped=stepped)
+        return neighbour_of(
+            scene,
+            near,
+            around,
+            in_view,
+            floats=floats,
+            keep=keep | more,
+            split=split,
+            stepped=stepped,
+            moving=moving,
+            unlit=unlit,
+        )
     flags = [int(shape.bsdf().flags()) for shape in made.shapes() if shape.bsdf() is not None]
     smooth = any(one & int(mi.BSDFFlags.DeltaReflection | mi.BSDFFlags.DeltaTransmission) for one in flags)
     return Found(Loaded(made, in_order=True, floats=floats), _distinct(exchanges), smooth)

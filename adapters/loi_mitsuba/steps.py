@@ -6,14 +6,13 @@ has a gradient, which is that of the step for all that changes little over the r
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any, Final
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-__all__ = ["RAMP", "has_steps", "interpolate", "is_stepped", "textures_of"]
+__all__ = ["RAMP", "has_steps", "interpolate", "is_stepped"]
 
 FINE: Final = 4  # texels along each side of what is of one colour: the ramp is one of them wide
 RAMP: Final = f"with ramps 1/{FINE} as wide as a check or texel, for steps that move have no gradient"
@@ -50,27 +49,6 @@ def is_stepped(node: Any) -> bool:
     differs = np.any(seen[:, 0] != seen[:, 2], axis=0)
     equal = np.all(seen[:, 0] == seen[:, 1], axis=0)
     return bool(np.any(differs) and np.mean(equal[differs]) > STEADY)
-
-
-def textures_of(state: Any, number: int) -> Iterator[Any]:
-    """The nodes of textures that a shape of a parsed scene has, by the shape's number in the scene."""
-    nodes = state.nodes
-    shapes = [nodes[one] for one in _parts(nodes[0].props) if nodes[one].type == mi.ObjectType.Shape]
-    if number < len(shapes):
-        yield from _textures(nodes, shapes[number])
-
-
-def _textures(nodes: Any, node: Any) -> Iterator[Any]:
-    for part in _parts(node.props):
-        if nodes[part].type == mi.ObjectType.Texture:
-            yield nodes[part]
-        yield from _textures(nodes, nodes[part])
-
-
-def _parts(props: Any) -> list[int]:
-    """The numbers of the nodes that one is made of."""
-    values = (props[key] for key in props.keys())  # noqa: SIM118  # these are no dict
-    return [one.index() for one in values if isinstance(one, mi.Properties.ResolvedReference)]
 
 
 def interpolate(props: Any) -> bool:

@@ -13,7 +13,8 @@ import pytest
 
 from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, Rotate, Translate
 from loi_mitsuba.loading import parsed
-from loi_mitsuba.steps import has_steps, interpolate, textures_of
+from loi_mitsuba.nodes import parts_of
+from loi_mitsuba.steps import has_steps, interpolate
 from tests.helpers import Host
 from tests.mitsuba.scenes import HEIGHT, WIDTH, shadow_scene
 from tests.strategies import thorough
@@ -76,8 +77,8 @@ def test_an_interpolated_texture_is_that_with_steps_but_near_them(kind: str, tmp
     own = mi.load_dict(KINDS[kind](tmp_path) | turned)
     ball = {"type": "sphere", "bsdf": {"type": "diffuse", "reflectance": KINDS[kind](tmp_path) | turned}}
     with parsed({"type": "scene", "ball": ball}, floats=False) as (config, state):
-        (node,) = textures_of(state, 0)
-        assert interpolate(node.props)
+        (part,) = parts_of(state, 0, mi.ObjectType.Texture)
+        assert interpolate(state.nodes[part].props)
         made = mi.parser.instantiate(config, state)
     scene = made[0] if isinstance(made, list) else made
     (shape,) = scene.shapes()

@@ -13,7 +13,7 @@ from loi_core.renderers.blurred import names_to_blur
 from loi_mitsuba.effects.following import Followed
 from loi_mitsuba.effects.missing import missing_gradients
 from loi_mitsuba.effects.rules import plan_by_rules
-from loi_mitsuba.effects.traits import View, traits_of
+from loi_mitsuba.effects.traits import Traits, View, traits_of
 from loi_mitsuba.entries import Names, ancestors, named_scene
 from loi_mitsuba.integrators import bordered
 from loi_mitsuba.loading import Target, checked_samples, checked_targets, find_sensor, most_samples, use_variant
@@ -84,7 +84,7 @@ def base_of(
     if traits.moving and not traits.media and (delta or split or stepped):
         for size in (near, replace(near, mirrors=0.0)):  # rough surfaces may lack what a parameter stands for
             try:
-                pair = _neighboured(ready, names, targets, traits.moving, split, stepped, size, options)
+                pair = _neighboured(ready, names, targets, traits, split, stepped, size, options)
             except ParameterError:
                 continue
             if pair is None:
@@ -135,7 +135,7 @@ def _neighboured(
     scene: Any,
     called: Names,
     targets: Mapping[str, Target],
-    moving: Mapping[str, Any],
+    traits: Traits,
     split: Mapping[int, Any],
     stepped: Mapping[int, Any],
     near: Neighbour,
@@ -146,6 +146,7 @@ def _neighboured(
     lights = targets_of_lights(called, targets)
     kinds = [one.class_name() for one in lights_of(loaded.scene)]
     stay = [one.light for one in lights.values() if not one.can_follow(kinds[one.light])]
+    moving, own = traits.moving, list(loaded.scene.shapes())
     around = Surroundings.of(loaded.scene, moving.values(), stay)
     sensor = find_sensor(loaded.scene, options["sensor"])
     found = neighbour_of(
@@ -156,6 +157,8 @@ def _neighboured(
         floats=loaded.floats,
         split=split,
         stepped=stepped,
+        moving=frozenset(own.index(shape) for shape in moving.values() if shape in own),
+        unlit=traits.unlit_mirrors,
     )
     if found is None:
         return None

@@ -119,7 +119,9 @@ class Pilot:
                 reasons[EFFECTS[part]] = f"{fractions[part]:.1%} of the gradient"
         settings = settings.sampled({part: 0 for part in drawn if part not in kept})
         edges = settings.sppp > 0 or settings.sppi > 0
-        kind = integrator_for(everything(self.traits, self.samples).integrator, settings.max_depth, edges=edges)
+        kind = integrator_for(
+            self.traits, everything(self.traits, self.samples).integrator, settings.max_depth, edges=edges
+        )
         settings = replace(settings, integrator=kind).sampled(self._allocation(kept, whole, significant))
         planned = plan_of(self.traits, settings, reasons, notes=notes)
         planned = replace(
@@ -148,7 +150,9 @@ class Pilot:
             shallow = replace(rules, max_depth=depth)
             if not self._same_image(deep, shallow, probe, seeds[:2]):
                 continue
-            settings = replace(shallow, integrator=integrator_for(rules.integrator, depth, edges=rules.projective))
+            settings = replace(
+                shallow, integrator=integrator_for(self.traits, rules.integrator, depth, edges=rules.projective)
+            )
             drawn = self._parts(settings, probe)
             # Each part draws from the seed in its own way, alone or with others, and a shallow path is the beginning of
             # the deep one of the same seed: most of the noise goes with the difference.

@@ -59,7 +59,7 @@ def plan_by_rules(traits: Traits, samples: int) -> EffectPlan:
     edges = bool(traits.moving) and full.projective
     indirect = edges and not (traits.alone and depth <= DIRECT)
     settings = Settings(
-        integrator_for(full.integrator, depth, edges=edges),
+        integrator_for(traits, full.integrator, depth, edges=edges),
         depth,
         samples,
         samples if edges else 0,
@@ -70,13 +70,14 @@ def plan_by_rules(traits: Traits, samples: int) -> EffectPlan:
     return plan_of(traits, settings)
 
 
-def integrator_for(full: str, depth: int, *, edges: bool) -> str:
+def integrator_for(traits: Traits, full: str, depth: int, *, edges: bool) -> str:
     """The integrator that is fastest for what is left of `full`, the one that has everything."""
     if full != "prb_projective":
         return full
     if not edges:
         return "prb"
-    return "direct_projective" if depth == DIRECT else full
+    # That for direct light has only the gradient of what lamps are sampled for, of which mirrors have nothing.
+    return "direct_projective" if depth == DIRECT and not traits.unlit_mirrors else full
 
 
 def plan_of(
@@ -115,7 +116,7 @@ def plan_with(traits: Traits, plan: EffectPlan, rules: Settings, grown: Mapping[
             settings = settings.sampled({part: getattr(rules, part)})
     depth = rules.max_depth if Effect.BOUNCES in grown else settings.max_depth
     edges = settings.sppp > 0 or settings.sppi > 0
-    kind = integrator_for(everything(traits, rules.sppc).integrator, depth, edges=edges)
+    kind = integrator_for(traits, everything(traits, rules.sppc).integrator, depth, edges=edges)
     reasons = {choice.effect: choice.reason for choice in plan.choices} | dict(grown)
     more = plan_of(traits, replace(settings, max_depth=depth, integrator=kind), reasons)
     kept = [

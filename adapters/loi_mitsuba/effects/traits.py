@@ -97,6 +97,11 @@ class Traits:
     followed: Mapping[str, str] = field(default_factory=dict)
     blurred: Mapping[str, str] = field(default_factory=dict)
 
+    @property
+    def unlit_mirrors(self) -> bool:
+        """Whether perfectly smooth surfaces are there, and lights without a size, which no path finds in them."""
+        return self.lights and (self.delta_reflection or self.delta_transmission)
+
 
 def traits_of(called: Names, targets: Mapping[str, str | Handle], sensor: Any) -> Traits:
     """Traverse a scene and find out what `targets`, the optimised parameters by name, change in it."""

@@ -57,8 +57,8 @@ class Size:
 RATES: Final[dict[Name, tuple[float, ...]]] = {"kaleidoscope": (0.02, 0.04), "orb": (0.01, 0.03)}
 SIGMAS: Final[dict[Name, tuple[float, ...]]] = {"kaleidoscope": (0.05, 0.1), "orb": (0.05, 0.15)}
 CHOSEN: Final[dict[Name, dict[Method, tuple[float, float]]]] = {
-    "kaleidoscope": {"pixels": (0.02, 0.1), "sigma": (0.04, 0.1), "paper": (0.04, 0.05), "default": (0.04, 0.05)},
-    "orb": {"pixels": (0.03, 0.15), "sigma": (0.03, 0.15), "paper": (0.03, 0.05), "default": (0.03, 0.15)},
+    "kaleidoscope": {"pixels": (0.02, 0.1), "sigma": (0.02, 0.05), "paper": (0.04, 0.05), "default": (0.02, 0.05)},
+    "orb": {"pixels": (0.03, 0.05), "sigma": (0.03, 0.05), "paper": (0.03, 0.05), "default": (0.01, 0.15)},
 }
 SIZES: Final[dict[Name, Size]] = {"kaleidoscope": Size(100, 4, 120), "orb": Size(128, 4, 100)}
 QUICK: Final[dict[Name, Size]] = {"kaleidoscope": Size(32, 2, 4), "orb": Size(32, 2, 4)}
