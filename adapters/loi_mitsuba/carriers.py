@@ -134,8 +134,10 @@ class ByJumps:
         found = self._jumps(seed)
         if found is not None:
             value, place = found
-            # Their sum, which Dr.Jit would evaluate, would trace all rays twice.
-            dr.backward(value * self.film.looked_up(cotangent, place), dr.ADFlag.ClearInterior)
+            weighted = value * self.film.looked_up(cotangent, place)
+            if dr.grad_enabled(weighted):  # or else Dr.Jit knows that none jumps, as at shadows under a point light
+                # Their sum, which Dr.Jit would evaluate, would trace all rays twice.
+                dr.backward(weighted, dr.ADFlag.ClearInterior)
 
     def push(self, seed: int, seed_grad: int) -> Host:  # noqa: ARG002  # there is no image to draw
         """How the image changes with the shapes, which have a gradient: shape (H, W, C)."""
@@ -144,7 +146,7 @@ class ByJumps:
             width, height = self.film.size
             return np.zeros((height, width, self.film.channels), dtype=np.float32)
         value, place = found
-        change = mi.Color3f(dr.forward_to(value))
+        change = mi.Color3f(dr.forward_to(value)) if dr.grad_enabled(value) else mi.Color3f(0.0)
         with dr.suspend_grad():
             return self.film.splat(change, place)
 

@@ -113,7 +113,9 @@ def _first_hit(scene: Any, origins: Host, goal: Host) -> Host:
 
 
 def power_of(light: Any) -> Host | None:
-    """Intensity or irradiance of a light of one colour in all directions, shape (3,); None for others."""
+    """Intensity or irradiance of a light of one colour in all directions, shape (3,); None for others, and spectra."""
+    if mi.is_spectral:
+        return None
     params = mi.traverse(light)
     power = "irradiance" if KINDS[light.class_name()] == "directional" else "intensity"
     textured = "texture.data" in params

@@ -286,6 +286,15 @@ def test_what_does_not_move_has_the_gradient_of_the_scene_itself() -> None:
     np.testing.assert_allclose(radiance * np.pi * radius**2, params["brightness"], rtol=1e-3)
 
 
+def test_a_light_of_a_spectrum_stays_as_it_is_and_a_warning_tells(recwarn: pytest.WarningsRecorder) -> None:
+    mi.set_variant("llvm_ad_spectral")
+    planned = PlannedRenderer(lit_scene("point placed"), AXES)
+    assert any("a shape moves under a PointLight" in str(one.message) for one in recwarn)
+    assert not planned.plan.exchanged
+    image, pullback = planned.render_vjp(planned.parameters())
+    assert np.all(np.isfinite(pullback(np.ones_like(image))["x"]))
+
+
 def test_edges_in_perfect_mirrors_have_the_gradient_of_finite_differences() -> None:
     place = mi.ScalarTransform4f
     mirror = {"type": "rectangle", "to_world": place().translate([0, 0, -1]).scale(8), "bsdf": {"type": "conductor"}}
