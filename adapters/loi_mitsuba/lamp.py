@@ -21,13 +21,13 @@ __all__ = ["lamps_hit", "register_lamp"]
 
 NAME: Final = "loi_area"
 
-_hit: list[bool] = []  # the last says whether rays that hit a lamp find its light
+_hit: list[None] = []  # one for each `lamps_hit` that is going on
 
 
 @contextmanager
 def lamps_hit() -> Iterator[None]:
     """Rays that hit a lamp find its light meanwhile; else only what samples lamps does, as of lights without a size."""
-    _hit.append(True)
+    _hit.append(None)
     try:
         yield
     finally:
@@ -56,9 +56,9 @@ def _register(variant: str) -> None:  # noqa: ARG001  # once for each
             self.radiance = props.get_emissive_texture("radiance")
             self.cutoff = math.radians(props["cutoff_angle"]) if "cutoff_angle" in props else None
             self.full = math.radians(props["beam_width"]) if "beam_width" in props else 0.0
-            self.m_flags = mi.EmitterFlags.Surface | mi.EmitterFlags.SpatiallyVarying
-            if self.cutoff is None:
-                self.m_flags = mi.EmitterFlags.Surface
+            self.m_flags = mi.EmitterFlags.Surface
+            if self.cutoff is not None:
+                self.m_flags |= mi.EmitterFlags.SpatiallyVarying
 
         def traverse(self, callback: Any) -> None:
             callback.put("radiance", self.radiance, mi.ParamFlags.Differentiable)

@@ -50,7 +50,7 @@ def _register(variant: str) -> None:  # noqa: ARG001  # once for each
         def parameters_changed(self, keys: Any) -> None:
             self.rough.parameters_changed(keys)
 
-        def sample(self, context: Any, si: Any, first: Any, second: Any, active: Any = True) -> tuple[Any, Any]:  # noqa: FBT002
+        def sample(self, context: Any, si: Any, first: Any, second: Any, active: Any) -> tuple[Any, Any]:
             if self.other is None:
                 sample, weight = self.rough.sample(context, si, first, second, active)
                 return _single(sample), weight
@@ -62,13 +62,13 @@ def _register(variant: str) -> None:  # noqa: ARG001  # once for each
             drawn.pdf *= 0.5
             return drawn, 2.0 * dr.select(reflects, weight, other_weight)
 
-        def eval(self, context: Any, si: Any, wo: Any, active: Any = True) -> Any:  # noqa: FBT002
+        def eval(self, context: Any, si: Any, wo: Any, active: Any) -> Any:
             return self.rough.eval(context, si, wo, active)
 
-        def pdf(self, context: Any, si: Any, wo: Any, active: Any = True) -> Any:  # noqa: FBT002
+        def pdf(self, context: Any, si: Any, wo: Any, active: Any) -> Any:
             return self.eval_pdf(context, si, wo, active)[1]
 
-        def eval_pdf(self, context: Any, si: Any, wo: Any, active: Any = True) -> tuple[Any, Any]:  # noqa: FBT002
+        def eval_pdf(self, context: Any, si: Any, wo: Any, active: Any) -> tuple[Any, Any]:
             if self.other is None:
                 return mi.Spectrum(0.0), mi.Float(0.0)
             value, pdf = self.rough.eval_pdf(_only(context, self.other), si, wo, active)
