@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, TypeAlias
 
@@ -17,7 +17,6 @@ from loi_mitsuba.film import Film
 from loi_mitsuba.handles import Host
 from loi_mitsuba.horizons import horizons_bounded
 from loi_mitsuba.integrators import PARTS
-from loi_mitsuba.lamp import lamps_hit
 from loi_mitsuba.named import as_host
 from loi_mitsuba.received import Received
 from loi_mitsuba.samples import pull_samples, samples_of
@@ -131,7 +130,7 @@ class ByJumps:
 
     def pull(self, cotangent: Host, seed: int) -> None:
         """Carry a cotangent of the image, shape (H, W, C), back to the shapes."""
-        found = self._jumps(seed)
+        found = self.drawn.jumps(self.scene, self.radiance, self.samples, seed)
         if found is not None:
             value, place = found
             weighted = value * self.film.looked_up(cotangent, place)
@@ -141,7 +140,7 @@ class ByJumps:
 
     def push(self, seed: int, seed_grad: int) -> Host:  # noqa: ARG002  # there is no image to draw
         """How the image changes with the shapes, which have a gradient: shape (H, W, C)."""
-        found = self._jumps(seed_grad)
+        found = self.drawn.jumps(self.scene, self.radiance, self.samples, seed_grad)
         if found is None:
             width, height = self.film.size
             return np.zeros((height, width, self.film.channels), dtype=np.float32)
@@ -149,8 +148,3 @@ class ByJumps:
         change = mi.Color3f(dr.forward_to(value)) if dr.grad_enabled(value) else mi.Color3f(0.0)
         with dr.suspend_grad():
             return self.film.splat(change, place)
-
-    def _jumps(self, seed: int) -> tuple[Any, Any] | None:
-        shadows = isinstance(self.drawn, Received) or getattr(self.drawn, "part", None) == "sppi"
-        with lamps_hit() if shadows else nullcontext():
-            return self.drawn.jumps(self.scene, self.radiance, self.samples, seed)

@@ -9,7 +9,7 @@ a texture has steps, it has ramps.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
 import mitsuba as mi
@@ -33,7 +33,7 @@ from loi_mitsuba.nodes import parts_of
 from loi_mitsuba.seams import merge_seams
 from loi_mitsuba.surroundings import KINDS, Surroundings, lights_of, power_of
 
-__all__ = ["Found", "Neighbour", "neighbour_of"]
+__all__ = ["Found", "Moved", "Neighbour", "neighbour_of"]
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class Neighbour:
             return value
         if value is None:
             return cls(0.0, 0.0, seams=False, textures=False)
-        names = [field.name for field in fields(cls)]
+        names = [one.name for one in fields(cls)]
         if not isinstance(value, Mapping) or set(value) - set(names):
             msg = f"`neighbour` must be a Neighbour, None, or a table of {', '.join(names)}, got {shown(value)}"
             raise OptionError(msg)
@@ -102,17 +102,33 @@ class Found:
     smooth: bool
 
 
+@dataclass(frozen=True)
+class Moved:
+    """What moves, by the numbers of shapes in the scene, from 0. Of a scene that is loaded already, none of it counts.
+
+    Attributes
+    ----------
+    shapes : frozenset of int
+        All of them, whose smooth surfaces are rougher.
+    split : dict of mi.Shape
+        Meshes whose vertices are to be shared.
+    stepped : dict of mi.Shape
+        Shapes whose textures are to be interpolated.
+    """
+
+    shapes: frozenset[int] = frozenset()
+    split: Mapping[int, Any] = field(default_factory=dict)
+    stepped: Mapping[int, Any] = field(default_factory=dict)
+
+
 def neighbour_of(
     scene: Any,
     near: Neighbour,
     around: Surroundings,
     in_view: Callable[[Any], bool],
+    moved: Moved = Moved(),
     *,
     floats: bool = False,
-    keep: frozenset[int | None] = frozenset(),
-    split: Mapping[int, Any] | None = None,
-    stepped: Mapping[int, Any] | None = None,
-    moving: frozenset[int] = frozenset(),
     unlit: bool = False,
 ) -> Found | None:
     """The neighbouring scene of one that can be loaded; None if nothing is to be exchanged, or can be.
@@ -126,16 +142,9 @@ def neighbour_of(
     around : Surroundings
     in_view : callable
         Whether the camera may see a shape. A lamp that it sees is not exchanged, for the light is never seen.
+    moved : Moved
     floats : bool
         Whether textures are to hold floats.
-    keep : frozenset of int
-        Numbers of lights that are not exchanged.
-    split : dict of mi.Shape, optional
-        By their numbers in the scene, from 0, meshes whose vertices are to be shared; of a loaded scene, none are.
-    stepped : dict of mi.Shape, optional
-        By their numbers, shapes whose textures are to be interpolated; of a loaded scene, none are.
-    moving : frozenset of int
-        The numbers of shapes that move, whose surfaces are rougher.
     unlit : bool
         Whether what stands for lights without a size is to have no image in what stands for mirrors.
     """
@@ -150,14 +159,40 @@ def neighbour_of(
             for one, own in zip(shared, ids, strict=True):
                 one.set_id(own)
         return None if found is None else replace(found, loaded=Loaded(found.loaded.scene, in_order=False))
+    keep: frozenset[int | None] = frozenset()
+    while True:
+        exchanged = _exchanged(scene, near, around, moved, keep, floats=floats, unlit=unlit)
+        if exchanged is None:
+            return None
+        made, exchanges = exchanged
+        seen = {shape.id() for shape in made.shapes() if shape.id().startswith(LAMP) and in_view(shape)}
+        if not seen:
+            break
+        keep |= {one.light for one in exchanges if f"{LAMP}{one.light}" in seen}
+    flags = [int(shape.bsdf().flags()) for shape in made.shapes() if shape.bsdf() is not None]
+    smooth = any(one & int(mi.BSDFFlags.DeltaReflection | mi.BSDFFlags.DeltaTransmission) for one in flags)
+    return Found(Loaded(made, in_order=True, floats=floats), _distinct(exchanges), smooth)
+
+
+def _exchanged(
+    scene: Any,
+    near: Neighbour,
+    around: Surroundings,
+    moved: Moved,
+    keep: frozenset[int | None],
+    *,
+    floats: bool,
+    unlit: bool,
+) -> tuple[Any, list[Exchange]] | None:
+    """A neighbouring scene in which some lights are kept, and what is exchanged in it; None if nothing is."""
     exchanges: list[Exchange] = []
     lights = 0
     with parsed(scene, floats=floats) as (config, state):
-        numbered = all(node.props.plugin_name() != "shapegroup" for node in state.nodes)  # whose shapes have no number
-        seams = dict(split or {}) if numbered else {}
-        surfaces = (parts_of(state, number, mi.ObjectType.BSDF) for number in moving) if numbered else ()
+        if any(node.props.plugin_name() == "shapegroup" for node in state.nodes):
+            moved = Moved()  # the shapes of a group have no number
+        surfaces = (parts_of(state, number, mi.ObjectType.BSDF) for number in moved.shapes)
         rougher = {index for parts in surfaces for index in parts}
-        for number, shape in (stepped or {}).items() if numbered else ():
+        for number, shape in moved.stepped.items():
             exchange_textures(state, number, shape, exchanges)
         for index in range(len(state.nodes)):
             node = state.nodes[index]
@@ -171,35 +206,16 @@ def neighbour_of(
                 lights += 1
             elif kind in ROUGH and node.type == mi.ObjectType.BSDF and near.mirrors > 0.0:
                 exchange_surface(state, index, near.mirrors, exchanges, moves=index in rougher, unlit=unlit)
-        if not exchanges and not seams:
+        if not exchanges and not moved.split:
             return None
         loaded = mi.parser.instantiate(config, state)
     made = loaded[0] if isinstance(loaded, list) else loaded
     own = [shape for shape in made.shapes() if not shape.id().startswith(LAMP)]
-    for number, shape in seams.items():
+    for number, shape in moved.split.items():
         if own[number] != shape:  # what a dict holds as an object is the scene's as well
             merge_seams(own[number])
             exchanges.append(of_seams(shape))
-    if not exchanges:
-        return None
-    seen = {shape.id() for shape in made.shapes() if shape.id().startswith(LAMP) and in_view(shape)}
-    if seen:
-        more = {one.light for one in exchanges if f"{LAMP}{one.light}" in seen}
-        return neighbour_of(
-            scene,
-            near,
-            around,
-            in_view,
-            floats=floats,
-            keep=keep | more,
-            split=split,
-            stepped=stepped,
-            moving=moving,
-            unlit=unlit,
-        )
-    flags = [int(shape.bsdf().flags()) for shape in made.shapes() if shape.bsdf() is not None]
-    smooth = any(one & int(mi.BSDFFlags.DeltaReflection | mi.BSDFFlags.DeltaTransmission) for one in flags)
-    return Found(Loaded(made, in_order=True, floats=floats), _distinct(exchanges), smooth)
+    return (made, exchanges) if exchanges else None
 
 
 def _distinct(exchanges: list[Exchange]) -> tuple[Exchange, ...]:

@@ -19,6 +19,7 @@ import numpy as np
 
 from loi_mitsuba.eye import is_plain, lift_of, sampler_of
 from loi_mitsuba.horizons import LEAST
+from loi_mitsuba.lamp import lamps_hit
 from loi_mitsuba.lines import STEP, Lines, narrowed, number_of, shape_of
 from loi_mitsuba.samples import in_colours
 
@@ -140,6 +141,7 @@ class Received:
         moving = [one for one in dict.fromkeys(shapes) if one in scene.shapes()]
         return cls(sensor, moving) if moving and scene.emitters() and is_plain(scene, sensor) else None
 
+    @lamps_hit()
     def jumps(self, scene: Any, integrator: Any, samples: int, seed: int) -> tuple[Any, Any] | None:  # noqa: ARG002  # direct light alone
         """At edges of shadows, 0 with how it changes: the jump times how far they move; and places. None without."""
         with dr.suspend_grad():

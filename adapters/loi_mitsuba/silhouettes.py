@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
@@ -9,6 +10,7 @@ import drjit as dr
 import mitsuba as mi
 
 from loi_mitsuba.film import Film
+from loi_mitsuba.lamp import lamps_hit
 from loi_mitsuba.samples import in_colours, samples_taken
 
 __all__ = ["Silhouettes"]
@@ -49,7 +51,8 @@ class Silhouettes:
                 integrator.proj_detail.init_indirect_silhouette(scene, self.sensor, GUIDE ^ seed)
                 draw = integrator.render_indirect_silhouette
             sampler, number = integrator.prepare(self.sensor, SEEDS[self.part] ^ seed, samples, integrator.aov_names())
-        with samples_taken() as taken:
+        lamps = lamps_hit() if self.part == "sppi" else nullcontext()
+        with lamps, samples_taken() as taken:
             draw(scene, self.sensor, sampler, 1)  # by whose number it is divided below, or each would be compiled anew
         if not taken:
             return None

@@ -18,7 +18,7 @@ from loi_mitsuba.entries import Names, ancestors, named_scene
 from loi_mitsuba.integrators import bordered
 from loi_mitsuba.loading import Target, checked_samples, checked_targets, find_sensor, most_samples, use_variant
 from loi_mitsuba.named import NamedParameters
-from loi_mitsuba.neighbour import Found, Neighbour, neighbour_of
+from loi_mitsuba.neighbour import Found, Moved, Neighbour, neighbour_of
 from loi_mitsuba.neighboured import NeighbouredRenderer, exchanged_targets, targets_of_lights
 from loi_mitsuba.renderer import MitsubaRenderer
 from loi_mitsuba.seams import has_seams, is_flat, is_hard
@@ -78,13 +78,17 @@ def base_of(
         followed = Followed.of(names, free, found, lights=follow_lights, glass=follow_glass)
         traits = traits_of(names, {name: target for name, target in targets.items() if name not in images}, found)
     options: dict[str, Any] = {"integrator": plan, "spp": spp, "sensor": sensor, "without_gradient": images}
-    split = _split_meshes(names, targets, traits.moving) if near.seams else {}
-    stepped = _stepped_shapes(names, targets, traits.moving) if near.textures else {}
+    own = list(names.scene.shapes())
+    moved = Moved(
+        frozenset(own.index(shape) for shape in traits.moving.values() if shape in own),
+        _split_meshes(names, targets, traits.moving) if near.seams else {},
+        _stepped_shapes(names, targets, traits.moving) if near.textures else {},
+    )
     delta = traits.lights or traits.delta_reflection or traits.delta_transmission
-    if traits.moving and not traits.media and (delta or split or stepped):
+    if traits.moving and not traits.media and (delta or moved.split or moved.stepped):
         for size in (near, replace(near, mirrors=0.0)):  # rough surfaces may lack what a parameter stands for
             try:
-                pair = _neighboured(ready, names, targets, traits, split, stepped, size, options)
+                pair = _neighboured(ready, names, targets, traits, moved, size, options)
             except ParameterError:
                 continue
             if pair is None:
@@ -136,8 +140,7 @@ def _neighboured(
     called: Names,
     targets: Mapping[str, Target],
     traits: Traits,
-    split: Mapping[int, Any],
-    stepped: Mapping[int, Any],
+    moved: Moved,
     near: Neighbour,
     options: dict[str, Any],
 ) -> tuple[NeighbouredRenderer, Found] | None:
@@ -146,7 +149,7 @@ def _neighboured(
     lights = targets_of_lights(called, targets)
     kinds = [one.class_name() for one in lights_of(loaded.scene)]
     stay = [one.light for one in lights.values() if not one.can_follow(kinds[one.light])]
-    moving, own = traits.moving, list(loaded.scene.shapes())
+    moving = traits.moving
     around = Surroundings.of(loaded.scene, moving.values(), stay)
     sensor = find_sensor(loaded.scene, options["sensor"])
     found = neighbour_of(
@@ -154,10 +157,8 @@ def _neighboured(
         near,
         around,
         View(sensor).has,
+        moved,
         floats=loaded.floats,
-        split=split,
-        stepped=stepped,
-        moving=frozenset(own.index(shape) for shape in moving.values() if shape in own),
         unlit=traits.unlit_mirrors,
     )
     if found is None:
