@@ -9,16 +9,25 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
+import torch
 
 from examples.paper.table2.problem import Column, Problem, images_of, numbers
 from examples.paper.table2.scenes import FloatArray
-from examples.paper.table2.settings import FINISH_RATE, PAPER_SCALES, UNIT, Setting
+from examples.paper.table2.settings import (
+    FINISH_LIGHTS,
+    FINISH_MOMENTUM,
+    FINISH_RATE,
+    PAPER_SCALES,
+    UNIT,
+    Setting,
+)
 from loi_core import Free, LOIObjective, fit
 from loi_core.objectives import MSSSIM, GaussianPyramid, Objective, PixelL2
 from loi_core.pixels.psnr import psnr
 from loi_core.renderers import BlurredRenderer
 from loi_core.renderers.contract import Parameters, Pullback, Renderer, SteppedRenderer
-from loi_mitsuba import PlannedRenderer
+from loi_mitsuba import Neighbour, PlannedRenderer
+from loi_torch import TorchOptimiser
 from loi_torch.lpips import LPIPS
 
 # isort: split
@@ -156,12 +165,13 @@ def carry_out(run: Run, variant: str = VARIANT) -> Outcome:
     )
     if last:
         result = fit(
-            _Sharpest(gradient),
+            _exact(problem) if setting.exact else _Sharpest(gradient),
             PixelL2(problem.target),
             steps=last,
             learning_rate=f"{FINISH_RATE * setting.rate * run.column.width / UNIT} px",
             seed=10**4 * run.seed + run.steps,
             optimise={name: Free(value, -reach, reach) for name, value in result.params.items()},
+            optimiser=_calmer() if setting.exact else None,
             callback=note,
         )
     seconds = time.perf_counter() - began
@@ -189,6 +199,18 @@ def renderer(setting: Setting, problem: Problem) -> Renderer:
     if not setting.blurred:
         return PlannedRenderer(built.scene, built.parameters, spp=samples)
     return BlurredRenderer(images_of(built, samples), setting.sigma, final_sigma=setting.final_sigma, pairs=PAIRS)
+
+
+def _exact(problem: Problem) -> Renderer:
+    """What gives them to a finish that is exact."""
+    built, samples = problem.built, problem.column.samples
+    near = Neighbour(lights=FINISH_LIGHTS)
+    return PlannedRenderer(built.scene, built.parameters, spp=samples, fraction=0.0, neighbour=near)
+
+
+def _calmer() -> TorchOptimiser:
+    """Adam with less momentum than usual, and a floor that suits losses that are means over pixels."""
+    return TorchOptimiser(torch.optim.Adam, betas=(FINISH_MOMENTUM, 0.999), eps=1e-15)
 
 
 def objective(setting: Setting, target: Any) -> Objective:
