@@ -14,9 +14,9 @@ import torch
 from examples.paper.table2.problem import Column, Problem, images_of, numbers
 from examples.paper.table2.scenes import FloatArray
 from examples.paper.table2.settings import (
-    FINISH_LIGHTS,
     FINISH_MOMENTUM,
     FINISH_RATE,
+    FINISH_SAMPLES,
     PAPER_SCALES,
     UNIT,
     Setting,
@@ -26,7 +26,7 @@ from loi_core.objectives import MSSSIM, GaussianPyramid, Objective, PixelL2
 from loi_core.pixels.psnr import psnr
 from loi_core.renderers import BlurredRenderer
 from loi_core.renderers.contract import Parameters, Pullback, Renderer, SteppedRenderer
-from loi_mitsuba import Neighbour, PlannedRenderer
+from loi_mitsuba import PlannedRenderer
 from loi_torch import TorchOptimiser
 from loi_torch.lpips import LPIPS
 
@@ -128,6 +128,27 @@ class _Sharpest:
             self._renderer.at_step(steps - 1, steps, value)
 
 
+class _Exact:
+    """A renderer with images that have all light and more samples than its own, and the gradient that it has anyway."""
+
+    def __init__(self, renderer: Renderer, problem: Problem) -> None:
+        self._renderer = renderer
+        self._images = images_of(problem.built, FINISH_SAMPLES * problem.column.samples)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._renderer, name)
+
+    def parameters(self) -> Parameters:
+        return self._renderer.parameters()
+
+    def render(self, params: Parameters, *, seed: int = 0) -> Any:
+        return self._images.render(params, seed=seed)
+
+    def render_vjp(self, params: Parameters, *, seed: int = 0) -> tuple[Any, Pullback]:
+        _, pull = self._renderer.render_vjp(params, seed=seed)
+        return self.render(params, seed=seed), pull
+
+
 def carry_out(run: Run, variant: str = VARIANT) -> Outcome:
     """Fit, and measure the last iterate."""
     mi.set_variant(variant)
@@ -165,7 +186,7 @@ def carry_out(run: Run, variant: str = VARIANT) -> Outcome:
     )
     if last:
         result = fit(
-            _exact(problem) if setting.exact else _Sharpest(gradient),
+            _Exact(gradient, problem) if setting.exact else _Sharpest(gradient),
             PixelL2(problem.target),
             steps=last,
             learning_rate=f"{FINISH_RATE * setting.rate * run.column.width / UNIT} px",
@@ -199,13 +220,6 @@ def renderer(setting: Setting, problem: Problem) -> Renderer:
     if not setting.blurred:
         return PlannedRenderer(built.scene, built.parameters, spp=samples)
     return BlurredRenderer(images_of(built, samples), setting.sigma, final_sigma=setting.final_sigma, pairs=PAIRS)
-
-
-def _exact(problem: Problem) -> Renderer:
-    """What gives them to a finish that is exact."""
-    built, samples = problem.built, problem.column.samples
-    near = Neighbour(lights=FINISH_LIGHTS)
-    return PlannedRenderer(built.scene, built.parameters, spp=samples, fraction=0.0, neighbour=near)
 
 
 def _calmer() -> TorchOptimiser:

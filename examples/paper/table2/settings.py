@@ -9,9 +9,9 @@ from loi_core import ScaleSpace
 from loi_core.pixels.colours import Colours
 
 __all__ = [
-    "FINISH_LIGHTS",
     "FINISH_MOMENTUM",
     "FINISH_RATE",
+    "FINISH_SAMPLES",
     "LABELS",
     "PAPER_SCALES",
     "PROTOCOLS",
@@ -40,9 +40,9 @@ UNIT: Final = 256  # width of the image whose pixels a rate is in
 # Wide scales see how bright an image is as well as where things are: light that a plan leaves out moves their minimum.
 FINISH: Final = 0.25
 FINISH_RATE: Final = 0.1
-# Of a finish that is exact: the sizes of lamps that stand for lights without one, and how much a step keeps of those
-# before. It is short: with the 0.9 of Adam it would end while it still swings.
-FINISH_LIGHTS: Final = 0.02
+# Of a finish that is exact: how many times the samples its images have, and how much a step keeps of those before. It is
+# short: with the 0.9 of Adam it would end while it still swings.
+FINISH_SAMPLES: Final = 8
 FINISH_MOMENTUM: Final = 0.5
 
 
@@ -65,7 +65,7 @@ class Setting:
     finish : float
         Share of the steps, at the end, that compare pixels, at :data:`FINISH_RATE` of the rate.
     exact : bool
-        Whether these leave no light out, have smaller lamps in the neighbouring scene, and less momentum.
+        Whether images leave no light out and have more samples in these steps, which have less momentum.
     colours : {"channels", "differences"}
         What of the colours our loss compares.
     staged : bool
