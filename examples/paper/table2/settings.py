@@ -40,8 +40,8 @@ UNIT: Final = 256  # width of the image whose pixels a rate is in
 # Wide scales see how bright an image is as well as where things are: light that a plan leaves out moves their minimum.
 FINISH: Final = 0.25
 FINISH_RATE: Final = 0.1
-# Of a finish that is exact: how many times the samples its images have, and how much a step keeps of those before. It is
-# short: with the 0.9 of Adam it would end while it still swings.
+# Of a finish that is exact: how many times the samples its images have, and how much a step keeps of those before. With
+# the 0.9 of Adam, so short a finish would end while it still swings.
 FINISH_SAMPLES: Final = 8
 FINISH_MOMENTUM: Final = 0.5
 
