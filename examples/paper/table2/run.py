@@ -105,8 +105,8 @@ class Outcome:
     image: FloatArray
 
 
-class _Sharpest:
-    """A renderer whose blur over parameters, if it has any, is as narrow as at the end of a fit, in every step."""
+class _Finishing:
+    """A renderer as it is: what those of a finish change one thing of."""
 
     def __init__(self, renderer: Renderer) -> None:
         self._renderer = renderer
@@ -123,29 +123,30 @@ class _Sharpest:
     def render_vjp(self, params: Parameters, *, seed: int = 0) -> tuple[Any, Pullback]:
         return self._renderer.render_vjp(params, seed=seed)
 
-    def at_step(self, step: int, steps: int, value: float | None) -> None:  # noqa: ARG002  # it is always the last
+    def at_step(self, step: int, steps: int, value: float | None) -> None:
         if isinstance(self._renderer, SteppedRenderer):
-            self._renderer.at_step(steps - 1, steps, value)
+            self._renderer.at_step(step, steps, value)
 
 
-class _Exact:
+class _Sharpest(_Finishing):
+    """A renderer whose blur over parameters, if it has any, is as narrow as at the end of a fit, in every step."""
+
+    def at_step(self, step: int, steps: int, value: float | None) -> None:  # noqa: ARG002  # it is always the last
+        super().at_step(steps - 1, steps, value)
+
+
+class _Exact(_Finishing):
     """A renderer with images that have all light and more samples than its own, and the gradient that it has anyway."""
 
     def __init__(self, renderer: Renderer, problem: Problem) -> None:
-        self._renderer = renderer
+        super().__init__(renderer)
         self._images = images_of(problem.built, FINISH_SAMPLES * problem.column.samples)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._renderer, name)
-
-    def parameters(self) -> Parameters:
-        return self._renderer.parameters()
 
     def render(self, params: Parameters, *, seed: int = 0) -> Any:
         return self._images.render(params, seed=seed)
 
     def render_vjp(self, params: Parameters, *, seed: int = 0) -> tuple[Any, Pullback]:
-        _, pull = self._renderer.render_vjp(params, seed=seed)
+        _, pull = super().render_vjp(params, seed=seed)
         return self.render(params, seed=seed), pull
 
 
