@@ -13,7 +13,7 @@ from loi_mitsuba.film import Film
 from loi_mitsuba.handles import Host
 from loi_mitsuba.samples import in_colours
 
-__all__ = ["BESIDE", "NEARLY", "Eye", "brighter", "is_plain", "lift_of", "offset_of", "sampler_of"]
+__all__ = ["BESIDE", "NEARLY", "Eye", "brighter", "is_plain", "is_shifted", "lift_of", "offset_of", "sampler_of"]
 
 BESIDE: Final = 0.05  # pixels from a jump of brightness, to either side
 NEARLY: Final = 1e-3  # of the distance to the camera: what is nearer than an edge by less does not hide it
@@ -113,6 +113,11 @@ def offset_of(sensor: Any) -> tuple[float, float]:
     given = (float(np.array(params[f"principal_point_offset_{axis}"]).reshape(-1)[0]) for axis in "xy")
     x, y = (one * side / part for one, side, part in zip(given, film.size(), film.crop_size(), strict=True))
     return float(x), float(y)
+
+
+def is_shifted(sensor: Any) -> bool:
+    """Whether a camera is a perspective one whose principal point is not in the middle."""
+    return sensor.class_name() == "PerspectiveCamera" and any(offset_of(sensor))
 
 
 def is_plain(scene: Any, sensor: Any) -> bool:

@@ -27,6 +27,9 @@ __all__ = ["Received"]
 
 ASIDE: Final = 0.25  # pixels between the two points of a shadow's edge that give its direction
 REACH: Final = 0.3  # pixels to either side in which the second of them is looked for
+CLEAR: Final = (
+    0.01  # pixels from an outline: at it, rounding has rays hit the far side of what is closed, which is dark
+)
 NEAR: Final = 0.05  # pixels between the two ends that a line is narrowed to: farther, and depth jumps there
 
 
@@ -209,13 +212,14 @@ class Received:
         return _Found(first, second, along, lit, weight, light.gathered(which))
 
     def _cut(self, scene: Any, first: Any, second: Any, turn: Any, shape: Any, which: Any) -> tuple[Any, Any]:
-        """Lines as far as they see a shape, of which some see it only at one end."""
+        """Lines as far as they see a shape, of which some see it only at one end, and not quite to its outline."""
         if dr.width(which) == 0:
             return first, second
         turned, shape = dr.gather(mi.Bool, turn, which), dr.gather(mi.UInt32, shape, which)
         low, high = (dr.gather(type(end), end, which) for end in (first, second))
-        inside, outside = dr.select(turned, high, low), dr.select(turned, low, high)
-        inside, _ = narrowed(inside, outside, lambda at: self._lines.seen(scene, at) == shape)
+        start, outside = dr.select(turned, high, low), dr.select(turned, low, high)
+        inside, _ = narrowed(start, outside, lambda at: self._lines.seen(scene, at) == shape)
+        inside = dr.lerp(inside, start, CLEAR / dr.maximum(dr.norm(start - inside), CLEAR))
         first, second = mi.Point2f(first), mi.Point2f(second)
         dr.scatter(first, dr.select(turned, inside, low), which)
         dr.scatter(second, dr.select(turned, high, inside), which)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import Any, Final, Literal
@@ -9,6 +10,7 @@ from typing import Any, Final, Literal
 import drjit as dr
 import mitsuba as mi
 
+from loi_mitsuba.eye import Eye, is_shifted
 from loi_mitsuba.film import Film
 from loi_mitsuba.lamp import lamps_hit
 from loi_mitsuba.samples import in_colours, samples_taken
@@ -17,6 +19,31 @@ __all__ = ["Silhouettes"]
 
 SEEDS: Final = {"sppp": 0xFFFFFFFF, "sppi": 0xAA00AA00}  # by part, those of samples; as in Mitsuba
 GUIDE: Final = 0xAFAFAFAF  # that of what says where indirect silhouettes are looked for
+
+
+class _Shifted:
+    """A perspective camera that shows all of its view to a point.
+
+    Where its principal point is not in the middle, Mitsuba's own shows nothing to points that would be out of view if
+    it were.
+
+    Parameters
+    ----------
+    sensor : mi.Sensor
+    """
+
+    def __init__(self, sensor: Any) -> None:
+        self._sensor, self._eye = sensor, Eye(sensor)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._sensor, name)
+
+    def sample_direction(self, it: Any, sample: Any, active: Any = True) -> tuple[Any, Any]:
+        """Where it is from a point, and its importance; as `mi.Sensor.sample_direction`."""
+        ds, _ = self._sensor.sample_direction(it, sample, active)
+        _, weight, place, visible = self._eye.sees(it.p)
+        within = visible & dr.all((place >= 0.0) & (place <= 1.0))
+        return ds, mi.Spectrum(dr.select(active & within, weight / math.prod(self._sensor.film().crop_size()), 0.0))
 
 
 @dataclass(frozen=True)
@@ -43,17 +70,19 @@ class Silhouettes:
         """
         if not scene.silhouette_shapes():
             return None
+        sensor = self.sensor
         with dr.suspend_grad():
             if self.part == "sppp":
-                integrator.proj_detail.init_primarily_visible_silhouette(scene, self.sensor)
+                integrator.proj_detail.init_primarily_visible_silhouette(scene, sensor)
                 draw = integrator.render_primarily_visible_silhouette
             else:
-                integrator.proj_detail.init_indirect_silhouette(scene, self.sensor, GUIDE ^ seed)
+                sensor = _Shifted(sensor) if is_shifted(sensor) else sensor
+                integrator.proj_detail.init_indirect_silhouette(scene, sensor, GUIDE ^ seed)
                 draw = integrator.render_indirect_silhouette
             sampler, number = integrator.prepare(self.sensor, SEEDS[self.part] ^ seed, samples, integrator.aov_names())
         lamps = lamps_hit() if self.part == "sppi" else nullcontext()
         with lamps, samples_taken() as taken:
-            draw(scene, self.sensor, sampler, 1)  # by whose number it is divided below, or each would be compiled anew
+            draw(scene, sensor, sampler, 1)  # by whose number it is divided below, or each would be compiled anew
         if not taken:
             return None
         (sample,) = taken

@@ -10,7 +10,7 @@ import pytest
 from loi_mitsuba import MitsubaRenderer, Translate
 from loi_mitsuba.received import Received
 from tests.helpers import Host
-from tests.mitsuba.scenes import HEIGHT, WIDTH, shadow_scene
+from tests.mitsuba.scenes import HEIGHT, WIDTH, box, shadow_scene
 
 MOVES: dict[str, Any] = {"x": Translate("ball", (1, 0, 0)), "z": Translate("ball", (0, 0, 1))}
 HERE = {name: np.float32(0.0) for name in MOVES}
@@ -58,10 +58,15 @@ def test_it_is_that_of_finite_differences(kind: str, monkeypatch: pytest.MonkeyP
     assert np.linalg.norm(without - wanted) > 0.1 * size
 
 
-def test_a_ball_alone_receives_no_shadow(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Not from the lamp either, whose far side the ray to a point of its rim may seem to come from."""
+@pytest.mark.parametrize("boxed", [False, True], ids=["ball", "box"])
+def test_what_bulges_everywhere_receives_no_shadow_of_its_own(boxed: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Not from the lamp either, whose far side the ray to a point of its rim may seem to come from.
+
+    Nor at the outline of a box, where rounding has rays hit the side that is turned away, from within.
+    """
     lamp = {"type": "sphere", "center": [1.5, 5.0, 1.0], "radius": 0.6, "emitter": {"type": "area", "radiance": 60.0}}
-    scene = shadow_scene(**DIRECT, ball=ball(0.0, 1.0, 0.0, 0.6), lamp=lamp)
+    thing = box((0.0, 1.0, 0.0), 0.6) if boxed else ball(0.0, 1.0, 0.0, 0.6)
+    scene = shadow_scene(**DIRECT, ball=thing, lamp=lamp)
     weight = np.ones((HEIGHT, WIDTH, 3), np.float32)
     found = MitsubaRenderer(scene, MOVES, integrator=SHADOWS).pull(HERE, weight)
     monkeypatch.setattr(Received, "of", lambda *_: None)

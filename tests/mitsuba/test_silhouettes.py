@@ -88,6 +88,30 @@ def test_a_crop_window_has_the_gradient_of_that_part_of_the_whole_film(part: str
     assert window == pytest.approx(whole, abs=4.0 * error)
 
 
+@pytest.mark.parametrize("part", ["sppp", "sppi"])
+def test_a_camera_whose_principal_point_is_aside_has_the_gradient_of_that_part_of_a_wider_film(part: str) -> None:
+    """Mitsuba's own has no shadows in what would be out of view if it were in the middle."""
+    aside = WIDTH // 4
+    wider = WIDTH + 2 * aside
+    ramp = np.linspace(-1.0, 1.0, WIDTH, dtype=np.float32)[None, :, None]
+    given = np.broadcast_to(ramp, (HEIGHT, WIDTH, 3))
+    weight = np.pad(given, ((0, 0), (2 * aside, 0), (0, 0)))
+    whole, moved = ball_in_view(width=wider), ball_in_view()
+    for scene in (whole, moved):
+        scene["ball"]["to_world"] = mi.ScalarTransform4f().translate([4.0, 1.5, 0.0]).scale(0.6)
+    half = np.tan(np.radians(moved["sensor"]["fov"] / 2.0)) * wider / WIDTH
+    whole["sensor"]["fov"] = float(2.0 * np.degrees(np.arctan(half)))
+    moved["sensor"]["principal_point_offset_x"] = aside / WIDTH
+    drawn = []
+    for scene, cotangent in ((whole, weight), (moved, given)):
+        renderer = MitsubaRenderer(scene, MOVES, integrator=integrator("direct_projective", part, 256))
+        drawn.append([float(renderer.pull({"x": np.float32(0.0)}, cotangent, seed=seed)["x"]) for seed in range(16)])
+    wanted, found = np.mean(drawn, axis=1)
+    error = float(np.linalg.norm(np.std(drawn, axis=1, ddof=1)) / np.sqrt(16.0))
+    assert abs(wanted) > 8.0 * error
+    assert found == pytest.approx(wanted, abs=4.0 * error)
+
+
 @pytest.mark.usefixtures("kernel_history")
 @pytest.mark.parametrize("part", ["sppp", "sppi"])
 def test_rays_are_traced_once_for_a_gradient_and_once_for_the_change_of_the_image(
