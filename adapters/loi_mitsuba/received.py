@@ -27,9 +27,7 @@ __all__ = ["Received"]
 
 ASIDE: Final = 0.25  # pixels between the two points of a shadow's edge that give its direction
 REACH: Final = 0.3  # pixels to either side in which the second of them is looked for
-CLEAR: Final = (
-    0.01  # pixels from an outline: at it, rounding has rays hit the far side of what is closed, which is dark
-)
+CLEAR: Final = 0.01  # pixels from an outline, at which rounding has rays hit the dark far side of what is closed
 NEAR: Final = 0.05  # pixels between the two ends that a line is narrowed to: farther, and depth jumps there
 
 

@@ -38,7 +38,7 @@ class _Shifted:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._sensor, name)
 
-    def sample_direction(self, it: Any, sample: Any, active: Any = True) -> tuple[Any, Any]:
+    def sample_direction(self, it: Any, sample: Any, active: Any) -> tuple[Any, Any]:
         """Where it is from a point, and its importance; as `mi.Sensor.sample_direction`."""
         ds, _ = self._sensor.sample_direction(it, sample, active)
         _, weight, place, visible = self._eye.sees(it.p)
