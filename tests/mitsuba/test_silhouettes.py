@@ -72,20 +72,25 @@ def test_the_gradient_is_that_of_mitsuba(kind: str, part: str, film: dict[str, A
     assert found == pytest.approx(wanted, rel=1e-4)  # sums of some ten thousand float32
 
 
+def check_same_gradient(part: str, draws: int, *views: tuple[dict[str, Any], Host]) -> None:
+    """Of two scenes, each with a cotangent of its image, within the errors of means over draws."""
+    drawn = []
+    for scene, weight in views:
+        renderer = MitsubaRenderer(scene, MOVES, integrator=integrator("direct_projective", part, 256))
+        drawn.append([float(renderer.pull({"x": np.float32(0.0)}, weight, seed=seed)["x"]) for seed in range(draws)])
+    wanted, found = np.mean(drawn, axis=1)
+    error = float(np.linalg.norm(np.std(drawn, axis=1, ddof=1)) / np.sqrt(draws))
+    assert abs(wanted) > 8.0 * error
+    assert found == pytest.approx(wanted, abs=4.0 * error)
+
+
 @pytest.mark.parametrize("part", ["sppp", "sppi"])
 def test_a_crop_window_has_the_gradient_of_that_part_of_the_whole_film(part: str) -> None:
     """Mitsuba's own is that of a part which is further right and down by where the window begins."""
     rows, columns = (slice(CROP[f"crop_offset_{axis}"], -CROP[f"crop_offset_{axis}"]) for axis in "yx")
     weight = np.zeros((HEIGHT, WIDTH, 3), np.float32)
     weight[rows, columns] = np.linspace(-1.0, 1.0, WIDTH)[None, columns, None]
-    drawn = []
-    for film, given in (({}, weight), (CROP, weight[rows, columns])):
-        renderer = MitsubaRenderer(ball_in_view(**film), MOVES, integrator=integrator("direct_projective", part, 256))
-        drawn.append([float(renderer.pull({"x": np.float32(0.0)}, given, seed=seed)["x"]) for seed in range(6)])
-    whole, window = np.mean(drawn, axis=1)
-    error = float(np.linalg.norm(np.std(drawn, axis=1, ddof=1)) / np.sqrt(6.0))
-    assert abs(whole) > 8.0 * error
-    assert window == pytest.approx(whole, abs=4.0 * error)
+    check_same_gradient(part, 6, (ball_in_view(), weight), (ball_in_view(**CROP), weight[rows, columns]))
 
 
 @pytest.mark.parametrize("part", ["sppp", "sppi"])
@@ -102,14 +107,7 @@ def test_a_camera_whose_principal_point_is_aside_has_the_gradient_of_that_part_o
     half = np.tan(np.radians(moved["sensor"]["fov"] / 2.0)) * wider / WIDTH
     whole["sensor"]["fov"] = float(2.0 * np.degrees(np.arctan(half)))
     moved["sensor"]["principal_point_offset_x"] = aside / WIDTH
-    drawn = []
-    for scene, cotangent in ((whole, weight), (moved, given)):
-        renderer = MitsubaRenderer(scene, MOVES, integrator=integrator("direct_projective", part, 256))
-        drawn.append([float(renderer.pull({"x": np.float32(0.0)}, cotangent, seed=seed)["x"]) for seed in range(16)])
-    wanted, found = np.mean(drawn, axis=1)
-    error = float(np.linalg.norm(np.std(drawn, axis=1, ddof=1)) / np.sqrt(16.0))
-    assert abs(wanted) > 8.0 * error
-    assert found == pytest.approx(wanted, abs=4.0 * error)
+    check_same_gradient(part, 16, (whole, weight), (moved, given))
 
 
 @pytest.mark.usefixtures("kernel_history")
