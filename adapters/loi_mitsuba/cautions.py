@@ -32,6 +32,7 @@ CURVES: Final = ("BSplineCurve", "LinearCurve")
 WITH_ALPHA: Final = (2, 4)  # channels
 CHOICES: Final = {"MaskBSDF": "opacity", "BlendBSDF": "weight"}
 COLOURS: Final = ("specular_reflectance", "specular_transmittance", "eta", "k")
+MAPS: Final = ("BumpMap", "NormalMap")
 GRID: Final = 64  # places of the image along either side
 LIFTED: Final = 1e-3  # of a shape's extent: what it may be lifted by
 CROWDED: Final = 0.05  # of a mesh's edges, by length: what its gradient may be off by
@@ -136,6 +137,12 @@ def _cautions_in_view(scene: Any, sensor: Any, shapes: list[Any]) -> Iterator[st
         )
     if curves := _ids(each, lambda shape: shape.class_name() in CURVES):
         yield f"{clause(curves, 'is a curve', 'are curves')}, and Mitsuba's gradient of how its outline moves is wrong"
+    if mapped := _ids(each, has_mapped_normals):
+        yield (
+            f"{clause(mapped, 'has', 'have')} a bump or normal map, where brightness jumps as a normal turns away from "
+            f"the camera or the light, and at every texel of a bump map, and Mitsuba has no gradient of such steps; "
+            f"leave the map out, or expect a gradient of a wrong size"
+        )
     if stepped := _ids(each, has_steps):
         yield (
             f"{clause(stepped, 'has', 'have')} a texture with steps (a checkerboard, or a bitmap of filter_type "
@@ -219,6 +226,15 @@ def misses_entry(called: Names, target: str) -> str:
 def is_crowded(shape: Any) -> bool:
     """Whether Mitsuba counts so many of a shape's edges several times that its gradient is well off."""
     return crowded_share(shape) > CROWDED
+
+
+def has_mapped_normals(shape: Any) -> bool:
+    """Whether a shape has a bump or normal map.
+
+    A bump map's bitmap is interpolated linearly, and its slopes, of which the normals are made, not at all. And what is
+    shaded by a normal that is turned away is black, however bright it is beside.
+    """
+    return any(node.class_name() in MAPS for node in mi.traverse(shape).hierarchy)
 
 
 def lets_through(shape: Any) -> bool:

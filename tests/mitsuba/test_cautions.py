@@ -94,6 +94,20 @@ def test_steps_of_a_texture_that_moves_are_warned_of(
     assert any("a texture with steps" in str(one.message) for one in recwarn) == told
 
 
+@pytest.mark.parametrize("kind", ["bumpmap", "normalmap"])
+@pytest.mark.parametrize("sides", ["one", "two"])
+def test_maps_of_normals_that_move_are_warned_of(kind: str, sides: str, recwarn: pytest.WarningsRecorder) -> None:
+    """As for a ball whose normals all lean by 30 degrees, whose gradient is up to 2.9 times that by differences."""
+    slopes = np.random.default_rng(0).random((5, 7, 1 if kind == "bumpmap" else 3), dtype=np.float32)
+    texture = {"type": "bitmap", "data": mi.TensorXf(slopes), "raw": True}
+    plain = {"type": "diffuse"}
+    for material, told in (({"type": kind, kind: texture, "nested": plain}, True), (plain, False)):
+        bsdf = material if sides == "one" else {"type": "twosided", "nested": material}
+        recwarn.clear()
+        MitsubaRenderer(shadow_scene(ball={"type": "sphere", "bsdf": bsdf}), {"x": Translate("ball", (1, 0, 0))})
+        assert any("'ball' has a bump or normal map" in str(one.message) for one in recwarn) == told
+
+
 def smooth(vertices: Host, faces: Host, *, flat: bool = False) -> Any:
     """A mesh with normals as Mitsuba gives those that bring none."""
     settings = mi.Properties()
