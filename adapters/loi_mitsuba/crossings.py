@@ -17,7 +17,8 @@ import numpy as np
 
 from loi_mitsuba.boxes import corners_of
 from loi_mitsuba.eye import NEARLY, brighter, is_plain, lift_of, sampler_of
-from loi_mitsuba.lines import STEP, Lines, narrowed, shape_of
+from loi_mitsuba.lines import STEP, Lines, narrowed
+from loi_mitsuba.parts import Parts
 
 __all__ = ["Crossings"]
 
@@ -38,7 +39,7 @@ class _Hit:
     p, n : mi.Point3f, mi.Normal3f
         Where, and the normal there.
     shape : mi.UInt32
-        The number of its shape; 0 for none.
+        The number of its shape, or of the part of a mesh; 0 for none.
     """
 
     t: Any
@@ -56,19 +57,28 @@ class Crossings:
         A perspective camera.
     shapes : list of mi.Shape
         Those that move.
+    parts : Parts
+        Of these, and of all others.
     """
 
-    def __init__(self, sensor: Any, shapes: list[Any]) -> None:
+    def __init__(self, sensor: Any, shapes: list[Any], parts: Parts) -> None:
         self._sensor = sensor
         self._shapes = shapes
+        self._parts = parts
         self._lines = Lines(sensor)
 
     @classmethod
     def of(cls, scene: Any, sensor: Any, shapes: Iterable[Any]) -> Crossings | None:
-        """Those of shapes that move with all others of a scene; None where there are none, or it is not plain."""
+        """Those of shapes that move, with all others of a scene and of a mesh's parts with each other.
+
+        None where there are none, or the scene is not plain.
+        """
         own = scene.shapes()
         moving = [one for one in dict.fromkeys(shapes) if one in own]
-        return cls(sensor, moving) if moving and len(own) > 1 and is_plain(scene, sensor) else None
+        if not moving or not is_plain(scene, sensor):
+            return None
+        parts = Parts(own, moving)
+        return cls(sensor, moving, parts) if len(own) > 1 or parts.meet else None
 
     def jumps(self, scene: Any, integrator: Any, samples: int, seed: int) -> tuple[Any, Any] | None:
         """At crossings, 0 with how it changes: the jump times how far the crossing moves; and places. None without."""
@@ -105,7 +115,9 @@ class Crossings:
         return dr.select(active, self._lines.mean(-jump, samples), 0.0) * moved, middle / self._lines.size
 
     def _may_meet(self, scene: Any) -> bool:
-        """Whether the box of a shape that moves touches that of another."""
+        """Whether the box of a shape that moves touches that of another, or its own parts touch."""
+        if self._parts.meet:
+            return True
         every = scene.shapes()
         low, high = np.stack([corners_of(one) for one in every], axis=1)
         moving = [every.index(one) for one in self._shapes]
@@ -117,7 +129,7 @@ class Crossings:
         """Lines that begin at one shape and end at another: their ends, in pixels, and their directions."""
         first, along = self._lines.drawn(samples, seed)
         second = first + along
-        before, after = self._lines.seen(scene, first), self._lines.seen(scene, second)
+        before, after = self._seen(scene, first), self._seen(scene, second)
         which = dr.compress((before != 0) & (after != 0) & (before != after))
         if dr.width(which) == 0:
             return None
@@ -125,8 +137,8 @@ class Crossings:
 
     def _narrowed(self, scene: Any, first: Any, second: Any, along: Any) -> tuple[Any, Any, Any]:
         """The same lines, from the last point that sees the first shape to the next that does not."""
-        shape = self._lines.seen(scene, first)
-        first, second = narrowed(first, second, lambda at: self._lines.seen(scene, at) == shape)
+        shape = self._seen(scene, first)
+        first, second = narrowed(first, second, lambda at: self._seen(scene, at) == shape)
         return first, second, along
 
     def _slope(self, scene: Any, near: _Hit, far: _Hit, middle: Any, along: Any) -> tuple[Any, Any]:
@@ -145,8 +157,12 @@ class Crossings:
 
     def _shows(self, scene: Any, near: _Hit, far: _Hit, middle: Any, way: Any) -> Any:
         """Whether the first shape is seen on one side of a crossing, and the second on the other."""
-        before, after = self._lines.seen(scene, middle - way), self._lines.seen(scene, middle + way)
+        before, after = self._seen(scene, middle - way), self._seen(scene, middle + way)
         return (before == near.shape) & (after == far.shape)
+
+    def _seen(self, scene: Any, at: Any) -> Any:
+        """The number of the shape or part that a place in pixels sees; 0 for none."""
+        return self._parts.of(scene.ray_intersect_preliminary(self._lines.ray(at)))
 
     def _aside(self, hit: _Hit, middle: Any) -> Any:
         """Pixels from a crossing to where brightness is looked up: rays that start there see what is around it."""
@@ -170,7 +186,7 @@ class Crossings:
         ray.o = self._lines.eye + ray.d * (depth + (1.0 - AROUND) * behind)
         ray.maxt = 2.0 * AROUND * behind
         active = active & (behind > 0.0)
-        return active & (shape_of(scene.ray_intersect_preliminary(ray, active=active)) == hidden.shape)
+        return active & (self._parts.of(scene.ray_intersect_preliminary(ray, active=active)) == hidden.shape)
 
     def _depth(self, hit: _Hit, at: Any) -> Any:
         """How far away the plane of what was hit is, where a place in pixels looks."""
@@ -190,7 +206,7 @@ class Crossings:
             part = (number >= k * count) & (number < (k + 1) * count)
             at = dr.select(part, dr.gather(mi.Point2f, end, number - k * count, part), at)
         found = scene.ray_intersect(self._lines.ray(at))
-        shape = shape_of(found)
+        shape = self._parts.of(found)
         each = [dr.arange(mi.UInt32, lines) + k * count for k in range(len(ends))]
         return [
             _Hit(

@@ -18,7 +18,8 @@ import numpy as np
 from loi_mitsuba.eye import BESIDE, NEARLY, Eye, brighter, is_plain, sampler_of
 from loi_mitsuba.handles import Host
 from loi_mitsuba.lines import number_of, shape_of
-from loi_mitsuba.seams import edges_of, has_sides
+from loi_mitsuba.overlaps import pieces_of
+from loi_mitsuba.seams import edges_of, has_sides, sides_of
 
 __all__ = ["Edges"]
 
@@ -51,13 +52,15 @@ class Edges:
         self._params = [(str(shape.class_name()), mi.traverse(shape)) for shape in shapes]
         places = [np.array(_positions(*one)).reshape(-1, 3) for one in self._params]
         first = np.cumsum([0, *map(len, places[:-1])])
-        found = [_edges_of(shape) for shape in shapes]
+        found = [_pieces_of(shape, place) for shape, place in zip(shapes, places, strict=True)]
         ends, third = (
             np.concatenate([one[k] + start for one, start in zip(found, first, strict=True)]) for k in (0, 1)
         )
         self._ends, self._third = (
             [mi.UInt32(np.ascontiguousarray(one, dtype=np.uint32)) for one in every.T] for every in (ends, third)
         )
+        between = np.concatenate([one[2] for one in found])
+        self._between = [mi.Float(np.ascontiguousarray(one, dtype=np.float32)) for one in between.T]
         counts = [len(one[0]) for one in found]
         self._shape = mi.UInt32(np.repeat([number_of(one) for one in shapes], counts).astype(np.uint32))
         width, height = sensor.film().crop_size()
@@ -88,7 +91,8 @@ class Edges:
         first, second, *third = (
             dr.gather(mi.Point3f, positions, dr.gather(mi.UInt32, one, index)) for one in (*self._ends, *self._third)
         )
-        point = dr.lerp(first, second, along)
+        low, high = (dr.gather(mi.Float, one, index) for one in self._between)
+        point = dr.lerp(first, second, dr.lerp(low, high, along))
         place = eye.sees(point)[2]
         with dr.suspend_grad():
             point, edge = dr.detach(point), dr.detach(second - first)
@@ -109,7 +113,8 @@ class Edges:
             for end in ends:
                 active &= ~self._is_hidden(scene, end, eye, distance, own, active)
             jump = brighter(self._sensor, integrator, scene, ends, active, sampler)
-            density = drawn.eval_pmf_normalized(index) * count / dr.norm(edge)  # points to a unit of length
+            # Points to a unit of length.
+            density = drawn.eval_pmf_normalized(index) * count / (dr.norm(edge) * (high - low))
             pixels_each = length / (2.0 * STEP * distance * density)
         moved = dr.dot(across, place * self._size)
         moved = dr.select(active, moved - dr.detach(moved), 0.0)
@@ -133,7 +138,7 @@ class Edges:
         one, other = (
             dr.dot(across, eye.sees((first + second + each) / 3.0)[2] * self._size - middle) for each in third
         )
-        length = dr.norm(second - first)
+        length = dr.norm(second - first) * (self._between[1] - self._between[0])
         outline = dr.select(one * other > 0.0, length, 0.0)
         shares = [each / dr.maximum(dr.sum(each), 1e-30) for each in (length, outline)]
         return mi.DiscreteDistribution(shares[0] + shares[1])
@@ -174,10 +179,20 @@ def _positions(kind: str, params: Any) -> Any:
     return dr.ravel(params["to_world"] @ mi.Point3f(np.ascontiguousarray(FLAT[kind].T, dtype=np.float32)))
 
 
+def _pieces_of(shape: Any, places: Host) -> tuple[Host, Host, Host]:
+    """The edges of a shape, each line of them once: as of :func:`_edges_of`, and where each piece begins and ends.
+
+    `places` are those of its vertices, shape (n, 3).
+    """
+    ends, third = _edges_of(shape)
+    which, between = pieces_of(places, ends)
+    return ends[which], third[which], between
+
+
 def _edges_of(shape: Any) -> tuple[Host, Host]:
     """As :func:`edges_of`, of a rectangle or disk as well."""
     if shape.class_name() not in FLAT:
-        return edges_of(shape)
+        return edges_of(shape, sides_of(shape))
     count = len(FLAT[shape.class_name()])
     first = np.arange(count)
     ends: Host = np.stack([first, (first + 1) % count], axis=1)

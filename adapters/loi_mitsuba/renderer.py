@@ -34,6 +34,7 @@ from loi_mitsuba.loading import (
     use_variant,
 )
 from loi_mitsuba.named import NamedParameters, host_numbers
+from loi_mitsuba.overlaps import Once
 from loi_mitsuba.received import Received
 from loi_mitsuba.silhouettes import Silhouettes
 from loi_mitsuba.untrusted import SceneLoadError, check_types
@@ -123,6 +124,7 @@ class MitsubaRenderer:
         moving = self._named.moving(self._able)
         self._crossings = Crossings.of(self._scene, self._sensor, moving)
         self._received = Received.of(self._scene, self._sensor, moving)
+        self._once = Once.of(moving)
         self._film = Film(self._sensor.film())
         known = [] if self._edges is None else self._edges.shapes
         self._sided = frozenset(name for name in self._able if any(one in known for one in self._named.moving([name])))
@@ -274,7 +276,7 @@ class MitsubaRenderer:
         own, outlines, shadows = self._integrator, self._samples_of("sppp"), self._samples_of("sppi")
         drawn: list[tuple[Jumping, Any, int, tuple[str, ...]]] = [
             (Silhouettes(self._sensor, self._film, "sppp"), own, outlines, round_ones),
-            (Silhouettes(self._sensor, self._film, "sppi"), own, shadows, moving),
+            (Silhouettes(self._sensor, self._film, "sppi", self._once), own, shadows, moving),
         ]
         if self._received is not None:
             drawn.append((self._received, own, shadows, moving))

@@ -17,6 +17,7 @@ from loi_core.support.arrays import Host
 from loi_mitsuba.boxes import corners_of
 
 __all__ = [
+    "boxes_of",
     "crowded_share",
     "edges_of",
     "has_seams",
@@ -27,6 +28,8 @@ __all__ = [
     "is_inside_out",
     "is_rounded",
     "merge_seams",
+    "parts_of",
+    "sides_of",
 ]
 
 SURFACE: Final = 1024  # points of a shape, for where its normals point
@@ -64,18 +67,56 @@ def has_sides(shape: Any) -> bool:
     return bool(np.any(turn > CREASE))
 
 
-def edges_of(shape: Any) -> tuple[Host, Host]:
-    """All edges of a mesh at which it bends or ends, as numbers of vertices, shape (n, 2).
+def sides_of(shape: Any) -> Host:
+    """All edges of a mesh at which it bends or ends, as pairs of sides of triangles, shape (n, 2).
 
-    First their ends; then the third corners of the two triangles that meet there, the same one twice where one ends.
+    Sides are numbered 3 a triangle, in their order. Of an edge at which a triangle ends, it is the same one twice.
     """
     pairs, alone = _meetings(shape)
     params = mi.traverse(shape)
-    faces = _faces(params)
-    bent = _bent(params, faces, pairs)
-    sides = np.concatenate([bent, np.stack([alone, alone], axis=1)])
+    bent = _bent(params, _faces(params), pairs)
+    return np.concatenate([bent, np.stack([alone, alone], axis=1)])
+
+
+def edges_of(shape: Any, sides: Host) -> tuple[Host, Host]:
+    """Edges of a mesh, given as by :func:`sides_of`, as numbers of vertices, shape (n, 2).
+
+    First their ends; then the third corners of the two triangles that meet there, the same one twice where one ends.
+    """
+    faces = _faces(mi.traverse(shape))
     ends = np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
     return np.asarray(ends[sides[:, 0]]), np.asarray(np.roll(faces, -2, axis=1).ravel()[sides])
+
+
+def parts_of(shape: Any) -> Host:
+    """The number of the part that each triangle of a mesh belongs to, from 0, shape (m,).
+
+    Triangles are of one part where they meet at an edge at which no others do.
+    """
+    pairs, _ = _meetings(shape)
+    count = len(_faces(mi.traverse(shape)))
+    first, second = pairs.T // 3
+    part = np.arange(count)
+    while True:
+        least = np.minimum(part[first], part[second])
+        joined = part.copy()
+        for side in (first, second):
+            np.minimum.at(joined, part[side], least)  # of the triangles that the parts are called after
+            np.minimum.at(joined, side, least)
+        joined = joined[joined]
+        if np.array_equal(joined, part):
+            return np.unique(part, return_inverse=True)[1].reshape(-1)
+        part = joined
+
+
+def boxes_of(shape: Any, part: Host) -> tuple[Host, Host]:
+    """The lower and upper corners of the boxes around a mesh's parts, of which `part` has numbers: shape (parts, 3)."""
+    params = mi.traverse(shape)
+    corners = np.array(params["vertex_positions"], dtype=np.float64).reshape(-1, 3)[_faces(params)]
+    low, high = (np.full((int(part.max(initial=-1)) + 1, 3), sign * np.inf) for sign in (1.0, -1.0))
+    np.minimum.at(low, part, corners.min(axis=1))
+    np.maximum.at(high, part, corners.max(axis=1))
+    return low, high
 
 
 def crowded_share(shape: Any) -> float:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from contextlib import nullcontext
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
@@ -13,6 +14,7 @@ import mitsuba as mi
 from loi_mitsuba.eye import Eye, is_shifted
 from loi_mitsuba.film import Film
 from loi_mitsuba.lamp import lamps_hit
+from loi_mitsuba.overlaps import Once
 from loi_mitsuba.samples import in_colours, samples_taken
 
 __all__ = ["Silhouettes"]
@@ -57,11 +59,14 @@ class Silhouettes:
         Of the camera.
     part : str
         "sppp", outlines in view, or "sppi", those of what is seen in mirrors, or hides light.
+    once : Once or None
+        Of "sppi", which points of the edges of meshes count.
     """
 
     sensor: Any
     film: Film
     part: Literal["sppp", "sppi"]
+    once: Once | None = None
 
     def jumps(self, scene: Any, integrator: Any, samples: int, seed: int) -> tuple[Any, Any] | None:
         """At points of silhouettes, 0 with how it changes: the jump times how far they move; and places. None without.
@@ -81,7 +86,7 @@ class Silhouettes:
                 draw = integrator.render_indirect_silhouette
             sampler, number = integrator.prepare(self.sensor, SEEDS[self.part] ^ seed, samples, integrator.aov_names())
         lamps = lamps_hit() if self.part == "sppi" else nullcontext()
-        with lamps, samples_taken() as taken:
+        with lamps, self._counted(integrator), samples_taken() as taken:
             draw(scene, sensor, sampler, 1)  # by whose number it is divided below, or each would be compiled anew
         if not taken:
             return None
@@ -89,3 +94,22 @@ class Silhouettes:
         value = in_colours(sample["value"], sample["wavelengths"], active=sample["active"])
         value = dr.select(sample["active"], value, 0.0) / dr.opaque(mi.Float, number * self.film.sampled)
         return value, dr.detach(sample["pos"]) / mi.Point2f(*map(float, self.film.size))
+
+    @contextmanager
+    def _counted(self, integrator: Any) -> Iterator[None]:
+        """Of edges of a mesh that run along each other, the integrator finds one meanwhile."""
+        once = self.once
+        if once is None:
+            yield
+            return
+        found = integrator.sample_importance
+
+        def sample_importance(scene: Any, sensor: Any, drawn: Any, *rest: Any) -> Any:
+            *before, active = rest
+            return found(scene, sensor, drawn, *before, active & once.counts(drawn))
+
+        integrator.sample_importance = sample_importance
+        try:
+            yield
+        finally:
+            del integrator.sample_importance

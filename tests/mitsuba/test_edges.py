@@ -12,7 +12,7 @@ import pytest
 import trimesh
 
 from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, Rotate, Scale, Translate
-from loi_mitsuba.seams import edges_of, has_sides, is_flat
+from loi_mitsuba.seams import edges_of, has_sides, is_flat, sides_of
 from tests.helpers import Host
 from tests.mitsuba.outlines import check_outlines, glow, glowing_scene
 from tests.mitsuba.scenes import HEIGHT, WIDTH, box, shadow_scene
@@ -215,15 +215,13 @@ def test_edges_are_where_a_mesh_bends_or_ends(tmp_path: Path) -> None:
         made = loaded(cube(kind, tmp_path))
         assert has_sides(made)
         assert is_flat(made)
-        assert edges_of(made)[0].shape == (12, 2)  # without the diagonals of its sides
+        assert edges_of(made, sides_of(made))[0].shape == (12, 2)  # without the diagonals of its sides
     assert not has_sides(smooth)
     assert not has_sides(loaded({"type": "sphere"}))
     assert not has_sides(loaded({"type": "rectangle"}))
     trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 0, 1]], [[0, 1, 2], [0, 3, 1]]).export(tmp_path / "open.ply")
-    assert edges_of(loaded({"type": "ply", "filename": str(tmp_path / "open.ply"), "face_normals": True}))[0].shape == (
-        5,
-        2,
-    )
+    opened = loaded({"type": "ply", "filename": str(tmp_path / "open.ply"), "face_normals": True})
+    assert edges_of(opened, sides_of(opened))[0].shape == (5, 2)
 
 
 def test_a_fine_mesh_with_sides_keeps_the_edges_that_its_outline_is_made_of(tmp_path: Path) -> None:
@@ -232,7 +230,7 @@ def test_a_fine_mesh_with_sides_keeps_the_edges_that_its_outline_is_made_of(tmp_
     block = {"type": "ply", "filename": str(tmp_path / "can.ply"), "face_normals": True}
     can = mi.load_dict({"type": "scene", "block": block}, optimize=False).shapes()[0]
     assert has_sides(can)
-    along = np.array(mi.traverse(can)["vertex_positions"]).reshape(-1, 3)[edges_of(can)[0]]
+    along = np.array(mi.traverse(can)["vertex_positions"]).reshape(-1, 3)[edges_of(can, sides_of(can))[0]]
     upright = np.all(np.abs(np.diff(along, axis=1)[:, 0, :2]) < 1e-6, axis=1)
     assert np.count_nonzero(upright) == 200
 

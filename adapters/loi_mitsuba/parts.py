@@ -1,0 +1,66 @@
+"""What rays have hit, by number, where a mesh is of several parts that may go through each other."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from loi_core.support.arrays import Host
+from loi_mitsuba.lines import number_of, shape_of
+from loi_mitsuba.seams import boxes_of, parts_of
+
+__all__ = ["Parts"]
+
+MOST: Final = (
+    1000  # parts of a mesh: of more, every box is not compared with every other one, and they are taken to meet
+)
+
+
+class Parts:
+    """The numbers of shapes and, where a mesh is of several parts that meet, of each of its parts.
+
+    Parameters
+    ----------
+    shapes : sequence of mi.Shape
+        All of a scene.
+    moving : sequence of mi.Shape
+        Those of whose parts there is to be told.
+
+    Attributes
+    ----------
+    meet : bool
+        Whether there are meshes whose parts may go through each other.
+    """
+
+    def __init__(self, shapes: Sequence[Any], moving: Sequence[Any]) -> None:
+        meshes = [one for one in moving if isinstance(one, mi.Mesh) and "faces" in mi.traverse(one)]
+        parts = {number_of(one): part for one in meshes if _meet(one, part := parts_of(one))}
+        self.meet = bool(parts)
+        self._shapes = 1 + max(map(number_of, shapes), default=0)
+        first = np.zeros(self._shapes, dtype=np.uint32)
+        first[list(parts)] = 1 + np.cumsum([0, *(len(one) for one in parts.values())])[:-1]
+        labels = np.concatenate([[0], *parts.values()]).astype(np.uint32)
+        self._first, self._labels = mi.UInt32(first), mi.UInt32(labels)
+
+    def of(self, hit: Any) -> Any:
+        """The number of the shape that a ray has hit, or of its part; 0 for none."""
+        number = shape_of(hit)
+        if not self.meet:
+            return number
+        first = dr.gather(mi.UInt32, self._first, number)
+        part = dr.gather(mi.UInt32, self._labels, first - 1 + hit.prim_index, first > 0)
+        return number + part * dr.opaque(mi.UInt32, self._shapes)
+
+
+def _meet(mesh: Any, part: Host) -> bool:
+    """Whether the boxes of any two of a mesh's parts touch."""
+    count = int(part.max(initial=0)) + 1
+    if not 1 < count <= MOST:
+        return count > 1
+    low, high = boxes_of(mesh, part)
+    touch = np.all((low[:, None] <= high) & (low <= high[:, None]), axis=-1)
+    return bool(np.count_nonzero(touch) > count)
