@@ -51,7 +51,7 @@ class Parts:
         number = shape_of(hit)
         if not self.meet:
             return number
-        first = dr.gather(mi.UInt32, self._first, number)
+        first = dr.gather(mi.UInt32, self._first, number, number < dr.width(self._first))  # or else in a shapegroup
         part = dr.gather(mi.UInt32, self._labels, first - 1 + hit.prim_index, first > 0)
         return number + part * dr.opaque(mi.UInt32, self._shapes)
 
