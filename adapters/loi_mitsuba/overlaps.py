@@ -15,9 +15,7 @@ from loi_mitsuba.seams import edges_of, sides_of
 
 __all__ = ["Once", "pieces_of"]
 
-CLOSE: Final = (
-    1e-5  # of the mesh's extent, between lines that are one: much more than rounding, and than any bevel less
-)
+CLOSE: Final = 1e-5  # of the mesh's extent, between lines that are one: more than rounding, less than any bevel
 ALIKE: Final = 1e-4  # between their unit directions
 SHIFTS: Final = (0.0, 0.5)  # of the cells that lines are sorted into: what one cuts apart, the other does not
 MIXED: Final = np.random.default_rng(0).integers(-(2**62), 2**62, 6)  # odds of two cells having one product: 2**-63
@@ -51,7 +49,8 @@ class Once:
     def counts(self, drawn: Any) -> Any:
         """Whether points of silhouettes do, an ``mi.SilhouetteSample3f``."""
         number = shape_of(drawn)
-        known = number < dr.width(self._first)
+        # As a literal, kernels would be compiled again for each other number.
+        known = number < dr.opaque(mi.UInt32, dr.width(self._first))
         first = dr.gather(mi.UInt32, self._first, number, known)
         known &= first > 0
         edge = drawn.projection_index

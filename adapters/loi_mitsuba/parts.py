@@ -15,9 +15,7 @@ from loi_mitsuba.seams import boxes_of, parts_of
 
 __all__ = ["Parts"]
 
-MOST: Final = (
-    1000  # parts of a mesh: of more, every box is not compared with every other one, and they are taken to meet
-)
+MOST: Final = 1000  # parts of a mesh whose boxes are compared; those of more are taken to meet
 
 
 class Parts:
@@ -51,9 +49,10 @@ class Parts:
         number = shape_of(hit)
         if not self.meet:
             return number
-        first = dr.gather(mi.UInt32, self._first, number, number < dr.width(self._first))  # or else in a shapegroup
+        shapes = dr.opaque(mi.UInt32, self._shapes)  # or kernels would be compiled again for each other number
+        first = dr.gather(mi.UInt32, self._first, number, number < shapes)  # what is more is in a shapegroup
         part = dr.gather(mi.UInt32, self._labels, first - 1 + hit.prim_index, first > 0)
-        return number + part * dr.opaque(mi.UInt32, self._shapes)
+        return number + part * shapes
 
 
 def _meet(mesh: Any, part: Host) -> bool:
