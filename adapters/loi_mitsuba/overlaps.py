@@ -88,7 +88,7 @@ def pieces_of(positions: Host, ends: Host) -> tuple[Host, Host]:
     Returns
     -------
     which : array (pieces,)
-        Numbers of edges. An edge that others cover has no piece, every other one has one.
+        Numbers of edges, in their order. An edge that others cover has no piece, every other one has one.
     between : array (pieces, 2)
         Where each piece begins and ends, as shares of the way along its edge, 0 to 1.
     """
@@ -112,7 +112,8 @@ def pieces_of(positions: Host, ends: Host) -> tuple[Host, Host]:
         cut = left > spans[kept, 0]
         which, between, start, size = which[kept], between[kept], start[kept], size[kept]
         between[cut, np.where(size[cut] > 0.0, 0, 1)] = np.clip((left - start)[cut] / size[cut], 0.0, 1.0)
-    return which, between
+    order = np.argsort(which)  # of the edges: where none is cut, nothing is otherwise
+    return which[order], between[order]
 
 
 def _uncovered(line: Host, spans: Host, least: float) -> tuple[Host, Host]:
