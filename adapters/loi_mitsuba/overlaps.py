@@ -11,7 +11,7 @@ import numpy as np
 
 from loi_core.support.arrays import Host
 from loi_mitsuba.lines import number_of, shape_of
-from loi_mitsuba.seams import edges_of, sides_of
+from loi_mitsuba.seams import edges_of, has_triangles, sides_of
 
 __all__ = ["Once", "pieces_of"]
 
@@ -41,7 +41,7 @@ class Once:
     @classmethod
     def of(cls, shapes: Iterable[Any]) -> Once | None:
         """Of those of some shapes that are meshes with such edges; None without."""
-        meshes = [one for one in dict.fromkeys(shapes) if isinstance(one, mi.Mesh) and "faces" in mi.traverse(one)]
+        meshes = filter(has_triangles, dict.fromkeys(shapes))
         found = {number_of(one): _of_sides(one) for one in meshes}
         pieces = {number: each for number, each in found.items() if each is not None}
         return cls(pieces) if pieces else None

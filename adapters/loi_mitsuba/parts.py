@@ -11,7 +11,7 @@ import numpy as np
 
 from loi_core.support.arrays import Host
 from loi_mitsuba.lines import number_of, shape_of
-from loi_mitsuba.seams import boxes_of, parts_of
+from loi_mitsuba.seams import boxes_of, has_triangles, parts_of
 
 __all__ = ["Parts"]
 
@@ -35,7 +35,7 @@ class Parts:
     """
 
     def __init__(self, shapes: Sequence[Any], moving: Sequence[Any]) -> None:
-        meshes = [one for one in moving if isinstance(one, mi.Mesh) and "faces" in mi.traverse(one)]
+        meshes = filter(has_triangles, moving)
         parts = {number_of(one): part for one in meshes if _meet(one, part := parts_of(one))}
         self.meet = bool(parts)
         self._shapes = 1 + max(map(number_of, shapes), default=0)

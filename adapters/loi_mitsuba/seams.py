@@ -22,6 +22,7 @@ __all__ = [
     "edges_of",
     "has_seams",
     "has_sides",
+    "has_triangles",
     "is_closed",
     "is_flat",
     "is_hard",
@@ -54,9 +55,14 @@ def has_seams(shape: Any) -> bool:
     return _borders(place[faces]) < _borders(faces)
 
 
+def has_triangles(shape: Any) -> bool:
+    """Whether a shape is a mesh that says what its triangles are: a rectangle is a mesh of Mitsuba's that does not."""
+    return isinstance(shape, mi.Mesh) and "faces" in mi.traverse(shape)
+
+
 def has_sides(shape: Any) -> bool:
     """Whether shading jumps between triangles of a shape that meet, as between the sides of a box."""
-    if not isinstance(shape, mi.Mesh) or "faces" not in mi.traverse(shape):
+    if not has_triangles(shape):
         return False
     pairs, _ = _meetings(shape)
     corners = _corner_normals(shape).reshape(-1, 3)
@@ -124,7 +130,7 @@ def crowded_share(shape: Any) -> float:
 
     Those are edges at which more than two triangles meet, and borders that run along others (T-junctions).
     """
-    if not isinstance(shape, mi.Mesh) or "faces" not in mi.traverse(shape):
+    if not has_triangles(shape):
         return 0.0
     params = mi.traverse(shape)
     positions = np.array(params["vertex_positions"], dtype=np.float64).reshape(-1, 3)
@@ -230,7 +236,7 @@ def is_hard(shape: Any) -> bool:
 
 def is_rounded(shape: Any) -> bool:
     """Whether much of a mesh is shaded as if its sharp edges were round, as a box of eight vertices without normals."""
-    if not isinstance(shape, mi.Mesh) or "faces" not in mi.traverse(shape):
+    if not has_triangles(shape):
         return False
     params = mi.traverse(shape)
     faces = _faces(params)
