@@ -17,8 +17,8 @@ import numpy as np
 
 from loi_mitsuba.eye import BESIDE, NEARLY, Eye, brighter, is_plain, sampler_of
 from loi_mitsuba.handles import Host
-from loi_mitsuba.lines import number_of, shape_of
 from loi_mitsuba.overlaps import pieces_of
+from loi_mitsuba.rows import number_of, shape_of
 from loi_mitsuba.seams import edges_of, has_sides, sides_of
 
 __all__ = ["Edges"]

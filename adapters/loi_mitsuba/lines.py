@@ -11,8 +11,9 @@ import numpy as np
 
 from loi_mitsuba.boxes import corners_of
 from loi_mitsuba.eye import Eye, sampler_of
+from loi_mitsuba.rows import shape_of
 
-__all__ = ["STEP", "Lines", "narrowed", "number_of", "shape_of"]
+__all__ = ["STEP", "Lines", "narrowed"]
 
 SHARE: Final = 4  # samples of the image for one line across and one down
 MOST: Final = 2**22  # lines of one direction: in large images curves are long, and fewer to a pixel will do
@@ -95,16 +96,6 @@ class Lines:
     def seen(self, scene: Any, at: Any) -> Any:
         """The number of the shape that a place in pixels sees; 0 for none."""
         return shape_of(scene.ray_intersect_preliminary(self.ray(at)))
-
-
-def shape_of(hit: Any) -> Any:
-    """The number of the shape that a ray has hit; 0 for none."""
-    return dr.select(hit.is_valid(), dr.reinterpret_array(mi.UInt32, hit.shape), 0)
-
-
-def number_of(shape: Any) -> int:
-    """The number that :func:`shape_of` gives of a shape."""
-    return int(np.array(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))).item())
 
 
 def narrowed(first: Any, second: Any, is_first: Callable[[Any], Any]) -> tuple[Any, Any]:

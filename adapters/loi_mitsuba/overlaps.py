@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from loi_core.support.arrays import Host
-from loi_mitsuba.lines import number_of, shape_of
+from loi_mitsuba.rows import Rows, number_of, shape_of
 from loi_mitsuba.seams import edges_of, has_triangles, sides_of
 
 __all__ = ["Once", "pieces_of"]
@@ -32,10 +32,8 @@ class Once:
     """
 
     def __init__(self, pieces: dict[int, Host]) -> None:
-        first = np.zeros(1 + max(pieces), dtype=np.uint32)
-        first[list(pieces)] = 1 + np.cumsum([0, *(len(one) for one in pieces.values())])[:-1]
         low, high = np.concatenate(list(pieces.values())).astype(np.float32).T
-        self._first = mi.UInt32(first)
+        self._rows = Rows({number: len(one) for number, one in pieces.items()})
         self._low, self._high = mi.Float(np.ascontiguousarray(low)), mi.Float(np.ascontiguousarray(high))
 
     @classmethod
@@ -48,13 +46,9 @@ class Once:
 
     def counts(self, drawn: Any) -> Any:
         """Whether points of silhouettes do, an ``mi.SilhouetteSample3f``."""
-        number = shape_of(drawn)
-        # As a literal, kernels would be compiled again for each other number.
-        known = number < dr.opaque(mi.UInt32, dr.width(self._first))
-        first = dr.gather(mi.UInt32, self._first, number, known)
-        known &= first > 0
+        first, known = self._rows.of(shape_of(drawn))
         edge = drawn.projection_index
-        side = first - 1 + 3 * drawn.prim_index + edge
+        side = first + 3 * drawn.prim_index + edge
         low, high = (dr.gather(mi.Float, one, side, known) for one in (self._low, self._high))
         u, v = drawn.uv.x, drawn.uv.y
         along = dr.select(edge == 0, u, dr.select(edge == 1, v, 1.0 - u - v))

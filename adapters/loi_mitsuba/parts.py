@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from loi_core.support.arrays import Host
-from loi_mitsuba.lines import number_of, shape_of
+from loi_mitsuba.rows import Rows, number_of, shape_of
 from loi_mitsuba.seams import boxes_of, has_triangles, parts_of
 
 __all__ = ["Parts"]
@@ -39,10 +39,8 @@ class Parts:
         parts = {number_of(one): part for one in meshes if _meet(one, part := parts_of(one))}
         self.meet = bool(parts)
         self._shapes = 1 + max(map(number_of, shapes), default=0)
-        first = np.zeros(self._shapes, dtype=np.uint32)
-        first[list(parts)] = 1 + np.cumsum([0, *(len(one) for one in parts.values())])[:-1]
-        labels = np.concatenate([[0], *parts.values()]).astype(np.uint32)
-        self._first, self._labels = mi.UInt32(first), mi.UInt32(labels)
+        self._rows = Rows({number: len(one) for number, one in parts.items()})
+        self._labels = mi.UInt32(np.concatenate([[], *parts.values()]).astype(np.uint32))
 
     def of(self, hit: Any) -> Any:
         """The number of the shape that a ray has hit, or of its part; 0 for none."""
@@ -50,8 +48,8 @@ class Parts:
         if not self.meet:
             return number
         shapes = dr.opaque(mi.UInt32, self._shapes)  # or kernels would be compiled again for each other number
-        first = dr.gather(mi.UInt32, self._first, number, number < shapes)  # what is more is in a shapegroup
-        part = dr.gather(mi.UInt32, self._labels, first - 1 + hit.prim_index, first > 0)
+        first, known = self._rows.of(number)
+        part = dr.gather(mi.UInt32, self._labels, first + hit.prim_index, known)
         return number + part * shapes
 
 

@@ -20,7 +20,8 @@ import numpy as np
 from loi_mitsuba.eye import is_plain, lift_of, sampler_of
 from loi_mitsuba.horizons import LEAST
 from loi_mitsuba.lamp import lamps_hit
-from loi_mitsuba.lines import STEP, Lines, narrowed, number_of, shape_of
+from loi_mitsuba.lines import STEP, Lines, narrowed
+from loi_mitsuba.rows import number_of, shape_of
 from loi_mitsuba.samples import in_colours
 
 __all__ = ["Received"]

@@ -137,6 +137,34 @@ def test_a_mesh_is_of_as_many_parts_as_hang_together(tmp_path: Path) -> None:
         assert sorted(np.bincount(parts_of(shape)).tolist()) == counts
 
 
+def test_what_a_ray_hits_is_told_by_part(tmp_path: Path) -> None:
+    """Of each triangle of two meshes in one scene, seen from close in front of it."""
+    two_bars().export(tmp_path / "bars.ply")
+    bars = [
+        {"type": "ply", "filename": str(tmp_path / "bars.ply"), "to_world": PLACE().translate([0, 0, depth])}
+        for depth in (0.0, 5.0)
+    ]
+    scene = mi.load_dict({"type": "scene", "one": bars[0], "other": bars[1]})
+    shapes = scene.shapes()
+    parts = Parts(shapes, shapes)
+    told, hits = set(), 0
+    for place, shape in enumerate(shapes):
+        params = mi.traverse(shape)
+        corners = np.array(params["vertex_positions"]).reshape(-1, 3)[np.array(params["faces"]).reshape(-1, 3)]
+        normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        normals /= np.linalg.norm(normals, axis=1, keepdims=True)
+        start = [0.3, 0.3, 0.4] @ corners + 1e-4 * normals
+        ray = mi.Ray3f(*(of(np.ascontiguousarray(one.T)) for of, one in ((mi.Point3f, start), (mi.Vector3f, -normals))))
+        hit = scene.ray_intersect_preliminary(ray)
+        triangles = np.array(hit.prim_index)
+        hits += len(set(triangles.tolist()))  # not all: of two in one plane it is one
+        numbers = np.array(parts.of(hit))
+        told |= {(place, part, number) for part, number in np.stack([parts_of(shape)[triangles], numbers]).T.tolist()}
+    assert hits > 40
+    assert len(told) == 4
+    assert len({number for _, _, number in told}) == 4
+
+
 def test_only_parts_whose_boxes_touch_are_told_apart() -> None:
     ball = trimesh.creation.icosphere(1)
     ball.apply_translation([5, 0, 0])
