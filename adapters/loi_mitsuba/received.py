@@ -15,13 +15,12 @@ from typing import Any, Final
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
 from loi_mitsuba.eye import is_plain, lift_of, sampler_of
 from loi_mitsuba.horizons import LEAST
 from loi_mitsuba.lamp import lamps_hit
 from loi_mitsuba.lines import STEP, Lines, narrowed
-from loi_mitsuba.rows import number_of, shape_of
+from loi_mitsuba.rows import Rows, number_of, shape_of
 from loi_mitsuba.samples import in_colours
 
 __all__ = ["Received"]
@@ -132,10 +131,7 @@ class Received:
     def __init__(self, sensor: Any, shapes: list[Any]) -> None:
         self._lines = Lines(sensor)
         self._shapes = shapes
-        numbers = [number_of(one) for one in shapes]
-        moves = np.zeros(max(numbers) + 1, dtype=bool)
-        moves[numbers] = True
-        self._moves = mi.Bool(moves)
+        self._moves = Rows({number_of(one): 1 for one in shapes})
 
     @classmethod
     def of(cls, scene: Any, sensor: Any, shapes: Iterable[Any]) -> Received | None:
@@ -265,8 +261,7 @@ class Received:
 
     def _moving(self, shape: Any) -> Any:
         """Whether the shape of a number moves."""
-        known = shape < dr.width(self._moves)
-        return known & dr.gather(mi.Bool, self._moves, shape, known)
+        return self._moves.of(shape)[1]
 
     @staticmethod
     def _faces(si: Any, light: _Light) -> Any:
