@@ -127,8 +127,7 @@ class Crossings:
 
     def _changes(self, scene: Any, samples: int, seed: int) -> tuple[Any, Any, Any] | None:
         """Lines that begin at one shape and end at another: their ends, in pixels, and their directions."""
-        first, along = self._lines.drawn(samples, seed)
-        second = first + along
+        first, second, along = self._lines.drawn(scene, samples, seed)
         before, after = self._seen(scene, first), self._seen(scene, second)
         which = dr.compress((before != 0) & (after != 0) & (before != after))
         if dr.width(which) == 0:

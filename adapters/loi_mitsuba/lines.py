@@ -18,6 +18,8 @@ __all__ = ["STEP", "Lines", "narrowed"]
 SHARE: Final = 4  # samples of the image for one line across and one down
 MOST: Final = 2**22  # lines of one direction: in large images curves are long, and fewer to a pixel will do
 HALVINGS: Final = 16  # of a line
+PIECES: Final = 4  # of a line that may pass over something narrow: an eighth finds hardly more
+BENT: Final = 0.9  # least cosine between normals at its ends, for one that does not
 STEP: Final = 0.05  # pixels to either side, for a slope
 
 
@@ -49,8 +51,8 @@ class Lines:
         """What lines have found, as a change of the image."""
         return value / dr.opaque(mi.Float, self.number(samples))
 
-    def drawn(self, samples: int, seed: int, pixels: Any = None) -> tuple[Any, Any]:
-        """Where lines begin, in pixels, at random, and their directions: also left of and above the film.
+    def drawn(self, scene: Any, samples: int, seed: int, pixels: Any = None) -> tuple[Any, Any, Any]:
+        """Where lines begin and end, in pixels, at random, and their directions: also left of and above the film.
 
         `pixels` are those that :meth:`around` gives, or all.
         """
@@ -62,7 +64,26 @@ class Lines:
             pixel = dr.gather(mi.UInt32, pixels, pixel)
         sampler = sampler_of(seed, dr.width(number))
         first = mi.Point2f(pixel % width, pixel // width) - 1.0 + sampler.next_2d()
-        return first, dr.select(number % 2 == 0, mi.Vector2f(1.0, 0.0), mi.Vector2f(0.0, 1.0))
+        return self._split(scene, first, dr.select(number % 2 == 0, mi.Vector2f(1.0, 0.0), mi.Vector2f(0.0, 1.0)))
+
+    def _split(self, scene: Any, first: Any, along: Any) -> tuple[Any, Any, Any]:
+        """The same lines, in pieces where their ends see two shapes, or what is turned to two sides.
+
+        Of what is between them and narrower than a line, as a side of a box that is seen nearly edge-on, neither end
+        would tell.
+        """
+        one, other = (
+            scene.ray_intersect(self.ray(at), ray_flags=mi.RayFlags.Minimal, coherent=True)
+            for at in (first, first + along)
+        )
+        bent = (shape_of(one) != shape_of(other)) | (one.is_valid() & (dr.dot(one.n, other.n) < BENT))
+        dr.eval(bent)  # or rays are traced again for what follows
+        piece = dr.arange(mi.UInt32, PIECES * dr.width(bent))
+        piece = dr.compress((piece % PIECES == 0) | dr.gather(mi.Bool, bent, piece // PIECES))
+        line = piece // PIECES
+        first, along, bent = (dr.gather(type(one), one, line) for one in (first, along, bent))
+        first = mi.Point2f(first + dr.select(bent, mi.Float(piece % PIECES) / PIECES, 0.0) * along)
+        return first, mi.Point2f(first + dr.select(bent, 1.0 / PIECES, 1.0) * along), along
 
     def around(self, shapes: list[Any]) -> Any:
         """Pixels from which lines may reach some shapes; those of all lines where one is beside or behind the camera.

@@ -175,8 +175,7 @@ class Received:
         pixels = self._lines.around(self._shapes)
         if dr.width(pixels) == 0:
             return None
-        first, along = self._lines.drawn(samples, seed, pixels)
-        second = mi.Point2f(first + along)
+        first, second, along = self._lines.drawn(scene, samples, seed, pixels)
         one, other = self._lines.seen(scene, first), self._lines.seen(scene, second)
         # Where a line sees two shapes that move, it is taken for either, half of the time.
         two = self._moving(one) & self._moving(other) & (one != other)

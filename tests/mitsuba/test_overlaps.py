@@ -28,6 +28,16 @@ BARS = (((0.0, 0.0), (1.2, 0.3)), ((0.0, 0.0), (0.3, 1.2)))
 OUTLINE = ((0.0, 0.0), (1.2, 0.0), (1.2, 0.3), (0.3, 0.3), (0.3, 1.2), (0.0, 1.2))
 
 
+LIGHTS: dict[str, dict[str, Any]] = {
+    "lamp": {
+        "type": "sphere",
+        "to_world": PLACE().translate([-2, 9, 5]).scale(0.7),
+        "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 60.0}},
+    },
+    "sky": {"type": "constant"},
+}
+
+
 def two_bars() -> trimesh.Trimesh:
     """With two sides in one plane each, and along one line edges that are longer and shorter."""
     made = []
@@ -55,18 +65,13 @@ def one_body() -> trimesh.Trimesh:
     return trimesh.Trimesh(corners, np.concatenate([front, front[:, ::-1] - count, sides]), process=False)
 
 
-def renderer_of(mesh: trimesh.Trimesh, folder: Path) -> Any:
-    """Hovering over a floor, under a lamp, so that edges in view and those of the shadow are all to be seen."""
+def renderer_of(mesh: trimesh.Trimesh, folder: Path, light: str) -> Any:
+    """Hovering over a floor, so that edges in view and those of the shadow are all to be seen."""
     folder.mkdir()
     mesh.export(folder / "block.ply")
     place = PLACE().translate([-0.8, 0.7, 1.2]).rotate([0.2, -1, 0], 35).scale(2)
     block = {"type": "ply", "filename": str(folder / "block.ply"), "face_normals": True, "to_world": place}
-    lamp = {
-        "type": "sphere",
-        "to_world": PLACE().translate([-2, 9, 5]).scale(0.7),
-        "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 60.0}},
-    }
-    scene = shadow_scene(integrator={"type": "path", "max_depth": 2}, block=block, lamp=lamp)
+    scene = shadow_scene(integrator={"type": "path", "max_depth": 2}, block=block, lamp=LIGHTS[light])
     del scene["ball"]
     return PlannedRenderer(scene, MOVES, spp=128, blur=None).unabridged
 
@@ -78,13 +83,17 @@ def gradients(renderer: Any, weights: list[Host]) -> Host:
     return np.array(drawn, dtype=np.float64)
 
 
-def test_parts_that_overlap_have_the_gradient_of_one_body(tmp_path: Path) -> None:
-    """Edges along which both have one counted twice, or four times, and the crease between them not at all."""
+@pytest.mark.parametrize("light", LIGHTS)
+def test_parts_that_overlap_have_the_gradient_of_one_body(light: str, tmp_path: Path) -> None:
+    """Edges along which both have one counted twice, or four times, and the crease between them not at all.
+
+    An edge of one bar in a side of the other threw a shadow on it, of light that comes from everywhere.
+    """
     rows, columns = np.mgrid[:HEIGHT, :WIDTH]
     bumps = [np.exp(-((rows - row) ** 2 + (columns - column) ** 2) / 50.0)[..., None] for row, column in SEEN]
     weights = [np.asarray(bump * np.array([0.1, 0.07, -0.04]), dtype=np.float32) for bump in bumps]
     found, wanted = (
-        gradients(renderer_of(mesh, tmp_path / name), weights)
+        gradients(renderer_of(mesh, tmp_path / name, light), weights)
         for name, mesh in (("bars", two_bars()), ("body", one_body()))
     )
     unsure = np.sqrt((np.var(found, axis=0, ddof=1) + np.var(wanted, axis=0, ddof=1)) / DRAWS)
