@@ -9,7 +9,7 @@ how that moves.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -25,10 +25,12 @@ from loi_mitsuba.samples import in_colours
 
 __all__ = ["Received"]
 
-ASIDE: Final = 0.25  # pixels between the two points of a shadow's edge that give its direction
-REACH: Final = 0.3  # pixels to either side in which the second of them is looked for
+ASIDE: Final = 0.05  # pixels between the two points of a shadow's edge that give its direction
+REACH: Final = 0.06  # pixels to either side in which the second of them is looked for
 CLEAR: Final = 0.01  # pixels from an outline, at which rounding has rays hit the dark far side of what is closed
 NEAR: Final = 0.05  # pixels between the two ends that a line is narrowed to: farther, and depth jumps there
+
+_Within = Callable[[Any], Callable[[Any], Any]]  # for lines of some numbers, what says whether places on them are in it
 
 
 @dataclass(frozen=True)
@@ -189,15 +191,23 @@ class Received:
         first, second, along, turn, shape, weight, within = (
             dr.gather(type(part), part, which) for part in (first, second, along, turn, shape, weight, within)
         )
-        first, second = self._cut(scene, first, second, turn, shape, dr.compress(~within))
+        first, second = self._cut(first, second, turn, dr.compress(~within), self._sees(scene, shape))
         sampler = sampler_of(seed + 2, dr.width(first))
         si = scene.ray_intersect(self._lines.ray(first))
         light = _Light.drawn(scene, si, sampler.next_2d())
         end = scene.ray_intersect(self._lines.ray(second))
-        lit, after = self._lit(scene, si, light), self._lit(scene, end, light)
         # What is turned away from light has no edge of a shadow there, for no light is lost.
-        facing = self._faces(si, light) & self._faces(end, light)
-        which = dr.compress((dr.max(light.power) > 0.0) & (lit != after) & facing)
+        facing, turn = self._faces(si, light), self._faces(end, light)
+        which = dr.compress((dr.max(light.power) > 0.0) & (facing | turn))
+        if dr.width(which) == 0:
+            return None
+        first, second, along, weight, facing, turn = (
+            dr.gather(type(part), part, which) for part in (first, second, along, weight, facing, turn)
+        )
+        light = light.gathered(which)
+        first, second = self._cut(first, second, turn, dr.compress(facing != turn), self._is_faced(scene, light))
+        lit = self._lit_at(scene, first, light)
+        which = dr.compress(lit != self._lit_at(scene, second, light))
         if dr.width(which) == 0:
             return None
         first, second, along, lit, weight = (
@@ -205,19 +215,40 @@ class Received:
         )
         return _Found(first, second, along, lit, weight, light.gathered(which))
 
-    def _cut(self, scene: Any, first: Any, second: Any, turn: Any, shape: Any, which: Any) -> tuple[Any, Any]:
-        """Lines as far as they see a shape, of which some see it only at one end, and not quite to its outline."""
+    def _cut(self, first: Any, second: Any, turn: Any, which: Any, within: _Within) -> tuple[Any, Any]:
+        """Lines as far as they are within something, and not quite to where it ends.
+
+        Those of some numbers have one end in it, the second if `turn` says so.
+        """
         if dr.width(which) == 0:
             return first, second
-        turned, shape = dr.gather(mi.Bool, turn, which), dr.gather(mi.UInt32, shape, which)
+        turned = dr.gather(mi.Bool, turn, which)
         low, high = (dr.gather(type(end), end, which) for end in (first, second))
         start, outside = dr.select(turned, high, low), dr.select(turned, low, high)
-        inside, _ = narrowed(start, outside, lambda at: self._lines.seen(scene, at) == shape)
+        inside, _ = narrowed(start, outside, within(which))
         inside = dr.lerp(inside, start, CLEAR / dr.maximum(dr.norm(start - inside), CLEAR))
         first, second = mi.Point2f(first), mi.Point2f(second)
         dr.scatter(first, dr.select(turned, inside, low), which)
         dr.scatter(second, dr.select(turned, high, inside), which)
         return first, second
+
+    def _sees(self, scene: Any, shape: Any) -> _Within:
+        """Whether lines see the shape of a number at places."""
+
+        def within(which: Any) -> Callable[[Any], Any]:
+            own = dr.gather(mi.UInt32, shape, which)
+            return lambda at: self._lines.seen(scene, at) == own
+
+        return within
+
+    def _is_faced(self, scene: Any, light: _Light) -> _Within:
+        """Whether what lines see at places is turned to their light."""
+
+        def within(which: Any) -> Callable[[Any], Any]:
+            own = light.gathered(which)
+            return lambda at: self._faces(scene.ray_intersect(self._lines.ray(at)), own)
+
+        return within
 
     def _narrowed(self, scene: Any, first: Any, second: Any, light: _Light, lit: Any) -> tuple[Any, Any]:
         """Lines narrowed to where lit and unlit meet."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import mitsuba as mi
 import numpy as np
 import pytest
 
@@ -56,6 +57,25 @@ def test_it_is_that_of_finite_differences(kind: str, monkeypatch: pytest.MonkeyP
     monkeypatch.setattr(Received, "of", lambda *_: None)
     without, _ = slopes_of(MitsubaRenderer(scene, MOVES, spp=64), weight, 8)
     assert np.linalg.norm(without - wanted) > 0.1 * size
+
+
+def test_it_does_not_depend_on_how_fine_an_image_is() -> None:
+    """Of a box two pixels wide, whose front is turned away from the light, no less is found than of one of sixteen."""
+    place = mi.ScalarTransform4f().translate([1.0, 6.0, -5.0]).scale(0.5)
+    lamp = {"type": "sphere", "to_world": place, "emitter": {"type": "area", "radiance": 100.0}}
+    found = []
+    for finer in (1, 8):
+        scene = shadow_scene(ball=box((0.0, 1.0, 0.0), 0.6), other=ball(0.45, 2.3, -0.9, 0.4), lamp=lamp)
+        width, height = 12 * finer, 9 * finer
+        scene["sensor"]["film"] |= {"width": width, "height": height}
+        shadows = SHADOWS | {"sppi": 4096 // finer**2}
+        renderer = MitsubaRenderer(scene, {"y": Translate("ball", (0, 1, 0))}, integrator=shadows)
+        weight = np.full((height, width, 3), 1.0 / (width * height), np.float32)
+        drawn = [float(renderer.pull({"y": np.float32(0.0)}, weight, seed=seed)["y"]) for seed in range(16)]
+        found.append((np.mean(drawn), np.std(drawn, ddof=1) / 4.0))
+    (coarse, one), (fine, other) = found
+    assert other < 0.1 * abs(fine)
+    assert abs(coarse - fine) < 3.0 * np.hypot(one, other)
 
 
 @pytest.mark.parametrize("boxed", [False, True], ids=["ball", "box"])
