@@ -28,6 +28,7 @@ __all__ = ["Received"]
 ASIDE: Final = 0.05  # pixels between the two points of a shadow's edge that give its direction
 REACH: Final = 0.06  # pixels to either side in which the second of them is looked for
 CLEAR: Final = 0.01  # pixels from an outline, at which rounding has rays hit the dark far side of what is closed
+GRAZING: Final = 1e-3  # cosine of light that a surface may seem to hide from itself, since rays are lifted off surfaces
 NEAR: Final = 0.05  # pixels between the two ends that a line is narrowed to: farther, and depth jumps there
 
 _Within = Callable[[Any], Callable[[Any], Any]]  # for lines of some numbers, what says whether places on them are in it
@@ -297,7 +298,7 @@ class Received:
     def _faces(si: Any, light: _Light) -> Any:
         """Whether what a ray has hit is turned to the light on the side that the ray came from."""
         way, _ = light.way(si.p)
-        return dr.dot(si.n, way) * dr.dot(si.n, si.to_world(si.wi)) > 0.0
+        return dr.dot(si.n, way) * dr.sign(dr.dot(si.n, si.to_world(si.wi))) > GRAZING
 
     @staticmethod
     def _lit(scene: Any, si: Any, light: _Light) -> Any:

@@ -111,7 +111,7 @@ class Silhouettes:
         def sample_importance(scene: Any, sensor: Any, drawn: Any, *rest: Any) -> Any:
             *before, active = rest
             if once is not None:
-                active &= once.counts(drawn)
+                active = active & once.counts(drawn)  # not in place, which would change the integrator's own
             back = mi.SilhouetteSample3f(drawn)
             back.d = -drawn.d
             ray = back.spawn_ray()
