@@ -25,7 +25,7 @@ import numpy as np
 from loi_core import LOIObjective, Objective, PixelL2, ScaleSpace
 from loi_core.renderers import BlurredRenderer
 from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, Translate  # before mitsuba
-from loi_mitsuba.exchanges import MOVING
+from loi_mitsuba.proxy.substitutions import MOVING
 
 # isort: split
 import mitsuba as mi

@@ -23,7 +23,7 @@ import mitsuba as mi
 from benchmarks.edges import mean_and_error
 from examples.effects.parts import GREY, ball, camera, diffuse, floor, lamp
 from loi_core.support.markdown import markdown
-from loi_mitsuba.received import Received
+from loi_mitsuba.boundary.received_shadows import Received
 
 __all__ = ["main"]
 

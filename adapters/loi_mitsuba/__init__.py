@@ -6,7 +6,7 @@ Import this package before `mitsuba`: Dr.Jit loads LLVM while it is imported, an
 # ruff: noqa: E402 - LLVM is chosen before anything imports Dr.Jit
 import importlib.util
 
-from loi_mitsuba.llvm import LLVMChoice, LLVMError, choose_llvm, prepare
+from loi_mitsuba.drjit.llvm import LLVMChoice, LLVMError, choose_llvm, prepare
 
 # Without Mitsuba there is nothing to prepare, and "not installed" says more than that there is no LLVM.
 if importlib.util.find_spec("mitsuba") is None:
@@ -14,17 +14,17 @@ if importlib.util.find_spec("mitsuba") is None:
     raise ModuleNotFoundError(msg, name="mitsuba")
 prepare()
 
-from loi_mitsuba.cautions import GradientWarning
+from loi_mitsuba.diagnostics import GradientWarning
 from loi_mitsuba.effects.capabilities import CAPABILITIES
-from loi_mitsuba.effects.planned import PlannedRenderer
-from loi_mitsuba.effects.planning import plan_effects
+from loi_mitsuba.effects.plan import plan_effects
+from loi_mitsuba.effects.renderer import PlannedRenderer
 from loi_mitsuba.effects.verify import Verification
-from loi_mitsuba.entries import Entry, list_entries
-from loi_mitsuba.handles import Rotate, Scale, Translate
-from loi_mitsuba.loading import SceneLoadError
 from loi_mitsuba.loss import BackendMissingError, LOILoss
-from loi_mitsuba.neighbour import Neighbour
+from loi_mitsuba.proxy.scene import Neighbour
 from loi_mitsuba.renderer import MitsubaRenderer
+from loi_mitsuba.scene.load import SceneLoadError
+from loi_mitsuba.scene.parameters import Entry, list_entries
+from loi_mitsuba.scene.poses import Rotate, Scale, Translate
 
 
 def diagnose() -> list[tuple[str, str]]:

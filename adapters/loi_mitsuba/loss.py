@@ -17,7 +17,7 @@ from loi_core.pixels.nonfinite import NanPolicy
 from loi_core.support.arrays import Array, namespace
 from loi_core.support.installed import how_to_install
 from loi_core.support.wording import shown
-from loi_mitsuba.aligned import ALIGNMENT, aligned
+from loi_mitsuba.drjit.alignment import ALIGNMENT, aligned
 
 __all__ = ["Backend", "BackendMissingError", "LOILoss"]
 

@@ -16,15 +16,15 @@ from loi_core.errors import OptionError, ParameterError
 from loi_core.pixels.encoding import Encoding
 from loi_core.support.values import whole_number
 from loi_core.support.wording import shown
-from loi_mitsuba.carriers import ByJumps, Jumping, Shading
-from loi_mitsuba.cautions import warn_of_entries, warn_of_moving
-from loi_mitsuba.crossings import Crossings
-from loi_mitsuba.edges import Edges
-from loi_mitsuba.entries import Names, Scene, named_scene
-from loi_mitsuba.film import Film
-from loi_mitsuba.handles import Host
-from loi_mitsuba.integrators import PARTS, bordered, integrator_of, leaves_edges_out, settings_of
-from loi_mitsuba.loading import (
+from loi_mitsuba.boundary.edge_sampling import Edges
+from loi_mitsuba.boundary.intersections import Crossings
+from loi_mitsuba.boundary.projective import Silhouettes
+from loi_mitsuba.boundary.received_shadows import Received
+from loi_mitsuba.boundary.terms import ByJumps, Jumping, Shading
+from loi_mitsuba.diagnostics import warn_of_entries, warn_of_moving
+from loi_mitsuba.geometry.coincident_edges import Once
+from loi_mitsuba.scene.binding import NamedParameters, host_numbers
+from loi_mitsuba.scene.load import (
     Target,
     checked_samples,
     checked_targets,
@@ -33,11 +33,11 @@ from loi_mitsuba.loading import (
     one_line,
     use_variant,
 )
-from loi_mitsuba.named import NamedParameters, host_numbers
-from loi_mitsuba.overlaps import Once
-from loi_mitsuba.received import Received
-from loi_mitsuba.silhouettes import Silhouettes
-from loi_mitsuba.untrusted import SceneLoadError, check_types
+from loi_mitsuba.scene.parameters import Names, Scene, named_scene
+from loi_mitsuba.scene.poses import Host
+from loi_mitsuba.scene.safety import SceneLoadError, check_types
+from loi_mitsuba.scene.settings import PARTS, bordered, integrator_of, leaves_edges_out, settings_of
+from loi_mitsuba.sensing.film import Film
 
 __all__ = ["MitsubaRenderer", "seeds_of"]
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, Translate
-from loi_mitsuba.eye import Eye
+from loi_mitsuba.sensing.sensor import Eye
 from tests.mitsuba.outlines import PLACE, check_outlines, glow, glowing_scene
 from tests.mitsuba.scenes import HEIGHT, WIDTH, shadow_scene
 from tests.strategies import thorough

@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from loi_mitsuba import GradientWarning, MitsubaRenderer, Translate
-from loi_mitsuba.crossings import Crossings
+from loi_mitsuba.boundary.intersections import Crossings
 from tests.mitsuba.outlines import AT, MOVES, OUTLINES, PLACE, bump, check_outlines, glow, glowing_scene
 from tests.mitsuba.scenes import shadow_scene
 from tests.strategies import thorough

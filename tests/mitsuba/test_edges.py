@@ -12,7 +12,7 @@ import pytest
 import trimesh
 
 from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, Rotate, Scale, Translate
-from loi_mitsuba.seams import edges_of, has_sides, is_flat, sides_of
+from loi_mitsuba.geometry.mesh import edges_of, has_sides, is_flat, sides_of
 from tests.helpers import Host
 from tests.mitsuba.outlines import check_outlines, glow, glowing_scene
 from tests.mitsuba.scenes import HEIGHT, WIDTH, box, shadow_scene

@@ -14,9 +14,9 @@ import pytest
 from examples.effects.scenes import SUITE
 from loi_core import PixelL2, fit
 from loi_mitsuba import PlannedRenderer, Rotate, Translate
-from loi_mitsuba.effects.traits import objects_of, traits_of
-from loi_mitsuba.entries import Names
-from loi_mitsuba.loading import load_scene
+from loi_mitsuba.scene.load import load_scene
+from loi_mitsuba.scene.parameters import Names
+from loi_mitsuba.traits import objects_of, traits_of
 from tests.helpers import Host
 from tests.mitsuba.scenes import shadow_scene
 

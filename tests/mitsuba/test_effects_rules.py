@@ -22,7 +22,7 @@ from loi_mitsuba import (
     Translate,
     plan_effects,
 )
-from loi_mitsuba.effects.traits import View
+from loi_mitsuba.traits import View
 from tests.mitsuba.scenes import box, shadow_scene
 
 EDGES = {Effect.PRIMARY, Effect.INDIRECT}

@@ -11,7 +11,7 @@ import pytest
 from loi_core import LOIObjective, fit
 from loi_core.errors import OptionError
 from loi_mitsuba import MitsubaRenderer, PlannedRenderer, Rotate, Scale, Translate
-from loi_mitsuba.effects.glass import Glass, Samples
+from loi_mitsuba.attached.dielectrics import Glass, Samples
 from tests.helpers import Host
 from tests.mitsuba.scenes import HEIGHT, WIDTH, shadow_scene
 from tests.mitsuba.test_lamps import RAMP, X, Y, Z, begun, differences

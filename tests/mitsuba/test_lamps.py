@@ -11,7 +11,7 @@ import pytest
 from loi_core import Free, LOIObjective, fit
 from loi_core.errors import OptionError
 from loi_mitsuba import MitsubaRenderer, PlannedRenderer, Rotate, Scale, Translate, plan_effects
-from loi_mitsuba.effects.lamps import Lamps, lamps_of
+from loi_mitsuba.attached.emitters import Lamps, lamps_of
 from tests.helpers import Host
 from tests.mitsuba.scenes import HEIGHT, WIDTH, shadow_scene
 from tests.strategies import thorough

@@ -7,7 +7,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from loi_mitsuba.lines import Lines
+from loi_mitsuba.boundary.segments import Lines
 
 PLACE = mi.ScalarTransform4f
 SIZE = 16

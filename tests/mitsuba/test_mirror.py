@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from loi_mitsuba import PlannedRenderer, Translate
-from loi_mitsuba.lamp import lamps_hit, register_lamp
-from loi_mitsuba.mirror import register_mirror
+from loi_mitsuba.plugins.proxy_bsdf import register_mirror
+from loi_mitsuba.plugins.proxy_emitter import lamps_hit, register_lamp
 from tests.helpers import Host
 from tests.mitsuba.scenes import shadow_scene
 from tests.strategies import thorough

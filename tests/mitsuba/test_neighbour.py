@@ -12,8 +12,8 @@ import pytest
 from loi_core import PixelL2
 from loi_core.errors import OptionError, ParameterError
 from loi_mitsuba import GradientWarning, MitsubaRenderer, Neighbour, PlannedRenderer, Translate, list_entries
-from loi_mitsuba.neighbour import neighbour_of
-from loi_mitsuba.surroundings import Surroundings
+from loi_mitsuba.proxy.light_size import Surroundings
+from loi_mitsuba.proxy.scene import neighbour_of
 from tests.mitsuba.scenes import shadow_scene
 from tests.strategies import thorough
 

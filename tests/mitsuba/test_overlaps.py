@@ -13,9 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from loi_mitsuba import PlannedRenderer, Translate
-from loi_mitsuba.overlaps import pieces_of
-from loi_mitsuba.parts import Parts
-from loi_mitsuba.seams import parts_of
+from loi_mitsuba.geometry.coincident_edges import pieces_of
+from loi_mitsuba.geometry.components import Parts
+from loi_mitsuba.geometry.mesh import parts_of
 from tests.helpers import Host
 from tests.mitsuba.scenes import HEIGHT, WIDTH, shadow_scene
 

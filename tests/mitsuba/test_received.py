@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from loi_mitsuba import MitsubaRenderer, Translate
-from loi_mitsuba.received import Received
+from loi_mitsuba.boundary.received_shadows import Received
 from tests.helpers import Host
 from tests.mitsuba.scenes import HEIGHT, WIDTH, box, shadow_scene
 

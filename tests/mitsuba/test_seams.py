@@ -13,8 +13,8 @@ import trimesh
 
 from loi_core.errors import OptionError
 from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, Rotate, Translate
-from loi_mitsuba.cautions import is_crowded
-from loi_mitsuba.seams import crowded_share, has_seams, is_hard, is_inside_out
+from loi_mitsuba.diagnostics import is_crowded
+from loi_mitsuba.geometry.mesh import crowded_share, has_seams, is_hard, is_inside_out
 from tests.mitsuba.scenes import HEIGHT, WIDTH, box, random_cotangent, shadow_scene
 from tests.strategies import thorough
 

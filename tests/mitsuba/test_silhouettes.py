@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from loi_mitsuba import MitsubaRenderer, Translate
-from loi_mitsuba.horizons import horizons_bounded
-from loi_mitsuba.received import Received
+from loi_mitsuba.boundary.area_jacobian import horizons_bounded
+from loi_mitsuba.boundary.received_shadows import Received
 from loi_mitsuba.renderer import seeds_of
 from tests.helpers import Host
 from tests.mitsuba.scenes import HEIGHT, WIDTH, shadow_scene

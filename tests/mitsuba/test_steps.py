@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, Rotate, Translate
-from loi_mitsuba.loading import parsed
-from loi_mitsuba.nodes import parts_of
-from loi_mitsuba.steps import has_steps, interpolate
+from loi_mitsuba.geometry.stepped_textures import has_steps, interpolate
+from loi_mitsuba.scene.load import parsed
+from loi_mitsuba.scene.queries import parts_of
 from tests.helpers import Host
 from tests.mitsuba.scenes import HEIGHT, WIDTH, shadow_scene
 from tests.strategies import thorough

@@ -11,9 +11,9 @@ import numpy as np
 from loi_core.effects import Draws, Holding
 from loi_core.errors import OptionError
 from loi_core.renderers.blurred import BlurredRenderer
-from loi_mitsuba.effects.probe import APART, Probe
-from loi_mitsuba.handles import Host, Scale
-from loi_mitsuba.loading import Target
+from loi_mitsuba.effects.gradient_draws import APART, Probe
+from loi_mitsuba.scene.load import Target
+from loi_mitsuba.scene.poses import Host, Scale
 
 __all__ = ["Blurring"]
 

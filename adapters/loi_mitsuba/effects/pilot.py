@@ -26,11 +26,11 @@ from loi_core.effects import (
     whole_samples,
 )
 from loi_core.support.wording import listed
-from loi_mitsuba.effects.probe import Probe
+from loi_mitsuba.effects.gradient_draws import Probe
 from loi_mitsuba.effects.rules import DIRECT, EFFECTS, everything, integrator_for, plan_of
-from loi_mitsuba.effects.traits import Traits
-from loi_mitsuba.handles import Host
-from loi_mitsuba.integrators import OWN, PARTS, Settings, settings_of
+from loi_mitsuba.scene.poses import Host
+from loi_mitsuba.scene.settings import OWN, PARTS, Settings, settings_of
+from loi_mitsuba.traits import Traits
 
 __all__ = ["MOST_DRAWS", "Findings", "Pilot"]
 

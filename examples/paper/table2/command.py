@@ -19,7 +19,7 @@ from examples.paper.table2.published import PAPER
 from examples.paper.table2.run import CURVE_STEPS, VARIANT, Run, carry_out
 from examples.paper.table2.savings import savings
 from examples.paper.table2.settings import LABELS, PROTOCOLS, RATES, Method, Setting, many, ours
-from loi_mitsuba.loading import VARIANTS
+from loi_mitsuba.scene.load import VARIANTS
 
 # isort: split
 import mitsuba as mi

@@ -1,0 +1,1 @@
+"""Attached sampling: samples that move with the scene."""

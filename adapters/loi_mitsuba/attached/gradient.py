@@ -1,0 +1,115 @@
+"""The gradient by what is followed: lights that move, and clear glass."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+from loi_core.effects import Draws, Holding
+from loi_core.effects.holding import CLEAR
+from loi_mitsuba.attached.dielectrics import REASON, Glass, glass_of
+from loi_mitsuba.attached.emitters import Lamps, is_shape, lamps_of, reason_of
+from loi_mitsuba.renderer import MitsubaRenderer
+from loi_mitsuba.scene.load import Target
+from loi_mitsuba.scene.parameters import Names
+from loi_mitsuba.scene.poses import Host
+from loi_mitsuba.traits import objects_of
+
+__all__ = ["Followed", "Following"]
+
+DRAWS: Final = 4
+
+
+@dataclass(frozen=True)
+class Followed:
+    """What can be followed in a scene: by parameter, the light or the shape of clear glass that it moves."""
+
+    lights: Mapping[str, Any]
+    glass: Mapping[str, Any]
+
+    @classmethod
+    def of(cls, called: Names, targets: Mapping[str, Target], sensor: Any, *, lights: bool, glass: bool) -> Followed:
+        """Among `targets`, what can be followed of that which is asked for."""
+        return cls(lamps_of(called, targets) if lights else {}, glass_of(called, targets, sensor) if glass else {})
+
+    @property
+    def without_gradient(self) -> frozenset[str]:
+        """The parameters by which Mitsuba has no gradient of use: those of points, and of glass."""
+        points = (name for name, light in self.lights.items() if not is_shape(light))
+        return frozenset((*points, *self.glass))
+
+
+class Following:
+    """The gradient of samples that move with points of lamps, and of glass.
+
+    Parameters
+    ----------
+    renderer : MitsubaRenderer
+        Of the scene, whose values are those of the start.
+    followed : Followed
+        What of it.
+    samples : int
+        Per pixel.
+    """
+
+    def __init__(self, renderer: MitsubaRenderer, followed: Followed, samples: int) -> None:
+        self._targets = renderer.targets
+        self._followed = followed
+        self._lamps = Lamps(renderer, followed.lights, samples)
+        self._glass = Glass(renderer, samples)
+
+    def reason_of(self, name: str) -> str:
+        """What a plan says of the gradient by a parameter."""
+        return REASON if name in self._followed.glass else reason_of(self._followed.lights[name])
+
+    def pull(
+        self, params: Mapping[str, Any], cotangent: Any, *, names: Iterable[str], seed: int = 0
+    ) -> dict[str, Host]:
+        """A cotangent of the image, shape (H, W, C), carried to the parameters `names`."""
+        wanted = tuple(names)
+        lamps = [name for name in wanted if name in self._followed.lights]
+        glass = [name for name in wanted if name in self._followed.glass]
+        pulled = self._lamps.pull(params, cotangent, names=lamps, seed=seed) if lamps else {}
+        return pulled | (self._glass.pull(params, cotangent, names=glass, seed=seed) if glass else {})
+
+    def silent(
+        self, params: Mapping[str, Any], cotangent: Any, *, names: Sequence[str], seed: int = 0
+    ) -> frozenset[str]:
+        """Of `names`, those of lights and shapes by which the gradient is exactly 0, in a few draws."""
+        if not names:
+            return frozenset()
+        draws = self._draws(params, cotangent, names, seed)
+        return frozenset(name for group in self._objects(names) if all(map(draws.zero, group)) for name in group)
+
+    def better(
+        self, own: MitsubaRenderer, params: Mapping[str, Any], cotangent: Any, *, names: Sequence[str], seed: int = 0
+    ) -> frozenset[str]:
+        """Of `names`, those whose gradient is more than noise in a few draws, and of which Mitsuba knows nothing more.
+
+        That is where its `own` gradient, which has all light, differs by no more than its noise.
+        """
+        draws = self._draws(params, cotangent, names, seed)
+        seen = self._seen(draws, names)
+        wanted = tuple(name for name in names if name in seen)
+        if not wanted:
+            return seen
+        every = Draws.of([_of(own.pull(params, cotangent, seed=seed + k), wanted) for k in range(DRAWS)])
+        lacking = every.less(draws)
+        more = {name for name in wanted if lacking.heard(name, CLEAR)}
+        return frozenset(name for group in self._objects(wanted) for name in group if not more & set(group))
+
+    def _draws(self, params: Mapping[str, Any], cotangent: Any, names: Sequence[str], seed: int) -> Draws:
+        return Draws.of([self.pull(params, cotangent, names=names, seed=seed + k) for k in range(DRAWS)])
+
+    def _seen(self, draws: Draws, names: Sequence[str]) -> frozenset[str]:
+        return frozenset(names) - Holding.begun(draws, self._objects(names)).reasons.keys()
+
+    def _objects(self, names: Sequence[str]) -> tuple[tuple[str, ...], ...]:
+        """Names of one light, or of one shape, together."""
+        every = {**self._followed.lights, **self._followed.glass}
+        return objects_of({name: self._targets[name] for name in names}, {name: every[name] for name in names})
+
+
+def _of(pulled: Mapping[str, Host], names: Iterable[str]) -> dict[str, Host]:
+    return {name: pulled[name] for name in names}

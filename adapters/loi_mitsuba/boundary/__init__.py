@@ -1,0 +1,1 @@
+"""Boundary terms of the gradient: one module for each kind of discontinuity."""

@@ -1,0 +1,1 @@
+"""Helpers for Dr.Jit: LLVM, memory and ragged tables."""

@@ -1,0 +1,75 @@
+"""Which effects a scene calls for, without a fit of it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from loi_core.effects import EffectPlan
+from loi_core.objectives.base import Objective
+from loi_mitsuba.effects.renderer import FRACTION, PlannedRenderer
+from loi_mitsuba.proxy.scene import Neighbour
+from loi_mitsuba.scene.load import Target
+from loi_mitsuba.scene.parameters import Scene
+
+__all__ = ["plan_effects"]
+
+
+def plan_effects(
+    scene: dict[str, Any] | str | Path | Scene,
+    optimised: Mapping[str, Target | Mapping[str, Any]],
+    *,
+    objective: Objective | None = None,
+    params: Mapping[str, Any] | None = None,
+    spp: int = 16,
+    fraction: float = FRACTION,
+    sensor: int = 0,
+    seed: int = 0,
+    neighbour: Neighbour | Mapping[str, float] | None = Neighbour(),  # noqa: B008 - frozen
+    blur: Mapping[str, Any] | None = MappingProxyType({}),
+    follow_lights: bool = True,
+    follow_glass: bool = True,
+) -> EffectPlan:
+    """Which effects a scene calls for when these parameters are optimised.
+
+    Parameters
+    ----------
+    scene, optimised, sensor
+        As `scene`, `parameters` and `sensor` of :class:`MitsubaRenderer`.
+    objective : Objective, optional
+        The loss at hand; without one there is no pilot, and the plan is that of the sound rules.
+    params : dict of arrays, optional
+        Where the pilot measures; as the scene has them by default.
+    spp, fraction, neighbour, blur, follow_lights, follow_glass
+        As those of :class:`PlannedRenderer`.
+    seed : int
+        Of the pilot.
+
+    Returns
+    -------
+    EffectPlan
+        ``print`` shows it; :class:`MitsubaRenderer` takes it as its integrator.
+
+    Raises
+    ------
+    SceneLoadError, ParameterError, OptionError
+        As :class:`MitsubaRenderer`.
+    """
+    renderer = PlannedRenderer(
+        scene,
+        optimised,
+        spp=spp,
+        fraction=fraction,
+        sensor=sensor,
+        neighbour=neighbour,
+        blur=blur,
+        follow_lights=follow_lights,
+        follow_glass=follow_glass,
+    )
+    if objective is not None:
+        at = renderer.parameters() if params is None else dict(params)
+        cotangent = objective.value_and_grad(renderer.render(at, seed=seed))[1]
+        renderer.begin(at, cotangent, optimise=list(at), seed=seed)
+    return renderer.plan

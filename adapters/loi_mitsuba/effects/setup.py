@@ -1,0 +1,179 @@
+"""The scene that a plan is made for: what it lacks gradients of, and its neighbour that has some of them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import mitsuba as mi
+
+from loi_core.errors import ParameterError
+from loi_core.renderers.blurred import names_to_blur
+from loi_mitsuba.attached.gradient import Followed
+from loi_mitsuba.effects.rules import plan_by_rules
+from loi_mitsuba.effects.unsupported import missing_gradients
+from loi_mitsuba.geometry.mesh import has_seams, is_flat, is_hard
+from loi_mitsuba.geometry.stepped_textures import has_steps, is_stepped
+from loi_mitsuba.proxy.light_size import Surroundings, lights_of
+from loi_mitsuba.proxy.scene import Found, Moved, Neighbour, neighbour_of
+from loi_mitsuba.proxy_renderer import NeighbouredRenderer, exchanged_targets, targets_of_lights
+from loi_mitsuba.renderer import MitsubaRenderer
+from loi_mitsuba.scene.binding import NamedParameters
+from loi_mitsuba.scene.load import Target, checked_samples, checked_targets, find_sensor, most_samples, use_variant
+from loi_mitsuba.scene.parameters import Names, ancestors, named_scene
+from loi_mitsuba.scene.settings import bordered
+from loi_mitsuba.traits import Traits, View, traits_of
+
+__all__ = ["Base", "base_of"]
+
+
+@dataclass(frozen=True)
+class Base:
+    """A scene by the rules' plan, with its neighbour where what moves calls for one.
+
+    Also what that has exchanged, whether surfaces are left that are perfectly smooth, why which parameters have no
+    gradient, and what can be followed.
+    """
+
+    renderer: MitsubaRenderer
+    exchanged: Mapping[str, str]
+    smooth: bool
+    missing: Mapping[str, str]
+    followed: Followed
+
+
+def base_of(
+    scene: Any,
+    parameters: Any,
+    sensor: int,
+    spp: Any,
+    near: Neighbour,
+    blur: Mapping[str, Any] | None,
+    *,
+    follow_lights: bool,
+    follow_glass: bool,
+) -> Base:
+    """What a plan is made for.
+
+    The film samples its border if need be. The plan comes first, so that warnings of missing gradients are about its
+    integrator.
+    """
+    use_variant()
+    targets = checked_targets(parameters)
+    names = named_scene(scene, targets)
+    found = find_sensor(names.scene, sensor)
+    samples = checked_samples("spp", spp, most_samples(found.film()))
+    missing = _missing(names, targets, found, blur)
+    asked = {} if blur is None or blur.get("names") is None else missing
+    free = {name: target for name, target in targets.items() if name not in asked}
+    followed = Followed.of(names, free, found, lights=follow_lights, glass=follow_glass)
+    images = tuple(name for name in targets if name in missing or name in followed.without_gradient)
+    traits = traits_of(names, {name: target for name, target in targets.items() if name not in images}, found)
+    plan = plan_by_rules(traits, samples)
+    ready = bordered(scene, plan)
+    if ready is not scene:
+        names = named_scene(ready, targets)  # whose objects are others
+        found = find_sensor(names.scene, sensor)
+        followed = Followed.of(names, free, found, lights=follow_lights, glass=follow_glass)
+        traits = traits_of(names, {name: target for name, target in targets.items() if name not in images}, found)
+    options: dict[str, Any] = {"integrator": plan, "spp": spp, "sensor": sensor, "without_gradient": images}
+    own = list(names.scene.shapes())
+    moved = Moved(
+        frozenset(own.index(shape) for shape in traits.moving.values() if shape in own),
+        _split_meshes(names, targets, traits.moving) if near.seams else {},
+        _stepped_shapes(names, targets, traits.moving) if near.textures else {},
+    )
+    delta = traits.lights or traits.delta_reflection or traits.delta_transmission
+    if traits.moving and not traits.media and (delta or moved.split or moved.stepped):
+        for size in (near, replace(near, mirrors=0.0)):  # rough surfaces may lack what a parameter stands for
+            try:
+                pair = _neighboured(ready, names, targets, traits, moved, size, options)
+            except ParameterError:
+                continue
+            if pair is None:
+                break
+            base, near_scene = pair
+            exchanged = {one.what: one.reason for one in near_scene.exchanges}
+            return Base(base, exchanged, near_scene.smooth, missing, followed)
+    renderer = MitsubaRenderer(names.loaded, targets, **options)
+    return Base(renderer, {}, smooth=True, missing=missing, followed=followed)
+
+
+def _missing(
+    names: Names, targets: Mapping[str, Target], sensor: Any, blur: Mapping[str, Any] | None
+) -> dict[str, str]:
+    """The parameters to blur, each with the reason; those that are asked for, or that have no gradient."""
+    if blur is None:
+        return {}
+    found = missing_gradients(names, targets, sensor)
+    if blur.get("names") is None:
+        return found
+    return {name: found.get(name, "it was asked for") for name in names_to_blur(blur["names"], targets)}
+
+
+def _split_meshes(called: Names, targets: Mapping[str, Target], moving: Mapping[str, Any]) -> dict[int, Any]:
+    """By their numbers, meshes that are moved as a whole and store vertices of an edge more than once.
+
+    Not those that are smooth in part and have hard edges: shared vertices would have them smooth throughout.
+    """
+    own = list(called.scene.shapes())
+    whole = [shape for name, shape in moving.items() if not isinstance(targets[name], str)]
+    parts = [shape for name, shape in moving.items() if isinstance(targets[name], str)]
+    split = [one for one in whole if one in own and one not in parts and has_seams(one)]
+    return {own.index(one): one for one in split if is_flat(one) or not is_hard(one)}
+
+
+def _stepped_shapes(called: Names, targets: Mapping[str, Target], moving: Mapping[str, Any]) -> dict[int, Any]:
+    """By their numbers, shapes that move and have textures with steps, of which no parameter is an entry."""
+    own = list(called.scene.shapes())
+    params = mi.traverse(called.scene)
+    entries = (called.known(target) for target in targets.values() if isinstance(target, str))
+    nodes = [one for entry in entries if entry for one in ancestors(params, params.properties[entry.key][2])]
+    if any(is_stepped(node) for node in nodes):
+        return {}
+    return {own.index(one): one for one in moving.values() if one in own and has_steps(one)}
+
+
+def _neighboured(
+    scene: Any,
+    called: Names,
+    targets: Mapping[str, Target],
+    traits: Traits,
+    moved: Moved,
+    near: Neighbour,
+    options: dict[str, Any],
+) -> tuple[NeighbouredRenderer, Found] | None:
+    """A scene and its neighbour, if there is something to exchange."""
+    loaded = called.loaded
+    lights = targets_of_lights(called, targets)
+    kinds = [one.class_name() for one in lights_of(loaded.scene)]
+    stay = [one.light for one in lights.values() if not one.can_follow(kinds[one.light])]
+    moving = traits.moving
+    around = Surroundings.of(loaded.scene, moving.values(), stay)
+    sensor = find_sensor(loaded.scene, options["sensor"])
+    found = neighbour_of(
+        scene,
+        near,
+        around,
+        View(sensor).has,
+        moved,
+        floats=loaded.floats,
+        unlit=traits.unlit_mirrors,
+    )
+    if found is None:
+        return None
+    start = NamedParameters(called, targets, options["without_gradient"]).start
+    exchanged = exchanged_targets(lights, found, called, start)
+    still = all(one.is_power for name, one in lights.items() if name not in options["without_gradient"])
+    only_shadows = still and all(one.only_shadows for one in found.exchanges)
+    base = NeighbouredRenderer(
+        loaded,
+        targets,
+        neighbour=found.loaded,
+        moving=moving,
+        exchanged=exchanged,
+        only_shadows=only_shadows,
+        **options,
+    )
+    return base, found

@@ -1,0 +1,1 @@
+"""Geometry of shapes: meshes, edges, bounds and textures with steps."""

@@ -1,0 +1,1 @@
+"""Plugins of Mitsuba for proxy scenes."""

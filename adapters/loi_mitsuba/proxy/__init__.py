@@ -1,0 +1,1 @@
+"""Proxy scenes, which have gradients where the scene itself has none."""

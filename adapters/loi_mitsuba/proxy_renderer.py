@@ -1,0 +1,193 @@
+"""A scene that is rendered as it is, with the gradient by what moves taken from its neighbour."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from copy import copy
+from dataclasses import dataclass, replace
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from loi_mitsuba.proxy.light_size import KINDS, lights_of
+from loi_mitsuba.proxy.scene import Found
+from loi_mitsuba.proxy.substitutions import LAMP, LIGHT
+from loi_mitsuba.renderer import MitsubaRenderer
+from loi_mitsuba.scene.load import Loaded, Target
+from loi_mitsuba.scene.parameters import Names, ancestors
+from loi_mitsuba.scene.poses import Host, Translate
+
+__all__ = ["NeighbouredRenderer", "OfLight", "StandIn", "exchanged_targets", "targets_of_lights"]
+
+
+@dataclass(frozen=True)
+class StandIn:
+    """What a parameter of a light stands for in the neighbour: for what, and the value less `origin`, times `factor`.
+
+    A light without a size has an intensity, and the lamp that stands for it a radiance; and where that light has a
+    position, the lamp is moved from where it is.
+    """
+
+    target: Target
+    factor: float = 1.0
+    origin: Host | None = None
+
+
+@dataclass(frozen=True)
+class OfLight:
+    """A parameter of a light without a size: its number, and the name of the entry, or the handle on it."""
+
+    light: int
+    target: Target
+
+    @property
+    def is_power(self) -> bool:
+        """Whether it sets how bright the light is."""
+        return self.target in ("intensity.value", "irradiance.value")
+
+    def can_follow(self, kind: str) -> bool:
+        """Whether what stands for a light of that kind can do as it does."""
+        moves = isinstance(self.target, Translate) or self.target == "position"
+        return self.is_power or (moves and KINDS[kind] != "directional")
+
+
+def targets_of_lights(called: Names, targets: Mapping[str, Target]) -> dict[str, OfLight]:
+    """Parameters that are of lights without a size."""
+    params = mi.traverse(called.scene)
+    lights = lights_of(called.scene)
+    found = {}
+    for name, target in targets.items():
+        if isinstance(target, str):
+            entry = called.known(target)
+            node, rest = (None, target) if entry is None else (params.properties[entry.key][2], entry.key)
+        else:
+            node, rest = called.find_movable(target.shape)[1], ""
+        number = next((lights.index(one) for one in ancestors(params, node) if one in lights), None)
+        if number is not None:
+            found[name] = OfLight(number, rest.split(".", 1)[1] if isinstance(target, str) else target)
+    return found
+
+
+def exchanged_targets(
+    lights: Mapping[str, OfLight], near: Found, called: Names, start: Mapping[str, Host]
+) -> dict[str, StandIn]:
+    """What parameters of lights stand for in the neighbour, by their values at the start."""
+    factors = {one.light: one.factor for one in near.exchanges if one.light is not None}
+    ids = [one.id() for one in lights_of(called.scene)]
+    found = {}
+    for name, one in lights.items():
+        lamp, own = f"{LAMP}{one.light}", ids[one.light] or f"{LIGHT}{one.light}"
+        if one.light in factors and one.is_power:
+            found[name] = StandIn(f"{lamp}.emitter.radiance.value", factors[one.light])
+        elif one.light in factors and isinstance(one.target, str):
+            found[name] = StandIn(Translate(lamp), origin=start[name])
+        elif isinstance(one.target, str):
+            found[name] = StandIn(f"{own}.{one.target}")
+        else:
+            found[name] = StandIn(replace(one.target, shape=lamp if one.light in factors else own))
+    return found
+
+
+class NeighbouredRenderer(MitsubaRenderer):
+    """A :class:`MitsubaRenderer` whose pullback goes, for what moves, through a neighbouring scene.
+
+    Parameters
+    ----------
+    scene, parameters, integrator, spp, spp_grad, sensor, without_gradient
+        As those of :class:`MitsubaRenderer`.
+    neighbour : Loaded
+        The neighbouring scene, which has all of the parameters.
+    moving : names
+        Parameters whose gradient is the neighbour's.
+    exchanged : dict of StandIn
+        By parameter that stands for something else there, for what.
+    only_shadows : bool
+        Whether the neighbour has only the gradient of what is hidden behind what, off the camera's rays; all else is
+        the scene's own.
+    """
+
+    def __init__(
+        self,
+        scene: Any,
+        parameters: Mapping[str, Target],
+        *,
+        neighbour: Loaded,
+        moving: Iterable[str],
+        exchanged: Mapping[str, StandIn],
+        only_shadows: bool = False,
+        integrator: Any = None,
+        spp: int = 16,
+        spp_grad: int | None = None,
+        sensor: int = 0,
+        without_gradient: Iterable[str] = (),
+    ) -> None:
+        self._moving = frozenset(moving)
+        self._apart = frozenset() if only_shadows else self._moving  # whose gradient is the neighbour's alone
+        self._exchanged = dict(exchanged)
+        images = tuple(without_gradient)
+        targets = {**parameters, **{name: one.target for name, one in exchanged.items()}}
+        options: dict[str, Any] = {"spp": spp, "spp_grad": spp_grad, "sensor": sensor, "without_gradient": images}
+        self._near = MitsubaRenderer(neighbour, targets, integrator=integrator, **options).with_integrator(
+            integrator, spp=spp, spp_grad=spp_grad, follow=self._moving
+        )
+        self._near_shapes = {name: value.shape for name, value in self._near.parameters().items()}
+        super().__init__(scene, parameters, integrator=integrator, **options)
+        if only_shadows:
+            self._left_out, self._near._left_out = frozenset({"sppi"}), frozenset({"sppc", "sppp"})
+        self._followed = tuple(name for name in self._able if name not in self._apart)
+
+    @property
+    def neighbour(self) -> Any:
+        """The neighbouring scene, an ``mi.Scene``."""
+        return self._near.scene
+
+    def with_integrator(
+        self,
+        integrator: Any,
+        *,
+        spp: int | None = None,
+        spp_grad: int | None = None,
+        follow: Iterable[str] | None = None,
+    ) -> NeighbouredRenderer:
+        """As that of :class:`MitsubaRenderer`, of both scenes."""
+        names = set(self._named.targets if follow is None else follow)
+        other = copy(self)
+        other._use(integrator, self._spp if spp is None else spp, spp_grad)
+        other._followed = tuple(name for name in self._able if name in names - self._apart)
+        other._near = self._near.with_integrator(integrator, spp=spp, spp_grad=spp_grad, follow=names & self._moving)
+        return other
+
+    def pull(self, params: Mapping[str, Any], cotangent: Any, *, seed: int = 0) -> dict[str, Host]:
+        """As that of :class:`MitsubaRenderer`, each parameter's from the scene that has it."""
+        self._leaves(params)  # which checks them
+        pulled = {name: np.zeros_like(start) for name, start in self._named.start.items()}
+        if self._followed:
+            pulled |= super().pull(params, cotangent, seed=seed)
+        if self._near.follows:
+            near = self._near.pull(self._nearly(params), cotangent, seed=seed)
+            pulled |= {name: pulled[name] + near[name] for name in self._moving}
+        return pulled
+
+    def push(self, params: Mapping[str, Any], tangent: Mapping[str, Any], *, seed: int = 0) -> Host:
+        """As that of :class:`MitsubaRenderer`, the sum of both scenes'."""
+        parts = []
+        if self._followed:
+            parts.append(super().push(params, tangent, seed=seed))
+        if self._near.follows:
+            parts.append(self._near.push(self._nearly(params), self._nearly(tangent), seed=seed))
+        return np.asarray(sum(parts), dtype=np.float32)  # one may have nothing to add, and is a single 0
+
+    def _nearly(self, params: Mapping[str, Any]) -> dict[str, Any]:
+        """Values for the neighbour, where a light of one grey has three colours."""
+        near = {}
+        for name, value in params.items():
+            near[name] = np.asarray(value, dtype=np.float32)
+            stand_in = self._exchanged.get(name)
+            if stand_in is not None:
+                moved = near[name] if stand_in.origin is None else near[name] - stand_in.origin
+                near[name] = np.broadcast_to(moved * np.float32(stand_in.factor), self._near_shapes[name])
+        return near
+
+    def _check_moving(self, *, told: bool) -> None:
+        """The neighbour has told what is missing there, which is all that counts."""

@@ -1,0 +1,1 @@
+"""Scenes of Mitsuba: loading, checks, named parameters and poses."""

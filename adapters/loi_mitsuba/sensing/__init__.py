@@ -1,0 +1,1 @@
+"""Sensors and films, with their adjoints."""
