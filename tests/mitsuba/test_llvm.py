@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 import loi_mitsuba
-from loi_mitsuba import llvm
+from loi_mitsuba.drjit import llvm
 
 OLD = [
     path

@@ -15,7 +15,8 @@ import pytest
 from loi_core.cli import main
 from loi_core.errors import OptionError
 from loi_core.io.images import write_png
-from loi_mitsuba import MitsubaRenderer, SceneLoadError, Translate, untrusted
+from loi_mitsuba import MitsubaRenderer, SceneLoadError, Translate
+from loi_mitsuba.scene import safety
 from loi_mitsuba.scene.safety import LIBRARY_SUFFIXES
 
 FILM = '<film type="hdrfilm"><integer name="width" value="8"/><integer name="height" value="8"/></film>'
@@ -177,23 +178,23 @@ def test_what_goes_to_a_gpu_is_tried_on_the_processor(tmp_path: Path) -> None:
     """CUDA reserves more addresses than the process may have that tries it; here there need not be any GPU."""
     scene = written(tmp_path, BALL + LIGHT + '<shape type="ply"><string name="filename" value="m.ply"/></shape>')
     mesh(tmp_path / "m.ply", [0, 1, 2])
-    untrusted._try_to_load("cuda_ad_rgb", str(scene), "")
+    safety._try_to_load("cuda_ad_rgb", str(scene), "")
     mesh(tmp_path / "m.ply", [0, 1, 3])
     with pytest.raises(SceneLoadError, match=r"makes Mitsuba crash|refers to vertex"):
-        untrusted._try_to_load("cuda_ad_rgb", str(scene), "")
+        safety._try_to_load("cuda_ad_rgb", str(scene), "")
 
 
 def test_a_scene_is_tried_again_only_where_one_of_its_files_has_changed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     tried: list[str] = []
-    before = untrusted._try_to_load
+    before = safety._try_to_load
 
     def count(variant: str, path: str, description: str) -> None:
         tried.append(path)
         before(variant, path, description)
 
-    monkeypatch.setattr(untrusted, "_try_to_load", count)
+    monkeypatch.setattr(safety, "_try_to_load", count)
     scene = written(tmp_path, BALL + LIGHT + '<shape type="ply"><string name="filename" value="m.ply"/></shape>')
     mesh(tmp_path / "m.ply", [0, 1, 2])
     for _ in range(3):
