@@ -107,7 +107,7 @@ def measured(described: dict[str, Any], sizes: dict[str, float], samples: int, d
     for objective in losses.values():
         truth = np.array([slope(exact, objective, here, name) for name in targets])
         for settings in sizes.items():
-            planned = PlannedRenderer(described, targets, spp=64, neighbour=dict([settings]))
+            planned = PlannedRenderer(described, targets, spp=64, proxy=dict([settings]))
             everything = planned.unabridged.with_integrator(planned.everything, spp=samples)
             cotangent = objective.value_and_grad(everything.render(here, seed=2))[1]
             drawn = [everything.pull(here, cotangent, seed=100 + k) for k in range(draws)]
@@ -148,7 +148,7 @@ def caustics(samples: int, draws: int) -> None:
         "wide scales": LOIObjective(target, ScaleSpace(1.0, 34.0, 0.125)),
         "narrow": LOIObjective(target, ScaleSpace(1.0, 4.0, 0.125)),
     }
-    near = PlannedRenderer(described, targets, spp=64, blur=None, follow_glass=False).unabridged
+    near = PlannedRenderer(described, targets, spp=64, blur=None, attached_glass=False).unabridged
     plain = exact.with_integrator("scene", spp=64)
     blurs = {f"blurred by {width}": BlurredRenderer(plain, width) for width in ("1 px", "2 px", "4 px")}
     ways: dict[str, Callable[..., Mapping[str, Any]]] = {"rough glass, alpha 0.05": near.pull}

@@ -20,10 +20,10 @@ from loi_mitsuba.effects.plan import plan_effects
 from loi_mitsuba.effects.renderer import PlannedRenderer
 from loi_mitsuba.effects.verify import Verification
 from loi_mitsuba.loss import BackendMissingError, LOILoss
-from loi_mitsuba.proxy.scene import Neighbour
+from loi_mitsuba.proxy.scene import ProxySettings
 from loi_mitsuba.renderer import MitsubaRenderer
 from loi_mitsuba.scene.load import SceneLoadError
-from loi_mitsuba.scene.parameters import Entry, list_entries
+from loi_mitsuba.scene.parameters import SceneParameter, list_parameters
 from loi_mitsuba.scene.poses import Rotate, Scale, Translate
 
 
@@ -37,22 +37,22 @@ def diagnose() -> list[tuple[str, str]]:
 __all__ = [
     "CAPABILITIES",
     "BackendMissingError",
-    "Entry",
     "GradientWarning",
     "LLVMChoice",
     "LLVMError",
     "LOILoss",
     "MitsubaRenderer",
-    "Neighbour",
     "PlannedRenderer",
+    "ProxySettings",
     "Rotate",
     "Scale",
     "SceneLoadError",
+    "SceneParameter",
     "Translate",
     "Verification",
     "choose_llvm",
     "diagnose",
-    "list_entries",
+    "list_parameters",
     "plan_effects",
     "prepare",
 ]

@@ -14,7 +14,7 @@ from loi_core.support.wording import clause, listed
 from loi_mitsuba.geometry.bounds import corners_of
 from loi_mitsuba.geometry.mesh import crowded_share, has_seams, is_inside_out, is_rounded
 from loi_mitsuba.geometry.stepped_textures import has_steps
-from loi_mitsuba.scene.parameters import Names
+from loi_mitsuba.scene.parameters import SceneIndex
 from loi_mitsuba.sensing.sensor import lift_of
 
 __all__ = [
@@ -198,7 +198,7 @@ def is_clipped(scene: Any, sensor: Any) -> bool:
         return bool(np.any(np.array(scene.ray_test(way))))
 
 
-def warn_of_entries(called: Names, targets: Mapping[str, Any]) -> None:
+def warn_of_entries(called: SceneIndex, targets: Mapping[str, Any]) -> None:
     """Warn of the entries of materials among `targets` by which Mitsuba's gradient is missing or wrong."""
     for name, target in targets.items():
         why = misses_entry(called, target) if isinstance(target, str) else ""
@@ -207,7 +207,7 @@ def warn_of_entries(called: Names, targets: Mapping[str, Any]) -> None:
             warnings.warn(msg, GradientWarning, stacklevel=4)
 
 
-def misses_entry(called: Names, target: str) -> str:
+def misses_entry(called: SceneIndex, target: str) -> str:
     """Why Mitsuba's gradient by an entry of a material is missing or wrong; empty if it is not.
 
     Its path tracers take what a surface does in single directions from the sample, without a gradient.

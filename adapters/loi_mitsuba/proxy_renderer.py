@@ -10,20 +10,20 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.proxy.light_size import KINDS, lights_of
-from loi_mitsuba.proxy.scene import Found
+from loi_mitsuba.proxy.light_size import KINDS, delta_lights
+from loi_mitsuba.proxy.scene import ProxyScene
 from loi_mitsuba.proxy.substitutions import LAMP, LIGHT
 from loi_mitsuba.renderer import MitsubaRenderer
-from loi_mitsuba.scene.load import Loaded, Target
-from loi_mitsuba.scene.parameters import Names, ancestors
+from loi_mitsuba.scene.load import LoadedScene, Target
+from loi_mitsuba.scene.parameters import SceneIndex, ancestors
 from loi_mitsuba.scene.poses import Host, Translate
 
-__all__ = ["NeighbouredRenderer", "OfLight", "StandIn", "exchanged_targets", "targets_of_lights"]
+__all__ = ["LightTarget", "ProxyGradientRenderer", "ProxyTarget", "light_targets", "proxy_targets"]
 
 
 @dataclass(frozen=True)
-class StandIn:
-    """What a parameter of a light stands for in the neighbour: for what, and the value less `origin`, times `factor`.
+class ProxyTarget:
+    """What a parameter of a light stands for in the proxy: for what, and the value less `origin`, times `factor`.
 
     A light without a size has an intensity, and the lamp that stands for it a radiance; and where that light has a
     position, the lamp is moved from where it is.
@@ -35,7 +35,7 @@ class StandIn:
 
 
 @dataclass(frozen=True)
-class OfLight:
+class LightTarget:
     """A parameter of a light without a size: its number, and the name of the entry, or the handle on it."""
 
     light: int
@@ -52,10 +52,10 @@ class OfLight:
         return self.is_power or (moves and KINDS[kind] != "directional")
 
 
-def targets_of_lights(called: Names, targets: Mapping[str, Target]) -> dict[str, OfLight]:
+def light_targets(called: SceneIndex, targets: Mapping[str, Target]) -> dict[str, LightTarget]:
     """Parameters that are of lights without a size."""
     params = mi.traverse(called.scene)
-    lights = lights_of(called.scene)
+    lights = delta_lights(called.scene)
     found = {}
     for name, target in targets.items():
         if isinstance(target, str):
@@ -65,42 +65,42 @@ def targets_of_lights(called: Names, targets: Mapping[str, Target]) -> dict[str,
             node, rest = called.find_movable(target.shape)[1], ""
         number = next((lights.index(one) for one in ancestors(params, node) if one in lights), None)
         if number is not None:
-            found[name] = OfLight(number, rest.split(".", 1)[1] if isinstance(target, str) else target)
+            found[name] = LightTarget(number, rest.split(".", 1)[1] if isinstance(target, str) else target)
     return found
 
 
-def exchanged_targets(
-    lights: Mapping[str, OfLight], near: Found, called: Names, start: Mapping[str, Host]
-) -> dict[str, StandIn]:
+def proxy_targets(
+    lights: Mapping[str, LightTarget], near: ProxyScene, called: SceneIndex, start: Mapping[str, Host]
+) -> dict[str, ProxyTarget]:
     """What parameters of lights stand for in the neighbour, by their values at the start."""
     factors = {one.light: one.factor for one in near.exchanges if one.light is not None}
-    ids = [one.id() for one in lights_of(called.scene)]
+    ids = [one.id() for one in delta_lights(called.scene)]
     found = {}
     for name, one in lights.items():
         lamp, own = f"{LAMP}{one.light}", ids[one.light] or f"{LIGHT}{one.light}"
         if one.light in factors and one.is_power:
-            found[name] = StandIn(f"{lamp}.emitter.radiance.value", factors[one.light])
+            found[name] = ProxyTarget(f"{lamp}.emitter.radiance.value", factors[one.light])
         elif one.light in factors and isinstance(one.target, str):
-            found[name] = StandIn(Translate(lamp), origin=start[name])
+            found[name] = ProxyTarget(Translate(lamp), origin=start[name])
         elif isinstance(one.target, str):
-            found[name] = StandIn(f"{own}.{one.target}")
+            found[name] = ProxyTarget(f"{own}.{one.target}")
         else:
-            found[name] = StandIn(replace(one.target, shape=lamp if one.light in factors else own))
+            found[name] = ProxyTarget(replace(one.target, shape=lamp if one.light in factors else own))
     return found
 
 
-class NeighbouredRenderer(MitsubaRenderer):
+class ProxyGradientRenderer(MitsubaRenderer):
     """A :class:`MitsubaRenderer` whose pullback goes, for what moves, through a neighbouring scene.
 
     Parameters
     ----------
     scene, parameters, integrator, spp, spp_grad, sensor, without_gradient
         As those of :class:`MitsubaRenderer`.
-    neighbour : Loaded
+    proxy : LoadedScene
         The neighbouring scene, which has all of the parameters.
     moving : names
         Parameters whose gradient is the neighbour's.
-    exchanged : dict of StandIn
+    exchanged : dict of ProxyTarget
         By parameter that stands for something else there, for what.
     only_shadows : bool
         Whether the neighbour has only the gradient of what is hidden behind what, off the camera's rays; all else is
@@ -112,9 +112,9 @@ class NeighbouredRenderer(MitsubaRenderer):
         scene: Any,
         parameters: Mapping[str, Target],
         *,
-        neighbour: Loaded,
+        proxy: LoadedScene,
         moving: Iterable[str],
-        exchanged: Mapping[str, StandIn],
+        exchanged: Mapping[str, ProxyTarget],
         only_shadows: bool = False,
         integrator: Any = None,
         spp: int = 16,
@@ -128,7 +128,7 @@ class NeighbouredRenderer(MitsubaRenderer):
         images = tuple(without_gradient)
         targets = {**parameters, **{name: one.target for name, one in exchanged.items()}}
         options: dict[str, Any] = {"spp": spp, "spp_grad": spp_grad, "sensor": sensor, "without_gradient": images}
-        self._near = MitsubaRenderer(neighbour, targets, integrator=integrator, **options).with_integrator(
+        self._near = MitsubaRenderer(proxy, targets, integrator=integrator, **options).with_integrator(
             integrator, spp=spp, spp_grad=spp_grad, follow=self._moving
         )
         self._near_shapes = {name: value.shape for name, value in self._near.parameters().items()}
@@ -138,7 +138,7 @@ class NeighbouredRenderer(MitsubaRenderer):
         self._followed = tuple(name for name in self._able if name not in self._apart)
 
     @property
-    def neighbour(self) -> Any:
+    def proxy_scene(self) -> Any:
         """The neighbouring scene, an ``mi.Scene``."""
         return self._near.scene
 
@@ -149,7 +149,7 @@ class NeighbouredRenderer(MitsubaRenderer):
         spp: int | None = None,
         spp_grad: int | None = None,
         follow: Iterable[str] | None = None,
-    ) -> NeighbouredRenderer:
+    ) -> ProxyGradientRenderer:
         """As that of :class:`MitsubaRenderer`, of both scenes."""
         names = set(self._named.targets if follow is None else follow)
         other = copy(self)

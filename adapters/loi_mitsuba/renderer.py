@@ -23,7 +23,7 @@ from loi_mitsuba.boundary.received_shadows import Received
 from loi_mitsuba.boundary.terms import ByJumps, Jumping, Shading
 from loi_mitsuba.diagnostics import warn_of_entries, warn_of_moving
 from loi_mitsuba.geometry.coincident_edges import Once
-from loi_mitsuba.scene.binding import NamedParameters, host_numbers
+from loi_mitsuba.scene.binding import ParameterBinding, host_numbers
 from loi_mitsuba.scene.load import (
     Target,
     checked_samples,
@@ -33,7 +33,7 @@ from loi_mitsuba.scene.load import (
     one_line,
     use_variant,
 )
-from loi_mitsuba.scene.parameters import Names, Scene, named_scene
+from loi_mitsuba.scene.parameters import Scene, SceneIndex, index_scene
 from loi_mitsuba.scene.poses import Host
 from loi_mitsuba.scene.safety import SceneLoadError, check_types
 from loi_mitsuba.scene.settings import PARTS, bordered, integrator_of, leaves_edges_out, settings_of
@@ -56,7 +56,7 @@ class MitsubaRenderer:
         For ``mi.load_dict``, of an XML file, or loaded. A loaded scene, or a loaded object in a dict, is the caller's
         own: its parameters are set on every call and stay set, and a second renderer starts from there.
     parameters : dict of str or handle
-        What each parameter stands for, by its name: an entry of the scene (:func:`list_entries` shows all), or
+        What each parameter stands for, by its name: an entry of the scene (:func:`list_parameters` shows all), or
         :class:`Translate`, :class:`Rotate` or :class:`Scale` of a shape. Several handles may share a shape. Scene
         files, which have no classes, spell a handle as a table, ``{ Translate = "ball", axis = [1, 0, 0] }``.
     integrator : dict, mi.Integrator, "scene" or EffectPlan, optional
@@ -113,12 +113,12 @@ class MitsubaRenderer:
     ) -> None:
         self._variant = use_variant()
         targets = checked_targets(parameters)
-        self._names = named_scene(bordered(scene, integrator), targets)
+        self._names = index_scene(bordered(scene, integrator), targets)
         self._scene = self._names.scene
         self._sensor = find_sensor(self._scene, sensor)
         self._use(integrator, spp, spp_grad)
         images = frozenset(without_gradient)
-        self._named = NamedParameters(self._names, targets, images)
+        self._named = ParameterBinding(self._names, targets, images)
         self._followed = self._able = tuple(name for name in targets if name not in images)
         self._edges = Edges.of(self._scene, self._sensor, self._named.moving(self._able))
         moving = self._named.moving(self._able)
@@ -151,7 +151,7 @@ class MitsubaRenderer:
         return self._followed
 
     @property
-    def names(self) -> Names:
+    def names(self) -> SceneIndex:
         """What the scene's entries and shapes are called."""
         return self._names
 

@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from loi_mitsuba.geometry.bounds import corners_of
-from loi_mitsuba.scene.parameters import Names, ancestors
+from loi_mitsuba.scene.parameters import SceneIndex, ancestors
 from loi_mitsuba.scene.poses import Handle, Translate
 from loi_mitsuba.sensing.sensor import offset_of
 
@@ -103,7 +103,7 @@ class Traits:
         return self.lights and (self.delta_reflection or self.delta_transmission)
 
 
-def traits_of(called: Names, targets: Mapping[str, str | Handle], sensor: Any) -> Traits:
+def traits_of(called: SceneIndex, targets: Mapping[str, str | Handle], sensor: Any) -> Traits:
     """Traverse a scene and find out what `targets`, the optimised parameters by name, change in it."""
     unknown: list[str] = []
     moving: dict[str, Any] = {}

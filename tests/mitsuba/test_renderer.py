@@ -22,7 +22,7 @@ from loi_mitsuba import (
     Scale,
     SceneLoadError,
     Translate,
-    list_entries,
+    list_parameters,
 )
 from tests.helpers import Host, relative_error
 from tests.mitsuba.scenes import HEIGHT, PARAMETERS, WIDTH, box, random_cotangent, shadow_scene
@@ -287,14 +287,14 @@ def test_names_are_the_same_in_every_process(tmp_path: Path) -> None:
     renderer = MitsubaRenderer(path, names)
     np.testing.assert_allclose(renderer.parameters()["colour"], [0.5, 0.2, 0.1], rtol=1e-6)
     assert renderer.render(renderer.parameters()).shape == (6, 8, 3)
-    listed = list_entries(renderer.scene)
+    listed = list_parameters(renderer.scene)
     assert listed["sphere_0.to_world"].shape == (4, 4)
     assert "object_" in listed["sphere_0.to_world"].key
     assert "move the scene instead" in listed["perspective_camera_0.to_world"].problem
     by_key = MitsubaRenderer(renderer.scene, {"colour": listed["sphere_0.bsdf.reflectance.value"].key})
     assert by_key.parameters()["colour"].shape == (3,)
     code = "import loi_mitsuba as lm, mitsuba as mi, sys; mi.set_variant('llvm_ad_rgb')\n"
-    code += "print(*lm.list_entries(mi.load_file(sys.argv[1], optimize=False)))"
+    code += "print(*lm.list_parameters(mi.load_file(sys.argv[1], optimize=False)))"
     done = subprocess.run([sys.executable, "-c", code, str(path)], capture_output=True, text=True, timeout=60)
     assert done.stdout.split() == list(listed), done.stderr
 
@@ -303,7 +303,7 @@ def test_equal_objects_stay_apart() -> None:
     same = {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.5, 0.4, 0.3]}}
     scene = shadow_scene()
     scene["ball"]["bsdf"] = same
-    assert "ball.bsdf.reflectance.value" in list_entries(MitsubaRenderer(scene, {"size": Scale("ball")}).scene)
+    assert "ball.bsdf.reflectance.value" in list_parameters(MitsubaRenderer(scene, {"size": Scale("ball")}).scene)
 
 
 def test_samples_are_the_integrator_s_own_where_it_has_them() -> None:

@@ -75,7 +75,7 @@ def test_a_flat_mesh_with_seams_has_the_gradient_of_the_same_mesh_without(tmp_pa
 def test_images_are_those_of_the_mesh_as_it_is(tmp_path: Path) -> None:
     ball = {"type": "ply", "filename": ball_file(tmp_path, split=True)}
     with pytest.warns(GradientWarning, match=r"mesh 'mesh' stores the vertices .* PlannedRenderer does where"):
-        alone = PlannedRenderer(scene_of(ball), MOVES, spp=8, neighbour={"seams": False})
+        alone = PlannedRenderer(scene_of(ball), MOVES, spp=8, proxy={"seams": False})
     assert not alone.plan.exchanged
     planned = PlannedRenderer(scene_of(ball), MOVES, spp=8)
     here = planned.parameters()
@@ -193,8 +193,8 @@ def test_a_cutout_is_blurred_and_told_of() -> None:
 
 
 def test_the_switch_is_true_or_false() -> None:
-    with pytest.raises(OptionError, match=r"`neighbour.seams` must be true or false, got 1"):
-        PlannedRenderer(scene_of({"type": "cube"}), MOVES, neighbour={"seams": 1})
+    with pytest.raises(OptionError, match=r"`proxy.seams` must be true or false, got 1"):
+        PlannedRenderer(scene_of({"type": "cube"}), MOVES, proxy={"seams": 1})
 
 
 def test_a_box_keeps_its_texture_though_its_corners_are_shared() -> None:

@@ -128,7 +128,7 @@ TEXTURED: dict[str, Any] = {
 @pytest.mark.parametrize(
     ("texture", "more", "options"),
     [
-        (BOARD, {}, {"neighbour": {"textures": False}}),
+        (BOARD, {}, {"proxy": {"textures": False}}),
         (BOARD, {"colour": "card.bsdf.reflectance.color0.value"}, {}),
         (TEXTURED, {}, {}),
         (BOARD | {"color1": 1.5}, {}, {}),

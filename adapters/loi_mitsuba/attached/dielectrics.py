@@ -17,14 +17,14 @@ import mitsuba as mi
 
 from loi_mitsuba.geometry.mesh import is_closed, is_hard
 from loi_mitsuba.renderer import MitsubaRenderer, seeds_of
-from loi_mitsuba.scene.binding import NamedParameters
+from loi_mitsuba.scene.binding import ParameterBinding
 from loi_mitsuba.scene.load import Target
-from loi_mitsuba.scene.parameters import Names
+from loi_mitsuba.scene.parameters import SceneIndex
 from loi_mitsuba.scene.poses import Host, Scale
 from loi_mitsuba.sensing.sensor import Eye, lift_of, sampler_of
 from loi_mitsuba.traits import has_medium, is_clear
 
-__all__ = ["REASON", "Glass", "Samples", "glass_of"]
+__all__ = ["REASON", "AttachedDielectrics", "Samples", "attachable_dielectrics"]
 
 REASON: Final = "it moves clear glass, and samples of what that bends move with it, but for edges seen through it"
 DEPTH: Final = 6  # surfaces of a path, of which two balls of glass are four
@@ -34,7 +34,7 @@ GRAZING: Final = 0.01  # cosine below which the derivative of a direction, witho
 LIFT: Final = 4.0  # times as far as Mitsuba lifts rays from surfaces, do rays begin before one that they are to meet
 
 
-def glass_of(called: Names, targets: Mapping[str, Target], sensor: Any) -> dict[str, Any]:
+def attachable_dielectrics(called: SceneIndex, targets: Mapping[str, Target], sensor: Any) -> dict[str, Any]:
     """The parameters that move clear glass whose light can be followed, each with its shape: balls and smooth meshes.
 
     None where colours are not red, green and blue, where there is a medium, or where the camera is not a perspective
@@ -59,7 +59,7 @@ def glass_of(called: Names, targets: Mapping[str, Target], sensor: Any) -> dict[
     return found
 
 
-class Glass:
+class AttachedDielectrics:
     """The gradient of a scene by the clear glass that moves in it.
 
     It is that of direct light that reaches a surface by way of glass, and of what the camera sees in glass, such light
@@ -78,7 +78,7 @@ class Glass:
         self._renderer = renderer
         width, height = (int(one) for one in renderer.sensor.film().crop_size())
         self._count = max(LEAST, samples * width * height // SHARE)
-        self._named = NamedParameters(renderer.names, renderer.targets, tuple(renderer.targets))
+        self._named = ParameterBinding(renderer.names, renderer.targets, tuple(renderer.targets))
 
     def pull(
         self, params: Mapping[str, Any], cotangent: Any, *, names: Iterable[str], seed: int = 0

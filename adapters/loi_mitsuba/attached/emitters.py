@@ -18,18 +18,18 @@ import mitsuba as mi
 import numpy as np
 
 from loi_mitsuba.geometry.bounds import corners_of
-from loi_mitsuba.proxy.light_size import position_of
+from loi_mitsuba.proxy.light_size import light_position
 from loi_mitsuba.renderer import MitsubaRenderer, seeds_of
-from loi_mitsuba.scene.binding import NamedParameters
+from loi_mitsuba.scene.binding import ParameterBinding
 from loi_mitsuba.scene.load import Target
-from loi_mitsuba.scene.parameters import Names
+from loi_mitsuba.scene.parameters import SceneIndex
 from loi_mitsuba.scene.poses import Host, Rotate, Scale
 from loi_mitsuba.scene.settings import Settings
 from loi_mitsuba.sensing.film import Film
 from loi_mitsuba.sensing.film_samples import pull_samples, samples_of
 from loi_mitsuba.traits import View, has_medium
 
-__all__ = ["Lamps", "is_shape", "lamps_of", "reason_of"]
+__all__ = ["AttachedEmitters", "attachable_emitters", "is_shape", "reason_of"]
 
 POINTS: Final = ("PointLight", "SpotLight")
 OF_LAMP: Final = 0.25  # of a lamp's longest side that it is put to either side: no more than its penumbras are wide
@@ -40,7 +40,7 @@ OF_SCALE: Final = 0.02
 OUTLINE: Final = Settings("direct_projective", 2, 0)
 
 
-def lamps_of(called: Names, targets: Mapping[str, Target]) -> dict[str, Any]:
+def attachable_emitters(called: SceneIndex, targets: Mapping[str, Target]) -> dict[str, Any]:
     """The parameters that move a light, each with the light: a shape that emits, a point or a spot.
 
     None where there is a medium, or light is polarised. Not what scales a mesh, whose samples Mitsuba does not scale.
@@ -69,7 +69,7 @@ def reason_of(light: Any) -> str:
     return f"it moves a {what}, and samples of its direct light move with it"
 
 
-class Lamps:
+class AttachedEmitters:
     """The gradient of a scene by the lights that move in it.
 
     It is that of direct light, at what the camera sees first; where a lamp itself may be in view, its outline has a
@@ -90,7 +90,7 @@ class Lamps:
         self._lights = dict(lights)
         self._samples = samples
         self._film = Film(renderer.sensor.film())
-        self._named = NamedParameters(renderer.names, renderer.targets, tuple(renderer.targets))
+        self._named = ParameterBinding(renderer.names, renderer.targets, tuple(renderer.targets))
         seen = _seen(renderer.scene, renderer.sensor)
         self._shifts = {name: _shift(renderer.targets[name], light, seen) for name, light in lights.items()}
 
@@ -166,7 +166,7 @@ def _shift(target: Target, light: Any, seen: Host) -> float:
         corners = corners_of(light)
         place, longest = corners.mean(axis=0), float(np.max(np.ptp(corners, axis=0)))
     else:
-        place, longest = position_of(light), 0.0
+        place, longest = light_position(light), 0.0
     away = np.linalg.norm(seen - place.reshape(1, 3), axis=1)
     distance = float(np.percentile(away, NEAR)) if away.size else 1.0  # where nothing is seen, nothing is to be found
     return max(OF_LAMP * longest, OF_DISTANCE * distance)

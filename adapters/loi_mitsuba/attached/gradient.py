@@ -8,30 +8,35 @@ from typing import Any, Final
 
 from loi_core.effects import Draws, Holding
 from loi_core.effects.holding import CLEAR
-from loi_mitsuba.attached.dielectrics import REASON, Glass, glass_of
-from loi_mitsuba.attached.emitters import Lamps, is_shape, lamps_of, reason_of
+from loi_mitsuba.attached.dielectrics import REASON, AttachedDielectrics, attachable_dielectrics
+from loi_mitsuba.attached.emitters import AttachedEmitters, attachable_emitters, is_shape, reason_of
 from loi_mitsuba.renderer import MitsubaRenderer
 from loi_mitsuba.scene.load import Target
-from loi_mitsuba.scene.parameters import Names
+from loi_mitsuba.scene.parameters import SceneIndex
 from loi_mitsuba.scene.poses import Host
 from loi_mitsuba.traits import objects_of
 
-__all__ = ["Followed", "Following"]
+__all__ = ["AttachedGradient", "AttachedParameters"]
 
 DRAWS: Final = 4
 
 
 @dataclass(frozen=True)
-class Followed:
+class AttachedParameters:
     """What can be followed in a scene: by parameter, the light or the shape of clear glass that it moves."""
 
     lights: Mapping[str, Any]
     glass: Mapping[str, Any]
 
     @classmethod
-    def of(cls, called: Names, targets: Mapping[str, Target], sensor: Any, *, lights: bool, glass: bool) -> Followed:
+    def of(
+        cls, called: SceneIndex, targets: Mapping[str, Target], sensor: Any, *, lights: bool, glass: bool
+    ) -> AttachedParameters:
         """Among `targets`, what can be followed of that which is asked for."""
-        return cls(lamps_of(called, targets) if lights else {}, glass_of(called, targets, sensor) if glass else {})
+        return cls(
+            attachable_emitters(called, targets) if lights else {},
+            attachable_dielectrics(called, targets, sensor) if glass else {},
+        )
 
     @property
     def without_gradient(self) -> frozenset[str]:
@@ -40,24 +45,24 @@ class Followed:
         return frozenset((*points, *self.glass))
 
 
-class Following:
+class AttachedGradient:
     """The gradient of samples that move with points of lamps, and of glass.
 
     Parameters
     ----------
     renderer : MitsubaRenderer
         Of the scene, whose values are those of the start.
-    followed : Followed
+    followed : AttachedParameters
         What of it.
     samples : int
         Per pixel.
     """
 
-    def __init__(self, renderer: MitsubaRenderer, followed: Followed, samples: int) -> None:
+    def __init__(self, renderer: MitsubaRenderer, followed: AttachedParameters, samples: int) -> None:
         self._targets = renderer.targets
         self._followed = followed
-        self._lamps = Lamps(renderer, followed.lights, samples)
-        self._glass = Glass(renderer, samples)
+        self._lamps = AttachedEmitters(renderer, followed.lights, samples)
+        self._glass = AttachedDielectrics(renderer, samples)
 
     def reason_of(self, name: str) -> str:
         """What a plan says of the gradient by a parameter."""

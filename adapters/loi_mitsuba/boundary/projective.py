@@ -12,7 +12,7 @@ import drjit as dr
 import mitsuba as mi
 
 from loi_mitsuba.geometry.coincident_edges import Once
-from loi_mitsuba.plugins.proxy_emitter import lamps_hit
+from loi_mitsuba.plugins.proxy_emitter import hittable_proxy_emitters
 from loi_mitsuba.sensing.film import Film
 from loi_mitsuba.sensing.film_samples import in_colours, samples_taken
 from loi_mitsuba.sensing.sensor import Eye, is_shifted, lift_of
@@ -86,7 +86,7 @@ class Silhouettes:
                 integrator.proj_detail.init_indirect_silhouette(scene, sensor, GUIDE ^ seed)
                 draw = integrator.render_indirect_silhouette
             sampler, number = integrator.prepare(self.sensor, SEEDS[self.part] ^ seed, samples, integrator.aov_names())
-        lamps = lamps_hit() if self.part == "sppi" else nullcontext()
+        lamps = hittable_proxy_emitters() if self.part == "sppi" else nullcontext()
         with lamps, self._counted(integrator), samples_taken() as taken:
             draw(scene, sensor, sampler, 1)  # by whose number it is divided below, or each would be compiled anew
         if not taken:

@@ -19,7 +19,7 @@ import mitsuba as mi
 from loi_mitsuba.boundary.area_jacobian import LEAST
 from loi_mitsuba.boundary.segments import STEP, Lines, narrowed
 from loi_mitsuba.drjit.ragged import Rows, number_of, shape_of
-from loi_mitsuba.plugins.proxy_emitter import lamps_hit
+from loi_mitsuba.plugins.proxy_emitter import hittable_proxy_emitters
 from loi_mitsuba.sensing.film_samples import in_colours
 from loi_mitsuba.sensing.sensor import is_plain, lift_of, sampler_of
 
@@ -142,7 +142,7 @@ class Received:
         moving = [one for one in dict.fromkeys(shapes) if one in scene.shapes()]
         return cls(sensor, moving) if moving and scene.emitters() and is_plain(scene, sensor) else None
 
-    @lamps_hit()
+    @hittable_proxy_emitters()
     def jumps(self, scene: Any, integrator: Any, samples: int, seed: int) -> tuple[Any, Any] | None:  # noqa: ARG002  # direct light alone
         """At edges of shadows, 0 with how it changes: the jump times how far they move; and places. None without."""
         with dr.suspend_grad():

@@ -10,7 +10,7 @@ from typing import Any
 from loi_core.effects import EffectPlan
 from loi_core.objectives.base import Objective
 from loi_mitsuba.effects.renderer import FRACTION, PlannedRenderer
-from loi_mitsuba.proxy.scene import Neighbour
+from loi_mitsuba.proxy.scene import ProxySettings
 from loi_mitsuba.scene.load import Target
 from loi_mitsuba.scene.parameters import Scene
 
@@ -27,10 +27,10 @@ def plan_effects(
     fraction: float = FRACTION,
     sensor: int = 0,
     seed: int = 0,
-    neighbour: Neighbour | Mapping[str, float] | None = Neighbour(),  # noqa: B008 - frozen
+    proxy: ProxySettings | Mapping[str, float] | None = ProxySettings(),  # noqa: B008 - frozen
     blur: Mapping[str, Any] | None = MappingProxyType({}),
-    follow_lights: bool = True,
-    follow_glass: bool = True,
+    attached_lights: bool = True,
+    attached_glass: bool = True,
 ) -> EffectPlan:
     """Which effects a scene calls for when these parameters are optimised.
 
@@ -42,7 +42,7 @@ def plan_effects(
         The loss at hand; without one there is no pilot, and the plan is that of the sound rules.
     params : dict of arrays, optional
         Where the pilot measures; as the scene has them by default.
-    spp, fraction, neighbour, blur, follow_lights, follow_glass
+    spp, fraction, proxy, blur, attached_lights, attached_glass
         As those of :class:`PlannedRenderer`.
     seed : int
         Of the pilot.
@@ -63,10 +63,10 @@ def plan_effects(
         spp=spp,
         fraction=fraction,
         sensor=sensor,
-        neighbour=neighbour,
+        proxy=proxy,
         blur=blur,
-        follow_lights=follow_lights,
-        follow_glass=follow_glass,
+        attached_lights=attached_lights,
+        attached_glass=attached_glass,
     )
     if objective is not None:
         at = renderer.parameters() if params is None else dict(params)

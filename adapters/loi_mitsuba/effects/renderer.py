@@ -21,15 +21,15 @@ from loi_core.renderers.pullbacks import OfLoss
 from loi_core.support.arrays import to_numpy
 from loi_core.support.values import real_number
 from loi_core.support.wording import clause, listed, shown
-from loi_mitsuba.attached.gradient import Following
+from loi_mitsuba.attached.gradient import AttachedGradient
 from loi_mitsuba.effects.blurring import Blurring
 from loi_mitsuba.effects.effect_images import effect_images
 from loi_mitsuba.effects.gradient_draws import APART, Probe
 from loi_mitsuba.effects.pilot import MOST_DRAWS, Pilot
 from loi_mitsuba.effects.rules import everything, plan_by_rules, plan_of, plan_with
-from loi_mitsuba.effects.setup import base_of
+from loi_mitsuba.effects.setup import prepare_renderer
 from loi_mitsuba.effects.verify import Verification, verification
-from loi_mitsuba.proxy.scene import Neighbour
+from loi_mitsuba.proxy.scene import ProxySettings
 from loi_mitsuba.renderer import MitsubaRenderer
 from loi_mitsuba.scene.binding import host_numbers
 from loi_mitsuba.scene.load import Target
@@ -67,7 +67,7 @@ class PlannedRenderer:
     fraction : float
         What is turned off carries together less than this fraction of the gradient, for every optimised parameter, and
         a tenth of it of the image; at 0 only what is exactly 0 goes off. At least 0 and less than 1.
-    neighbour : Neighbour, table or None
+    proxy : ProxySettings, table or None
         How far the scene may be from the one from which the gradient by what moves is taken, where Mitsuba has none in
         the scene itself: under point, spot and directional lights, in perfect mirrors and clear glass, by textures with
         steps. None takes all gradients from the scene as it is, which the image always is of.
@@ -76,10 +76,10 @@ class PlannedRenderer:
         or nothing but noise; the plan lists them. The keys are the options of
         :class:`loi_core.renderers.BlurredRenderer`, with 4 `pairs` by default; `names` blurs these parameters and no
         others. None blurs nothing: such parameters are refused, or their gradient is what Mitsuba makes of it.
-    follow_lights : bool
+    attached_lights : bool
         Whether the gradient by lights that move is of samples that move with them, for shapes that emit, points and
         spots, where Mitsuba's own has nothing more that is not noise. The plan lists them.
-    follow_glass : bool
+    attached_glass : bool
         Whether the gradient by clear glass that moves, balls and smooth meshes, is of light and views that are followed
         through it. The plan lists it.
 
@@ -102,10 +102,10 @@ class PlannedRenderer:
         spp: int = 16,
         fraction: float = FRACTION,
         sensor: int = 0,
-        neighbour: Neighbour | Mapping[str, float] | None = Neighbour(),  # noqa: B008 - frozen
+        proxy: ProxySettings | Mapping[str, float] | None = ProxySettings(),  # noqa: B008 - frozen
         blur: Mapping[str, Any] | None = MappingProxyType({}),
-        follow_lights: bool = True,
-        follow_glass: bool = True,
+        attached_lights: bool = True,
+        attached_glass: bool = True,
     ) -> None:
         if not 0.0 <= real_number(fraction) < 1.0:
             msg = f"`fraction` must be at least 0 and less than 1, got {shown(fraction)}"
@@ -114,25 +114,25 @@ class PlannedRenderer:
         if blur is not None and (not isinstance(blur, Mapping) or set(blur) - set(BLUR_KEYS)):
             msg = f"`blur` must be None, or a table of {', '.join(BLUR_KEYS)}, got {shown(blur)}"
             raise OptionError(msg)
-        for option, value in (("follow_lights", follow_lights), ("follow_glass", follow_glass)):
+        for option, value in (("attached_lights", attached_lights), ("attached_glass", attached_glass)):
             if not isinstance(value, bool):
                 msg = f"`{option}` must be true or false, got {shown(value)}"
                 raise OptionError(msg)
         self._blur = blur
-        self._whole = base_of(
+        self._whole = prepare_renderer(
             scene,
             parameters,
             sensor,
             spp,
-            Neighbour.of(neighbour),
+            ProxySettings.of(proxy),
             blur,
-            follow_lights=follow_lights,
-            follow_glass=follow_glass,
+            attached_lights=attached_lights,
+            attached_glass=attached_glass,
         )
         self._base = self._whole.renderer
         self._blurred: BlurredRenderer | None = None
         self._samples = int(spp)
-        self._following = Following(self._base, self._whole.followed, self._samples)
+        self._following = AttachedGradient(self._base, self._whole.followed, self._samples)
         self._followed = self._whole.followed.without_gradient  # whose gradient is of samples that move with them
         self._begun = False
         self._schedule = Schedule()

@@ -10,22 +10,22 @@ import mitsuba as mi
 
 from loi_core.errors import ParameterError
 from loi_core.renderers.blurred import names_to_blur
-from loi_mitsuba.attached.gradient import Followed
+from loi_mitsuba.attached.gradient import AttachedParameters
 from loi_mitsuba.effects.rules import plan_by_rules
-from loi_mitsuba.effects.unsupported import missing_gradients
+from loi_mitsuba.effects.unsupported import unsupported_parameters
 from loi_mitsuba.geometry.mesh import has_seams, is_flat, is_hard
 from loi_mitsuba.geometry.stepped_textures import has_steps, is_stepped
-from loi_mitsuba.proxy.light_size import Surroundings, lights_of
-from loi_mitsuba.proxy.scene import Found, Moved, Neighbour, neighbour_of
-from loi_mitsuba.proxy_renderer import NeighbouredRenderer, exchanged_targets, targets_of_lights
+from loi_mitsuba.proxy.light_size import LightContext, delta_lights
+from loi_mitsuba.proxy.scene import MovingShapes, ProxyScene, ProxySettings, build_proxy_scene
+from loi_mitsuba.proxy_renderer import ProxyGradientRenderer, light_targets, proxy_targets
 from loi_mitsuba.renderer import MitsubaRenderer
-from loi_mitsuba.scene.binding import NamedParameters
+from loi_mitsuba.scene.binding import ParameterBinding
 from loi_mitsuba.scene.load import Target, checked_samples, checked_targets, find_sensor, most_samples, use_variant
-from loi_mitsuba.scene.parameters import Names, ancestors, named_scene
+from loi_mitsuba.scene.parameters import SceneIndex, ancestors, index_scene
 from loi_mitsuba.scene.settings import bordered
 from loi_mitsuba.traits import Traits, View, traits_of
 
-__all__ = ["Base", "base_of"]
+__all__ = ["Base", "prepare_renderer"]
 
 
 @dataclass(frozen=True)
@@ -40,19 +40,19 @@ class Base:
     exchanged: Mapping[str, str]
     smooth: bool
     missing: Mapping[str, str]
-    followed: Followed
+    followed: AttachedParameters
 
 
-def base_of(
+def prepare_renderer(
     scene: Any,
     parameters: Any,
     sensor: int,
     spp: Any,
-    near: Neighbour,
+    near: ProxySettings,
     blur: Mapping[str, Any] | None,
     *,
-    follow_lights: bool,
-    follow_glass: bool,
+    attached_lights: bool,
+    attached_glass: bool,
 ) -> Base:
     """What a plan is made for.
 
@@ -61,25 +61,25 @@ def base_of(
     """
     use_variant()
     targets = checked_targets(parameters)
-    names = named_scene(scene, targets)
+    names = index_scene(scene, targets)
     found = find_sensor(names.scene, sensor)
     samples = checked_samples("spp", spp, most_samples(found.film()))
     missing = _missing(names, targets, found, blur)
     asked = {} if blur is None or blur.get("names") is None else missing
     free = {name: target for name, target in targets.items() if name not in asked}
-    followed = Followed.of(names, free, found, lights=follow_lights, glass=follow_glass)
+    followed = AttachedParameters.of(names, free, found, lights=attached_lights, glass=attached_glass)
     images = tuple(name for name in targets if name in missing or name in followed.without_gradient)
     traits = traits_of(names, {name: target for name, target in targets.items() if name not in images}, found)
     plan = plan_by_rules(traits, samples)
     ready = bordered(scene, plan)
     if ready is not scene:
-        names = named_scene(ready, targets)  # whose objects are others
+        names = index_scene(ready, targets)  # whose objects are others
         found = find_sensor(names.scene, sensor)
-        followed = Followed.of(names, free, found, lights=follow_lights, glass=follow_glass)
+        followed = AttachedParameters.of(names, free, found, lights=attached_lights, glass=attached_glass)
         traits = traits_of(names, {name: target for name, target in targets.items() if name not in images}, found)
     options: dict[str, Any] = {"integrator": plan, "spp": spp, "sensor": sensor, "without_gradient": images}
     own = list(names.scene.shapes())
-    moved = Moved(
+    moved = MovingShapes(
         frozenset(own.index(shape) for shape in traits.moving.values() if shape in own),
         _split_meshes(names, targets, traits.moving) if near.seams else {},
         _stepped_shapes(names, targets, traits.moving) if near.textures else {},
@@ -101,18 +101,18 @@ def base_of(
 
 
 def _missing(
-    names: Names, targets: Mapping[str, Target], sensor: Any, blur: Mapping[str, Any] | None
+    names: SceneIndex, targets: Mapping[str, Target], sensor: Any, blur: Mapping[str, Any] | None
 ) -> dict[str, str]:
     """The parameters to blur, each with the reason; those that are asked for, or that have no gradient."""
     if blur is None:
         return {}
-    found = missing_gradients(names, targets, sensor)
+    found = unsupported_parameters(names, targets, sensor)
     if blur.get("names") is None:
         return found
     return {name: found.get(name, "it was asked for") for name in names_to_blur(blur["names"], targets)}
 
 
-def _split_meshes(called: Names, targets: Mapping[str, Target], moving: Mapping[str, Any]) -> dict[int, Any]:
+def _split_meshes(called: SceneIndex, targets: Mapping[str, Target], moving: Mapping[str, Any]) -> dict[int, Any]:
     """By their numbers, meshes that are moved as a whole and store vertices of an edge more than once.
 
     Not those that are smooth in part and have hard edges: shared vertices would have them smooth throughout.
@@ -124,7 +124,7 @@ def _split_meshes(called: Names, targets: Mapping[str, Target], moving: Mapping[
     return {own.index(one): one for one in split if is_flat(one) or not is_hard(one)}
 
 
-def _stepped_shapes(called: Names, targets: Mapping[str, Target], moving: Mapping[str, Any]) -> dict[int, Any]:
+def _stepped_shapes(called: SceneIndex, targets: Mapping[str, Target], moving: Mapping[str, Any]) -> dict[int, Any]:
     """By their numbers, shapes that move and have textures with steps, of which no parameter is an entry."""
     own = list(called.scene.shapes())
     params = mi.traverse(called.scene)
@@ -137,22 +137,22 @@ def _stepped_shapes(called: Names, targets: Mapping[str, Target], moving: Mappin
 
 def _neighboured(
     scene: Any,
-    called: Names,
+    called: SceneIndex,
     targets: Mapping[str, Target],
     traits: Traits,
-    moved: Moved,
-    near: Neighbour,
+    moved: MovingShapes,
+    near: ProxySettings,
     options: dict[str, Any],
-) -> tuple[NeighbouredRenderer, Found] | None:
+) -> tuple[ProxyGradientRenderer, ProxyScene] | None:
     """A scene and its neighbour, if there is something to exchange."""
     loaded = called.loaded
-    lights = targets_of_lights(called, targets)
-    kinds = [one.class_name() for one in lights_of(loaded.scene)]
+    lights = light_targets(called, targets)
+    kinds = [one.class_name() for one in delta_lights(loaded.scene)]
     stay = [one.light for one in lights.values() if not one.can_follow(kinds[one.light])]
     moving = traits.moving
-    around = Surroundings.of(loaded.scene, moving.values(), stay)
+    around = LightContext.of(loaded.scene, moving.values(), stay)
     sensor = find_sensor(loaded.scene, options["sensor"])
-    found = neighbour_of(
+    found = build_proxy_scene(
         scene,
         near,
         around,
@@ -163,14 +163,14 @@ def _neighboured(
     )
     if found is None:
         return None
-    start = NamedParameters(called, targets, options["without_gradient"]).start
-    exchanged = exchanged_targets(lights, found, called, start)
+    start = ParameterBinding(called, targets, options["without_gradient"]).start
+    exchanged = proxy_targets(lights, found, called, start)
     still = all(one.is_power for name, one in lights.items() if name not in options["without_gradient"])
     only_shadows = still and all(one.only_shadows for one in found.exchanges)
-    base = NeighbouredRenderer(
+    base = ProxyGradientRenderer(
         loaded,
         targets,
-        neighbour=found.loaded,
+        proxy=found.loaded,
         moving=moving,
         exchanged=exchanged,
         only_shadows=only_shadows,

@@ -9,13 +9,13 @@ import mitsuba as mi
 
 from loi_mitsuba.diagnostics import is_clipped, is_crowded, is_turned, lets_through, misses_entry
 from loi_mitsuba.scene.load import Target
-from loi_mitsuba.scene.parameters import INSTANCE, Names, is_instance
+from loi_mitsuba.scene.parameters import INSTANCE, SceneIndex, is_instance
 from loi_mitsuba.traits import has_medium, is_clear, is_known, kind_of
 
-__all__ = ["missing_gradients"]
+__all__ = ["unsupported_parameters"]
 
 
-def missing_gradients(called: Names, targets: Mapping[str, Target], sensor: Any) -> dict[str, str]:
+def unsupported_parameters(called: SceneIndex, targets: Mapping[str, Target], sensor: Any) -> dict[str, str]:
     """The parameters without a gradient, each with the reason in a line.
 
     Entries that can be set and have no gradient; cameras and lights without a surface that move; and shapes that move

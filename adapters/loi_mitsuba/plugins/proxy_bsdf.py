@@ -12,12 +12,12 @@ from typing import Any, Final
 import drjit as dr
 import mitsuba as mi
 
-__all__ = ["register_mirror"]
+__all__ = ["register_proxy_bsdf"]
 
 NAME: Final = "loi_mirror"
 
 
-def register_mirror() -> str:
+def register_proxy_bsdf() -> str:
     """Have the current variant of Mitsuba know the surface; its name."""
     _register(mi.variant())
     return NAME

@@ -17,15 +17,15 @@ from typing import Any, Final
 import drjit as dr
 import mitsuba as mi
 
-__all__ = ["lamps_hit", "register_lamp"]
+__all__ = ["hittable_proxy_emitters", "register_proxy_emitter"]
 
 NAME: Final = "loi_area"
 
-_hit: list[None] = []  # one for each `lamps_hit` that is going on
+_hit: list[None] = []  # one for each `hittable_proxy_emitters` that is going on
 
 
 @contextmanager
-def lamps_hit() -> Iterator[None]:
+def hittable_proxy_emitters() -> Iterator[None]:
     """Rays that hit a lamp find its light meanwhile; else only what samples lamps does, as of lights without a size."""
     _hit.append(None)
     try:
@@ -34,7 +34,7 @@ def lamps_hit() -> Iterator[None]:
         _hit.pop()
 
 
-def register_lamp() -> str:
+def register_proxy_emitter() -> str:
     """Have the current variant of Mitsuba know the emitter; its name."""
     _register(mi.variant())
     return NAME

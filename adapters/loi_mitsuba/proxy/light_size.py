@@ -13,7 +13,7 @@ import numpy as np
 
 from loi_mitsuba.geometry.bounds import corners_of
 
-__all__ = ["KINDS", "Surroundings", "lights_of", "position_of", "power_of"]
+__all__ = ["KINDS", "LightContext", "delta_lights", "light_intensity", "light_position"]
 
 Host: TypeAlias = np.ndarray[Any, np.dtype[np.float64]]
 
@@ -23,7 +23,7 @@ OPEN: Final = 0.9  # of them, that see it if the light does; if that does not, n
 
 
 @dataclass(frozen=True)
-class Surroundings:
+class LightContext:
     """Where things move, and what lights there are.
 
     Attributes
@@ -48,12 +48,12 @@ class Surroundings:
     scene: Any
 
     @classmethod
-    def of(cls, scene: Any, moving: Iterable[Any], stay: Iterable[int] = ()) -> Surroundings:
+    def of(cls, scene: Any, moving: Iterable[Any], stay: Iterable[int] = ()) -> LightContext:
         """Of a loaded scene, the shapes that move in it, and the numbers of lights that are to stay as they are."""
         boxes = np.array([corners_of(one) for one in moving])
         low, high = corners_of(scene)
         kept = set(stay)
-        powers = tuple(None if k in kept else power_of(one) for k, one in enumerate(lights_of(scene)))
+        powers = tuple(None if k in kept else light_intensity(one) for k, one in enumerate(delta_lights(scene)))
         return cls(boxes, 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low)), powers, scene)
 
     def distance(self, point: Host) -> float:
@@ -91,12 +91,12 @@ class Surroundings:
         return 0.5 * float(np.min(np.max(self.boxes[:, 1] - self.boxes[:, 0], axis=1)))
 
 
-def lights_of(scene: Any) -> list[Any]:
+def delta_lights(scene: Any) -> list[Any]:
     """The lights without a size that can be exchanged, in the scene's order."""
     return [one for one in scene.emitters() if one.class_name() in KINDS]
 
 
-def position_of(light: Any) -> Host:
+def light_position(light: Any) -> Host:
     """Where a light without a size is, shape (3,); of a directional light, nowhere that means anything."""
     params = mi.traverse(light)
     told = params["position"] if "position" in params else params["to_world"].translation()
@@ -112,7 +112,7 @@ def _first_hit(scene: Any, origins: Host, goal: Host) -> Host:
         return np.array(scene.ray_intersect_preliminary(ray).t, dtype=np.float64)
 
 
-def power_of(light: Any) -> Host | None:
+def light_intensity(light: Any) -> Host | None:
     """Intensity or irradiance of a light of one colour in all directions, shape (3,); None for others, and spectra."""
     if mi.is_spectral:
         return None

@@ -19,25 +19,25 @@ from loi_core.errors import OptionError
 from loi_core.support.values import real_number
 from loi_core.support.wording import shown
 from loi_mitsuba.geometry.mesh import merge_seams
-from loi_mitsuba.proxy.light_size import KINDS, Surroundings, lights_of, power_of
+from loi_mitsuba.proxy.light_size import KINDS, LightContext, delta_lights, light_intensity
 from loi_mitsuba.proxy.substitutions import (
     LAMP,
     LIGHT,
     ROUGH,
-    Exchange,
-    exchange_light,
-    exchange_surface,
-    exchange_textures,
-    of_seams,
+    Substitution,
+    interpolate_textures,
+    substitute_light,
+    substitute_surface,
+    welding_of,
 )
-from loi_mitsuba.scene.load import Loaded, SceneLoadError, parsed
+from loi_mitsuba.scene.load import LoadedScene, SceneLoadError, parsed
 from loi_mitsuba.scene.queries import parts_of
 
-__all__ = ["Found", "Moved", "Neighbour", "neighbour_of"]
+__all__ = ["MovingShapes", "ProxyScene", "ProxySettings", "build_proxy_scene"]
 
 
 @dataclass(frozen=True)
-class Neighbour:
+class ProxySettings:
     """How far the neighbouring scene may be from the scene itself; 0 leaves what it is about as it is.
 
     Attributes
@@ -72,38 +72,38 @@ class Neighbour:
         for name in ("lights", "mirrors"):
             value = real_number(getattr(self, name))
             if not 0.0 <= value <= 0.5:
-                msg = f"`neighbour.{name}` must be 0 to 0.5, got {shown(getattr(self, name))}"
+                msg = f"`proxy.{name}` must be 0 to 0.5, got {shown(getattr(self, name))}"
                 raise OptionError(msg)
         for name in ("seams", "textures"):
             if not isinstance(getattr(self, name), bool):
-                msg = f"`neighbour.{name}` must be true or false, got {shown(getattr(self, name))}"
+                msg = f"`proxy.{name}` must be true or false, got {shown(getattr(self, name))}"
                 raise OptionError(msg)
 
     @classmethod
-    def of(cls, value: object) -> Neighbour:
+    def of(cls, value: object) -> ProxySettings:
         """From settings, a table of them, or None for no exchange at all."""
-        if isinstance(value, Neighbour):
+        if isinstance(value, ProxySettings):
             return value
         if value is None:
             return cls(0.0, 0.0, seams=False, textures=False)
         names = [one.name for one in fields(cls)]
         if not isinstance(value, Mapping) or set(value) - set(names):
-            msg = f"`neighbour` must be a Neighbour, None, or a table of {', '.join(names)}, got {shown(value)}"
+            msg = f"`proxy` must be a ProxySettings, None, or a table of {', '.join(names)}, got {shown(value)}"
             raise OptionError(msg)
         return cls(**value)
 
 
 @dataclass(frozen=True)
-class Found:
+class ProxyScene:
     """A neighbouring scene: what it has otherwise, and whether surfaces are left in it that are perfectly smooth."""
 
-    loaded: Loaded
-    exchanges: tuple[Exchange, ...]
+    loaded: LoadedScene
+    exchanges: tuple[Substitution, ...]
     smooth: bool
 
 
 @dataclass(frozen=True)
-class Moved:
+class MovingShapes:
     """What moves, by the numbers of shapes in the scene, from 0. Of a scene that is loaded already, none of it counts.
 
     Attributes
@@ -121,16 +121,16 @@ class Moved:
     stepped: Mapping[int, Any] = field(default_factory=dict)
 
 
-def neighbour_of(
+def build_proxy_scene(
     scene: Any,
-    near: Neighbour,
-    around: Surroundings,
+    near: ProxySettings,
+    around: LightContext,
     in_view: Callable[[Any], bool],
-    moved: Moved = Moved(),
+    moved: MovingShapes = MovingShapes(),
     *,
     floats: bool = False,
     unlit: bool = False,
-) -> Found | None:
+) -> ProxyScene | None:
     """The neighbouring scene of one that can be loaded; None if nothing is to be exchanged, or can be.
 
     Parameters
@@ -138,11 +138,11 @@ def neighbour_of(
     scene : dict, path or mi.Scene
         Which has been loaded before, so that it is known to be sound. Of a loaded scene only lights are exchanged, and
         the neighbour shares its shapes.
-    near : Neighbour
-    around : Surroundings
+    near : ProxySettings
+    around : LightContext
     in_view : callable
         Whether the camera may see a shape. A lamp that it sees is not exchanged, for the light is never seen.
-    moved : Moved
+    moved : MovingShapes
     floats : bool
         Whether textures are to hold floats.
     unlit : bool
@@ -152,13 +152,13 @@ def neighbour_of(
         described, shared = _described(scene)
         ids = [one.id() for one in shared]
         try:
-            found = neighbour_of(described, near, around, in_view, unlit=unlit)
+            found = build_proxy_scene(described, near, around, in_view, unlit=unlit)
         except SceneLoadError:  # not every scene can be made of the objects of another, such as one with instances
             return None
         finally:  # what a dict holds is called by its key
             for one, own in zip(shared, ids, strict=True):
                 one.set_id(own)
-        return None if found is None else replace(found, loaded=Loaded(found.loaded.scene, in_order=False))
+        return None if found is None else replace(found, loaded=LoadedScene(found.loaded.scene, in_order=False))
     keep: frozenset[int | None] = frozenset()
     while True:
         exchanged = _exchanged(scene, near, around, moved, keep, floats=floats, unlit=unlit)
@@ -171,29 +171,29 @@ def neighbour_of(
         keep |= {one.light for one in exchanges if f"{LAMP}{one.light}" in seen}
     flags = [int(shape.bsdf().flags()) for shape in made.shapes() if shape.bsdf() is not None]
     smooth = any(one & int(mi.BSDFFlags.DeltaReflection | mi.BSDFFlags.DeltaTransmission) for one in flags)
-    return Found(Loaded(made, in_order=True, floats=floats), _distinct(exchanges), smooth)
+    return ProxyScene(LoadedScene(made, in_order=True, floats=floats), _distinct(exchanges), smooth)
 
 
 def _exchanged(
     scene: Any,
-    near: Neighbour,
-    around: Surroundings,
-    moved: Moved,
+    near: ProxySettings,
+    around: LightContext,
+    moved: MovingShapes,
     keep: frozenset[int | None],
     *,
     floats: bool,
     unlit: bool,
-) -> tuple[Any, list[Exchange]] | None:
+) -> tuple[Any, list[Substitution]] | None:
     """A neighbouring scene in which some lights are kept, and what is exchanged in it; None if nothing is."""
-    exchanges: list[Exchange] = []
+    exchanges: list[Substitution] = []
     lights = 0
     with parsed(scene, floats=floats) as (config, state):
         if any(node.props.plugin_name() == "shapegroup" for node in state.nodes):
-            moved = Moved()  # the shapes of a group have no number
+            moved = MovingShapes()  # the shapes of a group have no number
         surfaces = (parts_of(state, number, mi.ObjectType.BSDF) for number in moved.shapes)
         rougher = {index for parts in surfaces for index in parts}
         for number, shape in moved.stepped.items():
-            exchange_textures(state, number, shape, exchanges)
+            interpolate_textures(state, number, shape, exchanges)
         for index in range(len(state.nodes)):
             node = state.nodes[index]
             kind = node.props.plugin_name()
@@ -202,10 +202,10 @@ def _exchanged(
                 node.props.set_id(called or f"{LIGHT}{lights}")
                 power = around.powers[lights] if lights < len(around.powers) else None
                 if near.lights > 0.0 and power is not None and lights not in keep:
-                    exchange_light(state, index, lights, near.lights, power, around, exchanges, unseen=unlit)
+                    substitute_light(state, index, lights, near.lights, power, around, exchanges, unseen=unlit)
                 lights += 1
             elif kind in ROUGH and node.type == mi.ObjectType.BSDF and near.mirrors > 0.0:
-                exchange_surface(state, index, near.mirrors, exchanges, moves=index in rougher, unlit=unlit)
+                substitute_surface(state, index, near.mirrors, exchanges, moves=index in rougher, unlit=unlit)
         if not exchanges and not moved.split:
             return None
         loaded = mi.parser.instantiate(config, state)
@@ -214,11 +214,11 @@ def _exchanged(
     for number, shape in moved.split.items():
         if own[number] != shape:  # what a dict holds as an object is the scene's as well
             merge_seams(own[number])
-            exchanges.append(of_seams(shape))
+            exchanges.append(welding_of(shape))
     return (made, exchanges) if exchanges else None
 
 
-def _distinct(exchanges: list[Exchange]) -> tuple[Exchange, ...]:
+def _distinct(exchanges: list[Substitution]) -> tuple[Substitution, ...]:
     """Exchanges under names of their own: those that share one are numbered."""
     names = [one.what for one in exchanges]
     return tuple(
@@ -230,7 +230,7 @@ def _distinct(exchanges: list[Exchange]) -> tuple[Exchange, ...]:
 def _described(scene: Any) -> tuple[dict[str, Any], list[Any]]:
     """A loaded scene as a dict of its objects, but of lights that can be exchanged a description; and those objects."""
     emitters = [one for one in scene.emitters() if not mi.has_flag(one.flags(), mi.EmitterFlags.Surface)]
-    lights = lights_of(scene)
+    lights = delta_lights(scene)
     described: dict[str, Any] = {"type": "scene"}
     shared = []
     for number, one in enumerate([*scene.sensors(), *scene.shapes(), *emitters, scene.integrator()]):
@@ -244,7 +244,7 @@ def _described(scene: Any) -> tuple[dict[str, Any], list[Any]]:
 
 def _described_light(light: Any) -> dict[str, Any] | None:
     """What a light that can be exchanged is loaded from."""
-    kind, value = KINDS[light.class_name()], power_of(light)
+    kind, value = KINDS[light.class_name()], light_intensity(light)
     if value is None:
         return None
     params = mi.traverse(light)

@@ -11,9 +11,9 @@ import numpy as np
 
 from loi_mitsuba.geometry.mesh import has_sides
 from loi_mitsuba.geometry.stepped_textures import RAMP, interpolate
-from loi_mitsuba.plugins.proxy_bsdf import register_mirror
-from loi_mitsuba.plugins.proxy_emitter import register_lamp
-from loi_mitsuba.proxy.light_size import Surroundings
+from loi_mitsuba.plugins.proxy_bsdf import register_proxy_bsdf
+from loi_mitsuba.plugins.proxy_emitter import register_proxy_emitter
+from loi_mitsuba.proxy.light_size import LightContext
 from loi_mitsuba.scene.queries import parts_of
 
 __all__ = [
@@ -21,11 +21,11 @@ __all__ = [
     "LIGHT",
     "MOVING",
     "ROUGH",
-    "Exchange",
-    "exchange_light",
-    "exchange_surface",
-    "exchange_textures",
-    "of_seams",
+    "Substitution",
+    "interpolate_textures",
+    "substitute_light",
+    "substitute_surface",
+    "welding_of",
 ]
 
 ROUGH: Final = {"conductor": "roughconductor", "dielectric": "roughdielectric", "plastic": "roughplastic"}
@@ -37,7 +37,7 @@ FAR: Final = 100.0  # how many times the scene's radius away the disk is that st
 
 
 @dataclass(frozen=True)
-class Exchange:
+class Substitution:
     """One thing that the neighbour has instead of another: what, and in a line why and how large.
 
     Also whether nothing but shadows is any better for it, and of a light, which of the scene's lights without a size it
@@ -51,8 +51,8 @@ class Exchange:
     factor: float = 1.0
 
 
-def exchange_surface(
-    state: Any, index: int, size: float, exchanges: list[Exchange], *, moves: bool, unlit: bool
+def substitute_surface(
+    state: Any, index: int, size: float, exchanges: list[Substitution], *, moves: bool, unlit: bool
 ) -> None:
     """Make a perfectly smooth surface slightly rough, that of what moves rougher.
 
@@ -67,44 +67,44 @@ def exchange_surface(
     named = f" {props.id()!r}" if props.id() else ""
     why = "edges seen in what is perfectly smooth have no gradient"
     also = ", and that of what moves has the less noise, the rougher it is" if moves else ""
-    exchanges.append(Exchange(f"{kind}{named}", f"a {ROUGH[kind]} of roughness {alpha:g}, for {why}{also}"))
+    exchanges.append(Substitution(f"{kind}{named}", f"a {ROUGH[kind]} of roughness {alpha:g}, for {why}{also}"))
     if unlit:
         rough = mi.parser.SceneNode()
         rough.props, rough.type = mi.Properties(ROUGH[kind]), mi.ObjectType.BSDF
         for key in list(props.keys()):
             rough.props[key] = props[key]
             del props[key]
-        props.set_plugin_name(register_mirror())
+        props.set_plugin_name(register_proxy_bsdf())
         props["rough"] = mi.Properties.ResolvedReference(len(state.nodes))
         state.nodes.append(rough)  # which moves all nodes: what was referred to before is gone
 
 
-def exchange_textures(state: Any, number: int, shape: Any, exchanges: list[Exchange]) -> None:
+def interpolate_textures(state: Any, number: int, shape: Any, exchanges: list[Substitution]) -> None:
     """Interpolate the textures of a shape that have steps."""
     for part in parts_of(state, number, mi.ObjectType.Texture):
         node = state.nodes[part]
         kind = node.props.plugin_name()
         if interpolate(node.props):
             named = f" of {shape.id()!r}" if shape.id() else ""
-            exchanges.append(Exchange(f"{kind}{named}", f"an interpolated bitmap {RAMP}"))
+            exchanges.append(Substitution(f"{kind}{named}", f"an interpolated bitmap {RAMP}"))
 
 
-def of_seams(shape: Any) -> Exchange:
+def welding_of(shape: Any) -> Substitution:
     """Of a mesh whose vertices are shared: what is told of it."""
     named = f" {shape.id()!r}" if shape.id() else ""
     reason = "with the vertices at one place shared, for an edge that is stored twice has its gradient twice"
     # A box whose corners are shared has another texture. Its outlines are drawn in the scene itself, and so is that.
-    return Exchange(f"mesh{named}", reason, only_shadows=has_sides(shape))
+    return Substitution(f"mesh{named}", reason, only_shadows=has_sides(shape))
 
 
-def exchange_light(
+def substitute_light(
     state: Any,
     index: int,
     number: int,
     size: float,
     power: Any,
-    around: Surroundings,
-    exchanges: list[Exchange],
+    around: LightContext,
+    exchanges: list[Substitution],
     *,
     unseen: bool,
 ) -> None:
@@ -144,7 +144,7 @@ def exchange_light(
         of = f"{size:g} of its distance from what moves" if share <= most else f"{WIDEST:g} times that of what moves"
         of = f"{of}, less to stay within what is around it" if radius < widest else of
         how = f"a sphere of radius {radius:.3g}, {of}, for"
-    lamp = mi.Properties(register_lamp() if unseen or kind == "spot" else "area")
+    lamp = mi.Properties(register_proxy_emitter() if unseen or kind == "spot" else "area")
     surface = mi.Properties("diffuse")
     if kind == "spot":
         lamp["cutoff_angle"] = cutoff = _cutoff(props)
@@ -169,10 +169,12 @@ def exchange_light(
     # All but shadows is the scene's own, with less noise; but by what moves, Mitsuba has no gradient of a spot's cone.
     only_shadows = kind != "spot"
     reason = f"{how} a shadow of light from a point has no gradient"
-    exchanges.append(Exchange(f"{kind} light{named}", reason, only_shadows=only_shadows, light=number, factor=factor))
+    exchanges.append(
+        Substitution(f"{kind} light{named}", reason, only_shadows=only_shadows, light=number, factor=factor)
+    )
 
 
-def _lights(props: Any, place: Any, origin: Any, around: Surroundings) -> bool:
+def _lights(props: Any, place: Any, origin: Any, around: LightContext) -> bool:
     """Whether anything that moves reaches into the cone of a spot, as spheres around the boxes tell."""
     along = place[:3, 2] / np.linalg.norm(place[:3, 2])
     cutoff = math.radians(_cutoff(props))

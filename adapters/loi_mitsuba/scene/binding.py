@@ -16,10 +16,10 @@ from loi_core.errors import ParameterError
 from loi_core.support.wording import shown
 from loi_mitsuba.drjit.alignment import aligned
 from loi_mitsuba.scene.load import Target
-from loi_mitsuba.scene.parameters import Names, numbers
+from loi_mitsuba.scene.parameters import SceneIndex, numbers
 from loi_mitsuba.scene.poses import Host, Scale, posed
 
-__all__ = ["NamedParameters", "as_host", "host_numbers"]
+__all__ = ["ParameterBinding", "as_host", "host_numbers"]
 
 NORMALS: Final = "vertex_normals"
 SAME: Final = 1e-3  # between unit normals that are one but for rounding
@@ -36,12 +36,12 @@ class _Posed:
     normals: Any = None  # of the vertices, as a Normal3f, where they are not those that Mitsuba would compute
 
 
-class NamedParameters:
+class ParameterBinding:
     """The parameters of a renderer, by their names, as entries of a scene and poses of its shapes.
 
     Parameters
     ----------
-    called : Names
+    called : SceneIndex
         Of a scene; its values at this moment are those that the parameters start from.
     targets : dict of str or handle
         What each parameter stands for.
@@ -63,7 +63,7 @@ class NamedParameters:
         If a target is not there, has no gradient, or sets what another sets.
     """
 
-    def __init__(self, called: Names, targets: Mapping[str, Target], without_gradient: Iterable[str] = ()) -> None:
+    def __init__(self, called: SceneIndex, targets: Mapping[str, Target], without_gradient: Iterable[str] = ()) -> None:
         self.entries = mi.traverse(called.scene)
         self.targets = dict(targets)
         self.start: dict[str, Host] = {}

@@ -18,7 +18,7 @@ from loi_core.support.wording import shown
 from loi_mitsuba.scene.safety import SceneLoadError, check_scene_file, check_types, looking_in
 
 __all__ = [
-    "Loaded",
+    "LoadedScene",
     "SceneLoadError",
     "Target",
     "checked_samples",
@@ -51,7 +51,7 @@ def use_variant() -> str:
 
 
 @dataclass(frozen=True)
-class Loaded:
+class LoadedScene:
     """A scene, and how it was loaded.
 
     Attributes
@@ -69,13 +69,13 @@ class Loaded:
     floats: bool = False
 
 
-def load_scene(scene: Any) -> Loaded:
+def load_scene(scene: Any) -> LoadedScene:
     """The scene that a dict, a path or a scene stands for."""
     # Merging equal objects, as Mitsuba does by itself, would make one parameter change several of them.
-    if isinstance(scene, Loaded):
+    if isinstance(scene, LoadedScene):
         return scene
     if isinstance(scene, mi.Scene):
-        return Loaded(scene, in_order=False)
+        return LoadedScene(scene, in_order=False)
     try:
         if isinstance(scene, dict):
             check_types(scene)
@@ -91,14 +91,14 @@ def load_scene(scene: Any) -> Loaded:
     if not isinstance(loaded, mi.Scene):
         msg = f"`scene` must be a dict, the path of an XML file, or an mi.Scene, got a {type(loaded).__name__}"
         raise OptionError(msg)
-    return Loaded(loaded, in_order=True)
+    return LoadedScene(loaded, in_order=True)
 
 
-def load_with_floats(scene: dict[str, Any] | str | Path) -> Loaded:
+def load_with_floats(scene: dict[str, Any] | str | Path) -> LoadedScene:
     """A scene whose textures hold floats, whatever their files hold; it has been loaded before, so that it is sound."""
     with parsed(scene, floats=True) as (config, state):
         loaded = mi.parser.instantiate(config, state)
-    return Loaded(loaded[0] if isinstance(loaded, list) else loaded, in_order=True, floats=True)
+    return LoadedScene(loaded[0] if isinstance(loaded, list) else loaded, in_order=True, floats=True)
 
 
 @contextlib.contextmanager

@@ -16,17 +16,17 @@ import numpy as np
 
 from loi_core.errors import ParameterError
 from loi_mitsuba.geometry.bounds import corners_of
-from loi_mitsuba.scene.load import Loaded, load_scene, load_with_floats, use_variant
+from loi_mitsuba.scene.load import LoadedScene, load_scene, load_with_floats, use_variant
 
 __all__ = [
     "INSTANCE",
-    "Entry",
-    "Names",
     "Scene",
+    "SceneIndex",
+    "SceneParameter",
     "ancestors",
+    "index_scene",
     "is_instance",
-    "list_entries",
-    "named_scene",
+    "list_parameters",
     "numbers",
 ]
 
@@ -43,7 +43,7 @@ _WORD = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 
 
 @dataclass(frozen=True)
-class Entry:
+class SceneParameter:
     """One entry of a scene.
 
     Attributes
@@ -67,7 +67,7 @@ class Entry:
     settable: bool = True
 
 
-def list_entries(scene: dict[str, Any] | str | Path | Scene) -> dict[str, Entry]:
+def list_parameters(scene: dict[str, Any] | str | Path | Scene) -> dict[str, SceneParameter]:
     """Every entry of a scene by its readable name, in the order of ``mi.traverse``.
 
     A name means one object however the scene was loaded. Objects without an id are numbered in the file's order, as
@@ -87,40 +87,40 @@ def list_entries(scene: dict[str, Any] | str | Path | Scene) -> dict[str, Entry]
         If it is none.
     """
     use_variant()
-    return Names(load_scene(scene)).entries
+    return SceneIndex(load_scene(scene)).entries
 
 
-def named_scene(scene: dict[str, Any] | str | Path | Scene | Loaded, targets: Mapping[str, Any]) -> Names:
+def index_scene(scene: dict[str, Any] | str | Path | Scene | LoadedScene, targets: Mapping[str, Any]) -> SceneIndex:
     """A scene, loaded so that the entries among `targets` have a gradient if that is a matter of how it is loaded."""
-    names = Names(load_scene(scene))
+    names = SceneIndex(load_scene(scene))
     wanted = [names.known(target) for target in targets.values() if isinstance(target, str)]
     if any(one is not None and one.problem == EIGHT_BITS for one in wanted) and isinstance(scene, dict | str | Path):
-        return Names(load_with_floats(scene))
+        return SceneIndex(load_with_floats(scene))
     return names
 
 
-class Names:
+class SceneIndex:
     """What the entries and shapes of a scene are called, as it stands when this is made.
 
     Parameters
     ----------
-    loaded : Loaded
+    loaded : LoadedScene
 
     Attributes
     ----------
-    loaded : Loaded
+    loaded : LoadedScene
     scene : mi.Scene
-    entries : dict of Entry
+    entries : dict of SceneParameter
         By readable name.
     """
 
-    def __init__(self, loaded: Loaded) -> None:
+    def __init__(self, loaded: LoadedScene) -> None:
         self.loaded = loaded
         self.scene = loaded.scene
         self._params = mi.traverse(loaded.scene)
         self._readable, places = _readable(self._params, in_order=loaded.in_order)
-        self.entries: dict[str, Entry] = {}
-        self._also: dict[str, Entry] = {}
+        self.entries: dict[str, SceneParameter] = {}
+        self._also: dict[str, SceneParameter] = {}
         for key in self._params.properties:  # iterating over it itself yields pairs
             folder, _, last = key.rpartition(".")
             name = f"{self._readable[folder]}.{last}" if folder else last
@@ -128,18 +128,18 @@ class Names:
                 shape = _shape(self._params[key])
             except TypeError:  # it is not set, as is what absorbs light in hair that has pigments
                 continue
-            entry = Entry(name, key, shape, _problem(self._params, key), _settable(self._params, key))
+            entry = SceneParameter(name, key, shape, _problem(self._params, key), _settable(self._params, key))
             self.entries[name] = self._also[key] = entry
             for own, place in places.items():
                 if folder == own or folder.startswith(f"{own}."):
                     self._also[f"{place}{folder[len(own) :]}.{last}"] = entry
         self._places = places
 
-    def known(self, key: str) -> Entry | None:
+    def known(self, key: str) -> SceneParameter | None:
         """The entry of that name or key, if there is one."""
         return self.entries.get(key) or self._also.get(key)
 
-    def find(self, key: str, *, images: bool = False) -> Entry:
+    def find(self, key: str, *, images: bool = False) -> SceneParameter:
         """The entry of that name or key; with `images`, it need not have a gradient.
 
         Raises
@@ -159,20 +159,20 @@ class Names:
             raise ParameterError(msg)
         return entry
 
-    def _by_handle(self, entry: Entry) -> str:
+    def _by_handle(self, entry: SceneParameter) -> str:
         """How else what an entry moves can be moved; empty if not."""
         folder, _, last = entry.key.rpartition(".")
         node = self._params.properties[entry.key][2]
         movable = last == "to_world" and _is_placed(node)
         return BY_HANDLE.format(self._readable.get(folder, folder)) if movable else ""
 
-    def moved_by(self, entry: Entry) -> Any:
+    def moved_by(self, entry: SceneParameter) -> Any:
         """The shape that an entry moves; None if it moves none."""
         node = self._params.properties[entry.key][2]
         moves = isinstance(node, mi.Shape) and self._params.flags(entry.key) & mi.ParamFlags.Discontinuous
         return node if moves else None
 
-    def part_of_material(self, entry: Entry) -> tuple[Any, str]:
+    def part_of_material(self, entry: SceneParameter) -> tuple[Any, str]:
         """The material nearest to an entry, and which of its inputs the entry belongs to; None and "" without."""
         nodes, parts = ancestors(self._params, self._params.properties[entry.key][2]), entry.key.split(".")
         for node, part in reversed([*zip(nodes, parts, strict=False)]):

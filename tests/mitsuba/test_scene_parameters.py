@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from loi_core.errors import OptionError, ParameterError
-from loi_mitsuba import MitsubaRenderer, SceneLoadError, Translate, list_entries
+from loi_mitsuba import MitsubaRenderer, SceneLoadError, Translate, list_parameters
 
 pytestmark = pytest.mark.filterwarnings("ignore::loi_mitsuba.GradientWarning")  # cubes have split vertices
 
@@ -42,7 +42,7 @@ def mesh_file(folder: Path, name: str, radius: float) -> str:
 def places(scene: Any) -> dict[str, tuple[float, ...]]:
     """By name, where the shapes stand that can be moved by it."""
     found: dict[str, tuple[float, ...]] = {}
-    for name, entry in list_entries(scene).items():
+    for name, entry in list_parameters(scene).items():
         folder, _, last = name.rpartition(".")
         if last in ("vertex_positions", "to_world") and not entry.problem:
             renderer = MitsubaRenderer(scene, {"place": Translate(folder)})
@@ -116,16 +116,20 @@ def test_entries_of_meshes_go_by_both_names(tmp_path: Path) -> None:
 
 def test_entries_are_listed_of_files_dicts_and_scenes(tmp_path: Path) -> None:
     path = write_scene(tmp_path, shape("sphere", (0, 0, 0)))
-    assert list(list_entries(path)) == list(list_entries(str(path))) == list(list_entries(mi.load_file(str(path))))
-    assert "ball.to_world" in list_entries({"type": "scene", "ball": {"type": "sphere"}})
+    assert (
+        list(list_parameters(path))
+        == list(list_parameters(str(path)))
+        == list(list_parameters(mi.load_file(str(path))))
+    )
+    assert "ball.to_world" in list_parameters({"type": "scene", "ball": {"type": "sphere"}})
     with pytest.raises(SceneLoadError, match=r"none\.xml"):
-        list_entries(tmp_path / "none.xml")
+        list_parameters(tmp_path / "none.xml")
     with pytest.raises(OptionError, match=r"`scene` must be a dict, the path of an XML file, or an mi\.Scene"):
-        list_entries(3)
+        list_parameters(3)
 
 
 def test_what_is_not_set_has_no_name() -> None:
     scene = {"type": "scene", "ball": {"type": "sphere", "bsdf": {"type": "hair"}}}
-    names = list_entries(scene)
+    names = list_parameters(scene)
     assert "ball.bsdf.eumelanin" in names
     assert not any("sigma_a" in name for name in names)

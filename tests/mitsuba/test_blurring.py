@@ -47,7 +47,7 @@ def test_one_fit_finds_what_has_a_gradient_and_what_has_none() -> None:
     """A colour, and the place of a point light, of which only its light and the ball's shadow tell."""
     scene = lit_scene()
     scene["sensor"]["film"] |= {"width": 32, "height": 24}
-    planned = PlannedRenderer(scene, {"light": Translate("lamp", X), "floor": FLOOR}, spp=8, follow_lights=False)
+    planned = PlannedRenderer(scene, {"light": Translate("lamp", X), "floor": FLOOR}, spp=8, attached_lights=False)
     assert list(planned.plan.blurred) == ["light"]
     truth: dict[str, Any] = {"light": np.float32(3.0), "floor": np.array([0.7, 0.5, 0.3], np.float32)}
     target = planned.render(truth, seed=10**6)
@@ -81,8 +81,8 @@ def test_what_has_nothing_but_noise_is_blurred_once_that_is_known() -> None:
     lamp = {"x": Translate("lamp", X), "y": Translate("lamp", (0, 1, 0))}
     scene = shining_scene()
     del scene["floor"]
-    planned = PlannedRenderer(scene, lamp, spp=16, follow_lights=False)
-    held = PlannedRenderer(scene, lamp, spp=16, follow_lights=False, blur=None)
+    planned = PlannedRenderer(scene, lamp, spp=16, attached_lights=False)
+    held = PlannedRenderer(scene, lamp, spp=16, attached_lights=False, blur=None)
     truth = {"x": np.float32(-1.5), "y": np.float32(2.0)}
     objective = LOIObjective(planned.unabridged.render(truth, seed=10**6))
     free = {name: Free(None, -5.0, 5.0) for name in lamp}
@@ -216,7 +216,7 @@ def test_the_plan_names_what_is_blurred_and_why(changes: dict[str, Any], target:
     if "sensor" in changes:
         place = mi.ScalarTransform4f().look_at(*PARALLEL["to_world"][1:]).scale(3)
         changes = {"sensor": {**PARALLEL, "to_world": place}}
-    planned = PlannedRenderer(lit_scene(**changes), {"it": target}, spp=4, follow_lights=False, follow_glass=False)
+    planned = PlannedRenderer(lit_scene(**changes), {"it": target}, spp=4, attached_lights=False, attached_glass=False)
     assert says in planned.plan.blurred["it"]
     (row,) = (line for line in str(planned.plan).splitlines() if line.startswith("| 'it'"))
     assert "| blurred |" in row
@@ -249,11 +249,11 @@ def test_what_an_image_of_depths_does_not_show_has_the_gradient_0() -> None:
 
 def test_without_a_blur_what_has_no_gradient_is_refused_or_left_to_mitsuba() -> None:
     with pytest.raises(ParameterError, match=r"is missing or wrong; .* leave it to PlannedRenderer"):
-        PlannedRenderer(lit_scene(), {"light": "lamp.position"}, blur=None, follow_lights=False)
+        PlannedRenderer(lit_scene(), {"light": "lamp.position"}, blur=None, attached_lights=False)
     with pytest.raises(ParameterError, match=r"'sensor' cannot be moved: .*; or leave it to PlannedRenderer"):
         PlannedRenderer(lit_scene(), {"pose": Translate("sensor")}, blur=None)
     moved = {"x": Translate("ball", X)}
-    plan = PlannedRenderer(lit_scene(**GLASS, **HIGH), moved, blur=None, follow_glass=False).plan
+    plan = PlannedRenderer(lit_scene(**GLASS, **HIGH), moved, blur=None, attached_glass=False).plan
     assert not plan.blurred
     assert "dielectric 'bsdf'" in plan.exchanged
     with pytest.raises(ParameterError, match=r"has no entry 'lamp\.place'"):
@@ -286,7 +286,7 @@ def test_a_camera_that_moves_sees_the_scene_move_the_other_way() -> None:
 
 def test_the_gradient_is_that_of_finite_differences() -> None:
     blur = {"sigma": 0.2, "pairs": 4}
-    planned = PlannedRenderer(lit_scene(), {"light": Translate("lamp", X)}, spp=32, blur=blur, follow_lights=False)
+    planned = PlannedRenderer(lit_scene(), {"light": Translate("lamp", X)}, spp=32, blur=blur, attached_lights=False)
     image, pullback = planned.render_vjp(planned.parameters())
     ramp = np.linspace(-1.0, 1.0, 64, dtype=np.float32)[None, :, None] * np.ones_like(image)
     drawn = [float(planned.render_vjp(planned.parameters(), seed=seed)[1](ramp)["light"]) for seed in range(8)]
@@ -301,7 +301,7 @@ def test_the_gradient_is_that_of_finite_differences() -> None:
 )
 def test_the_lamp_in_the_neighbour_goes_where_the_light_goes(light: Any) -> None:
     sharp = {"x": Translate("ball", X)}
-    planned = PlannedRenderer(lit_scene(**HIGH), {**sharp, "light": light}, spp=16, follow_lights=False)
+    planned = PlannedRenderer(lit_scene(**HIGH), {**sharp, "light": light}, spp=16, attached_lights=False)
     assert list(planned.plan.exchanged) == ["point light 'lamp'"]
     assert list(planned.plan.blurred) == ["light"]
     params = planned.parameters()
@@ -310,7 +310,7 @@ def test_the_lamp_in_the_neighbour_goes_where_the_light_goes(light: Any) -> None
     pulled = planned.unabridged.pull(params, ramp)
     assert np.any(pulled["x"])
     assert not np.any(pulled["light"])
-    near = mi.traverse(planned.unabridged.neighbour)["loi_lamp_0.to_world"]  # type: ignore[attr-defined]
+    near = mi.traverse(planned.unabridged.proxy_scene)["loi_lamp_0.to_world"]  # type: ignore[attr-defined]
     moved = [1.5, 12, 0] if isinstance(light, Translate) and light.axis is not None else [1.5, 13, 1]
     np.testing.assert_allclose(np.array(near.matrix).reshape(4, 4)[:3, 3], moved, atol=1e-5)
 
@@ -322,7 +322,7 @@ def test_only_what_is_named_is_blurred() -> None:
     assert planned.groups == (("floor",),)
     with pytest.raises(ParameterError, match=r"'lamp\.position' cannot be fitted"):
         PlannedRenderer(
-            lit_scene(), {"light": "lamp.position", "floor": FLOOR}, blur={"names": ["floor"]}, follow_lights=False
+            lit_scene(), {"light": "lamp.position", "floor": FLOOR}, blur={"names": ["floor"]}, attached_lights=False
         )
 
 
@@ -347,7 +347,7 @@ def test_options_are_checked(blur: Any, error: type[Exception], says: str) -> No
 
 def test_where_all_is_blurred_there_is_nothing_to_measure() -> None:
     lamp = {"light": Translate("lamp", X)}
-    planned = PlannedRenderer(lit_scene(), lamp, spp=4, blur={"sigma": 0.3}, follow_lights=False)
+    planned = PlannedRenderer(lit_scene(), lamp, spp=4, blur={"sigma": 0.3}, attached_lights=False)
     image = planned.render(planned.parameters())
     objective = PixelL2(planned.render({"light": np.float32(1.0)}, seed=9))
     planned.begin(planned.parameters(), objective.value_and_grad(image)[1], optimise=["light"])

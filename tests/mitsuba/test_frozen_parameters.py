@@ -15,7 +15,7 @@ from examples.effects.scenes import SUITE
 from loi_core import PixelL2, fit
 from loi_mitsuba import PlannedRenderer, Rotate, Translate
 from loi_mitsuba.scene.load import load_scene
-from loi_mitsuba.scene.parameters import Names
+from loi_mitsuba.scene.parameters import SceneIndex
 from loi_mitsuba.traits import objects_of, traits_of
 from tests.helpers import Host
 from tests.mitsuba.scenes import shadow_scene
@@ -106,6 +106,6 @@ def test_what_moves_one_shape_is_one_object() -> None:
         "turn": Rotate("ball", (0, 1, 0)),
         "lamp": Translate("lamp"),
     }
-    called = Names(load_scene(shadow_scene()))
+    called = SceneIndex(load_scene(shadow_scene()))
     moving = traits_of(called, targets, called.scene.sensors()[0]).moving
     assert objects_of(targets, moving) == (("x", "turn"), ("light",), ("lamp",))

@@ -11,10 +11,10 @@ import pytest
 from loi_core import LOIObjective, fit
 from loi_core.errors import OptionError
 from loi_mitsuba import MitsubaRenderer, PlannedRenderer, Rotate, Scale, Translate
-from loi_mitsuba.attached.dielectrics import Glass, Samples
+from loi_mitsuba.attached.dielectrics import AttachedDielectrics, Samples
 from tests.helpers import Host
 from tests.mitsuba.scenes import HEIGHT, WIDTH, shadow_scene
-from tests.mitsuba.test_lamps import RAMP, X, Y, Z, begun, differences
+from tests.mitsuba.test_attached_emitters import RAMP, X, Y, Z, begun, differences
 from tests.strategies import thorough
 
 CLEAR = {"type": "dielectric", "int_ior": 1.5}
@@ -32,10 +32,12 @@ def glass_scene(**changes: Any) -> dict[str, Any]:
     return shadow_scene(**{"ball": BALL, "lamp": WIDE, "integrator": {"type": "path", "max_depth": 7}, **changes})
 
 
-def followed(scene: dict[str, Any], targets: dict[str, Any], **options: Any) -> tuple[MitsubaRenderer, Glass]:
+def followed(
+    scene: dict[str, Any], targets: dict[str, Any], **options: Any
+) -> tuple[MitsubaRenderer, AttachedDielectrics]:
     """The scene by its own integrator, and what is followed in it."""
     renderer = MitsubaRenderer(scene, targets, integrator="scene", without_gradient=tuple(targets), **options)
-    return renderer, Glass(renderer, 128)
+    return renderer, AttachedDielectrics(renderer, 128)
 
 
 def in_blocks(image: Host) -> Host:
@@ -178,7 +180,7 @@ def test_light_from_all_around_does_not_drown_it() -> None:
 
 def test_it_can_be_turned_off() -> None:
     moved: dict[str, Any] = {"it": Translate("ball", X)}
-    assert list(PlannedRenderer(glass_scene(), moved, spp=4, follow_glass=False).plan.blurred) == ["it"]
+    assert list(PlannedRenderer(glass_scene(), moved, spp=4, attached_glass=False).plan.blurred) == ["it"]
     assert list(PlannedRenderer(glass_scene(), moved, spp=4, blur={"names": ["it"]}).plan.blurred) == ["it"]
-    with pytest.raises(OptionError, match="`follow_glass` must be true or false, got 1"):
-        PlannedRenderer(glass_scene(), moved, follow_glass=1)  # type: ignore[arg-type]  # the wrong type is refused
+    with pytest.raises(OptionError, match="`attached_glass` must be true or false, got 1"):
+        PlannedRenderer(glass_scene(), moved, attached_glass=1)  # type: ignore[arg-type]  # the wrong type is refused

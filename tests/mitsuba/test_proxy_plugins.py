@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from loi_mitsuba import PlannedRenderer, Translate
-from loi_mitsuba.plugins.proxy_bsdf import register_mirror
-from loi_mitsuba.plugins.proxy_emitter import lamps_hit, register_lamp
+from loi_mitsuba.plugins.proxy_bsdf import register_proxy_bsdf
+from loi_mitsuba.plugins.proxy_emitter import hittable_proxy_emitters, register_proxy_emitter
 from tests.helpers import Host
 from tests.mitsuba.scenes import shadow_scene
 from tests.strategies import thorough
@@ -55,9 +55,9 @@ def test_the_gradient_of_a_shiny_ball_under_a_sun_goes_where_finite_differences_
 
 @pytest.mark.parametrize("kind", SHINY)
 def test_a_neighbour_shows_no_light_that_the_scene_does_not(kind: str) -> None:
-    planned = PlannedRenderer(shiny_scene(kind), AXES, neighbour={"mirrors": 0.01})
+    planned = PlannedRenderer(shiny_scene(kind), AXES, proxy={"mirrors": 0.01})
     scene: Any = planned.unabridged
-    own, near = (mi.render(one, spp=256, seed=1).numpy() for one in (scene.scene, scene.neighbour))
+    own, near = (mi.render(one, spp=256, seed=1).numpy() for one in (scene.scene, scene.proxy_scene))
     np.testing.assert_allclose(near.max(), own.max(), rtol=0.1)  # a highlight would be 60 times as bright as the sky
     of_own, of_near = (one.reshape(6, 8, 8, 8, -1).mean(axis=(1, 3)) for one in (own, near))
     np.testing.assert_allclose(of_near, of_own, rtol=0.05, atol=0.01)
@@ -66,7 +66,7 @@ def test_a_neighbour_shows_no_light_that_the_scene_does_not(kind: str) -> None:
 @pytest.mark.parametrize("kind", ["roughconductor", "roughplastic", "roughdielectric"])
 def test_what_stands_for_a_mirror_reflects_as_much_as_what_it_is_made_of(kind: str) -> None:
     rough = mi.load_dict({"type": kind, "alpha": 0.2})
-    mirror = mi.load_dict({"type": register_mirror(), "rough": rough})
+    mirror = mi.load_dict({"type": register_proxy_bsdf(), "rough": rough})
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(0, 1 << 18)
     si = dr.zeros(mi.SurfaceInteraction3f, 1 << 18)
@@ -86,10 +86,10 @@ def test_what_stands_for_a_mirror_reflects_as_much_as_what_it_is_made_of(kind: s
 
 
 def test_only_a_shadow_s_rays_find_the_light_of_a_lamp_that_they_hit() -> None:
-    lamp = {"type": "sphere", "emitter": {"type": register_lamp(), "radiance": {"type": "rgb", "value": 3.0}}}
+    lamp = {"type": "sphere", "emitter": {"type": register_proxy_emitter(), "radiance": {"type": "rgb", "value": 3.0}}}
     scene = mi.load_dict({"type": "scene", "lamp": lamp})
     si = scene.ray_intersect(mi.Ray3f(mi.Point3f(0.0, 0.0, 5.0), mi.Vector3f(0.0, 0.0, -1.0)))
     assert not np.any(np.array(si.emitter(scene).eval(si)))
-    with lamps_hit():
+    with hittable_proxy_emitters():
         np.testing.assert_allclose(np.array(si.emitter(scene).eval(si)), 3.0)
     assert not np.any(np.array(si.emitter(scene).eval(si)))

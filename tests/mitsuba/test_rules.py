@@ -129,7 +129,7 @@ def test_a_film_samples_its_border_where_shapes_may_cross_it() -> None:
 
 def test_missing_gradients_are_told() -> None:
     mirror = {"type": "rectangle", "bsdf": {"type": "conductor"}}
-    plan = plan_effects(shadow_scene(mirror=mirror), {"x": Translate("ball", (1, 0, 0))}, neighbour=None)
+    plan = plan_effects(shadow_scene(mirror=mirror), {"x": Translate("ball", (1, 0, 0))}, proxy=None)
     assert any("perfect mirror" in note for note in plan.notes)
     fog = {"type": "homogeneous", "albedo": 0.5, "sigma_t": 0.5}
     cloud = {"type": "sphere", "bsdf": {"type": "null"}, "interior": fog}

@@ -11,7 +11,7 @@ import pytest
 from loi_core import Free, LOIObjective, fit
 from loi_core.errors import OptionError
 from loi_mitsuba import MitsubaRenderer, PlannedRenderer, Rotate, Scale, Translate, plan_effects
-from loi_mitsuba.attached.emitters import Lamps, lamps_of
+from loi_mitsuba.attached.emitters import AttachedEmitters, attachable_emitters
 from tests.helpers import Host
 from tests.mitsuba.scenes import HEIGHT, WIDTH, shadow_scene
 from tests.strategies import thorough
@@ -87,7 +87,7 @@ def test_it_is_that_of_finite_differences(kind: str) -> None:
         handles["size"], at["size"], steps["size"] = Scale("lamp"), np.float32(1.2), 0.05
     images = tuple(handles) if kind in ("point", "spot") else ()
     renderer = MitsubaRenderer(lit_scene(kind), handles, spp=128, without_gradient=images)
-    lamps = Lamps(renderer, lamps_of(renderer.names, renderer.targets), 32)
+    lamps = AttachedEmitters(renderer, attachable_emitters(renderer.names, renderer.targets), 32)
     drawn = [list(lamps.pull(at, RAMP, names=handles, seed=seed).values()) for seed in range(6)]
     mean, error = np.mean(drawn, axis=0), np.std(drawn, axis=0, ddof=1) / np.sqrt(6)
     wanted, unsure = differences(renderer, at, steps)
@@ -105,7 +105,7 @@ def test_the_floor_may_be_wide_and_may_shine_itself(changes: dict[str, float]) -
     handles: dict[str, Any] = {"x": Translate("lamp", X), "y": Translate("lamp", Y)}
     at: dict[str, Any] = {"x": np.float32(1.5), "y": np.float32(0.0)}
     renderer = MitsubaRenderer(scene, handles, spp=64, without_gradient=tuple(handles))
-    lamps = Lamps(renderer, lamps_of(renderer.names, renderer.targets), 32)
+    lamps = AttachedEmitters(renderer, attachable_emitters(renderer.names, renderer.targets), 32)
     drawn = [list(lamps.pull(at, RAMP, names=handles, seed=seed).values()) for seed in range(6)]
     mean, error = np.mean(drawn, axis=0), np.std(drawn, axis=0, ddof=1) / np.sqrt(6)
     wanted, unsure = differences(renderer, at, {"x": 0.1, "y": 0.1})
@@ -115,7 +115,10 @@ def test_the_floor_may_be_wide_and_may_shine_itself(changes: dict[str, float]) -
 def test_its_noise_is_less_than_a_fiftieth_of_mitsubas_own() -> None:
     place = {"place": Translate("lamp")}
     renderer = MitsubaRenderer(lit_scene("ball"), place, spp=16)
-    lamps, at = Lamps(renderer, lamps_of(renderer.names, renderer.targets), 16), renderer.parameters()
+    lamps, at = (
+        AttachedEmitters(renderer, attachable_emitters(renderer.names, renderer.targets), 16),
+        renderer.parameters(),
+    )
     ours = [lamps.pull(at, RAMP, names=place, seed=seed)["place"] for seed in range(6)]
     own = [renderer.pull(at, RAMP, seed=seed)["place"] for seed in range(6)]
     assert np.linalg.norm(np.std(ours, axis=0)) < 0.02 * np.linalg.norm(np.std(own, axis=0))
@@ -127,7 +130,10 @@ def test_a_lamp_in_view_has_its_outline_too() -> None:
     scene["lamp"] = low
     place = {"x": Translate("lamp", X)}
     renderer = MitsubaRenderer(scene, place, spp=128)
-    lamps, at = Lamps(renderer, lamps_of(renderer.names, renderer.targets), 32), renderer.parameters()
+    lamps, at = (
+        AttachedEmitters(renderer, attachable_emitters(renderer.names, renderer.targets), 32),
+        renderer.parameters(),
+    )
     drawn = [float(lamps.pull(at, RAMP, names=place, seed=seed)["x"]) for seed in range(8)]
     wanted, unsure = differences(renderer, at, {"x": 0.1})
     error = np.hypot(np.std(drawn, ddof=1) / np.sqrt(8), unsure[0])
@@ -226,17 +232,17 @@ def test_what_scales_a_mesh_is_left_to_mitsuba() -> None:
     """Whose samples are as many to the area as before."""
     for kind, follows in (("box", ["x"]), ("panel", ["x", "size"])):
         renderer = MitsubaRenderer(lit_scene(kind), {"x": Translate("lamp", X), "size": Scale("lamp")}, spp=4)
-        assert list(lamps_of(renderer.names, renderer.targets)) == follows
+        assert list(attachable_emitters(renderer.names, renderer.targets)) == follows
 
 
 def test_it_can_be_turned_off() -> None:
     light: dict[str, Any] = {"x": Translate("lamp", X)}
-    assert list(begun(lit_scene("point"), light, spp=4, follow_lights=False).plan.blurred) == ["x"]
-    assert not begun(lit_scene("ball"), light, spp=4, follow_lights=False).plan.followed
-    assert not plan_effects(lit_scene("point"), light, follow_lights=False).followed
+    assert list(begun(lit_scene("point"), light, spp=4, attached_lights=False).plan.blurred) == ["x"]
+    assert not begun(lit_scene("ball"), light, spp=4, attached_lights=False).plan.followed
+    assert not plan_effects(lit_scene("point"), light, attached_lights=False).followed
     assert list(PlannedRenderer(lit_scene("point"), light, blur={"names": ["x"]}).plan.blurred) == ["x"]
-    with pytest.raises(OptionError, match="`follow_lights` must be true or false, got 1"):
-        PlannedRenderer(lit_scene("point"), light, follow_lights=1)  # type: ignore[arg-type]
+    with pytest.raises(OptionError, match="`attached_lights` must be true or false, got 1"):
+        PlannedRenderer(lit_scene("point"), light, attached_lights=1)  # type: ignore[arg-type]
 
 
 @thorough

@@ -40,13 +40,13 @@ def test_what_a_neighbour_has_otherwise_is_shown_and_set(folder: Path, capsys: p
     light = '<emitter type="point"><point name="position" x="0" y="9" z="0"/></emitter></scene>'
     (folder / "scene.xml").write_text(XML.replace("</scene>", light))
     text = (folder / "scene.toml").read_text().replace("spp = 8", "spp = 64")  # at 8 all of it is noise
-    (folder / "scene.toml").write_text(f"{text}\n[renderer.neighbour]\nlights = 0.05\n")
+    (folder / "scene.toml").write_text(f"{text}\n[renderer.proxy]\nlights = 0.05\n")
     assert main(["fit", str(folder / "scene.toml"), "--explain", "--json"]) in FINISHED
     (reason,) = json.loads(capsys.readouterr().out)["exchanged"].values()
     assert "0.05 of its distance from what moves" in reason
-    (folder / "scene.toml").write_text(f"{text}\n[renderer.neighbour]\nlights = 2\n")
+    (folder / "scene.toml").write_text(f"{text}\n[renderer.proxy]\nlights = 2\n")
     assert main(["fit", str(folder / "scene.toml"), "--explain"]) == 2
-    assert "`neighbour.lights` must be 0 to 0.5, got 2" in capsys.readouterr().err
+    assert "`proxy.lights` must be 0 to 0.5, got 2" in capsys.readouterr().err
 
 
 def test_a_fit_follows_its_plan_and_the_page_shows_every_effect(folder: Path) -> None:

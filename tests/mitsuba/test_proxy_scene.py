@@ -11,9 +11,9 @@ import pytest
 
 from loi_core import PixelL2
 from loi_core.errors import OptionError, ParameterError
-from loi_mitsuba import GradientWarning, MitsubaRenderer, Neighbour, PlannedRenderer, Translate, list_entries
-from loi_mitsuba.proxy.light_size import Surroundings
-from loi_mitsuba.proxy.scene import neighbour_of
+from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, ProxySettings, Translate, list_parameters
+from loi_mitsuba.proxy.light_size import LightContext
+from loi_mitsuba.proxy.scene import build_proxy_scene
 from tests.mitsuba.scenes import shadow_scene
 from tests.strategies import thorough
 
@@ -71,8 +71,8 @@ def ball_of(scene: Any) -> Any:
 def test_what_stands_for_a_light_is_as_bright(kind: str) -> None:
     scene = lit_scene(kind)
     loaded = mi.load_dict(scene)
-    around = Surroundings.of(loaded, [ball_of(loaded)])
-    found = neighbour_of(scene, Neighbour(lights=0.02), around, lambda _: False)
+    around = LightContext.of(loaded, [ball_of(loaded)])
+    found = build_proxy_scene(scene, ProxySettings(lights=0.02), around, lambda _: False)
     assert found is not None
     assert [one.what for one in found.exchanges] == [f"{kind.split()[0]} light 'lamp'"]
     own, near = (mi.render(one, spp=256, seed=1).numpy() for one in (loaded, found.loaded.scene))
@@ -151,7 +151,7 @@ def test_the_shadow_of_something_small_has_a_gradient_that_pixels_see() -> None:
 def test_the_image_is_that_of_the_scene_as_it_is() -> None:
     planned = PlannedRenderer(lit_scene(), AXES, spp=16)
     with pytest.warns(GradientWarning, match="moves under a PointLight"):
-        alone = PlannedRenderer(lit_scene(), AXES, spp=16, neighbour=None)
+        alone = PlannedRenderer(lit_scene(), AXES, spp=16, proxy=None)
     image, pullback = planned.render_vjp(HERE, seed=3)
     np.testing.assert_allclose(image, alone.render(HERE, seed=3), rtol=1e-5, atol=1e-6)
     pullback(np.ones_like(image))
@@ -172,9 +172,9 @@ def test_nothing_is_exchanged_that_no_parameter_calls_for() -> None:
     assert not PlannedRenderer(lit_scene(), light).plan.exchanged
     assert not PlannedRenderer(shadow_scene(), AXES).plan.exchanged
     with pytest.warns(GradientWarning, match="moves under a PointLight"):
-        assert not PlannedRenderer(lit_scene(), AXES, neighbour={"lights": 0.0}).plan.exchanged
+        assert not PlannedRenderer(lit_scene(), AXES, proxy={"lights": 0.0}).plan.exchanged
     with pytest.warns(GradientWarning, match="moves under a PointLight"):
-        alone = PlannedRenderer(lit_scene(), AXES, neighbour=None)
+        alone = PlannedRenderer(lit_scene(), AXES, proxy=None)
     gradient = alone.unabridged.pull(HERE, np.ones((48, 64, 3), np.float32))
     assert not np.any(gradient["x"])
 
@@ -210,7 +210,7 @@ def test_lights_that_share_a_spectrum_keep_it() -> None:
     planned = PlannedRenderer(scene, AXES, spp=64)
     assert list(planned.plan.exchanged) == ["point light 'lamp'", "point light 'other'"]
     assert np.mean(planned.render(HERE)) == pytest.approx(wanted, rel=1e-3)
-    near = mi.render(planned.unabridged.neighbour, spp=64).numpy()  # type: ignore[attr-defined]
+    near = mi.render(planned.unabridged.proxy_scene, spp=64).numpy()  # type: ignore[attr-defined]
     assert np.mean(near) == pytest.approx(wanted, rel=0.02)
 
 
@@ -229,7 +229,7 @@ def test_parameters_of_lights_mean_the_same_ones_in_the_neighbour(tmp_path: Path
             planned = PlannedRenderer(scene, {**AXES, **powers}, spp=16)
         assert list(planned.plan.exchanged) == ["point light (1)", "point light (2)"]
         planned.unabridged.pull({**planned.parameters(), "spot": np.full(3, 9.0, np.float32)}, RAMP)
-        near = mi.traverse(planned.unabridged.neighbour)  # type: ignore[attr-defined]
+        near = mi.traverse(planned.unabridged.proxy_scene)  # type: ignore[attr-defined]
         (spot,) = (key for key in near.properties if key.endswith(".intensity.value"))
         np.testing.assert_allclose(np.array(near[spot]).reshape(-1), 9.0)
         bright = [np.array(near[f"loi_lamp_{k}.emitter.radiance.value"]).reshape(-1)[0] for k in (0, 2)]
@@ -259,7 +259,7 @@ def test_files_and_loaded_scenes_have_neighbours_too(tmp_path: Path) -> None:
     path = xml_of(tmp_path)
     loaded = mi.load_file(str(path))
     before = [one.id() for one in loaded.shapes()]
-    names = list(list_entries(loaded))
+    names = list(list_parameters(loaded))
     gradients = []
     for scene in (path, loaded, lit_scene()):
         planned = PlannedRenderer(scene, AXES, spp=128)
@@ -268,7 +268,7 @@ def test_files_and_loaded_scenes_have_neighbours_too(tmp_path: Path) -> None:
     assert gradients[0] == pytest.approx(gradients[1], rel=0.15)
     assert np.sign(gradients[0]) == np.sign(gradients[2])
     assert [one.id() for one in loaded.shapes()] == before
-    assert list(list_entries(loaded)) == names
+    assert list(list_parameters(loaded)) == names
 
 
 def test_what_does_not_move_has_the_gradient_of_the_scene_itself() -> None:
@@ -280,7 +280,7 @@ def test_what_does_not_move_has_the_gradient_of_the_scene_itself() -> None:
     image = planned.unabridged.with_integrator("scene", spp=64).render(params)
     # The image is proportional to the light.
     np.testing.assert_allclose(pulled["brightness"] * params["brightness"], image.sum(axis=(0, 1)), rtol=0.05)
-    lamps = mi.traverse(planned.unabridged.neighbour)  # type: ignore[attr-defined]
+    lamps = mi.traverse(planned.unabridged.proxy_scene)  # type: ignore[attr-defined]
     radius = 0.1 * float(np.linalg.norm([0.1, 6.6, 0.0]))  # to the box around the ball
     radiance = np.array(lamps["loi_lamp_0.emitter.radiance.value"], dtype=np.float64).reshape(-1)
     np.testing.assert_allclose(radiance * np.pi * radius**2, params["brightness"], rtol=1e-3)
@@ -339,15 +339,15 @@ def test_a_scene_s_dict_can_be_loaded_again_with_its_tensors() -> None:
 
 
 @pytest.mark.parametrize(
-    ("neighbour", "says"),
+    ("proxy", "says"),
     [
-        ({"lights": 0.6}, r"`neighbour\.lights` must be 0 to 0\.5, got 0\.6"),
-        ({"mirrors": float("nan")}, r"`neighbour\.mirrors` must be 0 to 0\.5, got nan"),
-        ({"mirrors": "rough"}, r"`neighbour\.mirrors` must be 0 to 0\.5, got 'rough'"),
-        ({"lamps": 0.1}, r"`neighbour` must be a Neighbour, None, or a table of lights, mirrors, seams, textures, got"),
-        (0.1, r"`neighbour` must be a Neighbour, None, or a table of lights, mirrors, seams, textures, got 0\.1"),
+        ({"lights": 0.6}, r"`proxy\.lights` must be 0 to 0\.5, got 0\.6"),
+        ({"mirrors": float("nan")}, r"`proxy\.mirrors` must be 0 to 0\.5, got nan"),
+        ({"mirrors": "rough"}, r"`proxy\.mirrors` must be 0 to 0\.5, got 'rough'"),
+        ({"lamps": 0.1}, r"`proxy` must be a ProxySettings, None, or a table of lights, mirrors, seams, textures, got"),
+        (0.1, r"`proxy` must be a ProxySettings, None, or a table of lights, mirrors, seams, textures, got 0\.1"),
     ],
 )
-def test_settings_of_a_neighbour_are_checked(neighbour: Any, says: str) -> None:
+def test_settings_of_a_neighbour_are_checked(proxy: Any, says: str) -> None:
     with pytest.raises(OptionError, match=says):
-        PlannedRenderer(lit_scene(), AXES, neighbour=neighbour)
+        PlannedRenderer(lit_scene(), AXES, proxy=proxy)
