@@ -11,7 +11,6 @@ __all__ = [
     "CheckpointError",
     "ConformanceError",
     "DerivativeError",
-    "DistributedError",
     "ExecutorError",
     "FitDivergedError",
     "FitError",
@@ -202,10 +201,6 @@ class FitDivergedError(FitError, ArithmeticError):
 
 class ExecutorError(LoiError, RuntimeError):
     """What is to carry out runs is not installed, does not answer or broke; what had ended before is kept."""
-
-
-class DistributedError(LoiError, RuntimeError):
-    """Processes that compute together are not set up, or one of them has failed or does not answer in time."""
 
 
 class ConformanceError(LoiError, AssertionError):

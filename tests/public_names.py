@@ -15,7 +15,6 @@ PACKAGES: Final = (
     "loi_core.sweeps",
     "loi_core.testing",
     "loi_torch",
-    "loi_torch.distributed",
     "loi_torch.mesh",
     "loi_torch.vector",
     "loi_jax",

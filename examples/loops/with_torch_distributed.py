@@ -1,4 +1,4 @@
-"""A ball is found in photographs from three sides, by two processes that share them out.
+"""A ball is found in photographs from three sides, which two processes share.
 
 ``python -m torch.distributed.run --standalone --nproc-per-node 2 -m examples.loops.with_torch_distributed``
 """
@@ -11,7 +11,6 @@ import torch.distributed as dist
 
 import loi_torch
 from loi_core import ScaleSpace
-from loi_torch.distributed import mean_over_views, sum_gradients
 
 height, width, views = 64, 64, 3
 y, x = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
@@ -26,19 +25,19 @@ def render(centre: torch.Tensor, view: int) -> torch.Tensor:
 
 
 dist.init_process_group("gloo", timeout=timedelta(seconds=60))  # "nccl" on GPUs
-mine = range(dist.get_rank(), views, dist.get_world_size())
+own_views = range(dist.get_rank(), views, dist.get_world_size())
 target = torch.tensor([15.0, 45.0, -10.0])
-losses = {view: loi_torch.LOILoss(render(target, view), ScaleSpace.for_image(height, width)) for view in mine}
+losses = {view: loi_torch.LOILoss(render(target, view), ScaleSpace.for_image(height, width)) for view in own_views}
 centre = torch.tensor([-15.0, 15.0, 10.0], requires_grad=True)
 optimizer = torch.optim.Adam([centre], lr=1.0)
 
 for _ in range(200):
     optimizer.zero_grad()
-    mean = mean_over_views(torch.stack([loss(render(centre, view)) for view, loss in losses.items()]))
-    mean.backward()  # type: ignore[no-untyped-call]  # untyped in torch
-    sum_gradients([centre])
+    for view, loss in losses.items():
+        (loss(render(centre, view)) / views).backward()  # a term of the mean over the views of all ranks
+    dist.all_reduce(centre.grad)
     optimizer.step()
 
 if dist.get_rank() == 0:
-    print(*(round(one, 1) for one in centre.tolist()))
+    print(*(round(x, 1) for x in centre.tolist()))
 dist.destroy_process_group()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import sys
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
@@ -32,12 +33,10 @@ from loi_torch.mesh import (
     box,
     draw,
     draw_places,
+    loops,
     quad,
     sphere,
-    visibility,
-    visible_arrays,
 )
-from loi_torch.mesh.loops import visible
 from loi_torch.mesh.textures import Pyramid
 from tests.helpers import Host
 from tests.strategies import SEEDS
@@ -179,19 +178,6 @@ def test_the_image_is_that_of_a_plain_depth_buffer_away_from_edges(seed: int) ->
         beside |= (shares >= 0).all(axis=0) & (np.abs(near - nearest) < 0.8)  # where they may cut into each other
         nearest[front], expected[front] = near[front], colour
     np.testing.assert_allclose(image[~beside], expected[~beside], atol=1e-12)
-
-
-@given(SEEDS)
-@settings(max_examples=10)
-def test_both_ways_of_looking_see_the_same(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    places = PLACES + torch.as_tensor(rng.normal(0.0, 0.3, 6))
-    images = []
-    for look in (visible.look, visible_arrays.look):
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(visibility, "look", look)
-            images.append(draw(crossing(places), VIEW, 33, 36, lights=LIT).numpy())
-    np.testing.assert_allclose(images[0], images[1], atol=1e-9)
 
 
 def test_an_image_is_the_mean_of_a_fine_one_up_to_shading_within_pixels() -> None:
@@ -387,9 +373,14 @@ def test_coplanar_triangles_are_drawn_in_their_order() -> None:
     assert float(image[..., 0].sum()) == pytest.approx(128.0)
 
 
-@pytest.mark.parametrize("look", [visible.look, visible_arrays.look])
-def test_nothing_is_drawn_of_nothing(look: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(visibility, "look", look)
+def test_meshes_without_numba_are_refused_with_a_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "loi_torch.mesh.loops.visible", None)
+    monkeypatch.delattr(loops, "visible", raising=False)
+    with pytest.raises(BackendNotFoundError, match=r"meshes need Numba, .*: pip install numba"):
+        draw([sphere(subdivisions=1)], VIEW, 4, 4)
+
+
+def test_an_empty_scene_shows_the_background() -> None:
     empty = Mesh(np.zeros((0, 3)), np.zeros((0, 3), int))
     for meshes in ([], [empty], [empty, empty]):
         image = draw(meshes, VIEW, 5, 7, background=(0.1, 0.2, 0.3))
@@ -409,18 +400,6 @@ def test_a_million_triangles_are_no_trouble() -> None:
     assert corners.grad is not None
     assert bool(torch.isfinite(corners.grad).all())
     assert 0.1 < float(image.detach().mean()) < 0.5
-
-
-def test_nvdiffrast_draws_the_same_where_it_is() -> None:
-    from loi_torch.mesh.nvdiffrast_bridge import draw_by_nvdiffrast
-
-    ball = sphere()
-    there = replace(ball, vertices=ball.vertices.cuda()) if torch.cuda.is_available() else ball
-    try:
-        image = draw_by_nvdiffrast([there], VIEW, 64, 64)
-    except BackendNotFoundError as error:
-        pytest.skip(str(error))
-    assert float((image.cpu() - draw([ball], VIEW, 64, 64)).abs().mean()) < 5e-3
 
 
 # What is refused.

@@ -72,7 +72,7 @@ store = Path("store").absolute().as_uri()
 dist.init_process_group("gloo", init_method=store, rank=0, world_size=1)
 params = torch.full((height, width, 3), 0.2, requires_grad=True)
 render = lambda params, camera: torch.sigmoid(params)
-mine = [(loi_torch.LOILoss(torch.tensor(photograph)), None)]
+losses, views = [(loi_torch.LOILoss(torch.tensor(photograph)), None)], 1
 optimizer = torch.optim.Adam([params])
 """,
     "effects": _IMAGES

@@ -1,4 +1,4 @@
-"""How exactly it is told what is seen; the same for both ways of looking."""
+"""Tolerances of the visibility pass."""
 
 from __future__ import annotations
 
