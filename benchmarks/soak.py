@@ -3,7 +3,7 @@
     python -m benchmarks.soak steps --count 1000000
     python -m benchmarks.soak objectives --count 10000      # a third of them on each of NumPy, torch and JAX
     python -m benchmarks.soak mitsuba --count 10000
-    python -m benchmarks.soak picture a.json b.json --output docs/images/soak.png
+    python -m benchmarks.soak picture a.json b.json --output docs/results/images/soak.png
 
 Each takes 100 samples, and prints by how much memory has grown from the first tenth of the run, which warms up, to the
 last tenth, and how much longer a step takes. ``--json FILE`` keeps all samples.

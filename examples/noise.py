@@ -1,4 +1,4 @@
-"""How noise changes the gradient of a displaced disk, and where fits end; prints the tables of docs/noise.md.
+"""How noise changes the gradient of a displaced disk, and where fits end; prints the tables of docs/results/noise.md.
 
 ``python -m examples.noise`` prints them and writes the plot; ``--quick`` measures a few cases of each only.
 """
@@ -21,7 +21,7 @@ from loi_core.report.plots import new_figure
 
 Host = np.ndarray[Any, Any]
 
-PLOT: Final = Path(__file__).parents[1] / "docs" / "images" / "noise.png"
+PLOT: Final = Path(__file__).parents[1] / "docs" / "results" / "images" / "noise.png"
 SIZE: Final = 48  # pixels a side
 RADIUS: Final = 4.0
 BACKGROUND, DISK = 0.25, 0.75

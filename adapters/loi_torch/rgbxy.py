@@ -48,7 +48,7 @@ class RGBXY:
     Images have five channels: what :func:`loi_torch.mesh.draw_places` draws, or a ``MeshRenderer(places=True)``. The
     value is the mean squared distance of the points from their matches, which are held fixed in the gradient. The
     matching is entropic transport by geomloss, as in the released code. Exact transport takes a quarter of the time;
-    it was better in three columns of Table 3, and worse in three (docs/table3.md).
+    it was better in three columns of Table 3, and worse in three (docs/results/table3.md).
     """
 
     def __init__(self, reference: Any, *, grid: int | None = None, interval: int = 1, weight: float = 1.0) -> None:

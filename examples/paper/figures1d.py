@@ -29,7 +29,7 @@ from loi_core.support.markdown import markdown
 
 __all__ = ["main"]
 
-DOCS: Final = Path(__file__).parents[2] / "docs"
+DOCS: Final = Path(__file__).parents[2] / "docs" / "results"
 PAGE: Final = "figures-1d.md"
 DRAWN: Final = {  # pictures of landscapes: their files, and the distance from the target that counts as found
     "signal": ("one-signal", FOUND),

@@ -2,7 +2,7 @@
 
 ``python -m examples.paper guidance`` stands disks at random places, and prints the cosine between the direction in
 which the loss falls fastest with the place of a disk and the way to where that disk belongs: 1 is straight there, 0 is
-no guidance. ``--docs docs`` puts the table into ``table1.md``; ``--quick`` tries few disks.
+no guidance. ``--docs docs/results`` puts the table into ``table1.md``; ``--quick`` tries few disks.
 """
 
 from __future__ import annotations

@@ -33,7 +33,7 @@ QUADRATURE: Final = 0.1
 """Relative gradient error of one extent sampled at spacing s: QUADRATURE (s / l)**1.5, with l how slowly it changes.
 
 The power is that of lines that cross cells of side s, each misplaced by a fraction of s; the constant is measured
-(docs/accuracy.md).
+(docs/results/accuracy.md).
 """
 
 FRACTION: Final = (0.05, 1.1, 0.6)

@@ -37,7 +37,7 @@ CONFIDENT: Final = 0.5
 """Share of the tolerance up to which an estimated error is believed to be within it, for a tolerance up to `CLOSE`.
 
 Over images of some twenty kinds, the error was at most 1.4 times what is estimated there, and 2.2 times for a tolerance
-of 5e-2, whose samplings are coarser, and lines between two samples less straight (docs/accuracy.md).
+of 5e-2, whose samplings are coarser, and lines between two samples less straight (docs/results/accuracy.md).
 """
 
 CLOSE: Final = 1e-2

@@ -24,7 +24,7 @@ __all__ = ["RESULT_FILE", "plain", "tradeoff_lines", "write_tradeoff"]
 RESULT_FILE: Final = "tradeoff.json"
 TEXTS: Final = 4  # columns of the main table that are not numbers
 BUSY: Final = 0.5  # load for each core beyond which times are not to be trusted
-ODD: Final = 1e-2  # error of "exact" that more than rounding must have caused: float32's tails, see docs/accuracy.md
+ODD: Final = 1e-2  # error of "exact" that more than rounding must have caused: float32's tails
 
 
 def write_tradeoff(folder: Path, found: Tradeoff) -> dict[str, Any]:

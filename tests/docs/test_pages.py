@@ -24,7 +24,8 @@ from tests.public_names import PACKAGES
 from tests.strategies import THOROUGH
 
 GUIDE = sorted((ROOT / "docs" / "guide").glob("*.md"))
-PAGES = [*GUIDE, *sorted((ROOT / "docs").glob("*.md")), ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
+RESULTS = sorted((ROOT / "docs" / "results").glob("*.md"))
+PAGES = [*GUIDE, *sorted((ROOT / "docs").glob("*.md")), *RESULTS, ROOT / "README.md", ROOT / "CONTRIBUTING.md"]
 RUN_ELSEWHERE = {
     "mitsuba": "tests/mitsuba/test_guide.py",
     "write-an-adapter": "tests/examples/test_write_an_adapter.py",
@@ -58,7 +59,7 @@ HEAVY = pytest.mark.skipif(not THOROUGH, reason="a plan is measured; in the thor
 def test_the_detailed_pages_run_with_what_they_assume(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    page = ROOT / "docs" / f"{name}.md"
+    page = next((ROOT / "docs").rglob(f"{name}.md"))
     need_what_it_imports(page.read_text() + SETUPS[name].replace("import torch, loi_torch", "import torch"))
     monkeypatch.chdir(tmp_path)
     namespace: dict[str, Any] = {"__name__": "__main__"}
@@ -72,14 +73,14 @@ def test_the_detailed_pages_run_with_what_they_assume(
 
 
 def test_no_page_with_python_is_left_out() -> None:
-    detailed = {page.stem for page in (ROOT / "docs").glob("*.md") if has_python(page)}
+    detailed = {page.stem for page in [*(ROOT / "docs").glob("*.md"), *RESULTS] if has_python(page)}
     assert detailed == set(SETUPS) | set(RUN_ELSEWHERE) | {"accuracy"}
     assert all((ROOT / test).exists() for test in RUN_ELSEWHERE.values())
 
 
 def test_the_plan_on_the_page_about_accuracy_is_what_it_prints() -> None:
     pytest.importorskip("numba")  # whose line the page shows
-    assert run_python(ROOT / "docs" / "accuracy.md", {}) == 1
+    assert run_python(ROOT / "docs" / "results" / "accuracy.md", {}) == 1
 
 
 @pytest.mark.parametrize("page", GUIDE, ids=lambda page: page.stem)

@@ -11,4 +11,4 @@ from tests.strategies import THOROUGH
 
 @pytest.mark.skipif(not THOROUGH, reason="half a minute; in the thorough tier")
 def test_the_table_of_the_docs_is_what_trying_finds() -> None:
-    assert "\n".join(table()) in (ROOT / "docs" / "backends.md").read_text()
+    assert "\n".join(table()) in (ROOT / "docs" / "results" / "backends.md").read_text()

@@ -35,7 +35,7 @@ def test_noise_changes_the_gradient_as_documented(tmp_path: Path) -> None:
         check=True,
     )
     assert plot.stat().st_size > 10_000
-    documented = (ROOT / "docs" / "noise.md").read_text()
+    documented = (ROOT / "docs" / "results" / "noise.md").read_text()
     tables = [block for block in done.stdout.split("\n\n") if block.startswith("|")]
     rows = [line.split(" | ") for table in tables for line in table.splitlines()[2:]]
     assert len(tables) == 3

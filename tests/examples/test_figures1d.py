@@ -163,12 +163,12 @@ def test_quick_figures_are_drawn_and_show_what_the_paper_says(tmp_path: Path) ->
 )
 @pytest.mark.parametrize("name", ["pixel L2", "sigma only", "loi, for_image"])
 def test_the_numbers_in_the_documentation_can_be_had_again(problem: Any, name: str) -> None:
-    with (ROOT / "docs" / "figures-1d.csv").open() as stream:
+    with (ROOT / "docs" / "results" / "figures-1d.csv").open() as stream:
         (row,) = [one for one in csv.DictReader(stream) if (one["problem"], one["method"]) == (problem.name, name)]
     found = landscape(problem.movers, BY_NAME[name].against(problem.reference()), problem.target[0], problem.spacing)
     basin = Basin.of(problem, name, 0, found.descents)
     assert basin.found == pytest.approx(float(row["found"]), abs=0.01)
-    documented = (ROOT / "docs" / "figures-1d.md").read_text()
+    documented = (ROOT / "docs" / "results" / "figures-1d.md").read_text()
     assert f"{float(row['left']):.1f} + {float(row['right']):.1f}, {float(row['found']):.0%}" in documented
 
 

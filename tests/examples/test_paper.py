@@ -29,7 +29,7 @@ from loi_core.pixels.psnr import psnr
 from loi_core.renderers import Disks
 from loi_core.testing import check_renderer
 
-DOCS = Path(__file__).parents[2] / "docs"
+DOCS = Path(__file__).parents[2] / "docs" / "results"
 FEW = 4
 SMALL = replace(COLUMNS[0], side=32)
 

@@ -35,7 +35,7 @@ def test_looks_at_what_is_off_are_few_and_ever_rarer() -> None:
 @thorough
 @pytest.mark.parametrize("case", SUITE, ids=[case.name for case in SUITE])
 def test_no_plan_turns_the_gradient(case: Case) -> None:
-    # Noise in the image makes the gradient smaller (docs/noise.md), and with everything on the shadow has more of it.
+    # Noise in the image makes the gradient smaller (docs/results/noise.md); with all effects on, the shadow has more.
     samples = 4 * FULL.samples if case.name == "shadow of an object out of view" else FULL.samples
     row = measure(case, dataclasses.replace(FULL, defaults=0, fits=0, samples=samples))
     if case.name == "nothing that can be seen":

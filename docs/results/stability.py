@@ -1,4 +1,4 @@
-"""Makes the tables and pictures of docs/stability.md: ``python docs/stability.py [BACKEND ...]``, by default all.
+"""Write the tables and pictures of stability.md: ``python docs/results/stability.py [BACKEND ...]``, all by default.
 
 It runs what ``loi doctor --stability`` runs, and draws every case that has something to look at: the image, its
 reference, and the gradient that the image gets.
