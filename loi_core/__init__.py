@@ -20,7 +20,7 @@ from loi_core.objectives import (
 )
 from loi_core.pixels.tone_curve import LogTone
 from loi_core.plugins.registry import available_renderers, load_renderer
-from loi_core.renderers.contract import Parameters, ProjectingRenderer, Pullback, Renderer
+from loi_core.renderers.contract import Parameters, Pullback, Renderer, RendererCapabilities
 from loi_core.scenes.target import Target, read_target
 
 __version__ = "0.1.0"
@@ -46,9 +46,9 @@ __all__ = [
     "Optimiser",
     "Parameters",
     "PixelL2",
-    "ProjectingRenderer",
     "Pullback",
     "Renderer",
+    "RendererCapabilities",
     "ScaleSpace",
     "Target",
     "TensorBoardCallback",

@@ -13,6 +13,7 @@ import numpy as np
 from loi_core import renderers as core
 from loi_core.errors import ParameterError
 from loi_core.renderers.checks import FloatArray, check_parameters
+from loi_core.renderers.contract import RendererCapabilities
 from loi_core.renderers.coverage import canvas_coverage
 from loi_core.support.arrays import to_numpy
 
@@ -60,6 +61,11 @@ class Disks:
             msg = "`dtype` 'float64' needs JAX's 64-bit mode; set JAX_ENABLE_X64=1, or give dtype='float32'"
             raise ParameterError(msg)
         self._dtype = dtype
+
+    @property
+    def capabilities(self) -> RendererCapabilities:
+        """A fit calls :meth:`project` after every step."""
+        return RendererCapabilities(project=self.project)
 
     def parameters(self) -> Arrays:
         """``positions`` (n, 2), ``radii`` (n,) and ``colours`` (n, 3), of the scene's dtype."""

@@ -13,7 +13,7 @@ import numpy as np
 
 from loi_core.effects import EffectPlan
 from loi_core.errors import OptionError, ParameterError
-from loi_core.pixels.encoding import Encoding
+from loi_core.renderers.contract import RendererCapabilities
 from loi_core.support.values import whole_number
 from loi_core.support.wording import shown
 from loi_mitsuba.boundary.edge_sampling import Edges
@@ -131,9 +131,9 @@ class MitsubaRenderer:
         self._check_moving(told=isinstance(integrator, EffectPlan) and leaves_edges_out(integrator))
 
     @property
-    def encoding(self) -> Encoding:
-        """What Mitsuba renders is radiance, "linear"."""
-        return "linear"
+    def capabilities(self) -> RendererCapabilities:
+        """The image is radiance, "linear"."""
+        return RendererCapabilities(encoding="linear")
 
     @property
     def scene(self) -> Any:

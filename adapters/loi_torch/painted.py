@@ -11,6 +11,7 @@ from torch import Tensor
 
 from loi_core.errors import ParameterError
 from loi_core.renderers.checks import FloatArray
+from loi_core.renderers.contract import RendererCapabilities
 from loi_core.support.arrays import to_numpy
 
 __all__ = ["HostScene", "Painted", "Tensors"]
@@ -40,6 +41,11 @@ class Painted(abc.ABC):
         self._scene = scene
         self._dtype: torch.dtype = getattr(torch, dtype)
         self._device = _check_device(device)
+
+    @property
+    def capabilities(self) -> RendererCapabilities:
+        """A fit calls :meth:`project` after every step."""
+        return RendererCapabilities(project=self.project)
 
     def parameters(self) -> Tensors:
         """The parameters of the scene, of its dtype."""

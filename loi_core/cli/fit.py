@@ -14,11 +14,11 @@ from tqdm import tqdm
 
 from loi_core.cli.codes import DONE, FAILED, NOT_FOUND
 from loi_core.cli.watch import check_port, watched
-from loi_core.effects import PlanningRenderer
 from loi_core.errors import SceneError, WriteError
 from loi_core.fitting.loop import check_fit_options
 from loi_core.io.lock import FileLock
 from loi_core.io.result_folder import CHECKPOINT_FILE, CHECKPOINT_FILES, LOCK_FILE, RESULT_FILE, ResultFolder
+from loi_core.renderers.contract import capabilities_of
 from loi_core.report import write_page, write_results
 from loi_core.report.output import frame_writer, summary
 from loi_core.report.page import verdict_line
@@ -117,10 +117,11 @@ def explain_scene(path: Path, *, as_json: bool) -> None:
         If the scene's renderer does not plan its effects.
     """
     scene = load_scene(path)
-    if not isinstance(scene.renderer, PlanningRenderer):
+    planner = capabilities_of(scene.renderer).planner
+    if planner is None:
         msg = f"{path}: [renderer] has no effects to choose; those that have are named *-planned by `loi renderers`"
         raise SceneError(msg)
-    plan = plan_scene(scene, scene.renderer, next(iter(scene.objectives.values())))
+    plan = plan_scene(scene, planner, next(iter(scene.objectives.values())))
     print(json.dumps(asdict(plan), indent=2) if as_json else plan)
 
 

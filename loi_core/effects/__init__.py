@@ -4,7 +4,7 @@ from loi_core.effects.allocation import allocate, whole_samples
 from loi_core.effects.fractions import Sizes, largest_fraction, most_fraction, relative_variance, sizes_of
 from loi_core.effects.holding import Evidence, Holding
 from loi_core.effects.model import Capability, Choice, Effect, EffectPlan
-from loi_core.effects.planning import PlanningRenderer
+from loi_core.effects.planner import EffectPlanner
 from loi_core.effects.schedule import Schedule
 from loi_core.effects.statistics import SURE, Comparison, Draws, compare, total
 
@@ -16,9 +16,9 @@ __all__ = [
     "Draws",
     "Effect",
     "EffectPlan",
+    "EffectPlanner",
     "Evidence",
     "Holding",
-    "PlanningRenderer",
     "Schedule",
     "Sizes",
     "allocate",

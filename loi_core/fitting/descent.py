@@ -24,7 +24,6 @@ from loi_core.fitting.views import Images, View, Views, as_given, mean
 from loi_core.objectives import LOIObjective
 from loi_core.pixels.nonfinite import count_non_finite
 from loi_core.renderers.contract import Parameters
-from loi_core.renderers.pullbacks import pull_of
 from loi_core.support.arrays import Array, detached, is_array_api_obj, namespace, to_numpy
 
 __all__ = ["SEARCHES", "Decay", "Descent"]
@@ -210,7 +209,7 @@ class Descent:
             msg = f"step {state.step}: the objective is {number}; the best parameters so far are in `result`"
             raise FitDivergedError(msg, state.result())
         with keeping(state, f"the pullback{where}"):
-            pulled = pull_of(pullback, objective.value, cotangent)
+            pulled = pullback(objective.value, cotangent)
             free = [name for name in self.bounds.lower if name in view.names]
             gradient = {name: _slope(name, pulled, state.params[name]) for name in free}
         for name, slope in gradient.items():

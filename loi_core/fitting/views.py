@@ -13,14 +13,7 @@ from loi_core.fitting.parameters import SharedParameters, own_parameters
 from loi_core.fitting.stages import finish_of, objectives_of
 from loi_core.method.scales import ScaleSpace
 from loi_core.objectives import Objective
-from loi_core.renderers.contract import (
-    AbridgedRenderer,
-    Parameters,
-    ProjectingRenderer,
-    Pullback,
-    Renderer,
-    SteppedRenderer,
-)
+from loi_core.renderers.contract import LossPullback, Parameters, Renderer, capabilities_of, render_loss_vjp
 from loi_core.support.arrays import Array, detached
 from loi_core.support.values import whole_number
 from loi_core.support.wording import shown
@@ -73,9 +66,9 @@ class View:
         """The image, detached."""
         return detached(self.renderer.render(self.own(params), seed=seed))
 
-    def render_vjp(self, params: Parameters, *, seed: int = 0) -> tuple[Array, Pullback]:
+    def render_vjp(self, params: Parameters, *, seed: int = 0) -> tuple[Array, LossPullback]:
         """The image, detached, and its pullback."""
-        image, pullback = self.renderer.render_vjp(self.own(params), seed=seed)
+        image, pullback = render_loss_vjp(self.renderer, self.own(params), seed=seed)
         return detached(image), pullback
 
 
@@ -189,8 +182,9 @@ class Views:
         """The parameters as the renderers make them legal, in turn; None if none of them does."""
         legal, known = dict(params), False
         for view in self.each.values():
-            if isinstance(view.renderer, ProjectingRenderer):
-                given, known = view.renderer.project(view.own(legal)), True
+            project = capabilities_of(view.renderer).project
+            if project is not None:
+                given, known = project(view.own(legal)), True
                 if not isinstance(given, Mapping):
                     return given
                 # What it has left out is missed by whoever asked, and not what it was before.
@@ -214,8 +208,9 @@ class Views:
         """Tell the renderers that ask for it how far the fit has come; one that serves several views hears it once."""
         renderers = {id(view.renderer): view.renderer for view in self.each.values()}
         for renderer in renderers.values():
-            if isinstance(renderer, SteppedRenderer):
-                renderer.at_step(step, steps, value)
+            at_step = capabilities_of(renderer).at_step
+            if at_step is not None:
+                at_step(step, steps, value)
 
     def render(self, params: Parameters, seed: int) -> dict[str, Array]:
         """The images of all views."""
@@ -236,12 +231,10 @@ class Views:
 
     def unabridged(self) -> Views:
         """The same views, rendered whole."""
-        whole = {
-            name: replace(view, renderer=view.renderer.unabridged)
-            if isinstance(view.renderer, AbridgedRenderer)
-            else view
-            for name, view in self.each.items()
-        }
+        whole = {}
+        for name, view in self.each.items():
+            unabridged = capabilities_of(view.renderer).unabridged
+            whole[name] = view if unabridged is None else replace(view, renderer=unabridged())
         return replace(self, each=whole)
 
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping
+from dataclasses import replace
+from functools import partial
 from itertools import product
 from typing import Any, Final, Literal, TypeAlias, get_args
 
@@ -11,16 +13,15 @@ import numpy as np
 
 from loi_core.errors import OptionError, ParameterError
 from loi_core.renderers.contract import (
-    AbridgedRenderer,
-    EncodedRenderer,
     Loss,
+    LossPullback,
     Parameters,
-    ProjectingRenderer,
     Pullback,
     Renderer,
-    SteppedRenderer,
+    RendererCapabilities,
+    capabilities_of,
+    render_loss_vjp,
 )
-from loi_core.renderers.pullbacks import OfLoss, pull_of
 from loi_core.renderers.units import measure_units, pixels_of
 from loi_core.support.arrays import Array, detached, from_numpy, namespace, to_numpy
 from loi_core.support.values import real_number, whole_number
@@ -75,9 +76,9 @@ class BlurredRenderer:
     With `compare` "images", the loss is linearised at the sharp image; with "losses", those of the two images of a pair
     are compared, as in the released code of the paper. The first is more exact near the end, and where the renderer has
     no noise of its own. The second has less noise, and looks further: of something bright that moves on by more than
-    its own size, the slope at the sharp image says nothing. "both" is their mean. A :func:`loi_core.fit` tells what its
-    loss is; in a loop of your own, ``pullback.of_loss(objective.value, cotangent)`` does. There `sigma` stays as it is,
-    unless you say how far the loop has come by `at_step`.
+    its own size, the slope at the sharp image says nothing. "both" is their mean. A :func:`loi_core.fit` passes
+    its loss; in a loop of your own, the pullback of :meth:`render_loss_vjp` takes ``(objective.value, cotangent)``. In
+    such a loop `sigma` stays the same unless you call `at_step`.
 
     The offsets of up to as many pairs as there are numbers are at right angles to each other, each of them still from
     a Gaussian: pairs that look in the same direction tell less.
@@ -112,8 +113,6 @@ class BlurredRenderer:
         compare: Compared = "images",
     ) -> None:
         self.renderer = renderer
-        if isinstance(renderer, EncodedRenderer):
-            self.encoding = renderer.encoding
         if compare not in get_args(Compared):
             msg = f"`compare` must be 'images', 'losses' or 'both', got {shown(compare)}"
             raise OptionError(msg)
@@ -145,15 +144,23 @@ class BlurredRenderer:
         return {name: (1.0 - share) * own + share * last[name] for name, own in first.items()}
 
     @property
-    def unabridged(self) -> Renderer:
-        """The renderer without its blur, and whole where it knows what that is."""
-        return self.renderer.unabridged if isinstance(self.renderer, AbridgedRenderer) else self.renderer
+    def capabilities(self) -> RendererCapabilities:
+        """The capabilities of the wrapped renderer, with the blur of each step and gradients of the loss itself."""
+        wrapped = capabilities_of(self.renderer)
+        return replace(
+            wrapped,
+            at_step=self.at_step,
+            render_loss_vjp=self.render_loss_vjp,
+            unabridged=wrapped.unabridged or (lambda: self.renderer),
+            planner=None,
+        )
 
     def at_step(self, step: int, steps: int, value: float | None) -> None:
-        """What :func:`loi_core.fit` says before every step: `sigma` is that of this step, of so many."""
+        """Set `sigma` to its value at `step` of `steps`; :func:`loi_core.fit` calls this before every step."""
         self._passed = min(step / max(steps - 1, 1), 1.0)
-        if isinstance(self.renderer, SteppedRenderer):
-            self.renderer.at_step(step, steps, value)
+        wrapped = capabilities_of(self.renderer).at_step
+        if wrapped is not None:
+            wrapped(step, steps, value)
 
     def parameters(self) -> Parameters:
         """As the renderer has them."""
@@ -165,19 +172,24 @@ class BlurredRenderer:
 
     def render_vjp(self, params: Parameters, *, seed: int = 0) -> tuple[Array, Pullback]:
         """The sharp image, and the pullback of its blur; which images that takes is decided by `seed`."""
+        image, pullback = self.render_loss_vjp(params, seed=seed)
+        return image, partial(pullback, None)
+
+    def render_loss_vjp(self, params: Parameters, *, seed: int = 0) -> tuple[Array, LossPullback]:
+        """The same, with a pullback that takes the loss, or None, and the cotangent; see `compare`."""
         kept, sigma = dict(params), self.sigma
-        sharp: Pullback | None = None
+        sharp: LossPullback | None = None
         if set(self.names) < set(kept):
-            image, sharp = self.renderer.render_vjp(params, seed=seed)
+            image, sharp = render_loss_vjp(self.renderer, params, seed=seed)
         else:
             image = self.renderer.render(params, seed=seed)
 
-        def of(loss: Loss | None, cotangent: Array) -> Parameters:
-            pulled = {} if sharp is None else dict(pull_of(sharp, loss, cotangent))
+        def pullback(loss: Loss | None, cotangent: Array) -> Parameters:
+            pulled = {} if sharp is None else dict(sharp(loss, cotangent))
             found = self._blurred(kept, sigma, self._judge(loss, cotangent), seed)
             return {name: found[name] if name in found else pulled[name] for name in kept}
 
-        return image, OfLoss(of)
+        return image, pullback
 
     def pull(self, params: Parameters, cotangent: Array, *, seed: int = 0, loss: Loss | None = None) -> Parameters:
         """What the pullback of `render_vjp` gives for the parameters that are blurred, without an image.
@@ -185,10 +197,6 @@ class BlurredRenderer:
         Of the loss itself, if that is given and losses are compared.
         """
         return self._blurred(dict(params), self.sigma, self._judge(loss, cotangent), seed)
-
-    def project(self, params: Parameters) -> Parameters:
-        """The legal parameters next to these, if the renderer knows them."""
-        return self.renderer.project(params) if isinstance(self.renderer, ProjectingRenderer) else dict(params)
 
     def _in_own_units(self, option: str, widths: Mapping[str, Width]) -> dict[str, float]:
         """Standard deviations, those in pixels by units that are measured once."""
@@ -253,12 +261,13 @@ class BlurredRenderer:
     ) -> float:
         """How much more the loss is on one side of a pair than on the other."""
         seed = int(rng.integers(2**31))
+        project = capabilities_of(self.renderer).project
         images = []
         for sign in (1.0, -1.0):
             moved = dict(params)
             for name, offset in offsets.items():
                 moved[name] = params[name] + from_numpy(sign * sigma[name] * offset, params[name])
-            images.append(self.renderer.render(self.project(moved), seed=seed))
+            images.append(self.renderer.render(moved if project is None else project(moved), seed=seed))
         return judge(images[0], images[1])
 
 

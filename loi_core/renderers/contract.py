@@ -1,97 +1,130 @@
-"""The contract between a renderer and everything else: named parameters to an image, and a pullback."""
+"""The contract between a renderer and its callers: named parameters to an image, with a pullback."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Any, Protocol, TypeAlias, runtime_checkable
 
+from loi_core.effects import EffectPlanner
+from loi_core.errors import RendererError
 from loi_core.pixels.encoding import Encoding
 from loi_core.support.arrays import Array
+from loi_core.support.wording import shown
 
 __all__ = [
-    "AbridgedRenderer",
-    "EncodedRenderer",
     "Loss",
     "LossPullback",
     "Parameters",
-    "ProjectingRenderer",
     "Pullback",
     "Renderer",
-    "SteppedRenderer",
+    "RendererCapabilities",
+    "capabilities_of",
+    "render_loss_vjp",
 ]
 
 Parameters: TypeAlias = dict[str, Array]
 """Parameters of a scene by name; floating-point arrays of any shape, 0-d included."""
 
 Pullback: TypeAlias = Callable[[Array], Parameters]
-"""Carries a cotangent of the image, shape (H, W, C), to a cotangent of every parameter."""
+"""Maps the cotangent of the image, shape (H, W, C), to a cotangent of every parameter."""
 
 Loss: TypeAlias = Callable[[Array], Any]
-"""The number that an objective makes of an image, shape (H, W, C)."""
+"""Returns the scalar loss of an image, shape (H, W, C)."""
 
-
-@runtime_checkable
-class LossPullback(Protocol):
-    """A pullback that looks at the loss itself, where it is known, and not only at its slope at one image."""
-
-    def __call__(self, cotangent: Array) -> Parameters:
-        """As any :data:`Pullback`."""
-
-    def of_loss(self, loss: Loss, cotangent: Array) -> Parameters:
-        """The gradient of a loss, whose own gradient at the image is `cotangent`; a fit asks for this one."""
+LossPullback: TypeAlias = Callable[[Loss | None, Array], Parameters]
+"""Returns the gradient of a loss from the loss itself, or None if it is unknown, and its cotangent at the image."""
 
 
 @runtime_checkable
 class Renderer(Protocol):
     """A function from named parameters to an image, with a pullback.
 
-    Every automatic differentiation system can provide it. Arrays may be of any array library, the same for
+    Every automatic differentiation system can provide it. Arrays may come from any array library, the same for
     parameters and image. Neither method may change the parameters it is given, and the same parameters and seed
-    must give the same image.
+    must give the same image. A renderer that offers more lists it in an attribute ``capabilities``, see
+    :class:`RendererCapabilities`.
     """
 
     def parameters(self) -> Parameters:
-        """All parameters with the values that the scene has now; a new dict of new arrays on each call."""
+        """Return all parameters with the scene's current values, as a new dict of new arrays."""
 
     def render(self, params: Parameters, *, seed: int = 0) -> Array:
-        """The image, shape (H, W, C), of the scene with these parameters."""
+        """Return the image, shape (H, W, C), of the scene with these parameters."""
 
     def render_vjp(self, params: Parameters, *, seed: int = 0) -> tuple[Array, Pullback]:
-        """The image and its pullback, linear in the cotangent; cotangents have the parameters' shapes."""
+        """Return the image and its pullback, linear in the cotangent; cotangents have the parameters' shapes."""
 
 
-@runtime_checkable
-class ProjectingRenderer(Renderer, Protocol):
-    """A renderer that knows which parameters are legal; a fit calls `project` after every step."""
-
-    def project(self, params: Parameters) -> Parameters:
-        """The legal parameters next to these; the argument is left as it is."""
+class _Project(Protocol):
+    def __call__(self, params: Any, /) -> Parameters: ...
 
 
-@runtime_checkable
-class AbridgedRenderer(Renderer, Protocol):
-    """A renderer that leaves out what matters little for a gradient; what came of a fit is judged with all of it."""
-
-    @property
-    def unabridged(self) -> Renderer:
-        """The same scene and parameters, rendered whole."""
+class _AtStep(Protocol):
+    def __call__(self, step: int, steps: int, value: float | None, /) -> None: ...
 
 
-@runtime_checkable
-class EncodedRenderer(Renderer, Protocol):
-    """A renderer that says what its values are; targets of scene files are made into the same."""
-
-    @property
-    def encoding(self) -> Encoding:
-        """Of its images: "linear" for radiance, "sRGB" for values as displays want them."""
+class _RenderLossVjp(Protocol):
+    def __call__(self, params: Any, /, *, seed: int = 0) -> tuple[Any, LossPullback]: ...
 
 
-@runtime_checkable
-class SteppedRenderer(Renderer, Protocol):
-    """A renderer whose gradient depends on how far a fit has come; a fit calls `at_step` before every step."""
+@dataclass(frozen=True)
+class RendererCapabilities:
+    """What a renderer offers beyond :class:`Renderer`; None means that it does not.
 
-    def at_step(self, step: int, steps: int, value: float | None) -> None:
-        """The next gradients are of this step, counted from 0, of so many.
+    A renderer returns the record from an attribute or property ``capabilities``. A wrapper forwards the record of the
+    wrapped renderer with :func:`dataclasses.replace`.
 
-        `value` is the loss of the step before; None before the first, also where a fit begins anew from elsewhere.
-        """
+    Attributes
+    ----------
+    project : callable, optional
+        ``project(params)`` returns the legal parameters nearest to `params`, which it does not change. A fit calls it
+        after every step.
+    at_step : callable, optional
+        ``at_step(step, steps, value)`` announces that the next gradients belong to `step`, counted from 0, of `steps`.
+        `value` is the loss of the previous step; None before the first step and where a fit restarts elsewhere.
+    render_loss_vjp : callable, optional
+        ``render_loss_vjp(params, *, seed)`` returns the image and a :data:`LossPullback`, which may evaluate the loss
+        at other images. A fit calls it instead of ``render_vjp``.
+    unabridged : callable, optional
+        ``unabridged()`` returns a renderer of the same scene and parameters without the approximations that save time.
+        A fit judges its result with it.
+    encoding : {"linear", "sRGB"}, optional
+        Encoding of the images: "linear" for radiance, "sRGB" for display values. Targets of scene files are converted
+        to it.
+    planner : EffectPlanner, optional
+        Plans the simulated effects of light transport. Scene files call it before a fit and for ``--explain``.
+    """
+
+    project: _Project | None = None
+    at_step: _AtStep | None = None
+    render_loss_vjp: _RenderLossVjp | None = None
+    unabridged: Callable[[], Renderer] | None = None
+    encoding: Encoding | None = None
+    planner: EffectPlanner | None = None
+
+
+def capabilities_of(renderer: object) -> RendererCapabilities:
+    """Return the capabilities of a renderer; an empty record if it lists none.
+
+    Raises
+    ------
+    RendererError
+        If its attribute ``capabilities`` is not a :class:`RendererCapabilities`.
+    """
+    capabilities = getattr(renderer, "capabilities", None)
+    if capabilities is None:
+        return RendererCapabilities()
+    if not isinstance(capabilities, RendererCapabilities):
+        msg = f"`capabilities` of {type(renderer).__name__} must be a RendererCapabilities, got {shown(capabilities)}"
+        raise RendererError(msg)
+    return capabilities
+
+
+def render_loss_vjp(renderer: Renderer, params: Parameters, *, seed: int = 0) -> tuple[Array, LossPullback]:
+    """Return the image and its :data:`LossPullback`; it ignores the loss if the renderer needs the cotangent only."""
+    capability = capabilities_of(renderer).render_loss_vjp
+    if capability is not None:
+        return capability(params, seed=seed)
+    image, pullback = renderer.render_vjp(params, seed=seed)
+    return image, lambda _, cotangent: pullback(cotangent)

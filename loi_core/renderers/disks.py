@@ -10,6 +10,7 @@ import numpy as np
 from loi_core.errors import ParameterError
 from loi_core.renderers.checks import FloatArray, check_dtype, check_parameters, check_size, floats
 from loi_core.renderers.confinement import confined
+from loi_core.renderers.contract import RendererCapabilities
 from loi_core.renderers.coverage import disk_coverage
 from loi_core.renderers.fragments import IndexArray, disk_fragments
 from loi_core.support.wording import shown
@@ -93,6 +94,11 @@ class Disks:
             msg = f"`radii` must be 0 or more, got {self._scene['radii'].min():g}"
             raise ParameterError(msg)
         self._confine = confine
+
+    @property
+    def capabilities(self) -> RendererCapabilities:
+        """A fit calls :meth:`project` after every step."""
+        return RendererCapabilities(project=self.project)
 
     def parameters(self) -> dict[str, FloatArray]:
         """``positions`` (n, 2), ``radii`` (n,) and ``colours`` (n, 3), of the scene's dtype."""

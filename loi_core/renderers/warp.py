@@ -9,6 +9,7 @@ import numpy as np
 
 from loi_core.errors import ParameterError
 from loi_core.renderers.checks import FloatArray, check_dtype, check_image, check_parameters, floats
+from loi_core.renderers.contract import RendererCapabilities
 
 __all__ = ["Warp"]
 
@@ -80,6 +81,11 @@ class Warp:
             "scale": floats("scale", scale, ()),
             "exposure": floats("exposure", exposure, ()),
         }
+
+    @property
+    def capabilities(self) -> RendererCapabilities:
+        """A fit calls :meth:`project` after every step."""
+        return RendererCapabilities(project=self.project)
 
     def parameters(self) -> dict[str, FloatArray]:
         """``translation`` (2,), ``rotation`` (), ``scale`` () and ``exposure`` (), of the scene's dtype."""

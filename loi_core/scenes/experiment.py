@@ -11,7 +11,7 @@ from typing import Final, TypeAlias
 
 import numpy as np
 
-from loi_core.effects import EffectPlan, PlanningRenderer
+from loi_core.effects import EffectPlan, EffectPlanner
 from loi_core.errors import FitError, SceneError, WriteError
 from loi_core.fitting.loop import FitInterruptedError, FitResult, FitStep, fit
 from loi_core.fitting.parameters import starting_parameters
@@ -19,7 +19,7 @@ from loi_core.fitting.views import Images, by_view
 from loi_core.method.comparison import ScaleKey
 from loi_core.objectives.base import Objective
 from loi_core.pixels.psnr import psnr
-from loi_core.renderers.contract import Parameters
+from loi_core.renderers.contract import Parameters, capabilities_of
 from loi_core.scenes.by_scale import scale_terms
 from loi_core.scenes.scene import Scene
 from loi_core.support.arrays import Array, Host, to_numpy
@@ -209,8 +209,9 @@ def run_scene(
             break
         finally:
             trial.elapsed = time.perf_counter() - started
-            if isinstance(scene.renderer, PlanningRenderer):
-                trial.plan = scene.renderer.plan
+            planner = capabilities_of(scene.renderer).planner
+            if planner is not None:
+                trial.plan = planner.plan
             if trial.result is not None:
                 trial.result = replace(trial.result, image=_all_views(scene, trial.result, start))
     return trials
@@ -231,7 +232,7 @@ def _all_views(scene: Scene, result: FitResult, start: Start) -> Images:
     return images
 
 
-def plan_scene(scene: Scene, renderer: PlanningRenderer, objective: Objective) -> EffectPlan:
+def plan_scene(scene: Scene, planner: EffectPlanner, objective: Objective) -> EffectPlan:
     """Plan the effects of a scene's fit with one of its objectives.
 
     Raises
@@ -241,29 +242,21 @@ def plan_scene(scene: Scene, renderer: PlanningRenderer, objective: Objective) -
     """
     start = Start.of(scene)
     image = next(iter(start.images.values()))
-    return _plan(scene, scene.first.own(start.params, scene.optimise), renderer, objective, image)
+    return _plan(scene, scene.first.own(start.params, scene.optimise), planner, objective, image)
 
 
-def _plan(
-    scene: Scene, params: Parameters, renderer: PlanningRenderer, objective: Objective, image: Array
-) -> EffectPlan:
+def _plan(scene: Scene, params: Parameters, planner: EffectPlanner, objective: Objective, image: Array) -> EffectPlan:
     cotangent = objective.value_and_grad(image)[1]
     moving = [name for name in scene.optimise if name in params]
-    return renderer.begin(params, cotangent, optimise=moving, seed=scene.fit.seed)
+    return planner.begin(params, cotangent, optimise=moving, seed=scene.fit.seed)
 
 
 def _plan_all(scene: Scene, start: Start, objective: str) -> EffectPlan | None:
     """Plan the effects of every view that plans them; the plan of the first."""
     plans = [
-        _plan(
-            scene,
-            view.own(start.params, scene.optimise),
-            view.renderer,
-            view.objectives[objective],
-            start.images[name],
-        )
+        _plan(scene, view.own(start.params, scene.optimise), planner, view.objectives[objective], start.images[name])
         for name, view in scene.views.items()
-        if isinstance(view.renderer, PlanningRenderer)
+        if (planner := capabilities_of(view.renderer).planner) is not None
     ]
     return plans[0] if plans else None
 
@@ -271,11 +264,12 @@ def _plan_all(scene: Scene, start: Start, objective: str) -> EffectPlan | None:
 def _effect_images(scene: Scene, start: Start, objective: str) -> dict[str, Host]:
     """How each effect of the first view makes its image change; none if it plans none."""
     name, view = next(iter(scene.views.items()))
-    if not isinstance(view.renderer, PlanningRenderer):
+    planner = capabilities_of(view.renderer).planner
+    if planner is None:
         return {}
     cotangent = view.objectives[objective].value_and_grad(start.images[name])[1]
     params = view.own(start.params, scene.optimise)
-    found = view.renderer.effect_images(params, cotangent, seed=scene.fit.seed)
+    found = planner.effect_images(params, cotangent, seed=scene.fit.seed)
     return {effect: to_numpy(one) for effect, one in found.items()}
 
 

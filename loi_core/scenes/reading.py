@@ -29,7 +29,7 @@ from loi_core.objectives.loi import default_scales
 from loi_core.pixels.colours import Colours
 from loi_core.pixels.tone_curve import LogTone
 from loi_core.plugins.baselines import baseline_names, make_baseline
-from loi_core.renderers.contract import EncodedRenderer, Renderer
+from loi_core.renderers.contract import Renderer, capabilities_of
 from loi_core.scenes.making import make_renderer
 from loi_core.scenes.scene import FitOptions, Scene, SceneView
 from loi_core.scenes.target import BLACK, Target, prepare_target
@@ -167,7 +167,7 @@ def _target(
     where: Where, heading: str, table: Mapping[str, Any], path: Path, stored: StoredImage, renderer: Renderer
 ) -> Target:
     """The target as what the renderer makes."""
-    encoding, makes = table.get("encoding"), renderer.encoding if isinstance(renderer, EncodedRenderer) else None
+    encoding, makes = table.get("encoding"), capabilities_of(renderer).encoding
     if makes is None and encoding is not None:
         makes = "linear"  # whoever says what a file holds means it to be told from what is rendered
     weights = where.path.parent / where.text(heading, table, "weights") if "weights" in table else None

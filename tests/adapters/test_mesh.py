@@ -15,7 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from torch import Tensor
 
-from loi_core import LOIObjective, ProjectingRenderer, available_renderers, fit
+from loi_core import LOIObjective, available_renderers, fit
 from loi_core.errors import BackendNotFoundError, OptionError, ParameterError
 from loi_core.fitting.loop import Free
 from loi_core.testing import RendererSubject, parametrize_with_checks
@@ -223,7 +223,7 @@ def test_the_contract_is_kept(check: Any, subject: Any) -> None:
 
 def test_it_is_a_renderer_that_scenes_can_name() -> None:
     renderer = MeshRenderer(8, 8, {"ball": sphere(subdivisions=1)}, VIEW, {"place": Translate("ball")})
-    assert isinstance(renderer, ProjectingRenderer)
+    assert renderer.capabilities.project == renderer.project
     assert "mesh-torch" in {one.name for one in available_renderers()}
 
 

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from loi_core import Free, PixelL2, fit
+from loi_core import Free, PixelL2, RendererCapabilities, fit
 from loi_core.errors import FitDivergedError, FitError, LoiError, RendererError
 from tests.fitting.fits import Bowl, bad_pullback, run
 
@@ -21,6 +21,10 @@ from tests.fitting.fits import Bowl, bad_pullback, run
 )
 def test_a_projection_that_is_none_is_told_so(legal: Any, says: str) -> None:
     class Bad(Bowl):
+        @property
+        def capabilities(self) -> RendererCapabilities:
+            return RendererCapabilities(project=self.project)
+
         def project(self, params: dict[str, Any]) -> Any:
             return legal
 

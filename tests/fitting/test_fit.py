@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from loi_core import Free, LOIObjective, PixelL2, fit
+from loi_core import Free, LOIObjective, PixelL2, RendererCapabilities, fit
 from loi_core.errors import FitError
 from loi_core.fitting.loop import FitInterruptedError, FitStep
 from loi_core.fitting.state import State
@@ -82,6 +82,10 @@ def test_the_parameters_after_the_last_step_count() -> None:
 
 def test_a_renderer_that_knows_what_is_legal_is_asked_after_every_step() -> None:
     class Whole(Bowl):
+        @property
+        def capabilities(self) -> RendererCapabilities:
+            return RendererCapabilities(project=self.project)
+
         def project(self, params: dict[str, Any]) -> dict[str, Any]:
             return {name: np.round(value) for name, value in params.items()}
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from loi_core import Free, LOIObjective, PixelL2, fit
+from loi_core import Free, LOIObjective, PixelL2, RendererCapabilities, fit
 from loi_core.errors import FitError
 from loi_core.fitting.loop import FitInterruptedError, FitStep
 from loi_core.renderers import BlurredRenderer
@@ -25,6 +25,10 @@ class Told(Bowl):
     xp: Any = np
     start: Any = field(default_factory=lambda: np.zeros((2, 2, 1)))
     said: list[tuple[int, int, float | None]] = field(default_factory=list)
+
+    @property
+    def capabilities(self) -> RendererCapabilities:
+        return RendererCapabilities(at_step=self.at_step)
 
     def at_step(self, step: int, steps: int, value: float | None) -> None:
         self.said.append((step, steps, value))

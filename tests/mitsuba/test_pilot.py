@@ -11,9 +11,9 @@ import pytest
 
 from examples.effects.scenes import HEIGHT, SUITE, WIDTH, Case
 from loi_core import Free, LOIObjective, PixelL2, ScaleSpace, fit
-from loi_core.effects import Effect, PlanningRenderer
+from loi_core.effects import Effect
 from loi_core.errors import OptionError, ParameterError
-from loi_core.renderers.contract import SteppedRenderer
+from loi_core.renderers.contract import capabilities_of
 from loi_core.testing import check_renderer
 from loi_mitsuba import MitsubaRenderer, PlannedRenderer, Translate, plan_effects
 from tests.helpers import Host
@@ -222,8 +222,9 @@ def test_only_what_is_optimised_is_planned_for_and_pulled_back() -> None:
 def test_a_fit_is_planned_by_its_first_gradient() -> None:
     case = CASES["emitter colour"]
     renderer = PlannedRenderer(case.scene(24, 18), case.parameters, spp=4)
-    assert isinstance(renderer, PlanningRenderer)
-    assert isinstance(renderer, SteppedRenderer)
+    capabilities = capabilities_of(renderer)
+    assert capabilities.planner is renderer
+    assert capabilities.at_step == renderer.at_step
     assert not renderer.plan.measured
     target = MitsubaRenderer(case.scene(24, 18), case.parameters, integrator=renderer.plan, spp=64).render(
         dict(case.truth), seed=10**6

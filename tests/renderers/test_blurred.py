@@ -12,7 +12,7 @@ import pytest
 from loi_core import Free, LOIObjective, PixelL2, fit
 from loi_core.errors import OptionError, ParameterError
 from loi_core.renderers import BlurredRenderer, Disks
-from loi_core.renderers.contract import EncodedRenderer
+from loi_core.renderers.contract import RendererCapabilities, capabilities_of
 from loi_core.testing import check_renderer
 from tests.strategies import thorough
 
@@ -98,7 +98,7 @@ def test_where_losses_are_compared_the_gradient_is_that_of_the_blurred_loss(toge
     params = renderer.parameters()
     wanted = blurred_loss(Steps(), params, SIGMA)
     blurred = BlurredRenderer(renderer, SIGMA, together=together, compare="losses")
-    drawn = [blurred.render_vjp(params, seed=seed)[1].of_loss(loss_of, COTANGENT) for seed in range(3000)]  # type: ignore[attr-defined]
+    drawn = [blurred.render_loss_vjp(params, seed=seed)[1](loss_of, COTANGENT) for seed in range(3000)]
     for name, value in wanted.items():
         own = np.array([one[name] for one in drawn])
         error = own.std(axis=0, ddof=1) / np.sqrt(len(own))
@@ -110,9 +110,9 @@ def test_both_is_the_mean_of_images_and_losses_and_a_cotangent_alone_is_of_image
     params = renderer.parameters()
     found = {}
     for compare in ("images", "losses", "both"):
-        pullback: Any = BlurredRenderer(renderer, SIGMA, compare=compare).render_vjp(params, seed=5)[1]
-        found[compare] = pullback.of_loss(loss_of, COTANGENT)
-        found[f"{compare}, linear"] = pullback(COTANGENT)
+        blurred = BlurredRenderer(renderer, SIGMA, compare=compare)
+        found[compare] = blurred.render_loss_vjp(params, seed=5)[1](loss_of, COTANGENT)
+        found[f"{compare}, linear"] = blurred.render_vjp(params, seed=5)[1](COTANGENT)
     for name in params:
         np.testing.assert_allclose(found["both"][name], 0.5 * (found["images"][name] + found["losses"][name]))
         for compare in ("images", "losses", "both"):
@@ -291,24 +291,23 @@ def test_options_are_checked(options: dict[str, Any], error: type[Exception], sa
 
 def test_what_the_renderer_says_of_itself_is_passed_on() -> None:
     @dataclass
-    class Knowing(Steps):
-        encoding: str = "sRGB"
+    class Capable(Steps):
         told: list[Any] = field(default_factory=list)
 
         @property
-        def unabridged(self) -> Steps:
-            return Steps()
+        def capabilities(self) -> RendererCapabilities:
+            return RendererCapabilities(encoding="sRGB", unabridged=Steps, at_step=self.at_step)
 
         def at_step(self, step: int, steps: int, value: float | None) -> None:
             self.told.append((step, steps, value))
 
-    blurred = BlurredRenderer(Knowing(), 0.5)
-    assert isinstance(blurred, EncodedRenderer)
-    assert blurred.encoding == "sRGB"
-    assert isinstance(blurred.unabridged, Steps)
+    blurred = BlurredRenderer(Capable(), 0.5)
+    capabilities = capabilities_of(blurred)
+    assert capabilities.encoding == "sRGB"
+    assert capabilities.unabridged is Steps
     blurred.at_step(3, 9, 0.5)
     assert blurred.renderer.told == [(3, 9, 0.5)]  # type: ignore[attr-defined]
-    assert not isinstance(BlurredRenderer(Steps(), 0.5), EncodedRenderer)
+    assert capabilities_of(BlurredRenderer(Steps(), 0.5)).encoding is None
 
 
 def test_blurred_parameters_stay_legal() -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Final
@@ -14,10 +15,8 @@ import numpy as np
 from loi_core.effects import Effect, EffectPlan, Holding, Schedule, Sizes
 from loi_core.errors import OptionError, ParameterError
 from loi_core.objectives.base import Objective
-from loi_core.pixels.encoding import Encoding
 from loi_core.renderers.blurred import BLUR_KEYS, BlurredRenderer
-from loi_core.renderers.contract import Loss
-from loi_core.renderers.pullbacks import OfLoss
+from loi_core.renderers.contract import Loss, LossPullback, RendererCapabilities
 from loi_core.support.arrays import to_numpy
 from loi_core.support.values import real_number
 from loi_core.support.wording import clause, listed, shown
@@ -147,9 +146,15 @@ class PlannedRenderer:
             self._blurring.over(self._whole.missing)  # checked now: what is followed may turn out to be blurred later
 
     @property
-    def encoding(self) -> Encoding:
-        """What Mitsuba renders is radiance, "linear"."""
-        return "linear"
+    def capabilities(self) -> RendererCapabilities:
+        """The image is radiance, the gradient depends on the loss and the step, and the effects are planned."""
+        return RendererCapabilities(
+            at_step=self.at_step,
+            render_loss_vjp=self.render_loss_vjp,
+            unabridged=lambda: self.unabridged,
+            encoding="linear",
+            planner=self,
+        )
 
     @property
     def plan(self) -> EffectPlan:
@@ -189,6 +194,11 @@ class PlannedRenderer:
 
         The pullback keeps the plan of its image. The gradient of what is held is 0.
         """
+        image, pullback = self.render_loss_vjp(params, seed=seed)
+        return image, partial(pullback, None)
+
+    def render_loss_vjp(self, params: Mapping[str, Any], *, seed: int = 0) -> tuple[Host, LossPullback]:
+        """The same, with a pullback that takes the loss, or None, and the cotangent: blurred gradients may use it."""
         image = self._current.render(params, seed=seed)
         self._look()
         current = self._current  # that of the pullback also after the plan has changed
@@ -217,7 +227,7 @@ class PlannedRenderer:
                 self._probe("on schedule")
             return pulled | {name: np.zeros_like(pulled[name]) for name in held}
 
-        return image, OfLoss(counted)
+        return image, counted
 
     def begin(self, params: Mapping[str, Any], cotangent: Any, *, optimise: Iterable[str], seed: int = 0) -> EffectPlan:
         """Plan a fit that starts at `params`, where the loss has the gradient `cotangent`, shape (H, W, C).

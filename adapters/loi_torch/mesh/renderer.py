@@ -11,8 +11,8 @@ from typing import Any, Final
 from torch import Tensor
 
 from loi_core.errors import OptionError, ParameterError
-from loi_core.pixels.encoding import Encoding
 from loi_core.renderers.checks import check_dtype, check_size
+from loi_core.renderers.contract import RendererCapabilities
 from loi_core.renderers.handles import Target, targets_of
 from loi_core.scenes.target import read_target
 from loi_core.support.wording import shown
@@ -126,9 +126,9 @@ class MeshRenderer(Painted):
         super().__init__(self._values, dtype, device)
 
     @property
-    def encoding(self) -> Encoding:
-        """Of the image, "linear"."""
-        return "linear"
+    def capabilities(self) -> RendererCapabilities:
+        """The image is linear, and a fit calls :meth:`project` after every step."""
+        return RendererCapabilities(project=self.project, encoding="linear")
 
     def entries(self) -> dict[str, tuple[int, ...]]:
         """The shapes of everything that a parameter may stand for, by its name."""

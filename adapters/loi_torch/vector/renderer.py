@@ -10,8 +10,9 @@ import torch
 from torch import Tensor
 
 from loi_core.errors import ParameterError
-from loi_core.pixels.encoding import Encoding, check_encoding
+from loi_core.pixels.encoding import check_encoding
 from loi_core.renderers.checks import FloatArray, check_size, floats
+from loi_core.renderers.contract import RendererCapabilities
 from loi_core.renderers.fragments import IndexArray
 from loi_core.support.arrays import to_numpy
 from loi_core.support.wording import shown
@@ -112,9 +113,9 @@ class Vector(Painted):
         self._behind = self._encoded(torch.as_tensor(behind, device=self._device))
 
     @property
-    def encoding(self) -> Encoding:
-        """Of the image."""
-        return self._encoding
+    def capabilities(self) -> RendererCapabilities:
+        """The encoding of the image, and :meth:`project`, which a fit calls after every step."""
+        return RendererCapabilities(project=self.project, encoding=self._encoding)
 
     def shapes(self, params: Mapping[str, object]) -> list[Shape]:
         """The shapes that have these parameters, to be looked at or written with :func:`write_svg`."""

@@ -9,6 +9,7 @@ import numpy as np
 from examples.paper.table1.problem import RADIUS, FloatArray
 from loi_core.renderers import Disks
 from loi_core.renderers.confinement import near_pairs
+from loi_core.renderers.contract import RendererCapabilities
 
 __all__ = ["ReleasedMoves"]
 
@@ -26,6 +27,11 @@ class ReleasedMoves:
 
     def __init__(self, disks: Disks) -> None:
         self._disks = disks
+
+    @property
+    def capabilities(self) -> RendererCapabilities:
+        """A fit calls :meth:`project` after every step."""
+        return RendererCapabilities(project=self.project)
 
     def parameters(self) -> dict[str, FloatArray]:
         """See :class:`Disks`."""

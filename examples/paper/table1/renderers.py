@@ -9,6 +9,7 @@ import numpy as np
 
 from examples.paper.table1.problem import FloatArray, Image
 from loi_core.renderers import Disks
+from loi_core.renderers.contract import RendererCapabilities
 
 __all__ = ["BothOrders", "Noisy"]
 
@@ -22,6 +23,11 @@ class _Wrapped:
 
     def __init__(self, disks: Disks) -> None:
         self._disks = disks
+
+    @property
+    def capabilities(self) -> RendererCapabilities:
+        """A fit calls :meth:`project` after every step."""
+        return RendererCapabilities(project=self.project)
 
     def parameters(self) -> dict[str, FloatArray]:
         """See :class:`Disks`."""

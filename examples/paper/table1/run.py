@@ -18,7 +18,7 @@ from loi_core.fitting.loop import FitResult, FitStep, Free
 from loi_core.objectives import MSSSIM
 from loi_core.pixels.psnr import psnr
 from loi_core.renderers import Disks
-from loi_core.renderers.contract import Parameters, ProjectingRenderer
+from loi_core.renderers.contract import Parameters
 
 __all__ = ["Outcome", "Run", "carry_out", "structure"]
 
@@ -127,7 +127,7 @@ def _released(setting: Setting, column: Column) -> bool:
     return column.parted and setting.moves == "released"
 
 
-def _renderer(setting: Setting, column: Column, disks: Disks) -> ProjectingRenderer:
+def _renderer(setting: Setting, column: Column, disks: Disks) -> Disks | ReleasedMoves | Noisy | BothOrders:
     if _released(setting, column):
         return ReleasedMoves(disks)
     if setting.noise:

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -25,7 +26,15 @@ from loi_core import Free, LOIObjective, fit
 from loi_core.objectives import MSSSIM, GaussianPyramid, Objective, PixelL2
 from loi_core.pixels.psnr import psnr
 from loi_core.renderers import BlurredRenderer
-from loi_core.renderers.contract import Parameters, Pullback, Renderer, SteppedRenderer
+from loi_core.renderers.contract import (
+    LossPullback,
+    Parameters,
+    Pullback,
+    Renderer,
+    RendererCapabilities,
+    capabilities_of,
+    render_loss_vjp,
+)
 from loi_mitsuba import PlannedRenderer
 from loi_torch import TorchOptimiser
 from loi_torch.lpips import LPIPS
@@ -114,6 +123,11 @@ class _Finishing:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._renderer, name)
 
+    @property
+    def capabilities(self) -> RendererCapabilities:
+        wrapped = capabilities_of(self._renderer)
+        return replace(wrapped, at_step=self.at_step, render_loss_vjp=self.render_loss_vjp)
+
     def parameters(self) -> Parameters:
         return self._renderer.parameters()
 
@@ -121,11 +135,16 @@ class _Finishing:
         return self._renderer.render(params, seed=seed)
 
     def render_vjp(self, params: Parameters, *, seed: int = 0) -> tuple[Any, Pullback]:
-        return self._renderer.render_vjp(params, seed=seed)
+        image, pullback = self.render_loss_vjp(params, seed=seed)
+        return image, partial(pullback, None)
+
+    def render_loss_vjp(self, params: Parameters, *, seed: int = 0) -> tuple[Any, LossPullback]:
+        return render_loss_vjp(self._renderer, params, seed=seed)
 
     def at_step(self, step: int, steps: int, value: float | None) -> None:
-        if isinstance(self._renderer, SteppedRenderer):
-            self._renderer.at_step(step, steps, value)
+        wrapped = capabilities_of(self._renderer).at_step
+        if wrapped is not None:
+            wrapped(step, steps, value)
 
 
 class _Sharpest(_Finishing):
@@ -145,9 +164,9 @@ class _Exact(_Finishing):
     def render(self, params: Parameters, *, seed: int = 0) -> Any:
         return self._images.render(params, seed=seed)
 
-    def render_vjp(self, params: Parameters, *, seed: int = 0) -> tuple[Any, Pullback]:
-        _, pull = super().render_vjp(params, seed=seed)
-        return self.render(params, seed=seed), pull
+    def render_loss_vjp(self, params: Parameters, *, seed: int = 0) -> tuple[Any, LossPullback]:
+        _, pullback = super().render_loss_vjp(params, seed=seed)
+        return self.render(params, seed=seed), pullback
 
 
 def carry_out(run: Run, variant: str = VARIANT) -> Outcome:

@@ -9,8 +9,8 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 
 from loi_core.errors import RendererError
-from loi_core.pixels.encoding import Encoding, encode_srgb
-from loi_core.renderers.contract import Parameters, Pullback
+from loi_core.pixels.encoding import encode_srgb
+from loi_core.renderers.contract import Parameters, Pullback, RendererCapabilities
 from loi_core.renderers.handles import Target
 from loi_mitsuba import MitsubaRenderer
 
@@ -39,9 +39,9 @@ class Images:
         )
 
     @property
-    def encoding(self) -> Encoding:
-        """Values are those of an ordinary image file."""
-        return "sRGB"
+    def capabilities(self) -> RendererCapabilities:
+        """Values are encoded like those of an ordinary image file."""
+        return RendererCapabilities(encoding="sRGB")
 
     def parameters(self) -> Parameters:
         """As the scene has them."""
