@@ -29,13 +29,13 @@ from loi_mitsuba.scene.load import (
     checked_samples,
     checked_targets,
     find_sensor,
-    most_samples,
+    max_samples,
     one_line,
     use_variant,
 )
 from loi_mitsuba.scene.parameters import Scene, SceneIndex, index_scene
 from loi_mitsuba.scene.poses import Host
-from loi_mitsuba.scene.safety import SceneLoadError, check_types
+from loi_mitsuba.scene.safety import SceneLoadError, check_description
 from loi_mitsuba.scene.settings import PARTS, bordered, integrator_of, leaves_edges_out, settings_of
 from loi_mitsuba.sensing.film import Film
 
@@ -317,7 +317,7 @@ class MitsubaRenderer:
 
     def _use(self, integrator: Any, spp: int, spp_grad: int | None) -> None:
         """Take an integrator and its samples."""
-        most = most_samples(self._sensor.film())
+        most = max_samples(self._sensor.film())
         self._spp = checked_samples("spp", spp, most)
         if isinstance(integrator, EffectPlan):
             if spp_grad is not None:
@@ -369,7 +369,7 @@ def _integrator(scene: Any, integrator: Any) -> Any:
         integrator = scene.integrator()
     if isinstance(integrator, dict):
         try:
-            check_types(integrator)
+            check_description(integrator)
             integrator = mi.load_dict(integrator)
         except (RuntimeError, SceneLoadError) as error:
             msg = f"`integrator` cannot be loaded: {one_line(error)}"

@@ -13,7 +13,7 @@ import pytest
 
 from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, Rotate, Translate
 from loi_mitsuba.geometry.stepped_textures import has_steps, interpolate
-from loi_mitsuba.scene.load import parsed
+from loi_mitsuba.scene.load import parsed_scene
 from loi_mitsuba.scene.queries import parts_of
 from tests.helpers import Host
 from tests.mitsuba.scenes import HEIGHT, WIDTH, shadow_scene
@@ -76,7 +76,7 @@ def test_an_interpolated_texture_is_that_with_steps_but_near_them(kind: str, tmp
     turned = {"to_uv": PLACE().rotate([0, 0, 1], 20).scale([3, 2, 1])}
     own = mi.load_dict(KINDS[kind](tmp_path) | turned)
     ball = {"type": "sphere", "bsdf": {"type": "diffuse", "reflectance": KINDS[kind](tmp_path) | turned}}
-    with parsed({"type": "scene", "ball": ball}, floats=False) as (config, state):
+    with parsed_scene({"type": "scene", "ball": ball}, float_textures=False) as (config, state):
         (part,) = parts_of(state, 0, mi.ObjectType.Texture)
         assert interpolate(state.nodes[part].props)
         made = mi.parser.instantiate(config, state)

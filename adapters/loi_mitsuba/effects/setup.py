@@ -20,7 +20,7 @@ from loi_mitsuba.proxy.scene import MovingShapes, ProxyScene, ProxySettings, bui
 from loi_mitsuba.proxy_renderer import ProxyGradientRenderer, light_targets, proxy_targets
 from loi_mitsuba.renderer import MitsubaRenderer
 from loi_mitsuba.scene.binding import ParameterBinding
-from loi_mitsuba.scene.load import Target, checked_samples, checked_targets, find_sensor, most_samples, use_variant
+from loi_mitsuba.scene.load import Target, checked_samples, checked_targets, find_sensor, max_samples, use_variant
 from loi_mitsuba.scene.parameters import SceneIndex, ancestors, index_scene
 from loi_mitsuba.scene.settings import bordered
 from loi_mitsuba.traits import Traits, View, traits_of
@@ -63,7 +63,7 @@ def prepare_renderer(
     targets = checked_targets(parameters)
     names = index_scene(scene, targets)
     found = find_sensor(names.scene, sensor)
-    samples = checked_samples("spp", spp, most_samples(found.film()))
+    samples = checked_samples("spp", spp, max_samples(found.film()))
     missing = _missing(names, targets, found, blur)
     asked = {} if blur is None or blur.get("names") is None else missing
     free = {name: target for name, target in targets.items() if name not in asked}
@@ -158,7 +158,7 @@ def _neighboured(
         around,
         View(sensor).has,
         moved,
-        floats=loaded.floats,
+        float_textures=loaded.float_textures,
         unlit=traits.unlit_mirrors,
     )
     if found is None:

@@ -30,7 +30,7 @@ from loi_mitsuba.proxy.substitutions import (
     substitute_surface,
     welding_of,
 )
-from loi_mitsuba.scene.load import LoadedScene, SceneLoadError, parsed
+from loi_mitsuba.scene.load import LoadedScene, SceneLoadError, parsed_scene
 from loi_mitsuba.scene.queries import parts_of
 
 __all__ = ["MovingShapes", "ProxyScene", "ProxySettings", "build_proxy_scene"]
@@ -128,7 +128,7 @@ def build_proxy_scene(
     in_view: Callable[[Any], bool],
     moved: MovingShapes = MovingShapes(),
     *,
-    floats: bool = False,
+    float_textures: bool = False,
     unlit: bool = False,
 ) -> ProxyScene | None:
     """The neighbouring scene of one that can be loaded; None if nothing is to be exchanged, or can be.
@@ -143,7 +143,7 @@ def build_proxy_scene(
     in_view : callable
         Whether the camera may see a shape. A lamp that it sees is not exchanged, for the light is never seen.
     moved : MovingShapes
-    floats : bool
+    float_textures : bool
         Whether textures are to hold floats.
     unlit : bool
         Whether what stands for lights without a size is to have no image in what stands for mirrors.
@@ -161,7 +161,7 @@ def build_proxy_scene(
         return None if found is None else replace(found, loaded=LoadedScene(found.loaded.scene, in_order=False))
     keep: frozenset[int | None] = frozenset()
     while True:
-        exchanged = _exchanged(scene, near, around, moved, keep, floats=floats, unlit=unlit)
+        exchanged = _exchanged(scene, near, around, moved, keep, float_textures=float_textures, unlit=unlit)
         if exchanged is None:
             return None
         made, exchanges = exchanged
@@ -171,7 +171,7 @@ def build_proxy_scene(
         keep |= {one.light for one in exchanges if f"{LAMP}{one.light}" in seen}
     flags = [int(shape.bsdf().flags()) for shape in made.shapes() if shape.bsdf() is not None]
     smooth = any(one & int(mi.BSDFFlags.DeltaReflection | mi.BSDFFlags.DeltaTransmission) for one in flags)
-    return ProxyScene(LoadedScene(made, in_order=True, floats=floats), _distinct(exchanges), smooth)
+    return ProxyScene(LoadedScene(made, in_order=True, float_textures=float_textures), _distinct(exchanges), smooth)
 
 
 def _exchanged(
@@ -181,13 +181,13 @@ def _exchanged(
     moved: MovingShapes,
     keep: frozenset[int | None],
     *,
-    floats: bool,
+    float_textures: bool,
     unlit: bool,
 ) -> tuple[Any, list[Substitution]] | None:
     """A neighbouring scene in which some lights are kept, and what is exchanged in it; None if nothing is."""
     exchanges: list[Substitution] = []
     lights = 0
-    with parsed(scene, floats=floats) as (config, state):
+    with parsed_scene(scene, float_textures=float_textures) as (config, state):
         if any(node.props.plugin_name() == "shapegroup" for node in state.nodes):
             moved = MovingShapes()  # the shapes of a group have no number
         surfaces = (parts_of(state, number, mi.ObjectType.BSDF) for number in moved.shapes)

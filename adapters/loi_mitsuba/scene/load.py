@@ -1,4 +1,4 @@
-"""What a renderer is made from: the variant, the scene, the targets, the sensor and the samples, each checked."""
+"""Load scenes, and check the arguments that every renderer of a scene takes."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from loi_core.errors import OptionError, ParameterError
 from loi_core.renderers.handles import Rotate, Target, targets_of
 from loi_core.support.values import whole_number
 from loi_core.support.wording import shown
-from loi_mitsuba.scene.safety import SceneLoadError, check_scene_file, check_types, looking_in
+from loi_mitsuba.scene.safety import SceneLoadError, check_description, check_scene_file, file_search_path
 
 __all__ = [
     "LoadedScene",
@@ -23,24 +23,28 @@ __all__ = [
     "Target",
     "checked_samples",
     "checked_targets",
+    "copied_description",
     "find_sensor",
-    "fresh",
     "load_scene",
-    "load_with_floats",
-    "most_samples",
+    "load_with_float_textures",
+    "max_samples",
     "one_line",
-    "parsed",
+    "parsed_scene",
     "use_variant",
 ]
 
-"""What a parameter stands for: an entry of the scene by name, or a handle on a shape."""
-
 VARIANTS: Final = ("cuda_ad_rgb", "llvm_ad_rgb")
-MOST_SAMPLES: Final = 2**32 - 1  # in one image; Mitsuba counts them in 32 bits
+MAX_IMAGE_SAMPLES: Final = 2**32 - 1  # Mitsuba counts the samples of an image in 32 bits
 
 
 def use_variant() -> str:
-    """The variant in use, once there is one that has gradients."""
+    """Return Mitsuba's variant, after setting a differentiable one if none is set.
+
+    Raises
+    ------
+    OptionError
+        If the variant that is set has no gradients.
+    """
     if mi.variant() is None:
         mi.set_variant(*VARIANTS)
     variant = str(mi.variant())
@@ -52,34 +56,43 @@ def use_variant() -> str:
 
 @dataclass(frozen=True)
 class LoadedScene:
-    """A scene, and how it was loaded.
+    """A scene and the way it was loaded.
 
     Attributes
     ----------
     scene : mi.Scene
     in_order : bool
-        Whether its shapes are known to come in the file's own order. Mitsuba, asked to optimise a scene as it loads it,
-        merges some meshes and moves the others behind all other shapes.
-    floats : bool
-        Whether textures of 8 bits were loaded as floats, which have a gradient.
+        Whether the shapes are in the order of the file. With its own optimisations on, Mitsuba merges some meshes and
+        moves the others behind all other shapes.
+    float_textures : bool
+        Whether 8-bit textures were loaded as floats, which have a gradient.
     """
 
     scene: Any
     in_order: bool
-    floats: bool = False
+    float_textures: bool = False
 
 
 def load_scene(scene: Any) -> LoadedScene:
-    """The scene that a dict, a path or a scene stands for."""
-    # Merging equal objects, as Mitsuba does by itself, would make one parameter change several of them.
+    """Load a dict or an XML file, or wrap a scene that is loaded already.
+
+    Mitsuba's optimisations are off: a parameter of merged objects would change all of them.
+
+    Raises
+    ------
+    SceneLoadError
+        If the scene cannot be loaded.
+    OptionError
+        If `scene` is of another type.
+    """
     if isinstance(scene, LoadedScene):
         return scene
     if isinstance(scene, mi.Scene):
         return LoadedScene(scene, in_order=False)
     try:
         if isinstance(scene, dict):
-            check_types(scene)
-            loaded = mi.load_dict(fresh(scene), optimize=False)
+            check_description(scene)
+            loaded = mi.load_dict(copied_description(scene), optimize=False)
         elif isinstance(scene, str | Path):
             check_scene_file(Path(scene))
             loaded = mi.load_file(str(scene), optimize=False)
@@ -94,33 +107,35 @@ def load_scene(scene: Any) -> LoadedScene:
     return LoadedScene(loaded, in_order=True)
 
 
-def load_with_floats(scene: dict[str, Any] | str | Path) -> LoadedScene:
-    """A scene whose textures hold floats, whatever their files hold; it has been loaded before, so that it is sound."""
-    with parsed(scene, floats=True) as (config, state):
+def load_with_float_textures(scene: dict[str, Any] | str | Path) -> LoadedScene:
+    """Load a scene that `load_scene` has checked, with floats in all textures."""
+    with parsed_scene(scene, float_textures=True) as (config, state):
         loaded = mi.parser.instantiate(config, state)
-    return LoadedScene(loaded[0] if isinstance(loaded, list) else loaded, in_order=True, floats=True)
+    return LoadedScene(loaded[0] if isinstance(loaded, list) else loaded, in_order=True, float_textures=True)
 
 
 @contextlib.contextmanager
-def parsed(scene: dict[str, Any] | str | Path, *, floats: bool) -> Iterator[tuple[Any, Any]]:
-    """What a scene is made from, to be changed and instantiated within; with `floats`, textures hold floats.
+def parsed_scene(scene: dict[str, Any] | str | Path, *, float_textures: bool) -> Iterator[tuple[Any, Any]]:
+    """Parse a scene into the configuration and state that ``mi.parser.instantiate`` takes.
+
+    Change and instantiate the state within the context.
 
     Raises
     ------
     SceneLoadError
-        If Mitsuba cannot, or something within fails in Mitsuba.
+        If Mitsuba cannot parse the scene, or raises within the context.
     """
     config = mi.parser.ParserConfig(mi.variant())
     config.merge_equivalent = config.merge_meshes = False
     folders = [] if isinstance(scene, dict) else [Path(scene).parent]
-    with looking_in([Path(mi.__file__).parent, *folders], also=True):
+    with file_search_path([Path(mi.__file__).parent, *folders], extend=True):
         try:
             if isinstance(scene, dict):
-                state = mi.parser.parse_dict(config, fresh(scene))
+                state = mi.parser.parse_dict(config, copied_description(scene))
             else:
                 state = mi.parser.parse_file(config, str(scene))
             mi.parser.transform_all(config, state)
-            for node in state.nodes if floats else ():
+            for node in state.nodes if float_textures else ():
                 if node.props.plugin_name() == "bitmap" and node.type == mi.ObjectType.Texture:
                     node.props["format"] = "variant"
             yield config, state
@@ -129,29 +144,29 @@ def parsed(scene: dict[str, Any] | str | Path, *, floats: bool) -> Iterator[tupl
             raise SceneLoadError(msg) from None
 
 
-def fresh(description: dict[str, Any]) -> dict[str, Any]:
-    """A dict to load a scene from, again and again: Mitsuba empties the tensors in the one that it is given."""
+def copied_description(description: dict[str, Any]) -> dict[str, Any]:
+    """Copy a scene's dict with its tensors, which Mitsuba empties when it loads them."""
 
-    def own(value: Any) -> Any:
+    def copied(value: Any) -> Any:
         if isinstance(value, dict):
-            return fresh(value)
+            return copied_description(value)
         return type(value)(value) if dr.is_tensor_v(value) else value
 
-    return {key: own(value) for key, value in description.items()}
+    return {key: copied(value) for key, value in description.items()}
 
 
 def checked_targets(parameters: object) -> dict[str, Target]:
-    """Targets by parameter; tables of scene files become handles."""
+    """Return the target of each parameter, with handles in place of a scene file's tables."""
     targets = targets_of(parameters)
     for name, target in targets.items():
         if isinstance(target, Rotate) and target.axis is None:
-            msg = f"`parameters[{name!r}]`: Rotate needs `axis` in Mitsuba; several turn a shape freely"
+            msg = f"`parameters[{name!r}]`: Rotate needs `axis` in Mitsuba; several Rotates turn a shape freely"
             raise ParameterError(msg)
     return targets
 
 
 def find_sensor(scene: Any, index: int) -> Any:
-    """The sensor of that number."""
+    """Return the scene's sensor with that index."""
     sensors = scene.sensors()
     if not sensors:
         msg = "`scene` has no sensor"
@@ -163,23 +178,23 @@ def find_sensor(scene: Any, index: int) -> Any:
     return sensors[number]
 
 
-def most_samples(film: Any) -> int:
-    """The most samples per pixel that one image may have, with the border if the film samples there."""
+def max_samples(film: Any) -> int:
+    """Return the largest number of samples per pixel, counting the border if the film samples it."""
     border = 2 * film.rfilter().border_size() if film.sample_border() else 0
     width, height = film.crop_size()
-    return MOST_SAMPLES // int((width + border) * (height + border))
+    return MAX_IMAGE_SAMPLES // int((width + border) * (height + border))
 
 
 def one_line(error: Exception) -> str:
-    """What Mitsuba says, without the trace of the Python in which some of its plugins are written."""
-    said, _, trace = str(error).strip().partition("Traceback (most recent call last):")
-    return " ".join([*said.split(), *" ".join(trace.splitlines()[-1:]).split()])
+    """Return Mitsuba's message in one line, without the traceback of plugins written in Python."""
+    message, _, trace = str(error).strip().partition("Traceback (most recent call last):")
+    return " ".join([*message.split(), *" ".join(trace.splitlines()[-1:]).split()])
 
 
-def checked_samples(name: str, value: object, most: int) -> int:
-    """`value`, once it is known to be a number of samples."""
+def checked_samples(name: str, value: object, largest: int) -> int:
+    """Return `value` as a number of samples per pixel, 1 to `largest`."""
     samples = whole_number(value)
-    if samples is None or not 1 <= samples <= most:
-        msg = f"`{name}` must be a whole number of samples from 1 to {most} for this film, got {shown(value)}"
+    if samples is None or not 1 <= samples <= largest:
+        msg = f"`{name}` must be a whole number of samples from 1 to {largest} for this film, got {shown(value)}"
         raise OptionError(msg)
     return samples

@@ -16,7 +16,7 @@ import numpy as np
 
 from loi_core.errors import ParameterError
 from loi_mitsuba.geometry.bounds import corners_of
-from loi_mitsuba.scene.load import LoadedScene, load_scene, load_with_floats, use_variant
+from loi_mitsuba.scene.load import LoadedScene, load_scene, load_with_float_textures, use_variant
 
 __all__ = [
     "INSTANCE",
@@ -95,7 +95,7 @@ def index_scene(scene: dict[str, Any] | str | Path | Scene | LoadedScene, target
     names = SceneIndex(load_scene(scene))
     wanted = [names.known(target) for target in targets.values() if isinstance(target, str)]
     if any(one is not None and one.problem == EIGHT_BITS for one in wanted) and isinstance(scene, dict | str | Path):
-        return SceneIndex(load_with_floats(scene))
+        return SceneIndex(load_with_float_textures(scene))
     return names
 
 
