@@ -18,6 +18,8 @@ import torch
 from scipy import stats
 
 from loi_core import LOIObjective, ScaleSpace
+from loi_core.method.dispatch import ARRAY_API
+from loi_core.objectives import ReferencePlanes
 
 STORED: Final = Path(__file__).parents[1] / "tests" / "data" / "released_loss.npz"
 SHAPE: Final = (24, 19, 3)
@@ -47,8 +49,9 @@ def gradient_errors(image: Any, reference: Any, scales: ScaleSpace) -> dict[str,
     LOIObjective(torch.tensor(reference), scales).value(leaf).backward()
     assert leaf.grad is not None
     traced = LOIObjective(jnp.asarray(reference), scales)
-    prepared = traced.prepare_reference(jnp.moveaxis(jnp.asarray(reference), -1, 0), None)
-    forward = jax.grad(lambda x: sum(traced.compare_planes(x, prepared, gradient=False).terms.values()))
+    planes = ReferencePlanes(jnp.moveaxis(jnp.asarray(reference), -1, 0), None, ARRAY_API)
+    comparison = traced.compare_with(planes)
+    forward = jax.grad(lambda image: sum(comparison.compare(image, gradient=False).terms.values()))
     jaxed = jax.jit(forward)(jnp.moveaxis(jnp.asarray(image), -1, 0))
     strict = LOIObjective(array_api_strict.asarray(reference), scales)
     return {

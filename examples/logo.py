@@ -38,7 +38,7 @@ Host: TypeAlias = np.ndarray[Any, Any]
 
 
 def search(
-    renderer: Vector, objective: ImageObjective[Any, Any], place: Sequence[Sequence[float]], size: int, steps: int
+    renderer: Vector, objective: ImageObjective[Any], place: Sequence[Sequence[float]], size: int, steps: int
 ) -> FitResult:
     """Fit places, sizes, turns and the stroke's width, from elsewhere, smaller, turned and with a thinner stroke."""
     truth = {name: value.numpy() for name, value in renderer.parameters().items()}
@@ -99,7 +99,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     with tempfile.TemporaryDirectory() as folder:
         write_png(Path(folder) / "logo.png", renderer.render(renderer.parameters()).numpy())
         target = read_image(Path(folder) / "logo.png")
-    objectives: dict[str, ImageObjective[Any, Any]] = {
+    objectives: dict[str, ImageObjective[Any]] = {
         "loi": LOIObjective(target, ScaleSpace.for_image(size, size), accuracy="fast"),
         "pixel L2": PixelL2(target),
     }

@@ -30,7 +30,7 @@ DISTANCES: Final = (3.0, 24.0)  # pixels between the centres: disks that overlap
 STRENGTHS: Final = (0.05, 0.1, 0.2, 0.4)  # standard deviations, where the disk and the background differ by 0.5
 OTHER: Final = 2**20  # what the seeds of references differ by from those of renders
 FOUND: Final = 1.0  # pixels from the true centre
-OBJECTIVES: Final[dict[str, Callable[[Host], ImageObjective[Any, Any]]]] = {
+OBJECTIVES: Final[dict[str, Callable[[Host], ImageObjective[Any]]]] = {
     "pixel L2": PixelL2,
     "Gaussian pyramid": GaussianPyramid,
     "sigma only": lambda reference: LOIObjective(reference, ScaleSpace((1, 5, 15, 45), 0, 0.125)),

@@ -11,7 +11,7 @@ import numpy as np
 
 from loi_core import LogTone, LOIObjective, ScaleSpace
 from loi_core.errors import DerivativeError, ImageTypeError, NonFiniteImageError
-from loi_core.method.ways import loops_take
+from loi_core.method.dispatch import numba_supports
 from loi_core.pixels.colours import Colours
 from loi_core.pixels.nonfinite import NanPolicy
 from loi_core.support.arrays import as_floating, is_traced
@@ -138,7 +138,7 @@ class _Traceable:
     def _evaluate(self, image: jax.Array, *, gradient: bool) -> Sequence[jax.Array]:
         if not isinstance(image, jax.core.Tracer):
             return self._checked(image, gradient=gradient)
-        if loops_take(str(image.dtype)) and jax.sharding.get_abstract_mesh().empty:
+        if numba_supports(str(image.dtype)) and jax.sharding.get_abstract_mesh().empty:
             # With a mesh it would be for several devices, each with its part.
             self._objective.check_shape(image.shape)  # where the caller is still to be seen, not where it is compiled
             return evaluate(self, image, gradient=gradient)

@@ -15,7 +15,7 @@ from torch.nn import functional
 
 from loi_core import ImageObjective, LogTone
 from loi_core.errors import ImageError, OptionError
-from loi_core.objectives.base import Evaluation
+from loi_core.objectives import Evaluation, PlaneComparison, ReferencePlanes
 from loi_core.pixels.nonfinite import NanPolicy
 from loi_core.support.arrays import Array, from_numpy, to_numpy
 from loi_core.support.wording import shown
@@ -92,13 +92,7 @@ class _Network:
         return found
 
 
-@dataclass(frozen=True)
-class _Prepared:
-    network: _Network
-    features: list[Tensor]
-
-
-class LPIPS(ImageObjective[_Prepared, str]):
+class LPIPS(ImageObjective[str]):
     """Learned perceptual image patch similarity, averaged over the batch; 0 for equal images.
 
     Parameters
@@ -154,36 +148,45 @@ class LPIPS(ImageObjective[_Prepared, str]):
             raise ImageError(msg)
         _network(net, torch.float32, torch.device("cpu"))  # so that missing weights are told now
 
-    def prepare_reference(self, reference: Array, weights: Array | None) -> _Prepared:  # noqa: ARG002  # masks only
+    def compare_with(self, reference: ReferencePlanes) -> PlaneComparison[str]:
         """See :class:`loi_core.ImageObjective`."""
         with _plain_torch(), torch.no_grad():
-            planes = _tensor(reference)
+            planes = _tensor(reference.planes)
             network = _network(self._net, planes.dtype, planes.device)
-            return _Prepared(network, network.features(self._stack(planes)))
+            return _FeatureComparison(network, network.features(_stack(planes, self._channels)), self._channels)
 
-    def compare_planes(self, planes: Array, prepared: _Prepared, *, gradient: bool) -> Evaluation[str]:
-        """See :class:`loi_core.ImageObjective`."""
+
+@dataclass(frozen=True, eq=False)
+class _FeatureComparison(PlaneComparison[str]):
+    """The network, and its features of the reference."""
+
+    network: _Network
+    reference: list[Tensor]
+    channels: int
+
+    def compare(self, planes: Array, *, gradient: bool) -> Evaluation[str]:
         if not gradient:
-            found = self._compare(_tensor(planes), prepared)
-            return Evaluation({name: _like(planes, term) for name, term in found.items()}, None)
+            terms = self._compare(_tensor(planes))
+            return Evaluation({name: _like(planes, term) for name, term in terms.items()}, None)
         with _plain_torch(), torch.enable_grad():
             leaf = _tensor(planes).clone().requires_grad_()
-            found = self._compare(leaf, prepared)
-            (slope,) = torch.autograd.grad(torch.stack(list(found.values())).sum(), leaf)
-        return Evaluation({name: _like(planes, term.detach()) for name, term in found.items()}, _like(planes, slope))
+            terms = self._compare(leaf)
+            (slope,) = torch.autograd.grad(torch.stack(list(terms.values())).sum(), leaf)
+        return Evaluation({name: _like(planes, term.detach()) for name, term in terms.items()}, _like(planes, slope))
 
-    def _compare(self, planes: Tensor, prepared: _Prepared) -> dict[str, Tensor]:
+    def _compare(self, planes: Tensor) -> dict[str, Tensor]:
         """The distance at each layer, averaged over pixels and batch."""
-        network = prepared.network
-        pairs = zip(network.features(self._stack(planes)), prepared.features, network.channels, strict=True)
+        features = self.network.features(_stack(planes, self.channels))
+        pairs = zip(features, self.reference, self.network.channels, strict=True)
         return {
-            f"layer {index}": ((one - wanted).square() * share).sum(dim=1).mean()
-            for index, (one, wanted, share) in enumerate(pairs, start=1)
+            f"layer {index}": ((image - reference).square() * weights).sum(dim=1).mean()
+            for index, (image, reference, weights) in enumerate(pairs, start=1)
         }
 
-    def _stack(self, planes: Tensor) -> Tensor:
-        """Planes, shape (B * C, H, W), as images of three channels."""
-        return planes.reshape(-1, self._channels, *planes.shape[-2:]).expand(-1, 3, -1, -1)
+
+def _stack(planes: Tensor, channels: int) -> Tensor:
+    """Planes, shape (B * C, H, W), as images of three channels."""
+    return planes.reshape(-1, channels, *planes.shape[-2:]).expand(-1, 3, -1, -1)
 
 
 @functools.lru_cache(maxsize=4)

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Final, TypeAlias
+from typing import Any, Final
 
 import numpy as np
 
 from examples.paper.signals import Host
 from loi_core import MSSSIM, GaussianPyramid, LOIObjective, PixelL2, ScaleSpace
 from loi_core.method.blurs import Blur, gaussian_blur
-from loi_core.objectives import ImageObjective
-from loi_core.objectives.base import Evaluation
+from loi_core.objectives import Evaluation, ImageObjective, PlaneComparison, ReferencePlanes
 from loi_core.support.arrays import Array, sum_of_all
 from loi_torch import LPIPS
 
@@ -21,30 +20,37 @@ __all__ = ["METHODS", "SIGMAS", "Comparison", "Method", "SigmaSpace", "sigma_met
 SIGMAS: Final = ScaleSpace.paper("vector").sigma
 BATCH: Final = 64  # images that are compared at once
 
-_Prepared: TypeAlias = dict[float, tuple[Blur, Array]]
 
-
-class SigmaSpace(ImageObjective[_Prepared, float]):
+class SigmaSpace(ImageObjective[float]):
     """Matching in the inner scale space alone: mean squared differences of the images at every sigma, summed."""
 
     def __init__(self, reference: Array, sigmas: tuple[float, ...] = SIGMAS) -> None:
         super().__init__(reference)
         self._sigmas = sigmas
 
-    def prepare_reference(self, reference: Array, weights: Array | None) -> _Prepared:  # noqa: ARG002  # masks only
+    def compare_with(self, reference: ReferencePlanes) -> PlaneComparison[float]:
         """See :class:`loi_core.ImageObjective`."""
-        height, width = reference.shape[-2:]
-        blurs = {sigma: gaussian_blur(height, width, sigma, "reflect", like=reference) for sigma in self._sigmas}
-        return {sigma: (blur, blur.apply(reference)) for sigma, blur in blurs.items()}
+        planes = reference.planes
+        height, width = planes.shape[-2:]
+        blurs = {sigma: gaussian_blur(height, width, sigma, "reflect", like=planes) for sigma in self._sigmas}
+        return _SigmaComparison({sigma: (blur, blur.apply(planes)) for sigma, blur in blurs.items()})
 
-    def compare_planes(self, planes: Array, prepared: _Prepared, *, gradient: bool) -> Evaluation[float]:
-        """See :class:`loi_core.ImageObjective`."""
+
+@dataclass(frozen=True, eq=False)
+class _SigmaComparison(PlaneComparison[float]):
+    """By sigma, its blur and the blurred reference."""
+
+    blurred: dict[float, tuple[Blur, Array]]
+
+    def compare(self, planes: Array, *, gradient: bool) -> Evaluation[float]:
         weight = 1.0 / np.prod(planes.shape)
-        differences = {sigma: blur.apply(planes) - wanted for sigma, (blur, wanted) in prepared.items()}
-        terms = {sigma: sum_of_all(one * one) * weight for sigma, one in differences.items()}
+        differences = {sigma: blur.apply(planes) - reference for sigma, (blur, reference) in self.blurred.items()}
+        terms = {sigma: sum_of_all(difference * difference) * weight for sigma, difference in differences.items()}
         if not gradient:
             return Evaluation(terms, None)
-        slopes = [prepared[sigma][0].adjoint(one * (2.0 * weight)) for sigma, one in differences.items()]
+        slopes = [
+            self.blurred[sigma][0].adjoint(difference * (2.0 * weight)) for sigma, difference in differences.items()
+        ]
         return Evaluation(terms, sum(slopes[1:], slopes[0]))
 
 
@@ -65,7 +71,7 @@ class Method:
     """
 
     name: str
-    make: Callable[[Host], ImageObjective[Any, Any]]
+    make: Callable[[Host], ImageObjective[Any]]
     least_rows: int | None = 1
     dtype: str = "float64"
 
@@ -80,7 +86,7 @@ class Method:
 class Comparison:
     """An objective on grey images, each row of which it sees `rows` times."""
 
-    objective: ImageObjective[Any, Any]
+    objective: ImageObjective[Any]
     rows: int
     dtype: str
 

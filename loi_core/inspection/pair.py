@@ -13,7 +13,7 @@ import numpy as np
 from loi_core.errors import OptionError, ScaleError
 from loi_core.io.images import FloatImage
 from loi_core.method.scales import Preset, ScaleSpace
-from loi_core.objectives.loi import RangeWarning, warn_if_clipped
+from loi_core.pixels.bounds import RangeWarning, warn_if_clipped
 from loi_core.pixels.nonfinite import require_finite
 from loi_core.scenes.target import read_target
 

@@ -13,5 +13,5 @@ differ; :mod:`~loi_core.method.sampling_error` estimates afterwards what the pla
 
 Two implementations follow a plan, behind the protocol of :mod:`~loi_core.method.comparison`: whole arrays
 (:mod:`~loi_core.method.array_comparison`) and compiled loops (:mod:`~loi_core.method.compiled`).
-:mod:`~loi_core.method.ways` chooses between them.
+:mod:`~loi_core.method.dispatch` chooses between them.
 """

@@ -1,11 +1,13 @@
 """Image objectives: the paper's loss and its baselines, all with ``value``, ``value_and_grad`` and ``terms``."""
 
-from loi_core.objectives.base import Evaluation, ImageObjective, Objective
-from loi_core.objectives.loi import LOIObjective, RangeWarning
+from loi_core.objectives.base import ImageObjective, Objective
+from loi_core.objectives.evaluation import Evaluation, PlaneComparison, ReferencePlanes
+from loi_core.objectives.loi import LOIObjective
 from loi_core.objectives.msssim import MSSSIM
 from loi_core.objectives.pixel import PixelL2
 from loi_core.objectives.pyramid import GaussianPyramid
 from loi_core.objectives.tiled import TiledLOIObjective
+from loi_core.pixels.bounds import RangeWarning
 
 __all__ = [
     "MSSSIM",
@@ -15,6 +17,8 @@ __all__ = [
     "LOIObjective",
     "Objective",
     "PixelL2",
+    "PlaneComparison",
     "RangeWarning",
+    "ReferencePlanes",
     "TiledLOIObjective",
 ]

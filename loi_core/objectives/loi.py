@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from dataclasses import replace
 from typing import ClassVar, Final
 
@@ -11,32 +10,20 @@ from loi_core.method.comparison import Comparison, ScaleKey
 from loi_core.method.compiled import available
 from loi_core.method.plan import Plan
 from loi_core.method.planner import make_plan
-from loi_core.method.sampling_error import error_of, is_within
+from loi_core.method.sampling_error import error_of
 from loi_core.method.scales import Boundary, ScaleSpace
-from loi_core.method.ways import BY_ARRAYS, BY_LOOPS, Way, way_for
-from loi_core.objectives.base import Evaluation, ImageObjective
+from loi_core.objectives.base import ImageObjective
+from loi_core.objectives.evaluation import Evaluation, PlaneComparison, ReferencePlanes
 from loi_core.objectives.facts import facts_of_scales
-from loi_core.pixels.bounds import clip, clip_pullback
-from loi_core.pixels.colours import LARGEST_FACTOR, Colours, check_colours, differences, differences_pullback
+from loi_core.pixels.colours import Colours, check_colours
 from loi_core.pixels.nonfinite import NanPolicy
 from loi_core.pixels.tone_curve import LogTone
-from loi_core.support.arrays import Array, epsilon, is_numpy_array, namespace, values_may_decide, widened
+from loi_core.support.arrays import Array, epsilon, values_may_decide, widened
 from loi_core.support.values import real_number
 from loi_core.support.wording import shown
 
-__all__ = [
-    "ACCURACIES",
-    "LOIObjective",
-    "RangeWarning",
-    "ScaleKey",
-    "accuracy_name",
-    "default_scales",
-    "gradient_tolerance",
-    "warn_if_clipped",
-]
+__all__ = ["ACCURACIES", "LOIObjective", "ScaleKey", "accuracy_name", "default_scales", "gradient_tolerance"]
 
-ROUNDING: Final = 1e-6  # of the bounds' distance: a reference in float32, white but for that, is not beyond them
-MOST_CLIPPED: Final = 0.02  # of the reference, without a word: a lamp or two in view
 ACCURACIES: Final = {"exact": 0.0, "balanced": 1e-2, "fast": 5e-2}
 
 
@@ -76,11 +63,7 @@ def default_scales(
     return scales if colours == "channels" else replace(scales, beta=(scales.beta[0] / 2.0,))
 
 
-class RangeWarning(UserWarning):
-    """Much of a reference lies beyond the bounds of the scales, where nothing is told apart."""
-
-
-class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
+class LOIObjective(ImageObjective[ScaleKey]):
     """The distance between the locally orderless images of a render and a reference (eqs. 1 to 5).
 
     Every pixel becomes a soft histogram of the intensities around it, at inner scale sigma, tonal scale beta and
@@ -124,6 +107,7 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
     """
 
     takes_weights: ClassVar[bool] = True
+    runs_on_numba: ClassVar[bool] = True
 
     def __init__(
         self,
@@ -139,19 +123,20 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
     ) -> None:
         super().__init__(reference, channel_axis=channel_axis, nan_policy=nan_policy, tone=tone, weights=weights)
         layout = self._reference_layout
-        self._colours = check_colours(colours, None if layout.channel_axis is None else layout.planes_shape[-3])
+        colours = check_colours(colours, None if layout.channel_axis is None else layout.planes_shape[-3])
         if scales is None:
-            scales = default_scales(*self.size, self._colours)
+            scales = default_scales(*self.size, colours)
         if not isinstance(scales, ScaleSpace):
             msg = f"`scales` must be a ScaleSpace, got {type(scales).__name__}"
             raise ScaleError(msg)
         self._scales = scales
         self._tolerance = gradient_tolerance(accuracy)
+        self._settings = replace(self._settings, colours=colours, bounds=scales.bounds)
 
     def _facts(self) -> dict[str, str]:
         facts = super()._facts()
         accuracy = {"accuracy": accuracy_name(self._tolerance)}
-        colours = {} if self._colours == "channels" else {"colours": self._colours}
+        colours = {} if self.colours == "channels" else {"colours": self.colours}
         return {"reference": facts.pop("reference")} | facts_of_scales(self._scales) | accuracy | facts | colours
 
     @property
@@ -168,7 +153,7 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
     def has_default_scales(self) -> bool:
         """Whether the scales are the default ones, with any bounds, whoever put them there."""
         scales = self._scales
-        return scales == default_scales(*self.size, self._colours, bounds=scales.bounds, boundary=scales.boundary)
+        return scales == default_scales(*self.size, self.colours, bounds=scales.bounds, boundary=scales.boundary)
 
     def with_scales(self, scales: ScaleSpace) -> LOIObjective:
         """The same objective at other scales."""
@@ -183,17 +168,17 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
             reference,
             scales,
             self._tolerance,
-            channel_axis=self._channel_axis,
-            nan_policy=self._nan_policy,
-            tone=self._tone,
+            channel_axis=self.channel_axis,
+            nan_policy=self.nan_policy,
+            tone=self.tone,
             weights=self.weights,
-            colours=self._colours,
+            colours=self.colours,
         )
 
     @property
     def colours(self) -> Colours:
-        """What of the colours is compared."""
-        return self._colours
+        """The compared quantities of colours: channels, or their differences."""
+        return self._settings.colours
 
     @property
     def tolerance(self) -> float:
@@ -221,109 +206,60 @@ class LOIObjective(ImageObjective["_Prepared", ScaleKey]):
             layout.width if width is None else width,
             tolerance=self._tolerance,
             eps=epsilon(widened(self._reference)) if eps is None else eps,
-            weighted=self._pixel_weights is not None,
+            weighted=self._settings.weights is not None,
         )
         return replace(plan, compiled=available())
 
-    def prepare_reference(self, reference: Array, weights: Array | None) -> _Prepared:
+    def compare_with(self, reference: ReferencePlanes) -> PlaneComparison[ScaleKey]:
         """See :class:`ImageObjective`."""
-        scales = self._scales
-        reference = self._coloured(reference)
-        warn_if_clipped(reference, weights, scales.bounds)
-        plan = self.plan(*reference.shape[-2:], eps=epsilon(reference))
-        prepared = _Prepared(scales, plan, clip(reference, *scales.bounds), weights)
-        # Now, and not when it is first used: that may be where JAX traces.
-        prepared.first(reference)
-        return prepared
-
-    def choose_way(self, image: Array) -> Way:
-        """By compiled loops where they can, in the image's own library elsewhere."""
-        return way_for(image)
-
-    def compare_planes(self, planes: Array, prepared: _Prepared, *, gradient: bool) -> Evaluation[ScaleKey]:
-        """See :class:`ImageObjective`."""
-        bounds = self._scales.bounds
-        planes = self._coloured(planes)
-        clipped = clip(planes, *bounds)
-        compared = prepared.first(planes).compare(clipped, gradient=gradient)
-        if not gradient:
-            return Evaluation(compared.terms, None)
-        error = error_of(compared.misplaced) * (1.0 if self._colours == "channels" else LARGEST_FACTOR)
-
-        def better(norm: float, factor: float) -> Array | None:
-            if is_within(error * factor, self._tolerance, norm):
-                return None
-            exact = prepared.exact(planes).compare(clipped, gradient=True)
-            return carried_back(exact.cotangent)
-
-        def carried_back(cotangent: Array) -> Array:
-            inside = clip_pullback(planes, cotangent, *bounds)
-            return inside if self._colours == "channels" else differences_pullback(inside)
-
-        return Evaluation(compared.terms, carried_back(compared.cotangent), better if error > 0.0 else None)
-
-    def _coloured(self, planes: Array) -> Array:
-        if self._colours == "channels":
-            return planes
-        low, high = self._scales.bounds
-        return differences(planes, 0.5 * (low + high))
+        plan = self.plan(*reference.planes.shape[-2:], eps=epsilon(reference.planes))
+        comparison = _ScaleComparison(self._scales, plan, reference)
+        # Prepared now and not at the first comparison, because JAX may be tracing there.
+        comparison.choose(reference.planes)
+        return comparison
 
 
-class _Prepared:
-    """All that depends on the reference alone, by plan and by way of comparing; what is not needed yet is not made."""
+class _ScaleComparison(PlaneComparison[ScaleKey]):
+    """Comparison of local histograms: by the plan, and exactly where the plan's error is too large."""
 
-    def __init__(self, scales: ScaleSpace, plan: Plan, reference: Array, weights: Array | None) -> None:
+    def __init__(self, scales: ScaleSpace, plan: Plan, reference: ReferencePlanes) -> None:
+        self.tolerance = plan.tolerance
         self._scales = scales
-        self._weights = weights  # shape (N, H, W)
         self._plan = plan
-        self._exact = (
-            plan
-            if plan.tolerance == 0.0
-            else make_plan(scales, plan.height, plan.width, tolerance=0.0, eps=plan.eps, weighted=weights is not None)
-        )
-        self._reference = reference  # within the bounds, shape (N, H, W)
-        self._made: dict[tuple[bool, Way], Comparison] = {}
+        self._reference = reference
+        self._planned: Comparison | None = None
+        self._exact: Comparison | None = None
 
-    def first(self, planes: Array) -> Comparison:
-        """How planes are compared at first: by the plan, if it can be checked against their values."""
-        way = _way_of(planes)
-        return self._get(way, planned=way is BY_LOOPS or values_may_decide(planes))
+    def compare(self, planes: Array, *, gradient: bool) -> Evaluation[ScaleKey]:
+        """See :class:`PlaneComparison`."""
+        compared = self.choose(planes).compare(planes, gradient=gradient)
+        return Evaluation(compared.terms, compared.cotangent, error_of(compared.misplaced))
 
-    def exact(self, planes: Array) -> Comparison:
-        """How planes are compared where the plan cannot vouch for its accuracy."""
-        return self._get(_way_of(planes), planned=False)
+    def compare_exactly(self, planes: Array) -> Evaluation[ScaleKey]:
+        """See :class:`PlaneComparison`."""
+        compared = self._exactly().compare(planes, gradient=True)
+        return Evaluation(compared.terms, compared.cotangent)
 
-    def _get(self, way: Way, *, planned: bool) -> Comparison:
-        # No lock: threads that come at once make the same twice, and a process that is forked meanwhile waits for none.
-        key = planned and self._plan is not self._exact, way
-        made = self._made.get(key)
-        if made is None:
-            plan = self._plan if key[0] else self._exact
-            made = self._made[key] = way.comparison(self._scales, plan, self._reference, self._weights)
-        return made
+    def choose(self, planes: Array) -> Comparison:
+        """Return the comparison by the plan; the exact one where values cannot be read, so no error can be estimated.
 
+        Each is prepared when it is first needed, without a lock: two threads may prepare the same comparison twice, and
+        a forked process never waits for a thread that it does not have.
+        """
+        if self.tolerance == 0.0 or not values_may_decide(planes):
+            return self._exactly()
+        if self._planned is None:
+            self._planned = self._prepared(self._plan)
+        return self._planned
 
-def warn_if_clipped(reference: Array, weights: Array | None, bounds: tuple[float, float]) -> None:
-    """Tell of a reference that loses much to the bounds, as radiance above 1 does."""
-    if not values_may_decide(reference):
-        return
-    low, high = bounds
-    rounding = ROUNDING * (high - low)
-    xp = namespace(reference)
-    beyond = (reference < low - rounding) | (reference > high + rounding)
-    if weights is not None:
-        beyond = beyond & (weights > 0.0)
-    share = float(xp.mean(xp.astype(beyond, reference.dtype)))
-    if share > MOST_CLIPPED:
-        least, most = float(xp.min(reference)), float(xp.max(reference))
-        msg = (
-            f"{share:.0%} of the reference lies beyond the scales' `bounds` ({low:g}, {high:g}) and counts as the "
-            f"bound, so that what differs there is not seen; it reaches from {least:.3g} to {most:.3g}: give "
-            f"ScaleSpace.for_image(height, width, bounds=...), or a `tone`"
-        )
-        warnings.warn(msg, RangeWarning, stacklevel=2)
+    def _exactly(self) -> Comparison:
+        if self._exact is None:
+            plan, weighted = self._plan, self._reference.weights is not None
+            if self.tolerance > 0.0:
+                plan = make_plan(self._scales, plan.height, plan.width, tolerance=0.0, eps=plan.eps, weighted=weighted)
+            self._exact = self._prepared(plan)
+        return self._exact
 
-
-def _way_of(planes: Array) -> Way:
-    """The way that planes have been taken: those for the loops are of NumPy."""
-    return way_for(planes) if is_numpy_array(planes) else BY_ARRAYS
+    def _prepared(self, plan: Plan) -> Comparison:
+        reference = self._reference
+        return reference.backend.comparison(self._scales, plan, reference.planes, reference.weights)

@@ -5,14 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 
 from loi_core.errors import ImageError, OptionError
 from loi_core.method.blurs import DenseBlur
 from loi_core.method.gaussian import Matrix
-from loi_core.objectives.base import Evaluation, ImageObjective
+from loi_core.objectives.base import ImageObjective
+from loi_core.objectives.evaluation import Evaluation, PlaneComparison, ReferencePlanes
 from loi_core.pixels.nonfinite import NanPolicy
 from loi_core.pixels.tone_curve import LogTone
 from loi_core.support.arrays import Array, from_numpy, namespace
@@ -21,52 +22,25 @@ from loi_core.support.wording import shown
 
 __all__ = ["MSSSIM"]
 
-WEIGHTS: Final = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)  # of the levels, finest first: section 3.2
-TAPS: Final = 11
-WINDOW: Final = 1.5  # standard deviation of the window, in pixels of its level
+LEVEL_EXPONENTS: Final = (0.0448, 0.2856, 0.3001, 0.2363, 0.1333)  # finest level first: section 3.2
+WINDOW_TAPS: Final = 11
+WINDOW_SIGMA: Final = 1.5  # standard deviation of the window, in pixels of its level
 STABILISERS: Final = (0.01, 0.03)  # K1 and K2, in units of the range
 
 
-@dataclass(frozen=True)
-class _Level:
-    """The reference at one level, its local mean and variance."""
-
-    reference: Array
-    window: DenseBlur
-    mean: Array
-    variance: Array
-
-
-@dataclass(frozen=True)
-class _Prepared:
-    """The levels, finest first, and the ways from each to the next."""
-
-    levels: tuple[_Level, ...]
-    halvings: tuple[DenseBlur, ...]
-
-
-@dataclass(frozen=True)
-class _Similarity:
-    """Structure at one level, averaged over pixels, shape (N,), and what its derivative needs."""
-
-    mean: Array
-    by_mean: Array  # of the similarity by local mean, local square and local product, each (N, h, w)
-    by_square: Array
-    by_product: Array
-
-
-class MSSSIM(ImageObjective[_Prepared, str]):
-    """One less the multi-scale structural similarity, averaged over channels and batch; 0 for equal images.
+class MSSSIM(ImageObjective[str]):
+    """One minus the multi-scale structural similarity, averaged over channels and batch; 0 for equal images.
 
     Parameters
     ----------
     reference : array, shape (*batch, H, W, C)
         Real floating point; see :class:`ImageObjective`, as for `channel_axis`, `nan_policy`, `tone` and `weights`,
-        which have to be a mask.
+        which must be a mask.
     levels : int, optional
-        1 (plain SSIM) to 5; by default as many as the size allows. Fewer than 5 are weighted to a sum of 1.
+        1 (plain SSIM) to 5; by default as many as the size allows. The exponents of fewer than 5 are scaled to a sum
+        of 1.
     data_range : float
-        Difference of the largest and the least possible value.
+        Difference of the largest and the smallest possible value.
 
     Raises
     ------
@@ -76,8 +50,8 @@ class MSSSIM(ImageObjective[_Prepared, str]):
     Notes
     -----
     As published: Gaussian windows of 11 taps and 1.5 pixels that lie inside the image, means of 2 by 2 pixels from
-    level to level (with a rim of 0 where a side is odd, as others do), luminance at the coarsest level only.
-    Where the similarity of a level is negative it counts as 0, and with it the whole, so that there is no gradient.
+    level to level (with a border of 0 where a side is odd, as other implementations do), luminance at the coarsest
+    level only. A negative similarity of a level counts as 0; the product is then 0 too, and has no gradient.
     """
 
     def __init__(
@@ -93,108 +67,150 @@ class MSSSIM(ImageObjective[_Prepared, str]):
     ) -> None:
         super().__init__(reference, channel_axis=channel_axis, nan_policy=nan_policy, tone=tone, weights=weights)
         shorter = min(self._reference_layout.height, self._reference_layout.width)
-        if shorter < TAPS:
-            msg = f"`reference` must have at least {TAPS} rows and columns for SSIM, got a side of {shorter}"
+        if shorter < WINDOW_TAPS:
+            msg = f"`reference` must have at least {WINDOW_TAPS} rows and columns for SSIM, got a side of {shorter}"
             raise ImageError(msg)
-        most = min(len(WEIGHTS), 1 + int(math.log2(shorter / TAPS)))
-        count = most if levels is None else whole_number(levels)
-        if count is None or not 1 <= count <= most:
-            msg = f"`levels` must be a whole number from 1 to {most} for this image size, got {levels!r}"
+        max_levels = min(len(LEVEL_EXPONENTS), 1 + int(math.log2(shorter / WINDOW_TAPS)))
+        count = max_levels if levels is None else whole_number(levels)
+        if count is None or not 1 <= count <= max_levels:
+            msg = f"`levels` must be a whole number from 1 to {max_levels} for this image size, got {levels!r}"
             raise OptionError(msg)
         extent = real_number(data_range)
         if not 0.0 < extent < math.inf:
             msg = f"`data_range` must be a finite number more than 0, got {shown(data_range)}"
             raise OptionError(msg)
-        whole = 1.0 if count == len(WEIGHTS) else sum(WEIGHTS[:count])  # all five are used as published, sum 1.0001
-        self._weights = tuple(weight / whole for weight in WEIGHTS[:count])
-        self._luminance, self._contrast = ((constant * extent) ** 2 for constant in STABILISERS)
+        # All five exponents are used as published; their sum is 1.0001.
+        total = 1.0 if count == len(LEVEL_EXPONENTS) else sum(LEVEL_EXPONENTS[:count])
+        self._exponents = tuple(exponent / total for exponent in LEVEL_EXPONENTS[:count])
+        luminance, contrast = ((constant * extent) ** 2 for constant in STABILISERS)
+        self._stabilisers = _Stabilisers(luminance, contrast)
 
     def _facts(self) -> dict[str, str]:
-        return super()._facts() | {"levels": str(len(self._weights))}
+        return super()._facts() | {"levels": str(len(self._exponents))}
 
-    def prepare_reference(self, reference: Array, weights: Array | None) -> _Prepared:  # noqa: ARG002  # masks only
+    def compare_with(self, reference: ReferencePlanes) -> PlaneComparison[str]:
         """See :class:`loi_core.ImageObjective`."""
         levels: list[_Level] = []
         halvings: list[DenseBlur] = []
-        for _ in self._weights:
+        planes = reference.planes
+        for _ in self._exponents:
             if levels:
-                halvings.append(_operator(_pairs, reference))
-                reference = halvings[-1].apply(reference)
-            window = _operator(_window, reference)
-            mean = window.apply(reference)
-            levels.append(_Level(reference, window, mean, window.apply(reference * reference) - mean * mean))
-        return _Prepared(tuple(levels), tuple(halvings))
+                halvings.append(_operator(_halving_matrix, planes))
+                planes = halvings[-1].apply(planes)
+            window = _operator(_window_matrix, planes)
+            mean = window.apply(planes)
+            levels.append(_Level(planes, window, mean, window.apply(planes * planes) - mean * mean))
+        return _SimilarityComparison(tuple(levels), tuple(halvings), self._exponents, self._stabilisers)
 
-    def compare_planes(self, planes: Array, prepared: _Prepared, *, gradient: bool) -> Evaluation[str]:
-        """See :class:`loi_core.ImageObjective`."""
-        xp = namespace(planes)
-        images = [planes]
-        for halving in prepared.halvings:
-            images.append(halving.apply(images[-1]))
-        coarsest = len(images) - 1
-        found = [
-            self._similarity(image, level, luminance=index == coarsest)
-            for index, (image, level) in enumerate(zip(images, prepared.levels, strict=True))
-        ]
-        total = xp.ones_like(found[0].mean)
-        for one, weight in zip(found, self._weights, strict=True):
-            positive = one.mean > 0.0
-            total = total * xp.where(positive, xp.where(positive, one.mean, total) ** weight, xp.zeros_like(total))
-        terms = {"1 - MS-SSIM": 1.0 - xp.mean(total)}
-        if not gradient:
-            return Evaluation(terms, None)
-        cotangent = xp.zeros_like(images[-1])
-        for index in range(coarsest, -1, -1):
-            image, level, one = images[index], prepared.levels[index], found[index]
-            positive = one.mean > 0.0
-            # The derivative of a product of powers by one of its factors; 0 where the product is.
-            weight = -self._weights[index] * total / xp.where(positive, one.mean, xp.ones_like(total)) / total.shape[0]
-            upstream = (weight / math.prod(level.mean.shape[-2:]))[:, None, None]
-            cotangent = cotangent + level.window.adjoint(upstream * one.by_mean)
-            cotangent = cotangent + 2.0 * image * level.window.adjoint(upstream * one.by_square)
-            cotangent = cotangent + level.reference * level.window.adjoint(upstream * one.by_product)
-            if index:
-                cotangent = prepared.halvings[index - 1].adjoint(cotangent)
-        return Evaluation(terms, cotangent)
 
-    def _similarity(self, image: Array, level: _Level, *, luminance: bool) -> _Similarity:
-        """Contrast and structure, at the coarsest level times luminance."""
+class _Stabilisers(NamedTuple):
+    """The constants C1 and C2 of SSIM."""
+
+    luminance: float
+    contrast: float
+
+
+@dataclass(frozen=True, eq=False)
+class _Similarity:
+    """Similarity at one level, averaged over pixels, shape (N,), and its derivatives.
+
+    The derivatives are those with respect to the local mean, mean square and mean product, shape (N, h, w).
+    """
+
+    mean: Array
+    by_mean: Array
+    by_square: Array
+    by_product: Array
+
+
+@dataclass(frozen=True, eq=False)
+class _Level:
+    """The reference at one level, with its local mean and variance."""
+
+    reference: Array
+    window: DenseBlur
+    mean: Array
+    variance: Array
+
+    def compare(self, image: Array, stabilisers: _Stabilisers, *, luminance: bool) -> _Similarity:
+        """Return the similarity of contrast and structure, times the similarity of luminance if requested."""
         xp = namespace(image)
-        mean = level.window.apply(image)
-        variance = level.window.apply(image * image) - mean * mean
-        covariance = level.window.apply(image * level.reference) - mean * level.mean
-        below = variance + level.variance + self._contrast
-        similarity = (2.0 * covariance + self._contrast) / below
-        by_variance, by_covariance = -similarity / below, 2.0 / below
-        by_mean = -2.0 * mean * by_variance - level.mean * by_covariance
+        mean = self.window.apply(image)
+        variance = self.window.apply(image * image) - mean * mean
+        covariance = self.window.apply(image * self.reference) - mean * self.mean
+        denominator = variance + self.variance + stabilisers.contrast
+        similarity = (2.0 * covariance + stabilisers.contrast) / denominator
+        by_variance, by_covariance = -similarity / denominator, 2.0 / denominator
+        by_mean = -2.0 * mean * by_variance - self.mean * by_covariance
         if luminance:
-            spread = mean * mean + level.mean * level.mean + self._luminance
-            bright = (2.0 * mean * level.mean + self._luminance) / spread
-            by_mean = bright * by_mean + similarity * 2.0 * (level.mean - bright * mean) / spread
+            squares = mean * mean + self.mean * self.mean + stabilisers.luminance
+            bright = (2.0 * mean * self.mean + stabilisers.luminance) / squares
+            by_mean = bright * by_mean + similarity * 2.0 * (self.mean - bright * mean) / squares
             by_variance, by_covariance = bright * by_variance, bright * by_covariance
             similarity = similarity * bright
         return _Similarity(xp.mean(similarity, axis=(-2, -1)), by_mean, by_variance, by_covariance)
 
 
+@dataclass(frozen=True, eq=False)
+class _SimilarityComparison(PlaneComparison[str]):
+    """The reference's levels, finest first, and the operators from each to the next."""
+
+    levels: tuple[_Level, ...]
+    halvings: tuple[DenseBlur, ...]
+    exponents: tuple[float, ...]
+    stabilisers: _Stabilisers
+
+    def compare(self, planes: Array, *, gradient: bool) -> Evaluation[str]:
+        xp = namespace(planes)
+        images = [planes]
+        for halving in self.halvings:
+            images.append(halving.apply(images[-1]))
+        coarsest = len(images) - 1
+        similarities = [
+            level.compare(image, self.stabilisers, luminance=index == coarsest)
+            for index, (image, level) in enumerate(zip(images, self.levels, strict=True))
+        ]
+        total = xp.ones_like(similarities[0].mean)
+        for similarity, exponent in zip(similarities, self.exponents, strict=True):
+            positive, mean = similarity.mean > 0.0, similarity.mean
+            total = total * xp.where(positive, xp.where(positive, mean, total) ** exponent, xp.zeros_like(total))
+        terms = {"1 - MS-SSIM": 1.0 - xp.mean(total)}
+        if not gradient:
+            return Evaluation(terms, None)
+        cotangent = xp.zeros_like(images[-1])
+        for index in range(coarsest, -1, -1):
+            image, level, similarity = images[index], self.levels[index], similarities[index]
+            mean = xp.where(similarity.mean > 0.0, similarity.mean, xp.ones_like(total))
+            # The derivative of a product of powers with respect to one of its factors; 0 where the product is.
+            slope = -self.exponents[index] * total / mean / total.shape[0]
+            upstream = (slope / math.prod(level.mean.shape[-2:]))[:, None, None]
+            cotangent = cotangent + level.window.adjoint(upstream * similarity.by_mean)
+            cotangent = cotangent + 2.0 * image * level.window.adjoint(upstream * similarity.by_square)
+            cotangent = cotangent + level.reference * level.window.adjoint(upstream * similarity.by_product)
+            if index:
+                cotangent = self.halvings[index - 1].adjoint(cotangent)
+        return Evaluation(terms, cotangent)
+
+
 def _operator(matrix: Callable[[int], Matrix], planes: Array) -> DenseBlur:
-    """The same matrix for rows and columns, for planes of this size, library, dtype and device."""
+    """Return the operator that applies a matrix along rows and columns, for planes of this size, library and dtype."""
     rows, columns = (from_numpy(matrix(size), planes) for size in planes.shape[-2:])
     return DenseBlur(rows, columns)
 
 
-def _window(size: int) -> Matrix:
-    """The window at every place where it lies inside an axis, shape (size - 10, size)."""
-    kernel = np.exp(-0.5 * ((np.arange(TAPS) - TAPS // 2) / WINDOW) ** 2)
-    matrix = np.zeros((size - TAPS + 1, size))
+def _window_matrix(size: int) -> Matrix:
+    """Return the window at every position where it lies inside an axis, shape (size - 10, size)."""
+    kernel = np.exp(-0.5 * ((np.arange(WINDOW_TAPS) - WINDOW_TAPS // 2) / WINDOW_SIGMA) ** 2)
+    matrix = np.zeros((size - WINDOW_TAPS + 1, size))
     for offset, weight in enumerate(kernel / kernel.sum()):
         np.fill_diagonal(matrix[:, offset:], weight)
     return matrix
 
 
-def _pairs(size: int) -> Matrix:
-    """Means of two neighbours; an axis of odd length has a 0 at its start."""
-    rim = size % 2
-    matrix = np.zeros(((size + rim) // 2, size + rim))
-    for side in range(2):
-        matrix[np.arange(matrix.shape[0]), 2 * np.arange(matrix.shape[0]) + side] = 0.5
-    return matrix[:, rim:]
+def _halving_matrix(size: int) -> Matrix:
+    """Return the means of pairs of samples; an axis of odd length has a 0 at its start."""
+    border = size % 2
+    matrix = np.zeros(((size + border) // 2, size + border))
+    for offset in range(2):
+        matrix[np.arange(matrix.shape[0]), 2 * np.arange(matrix.shape[0]) + offset] = 0.5
+    return matrix[:, border:]

@@ -1,17 +1,19 @@
-"""The mean squared difference of pixels: what most people start with, and the yardstick of every other."""
+"""The mean squared difference of pixels: the most common loss, and the baseline of every comparison."""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import ClassVar
 
-from loi_core.objectives.base import Evaluation, ImageObjective
+from loi_core.objectives.base import ImageObjective
+from loi_core.objectives.evaluation import Evaluation, PlaneComparison, ReferencePlanes
 from loi_core.support.arrays import Array, sum_of_all
 
 __all__ = ["PixelL2"]
 
 
-class PixelL2(ImageObjective[tuple[Array, Array | None], str]):
+class PixelL2(ImageObjective[str]):
     """Mean of ``(image - reference)**2`` over pixels, channels and batch.
 
     Parameters are those of :class:`ImageObjective`.
@@ -19,15 +21,19 @@ class PixelL2(ImageObjective[tuple[Array, Array | None], str]):
 
     takes_weights: ClassVar[bool] = True
 
-    def prepare_reference(self, reference: Array, weights: Array | None) -> tuple[Array, Array | None]:
+    def compare_with(self, reference: ReferencePlanes) -> PlaneComparison[str]:
         """See :class:`loi_core.ImageObjective`."""
-        return reference, weights
+        return _SquaredDifference(reference.planes, reference.weights)
 
-    def compare_planes(self, planes: Array, prepared: tuple[Array, Array | None], *, gradient: bool) -> Evaluation[str]:
-        """See :class:`loi_core.ImageObjective`."""
-        reference, weights = prepared
-        weight = 1.0 / math.prod(planes.shape)
-        difference = planes - reference
-        weighted = difference if weights is None else difference * weights
-        term = sum_of_all(difference * weighted) * weight
-        return Evaluation({"l2": term}, weighted * (2.0 * weight) if gradient else None)
+
+@dataclass(frozen=True, eq=False)
+class _SquaredDifference(PlaneComparison[str]):
+    reference: Array
+    weights: Array | None
+
+    def compare(self, planes: Array, *, gradient: bool) -> Evaluation[str]:
+        factor = 1.0 / math.prod(planes.shape)
+        difference = planes - self.reference
+        weighted = difference if self.weights is None else difference * self.weights
+        term = sum_of_all(difference * weighted) * factor
+        return Evaluation({"l2": term}, weighted * (2.0 * factor) if gradient else None)

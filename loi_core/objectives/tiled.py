@@ -14,8 +14,9 @@ from loi_core.method.scales import ScaleSpace
 from loi_core.method.tiled.coarse import tiles_of
 from loi_core.method.tiled.comparison import Tiled, TiledComparison
 from loi_core.objectives.facts import facts_of_options, facts_of_reference, facts_of_scales, in_notebook, printed
-from loi_core.objectives.loi import accuracy_name, gradient_tolerance, warn_if_clipped
+from loi_core.objectives.loi import accuracy_name, gradient_tolerance
 from loi_core.objectives.windows import Pixels, Plane, Shares
+from loi_core.pixels.bounds import warn_if_clipped
 from loi_core.pixels.layout import check_channel_axis
 from loi_core.pixels.nonfinite import NanPolicy, check_nan_policy, require_finite
 from loi_core.pixels.tone_curve import LogTone, check_tone

@@ -20,13 +20,13 @@ class PixelWeights:
 
     Attributes
     ----------
-    shares : array, shape (*batch, H, W), float64
+    normalised : array, shape (*batch, H, W), float64
         The weights in units of the largest, in [0, 1].
     largest : float
         The largest weight.
     """
 
-    shares: Host
+    normalised: Host
     largest: float
 
     @classmethod
@@ -53,31 +53,31 @@ class PixelWeights:
     @property
     def is_mask(self) -> bool:
         """Whether there are only two weights, 0 and another, or only one."""
-        return bool(np.all((self.shares == 0.0) | (self.shares == 1.0)))
+        return bool(np.all((self.normalised == 0.0) | (self.normalised == 1.0)))
 
     @property
-    def hide(self) -> bool:
+    def has_zeros(self) -> bool:
         """Whether any weight is 0."""
-        return bool(np.any(self.shares == 0.0))
+        return bool(np.any(self.normalised == 0.0))
 
     @property
     def values(self) -> Host:
         """The weights as they were given, shape (*batch, H, W), float64."""
-        return self.shares * self.largest
+        return self.normalised * self.largest
 
     def planes(self, layout: Layout, like: Array) -> Array:
-        """The shares as planes of shape (N, H, W) of images of `layout`, an array like `like`.
+        """Return the normalised weights as planes of shape (N, H, W) of images of `layout`, an array like `like`.
 
         Raises
         ------
         ImageError
             If the batch axes do not fit those of the images.
         """
-        shares = self.shares if layout.channel_axis is None else self.shares[..., None, :, :]
+        weights = self.normalised if layout.channel_axis is None else self.normalised[..., None, :, :]
         try:
-            stack = np.broadcast_to(shares, layout.planes_shape)
+            stack = np.broadcast_to(weights, layout.planes_shape)
         except ValueError:
-            msg = f"`weights` have shape {self.shares.shape}, which does not fit images of shape {layout.shape}"
+            msg = f"`weights` have shape {self.normalised.shape}, which does not fit images of shape {layout.shape}"
             raise ImageError(msg) from None
         return from_numpy(np.ascontiguousarray(stack).reshape(-1, layout.height, layout.width), like)
 

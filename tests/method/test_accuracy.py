@@ -16,11 +16,11 @@ from hypothesis import strategies as st
 from loi_core import LogTone, LOIObjective, ScaleSpace
 from loi_core.method.blurs import _CACHE, PlaneGrid
 from loi_core.method.comparison import Compared
+from loi_core.method.dispatch import ARRAY_API, NUMBA
 from loi_core.method.gaussian import AxisBlur, AxisGrid, as_slow_as, coarsest_spacing, pyramid_variance
 from loi_core.method.planner import make_plan
 from loi_core.method.reference import loss_and_gradient
 from loi_core.method.sampling_error import error_of
-from loi_core.method.ways import BY_ARRAYS, BY_LOOPS
 from loi_core.stability import allowed
 from loi_core.testing import check_objective
 from tests.contents import CONTENTS, HARD
@@ -123,7 +123,7 @@ def test_kernels_and_arrays_doubt_the_same(kind: str, dtype: str, seed: int) -> 
     scales = ScaleSpace.paper("path")
     plan = LOIObjective(reference, scales, "balanced").plan()
     planes = [np.moveaxis(np.clip(each, 0.0, 1.0), -1, 0) for each in (image, reference)]
-    ways = BY_LOOPS.comparison(scales, plan, planes[1]), BY_ARRAYS.comparison(scales, plan, planes[1])
+    ways = NUMBA.comparison(scales, plan, planes[1]), ARRAY_API.comparison(scales, plan, planes[1])
     found = [way.compare(planes[0], gradient=True) for way in ways]
     assert plan.is_sampled
     errors = [error_of(one.misplaced) for one in found]

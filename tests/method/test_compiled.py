@@ -237,11 +237,11 @@ def changed(**_):
 numba.extending.intrinsic = changed
 import numpy as np
 from loi_core import LOIObjective, ScaleSpace
-from loi_core.method.ways import BY_LOOPS, way_for
+from loi_core.method.dispatch import NUMBA, choose_backend
 image, reference = np.random.default_rng(0).uniform(size=(2, 40, 30, 1))
 value = LOIObjective(reference, ScaleSpace.paper("path")).value(image)
 from loi_core.method.compiled import rows
-print(repr(float(value)), way_for(image) is BY_LOOPS, rows.combine_pairs.__module__.rpartition(".")[2])
+print(repr(float(value)), choose_backend(image) is NUMBA, rows.combine_pairs.__module__.rpartition(".")[2])
 """
 
 

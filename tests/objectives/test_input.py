@@ -48,7 +48,7 @@ def test_integers_of_another_library_are_refused_by_name() -> None:
 
 def test_a_reference_of_another_library_is_refused_with_the_mend() -> None:
     objective = PixelL2(torch.zeros(6, 5, 3))
-    with pytest.raises(ImageTypeError, match="array of numpy, the reference of torch; give the reference as NumPy"):
+    with pytest.raises(ImageTypeError, match="array of numpy, the reference of torch; pass the reference as NumPy"):
         objective.value(REFERENCE)
 
 

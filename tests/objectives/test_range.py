@@ -1,4 +1,4 @@
-"""A reference that the bounds clip is told of once, and its scales keep their stages with bounds that hold it."""
+"""A reference that the bounds clip raises one warning, and fits with wider bounds keep their stages."""
 
 from __future__ import annotations
 
@@ -17,8 +17,8 @@ BRIGHT = np.full((24, 32), 1.0)
 BRIGHT[8:] = 0.0  # the last two thirds are brighter than 1
 
 
-def test_a_reference_beyond_the_bounds_is_told_of_with_its_range() -> None:
-    with pytest.warns(RangeWarning, match=r"67% of the reference lies beyond .* \(0, 1\) .* reaches from 0 to 3"):
+def test_a_reference_beyond_the_bounds_raises_a_warning_with_its_range() -> None:
+    with pytest.warns(RangeWarning, match=r"67% of the reference lies beyond .* \(0, 1\) .* ranges from 0 to 3"):
         LOIObjective(RADIANCE).value(RADIANCE)
 
 
@@ -33,13 +33,13 @@ def test_a_reference_beyond_the_bounds_is_told_of_with_its_range() -> None:
     ],
     ids=["a few highlights", "white but for a rounding", "wider bounds", "a tone curve", "masked"],
 )
-def test_nothing_is_said_where_little_is_lost(objective: LOIObjective) -> None:
+def test_a_reference_that_is_hardly_clipped_raises_no_warning(objective: LOIObjective) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         objective.value(np.asarray(objective.reference))
 
 
-def test_a_fit_at_other_bounds_goes_from_far_to_near_as_well() -> None:
+def test_a_fit_with_wider_bounds_still_has_its_far_and_near_stages() -> None:
     disks = Disks(48, 48, positions=[[36.0, 30.0]], radii=5.0, colours=[[2.0, 2.0, 2.0]], background=[0.5] * 3)
     target = disks.render(disks.parameters())
     objective = LOIObjective(target, ScaleSpace.for_image(48, 48, bounds=(0.0, 2.0)))

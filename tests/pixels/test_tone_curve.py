@@ -96,7 +96,7 @@ def test_the_slope_is_what_torch_and_jax_derive_also_at_zero() -> None:
 def test_the_derivative_of_the_curve_is_part_of_the_gradient(name: str, policy: str) -> None:
     image, reference = radiance((13, 11, 3), seed=2)
     tone = LogTone(100.0)
-    objective: ImageObjective[Any, Any] = OBJECTIVES[name](reference, tone=tone, nan_policy=policy)
+    objective: ImageObjective[Any] = OBJECTIVES[name](reference, tone=tone, nan_policy=policy)
     assert objective.tone is tone
     _, gradient = objective.value_and_grad(image)
     for seed in range(3):
@@ -188,7 +188,7 @@ class FireflyScene:
         image[rows, columns] = 10.0 ** rng.uniform(2.0, 6.0, (4, 1))
         return image, pullback
 
-    def errors(self, make: Callable[[Host], ImageObjective[Any, Any]]) -> tuple[float, float]:
+    def errors(self, make: Callable[[Host], ImageObjective[Any]]) -> tuple[float, float]:
         """How far off a fit ends: the dim disk, in pixels, and the lamp, relative."""
         reference = self._disks.render(self.parameters())
         found = fit(self, make(reference), steps=100, learning_rate=1.0, optimise=self.optimise).params

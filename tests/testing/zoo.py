@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import array_api_strict
 import numpy as np
 
 from loi_core import PixelL2
+from loi_core.objectives import Evaluation, PlaneComparison, ReferencePlanes
 from loi_core.renderers import Disks
 
 Params = dict[str, Any]
@@ -407,14 +408,24 @@ class NaNIsAKeyError(Wrapped):
 
 
 class IgnoresWeights(PixelL2):
-    def prepare_reference(self, reference: Any, weights: Any) -> Any:
-        return reference, None
+    def compare_with(self, reference: ReferencePlanes) -> PlaneComparison[str]:
+        return super().compare_with(replace(reference, weights=None))
+
+
+@dataclass(frozen=True)
+class UnweightedSlopes(PlaneComparison[str]):
+    weighted: PlaneComparison[str]
+    unweighted: PlaneComparison[str]
+
+    def compare(self, planes: Any, *, gradient: bool) -> Evaluation[str]:
+        slopes = self.unweighted.compare(planes, gradient=gradient).gradient
+        return replace(self.weighted.compare(planes, gradient=False), gradient=slopes)
 
 
 class UnweightedGradient(PixelL2):
-    def compare_planes(self, planes: Any, prepared: Any, *, gradient: bool) -> Any:
-        found = super().compare_planes(planes, prepared, gradient=gradient)
-        return replace(found, gradient=super().compare_planes(planes, (prepared[0], None), gradient=True).gradient)
+    def compare_with(self, reference: ReferencePlanes) -> PlaneComparison[str]:
+        unweighted = replace(reference, weights=None)
+        return UnweightedSlopes(super().compare_with(reference), super().compare_with(unweighted))
 
 
 BROKEN_OBJECTIVES: list[tuple[Callable[[Any], Any], str]] = [

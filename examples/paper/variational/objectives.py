@@ -8,41 +8,40 @@ from examples.paper.variational.problem import FloatArray
 from examples.paper.variational.settings import INNER, PAPER_SCALES, Method
 from loi_core import LOIObjective
 from loi_core.method.blurs import Blur, gaussian_blur
-from loi_core.objectives import Objective, PixelL2
-from loi_core.objectives.base import Evaluation, ImageObjective
+from loi_core.objectives import Evaluation, ImageObjective, Objective, PixelL2, PlaneComparison, ReferencePlanes
 from loi_core.support.arrays import Array, sum_of_all
 
 __all__ = ["BlurredL2", "objective"]
 
 
-@dataclass(frozen=True)
-class _Blurred:
+class BlurredL2(ImageObjective[float]):
+    """Sum over inner scales of the mean squared difference of the blurred images: the method without histograms.
+
+    Parameters are those of :class:`ImageObjective`, except `weights`.
+    """
+
+    def compare_with(self, reference: ReferencePlanes) -> PlaneComparison[float]:
+        """See :class:`ImageObjective`."""
+        planes = reference.planes
+        height, width = planes.shape[-2:]
+        blurs = tuple(gaussian_blur(height, width, sigma, "reflect", like=planes) for sigma in INNER)
+        return _BlurredComparison(blurs, tuple(blur.apply(planes) for blur in blurs))
+
+
+@dataclass(frozen=True, eq=False)
+class _BlurredComparison(PlaneComparison[float]):
     blurs: tuple[Blur, ...]
     references: tuple[Array, ...]
 
-
-class BlurredL2(ImageObjective[_Blurred, float]):
-    """Sum over inner scales of the mean squared difference of the blurred images: the method without histograms.
-
-    Parameters are those of :class:`ImageObjective`, but for `weights`.
-    """
-
-    def prepare_reference(self, reference: Array, weights: Array | None) -> _Blurred:  # noqa: ARG002  # has none
-        """See :class:`ImageObjective`."""
-        height, width = reference.shape[-2:]
-        blurs = tuple(gaussian_blur(height, width, sigma, "reflect", like=reference) for sigma in INNER)
-        return _Blurred(blurs, tuple(blur.apply(reference) for blur in blurs))
-
-    def compare_planes(self, planes: Array, prepared: _Blurred, *, gradient: bool) -> Evaluation[float]:
-        """See :class:`ImageObjective`."""
+    def compare(self, planes: Array, *, gradient: bool) -> Evaluation[float]:
         terms, slope = {}, None
-        for sigma, blur, reference in zip(INNER, prepared.blurs, prepared.references, strict=True):
+        for sigma, blur, reference in zip(INNER, self.blurs, self.references, strict=True):
             difference = blur.apply(planes) - reference
-            share = 1.0 / difference.size
-            terms[sigma] = sum_of_all(difference * difference) * share
+            weight = 1.0 / difference.size
+            terms[sigma] = sum_of_all(difference * difference) * weight
             if gradient:
-                one = blur.adjoint(difference) * (2.0 * share)
-                slope = one if slope is None else slope + one
+                term_slope = blur.adjoint(difference) * (2.0 * weight)
+                slope = term_slope if slope is None else slope + term_slope
         return Evaluation(terms, slope)
 
 

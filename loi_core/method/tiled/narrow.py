@@ -7,11 +7,11 @@ import math
 from dataclasses import dataclass, replace
 
 from loi_core.method.blurs import Blur, PlaneBlur, PlaneGrid
+from loi_core.method.dispatch import choose_backend, plane_blur
 from loi_core.method.gaussian import AxisBlur, reach
 from loi_core.method.plan import Plan
 from loi_core.method.planner import make_plan
 from loi_core.method.scales import ScaleSpace
-from loi_core.method.ways import plane_blur, way_for
 from loi_core.method.windows import Window
 from loi_core.support.arrays import Host
 
@@ -115,7 +115,7 @@ class NarrowComparison:
         seen = self.seen(tile)
         scales, plan = _plan(self.scales, self.narrow, self.beta, seen.shape, tile.seen_from(seen), self.eps)
         weights = shares[None] if shares.size else None
-        comparison = way_for(image).comparison(scales, plan, reference[None], weights)
+        comparison = choose_backend(image).comparison(scales, plan, reference[None], weights)
         compared = comparison.compare(image[None], gradient=gradient)
         # The mean is over all of the plane, and over all planes.
         part = seen.cells / (self.height * self.width * self.planes) * (self.scales.scale_weight / scales.scale_weight)

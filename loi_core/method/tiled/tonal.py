@@ -8,11 +8,11 @@ from typing import Any, Protocol, cast
 
 import numpy as np
 
+from loi_core.method.dispatch import numba_supports
 from loi_core.method.distance import tie_threshold
 from loi_core.method.scales import ScaleSpace
 from loi_core.method.tiled import plain_levels
 from loi_core.method.tonal import ROOT_TWO, in_levels
-from loi_core.method.ways import loops_take
 from loi_core.support.arrays import Host
 
 __all__ = ["Kernels", "TonalScale", "kernels_for"]
@@ -33,7 +33,7 @@ class Kernels(Protocol):
 
 def kernels_for(dtype: np.dtype[Any]) -> Kernels:
     """The fastest there are for a dtype."""
-    if loops_take(dtype.name):
+    if numba_supports(dtype.name):
         from loi_core.method.compiled import tile_levels  # with Numba, which takes long to import
 
         return cast("Kernels", tile_levels)

@@ -18,7 +18,7 @@ from loi_core import LOIObjective
 from loi_core.method import compiled
 from loi_core.method.compiled import CompiledLoopsWarning
 from loi_core.method.compiled.loop_comparison import LoopComparison
-from loi_core.method.ways import BY_ARRAYS, BY_LOOPS, way_for
+from loi_core.method.dispatch import ARRAY_API, NUMBA, choose_backend
 from loi_core.support.arrays import Array
 from tests.frameworks import array_api_strict, jax, jnp, torch
 from tests.helpers import program_says
@@ -122,18 +122,18 @@ def test_a_numba_that_cannot_be_imported_is_none_from_many_threads_at_once_too()
 def test_kernels_are_for_host_arrays_that_no_framework_differentiates(
     planes: Callable[[], Array], wanted: bool
 ) -> None:
-    assert (way_for(planes()) is BY_LOOPS) is wanted
+    assert (choose_backend(planes()) is NUMBA) is wanted
 
 
 def test_what_jax_traces_has_no_values_to_compare() -> None:
     served = []
-    jax.jit(lambda planes: served.append(way_for(planes)))(jnp.zeros((1, 2, 2), jnp.float32))
-    assert served == [BY_ARRAYS]
+    jax.jit(lambda planes: served.append(choose_backend(planes)))(jnp.zeros((1, 2, 2), jnp.float32))
+    assert served == [ARRAY_API]
 
 
 def test_without_numba_arrays_do_it_and_the_plan_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
     objective = LOIObjective(np.zeros((4, 4, 3)))
     assert "Numba" in str(objective.plan())
     monkeypatch.setenv("LOI_COMPILED", "0")
-    assert way_for(np.zeros((1, 2, 2))) is BY_ARRAYS
+    assert choose_backend(np.zeros((1, 2, 2))) is ARRAY_API
     assert "Numba" not in str(objective.plan())

@@ -1,0 +1,95 @@
+"""Choice of the backend that compares an image: Numba's compiled loops or the image's own array library.
+
+Every array library can compare images through whole-array operations. On the CPU, loops compiled by Numba are several
+times faster. They take NumPy arrays, so images of other libraries that NumPy can read are passed there and back.
+``LOI_COMPILED=0`` disables the loops.
+"""
+
+from __future__ import annotations
+
+from typing import Final, Protocol
+
+import numpy as np
+
+from loi_core.method.array_comparison import ArrayComparison
+from loi_core.method.blurs import Blur, GaussianBlur, PlaneBlur
+from loi_core.method.comparison import Comparison
+from loi_core.method.compiled import compiles
+from loi_core.method.plan import Plan
+from loi_core.method.scales import ScaleSpace
+from loi_core.support.arrays import Array, from_numpy, is_numpy_array, is_read_by_numpy, is_recorded, to_numpy
+
+__all__ = ["ARRAY_API", "NUMBA", "Backend", "choose_backend", "numba_supports", "plane_blur"]
+
+
+class Backend(Protocol):
+    """An implementation of the comparison, with the conversion of arrays to and from its library."""
+
+    def to_backend(self, image: Array) -> Array:
+        """Return `image` as an array of the library that computes."""
+
+    def to_library(self, result: Array, like: Array) -> Array:
+        """Return `result` as an array of the library, dtype and device of `like`."""
+
+    def comparison(self, scales: ScaleSpace, plan: Plan, reference: Array, weights: Array | None = None) -> Comparison:
+        """Prepare a comparison with a reference: planes within the bounds, and weights, shape (N, H, W)."""
+
+
+class _ArrayApi:
+    """Operations on whole arrays, in the image's own library."""
+
+    def to_backend(self, image: Array) -> Array:
+        return image
+
+    def to_library(self, result: Array, like: Array) -> Array:  # noqa: ARG002  # it is like that already
+        return result
+
+    def comparison(self, scales: ScaleSpace, plan: Plan, reference: Array, weights: Array | None = None) -> Comparison:
+        return ArrayComparison.of(scales, plan, reference, weights)
+
+
+class _Numba:
+    """Loops compiled by Numba, on NumPy arrays."""
+
+    def to_backend(self, image: Array) -> Array:
+        return to_numpy(image)
+
+    def to_library(self, result: Array, like: Array) -> Array:
+        # C-contiguous, so that torch's `view` can reshape it.
+        return result if is_numpy_array(like) else from_numpy(np.asarray(result, order="C"), like)
+
+    def comparison(self, scales: ScaleSpace, plan: Plan, reference: Array, weights: Array | None = None) -> Comparison:
+        from loi_core.method.compiled.loop_comparison import LoopComparison  # imports Numba, which is slow
+
+        return LoopComparison.of(scales, plan, reference, weights)
+
+
+ARRAY_API: Final[Backend] = _ArrayApi()
+NUMBA: Final[Backend] = _Numba()
+
+
+def numba_supports(dtype: str) -> bool:
+    """Return whether Numba can and may compile the loops for a dtype, which must be "float32" or "float64".
+
+    The first call for a dtype compiles its loops, or loads them from a cache.
+    """
+    return dtype in ("float32", "float64") and compiles(dtype)
+
+
+def plane_blur(blur: PlaneBlur, like: Array) -> Blur:
+    """Return the operator that blurs one plane, shape (H, W), of the library and dtype of `like`."""
+    if is_numpy_array(like) and numba_supports(str(like.dtype)):
+        from loi_core.method.compiled.inner import LonePlaneBlur
+
+        return LonePlaneBlur.of(blur, like.dtype)
+    return GaussianBlur(blur, like)
+
+
+def choose_backend(image: Array) -> Backend:
+    """Return `NUMBA` wherever it can compare `image`, else `ARRAY_API`.
+
+    Numba cannot read arrays on another device or traced arrays, and no framework can differentiate through its loops.
+    """
+    if is_read_by_numpy(image) and not is_recorded(image) and numba_supports(str(image.dtype).removeprefix("torch.")):
+        return NUMBA
+    return ARRAY_API

@@ -1,0 +1,180 @@
+"""The pixel pipeline: an image becomes the planes that are compared, and their cotangent becomes the image's gradient.
+
+The steps, in order: layout, masking of pixels, tone curve, differences of colours, clipping to the bounds. Each step
+has a pullback beside it; :meth:`PixelPipeline.pullback` applies them in reverse.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from loi_core.pixels.bounds import clip, clip_pullback, warn_if_clipped
+from loi_core.pixels.colours import LARGEST_FACTOR, Colours, differences, differences_pullback
+from loi_core.pixels.layout import Layout
+from loi_core.pixels.nonfinite import NanPolicy, require_finite
+from loi_core.pixels.tone_curve import LogTone
+from loi_core.pixels.weights import PixelWeights
+from loi_core.support.arrays import Array, namespace, to_numpy
+
+__all__ = ["PixelPass", "PixelPipeline", "PixelSettings"]
+
+
+@dataclass(frozen=True)
+class PixelSettings:
+    """Options of the pipeline, for images of any shape and library.
+
+    Attributes
+    ----------
+    channel_axis : int or None
+    nan_policy : {"raise", "mask"}
+    tone : LogTone, optional
+    weights : PixelWeights, optional
+    colours : {"channels", "differences"}
+    bounds : tuple of float, optional
+        Interval to clip to; None does not clip.
+    """
+
+    channel_axis: int | None
+    nan_policy: NanPolicy
+    tone: LogTone | None
+    weights: PixelWeights | None
+    colours: Colours = "channels"
+    bounds: tuple[float, float] | None = None
+
+    def apply_tone(self, planes: Array) -> Array:
+        """Return planes, shape (N, H, W), after the tone curve."""
+        return planes if self.tone is None else self.tone.apply(planes)
+
+    def apply_colours(self, planes: Array) -> Array:
+        """Return planes, shape (N, H, W), or their differences of colours around the middle of the bounds."""
+        if self.colours == "channels":
+            return planes
+        low, high = (0.0, 1.0) if self.bounds is None else self.bounds
+        return differences(planes, 0.5 * (low + high))
+
+    def clip(self, planes: Array) -> Array:
+        """Return planes, shape (N, H, W), limited to the bounds."""
+        return planes if self.bounds is None else clip(planes, *self.bounds)
+
+
+@dataclass(frozen=True)
+class PixelPass:
+    """One image in the pipeline: the result, and the intermediate planes that the pullback needs.
+
+    Attributes
+    ----------
+    planes : array, shape (N, H, W)
+        The planes to compare.
+    unclipped : array, shape (N, H, W)
+        The same before clipping.
+    masked : array, shape (N, H, W)
+        The image's planes, 0 in pixels that are not visible, before the tone curve.
+    visible : array of bool, shape (N, H, W), optional
+        The pixels that are compared; None if all are.
+    """
+
+    planes: Array
+    unclipped: Array
+    masked: Array
+    visible: Array | None
+
+
+@dataclass(frozen=True, eq=False)
+class PixelPipeline:
+    """Map images of one shape, library, dtype and device to planes, one for each channel of each image of the batch.
+
+    Attributes
+    ----------
+    settings : PixelSettings
+    layout : Layout
+        Of the images.
+    reference : array, shape (N, H, W)
+        The reference's planes, ready to compare.
+    toned_reference : array, shape (N, H, W)
+        The same before colours and clipping; replaces pixels of the image that are not visible.
+    visible : array of bool, shape (N, H, W), optional
+        The pixels of the reference that are compared; None if all are.
+    weights : array, shape (N, H, W), optional
+        Weights in [0, 1]; None if all pixels count alike.
+    """
+
+    settings: PixelSettings
+    layout: Layout
+    reference: Array
+    toned_reference: Array
+    visible: Array | None
+    weights: Array | None
+
+    @classmethod
+    def of(cls, settings: PixelSettings, layout: Layout, reference: Array) -> PixelPipeline:
+        """Prepare the pipeline for a reference, given as planes of shape (N, H, W) like those of the images."""
+        xp = namespace(reference)
+        weights = None if settings.weights is None else settings.weights.planes(layout, reference)
+        visible = None
+        if weights is not None and settings.weights is not None and settings.weights.has_zeros:
+            visible = weights > 0.0
+        if settings.nan_policy == "mask":
+            visible = xp.isfinite(reference) if visible is None else xp.isfinite(reference) & visible
+        if visible is not None:
+            # A pixel that is not visible keeps its reference value, if that is finite.
+            reference = xp.where(xp.isfinite(reference), reference, xp.zeros_like(reference))
+        toned = settings.apply_tone(reference)
+        unclipped = settings.apply_colours(toned)
+        if settings.bounds is not None:
+            warn_if_clipped(unclipped, weights, settings.bounds)
+        return cls(settings, layout, settings.clip(unclipped), toned, visible, weights)
+
+    @property
+    def largest_weight(self) -> float:
+        """The factor of the value and of the gradient that scaling the weights to [0, 1] leaves out."""
+        return 1.0 if self.settings.weights is None else self.settings.weights.largest
+
+    def forward(self, image: Array, *, check_finite: bool = True) -> PixelPass:
+        """Return the planes of an image of the pipeline's shape, library, dtype and device.
+
+        Raises
+        ------
+        NonFiniteImageError
+            Under ``nan_policy="raise"``, if a visible pixel is not finite; not if `check_finite` is False.
+        """
+        settings, visible = self.settings, self.visible
+        planes = self.layout.to_planes(image)
+        xp = namespace(planes)
+        if settings.nan_policy == "mask":
+            visible = xp.isfinite(planes) if visible is None else xp.isfinite(planes) & visible
+        if visible is not None:
+            planes = xp.where(visible, planes, xp.zeros_like(planes))  # no NaN reaches a curve or its derivative
+        if settings.nan_policy == "raise" and check_finite:
+            seen = image if visible is None else self.layout.to_image(planes)
+            require_finite("image", seen, settings.channel_axis)
+        toned = settings.apply_tone(planes)
+        if visible is not None:
+            toned = xp.where(visible, toned, self.toned_reference)
+        unclipped = settings.apply_colours(toned)
+        return PixelPass(settings.clip(unclipped), unclipped, planes, visible)
+
+    def pullback(self, pixels: PixelPass, cotangent: Array) -> Array:
+        """Return the gradient with respect to the image, from the cotangent of ``pixels.planes``, shape (N, H, W)."""
+        settings = self.settings
+        if settings.bounds is not None:
+            cotangent = clip_pullback(pixels.unclipped, cotangent, *settings.bounds)
+        if settings.colours == "differences":
+            cotangent = differences_pullback(cotangent)
+        if settings.tone is not None:
+            cotangent = settings.tone.pullback(pixels.masked, cotangent)
+        if pixels.visible is not None:
+            xp = namespace(cotangent)
+            cotangent = xp.where(pixels.visible, cotangent, xp.zeros_like(cotangent))
+        return self.layout.to_image(cotangent)
+
+    def pullback_error(self, pixels: PixelPass, error: float) -> float:
+        """Return an upper bound on the 2-norm error of the gradient, from the error of the planes' cotangent."""
+        settings = self.settings
+        if settings.colours == "differences":
+            error *= LARGEST_FACTOR
+        if settings.tone is not None:
+            slopes = settings.tone.pullback(pixels.masked, namespace(pixels.masked).ones_like(pixels.masked))
+            error *= float(np.max(to_numpy(slopes)))
+        return error
