@@ -55,7 +55,7 @@ def _rows(samples: int, draws: int, folder: Path) -> Iterator[list[str]]:
     for kind, scene in _scenes(folder).items():
         images = MitsubaRenderer(scene, moves, integrator="scene", spp=512, without_gradient=moves)
         renderer = MitsubaRenderer(scene, moves, spp=samples)
-        ours = [renderer.pull(at, weight, seed=seed) for seed in range(draws)]
+        ours = [renderer.vjp(at, weight, seed=seed) for seed in range(draws)]
         theirs = [_own(scene, weight, samples, seed) for seed in range(draws)]
         for name in moves:
             ahead, behind = (images.render(at | {name: np.float32(by)}).astype(np.float64) for by in (STEP, -STEP))

@@ -54,7 +54,7 @@ def _rows(samples: int, draws: int) -> Iterator[list[str]]:
             scene = _scene(light, height)
             wanted = _differences(scene, weight)
             planned = PlannedRenderer(scene, MOVES, spp=samples).unabridged
-            ours = [planned.pull(AT, weight, seed=seed) for seed in range(draws)]
+            ours = [planned.vjp(AT, weight, seed=seed) for seed in range(draws)]
             theirs = [_own(scene, weight, samples, seed) for seed in range(draws)]
             for name in MOVES:
                 found = (mean_and_error([float(one[name]) for one in drawn]) for drawn in (ours, theirs))

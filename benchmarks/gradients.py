@@ -55,7 +55,7 @@ def row(kind: str, part: str, calls: int) -> tuple[str, ...]:
     start = mi.Transform4f(params["ball.to_world"])
 
     def ours(seed: int) -> None:
-        renderer.pull(here, cotangent, seed=seed)
+        renderer.vjp(here, cotangent, seed=seed)
 
     def mitsubas(seed: int) -> None:
         x = mi.Float(0.0)

@@ -120,9 +120,9 @@ def cells(described: dict[str, Any], moved: str, samples: int, draws: int) -> li
     ways: list[Callable[..., Mapping[str, Any]] | None] = [partial(_pulled, planned), None]
     if moved != "lamp" or described["lamp"]["type"] not in ("point", "spot"):
         own = MitsubaRenderer(described, targets, spp=SAMPLES)
-        ways[1] = own.pull
+        ways[1] = own.vjp
     plain = MitsubaRenderer(described, targets, integrator="scene", spp=SAMPLES, without_gradient=tuple(targets))
-    ways.append(BlurredRenderer(plain, "2 px", pairs=4).pull)
+    ways.append(BlurredRenderer(plain, "2 px", pairs=4).vjp)
     return ["" if pull is None else measured(pull, here, cotangent, truth, draws) for pull in ways]
 
 

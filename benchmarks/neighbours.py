@@ -110,7 +110,7 @@ def measured(described: dict[str, Any], sizes: dict[str, float], samples: int, d
             planned = PlannedRenderer(described, targets, spp=64, proxy=dict([settings]))
             everything = planned.unabridged.with_integrator(planned.everything, spp=samples)
             cotangent = objective.value_and_grad(everything.render(here, seed=2))[1]
-            drawn = [everything.pull(here, cotangent, seed=100 + k) for k in range(draws)]
+            drawn = [everything.vjp(here, cotangent, seed=100 + k) for k in range(draws)]
             found = np.array([[float(one[name]) for name in targets] for one in drawn])
             mean, error = found.mean(axis=0), float(np.linalg.norm(found.std(axis=0, ddof=1)))
             size = float(np.linalg.norm(mean))
@@ -151,8 +151,8 @@ def caustics(samples: int, draws: int) -> None:
     near = PlannedRenderer(described, targets, spp=64, blur=None, attached_glass=False).unabridged
     plain = exact.with_integrator("scene", spp=64)
     blurs = {f"blurred by {width}": BlurredRenderer(plain, width) for width in ("1 px", "2 px", "4 px")}
-    ways: dict[str, Callable[..., Mapping[str, Any]]] = {"rough glass, alpha 0.05": near.pull}
-    ways |= {name: one.pull for name, one in blurs.items()}
+    ways: dict[str, Callable[..., Mapping[str, Any]]] = {"rough glass, alpha 0.05": near.vjp}
+    ways |= {name: one.vjp for name, one in blurs.items()}
     seeds = range(50, 54)
     changes = {
         name: [

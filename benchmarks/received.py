@@ -23,7 +23,7 @@ import mitsuba as mi
 from benchmarks.edges import mean_and_error
 from examples.effects.parts import GREY, ball, camera, diffuse, floor, lamp
 from loi_core.support.markdown import markdown
-from loi_mitsuba.boundary.received_shadows import Received
+from loi_mitsuba.boundary.received_shadows import ReceivedShadowBoundary
 
 __all__ = ["main"]
 
@@ -53,9 +53,9 @@ def _rows(samples: int, draws: int) -> Iterator[list[str]]:
     for kind, scene in _scenes().items():
         images = MitsubaRenderer(scene, moves, integrator="scene", spp=512, without_gradient=moves)
         ours = _drawn(scene, moves, weight, samples, draws)
-        of, Received.of = Received.of, lambda *_: None  # type: ignore[method-assign]
+        of, ReceivedShadowBoundary.of = ReceivedShadowBoundary.of, lambda *_: None  # type: ignore[method-assign]
         without = _drawn(scene, moves, weight, samples, draws)
-        Received.of = of  # type: ignore[method-assign]
+        ReceivedShadowBoundary.of = of  # type: ignore[method-assign]
         for name in moves:
             wanted = []
             for seed in range(4):
@@ -68,7 +68,7 @@ def _rows(samples: int, draws: int) -> Iterator[list[str]]:
 def _drawn(scene: dict[str, Any], moves: dict[str, Any], weight: Any, samples: int, draws: int) -> list[dict[str, Any]]:
     renderer = PlannedRenderer(scene, moves, spp=samples).unabridged
     at = dict.fromkeys(moves, np.float32(0.0))
-    return [renderer.pull(at, weight, seed=seed) for seed in range(draws)]
+    return [renderer.vjp(at, weight, seed=seed) for seed in range(draws)]
 
 
 def _scenes() -> dict[str, dict[str, Any]]:

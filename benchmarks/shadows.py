@@ -83,7 +83,7 @@ def _heights(problem: Problem, draws: int) -> Iterator[list[str]]:
         at = _between(built, 0.0)
         objective = LOIObjective(problem.target, accuracy="balanced")
         cotangent = objective.value_and_grad(images.render(numbers(at)))[1]
-        pulled = [images.unabridged.pull(numbers(at), cotangent, seed=seed + 1) for seed in range(draws)]
+        pulled = [images.unabridged.vjp(numbers(at), cotangent, seed=seed + 1) for seed in range(draws)]
         yield [name, f"{_cosine(_mean(pulled, some), _differences(built, at, cotangent, some)):.2f}"]
 
 
@@ -93,7 +93,7 @@ def _between(built: Built, share: float) -> dict[str, float]:
 
 def _gradient(images: PlannedRenderer, built: Built, at: Way, objective: LOIObjective, seen: list[Any]) -> FloatArray:
     pulled = [
-        images.unabridged.pull(numbers(at), objective.value_and_grad(image)[1], seed=seed + len(seen))
+        images.unabridged.vjp(numbers(at), objective.value_and_grad(image)[1], seed=seed + len(seen))
         for seed, image in enumerate(seen)
     ]
     return _mean(pulled, built.truth)

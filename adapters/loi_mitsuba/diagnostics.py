@@ -11,21 +11,21 @@ import mitsuba as mi
 import numpy as np
 
 from loi_core.support.wording import clause, listed
-from loi_mitsuba.geometry.bounds import corners_of
-from loi_mitsuba.geometry.mesh import crowded_share, has_seams, is_inside_out, is_rounded
-from loi_mitsuba.geometry.stepped_textures import has_steps
+from loi_mitsuba.geometry.bounds import bounding_box
+from loi_mitsuba.geometry.mesh import has_inward_normals, has_smoothed_edges, is_unwelded, non_manifold_fraction
+from loi_mitsuba.geometry.stepped_textures import has_stepped_texture
 from loi_mitsuba.scene.parameters import SceneIndex
-from loi_mitsuba.sensing.sensor import lift_of
+from loi_mitsuba.sensing.sensor import ray_epsilon
 
 __all__ = [
     "GradientWarning",
-    "is_clipped",
-    "is_crowded",
-    "is_turned",
-    "lets_through",
-    "misses_entry",
-    "warn_of_entries",
-    "warn_of_moving",
+    "has_inverted_normals",
+    "is_near_clipped",
+    "is_non_manifold",
+    "is_partly_transparent",
+    "unsupported_parameter",
+    "warn_about_entries",
+    "warn_about_moving_shapes",
 ]
 
 CURVES: Final = ("BSplineCurve", "LinearCurve")
@@ -42,7 +42,9 @@ class GradientWarning(UserWarning):
     """Part of the gradient that was asked for is missing or wrong."""
 
 
-def warn_of_moving(scene: Any, sensor: Any, integrator: Any, shapes: list[Any], drawn: Container[Any]) -> None:
+def warn_about_moving_shapes(
+    scene: Any, sensor: Any, integrator: Any, shapes: list[Any], drawn: Container[Any]
+) -> None:
     """Warn where moving `shapes` has a gradient that is missed or counted twice.
 
     An integrator without projective sampling differentiates what lies inside the outlines of shapes and shadows, not
@@ -79,20 +81,20 @@ def _cautions(scene: Any, integrator: Any, shapes: list[Any], drawn: Container[A
             f"with an area emitter"
         )
     for whose, met in (("", False), ("the shadow of ", True)):  # in view, our own edges stand for Mitsuba's
-        split = _ids([one for one in each if (one in drawn) == met], has_seams)
+        split = _ids([one for one in each if (one in drawn) == met], is_unwelded)
         if split:
             yield (
                 f"{_meshes(split, 'stores', 'store')} the vertices of an edge more than once, and Mitsuba counts the "
                 f"gradient of {whose}such an edge as often; merge equal vertices (and set face_normals for flat "
                 f"shading); PlannedRenderer does where shading is smooth or flat throughout"
             )
-    if crowded := _ids(each, is_crowded):
+    if crowded := _ids(each, is_non_manifold):
         yield (
             f"{_meshes(crowded, 'has', 'have')} edges at which more than two triangles meet, or that run along others, "
             f"and Mitsuba counts the gradient of such an edge several times; mend the mesh, or use PlannedRenderer, "
             f"which blurs"
         )
-    if cut := _ids(each, lets_through):
+    if cut := _ids(each, is_partly_transparent):
         yield (
             f"{clause(cut, 'lets', 'let')} light straight through in part, and Mitsuba has no gradient of cutouts; use "
             f"PlannedRenderer, which blurs"
@@ -102,12 +104,12 @@ def _cautions(scene: Any, integrator: Any, shapes: list[Any], drawn: Container[A
 def _cautions_in_view(scene: Any, sensor: Any, shapes: list[Any]) -> Iterator[str]:
     """What there is to warn of where the shapes are seen, one message each."""
     each, own, film = list(dict.fromkeys(shapes)), scene.shapes(), sensor.film()
-    if turned := _ids(each, lambda shape: is_turned(shape, sensor)):
+    if turned := _ids(each, lambda shape: has_inverted_normals(shape, sensor)):
         yield (
             f"{clause(turned, 'has', 'have')} normals that point inwards, and Mitsuba misses the shadow of such a "
             f"shape and counts its outline too much; turn it round, or use PlannedRenderer, which blurs"
         )
-    if each and is_clipped(scene, sensor):
+    if each and is_near_clipped(scene, sensor):
         yield (
             "a shape moves before a camera whose near clipping plane cuts something away, and Mitsuba takes that for "
             "what hides the rest; move it out of the way, or use PlannedRenderer, which blurs"
@@ -119,17 +121,17 @@ def _cautions_in_view(scene: Any, sensor: Any, shapes: list[Any]) -> Iterator[st
         )
     if each and film.base_channels_count() in WITH_ALPHA:
         yield "a shape moves, and outlines have no gradient in the film's alpha; compare its colours alone"
-    if rounded := _ids(each, is_rounded):
+    if rounded := _ids(each, has_smoothed_edges):
         yield (
             f"{_meshes(rounded, 'is', 'are')} shaded as if sharp edges were round, and Mitsuba's gradient is then of a "
             f"wrong size; set face_normals, or use more triangles"
         )
-    if tubes := _ids(each, lambda shape: is_looked_into(shape, sensor)):
+    if tubes := _ids(each, lambda shape: sees_inside_cylinder(shape, sensor)):
         yield (
             f"the camera looks into an open end of {listed(tubes)}, and Mitsuba's gradient of such an "
             f"outline is wrong; use a mesh"
         )
-    if lifted := _ids(each, lambda shape: is_lifted(shape, own)):
+    if lifted := _ids(each, lambda shape: ray_epsilon_too_large(shape, own)):
         yield (
             f"{clause(lifted, 'touches', 'touch')} another shape, so small or so far from the origin that Mitsuba "
             f"lifts rays off it by more than {LIFTED:.1%} of its extent, and the gradient is then of a wrong size; "
@@ -143,7 +145,7 @@ def _cautions_in_view(scene: Any, sensor: Any, shapes: list[Any]) -> Iterator[st
             f"the camera or the light, and at every texel of a bump map, and Mitsuba has no gradient of such steps; "
             f"leave the map out, or expect a gradient of a wrong size"
         )
-    if stepped := _ids(each, has_steps):
+    if stepped := _ids(each, has_stepped_texture):
         yield (
             f"{clause(stepped, 'has', 'have')} a texture with steps (a checkerboard, or a bitmap of filter_type "
             f"'nearest'), and Mitsuba has no gradient of steps that move; use a bitmap that is interpolated, as "
@@ -160,13 +162,13 @@ def _meshes(ids: list[str], one: str, several: str) -> str:
     return f"{'mesh' if len(ids) == 1 else 'meshes'} {clause(ids, one, several)}"
 
 
-def is_turned(shape: Any, sensor: Any) -> bool:
+def has_inverted_normals(shape: Any, sensor: Any) -> bool:
     """Whether the normals of a closed shape point inwards, and it is not one that is around the camera, as a sky."""
     place = np.array(sensor.world_transform().translation(), dtype=np.float64).reshape(3)
-    return is_inside_out(shape) and not shape.bbox().contains(mi.ScalarPoint3f(place.tolist()))
+    return has_inward_normals(shape) and not shape.bbox().contains(mi.ScalarPoint3f(place.tolist()))
 
 
-def is_looked_into(shape: Any, sensor: Any) -> bool:
+def sees_inside_cylinder(shape: Any, sensor: Any) -> bool:
     """Whether a shape is a cylinder, and a perspective camera is beyond one of its ends."""
     if shape.class_name() != "Cylinder" or sensor.class_name() != "PerspectiveCamera":
         return False
@@ -175,17 +177,17 @@ def is_looked_into(shape: Any, sensor: Any) -> bool:
     return along < 0.0 or along > 1.0
 
 
-def is_lifted(shape: Any, others: Sequence[Any]) -> bool:
+def ray_epsilon_too_large(shape: Any, others: Sequence[Any]) -> bool:
     """Whether a shape's box touches another's, and rays that leave it begin far off its surface for its extent."""
-    low, high = corners_of(shape)
+    low, high = bounding_box(shape)
     farthest = np.max(np.abs(np.stack([low, high])), axis=0)
-    if lift_of(mi.ScalarPoint3f(farthest.tolist())) <= LIFTED * np.linalg.norm(high - low):
+    if ray_epsilon(mi.ScalarPoint3f(farthest.tolist())) <= LIFTED * np.linalg.norm(high - low):
         return False
-    boxes = [corners_of(one) for one in others if one != shape]
+    boxes = [bounding_box(one) for one in others if one != shape]
     return any(bool(np.all(low <= top) and np.all(bottom <= high)) for bottom, top in boxes)
 
 
-def is_clipped(scene: Any, sensor: Any) -> bool:
+def is_near_clipped(scene: Any, sensor: Any) -> bool:
     """Whether something is between a perspective camera and its near clipping plane, which the image does not show."""
     if sensor.class_name() != "PerspectiveCamera":
         return False
@@ -198,16 +200,16 @@ def is_clipped(scene: Any, sensor: Any) -> bool:
         return bool(np.any(np.array(scene.ray_test(way))))
 
 
-def warn_of_entries(called: SceneIndex, targets: Mapping[str, Any]) -> None:
+def warn_about_entries(called: SceneIndex, targets: Mapping[str, Any]) -> None:
     """Warn of the entries of materials among `targets` by which Mitsuba's gradient is missing or wrong."""
     for name, target in targets.items():
-        why = misses_entry(called, target) if isinstance(target, str) else ""
+        why = unsupported_parameter(called, target) if isinstance(target, str) else ""
         if why:
             msg = f"{name!r}: {why}; use PlannedRenderer, which blurs"
             warnings.warn(msg, GradientWarning, stacklevel=4)
 
 
-def misses_entry(called: SceneIndex, target: str) -> str:
+def unsupported_parameter(called: SceneIndex, target: str) -> str:
     """Why Mitsuba's gradient by an entry of a material is missing or wrong; empty if it is not.
 
     Its path tracers take what a surface does in single directions from the sample, without a gradient.
@@ -223,9 +225,9 @@ def misses_entry(called: SceneIndex, target: str) -> str:
     return ""
 
 
-def is_crowded(shape: Any) -> bool:
+def is_non_manifold(shape: Any) -> bool:
     """Whether Mitsuba counts so many of a shape's edges several times that its gradient is well off."""
-    return crowded_share(shape) > CROWDED
+    return non_manifold_fraction(shape) > CROWDED
 
 
 def has_mapped_normals(shape: Any) -> bool:
@@ -237,6 +239,6 @@ def has_mapped_normals(shape: Any) -> bool:
     return any(node.class_name() in MAPS for node in mi.traverse(shape).hierarchy)
 
 
-def lets_through(shape: Any) -> bool:
+def is_partly_transparent(shape: Any) -> bool:
     """Whether light may go straight through a shape, as through the cutouts of a mask."""
     return shape.bsdf() is not None and bool(mi.has_flag(shape.bsdf().flags(), mi.BSDFFlags.Null))

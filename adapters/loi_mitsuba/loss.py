@@ -17,7 +17,7 @@ from loi_core.pixels.nonfinite import NanPolicy
 from loi_core.support.arrays import Array, namespace
 from loi_core.support.installed import how_to_install
 from loi_core.support.wording import shown
-from loi_mitsuba.drjit.alignment import ALIGNMENT, aligned
+from loi_mitsuba.drjit.arrays import ALIGNMENT_BYTES, aligned_copy
 
 __all__ = ["Backend", "BackendMissingError", "LOILoss"]
 
@@ -191,8 +191,8 @@ def _host(array: Any) -> Any:
 def _flat(kind: Any, array: Array) -> Float:
     """`array` as a flat array of Dr.Jit, without a copy where it is contiguous and aligned."""
     flat = namespace(array).reshape(array, (-1,))
-    if isinstance(flat, np.ndarray) and flat.ctypes.data % ALIGNMENT:
-        flat = aligned(flat)
+    if isinstance(flat, np.ndarray) and flat.ctypes.data % ALIGNMENT_BYTES:
+        flat = aligned_copy(flat)
     return kind(flat)
 
 

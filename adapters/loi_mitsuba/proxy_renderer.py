@@ -10,13 +10,14 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
+from loi_mitsuba.drjit.arrays import Float32Array
 from loi_mitsuba.proxy.light_size import KINDS, delta_lights
 from loi_mitsuba.proxy.scene import ProxyScene
 from loi_mitsuba.proxy.substitutions import LAMP, LIGHT
 from loi_mitsuba.renderer import MitsubaRenderer
 from loi_mitsuba.scene.load import LoadedScene, Target
 from loi_mitsuba.scene.parameters import SceneIndex, ancestors
-from loi_mitsuba.scene.poses import Host, Translate
+from loi_mitsuba.scene.poses import Translate
 
 __all__ = ["LightTarget", "ProxyGradientRenderer", "ProxyTarget", "light_targets", "proxy_targets"]
 
@@ -31,7 +32,7 @@ class ProxyTarget:
 
     target: Target
     factor: float = 1.0
-    origin: Host | None = None
+    origin: Float32Array | None = None
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ def light_targets(called: SceneIndex, targets: Mapping[str, Target]) -> dict[str
 
 
 def proxy_targets(
-    lights: Mapping[str, LightTarget], near: ProxyScene, called: SceneIndex, start: Mapping[str, Host]
+    lights: Mapping[str, LightTarget], near: ProxyScene, called: SceneIndex, start: Mapping[str, Float32Array]
 ) -> dict[str, ProxyTarget]:
     """What parameters of lights stand for in the neighbour, by their values at the start."""
     factors = {one.light: one.factor for one in near.exchanges if one.light is not None}
@@ -129,7 +130,7 @@ class ProxyGradientRenderer(MitsubaRenderer):
         targets = {**parameters, **{name: one.target for name, one in exchanged.items()}}
         options: dict[str, Any] = {"spp": spp, "spp_grad": spp_grad, "sensor": sensor, "without_gradient": images}
         self._near = MitsubaRenderer(proxy, targets, integrator=integrator, **options).with_integrator(
-            integrator, spp=spp, spp_grad=spp_grad, follow=self._moving
+            integrator, spp=spp, spp_grad=spp_grad, wrt=self._moving
         )
         self._near_shapes = {name: value.shape for name, value in self._near.parameters().items()}
         super().__init__(scene, parameters, integrator=integrator, **options)
@@ -148,34 +149,34 @@ class ProxyGradientRenderer(MitsubaRenderer):
         *,
         spp: int | None = None,
         spp_grad: int | None = None,
-        follow: Iterable[str] | None = None,
+        wrt: Iterable[str] | None = None,
     ) -> ProxyGradientRenderer:
         """As that of :class:`MitsubaRenderer`, of both scenes."""
-        names = set(self._named.targets if follow is None else follow)
+        names = set(self._named.targets if wrt is None else wrt)
         other = copy(self)
         other._use(integrator, self._spp if spp is None else spp, spp_grad)
         other._followed = tuple(name for name in self._able if name in names - self._apart)
-        other._near = self._near.with_integrator(integrator, spp=spp, spp_grad=spp_grad, follow=names & self._moving)
+        other._near = self._near.with_integrator(integrator, spp=spp, spp_grad=spp_grad, wrt=names & self._moving)
         return other
 
-    def pull(self, params: Mapping[str, Any], cotangent: Any, *, seed: int = 0) -> dict[str, Host]:
+    def vjp(self, params: Mapping[str, Any], cotangent: Any, *, seed: int = 0) -> dict[str, Float32Array]:
         """As that of :class:`MitsubaRenderer`, each parameter's from the scene that has it."""
         self._leaves(params)  # which checks them
         pulled = {name: np.zeros_like(start) for name, start in self._named.start.items()}
         if self._followed:
-            pulled |= super().pull(params, cotangent, seed=seed)
-        if self._near.follows:
-            near = self._near.pull(self._nearly(params), cotangent, seed=seed)
+            pulled |= super().vjp(params, cotangent, seed=seed)
+        if self._near.wrt:
+            near = self._near.vjp(self._nearly(params), cotangent, seed=seed)
             pulled |= {name: pulled[name] + near[name] for name in self._moving}
         return pulled
 
-    def push(self, params: Mapping[str, Any], tangent: Mapping[str, Any], *, seed: int = 0) -> Host:
+    def jvp(self, params: Mapping[str, Any], tangent: Mapping[str, Any], *, seed: int = 0) -> Float32Array:
         """As that of :class:`MitsubaRenderer`, the sum of both scenes'."""
         parts = []
         if self._followed:
-            parts.append(super().push(params, tangent, seed=seed))
-        if self._near.follows:
-            parts.append(self._near.push(self._nearly(params), self._nearly(tangent), seed=seed))
+            parts.append(super().jvp(params, tangent, seed=seed))
+        if self._near.wrt:
+            parts.append(self._near.jvp(self._nearly(params), self._nearly(tangent), seed=seed))
         return np.asarray(sum(parts), dtype=np.float32)  # one may have nothing to add, and is a single 0
 
     def _nearly(self, params: Mapping[str, Any]) -> dict[str, Any]:

@@ -16,13 +16,14 @@ from loi_core.errors import OptionError, ParameterError
 from loi_core.renderers.contract import RendererCapabilities
 from loi_core.support.values import whole_number
 from loi_core.support.wording import shown
-from loi_mitsuba.boundary.edge_sampling import Edges
-from loi_mitsuba.boundary.intersections import Crossings
-from loi_mitsuba.boundary.projective import Silhouettes
-from loi_mitsuba.boundary.received_shadows import Received
-from loi_mitsuba.boundary.terms import ByJumps, Jumping, Shading
-from loi_mitsuba.diagnostics import warn_of_entries, warn_of_moving
-from loi_mitsuba.geometry.coincident_edges import Once
+from loi_mitsuba.boundary.edge_sampling import EdgeBoundary
+from loi_mitsuba.boundary.intersections import IntersectionBoundary
+from loi_mitsuba.boundary.projective import ProjectiveBoundary
+from loi_mitsuba.boundary.received_shadows import ReceivedShadowBoundary
+from loi_mitsuba.boundary.terms import BoundarySampler, BoundaryTerm, InteriorTerm
+from loi_mitsuba.diagnostics import warn_about_entries, warn_about_moving_shapes
+from loi_mitsuba.drjit.arrays import Float32Array
+from loi_mitsuba.geometry.coincident_edges import UniqueEdges
 from loi_mitsuba.scene.binding import ParameterBinding, host_numbers
 from loi_mitsuba.scene.load import (
     Target,
@@ -34,12 +35,11 @@ from loi_mitsuba.scene.load import (
     use_variant,
 )
 from loi_mitsuba.scene.parameters import Scene, SceneIndex, index_scene
-from loi_mitsuba.scene.poses import Host
 from loi_mitsuba.scene.safety import SceneLoadError, check_description
 from loi_mitsuba.scene.settings import PARTS, bordered, integrator_of, leaves_edges_out, settings_of
 from loi_mitsuba.sensing.film import Film
 
-__all__ = ["MitsubaRenderer", "seeds_of"]
+__all__ = ["MitsubaRenderer", "split_seed"]
 
 
 OWN_INTEGRATOR: Final = "scene"
@@ -120,11 +120,11 @@ class MitsubaRenderer:
         images = frozenset(without_gradient)
         self._named = ParameterBinding(self._names, targets, images)
         self._followed = self._able = tuple(name for name in targets if name not in images)
-        self._edges = Edges.of(self._scene, self._sensor, self._named.moving(self._able))
+        self._edges = EdgeBoundary.of(self._scene, self._sensor, self._named.moving(self._able))
         moving = self._named.moving(self._able)
-        self._crossings = Crossings.of(self._scene, self._sensor, moving)
-        self._received = Received.of(self._scene, self._sensor, moving)
-        self._once = Once.of(moving)
+        self._crossings = IntersectionBoundary.of(self._scene, self._sensor, moving)
+        self._received = ReceivedShadowBoundary.of(self._scene, self._sensor, moving)
+        self._once = UniqueEdges.of(moving)
         self._film = Film(self._sensor.film())
         known = [] if self._edges is None else self._edges.shapes
         self._sided = frozenset(name for name in self._able if any(one in known for one in self._named.moving([name])))
@@ -146,7 +146,7 @@ class MitsubaRenderer:
         return self._sensor
 
     @property
-    def follows(self) -> tuple[str, ...]:
+    def wrt(self) -> tuple[str, ...]:
         """The parameters that have a gradient; that of others is 0."""
         return self._followed
 
@@ -166,7 +166,7 @@ class MitsubaRenderer:
         *,
         spp: int | None = None,
         spp_grad: int | None = None,
-        follow: Iterable[str] | None = None,
+        wrt: Iterable[str] | None = None,
     ) -> MitsubaRenderer:
         """The same scene and parameters under another integrator; the two share the scene.
 
@@ -184,15 +184,15 @@ class MitsubaRenderer:
         """
         other = copy(self)
         other._use(integrator, self._spp if spp is None else spp, spp_grad)
-        if follow is not None:
-            other._followed = tuple(name for name in self._able if name in set(follow))
+        if wrt is not None:
+            other._followed = tuple(name for name in self._able if name in set(wrt))
         return other
 
-    def parameters(self) -> dict[str, Host]:
+    def parameters(self) -> dict[str, Float32Array]:
         """Every parameter as the scene had it when it was loaded: float32, new arrays on each call."""
         return {name: value.copy() for name, value in self._named.start.items()}
 
-    def render(self, params: Mapping[str, Any], *, seed: int = 0) -> Host:
+    def render(self, params: Mapping[str, Any], *, seed: int = 0) -> Float32Array:
         """The image, shape (H, W, C), float32.
 
         Raises
@@ -205,22 +205,24 @@ class MitsubaRenderer:
         self._named.set(self._leaves(params))
         with dr.suspend_grad():
             image = self._integrator.render(
-                self._scene, self._sensor, seeds_of(seed)[0], self._spp, develop=True, evaluate=True
+                self._scene, self._sensor, split_seed(seed)[0], self._spp, develop=True, evaluate=True
             )
         return np.array(image.numpy(), dtype=np.float32, order="C")
 
-    def render_vjp(self, params: Mapping[str, Any], *, seed: int = 0) -> tuple[Host, Callable[[Any], dict[str, Host]]]:
+    def render_vjp(
+        self, params: Mapping[str, Any], *, seed: int = 0
+    ) -> tuple[Float32Array, Callable[[Any], dict[str, Float32Array]]]:
         """The image and its pullback, which may be called again, also after other renders. Errors as of `render`."""
         image = self.render(params, seed=seed)
         shape = image.shape
         kept = {name: np.array(value, dtype=np.float32) for name, value in params.items()}
 
-        def pullback(cotangent: Any) -> dict[str, Host]:
-            return self.pull(kept, host_numbers("cotangent", cotangent, shape), seed=seed)
+        def pullback(cotangent: Any) -> dict[str, Float32Array]:
+            return self.vjp(kept, host_numbers("cotangent", cotangent, shape), seed=seed)
 
         return image, pullback
 
-    def pull(self, params: Mapping[str, Any], cotangent: Any, *, seed: int = 0) -> dict[str, Host]:
+    def vjp(self, params: Mapping[str, Any], cotangent: Any, *, seed: int = 0) -> dict[str, Float32Array]:
         """A cotangent of the image, shape (H, W, C), carried to the parameters without an image; errors as of `render`.
 
         It is what the pullback of :meth:`render_vjp` with the same `params` and `seed` gives.
@@ -230,7 +232,7 @@ class MitsubaRenderer:
             return {name: np.zeros_like(start) for name, start in self._named.start.items()}
         self._check_variant()
         pulled = {name: np.zeros_like(start) for name, start in self._named.start.items()}
-        together: dict[tuple[str, ...], list[Shading | ByJumps]] = {}
+        together: dict[tuple[str, ...], list[InteriorTerm | BoundaryTerm]] = {}
         for carry, names in self._parts():
             together.setdefault(names, []).append(carry)
         given = np.ascontiguousarray(cotangent, dtype=np.float32)
@@ -240,19 +242,19 @@ class MitsubaRenderer:
                 # gradient, some of which Mitsuba carries back one after the other, have arrived there.
                 with dr.isolate_grad():
                     for carry in carries:
-                        carry.pull(given, seeds_of(seed)[1])
+                        carry.vjp(given, split_seed(seed)[1])
                 found = self._named.gradients(leaves, names)
             pulled |= {name: pulled[name] + found[name] for name in names}
         return pulled
 
-    def push(self, params: Mapping[str, Any], tangent: Mapping[str, Any], *, seed: int = 0) -> Host:
+    def jvp(self, params: Mapping[str, Any], tangent: Mapping[str, Any], *, seed: int = 0) -> Float32Array:
         """How the image changes along a direction of the parameters: shape (H, W, C); errors as of `render`.
 
         The derivative that :meth:`pull` is the transpose of. Not every integrator of Mitsuba has it.
         """
         self._check_variant()
         width, height = self._film.size
-        total: Host = np.zeros((height, width, self._film.channels), np.float32)
+        total: Float32Array = np.zeros((height, width, self._film.channels), np.float32)
         for carry, names in self._parts():
             with self._named.attached(params, frozenset(names)) as leaves:
                 for name in names:
@@ -261,10 +263,10 @@ class MitsubaRenderer:
                     dr.enqueue(dr.ADMode.Forward, leaves[name])
                 # Up to the scene's own entries, since Mitsuba's loops do not look any further back than these.
                 dr.traverse(dr.ADMode.Forward, dr.ADFlag.ClearEdges)
-                total = total + carry.push(*seeds_of(seed))
+                total = total + carry.jvp(*split_seed(seed))
         return total
 
-    def _parts(self) -> list[tuple[Shading | ByJumps, tuple[str, ...]]]:
+    def _parts(self) -> list[tuple[InteriorTerm | BoundaryTerm, tuple[str, ...]]]:
         """What carries which parts of the gradient, and to which parameters.
 
         Outlines of meshes with sides are not Mitsuba's, nor are curves along which shapes go through each other, nor
@@ -274,9 +276,9 @@ class MitsubaRenderer:
         sided = tuple(name for name in moving if name in self._sided)
         round_ones = tuple(name for name in moving if name not in self._sided)
         own, outlines, shadows = self._integrator, self._samples_of("sppp"), self._samples_of("sppi")
-        drawn: list[tuple[Jumping, Any, int, tuple[str, ...]]] = [
-            (Silhouettes(self._sensor, self._film, "sppp"), own, outlines, round_ones),
-            (Silhouettes(self._sensor, self._film, "sppi", self._once), own, shadows, moving),
+        drawn: list[tuple[BoundarySampler, Any, int, tuple[str, ...]]] = [
+            (ProjectiveBoundary(self._sensor, self._film, "sppp"), own, outlines, round_ones),
+            (ProjectiveBoundary(self._sensor, self._film, "sppi", self._once), own, shadows, moving),
         ]
         if self._received is not None:
             drawn.append((self._received, own, shadows, moving))
@@ -285,14 +287,14 @@ class MitsubaRenderer:
             # Edges have no gradient by what has none of them, so that they may be asked of a scene in which more moves.
             radiance = self._radiance
             drawn = [*((one, radiance, outlines, moving) for one in ours), *drawn]
-        parts: list[tuple[Shading | ByJumps, tuple[str, ...]]] = [
-            (ByJumps(one, self._scene, self._film, integrator, samples), names)
+        parts: list[tuple[InteriorTerm | BoundaryTerm, tuple[str, ...]]] = [
+            (BoundaryTerm(one, self._scene, self._film, integrator, samples), names)
             for one, integrator, samples, names in drawn
             if samples and names
         ]
         if "sppc" not in self._left_out and getattr(own, "sppc", None) != 0:
             samples = self._samples_of("sppc") or self._spp_grad
-            shading = Shading(self._scene, self._named.entries, self._sensor, self._film, own, samples)
+            shading = InteriorTerm(self._scene, self._named.entries, self._sensor, self._film, own, samples)
             parts.append((shading, self._followed))
         return parts
 
@@ -349,10 +351,10 @@ class MitsubaRenderer:
         """Refuse or warn where the gradient of moving shapes is missing, unless a plan has told why."""
         moving = self._named.moving(self._followed)
         if not told:
-            warn_of_moving(
+            warn_about_moving_shapes(
                 self._scene, self._sensor, self._integrator, moving, self._edges.shapes if self._edges else ()
             )
-        warn_of_entries(self._names, {name: self._named.targets[name] for name in self._able})
+        warn_about_entries(self._names, {name: self._named.targets[name] for name in self._able})
         kind = self._sensor.class_name()
         if moving and getattr(self._integrator, "sppp", 0) != 0 and kind != "PerspectiveCamera":
             msg = (
@@ -387,7 +389,7 @@ def _gradient_samples(integrator: Any, spp: int, spp_grad: int | None, most: int
     return 0 if any(getattr(integrator, name, None) for name in PARTS) else spp
 
 
-def seeds_of(seed: int) -> tuple[int, int]:
+def split_seed(seed: int) -> tuple[int, int]:
     """Independent seeds for the image and for its gradient, the same for the same `seed` everywhere."""
     number = whole_number(seed)
     if number is None or number < 0:

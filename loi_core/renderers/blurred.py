@@ -191,7 +191,7 @@ class BlurredRenderer:
 
         return image, pullback
 
-    def pull(self, params: Parameters, cotangent: Array, *, seed: int = 0, loss: Loss | None = None) -> Parameters:
+    def vjp(self, params: Parameters, cotangent: Array, *, seed: int = 0, loss: Loss | None = None) -> Parameters:
         """What the pullback of `render_vjp` gives for the parameters that are blurred, without an image.
 
         Of the loss itself, if that is given and losses are compared.

@@ -53,7 +53,7 @@ def check_outlines(scene: dict[str, Any], names: tuple[str, ...] = tuple(MOVES))
     """The gradient by how the block moves is that of central differences of images, to 3 % and its noise."""
     moves, at = {name: MOVES[name] for name in names}, {name: AT[name] for name in names}
     renderer = MitsubaRenderer(scene, moves, integrator=OUTLINES)
-    drawn = np.array([[float(renderer.pull(at, bump(), seed=seed)[name]) for name in names] for seed in range(DRAWS)])
+    drawn = np.array([[float(renderer.vjp(at, bump(), seed=seed)[name]) for name in names] for seed in range(DRAWS)])
     error = np.std(drawn, axis=0, ddof=1) / np.sqrt(DRAWS)
     images = MitsubaRenderer(scene, moves, integrator="scene", spp=256, without_gradient=moves)
     weight = bump().astype(np.float64)

@@ -67,7 +67,7 @@ def test_it_is_nearly_that_of_finite_differences(kind: str) -> None:
     targets: dict[str, Any] = {"x": Translate("ball", X), "y": Translate("ball", Y), "z": Translate("ball", Z)}
     renderer, glass = followed(scene, targets, spp=256)
     at = renderer.parameters()
-    mean = np.mean([list(glass.pull(at, RAMP, names=targets, seed=seed).values()) for seed in range(6)], axis=0)
+    mean = np.mean([list(glass.vjp(at, RAMP, names=targets, seed=seed).values()) for seed in range(6)], axis=0)
     wanted, _ = differences(renderer, at, dict.fromkeys(targets, 0.15))
     assert mean @ wanted > np.cos(np.radians(15.0)) * np.linalg.norm(mean) * np.linalg.norm(wanted)
     assert np.linalg.norm(mean) == pytest.approx(np.linalg.norm(wanted), rel=0.25)
@@ -77,9 +77,9 @@ def test_each_parameter_has_its_own() -> None:
     targets = {"x": Translate("ball", X), "size": Scale("ball")}
     renderer, glass = followed(glass_scene(), targets, spp=4)
     at = renderer.parameters()
-    both = glass.pull(at, RAMP, names=targets)
+    both = glass.vjp(at, RAMP, names=targets)
     for name in targets:
-        (alone,) = glass.pull(at, RAMP, names=[name]).values()
+        (alone,) = glass.vjp(at, RAMP, names=[name]).values()
         np.testing.assert_allclose(alone, both[name], rtol=1e-3)
 
 
@@ -91,7 +91,7 @@ def test_films_without_colour_or_with_alpha_have_it_too(film: str) -> None:
     moved = {"x": Translate("ball", X)}
     colours, glass = followed(glass_scene(), moved, spp=4)
     shares = np.array([0.2126, 0.7152, 0.0722], np.float32)
-    wanted = glass.pull(colours.parameters(), RAMP * shares, names=moved)["x"]
+    wanted = glass.vjp(colours.parameters(), RAMP * shares, names=moved)["x"]
     scene = glass_scene()
     scene["sensor"]["film"]["pixel_format"] = film
     other, glass = followed(scene, moved, spp=4)
@@ -101,7 +101,7 @@ def test_films_without_colour_or_with_alpha_have_it_too(film: str) -> None:
         cotangent[..., :3] = RAMP * shares
     else:
         cotangent[..., :1] = RAMP[..., :1]
-    found = glass.pull(other.parameters(), cotangent, names=moved)["x"]
+    found = glass.vjp(other.parameters(), cotangent, names=moved)["x"]
     np.testing.assert_allclose(found, wanted, rtol=1e-3)
 
 
@@ -174,7 +174,7 @@ def test_light_from_all_around_does_not_drown_it() -> None:
     """Most of it falls far out of view, where a point of the floor is ever so large a part of the film."""
     targets = {"y": Translate("ball", Y)}
     renderer, glass = followed(glass_scene(lamp={"type": "constant"}), targets, spp=4)
-    draws = [float(glass.pull(renderer.parameters(), RAMP, names=targets, seed=seed)["y"]) for seed in range(6)]
+    draws = [float(glass.vjp(renderer.parameters(), RAMP, names=targets, seed=seed)["y"]) for seed in range(6)]
     assert np.std(draws) < np.abs(np.mean(draws))
 
 

@@ -88,7 +88,7 @@ def test_it_is_that_of_finite_differences(kind: str) -> None:
     images = tuple(handles) if kind in ("point", "spot") else ()
     renderer = MitsubaRenderer(lit_scene(kind), handles, spp=128, without_gradient=images)
     lamps = AttachedEmitters(renderer, attachable_emitters(renderer.names, renderer.targets), 32)
-    drawn = [list(lamps.pull(at, RAMP, names=handles, seed=seed).values()) for seed in range(6)]
+    drawn = [list(lamps.vjp(at, RAMP, names=handles, seed=seed).values()) for seed in range(6)]
     mean, error = np.mean(drawn, axis=0), np.std(drawn, axis=0, ddof=1) / np.sqrt(6)
     wanted, unsure = differences(renderer, at, steps)
     rounding = 32.0 * np.finfo(np.float32).eps * np.max(np.abs(wanted))  # all that is there where a ball turns
@@ -106,7 +106,7 @@ def test_the_floor_may_be_wide_and_may_shine_itself(changes: dict[str, float]) -
     at: dict[str, Any] = {"x": np.float32(1.5), "y": np.float32(0.0)}
     renderer = MitsubaRenderer(scene, handles, spp=64, without_gradient=tuple(handles))
     lamps = AttachedEmitters(renderer, attachable_emitters(renderer.names, renderer.targets), 32)
-    drawn = [list(lamps.pull(at, RAMP, names=handles, seed=seed).values()) for seed in range(6)]
+    drawn = [list(lamps.vjp(at, RAMP, names=handles, seed=seed).values()) for seed in range(6)]
     mean, error = np.mean(drawn, axis=0), np.std(drawn, axis=0, ddof=1) / np.sqrt(6)
     wanted, unsure = differences(renderer, at, {"x": 0.1, "y": 0.1})
     np.testing.assert_array_less(np.abs(mean - wanted), 0.02 * np.abs(wanted) + 4.0 * np.hypot(error, unsure))
@@ -119,8 +119,8 @@ def test_its_noise_is_less_than_a_fiftieth_of_mitsubas_own() -> None:
         AttachedEmitters(renderer, attachable_emitters(renderer.names, renderer.targets), 16),
         renderer.parameters(),
     )
-    ours = [lamps.pull(at, RAMP, names=place, seed=seed)["place"] for seed in range(6)]
-    own = [renderer.pull(at, RAMP, seed=seed)["place"] for seed in range(6)]
+    ours = [lamps.vjp(at, RAMP, names=place, seed=seed)["place"] for seed in range(6)]
+    own = [renderer.vjp(at, RAMP, seed=seed)["place"] for seed in range(6)]
     assert np.linalg.norm(np.std(ours, axis=0)) < 0.02 * np.linalg.norm(np.std(own, axis=0))
 
 
@@ -134,7 +134,7 @@ def test_a_lamp_in_view_has_its_outline_too() -> None:
         AttachedEmitters(renderer, attachable_emitters(renderer.names, renderer.targets), 32),
         renderer.parameters(),
     )
-    drawn = [float(lamps.pull(at, RAMP, names=place, seed=seed)["x"]) for seed in range(8)]
+    drawn = [float(lamps.vjp(at, RAMP, names=place, seed=seed)["x"]) for seed in range(8)]
     wanted, unsure = differences(renderer, at, {"x": 0.1})
     error = np.hypot(np.std(drawn, ddof=1) / np.sqrt(8), unsure[0])
     assert np.mean(drawn) == pytest.approx(wanted[0], rel=0.03, abs=4.0 * error)
@@ -230,9 +230,9 @@ def test_each_parameter_has_the_gradient_that_is_best_for_it() -> None:
 @pytest.mark.filterwarnings("ignore:mesh 'lamp' stores the vertices:loi_mitsuba.GradientWarning")
 def test_what_scales_a_mesh_is_left_to_mitsuba() -> None:
     """Whose samples are as many to the area as before."""
-    for kind, follows in (("box", ["x"]), ("panel", ["x", "size"])):
+    for kind, wrt in (("box", ["x"]), ("panel", ["x", "size"])):
         renderer = MitsubaRenderer(lit_scene(kind), {"x": Translate("lamp", X), "size": Scale("lamp")}, spp=4)
-        assert list(attachable_emitters(renderer.names, renderer.targets)) == follows
+        assert list(attachable_emitters(renderer.names, renderer.targets)) == wrt
 
 
 def test_it_can_be_turned_off() -> None:

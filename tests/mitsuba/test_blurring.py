@@ -307,7 +307,7 @@ def test_the_lamp_in_the_neighbour_goes_where_the_light_goes(light: Any) -> None
     params = planned.parameters()
     params["light"] = params["light"] + np.float32(1.0)
     ramp = np.linspace(-1.0, 1.0, 64, dtype=np.float32)[None, :, None] * np.ones((48, 64, 3), np.float32)
-    pulled = planned.unabridged.pull(params, ramp)
+    pulled = planned.unabridged.vjp(params, ramp)
     assert np.any(pulled["x"])
     assert not np.any(pulled["light"])
     near = mi.traverse(planned.unabridged.proxy_scene)["loi_lamp_0.to_world"]  # type: ignore[attr-defined]

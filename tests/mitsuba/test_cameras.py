@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, Translate
-from loi_mitsuba.sensing.sensor import Eye
+from loi_mitsuba.sensing.sensor import PerspectiveSensor
 from tests.mitsuba.outlines import PLACE, check_outlines, glow, glowing_scene
 from tests.mitsuba.scenes import HEIGHT, WIDTH, shadow_scene
 from tests.strategies import thorough
@@ -50,7 +50,7 @@ def test_a_point_is_seen_where_the_sensor_says() -> None:
         meeting = mi.SurfaceInteraction3f()
         meeting.p = there
         wanted = np.array(sensor.sample_direction(meeting, mi.Point2f(0.5))[0].uv).ravel()
-        found = np.array(Eye(sensor).sees(there)[2]).ravel() * [WIDTH, HEIGHT]
+        found = np.array(PerspectiveSensor(sensor).project(there)[2]).ravel() * [WIDTH, HEIGHT]
         np.testing.assert_allclose(found, wanted, atol=1e-3)
 
 
@@ -80,7 +80,7 @@ def test_what_is_nearer_than_the_near_clipping_plane_hides_no_edge() -> None:
     for one in (scene, walled):
         with pytest.warns(GradientWarning):
             renderer = MitsubaRenderer(one, targets, integrator=edges)
-        pulled.append(renderer.pull(renderer.parameters(), cotangent, seed=1)["x"])
+        pulled.append(renderer.vjp(renderer.parameters(), cotangent, seed=1)["x"])
     assert abs(pulled[0]) > 0.0
     assert pulled[1] == pytest.approx(pulled[0], rel=1e-3)
     planned = PlannedRenderer(walled, targets)

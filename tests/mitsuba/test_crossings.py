@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from loi_mitsuba import GradientWarning, MitsubaRenderer, Translate
-from loi_mitsuba.boundary.intersections import Crossings
+from loi_mitsuba.boundary.intersections import IntersectionBoundary
 from tests.mitsuba.outlines import AT, MOVES, OUTLINES, PLACE, bump, check_outlines, glow, glowing_scene
 from tests.mitsuba.scenes import shadow_scene
 from tests.strategies import thorough
@@ -85,7 +85,7 @@ def test_light_that_grows_with_the_distance_from_a_crossing_is_that_at_the_cross
     def seen(place: Any, seed: int) -> float:
         return float(np.sum(renderer.render({"up": place}, seed=seed) * weight))
 
-    pulled = [float(renderer.pull({"up": at}, weight, seed=seed)["up"]) for seed in range(4)]
+    pulled = [float(renderer.vjp({"up": at}, weight, seed=seed)["up"]) for seed in range(4)]
     slopes = [(seen(at + step, seed) - seen(at - step, seed)) / (2.0 * float(step)) for seed in range(4)]
     unsure = math.hypot(*(float(np.std(each, ddof=1)) / 2.0 for each in (pulled, slopes)))
     assert np.mean(pulled) == pytest.approx(np.mean(slopes), rel=0.05, abs=4.0 * unsure)
@@ -97,10 +97,10 @@ def test_what_carries_forward_is_the_transpose_of_what_carries_back(pixels: str)
     scene["sensor"]["film"]["pixel_format"] = pixels
     renderer = MitsubaRenderer(scene, MOVES, integrator=OUTLINES | {"sppp": 16})
     weight = np.resize(bump(), renderer.render(AT).shape)
-    back = renderer.pull(AT, weight, seed=3)
+    back = renderer.vjp(AT, weight, seed=3)
     for name in ("x", "size"):
         along = {other: np.float32(other == name) for other in MOVES}
-        forward = np.sum(renderer.push(AT, along, seed=3).astype(np.float64) * weight)
+        forward = np.sum(renderer.jvp(AT, along, seed=3).astype(np.float64) * weight)
         assert float(back[name]) == pytest.approx(forward, rel=1e-3)
 
 
@@ -117,6 +117,6 @@ def test_shapes_apart_are_not_searched(monkeypatch: pytest.MonkeyPatch) -> None:
     def searched(*_: Any) -> None:
         pytest.fail("the image was searched for crossings")
 
-    monkeypatch.setattr(Crossings, "_changes", searched)
+    monkeypatch.setattr(IntersectionBoundary, "_changes", searched)
     scene = glowing_scene(block=ball(0, 1.5, 0, 1.0, emitter=glow(0.9, 0.2, 0.1)))
-    MitsubaRenderer(scene, MOVES, integrator=OUTLINES | {"sppp": 4}).pull(AT, bump())
+    MitsubaRenderer(scene, MOVES, integrator=OUTLINES | {"sppp": 4}).vjp(AT, bump())

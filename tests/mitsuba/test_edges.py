@@ -12,7 +12,7 @@ import pytest
 import trimesh
 
 from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, Rotate, Scale, Translate
-from loi_mitsuba.geometry.mesh import edges_of, has_sides, is_flat, sides_of
+from loi_mitsuba.geometry.mesh import crease_edges, edge_vertices, has_creases, is_flat_shaded
 from tests.helpers import Host
 from tests.mitsuba.outlines import check_outlines, glow, glowing_scene
 from tests.mitsuba.scenes import HEIGHT, WIDTH, box, shadow_scene
@@ -98,7 +98,7 @@ def test_a_box_has_the_gradient_of_finite_differences(light: str, kind: str, tmp
     """Mitsuba's own has the sign wrong in some of these cases, and up to seven times the size."""
     scene = lit_scene(light, cube(kind, tmp_path))
     planned = PlannedRenderer(scene, MOVES, spp=64)
-    drawn = [planned.unabridged.pull(AT, bump(), seed=seed) for seed in range(8)]
+    drawn = [planned.unabridged.vjp(AT, bump(), seed=seed) for seed in range(8)]
     rows = np.array([[float(one[name]) for name in MOVES] for one in drawn])
     error = np.std(rows, axis=0, ddof=1) / np.sqrt(len(rows))
     images = MitsubaRenderer(scene, MOVES, integrator="scene", spp=256, without_gradient=MOVES)
@@ -119,10 +119,10 @@ def test_what_carries_forward_is_the_transpose_of_what_carries_back(pixels: str)
     scene["sensor"]["film"]["pixel_format"] = pixels
     renderer = MitsubaRenderer(scene, names, integrator=EXACT, spp=16)
     weight = np.resize(bump(), renderer.render(at).shape)
-    back = renderer.pull(at, weight, seed=3)
+    back = renderer.vjp(at, weight, seed=3)
     for name in names:
         along = {other: np.float32(other == name) for other in names}
-        forward = np.sum(renderer.push(at, along, seed=3).astype(np.float64) * weight)
+        forward = np.sum(renderer.jvp(at, along, seed=3).astype(np.float64) * weight)
         assert float(back[name]) == pytest.approx(forward, rel=1e-3)
 
 
@@ -135,7 +135,7 @@ def test_outlines_are_drawn_by_any_integrator_that_has_them() -> None:
     scene["floor"]["bsdf"] = {"type": "diffuse", "reflectance": 0.0}
     with pytest.warns(GradientWarning, match="stores the vertices of an edge more than once"):
         renderers = [MitsubaRenderer(scene, MOVES, integrator=one, spp=64) for one in (None, EXACT)]
-    drawn = [[float(one.pull(AT, bump(), seed=seed)["x"]) for seed in range(4)] for one in renderers]
+    drawn = [[float(one.vjp(AT, bump(), seed=seed)["x"]) for seed in range(4)] for one in renderers]
     wanted = slopes(MitsubaRenderer(scene, MOVES, integrator="scene", spp=256, without_gradient=MOVES), ["x"])[0]
     for found in drawn:
         error = np.std(found, ddof=1) / 2.0
@@ -150,10 +150,10 @@ def test_what_else_moves_keeps_mitsubas_outlines() -> None:
     targets = {"x": MOVES["x"], "other": Translate("other", (1, 0, 0))}
     here = dict.fromkeys(targets, np.float32(0.0))
     both = MitsubaRenderer(scene, targets, integrator=EXACT)
-    pulled = [both.pull(here, bump(), seed=seed) for seed in range(4)]
+    pulled = [both.vjp(here, bump(), seed=seed) for seed in range(4)]
     for name, target in targets.items():
         alone = MitsubaRenderer(scene, {name: target}, integrator=EXACT)
-        wanted = [float(alone.pull({name: here[name]}, bump(), seed=seed)[name]) for seed in range(4)]
+        wanted = [float(alone.vjp({name: here[name]}, bump(), seed=seed)[name]) for seed in range(4)]
         found = [float(one[name]) for one in pulled]
         error = np.hypot(np.std(found, ddof=1), np.std(wanted, ddof=1)) / 2.0
         assert abs(np.mean(wanted)) > 10.0 * error
@@ -201,7 +201,7 @@ def test_how_bright_something_in_front_is_has_no_part_in_the_gradient(kind: str)
         white = {"type": "sphere", "radius": 0.3, "emitter": glow(*[brightness] * 3)}
         fronts = {"near": {"center": [0.45, 3.2, 3.0], **white}, "far": {"center": [0.15, 2.0, 2.6], **white}}
         renderer = MitsubaRenderer(glowing_scene(**shining, **fronts), MOVES, integrator=EXACT | {"sppp": 256})
-        drawn.append([list(renderer.pull(AT, weight, seed=seed).values()) for seed in range(3)])
+        drawn.append([list(renderer.vjp(AT, weight, seed=seed).values()) for seed in range(3)])
     np.testing.assert_allclose(drawn[1], drawn[0], rtol=1e-4, atol=1e-4 * np.max(np.abs(drawn[0])))
 
 
@@ -213,15 +213,15 @@ def test_edges_are_where_a_mesh_bends_or_ends(tmp_path: Path) -> None:
     smooth = loaded({"type": "ply", "filename": str(tmp_path / "ball.ply")})
     for kind in ("cube", "split", "whole"):
         made = loaded(cube(kind, tmp_path))
-        assert has_sides(made)
-        assert is_flat(made)
-        assert edges_of(made, sides_of(made))[0].shape == (12, 2)  # without the diagonals of its sides
-    assert not has_sides(smooth)
-    assert not has_sides(loaded({"type": "sphere"}))
-    assert not has_sides(loaded({"type": "rectangle"}))
+        assert has_creases(made)
+        assert is_flat_shaded(made)
+        assert edge_vertices(made, crease_edges(made))[0].shape == (12, 2)  # without the diagonals of its sides
+    assert not has_creases(smooth)
+    assert not has_creases(loaded({"type": "sphere"}))
+    assert not has_creases(loaded({"type": "rectangle"}))
     trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 0, 1]], [[0, 1, 2], [0, 3, 1]]).export(tmp_path / "open.ply")
     opened = loaded({"type": "ply", "filename": str(tmp_path / "open.ply"), "face_normals": True})
-    assert edges_of(opened, sides_of(opened))[0].shape == (5, 2)
+    assert edge_vertices(opened, crease_edges(opened))[0].shape == (5, 2)
 
 
 def test_a_fine_mesh_with_sides_keeps_the_edges_that_its_outline_is_made_of(tmp_path: Path) -> None:
@@ -229,8 +229,8 @@ def test_a_fine_mesh_with_sides_keeps_the_edges_that_its_outline_is_made_of(tmp_
     trimesh.creation.cylinder(0.7, 1.4, sections=200).export(tmp_path / "can.ply")
     block = {"type": "ply", "filename": str(tmp_path / "can.ply"), "face_normals": True}
     can = mi.load_dict({"type": "scene", "block": block}, optimize=False).shapes()[0]
-    assert has_sides(can)
-    along = np.array(mi.traverse(can)["vertex_positions"]).reshape(-1, 3)[edges_of(can, sides_of(can))[0]]
+    assert has_creases(can)
+    along = np.array(mi.traverse(can)["vertex_positions"]).reshape(-1, 3)[edge_vertices(can, crease_edges(can))[0]]
     upright = np.all(np.abs(np.diff(along, axis=1)[:, 0, :2]) < 1e-6, axis=1)
     assert np.count_nonzero(upright) == 200
 

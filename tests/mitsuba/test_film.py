@@ -86,6 +86,6 @@ def test_looking_up_is_the_transpose_of_splatting(pixel_format: str) -> None:
     value = mi.Color3f(*(mi.Float(rng.normal(size=count).astype(np.float32)) for _ in range(3)))
     cotangent = rng.normal(size=(HEIGHT, WIDTH, film.channels)).astype(np.float32)
     one = float(np.sum(film.splat(value, place) * cotangent))
-    other = float(np.sum(np.array(value) * np.array(film.looked_up(cotangent, place))))
+    other = float(np.sum(np.array(value) * np.array(film.gather(cotangent, place))))
     size = float(np.sum(np.abs(film.splat(value, place) * cotangent)))
     assert abs(one - other) < 1e-5 * size  # float32, over some hundred terms

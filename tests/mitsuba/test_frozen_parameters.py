@@ -14,9 +14,10 @@ import pytest
 from examples.effects.scenes import SUITE
 from loi_core import PixelL2, fit
 from loi_mitsuba import PlannedRenderer, Rotate, Translate
+from loi_mitsuba.effects.traits import traits_of
 from loi_mitsuba.scene.load import load_scene
 from loi_mitsuba.scene.parameters import SceneIndex
-from loi_mitsuba.traits import objects_of, traits_of
+from loi_mitsuba.scene.queries import group_by_shape
 from tests.helpers import Host
 from tests.mitsuba.scenes import shadow_scene
 
@@ -108,4 +109,4 @@ def test_what_moves_one_shape_is_one_object() -> None:
     }
     called = SceneIndex(load_scene(shadow_scene()))
     moving = traits_of(called, targets, called.scene.sensors()[0]).moving
-    assert objects_of(targets, moving) == (("x", "turn"), ("light",), ("lamp",))
+    assert group_by_shape(targets, moving) == (("x", "turn"), ("light",), ("lamp",))

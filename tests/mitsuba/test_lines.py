@@ -7,7 +7,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from loi_mitsuba.boundary.segments import Lines
+from loi_mitsuba.boundary.segments import SegmentSampler
 
 PLACE = mi.ScalarTransform4f
 SIZE = 16
@@ -15,7 +15,7 @@ SAMPLES = 256
 LEAN = 45.0  # degrees
 
 
-def ridge(width: float) -> tuple[mi.Scene, Lines]:
+def ridge(width: float) -> tuple[mi.Scene, SegmentSampler]:
     """A strip that faces the camera, so many pixels wide, between two walls that lean away from it."""
     half = width / SIZE  # of the view at the strip, which is 2 wide
     shapes = {"strip": {"type": "rectangle", "to_world": PLACE().scale([half, 100.0, 1.0])}}
@@ -32,7 +32,7 @@ def ridge(width: float) -> tuple[mi.Scene, Lines]:
         "film": {"type": "hdrfilm", "width": SIZE, "height": SIZE},
     }
     scene = mi.load_dict({"type": "scene", "camera": camera, **shapes})
-    return scene, Lines(scene.sensors()[0])
+    return scene, SegmentSampler(scene.sensors()[0])
 
 
 @pytest.mark.parametrize("width", [3.0, 0.7, 0.3])

@@ -17,7 +17,7 @@ from loi_core import LOIObjective, ScaleSpace
 from loi_core.errors import ImageError, ImageTypeError, NonFiniteImageError, OptionError
 from loi_core.support.installed import how_to_install
 from loi_mitsuba import LOILoss
-from loi_mitsuba.drjit.alignment import aligned
+from loi_mitsuba.drjit.arrays import aligned_copy
 from tests.helpers import Host, images, relative_error
 
 SCALES = ScaleSpace(1, (1, 5), 0.125)
@@ -31,7 +31,7 @@ VALUE, GRADIENT = 1e-5, 2e-3
 
 def attached(image: Host) -> Any:
     """Where Dr.Jit has one kernel for it, wherever NumPy puts the image."""
-    tensor = mi.TensorXf(mi.Float(aligned(image.astype(np.float32).reshape(-1))), shape=image.shape)
+    tensor = mi.TensorXf(mi.Float(aligned_copy(image.astype(np.float32).reshape(-1))), shape=image.shape)
     dr.enable_grad(tensor)
     return tensor
 

@@ -100,7 +100,7 @@ def test_both_renderers_have_one_gradient_of_a_box(tmp_path: Path) -> None:
     scene = theirs("box", tmp_path)
     renderer = MitsubaRenderer(scene, {"x": Translate("shape", (1, 0, 0))}, integrator="scene", spp_grad=256)
     weight = weights().astype(np.float32)
-    estimates = [float(renderer.pull({"x": np.float32(OFFSET)}, weight, seed=seed)["x"]) for seed in range(8)]
+    estimates = [float(renderer.vjp({"x": np.float32(OFFSET)}, weight, seed=seed)["x"]) for seed in range(8)]
     assert agreed(slope("box"), estimates, 0.03)
 
 

@@ -13,9 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from loi_mitsuba import PlannedRenderer, Translate
-from loi_mitsuba.geometry.coincident_edges import pieces_of
-from loi_mitsuba.geometry.components import Parts
-from loi_mitsuba.geometry.mesh import parts_of
+from loi_mitsuba.geometry.coincident_edges import uncovered_segments
+from loi_mitsuba.geometry.components import ComponentIds
+from loi_mitsuba.geometry.mesh import connected_components
 from tests.helpers import Host
 from tests.mitsuba.scenes import HEIGHT, WIDTH, shadow_scene
 
@@ -79,7 +79,7 @@ def renderer_of(mesh: trimesh.Trimesh, folder: Path, light: str) -> Any:
 def gradients(renderer: Any, weights: list[Host]) -> Host:
     """By draw, weight and parameter."""
     at = renderer.parameters()
-    drawn = [[list(renderer.pull(at, one, seed=seed).values()) for one in weights] for seed in range(DRAWS)]
+    drawn = [[list(renderer.vjp(at, one, seed=seed).values()) for one in weights] for seed in range(DRAWS)]
     return np.array(drawn, dtype=np.float64)
 
 
@@ -118,7 +118,7 @@ def test_every_point_of_a_line_is_of_one_edge(spans: list[tuple[int, int, int]],
     )
     positions = points.astype(np.float32)
     ends = np.stack([np.arange(len(spans)), np.arange(len(spans)) + len(spans)], axis=1)
-    which, between = pieces_of(positions, ends)
+    which, between = uncovered_segments(positions, ends)
     at = first[which, None] + (second - first)[which, None] * between
     for number in set(line.tolist()):
         own = np.sort(np.sort(at[line[which] == number], axis=1), axis=0)
@@ -129,7 +129,7 @@ def test_every_point_of_a_line_is_of_one_edge(spans: list[tuple[int, int, int]],
 
 def test_edges_apart_are_whole() -> None:
     ball = trimesh.creation.icosphere(3)
-    which, between = pieces_of(np.array(ball.vertices), np.array(ball.edges_unique))
+    which, between = uncovered_segments(np.array(ball.vertices), np.array(ball.edges_unique))
     assert which.tolist() == list(range(len(ball.edges_unique)))
     assert np.all(between == [0.0, 1.0])
 
@@ -143,7 +143,7 @@ def test_a_mesh_is_of_as_many_parts_as_hang_together(tmp_path: Path) -> None:
         faces = np.random.default_rng(0).permutation(np.array(mesh.faces))
         trimesh.Trimesh(mesh.vertices, faces, process=False).export(tmp_path / f"{name}.ply")
         shape = mi.load_dict({"type": "ply", "filename": str(tmp_path / f"{name}.ply")})
-        assert sorted(np.bincount(parts_of(shape)).tolist()) == counts
+        assert sorted(np.bincount(connected_components(shape)).tolist()) == counts
 
 
 def test_what_a_ray_hits_is_told_by_part(tmp_path: Path) -> None:
@@ -155,7 +155,7 @@ def test_what_a_ray_hits_is_told_by_part(tmp_path: Path) -> None:
     ]
     scene = mi.load_dict({"type": "scene", "one": bars[0], "other": bars[1]})
     shapes = scene.shapes()
-    parts = Parts(shapes, shapes)
+    parts = ComponentIds(shapes, shapes)
     told, hits = set(), 0
     for place, shape in enumerate(shapes):
         params = mi.traverse(shape)
@@ -168,7 +168,10 @@ def test_what_a_ray_hits_is_told_by_part(tmp_path: Path) -> None:
         triangles = np.array(hit.prim_index)
         hits += len(set(triangles.tolist()))  # not all: of two in one plane it is one
         numbers = np.array(parts.of(hit))
-        told |= {(place, part, number) for part, number in np.stack([parts_of(shape)[triangles], numbers]).T.tolist()}
+        told |= {
+            (place, part, number)
+            for part, number in np.stack([connected_components(shape)[triangles], numbers]).T.tolist()
+        }
     assert hits > 40
     assert len(told) == 4
     assert len({number for _, _, number in told}) == 4
@@ -184,4 +187,4 @@ def test_only_parts_whose_boxes_touch_are_told_apart() -> None:
         params["vertex_positions"] = mi.Float(np.array(mesh.vertices, dtype=np.float32).ravel())
         params["faces"] = mi.UInt32(np.array(mesh.faces, dtype=np.uint32).ravel())
         params.update()
-        assert Parts([shape], [shape]).meet == meet
+        assert ComponentIds([shape], [shape]).meet == meet

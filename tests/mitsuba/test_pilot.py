@@ -93,7 +93,7 @@ def test_an_object_that_comes_into_view_has_its_outline_at_once(caplog: pytest.L
     cotangent = objective.value_and_grad(image)[1]
     gradient = pullback(cotangent)["place"]
     fixed = MitsubaRenderer(shadow_scene(integrator=DIRECT), HIGH, integrator=renderer.plan)
-    np.testing.assert_allclose(gradient, fixed.pull(seen, cotangent, seed=1)["place"], rtol=1e-3, atol=1e-7)
+    np.testing.assert_allclose(gradient, fixed.vjp(seen, cotangent, seed=1)["place"], rtol=1e-3, atol=1e-7)
 
 
 def wall_scene() -> dict[str, Any]:
@@ -201,7 +201,7 @@ def test_an_object_that_is_felt_only_by_the_light_it_reflects_keeps_its_bounces(
     assert Effect.BOUNCES in renderer.plan.on
     direct = {"type": "direct_projective", "guiding": "none"}
     blind = MitsubaRenderer(scene, {"x": Translate("ball", (1, 0, 0))}, integrator=direct)
-    assert not np.any(blind.pull({"x": np.array(0.0)}, np.ones((48, 64, 3)))["x"])
+    assert not np.any(blind.vjp({"x": np.array(0.0)}, np.ones((48, 64, 3)))["x"])
 
 
 def test_only_what_is_optimised_is_planned_for_and_pulled_back() -> None:
@@ -259,9 +259,9 @@ def test_the_image_s_derivative_is_the_transpose_of_the_pullback() -> None:
     params = renderer.parameters()
     rng = np.random.default_rng(0)
     tangent = {name: np.float32(rng.standard_normal(value.shape)) for name, value in params.items()}
-    pushed: Host = renderer.push(params, tangent, seed=3)
+    pushed: Host = renderer.jvp(params, tangent, seed=3)
     cotangent = np.float32(rng.standard_normal(pushed.shape))
-    pulled = renderer.pull(params, cotangent, seed=3)
+    pulled = renderer.vjp(params, cotangent, seed=3)
     size = float(np.linalg.norm(cotangent) * np.linalg.norm(pushed))
     along = sum(float(np.vdot(pulled[name], tangent[name])) for name in params)
     assert along == pytest.approx(float(np.vdot(cotangent, pushed)), abs=1e-5 * size)

@@ -41,7 +41,7 @@ def test_the_gradient_of_a_shiny_ball_under_a_sun_goes_where_finite_differences_
     planned = PlannedRenderer(shiny_scene(kind), AXES, spp=64)
     assert not planned.plan.blurred
     renderer, here, step = planned.unabridged, planned.parameters(), 0.04
-    drawn = [renderer.pull(here, blocks(), seed=seed) for seed in range(16)]
+    drawn = [renderer.vjp(here, blocks(), seed=seed) for seed in range(16)]
     found = np.array([[float(one[name]) for name in AXES] for one in drawn])
     slopes = []
     for name in AXES:

@@ -105,7 +105,7 @@ def test_shadows_of_lights_without_a_size_have_the_gradient_of_finite_difference
     scene = lit_scene(kind)
     planned = PlannedRenderer(scene, AXES, spp=64)
     exact = planned.unabridged.with_integrator("scene", spp=512)
-    drawn = [planned.unabridged.pull(HERE, RAMP, seed=seed) for seed in range(8)]
+    drawn = [planned.unabridged.vjp(HERE, RAMP, seed=seed) for seed in range(8)]
     slopes, errors, found = np.zeros(2), np.zeros(2), np.zeros(2)
     for k, name in enumerate(AXES):
         ahead, behind = (exact.render({**HERE, name: np.float32(by)}, seed=1) for by in (0.1, -0.1))
@@ -124,7 +124,7 @@ def test_all_but_shadows_is_the_scene_s_own_under_lights_without_a_size(kind: st
     without_shadows = {"type": "direct_projective", "guiding": "none", "sppc": 8, "sppp": 8, "sppi": 0}
     planned = PlannedRenderer(scene, AXES).unabridged.with_integrator(without_shadows)
     own = MitsubaRenderer(scene, AXES, integrator=without_shadows)
-    found, wanted = (one.pull(HERE, RAMP, seed=2) for one in (planned, own))
+    found, wanted = (one.vjp(HERE, RAMP, seed=2) for one in (planned, own))
     assert all(wanted.values())
     for name, value in wanted.items():
         np.testing.assert_allclose(found[name], value, rtol=1e-4)
@@ -141,7 +141,7 @@ def test_the_shadow_of_something_small_has_a_gradient_that_pixels_see() -> None:
     drawn = []
     for seed in range(8):
         cotangent = objective.value_and_grad(planned.render(beside, seed=seed))[1]
-        drawn.append(float(planned.unabridged.pull(beside, cotangent, seed=seed)["x"]))
+        drawn.append(float(planned.unabridged.vjp(beside, cotangent, seed=seed)["x"]))
     ahead, behind = (
         float(objective.value(exact.render({**HERE, "x": HERE["x"] + np.float32(by)}, seed=1))) for by in (0.15, 0.05)
     )
@@ -175,7 +175,7 @@ def test_nothing_is_exchanged_that_no_parameter_calls_for() -> None:
         assert not PlannedRenderer(lit_scene(), AXES, proxy={"lights": 0.0}).plan.exchanged
     with pytest.warns(GradientWarning, match="moves under a PointLight"):
         alone = PlannedRenderer(lit_scene(), AXES, proxy=None)
-    gradient = alone.unabridged.pull(HERE, np.ones((48, 64, 3), np.float32))
+    gradient = alone.unabridged.vjp(HERE, np.ones((48, 64, 3), np.float32))
     assert not np.any(gradient["x"])
 
 
@@ -228,7 +228,7 @@ def test_parameters_of_lights_mean_the_same_ones_in_the_neighbour(tmp_path: Path
         with pytest.warns(GradientWarning, match="moves under a SpotLight"):
             planned = PlannedRenderer(scene, {**AXES, **powers}, spp=16)
         assert list(planned.plan.exchanged) == ["point light (1)", "point light (2)"]
-        planned.unabridged.pull({**planned.parameters(), "spot": np.full(3, 9.0, np.float32)}, RAMP)
+        planned.unabridged.vjp({**planned.parameters(), "spot": np.full(3, 9.0, np.float32)}, RAMP)
         near = mi.traverse(planned.unabridged.proxy_scene)  # type: ignore[attr-defined]
         (spot,) = (key for key in near.properties if key.endswith(".intensity.value"))
         np.testing.assert_allclose(np.array(near[spot]).reshape(-1), 9.0)
@@ -264,7 +264,7 @@ def test_files_and_loaded_scenes_have_neighbours_too(tmp_path: Path) -> None:
     for scene in (path, loaded, lit_scene()):
         planned = PlannedRenderer(scene, AXES, spp=128)
         assert len(planned.plan.exchanged) == 1
-        gradients.append(np.mean([planned.unabridged.pull(HERE, RAMP, seed=k)["x"] for k in range(3)]))
+        gradients.append(np.mean([planned.unabridged.vjp(HERE, RAMP, seed=k)["x"] for k in range(3)]))
     assert gradients[0] == pytest.approx(gradients[1], rel=0.15)
     assert np.sign(gradients[0]) == np.sign(gradients[2])
     assert [one.id() for one in loaded.shapes()] == before
@@ -276,7 +276,7 @@ def test_what_does_not_move_has_the_gradient_of_the_scene_itself() -> None:
     planned = PlannedRenderer(lit_scene("point placed"), both, spp=64)
     params: dict[str, Any] = {**HERE, "brightness": np.array([300.0, 120.0, 90.0], np.float32)}
     cotangent = np.ones((48, 64, 3), np.float32)
-    pulled = planned.unabridged.pull(params, cotangent)
+    pulled = planned.unabridged.vjp(params, cotangent)
     image = planned.unabridged.with_integrator("scene", spp=64).render(params)
     # The image is proportional to the light.
     np.testing.assert_allclose(pulled["brightness"] * params["brightness"], image.sum(axis=(0, 1)), rtol=0.05)
@@ -308,7 +308,7 @@ def test_edges_in_perfect_mirrors_have_the_gradient_of_finite_differences() -> N
     exact = planned.unabridged.with_integrator("scene", spp=256)
     ahead, behind = (exact.render({**HERE, "x": np.float32(by)}, seed=1) for by in (0.1, -0.1))
     slope = float(np.sum((ahead - behind) * RAMP)) / 0.2
-    found = np.array([float(planned.unabridged.pull(HERE, RAMP, seed=seed)["x"]) for seed in range(6)])
+    found = np.array([float(planned.unabridged.vjp(HERE, RAMP, seed=seed)["x"]) for seed in range(6)])
     assert found.mean() == pytest.approx(slope, rel=0.1, abs=3.0 * found.std(ddof=1) / np.sqrt(len(found)))
 
 

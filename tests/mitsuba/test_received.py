@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from loi_mitsuba import MitsubaRenderer, Translate
-from loi_mitsuba.boundary.received_shadows import Received
+from loi_mitsuba.boundary.received_shadows import ReceivedShadowBoundary
 from tests.helpers import Host
 from tests.mitsuba.scenes import HEIGHT, WIDTH, box, shadow_scene
 
@@ -34,7 +34,7 @@ def scene_of(kind: str) -> dict[str, Any]:
 
 def slopes_of(renderer: MitsubaRenderer, weight: Host, seeds: int) -> tuple[Host, Host]:
     """Mean gradient over seeds, and its standard error."""
-    drawn = np.array([list(renderer.pull(HERE, weight, seed=seed).values()) for seed in range(seeds)])
+    drawn = np.array([list(renderer.vjp(HERE, weight, seed=seed).values()) for seed in range(seeds)])
     return drawn.mean(axis=0), drawn.std(axis=0, ddof=1) / np.sqrt(seeds)
 
 
@@ -54,7 +54,7 @@ def test_it_is_that_of_finite_differences(kind: str, monkeypatch: pytest.MonkeyP
     assert np.linalg.norm(error) < 0.1 * size
     assert np.linalg.norm(found - wanted) < 0.05 * size + 3.0 * np.linalg.norm(error)
 
-    monkeypatch.setattr(Received, "of", lambda *_: None)
+    monkeypatch.setattr(ReceivedShadowBoundary, "of", lambda *_: None)
     without, _ = slopes_of(MitsubaRenderer(scene, MOVES, spp=64), weight, 8)
     assert np.linalg.norm(without - wanted) > 0.1 * size
 
@@ -71,7 +71,7 @@ def test_it_does_not_depend_on_how_fine_an_image_is() -> None:
         shadows = SHADOWS | {"sppi": 4096 // finer**2}
         renderer = MitsubaRenderer(scene, {"y": Translate("ball", (0, 1, 0))}, integrator=shadows)
         weight = np.full((height, width, 3), 1.0 / (width * height), np.float32)
-        drawn = [float(renderer.pull({"y": np.float32(0.0)}, weight, seed=seed)["y"]) for seed in range(16)]
+        drawn = [float(renderer.vjp({"y": np.float32(0.0)}, weight, seed=seed)["y"]) for seed in range(16)]
         found.append((np.mean(drawn), np.std(drawn, ddof=1) / 4.0))
     (coarse, one), (fine, other) = found
     assert other < 0.1 * abs(fine)
@@ -88,9 +88,9 @@ def test_what_bulges_everywhere_receives_no_shadow_of_its_own(boxed: bool, monke
     thing = box((0.0, 1.0, 0.0), 0.6) if boxed else ball(0.0, 1.0, 0.0, 0.6)
     scene = shadow_scene(**DIRECT, ball=thing, lamp=lamp)
     weight = np.ones((HEIGHT, WIDTH, 3), np.float32)
-    found = MitsubaRenderer(scene, MOVES, integrator=SHADOWS).pull(HERE, weight)
-    monkeypatch.setattr(Received, "of", lambda *_: None)
-    wanted = MitsubaRenderer(scene, MOVES, integrator=SHADOWS).pull(HERE, weight)
+    found = MitsubaRenderer(scene, MOVES, integrator=SHADOWS).vjp(HERE, weight)
+    monkeypatch.setattr(ReceivedShadowBoundary, "of", lambda *_: None)
+    wanted = MitsubaRenderer(scene, MOVES, integrator=SHADOWS).vjp(HERE, weight)
     assert all(wanted.values())
     for name, value in wanted.items():
         np.testing.assert_allclose(found[name], value, rtol=1e-5)
@@ -103,5 +103,5 @@ def test_no_sample_of_a_round_lamp_outweighs_the_gradient(integrator: dict[str, 
     scene = shadow_scene(**DIRECT, ball=ball(0.0, 1.5, 0.0, 0.6), lamp=lamp)
     renderer = MitsubaRenderer(scene, {"y": Translate("floor", (0, 1, 0))}, integrator=integrator, spp=32)
     weight = np.ones((HEIGHT, WIDTH, 3), np.float32)
-    drawn = [float(renderer.pull({"y": np.float32(0.0)}, weight, seed=seed)["y"]) for seed in range(100, 100 + draws)]
+    drawn = [float(renderer.vjp({"y": np.float32(0.0)}, weight, seed=seed)["y"]) for seed in range(100, 100 + draws)]
     assert np.ptp(drawn) < 0.3 * abs(np.median(drawn))

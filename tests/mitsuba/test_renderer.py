@@ -461,7 +461,7 @@ def test_edges_count_alike_whether_or_not_the_film_samples_its_border(rfilter: s
     renderer = MitsubaRenderer(scene, {"place": Translate("ball")}, spp=256)
     at = {"place": np.array([0.3, height, 0.2], np.float32)}
     ramp = np.linspace(-1.0, 1.0, 32, dtype=np.float32)[None, :, None] * np.ones((24, 32, 3), np.float32)
-    drawn = [float(renderer.pull(at, ramp, seed=seed)["place"][0]) for seed in range(6)]
+    drawn = [float(renderer.vjp(at, ramp, seed=seed)["place"][0]) for seed in range(6)]
     slopes = []
     for seed in range(4):
         ahead, behind = (

@@ -22,7 +22,7 @@ from loi_mitsuba import (
     Translate,
     plan_effects,
 )
-from loi_mitsuba.traits import View
+from loi_mitsuba.sensing.frustum import Frustum
 from tests.mitsuba.scenes import box, shadow_scene
 
 EDGES = {Effect.PRIMARY, Effect.INDIRECT}
@@ -190,7 +190,7 @@ def test_a_shape_is_in_view_exactly_where_its_box_may_be_seen() -> None:
     agreed = {True: 0, False: 0}
     for place in np.random.default_rng(0).uniform(-7, 9, (60, 3)):
         visible = bool(renderer.render({"place": place}).any())
-        seen = View(renderer.sensor).has(ball)
+        seen = Frustum(renderer.sensor).overlaps(ball)
         assert seen or not visible
         agreed[seen] += seen == visible
     assert agreed[True] >= 5

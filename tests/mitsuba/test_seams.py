@@ -13,8 +13,8 @@ import trimesh
 
 from loi_core.errors import OptionError
 from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, Rotate, Translate
-from loi_mitsuba.diagnostics import is_crowded
-from loi_mitsuba.geometry.mesh import crowded_share, has_seams, is_hard, is_inside_out
+from loi_mitsuba.diagnostics import is_non_manifold
+from loi_mitsuba.geometry.mesh import has_inward_normals, is_sharp_edged, is_unwelded, non_manifold_fraction
 from tests.mitsuba.scenes import HEIGHT, WIDTH, box, random_cotangent, shadow_scene
 from tests.strategies import thorough
 
@@ -46,7 +46,7 @@ def scene_of(mesh: dict[str, Any]) -> dict[str, Any]:
 def gradients(renderer: PlannedRenderer, draws: int = 1) -> Any:
     """By parameter, the gradient of each draw."""
     here = renderer.parameters()
-    drawn = [renderer.unabridged.pull(here, RAMP, seed=seed) for seed in range(draws)]
+    drawn = [renderer.unabridged.vjp(here, RAMP, seed=seed) for seed in range(draws)]
     return {name: np.array([float(one[name]) for one in drawn]) for name in here}
 
 
@@ -103,15 +103,20 @@ def test_edges_are_hard_where_triangles_that_meet_are_shaded_otherwise(tmp_path:
     cube = loaded({"type": "cube"})
     smooth = loaded({"type": "ply", "filename": ball_file(tmp_path, split=True, normals=True)})
     whole = loaded({"type": "ply", "filename": ball_file(tmp_path, split=False)})
-    assert [has_seams(one) for one in (cube, smooth, whole, loaded({"type": "rectangle"}))] == [
+    assert [is_unwelded(one) for one in (cube, smooth, whole, loaded({"type": "rectangle"}))] == [
         True,
         True,
         False,
         False,
     ]
     flat = loaded({"type": "ply", "filename": ball_file(tmp_path, split=True), "face_normals": True})
-    assert [is_hard(one) for one in (cube, smooth, flat, box((0.0, 0.0, 0.0), 1.0))] == [True, False, False, True]
-    assert not has_seams(loaded({"type": "sphere"}))
+    assert [is_sharp_edged(one) for one in (cube, smooth, flat, box((0.0, 0.0, 0.0), 1.0))] == [
+        True,
+        False,
+        False,
+        True,
+    ]
+    assert not is_unwelded(loaded({"type": "sphere"}))
 
 
 @pytest.mark.parametrize("film", [{}, {"sample_border": True}, {"rfilter": {"type": "box"}}])
@@ -157,7 +162,7 @@ def test_edges_that_mitsuba_counts_several_times_are_told_of_and_blurred(
 ) -> None:
     mesh = {"type": "ply", "filename": crowded_file(tmp_path, kind), "face_normals": True}
     shape = mi.load_dict({"type": "scene", "mesh": mesh}, optimize=False).shapes()[0]
-    assert is_crowded(shape) == crowded
+    assert is_non_manifold(shape) == crowded
     planned = PlannedRenderer(scene_of(mesh), MOVES, spp=4)
     assert list(planned.plan.blurred) == (["x"] if crowded else [])
     with pytest.warns(GradientWarning) as told:
@@ -175,7 +180,7 @@ def test_vertices_of_a_crowded_mesh_are_not_blurred_but_told_of(tmp_path: Path) 
 def test_a_smooth_mesh_is_not_crowded(tmp_path: Path) -> None:
     for split in (True, False):
         mesh = {"type": "ply", "filename": ball_file(tmp_path, split=split)}
-        assert crowded_share(mi.load_dict({"type": "scene", "mesh": mesh}, optimize=False).shapes()[0]) == 0.0
+        assert non_manifold_fraction(mi.load_dict({"type": "scene", "mesh": mesh}, optimize=False).shapes()[0]) == 0.0
 
 
 def test_a_cutout_is_blurred_and_told_of() -> None:
@@ -210,15 +215,15 @@ def test_a_box_keeps_its_texture_though_its_corners_are_shared() -> None:
         alone = MitsubaRenderer(scene, MOVES, integrator=seen)
     both = planned.unabridged.with_integrator(seen)
     here, cotangent = planned.parameters(), random_cotangent()
-    wanted, found = (one.pull(here, cotangent, seed=1)["x"] for one in (alone, both))
+    wanted, found = (one.vjp(here, cotangent, seed=1)["x"] for one in (alone, both))
     assert abs(wanted) > 0.0
     np.testing.assert_allclose(found, wanted, rtol=1e-4)
     shadow = both.with_integrator(seen | {"sppc": 0, "sppp": 0, "sppi": 8})
-    assert abs(shadow.pull(here, cotangent, seed=1)["x"]) > 0.0
+    assert abs(shadow.vjp(here, cotangent, seed=1)["x"]) > 0.0
     whole = both.with_integrator(seen | {"sppi": 8})
     ahead = {name: np.ones_like(value) for name, value in here.items()}
-    along = np.vdot(whole.push(here, ahead, seed=2), cotangent)
-    assert float(whole.pull(here, cotangent, seed=2)["x"]) == pytest.approx(float(along), rel=1e-3)
+    along = np.vdot(whole.jvp(here, ahead, seed=2), cotangent)
+    assert float(whole.vjp(here, cotangent, seed=2)["x"]) == pytest.approx(float(along), rel=1e-3)
 
 
 MIRRORED = {"to_world": ("scale", [-1, 1, 1])}
@@ -247,7 +252,7 @@ def test_what_is_turned_inside_out_is_blurred_and_told_of(
         shape["to_world"] = mi.ScalarTransform4f().scale(shape["to_world"][1])
     scene = shadow_scene(mesh=shape | {"bsdf": {"type": "twosided", "nested": {"type": "diffuse"}}})
     (found,) = (one for one in mi.load_dict(scene, optimize=False).shapes() if one.id() == "mesh")
-    assert is_inside_out(found) == inside_out
+    assert has_inward_normals(found) == inside_out
     assert list(PlannedRenderer(scene, MOVES).plan.blurred) == (["x"] if inside_out else [])
     MitsubaRenderer(scene, MOVES)
     assert any("normals that point inwards" in str(one.message) for one in recwarn) == inside_out

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from loi_mitsuba import MitsubaRenderer, Translate
-from loi_mitsuba.boundary.area_jacobian import horizons_bounded
-from loi_mitsuba.boundary.received_shadows import Received
-from loi_mitsuba.renderer import seeds_of
+from loi_mitsuba.boundary.area_jacobian import clamped_area_jacobian
+from loi_mitsuba.boundary.received_shadows import ReceivedShadowBoundary
+from loi_mitsuba.renderer import split_seed
 from tests.helpers import Host
 from tests.mitsuba.scenes import HEIGHT, WIDTH, shadow_scene
 
@@ -57,7 +57,7 @@ def test_the_gradient_is_that_of_mitsuba(kind: str, part: str, film: dict[str, A
     renderer = MitsubaRenderer(ball_in_view(**film), MOVES, integrator=described)
     at = {"x": np.float32(0.0)}
     weight = smooth(renderer.render(at))
-    found = float(renderer.pull(at, weight, seed=3)["x"])
+    found = float(renderer.vjp(at, weight, seed=3)["x"])
 
     params = mi.traverse(renderer.scene)
     x = mi.Float(0.0)
@@ -65,8 +65,8 @@ def test_the_gradient_is_that_of_mitsuba(kind: str, part: str, film: dict[str, A
     params["ball.to_world"] = mi.Transform4f().translate(mi.Vector3f(x, 0.0, 0.0)) @ params["ball.to_world"]
     params.update()
     own = mi.load_dict(described)
-    with horizons_bounded(own):
-        own.render_backward(renderer.scene, params, mi.TensorXf(weight), renderer.sensor, seeds_of(3)[1], 0)
+    with clamped_area_jacobian(own):
+        own.render_backward(renderer.scene, params, mi.TensorXf(weight), renderer.sensor, split_seed(3)[1], 0)
     wanted = float(dr.grad(x)[0])
     assert abs(wanted) > 1.0
     assert found == pytest.approx(wanted, rel=1e-4)  # sums of some ten thousand float32
@@ -77,7 +77,7 @@ def check_same_gradient(part: str, draws: int, *views: tuple[dict[str, Any], Hos
     drawn = []
     for scene, weight in views:
         renderer = MitsubaRenderer(scene, MOVES, integrator=integrator("direct_projective", part, 256))
-        drawn.append([float(renderer.pull({"x": np.float32(0.0)}, weight, seed=seed)["x"]) for seed in range(draws)])
+        drawn.append([float(renderer.vjp({"x": np.float32(0.0)}, weight, seed=seed)["x"]) for seed in range(draws)])
     wanted, found = np.mean(drawn, axis=1)
     error = float(np.linalg.norm(np.std(drawn, axis=1, ddof=1)) / np.sqrt(draws))
     assert abs(wanted) > 8.0 * error
@@ -116,14 +116,14 @@ def test_rays_are_traced_once_for_a_gradient_and_once_for_the_change_of_the_imag
     part: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Mitsuba traces them twice, and for the change of an image once for each of 25 pixels under the filter."""
-    monkeypatch.setattr(Received, "of", lambda *_: None)  # which traces rays of its own
+    monkeypatch.setattr(ReceivedShadowBoundary, "of", lambda *_: None)  # which traces rays of its own
     scene = ball_in_view(rfilter={"type": "gaussian"})
     renderer = MitsubaRenderer(scene, MOVES, integrator=integrator("direct_projective", part))
     at, ones = {"x": np.float32(0.0)}, np.ones((HEIGHT, WIDTH, 3), np.float32)
     kernels()
-    renderer.pull(at, ones)
+    renderer.vjp(at, ones)
     assert len(kernels()) == 1
-    renderer.push(at, {"x": np.float32(1.0)})
+    renderer.jvp(at, {"x": np.float32(1.0)})
     assert len(kernels()) == 1
 
 
@@ -134,7 +134,7 @@ def test_rays_are_traced_once_for_how_shading_changes_the_image() -> None:
     renderer = MitsubaRenderer(scene, target, integrator=integrator("direct_projective", "sppc"))
     params = renderer.parameters()
     kernels()
-    pushed = renderer.push(params, {"floor": np.ones(3, np.float32)})
+    pushed = renderer.jvp(params, {"floor": np.ones(3, np.float32)})
     assert len(kernels()) == 1
     assert np.any(pushed)
 
@@ -148,7 +148,7 @@ def test_another_number_of_samples_compiles_nothing(part: str) -> None:
     for samples in (8, 4, 2):
         one = renderer.with_integrator(integrator("direct_projective", part, samples))
         kernels()
-        one.pull({"x": np.float32(0.0)}, np.ones((HEIGHT, WIDTH, 3), np.float32))
+        one.vjp({"x": np.float32(0.0)}, np.ones((HEIGHT, WIDTH, 3), np.float32))
         counts.append(sum(not kernel["cache_hit"] for kernel in kernels()))
     assert counts[1:] == [0, 0]
 
@@ -158,8 +158,8 @@ def test_silhouettes_are_not_drawn_where_nothing_moves() -> None:
     renderer = MitsubaRenderer(ball_in_view(), {"floor": "floor.bsdf.reflectance.value"})
     params = renderer.parameters()
     kernels()
-    renderer.pull(params, np.ones((HEIGHT, WIDTH, 3), np.float32))
+    renderer.vjp(params, np.ones((HEIGHT, WIDTH, 3), np.float32))
     both = len(kernels())
     shading = renderer.with_integrator(integrator("direct_projective", "sppc"))
-    shading.pull(params, np.ones((HEIGHT, WIDTH, 3), np.float32))
+    shading.vjp(params, np.ones((HEIGHT, WIDTH, 3), np.float32))
     assert len(kernels()) == both

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, Rotate, Translate
-from loi_mitsuba.geometry.stepped_textures import has_steps, interpolate
+from loi_mitsuba.geometry.stepped_textures import has_stepped_texture, ramp_texture
 from loi_mitsuba.scene.load import parsed_scene
 from loi_mitsuba.scene.queries import parts_of
 from tests.helpers import Host
@@ -78,11 +78,11 @@ def test_an_interpolated_texture_is_that_with_steps_but_near_them(kind: str, tmp
     ball = {"type": "sphere", "bsdf": {"type": "diffuse", "reflectance": KINDS[kind](tmp_path) | turned}}
     with parsed_scene({"type": "scene", "ball": ball}, float_textures=False) as (config, state):
         (part,) = parts_of(state, 0, mi.ObjectType.Texture)
-        assert interpolate(state.nodes[part].props)
+        assert ramp_texture(state.nodes[part].props)
         made = mi.parser.instantiate(config, state)
     scene = made[0] if isinstance(made, list) else made
     (shape,) = scene.shapes()
-    assert not has_steps(shape)
+    assert not has_stepped_texture(shape)
     near = next(one[2] for one in mi.traverse(shape).properties.values() if isinstance(one[2], mi.Texture))
     places = np.random.default_rng(0).uniform(-1.0, 2.0, (4000, 2))
     channels = 1 if kind == "grey data" else 3
@@ -97,7 +97,7 @@ def test_a_texture_that_moves_has_the_gradient_of_finite_differences(kind: str, 
     (reason,) = planned.plan.exchanged.values()
     assert "an interpolated bitmap" in reason
     here = planned.parameters()
-    drawn = [planned.unabridged.pull(here, bump(), seed=seed) for seed in range(8)]
+    drawn = [planned.unabridged.vjp(here, bump(), seed=seed) for seed in range(8)]
     found = np.array([[float(one[name]) for name in MOVES] for one in drawn])
     images, slopes = planned.unabridged.with_integrator("scene", spp=256), []
     for seed in range(4):

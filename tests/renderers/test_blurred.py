@@ -156,7 +156,7 @@ def test_pairs_are_at_right_angles_and_each_is_from_a_gaussian(pairs: int) -> No
     drawn = []
     for seed in range(400):
         seen.clear()
-        blurred.pull(blurred.parameters(), np.ones((1, 1, 3)), seed=seed)
+        blurred.vjp(blurred.parameters(), np.ones((1, 1, 3)), seed=seed)
         offsets = np.array(seen[::2])
         drawn.append(offsets)
         together = offsets[: min(pairs, 3)]

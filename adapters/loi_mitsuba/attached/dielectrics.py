@@ -15,14 +15,15 @@ from typing import Any, Final
 import drjit as dr
 import mitsuba as mi
 
-from loi_mitsuba.geometry.mesh import is_closed, is_hard
-from loi_mitsuba.renderer import MitsubaRenderer, seeds_of
+from loi_mitsuba.drjit.arrays import Float32Array
+from loi_mitsuba.geometry.mesh import is_closed, is_sharp_edged
+from loi_mitsuba.renderer import MitsubaRenderer, split_seed
 from loi_mitsuba.scene.binding import ParameterBinding
 from loi_mitsuba.scene.load import Target
 from loi_mitsuba.scene.parameters import SceneIndex
-from loi_mitsuba.scene.poses import Host, Scale
-from loi_mitsuba.sensing.sensor import Eye, lift_of, sampler_of
-from loi_mitsuba.traits import has_medium, is_clear
+from loi_mitsuba.scene.poses import Scale
+from loi_mitsuba.scene.queries import has_medium, is_clear_glass
+from loi_mitsuba.sensing.sensor import PerspectiveSensor, make_sampler, ray_epsilon
 
 __all__ = ["REASON", "AttachedDielectrics", "Samples", "attachable_dielectrics"]
 
@@ -52,7 +53,7 @@ def attachable_dielectrics(called: SceneIndex, targets: Mapping[str, Target], se
             shape = None if entry is None or entry.problem else called.moved_by(entry)
         else:
             shape = called.find_movable(target.shape)[1]
-        if not isinstance(shape, mi.Shape) or shape not in called.scene.shapes() or not is_clear(shape):
+        if not isinstance(shape, mi.Shape) or shape not in called.scene.shapes() or not is_clear_glass(shape):
             continue
         if shape.class_name() == "Sphere" or (_is_smooth(shape) and not isinstance(target, (str, Scale))):
             found[name] = shape
@@ -80,14 +81,14 @@ class AttachedDielectrics:
         self._count = max(LEAST, samples * width * height // SHARE)
         self._named = ParameterBinding(renderer.names, renderer.targets, tuple(renderer.targets))
 
-    def pull(
+    def vjp(
         self, params: Mapping[str, Any], cotangent: Any, *, names: Iterable[str], seed: int = 0
-    ) -> dict[str, Host]:
+    ) -> dict[str, Float32Array]:
         """A cotangent of the image, shape (H, W, C), carried to the parameters `names`."""
         wanted = tuple(names)
         with self._named.attached(params, wanted) as leaves:
             samples = Samples(self._renderer.scene, self._renderer.sensor)
-            samples.pull(cotangent, self._count, seeds_of(seed)[1])
+            samples.vjp(cotangent, self._count, split_seed(seed)[1])
             return self._named.gradients(leaves, wanted)
 
 
@@ -96,24 +97,24 @@ class Samples:
 
     def __init__(self, scene: Any, sensor: Any) -> None:
         self._scene = scene
-        glass = [index for index, shape in enumerate(scene.shapes()) if is_clear(shape)]
+        glass = [index for index, shape in enumerate(scene.shapes()) if is_clear_glass(shape)]
         self._glass = mi.UInt32(glass)
         self._kinds = len(glass)
-        self._eye = Eye(sensor)
+        self._eye = PerspectiveSensor(sensor)
 
-    def image(self, count: int, seed: int) -> Host:
+    def image(self, count: int, seed: int) -> Float32Array:
         """What they add, by `count` samples each way: the image less that without glass, shape (H, W, 3)."""
         with dr.suspend_grad():
             light = self._thrown(count, seed)
-            return self._eye.cropped(light + self._eye.splat(self._views(self._eye.texture(light), count, seed)))
+            return self._eye.cropped(light + self._eye.splat(self._views(self._eye.padded_texture(light), count, seed)))
 
-    def pull(self, cotangent: Any, count: int, seed: int) -> None:
+    def vjp(self, cotangent: Any, count: int, seed: int) -> None:
         """Carry a cotangent of the image by `count` samples each way to whatever of the scene has a gradient."""
         with dr.suspend_grad():
             light = self._thrown(count, seed)
-        wanted = self._eye.padded(cotangent)
+        wanted = self._eye.padded_cotangent(cotangent)
         dr.enable_grad(light)
-        self._back(self._views(self._eye.texture(light), count, seed), wanted)
+        self._back(self._views(self._eye.padded_texture(light), count, seed), wanted)
         wanted += dr.grad(light)  # light is seen past glass, and by way of glass
         self._back(self._light(count, seed), wanted)
 
@@ -123,9 +124,9 @@ class Samples:
 
     def _back(self, values: Iterable[tuple[Any, Any]], cotangent: Any) -> None:
         """Carry back a cotangent of an image to values at their places."""
-        texture = self._eye.texture(cotangent)
+        texture = self._eye.padded_texture(cotangent)
         for value, place in values:  # not as their sum, which Dr.Jit would evaluate, and so trace all rays twice
-            product = value * self._eye.looked_up(texture, place)
+            product = value * self._eye.gather(texture, place)
             dr.set_grad(product, 1.0)
             dr.enqueue(dr.ADMode.Backward, product)
         dr.traverse(dr.ADMode.Backward, dr.ADFlag.ClearInterior)  # edges stay, for all ways share those of the scene
@@ -141,7 +142,7 @@ class Samples:
 
     def _light(self, count: int, seed: int) -> list[tuple[Any, Any]]:
         """Light of the lamps that passes glass, where it falls, less where it would: values in pixels, and places."""
-        sampler = sampler_of(seed, count)
+        sampler = make_sampler(seed, count)
         point, area = self._points(sampler, count)
         lamp, weight = self._scene.sample_emitter_direction(point, sampler.next_2d(), test_visibility=False)
         cosine = dr.dot(point.n, lamp.d)
@@ -155,13 +156,13 @@ class Samples:
 
     def _views(self, light: Any, count: int, seed: int) -> list[tuple[Any, Any]]:
         """What the camera sees in glass, less what it would see there: values in pixels, and places."""
-        sampler = sampler_of(seed + 1, count)
+        sampler = make_sampler(seed + 1, count)
         point, area = self._points(sampler, count)
-        along, weight, place, visible = self._eye.sees(point.p)
+        along, weight, place, visible = self._eye.project(point.p)
         cosine = dr.dot(point.n, along)
         visible &= cosine > 0.0
         with dr.suspend_grad():
-            visible &= ~self._scene.ray_test(point.spawn_ray_to(self._eye.opening(point.p)), visible)
+            visible &= ~self._scene.ray_test(point.spawn_ray_to(self._eye.near_clip_point(point.p)), visible)
         start = _before(point, along)
         number = sampler.next_2d()
         shown, share = self._bent(start, sampler, visible, mi.TransportMode.Radiance)
@@ -212,8 +213,8 @@ class Samples:
     def _shown(self, si: Any, power: Any, active: Any) -> tuple[Any, Any]:
         """Of light that falls on a surface, what the camera sees of it past glass, and its place."""
         active = active & si.is_valid() & ~_clear_at(si)
-        along, weight, place, visible = self._eye.sees(si.p)
-        active &= visible & self._is_open(si, self._eye.opening(si.p), active)
+        along, weight, place, visible = self._eye.project(si.p)
+        active &= visible & self._is_open(si, self._eye.near_clip_point(si.p), active)
         context = mi.BSDFContext(mi.TransportMode.Importance)
         value = si.bsdf().eval(context, si, si.to_local(along), active)
         return dr.select(active, power * value * weight, 0.0), place
@@ -228,9 +229,11 @@ class Samples:
         lamp, weight = self._scene.sample_emitter_direction(si, number, test_visibility=False, active=active)
         lit = active & (lamp.pdf != 0.0) & self._is_open(si, lamp.p, active)
         value = si.bsdf().eval(mi.BSDFContext(), si, si.to_local(lamp.d), lit)
-        along, _, place, visible = self._eye.sees(si.p)
-        shown = active & visible & (dr.dot(si.n, along) > 0.0) & self._is_open(si, self._eye.opening(si.p), active)
-        thrown = dr.select(shown, self._eye.looked_up(light, place), 0.0)
+        along, _, place, visible = self._eye.project(si.p)
+        shown = (
+            active & visible & (dr.dot(si.n, along) > 0.0) & self._is_open(si, self._eye.near_clip_point(si.p), active)
+        )
+        thrown = dr.select(shown, self._eye.gather(light, place), 0.0)
         return emitted + dr.select(lit, value * weight, 0.0) + thrown
 
     def _is_open(self, si: Any, place: Any, active: Any) -> Any:
@@ -246,7 +249,7 @@ class Samples:
 
 def _before(point: Any, away: Any) -> Any:
     """A ray that comes from where `away` points to, and meets next the surface at a point of it."""
-    step = LIFT * lift_of(dr.detach(point.p))
+    step = LIFT * ray_epsilon(dr.detach(point.p))
     return mi.Ray3f(point.p + step * away, -away)
 
 
@@ -256,4 +259,4 @@ def _clear_at(si: Any) -> Any:
 
 def _is_smooth(shape: Any) -> bool:
     """Whether a mesh is closed, with one normal where its triangles meet: what it bends has no steps then."""
-    return isinstance(shape, mi.Mesh) and shape.has_vertex_normals() and is_closed(shape) and not is_hard(shape)
+    return isinstance(shape, mi.Mesh) and shape.has_vertex_normals() and is_closed(shape) and not is_sharp_edged(shape)

@@ -17,17 +17,19 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.geometry.bounds import corners_of
+from loi_mitsuba.drjit.arrays import Float32Array
+from loi_mitsuba.geometry.bounds import bounding_box
 from loi_mitsuba.proxy.light_size import light_position
-from loi_mitsuba.renderer import MitsubaRenderer, seeds_of
+from loi_mitsuba.renderer import MitsubaRenderer, split_seed
 from loi_mitsuba.scene.binding import ParameterBinding
 from loi_mitsuba.scene.load import Target
 from loi_mitsuba.scene.parameters import SceneIndex
-from loi_mitsuba.scene.poses import Host, Rotate, Scale
+from loi_mitsuba.scene.poses import Rotate, Scale
+from loi_mitsuba.scene.queries import has_medium
 from loi_mitsuba.scene.settings import Settings
 from loi_mitsuba.sensing.film import Film
-from loi_mitsuba.sensing.film_samples import pull_samples, samples_of
-from loi_mitsuba.traits import View, has_medium
+from loi_mitsuba.sensing.film_samples import backpropagate, radiance_samples
+from loi_mitsuba.sensing.frustum import Frustum
 
 __all__ = ["AttachedEmitters", "attachable_emitters", "is_shape", "reason_of"]
 
@@ -94,30 +96,30 @@ class AttachedEmitters:
         seen = _seen(renderer.scene, renderer.sensor)
         self._shifts = {name: _shift(renderer.targets[name], light, seen) for name, light in lights.items()}
 
-    def pull(
+    def vjp(
         self, params: Mapping[str, Any], cotangent: Any, *, names: Iterable[str], seed: int = 0
-    ) -> dict[str, Host]:
+    ) -> dict[str, Float32Array]:
         """A cotangent of the image, shape (H, W, C), carried to the parameters `names`."""
         wanted = tuple(names)
         integrator = _integrator_of(mi.variant())(mi.Properties())
         integrator.lamps = tuple(one for one in self._lights.values() if is_shape(one))
-        number, scene, sensor = seeds_of(seed)[1], self._renderer.scene, self._renderer.sensor
+        number, scene, sensor = split_seed(seed)[1], self._renderer.scene, self._renderer.sensor
         slopes = self._slopes(integrator, params, wanted, number)
         with self._named.attached(params, wanted) as leaves:
             integrator.slopes = [(leaves[name], index, slope) for name, index, slope in slopes]
             with dr.isolate_grad():
-                value, place = samples_of(integrator, scene, sensor, self._samples, number, dr.ADMode.Backward)
-                pull_samples(value, place, self._film, np.asarray(cotangent))
+                value, place = radiance_samples(integrator, scene, sensor, self._samples, number, dr.ADMode.Backward)
+                backpropagate(value, place, self._film, np.asarray(cotangent))
             pulled = self._named.gradients(leaves, wanted)
         seen = [name for name in wanted if self._is_seen(name)]
         if seen:
-            outline = self._renderer.with_integrator(replace(OUTLINE, sppp=self._samples).load(), follow=seen)
-            added = outline.pull(params, cotangent, seed=seed)
+            outline = self._renderer.with_integrator(replace(OUTLINE, sppp=self._samples).load(), wrt=seen)
+            added = outline.vjp(params, cotangent, seed=seed)
             pulled |= {name: pulled[name] + added[name] for name in seen}
         return pulled
 
     def _is_seen(self, name: str) -> bool:
-        return is_shape(self._lights[name]) and View(self._renderer.sensor).has(self._lights[name])
+        return is_shape(self._lights[name]) and Frustum(self._renderer.sensor).overlaps(self._lights[name])
 
     def _slopes(
         self, integrator: Any, params: Mapping[str, Any], names: Iterable[str], seed: int
@@ -144,7 +146,7 @@ class AttachedEmitters:
         return found
 
 
-def _seen(scene: Any, sensor: Any) -> Host:
+def _seen(scene: Any, sensor: Any) -> Float32Array:
     """Points that the camera sees, shape (n, 3)."""
     size = np.array(sensor.film().crop_size(), dtype=np.int64).reshape(2)
     with dr.suspend_grad():
@@ -152,18 +154,18 @@ def _seen(scene: Any, sensor: Any) -> Host:
         sampler.seed(0, int(np.prod(size)))
         place, aperture = sampler.next_2d(), sampler.next_2d()
         si = scene.ray_intersect(sensor.sample_ray(0.0, 0.5, place, aperture)[0])
-        points: Host = np.array(si.p, dtype=np.float64).T[np.array(si.is_valid())]
+        points: Float32Array = np.array(si.p, dtype=np.float64).T[np.array(si.is_valid())]
     return points
 
 
-def _shift(target: Target, light: Any, seen: Host) -> float:
+def _shift(target: Target, light: Any, seen: Float32Array) -> float:
     """How far to either side a parameter is put for the slope of what hides its lamp, in its own unit."""
     if isinstance(target, Rotate):
         return DEGREES
     if isinstance(target, Scale):
         return OF_SCALE
     if isinstance(light, mi.Shape):
-        corners = corners_of(light)
+        corners = bounding_box(light)
         place, longest = corners.mean(axis=0), float(np.max(np.ptp(corners, axis=0)))
     else:
         place, longest = light_position(light), 0.0

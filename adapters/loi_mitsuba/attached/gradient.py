@@ -10,11 +10,11 @@ from loi_core.effects import Draws, Holding
 from loi_core.effects.holding import CLEAR
 from loi_mitsuba.attached.dielectrics import REASON, AttachedDielectrics, attachable_dielectrics
 from loi_mitsuba.attached.emitters import AttachedEmitters, attachable_emitters, is_shape, reason_of
+from loi_mitsuba.drjit.arrays import Float32Array
 from loi_mitsuba.renderer import MitsubaRenderer
 from loi_mitsuba.scene.load import Target
 from loi_mitsuba.scene.parameters import SceneIndex
-from loi_mitsuba.scene.poses import Host
-from loi_mitsuba.traits import objects_of
+from loi_mitsuba.scene.queries import group_by_shape
 
 __all__ = ["AttachedGradient", "AttachedParameters"]
 
@@ -68,15 +68,15 @@ class AttachedGradient:
         """What a plan says of the gradient by a parameter."""
         return REASON if name in self._followed.glass else reason_of(self._followed.lights[name])
 
-    def pull(
+    def vjp(
         self, params: Mapping[str, Any], cotangent: Any, *, names: Iterable[str], seed: int = 0
-    ) -> dict[str, Host]:
+    ) -> dict[str, Float32Array]:
         """A cotangent of the image, shape (H, W, C), carried to the parameters `names`."""
         wanted = tuple(names)
         lamps = [name for name in wanted if name in self._followed.lights]
         glass = [name for name in wanted if name in self._followed.glass]
-        pulled = self._lamps.pull(params, cotangent, names=lamps, seed=seed) if lamps else {}
-        return pulled | (self._glass.pull(params, cotangent, names=glass, seed=seed) if glass else {})
+        pulled = self._lamps.vjp(params, cotangent, names=lamps, seed=seed) if lamps else {}
+        return pulled | (self._glass.vjp(params, cotangent, names=glass, seed=seed) if glass else {})
 
     def silent(
         self, params: Mapping[str, Any], cotangent: Any, *, names: Sequence[str], seed: int = 0
@@ -99,13 +99,13 @@ class AttachedGradient:
         wanted = tuple(name for name in names if name in seen)
         if not wanted:
             return seen
-        every = Draws.of([_of(own.pull(params, cotangent, seed=seed + k), wanted) for k in range(DRAWS)])
+        every = Draws.of([_of(own.vjp(params, cotangent, seed=seed + k), wanted) for k in range(DRAWS)])
         lacking = every.less(draws)
         more = {name for name in wanted if lacking.heard(name, CLEAR)}
         return frozenset(name for group in self._objects(wanted) for name in group if not more & set(group))
 
     def _draws(self, params: Mapping[str, Any], cotangent: Any, names: Sequence[str], seed: int) -> Draws:
-        return Draws.of([self.pull(params, cotangent, names=names, seed=seed + k) for k in range(DRAWS)])
+        return Draws.of([self.vjp(params, cotangent, names=names, seed=seed + k) for k in range(DRAWS)])
 
     def _seen(self, draws: Draws, names: Sequence[str]) -> frozenset[str]:
         return frozenset(names) - Holding.begun(draws, self._objects(names)).reasons.keys()
@@ -113,8 +113,8 @@ class AttachedGradient:
     def _objects(self, names: Sequence[str]) -> tuple[tuple[str, ...], ...]:
         """Names of one light, or of one shape, together."""
         every = {**self._followed.lights, **self._followed.glass}
-        return objects_of({name: self._targets[name] for name in names}, {name: every[name] for name in names})
+        return group_by_shape({name: self._targets[name] for name in names}, {name: every[name] for name in names})
 
 
-def _of(pulled: Mapping[str, Host], names: Iterable[str]) -> dict[str, Host]:
+def _of(pulled: Mapping[str, Float32Array], names: Iterable[str]) -> dict[str, Float32Array]:
     return {name: pulled[name] for name in names}

@@ -14,14 +14,14 @@ from typing import Any, Final
 
 import drjit as dr
 
-__all__ = ["LEAST", "horizons_bounded"]
+__all__ = ["LEAST", "clamped_area_jacobian"]
 
 NAME: Final = "solid_angle_to_area_jacobian"  # what Mitsuba's integrators differentiate
 LEAST: Final = 0.01  # the cosine below which a surface counts as no more turned: 0.0001 of the light of a round lamp
 
 
 @contextmanager
-def horizons_bounded(integrator: Any) -> Iterator[None]:
+def clamped_area_jacobian(integrator: Any) -> Iterator[None]:
     """Have an integrator of Mitsuba bound the relative change of cosines near 0 meanwhile."""
     module = sys.modules.get(type(integrator).__module__)
     own = getattr(module, NAME, None)

@@ -15,13 +15,20 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.drjit.ragged import number_of, shape_of
-from loi_mitsuba.geometry.coincident_edges import pieces_of
-from loi_mitsuba.geometry.mesh import edges_of, has_sides, sides_of
-from loi_mitsuba.scene.poses import Host
-from loi_mitsuba.sensing.sensor import BESIDE, NEARLY, Eye, brighter, is_plain, sampler_of
+from loi_mitsuba.drjit.arrays import Float32Array
+from loi_mitsuba.drjit.ragged import hit_shape_index, shape_index
+from loi_mitsuba.geometry.coincident_edges import uncovered_segments
+from loi_mitsuba.geometry.mesh import crease_edges, edge_vertices, has_creases
+from loi_mitsuba.sensing.sensor import (
+    BESIDE,
+    NEARLY,
+    PerspectiveSensor,
+    make_sampler,
+    radiance_difference,
+    supports_boundary_sampling,
+)
 
-__all__ = ["Edges"]
+__all__ = ["EdgeBoundary"]
 
 SHARE: Final = 4  # samples of the image for one here
 LEAST: Final = 4096
@@ -32,7 +39,7 @@ RIM: Final = 1024  # edges of a disk: they are off its rim by less than BESIDE, 
 STEP: Final = 0.01  # of the distance to the camera, along an edge to either side, for the direction that it is seen in
 
 
-class Edges:
+class EdgeBoundary:
     """The edges of flat shapes, and of meshes that have sides, and the gradient of what is in view by where they are.
 
     Parameters
@@ -62,28 +69,28 @@ class Edges:
         between = np.concatenate([one[2] for one in found])
         self._between = [mi.Float(np.ascontiguousarray(one, dtype=np.float32)) for one in between.T]
         counts = [len(one[0]) for one in found]
-        self._shape = mi.UInt32(np.repeat([number_of(one) for one in shapes], counts).astype(np.uint32))
+        self._shape = mi.UInt32(np.repeat([shape_index(one) for one in shapes], counts).astype(np.uint32))
         width, height = sensor.film().crop_size()
         self._size = mi.Point2f(float(width), float(height))
 
     @classmethod
-    def of(cls, scene: Any, sensor: Any, shapes: Iterable[Any]) -> Edges | None:
+    def of(cls, scene: Any, sensor: Any, shapes: Iterable[Any]) -> EdgeBoundary | None:
         """The edges of those of some shapes of a scene that are flat, or meshes with sides.
 
         None where there are none, or the scene is not plain.
         """
-        if not is_plain(scene, sensor):
+        if not supports_boundary_sampling(scene, sensor):
             return None
         own = scene.shapes()
-        sided = [one for one in dict.fromkeys(shapes) if one in own and (one.class_name() in FLAT or has_sides(one))]
+        sided = [one for one in dict.fromkeys(shapes) if one in own and (one.class_name() in FLAT or has_creases(one))]
         return cls(sensor, sided) if sided else None
 
-    def jumps(self, scene: Any, integrator: Any, samples: int, seed: int) -> tuple[Any, Any]:
+    def sample(self, scene: Any, integrator: Any, samples: int, seed: int) -> tuple[Any, Any]:
         """At points of the edges, 0 with how it changes: the jump times how far the edge moves across; and places."""
-        eye = Eye(self._sensor)  # which may move
+        eye = PerspectiveSensor(self._sensor)  # which may move
         pixels = int(self._size.x[0] * self._size.y[0])
         count = max(LEAST, samples * pixels // SHARE)
-        sampler = sampler_of(seed, count)
+        sampler = make_sampler(seed, count)
         positions = dr.concat([_positions(*one) for one in self._params])
         with dr.suspend_grad():
             drawn = self._drawn(eye, dr.detach(positions))
@@ -93,26 +100,26 @@ class Edges:
         )
         low, high = (dr.gather(mi.Float, one, index) for one in self._between)
         point = dr.lerp(first, second, dr.lerp(low, high, along))
-        place = eye.sees(point)[2]
+        place = eye.project(point)[2]
         with dr.suspend_grad():
             point, edge = dr.detach(point), dr.detach(second - first)
             away = eye.place - point
             distance = dr.norm(away)
             step = STEP * distance * dr.normalize(edge)
-            ahead, behind = (eye.sees(point + sign * step)[2] for sign in (1.0, -1.0))
+            ahead, behind = (eye.project(point + sign * step)[2] for sign in (1.0, -1.0))
             seen = (ahead - behind) * self._size
             length = dr.norm(seen)
             across = mi.Vector2f(-seen.y, seen.x) / length
-            start = eye.opening(point)
+            start = eye.near_clip_point(point)
             ray = mi.Ray3f(start, -away / distance)
             ray.maxt = dr.norm(point - start) - dr.minimum(NEARLY * distance, HIDDEN * dr.norm(edge))
-            active = eye.sees(point)[3] & (length > 0.0) & ~scene.ray_test(ray)
-            middles = [eye.sees((first + second + one) / 3.0)[2] for one in third]
+            active = eye.project(point)[3] & (length > 0.0) & ~scene.ray_test(ray)
+            middles = [eye.project((first + second + one) / 3.0)[2] for one in third]
             ends = self._sides(dr.detach(place), across, middles)
             own = dr.gather(mi.UInt32, self._shape, index)
             for end in ends:
                 active &= ~self._is_hidden(scene, end, eye, distance, own, active)
-            jump = brighter(self._sensor, integrator, scene, ends, active, sampler)
+            jump = radiance_difference(self._sensor, integrator, scene, ends, active, sampler)
             # Points to a unit of length.
             density = drawn.eval_pmf_normalized(index) * count / (dr.norm(edge) * (high - low))
             pixels_each = length / (2.0 * STEP * distance * density)
@@ -120,23 +127,23 @@ class Edges:
         moved = dr.select(active, moved - dr.detach(moved), 0.0)
         return dr.select(active, -jump * pixels_each, 0.0) * moved, dr.detach(place)
 
-    def _is_hidden(self, scene: Any, place: Any, eye: Eye, distance: Any, own: Any, active: Any) -> Any:
+    def _is_hidden(self, scene: Any, place: Any, eye: PerspectiveSensor, distance: Any, own: Any, active: Any) -> Any:
         """Whether a place beside an edge shows another shape, in front of it, which ends between the two."""
         ray = self._sensor.sample_ray(0.0, 0.5, place, mi.Point2f(0.5))[0]
         hit = scene.ray_intersect_preliminary(ray, active=active)
         nearer = hit.t + dr.norm(ray.o - eye.place) < (1.0 - IN_FRONT) * distance
-        return hit.is_valid() & nearer & (shape_of(hit) != own)
+        return hit.is_valid() & nearer & (hit_shape_index(hit) != own)
 
-    def _drawn(self, eye: Eye, positions: Any) -> Any:
+    def _drawn(self, eye: PerspectiveSensor, positions: Any) -> Any:
         """How often each edge is drawn: half of the time by its length, and half if it looks like an outline.
 
         Of the edges of a fine mesh few are outlines, and brightness jumps most there.
         """
         first, second, *third = (dr.gather(mi.Point3f, positions, one) for one in (*self._ends, *self._third))
-        begin, end, middle = (eye.sees(one)[2] * self._size for one in (first, second, 0.5 * (first + second)))
+        begin, end, middle = (eye.project(one)[2] * self._size for one in (first, second, 0.5 * (first + second)))
         across = mi.Vector2f(begin.y - end.y, end.x - begin.x)
         one, other = (
-            dr.dot(across, eye.sees((first + second + each) / 3.0)[2] * self._size - middle) for each in third
+            dr.dot(across, eye.project((first + second + each) / 3.0)[2] * self._size - middle) for each in third
         )
         length = dr.norm(second - first) * (self._between[1] - self._between[0])
         outline = dr.select(one * other > 0.0, length, 0.0)
@@ -160,7 +167,7 @@ class Edges:
         return ends[0], ends[1]
 
 
-def _rims() -> dict[str, Host]:
+def _rims() -> dict[str, Float32Array]:
     """The outlines of Mitsuba's flat shapes, in their own coordinates: shape (n, 3)."""
     turns = 2.0 * np.pi * np.arange(RIM) / RIM
     return {
@@ -179,22 +186,22 @@ def _positions(kind: str, params: Any) -> Any:
     return dr.ravel(params["to_world"] @ mi.Point3f(np.ascontiguousarray(FLAT[kind].T, dtype=np.float32)))
 
 
-def _pieces_of(shape: Any, places: Host) -> tuple[Host, Host, Host]:
+def _pieces_of(shape: Any, places: Float32Array) -> tuple[Float32Array, Float32Array, Float32Array]:
     """The edges of a shape, each line of them once: as of :func:`_edges_of`, and where each piece begins and ends.
 
     `places` are those of its vertices, shape (n, 3).
     """
     ends, third = _edges_of(shape)
-    which, between = pieces_of(places, ends)
+    which, between = uncovered_segments(places, ends)
     return ends[which], third[which], between
 
 
-def _edges_of(shape: Any) -> tuple[Host, Host]:
+def _edges_of(shape: Any) -> tuple[Float32Array, Float32Array]:
     """As :func:`edges_of`, of a rectangle or disk as well."""
     if shape.class_name() not in FLAT:
-        return edges_of(shape, sides_of(shape))
+        return edge_vertices(shape, crease_edges(shape))
     count = len(FLAT[shape.class_name()])
     first = np.arange(count)
-    ends: Host = np.stack([first, (first + 1) % count], axis=1)
-    across: Host = np.repeat(((first + count // 2) % count)[:, None], 2, axis=1)
+    ends: Float32Array = np.stack([first, (first + 1) % count], axis=1)
+    across: Float32Array = np.repeat(((first + count // 2) % count)[:, None], 2, axis=1)
     return ends, across

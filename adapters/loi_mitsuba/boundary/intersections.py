@@ -15,12 +15,18 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.boundary.segments import STEP, Lines, narrowed
-from loi_mitsuba.geometry.bounds import corners_of
-from loi_mitsuba.geometry.components import Parts
-from loi_mitsuba.sensing.sensor import NEARLY, brighter, is_plain, lift_of, sampler_of
+from loi_mitsuba.boundary.segments import STEP, SegmentSampler, narrowed
+from loi_mitsuba.geometry.bounds import bounding_box
+from loi_mitsuba.geometry.components import ComponentIds
+from loi_mitsuba.sensing.sensor import (
+    NEARLY,
+    make_sampler,
+    radiance_difference,
+    ray_epsilon,
+    supports_boundary_sampling,
+)
 
-__all__ = ["Crossings"]
+__all__ = ["IntersectionBoundary"]
 
 NEAR: Final = 0.05  # pixels between a crossing and where the planes of the two shapes cross
 BESIDE: Final = (0.0125, 0.05)  # pixels from a crossing, to either side: at least, and at the most in reach of LIFTS
@@ -48,7 +54,7 @@ class _Hit:
     shape: Any
 
 
-class Crossings:
+class IntersectionBoundary:
     """Where shapes go through each other in view, and the gradient by how they move.
 
     Parameters
@@ -61,26 +67,26 @@ class Crossings:
         Of these, and of all others.
     """
 
-    def __init__(self, sensor: Any, shapes: list[Any], parts: Parts) -> None:
+    def __init__(self, sensor: Any, shapes: list[Any], parts: ComponentIds) -> None:
         self._sensor = sensor
         self._shapes = shapes
         self._parts = parts
-        self._lines = Lines(sensor)
+        self._lines = SegmentSampler(sensor)
 
     @classmethod
-    def of(cls, scene: Any, sensor: Any, shapes: Iterable[Any]) -> Crossings | None:
+    def of(cls, scene: Any, sensor: Any, shapes: Iterable[Any]) -> IntersectionBoundary | None:
         """Those of shapes that move, with all others of a scene and of a mesh's parts with each other.
 
         None where there are none, or the scene is not plain.
         """
         own = scene.shapes()
         moving = [one for one in dict.fromkeys(shapes) if one in own]
-        if not moving or not is_plain(scene, sensor):
+        if not moving or not supports_boundary_sampling(scene, sensor):
             return None
-        parts = Parts(own, moving)
+        parts = ComponentIds(own, moving)
         return cls(sensor, moving, parts) if len(own) > 1 or parts.meet else None
 
-    def jumps(self, scene: Any, integrator: Any, samples: int, seed: int) -> tuple[Any, Any] | None:
+    def sample(self, scene: Any, integrator: Any, samples: int, seed: int) -> tuple[Any, Any] | None:
         """At crossings, 0 with how it changes: the jump times how far the crossing moves; and places. None without."""
         if not self._may_meet(scene):
             return None
@@ -99,13 +105,13 @@ class Crossings:
             # Under a shape that bulges over the crossing, light grows as the root of the distance from it, which is
             # twice as much at four times the distance; unless that is beyond the outline of something in front.
             close, off = (
-                brighter(
+                radiance_difference(
                     self._sensor,
                     integrator,
                     scene,
                     ((middle - way) / self._lines.size, (middle + way) / self._lines.size),
                     active,
-                    sampler_of(seed + 1, count),
+                    make_sampler(seed + 1, count),
                 )
                 for way in (aside, 4.0 * aside)
             )
@@ -119,7 +125,7 @@ class Crossings:
         if self._parts.meet:
             return True
         every = scene.shapes()
-        low, high = np.stack([corners_of(one) for one in every], axis=1)
+        low, high = np.stack([bounding_box(one) for one in every], axis=1)
         moving = [every.index(one) for one in self._shapes]
         meet = np.all((low[moving, None] <= high) & (low <= high[moving, None]), axis=-1)
         meet[np.arange(len(moving)), moving] = False
@@ -168,7 +174,7 @@ class Crossings:
         one = dr.norm(self._lines.ray(middle + mi.Vector2f(1.0, 0.0)).d - self._lines.ray(middle).d) * dr.norm(
             hit.p - self._lines.eye
         )
-        return dr.clip(LIFTS * lift_of(hit.p) / one, *BESIDE)
+        return dr.clip(LIFTS * ray_epsilon(hit.p) / one, *BESIDE)
 
     def _behind(self, near: _Hit, far: _Hit, middle: Any, way: Any) -> Any:
         """The slope along a direction of how far the first shape's plane is behind the second's."""

@@ -11,13 +11,13 @@ from typing import Any, Final, Literal
 import drjit as dr
 import mitsuba as mi
 
-from loi_mitsuba.geometry.coincident_edges import Once
+from loi_mitsuba.geometry.coincident_edges import UniqueEdges
 from loi_mitsuba.plugins.proxy_emitter import hittable_proxy_emitters
 from loi_mitsuba.sensing.film import Film
-from loi_mitsuba.sensing.film_samples import in_colours, samples_taken
-from loi_mitsuba.sensing.sensor import Eye, is_shifted, lift_of
+from loi_mitsuba.sensing.film_samples import capture_splats, to_rgb
+from loi_mitsuba.sensing.sensor import PerspectiveSensor, is_off_centre, ray_epsilon
 
-__all__ = ["Silhouettes"]
+__all__ = ["ProjectiveBoundary"]
 
 SEEDS: Final = {"sppp": 0xFFFFFFFF, "sppi": 0xAA00AA00}  # by part, those of samples; as in Mitsuba
 GUIDE: Final = 0xAFAFAFAF  # that of what says where indirect silhouettes are looked for
@@ -36,7 +36,7 @@ class _Shifted:
     """
 
     def __init__(self, sensor: Any) -> None:
-        self._sensor, self._eye = sensor, Eye(sensor)
+        self._sensor, self._eye = sensor, PerspectiveSensor(sensor)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._sensor, name)
@@ -44,13 +44,13 @@ class _Shifted:
     def sample_direction(self, it: Any, sample: Any, active: Any) -> tuple[Any, Any]:
         """Where it is from a point, and its importance; as `mi.Sensor.sample_direction`."""
         ds, _ = self._sensor.sample_direction(it, sample, active)
-        _, weight, place, visible = self._eye.sees(it.p)
+        _, weight, place, visible = self._eye.project(it.p)
         within = visible & dr.all((place >= 0.0) & (place <= 1.0))
         return ds, mi.Spectrum(dr.select(active & within, weight / math.prod(self._sensor.film().crop_size()), 0.0))
 
 
 @dataclass(frozen=True)
-class Silhouettes:
+class ProjectiveBoundary:
     """One part of the gradient of a projective integrator.
 
     Attributes
@@ -67,9 +67,9 @@ class Silhouettes:
     sensor: Any
     film: Film
     part: Literal["sppp", "sppi"]
-    once: Once | None = None
+    once: UniqueEdges | None = None
 
-    def jumps(self, scene: Any, integrator: Any, samples: int, seed: int) -> tuple[Any, Any] | None:
+    def sample(self, scene: Any, integrator: Any, samples: int, seed: int) -> tuple[Any, Any] | None:
         """At points of silhouettes, 0 with how it changes: the jump times how far they move; and places. None without.
 
         The seed and `samples`, of each pixel, are those of Mitsuba's `render_backward`.
@@ -82,17 +82,17 @@ class Silhouettes:
                 integrator.proj_detail.init_primarily_visible_silhouette(scene, sensor)
                 draw = integrator.render_primarily_visible_silhouette
             else:
-                sensor = _Shifted(sensor) if is_shifted(sensor) else sensor
+                sensor = _Shifted(sensor) if is_off_centre(sensor) else sensor
                 integrator.proj_detail.init_indirect_silhouette(scene, sensor, GUIDE ^ seed)
                 draw = integrator.render_indirect_silhouette
             sampler, number = integrator.prepare(self.sensor, SEEDS[self.part] ^ seed, samples, integrator.aov_names())
         lamps = hittable_proxy_emitters() if self.part == "sppi" else nullcontext()
-        with lamps, self._counted(integrator), samples_taken() as taken:
+        with lamps, self._counted(integrator), capture_splats() as taken:
             draw(scene, sensor, sampler, 1)  # by whose number it is divided below, or each would be compiled anew
         if not taken:
             return None
         (sample,) = taken
-        value = in_colours(sample["value"], sample["wavelengths"], active=sample["active"])
+        value = to_rgb(sample["value"], sample["wavelengths"], active=sample["active"])
         value = dr.select(sample["active"], value, 0.0) / dr.opaque(mi.Float, number * self.film.sampled)
         return value, dr.detach(sample["pos"]) / mi.Point2f(*map(float, self.film.size))
 
@@ -115,7 +115,7 @@ class Silhouettes:
             back = mi.SilhouetteSample3f(drawn)
             back.d = -drawn.d
             ray = back.spawn_ray()
-            ray.maxt = TOUCH * lift_of(drawn.p)
+            ray.maxt = TOUCH * ray_epsilon(drawn.p)
             return found(scene, sensor, drawn, *before, active & ~scene.ray_test(ray, active=active))
 
         integrator.sample_importance = sample_importance

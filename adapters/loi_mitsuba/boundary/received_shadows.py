@@ -17,13 +17,13 @@ import drjit as dr
 import mitsuba as mi
 
 from loi_mitsuba.boundary.area_jacobian import LEAST
-from loi_mitsuba.boundary.segments import STEP, Lines, narrowed
-from loi_mitsuba.drjit.ragged import Rows, number_of, shape_of
+from loi_mitsuba.boundary.segments import STEP, SegmentSampler, narrowed
+from loi_mitsuba.drjit.ragged import RaggedTable, hit_shape_index, shape_index
 from loi_mitsuba.plugins.proxy_emitter import hittable_proxy_emitters
-from loi_mitsuba.sensing.film_samples import in_colours
-from loi_mitsuba.sensing.sensor import is_plain, lift_of, sampler_of
+from loi_mitsuba.sensing.film_samples import to_rgb
+from loi_mitsuba.sensing.sensor import make_sampler, ray_epsilon, supports_boundary_sampling
 
-__all__ = ["Received"]
+__all__ = ["ReceivedShadowBoundary"]
 
 ASIDE: Final = 0.05  # pixels between the two points of a shadow's edge that give its direction
 REACH: Final = 0.06  # pixels to either side in which the second of them is looked for
@@ -59,7 +59,7 @@ class _Light:
     def drawn(cls, scene: Any, si: Any, sample: Any) -> _Light:
         """From one point that lights each of some places."""
         ds, power = scene.sample_emitter_direction(si, sample, test_visibility=False, active=si.is_valid())
-        power = dr.select(ds.pdf > 0.0, in_colours(power), 0.0)
+        power = dr.select(ds.pdf > 0.0, to_rgb(power), 0.0)
         flags = ds.emitter.flags()
         far, flat = (mi.has_flag(flags, one) for one in (mi.EmitterFlags.Infinite, mi.EmitterFlags.Surface))
         light = cls(ds.p, ds.n, ds.d, far, flat, power)
@@ -86,7 +86,7 @@ class _Light:
 
     def way_clear_of_it(self, point: Any) -> tuple[Any, Any]:
         """The same to where its surface, seen nearly edge-on, does not hide the light by an error of rounding."""
-        return self._way_to(dr.select(self.flat, self.p + lift_of(self.p) * self.n, self.p), point)
+        return self._way_to(dr.select(self.flat, self.p + ray_epsilon(self.p) * self.n, self.p), point)
 
     def _way_to(self, there: Any, point: Any) -> tuple[Any, Any]:
         to = there - point
@@ -120,7 +120,7 @@ class _Found:
     light: _Light
 
 
-class Received:
+class ReceivedShadowBoundary:
     """Where shadows fall on shapes that move and are in view, and the gradient by how they move.
 
     Parameters
@@ -132,18 +132,20 @@ class Received:
     """
 
     def __init__(self, sensor: Any, shapes: list[Any]) -> None:
-        self._lines = Lines(sensor)
+        self._lines = SegmentSampler(sensor)
         self._shapes = shapes
-        self._moves = Rows({number_of(one): 1 for one in shapes})
+        self._moves = RaggedTable({shape_index(one): 1 for one in shapes})
 
     @classmethod
-    def of(cls, scene: Any, sensor: Any, shapes: Iterable[Any]) -> Received | None:
+    def of(cls, scene: Any, sensor: Any, shapes: Iterable[Any]) -> ReceivedShadowBoundary | None:
         """Those on shapes that move in a scene; None where there are none, or it is not plain."""
         moving = [one for one in dict.fromkeys(shapes) if one in scene.shapes()]
-        return cls(sensor, moving) if moving and scene.emitters() and is_plain(scene, sensor) else None
+        return (
+            cls(sensor, moving) if moving and scene.emitters() and supports_boundary_sampling(scene, sensor) else None
+        )
 
     @hittable_proxy_emitters()
-    def jumps(self, scene: Any, integrator: Any, samples: int, seed: int) -> tuple[Any, Any] | None:  # noqa: ARG002  # direct light alone
+    def sample(self, scene: Any, integrator: Any, samples: int, seed: int) -> tuple[Any, Any] | None:  # noqa: ARG002  # direct light alone
         """At edges of shadows, 0 with how it changes: the jump times how far they move; and places. None without."""
         with dr.suspend_grad():
             found = self._changes(scene, samples, seed)
@@ -166,7 +168,7 @@ class Received:
             speed = dr.dot(normal, over)
             active &= dr.abs(speed) > 1e-3 * dr.norm(over)
             value = light.reaching(at.p) * at.bsdf().eval(mi.BSDFContext(), at, at.to_local(way), active)
-            jump = in_colours(value)
+            jump = to_rgb(value)
             jump = self._lines.mean(dr.select(lit, jump, -jump) * found.weight, samples)
             jump = dr.select(active, jump, 0.0)
             scale = dr.select(active, -dr.rcp(speed), 0.0)
@@ -182,7 +184,7 @@ class Received:
         one, other = self._lines.seen(scene, first), self._lines.seen(scene, second)
         # Where a line sees two shapes that move, it is taken for either, half of the time.
         two = self._moving(one) & self._moving(other) & (one != other)
-        turn = ~self._moving(one) | (two & (sampler_of(seed + 1, dr.width(one)).next_1d() < 0.5))
+        turn = ~self._moving(one) | (two & (make_sampler(seed + 1, dr.width(one)).next_1d() < 0.5))
         shape = dr.select(turn, other, one)
         which = dr.compress(self._moving(shape))
         if dr.width(which) == 0:
@@ -193,7 +195,7 @@ class Received:
             dr.gather(type(part), part, which) for part in (first, second, along, turn, shape, weight, within)
         )
         first, second = self._cut(first, second, turn, dr.compress(~within), self._sees(scene, shape))
-        sampler = sampler_of(seed + 2, dr.width(first))
+        sampler = make_sampler(seed + 2, dr.width(first))
         si = scene.ray_intersect(self._lines.ray(first))
         light = _Light.drawn(scene, si, sampler.next_2d())
         end = scene.ray_intersect(self._lines.ray(second))
@@ -278,7 +280,7 @@ class Received:
         ends = [scene.ray_intersect(self._lines.ray(end)) for end in (first, second)]
         smooth = dr.ones(mi.Bool)
         for one in ends:
-            smooth &= (shape_of(one) == shape_of(at)) & self._faces(one, light)
+            smooth &= (hit_shape_index(one) == hit_shape_index(at)) & self._faces(one, light)
         apart = dr.norm(self._on_plane(at, first + mi.Vector2f(NEAR, 0.0)) - self._on_plane(at, first))
         return smooth & (dr.norm(ends[1].p - ends[0].p) < apart)
 

@@ -9,11 +9,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.drjit.ragged import shape_of
-from loi_mitsuba.geometry.bounds import corners_of
-from loi_mitsuba.sensing.sensor import Eye, sampler_of
+from loi_mitsuba.drjit.ragged import hit_shape_index
+from loi_mitsuba.geometry.bounds import bounding_box
+from loi_mitsuba.sensing.sensor import PerspectiveSensor, make_sampler
 
-__all__ = ["STEP", "Lines", "narrowed"]
+__all__ = ["STEP", "SegmentSampler", "narrowed"]
 
 SHARE: Final = 4  # samples of the image for one line across and one down
 MOST: Final = 2**22  # lines of one direction: in large images curves are long, and fewer to a pixel will do
@@ -23,7 +23,7 @@ BENT: Final = 0.9  # least cosine between normals at its ends, for one that does
 STEP: Final = 0.05  # pixels to either side, for a slope
 
 
-class Lines:
+class SegmentSampler:
     """Lines across and down the film of a camera.
 
     Parameters
@@ -62,7 +62,7 @@ class Lines:
         pixel = number // dr.opaque(mi.UInt32, both)  # or kernels would be compiled again for each other number
         if pixels is not None:
             pixel = dr.gather(mi.UInt32, pixels, pixel)
-        sampler = sampler_of(seed, dr.width(number))
+        sampler = make_sampler(seed, dr.width(number))
         first = mi.Point2f(pixel % width, pixel // width) - 1.0 + sampler.next_2d()
         return self._split(scene, first, dr.select(number % 2 == 0, mi.Vector2f(1.0, 0.0), mi.Vector2f(0.0, 1.0)))
 
@@ -76,7 +76,7 @@ class Lines:
             scene.ray_intersect(self.ray(at), ray_flags=mi.RayFlags.Minimal, coherent=True)
             for at in (first, first + along)
         )
-        bent = (shape_of(one) != shape_of(other)) | (one.is_valid() & (dr.dot(one.n, other.n) < BENT))
+        bent = (hit_shape_index(one) != hit_shape_index(other)) | (one.is_valid() & (dr.dot(one.n, other.n) < BENT))
         dr.eval(bent)  # or rays are traced again for what follows
         piece = dr.arange(mi.UInt32, PIECES * dr.width(bent))
         piece = dr.compress((piece % PIECES == 0) | dr.gather(mi.Bool, bent, piece // PIECES))
@@ -91,10 +91,10 @@ class Lines:
         The boxes of the shapes tell.
         """
         width, height = (side + 1 for side in self._pixels)
-        low, high = np.stack([corners_of(one) for one in shapes], axis=1)[..., None]
+        low, high = np.stack([bounding_box(one) for one in shapes], axis=1)[..., None]
         corners = low + (high - low) * np.indices((2, 2, 2)).reshape(3, 8)  # shape (shapes, 3, 8)
         points = np.ascontiguousarray(corners.transpose(1, 0, 2).reshape(3, -1), dtype=np.float32)
-        _, _, place, visible = Eye(self._sensor).sees(mi.Point3f(points))
+        _, _, place, visible = PerspectiveSensor(self._sensor).project(mi.Point3f(points))
         within = np.zeros((height, width), dtype=bool)
         if not np.all(np.array(visible)):
             within[:] = True
@@ -116,7 +116,7 @@ class Lines:
 
     def seen(self, scene: Any, at: Any) -> Any:
         """The number of the shape that a place in pixels sees; 0 for none."""
-        return shape_of(scene.ray_intersect_preliminary(self.ray(at)))
+        return hit_shape_index(scene.ray_intersect_preliminary(self.ray(at)))
 
 
 def narrowed(first: Any, second: Any, is_first: Callable[[Any], Any]) -> tuple[Any, Any]:

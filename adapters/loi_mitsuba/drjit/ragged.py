@@ -9,20 +9,20 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-__all__ = ["Rows", "number_of", "shape_of"]
+__all__ = ["RaggedTable", "hit_shape_index", "shape_index"]
 
 
-def shape_of(hit: Any) -> Any:
+def hit_shape_index(hit: Any) -> Any:
     """The number of the shape that a ray has hit; 0 for none."""
     return dr.select(hit.is_valid(), dr.reinterpret_array(mi.UInt32, hit.shape), 0)
 
 
-def number_of(shape: Any) -> int:
+def shape_index(shape: Any) -> int:
     """The number that :func:`shape_of` gives of a shape."""
     return int(np.array(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))).item())
 
 
-class Rows:
+class RaggedTable:
     """Where the rows of each shape begin, in a table of one shape's rows after another's.
 
     Parameters

@@ -11,9 +11,10 @@ import numpy as np
 from loi_core.effects import Draws, Holding
 from loi_core.errors import OptionError
 from loi_core.renderers.blurred import BlurredRenderer
+from loi_mitsuba.drjit.arrays import Float32Array
 from loi_mitsuba.effects.gradient_draws import APART, Probe
 from loi_mitsuba.scene.load import Target
-from loi_mitsuba.scene.poses import Host, Scale
+from loi_mitsuba.scene.poses import Scale
 
 __all__ = ["Blurring"]
 
@@ -29,13 +30,13 @@ class _Planned(Protocol):
     @property
     def targets(self) -> Mapping[str, Target]: ...
 
-    def parameters(self) -> dict[str, Host]: ...
+    def parameters(self) -> dict[str, Float32Array]: ...
 
-    def render(self, params: Mapping[str, Any], *, seed: int = 0) -> Host: ...
+    def render(self, params: Mapping[str, Any], *, seed: int = 0) -> Float32Array: ...
 
     def render_vjp(
         self, params: Mapping[str, Any], *, seed: int = 0
-    ) -> tuple[Host, Callable[[Any], dict[str, Host]]]: ...
+    ) -> tuple[Float32Array, Callable[[Any], dict[str, Float32Array]]]: ...
 
 
 @dataclass(frozen=True)
@@ -75,10 +76,10 @@ class Blurring:
         place, seed = dict(probe.params), APART + probe.seed
         try:
             blurred = self.over(names)
-            first = blurred.pull(place, probe.cotangent, seed=seed)
+            first = blurred.vjp(place, probe.cotangent, seed=seed)
             if not any(np.any(value) for value in first.values()):
                 return {}  # nothing is seen of it within reach of the blur
-            others = [blurred.pull(place, probe.cotangent, seed=seed + k) for k in range(1, DRAWS)]
+            others = [blurred.vjp(place, probe.cotangent, seed=seed + k) for k in range(1, DRAWS)]
         except OptionError:  # what leaves no trace in the image has no pixels to measure its blur by
             return {}
         held = Holding.begun(Draws.of([first, *others]), holding.groups).reasons
@@ -95,13 +96,15 @@ class _Images:
 
     planned: _Planned
 
-    def parameters(self) -> dict[str, Host]:
+    def parameters(self) -> dict[str, Float32Array]:
         return self.planned.parameters()
 
-    def render(self, params: Mapping[str, Any], *, seed: int = 0) -> Host:
+    def render(self, params: Mapping[str, Any], *, seed: int = 0) -> Float32Array:
         return self.planned.render(self._legal(params), seed=seed)
 
-    def render_vjp(self, params: Mapping[str, Any], *, seed: int = 0) -> tuple[Host, Callable[[Any], dict[str, Host]]]:
+    def render_vjp(
+        self, params: Mapping[str, Any], *, seed: int = 0
+    ) -> tuple[Float32Array, Callable[[Any], dict[str, Float32Array]]]:
         return self.planned.render_vjp(params, seed=seed)
 
     def _legal(self, params: Mapping[str, Any]) -> dict[str, Any]:

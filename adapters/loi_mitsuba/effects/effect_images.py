@@ -9,9 +9,9 @@ from typing import Any, Final
 import numpy as np
 
 from loi_core.effects import EffectPlan
+from loi_mitsuba.drjit.arrays import Float32Array
 from loi_mitsuba.effects.rules import EFFECTS
 from loi_mitsuba.renderer import MitsubaRenderer
-from loi_mitsuba.scene.poses import Host
 from loi_mitsuba.scene.settings import PROJECTIVE, as_mapping, settings_of
 
 __all__ = ["effect_images"]
@@ -28,12 +28,12 @@ def effect_images(
     cotangent: Any,
     *,
     seed: int,
-) -> dict[str, Host]:
+) -> dict[str, Float32Array]:
     """Images of the effects of a plan by rules; see :meth:`loi_mitsuba.PlannedRenderer.effect_images`."""
     full = settings_of(rules)
     if not rules.understood or full.integrator not in DRAWN_FORWARD:
         return {}
-    pulled = renderer.with_integrator(rules, follow=names).pull(params, cotangent, seed=seed)
+    pulled = renderer.with_integrator(rules, wrt=names).vjp(params, cotangent, seed=seed)
     tangent = {}
     for name in names:
         size = float(np.linalg.norm(pulled[name]))
@@ -44,5 +44,5 @@ def effect_images(
     for part, effect in EFFECTS.items():
         if getattr(full, part) > 0:
             only = replace(rules, settings=as_mapping(full.only(part, samples)))
-            images[str(effect)] = renderer.with_integrator(only, follow=names).push(params, tangent, seed=seed)
+            images[str(effect)] = renderer.with_integrator(only, wrt=names).jvp(params, tangent, seed=seed)
     return images

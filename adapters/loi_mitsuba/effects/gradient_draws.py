@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from loi_core.effects import Draws
+from loi_mitsuba.drjit.arrays import Float32Array
 from loi_mitsuba.renderer import MitsubaRenderer
-from loi_mitsuba.scene.poses import Host
 from loi_mitsuba.scene.settings import Settings
 
 __all__ = ["APART", "Probe"]
@@ -44,11 +44,11 @@ class Probe:
     def gradients(self, settings: Settings, seeds: Sequence[int]) -> Draws:
         """Draws of the gradient under these settings, of each parameter alone."""
         made = self.renderer.with_integrator(
-            settings.load(), spp_grad=None if settings.projective else settings.sppc, follow=self.names
+            settings.load(), spp_grad=None if settings.projective else settings.sppc, wrt=self.names
         )
-        return _draw(lambda seed: made.pull(self.params, self.cotangent, seed=APART + seed), self.names, seeds)
+        return _draw(lambda seed: made.vjp(self.params, self.cotangent, seed=APART + seed), self.names, seeds)
 
-    def image(self, settings: Settings, seed: int) -> Host:
+    def image(self, settings: Settings, seed: int) -> Float32Array:
         """The image under these settings."""
         return self.renderer.with_integrator(settings.load()).render(self.params, seed=APART + seed)
 

@@ -26,11 +26,11 @@ from loi_core.effects import (
     whole_samples,
 )
 from loi_core.support.wording import listed
+from loi_mitsuba.drjit.arrays import Float32Array
 from loi_mitsuba.effects.gradient_draws import Probe
 from loi_mitsuba.effects.rules import DIRECT, EFFECTS, everything, integrator_for, plan_of
-from loi_mitsuba.scene.poses import Host
+from loi_mitsuba.effects.traits import Traits
 from loi_mitsuba.scene.settings import OWN, PARTS, Settings, settings_of
-from loi_mitsuba.traits import Traits
 
 __all__ = ["MOST_DRAWS", "Findings", "Pilot"]
 
@@ -242,7 +242,7 @@ class Pilot:
         return found
 
     def _same_image(
-        self, deep: Sequence[Host], shallow: Settings, probe: Probe, seeds: Sequence[int], sure: float = SURE
+        self, deep: Sequence[Float32Array], shallow: Settings, probe: Probe, seeds: Sequence[int], sure: float = SURE
     ) -> bool:
         lacking = [full - probe.image(shallow, seed) for full, seed in zip(deep, seeds, strict=True)]
         return _image_under(lacking, deep, IMAGE * self.fraction, sure)
@@ -260,7 +260,7 @@ class Pilot:
         return dict(zip(kept, counts, strict=True))
 
 
-def _image_under(lacking: Sequence[Host], whole: Sequence[Host], fraction: float, sure: float) -> bool:
+def _image_under(lacking: Sequence[Float32Array], whole: Sequence[Float32Array], fraction: float, sure: float) -> bool:
     """Whether what an image lacks is surely under a fraction of it, in the Euclidean norm.
 
     Two seeds give the squared norm without the noise, and its error.

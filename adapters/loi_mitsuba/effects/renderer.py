@@ -21,21 +21,23 @@ from loi_core.support.arrays import to_numpy
 from loi_core.support.values import real_number
 from loi_core.support.wording import clause, listed, shown
 from loi_mitsuba.attached.gradient import AttachedGradient
+from loi_mitsuba.drjit.arrays import Float32Array
 from loi_mitsuba.effects.blurring import Blurring
 from loi_mitsuba.effects.effect_images import effect_images
 from loi_mitsuba.effects.gradient_draws import APART, Probe
 from loi_mitsuba.effects.pilot import MOST_DRAWS, Pilot
 from loi_mitsuba.effects.rules import everything, plan_by_rules, plan_of, plan_with
 from loi_mitsuba.effects.setup import prepare_renderer
+from loi_mitsuba.effects.traits import Traits, group_by_unit, traits_of
 from loi_mitsuba.effects.verify import Verification, verification
 from loi_mitsuba.proxy.scene import ProxySettings
 from loi_mitsuba.renderer import MitsubaRenderer
 from loi_mitsuba.scene.binding import host_numbers
 from loi_mitsuba.scene.load import Target
 from loi_mitsuba.scene.parameters import Scene
-from loi_mitsuba.scene.poses import Host
+from loi_mitsuba.scene.queries import group_by_shape
 from loi_mitsuba.scene.settings import settings_of
-from loi_mitsuba.traits import Traits, View, groups_of, objects_of, traits_of
+from loi_mitsuba.sensing.frustum import Frustum
 
 __all__ = ["FRACTION", "PlannedRenderer"]
 
@@ -181,15 +183,17 @@ class PlannedRenderer:
         """The scene, an ``mi.Scene``; its parameters are those of the last call."""
         return self._base.scene
 
-    def parameters(self) -> dict[str, Host]:
+    def parameters(self) -> dict[str, Float32Array]:
         """Every parameter as the scene had it when it was loaded; see :class:`MitsubaRenderer`."""
         return self._base.parameters()
 
-    def render(self, params: Mapping[str, Any], *, seed: int = 0) -> Host:
+    def render(self, params: Mapping[str, Any], *, seed: int = 0) -> Float32Array:
         """The image, shape (H, W, C), float32; see :class:`MitsubaRenderer`."""
         return self._current.render(params, seed=seed)
 
-    def render_vjp(self, params: Mapping[str, Any], *, seed: int = 0) -> tuple[Host, Callable[[Any], dict[str, Host]]]:
+    def render_vjp(
+        self, params: Mapping[str, Any], *, seed: int = 0
+    ) -> tuple[Float32Array, Callable[[Any], dict[str, Float32Array]]]:
         """The image and its pullback; see :class:`MitsubaRenderer`.
 
         The pullback keeps the plan of its image. The gradient of what is held is 0.
@@ -197,7 +201,7 @@ class PlannedRenderer:
         image, pullback = self.render_loss_vjp(params, seed=seed)
         return image, partial(pullback, None)
 
-    def render_loss_vjp(self, params: Mapping[str, Any], *, seed: int = 0) -> tuple[Host, LossPullback]:
+    def render_loss_vjp(self, params: Mapping[str, Any], *, seed: int = 0) -> tuple[Float32Array, LossPullback]:
         """The same, with a pullback that takes the loss, or None, and the cotangent: blurred gradients may use it."""
         image = self._current.render(params, seed=seed)
         self._look()
@@ -205,17 +209,17 @@ class PlannedRenderer:
         kept = {name: np.array(value, dtype=np.float32) for name, value in params.items()}
         held: frozenset[str] | None = None
 
-        def counted(loss: Loss | None, given: Any) -> dict[str, Host]:
+        def counted(loss: Loss | None, given: Any) -> dict[str, Float32Array]:
             nonlocal held
             cotangent = host_numbers("cotangent", given, image.shape)
-            pulled = current.pull(kept, cotangent, seed=seed)
+            pulled = current.vjp(kept, cotangent, seed=seed)
             begins = not self._begun
             if begins:
                 self.begin(kept, cotangent, optimise=self._optimised, seed=seed)
             if self._plan.followed:
-                pulled |= self._following.pull(kept, cotangent, names=self._plan.followed, seed=seed)
+                pulled |= self._following.vjp(kept, cotangent, names=self._plan.followed, seed=seed)
             if self._blurred is not None:
-                pulled |= self._blurred.pull(kept, cotangent, seed=seed, loss=loss)
+                pulled |= self._blurred.vjp(kept, cotangent, seed=seed, loss=loss)
             self._last = Probe(self._base, kept, np.array(cotangent, dtype=np.float32), self._names, seed)
             self._schedule = self._schedule.counted()
             if not begins and held is None:  # a second gradient of one image has the same noise, and would agree
@@ -276,7 +280,7 @@ class PlannedRenderer:
         lamps = tuple(name for name in names if name in self._whole.followed.lights)
         if not lamps:
             return
-        own = self._base.with_integrator(self._plan, follow=lamps)
+        own = self._base.with_integrator(self._plan, wrt=lamps)
         better = self._following.better(own, probe.params, probe.cotangent, names=lamps, seed=APART + probe.seed)
         if better:
             self._followed |= better
@@ -321,7 +325,7 @@ class PlannedRenderer:
         rules = settings_of(plan_by_rules(traits, self._samples))
         seeds = range(probe.seed, probe.seed + MOST_DRAWS)
         drawn = replace(probe, names=tuple(targets)).gradients(rules, seeds)
-        objects = objects_of({name: targets[name] for name in targets if name in noisy}, traits.moving)
+        objects = group_by_shape({name: targets[name] for name in targets if name in noisy}, traits.moving)
         free = frozenset(noisy) - Holding.begun(drawn, objects).reasons.keys()
         if not free:
             return
@@ -352,7 +356,7 @@ class PlannedRenderer:
     @property
     def unabridged(self) -> MitsubaRenderer:
         """The same scene with every effect on, by which the outcome of a fit is judged."""
-        return self._base.with_integrator(self.everything, follow=self._names)
+        return self._base.with_integrator(self.everything, wrt=self._names)
 
     def verify(
         self, objective: Objective, params: Mapping[str, Any] | None = None, *, draws: int = 16, seed: int = 0
@@ -381,7 +385,7 @@ class PlannedRenderer:
             raise OptionError(msg)
         return verification(
             self._current,
-            self._base.with_integrator(self.everything, follow=self._names),
+            self._base.with_integrator(self.everything, wrt=self._names),
             objective,
             self.parameters() if params is None else dict(params),
             self._groups,
@@ -389,7 +393,7 @@ class PlannedRenderer:
             seed=seed,
         )
 
-    def effect_images(self, params: Mapping[str, Any], cotangent: Any, *, seed: int = 0) -> dict[str, Host]:
+    def effect_images(self, params: Mapping[str, Any], cotangent: Any, *, seed: int = 0) -> dict[str, Float32Array]:
         """By effect, how its part of the image changes along the descent of the loss: arrays (H, W, C).
 
         Effects that a pilot has turned off are among them, those that the rules exclude are not. Empty where Mitsuba
@@ -410,9 +414,9 @@ class PlannedRenderer:
         apart = {*missing, *followed}
         targets = {name: one for name, one in self._base.targets.items() if name in names and name not in apart}
         self._names = tuple(targets)
-        self._groups = groups_of(targets)
+        self._groups = group_by_unit(targets)
         self._traits = replace(self._traits_of(targets), followed=followed, blurred=missing)
-        objects = objects_of(targets, self._traits.moving)
+        objects = group_by_shape(targets, self._traits.moving)
         self._pilot = Pilot(self._traits, self._samples, self._fraction, self._groups, objects)
         self._holding = Holding()
         self._rules = plan_by_rules(self._traits, self._samples)
@@ -434,8 +438,8 @@ class PlannedRenderer:
         """Those whose shape may be in view; what the camera sees is found out only where there are any."""
         if not shapes:
             return frozenset()
-        view = View(self._base.sensor)
-        return frozenset(name for name, shape in shapes.items() if view.has(shape))
+        view = Frustum(self._base.sensor)
+        return frozenset(name for name, shape in shapes.items() if view.overlaps(shape))
 
     def _look(self) -> None:
         """When a shape comes into view, sample outlines if that had been turned off, and let go what moves it.
@@ -486,7 +490,7 @@ class PlannedRenderer:
 
     def _set(self, plan: EffectPlan) -> None:
         self._plan = plan
-        self._current = self._base.with_integrator(plan, follow=self._names)
+        self._current = self._base.with_integrator(plan, wrt=self._names)
 
     def _change(self, plan: EffectPlan, when: str) -> None:
         changes = plan.changes_from(self._plan)

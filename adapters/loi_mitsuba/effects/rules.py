@@ -8,8 +8,8 @@ from typing import Final
 
 from loi_core.effects import Choice, Effect, EffectPlan
 from loi_core.support.wording import clause
+from loi_mitsuba.effects.traits import VOLUME_INTEGRATORS, Traits, is_known
 from loi_mitsuba.scene.settings import OWN, PARTS, Settings, as_mapping, settings_of
-from loi_mitsuba.traits import VOLUME_INTEGRATORS, Traits, is_known
 
 __all__ = ["DIRECT", "EFFECTS", "everything", "integrator_for", "plan_by_rules", "plan_of", "plan_with"]
 

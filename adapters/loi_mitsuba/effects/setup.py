@@ -12,9 +12,10 @@ from loi_core.errors import ParameterError
 from loi_core.renderers.blurred import names_to_blur
 from loi_mitsuba.attached.gradient import AttachedParameters
 from loi_mitsuba.effects.rules import plan_by_rules
+from loi_mitsuba.effects.traits import Traits, traits_of
 from loi_mitsuba.effects.unsupported import unsupported_parameters
-from loi_mitsuba.geometry.mesh import has_seams, is_flat, is_hard
-from loi_mitsuba.geometry.stepped_textures import has_steps, is_stepped
+from loi_mitsuba.geometry.mesh import is_flat_shaded, is_sharp_edged, is_unwelded
+from loi_mitsuba.geometry.stepped_textures import has_stepped_texture, is_stepped_texture
 from loi_mitsuba.proxy.light_size import LightContext, delta_lights
 from loi_mitsuba.proxy.scene import MovingShapes, ProxyScene, ProxySettings, build_proxy_scene
 from loi_mitsuba.proxy_renderer import ProxyGradientRenderer, light_targets, proxy_targets
@@ -23,7 +24,7 @@ from loi_mitsuba.scene.binding import ParameterBinding
 from loi_mitsuba.scene.load import Target, checked_samples, checked_targets, find_sensor, max_samples, use_variant
 from loi_mitsuba.scene.parameters import SceneIndex, ancestors, index_scene
 from loi_mitsuba.scene.settings import bordered
-from loi_mitsuba.traits import Traits, View, traits_of
+from loi_mitsuba.sensing.frustum import Frustum
 
 __all__ = ["Base", "prepare_renderer"]
 
@@ -120,8 +121,8 @@ def _split_meshes(called: SceneIndex, targets: Mapping[str, Target], moving: Map
     own = list(called.scene.shapes())
     whole = [shape for name, shape in moving.items() if not isinstance(targets[name], str)]
     parts = [shape for name, shape in moving.items() if isinstance(targets[name], str)]
-    split = [one for one in whole if one in own and one not in parts and has_seams(one)]
-    return {own.index(one): one for one in split if is_flat(one) or not is_hard(one)}
+    split = [one for one in whole if one in own and one not in parts and is_unwelded(one)]
+    return {own.index(one): one for one in split if is_flat_shaded(one) or not is_sharp_edged(one)}
 
 
 def _stepped_shapes(called: SceneIndex, targets: Mapping[str, Target], moving: Mapping[str, Any]) -> dict[int, Any]:
@@ -130,9 +131,9 @@ def _stepped_shapes(called: SceneIndex, targets: Mapping[str, Target], moving: M
     params = mi.traverse(called.scene)
     entries = (called.known(target) for target in targets.values() if isinstance(target, str))
     nodes = [one for entry in entries if entry for one in ancestors(params, params.properties[entry.key][2])]
-    if any(is_stepped(node) for node in nodes):
+    if any(is_stepped_texture(node) for node in nodes):
         return {}
-    return {own.index(one): one for one in moving.values() if one in own and has_steps(one)}
+    return {own.index(one): one for one in moving.values() if one in own and has_stepped_texture(one)}
 
 
 def _neighboured(
@@ -156,7 +157,7 @@ def _neighboured(
         scene,
         near,
         around,
-        View(sensor).has,
+        Frustum(sensor).overlaps,
         moved,
         float_textures=loaded.float_textures,
         unlit=traits.unlit_mirrors,

@@ -7,10 +7,17 @@ from typing import Any
 
 import mitsuba as mi
 
-from loi_mitsuba.diagnostics import is_clipped, is_crowded, is_turned, lets_through, misses_entry
+from loi_mitsuba.diagnostics import (
+    has_inverted_normals,
+    is_near_clipped,
+    is_non_manifold,
+    is_partly_transparent,
+    unsupported_parameter,
+)
+from loi_mitsuba.effects.traits import is_known, kind_of
 from loi_mitsuba.scene.load import Target
 from loi_mitsuba.scene.parameters import INSTANCE, SceneIndex, is_instance
-from loi_mitsuba.traits import has_medium, is_clear, is_known, kind_of
+from loi_mitsuba.scene.queries import has_medium, is_clear_glass
 
 __all__ = ["unsupported_parameters"]
 
@@ -31,7 +38,7 @@ def unsupported_parameters(called: SceneIndex, targets: Mapping[str, Target], se
             if entry.problem and entry.settable:
                 found[name] = entry.problem.partition(";")[0]
                 continue
-            if why := misses_entry(called, target):
+            if why := unsupported_parameter(called, target):
                 found[name] = why
                 continue
             node = called.moved_by(entry)
@@ -55,17 +62,17 @@ def _of_moving(node: Any, scene: Any, sensor: Any, *, medium: bool, whole: bool)
         return f"it moves a {node.class_name()}, by which Mitsuba's gradient is missing or wrong"
     if is_instance(node):
         return INSTANCE
-    if is_clear(node):
+    if is_clear_glass(node):
         return "it moves clear glass, and what that bends light to has next to no gradient in Mitsuba"
     if node not in scene.shapes():
         return "it moves a shape of a shapegroup, whose outlines and shadows have no gradient in Mitsuba"
-    if whole and lets_through(node):
+    if whole and is_partly_transparent(node):
         return "it moves a shape that light goes straight through in part, and Mitsuba has no gradient of cutouts"
-    if whole and is_turned(node, sensor):
+    if whole and has_inverted_normals(node, sensor):
         return "it moves a shape whose normals point inwards, of which Mitsuba misses the shadow"
-    if whole and is_crowded(node):
+    if whole and is_non_manifold(node):
         return "it moves a mesh at whose edges several triangles meet, and Mitsuba counts such an edge several times"
-    if whole and is_clipped(scene, sensor):
+    if whole and is_near_clipped(scene, sensor):
         return "it moves a shape before a near clipping plane that cuts something away, which Mitsuba takes for opaque"
     if medium:
         return "it moves a shape where there is a medium, in which outlines and shadows have no gradient in Mitsuba"

@@ -6,12 +6,12 @@ from typing import Any
 
 import numpy as np
 
-from loi_core.support.arrays import Host
+from loi_mitsuba.drjit.arrays import HostArray
 
-__all__ = ["corners_of"]
+__all__ = ["bounding_box"]
 
 
-def corners_of(node: Any) -> Host:
+def bounding_box(node: Any) -> HostArray:
     """The least and the largest coordinates of a shape, or of a scene: shape (2, 3), float64."""
     box = node.bbox()
     return np.array([np.array(one, dtype=np.float64).reshape(3) for one in (box.min, box.max)])

@@ -9,11 +9,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_core.support.arrays import Host
-from loi_mitsuba.drjit.ragged import Rows, number_of, shape_of
-from loi_mitsuba.geometry.mesh import edges_of, has_triangles, sides_of
+from loi_mitsuba.drjit.arrays import HostArray
+from loi_mitsuba.drjit.ragged import RaggedTable, hit_shape_index, shape_index
+from loi_mitsuba.geometry.mesh import crease_edges, edge_vertices, has_triangles
 
-__all__ = ["Once", "pieces_of"]
+__all__ = ["UniqueEdges", "uncovered_segments"]
 
 CLOSE: Final = 1e-5  # of the mesh's extent, between lines that are one: more than rounding, less than any bevel
 ALIKE: Final = 1e-4  # between their unit directions
@@ -22,7 +22,7 @@ MIXED: Final = np.random.default_rng(0).integers(-(2**62), 2**62, 6)  # odds of 
 AHEAD: Final = np.array([0.531, 0.797, 0.287])  # lines are taken to go this way, to which hardly any edge is upright
 
 
-class Once:
+class UniqueEdges:
     """Which points of the edges of meshes count, where some run along others.
 
     Parameters
@@ -31,22 +31,22 @@ class Once:
         By the number of a shape, where what counts of each side of its triangles begins and ends: shape (sides, 2).
     """
 
-    def __init__(self, pieces: dict[int, Host]) -> None:
+    def __init__(self, pieces: dict[int, HostArray]) -> None:
         low, high = np.concatenate(list(pieces.values())).astype(np.float32).T
-        self._rows = Rows({number: len(one) for number, one in pieces.items()})
+        self._rows = RaggedTable({number: len(one) for number, one in pieces.items()})
         self._low, self._high = mi.Float(np.ascontiguousarray(low)), mi.Float(np.ascontiguousarray(high))
 
     @classmethod
-    def of(cls, shapes: Iterable[Any]) -> Once | None:
+    def of(cls, shapes: Iterable[Any]) -> UniqueEdges | None:
         """Of those of some shapes that are meshes with such edges; None without."""
         meshes = filter(has_triangles, dict.fromkeys(shapes))
-        found = {number_of(one): _of_sides(one) for one in meshes}
+        found = {shape_index(one): _of_sides(one) for one in meshes}
         pieces = {number: each for number, each in found.items() if each is not None}
         return cls(pieces) if pieces else None
 
     def counts(self, drawn: Any) -> Any:
         """Whether points of silhouettes do, an ``mi.SilhouetteSample3f``."""
-        first, known = self._rows.of(shape_of(drawn))
+        first, known = self._rows.of(hit_shape_index(drawn))
         edge = drawn.projection_index
         side = first + 3 * drawn.prim_index + edge
         low, high = (dr.gather(mi.Float, one, side, known) for one in (self._low, self._high))
@@ -55,11 +55,11 @@ class Once:
         return ~known | ((along >= low) & (along <= high))
 
 
-def _of_sides(mesh: Any) -> Host | None:
+def _of_sides(mesh: Any) -> HostArray | None:
     """What counts of each side of a mesh's triangles, from where it begins; None where all does."""
-    sides = sides_of(mesh)
+    sides = crease_edges(mesh)
     places = np.array(mi.traverse(mesh)["vertex_positions"]).reshape(-1, 3)
-    which, between = pieces_of(places, edges_of(mesh, sides)[0])
+    which, between = uncovered_segments(places, edge_vertices(mesh, sides)[0])
     if len(which) == len(sides) and np.all(between == [0.0, 1.0]):
         return None
     found = np.tile([0.0, 1.0], (3 * mesh.face_count(), 1))
@@ -70,7 +70,7 @@ def _of_sides(mesh: Any) -> Host | None:
     return found
 
 
-def pieces_of(positions: Host, ends: Host) -> tuple[Host, Host]:
+def uncovered_segments(positions: HostArray, ends: HostArray) -> tuple[HostArray, HostArray]:
     """What is left of edges where each point of a line is covered by one of them.
 
     Parameters
@@ -90,8 +90,8 @@ def pieces_of(positions: Host, ends: Host) -> tuple[Host, Host]:
     extent = float(np.max(np.ptp(points, axis=0), initial=0.0))
     first, second = points[ends].transpose(1, 0, 2) - points.mean(axis=0)
     length = np.linalg.norm(second - first, axis=1)
-    which: Host = np.flatnonzero(length > 0.0)
-    between: Host = np.tile([0.0, 1.0], (len(which), 1))
+    which: HostArray = np.flatnonzero(length > 0.0)
+    between: HostArray = np.tile([0.0, 1.0], (len(which), 1))
     way = (second - first) / np.where(length > 0.0, length, 1.0)[:, None]
     way *= np.where(way @ AHEAD < 0.0, -1.0, 1.0)[:, None]
     begin, end = np.sum(first * way, axis=1), np.sum(second * way, axis=1)
@@ -110,7 +110,7 @@ def pieces_of(positions: Host, ends: Host) -> tuple[Host, Host]:
     return which[order], between[order]
 
 
-def _uncovered(line: Host, spans: Host, least: float) -> tuple[Host, Host]:
+def _uncovered(line: HostArray, spans: HostArray, least: float) -> tuple[HostArray, HostArray]:
     """Of spans of lines, shape (n, 2), the numbers of those that others do not cover, and where what is left begins.
 
     What they cover of each other, or leave, of less than `least` is rounding.

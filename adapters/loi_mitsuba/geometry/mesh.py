@@ -13,24 +13,24 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_core.support.arrays import Host
-from loi_mitsuba.geometry.bounds import corners_of
+from loi_mitsuba.drjit.arrays import HostArray
+from loi_mitsuba.geometry.bounds import bounding_box
 
 __all__ = [
-    "boxes_of",
-    "crowded_share",
-    "edges_of",
-    "has_seams",
-    "has_sides",
+    "component_bounds",
+    "connected_components",
+    "crease_edges",
+    "edge_vertices",
+    "has_creases",
+    "has_inward_normals",
+    "has_smoothed_edges",
     "has_triangles",
     "is_closed",
-    "is_flat",
-    "is_hard",
-    "is_inside_out",
-    "is_rounded",
-    "merge_seams",
-    "parts_of",
-    "sides_of",
+    "is_flat_shaded",
+    "is_sharp_edged",
+    "is_unwelded",
+    "non_manifold_fraction",
+    "weld_vertices",
 ]
 
 SURFACE: Final = 1024  # points of a shape, for where its normals point
@@ -44,7 +44,7 @@ MOST_BORDERS: Final = 4000  # edges: of more it would take too long to find whic
 ALONG: Final = 1e-4  # of its length: how far beside an edge a vertex may be that lies on it
 
 
-def has_seams(shape: Any) -> bool:
+def is_unwelded(shape: Any) -> bool:
     """Whether edges of a shape are borders only because their vertices are not shared."""
     if not isinstance(shape, mi.Mesh):
         return False
@@ -60,7 +60,7 @@ def has_triangles(shape: Any) -> bool:
     return isinstance(shape, mi.Mesh) and "faces" in mi.traverse(shape)
 
 
-def has_sides(shape: Any) -> bool:
+def has_creases(shape: Any) -> bool:
     """Whether shading jumps between triangles of a shape that meet, as between the sides of a box."""
     if not has_triangles(shape):
         return False
@@ -73,7 +73,7 @@ def has_sides(shape: Any) -> bool:
     return bool(np.any(turn > CREASE))
 
 
-def sides_of(shape: Any) -> Host:
+def crease_edges(shape: Any) -> HostArray:
     """All edges of a mesh at which it bends or ends, as pairs of sides of triangles, shape (n, 2).
 
     Sides are numbered 3 a triangle, in their order. Of an edge at which a triangle ends, it is the same one twice.
@@ -84,7 +84,7 @@ def sides_of(shape: Any) -> Host:
     return np.concatenate([bent, np.stack([alone, alone], axis=1)])
 
 
-def edges_of(shape: Any, sides: Host) -> tuple[Host, Host]:
+def edge_vertices(shape: Any, sides: HostArray) -> tuple[HostArray, HostArray]:
     """Edges of a mesh, given as by :func:`sides_of`, as numbers of vertices, shape (n, 2).
 
     First their ends; then the third corners of the two triangles that meet there, the same one twice where one ends.
@@ -94,7 +94,7 @@ def edges_of(shape: Any, sides: Host) -> tuple[Host, Host]:
     return np.asarray(ends[sides[:, 0]]), np.asarray(np.roll(faces, -2, axis=1).ravel()[sides])
 
 
-def parts_of(shape: Any) -> Host:
+def connected_components(shape: Any) -> HostArray:
     """The number of the part that each triangle of a mesh belongs to, from 0, shape (m,).
 
     Triangles are of one part where they meet at an edge at which no others do.
@@ -115,7 +115,7 @@ def parts_of(shape: Any) -> Host:
         part = joined
 
 
-def boxes_of(shape: Any, part: Host) -> tuple[Host, Host]:
+def component_bounds(shape: Any, part: HostArray) -> tuple[HostArray, HostArray]:
     """The lower and upper corners of the boxes around a mesh's parts, of which `part` has numbers: shape (parts, 3)."""
     params = mi.traverse(shape)
     corners = np.array(params["vertex_positions"], dtype=np.float64).reshape(-1, 3)[_faces(params)]
@@ -125,7 +125,7 @@ def boxes_of(shape: Any, part: Host) -> tuple[Host, Host]:
     return low, high
 
 
-def crowded_share(shape: Any) -> float:
+def non_manifold_fraction(shape: Any) -> float:
     """How much, by length, of a mesh's edges Mitsuba counts several times however vertices are shared: 0 to 1.
 
     Those are edges at which more than two triangles meet, and borders that run along others (T-junctions).
@@ -144,14 +144,14 @@ def crowded_share(shape: Any) -> float:
     if 0 < len(borders) <= MOST_BORDERS:
         crowded = np.concatenate([crowded, borders[_run_along_others(positions, borders)]])
 
-    def length(edges: Host) -> float:
+    def length(edges: HostArray) -> float:
         return float(np.sum(np.linalg.norm(positions[edges[:, 0]] - positions[edges[:, 1]], axis=1)))
 
     total = length(ends[_bent(params, faces, pairs)[:, 0]]) + length(kinds)
     return length(crowded) / total if total > 0.0 else 0.0
 
 
-def _run_along_others(positions: Host, borders: Host) -> Host:
+def _run_along_others(positions: HostArray, borders: HostArray) -> HostArray:
     """Which borders, pairs of vertices, have an end of another border between their own."""
     others = positions[np.unique(borders)]
     found = np.zeros(len(borders), dtype=bool)
@@ -165,13 +165,13 @@ def _run_along_others(positions: Host, borders: Host) -> Host:
     return found
 
 
-def _bent(params: Any, faces: Host, pairs: Host, least: float = BENT) -> Host:
+def _bent(params: Any, faces: HostArray, pairs: HostArray, least: float = BENT) -> HostArray:
     """Of pairs of sides, those between whose triangles' unit normals there is more than so much."""
     flat = _flat_normals(params, faces).reshape(-1, 3)
     return np.asarray(pairs[_apart(flat[pairs[:, 0]], flat[pairs[:, 1]]) > least])
 
 
-def _meetings(shape: Any) -> tuple[Host, Host]:
+def _meetings(shape: Any) -> tuple[HostArray, HostArray]:
     """Sides of triangles, 3 a triangle in their order, that are at one place: in pairs, shape (n, 2), or by themselves.
 
     Of an edge at which more than two triangles meet, all are by themselves.
@@ -186,7 +186,7 @@ def _meetings(shape: Any) -> tuple[Host, Host]:
     return order[twice].reshape(-1, 2), order[~twice]
 
 
-def _apart(one: Host, other: Host) -> Host:
+def _apart(one: HostArray, other: HostArray) -> HostArray:
     return np.asarray(np.linalg.norm(one - other, axis=-1))
 
 
@@ -196,9 +196,9 @@ def is_closed(shape: Any) -> bool:
     return "faces" in params and _borders(_places(params)[_faces(params)]) == 0
 
 
-def is_inside_out(shape: Any) -> bool:
+def has_inward_normals(shape: Any) -> bool:
     """Whether the normals of a sphere, or of a closed mesh that is not flat-shaded, point inwards."""
-    corners = corners_of(shape)
+    corners = bounding_box(shape)
     middle = corners.mean(axis=0)
     if shape.class_name() == "Sphere":
         away = np.array([np.linalg.norm(np.ptp(corners, axis=0)), 0.0, 0.0])
@@ -217,7 +217,7 @@ def is_inside_out(shape: Any) -> bool:
     return any(float(np.sum(one)) < -INWARDS * float(np.sum(np.abs(one))) for one in (wound, turned))
 
 
-def is_hard(shape: Any) -> bool:
+def is_sharp_edged(shape: Any) -> bool:
     """Whether most triangles meet others whose shading differs much, as the sides of a cube do.
 
     Where such an edge is in view, brightness jumps across it, and it has a gradient of its own. Projective sampling
@@ -234,7 +234,7 @@ def is_hard(shape: Any) -> bool:
     return float(np.mean(np.any(hard[at], axis=1))) > HARD
 
 
-def is_rounded(shape: Any) -> bool:
+def has_smoothed_edges(shape: Any) -> bool:
     """Whether much of a mesh is shaded as if its sharp edges were round, as a box of eight vertices without normals."""
     if not has_triangles(shape):
         return False
@@ -249,7 +249,7 @@ def is_rounded(shape: Any) -> bool:
     return float(area @ (sharp & rounded)) > ROUNDED * float(np.sum(area))
 
 
-def _corner_normals(shape: Any) -> Host:
+def _corner_normals(shape: Any) -> HostArray:
     """What the corners of each triangle of a mesh are shaded by: unit normals, shape (m, 3, 3)."""
     params = mi.traverse(shape)
     faces = _faces(params)
@@ -259,38 +259,38 @@ def _corner_normals(shape: Any) -> Host:
     return _flat_normals(params, faces)
 
 
-def is_flat(shape: Any) -> bool:
+def is_flat_shaded(shape: Any) -> bool:
     """Whether a mesh is shaded as its triangles lie, as a cube is."""
     params = mi.traverse(shape)
     return bool(np.all(_apart(_corner_normals(shape), _flat_normals(params, _faces(params))) < CREASE))
 
 
-def _flat_normals(params: Any, faces: Host) -> Host:
+def _flat_normals(params: Any, faces: HostArray) -> HostArray:
     """The normals of triangles, at each of their corners: shape (m, 3, 3)."""
     a, b, c = np.array(params["vertex_positions"], dtype=np.float64).reshape(-1, 3)[faces].transpose(1, 0, 2)
     flat = np.cross(b - a, c - a)
     return np.repeat((flat / np.maximum(np.linalg.norm(flat, axis=1, keepdims=True), 1e-30))[:, None], 3, axis=1)
 
 
-def merge_seams(shape: Any) -> None:
+def weld_vertices(shape: Any) -> None:
     """Have triangles share the first of the vertices at a place; the others stay, and belong to none.
 
     Only where all vertices of the shape are moved together, since those that belong to no triangle have no gradient.
     What is flat stays so: without normals at its vertices, it is shaded by those of its triangles.
     """
     params = mi.traverse(shape)
-    if "vertex_normals" in params and is_flat(shape):
+    if "vertex_normals" in params and is_flat_shaded(shape):
         params["vertex_normals"] = dr.zeros(mi.Float, 0)
     params["faces"] = mi.UInt32(_places(params)[_faces(params)].astype(np.uint32).ravel())
     params.update()
 
 
-def _faces(params: Any) -> Host:
+def _faces(params: Any) -> HostArray:
     """The vertices of each triangle, shape (m, 3)."""
     return np.array(params["faces"], dtype=np.int64).reshape(-1, 3)
 
 
-def _places(params: Any) -> Host:
+def _places(params: Any) -> HostArray:
     """For each vertex, the first one at the same place."""
     positions = np.array(params["vertex_positions"], dtype=np.float32).reshape(-1, 3)
     rows = np.ascontiguousarray(positions + 0.0).view([("", np.float32)] * 3)  # + 0.0 makes -0.0 equal to 0.0
@@ -298,7 +298,7 @@ def _places(params: Any) -> Host:
     return np.asarray(first[which.reshape(-1)])
 
 
-def _borders(faces: Host) -> int:
+def _borders(faces: HostArray) -> int:
     """Number of edges that belong to one triangle only."""
     edges = np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1)
     counts = np.unique(edges[:, 0] * (faces.max(initial=0) + 1) + edges[:, 1], return_counts=True)[1]

@@ -12,7 +12,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-__all__ = ["RAMP", "has_steps", "interpolate", "is_stepped"]
+__all__ = ["RAMP", "has_stepped_texture", "is_stepped_texture", "ramp_texture"]
 
 FINE: Final = 4  # texels along each side of what is of one colour: the ramp is one of them wide
 RAMP: Final = f"with ramps 1/{FINE} as wide as a check or texel, for steps that move have no gradient"
@@ -23,13 +23,13 @@ STEADY: Final = 0.9  # of pairs of places so close, where the next texel differs
 COLOURS: Final = {"color0": 0.4, "color1": 0.2}  # of a checkerboard that is not told
 
 
-def has_steps(shape: Any) -> bool:
+def has_stepped_texture(shape: Any) -> bool:
     """Whether a texture of a shape has steps, which move with it."""
     nodes = {one[2] for one in mi.traverse(shape).properties.values()}
-    return any(is_stepped(one) for one in nodes)
+    return any(is_stepped_texture(one) for one in nodes)
 
 
-def is_stepped(node: Any) -> bool:
+def is_stepped_texture(node: Any) -> bool:
     """Whether an object of a scene is a texture with steps: a checkerboard, or a bitmap that is not interpolated."""
     if not isinstance(node, mi.Texture):
         return False
@@ -51,7 +51,7 @@ def is_stepped(node: Any) -> bool:
     return bool(np.any(differs) and np.mean(equal[differs]) > STEADY)
 
 
-def interpolate(props: Any) -> bool:
+def ramp_texture(props: Any) -> bool:
     """Make an interpolated bitmap of the properties of a texture with steps; False if they have none, or cannot be."""
     kind = props.plugin_name()
     if kind == "checkerboard":

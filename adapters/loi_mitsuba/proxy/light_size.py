@@ -5,17 +5,17 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, Final, TypeAlias
+from typing import Any, Final
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.geometry.bounds import corners_of
+from loi_mitsuba.drjit.arrays import Float64Array
+from loi_mitsuba.geometry.bounds import bounding_box
 
 __all__ = ["KINDS", "LightContext", "delta_lights", "light_intensity", "light_position"]
 
-Host: TypeAlias = np.ndarray[Any, np.dtype[np.float64]]
 
 KINDS: Final = {"PointLight": "point", "SpotLight": "spot", "DirectionalEmitter": "directional"}
 PLACES: Final = 64  # of a lamp, from which what moves is seen or hidden
@@ -41,29 +41,29 @@ class LightContext:
         What there is.
     """
 
-    boxes: Host
-    middle: Host
+    boxes: Float64Array
+    middle: Float64Array
     radius: float
-    powers: tuple[Host | None, ...]
+    powers: tuple[Float64Array | None, ...]
     scene: Any
 
     @classmethod
     def of(cls, scene: Any, moving: Iterable[Any], stay: Iterable[int] = ()) -> LightContext:
         """Of a loaded scene, the shapes that move in it, and the numbers of lights that are to stay as they are."""
-        boxes = np.array([corners_of(one) for one in moving])
-        low, high = corners_of(scene)
+        boxes = np.array([bounding_box(one) for one in moving])
+        low, high = bounding_box(scene)
         kept = set(stay)
         powers = tuple(None if k in kept else light_intensity(one) for k, one in enumerate(delta_lights(scene)))
         return cls(boxes, 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low)), powers, scene)
 
-    def distance(self, point: Host) -> float:
+    def distance(self, point: Float64Array) -> float:
         """From a point to the nearest box, or if it is within one, to that one's middle."""
         outside = np.maximum(np.maximum(self.boxes[:, 0] - point, point - self.boxes[:, 1]), 0.0)
         away = np.linalg.norm(outside, axis=1)
         middles = np.linalg.norm(self.boxes.mean(axis=1) - point, axis=1)
         return float(np.min(np.where(away > 0.0, away, middles)))
 
-    def fits(self, point: Host, radius: float) -> bool:
+    def fits(self, point: Float64Array, radius: float) -> bool:
         """Whether a sphere at a light sees what moves where the light does, and does not where that has a shade."""
         turns = np.arange(PLACES) * math.pi * (3.0 - math.sqrt(5.0))
         away = np.sqrt((np.arange(PLACES) + 0.5) / PLACES)
@@ -96,14 +96,14 @@ def delta_lights(scene: Any) -> list[Any]:
     return [one for one in scene.emitters() if one.class_name() in KINDS]
 
 
-def light_position(light: Any) -> Host:
+def light_position(light: Any) -> Float64Array:
     """Where a light without a size is, shape (3,); of a directional light, nowhere that means anything."""
     params = mi.traverse(light)
     told = params["position"] if "position" in params else params["to_world"].translation()
     return np.array(told, dtype=np.float64).reshape(3)
 
 
-def _first_hit(scene: Any, origins: Host, goal: Host) -> Host:
+def _first_hit(scene: Any, origins: Float64Array, goal: Float64Array) -> Float64Array:
     """How far away the first surface is on the ways from points, shape (n, 3), to one; infinite where there is none."""
     ways = goal - origins
     ways /= np.linalg.norm(ways, axis=1, keepdims=True)
@@ -112,7 +112,7 @@ def _first_hit(scene: Any, origins: Host, goal: Host) -> Host:
         return np.array(scene.ray_intersect_preliminary(ray).t, dtype=np.float64)
 
 
-def light_intensity(light: Any) -> Host | None:
+def light_intensity(light: Any) -> Float64Array | None:
     """Intensity or irradiance of a light of one colour in all directions, shape (3,); None for others, and spectra."""
     if mi.is_spectral:
         return None

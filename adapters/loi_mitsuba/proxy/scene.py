@@ -18,7 +18,7 @@ import numpy as np
 from loi_core.errors import OptionError
 from loi_core.support.values import real_number
 from loi_core.support.wording import shown
-from loi_mitsuba.geometry.mesh import merge_seams
+from loi_mitsuba.geometry.mesh import weld_vertices
 from loi_mitsuba.proxy.light_size import KINDS, LightContext, delta_lights, light_intensity
 from loi_mitsuba.proxy.substitutions import (
     LAMP,
@@ -213,7 +213,7 @@ def _exchanged(
     own = [shape for shape in made.shapes() if not shape.id().startswith(LAMP)]
     for number, shape in moved.split.items():
         if own[number] != shape:  # what a dict holds as an object is the scene's as well
-            merge_seams(own[number])
+            weld_vertices(own[number])
             exchanges.append(welding_of(shape))
     return (made, exchanges) if exchanges else None
 

@@ -9,8 +9,8 @@ from typing import Any, Final
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.geometry.mesh import has_sides
-from loi_mitsuba.geometry.stepped_textures import RAMP, interpolate
+from loi_mitsuba.geometry.mesh import has_creases
+from loi_mitsuba.geometry.stepped_textures import RAMP, ramp_texture
 from loi_mitsuba.plugins.proxy_bsdf import register_proxy_bsdf
 from loi_mitsuba.plugins.proxy_emitter import register_proxy_emitter
 from loi_mitsuba.proxy.light_size import LightContext
@@ -84,7 +84,7 @@ def interpolate_textures(state: Any, number: int, shape: Any, exchanges: list[Su
     for part in parts_of(state, number, mi.ObjectType.Texture):
         node = state.nodes[part]
         kind = node.props.plugin_name()
-        if interpolate(node.props):
+        if ramp_texture(node.props):
             named = f" of {shape.id()!r}" if shape.id() else ""
             exchanges.append(Substitution(f"{kind}{named}", f"an interpolated bitmap {RAMP}"))
 
@@ -94,7 +94,7 @@ def welding_of(shape: Any) -> Substitution:
     named = f" {shape.id()!r}" if shape.id() else ""
     reason = "with the vertices at one place shared, for an edge that is stored twice has its gradient twice"
     # A box whose corners are shared has another texture. Its outlines are drawn in the scene itself, and so is that.
-    return Substitution(f"mesh{named}", reason, only_shadows=has_sides(shape))
+    return Substitution(f"mesh{named}", reason, only_shadows=has_creases(shape))
 
 
 def substitute_light(

@@ -14,10 +14,10 @@ import numpy as np
 
 from loi_core.errors import ParameterError
 from loi_core.support.wording import shown
-from loi_mitsuba.drjit.alignment import aligned
+from loi_mitsuba.drjit.arrays import Float32Array, aligned_copy
 from loi_mitsuba.scene.load import Target
 from loi_mitsuba.scene.parameters import SceneIndex, numbers
-from loi_mitsuba.scene.poses import Host, Scale, posed
+from loi_mitsuba.scene.poses import Scale, posed
 
 __all__ = ["ParameterBinding", "as_host", "host_numbers"]
 
@@ -66,7 +66,7 @@ class ParameterBinding:
     def __init__(self, called: SceneIndex, targets: Mapping[str, Target], without_gradient: Iterable[str] = ()) -> None:
         self.entries = mi.traverse(called.scene)
         self.targets = dict(targets)
-        self.start: dict[str, Host] = {}
+        self.start: dict[str, Float32Array] = {}
         self._keys: dict[str, str] = {}
         self._posed: list[_Posed] = []
         by_shape: defaultdict[str, list[str]] = defaultdict(list)
@@ -122,7 +122,7 @@ class ParameterBinding:
             if isinstance(self.targets[name], Scale) and value <= 0:
                 msg = f"`{name}` scales a shape and must be more than 0, got {float(value):g}"
                 raise ParameterError(msg)
-            leaves[name] = mi.Float(aligned(value.reshape(-1)))
+            leaves[name] = mi.Float(aligned_copy(value.reshape(-1)))
         return leaves
 
     @contextmanager
@@ -149,7 +149,7 @@ class ParameterBinding:
         finally:
             self.set(self.leaves(params), wanted)
 
-    def gradients(self, leaves: Mapping[str, Any], names: Iterable[str]) -> dict[str, Host]:
+    def gradients(self, leaves: Mapping[str, Any], names: Iterable[str]) -> dict[str, Float32Array]:
         """What has arrived at leaves, in the shapes of their parameters."""
         return {name: as_host(dr.grad(leaves[name]), self.start[name].shape) for name in names}
 
@@ -186,8 +186,8 @@ class ParameterBinding:
         for key, own in given.items():
             beside = _beside(key, NORMALS)
             if np.max(np.abs(as_host(self.entries[beside], (-1, 3)) - own)) >= SAME:
-                self.entries[beside] = mi.Float(aligned(own.reshape(-1)))
-                found[key] = mi.Normal3f(*(mi.Float(aligned(each)) for each in own.T))
+                self.entries[beside] = mi.Float(aligned_copy(own.reshape(-1)))
+                found[key] = mi.Normal3f(*(mi.Float(aligned_copy(each)) for each in own.T))
         self.entries.update()
         return found
 
@@ -207,7 +207,7 @@ def _centre(node: Any, start: Any) -> tuple[float, float, float]:
     return x, y, z
 
 
-def host_numbers(name: str, value: Any, shape: tuple[int, ...]) -> Host:
+def host_numbers(name: str, value: Any, shape: tuple[int, ...]) -> Float32Array:
     """`value` as a new float32 array, once it is known to be finite numbers of `shape`."""
     try:
         with np.errstate(over="ignore"):  # what is too large for float32 becomes infinite
@@ -224,7 +224,7 @@ def host_numbers(name: str, value: Any, shape: tuple[int, ...]) -> Host:
     return array
 
 
-def as_host(value: Any, shape: tuple[int, ...]) -> Host:
+def as_host(value: Any, shape: tuple[int, ...]) -> Float32Array:
     """An array of Dr.Jit as float32 of `shape`, in C order."""
     return np.array(value, dtype=np.float32, order="C").reshape(shape)
 

@@ -15,7 +15,7 @@ import mitsuba as mi
 import numpy as np
 
 from loi_core.errors import ParameterError
-from loi_mitsuba.geometry.bounds import corners_of
+from loi_mitsuba.geometry.bounds import bounding_box
 from loi_mitsuba.scene.load import LoadedScene, load_scene, load_with_float_textures, use_variant
 
 __all__ = [
@@ -286,8 +286,8 @@ def _places(params: SceneParameters) -> dict[str, str]:
             if _is_merged(node):
                 found[folder] = "merged_meshes"
                 continue
-            found[folder] = f"{_kind_of(node)}_at_{_numbers(corners_of(node).mean(axis=0))}"
-            sizes[folder] = f"_size_{_numbers(np.ptp(corners_of(node), axis=0))}"
+            found[folder] = f"{_kind_of(node)}_at_{_numbers(bounding_box(node).mean(axis=0))}"
+            sizes[folder] = f"_size_{_numbers(np.ptp(bounding_box(node), axis=0))}"
     named = list(found.values())
     found = {key: name + sizes.get(key, "") if named.count(name) > 1 else name for key, name in found.items()}
     named = list(found.values())

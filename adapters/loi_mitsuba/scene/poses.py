@@ -7,13 +7,11 @@ from typing import Any, TypeAlias
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
 from loi_core.renderers.handles import Handle, Rotate, Scale, Translate, in_order
 
-__all__ = ["Handle", "Host", "Rotate", "Scale", "Translate", "posed"]
+__all__ = ["Handle", "Rotate", "Scale", "Translate", "posed"]
 
-Host: TypeAlias = np.ndarray[Any, np.dtype[np.float32]]
 Vector: TypeAlias = tuple[float, float, float]
 
 

@@ -11,7 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.scene.poses import Host
+from loi_mitsuba.drjit.arrays import Float32Array
 
 __all__ = ["Film"]
 
@@ -61,18 +61,18 @@ class Film:
             norms.append(mi.Float((STEPS / (2.0 * radius) / (sampled @ value)).astype(np.float32)))
         return norms
 
-    def colours_of(self, cotangent: Any) -> Host:
+    def colours_of(self, cotangent: Any) -> Float32Array:
         """A cotangent of the image, shape (H, W, C), as one of its red, green and blue.
 
         Channels beyond colours have no gradient.
         """
         return np.asarray(cotangent, dtype=np.float32)[..., : len(self._mix)] @ self._mix
 
-    def shown(self, image: Host) -> Host:
+    def shown(self, image: Float32Array) -> Float32Array:
         """An image of red, green and blue in the film's channels: what :meth:`colours_of` is the transpose of."""
         return np.pad(image @ self._mix.T, ((0, 0), (0, 0), (0, self.channels - len(self._mix))))
 
-    def looked_up(self, cotangent: Any, place: Any) -> Any:
+    def gather(self, cotangent: Any, place: Any) -> Any:
         """A cotangent of the image, shape (H, W, C), for red, green and blue at places of the film, 0 to 1 both ways.
 
         That is its mean over the pixels that show a place, with the weights of the reconstruction filter.
@@ -83,26 +83,26 @@ class Film:
             found += weight * dr.gather(mi.Color3f, values, first, there)
         return found
 
-    def splat(self, value: Any, place: Any) -> Host:
+    def splat(self, value: Any, place: Any) -> Float32Array:
         """What red, green and blue at places add to the image, shape (H, W, C).
 
         What :meth:`looked_up` is the transpose of.
         """
         return self.shown(self._sums(value, place))
 
-    def mean(self, value: Any, place: Any) -> Host:
+    def mean(self, value: Any, place: Any) -> Float32Array:
         """The image, shape (H, W, C), of samples that are red, green and blue at places."""
         sums = self._sums(mi.Vector4f(*value, 1.0), place)
         return self.shown(sums[..., :3] / _above(sums[..., 3:]))
 
-    def shared(self, cotangent: Any, place: Any) -> Host:
+    def shared(self, cotangent: Any, place: Any) -> Float32Array:
         """A cotangent of the image, shape (H, W, C), for :meth:`looked_up` at the places of all samples of an image.
 
         What :meth:`mean` is then the transpose of.
         """
         return np.asarray(cotangent, dtype=np.float32) / _above(self._sums(mi.Vector1f(1.0), place))
 
-    def _sums(self, value: Any, place: Any) -> Host:
+    def _sums(self, value: Any, place: Any) -> Float32Array:
         """Sums of values over the pixels that show their places, shape (H, W, channels of the values)."""
         width, height = self.size
         image = dr.zeros(mi.Float, len(value) * width * height)
@@ -129,7 +129,7 @@ class Film:
             yield pixel, weight * dr.gather(mi.Float, self._norms[axis], mi.UInt32(pixel), there), there
 
 
-def _above(weights: Host) -> Host:
+def _above(weights: Float32Array) -> Float32Array:
     """Weights of pixels, and 1 where there is no sample."""
     return np.where(weights > 0.0, weights, np.float32(1.0))
 

@@ -9,18 +9,28 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.scene.poses import Host
+from loi_mitsuba.drjit.arrays import Float32Array
 from loi_mitsuba.sensing.film import Film
-from loi_mitsuba.sensing.film_samples import in_colours
+from loi_mitsuba.sensing.film_samples import to_rgb
 
-__all__ = ["BESIDE", "NEARLY", "Eye", "brighter", "is_plain", "is_shifted", "lift_of", "offset_of", "sampler_of"]
+__all__ = [
+    "BESIDE",
+    "NEARLY",
+    "PerspectiveSensor",
+    "is_off_centre",
+    "make_sampler",
+    "principal_point_offset",
+    "radiance_difference",
+    "ray_epsilon",
+    "supports_boundary_sampling",
+]
 
 BESIDE: Final = 0.05  # pixels from a jump of brightness, to either side
 NEARLY: Final = 1e-3  # of the distance to the camera: what is nearer than an edge by less does not hide it
 LEAST_AHEAD: Final = 1e-3  # cosine between the way to a point and where the camera looks: less is out of any view
 
 
-class Eye:
+class PerspectiveSensor:
     """A perspective camera; of points around the image, to a quarter of its longer side, it knows the place as well."""
 
     def __init__(self, sensor: Any) -> None:
@@ -31,19 +41,19 @@ class Eye:
         self.place = mi.Point3f(to_world.translation())
         self._to_local = to_world.inverse()
         self._to_film = sensor.projection_transform()
-        self._offset = offset_of(sensor)
+        self._offset = principal_point_offset(sensor)
         self._near = float(np.array(sensor.near_clip()).reshape(-1)[0])
         matrix = np.array(self._to_film.matrix, dtype=np.float64).reshape(4, 4)
         # Pixels to the area of the film at distance 1.
         self._density = abs(float(width * height * matrix[0, 0] * matrix[1, 1] / matrix[3, 2] ** 2))
 
-    def padded(self, cotangent: Any) -> Any:
+    def padded_cotangent(self, cotangent: Any) -> Any:
         """A cotangent of the image, shape (H, W, C), as one of its red, green and blue, with zeros around it."""
         around = (self._around, self._around)
         colours = self._film.colours_of(cotangent)
         return mi.TensorXf(np.ascontiguousarray(np.pad(colours, (around, around, (0, 0)))))
 
-    def cropped(self, image: Any) -> Host:
+    def cropped(self, image: Any) -> Float32Array:
         """An image without what is around it."""
         inner = slice(self._around, -self._around)
         return np.array(image, dtype=np.float32)[inner, inner]
@@ -66,7 +76,7 @@ class Eye:
                         dr.scatter_add(image, part * value[channel], first + channel, there)
         return mi.TensorXf(image, shape=(height, width, 3))
 
-    def texture(self, image: Any) -> Any:
+    def padded_texture(self, image: Any) -> Any:
         """An image with what is around it, to look up between its pixels, with zero beyond.
 
         Its outermost pixels count as beyond: they are what a lookup far away gives.
@@ -76,7 +86,7 @@ class Eye:
         inner[1:-1, 1:-1] = 1.0
         return mi.Texture2f(image * mi.TensorXf(inner), filter_mode=dr.FilterMode.Linear, wrap_mode=dr.WrapMode.Clamp)
 
-    def looked_up(self, texture: Any, place: Any) -> Any:
+    def gather(self, texture: Any, place: Any) -> Any:
         """A texture of :meth:`texture` at places of the film."""
         width, height = (one + 2 * self._around for one in self._size)
         at = self._pixels(place)
@@ -86,7 +96,7 @@ class Eye:
         """Places of the film, 0 to 1 both ways, in pixels of an image with what is around it."""
         return mi.Point2f(place.x * self._size[0], place.y * self._size[1]) + self._around
 
-    def sees(self, point: Any) -> tuple[Any, Any, Any, Any]:
+    def project(self, point: Any) -> tuple[Any, Any, Any, Any]:
         """Of a point: the direction to the camera, weight in pixels, place on the film, whether it is in front."""
         away = self.place - point
         distance = dr.norm(away)
@@ -98,13 +108,13 @@ class Eye:
         shown = mi.Point2f(place.x, place.y) - mi.Point2f(*self._offset)
         return away / distance, dr.select(visible, weight, 0.0), shown, visible
 
-    def opening(self, point: Any) -> Any:
+    def near_clip_point(self, point: Any) -> Any:
         """Where the way to a point in front begins: what is nearer than the near clipping plane hides nothing."""
         local = self._to_local @ point
         return self.place + (point - self.place) * (self._near / dr.maximum(local.z, self._near))
 
 
-def offset_of(sensor: Any) -> tuple[float, float]:
+def principal_point_offset(sensor: Any) -> tuple[float, float]:
     """How far the principal point of a perspective camera is from the middle, in sides of the image.
 
     Mitsuba has it in sides of the whole film, of which the image may be a part.
@@ -115,12 +125,12 @@ def offset_of(sensor: Any) -> tuple[float, float]:
     return float(x), float(y)
 
 
-def is_shifted(sensor: Any) -> bool:
+def is_off_centre(sensor: Any) -> bool:
     """Whether a camera is a perspective one whose principal point is not in the middle."""
-    return sensor.class_name() == "PerspectiveCamera" and any(offset_of(sensor))
+    return sensor.class_name() == "PerspectiveCamera" and any(principal_point_offset(sensor))
 
 
-def is_plain(scene: Any, sensor: Any) -> bool:
+def supports_boundary_sampling(scene: Any, sensor: Any) -> bool:
     """Whether jumps of brightness can be drawn here.
 
     Not with spectra or polarised light, in media, and for cameras other than a perspective one.
@@ -130,21 +140,23 @@ def is_plain(scene: Any, sensor: Any) -> bool:
     return colours and sensor.class_name() == "PerspectiveCamera" and not within
 
 
-def brighter(sensor: Any, integrator: Any, scene: Any, ends: tuple[Any, Any], active: Any, sampler: Any) -> Any:
+def radiance_difference(
+    sensor: Any, integrator: Any, scene: Any, ends: tuple[Any, Any], active: Any, sampler: Any
+) -> Any:
     """How much brighter it is at the second of two places of the film, 0 to 1 both ways, than at the first."""
     values = []
     for place in ends:
         ray, weight = sensor.sample_ray(0.0, 0.5, place, mi.Point2f(0.5))
         values.append(integrator.sample(scene, sampler, ray, active=active)[0] * weight)
-    return in_colours(values[1] - values[0])
+    return to_rgb(values[1] - values[0])
 
 
-def lift_of(point: Any) -> Any:
+def ray_epsilon(point: Any) -> Any:
     """How far off a surface Mitsuba begins the rays that leave it at a point."""
     return mi.math.RayEpsilon * (1.0 + dr.max(dr.abs(point)))
 
 
-def sampler_of(seed: int, count: int) -> Any:
+def make_sampler(seed: int, count: int) -> Any:
     """Random numbers for as many samples."""
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(seed % 2**32, count)

@@ -10,12 +10,12 @@ from typing import Any, Final
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.geometry.bounds import corners_of
+from loi_mitsuba.geometry.bounds import bounding_box
 from loi_mitsuba.scene.parameters import SceneIndex, ancestors
 from loi_mitsuba.scene.poses import Handle, Translate
-from loi_mitsuba.sensing.sensor import offset_of
+from loi_mitsuba.scene.queries import has_medium
 
-__all__ = ["Traits", "View", "groups_of", "has_medium", "is_clear", "is_known", "kind_of", "objects_of", "traits_of"]
+__all__ = ["VOLUME_INTEGRATORS", "Traits", "group_by_unit", "is_known", "kind_of", "traits_of"]
 
 CONVEX: Final = ("Sphere", "Rectangle", "Disk", "Cube")
 SHAPES: Final = (*CONVEX, "Cylinder", "BSplineCurve", "LinearCurve")  # and every mesh
@@ -169,70 +169,11 @@ def is_known(integrator: str) -> bool:
     return integrator in SURFACE_INTEGRATORS or integrator in VOLUME_INTEGRATORS
 
 
-def has_medium(scene: Any) -> bool:
-    """Whether there is a participating medium, within a shape or around it, or around a sensor."""
-    within = (one for shape in scene.shapes() for one in (shape.interior_medium(), shape.exterior_medium()))
-    return any(one is not None for one in within) or any(
-        isinstance(one[2], mi.Medium) for one in mi.traverse(scene).properties.values()
-    )
-
-
-def groups_of(targets: Mapping[str, str | Handle]) -> tuple[tuple[str, ...], ...]:
+def group_by_unit(targets: Mapping[str, str | Handle]) -> tuple[tuple[str, ...], ...]:
     """The parameters, those together whose gradients have one unit: all translations, and every other alone."""
     moves = tuple(name for name, target in targets.items() if isinstance(target, Translate))
     rest = tuple((name,) for name in targets if name not in moves)
     return ((moves,) if moves else ()) + rest
-
-
-def objects_of(targets: Mapping[str, str | Handle], moving: Mapping[str, Any]) -> tuple[tuple[str, ...], ...]:
-    """The parameters, those together that move one shape, and every other alone."""
-    together: dict[object, list[str]] = {}
-    for name in targets:
-        together.setdefault(moving.get(name, name), []).append(name)
-    return tuple(map(tuple, together.values()))
-
-
-def is_clear(shape: Any) -> bool:
-    """Whether a shape is of clear glass: light goes through it in single directions."""
-    bsdf = shape.bsdf()
-    return bsdf is not None and bool(mi.has_flag(bsdf.flags(), mi.BSDFFlags.DeltaTransmission))
-
-
-class View:
-    """What a perspective camera sees.
-
-    Parameters
-    ----------
-    sensor : mi.Sensor
-        What any other sees is not known.
-    """
-
-    def __init__(self, sensor: Any) -> None:
-        self._to_film: Any = None
-        if sensor.class_name() == "PerspectiveCamera":
-            self._to_film = _matrix(sensor.projection_transform()) @ np.linalg.inv(_matrix(sensor.world_transform()))
-            self._offset = offset_of(sensor)
-
-    def has(self, shape: Any) -> bool:
-        """Whether the box around a shape reaches into the view; True if that is not known.
-
-        No corner of the box beyond one side of the pyramid of view is the only case in which it surely does not.
-        """
-        if self._to_film is None:
-            return True
-        low, high = corners_of(shape)
-        corners = np.array(
-            [[x, y, z, 1.0] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
-        )
-        x, y, _, w = self._to_film @ corners.T
-        x, y = (one - offset * w for one, offset in zip((x, y), self._offset, strict=True))
-        # Homogeneous coordinates: a corner behind the camera has w < 0, and the inequalities still hold.
-        sides = (x < 0.0, x > w, y < 0.0, y > w, w < 0.0)
-        return not any(bool(np.all(side)) for side in sides)
-
-
-def _matrix(transform: Any) -> Any:
-    return np.array(transform.matrix, dtype=np.float64).reshape(4, 4)
 
 
 def _kind(params: Any, key: str) -> tuple[str, Any]:
@@ -254,8 +195,8 @@ def _kind(params: Any, key: str) -> tuple[str, Any]:
 def _alone(shapes: list[Any], sensor: Any) -> bool:
     if len(shapes) != 1 or shapes[0].class_name() not in CONVEX:
         return False
-    eye = _matrix(sensor.world_transform())[:3, 3]
-    low, high = corners_of(shapes[0])
+    eye = np.array(sensor.world_transform().translation(), dtype=np.float64).reshape(3)
+    low, high = bounding_box(shapes[0])
     return not bool(np.all((low <= eye) & (eye <= high)))
 
 
