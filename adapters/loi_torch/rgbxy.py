@@ -45,7 +45,7 @@ class RGBXY:
 
     Notes
     -----
-    Images have five channels: what :func:`loi_torch.mesh.draw_places` draws, or a ``MeshRenderer(places=True)``. The
+    Images have five channels, as from :func:`loi_torch.mesh.draw_positions` or a ``MeshRenderer(positions=True)``. The
     value is the mean squared distance of the points from their matches, which are held fixed in the gradient. The
     matching is entropic transport by geomloss, as in the released code. Exact transport takes a quarter of the time;
     it was better in three columns of Table 3, and worse in three (docs/results/table3.md).

@@ -32,12 +32,12 @@ from loi_torch.mesh import (
     Translate,
     box,
     draw,
-    draw_places,
-    loops,
+    draw_positions,
     quad,
     sphere,
+    visibility,
 )
-from loi_torch.mesh.textures import Pyramid
+from loi_torch.mesh.textures import MipPyramid
 from tests.helpers import Host
 from tests.strategies import SEEDS
 
@@ -312,7 +312,7 @@ def test_light_follows_blinn_and_phong() -> None:
 def test_places_follow_the_surface() -> None:
     ball = sphere(subdivisions=2)
     leaf = torch.zeros(3, dtype=torch.float64, requires_grad=True)
-    image = draw_places([replace(ball, vertices=ball.vertices + leaf)], VIEW, 32, 32)
+    image = draw_positions([replace(ball, vertices=ball.vertices + leaf)], VIEW, 32, 32)
     y, x = (np.indices((32, 32)) + 0.5) / 32
     np.testing.assert_allclose(image[..., 3:].detach().numpy(), np.stack([x, y], axis=-1), atol=1e-12)
     (image[..., 3].sum() / (image[..., 0] > 0.0).sum()).backward()  # type: ignore[no-untyped-call]  # untyped in torch
@@ -374,8 +374,8 @@ def test_coplanar_triangles_are_drawn_in_their_order() -> None:
 
 
 def test_meshes_without_numba_are_refused_with_a_command(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(sys.modules, "loi_torch.mesh.loops.visible", None)
-    monkeypatch.delattr(loops, "visible", raising=False)
+    monkeypatch.setitem(sys.modules, "loi_torch.mesh.visibility.numba", None)
+    monkeypatch.delattr(visibility, "numba", raising=False)
     with pytest.raises(BackendNotFoundError, match=r"meshes need Numba, .*: pip install numba"):
         draw([sphere(subdivisions=1)], VIEW, 4, 4)
 
@@ -462,7 +462,7 @@ def test_triangles_that_face_opposite_ways_are_told_of() -> None:
 def test_what_has_left_the_frame_has_a_gradient_of_0(lights: Any) -> None:
     place = torch.tensor([90.0, 0.0, 0.0], dtype=torch.float64, requires_grad=True)
     ball = sphere(subdivisions=1)
-    for paint in (draw, draw_places):
+    for paint in (draw, draw_positions):
         image = paint([replace(ball, vertices=ball.vertices + place)], VIEW, SIZE, SIZE, lights=lights)
         (slope,) = torch.autograd.grad(image.sum(), place)
         assert not slope.any()
@@ -471,8 +471,8 @@ def test_what_has_left_the_frame_has_a_gradient_of_0(lights: Any) -> None:
 @pytest.mark.parametrize("shape", [(7, 9), (5, 30), (1, 64), (8, 8)])
 def test_every_texel_counts_as_much_where_a_texture_is_far_away(shape: tuple[int, int]) -> None:
     texture = torch.from_numpy(np.random.default_rng(3).uniform(size=(*shape, 3))).requires_grad_()
-    pyramid = Pyramid(texture[None], (True, True))
-    seen = pyramid.look_up(torch.zeros(1, dtype=torch.int64), torch.full((1, 2), 0.5).double(), torch.ones(1).double())
+    pyramid = MipPyramid(texture[None], (True, True))
+    seen = pyramid.sample(torch.zeros(1, dtype=torch.int64), torch.full((1, 2), 0.5).double(), torch.ones(1).double())
     torch.testing.assert_close(seen[0], texture.detach().mean(dim=(0, 1)))
     (slope,) = torch.autograd.grad(seen.sum(), texture)
     torch.testing.assert_close(slope, torch.full_like(slope, 1.0 / (shape[0] * shape[1])))
@@ -523,7 +523,7 @@ def test_vertices_that_are_not_finite_are_refused_by_name() -> None:
         (lambda: sphere(subdivisions=1, texture=np.zeros((4, 4, 3))), "`uv` is missing"),
         (lambda: sphere(subdivisions=9), "`subdivisions` must be a whole number from 0 to 8, got 9"),
         (lambda: Camera((0, 0, 0)), "`target` must not be at `position`"),
-        (lambda: Camera((0, 1, 0)), "nor `up` along the direction of view"),
+        (lambda: Camera((0, 1, 0)), "nor `up` along the viewing direction"),
         (lambda: Camera((0, 0, 1), fov=180.0), "`fov` must be between 0 and 180 degrees, got 180"),
         (lambda: Camera((0, 0, 1), near=0.0), "`near` must be more than 0 in perspective"),
         (lambda: Camera((0, 0, 1), near="1"), "`near` must be a finite number, got '1'"),  # type: ignore[arg-type]
@@ -534,7 +534,7 @@ def test_vertices_that_are_not_finite_are_refused_by_name() -> None:
         (lambda: replace(sphere(), material={"diffuse": 1}), "`material` must be a Material"),  # type: ignore[arg-type]
         (
             lambda: Mesh(np.zeros((3, 3)), [[0, 1, 2]], uv=np.zeros((3, 2)), texture=np.zeros((0, 4, 3))),
-            "`texture` must have a texel or more",
+            "`texture` must have at least one texel",
         ),
         (lambda: draw(sphere(), VIEW, 4, 4), "`meshes` must be a list of Mesh"),  # type: ignore[arg-type]
         (lambda: draw([], VIEW, 2.5, 4), "`height` must be a whole number of pixels"),  # type: ignore[arg-type]
@@ -557,13 +557,13 @@ def test_what_makes_no_scene_is_refused(make: Callable[[], Any], says: str) -> N
     ("options", "says"),
     [
         ({"parameters": {"a": "ball.weight"}}, r"`parameters\['a'\]` must be one of background, ball\.ambient"),
-        ({"parameters": {"a": Translate("bal")}}, r"must move a mesh, which are ball, got 'bal'"),
+        ({"parameters": {"a": Translate("bal")}}, r"must move one of the meshes ball, got 'bal'"),
         ({"parameters": {"a": "ball.colours", "b": "ball.colours"}}, "must not set one entry twice, got 'a', 'b'"),
         ({"camera": {"position": [0, 0, 5], "fow": 3}}, r"`camera`: unknown key `fow`; Camera takes position"),
         ({"camera": {"target": [0, 0, 5]}}, "`position` is missing"),
         ({"camera": 3}, "`camera` must be a Camera or a table"),
-        ({"meshes": {"light": sphere(subdivisions=1)}}, "must have names of their own, without dots, got 'light'"),
-        ({"textures": {"cube": np.zeros((2, 2, 3))}}, r"`textures\['cube'\]` is of no mesh; they are ball"),
+        ({"meshes": {"light": sphere(subdivisions=1)}}, "must have distinct names without dots, got 'light'"),
+        ({"textures": {"cube": np.zeros((2, 2, 3))}}, "`textures` must have names of meshes, ball, got 'cube'"),
         ({"lights": [Light()]}, "`lights` must be a dict of names and lights"),
         ({"background": np.full(3, np.nan)}, "`background` must be finite, got 3"),
         ({"background": np.zeros((4, 3))}, r"`background` must have shape \(3,\) or \(8, 8, 3\), got \(4, 3\)"),
@@ -603,7 +603,7 @@ def test_values_stay_legal() -> None:
     assert float(legal["fov"]) == 179.0
     with pytest.raises(ParameterError, match=r"`size` must be at least 1e-06, got -1"):
         renderer.render(wild)
-    with pytest.raises(ParameterError, match=r"`turn` turns freely and must be two rows that are not parallel"):
+    with pytest.raises(ParameterError, match="`turn` must be two rows that are not parallel"):
         renderer.render({**legal, "turn": torch.ones((2, 3), dtype=torch.float64)})
 
 
@@ -611,9 +611,9 @@ def test_a_view_has_another_camera_unless_the_camera_is_sought() -> None:
     meshes = {"ball": sphere(subdivisions=1, centre=(0.5, 0, 0))}
     renderer = MeshRenderer(16, 16, meshes, VIEW, {"place": Translate("ball")})
     params = renderer.parameters()
-    behind = renderer.looking(Camera((0.0, 0.0, -5.0)))
+    behind = renderer.with_camera(Camera((0.0, 0.0, -5.0)))
     assert not torch.allclose(renderer.render(params), behind.render(params))
     alone = MeshRenderer(16, 16, meshes, Camera((0.0, 0.0, -5.0)), {"place": Translate("ball")})
     assert torch.equal(alone.render(params), behind.render(params))
-    with pytest.raises(OptionError, match="`camera` must not change under a parameter of its own, 'eye'"):
-        MeshRenderer(8, 8, meshes, VIEW, {"eye": "camera.position"}).looking(VIEW)
+    with pytest.raises(OptionError, match="`camera` must not replace a camera that the parameter 'eye' sets"):
+        MeshRenderer(8, 8, meshes, VIEW, {"eye": "camera.position"}).with_camera(VIEW)

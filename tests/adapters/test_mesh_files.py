@@ -29,7 +29,7 @@ def test_formats_have_the_same_triangles(suffix: str, tmp_path: Path) -> None:
     view = Camera((3.0, 2.0, 5.0))
     expected = draw([box((1.0, 2.0, 3.0), colours=(0.2, 0.4, 0.6))], view, 24, 24)
     np.testing.assert_allclose(draw([mesh], view, 24, 24).numpy(), expected.numpy(), atol=1e-5)
-    assert not mesh.topology.always.any()  # STL stores each triangle's own corners, and they are joined
+    assert not mesh.topology.discontinuous.any()  # STL stores each triangle's own corners, and they are joined
 
 
 def test_colours_of_vertices_are_decoded(tmp_path: Path) -> None:
@@ -97,7 +97,7 @@ def test_textures_that_one_mesh_cannot_hold_are_told_of(tmp_path: Path) -> None:
 
     picture = Image.fromarray(np.full((4, 4, 3), 255, np.uint8))
     path = glb(tmp_path / "two.glb", painted(baseColorTexture=picture), painted(baseColorTexture=picture))
-    with pytest.warns(MeshWarning, match=r"two\.glb: has 2 parts with textures of their own"):
+    with pytest.warns(MeshWarning, match=r"two\.glb: has 2 parts with separate textures"):
         read_mesh(path)
     read_mesh(path, colours=(1.0, 0.0, 0.0))  # said what to show instead: no warning
 

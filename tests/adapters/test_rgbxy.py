@@ -9,14 +9,14 @@ import pytest
 import torch
 
 from loi_core.errors import ImageError, OptionError
-from loi_torch.mesh import Camera, draw, draw_places, sphere
+from loi_torch.mesh import Camera, draw, draw_positions, sphere
 from loi_torch.rgbxy import RGBXY
 
 VIEW = Camera((0.0, 0.0, 8.0))
 
 
 def places(x: float, side: int = 16) -> Any:
-    return draw_places([sphere(centre=(x, 0, 0), subdivisions=2, colours=(0.9, 0.5, 0.2))], VIEW, side, side)
+    return draw_positions([sphere(centre=(x, 0, 0), subdivisions=2, colours=(0.9, 0.5, 0.2))], VIEW, side, side)
 
 
 def test_a_reference_is_at_no_distance_from_itself() -> None:

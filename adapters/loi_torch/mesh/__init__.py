@@ -1,8 +1,8 @@
-"""Triangle meshes on torch: images with gradients by whatever moves, also at outlines."""
+"""Triangle meshes on torch: images with gradients for geometry, camera and appearance, also at outlines."""
 
 from loi_core.renderers.handles import Rotate, Scale, Translate
 from loi_torch.mesh.cameras import Camera
-from loi_torch.mesh.drawing import draw, draw_places
+from loi_torch.mesh.drawing import draw, draw_positions
 from loi_torch.mesh.lighting import Environment, Light
 from loi_torch.mesh.meshes import Material, Mesh, MeshWarning
 from loi_torch.mesh.reading import read_mesh
@@ -22,7 +22,7 @@ __all__ = [
     "Translate",
     "box",
     "draw",
-    "draw_places",
+    "draw_positions",
     "quad",
     "read_mesh",
     "sphere",

@@ -1,10 +1,10 @@
-"""How much of a pixel lies beyond an edge, exactly: what makes outlines smooth and moves them.
+"""Exact coverage: the area of a pixel beyond an edge, which anti-aliases outlines and differentiates their motion.
 
-A pixel starts with the colour at its centre. Rays from the centre tell the rest: where one meets an edge, the colour
-changes from what is on the near side to what is on the far side. So each part of an edge within the pixel adds the area
-that it hides from the centre, within the pixel, times the change of colour. However many edges there are, and whichever
-of them meet, the areas are exact. The total brightness of an object of one colour therefore does not depend on where it
-lies between pixels, and the derivative of an area is the edge's own, as Reynolds' transport theorem has it.
+A pixel starts with the colour at its centre. Along a ray from the centre the colour changes wherever the ray meets an
+edge, from the colour on the near side to the colour on the far side. Each edge segment within the pixel therefore adds
+the area that it hides from the centre times this change of colour. The sum is exact for any number of edges, whether
+they meet or not. So the total brightness of an object of one colour does not depend on its position relative to the
+pixels, and the derivative of an area is the boundary term of Reynolds' transport theorem.
 """
 
 from __future__ import annotations
@@ -14,61 +14,61 @@ from typing import Final
 import torch
 from torch import Tensor
 
-__all__ = ["ENDS", "hidden_area", "nearest_point", "nearest_share"]
+__all__ = ["END_MARGIN", "hidden_area", "nearest_fraction", "nearest_point"]
 
-ENDS: Final = 0.02  # of a part, at its ends
+END_MARGIN: Final = 0.02  # fraction of a segment at either end where its sides are not queried
 
 
-def hidden_area(first: Tensor, last: Tensor, turn: Tensor) -> Tensor:
-    """The area of a pixel that parts of edges hide from its centre.
+def hidden_area(start: Tensor, end: Tensor, orientation: Tensor) -> Tensor:
+    """Return the area of a pixel that edge segments hide from its centre.
 
     Parameters
     ----------
-    first, last : Tensor, shape (f, 2)
-        Ends of each part relative to the centre of its pixel, within [-0.5, 0.5].
-    turn : Tensor, shape (f,)
-        1 where it runs around the centre from x to y, -1 where it runs the other way. It decides only for parts that
-        pass through the centre or nearly so, where rounding would.
+    start, end : Tensor, shape (f, 2)
+        End points of each segment relative to the centre of its pixel, within [-0.5, 0.5].
+    orientation : Tensor, shape (f,)
+        1 if the segment runs around the centre from x to y, -1 if it runs the other way. It decides only for segments
+        through the centre or nearly so, where rounding would decide otherwise.
 
     Returns
     -------
     Tensor, shape (f,)
-        In pixels, negative where `turn` is.
+        In pixels; negative where `orientation` is negative.
     """
-    wedge = (_around(last) - _around(first)) / 8.0
+    wedge = (_perimeter_position(end) - _perimeter_position(start)) / 8.0
     wedge = wedge - torch.round(wedge.detach())
-    halves = wedge.detach().abs() > 0.49
-    wedge = torch.where(halves & (wedge.detach() * turn < 0.0), wedge + turn, wedge)
-    return wedge - 0.5 * (first[:, 0] * last[:, 1] - first[:, 1] * last[:, 0])
+    is_half = wedge.detach().abs() > 0.49
+    wedge = torch.where(is_half & (wedge.detach() * orientation < 0.0), wedge + orientation, wedge)
+    return wedge - 0.5 * (start[:, 0] * end[:, 1] - start[:, 1] * end[:, 0])
 
 
-def nearest_point(first: Tensor, last: Tensor, centre: Tensor) -> Tensor:
-    """The points of parts of edges, shape (f, 2), at which their two sides are looked at: those nearest to the centre.
+def nearest_point(start: Tensor, end: Tensor, centre: Tensor) -> Tensor:
+    """Return the points at which the two sides of segments are queried, shape (f, 2): the nearest to the centre.
 
-    What an edge through the centre adds then goes on without a jump as the centre changes sides. Ends are kept away
-    from, as other edges begin there.
+    With these points the contribution of an edge through the centre is continuous as the centre changes sides. They
+    keep away from the ends, where other edges begin.
     """
-    return first + nearest_share(first, last, centre)[:, None] * (last - first)
+    return start + nearest_fraction(start, end, centre)[:, None] * (end - start)
 
 
-def nearest_share(first: Tensor, last: Tensor, centre: Tensor) -> Tensor:
-    """Where between their ends those points lie, shape (f,), 0 to 1."""
-    along = last - first
-    length = (along * along).sum(dim=1)
-    share = ((centre - first) * along).sum(dim=1) / torch.where(length > 0.0, length, torch.ones_like(length))
-    return share.clamp(ENDS, 1.0 - ENDS)
+def nearest_fraction(start: Tensor, end: Tensor, centre: Tensor) -> Tensor:
+    """Return the positions of these points on their segments, shape (f,), 0 to 1."""
+    direction = end - start
+    squared = (direction * direction).sum(dim=1)
+    fraction = ((centre - start) * direction).sum(dim=1) / torch.where(squared > 0.0, squared, torch.ones_like(squared))
+    return fraction.clamp(END_MARGIN, 1.0 - END_MARGIN)
 
 
-def _around(point: Tensor) -> Tensor:
-    """Where the ray to a point leaves the square with half side 1, along its border from (1, 0), which is 8 long.
+def _perimeter_position(point: Tensor) -> Tensor:
+    """Return where the ray to a point leaves the square [-1, 1]^2, along its perimeter from (1, 0), which is 8 long.
 
-    Between two rays lies an eighth, of a pixel's area, of the border between them.
+    The part of the perimeter between two rays, divided by 8, is the area of a pixel between them.
     """
     x, y = point.unbind(dim=1)
-    sideways = x.abs() >= y.abs()
-    one = torch.ones_like(x)
-    across = torch.where(sideways, y / torch.where(sideways & (x != 0.0), x, one), one)
-    along = torch.where(sideways, one, x / torch.where(sideways, one, y))
-    flat = torch.where(x >= 0.0, across, 4.0 + across)
-    steep = torch.where(y > 0.0, 2.0 - along, 6.0 - along)
-    return torch.where(sideways, flat, steep)
+    is_sideways = x.abs() >= y.abs()
+    ones = torch.ones_like(x)
+    y_over_x = torch.where(is_sideways, y / torch.where(is_sideways & (x != 0.0), x, ones), ones)
+    x_over_y = torch.where(is_sideways, ones, x / torch.where(is_sideways, ones, y))
+    on_vertical_sides = torch.where(x >= 0.0, y_over_x, 4.0 + y_over_x)
+    on_horizontal_sides = torch.where(y > 0.0, 2.0 - x_over_y, 6.0 - x_over_y)
+    return torch.where(is_sideways, on_vertical_sides, on_horizontal_sides)

@@ -1,4 +1,4 @@
-"""Light: from points and directions, and from all around."""
+"""Point and directional lights, environment maps, and Blinn-Phong reflection."""
 
 from __future__ import annotations
 
@@ -10,25 +10,29 @@ from torch import Tensor
 
 from loi_core.errors import ParameterError
 from loi_torch.mesh.meshes import Material
-from loi_torch.mesh.tensors import tensor_of, unit
-from loi_torch.mesh.textures import Pyramid, cube_face, latlong
+from loi_torch.mesh.tensors import finite_tensor, unit
+from loi_torch.mesh.textures import MipPyramid, cube_coordinates, latlong_coordinates
 
-__all__ = ["Environment", "Light", "reflected"]
+__all__ = ["Environment", "Light", "blinn_phong"]
 
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """A light without falloff or shadow.
+    """A light without falloff or shadows; at the camera if it has neither position nor direction.
 
     Parameters
     ----------
     position : array, shape (3,), optional
         In world units.
     direction : array, shape (3,), optional
-        In which the light of a distant source travels; of any length but 0. Without this and a position, the light is
-        at the camera.
+        Direction of travel of a distant light, of any length but 0.
     colour : array, shape (3,), or float
         Linear RGB.
+
+    Raises
+    ------
+    ParameterError
+        If a value has a wrong shape, or both `position` and `direction` are given.
     """
 
     position: Any = None
@@ -41,8 +45,8 @@ class Light:
             raise ParameterError(msg)
         for name in ("position", "direction"):
             if getattr(self, name) is not None:
-                object.__setattr__(self, name, tensor_of(name, getattr(self, name), (3,)))
-        colour = tensor_of("colour", self.colour)
+                object.__setattr__(self, name, finite_tensor(name, getattr(self, name), (3,)))
+        colour = finite_tensor("colour", self.colour)
         if tuple(colour.shape) not in ((), (3,)):
             msg = f"`colour` must be a number or three, got shape {tuple(colour.shape)}"
             raise ParameterError(msg)
@@ -52,26 +56,31 @@ class Light:
             raise ParameterError(msg)
 
     def towards(self, points: Tensor, eye: Tensor) -> Tensor:
-        """Unit vectors to the light, shape (s, 3); `eye` is where the camera is, shape (3,)."""
+        """Return unit vectors from points to the light, shape (s, 3); `eye` is the camera's position, shape (3,)."""
         if self.direction is not None:
             return unit(-self.direction).expand_as(points)
         return unit((eye if self.position is None else self.position) - points)
 
 
 class Environment:
-    """Light from far away, in all directions.
+    """An environment map: radiance from all directions, infinitely far away.
 
     Parameters
     ----------
     image : array, shape (6, s, s, 3) or (h, w, 3)
-        Linear RGB: the faces +x, -x, +y, -y, +z, -z of a cube, as OpenGL turns them; or longitude across and latitude
-        down, with -z in the middle and +y on top.
+        Linear RGB: the faces +x, -x, +y, -y, +z, -z of a cube map, oriented as in OpenGL; or a map of longitude and
+        latitude with -z in the middle and +y on top.
     blurred : bool
-        Whether to look up in halved copies where pixels see many texels at once, so that none is missed.
+        Whether to look the map up in its mipmap where pixels cover many texels.
+
+    Raises
+    ------
+    ParameterError
+        If `image` has another shape or is not finite.
     """
 
     def __init__(self, image: Any, *, blurred: bool = True) -> None:
-        self.image = tensor_of("image", image)
+        self.image = finite_tensor("image", image)
         shape = tuple(self.image.shape)
         self.cube = self.image.ndim == 4 and shape[0] == 6 and shape[3] == 3 and shape[1] == shape[2]
         if not self.cube and not (self.image.ndim == 3 and shape[2] == 3):
@@ -79,31 +88,38 @@ class Environment:
             raise ParameterError(msg)
         self._blurred = blurred
         layers = self.image if self.cube else self.image[None]
-        self._pyramid = Pyramid(layers, (not self.cube, False), None if blurred else 0)
+        self._pyramid = MipPyramid(layers, (not self.cube, False), None if blurred else 0)
 
     def with_image(self, image: Any) -> Environment:
-        """The same with another image."""
+        """Return the environment with another image."""
         return Environment(image, blurred=self._blurred)
 
     def radiance(self, direction: Tensor, footprint: Tensor | None = None) -> Tensor:
-        """What comes from the directions, shape (s, 3); `footprint` is the angle of a pixel, in radians, shape (s,)."""
+        """Return the radiance from directions, shape (s, 3).
+
+        Parameters
+        ----------
+        direction : Tensor, shape (s, 3)
+        footprint : Tensor, shape (s,), optional
+            Angle that a pixel subtends, in radians; 0 by default.
+        """
         if self.cube:
-            face, place = cube_face(direction)
-            return self._pyramid.look_up(face, place, None if footprint is None else 0.5 * footprint)
-        place = latlong(direction)
-        layer = torch.zeros(len(place), dtype=torch.int64, device=place.device)
-        return self._pyramid.look_up(layer, place, None if footprint is None else footprint / (2.0 * torch.pi))
+            face, position = cube_coordinates(direction)
+            return self._pyramid.sample(face, position, None if footprint is None else 0.5 * footprint)
+        position = latlong_coordinates(direction)
+        layer = torch.zeros(len(position), dtype=torch.int64, device=position.device)
+        return self._pyramid.sample(layer, position, None if footprint is None else footprint / (2.0 * torch.pi))
 
 
-def reflected(
+def blinn_phong(
     colours: Tensor, points: Tensor, normals: Tensor, eye: Tensor, view: Tensor, material: Material, lights: list[Light]
 ) -> Tensor:
-    """Blinn-Phong's sum (Blinn 1977), shape (s, 3).
+    """Return the reflected light of all lights (Blinn 1977), shape (s, 3).
 
     Parameters
     ----------
     colours, points, normals, view : Tensor, shape (s, 3)
-        The surface's colour, place and unit normal, and unit vectors to the eye.
+        The surface's colour, position and unit normal, and unit vectors to the eye.
     eye : Tensor, shape (3,)
     material : Material
     lights : list of Light
@@ -111,13 +127,13 @@ def reflected(
     total: Tensor = colours * material.ambient
     for light in lights:
         towards = light.towards(points, eye)
-        lit = (normals * towards).sum(dim=1, keepdim=True).clamp(min=0.0)
-        total = total + colours * material.diffuse * lit * light.colour
+        cosine = (normals * towards).sum(dim=1, keepdim=True).clamp(min=0.0)
+        total = total + colours * material.diffuse * cosine * light.colour
         if material.specular.requires_grad or bool((material.specular != 0.0).any()):
             halfway = unit(towards + view)
             gloss = (normals * halfway).sum(dim=1, keepdim=True)
-            shining = (gloss > 0.0) & (lit > 0.0)
-            gloss = torch.where(shining, gloss, torch.ones_like(gloss)) ** material.shininess
-            gloss = torch.where(shining, gloss, torch.zeros_like(gloss))
+            is_glossy = (gloss > 0.0) & (cosine > 0.0)
+            gloss = torch.where(is_glossy, gloss, torch.ones_like(gloss)) ** material.shininess
+            gloss = torch.where(is_glossy, gloss, torch.zeros_like(gloss))
             total = total + material.specular * gloss * light.colour
     return total

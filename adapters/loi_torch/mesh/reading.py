@@ -1,4 +1,4 @@
-"""Meshes from files, by trimesh."""
+"""Meshes from files, read by trimesh."""
 
 from __future__ import annotations
 
@@ -16,103 +16,115 @@ from loi_core.io.files import read_bytes
 from loi_core.pixels.encoding import decode_srgb
 from loi_core.support.wording import described, shown
 from loi_torch.mesh.meshes import Mesh, MeshWarning
-from loi_torch.mesh.topology import joined_corners
+from loi_torch.mesh.topology import weld_vertices
 
 __all__ = ["MESH_SUFFIXES", "read_mesh"]
 
 MESH_SUFFIXES: Final = (".obj", ".ply", ".glb", ".gltf", ".stl", ".off")
-MOST_BYTES: Final = 2**29
-LINEAR: Final = (".glb", ".gltf")  # whose colours of vertices and materials are linear (glTF 2.0, section 3.9.2)
+MAX_FILE_BYTES: Final = 2**29
+LINEAR_SUFFIXES: Final = (".glb", ".gltf")  # colours of vertices and materials are linear (glTF 2.0, section 3.9.2)
 
 
 def read_mesh(path: pathlib.Path | str, **options: Any) -> Mesh:
-    """A mesh from an OBJ, PLY, glTF, STL or OFF file.
+    """Read an OBJ, PLY, glTF, STL or OFF file as one mesh.
 
     Parameters
     ----------
     path : path or str
-        All meshes of the file become one. No other file is opened: materials and textures beside an OBJ are given by
-        `options`, and a glTF has to hold all its data, as a GLB does.
+        All meshes of the file are merged. No other file is opened: pass the materials and textures of an OBJ as
+        `options`; a glTF must contain all its data, as a GLB does.
     **options
-        Of :class:`Mesh`, in place of what the file has: colours of vertices or triangles, texture coordinates, and the
-        base colour and texture of a GLB. Colours are taken for sRGB and decoded, but those of a glTF, which are linear,
-        as its texture is not.
+        Of :class:`Mesh`. They replace the file's colours of vertices or triangles, texture coordinates, and base colour
+        and texture of a GLB. Colours and textures are decoded from sRGB, except the colours of a glTF, which are
+        linear.
 
-    Warns
-    -----
-    MeshWarning
-        If the file has textures that one mesh cannot hold.
+    Returns
+    -------
+    Mesh
 
     Raises
     ------
     MeshError
-        If the file cannot be read, is none of these, or has no triangles.
+        If the file cannot be read, has another format, or has no triangles.
     ParameterError
         If an option is not allowed.
+
+    Warns
+    -----
+    MeshWarning
+        If the file has several textures, which one mesh cannot hold.
     """
     if not isinstance(path, pathlib.Path | str):
         msg = f"`path` must be a path, got {shown(path)}"
         raise MeshError(msg)
     path = pathlib.Path(path)
-    kind = path.suffix.lower()
-    if kind not in MESH_SUFFIXES:
+    suffix = path.suffix.lower()
+    if suffix not in MESH_SUFFIXES:
         msg = f"{path}: a mesh must be one of {', '.join(MESH_SUFFIXES)}"
         raise MeshError(msg)
     try:
-        content = io.BytesIO(read_bytes(path, MOST_BYTES))
-        loaded = trimesh.load_scene(content, file_type=kind[1:], process=False, allow_remote=False)
-        parts = [one for one in loaded.dump() if isinstance(one, trimesh.Trimesh) and len(one.faces)]
+        content = io.BytesIO(read_bytes(path, MAX_FILE_BYTES))
+        scene = trimesh.load_scene(content, file_type=suffix[1:], process=False, allow_remote=False)
+        geometries = [item for item in scene.dump() if isinstance(item, trimesh.Trimesh) and len(item.faces)]
     except OSError as error:
         msg = f"{path}: {described(error)}"
         raise MeshError(msg) from error
-    except Exception as error:  # trimesh raises what its parsers meet
+    except Exception as error:  # trimesh raises whatever its parsers raise
         msg = f"{path}: cannot be read as a mesh: {described(error)}"
         raise MeshError(msg) from error
-    if not parts:
+    if not geometries:
         msg = f"{path}: has no triangles"
         raise MeshError(msg)
-    vertices = np.concatenate([one.vertices for one in parts])
-    first = np.append(0, np.cumsum([len(one.vertices) for one in parts]))
-    faces = np.concatenate([one.faces + start for one, start in zip(parts, first, strict=False)])
-    if kind == ".stl":  # which stores each triangle's corners for itself
-        places = joined_corners(np.asarray(vertices, dtype=np.float64))
-        _, first_of = np.unique(places, return_index=True)
-        vertices, faces = vertices[first_of], places[faces]
-    return Mesh(vertices, faces, **{**_looks(path, parts, options), **options})
+    vertices = np.concatenate([geometry.vertices for geometry in geometries])
+    first = np.append(0, np.cumsum([len(geometry.vertices) for geometry in geometries]))
+    faces = np.concatenate(
+        [geometry.faces + offset for geometry, offset in zip(geometries, first, strict=False)]  # one offset more
+    )
+    if suffix == ".stl":  # which stores the corners of each triangle separately
+        welds = weld_vertices(np.asarray(vertices, dtype=np.float64))
+        _, first_of_weld = np.unique(welds, return_index=True)
+        vertices, faces = vertices[first_of_weld], welds[faces]
+    return Mesh(vertices, faces, **{**_appearance(path, geometries, options), **options})
 
 
-def _looks(path: pathlib.Path, parts: list[Any], options: Mapping[str, Any]) -> dict[str, Any]:
-    """Colours and textures that all parts have."""
-    kinds = {one.visual.kind for one in parts}
-    if kinds == {"vertex"}:
-        coloured = np.concatenate([one.visual.vertex_colors[:, :3] for one in parts]) / 255.0
-        linear = path.suffix.lower() in LINEAR
-        return {"colours": coloured if linear else decode_srgb(coloured), "per": "vertex"}
-    if kinds == {"face"}:
-        coloured = np.concatenate([one.visual.face_colors[:, :3] for one in parts]) / 255.0
-        return {"colours": decode_srgb(coloured), "per": "triangle"}
-    looks: dict[str, Any] = {}
-    if kinds == {"texture"}:
-        factors = [_factor(one.visual.material) for one in parts]
-        if any(one is not None for one in factors) and "colours" not in options:
-            plain = [np.ones(3) if one is None else one for one in factors]
-            rows = [np.tile(one, (len(part.faces), 1)) for one, part in zip(plain, parts, strict=True)]
-            looks |= {"colours": plain[0]} if len(parts) == 1 else {"colours": np.concatenate(rows), "per": "triangle"}
-        images = [getattr(one.visual.material, "baseColorTexture", None) for one in parts]
-        mapped = all(one.visual.uv is not None for one in parts)
-        if mapped and ("texture" in options or (len(parts) == 1 and images[0] is not None)):
-            looks["uv"] = np.concatenate([one.visual.uv for one in parts])
-        if mapped and len(parts) == 1 and images[0] is not None:
-            looks["texture"] = decode_srgb(np.asarray(images[0].convert("RGB"), dtype=np.float64) / 255.0)
-        elif any(one is not None for one in images) and not {"texture", "colours"} & set(options):
-            msg = (
-                f"{path}: has {len(parts)} parts with textures of their own, of which a mesh has one; they are left out"
-            )
-            warnings.warn(msg, MeshWarning, stacklevel=3)
-    return looks
+def _appearance(path: pathlib.Path, geometries: list[Any], options: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the colours and textures that all geometries have, as options of :class:`Mesh`."""
+    visual_kinds = {geometry.visual.kind for geometry in geometries}
+    if visual_kinds == {"vertex"}:
+        colours = np.concatenate([geometry.visual.vertex_colors[:, :3] for geometry in geometries]) / 255.0
+        is_linear = path.suffix.lower() in LINEAR_SUFFIXES
+        return {"colours": colours if is_linear else decode_srgb(colours), "per": "vertex"}
+    if visual_kinds == {"face"}:
+        colours = np.concatenate([geometry.visual.face_colors[:, :3] for geometry in geometries]) / 255.0
+        return {"colours": decode_srgb(colours), "per": "triangle"}
+    return _textured_appearance(path, geometries, options) if visual_kinds == {"texture"} else {}
 
 
-def _factor(material: Any) -> Any:
-    """The colour that a glTF's material multiplies its texture by, linear RGB; None for white."""
+def _textured_appearance(path: pathlib.Path, geometries: list[Any], options: Mapping[str, Any]) -> dict[str, Any]:
+    appearance: dict[str, Any] = {}
+    single = len(geometries) == 1
+    factors = [_base_colour(geometry.visual.material) for geometry in geometries]
+    if any(factor is not None for factor in factors) and "colours" not in options:
+        colours = [np.ones(3) if factor is None else factor for factor in factors]
+        if single:
+            appearance["colours"] = colours[0]
+        else:
+            rows = [np.tile(c, (len(geometry.faces), 1)) for c, geometry in zip(colours, geometries, strict=True)]
+            appearance |= {"colours": np.concatenate(rows), "per": "triangle"}
+    images = [getattr(geometry.visual.material, "baseColorTexture", None) for geometry in geometries]
+    has_uv = all(geometry.visual.uv is not None for geometry in geometries)
+    image = images[0] if single else None
+    if has_uv and ("texture" in options or image is not None):
+        appearance["uv"] = np.concatenate([geometry.visual.uv for geometry in geometries])
+    if has_uv and image is not None:
+        appearance["texture"] = decode_srgb(np.asarray(image.convert("RGB"), dtype=np.float64) / 255.0)
+    elif any(item is not None for item in images) and not {"texture", "colours"} & set(options):
+        msg = f"{path}: has {len(geometries)} parts with separate textures, and a mesh has one; they are left out"
+        warnings.warn(msg, MeshWarning, stacklevel=4)
+    return appearance
+
+
+def _base_colour(material: Any) -> Any:
+    """Return the linear RGB factor of a glTF material's texture, or None for white."""
     factor = getattr(material, "baseColorFactor", None)
     return None if factor is None else np.asarray(factor, dtype=np.float64)[:3] / 255.0

@@ -1,4 +1,4 @@
-"""Numbers for torch."""
+"""Validation and normalisation of tensors."""
 
 from __future__ import annotations
 
@@ -11,42 +11,57 @@ from torch import Tensor
 from loi_core.errors import ParameterError
 from loi_core.support.wording import shown
 
-__all__ = ["colours_behind", "tensor_of", "unit"]
+__all__ = ["background_tensor", "finite_tensor", "unit"]
 
 
-def tensor_of(name: str, value: Any, shape: tuple[int | None, ...] | None = None) -> Tensor:
-    """`value` as finite float64 numbers of a shape, None being any number of rows; a tensor keeps its graph."""
+def finite_tensor(name: str, value: Any, shape: tuple[int | None, ...] | None = None) -> Tensor:
+    """Return `value` as a finite float64 tensor; a tensor keeps its graph.
+
+    Parameters
+    ----------
+    name : str
+        Argument to name in errors.
+    value : array or Tensor
+    shape : tuple of int or None, optional
+        Required shape, in which None allows any length.
+
+    Raises
+    ------
+    ParameterError
+        If `value` is not numeric, has another shape or is not finite.
+    """
     try:
-        tensor = value if isinstance(value, Tensor) else torch.as_tensor(_real(value))
+        tensor = value if isinstance(value, Tensor) else torch.as_tensor(_real_array(value))
         tensor = tensor.to(torch.float64)
     except (TypeError, ValueError, RuntimeError) as error:
         msg = f"`{name}` must be numbers, got {shown(value)}"
         raise ParameterError(msg) from error
     if shape is not None and not (
-        tensor.ndim == len(shape) and all(want in (None, have) for want, have in zip(shape, tensor.shape, strict=True))
+        tensor.ndim == len(shape)
+        and all(expected in (None, actual) for expected, actual in zip(shape, tensor.shape, strict=True))
     ):
-        wanted = ", ".join("any" if one is None else str(one) for one in shape)
-        msg = f"`{name}` must have shape ({wanted}), got {tuple(tensor.shape)}"
+        allowed = ", ".join("any" if length is None else str(length) for length in shape)
+        msg = f"`{name}` must have shape ({allowed}), got {tuple(tensor.shape)}"
         raise ParameterError(msg)
-    bad = ~torch.isfinite(tensor.detach())
-    if bool(bad.any()):
-        first = tuple(int(one) for one in torch.nonzero(bad)[0])
-        msg = f"`{name}` must be finite, got {int(bad.sum())} that are not, the first at {first}"
+    is_bad = ~torch.isfinite(tensor.detach())
+    if bool(is_bad.any()):
+        first = tuple(int(index) for index in torch.nonzero(is_bad)[0])
+        msg = f"`{name}` must be finite, got {int(is_bad.sum())} that are not, the first at {first}"
         raise ParameterError(msg)
     return tensor
 
 
-def _real(value: Any) -> np.ndarray[Any, Any]:
+def _real_array(value: Any) -> np.ndarray[Any, Any]:
     array = np.asarray(value)
     if array.dtype.kind not in "fiub":
-        msg = f"{array.dtype} is no real number"
+        msg = f"{array.dtype} is not a real dtype"
         raise TypeError(msg)
     return array.astype(np.float64)
 
 
-def colours_behind(background: Any, height: int, width: int) -> Tensor:
-    """A background of an image of this size: one number, one colour, or the colours of all pixels."""
-    colours = tensor_of("background", background)
+def background_tensor(background: Any, height: int, width: int) -> Tensor:
+    """Return a background as a number, a colour, shape (3,), or an image, shape (height, width, 3)."""
+    colours = finite_tensor("background", background)
     if tuple(colours.shape) not in ((), (3,), (height, width, 3)):
         msg = f"`background` must have shape (3,) or ({height}, {width}, 3), got {tuple(colours.shape)}"
         raise ParameterError(msg)
@@ -54,7 +69,7 @@ def colours_behind(background: Any, height: int, width: int) -> Tensor:
 
 
 def unit(vector: Tensor) -> Tensor:
-    """Vectors of length 1 along the last axis; 0 stays 0."""
+    """Normalise vectors along the last axis; 0 stays 0."""
     length = torch.linalg.vector_norm(vector, dim=-1, keepdim=True)
     result: Tensor = vector / torch.where(length > 0.0, length, torch.ones_like(length))
     return result

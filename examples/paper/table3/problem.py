@@ -115,7 +115,7 @@ class Problem:
                 made.meshes,
                 made.cameras[0],
                 made.parameters,
-                places=places,
+                positions=places,
                 dtype="float32",
                 **options,
             )
@@ -125,7 +125,7 @@ class Problem:
             views, places = ({"view 1": one} for one in by_kind)
         else:
             views, places = (
-                {f"view {k}": one.looking(camera) for k, camera in enumerate(made.cameras, 1)} for one in by_kind
+                {f"view {k}": one.with_camera(camera) for k, camera in enumerate(made.cameras, 1)} for one in by_kind
             )
         goal = {name: value.numpy() for name, value in by_kind[0].parameters().items()}
         targets = {name: image_of(view, goal) for name, view in views.items()}

@@ -1,4 +1,4 @@
-"""Barycentric coordinates of points on the screen, and what is interpolated with them."""
+"""Perspective-correct barycentric coordinates, and interpolation with them."""
 
 from __future__ import annotations
 
@@ -7,19 +7,19 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-__all__ = ["Samples", "corner_rows", "interpolate", "weights"]
+__all__ = ["SurfaceSamples", "barycentric_weights", "gather_corners", "interpolate"]
 
 
 @dataclass(frozen=True)
-class Samples:
-    """Points on the screen, each with the triangle that is seen there.
+class SurfaceSamples:
+    """Points in the image, each with the triangle that is visible there.
 
     Attributes
     ----------
     corners : Tensor of int64, shape (s, 3)
-        Of the triangle.
+        Vertices of the triangle.
     mesh : Tensor of int64, shape (s,)
-        Its number.
+        Index of its mesh.
     points : Tensor, shape (s, 2)
         (x, y) in pixels.
     triangle : Tensor of int64, shape (s,)
@@ -31,27 +31,27 @@ class Samples:
     triangle: Tensor
 
 
-def corner_rows(values: Tensor, corners: Tensor) -> Tensor:
-    """The rows of `values`, shape (n, c), at the corners, shape (s, 3, c)."""
+def gather_corners(values: Tensor, corners: Tensor) -> Tensor:
+    """Return the rows of `values`, shape (n, c), at the vertices `corners`, shape (s, 3), as shape (s, 3, c)."""
     return values.index_select(0, corners.reshape(-1)).reshape(*corners.shape, values.shape[1])
 
 
-def weights(screen: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
-    """Perspective-correct barycentric coordinates, and the volume that tells nearness.
+def barycentric_weights(screen: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the perspective-correct barycentric coordinates of points in triangles.
 
     Parameters
     ----------
     screen : Tensor, shape (s, 3, 3)
-        Homogeneous corners (x w, y w, w) of the triangle of each sample.
+        Homogeneous corners (x w, y w, w) of the triangle of each point.
     points : Tensor, shape (s, 2)
         In pixels.
 
     Returns
     -------
     weights : Tensor, shape (s, 3)
-        They sum to 1, and are those in space, not on the screen.
+        Barycentric coordinates in world space; they sum to 1.
     functions : Tensor, shape (s, 3)
-        The edge functions, of which the weights are the shares.
+        The edge functions, whose signs give the facing of the triangle.
     """
     w = screen[..., 2]
     x = screen[..., 0] - points[:, :1] * w
@@ -67,7 +67,7 @@ def weights(screen: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
     return functions / functions.sum(dim=1, keepdim=True), functions
 
 
-def interpolate(values: Tensor, corners: Tensor, shares: Tensor) -> Tensor:
-    """Values of corners, shape (n, c), at samples, shape (s, c)."""
-    result: Tensor = torch.einsum("sk,skc->sc", shares, corner_rows(values, corners))
+def interpolate(values: Tensor, corners: Tensor, weights: Tensor) -> Tensor:
+    """Interpolate vertex values, shape (n, c), to samples, shape (s, c)."""
+    result: Tensor = torch.einsum("sk,skc->sc", weights, gather_corners(values, corners))
     return result
