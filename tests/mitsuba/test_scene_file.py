@@ -97,7 +97,7 @@ def test_a_scene_that_is_not_there_is_named(folder: Path) -> None:
 
 
 def test_the_example_of_the_guide_can_be_read(folder: Path) -> None:
-    guide = (Path(__file__).parents[2] / "docs" / "mitsuba.md").read_text()
+    guide = (Path(__file__).parents[2] / "docs" / "guide" / "mitsuba.md").read_text()
     text = guide.split("```toml\n")[1].split("```")[0].replace("photo.exr", "target.png")
     (folder / "scene.xml").write_text(
         XML.replace(
