@@ -14,11 +14,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter1d
 
-from examples.paper.landscapes import FOUND, Landscape, descend, landscape
-from examples.paper.measure1d import Basin
-from examples.paper.methods import METHODS, SIGMAS, SigmaSpace
-from examples.paper.problems import PROBLEMS, SUPPORT, TONAL, TWO
-from examples.paper.signals import Line, Movers
+from examples.paper.figures.landscapes import FOUND, Landscape, descend, landscape
+from examples.paper.figures.measure1d import Basin
+from examples.paper.figures.signals import Line, Movers
+from examples.paper.lib.methods import METHODS, SIGMAS, SigmaSpace
+from examples.paper.lib.problems import PROBLEMS, SUPPORT, TONAL, TWO
 from loi_core.testing import check_objective
 from tests.strategies import thorough
 

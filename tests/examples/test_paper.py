@@ -11,10 +11,10 @@ from typing import Any, Literal
 import numpy as np
 import pytest
 
-from examples.paper import guidance
-from examples.paper.means import Mean
-from examples.paper.runner import carry_out_all
-from examples.paper.store import is_done, keep, load, picture_path
+from examples.paper.lib.means import Mean
+from examples.paper.lib.runner import carry_out_all
+from examples.paper.lib.store import is_done, keep, load, picture_path
+from examples.paper.table1 import guidance
 from examples.paper.table1.command import main
 from examples.paper.table1.extent import PARTS, Extent
 from examples.paper.table1.moves import ReleasedMoves

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from examples.paper import shadow
+from examples.paper.table2 import shadow
 from tests.strategies import thorough
 
 

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from examples.paper.study import Part, Study, add_options, carry_out_and_report
+from examples.paper.lib.study import Part, Study, add_options, carry_out_and_report
 
 
 @dataclass(frozen=True)

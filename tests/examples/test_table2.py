@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from examples.paper import teaser
-from examples.paper.known import key_of
+from examples.paper.figures import teaser
+from examples.paper.lib.known import key_of
 from examples.paper.table2 import main
 from examples.paper.table2.command import PARTS, part_of
 from examples.paper.table2.problem import COLUMNS, Column, Problem

@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from examples.paper import kaleidoscope, mug, orb
-from examples.paper.variational import orb_scene
+from examples.paper.variational import kaleidoscope, mug, orb, orb_scene
 from examples.paper.variational.objectives import BlurredL2, objective
 from examples.paper.variational.photograph import Photograph
 from examples.paper.variational.problem import AT_TRUTH, Problem, as_arrays

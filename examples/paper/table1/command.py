@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Sequence
 from typing import Final
 
-from examples.paper.study import Study, add_options, carry_out_and_report
+from examples.paper.lib.study import Study, add_options, carry_out_and_report
 from examples.paper.table1.extent import ABLATED, FEW, PARTS, SEEDS, Extent
 from examples.paper.table1.problem import COLUMNS, HARDER, Column, Image, Problem
 from examples.paper.table1.published import PAPER

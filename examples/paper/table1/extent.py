@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from examples.paper.study import Part
+from examples.paper.lib.study import Part
 from examples.paper.table1.ablations import ABLATIONS
 from examples.paper.table1.problem import COLUMNS, HARDER, Column
 from examples.paper.table1.remedies import CHECKED, REMEDIES

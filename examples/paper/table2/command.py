@@ -9,10 +9,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from examples.paper.known import Known
-from examples.paper.pictures import animation, moments
-from examples.paper.store import load, slug
-from examples.paper.study import Part, Study, add_options, carry_out_and_report
+from examples.paper.lib.known import Known
+from examples.paper.lib.pictures import animation, moments
+from examples.paper.lib.store import load, slug
+from examples.paper.lib.study import Part, Study, add_options, carry_out_and_report
 from examples.paper.table2.cost import cost_of
 from examples.paper.table2.problem import COLUMNS, Column, Problem
 from examples.paper.table2.published import PAPER

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from examples.paper.known import Known
-from examples.paper.study import Part
+from examples.paper.lib.known import Known
+from examples.paper.lib.study import Part
 from examples.paper.table2.problem import Column
 from examples.paper.table2.run import Run
 from loi_core.support.markdown import markdown

@@ -13,8 +13,8 @@ import mitsuba as mi
 import numpy as np
 
 from examples.effects.parts import ball, camera, colour, diffuse, lamp
-from examples.paper.shadow import START, TRUTH
-from examples.paper.shadow import scene as shadow_scene
+from examples.paper.table2.shadow import START, TRUTH
+from examples.paper.table2.shadow import scene as shadow_scene
 from loi_core.renderers.handles import Translate
 
 __all__ = ["SCENES", "Built", "FloatArray"]
@@ -55,7 +55,7 @@ class Built:
 def shadow(width: int, height: int, seed: int) -> Built:
     """A sphere out of view throws its shadow on a plane with lines, under a point light; starts within 2.5.
 
-    :mod:`examples.paper.shadow` says whose scene it is. The first start is the published one.
+    :mod:`examples.paper.table2.shadow` says whose scene it is. The first start is the published one.
     """
     start = np.array(START) if seed == 0 else np.random.default_rng(seed).uniform(-2.5, 2.5, 2)
     return _shadow(width, height, 1.0, start)

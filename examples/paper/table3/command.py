@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
-from examples.paper.study import Part, Study, add_options, carry_out_and_report
+from examples.paper.lib.study import Part, Study, add_options, carry_out_and_report
 from examples.paper.table3.problem import COLUMNS, Column, FloatArray, Problem
 from examples.paper.table3.published import PAPER
 from examples.paper.table3.run import CURVE_STEPS, Run, carry_out

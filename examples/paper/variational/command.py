@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from examples.paper.pages import fill
-from examples.paper.pictures import contact_sheet
-from examples.paper.runner import carry_out_all
-from examples.paper.study import check_out
+from examples.paper.lib.pages import fill
+from examples.paper.lib.pictures import contact_sheet
+from examples.paper.lib.runner import carry_out_all
+from examples.paper.lib.study import check_out
 from examples.paper.variational.drawing import animate, figure
 from examples.paper.variational.problem import AT_TRUTH, FloatArray
 from examples.paper.variational.run import Run, carry_out, image_at, problem_of

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from PIL import Image
 
-from examples.paper.pictures import animation, moments, row_of, shown_as
-from examples.paper.store import load, picture_path
+from examples.paper.lib.pictures import animation, moments, row_of, shown_as
+from examples.paper.lib.store import load, picture_path
 from examples.paper.variational.run import Run, image_at, problem_of
 from loi_core.io.files import write_bytes
 

@@ -9,8 +9,8 @@ from pathlib import Path
 from statistics import fmean, median
 from typing import Final
 
-from examples.paper.means import Mean
-from examples.paper.store import load
+from examples.paper.lib.means import Mean
+from examples.paper.lib.store import load
 from examples.paper.variational.run import Run
 from loi_core.support.markdown import markdown
 

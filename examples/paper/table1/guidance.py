@@ -16,8 +16,8 @@ from typing import Final
 import numpy as np
 from tqdm import tqdm
 
-from examples.paper.means import Mean
-from examples.paper.pages import fill
+from examples.paper.lib.means import Mean
+from examples.paper.lib.pages import fill
 from examples.paper.table1.ablations import WIDTHS
 from examples.paper.table1.objectives import objective
 from examples.paper.table1.problem import FRINGE, HARDER, Column, FloatArray, Problem

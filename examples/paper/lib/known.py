@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final, Protocol, TypeAlias
 
-from examples.paper.store import Run, load
+from examples.paper.lib.store import Run, load
 
 __all__ = ["KEY", "Fit", "Known", "key_of", "read_figures"]
 
@@ -56,7 +56,7 @@ class Known:
     Attributes
     ----------
     folder : Path
-        Of records; see :func:`examples.paper.store.keep`.
+        Of records; see :func:`examples.paper.lib.store.keep`.
     figures : dict
         Of runs that are not in the folder, by their keys.
     columns : tuple

@@ -11,7 +11,7 @@ from typing import Any, TypeVar
 import numpy as np
 from PIL import Image, ImageDraw
 
-from examples.paper.store import Run, load, picture_path
+from examples.paper.lib.store import Run, load, picture_path
 from loi_core.io.files import write_bytes
 from loi_core.report.plots import new_figure
 

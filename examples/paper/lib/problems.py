@@ -7,7 +7,7 @@ from typing import Final
 
 import numpy as np
 
-from examples.paper.signals import DiskRow, Host, Line, Movers
+from examples.paper.figures.signals import DiskRow, Host, Line, Movers
 
 __all__ = ["NOISE", "PROBLEMS", "SUPPORT", "TONAL", "TWO", "Problem"]
 

@@ -18,18 +18,18 @@ from typing import Final
 
 import numpy as np
 
-from examples.paper.drawing1d import draw_landscapes, draw_support, draw_two
-from examples.paper.landscapes import FOUND, NEAR, Landscape
-from examples.paper.measure1d import Basin, Support, measure, measure_two, supports
-from examples.paper.pages import filled
-from examples.paper.problems import NOISE, PROBLEMS, SUPPORT, TONAL, TWO, Problem
-from examples.paper.signals import Host
+from examples.paper.figures.drawing1d import draw_landscapes, draw_support, draw_two
+from examples.paper.figures.landscapes import FOUND, NEAR, Landscape
+from examples.paper.figures.measure1d import Basin, Support, measure, measure_two, supports
+from examples.paper.figures.signals import Host
+from examples.paper.lib.pages import filled
+from examples.paper.lib.problems import NOISE, PROBLEMS, SUPPORT, TONAL, TWO, Problem
 from loi_core.io.files import write_text
 from loi_core.support.markdown import markdown
 
 __all__ = ["main"]
 
-DOCS: Final = Path(__file__).parents[2] / "docs" / "results"
+DOCS: Final = Path(__file__).parents[3] / "docs" / "results"
 PAGE: Final = "figures-1d.md"
 DRAWN: Final = {  # pictures of landscapes: their files, and the distance from the target that counts as found
     "signal": ("one-signal", FOUND),

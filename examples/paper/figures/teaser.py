@@ -17,9 +17,9 @@ from typing import Any, Final
 
 import numpy as np
 
-from examples.paper.runner import carry_out_all
-from examples.paper.store import load
-from examples.paper.study import check_out
+from examples.paper.lib.runner import carry_out_all
+from examples.paper.lib.store import load
+from examples.paper.lib.study import check_out
 from examples.paper.table2.problem import Column, Problem, images_of, numbers
 from examples.paper.table2.run import VARIANT, Run, carry_out, objective
 from examples.paper.table2.scenes import FloatArray

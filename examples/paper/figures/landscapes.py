@@ -8,8 +8,8 @@ from typing import Final
 
 import numpy as np
 
-from examples.paper.methods import Comparison
-from examples.paper.signals import Host, Movers
+from examples.paper.figures.signals import Host, Movers
+from examples.paper.lib.methods import Comparison
 
 __all__ = ["FOUND", "NEAR", "Descents", "Landscape", "descend", "landscape"]
 

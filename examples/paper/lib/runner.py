@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 from tqdm import tqdm
 
-from examples.paper.store import Run, is_done, keep
+from examples.paper.lib.store import Run, is_done, keep
 from loi_core.runs import Workers
 
 __all__ = ["carry_out_all"]

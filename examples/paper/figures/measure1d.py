@@ -8,10 +8,10 @@ from typing import Final
 
 import numpy as np
 
-from examples.paper.landscapes import FOUND, NEAR, Descents, Landscape, descend, landscape
-from examples.paper.methods import METHODS, SIGMAS, sigma_method
-from examples.paper.problems import Problem
-from examples.paper.signals import Host
+from examples.paper.figures.landscapes import FOUND, NEAR, Descents, Landscape, descend, landscape
+from examples.paper.figures.signals import Host
+from examples.paper.lib.methods import METHODS, SIGMAS, sigma_method
+from examples.paper.lib.problems import Problem
 from loi_core.method.blurs import gaussian_blur
 
 __all__ = ["FINISHED", "Basin", "Support", "blurred", "measure", "measure_two", "supports"]

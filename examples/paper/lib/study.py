@@ -12,12 +12,12 @@ from typing import Any, Final, Generic, TypeVar
 
 import numpy as np
 
-from examples.paper.known import KEY, Fit, Known, key_of, read_figures
-from examples.paper.means import Mean
-from examples.paper.pages import fill
-from examples.paper.pictures import contact_sheet, convergence_plot
-from examples.paper.runner import carry_out_all
-from examples.paper.store import slug
+from examples.paper.lib.known import KEY, Fit, Known, key_of, read_figures
+from examples.paper.lib.means import Mean
+from examples.paper.lib.pages import fill
+from examples.paper.lib.pictures import contact_sheet, convergence_plot
+from examples.paper.lib.runner import carry_out_all
+from examples.paper.lib.store import slug
 from loi_core.errors import OptionError
 from loi_core.io.files import check_writable, write_text
 from loi_core.support.markdown import markdown
@@ -68,7 +68,7 @@ class Study(Generic[Made]):
     name : str
         Of its page, its CSV, and its folder of pictures.
     carry_out : callable
-        Gives the outcome of a run; see :func:`examples.paper.store.keep`.
+        Gives the outcome of a run; see :func:`examples.paper.lib.store.keep`.
     target : callable
         Gives the picture that a run is after, shape (H, W, 3).
     measures : tuple of str

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from examples.paper.signals import Host
+from examples.paper.figures.signals import Host
 from loi_core import MSSSIM, GaussianPyramid, LOIObjective, PixelL2, ScaleSpace
 from loi_core.method.blurs import Blur, gaussian_blur
 from loi_core.objectives import Evaluation, ImageObjective, PlaneComparison, ReferencePlanes

@@ -17,8 +17,8 @@ import numpy as np
 import torch
 from PIL import Image
 
-from examples.paper.pictures import row_of, shown_as
-from examples.paper.study import check_out
+from examples.paper.lib.pictures import row_of, shown_as
+from examples.paper.lib.study import check_out
 from loi_core import Free, LOIObjective, PixelL2, fit
 from loi_core.io.files import write_bytes
 from loi_core.objectives import Objective

@@ -10,11 +10,11 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from examples.paper.landscapes import NEAR, Landscape
-from examples.paper.measure1d import blurred
-from examples.paper.methods import METHODS, SIGMAS, sigma_method
-from examples.paper.problems import Problem
-from examples.paper.signals import Host
+from examples.paper.figures.landscapes import NEAR, Landscape
+from examples.paper.figures.measure1d import blurred
+from examples.paper.figures.signals import Host
+from examples.paper.lib.methods import METHODS, SIGMAS, sigma_method
+from examples.paper.lib.problems import Problem
 from loi_core import ScaleSpace, local_histograms
 from loi_core.report.plots import new_figure
 

@@ -1,0 +1,1 @@
+"""The paper's one-dimensional figures and its first figure."""
