@@ -4,7 +4,7 @@
 PYTHON ?= python3
 PIP := .venv/bin/python -m pip --disable-pip-version-check
 
-.PHONY: install develop demo test lint lowest bench docs clean
+.PHONY: install develop demo test lint coverage lowest newest bench docs clean
 
 install: .venv/.installed
 develop: .venv/.developed
@@ -27,8 +27,11 @@ docs: .venv/.documented
 	.venv/bin/python docs/other_sites.py
 	.venv/bin/python docs/site_pictures.py
 
-lowest: .venv/.developed  # the lowest versions that pyproject.toml allows
-	.venv/bin/python -m tests.lowest
+coverage: .venv/.developed  # of the lines that Python runs; Numba's compiled loops are not counted
+	OMP_NUM_THREADS=1 .venv/bin/python -m pytest -n auto --dist worksteal --cov --cov-report=term:skip-covered
+
+lowest newest: .venv/.developed  # the lowest or newest versions that pyproject.toml allows
+	.venv/bin/python -m tests.versions $@ $(if $(NEWEST_PYTHON),--python $(NEWEST_PYTHON))
 
 bench: .venv/.benched
 	.venv/bin/python -m benchmarks.adapters

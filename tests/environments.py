@@ -56,21 +56,27 @@ def copied_python(python: Path, folder: Path) -> Path:
     return folder / "bin" / "python"
 
 
-def lowest_python(folder: Path, wheel: Path, *extras: str) -> Path:
-    """The Python of an environment with the lowest versions that the wheel and some of its extras allow.
+RESOLUTIONS: Final = {"lowest": "lowest-direct", "newest": "highest"}
+"""uv's strategy for direct requirements, by name."""
 
-    What these require in turn is as new as it may be; so is what the tests need beside.
+
+def python_with_versions(
+    resolution: str, folder: Path, wheel: Path, *extras: str, base: str | Path = sys.executable
+) -> Path:
+    """Return the Python of an environment with the lowest or newest versions that the wheel and some extras allow.
+
+    Indirect requirements and test packages are as new as possible.
     """
-    run(sys.executable, "-m", "venv", "--without-pip", folder)
+    run(base, "-m", "venv", "--without-pip", folder)
     python = folder / "bin" / "python"
     install = sys.executable, "-m", "uv", "pip", "install", "--quiet", "--python", python, "--only-binary", ":all:"
-    # What is required by name is as old as it may be, so the wheel, which would stand between, comes by itself.
+    # The strategy applies to requirements named directly, so the wheel is installed apart from its requirements.
     chosen = [part for extra in extras for part in ("--extra", extra)]
-    run(*install, "--resolution", "lowest-direct", "--requirements", ROOT / "pyproject.toml", *chosen)
+    run(*install, "--resolution", RESOLUTIONS[resolution], "--requirements", ROOT / "pyproject.toml", *chosen)
     run(*install, "--no-deps", wheel)
-    held = folder / "held.txt"
-    held.write_text(run(sys.executable, "-m", "uv", "pip", "freeze", "--python", python, "--exclude", "loi"))
-    run(*install, "--constraint", held, *TEST_PACKAGES)
+    frozen = folder / "frozen.txt"
+    frozen.write_text(run(sys.executable, "-m", "uv", "pip", "freeze", "--python", python, "--exclude", "loi"))
+    run(*install, "--constraint", frozen, *TEST_PACKAGES)
     return python
 
 

@@ -35,6 +35,14 @@ def test_the_wheel_holds_the_four_packages_and_nothing_else(wheel: Path) -> None
     assert any(name.endswith("licenses/LICENSE") for name in names)
 
 
+def test_the_description_on_pypi_has_absolute_links_alone(wheel: Path) -> None:
+    archive = zipfile.ZipFile(wheel)
+    description = archive.read(next(name for name in archive.namelist() if name.endswith("METADATA"))).decode()
+    links = re.findall(r"\]\(([^)]+)\)", re.sub(r"```.*?```", "", description, flags=re.DOTALL))
+    assert len(links) > 10
+    assert [link for link in links if not link.startswith("https://")] == []
+
+
 def test_the_sdist_builds_the_same_wheel_by_itself(wheel: Path, tmp_path: Path) -> None:
     with tarfile.open(build_sdist(tmp_path)) as sdist:
         sdist.extractall(tmp_path, filter="data")
