@@ -48,7 +48,7 @@ def main(names: list[str]) -> None:
         parts.append(f"### {case.name[0].upper()}{case.name[1:]}\n")
         if strip := _draw(case):
             parts.append(f"![{case.name}: image, reference, gradient](images/stability/{strip})\n")
-        parts.append(f"*What could go wrong:* {case.danger}.\n\n*What we do:* {case.answer}.\n")
+        parts.append(f"*Danger:* {case.danger}.\n\n*Answer:* {case.answer}.\n")
         parts.append(_table(rows[case.name]))
     page = PAGE.read_text()
     if not BETWEEN.search(page):

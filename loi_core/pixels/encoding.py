@@ -1,25 +1,23 @@
-"""Light as renderers count it, and as files and displays encode it (sRGB, IEC 61966-2-1)."""
+"""Encoding of light: linear, as renderers compute it, and sRGB (IEC 61966-2-1), as files and displays hold it."""
 
 from __future__ import annotations
 
-from typing import Literal, TypeAlias, get_args
-
-import numpy as np
+from typing import Final, Literal, TypeAlias, get_args
 
 from loi_core.errors import OptionError
-from loi_core.support.arrays import Host
+from loi_core.support.arrays import Array, namespace
 from loi_core.support.wording import shown
 
 __all__ = ["Encoding", "check_encoding", "decode_srgb", "encode_srgb"]
 
 Encoding: TypeAlias = Literal["linear", "sRGB"]
 
-KNEE = 0.0031308  # of linear light: below, the curve is straight
-SLOPE = 12.92
+LINEAR_LIMIT: Final = 0.0031308  # linear light; below it the curve is a straight line
+LINEAR_SLOPE: Final = 12.92
 
 
 def check_encoding(encoding: object) -> Encoding:
-    """`encoding` as it is spelled here, whatever its case.
+    """Return `encoding` in its canonical spelling, whatever its case.
 
     Raises
     ------
@@ -33,15 +31,20 @@ def check_encoding(encoding: object) -> Encoding:
     raise OptionError(msg)
 
 
-def decode_srgb(values: Host) -> Host:
-    """Linear light of values encoded as sRGB; straight below 0, and on along the curve beyond 1."""
-    values = np.asarray(values)
-    curve = ((np.maximum(values, 0.0) + 0.055) / 1.055) ** 2.4
-    return np.where(values <= SLOPE * KNEE, values / SLOPE, curve)
+def decode_srgb(encoded: Array) -> Array:
+    """Return linear light of sRGB values, an array of any library; the line extends below 0, the curve beyond 1."""
+    xp = namespace(encoded)
+    on_line = encoded <= LINEAR_SLOPE * LINEAR_LIMIT
+    curve = ((xp.where(on_line, xp.ones_like(encoded), encoded) + 0.055) / 1.055) ** 2.4
+    return xp.where(on_line, encoded / LINEAR_SLOPE, curve)
 
 
-def encode_srgb(light: Host) -> Host:
-    """Linear light encoded as sRGB; straight below 0, and on along the curve beyond 1."""
-    light = np.asarray(light)
-    curve = 1.055 * np.maximum(light, KNEE) ** (1.0 / 2.4) - 0.055
-    return np.where(light <= KNEE, light * SLOPE, curve)
+def encode_srgb(light: Array) -> Array:
+    """Return linear light as sRGB values, an array of any library; the line extends below 0, the curve beyond 1.
+
+    Its derivative is finite everywhere, also for frameworks that differentiate both branches.
+    """
+    xp = namespace(light)
+    on_line = light <= LINEAR_LIMIT
+    curve = 1.055 * xp.where(on_line, xp.ones_like(light), light) ** (1.0 / 2.4) - 0.055
+    return xp.where(on_line, light * LINEAR_SLOPE, curve)

@@ -66,13 +66,7 @@ class Allowed:
 
 
 def allowed(
-    image: Host,
-    reference: Host,
-    scales: ScaleSpace,
-    eps: float,
-    *,
-    channel_axis: int | None = -1,
-    shift: float = 0.0,
+    image: Host, reference: Host, scales: ScaleSpace, eps: float, *, channel_axis: int | None = -1, shift: float = 0.0
 ) -> Allowed:
     """What rounding may change in the dtype with machine epsilon `eps`.
 
@@ -199,11 +193,7 @@ class _Plane:
             pulled_off += extent.adjoint(slope_off) + eps * (roundings + 2.0) * extent.adjoint(np.abs(slope))
         added = eps * (0.5 * len(size) + 3.0) * np.abs(pulled * ours.slope)
         error = pulled_off * (np.abs(ours.slope) + ours.slope_error) + np.abs(pulled) * ours.slope_error + added
-        return (
-            weight * loss,
-            weight * np.sum(pulled * ours.slope, axis=0),
-            weight * np.sum(error, axis=0),
-        )
+        return (weight * loss, weight * np.sum(pulled * ours.slope, axis=0), weight * np.sum(error, axis=0))
 
     def _cost_error(self, size: Host, off: Host, tie: float) -> float:
         """Error of the sum of costs: of each of them, and of adding them up."""

@@ -1,10 +1,10 @@
-"""One hard case on one backend: what it must give, and what it gave."""
+"""A trial: one hard case on one backend in one dtype, with the expected result."""
 
 from __future__ import annotations
 
 import functools
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypeAlias
 
 import numpy as np
 
@@ -14,37 +14,12 @@ from loi_core.plugins.backends import BFLOAT16_PRODUCTS, Backend, Request
 from loi_core.stability.bounds import allowed
 from loi_core.stability.case import HardCase
 from loi_core.support.arrays import Host, to_numpy
+from loi_core.support.wording import described
 
-__all__ = ["Answer", "Expected", "Trial", "epsilon_of", "expected", "one_line", "trials_of", "try_case"]
+__all__ = ["Answer", "Expected", "Trial", "dtypes_of", "epsilon_of", "try_case"]
 
-HALVES: Final = {"float16": (2.0**-10, 2.0**-24), "bfloat16": (2.0**-7, 2.0**-133)}
-"""Machine epsilon and smallest step of the dtypes of 16 bits."""
-
-
-@dataclass(frozen=True)
-class Expected:
-    """What a case must give in one dtype.
-
-    Attributes
-    ----------
-    image, reference : array
-        As the backend sees them.
-    value : float
-        The loss, by the plain sum with the tie rule of that dtype.
-    gradient : array
-        Its gradient by the image, likewise.
-    loss_bound : float
-        By how much the loss may be off.
-    gradient_bound : array
-        By how much the gradient may be off, by pixel.
-    """
-
-    image: Host
-    reference: Host
-    value: float
-    gradient: Host
-    loss_bound: float
-    gradient_bound: Host
+HALF_PRECISION: Final = {"float16": (2.0**-10, 2.0**-24), "bfloat16": (2.0**-7, 2.0**-133)}
+"""Machine epsilon and smallest positive number of the dtypes of 16 bits."""
 
 
 @dataclass(frozen=True)
@@ -55,152 +30,161 @@ class Answer:
     gradient: Host
 
 
+Outcome: TypeAlias = Answer | Exception
+
+
+@dataclass(frozen=True)
+class Expected(Answer):
+    """The result of the plain sum in float64, with the tie rule of one dtype.
+
+    Attributes
+    ----------
+    image, reference : array
+        As the backend sees them.
+    loss_bound : float
+        Largest error of the loss.
+    gradient_bound : array
+        Largest error of the gradient, for each pixel.
+    """
+
+    image: Host
+    reference: Host
+    loss_bound: float
+    gradient_bound: Host
+
+
 @dataclass(frozen=True)
 class Trial:
-    """A case on a backend in one dtype, and what came of it.
+    """A hard case on a backend in one dtype, and the results.
 
     Attributes
     ----------
     case : HardCase
-    backend : str
-    dtype : str
-        Of the image.
-    expected : Expected or None
-        None if the case must be refused.
+    backend, dtype : str
+        The dtype is the image's.
+    expected : Expected, optional
+        None if the case must raise an error.
     answer : Answer or Exception
         At the case's image.
-    at_reference : Answer, Exception or None
+    at_reference : Answer or Exception, optional
         At the reference itself; None if that was not tried.
     members : tuple of Answer or Exception
         For batches: at each image of the batch alone.
     replaced : tuple of Answer or Exception
         For batches: with all images but the one of that index replaced.
-    written : bool
-        Whether the caller's image was changed.
+    modified : bool
+        Whether the caller's image was written to.
     compiled : bool
-        Whether the backend cannot raise for bad pixels, and gives NaN instead.
-    not_held : str
-        Why the backend has no such array; empty if it has.
+        Whether the backend returns NaN for bad pixels because it cannot raise an error.
+    unsupported : str
+        The reason why the backend has no such array; empty if it has.
     """
 
     case: HardCase
     backend: str
     dtype: str
     expected: Expected | None
-    answer: Answer | Exception
-    at_reference: Answer | Exception | None = None
-    members: tuple[Answer | Exception, ...] = ()
-    replaced: tuple[Answer | Exception, ...] = ()
-    written: bool = False
+    answer: Outcome
+    at_reference: Outcome | None = None
+    members: tuple[Outcome, ...] = ()
+    replaced: tuple[Outcome, ...] = ()
+    modified: bool = False
     compiled: bool = False
-    not_held: str = ""
-
-
-@functools.lru_cache(maxsize=256)
-def expected(case: HardCase, dtype: str) -> Expected:
-    """What `case` must give in `dtype`, whichever backend computes it; kept for the next backend."""
-    image, reference = _given(case, dtype)
-    eps = float(np.finfo("float32" if dtype in HALVES else dtype).eps)
-    value, gradient = loss_and_gradient(image, reference, case.scales, eps=eps)
-    bounds = allowed(image, reference, case.scales, eps)
-    loss, slopes = bounds.loss, bounds.gradient
-    if dtype in HALVES:
-        rounding, step = HALVES[dtype]
-        loss += 0.5 * (rounding * (abs(value) + loss) + step)
-        slopes = slopes + 0.5 * (rounding * (np.abs(gradient) + slopes) + step)
-    return Expected(image, reference, value, gradient, loss, slopes)
+    unsupported: str = ""
 
 
 def epsilon_of(dtype: str) -> float:
-    """Machine epsilon of a dtype, those of 16 bits included."""
-    return HALVES[dtype][0] if dtype in HALVES else float(np.finfo(dtype).eps)
+    """Return the machine epsilon of a dtype, which may have 16 bits."""
+    return HALF_PRECISION[dtype][0] if dtype in HALF_PRECISION else float(np.finfo(dtype).eps)
 
 
-def trials_of(case: HardCase, backend: Backend) -> tuple[str, ...]:
-    """The dtypes in which `case` is tried on `backend`."""
+def dtypes_of(case: HardCase, backend: Backend) -> tuple[str, ...]:
+    """Return the dtypes in which `case` is tried on `backend`."""
     if case.layout is not None:
         return backend.dtypes[:1]
-    dtypes = (dtype for dtype in backend.dtypes if dtype != BFLOAT16_PRODUCTS)  # those are as coarse as they say
+    dtypes = (dtype for dtype in backend.dtypes if dtype != BFLOAT16_PRODUCTS)  # less precise than their dtype
     return (*dtypes, *(backend.half_dtypes if case.half else ()))
 
 
 def try_case(case: HardCase, name: str, backend: Backend, dtype: str) -> Trial:
-    """Run `case` on the backend called `name`."""
+    """Evaluate `case` on the backend called `name`."""
     if case.layout is not None:
         return _try_layout(case, name, backend, dtype)
-    image, reference = _given(case, dtype)
-    answer = _answer(case, backend, dtype, image, reference)
+    image, reference = _rounded_pair(case, dtype)
+    evaluate = functools.partial(_evaluate, case, backend, dtype)
+    answer = evaluate(image, reference)
     if case.error is not None:
         return Trial(case, name, dtype, None, answer, compiled=backend.compiled)
-    members: list[Answer | Exception] = []
-    replaced: list[Answer | Exception] = []
-    if image.ndim == 4:
-        for index in range(len(image)):
-            own = reference[index] if reference.ndim == 4 else reference
-            members.append(_answer(case, backend, dtype, image[index], own))
-            others = np.full_like(image, np.nan) if case.nan_policy == "mask" else 0.5 * image
-            others[index] = image[index]
-            replaced.append(_answer(case, backend, dtype, others, reference))
-    first = dtype == backend.dtypes[0]  # once is enough: what compiles for each case takes seconds
-    there = _answer(case, backend, dtype, np.broadcast_to(reference, image.shape), reference) if first else None
-    return Trial(
-        case,
-        name,
-        dtype,
-        expected(case, dtype),
-        answer,
-        there,
-        tuple(members),
-        tuple(replaced),
-    )
+    members: list[Outcome] = []
+    replaced: list[Outcome] = []
+    for index in range(len(image) if image.ndim == 4 else 0):
+        members.append(evaluate(image[index], reference[index] if reference.ndim == 4 else reference))
+        others = np.full_like(image, np.nan) if case.nan_policy == "mask" else 0.5 * image
+        others[index] = image[index]
+        replaced.append(evaluate(others, reference))
+    at_reference = None
+    if dtype == backend.dtypes[0]:  # one dtype is enough: backends that compile each case take seconds
+        at_reference = evaluate(np.broadcast_to(reference, image.shape), reference)
+    return Trial(case, name, dtype, _expected(case, dtype), answer, at_reference, tuple(members), tuple(replaced))
 
 
-def _given(case: HardCase, dtype: str) -> tuple[Host, Host]:
-    """Image and reference as a backend sees them: in `dtype`, or what it holds in float32."""
-    with np.errstate(under="ignore"):  # what is too small for a dtype is 0 in it
+def _try_layout(case: HardCase, name: str, backend: Backend, dtype: str) -> Trial:
+    """Evaluate the core itself on an array of the backend's library, whose memory layout is the subject of the case."""
+    image, reference = _rounded_pair(case, dtype)
+    expected = None if case.error is not None else _expected(case, dtype)
+    original = image.copy()
+    unsupported = ""
+    try:
+        converted = backend.asarray(image)
+    except (TypeError, ValueError) as error:
+        unsupported = described(error)
+    else:
+        if isinstance(image, np.ma.MaskedArray) and not isinstance(converted, np.ma.MaskedArray):
+            unsupported = "its arrays have no mask, so the mask is lost before the loss sees them"
+    if unsupported:
+        return Trial(case, name, str(image.dtype), expected, TypeError(unsupported), unsupported=unsupported)
+    answer: Outcome
+    try:
+        value, gradient = LOIObjective(reference, case.scales).value_and_grad(converted)
+        answer = Answer(float(value), to_numpy(gradient))
+    except Exception as error:  # noqa: BLE001 - the row reports it
+        answer = error
+    return Trial(case, name, str(image.dtype), expected, answer, modified=not np.array_equal(original, image))
+
+
+def _evaluate(case: HardCase, backend: Backend, dtype: str, image: Host, reference: Host) -> Outcome:
+    try:
+        return Answer(*backend.prepare(Request(image, reference, case.scales, "exact", dtype, case.nan_policy))())
+    except Exception as error:  # noqa: BLE001 - a backend may raise anything; the row reports it
+        return error
+
+
+@functools.lru_cache(maxsize=256)
+def _expected(case: HardCase, dtype: str) -> Expected:
+    """Return the expected result in `dtype`; cached for the next backend."""
+    image, reference = _rounded_pair(case, dtype)
+    eps = float(np.finfo("float32" if dtype in HALF_PRECISION else dtype).eps)
+    value, gradient = loss_and_gradient(image, reference, case.scales, eps=eps)
+    bounds = allowed(image, reference, case.scales, eps)
+    loss, slopes = bounds.loss, bounds.gradient
+    if dtype in HALF_PRECISION:
+        rounding, step = HALF_PRECISION[dtype]
+        loss += 0.5 * (rounding * (abs(value) + loss) + step)
+        slopes = slopes + 0.5 * (rounding * (np.abs(gradient) + slopes) + step)
+    return Expected(value, gradient, image, reference, loss, slopes)
+
+
+def _rounded_pair(case: HardCase, dtype: str) -> tuple[Host, Host]:
+    """Return image and reference as a backend sees them: in `dtype`, in float32 if that has 16 bits."""
+    with np.errstate(under="ignore"):  # values too small for a dtype become 0
         image, reference = (_rounded(each, dtype) for each in case.make())
     return (image if case.layout is None else case.layout(image)), reference
 
 
 def _rounded(image: Host, dtype: str) -> Host:
     if dtype != "bfloat16":
-        return image.astype(dtype).astype("float32" if dtype in HALVES else dtype)
-    # NumPy has no bfloat16, which is the upper half of a float32: add half of what is cut off, ties to even.
+        return image.astype(dtype).astype("float32" if dtype in HALF_PRECISION else dtype)
+    # NumPy has no bfloat16, which is the upper half of a float32: add half of the lower part, ties to even.
     bits = image.astype(np.float32).view(np.uint32)
     rounded = (bits + (0x7FFF + ((bits >> 16) & 1)).astype(np.uint32)) & np.uint32(0xFFFF0000)
     return np.where(np.isfinite(image), rounded.view(np.float32), image).astype(np.float32)
-
-
-def _answer(case: HardCase, backend: Backend, dtype: str, image: Host, reference: Host) -> Answer | Exception:
-    try:
-        evaluate = backend.prepare(Request(image, reference, case.scales, "exact", dtype, case.nan_policy))
-        return Answer(*evaluate())
-    except Exception as error:  # noqa: BLE001 - a backend may raise anything; the row says what
-        return error
-
-
-def _try_layout(case: HardCase, name: str, backend: Backend, dtype: str) -> Trial:
-    """The core itself on an array of the backend's library, since what matters is how the array is held."""
-    image, reference = _given(case, dtype)
-    wanted = None if case.error is not None else expected(case, dtype)
-    kept = image.copy()
-    try:
-        held = backend.asarray(image)
-    except (TypeError, ValueError) as error:
-        return Trial(case, name, str(image.dtype), wanted, error, not_held=one_line(error))
-    if isinstance(image, np.ma.MaskedArray) and not isinstance(held, np.ma.MaskedArray):
-        lost = TypeError("its arrays have no mask, so it is gone before the loss sees them")
-        return Trial(case, name, str(image.dtype), wanted, lost, not_held=str(lost))
-    answer: Answer | Exception
-    try:
-        value, gradient = LOIObjective(reference, case.scales).value_and_grad(held)
-        answer = Answer(float(value), to_numpy(gradient))
-    except Exception as error:  # noqa: BLE001 - as above
-        answer = error
-    written = not np.array_equal(kept, image)
-    return Trial(case, name, str(image.dtype), wanted, answer, written=written)
-
-
-def one_line(error: object) -> str:
-    """An exception as one line; nothing for anything else."""
-    return " ".join(f"{type(error).__name__}: {error}".split()) if isinstance(error, Exception) else ""

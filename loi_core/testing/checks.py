@@ -68,6 +68,14 @@ class Check(Generic[SubjectT]):
             msg = f"the check ended with {described(error)}"
             raise ConformanceError(self.name, self.rule, msg) from error
 
+    def finding(self, subject: SubjectT) -> str:
+        """Return how the subject breaks the rule, in a line; empty if it keeps the rule."""
+        try:
+            self(subject)
+        except ConformanceError as error:
+            return error.finding
+        return ""
+
     def __str__(self) -> str:
         return self.name
 

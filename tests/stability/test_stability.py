@@ -1,8 +1,9 @@
-"""Hard cases stay stable: on every backend, in every dtype, whatever the catalogue holds.
+"""Every hard case keeps every rule, on every backend and in every dtype.
 
-The catalogue is `loi_core.testing.hard_cases`, the bounds are derived in `loi_core.stability.bounds`. JAX compiles each
-operation for each shape, and each case anew under ``jit``, in seconds. So in float32 here, and only there, JAX runs
-the cases of the usual shape and scales, and compiled those of :data:`COMPILED`; ``loi doctor --stability`` runs all.
+The catalogue is `loi_core.stability.hard_cases`; `loi_core.stability.bounds` derives the error bounds. JAX compiles
+each operation for each shape, and each case again under ``jit``, which takes seconds. Here JAX therefore runs the
+cases of the usual shape and scales, in float32 only, and compiled the cases of :data:`COMPILED_CASES`;
+``loi doctor --stability`` runs all.
 """
 
 from __future__ import annotations
@@ -24,14 +25,14 @@ from loi_core import LOIObjective, ScaleSpace
 from loi_core.method.reference import DOUBLE, loss_and_gradient
 from loi_core.plugins.backends import Backend, Evaluate, NumPy, Request
 from loi_core.stability import (
-    PROPERTIES,
+    STABILITY_CHECKS,
     HardCase,
     StabilityRow,
     allowed,
     hard_cases,
     stability_rows,
 )
-from loi_core.stability.trial import Trial, trials_of, try_case
+from loi_core.stability.trial import Trial, dtypes_of, try_case
 from loi_core.support.arrays import Array, to_numpy
 from loi_jax.backend import Jax
 from loi_mitsuba.backend import Mitsuba
@@ -40,8 +41,8 @@ from tests.helpers import Host, by_arrays
 from tests.method.precise import precise
 
 CASES = {case.name: case for case in hard_cases()}
-COMPILED = ("ordinary pair", "one NaN", "one NaN, masked", "batch with one bad image, masked")
-LARGE = ("3x4096", "a sum of 1e7 terms", "beta 0.0001")
+COMPILED_CASES = ("ordinary pair", "one NaN", "one NaN, masked", "batch with one bad image, masked")
+LARGE_CASES = ("3x4096", "a sum of 1e7 terms", "beta 0.0001")
 
 
 class OfCore:
@@ -102,7 +103,7 @@ BACKENDS: dict[str, Backend] = {
 
 def cases_of(backend: str) -> list[HardCase]:
     if backend.startswith("JAX, jit"):
-        return [CASES[name] for name in COMPILED]
+        return [CASES[name] for name in COMPILED_CASES]
     if backend == "JAX":
         usual = CASES["ordinary pair"]
         return [
@@ -112,14 +113,14 @@ def cases_of(backend: str) -> list[HardCase]:
         ]
     if backend in ("NumPy", "torch autograd"):
         return list(CASES.values())
-    return [case for name, case in CASES.items() if name not in LARGE]
+    return [case for name, case in CASES.items() if name not in LARGE_CASES]
 
 
-def dtypes_of(case: HardCase, backend: str) -> tuple[str, ...]:
+def tried_dtypes(case: HardCase, backend: str) -> tuple[str, ...]:
     if backend.startswith("JAX"):
         half = ("float16", "bfloat16") if (case.name, backend) == ("ordinary pair", "JAX") else ()
         return ("float32", *half)
-    return trials_of(case, BACKENDS[backend])
+    return dtypes_of(case, BACKENDS[backend])
 
 
 def trials(backend: str) -> list[Trial]:
@@ -127,16 +128,20 @@ def trials(backend: str) -> list[Trial]:
     return [
         try_case(case, backend, BACKENDS[backend], dtype)
         for case in cases_of(backend)
-        for dtype in dtypes_of(case, backend)
+        for dtype in tried_dtypes(case, backend)
     ]
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
 def test_every_case_keeps_every_rule(backend: str) -> None:
-    held = [one for one in trials(backend) if not one.not_held]
-    assert held
-    broken = {(rule.rule, f"{one.case} in {one.dtype}"): rule.test(one) for rule in PROPERTIES for one in held}
-    assert {names: finding for names, finding in broken.items() if finding} == {}
+    supported = [trial for trial in trials(backend) if not trial.unsupported]
+    assert supported
+    findings = {
+        (check.rule, f"{trial.case} in {trial.dtype}"): check.finding(trial)
+        for check in STABILITY_CHECKS
+        for trial in supported
+    }
+    assert {names: finding for names, finding in findings.items() if finding} == {}
 
 
 def test_the_catalogue_is_complete() -> None:
@@ -197,7 +202,7 @@ def test_every_rule_can_be_broken(case: str, rule: str, spoil: Any) -> None:
         trial = try_case(dataclasses.replace(CASES[case], error=KeyError), "broken", NumPy(), "float32")
     else:
         trial = try_case(CASES[case], "broken", Broken(spoil), "float32")
-    assert [one.name for one in PROPERTIES if one.name == rule and one.test(trial)] == [rule]
+    assert [check.name for check in STABILITY_CHECKS if check.name == rule and check.finding(trial)] == [rule]
     assert StabilityRow.of(trial).verdict == "FAILED"
 
 

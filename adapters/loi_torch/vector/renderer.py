@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from loi_core.errors import ParameterError
-from loi_core.pixels.encoding import check_encoding
+from loi_core.pixels.encoding import check_encoding, encode_srgb
 from loi_core.renderers.checks import FloatArray, check_size, floats
 from loi_core.renderers.contract import RendererCapabilities
 from loi_core.renderers.fragments import IndexArray
@@ -135,7 +135,7 @@ class Vector(Painted):
         """Linear RGB, and opacity if there is one, as the image has them: shape (..., 3) or (..., 4)."""
         if self._encoding == "linear":
             return colours
-        return torch.cat([_srgb(colours[..., :3]), colours[..., 3:]], dim=-1)
+        return torch.cat([encode_srgb(colours[..., :3]), colours[..., 3:]], dim=-1)
 
     def _edges(self, rings: Rings, scene: Tensors) -> tuple[Tensor, Edges]:
         """The edges of all layers, and the points that they join."""
@@ -190,10 +190,3 @@ class Vector(Painted):
         span = high - low
         across, down = ((local - low) / torch.where(span > 0.0, span, torch.ones_like(span))).unbind(dim=1)
         return bilinear(scene["blends"][layer.row], across, down)
-
-
-def _srgb(linear: Tensor) -> Tensor:
-    """Linear RGB encoded as sRGB; straight near 0 and below, where a power has no slope that is finite."""
-    steep = linear <= 0.0031308
-    power = torch.where(steep, torch.ones_like(linear), linear) ** (1.0 / 2.4)
-    return torch.where(steep, 12.92 * linear, 1.055 * power - 0.055)

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from PIL import ImageColor
 
+from loi_core.pixels.encoding import decode_srgb, encode_srgb
 from loi_core.renderers.checks import FloatArray
 
 __all__ = ["CORNERS", "NAMESPACE", "read_colour", "spell_colour"]
@@ -48,20 +49,10 @@ def read_colour(text: str) -> FloatArray | None:
             if number is not None
         ]
     colour = np.clip(np.array([*values, 1.0][:4], dtype=np.float64), 0.0, 1.0)
-    return np.append(_linear(colour[:3]), colour[3])
+    return np.append(decode_srgb(colour[:3]), colour[3])
 
 
 def spell_colour(colour: FloatArray) -> str:
     """Linear RGB as ``rgb(...)`` with more digits than a byte has, so that reading it gives the same colour."""
-    encoded = 100.0 * _encoded(np.clip(np.asarray(colour, dtype=np.float64)[:3], 0.0, 1.0))
+    encoded = 100.0 * encode_srgb(np.clip(np.asarray(colour, dtype=np.float64)[:3], 0.0, 1.0))
     return f"rgb({', '.join(f'{one:.10f}%' for one in encoded)})"
-
-
-def _linear(encoded: FloatArray) -> FloatArray:
-    linear: FloatArray = np.where(encoded <= 0.04045, encoded / 12.92, ((encoded + 0.055) / 1.055) ** 2.4)
-    return linear
-
-
-def _encoded(linear: FloatArray) -> FloatArray:
-    encoded: FloatArray = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1.0 / 2.4) - 0.055)
-    return encoded

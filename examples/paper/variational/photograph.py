@@ -46,4 +46,5 @@ class Photograph:
         rng = np.random.default_rng(seed)
         read = rng.poisson(self.full * np.maximum(exposed, 0.0)) / self.full
         read = read + self.reading * rng.standard_normal(read.shape)
-        return (np.rint(255.0 * encode_srgb(np.clip(read, 0.0, 1.0))) / 255.0).astype(np.float32)
+        encoded = np.asarray(encode_srgb(np.clip(read, 0.0, 1.0)))
+        return (np.rint(255.0 * encoded) / 255.0).astype(np.float32)

@@ -64,7 +64,7 @@ def as_arrays(values: Mapping[str, float]) -> Parameters:
 
 def shown(radiance: FloatArray) -> FloatArray:
     """Radiance as an image file holds it: sRGB, in [0, 1]."""
-    return encode_srgb(np.clip(radiance, 0.0, 1.0)).astype(np.float32)
+    return np.asarray(encode_srgb(np.clip(radiance, 0.0, 1.0)), dtype=np.float32)
 
 
 @dataclass(frozen=True)
