@@ -15,7 +15,7 @@ from matplotlib import get_data_path
 from PIL import Image
 from playwright.sync_api import Page, sync_playwright
 
-from loi_core.cli.bundled import make_disks
+from loi_core.cli.bundled import copy_scene
 from loi_core.cli.main import main
 from loi_core.io.images import write_png
 from loi_core.scenes.experiment import Start
@@ -37,8 +37,7 @@ def portrait(folder: Path) -> tuple[Path, Path]:
 
 def disks(folder: Path) -> tuple[Path, Path]:
     """The disks of the demo: where they start, and their target."""
-    make_disks(folder)
-    write_png(folder / "render.png", Start.of(load_scene(folder / "scene.toml")).host)
+    write_png(folder / "render.png", Start.of(load_scene(copy_scene("disks", folder))).host)
     return folder / "render.png", folder / "target.png"
 
 

@@ -20,6 +20,7 @@ __all__ = [
     "InUseError",
     "LoiError",
     "MeshError",
+    "MissingPackageError",
     "NonFiniteImageError",
     "ObjectiveNotFoundError",
     "OptionError",
@@ -197,6 +198,10 @@ class FitError(LoiError, RuntimeError):
 
 class FitDivergedError(FitError, ArithmeticError):
     """A fit met an image, loss or gradient that is not finite."""
+
+
+class MissingPackageError(LoiError, ImportError):
+    """A function needs a package that is not installed; the message names the command that installs it."""
 
 
 class ExecutorError(LoiError, RuntimeError):

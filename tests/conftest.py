@@ -10,7 +10,6 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import matplotlib as mpl
 import pytest
 from hypothesis import HealthCheck, settings
 
@@ -20,7 +19,7 @@ from tests.environments import build_wheel, fresh_python
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
-mpl.use("agg")
+os.environ["MPLBACKEND"] = "agg"  # Matplotlib, where it is installed, opens no window
 
 collect_ignore = ["typing/wrong_uses.py"]  # read by type checkers, and never run
 

@@ -28,7 +28,7 @@ def test_the_wheel_holds_the_four_packages_and_nothing_else(wheel: Path) -> None
         str(path.relative_to(ROOT)).removeprefix("adapters/")
         for folder in ("loi_core", "adapters")
         for path in (ROOT / folder).rglob("*")
-        if path.is_file() and path.suffix in (".py", ".typed", ".css", ".js")
+        if path.is_file() and path.suffix in (".py", ".typed", ".css", ".js", ".toml", ".png", ".ply", ".xml")
     }
     assert {name for name in names if ".dist-info/" not in name} == sources
     assert {f"{package}/py.typed" for package in PACKAGES} <= set(names)
@@ -91,7 +91,27 @@ def test_the_wheel_works_in_an_empty_environment(fresh: Path, tmp_path: Path) ->
     assert states["torch"] == states["jax"] == states["mitsuba"] == "missing"
     assert states["numba"] == "note"  # it is there, and switched off
     installed = run(fresh, "-m", "pip", "list", "--format=freeze", "--disable-pip-version-check")
-    assert not re.search(r"^(torch|jax|mitsuba|scipy)==", installed, re.MULTILINE)
+    assert not re.search(r"^(torch|jax|mitsuba|scipy|matplotlib)==", installed, re.MULTILINE)
+
+
+def test_the_base_install_fits_a_bundled_scene_and_draws_its_report(fresh: Path, tmp_path: Path) -> None:
+    code = (
+        "from pathlib import Path\n"
+        "from loi_core.cli.bundled import copy_scene\n"
+        "print(copy_scene('disks', Path('disks')))\n"
+    )
+    scene = run(fresh, "-c", code, cwd=tmp_path).strip()
+    command = (fresh.parent / "loi", "fit", scene, "--steps", "120", "--json")
+    result = json.loads(run(*command, cwd=tmp_path, LOI_COMPILED="0"))
+    assert result["trials"][0]["diagnosis"]["verdict"] == "converged"
+    page = (tmp_path / "disks" / "result" / "report.html").read_text()
+    assert page.count("<svg viewBox") >= 4
+    code = (
+        "from loi_core.errors import MissingPackageError\n"
+        "from loi_core.report.plots import new_figure\n"
+        "try:\n    new_figure(1.0, 1.0)\nexcept MissingPackageError as error:\n    print(error)\n"
+    )
+    assert run(fresh, "-c", code).strip() == "figures need the package matplotlib: pip install 'loi[plots]'"
 
 
 @thorough

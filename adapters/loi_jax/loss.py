@@ -115,9 +115,6 @@ class _Loss:
     def __repr__(self) -> str:
         return f"<loi_jax.loi_loss by {self._objective!r}>"
 
-    def _repr_html_(self) -> str:
-        return self._objective._repr_html_()
-
     def __reduce__(self) -> tuple[type[_Loss], tuple[LOIObjective]]:
         return _Loss, (self._objective,)
 

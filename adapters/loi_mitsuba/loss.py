@@ -115,9 +115,6 @@ class LOILoss:
     def __repr__(self) -> str:
         return f"<loi_mitsuba.LOILoss on {self._backend} by {self._objective!r}>"
 
-    def _repr_html_(self) -> str:
-        return self._objective._repr_html_()
-
     @property
     def objective(self) -> LOIObjective:
         """The objective of the core that does the work."""

@@ -1,4 +1,4 @@
-"""``loi completion``: what a shell needs to complete commands, options and files."""
+"""``loi completion``: a script with which a shell completes commands, options and files."""
 
 from __future__ import annotations
 
@@ -8,20 +8,28 @@ from pathlib import Path
 
 import shtab
 
-__all__ = ["completion_script"]
+from loi_core.cli.codes import DONE
+
+__all__ = ["completion_script", "run"]
+
+
+def run(options: argparse.Namespace) -> int:
+    """Print the script for a shell."""
+    print(completion_script(options.root, options.shell))
+    return DONE
 
 
 def completion_script(parser: argparse.ArgumentParser, shell: str) -> str:
-    """The script for a shell, "bash", "zsh" or "fish", of all that a parser takes."""
+    """Return the script that completes the arguments of a parser in a shell, "bash", "zsh" or "fish"."""
     for action in _actions(parser):
         if action.type is Path:
-            action.complete = shtab.FILE  # type: ignore[attr-defined]  # where shtab looks for it
+            action.complete = shtab.FILE  # type: ignore[attr-defined]  # shtab looks for it there
     script: str = shtab.complete(parser, shell)
     return script
 
 
 def _actions(parser: argparse.ArgumentParser) -> Iterator[argparse.Action]:
-    """Those of a parser, and of the parsers of its commands."""
+    """Yield the actions of a parser and of its subparsers."""
     for action in parser._actions:  # argparse has no public way to them
         yield action
         if isinstance(action, argparse._SubParsersAction):

@@ -1,7 +1,8 @@
-"""``loi doctor``: what works on this machine, and for each thing that does not, the command that fixes it."""
+"""``loi doctor``: the state of every part of the installation, and the command that fixes what is broken."""
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import importlib
 import json
@@ -17,6 +18,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from loi_core import __version__
+from loi_core.cli.codes import DONE, FAILED
 from loi_core.errors import LoiError, WeightsError
 from loi_core.method.compiled import SWITCH, available
 from loi_core.plugins.baselines import make_baseline
@@ -24,22 +26,22 @@ from loi_core.plugins.registry import OBJECTIVES, PluginInfo, available_renderer
 from loi_core.support.installed import how_to_install
 from loi_core.support.processors import usable_processors
 
-__all__ = ["Finding", "examine", "findings"]
+__all__ = ["Finding", "findings", "run"]
 
 State = Literal["ok", "missing", "broken", "note"]
 
 
 @dataclass(frozen=True)
 class Finding:
-    """One thing that was looked at.
+    """The state of one part of the installation.
 
     Attributes
     ----------
     name : str
     state : {"ok", "missing", "broken", "note"}
-        "missing" is an optional thing that is not there; "broken" one that is there and does not work.
+        "missing" is an optional part that is not installed; "broken" a part that is installed and does not work.
     detail : str
-        Version, or what is wrong.
+        Version, or the problem.
     fix : str
         The command that fixes it; empty if nothing needs fixing.
     """
@@ -54,73 +56,76 @@ REQUIRED: Final = {
     "numpy": "numpy",
     "array-api-compat": "array_api_compat",
     "pillow": "PIL",
-    "matplotlib": "matplotlib",
     "OpenEXR": "OpenEXR",
     "shtab": "shtab",
     "tqdm": "tqdm",
 }
-# Each through its adapter: loi_mitsuba, for one, has to come before mitsuba, to choose the LLVM.
+# Each is imported by its adapter: loi_mitsuba has to come before mitsuba, to choose the LLVM.
 BACKENDS: Final = {"torch": "loi_torch", "jax": "loi_jax", "mitsuba": "loi_mitsuba"}
-EXTRAS: Final = {"distributed": "dask", "pyarrow": "parquet", "tensorboard": "tensorboard"}
+EXTRAS: Final = {"distributed": "dask", "matplotlib": "plots", "pyarrow": "parquet", "tensorboard": "tensorboard"}
 
 
-def examine(*, as_json: bool) -> bool:
-    """Print all findings; False if something is broken."""
-    found = findings()
-    if as_json:
-        print(json.dumps([asdict(one) for one in found], indent=2))
+def run(options: argparse.Namespace) -> int:
+    """Print all findings, or the table of hard cases; FAILED if a part is broken."""
+    if options.stability:
+        from loi_core.cli.stability import examine_stability
+
+        return DONE if examine_stability(as_json=options.json) else FAILED
+    listed = findings()
+    if options.json:
+        print(json.dumps([asdict(finding) for finding in listed], indent=2))
     else:
-        width = max(len(one.name) for one in found)
-        for one in found:
-            print(f"{one.name:<{width}}  {one.state:<7}  {one.detail}")
-            if one.fix:
-                print(f"{'':<{width}}  fix:    {one.fix}")
-    return not any(one.state == "broken" for one in found)
+        width = max(len(finding.name) for finding in listed)
+        for finding in listed:
+            print(f"{finding.name:<{width}}  {finding.state:<7}  {finding.detail}")
+            if finding.fix:
+                print(f"{'':<{width}}  fix:    {finding.fix}")
+    return FAILED if any(finding.state == "broken" for finding in listed) else DONE
 
 
 def findings() -> list[Finding]:
-    """Look at Python, the packages, the backends, the processor, the GPU, renderers and objectives."""
-    found = [
+    """Examine Python, the packages, the backends, the processor, the GPU, renderers and objectives."""
+    listed = [
         Finding("loi", "ok", f"{__version__} in {os.path.dirname(os.path.dirname(os.path.dirname(__file__)))}"),  # noqa: PTH120
         Finding("python", "ok", f"{platform.python_version()} at {sys.executable}"),
         Finding("platform", "ok", f"{platform.system()} {platform.machine()}"),
         Finding("threads", "ok", _threads()),
     ]
-    found += [
+    listed += [
         _package(name, module, "pip install --force-reinstall loi", required=True) for name, module in REQUIRED.items()
     ]
     for name, module in BACKENDS.items():
-        found.append(_package(name, module, how_to_install(name), required=False))
-        if found[-1].state == "ok":
+        listed.append(_package(name, module, how_to_install(name), required=False))
+        if listed[-1].state == "ok":
             diagnose = getattr(sys.modules[module], "diagnose", list)
-            found += [Finding(one, "ok", detail) for one, detail in diagnose()]
-    found.append(_numba())
-    found += [_package(name, name, how_to_install(extra), required=False) for name, extra in EXTRAS.items()]
-    found.append(_gpu())
-    found += [_plugin("renderer", one) for one in available_renderers()]
-    found += [_objective(one) for one in OBJECTIVES.available()]
-    return found
+            listed += [Finding(part, "ok", detail) for part, detail in diagnose()]
+    listed.append(_numba())
+    listed += [_package(name, name, how_to_install(extra), required=False) for name, extra in EXTRAS.items()]
+    listed.append(_gpu())
+    listed += [_plugin("renderer", info) for info in available_renderers()]
+    listed += [_objective(info) for info in OBJECTIVES.available()]
+    return listed
 
 
-def _plugin(kind: str, one: PluginInfo) -> Finding:
-    state: State = "ok" if one.state == "ready" else "missing" if one.state == "missing" else "broken"
-    return Finding(f"{kind} {one.name}", state, one.problem or f"{one.package} {one.version}", one.fix)
+def _plugin(role: str, info: PluginInfo) -> Finding:
+    state: State = "ok" if info.state == "ready" else "missing" if info.state == "missing" else "broken"
+    return Finding(f"{role} {info.name}", state, info.problem or f"{info.package} {info.version}", info.fix)
 
 
-def _objective(one: PluginInfo) -> Finding:
-    """Made, and not only imported: what it has learned may not be installed."""
-    found = _plugin("objective", one)
-    if found.state != "ok":
-        return found
+def _objective(info: PluginInfo) -> Finding:
+    """Construct an objective, since its learned weights may not be installed."""
+    finding = _plugin("objective", info)
+    if finding.state != "ok":
+        return finding
     try:
-        with contextlib.redirect_stdout(sys.stderr):  # what a plugin prints is not part of our answer
-            make_baseline(one.name, np.full((64, 64, 3), 0.5, np.float32), nan_policy="raise", tone=None)
+        with contextlib.redirect_stdout(sys.stderr):  # a plugin's own output is not part of the answer
+            make_baseline(info.name, np.full((64, 64, 3), 0.5, np.float32), nan_policy="raise", tone=None)
     except WeightsError as error:
         problem, _, fix = str(error).rpartition("; ")
-        return Finding(found.name, "missing", problem, fix)
+        return Finding(finding.name, "missing", problem, fix)
     except LoiError as error:
-        return Finding(found.name, "broken", str(error))
-    return found
+        return Finding(finding.name, "broken", str(error))
+    return finding
 
 
 def _threads() -> str:
@@ -148,26 +153,27 @@ def _package(name: str, module: str, fix: str, *, required: bool) -> Finding:
 
 
 def _numba() -> Finding:
-    """Numba comes with loi where it has wheels; what is missing without it is speed alone."""
-    found = _package("numba", "numba", "pip install numba", required=False)
-    if found.state == "missing":
-        return replace(found, detail="not installed; on the processor the loss takes several times as long")
-    if found.state == "ok" and not available():
-        return replace(found, state="note", detail=f"{found.detail}, switched off by {SWITCH}=0 or NUMBA_DISABLE_JIT=1")
-    return found
+    """Examine Numba, which is installed with loi where it has wheels; without it only speed is lost."""
+    finding = _package("numba", "numba", "pip install numba", required=False)
+    if finding.state == "missing":
+        return replace(finding, detail="not installed; on the processor the loss takes several times as long")
+    if finding.state == "ok" and not available():
+        detail = f"{finding.detail}, switched off by {SWITCH}=0 or NUMBA_DISABLE_JIT=1"
+        return replace(finding, state="note", detail=detail)
+    return finding
 
 
 def _gpu() -> Finding:
-    """A GPU as an installed backend sees it; no driver is asked directly."""
+    """Examine the GPU through the installed backends, and not through a driver."""
     probes: dict[str, Callable[[Any], str]] = {"torch": _torch_gpu, "jax": _jax_gpu}
     for name, probe in probes.items():
         try:
-            seen = probe(importlib.import_module(name))
-        except Exception:  # noqa: BLE001, S112 - the backend's own finding says what is wrong with it
+            device = probe(importlib.import_module(name))
+        except Exception:  # noqa: BLE001, S112 - the backend's own finding describes the problem
             continue
-        if seen:
-            return Finding("gpu", "ok", f"{seen} (by {name})")
-    return Finding("gpu", "note", "none seen by torch or jax; everything runs on the processor")
+        if device:
+            return Finding("gpu", "ok", f"{device} (by {name})")
+    return Finding("gpu", "note", "torch and jax find none; everything runs on the processor")
 
 
 def _torch_gpu(torch: Any) -> str:
@@ -175,5 +181,5 @@ def _torch_gpu(torch: Any) -> str:
 
 
 def _jax_gpu(jax: Any) -> str:
-    devices = [one for one in jax.devices() if one.platform != "cpu"]
+    devices = [device for device in jax.devices() if device.platform != "cpu"]
     return str(devices[0].device_kind) if devices else ""

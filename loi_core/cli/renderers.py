@@ -2,22 +2,25 @@
 
 from __future__ import annotations
 
+import argparse
 import json
 from dataclasses import asdict
 
+from loi_core.cli.codes import DONE
 from loi_core.plugins.registry import available_renderers
 
-__all__ = ["list_renderers"]
+__all__ = ["run"]
 
 
-def list_renderers(*, as_json: bool) -> None:
-    """Print every announced renderer, with its package and whether it can be loaded."""
-    listed = available_renderers()
-    if as_json:
-        print(json.dumps([asdict(one) for one in listed], indent=2))
-        return
-    for one in listed:
-        what = f"{one.package} {one.version}  {one.problem or one.target}"
-        print(f"{one.name:<16} {one.backend or '-':<8} {one.state:<7} {what}")
-        if one.fix:
-            print(f"{'':<16} fix: {one.fix}")
+def run(options: argparse.Namespace) -> int:
+    """Print every registered renderer, its package, and whether it can be loaded."""
+    renderers = available_renderers()
+    if options.json:
+        print(json.dumps([asdict(info) for info in renderers], indent=2))
+        return DONE
+    for info in renderers:
+        detail = f"{info.package} {info.version}  {info.problem or info.target}"
+        print(f"{info.name:<16} {info.backend or '-':<8} {info.state:<7} {detail}")
+        if info.fix:
+            print(f"{'':<16} fix: {info.fix}")
+    return DONE

@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
-from typing import Final
 
+from loi_core.cli.codes import DONE
 from loi_core.errors import OptionError
+from loi_core.io.result_folder import PAGE_FILE
 from loi_core.report import write_index, write_page
 
-__all__ = ["make_report"]
-
-PAGE: Final = "report.html"
+__all__ = ["run"]
 
 
-def make_report(folders: list[Path], output: Path | None) -> None:
-    """Make the page of a result folder in it, or one page of several, and print where it is."""
+def run(options: argparse.Namespace) -> int:
+    """Write the page of one result folder into it, or one page of several, and print its path."""
+    folders = options.folder
     if len(folders) > 1:
-        page = write_index(Path(PAGE) if output is None else output, folders, f"{len(folders)} fits")
-    elif output is None:
+        page = write_index(options.output or Path(PAGE_FILE), folders, f"{len(folders)} fits")
+    elif options.output is None:
         page = write_page(folders[0])
     else:
-        msg = "`--output` goes with several folders; the page of one lies in it"
+        msg = "`--output` goes with several folders; the page of one folder is written into it"
         raise OptionError(msg)
     print(page)
+    return DONE

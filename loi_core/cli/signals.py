@@ -1,4 +1,4 @@
-"""What a command does when the system wants it to end."""
+"""Ending a command on SIGTERM as on Ctrl-C."""
 
 from __future__ import annotations
 
@@ -9,26 +9,26 @@ from collections.abc import Iterator
 from types import FrameType
 from typing import NoReturn
 
-__all__ = ["ended_like_ctrl_c"]
+__all__ = ["sigterm_as_ctrl_c"]
 
 
 @contextlib.contextmanager
-def ended_like_ctrl_c() -> Iterator[None]:
-    """SIGTERM ends the block as Ctrl-C does, so that what was reached is kept; a second one changes nothing.
+def sigterm_as_ctrl_c() -> Iterator[None]:
+    """End the block on SIGTERM as on Ctrl-C, so that partial results are kept; a second SIGTERM is ignored.
 
-    Nothing is changed where SIGTERM is ignored, or for other threads than the first, which get no signals.
+    Nothing changes where SIGTERM is ignored already, or in threads other than the main thread, which get no signals.
     """
-    before = signal.getsignal(signal.SIGTERM)
-    if threading.current_thread() is not threading.main_thread() or before is signal.SIG_IGN:
+    original = signal.getsignal(signal.SIGTERM)
+    if threading.current_thread() is not threading.main_thread() or original is signal.SIG_IGN:
         yield
         return
 
     def stop(_: int, __: FrameType | None) -> NoReturn:
-        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # what was reached is being written
+        signal.signal(signal.SIGTERM, signal.SIG_IGN)  # partial results are being written
         raise KeyboardInterrupt
 
     signal.signal(signal.SIGTERM, stop)
     try:
         yield
     finally:
-        signal.signal(signal.SIGTERM, signal.SIG_DFL if before is None else before)
+        signal.signal(signal.SIGTERM, signal.SIG_DFL if original is None else original)

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from loi_core.errors import OptionError
-from loi_core.support.html import card, paragraph, table
 from loi_core.support.markdown import markdown
 from loi_core.support.wording import LISTED, listed, shown
 
@@ -153,9 +152,6 @@ class EffectPlan:
     def __str__(self) -> str:
         """The plan as a small table, also Markdown, of effects and what is exchanged, followed, blurred or held."""
         return "\n".join([*markdown(HEADS, self._rows), "", *self._settings, *self._notes])
-
-    def _repr_html_(self) -> str:
-        return card("EffectPlan", table(self._rows, HEADS), paragraph("\n".join([*self._settings, *self._notes])))
 
     @property
     def _rows(self) -> list[list[str]]:

@@ -1,9 +1,10 @@
-"""The result of a fit as a notebook shows it."""
+"""The result of a fit as HTML for notebooks."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Collection, Mapping, Sequence
+from html import escape
 from typing import Final
 
 import numpy as np
@@ -11,72 +12,75 @@ import numpy as np
 from loi_core.fitting.history import FitStep
 from loi_core.fitting.verdict import Diagnosis
 from loi_core.fitting.views import Images, by_view
-from loi_core.pixels.thumbnail import pictured
+from loi_core.pixels.thumbnail import thumbnail
 from loi_core.renderers.contract import Parameters
 from loi_core.support.arrays import Host, to_numpy
-from loi_core.support.html import card, paragraph, side_by_side, sparkline, table
+from loi_core.support.charts import sparkline
+from loi_core.support.repr_html import card, figure, row, table
 
-__all__ = ["curves", "in_notebook", "numbers"]
+__all__ = ["convergence_points", "numbers", "result_html"]
 
-MOST_PICTURES: Final = 4
-MOST_PARAMETERS: Final = 12
-MOST_NUMBERS: Final = 6  # of one parameter
-MOST_POINTS: Final = 120  # of a curve
-LEAST: Final = 1e-16  # of the first value: where 0 is drawn
+MAX_PICTURES: Final = 4
+MAX_PARAMETERS: Final = 12
+MAX_NUMBERS: Final = 6  # of one parameter
+MAX_POINTS: Final = 120  # of all curves together
+MIN_RELATIVE_VALUE: Final = 1e-16  # the value 0 is drawn here
+CURVE_CAPTION: Final = "value by step, logarithmic, each stage relative to its first"
 
 
-def in_notebook(
+def result_html(
     name: str,
     facts: Mapping[str, str],
     diagnosis: Diagnosis | None,
-    found: Parameters,
-    moved: Collection[str],
+    params: Parameters,
+    free: Collection[str],
     history: Sequence[FitStep],
     image: Images,
 ) -> str:
-    """A result as HTML: what came of it, numbers, parameters, the picture and how the value fell."""
+    """Return a result as HTML: the diagnosis, numbers, free parameters, the image and the value by step."""
     verdict = "" if diagnosis is None else f"{'✓' if diagnosis.ok else '✗'} {diagnosis}"
     pictures = [
-        pictured(one, f"found: {view}" if view else "found")
-        for view, one in list(by_view(image).items())[:MOST_PICTURES]
+        thumbnail(array, f"result: {view}" if view else "result")
+        for view, array in list(by_view(image).items())[:MAX_PICTURES]
     ]
-    curve = sparkline(curves(history), "value by step, logarithmic; each stage by its own first")
+    curve = figure(sparkline(convergence_points(history), CURVE_CAPTION), CURVE_CAPTION)
     return card(
         name,
-        paragraph(verdict),
-        side_by_side([*pictures, curve]),
-        table(list(facts.items())),
-        table(_parameters(found, moved, history), ("parameter", "start", "found")),
+        escape(verdict).replace("\n", "<br>"),
+        row([*pictures, curve]),
+        table(facts.items()),
+        table(_parameter_rows(params, free, history), ("parameter", "start", "result")),
     )
 
 
-def curves(history: Sequence[FitStep]) -> list[list[tuple[float, float]]]:
-    """Points (step, log10 of the value over the first of its stage), of each stage; of long fits only some steps."""
+def convergence_points(history: Sequence[FitStep]) -> list[list[tuple[float, float]]]:
+    """Return points (step, log10 of the value over the first value of its stage) of each stage; few of a long fit."""
     steps = len(history)
-    some = sorted({round(place) for place in np.linspace(0, steps - 1, min(steps, MOST_POINTS))}) if steps else []
+    indices = sorted({round(index) for index in np.linspace(0, steps - 1, min(steps, MAX_POINTS))}) if steps else []
     stages: dict[int, list[FitStep]] = {}
-    for entry in (history[index] for index in some):
+    for entry in (history[index] for index in indices):
         stages.setdefault(entry.stage, []).append(entry)
     return [
-        [(one.step, math.log10(max(one.value / stage[0].value, LEAST))) for one in stage]
+        [(entry.step, math.log10(max(entry.value / stage[0].value, MIN_RELATIVE_VALUE))) for entry in stage]
         for stage in stages.values()
         if stage[0].value > 0.0
     ]
 
 
 def numbers(value: Host) -> str:
-    """A parameter in few words: its numbers, or of many the shape and the range."""
-    if value.size > MOST_NUMBERS:
+    """Return the numbers of a parameter as text, or the shape and range of a large one."""
+    if value.size > MAX_NUMBERS:
         return f"{'x'.join(map(str, value.shape))} from {np.min(value):.4g} to {np.max(value):.4g}"
-    return " ".join(f"{one:.5g}" for one in value.ravel())
+    return " ".join(f"{number:.5g}" for number in value.ravel())
 
 
-def _parameters(found: Parameters, moved: Collection[str], history: Sequence[FitStep]) -> list[list[str]]:
-    """Those that could move, with where they started if the history has it."""
+def _parameter_rows(params: Parameters, free: Collection[str], history: Sequence[FitStep]) -> list[list[str]]:
+    """Return name, start and result of the free parameters; the start is empty if the history does not have it."""
     start = history[0].params if len(history) else {}
-    names = [name for name in found if name in moved]
+    names = [name for name in params if name in free]
     rows = [
-        [name, numbers(start[name]) if name in start else "", numbers(np.asarray(to_numpy(found[name])))]
-        for name in names[:MOST_PARAMETERS]
+        [name, numbers(start[name]) if name in start else "", numbers(np.asarray(to_numpy(params[name])))]
+        for name in names[:MAX_PARAMETERS]
     ]
-    return rows + ([[f"and {len(names) - MOST_PARAMETERS} more", "", ""]] if len(names) > MOST_PARAMETERS else [])
+    omitted = len(names) - MAX_PARAMETERS
+    return [*rows, [f"and {omitted} more", "", ""]] if omitted > 0 else rows

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 from loi_core.fitting.history import FitStep, History, StepLog
-from loi_core.fitting.notebook import in_notebook
+from loi_core.fitting.notebook import result_html
 from loi_core.fitting.optimiser import Memory
 from loi_core.fitting.stages import FarToNear
 from loi_core.fitting.verdict import Diagnosis
@@ -68,7 +68,7 @@ class FitResult:
             facts["PSNR"] = f"{self.psnr:.2f} dB"
         if self.agreeing is not None:
             facts["starts that agree"] = str(self.agreeing)
-        return in_notebook("FitResult", facts, self.diagnosis, self.best_params, self.rates, self.history, self.image)
+        return result_html("FitResult", facts, self.diagnosis, self.best_params, self.rates, self.history, self.image)
 
 
 @dataclass(frozen=True)

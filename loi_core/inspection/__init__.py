@@ -1,4 +1,4 @@
-"""What the loss sees in a picture, and between two: maps, gradients, histograms and reach, on one page."""
+"""The loss of an image, or between two, scale by scale: maps, gradients, histograms and reach on one page."""
 
 from loi_core.inspection.findings import Findings, inspect_pair
 from loi_core.inspection.page import write_inspection

@@ -1,4 +1,4 @@
-"""All that is found out about a pair, as numbers."""
+"""All measurements of a pair of images."""
 
 from __future__ import annotations
 
@@ -22,22 +22,22 @@ __all__ = ["Findings", "ScaleFindings", "inspect_pair"]
 
 @dataclass(frozen=True)
 class ScaleFindings:
-    """One scale.
+    """The measurements of one scale.
 
     Attributes
     ----------
     key : (float, float, float)
         alpha, beta and sigma, in pixels of the files and in intensity.
     value, share : float
-        What it adds to the loss, and what part of the loss that is; 0 if the loss is 0.
+        The contribution to the loss, and its fraction of the loss; 0 if the loss is 0.
     loss : array, shape (h, w)
         The distance of eq. 5 at every pixel; its mean is `value`.
     gradient : array, shape (h, w, C)
-        Of `value` by the image.
+        The gradient of `value` with respect to the image.
     reach : Reach
-        How far away a small object alone is drawn back from.
+        The distance from which a single small object is drawn back.
     rise : Reach
-        How far the reference may be moved against itself, and its own loss rises all the way.
+        How far the reference may be shifted against itself while its own loss rises.
     """
 
     key: ScaleKey
@@ -48,10 +48,25 @@ class ScaleFindings:
     reach: Reach
     rise: Reach
 
+    def plain(self) -> dict[str, Any]:
+        """Return all numbers as plain values for JSON."""
+        alpha, beta, sigma = self.key
+        return {
+            "alpha": alpha,
+            "beta": beta,
+            "sigma": sigma,
+            "value": self.value,
+            "share": self.share,
+            "largest_distance": float(self.loss.max()),
+            "gradient_norm": float(np.linalg.norm(self.gradient)),
+            "reach_of_object": asdict(self.reach),
+            "reach_of_picture": asdict(self.rise),
+        }
+
 
 @dataclass(frozen=True)
 class Findings:
-    """A pair, its loss, and what each scale has to do with it."""
+    """A pair, its loss, the measurements of each scale, and the loss of its shifted reference."""
 
     pair: Pair
     value: float
@@ -59,7 +74,7 @@ class Findings:
     shifts: Shifts
 
     def plain(self) -> dict[str, Any]:
-        """All numbers as plain values for JSON."""
+        """Return all numbers as plain values for JSON."""
         pair = self.pair
         return {
             "image": pair.names[0],
@@ -71,21 +86,21 @@ class Findings:
             "shift": pair.shift,
             "value": self.value,
             "why": pair.scales.describe(pair.height, pair.width).splitlines(),
-            "scales": [_plain(one) for one in self.scales],
+            "scales": [scale.plain() for scale in self.scales],
             "notes": list(pair.notes),
         }
 
 
 def inspect_pair(pair: Pair) -> Findings:
-    """Find out what each scale sees in a pair."""
-    ours, theirs, scales = pair.image, pair.reference, pair.computed_scales
+    """Measure the loss of a pair at each scale."""
+    image, reference, scales = pair.image, pair.reference, pair.computed_scales
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", RangeWarning)  # it is among the notes of the pair
-        maps = loss_maps(ours, theirs, scales)
-        slopes = dict(gradients_by_scale(LOIObjective(theirs, scales), ours))
+        maps = loss_maps(image, reference, scales)
+        gradients = dict(gradients_by_scale(LOIObjective(reference, scales), image))
         reaches = reach_of_object(pair.scales, pair.height, pair.width)
-        shifts = shifts_of_picture(theirs, pair.scales, pair.factor)
-    values = {key: float(np.mean(found)) for key, found in maps.items()}
+        shifts = shifts_of_picture(reference, pair.scales, pair.factor)
+    values = {key: float(np.mean(loss)) for key, loss in maps.items()}
     total = sum(values.values())
     return Findings(
         pair,
@@ -93,29 +108,14 @@ def inspect_pair(pair: Pair) -> Findings:
         tuple(
             ScaleFindings(
                 key,
-                values[here],
-                values[here] / total if total > 0.0 else 0.0,
-                maps[here],
-                slopes[here],
+                values[computed],
+                values[computed] / total if total > 0.0 else 0.0,
+                maps[computed],
+                gradients[computed],
                 reaches[key],
                 shifts.rises[key],
             )
-            for key, here in zip(pair.scales.keys, scales.keys, strict=True)
+            for key, computed in zip(pair.scales.keys, scales.keys, strict=True)
         ),
         shifts,
     )
-
-
-def _plain(one: ScaleFindings) -> dict[str, Any]:
-    alpha, beta, sigma = one.key
-    return {
-        "alpha": alpha,
-        "beta": beta,
-        "sigma": sigma,
-        "value": one.value,
-        "share": one.share,
-        "largest_distance": float(one.loss.max()),
-        "gradient_norm": float(np.linalg.norm(one.gradient)),
-        "reach_of_object": asdict(one.reach),
-        "reach_of_picture": asdict(one.rise),
-    }

@@ -1,4 +1,4 @@
-// Local histograms under a point of the picture. Everything shown was computed before and lies in this page.
+// Shows the local histograms under a point of the image. All numbers are in this page.
 "use strict";
 {
   const SVG = "http://www.w3.org/2000/svg";
@@ -6,41 +6,42 @@
   const find = (id) => document.getElementById(id);
   const stage = find("stage"), backdrop = find("backdrop"), overlay = find("overlay"), place = find("place");
   const view = find("view"), group = find("group"), charts = find("charts");
-  const own = backdrop.src;
+  const original = backdrop.src;
   const CHART = { width: 160, top: 4, base: 70, second: 80, bottom: 116 };
+  const ANNOUNCE_MS = 250;
   const STEPS = { ArrowLeft: [0, -1], ArrowRight: [0, 1], ArrowUp: [-1, 0], ArrowDown: [1, 0] };
 
-  let shares = null; // of every histogram, a byte each: 255 times the root
+  let roots = null; // a byte for each fraction of a histogram: 255 times its square root
   let row = Math.floor(facts.rows.length / 2), column = Math.floor(facts.columns.length / 2);
-  let held = false, cells = [], told = 0;
+  let fixed = false, cells = [], announcement = 0;
 
   function element(name, attributes, parent) {
-    const made = document.createElementNS(SVG, name);
-    for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
-    parent.append(made);
-    return made;
+    const node = document.createElementNS(SVG, name);
+    for (const [key, value] of Object.entries(attributes)) node.setAttribute(key, value);
+    parent.append(node);
+    return node;
   }
 
   // --- the histograms -----------------------------------------------------------------------------------------------
 
   async function unpack(text) {
-    const bytes = Uint8Array.from(atob(text), (one) => one.charCodeAt(0));
+    const bytes = Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
     const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
     const values = new Uint8Array(await new Response(stream).arrayBuffer());
     for (let index = 1; index < values.length; index++) values[index] += values[index - 1]; // differences, modulo 256
     return values;
   }
 
-  // Where the histograms of a group begin: groups, pictures, extents, channels, levels, rows, columns.
+  // The bytes are ordered by group, image, extent, channel, level, row, column.
   function histogram(which, picture, extent, channel) {
     const points = facts.rows.length * facts.columns.length;
     let start = 0;
-    const size = (one) => 2 * one.alphas.length * facts.channels.length * one.levels.length * points;
-    for (let before = 0; before < which; before++) start += size(facts.groups[before]);
+    const size = ({ alphas, levels }) => 2 * alphas.length * facts.channels.length * levels.length * points;
+    for (const earlier of facts.groups.slice(0, which)) start += size(earlier);
     const { alphas, levels } = facts.groups[which];
     start += ((picture * alphas.length + extent) * facts.channels.length + channel) * levels.length * points;
     start += row * facts.columns.length + column;
-    return levels.map((_, level) => (shares[start + level * points] / 255) ** 2);
+    return levels.map((_, level) => (roots[start + level * points] / 255) ** 2);
   }
 
   function cumulated(values) {
@@ -50,7 +51,7 @@
 
   // --- the charts ---------------------------------------------------------------------------------------------------
 
-  function called(channel, alpha) {
+  function chartName(channel, alpha) {
     return `${channel}, extent ${number(alpha)} px`;
   }
 
@@ -76,16 +77,16 @@
     figure.className = "chart";
     figure.dataset.channel = channel;
     const svg = element("svg", { viewBox: `0 0 ${CHART.width} 130`, role: "img" }, figure);
-    svg.setAttribute("aria-label", called(channel, alpha)); // until the point rests, and how far apart is told
+    svg.setAttribute("aria-label", chartName(channel, alpha)); // until the distance is announced
     element("path", { class: "axis", d: `M0 ${CHART.base}H${CHART.width}M0 ${CHART.bottom}H${CHART.width}` }, svg);
-    const found = { channel, svg };
-    for (const name of ["ours", "theirs", "apart", "steps"]) found[name] = element("path", { class: name }, svg);
+    const paths = { channel, svg };
+    for (const name of ["ours", "theirs", "apart", "steps"]) paths[name] = element("path", { class: name }, svg);
     for (const [tick, value] of [["start", facts.bounds[0]], ["end", facts.bounds[1]]]) {
       const text = element("text", { x: across(value).toFixed(1), y: 128, "text-anchor": tick }, svg);
       text.textContent = number(value);
     }
     parent.append(figure);
-    return found;
+    return paths;
   }
 
   function across(value) {
@@ -104,44 +105,44 @@
   function draw() {
     place.textContent = `column ${facts.columns[column]}, row ${facts.rows[row]}`;
     move();
-    if (!shares) return;
+    if (!roots) return;
     const which = group ? group.selectedIndex : 0;
     const { levels, spacing } = facts.groups[which];
     cells.forEach((cell, extent) => {
       let total = 0;
-      cell.charts.forEach((one, channel) => {
+      cell.charts.forEach((chart, channel) => {
         const [ours, theirs] = [0, 1].map((picture) => histogram(which, picture, extent, channel));
         const most = Math.max(0.05, ...ours, ...theirs);
         const up = (value) => CHART.base - ((CHART.base - CHART.top) * value) / most;
         const closed = `L${across(levels[levels.length - 1])} ${CHART.base}L${across(levels[0])} ${CHART.base}Z`;
-        one.ours.setAttribute("d", line(levels, ours.map(up)).join("") + closed);
-        one.theirs.setAttribute("d", line(levels, theirs.map(up)).join(""));
+        chart.ours.setAttribute("d", line(levels, ours.map(up)).join("") + closed);
+        chart.theirs.setAttribute("d", line(levels, theirs.map(up)).join(""));
         const sums = [cumulated(ours), cumulated(theirs)];
         const rise = (value) => CHART.bottom - (CHART.bottom - CHART.second) * value;
-        const [first, second] = sums.map((one) => line(levels, one.map(rise)));
+        const [first, second] = sums.map((sum) => line(levels, sum.map(rise)));
         const back = second.slice().reverse().join("").replaceAll("M", "L");
-        one.apart.setAttribute("d", first.join("") + back + "Z");
-        one.steps.setAttribute("d", first.join("") + second.join(""));
-        const far = sums[0].reduce(
+        chart.apart.setAttribute("d", first.join("") + back + "Z");
+        chart.steps.setAttribute("d", first.join("") + second.join(""));
+        const distance = sums[0].reduce(
           (sum, value, level) => sum + Math.abs(value - sums[1][level]) ** (1 / facts.p) * spacing, 0);
-        one.far = far;
-        total += far / facts.channels.length;
+        chart.distance = distance;
+        total += distance / facts.channels.length;
       });
       cell.distance.textContent = `distance ${total.toFixed(3)}`;
     });
-    clearTimeout(told);
-    told = setTimeout(tell, 250); // those who listen are told of the point where it comes to rest
+    clearTimeout(announcement);
+    announcement = setTimeout(announce, ANNOUNCE_MS); // for screen readers, once the point rests
   }
 
-  function tell() {
-    const said = cells.map((cell, extent) => {
+  function announce() {
+    const distances = cells.map((cell, extent) => {
       const alpha = facts.groups[group ? group.selectedIndex : 0].alphas[extent];
-      for (const one of cell.charts) {
-        one.svg.setAttribute("aria-label", `${called(one.channel, alpha)}: histograms ${one.far.toFixed(3)} apart`);
+      for (const { channel, svg, distance } of cell.charts) {
+        svg.setAttribute("aria-label", `${chartName(channel, alpha)}: histograms ${distance.toFixed(3)} apart`);
       }
       return `extent ${number(alpha)}: ${cell.distance.textContent}`;
     });
-    find("told").textContent = `${place.textContent}; ${said.join(", ")}`;
+    find("announced").textContent = `${place.textContent}; ${distances.join(", ")}`;
   }
 
   // --- the picture --------------------------------------------------------------------------------------------------
@@ -158,13 +159,13 @@
 
   function move() {
     const to = `translate(${facts.columns[column] + 0.5} ${facts.rows[row] + 0.5})`;
-    for (const one of overlay.children) one.setAttribute("transform", to);
+    for (const mark of overlay.children) mark.setAttribute("transform", to);
   }
 
-  function nearest(places, wanted) {
+  function nearest(positions, target) {
     let best = 0;
-    places.forEach((one, index) => {
-      if (Math.abs(one - wanted) < Math.abs(places[best] - wanted)) best = index;
+    positions.forEach((position, index) => {
+      if (Math.abs(position - target) < Math.abs(positions[best] - target)) best = index;
     });
     return best;
   }
@@ -177,18 +178,18 @@
   }
 
   stage.addEventListener("pointermove", (event) => {
-    if (event.pointerType !== "mouse" || !held) point(event);
+    if (event.pointerType !== "mouse" || !fixed) point(event);
   });
   stage.addEventListener("pointerdown", (event) => {
-    if (event.pointerType === "mouse") held = !held || event.button !== 0;
-    stage.classList.toggle("held", held);
+    if (event.pointerType === "mouse") fixed = !fixed || event.button !== 0;
+    stage.classList.toggle("held", fixed);
     point(event);
   });
   stage.addEventListener("keydown", (event) => {
     const step = STEPS[event.key];
     if (!step || event.ctrlKey || event.altKey || event.metaKey) return;
     event.preventDefault();
-    held = true; // a mouse that rests on the picture is not to take the point back
+    fixed = true; // a mouse that rests on the image must not take the point back
     stage.classList.add("held");
     const far = event.shiftKey ? 5 : 1;
     row = Math.min(Math.max(row + far * step[0], 0), facts.rows.length - 1);
@@ -197,7 +198,7 @@
   });
   view.addEventListener("change", () => {
     const shown = find(view.value);
-    backdrop.src = shown ? shown.src : own;
+    backdrop.src = shown ? shown.src : original;
     backdrop.alt = shown ? shown.alt : facts.names[0];
   });
   group?.addEventListener("change", () => {
@@ -214,7 +215,7 @@
     charts.textContent = "This browser is too old to unpack the histograms.";
   } else {
     unpack(facts.packed).then((values) => {
-      shares = values;
+      roots = values;
       draw();
       stage.dataset.ready = "";
     });

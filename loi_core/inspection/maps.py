@@ -1,4 +1,4 @@
-"""Where each scale finds two images different, what it asks for, and the histograms that it compares."""
+"""The loss map of each scale, and the local histograms that it compares."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ __all__ = ["histograms_at", "loss_maps"]
 
 
 def loss_maps(image: FloatImage, reference: FloatImage, scales: ScaleSpace) -> dict[ScaleKey, FloatImage]:
-    """The distance of eq. 5 at every pixel, for every scale; its mean over pixels is what the scale adds to the loss.
+    """Return the distance of eq. 5 at every pixel for every scale; its mean is the contribution to the loss.
 
     Parameters
     ----------
@@ -40,15 +40,15 @@ def loss_maps(image: FloatImage, reference: FloatImage, scales: ScaleSpace) -> d
     for inner in plan.inner:
         blur = GaussianBlur(inner.blur, image)
         for channel in range(channels):
-            ours, theirs = (
-                blur.apply(above_padding(clip(each[..., channel], *scales.bounds), scales.padding))
-                for each in (image, reference)
+            first, second = (
+                blur.apply(above_padding(clip(array[..., channel], *scales.bounds), scales.padding))
+                for array in (image, reference)
             )
             for beta in scales.beta:
                 tie = TIE_ROUNDINGS * DOUBLE * scales.mass(beta) / scales.spacing(beta)
                 weight = scales.scale_weight * scales.level_weight(beta) / channels
-                for alpha, blurred in _blurred(_differences(ours, theirs, scales, beta), inner):
-                    # A plan may compare what is flat in one cell, which counts for every pixel.
+                for alpha, blurred in _blurred(_differences(first, second, scales, beta), inner):
+                    # A plan may compare a constant in a single cell, which then counts for every pixel.
                     maps[alpha, beta, inner.sigma] += weight * cost(np.abs(blurred), scales.p, tie)
     return maps
 
@@ -56,65 +56,65 @@ def loss_maps(image: FloatImage, reference: FloatImage, scales: ScaleSpace) -> d
 def histograms_at(
     image: FloatImage, scales: ScaleSpace, sigma: float, beta: float, rows: Sequence[int], columns: Sequence[int]
 ) -> FloatImage:
-    """Local histograms (eq. 4) at the crossings of some rows and columns, for every extent.
+    """Return local histograms (eq. 4) where some rows and columns cross, for every extent.
 
     Parameters
     ----------
     image : array, shape (H, W, C), float64
     scales : ScaleSpace
     sigma, beta : float
-        One of its inner and of its tonal scales.
+        One of its inner and one of its tonal scales.
     rows, columns : sequence of int
         Pixels.
 
     Returns
     -------
     array, shape (extents, C, levels, rows, columns), float64
-        Shares of a histogram: over levels they sum to 1, up to what lies beyond the tails.
+        Fractions of a histogram. Over levels they sum to 1, up to the mass beyond the tails.
     """
     height, width, channels = image.shape
     inner = gaussian_blur(height, width, sigma, scales.boundary, like=image, taps=scales.inner_taps)
-    upright = [_rows_of_blur(height, alpha, scales)[list(rows)] for alpha in scales.alpha]
-    across = np.stack([_rows_of_blur(width, alpha, scales)[list(columns)].T for alpha in scales.alpha])
-    stacked = np.concatenate(upright)
-    found = np.empty((len(scales.alpha), channels, scales.level_count(beta), len(rows), len(columns)))
+    vertical = np.concatenate([_blur_matrix(height, alpha, scales)[list(rows)] for alpha in scales.alpha])
+    horizontal = np.stack([_blur_matrix(width, alpha, scales)[list(columns)].T for alpha in scales.alpha])
+    histograms = np.empty((len(scales.alpha), channels, scales.level_count(beta), len(rows), len(columns)))
     for channel in range(channels):
         plane = inner.apply(above_padding(clip(image[..., channel], *scales.bounds), scales.padding))
-        for level, share in enumerate(_shares(plane, scales, beta)):
-            strips = (stacked @ share).reshape(len(scales.alpha), len(rows), width)
-            found[:, channel, level] = strips @ across
-    return found
+        for level, weights in enumerate(_weights_by_level(plane, scales, beta)):
+            strips = (vertical @ weights).reshape(len(scales.alpha), len(rows), width)
+            histograms[:, channel, level] = strips @ horizontal
+    return histograms
 
 
-def _shares(plane: FloatImage, scales: ScaleSpace, beta: float) -> Iterator[FloatImage]:
-    """How much of each pixel every level has, level by level, so that few planes are in memory."""
+def _weights_by_level(plane: FloatImage, scales: ScaleSpace, beta: float) -> Iterator[FloatImage]:
+    """Yield the weight of each pixel in every level, one level at a time to save memory."""
     positions, width, mass = in_levels(plane, scales, beta)
     for level in range(scales.level_count(beta)):
         yield level_weights(positions, np.array([float(level)]), width, mass)[0]
 
 
-def _differences(ours: FloatImage, theirs: FloatImage, scales: ScaleSpace, beta: float) -> Iterator[FloatImage]:
-    """The difference of two cumulative histograms, level by level; levels where there is none are left out."""
-    running = np.zeros_like(ours), np.zeros_like(theirs)
-    for shares in zip(_shares(ours, scales, beta), _shares(theirs, scales, beta), strict=True):
-        running = running[0] + shares[0], running[1] + shares[1]
+def _differences(first: FloatImage, second: FloatImage, scales: ScaleSpace, beta: float) -> Iterator[FloatImage]:
+    """Yield the difference of two cumulative histograms level by level, without levels where it is 0 everywhere."""
+    running = np.zeros_like(first), np.zeros_like(second)
+    pairs = zip(_weights_by_level(first, scales, beta), _weights_by_level(second, scales, beta), strict=True)
+    for weights in pairs:
+        running = running[0] + weights[0], running[1] + weights[1]
         difference = running[0] - running[1]
         if np.any(difference):
             yield difference
 
 
 def _blurred(differences: Iterator[FloatImage], plan: InnerPlan) -> Iterator[tuple[float, FloatImage]]:
-    """Each difference at every extent, through the pyramid of a plan."""
+    """Yield each difference at every extent, through the pyramid of a plan."""
     pyramid = [GaussianBlur(step, np.empty(0)) for step in plan.pyramid]
     extents = [(extent.alpha, extent.start, GaussianBlur(extent.blur, np.empty(0))) for extent in plan.extents]
     for difference in differences:
-        stack = [difference]
+        levels = [difference]
         for step in pyramid:
-            stack.append(step.apply(stack[-1]))
+            levels.append(step.apply(levels[-1]))
         for alpha, start, blur in extents:
-            yield alpha, blur.apply(stack[start])
+            yield alpha, blur.apply(levels[start])
 
 
-def _rows_of_blur(size: int, alpha: float, scales: ScaleSpace) -> Matrix:
+def _blur_matrix(size: int, alpha: float, scales: ScaleSpace) -> Matrix:
     pixels = AxisGrid(size, size)
     return AxisBlur(pixels, pixels, alpha, scales.boundary, scales.extent_taps).matrix()

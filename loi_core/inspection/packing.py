@@ -13,45 +13,44 @@ from loi_core.inspection.pair import Pair
 
 __all__ = ["packed_histograms"]
 
-MOST_SHARES: Final = 1_500_000  # bytes of histograms, before they are packed
-POINTS: Final = (96, 4000)  # where there are histograms: at least, and at most
-COLOURS: Final = {1: ("grey",), 3: ("red", "green", "blue")}
+MAX_PACKED_BYTES: Final = 1_500_000  # of all histograms before compression
+MIN_POINTS: Final = 96
+MAX_POINTS: Final = 4000
+CHANNEL_NAMES: Final = {1: ("grey",), 3: ("red", "green", "blue")}
 
 
 def packed_histograms(pair: Pair) -> dict[str, Any]:
-    """Local histograms of both images on a grid of pixels, as the script of the page takes them.
+    """Return local histograms of both images on a grid of pixels, as plain values for JSON.
 
-    ``packed`` holds a byte for each share, ``255 sqrt(share)`` rounded, in the order group (sigma and beta), picture,
-    extent, channel, level, row, column; then differences from each byte to the next, modulo 256; then zlib, then
-    base64. ``rows`` and ``columns`` are pixels of the files.
+    Returns
+    -------
+    dict
+        ``rows`` and ``columns`` are pixels of the files. ``packed`` has a byte for each fraction of a histogram,
+        ``255 sqrt(fraction)`` rounded, in the order group (sigma and beta), image, extent, channel, level, row,
+        column. The bytes are replaced by their differences modulo 256, compressed by zlib and encoded in base64.
     """
     scales, channels = pair.computed_scales, pair.image.shape[2]
-    pairs = [(sigma, beta) for sigma in scales.sigma for beta in scales.beta]
-    each = sum(2 * len(scales.alpha) * channels * scales.level_count(beta) for _, beta in pairs)
-    least, most = POINTS
-    rows, columns = _grid(pair.image.shape[0], pair.image.shape[1], min(most, max(least, MOST_SHARES // each)))
-    parts = [
+    groups = [(sigma, beta) for sigma in scales.sigma for beta in scales.beta]
+    point_bytes = sum(2 * len(scales.alpha) * channels * scales.level_count(beta) for _, beta in groups)
+    points = min(MAX_POINTS, max(MIN_POINTS, MAX_PACKED_BYTES // point_bytes))
+    rows, columns = _grid(pair.image.shape[0], pair.image.shape[1], points)
+    roots = [
         np.rint(255.0 * np.sqrt(histograms_at(image, scales, sigma, beta, rows, columns).clip(0.0, 1.0))).ravel()
-        for sigma, beta in pairs
+        for sigma, beta in groups
         for image in (pair.image, pair.reference)
     ]
-    shares = np.concatenate(parts).astype(np.uint8)
-    differences = np.diff(shares, prepend=np.uint8(0))
-    files_pixels = [
-        [min(size - 1, one * pair.factor + pair.factor // 2) for one in places]
-        for places, size in ((rows, pair.height), (columns, pair.width))
-    ]
+    differences = np.diff(np.concatenate(roots).astype(np.uint8), prepend=np.uint8(0))
     low, high = pair.scales.bounds
-    widest = 2.0 * max(scales.beta)
+    tail = 2.0 * max(scales.beta)
     return {
         "names": pair.names,
         "width": pair.width,
         "height": pair.height,
-        "rows": files_pixels[0],
-        "columns": files_pixels[1],
-        "channels": COLOURS[channels],
+        "rows": [min(pair.height - 1, row * pair.factor + pair.factor // 2) for row in rows],
+        "columns": [min(pair.width - 1, column * pair.factor + pair.factor // 2) for column in columns],
+        "channels": CHANNEL_NAMES[channels],
         "bounds": [low, high],
-        "shown": [low - widest, high + widest],
+        "shown": [low - tail, high + tail],
         "p": scales.p,
         "groups": [
             {
@@ -69,11 +68,11 @@ def packed_histograms(pair: Pair) -> dict[str, Any]:
 
 
 def _grid(height: int, width: int, points: int) -> tuple[list[int], list[int]]:
-    """About so many pixels, evenly over an image: their rows and columns."""
+    """Return the rows and columns of about this many pixels, evenly over an image."""
     step = max(1.0, (height * width / points) ** 0.5)
 
-    def places(size: int) -> list[int]:
+    def positions(size: int) -> list[int]:
         count = max(1, min(size, int(size / step)))
         return sorted({int((index + 0.5) * size / count) for index in range(count)})
 
-    return places(height), places(width)
+    return positions(height), positions(width)

@@ -1,4 +1,4 @@
-"""How far each scale reaches: measured with a small object, and with the picture itself."""
+"""The reach of each scale, measured with a small object and with the image itself."""
 
 from __future__ import annotations
 
@@ -9,36 +9,36 @@ from typing import Final
 
 import numpy as np
 
-from loi_core.inspection.pair import averaged, moved, shrunk_scales
+from loi_core.inspection.pair import averaged, scaled_down, shifted
 from loi_core.io.images import FloatImage
 from loi_core.method.comparison import ScaleKey
 from loi_core.method.scales import ScaleSpace
 from loi_core.objectives.loi import LOIObjective
 
-__all__ = ["FAINTEST", "OBJECT", "Reach", "Shifts", "furthest_rise", "reach_of_object", "shifts_of_picture"]
+__all__ = ["MIN_RELATIVE_SLOPE", "Reach", "Shifts", "furthest_rise", "reach_of_object", "shifts_of_picture"]
 
-FAINTEST: Final = 0.01
-"""The slope of the loss that still counts, of its steepest."""
+MIN_RELATIVE_SLOPE: Final = 0.01
+"""The slope of the loss, relative to its steepest, at which the reach ends."""
 
-OBJECT: Final = 0.02  # radius of the object, of the longer side
-PLACE: Final = 0.125  # where it is in the reference, of the longer side
-FARTHEST: Final = 0.75  # how far it is moved away, of the longer side
-LONGEST: Final = 256  # side of the frame that is measured on, in pixels
-LONGEST_PICTURE: Final = 160  # and of the picture, which is compared at four times as many places
-RATIO: Final = 1.25  # of a distance to the one before
-HALF: Final = 0.5  # of the shorter side: how far a picture is moved against itself
+OBJECT_RADIUS: Final = 0.02  # of the longer side
+OBJECT_POSITION: Final = 0.125  # of the longer side, from one end
+MAX_OBJECT_SHIFT: Final = 0.75  # of the longer side
+MAX_IMAGE_SHIFT: Final = 0.5  # of the shorter side
+FRAME_SIDE_PX: Final = 256  # longer side of the frame with the object
+IMAGE_SIDE_PX: Final = 160  # longer side of the shifted image, which is compared at four times as many positions
+DISTANCE_RATIO: Final = 1.25  # of a distance to the one before
 
 
 @dataclass(frozen=True)
 class Reach:
-    """How far something may be away and is still drawn back.
+    """The distance from which an object is drawn back.
 
     Attributes
     ----------
     distance : float
         In pixels of the files.
     at_least : bool
-        Whether that is as far as was tried, so that it may reach farther.
+        Whether `distance` is the largest that was tried, so that the reach may be longer.
     """
 
     distance: float
@@ -51,16 +51,16 @@ class Reach:
 
 @dataclass(frozen=True)
 class Shifts:
-    """The loss of a picture that is moved against itself.
+    """The loss of an image that is shifted against itself.
 
     Attributes
     ----------
     distances : tuple of float
         In pixels of the files, from 0 on.
     values : dict
-        What each scale adds to the loss there, the mean over shifts to the left, right, top and bottom.
+        The contribution of each scale to the loss there, the mean over shifts left, right, up and down.
     rises : dict
-        How far the loss rises all the way, for each scale.
+        How far the loss of each scale rises.
     """
 
     distances: tuple[float, ...]
@@ -69,10 +69,10 @@ class Shifts:
 
 
 def reach_of_object(scales: ScaleSpace, height: int, width: int) -> dict[ScaleKey, Reach]:
-    """How far away a small object may be and is still drawn to its place, for each scale alone.
+    """Return the distance from which each scale alone draws a small object back.
 
-    A bright disk, with a radius of 2 % of the longer side, lies on a flat frame of the images' size, an eighth of it
-    from one end. The same disk is moved away from there along the longer side. As long as the loss rises with the
+    A bright disk, with a radius of 2 % of the longer side, lies on a flat frame of the images' size, an eighth of the
+    longer side from one end. The same disk is moved away along the longer side. As long as the loss rises with the
     distance, its gradient points back. The reach is the distance up to which the loss rises by 1 % or more of its
     steepest rise at every step.
 
@@ -81,48 +81,48 @@ def reach_of_object(scales: ScaleSpace, height: int, width: int) -> dict[ScaleKe
     scales : ScaleSpace
         In pixels of the files.
     height, width : int
-        Of the files, in pixels. Large frames are measured at a fraction of their size, of 256 pixels at most.
+        In pixels of the files. Large frames are measured at a fraction of their size, of 256 pixels at most.
     """
     longer, shorter = max(height, width), min(height, width)
-    factor = math.ceil(longer / LONGEST)
+    factor = math.ceil(longer / FRAME_SIDE_PX)
     size = max(1, shorter // factor), max(1, longer // factor)
-    radius = max(1.0, OBJECT * size[1])
+    radius = max(1.0, OBJECT_RADIUS * size[1])
 
     def frame(distance: int) -> FloatImage:
         rows, columns = np.indices(size)
-        away = np.hypot(rows - (size[0] - 1) / 2, columns - round(PLACE * size[1]) - distance)
+        from_centre = np.hypot(rows - (size[0] - 1) / 2, columns - round(OBJECT_POSITION * size[1]) - distance)
         low, high = scales.bounds
-        inside = np.clip(radius + 0.5 - away, 0.0, 1.0)
-        shown: FloatImage = low + (high - low) * (0.5 + 0.25 * inside)
-        return shown[..., None]
+        coverage = np.clip(radius + 0.5 - from_centre, 0.0, 1.0)
+        image: FloatImage = low + (high - low) * (0.5 + 0.25 * coverage)
+        return image[..., None]
 
-    distances = _distances(round(FARTHEST * size[1]))
-    values = _values(frame(0), shrunk_scales(scales, factor), distances, lambda distance: [frame(distance)])
+    distances = _distances(round(MAX_OBJECT_SHIFT * size[1]))
+    values = _values(frame(0), scaled_down(scales, factor), distances, lambda distance: [frame(distance)])
     lengths = [factor * distance for distance in distances]
     return {key: furthest_rise(lengths, values[:, index]) for index, key in enumerate(scales.keys)}
 
 
 def shifts_of_picture(reference: FloatImage, scales: ScaleSpace, factor: int) -> Shifts:
-    """How the loss grows as a picture is moved against itself, for each scale.
+    """Return the loss of each scale as an image is shifted against itself, up to half its shorter side.
 
-    What comes in at an edge is the edge. The distances go up to half the shorter side.
+    The pixels at an edge are repeated.
 
     Parameters
     ----------
     reference : array, shape (h, w, C), float64
-        Averaged over `factor` x `factor` pixels of the file; it is averaged on to 160 pixels at most.
+        Averaged over `factor` x `factor` pixels of the file; it is averaged further, to at most 160 pixels.
     scales : ScaleSpace
         In pixels of the file.
     factor : int
     """
-    further = math.ceil(max(reference.shape[:2]) / LONGEST_PICTURE)
-    picture, total = averaged(reference, further), factor * further
-    distances = _distances(max(1, round(HALF * min(picture.shape[:2]))))
+    further = math.ceil(max(reference.shape[:2]) / IMAGE_SIDE_PX)
+    image, total = averaged(reference, further), factor * further
+    distances = _distances(max(1, round(MAX_IMAGE_SHIFT * min(image.shape[:2]))))
 
-    def ways(distance: int) -> list[FloatImage]:
-        return [moved(picture, *way) for way in ((0, distance), (0, -distance), (distance, 0), (-distance, 0))]
+    def shifts(distance: int) -> list[FloatImage]:
+        return [shifted(image, *step) for step in ((0, distance), (0, -distance), (distance, 0), (-distance, 0))]
 
-    values = _values(picture, shrunk_scales(scales, total), distances, ways)
+    values = _values(image, scaled_down(scales, total), distances, shifts)
     lengths = [float(total * distance) for distance in distances]
     columns = {key: values[:, index] for index, key in enumerate(scales.keys)}
     return Shifts(
@@ -133,37 +133,37 @@ def shifts_of_picture(reference: FloatImage, scales: ScaleSpace, factor: int) ->
 
 
 def furthest_rise(distances: Sequence[float], values: FloatImage) -> Reach:
-    """The distance up to which values rise by at least 1 % of their steepest rise at every step; 0 if they never do."""
+    """Return the distance up to which values rise by 1 % or more of their steepest rise at every step; 0 if never."""
     slopes = np.diff(values) / np.diff(distances)
-    least = FAINTEST * float(np.max(slopes))
-    if least <= 0.0:
+    minimum = MIN_RELATIVE_SLOPE * float(np.max(slopes))
+    if minimum <= 0.0:
         return Reach(0.0, at_least=False)
-    faint = np.flatnonzero(slopes < least)
-    if len(faint) == 0:
+    flat = np.flatnonzero(slopes < minimum)
+    if len(flat) == 0:
         return Reach(float(distances[-1]), at_least=True)
-    end = int(faint[0])
-    middles = 0.5 * (np.asarray(distances[1:]) + np.asarray(distances[:-1]))
-    if end == 0:
+    first = int(flat[0])
+    if first == 0:
         return Reach(0.0, at_least=False)
-    part = (slopes[end - 1] - least) / (slopes[end - 1] - slopes[end])
-    return Reach(float(middles[end - 1] + part * (middles[end] - middles[end - 1])), at_least=False)
+    middles = 0.5 * (np.asarray(distances[1:]) + np.asarray(distances[:-1]))
+    weight = (slopes[first - 1] - minimum) / (slopes[first - 1] - slopes[first])
+    return Reach(float(middles[first - 1] + weight * (middles[first] - middles[first - 1])), at_least=False)
 
 
-def _distances(farthest: int) -> list[int]:
-    """Whole numbers of pixels from 0 on, each some 25 % more than the one before."""
-    found = [0]
-    while found[-1] < farthest:
-        found.append(min(farthest, max(found[-1] + 1, round(RATIO * found[-1]))))
-    return found
+def _distances(largest: int) -> list[int]:
+    """Return whole numbers of pixels from 0 on, each some 25 % larger than the one before."""
+    distances = [0]
+    while distances[-1] < largest:
+        distances.append(min(largest, max(distances[-1] + 1, round(DISTANCE_RATIO * distances[-1]))))
+    return distances
 
 
 def _values(
     reference: FloatImage, scales: ScaleSpace, distances: list[int], images: Callable[[int], list[FloatImage]]
 ) -> FloatImage:
-    """What each scale adds to the loss at each distance, the mean over the images there; shape (distances, scales)."""
+    """Return the contribution of each scale at each distance, the mean over its images; shape (distances, scales)."""
     objective = LOIObjective(reference, scales)
     rows = []
     for distance in distances:
         terms = [objective.terms(image) for image in images(distance)]
-        rows.append([np.mean([float(each[key]) for each in terms]) for key in scales.keys])
+        rows.append([np.mean([float(values[key]) for values in terms]) for key in scales.keys])
     return np.array(rows)

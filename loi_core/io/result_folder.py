@@ -44,7 +44,7 @@ PAGE_FILE: Final = "report.html"
 FRAME_NAME: Final = re.compile(r"[0-9]{6,}\.png")
 MOST_LIST: Final = 2**24  # bytes
 
-PICTURE: Final = r"(?:initial|final|target|error|convergence)\.png"
+PICTURE: Final = r"(?:initial|final|target|error)\.png"
 TEXT: Final = r"(?:parameters\.json|history\.csv|scales\.csv|result\.json|report\.html)"
 GRADIENT: Final = r"gradients/(?:start|end)(?:-[a-z]+-[0-9.e+-]+){3}\.png"
 OWN: Final = re.compile(

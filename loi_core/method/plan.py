@@ -8,7 +8,6 @@ from typing import Final
 
 from loi_core.method.blurs import PlaneBlur, PlaneGrid
 from loi_core.method.windows import Window
-from loi_core.support.html import card, paragraph, table
 
 __all__ = ["ExtentPlan", "InnerPlan", "Plan", "TonalPlan"]
 
@@ -137,10 +136,6 @@ class Plan:
     def __str__(self) -> str:
         line = "{:>7} {:>7}  {:>12}  {:>11}  {:>11}  {:>18}  {:>7}"
         return "\n".join([self._head, *(line.format(*cells) for cells in [HEADS, *self._rows]), *self._foot])
-
-    def _repr_html_(self) -> str:
-        grid = table(self._rows, HEADS, right=range(len(HEADS)))
-        return card("Plan", paragraph(self._head), grid, paragraph("\n".join(self._foot)))
 
     @property
     def _head(self) -> str:

@@ -6,9 +6,9 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from loi_core.method.scales import ScaleSpace
-from loi_core.pixels.thumbnail import pictured
+from loi_core.pixels.thumbnail import thumbnail
 from loi_core.support.arrays import Array
-from loi_core.support.html import card, side_by_side, table
+from loi_core.support.repr_html import card, row, table
 from loi_core.support.wording import printable
 
 __all__ = ["facts_of_options", "facts_of_reference", "facts_of_scales", "in_notebook", "printed", "unusual_settings"]
@@ -56,5 +56,4 @@ def printed(name: str, facts: Mapping[str, str]) -> str:
 
 def in_notebook(name: str, facts: Mapping[str, str], reference: Array, channel_axis: int | None) -> str:
     """An objective as HTML: the reference, small, beside the facts."""
-    picture = pictured(reference, "reference", channel_axis)
-    return card(name, side_by_side([picture, table(list(facts.items()))]))
+    return card(name, row([thumbnail(reference, "reference", channel_axis), table(facts.items())]))

@@ -1,4 +1,4 @@
-"""The curves of a run: how it converged, what each scale had of it, and where its parameters went."""
+"""The charts of a run: convergence, the fraction of each scale, and the parameters by step."""
 
 from __future__ import annotations
 
@@ -9,150 +9,180 @@ from html import escape
 from typing import Any, Final
 
 from loi_core.io.result_folder import HISTORY_FILE, SCALES_FILE
-from loi_core.report.charts import Chart, Line, draw
-from loi_core.report.kept import Pictures
-from loi_core.report.plots import LABELS
-from loi_core.report.records import ScaleRows, read_columns, read_scale_rows
-from loi_core.report.scales import scale_name
-from loi_core.report.viewer import MOST_TABLE
+from loi_core.report.document import embedded_json, scrollable
+from loi_core.report.names import objective_label, scale_name
+from loi_core.report.pictures import Pictures
+from loi_core.report.tables import ScaleRows, read_columns, read_scale_rows
+from loi_core.support.charts import COLOUR_COUNT, LEFT, RIGHT, WIDTH, Chart, Line, draw
 from loi_core.support.values import real_number
 
-__all__ = ["curves"]
+__all__ = ["MAX_TABLE_BYTES", "chart_figure", "convergence_charts", "curves"]
 
-OTHERS: Final = frozenset({"step", "value", "gradient_norm", "rate", "seconds", "psnr", "stage"})
+MAX_TABLE_BYTES: Final = 2**26  # of a CSV file that is read
+MAX_PARAMETER_CHARTS: Final = 24
+MAX_TRUE_VALUES: Final = 128  # of one parameter
+MAX_LEGEND: Final = 10  # lines in the legend of a chart
+NOT_PARAMETERS: Final = frozenset({"step", "value", "gradient_norm", "rate", "seconds", "psnr", "stage"})
 ELEMENT: Final = re.compile(r"(?P<name>.*)\[(?P<index>[0-9]{1,6})\]", re.DOTALL)
-MOST_CHARTS: Final = 24  # of parameters
-STAGED: Final = "A new stage has another objective; its line goes on from where the last one ended."
+STAGES_NOTE: Final = "A new stage has another objective; its line continues from the end of the last one."
+
+Columns = Mapping[str, Sequence[float]]
 
 
 def curves(pictures: Pictures, result: Mapping[str, Any]) -> list[str]:
-    """Charts of a run from its tables; the picture of an older one if it has no tables."""
+    """Return the sections of charts of a run, drawn from the tables in its folder."""
     histories, tables = {}, {}
     for index, trial in enumerate(result["trials"]):
-        name, own = trial["objective"], "" if index == 0 else f"compare/{trial['objective']}/"
-        histories[name] = read_columns(pictures.text(f"{own}{HISTORY_FILE}", MOST_TABLE))
-        tables[name] = read_scale_rows(pictures.text(f"{own}{SCALES_FILE}", MOST_TABLE))
-    descent = [_relative(columns) for columns in histories.values()]
+        name, folder = trial["objective"], "" if index == 0 else f"compare/{trial['objective']}/"
+        histories[name] = read_columns(pictures.text(f"{folder}{HISTORY_FILE}", MAX_TABLE_BYTES))
+        tables[name] = read_scale_rows(pictures.text(f"{folder}{SCALES_FILE}", MAX_TABLE_BYTES))
+    charts = convergence_charts(histories)
+    charts += [_fraction_chart(name, rows) for name, rows in tables.items() if rows]
+    figures = "".join(map(chart_figure, charts))
+    if not figures:
+        return []
+    sections = [f'<h2>Convergence</h2><div class="charts">{figures}</div>']
+    sections += [_fraction_table(name, rows) for name, rows in tables.items() if rows]
+    parameters = _parameter_charts(histories[result["trials"][0]["objective"]], result.get("truth"))
+    figures = "".join(map(chart_figure, parameters))
+    return [*sections, f'<h2>Parameters over time</h2><div class="charts">{figures}</div>'] if figures else sections
+
+
+def convergence_charts(histories: Mapping[str, Columns]) -> list[Chart]:
+    """Return the charts of the objective and the PSNR by step.
+
+    Parameters
+    ----------
+    histories : dict
+        The columns "step", "value", "psnr" and "stage" by the name of the objective.
+    """
+    relative = {name: _relative_values(columns) for name, columns in histories.items()}
+    psnr = {name: columns.get("psnr", []) for name, columns in histories.items()}
     staged = any(len(set(columns.get("stage", ()))) > 1 for columns in histories.values())
-    charts = [
-        Chart("Objective, relative to its start", _lines(histories, descent), log=True, note=STAGED if staged else ""),
-        Chart(
-            "PSNR against the target",
-            _lines(histories, [columns.get("psnr", []) for columns in histories.values()]),
-            unit="dB",
-        ),
-    ]
-    charts += [_shares(name, rows) for name, rows in tables.items() if rows]
-    drawn = [one for one in map(draw, charts) if one]
-    if not drawn:
-        plot = pictures.figure("convergence.png", "objective and PSNR by step", image_class="plot")
-        return [f"<h2>Convergence</h2>{plot}"] if plot else []
-    parts = [f'<h2>Convergence</h2><div class="charts">{"".join(drawn)}</div>']
-    parts += [_share_table(name, rows) for name, rows in tables.items() if rows]
-    first = histories[result["trials"][0]["objective"]]
-    moved = [one for one in map(draw, _parameters(first, result.get("truth"))) if one]
-    if moved:
-        parts.append(f'<h2>Parameters over time</h2><div class="charts">{"".join(moved)}</div>')
-    return parts
-
-
-def _relative(columns: Mapping[str, Sequence[float]]) -> list[float]:
-    """The objective over its first value; a stage, which has another objective, goes on where the last one ended."""
-    values, stages = columns.get("value", []), columns.get("stage", [])
-    found: list[float] = []
-    first, stage = math.nan, math.nan
-    for index, value in enumerate(values):
-        now = stages[index] if index < len(stages) else 0.0
-        if index == 0 or (now != stage and not (math.isnan(now) and math.isnan(stage))):
-            first, stage = value / (found[-1] if found and found[-1] > 0.0 else 1.0), now
-        found.append(value / first if first else math.nan)
-    return found
-
-
-def _lines(histories: Mapping[str, Mapping[str, Sequence[float]]], values: Sequence[Sequence[float]]) -> list[Line]:
+    note = STAGES_NOTE if staged else ""
     return [
-        Line(LABELS.get(name, name), columns.get("step", []), each, colour)
-        for colour, ((name, columns), each) in enumerate(zip(histories.items(), values, strict=True))
-        if len(each) == len(columns.get("step", []))
+        Chart("Objective, relative to its start", _lines(histories, relative), log_y=True, note=note),
+        Chart("PSNR against the target", _lines(histories, psnr), y_label="dB"),
     ]
 
 
-def _shares(name: str, rows: ScaleRows) -> Chart:
-    """What part of the value each scale has at the recorded steps."""
-    steps, parts = _parts(rows)
-    lines = [Line(scale_name(*key), steps, each, colour) for colour, (key, each) in enumerate(parts.items())]
-    return Chart(
-        f"Share of each scale of {LABELS.get(name, name)}",
-        lines,
-        stacked=True,
-        note="Of the last stage's objective, at the recorded steps.",
+def chart_figure(chart: Chart) -> str:
+    """Return a chart with its legend, and its numbers for the script; empty if there is nothing to draw."""
+    drawing = draw(chart)
+    if drawing is None:
+        return ""
+    data = {
+        "first": drawing.first,
+        "last": drawing.last,
+        "left": LEFT / WIDTH,
+        "right": (WIDTH - RIGHT) / WIDTH,
+        "fraction": chart.stacked,
+        "lines": [{"steps": _rounded(line.x), "values": _rounded(line.y)} for line in drawing.lines],
+    }
+    keys = "".join(
+        f'<li><span class="key c{line.colour % COLOUR_COUNT}"></span>{escape(line.name)} <span class="at"></span></li>'
+        for line in drawing.lines[:MAX_LEGEND]
+    )
+    omitted = len(drawing.lines) - MAX_LEGEND
+    keys += f"<li>and {omitted} more</li>" if omitted > 0 else ""
+    note = f'<p class="soft">{escape(chart.note)}</p>' if chart.note else ""
+    return (
+        f'<figure class="chart panel"><h3>{escape(chart.title)}</h3>{drawing.svg}'
+        f'<figcaption><ul class="legend">{keys}</ul>{note}</figcaption>'
+        f'<script type="application/json">{embedded_json(data)}</script></figure>'
     )
 
 
-def _parts(rows: ScaleRows) -> tuple[list[int], dict[tuple[float, float, float], list[float]]]:
-    """The steps at which all scales have a value, and the share of each."""
-    common = set.intersection(*(set(one) for one in rows.values()))
-    totals = {step: math.fsum(max(one[step], 0.0) for one in rows.values()) for step in sorted(common)}
+def _rounded(values: Sequence[float]) -> list[float]:
+    return [float(f"{value:.5g}") for value in values]
+
+
+def _relative_values(columns: Columns) -> list[float]:
+    """Return the objective over its first value; each stage starts where the one before ended."""
+    values, stages = columns.get("value", []), columns.get("stage", [])
+    relative: list[float] = []
+    first, stage = math.nan, math.nan
+    for index, value in enumerate(values):
+        current = stages[index] if index < len(stages) else 0.0
+        if index == 0 or (current != stage and not (math.isnan(current) and math.isnan(stage))):
+            first, stage = value / (relative[-1] if relative and relative[-1] > 0.0 else 1.0), current
+        relative.append(value / first if first else math.nan)
+    return relative
+
+
+def _lines(histories: Mapping[str, Columns], values: Mapping[str, Sequence[float]]) -> list[Line]:
+    return [
+        Line(objective_label(name), columns.get("step", []), values[name], colour)
+        for colour, (name, columns) in enumerate(histories.items())
+        if len(values[name]) == len(columns.get("step", []))
+    ]
+
+
+def _fractions(rows: ScaleRows) -> tuple[list[int], dict[tuple[float, float, float], list[float]]]:
+    """Return the steps at which all scales have a value, and the fraction of each scale there."""
+    common = set.intersection(*(set(values) for values in rows.values()))
+    totals = {step: math.fsum(max(values[step], 0.0) for values in rows.values()) for step in sorted(common)}
     steps = [step for step, total in totals.items() if 0.0 < total < math.inf]
-    return steps, {key: [max(one[step], 0.0) / totals[step] for step in steps] for key, one in rows.items()}
+    return steps, {key: [max(values[step], 0.0) / totals[step] for step in steps] for key, values in rows.items()}
 
 
-def _share_table(name: str, rows: ScaleRows) -> str:
-    """The same as numbers."""
-    steps, parts = _parts(rows)
+def _fraction_chart(name: str, rows: ScaleRows) -> Chart:
+    steps, fractions = _fractions(rows)
+    lines = [Line(scale_name(*key), steps, values, colour) for colour, (key, values) in enumerate(fractions.items())]
+    title = f"Share of each scale of {objective_label(name)}"
+    return Chart(title, lines, stacked=True, note="Of the last stage's objective, at the recorded steps.")
+
+
+def _fraction_table(name: str, rows: ScaleRows) -> str:
+    steps, fractions = _fractions(rows)
     if not steps:
         return ""
-    heads = "".join(f'<th scope="col" class="n">{escape(scale_name(*key))}</th>' for key in parts)
+    heads = "".join(f'<th scope="col" class="n">{escape(scale_name(*key))}</th>' for key in fractions)
     lines = [
         f'<tr><th scope="row" class="n">{step}</th>'
-        + "".join(f'<td class="n">{rows[key][step]:.4g} ({each[index]:.0%})</td>' for key, each in parts.items())
+        + "".join(
+            f'<td class="n">{rows[key][step]:.4g} ({values[index]:.0%})</td>' for key, values in fractions.items()
+        )
         + "</tr>"
         for index, step in enumerate(steps)
     ]
     head = f'<thead><tr><th scope="col" class="n">step</th>{heads}</tr></thead>'
-    table = f"<table>{head}<tbody>{''.join(lines)}</tbody></table>"
-    label = escape(f"Scales of {LABELS.get(name, name)} as numbers")
-    return (
-        f'<details><summary>{label}</summary><div class="scroll" role="group" tabindex="0" aria-label="{label}">'
-        f"{table}</div></details>"
-    )
+    label = f"Scales of {objective_label(name)} as numbers"
+    table = scrollable(label, f"<table>{head}<tbody>{''.join(lines)}</tbody></table>")
+    return f"<details><summary>{escape(label)}</summary>{table}</details>"
 
 
-def _parameters(columns: Mapping[str, Sequence[float]], truth: object) -> list[Chart]:
-    """A chart for each parameter, with all of its numbers."""
+def _parameter_charts(columns: Columns, truth: object) -> list[Chart]:
+    """Return a chart for each parameter, with a line for each of its numbers."""
     groups: dict[str, list[tuple[str, int, Sequence[float]]]] = {}
     for column, values in columns.items():
-        if column not in OTHERS:
-            part = ELEMENT.fullmatch(column)
-            name, index = (part["name"], int(part["index"])) if part else (column, 0)
+        if column not in NOT_PARAMETERS:
+            element = ELEMENT.fullmatch(column)
+            name, index = (element["name"], int(element["index"])) if element else (column, 0)
             groups.setdefault(name, []).append((column, index, values))
     charts = []
-    for name, members in list(groups.items())[:MOST_CHARTS]:
-        known = _flat(truth.get(name)) if isinstance(truth, Mapping) else []
-        lines = [
-            Line(
-                column.removeprefix(name) or name,
-                columns.get("step", []),
-                values,
-                colour,
-                known[index] if index < len(known) and math.isfinite(known[index]) else None,
-            )
-            for colour, (column, index, values) in enumerate(members)
-            if len(values) == len(columns.get("step", []))
-        ]
-        known_lines = any(line.level is not None for line in lines)
-        charts.append(Chart(name, lines, note="Dashed: the true values." if known_lines else ""))
+    steps = columns.get("step", [])
+    for name, members in list(groups.items())[:MAX_PARAMETER_CHARTS]:
+        true_values = _flat_numbers(truth.get(name)) if isinstance(truth, Mapping) else []
+        lines = []
+        for colour, (column, index, values) in enumerate(members):
+            true_value = true_values[index] if index < len(true_values) else math.nan
+            level = true_value if math.isfinite(true_value) else None
+            if len(values) == len(steps):
+                lines.append(Line(column.removeprefix(name) or name, steps, values, colour, level))
+        note = "Dashed: the true values." if any(line.level is not None for line in lines) else ""
+        charts.append(Chart(name, lines, note=note))
     return charts
 
 
-def _flat(value: object) -> list[float]:
-    """The numbers in a nest of lists, as far as a parameter has any."""
-    found: list[float] = []
+def _flat_numbers(value: object) -> list[float]:
+    """Return the numbers in nested lists, at most `MAX_TRUE_VALUES`."""
+    numbers: list[float] = []
     waiting = [value]
-    while waiting and len(found) < 128:
-        one = waiting.pop(0)
-        if isinstance(one, list):
-            waiting = [*one[:128], *waiting]
+    while waiting and len(numbers) < MAX_TRUE_VALUES:
+        item = waiting.pop(0)
+        if isinstance(item, list):
+            waiting = [*item[:MAX_TRUE_VALUES], *waiting]
         else:
-            found.append(real_number(one))
-    return found
+            numbers.append(real_number(item))
+    return numbers

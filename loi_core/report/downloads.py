@@ -1,8 +1,7 @@
-"""What a page hands out: tables, numbers, pictures and an animation, all within the page itself."""
+"""The downloads of a page: tables, numbers, pictures and an animation, all inside the page itself."""
 
 from __future__ import annotations
 
-import base64
 import json
 import re
 from collections.abc import Mapping
@@ -12,41 +11,41 @@ from typing import Any, Final
 
 from loi_core.io.result_folder import HISTORY_FILE, RESULT_FILE, SCALES_FILE
 from loi_core.report.animation import animation
-from loi_core.report.kept import Pictures
+from loi_core.report.document import data_uri
+from loi_core.report.pictures import Pictures
 from loi_core.report.viewer import frame_files
 
 __all__ = ["downloads"]
 
-MOST_TEXT: Final = 2**23  # bytes of a table that a page carries
+MAX_TEXT_BYTES: Final = 2**23  # of a table inside a page
 TABLES: Final = {HISTORY_FILE: "text/csv", SCALES_FILE: "text/csv", "parameters.json": "application/json"}
 PICTURES: Final = {"initial": "initial.png", "target": "target.png", "final-0": "final.png", "error-0": "error.png"}
 
 
 def downloads(pictures: Pictures, folder: Path, result: Mapping[str, Any]) -> str:
-    """Links to all of it. Those to pictures take them from the page, and so need its script."""
+    """Return the section of links; the script fills in the links to pictures, which are in the page already."""
     stem = re.sub(r"[^A-Za-z0-9]+", "-", result["title"])[:40].strip("-").lower() or "fit"
-    links, large = [], []
-    for name, kind in TABLES.items():
-        text = pictures.text(name, MOST_TEXT)
+    links, too_large = [], []
+    for name, media_type in TABLES.items():
+        text = pictures.text(name, MAX_TEXT_BYTES)
         if text:
-            links.append(_link(stem, name, kind, text.encode("utf-8")))
+            links.append(_link(stem, name, media_type, text.encode("utf-8")))
         elif pictures.size(name):
-            large.append(name)
-    told = json.dumps(result, indent=2).encode("utf-8", errors="replace")
-    links.append(_link(stem, RESULT_FILE, "application/json", told))
+            too_large.append(name)
+    content = json.dumps(result, indent=2).encode("utf-8", errors="replace")
+    links.append(_link(stem, RESULT_FILE, "application/json", content))
     links += [
         f'<a class="save" hidden data-of="{key}" download="{escape(stem)}-{file}">{file}</a>'
         for key, file in PICTURES.items()
     ]
-    frames = [one for one in map(pictures.read, frame_files(pictures, folder).values()) if one is not None]
-    moving = animation(frames)
-    if moving:
-        links.append(_link(stem, "fit.webp", "image/webp", moving))
-    note = f"<p>Too large for a page, and in its folder: {escape(', '.join(large))}.</p>" if large else ""
+    frames = [png for png in map(pictures.read, frame_files(pictures, folder).values()) if png is not None]
+    animated = animation(frames)
+    if animated:
+        links.append(_link(stem, "fit.webp", "image/webp", animated))
+    note = f"<p>Too large for a page, and in its folder: {escape(', '.join(too_large))}.</p>" if too_large else ""
     items = "".join(f"<li>{link}</li>" for link in links)
     return f'<h2>Downloads</h2><ul class="downloads">{items}</ul>{note}'
 
 
-def _link(stem: str, name: str, kind: str, content: bytes) -> str:
-    data = base64.b64encode(content).decode("ascii")
-    return f'<a download="{escape(stem)}-{escape(name)}" href="data:{kind};base64,{data}">{escape(name)}</a>'
+def _link(stem: str, name: str, media_type: str, content: bytes) -> str:
+    return f'<a download="{escape(stem)}-{escape(name)}" href="{data_uri(content, media_type)}">{escape(name)}</a>'

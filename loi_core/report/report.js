@@ -1,6 +1,9 @@
 "use strict";
 
-// A report is complete without this: here pictures are compared, played and saved, and charts are read.
+// A report is complete without this script, which compares, plays and saves pictures and reads charts.
+const RELOAD_MS = 1500;
+if (document.querySelector("main[data-running]")) setTimeout(() => location.reload(), RELOAD_MS);
+
 for (const run of document.querySelectorAll("section.run")) {
   const picture = (key) => run.querySelector(`[data-picture="${CSS.escape(key)}"]`);
   const nameOf = (image) => (image ? image.closest("figure").querySelector("figcaption").textContent : "");
@@ -52,19 +55,19 @@ for (const run of document.querySelectorAll("section.run")) {
   function setUpDivider(figure) {
     const over = figure.querySelector(".over");
     const divider = figure.querySelector("input.divider");
-    const sides = ["left", "right"].map((side) => ({
-      image: figure.querySelector(`img.${side}`),
-      select: figure.querySelector(`select.${side}`),
+    const halves = ["left", "right"].map((name) => ({
+      image: figure.querySelector(`img.${name}`),
+      select: figure.querySelector(`select.${name}`),
     }));
     const sourceOf = (key) => picture(key === "scrubber" ? `step-${frames[current].dataset.step}` : key);
     const show = () => {
-      for (const { image, select } of sides) put(image, sourceOf(select.value));
+      for (const { image, select } of halves) put(image, sourceOf(select.value));
       move();
     };
     const move = () => {
       over.style.setProperty("--cut", `${divider.value}%`);
-      const [left, right] = sides.map(({ image }) => image.alt);
-      divider.setAttribute("aria-valuetext", `${divider.value}% ${left}, the rest ${right}`);
+      const [left, right] = halves.map(({ image }) => image.alt);
+      divider.setAttribute("aria-valuetext", `${divider.value}% ${left}, then ${right}`);
     };
     const follow = (event) => {
       const box = over.getBoundingClientRect();
@@ -80,16 +83,16 @@ for (const run of document.querySelectorAll("section.run")) {
       if (over.hasPointerCapture(event.pointerId)) follow(event);
     });
     divider.addEventListener("input", move);
-    for (const { select } of sides) select.addEventListener("change", show);
+    for (const { select } of halves) select.addEventListener("change", show);
     show();
     return () => {
-      if (sides.some(({ select }) => select.value === "scrubber")) show();
+      if (halves.some(({ select }) => select.value === "scrubber")) show();
     };
   }
 
   function setUpPlayer(figure) {
     const shown = figure.querySelector("img.shown");
-    const said = figure.querySelector(".said");
+    const caption = figure.querySelector(".caption");
     const scrubber = figure.querySelector("input.scrubber");
     const button = figure.querySelector("button");
     let timer = 0;
@@ -99,8 +102,8 @@ for (const run of document.querySelectorAll("section.run")) {
       put(shown, frame.querySelector("img"));
       scrubber.value = index;
       const value = frame.dataset.value === "nan" ? "" : `, objective ${frame.dataset.value}`;
-      said.textContent = nameOf(frame.querySelector("img")) + value;
-      scrubber.setAttribute("aria-valuetext", said.textContent);
+      caption.textContent = nameOf(frame.querySelector("img")) + value;
+      scrubber.setAttribute("aria-valuetext", caption.textContent);
       refresh();
       readAll(stepShown());
     };
@@ -141,20 +144,20 @@ function readChart(figure) {
   const span = data.last - data.first;
   const stepAt = (event) => {
     const box = svg.getBoundingClientRect();
-    const share = ((event.clientX - box.left) / box.width - data.left) / (data.right - data.left);
-    return Math.round(data.first + span * Math.min(1, Math.max(0, share)));
+    const fraction = ((event.clientX - box.left) / box.width - data.left) / (data.right - data.left);
+    return Math.round(data.first + span * Math.min(1, Math.max(0, fraction)));
   };
   const read = (step) => {
-    const share = Math.min(1, Math.max(0, (step - data.first) / span));
-    const x = width * (data.left + share * (data.right - data.left));
+    const fraction = Math.min(1, Math.max(0, (step - data.first) / span));
+    const x = width * (data.left + fraction * (data.right - data.left));
     now.setAttribute("x1", x);
     now.setAttribute("x2", x);
-    shown.forEach((place, index) => {
-      const { steps, values } = data.lines[index];
-      let at = 0;
-      while (at + 1 < steps.length && steps[at + 1] <= step) at += 1;
-      const value = values[at];
-      place.textContent = data.share ? `${Math.round(100 * value)}%` : String(Number(value.toPrecision(4)));
+    shown.forEach((label, line) => {
+      const { steps, values } = data.lines[line];
+      let index = 0;
+      while (index + 1 < steps.length && steps[index + 1] <= step) index += 1;
+      const value = values[index];
+      label.textContent = data.fraction ? `${Math.round(100 * value)}%` : String(Number(value.toPrecision(4)));
     });
   };
   return { svg, data, stepAt, read };

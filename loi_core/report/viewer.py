@@ -1,4 +1,4 @@
-"""The pictures of a run: side by side, under a divider, step by step, and what scales and effects do to them."""
+"""The pictures of a run: side by side, under a divider, by step, and the gradients of scales and effects."""
 
 from __future__ import annotations
 
@@ -10,77 +10,75 @@ from pathlib import Path
 from typing import Any, Final
 
 from loi_core.io.result_folder import FRAME_NAME, HISTORY_FILE
-from loi_core.report.kept import Pictures
-from loi_core.report.output import FRAMES_FOLDER, effect_file
-from loi_core.report.plots import LABELS
-from loi_core.report.records import read_columns
-from loi_core.report.scales import MOMENTS, gradient_file, scale_name
+from loi_core.report.curves import MAX_TABLE_BYTES
+from loi_core.report.document import scrollable
+from loi_core.report.names import FRAMES_FOLDER, MOMENTS, effect_file, gradient_file, objective_label, scale_name
+from loi_core.report.pictures import Pictures
+from loi_core.report.tables import read_columns
 from loi_core.support.values import real_number
 
-__all__ = ["MOST_TABLE", "effects", "frame_files", "gradients", "viewer"]
+__all__ = ["effects", "frame_files", "gradients", "viewer"]
 
-MOST_FRAMES: Final = 1000
-MOST_FRAME_BYTES: Final = 2**25  # of all frames on a page: of larger ones some are left out
-MOST_GRADIENT_BYTES: Final = 2**25
-MOST_TABLE: Final = 2**26  # bytes of a CSV file that is read
+MAX_FRAMES: Final = 1000
+MAX_FRAME_BYTES: Final = 2**25  # of all frames on a page; larger frames are shown at fewer steps
+MAX_GRADIENT_BYTES: Final = 2**25
 EFFECT_NAME: Final = re.compile(r"[\w -]{1,80}")
 
 
 def viewer(pictures: Pictures, folder: Path, trials: Sequence[Mapping[str, Any]], run: int) -> str:
-    """Start, target, result and error of every objective, and the frames of the first, with what compares them.
+    """Return start, target, results, errors and frames, and the tools to compare them.
 
     Without scripts the pictures stand side by side.
     """
-    named = {"initial": "start", "target": "target"}
-    shown = [pictures.figure(f"{key}.png", label, key=key) for key, label in named.items()]
+    labels = {"initial": "start", "target": "target"}
+    figures = [pictures.figure(f"{key}.png", label, key=key) for key, label in labels.items()]
     for index, trial in enumerate(trials):
         name = trial["objective"]
-        label = LABELS.get(name, name)
-        own, ours = ("", ' class="ours"') if index == 0 else (f"compare/{name}/", "")
-        for kind, text in (("final", f"result of {label}"), ("error", f"error of {label}")):
-            key = f"{kind}-{index}"
-            alt = f"|final - target| of {label}, brighter where they differ more" if kind == "error" else ""
-            named[key] = text
-            shown.append(pictures.figure(f"{own}{kind}.png", text, ours, key=key, alt=alt))
-    there = [key for key, figure in zip(named, shown, strict=True) if figure]
+        label = objective_label(name)
+        prefix, attributes = ("", ' class="ours"') if index == 0 else (f"compare/{name}/", "")
+        labels |= {f"final-{index}": f"result of {label}", f"error-{index}": f"error of {label}"}
+        figures.append(pictures.figure(f"{prefix}final.png", f"result of {label}", attributes, key=f"final-{index}"))
+        alt = f"|final - target| of {label}, brighter where they differ more"
+        figures.append(
+            pictures.figure(f"{prefix}error.png", f"error of {label}", attributes, key=f"error-{index}", alt=alt)
+        )
+    options = [(key, label) for (key, label), figure in zip(labels.items(), figures, strict=True) if figure]
     frames = _frames(pictures, folder)
-    steps = [step for step, _ in frames]
-    gallery = f'<h2>Pictures</h2><div class="row gallery">{"".join(shown)}</div>' if there else ""
-    film = "".join(figure for _, figure in frames)
-    summary = f"<summary>{len(frames)} recorded steps</summary>"
-    strip = f'<details class="steps">{summary}<div class="row film">{film}</div></details>'
-    options = [(key, named[key]) for key in there]
-    tools = _divider(options, steps, run) + _scrubber(steps, run)
-    return f'<div class="tools" hidden>{tools}</div>{gallery}{strip if frames else ""}'
+    steps = list(frames)
+    tools = _divider(options, steps, run) + _player(steps, run)
+    gallery = f'<h2>Pictures</h2><div class="row gallery">{"".join(figures)}</div>' if options else ""
+    film = f'<div class="row film">{"".join(frames.values())}</div>'
+    strip = f'<details class="steps"><summary>{len(frames)} recorded steps</summary>{film}</details>' if frames else ""
+    return f'<div class="tools" hidden>{tools}</div>{gallery}{strip}'
 
 
 def frame_files(pictures: Pictures, folder: Path) -> dict[int, str]:
-    """The pictures of the way, by step: as many as a page can hold, evenly."""
+    """Return the pictures of recorded steps, by step: evenly chosen, as many as a page holds."""
     names = sorted(path.name for path in (folder / FRAMES_FOLDER).glob("*.png") if FRAME_NAME.fullmatch(path.name))
-    files = {int(Path(name).stem): f"{FRAMES_FOLDER}/{name}" for name in names[:MOST_FRAMES]}
+    files = {int(Path(name).stem): f"{FRAMES_FOLDER}/{name}" for name in names[:MAX_FRAMES]}
     total = sum(map(pictures.size, files.values()))
-    every = max(1, math.ceil(total / MOST_FRAME_BYTES))
-    return dict(sorted(files.items())[::every])
+    stride = max(1, math.ceil(total / MAX_FRAME_BYTES))
+    return dict(sorted(files.items())[::stride])
 
 
-def _frames(pictures: Pictures, folder: Path) -> list[tuple[int, str]]:
-    """Each frame as a figure that says its step, its value and its PSNR."""
-    columns = read_columns(pictures.text(HISTORY_FILE, MOST_TABLE))
+def _frames(pictures: Pictures, folder: Path) -> dict[int, str]:
+    """Return each frame as a figure with its step, objective and PSNR, by step."""
+    columns = read_columns(pictures.text(HISTORY_FILE, MAX_TABLE_BYTES))
     values = dict(zip(columns.get("step", ()), columns.get("value", ()), strict=False))
     quality = dict(zip(columns.get("step", ()), columns.get("psnr", ()), strict=False))
-    found = []
+    figures = {}
     for step, name in frame_files(pictures, folder).items():
         psnr, value = quality.get(step, math.nan), values.get(step, math.nan)
-        told = [f"step {step}", *([f"{psnr:.1f} dB"] if math.isfinite(psnr) else [])]
-        more = f' data-step="{step}" data-value="{value:.4g}"'
-        figure = pictures.figure(name, ", ".join(told), f' class="frame"{more}', key=f"step-{step}")
+        caption = f"step {step}" + (f", {psnr:.1f} dB" if math.isfinite(psnr) else "")
+        attributes = f' class="frame" data-step="{step}" data-value="{value:.4g}"'
+        figure = pictures.figure(name, caption, attributes, key=f"step-{step}")
         if figure:
-            found.append((step, figure))
-    return found
+            figures[step] = figure
+    return figures
 
 
 def _divider(options: Sequence[tuple[str, str]], steps: Sequence[int], run: int) -> str:
-    """What puts one picture over another, up to a line."""
+    """Return the tool that shows one picture over another, up to a line."""
     if len(options) < 2:
         return ""
     keys = [key for key, _ in options]
@@ -96,25 +94,25 @@ def _divider(options: Sequence[tuple[str, str]], steps: Sequence[int], run: int)
     )
 
 
-def _choice(side: str, chosen: str, options: Sequence[tuple[str, str]], steps: Sequence[int], run: int) -> str:
-    def listed(key: str, label: str) -> str:
+def _choice(position: str, chosen: str, options: Sequence[tuple[str, str]], steps: Sequence[int], run: int) -> str:
+    def option(key: str, label: str) -> str:
         return f'<option value="{escape(key)}"{" selected" if key == chosen else ""}>{escape(label)}</option>'
 
-    inner = "".join(listed(key, label) for key, label in options)
+    items = "".join(option(key, label) for key, label in options)
     if steps:
-        moving = listed("scrubber", "the step that is shown")
-        each = "".join(listed(f"step-{step}", f"step {step}") for step in steps)
-        inner += f'<optgroup label="steps">{moving}{each}</optgroup>'
-    name = f"{side}-{run}"
-    return f'<div><label for="{name}">{side.title()}</label><select class="{side}" id="{name}">{inner}</select></div>'
+        frames = "".join(option(f"step-{step}", f"step {step}") for step in steps)
+        items += f'<optgroup label="steps">{option("scrubber", "the current step")}{frames}</optgroup>'
+    name = f"{position}-{run}"
+    label = f'<label for="{name}">{position.title()}</label>'
+    return f'<div>{label}<select class="{position}" id="{name}">{items}</select></div>'
 
 
-def _scrubber(steps: Sequence[int], run: int) -> str:
-    """What shows the frames one after another."""
+def _player(steps: Sequence[int], run: int) -> str:
+    """Return the tool that shows the frames one after another."""
     if not steps:
         return ""
     return (
-        '<figure class="player panel"><h2>Follow the fit</h2><p class="choice said"></p>'
+        '<figure class="player panel"><h2>Follow the fit</h2><p class="choice caption"></p>'
         '<div class="over"><img class="shown" alt=""></div>'
         f'<label class="wide" for="scrubber-{run}">Step</label><div class="play"><button type="button">Play</button>'
         f'<input class="scrubber" id="scrubber-{run}" type="range" min="0" max="{len(steps) - 1}" value="0">'
@@ -123,52 +121,47 @@ def _scrubber(steps: Sequence[int], run: int) -> str:
 
 
 def gradients(pictures: Pictures, result: Mapping[str, Any]) -> list[str]:
-    """What each scale pulls at, at the start and at the end; nothing if that was not written."""
+    """Return the section of each scale's gradient at the start and at the end, if the folder has their pictures."""
     scales = result.get("scales")
     if not isinstance(scales, list):
         return []
-    rows, left = [], MOST_GRADIENT_BYTES
+    rows, remaining = [], MAX_GRADIENT_BYTES
     for scale in scales:
-        given = scale if isinstance(scale, Mapping) else {}
-        sigma, alpha, beta = (real_number(given.get(name)) for name in ("sigma", "alpha", "beta"))
+        entry = scale if isinstance(scale, Mapping) else {}
+        sigma, alpha, beta = (real_number(entry.get(name)) for name in ("sigma", "alpha", "beta"))
         if not all(map(math.isfinite, (sigma, alpha, beta))):
             continue
-        pull = given.get("pull")
-        strengths = [real_number(pull.get(moment)) if isinstance(pull, Mapping) else math.nan for moment in MOMENTS]
+        name, norms = scale_name(sigma, alpha, beta), entry.get("gradient_norm")
+        start, end = (real_number(norms.get(m)) if isinstance(norms, Mapping) else math.nan for m in MOMENTS)
+        growth = f", {end / start:.2g} times as strong" if start > 0.0 and math.isfinite(end / start) else ""
         figures = []
-        for moment, strength in zip(MOMENTS, strengths, strict=True):
+        for moment, caption in zip(MOMENTS, ("at the start", f"at the end{growth}"), strict=True):
             file = gradient_file(moment, sigma, alpha, beta)
-            left -= pictures.size(file)
-            if left < 0:
+            remaining -= pictures.size(file)
+            if remaining < 0:
                 break
-            told = f"at the {moment}"
-            if moment == "end" and strengths[0] > 0.0 and math.isfinite(strength / strengths[0]):
-                told += f", {strength / strengths[0]:.2g} times as strong"
-            name = scale_name(sigma, alpha, beta)
-            figures.append(pictures.figure(file, told, alt=f"what {name} pulls at, {told}"))
-        head = f"<h3>{scale_name(sigma, alpha, beta)}</h3>"
+            figures.append(pictures.figure(file, caption, alt=f"gradient of {name} {caption}"))
         if any(figures):
-            rows.append(f'<div class="pull">{head}<div class="row">{"".join(figures)}</div></div>')
+            rows.append(f'<div class="pull"><h3>{name}</h3><div class="row">{"".join(figures)}</div></div>')
     if not rows:
         return []
-    told = (
-        "The gradient of each scale alone by the image, against its sign: brighter where the scale wants the image "
-        "brighter, darker where darker, mid grey where it wants nothing. The strongest pull of each picture is black "
-        "or white."
+    note = (
+        "The negative gradient of each scale with respect to the image: bright where the scale wants the image "
+        "brighter, dark where darker, mid grey where it wants no change. Each picture has its own range."
     )
-    return [f'<h2>What each scale pulls at</h2><p class="soft">{told}</p><div class="row pulls">{"".join(rows)}</div>']
+    return [f'<h2>Gradient of each scale</h2><p class="soft">{note}</p><div class="row pulls">{"".join(rows)}</div>']
 
 
 def effects(pictures: Pictures, result: Mapping[str, Any]) -> list[str]:
-    """What each effect changes in the image at the start, and the plan; nothing if the renderer plans nothing."""
-    plan, switched = result.get("plan"), result.get("effects")
-    if not isinstance(plan, str) or not isinstance(switched, Mapping):
+    """Return the section of the changes by each effect and the plan, if the renderer plans its effects."""
+    plan, switches = result.get("plan"), result.get("effects")
+    if not isinstance(plan, str) or not isinstance(switches, Mapping):
         return []
-    shown = [
+    figures = [
         pictures.figure(effect_file(name), f"{name}: {'on' if on else 'off'}")
-        for name, on in switched.items()
+        for name, on in switches.items()
         if EFFECT_NAME.fullmatch(name)
     ]
-    row = f'<div class="row">{"".join(shown)}</div>'
-    said = f'<pre class="scroll" role="group" tabindex="0" aria-label="Plan of effects">{escape(plan)}</pre>'
-    return [f"<h2>Effects: how each changes the image along the first descent</h2>{row}{said}"]
+    row = f'<div class="row">{"".join(figures)}</div>'
+    listing = scrollable("Plan of effects", escape(plan), "pre")
+    return [f"<h2>Effects: how each changes the image along the first descent</h2>{row}{listing}"]

@@ -14,7 +14,7 @@ from loi_core.fitting.views import Images, as_given
 from loi_core.io.images import FloatImage
 from loi_core.method.scales import ScaleSpace
 from loi_core.objectives import Objective
-from loi_core.pixels.strip import side_by_side
+from loi_core.pixels.display import side_by_side
 from loi_core.pixels.tone_curve import LogTone
 from loi_core.renderers.contract import Parameters, Renderer
 from loi_core.scenes.target import Target

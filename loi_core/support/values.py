@@ -1,17 +1,18 @@
-"""Telling numbers from what only looks like them, for the checks of arguments."""
+"""Numbers from values of unknown type: real numbers, whole numbers, numbers in text."""
 
 from __future__ import annotations
 
 import math
 from numbers import Integral, Real
+from typing import Any
 
 import numpy as np
 
-__all__ = ["real_number", "whole_number"]
+__all__ = ["finite_or_none", "parsed_number", "real_number", "whole_number"]
 
 
 def real_number(value: object) -> float:
-    """`value` as a float; NaN if it is not a real number, is a bool, or is too large for a float.
+    """Return `value` as a float; NaN for a bool, anything that is not a real number, and an int too large for a float.
 
     Arrays of shape () count as the number that they hold.
     """
@@ -26,5 +27,18 @@ def real_number(value: object) -> float:
 
 
 def whole_number(value: object) -> int | None:
-    """`value` as an int; None if it is not a whole number, or is a bool."""
+    """Return `value` as an int; None for a bool and anything that is not a whole number."""
     return int(value) if isinstance(value, Integral) and not isinstance(value, bool | np.bool_) else None
+
+
+def finite_or_none(value: Any) -> float | None:
+    """Return a number as a float for JSON, which has neither NaN nor infinity; None for those."""
+    return float(value) if math.isfinite(value) else None
+
+
+def parsed_number(text: str) -> float:
+    """Return the number in a text; NaN if the text is not a number."""
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan

@@ -17,7 +17,7 @@ from loi_core.errors import ImageFileError
 from loi_core.io.files import write_text
 from loi_core.io.images import read_image
 from loi_core.io.result_folder import PAGE_FILE
-from loi_core.report.page import document
+from loi_core.report.document import document
 from loi_core.sweeps.leaderboard import Standing
 from loi_core.sweeps.plan import Sweep, spelled
 from loi_core.sweeps.table import CSV_FILE, DONE, FAILED, MISSING, Row

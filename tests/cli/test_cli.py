@@ -1,4 +1,4 @@
-"""The command line: the demo recovers what it hides, the doctor and the listing tell the truth."""
+"""The command line: the demo recovers its scenes; the doctor and the list of renderers report the true state."""
 
 from __future__ import annotations
 
@@ -31,79 +31,79 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
 
 
 def errors(demo: dict[str, Any], scene: int, objective: str) -> dict[str, float]:
-    trials = demo["scenes"][scene]["trials"]
-    found: dict[str, float] = next(one["parameter_errors"] for one in trials if one["objective"] == objective)
-    return found
+    (trial,) = (trial for trial in demo["scenes"][scene]["trials"] if trial["objective"] == objective)
+    return dict(trial["parameter_errors"])
 
 
-def test_demo_finds_the_disks_within_a_quarter_pixel(demo: dict[str, Any]) -> None:
+def test_the_demo_finds_the_disks_within_a_quarter_pixel(demo: dict[str, Any]) -> None:
     assert errors(demo, 0, "loi")["positions"] < 0.25
 
 
-def test_demo_finds_the_photograph_as_well_as_the_readme_says(demo: dict[str, Any]) -> None:
-    found = errors(demo, 1, "loi")
-    assert found["translation"] < 0.1
-    assert found["rotation"] < 0.1
-    assert found["scale"] < 0.01 * 0.9
+def test_the_demo_finds_the_photograph_as_accurately_as_the_readme_says(demo: dict[str, Any]) -> None:
+    error = errors(demo, 1, "loi")
+    assert error["translation"] < 0.1
+    assert error["rotation"] < 0.1
+    assert error["scale"] < 0.01 * 0.9
 
 
 @pytest.mark.parametrize(("scene", "name"), [(0, "positions"), (1, "translation")])
-def test_demo_shows_pixels_failing_from_the_same_start(demo: dict[str, Any], scene: int, name: str) -> None:
+def test_the_demo_shows_pixel_l2_failing_from_the_same_start(demo: dict[str, Any], scene: int, name: str) -> None:
     assert errors(demo, scene, "pixel_l2")[name] > 20.0
     first, second = demo["scenes"][scene]["trials"][:2]
     assert first["psnr_initial"] == second["psnr_initial"]
     assert first["psnr"] > second["psnr"] + 5.0
 
 
-def test_demo_finds_a_ball_in_mitsuba_that_does_not_overlap_its_photograph(demo: dict[str, Any]) -> None:
+def test_the_demo_finds_a_ball_in_mitsuba_that_does_not_overlap_its_target(demo: dict[str, Any]) -> None:
     pytest.importorskip("loi_mitsuba")  # before mitsuba, whose LLVM the doctor judges in this process
-    found, pixels = errors(demo, 2, "loi"), errors(demo, 2, "pixel_l2")
-    assert max(found.values()) < 0.15  # about a pixel
+    error, pixels = errors(demo, 2, "loi"), errors(demo, 2, "pixel_l2")
+    assert max(error.values()) < 0.15  # about a pixel
     assert pixels["x"] > 1.0
 
 
-def test_demo_finds_a_mesh_on_torch_that_does_not_overlap_its_photograph(demo: dict[str, Any]) -> None:
+def test_the_demo_finds_a_mesh_on_torch_that_does_not_overlap_its_target(demo: dict[str, Any]) -> None:
     pytest.importorskip("torch")
-    found, pixels = errors(demo, -1, "loi"), errors(demo, -1, "pixel_l2")
-    assert found["place"] < 0.09  # about a pixel
-    assert found["turn"] < 2.0
-    assert pixels["place"] > 1.0
+    error, pixels = errors(demo, -1, "loi"), errors(demo, -1, "pixel_l2")
+    assert error["position"] < 0.09  # about a pixel
+    assert error["rotation"] < 2.0
+    assert pixels["position"] > 1.0
 
 
-def test_the_demo_says_in_one_line_how_to_get_each_scene_that_needs_more_than_numpy(
+def test_the_demo_names_the_command_that_installs_each_missing_renderer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    for name in ("loi_mitsuba", "loi_torch", "loi_torch.mesh"):  # also where a test before has imported them
+    for name in ("loi_mitsuba", "loi_torch", "loi_torch.mesh"):  # also where an earlier test has imported them
         monkeypatch.setitem(sys.modules, name, None)  # as if its import failed
     monkeypatch.setattr("loi_core.cli.demo.run_and_write", lambda scene, **_: {"title": scene.title, "trials": []})
     monkeypatch.setattr("loi_core.cli.demo.write_page", lambda page: page)
     monkeypatch.setattr("loi_core.cli.demo.write_index", lambda page, folders, title: page)
     assert main(["demo", "--output", str(tmp_path), "--json"]) == 0
-    told = capsys.readouterr()
-    lines = told.err.splitlines()
-    for line, needed in zip(lines, ("Mitsuba", "torch"), strict=True):
-        assert line.startswith(f"loi: the scene with {needed} is left out; ")
+    printed = capsys.readouterr()
+    lines = printed.err.splitlines()
+    for line, package in zip(lines, ("Mitsuba", "torch"), strict=True):
+        assert line.startswith(f"loi: the scene with {package} is left out; ")
         assert "pip install" in line
-    assert [one["title"] for one in json.loads(told.out)["scenes"]] == ["Three disks", "A photograph, darker and noisy"]
+    titles = [result["title"] for result in json.loads(printed.out)["scenes"]]
+    assert titles == ["Three disks", "A photograph, darker and noisy"]
 
 
-def test_demo_ends_in_one_page_of_pictures(demo: dict[str, Any]) -> None:
+def test_the_demo_writes_one_page_of_pictures(demo: dict[str, Any]) -> None:
     page = Path(demo["report"])
     assert page.name == "index.html"
     assert page.read_text().count("data:image/png;base64,") > 30
 
 
-def test_demo_scenes_can_be_fitted_again(demo: dict[str, Any]) -> None:
+def test_a_scene_of_the_demo_can_be_fitted_again(demo: dict[str, Any]) -> None:
     scene = Path(demo["report"]).parent / "disks" / "scene.toml"
     text = re.sub(r"steps = \d+", "steps = 2", scene.read_text())
     scene.write_text(text)
     assert main(["fit", str(scene)]) in FINISHED
 
 
-def test_the_demo_refuses_a_place_that_cannot_hold_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_demo_refuses_an_output_that_cannot_be_a_folder(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "file").touch()
-    for place in (tmp_path / "file", tmp_path / "file" / "below", tmp_path / "a\0b"):
-        assert main(["demo", "--output", str(place)]) == 2
+    for path in (tmp_path / "file", tmp_path / "file" / "below", tmp_path / "a\0b"):
+        assert main(["demo", "--output", str(path)]) == 2
         assert "`--output` must" in capsys.readouterr().err
 
 
@@ -111,19 +111,19 @@ def test_the_demo_refuses_a_place_that_cannot_hold_it(tmp_path: Path, capsys: py
     ("arguments", "code"),
     [(["--version"], 0), (["--help"], 0), (["fit", "--help"], 0), ([], 2), (["fly"], 2), (["fit"], 2)],
 )
-def test_calls_of_the_wrong_form_exit_2(arguments: list[str], code: int, capsys: pytest.CaptureFixture[str]) -> None:
+def test_malformed_calls_exit_with_2(arguments: list[str], code: int, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(arguments) == code
     assert "Traceback" not in capsys.readouterr().err
 
 
-def test_version_is_the_one_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_version_is_the_version_of_the_package(capsys: pytest.CaptureFixture[str]) -> None:
     main(["--version"])
     assert capsys.readouterr().out.strip() == f"loi {__version__}"
 
 
-def test_doctor_finds_what_is_there(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_doctor_reports_every_installed_part_as_ok(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["doctor", "--json"]) == 0
-    found = {one["name"]: one for one in json.loads(capsys.readouterr().out)}
+    findings = {finding["name"]: finding for finding in json.loads(capsys.readouterr().out)}
     for name in (
         "python",
         "numpy",
@@ -140,46 +140,47 @@ def test_doctor_finds_what_is_there(capsys: pytest.CaptureFixture[str]) -> None:
         "LLVM",
         "threads",
     ):
-        assert found[name]["state"] == "ok", found[name]
+        assert findings[name]["state"] == "ok", findings[name]
     assert main(["doctor"]) == 0
     assert "renderer disks" in capsys.readouterr().out
 
 
-def test_doctor_names_the_mend_for_what_is_missing_or_broken(
+def test_the_doctor_names_the_fix_of_a_missing_or_broken_package(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "crooked.py").write_text("raise ImportError('libcrooked.so: no such file')\n")
     monkeypatch.syspath_prepend(str(tmp_path))
     monkeypatch.setattr(doctor, "BACKENDS", {"torch": "no_such_module", "jax": "crooked"})
     assert main(["doctor", "--json"]) == 1
-    found = {one["name"]: one for one in json.loads(capsys.readouterr().out)}
-    assert (found["torch"]["state"], found["torch"]["fix"]) == ("missing", how_to_install("torch"))
-    assert found["jax"]["state"] == "broken"
-    assert "libcrooked.so" in found["jax"]["detail"]
+    findings = {finding["name"]: finding for finding in json.loads(capsys.readouterr().out)}
+    assert (findings["torch"]["state"], findings["torch"]["fix"]) == ("missing", how_to_install("torch"))
+    assert findings["jax"]["state"] == "broken"
+    assert "libcrooked.so" in findings["jax"]["detail"]
 
 
-def test_doctor_says_what_is_slow_without_numba_and_that_it_may_be_switched_off(
+def test_the_doctor_reports_numba_as_missing_or_as_switched_off(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr(doctor, "BACKENDS", {})
 
-    def said() -> dict[str, str]:
+    def numba_finding() -> dict[str, str]:
         main(["doctor", "--json"])
-        return dict(next(one for one in json.loads(capsys.readouterr().out) if one["name"] == "numba"))
+        findings = json.loads(capsys.readouterr().out)
+        return dict(next(finding for finding in findings if finding["name"] == "numba"))
 
     with monkeypatch.context() as patch:
         patch.setitem(sys.modules, "numba", None)
-        found = said()
-        assert (found["state"], found["fix"]) == ("missing", "pip install numba")
-        assert "several times as long" in found["detail"]
+        finding = numba_finding()
+        assert (finding["state"], finding["fix"]) == ("missing", "pip install numba")
+        assert "several times as long" in finding["detail"]
     pytest.importorskip("numba")
     monkeypatch.setenv("LOI_COMPILED", "0")
-    found = said()
-    assert found["state"] == "note"
-    assert "switched off by LOI_COMPILED=0" in found["detail"]
+    finding = numba_finding()
+    assert finding["state"] == "note"
+    assert "switched off by LOI_COMPILED=0" in finding["detail"]
 
 
-def test_doctor_tries_every_announced_objective(
+def test_the_doctor_constructs_every_registered_objective(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (tmp_path / "objectives_to_doctor.py").write_text(
@@ -195,21 +196,21 @@ def test_doctor_tries_every_announced_objective(
     ]
     monkeypatch.setattr(registry, "entry_points", lambda *, group: points if group == registry.OBJECTIVES.name else [])
     assert main(["doctor", "--json"]) == 1
-    found = {one["name"]: one for one in json.loads(capsys.readouterr().out)}
-    assert found["objective fine"]["state"] == "ok"
-    unlearned = found["objective unlearned"]
+    findings = {finding["name"]: finding for finding in json.loads(capsys.readouterr().out)}
+    assert findings["objective fine"]["state"] == "ok"
+    unlearned = findings["objective unlearned"]
     assert (unlearned["state"], unlearned["detail"], unlearned["fix"]) == (
         "missing",
         "no weights; a word",
         "pip install weights",
     )
-    assert found["objective sick"]["state"] == found["objective absent"]["state"] == "broken"
-    assert "no reason" in found["objective sick"]["detail"]
+    assert findings["objective sick"]["state"] == findings["objective absent"]["state"] == "broken"
+    assert "no reason" in findings["objective sick"]["detail"]
 
 
 def test_renderers_are_listed(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["renderers", "--json"]) == 0
-    listed = {one["name"]: one for one in json.loads(capsys.readouterr().out)}
+    listed = {info["name"]: info for info in json.loads(capsys.readouterr().out)}
     assert listed["disks"] == {
         "name": "disks",
         "package": "loi",
@@ -242,16 +243,16 @@ def test_a_bad_plugin_is_reported_by_name_and_isolated(monkeypatch: pytest.Monke
         EntryPoint("again", "loi_core.renderers:Warp", registry.RENDERERS.name),
     ]
     monkeypatch.setattr(registry, "entry_points", lambda group: points)
-    states = [(one.name, one.state) for one in registry.available_renderers()]
+    states = [(info.name, info.state) for info in registry.available_renderers()]
     assert states == [
         *[("absent", "broken"), ("again", "ready"), ("extra", "missing"), ("good", "ready"), ("number", "broken")],
         *[("odd", "broken"), ("quits", "broken"), ("raises", "broken"), ("twice", "clash"), ("twice", "clash")],
     ]
-    problems = {one.name: one.problem for one in registry.available_renderers()}
+    problems = {info.name: info.problem for info in registry.available_renderers()}
     assert problems["raises"] == "RuntimeError: no licence second line"
     assert "not a factory" in problems["number"]
     assert "takes `options` by position only" in problems["odd"]
-    fixes = {one.name: one.fix for one in registry.available_renderers()}
+    fixes = {info.name: info.fix for info in registry.available_renderers()}
     assert fixes["extra"] == "pip install 'unknown[gpu]'"
     assert fixes["good"] == ""
     assert "pip install" in fixes["raises"]

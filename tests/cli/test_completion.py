@@ -1,4 +1,4 @@
-"""Shells complete what `loi` takes, each by the script that `loi completion` prints for it."""
+"""Shells complete the arguments of `loi` with the script that `loi completion` prints."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ SETUP = {"bash": "", "zsh": "autoload -U compinit; compinit -u -D; "}
 
 
 def commands() -> dict[str, argparse.ArgumentParser]:
-    (action,) = (one for one in _parser()._actions if isinstance(one, argparse._SubParsersAction))
+    (action,) = (action for action in _parser()._actions if isinstance(action, argparse._SubParsersAction))
     return dict(action.choices)
 
 
 @pytest.fixture(scope="module")
 def scripts(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder with the script of each shell and a scene file."""
+    """A folder with the script of each shell, and a scene file."""
     folder = tmp_path_factory.mktemp("completion")
     (folder / "my-scene.toml").touch()
     for shell in ("bash", "zsh", "fish"):
@@ -43,10 +43,10 @@ def scripts(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def typed(shell: str, folder: Path, lines: Iterable[str]) -> list[str]:
-    """What `loi` is called with, by a person at a terminal who types each line, Tab and Enter."""
+    """Return the arguments that `loi` gets when a person types each line, Tab and Enter at a terminal."""
     if shutil.which(shell) is None:
         pytest.skip(f"no {shell} here")
-    # By a program of its own that makes the terminal: this one may have threads, and must not be forked.
+    # A separate program makes the terminal: this process may have threads, and must not be forked.
     command = [sys.executable, "-c", "import pty, sys; pty.spawn(sys.argv[1:])", *BEGIN[shell]]
     environment = os.environ | {"TERM": "dumb", "HOME": str(folder), "PS1": "$ "}
     person = subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=folder, env=environment)
@@ -54,24 +54,24 @@ def typed(shell: str, folder: Path, lines: Iterable[str]) -> list[str]:
     assert person.stdout is not None
     keyboard, screen = person.stdin.fileno(), person.stdout.fileno()
 
-    def said(wanted: str) -> str:
-        text, end = "", time.monotonic() + 60.0
-        while not re.search(wanted, text) and time.monotonic() < end:
+    def read_until(pattern: str) -> str:
+        text, deadline = "", time.monotonic() + 60.0
+        while not re.search(pattern, text) and time.monotonic() < deadline:
             if select.select([screen], [], [], 0.1)[0]:
                 text += os.read(screen, 4096).decode(errors="replace")
         return text
 
     try:
-        # Said in two parts, so that the echo of the line is not taken for its answer.
+        # The word is split, so that the echo of the line is not mistaken for its output.
         line = f'{SETUP[shell]}loi() {{ echo "CALLED:$*:"; }}; eval "$(cat ./{shell})"; echo REA\'\'DY\n'
         os.write(keyboard, line.encode())
-        assert "READY" in said("READY")
+        assert "READY" in read_until("READY")
         called = []
         for keys in lines:
             os.write(keyboard, f"loi {keys}\t\n".encode())
-            found = re.search(r"CALLED:(.*?):", said(r"CALLED:.*?:"))
-            assert found is not None
-            called.append(found.group(1).strip())
+            call = re.search(r"CALLED:(.*?):", read_until(r"CALLED:.*?:"))
+            assert call is not None
+            called.append(call.group(1).strip())
         return called
     finally:
         person.kill()
@@ -89,17 +89,17 @@ CASES = {
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh"])
-def test_a_tab_completes_commands_options_files_and_choices(shell: str, scripts: Path) -> None:
+def test_the_tab_key_completes_commands_options_files_and_choices(shell: str, scripts: Path) -> None:
     assert typed(shell, scripts, CASES) == list(CASES.values())
 
 
-def test_fish_completes_them_too(scripts: Path) -> None:
+def test_fish_completes_commands_options_files_and_choices(scripts: Path) -> None:
     fish = shutil.which("fish")
     if fish is None:
         pytest.skip("no fish here")
-    asks = "source ./fish; " + "; echo ---; ".join(f"complete -C 'loi {keys}'" for keys in CASES)
+    script = "source ./fish; " + "; echo ---; ".join(f"complete -C 'loi {keys}'" for keys in CASES)
     done = subprocess.run(
-        [fish, "--no-config", "-c", asks],
+        [fish, "--no-config", "-c", script],
         capture_output=True,
         text=True,
         check=True,
@@ -111,17 +111,17 @@ def test_fish_completes_them_too(scripts: Path) -> None:
 
 
 @pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_every_command_and_option_of_the_parser_is_in_each_script(shell: str, scripts: Path) -> None:
+def test_each_script_has_every_command_and_option_of_the_parser(shell: str, scripts: Path) -> None:
     script = (scripts / shell).read_text()
     assert len(commands()) >= 8
     for command, parser in commands().items():
         assert re.search(rf"\b{command}\b", script)
-        for option in (one for action in parser._actions for one in action.option_strings):
+        for option in (name for action in parser._actions for name in action.option_strings):
             assert option.lstrip("-") in script
 
 
-def test_another_shell_is_refused_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_unknown_shell_is_refused_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["completion", "csh"]) == 2
-    said = capsys.readouterr().err
-    assert "invalid choice: 'csh'" in said
-    assert said.count("\n") == 1
+    message = capsys.readouterr().err
+    assert "invalid choice: 'csh'" in message
+    assert message.count("\n") == 1

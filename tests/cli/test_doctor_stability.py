@@ -1,4 +1,4 @@
-"""`loi doctor --stability` tells the truth about hard cases on the backends that are installed."""
+"""`loi doctor --stability` reports the true state of hard cases on the installed backends."""
 
 from __future__ import annotations
 
@@ -36,24 +36,26 @@ def few(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[EntryPoint]:
     monkeypatch.syspath_prepend(str(tmp_path))
     points = [NUMPY]
     monkeypatch.setattr(registry, "entry_points", lambda group: points)
-    monkeypatch.setattr(stability, "hard_cases", lambda: tuple(one for one in hard_cases() if one.name in FEW))
+    monkeypatch.setattr(stability, "hard_cases", lambda: tuple(case for case in hard_cases() if case.name in FEW))
     return points
 
 
-def test_the_table_has_every_case_and_dtype(few: list[EntryPoint], capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_table_of_hard_cases_has_every_case_and_dtype(
+    few: list[EntryPoint], capsys: pytest.CaptureFixture[str]
+) -> None:
     assert main(["doctor", "--stability", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    verdicts = {(row["case"], row["dtype"]): row["verdict"] for row in found["rows"]}
+    rows = json.loads(capsys.readouterr().out)["rows"]
+    verdicts = {(row["case"], row["dtype"]): row["verdict"] for row in rows}
     assert verdicts == {
         **{("ordinary pair", dtype): "ok" for dtype in ("float16", "float32", "float64")},
         **{("one NaN", dtype): "refused" for dtype in ("float32", "float64")},
         **{("ties", dtype): "loose" for dtype in ("float32", "float64")},
         ("big-endian", ">f4"): "refused",
     }
-    first = found["rows"][0]
+    first = rows[0]
     assert 0.0 <= first["loss_error"] <= first["loss_bound"]
     assert 0.0 < first["gradient_error"] <= first["gradient_bound"] < first["gradient_size"]
-    assert next(row for row in found["rows"] if row["case"] == "one NaN")["loss"] is None
+    assert next(row for row in rows if row["case"] == "one NaN")["loss"] is None
     assert main(["doctor", "--stability"]) == 0
     printed = capsys.readouterr().out
     assert "| ordinary pair | numpy   | float32 |" in printed
@@ -75,7 +77,7 @@ def test_a_wrong_or_broken_backend_fails_and_is_named(
     assert "no_such_thing" in json.loads(capsys.readouterr().out)["broken"]["broken"]
 
 
-def test_an_interruption_keeps_what_is_done(few: list[EntryPoint], capsys: pytest.CaptureFixture[str]) -> None:
+def test_an_interrupted_run_keeps_the_finished_rows(few: list[EntryPoint], capsys: pytest.CaptureFixture[str]) -> None:
     few.append(EntryPoint("stops", "unstable_backends:Stops", registry.BACKENDS.name))
     assert main(["doctor", "--stability", "--json"]) == 1
     rows = json.loads(capsys.readouterr().out)["rows"]

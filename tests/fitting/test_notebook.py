@@ -14,12 +14,10 @@ import pytest
 from PIL import Image
 
 from loi_core import MSSSIM, FitResult, FitStep, GaussianPyramid, LOIObjective, PixelL2, TiledLOIObjective
-from loi_core.effects import Choice, Effect, EffectPlan
-from loi_core.fitting.notebook import curves
+from loi_core.fitting.notebook import convergence_points
 from loi_core.pixels.psnr import psnr
-from loi_core.pixels.thumbnail import pictured, shown_pixels
+from loi_core.pixels.thumbnail import shown_pixels, thumbnail
 from tests.fitting.fits import REFERENCE, SCALES, SCENE, Bowl, run
-from tests.frameworks import loi_jax
 
 OBJECTIVE = LOIObjective(REFERENCE, SCALES)
 NASTY = "<script>alert('&')</script>"
@@ -104,7 +102,7 @@ def test_of_an_objective_without_a_reference_no_psnr_is_known() -> None:
 
 def test_each_stage_has_a_curve_of_its_own_and_long_fits_few_points() -> None:
     history = [FitStep(step, 1e-3 * 0.999**step, 0.0, 1.0, 0.0, stage=step // 4000) for step in range(12000)]
-    drawn = curves(history)
+    drawn = convergence_points(history)
     assert len(drawn) == 3
     assert sum(map(len, drawn)) <= 120
     assert all(curve[0][1] == 0.0 for curve in drawn)
@@ -151,24 +149,6 @@ def test_options_are_said_where_they_are_not_the_usual_ones() -> None:
     assert "accuracy balanced, channel_axis 0, nan_policy mask" in other
 
 
-def test_the_loss_of_jax_shows_the_objective_that_it_is_made_of() -> None:
-    loss = loi_jax.loi_loss(REFERENCE.astype(np.float32), SCALES)
-    assert "32x32x3 float32" in repr(loss)
-    assert "LOIObjective" in texts(loss)
-
-
-def test_plans_show_the_table_that_they_print() -> None:
-    plan = OBJECTIVE.plan()
-    cells = texts(plan).split()
-    assert [word for word in str(plan).split() if word not in cells] == []
-    assert len(repr(plan)) < 100
-    choices = tuple(Choice(one, on=False, reason="no <light> & no 'shade'") for one in Effect)
-    effects = EffectPlan(choices, settings={"spp": 4}, held={NASTY: "noise"}, notes=("look",))
-    said = texts(effects)
-    assert all(word in said for word in ("no <light> & no 'shade'", "spp 4", "Note: look", NASTY, Effect.MEDIA.value))
-    assert len(repr(effects)) < 100
-
-
 def test_what_a_plan_prints_is_aligned() -> None:
     _, heads, *rows, _ = (line for line in str(OBJECTIVE.plan()).splitlines() if "Numba" not in line)
     assert {len(line) for line in [heads, *rows]} == {len(heads)}
@@ -194,7 +174,7 @@ def test_results_are_small_whatever_they_are_of(result: FitResult) -> None:
 
 
 def test_no_colour_but_the_page_s_own_or_a_grey_that_shows_on_both(result: FitResult) -> None:
-    for one in (result, OBJECTIVE, OBJECTIVE.plan()):
+    for one in (result, OBJECTIVE):
         html = re.sub(r"base64,[^\"]*", "", one._repr_html_())
         assert not re.search(r"#[0-9a-f]{3,8}\b|\bwhite\b|\bblack\b|<style", html)
         assert "rgba(128,128,128" in html
@@ -217,14 +197,14 @@ SHAPES = {
 def test_channels_are_found_where_they_may_be(shape: tuple[int, ...]) -> None:
     pixels = shown_pixels(np.zeros(shape))
     assert (None if pixels is None else pixels.shape[:2]) == SHAPES[shape]
-    assert bool(pictured(np.zeros(shape), "")) == (pixels is not None)
+    assert bool(thumbnail(np.zeros(shape), "")) == (pixels is not None)
 
 
 def test_pictures_show_bytes_as_fractions_and_what_is_not_finite_as_black() -> None:
     image = np.full((4, 4, 3), 0.5)
     image[0, 0] = np.nan
     for one in (image, np.rint(255 * np.nan_to_num(image)).astype(np.uint8)):
-        (shown,) = pictures(pictured(one, ""))
+        (shown,) = pictures(thumbnail(one, ""))
         pixels = np.asarray(shown)
         assert pixels[0, 0].tolist() == [0, 0, 0]
         assert np.all(np.abs(pixels[1:].astype(int) - 128) <= 1)

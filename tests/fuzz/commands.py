@@ -14,7 +14,6 @@ from unittest import mock
 
 from loi_core.cli import main
 from loi_core.cli.doctor import Finding
-from loi_core.errors import RendererNotFoundError
 from loi_core.tradeoff import Row, Tradeoff, settings_of
 from tests.fuzz.claims import Call, fail
 from tests.fuzz.scenes import SCENE, VALUES, lay_out, spelled
@@ -179,10 +178,8 @@ def _light() -> Iterator[None]:
 
     with contextlib.ExitStack() as stack:
         for name, value in {
-            "loi_core.report.output.convergence_plot": lambda trials: b"",
-            "loi_core.report.tradeoff.tradeoff_plot": lambda found: b"",
             "loi_core.cli.tradeoff.measure": measured,
-            "loi_core.cli.demo.OTHERS": {"Mitsuba": ("ball", mock.Mock(side_effect=RendererNotFoundError("heavy")))},
+            "loi_core.cli.demo.REQUIREMENTS": {"disks": "NumPy", "photograph": "NumPy"},
             "loi_core.cli.demo.run_and_write": lambda scene, **_: {"title": scene.title, "trials": []},
             "loi_core.cli.demo.write_page": shown,
             "loi_core.cli.demo.write_index": shown,

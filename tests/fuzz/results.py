@@ -141,7 +141,7 @@ def reports(rng: random.Random, folder: Path) -> Call:
     if rng.random() < 0.05:
         content = rng.choice((b"[" * 10**5, b"{}", b"\xff\xfe", b"1" * 5000, b'{"a":' * 2000))
     (folder / "result.json").write_bytes(content)
-    for name in rng.sample(("final.png", "initial.png", "frames", "convergence.png"), 2):
+    for name in rng.sample(("final.png", "initial.png", "frames", "target.png"), 2):
         if rng.random() < 0.5:
             (folder / name).mkdir()
         else:

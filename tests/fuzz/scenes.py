@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from loi_core.cli.bundled import DISKS_SCENE, PHOTOGRAPH_SCENE
+from loi_core.cli.bundled import bundled_scene
 from loi_core.io.images import write_png
 from loi_core.renderers import Disks
 from loi_core.scenes.experiment import Start
@@ -105,7 +105,7 @@ def loading(path: Path) -> Call:
 def damaged_scenes(rng: random.Random, folder: Path) -> Call:
     """A real scene file with faults in its bytes."""
     lay_out(folder)
-    text = rng.choice((DISKS_SCENE, PHOTOGRAPH_SCENE, spelled(SCENE)))
+    text = rng.choice((bundled_scene("disks"), bundled_scene("photograph"), spelled(SCENE)))
     (folder / "scene.toml").write_bytes(damaged(rng, text.encode(), 3))
     return loading(folder / "scene.toml")
 

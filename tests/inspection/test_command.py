@@ -1,4 +1,4 @@
-"""``loi inspect``: one page that loads nothing, numbers as text and JSON, and one line for every wrong call."""
+"""``loi inspect``: a self-contained page, numbers as text and JSON, and one line for every wrong call."""
 
 from __future__ import annotations
 
@@ -31,33 +31,34 @@ def files(tmp_path: Path) -> tuple[str, str]:
     return str(tmp_path / "image.png"), str(tmp_path / "reference.png")
 
 
-def test_the_numbers_are_those_of_the_loss(
+def test_the_numbers_agree_with_the_loss(
     tmp_path: Path, files: tuple[str, str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert inspect(tmp_path, *files, "--json") == 0
-    found = json.loads(capsys.readouterr().out)
+    printed = json.loads(capsys.readouterr().out)
     image, reference = map(read_image, files)
-    wanted = LOIObjective(reference).terms(image)
-    assert found["value"] == pytest.approx(sum(float(term) for term in wanted.values()))
-    for one in found["scales"]:
-        assert one["value"] == pytest.approx(float(wanted[one["alpha"], one["beta"], one["sigma"]]))
-    assert found["page_bytes"] == (tmp_path / "page.html").stat().st_size < 1e6
-    assert found["why"] == ScaleSpace.for_image(48, 64).describe(48, 64).splitlines()
+    expected = LOIObjective(reference).terms(image)
+    assert printed["value"] == pytest.approx(sum(float(term) for term in expected.values()))
+    for scale in printed["scales"]:
+        key = scale["alpha"], scale["beta"], scale["sigma"]
+        assert scale["value"] == pytest.approx(float(expected[key]))
+    assert printed["page_bytes"] == (tmp_path / "page.html").stat().st_size < 1e6
+    assert printed["why"] == ScaleSpace.for_image(48, 64).describe(48, 64).splitlines()
 
 
-def test_the_summary_has_a_row_for_every_scale_and_says_why_it_is_there(
+def test_the_summary_has_a_row_and_a_reason_for_every_scale(
     tmp_path: Path, files: tuple[str, str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert inspect(tmp_path, files[0]) == 0
-    said = capsys.readouterr().out
-    assert said.startswith("image.png, moved 1 px to the right, compared with image.png: 64 x 48 pixels, loss 0.0")
+    summary = capsys.readouterr().out
+    assert summary.startswith("image.png, shifted 1 px to the right, compared with image.png: 64 x 48 pixels, loss 0.0")
     for alpha in ScaleSpace.for_image(48, 64).alpha:
-        assert len(re.findall(rf"^\|[^|]+\|[^|]+\| {alpha:g} +\|", said, re.MULTILINE)) == 1
-    assert ScaleSpace.for_image(48, 64).describe(48, 64) in said
-    assert re.search(r"^page: .*page\.html \(0\.\d MB\)$", said, re.MULTILINE)
+        assert len(re.findall(rf"^\|[^|]+\|[^|]+\| {alpha:g} +\|", summary, re.MULTILINE)) == 1
+    assert ScaleSpace.for_image(48, 64).describe(48, 64) in summary
+    assert re.search(r"^page: .*page\.html \(0\.\d MB\)$", summary, re.MULTILINE)
 
 
-def test_the_scales_of_the_paper_and_other_bounds_are_taken(tmp_path: Path) -> None:
+def test_the_preset_and_the_bounds_set_the_scales(tmp_path: Path) -> None:
     np.save(tmp_path / "bright.npy", 3.0 * textures(12, 14)[0])
     assert inspect(tmp_path, str(tmp_path / "bright.npy"), "--preset", "path", "--bounds", "0", "3") == 0
     page = unescape((tmp_path / "page.html").read_text())
@@ -67,7 +68,7 @@ def test_the_scales_of_the_paper_and_other_bounds_are_taken(tmp_path: Path) -> N
 
 
 @pytest.mark.parametrize("suffix", [".jpg", ".exr"])
-def test_other_kinds_of_files_are_taken(tmp_path: Path, suffix: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_jpeg_and_exr_files_are_read(tmp_path: Path, suffix: str, capsys: pytest.CaptureFixture[str]) -> None:
     image = textures(12, 14)[0].astype(np.float32)
     path = tmp_path / f"image{suffix}"
     if suffix == ".jpg":
@@ -78,17 +79,19 @@ def test_other_kinds_of_files_are_taken(tmp_path: Path, suffix: str, capsys: pyt
     assert json.loads(capsys.readouterr().out)["reference"] == path.name
 
 
-def test_values_beyond_the_bounds_and_opacity_are_told(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_values_beyond_the_bounds_and_opacity_are_reported(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     np.save(tmp_path / "bright.npy", np.concatenate([np.full((9, 9, 3), 4.0), np.full((9, 9, 1), 0.5)], axis=-1))
     assert inspect(tmp_path, str(tmp_path / "bright.npy")) == 0
-    said = capsys.readouterr().err.splitlines()
-    assert said[0] == "loi: bright.npy is composited over black by its opacity"
-    assert "lies beyond the scales' `bounds` (0, 1)" in said[1]
+    notes = capsys.readouterr().err.splitlines()
+    assert notes[0] == "loi: bright.npy is composited over black by its opacity"
+    assert "lies beyond the scales' `bounds` (0, 1)" in notes[1]
     page = unescape((tmp_path / "page.html").read_text())
-    assert all(line.removeprefix("loi: ") in page for line in said)
+    assert all(line.removeprefix("loi: ") in page for line in notes)
 
 
-def test_the_page_allows_its_own_script_and_style_and_nothing_else(tmp_path: Path, files: tuple[str, str]) -> None:
+def test_the_policy_of_an_inspection_allows_only_its_own_script_and_style(
+    tmp_path: Path, files: tuple[str, str]
+) -> None:
     assert inspect(tmp_path, *files) == 0
     page = (tmp_path / "page.html").read_text()
     policy = re.search(r'Content-Security-Policy" content="([^"]*)"', page)
@@ -101,7 +104,7 @@ def test_the_page_allows_its_own_script_and_style_and_nothing_else(tmp_path: Pat
         digest = base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()
         assert rules[f"{kind}-src"] == f"'sha256-{digest}'"
     assert " style=" not in page
-    assert not re.search(r"""(src|href)=["'](?!data:image/(png|jpeg);base64,|")""", page)
+    assert not re.search(r"""(src|href)=["'](?!data:image/png;base64,|")""", page)
 
 
 def test_names_of_files_cannot_become_markup(tmp_path: Path) -> None:
@@ -113,21 +116,21 @@ def test_names_of_files_cannot_become_markup(tmp_path: Path) -> None:
     assert "&lt;img src=x" in page
 
 
-def test_an_older_page_is_replaced_and_any_other_file_is_kept(
+def test_an_earlier_page_is_replaced_and_any_other_file_is_kept(
     tmp_path: Path, files: tuple[str, str], capsys: pytest.CaptureFixture[str]
 ) -> None:
     page = tmp_path / "page.html"
-    page.write_text("<p>mine</p>")
+    page.write_text("<p>foreign</p>")
     assert inspect(tmp_path, *files) == 2
     assert capsys.readouterr().err == (
         f"loi: {page} was not written by `loi inspect`; move it away, or give another `--output`\n"
     )
-    assert page.read_text() == "<p>mine</p>"
+    assert page.read_text() == "<p>foreign</p>"
     page.unlink()
     assert inspect(tmp_path, files[0]) == 0
-    before = page.read_text()
+    first = page.read_text()
     assert inspect(tmp_path, files[1]) == 0
-    assert page.read_text() != before
+    assert page.read_text() != first
 
 
 def test_wrong_calls_get_one_line_and_write_nothing(
@@ -139,10 +142,13 @@ def test_wrong_calls_get_one_line_and_write_nothing(
     np.save(tmp_path / "small.npy", small)
     page = ["--output", str(tmp_path / "page.html")]
     calls = {
-        "`IMAGE` and `REFERENCE` must be of one size, got 64 x 48 and 7 x 5 pixels": [
+        "`IMAGE` and `REFERENCE` must have the same size, got 64 x 48 and 7 x 5 pixels": [
             *(files[0], str(tmp_path / "small.npy"), *page)
         ],
-        "almost 0; fix the picture, or fill them in, as numpy.nan_to_num does": [str(tmp_path / "broken.npy"), *page],
+        "almost 0; fix the image, or replace the values, as numpy.nan_to_num does": [
+            str(tmp_path / "broken.npy"),
+            *page,
+        ],
         "`image` has 3 non-finite values": [str(tmp_path / "broken.npy"), *page],
         "no such image file": [str(tmp_path / "none.png"), *page],
         "images must end in": [str(tmp_path / "image.tiff"), *page],
@@ -151,10 +157,10 @@ def test_wrong_calls_get_one_line_and_write_nothing(
         "invalid choice: 'photo'": [files[0], "--preset", "photo", *page],
         "`--output` must lead to a folder": [files[0], "--output", str(tmp_path / "image.png" / "page.html")],
     }
-    before = sorted(tmp_path.iterdir())
+    files_before = sorted(tmp_path.iterdir())
     for words, arguments in calls.items():
         assert main(["inspect", *arguments]) == 2
-        said = capsys.readouterr().err
-        assert words in said
-        assert said.count("\n") == 1
-    assert sorted(tmp_path.iterdir()) == before
+        message = capsys.readouterr().err
+        assert words in message
+        assert message.count("\n") == 1
+    assert sorted(tmp_path.iterdir()) == files_before

@@ -1,4 +1,4 @@
-"""Result folders to make pages of."""
+"""Result folders for tests of pages."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="session")
 def fitted(scene: Path) -> Path:
-    """The folder of a fit. It is not to be changed: copy it."""
+    """The folder of a fit, which tests must not change: see `copied`."""
     assert main(["fit", str(scene), "--steps", "60"]) in FINISHED
     return scene.parent / "result"
 

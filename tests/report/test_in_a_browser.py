@@ -1,4 +1,4 @@
-"""A report in a real browser: what moves moves, nothing is fetched, and everybody can read it."""
+"""A report in a real browser: its tools work, it fetches nothing, and it is accessible."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tests.helpers import FINISHED
 
 
 class Visit:
-    """A page that is open, what it has logged, and what it has asked for."""
+    """An open page, its log messages and its requests."""
 
     def __init__(self, browser: Any, address: str, *, width: int = 1600, scheme: str = "light", script: bool = True):
         self.context = browser.new_context(
@@ -26,10 +26,10 @@ class Visit:
         )
         self.tab = self.context.new_page()
         self.logged: list[str] = []
-        self.asked: list[str] = []
+        self.requests: list[str] = []
         self.tab.on("console", lambda message: self.logged.append(message.text))
         self.tab.on("pageerror", lambda error: self.logged.append(str(error)))
-        self.tab.on("request", lambda request: self.asked.append(request.url))
+        self.tab.on("request", lambda request: self.requests.append(request.url))
         self.tab.goto(address)
 
     def source(self, selector: str) -> str:
@@ -43,11 +43,11 @@ def address(fitted: Path) -> str:
 
 @pytest.fixture
 def visit(browser: Any, address: str) -> Iterator[Visit]:
-    one = Visit(browser, address)
-    yield one
-    assert one.logged == []
-    assert [url for url in one.asked if not url.startswith("data:")] == [address]
-    one.context.close()
+    page = Visit(browser, address)
+    yield page
+    assert page.logged == []
+    assert [url for url in page.requests if not url.startswith("data:")] == [address]
+    page.context.close()
 
 
 def test_the_scrubber_moves_the_picture_by_pointer_and_by_keyboard(visit: Visit) -> None:
@@ -61,12 +61,12 @@ def test_the_scrubber_moves_the_picture_by_pointer_and_by_keyboard(visit: Visit)
     scrubber.focus()
     scrubber.press("ArrowRight")
     assert visit.source("img.shown") != first
-    assert visit.tab.locator(".said").text_content().startswith("step ")
+    assert visit.tab.locator(".player .caption").text_content().startswith("step ")
 
 
-def test_the_scrubber_moves_the_line_of_every_chart_and_what_they_read(visit: Visit) -> None:
+def test_the_scrubber_moves_the_line_of_every_chart_and_its_readings(visit: Visit) -> None:
     def read() -> tuple[list[str], list[str]]:
-        lines = visit.tab.locator("line.now").evaluate_all("each => each.map(one => one.getAttribute('x1'))")
+        lines = visit.tab.locator("line.now").evaluate_all("lines => lines.map(line => line.getAttribute('x1'))")
         return lines, visit.tab.locator(".legend .at").all_text_contents()
 
     at_end = read()
@@ -74,7 +74,7 @@ def test_the_scrubber_moves_the_line_of_every_chart_and_what_they_read(visit: Vi
     at_start = read()
     assert len(set(at_start[0])) == 1
     assert len(at_start[0]) >= 4
-    assert all(one != other for one, other in zip(at_start[0], at_end[0], strict=True))
+    assert all(start != end for start, end in zip(at_start[0], at_end[0], strict=True))
     assert at_start[1] != at_end[1]
     assert at_start[1][0] == "1"  # the objective, relative to its start
 
@@ -87,10 +87,10 @@ def test_play_goes_through_the_steps_to_the_last_and_pauses(visit: Visit) -> Non
     expect = importlib.import_module("playwright.sync_api").expect
     expect(scrubber).to_have_value(re.compile("[3-9]|1."))
     pause.click()
-    held = scrubber.input_value()
-    assert 2 < int(held) < int(last)
+    paused = scrubber.input_value()
+    assert 2 < int(paused) < int(last)
     visit.tab.wait_for_timeout(300)
-    assert scrubber.input_value() == held
+    assert scrubber.input_value() == paused
     scrubber.focus()
     scrubber.press(" ")
     expect(scrubber).to_have_value(last)
@@ -117,7 +117,7 @@ def test_any_two_pictures_lie_under_a_divider_that_moves_by_pointer_and_by_keybo
     assert divider.input_value() == "90"
 
 
-def test_what_a_page_hands_out_is_what_the_folder_holds(visit: Visit, fitted: Path, tmp_path: Path) -> None:
+def test_downloads_are_the_files_of_the_folder(visit: Visit, fitted: Path, tmp_path: Path) -> None:
     for name in ("history.csv", "scales.csv", "parameters.json", "final.png", "target.png"):
         with visit.tab.expect_download() as waiting:
             visit.tab.get_by_role("link", name=name).click()
@@ -128,15 +128,16 @@ def test_what_a_page_hands_out_is_what_the_folder_holds(visit: Visit, fitted: Pa
 
 
 def barriers(visit: Visit) -> list[str]:
-    """What keeps somebody from reading a page, as axe finds it, with the first place of each."""
+    """Return the accessibility violations that axe finds, each with its first element."""
     axe = pytest.importorskip("axe_playwright_python.sync_playwright")
-    return [f"{one['id']}: {one['nodes'][0]['html']}" for one in axe.Axe().run(visit.tab).response["violations"]]
+    violations = axe.Axe().run(visit.tab).response["violations"]
+    return [f"{violation['id']}: {violation['nodes'][0]['html']}" for violation in violations]
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_everybody_can_read_it_and_nothing_overflows(browser: Any, address: str, scheme: str) -> None:
+def test_a_report_is_accessible_and_nothing_overflows(browser: Any, address: str, scheme: str) -> None:
     visit = Visit(browser, address, width=390, scheme=scheme)
-    visit.tab.evaluate("document.querySelectorAll('details').forEach(one => { one.open = true; })")
+    visit.tab.evaluate("document.querySelectorAll('details').forEach(details => { details.open = true; })")
     assert barriers(visit) == []
     for width in (390, 1600):
         visit.tab.set_viewport_size({"width": width, "height": 1000})
@@ -147,37 +148,37 @@ def test_everybody_can_read_it_and_nothing_overflows(browser: Any, address: str,
 
 def test_pictures_charts_and_tables_are_there_without_scripts(browser: Any, address: str) -> None:
     visit = Visit(browser, address, width=390, script=False)
-    for one in ("initial", "target", "final-0", "error-0", "final-1"):
-        assert visit.tab.locator(f"img[data-picture='{one}']").is_visible()
+    for key in ("initial", "target", "final-0", "error-0", "final-1"):
+        assert visit.tab.locator(f"img[data-picture='{key}']").is_visible()
     assert visit.tab.locator("figure.chart svg").count() >= 4
     assert visit.tab.get_by_role("table").first.is_visible()
     assert not visit.tab.locator(".tools").is_visible()
     visit.context.close()
 
 
-def test_a_page_of_several_runs_has_its_controls_apart(browser: Any, fitted: Path, tmp_path: Path) -> None:
+def test_the_tools_of_each_run_on_a_page_of_several_are_independent(browser: Any, fitted: Path, tmp_path: Path) -> None:
     page = tmp_path / "both.html"
     assert main(["report", str(fitted), str(fitted), "--output", str(page)]) == 0
     visit = Visit(browser, page.as_uri(), width=390)
     second = visit.tab.locator("section.run").nth(1)
-    before = visit.source("section.run >> nth=0 >> img.shown")
+    first = visit.source("section.run >> nth=0 >> img.shown")
     second.get_by_label("Step", exact=True).fill("0")
-    assert second.locator("img.shown").get_attribute("src") != before
-    assert visit.source("section.run >> nth=0 >> img.shown") == before
+    assert second.locator("img.shown").get_attribute("src") != first
+    assert visit.source("section.run >> nth=0 >> img.shown") == first
     assert barriers(visit) == []
     assert visit.tab.evaluate("document.documentElement.scrollWidth") <= 390
     assert visit.logged == []
     visit.context.close()
 
 
-def test_what_files_say_is_shown_and_not_obeyed(browser: Any, copied: Path) -> None:
-    bad = "</script><script>document.title = 'obeyed'</script><img src=x onerror=\"document.title='obeyed'\">"
-    told = json.loads((copied / "result.json").read_text())
-    told |= {"title": bad, "scene": bad, "command": bad, "notes": [bad], "views": [bad], "plan": bad}
-    told |= {"environment": {"python": bad, "packages": {bad: bad}}, "effects": {"a": True}, "truth": {bad: [1]}}
-    told["accuracy"] = {"name": bad, "tolerance": 0.5, "plan": bad}
-    told["trials"][0] |= {"error": bad, "parameter_errors": {bad: 1.0}, "learning_rates": {bad: 1.0}}
-    (copied / "result.json").write_text(json.dumps(told))
+def test_scripts_in_the_texts_of_files_are_shown_and_not_run(browser: Any, copied: Path) -> None:
+    bad = "</script><script>document.title = 'run'</script><img src=x onerror=\"document.title='run'\">"
+    result = json.loads((copied / "result.json").read_text())
+    result |= {"title": bad, "scene": bad, "command": bad, "notes": [bad], "views": [bad], "plan": bad}
+    result |= {"environment": {"python": bad, "packages": {bad: bad}}, "effects": {"a": True}, "truth": {bad: [1]}}
+    result["accuracy"] = {"name": bad, "tolerance": 0.5, "plan": bad}
+    result["trials"][0] |= {"error": bad, "parameter_errors": {bad: 1.0}, "learning_rates": {bad: 1.0}}
+    (copied / "result.json").write_text(json.dumps(result))
     history = (copied / "history.csv").read_text()
     (copied / "history.csv").write_text(history.replace("positions[0]", '"' + bad.replace('"', '""') + '"'))
     assert main(["report", str(copied)]) == 0
@@ -190,29 +191,30 @@ def test_what_files_say_is_shown_and_not_obeyed(browser: Any, copied: Path) -> N
     visit.context.close()
 
 
-def test_the_page_of_a_fit_follows_it_and_becomes_its_report(browser: Any, scene: Path, tmp_path: Path) -> None:
-    code, said = [], tmp_path / "said.txt"
-    own = scene.parent / "watched.toml"
-    own.write_text(scene.read_text().replace('"result"', '"watched"').replace('["pixel_l2"]', "[]"))
-    with pytest.MonkeyPatch.context() as patch, said.open("w") as stream:
+def test_the_page_of_a_watched_fit_reloads_itself_until_it_is_the_report(
+    browser: Any, scene: Path, tmp_path: Path
+) -> None:
+    codes, log = [], tmp_path / "log.txt"
+    copy = scene.parent / "watched.toml"
+    copy.write_text(scene.read_text().replace('"result"', '"watched"').replace('["pixel_l2"]', "[]"))
+    arguments = ["fit", str(copy), "--steps", "1500", "--watch", "--json"]
+    with pytest.MonkeyPatch.context() as patch, log.open("w") as stream:
         patch.setattr("sys.stderr", stream)
-        fit = threading.Thread(
-            target=lambda: code.append(main(["fit", str(own), "--steps", "1000", "--watch", "--json"])), daemon=True
-        )
+        fit = threading.Thread(target=lambda: codes.append(main(arguments)), daemon=True)
         fit.start()
-        while not (found := re.search(r"http://127\.0\.0\.1:[0-9]+/", said.read_text())):
+        while not (address := re.search(r"file://\S+", log.read_text())):
             fit.join(0.05)
             assert fit.is_alive()
-        visit = Visit(browser, found[0], width=390)
-        visit.tab.wait_for_selector("#newest", state="visible")
-        assert "PSNR" in visit.tab.locator(".now").text_content()
+        visit = Visit(browser, address[0], width=390)
+        assert "PSNR" in visit.tab.locator(".verdict").text_content()
+        assert visit.tab.locator("img").count() == 2
         assert visit.tab.evaluate("document.documentElement.scrollWidth") <= 390
         assert barriers(visit) == []
         visit.tab.wait_for_selector("section.run", timeout=60_000)
         fit.join(30.0)
-    assert code[0] in FINISHED
+    assert codes[0] in FINISHED
     assert visit.tab.title() == "One disk"
     assert visit.logged == []
-    assert all(url.startswith((found[0], "data:")) for url in visit.asked)
+    assert all(url.startswith((address[0], "data:")) for url in visit.requests)
     visit.context.close()
     shutil.rmtree(scene.parent / "watched")

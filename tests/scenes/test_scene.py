@@ -276,7 +276,7 @@ def test_fit_writes_everything_and_says_it_as_json(folder: Path, capsys: pytest.
     assert Path(said["report"]) == result / "report.html"
     files = {str(path.relative_to(result)) for path in result.rglob("*") if path.is_file()}
     assert files >= {
-        *("parameters.json", "history.csv", "result.json", "report.html", "checkpoint.npz", "convergence.png"),
+        *("parameters.json", "history.csv", "result.json", "report.html", "checkpoint.npz"),
         *("initial.png", "final.png", "target.png", "error.png"),
         *("compare/pixel_l2/final.png", "compare/pixel_l2/history.csv", "frames/000000.png"),
     }

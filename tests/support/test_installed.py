@@ -1,4 +1,4 @@
-"""The command that is named for what is missing is one that brings it."""
+"""The command in errors about missing packages installs them."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from loi_core.support.installed import how_to_install
 
 
 class Installed:
-    """A distribution, as pip leaves it."""
+    """A distribution as pip installs it."""
 
     def __init__(self, origin: str | None) -> None:
         self._origin = origin
@@ -27,7 +27,9 @@ class Installed:
     [None, "", "{}", "[]", "torn {", '{"url": "file:///nowhere", "dir_info": {"editable": true}}',
      '{"url": "file:///tmp", "dir_info": {}}', '{"dir_info": {"editable": true}}'],
 )  # fmt: skip
-def test_what_is_in_no_clone_comes_from_an_index(origin: str | None, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_extra_of_a_package_without_a_clone_comes_from_an_index(
+    origin: str | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(importlib.metadata, "distribution", lambda _: Installed(origin))
     assert how_to_install("jax") == "pip install 'loi[jax]'"
 
@@ -42,9 +44,9 @@ def test_an_extra_of_a_clone_comes_from_the_clone_with_its_versions(
     monkeypatch.setattr(importlib.metadata, "distribution", lambda _: Installed(origin))
     assert shlex.split(how_to_install("jax")) == ["pip", "install", "-e", f"{clone}[jax]"]
     (clone / "constraints.txt").touch()
-    wanted = ["pip", "install", "-c", f"{clone}/constraints.txt", "-e", f"{clone}[jax]"]
-    assert shlex.split(how_to_install("jax")) == wanted
+    expected = ["pip", "install", "-c", f"{clone}/constraints.txt", "-e", f"{clone}[jax]"]
+    assert shlex.split(how_to_install("jax")) == expected
 
 
-def test_what_is_not_installed_at_all_comes_from_an_index() -> None:
+def test_an_extra_of_a_package_that_is_not_installed_comes_from_an_index() -> None:
     assert how_to_install("more", "no-such-package") == "pip install 'no-such-package[more]'"

@@ -13,7 +13,7 @@ import pytest
 
 from loi_core import LogTone, LOIObjective
 from loi_core.cli import main
-from loi_core.cli.bundled import make_disks
+from loi_core.cli.bundled import copy_scene
 from loi_core.plugins import registry
 from loi_core.scenes.reading import load_scene
 from loi_core.tradeoff import HIDDEN, Setting, noise, rows, run
@@ -130,7 +130,7 @@ def test_a_stochastic_scene_is_judged_by_its_own_noise(
 def test_a_scene_where_nothing_is_random_is_judged_by_what_balanced_promises(
     plugins: Plugins, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    make_disks(tmp_path)
+    copy_scene("disks", tmp_path)
     plugins(NUMPY, EntryPoint("disks", "loi_core.renderers:Disks", registry.RENDERERS.name))
     scene = load_scene(tmp_path / "scene.toml")
     assert scene.samples is None

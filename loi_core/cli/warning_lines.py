@@ -1,4 +1,4 @@
-"""Our own warnings on the command line."""
+"""The project's warnings as lines of a command's output."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from typing import TextIO
 
 from loi_core.support.wording import printable
 
-__all__ = ["warning_aloud"]
+__all__ = ["one_line_warnings"]
 
 
 @contextmanager
-def warning_aloud() -> Iterator[None]:
-    """Warnings of loi are lines like all that a command says, each once; those of others stay as they are."""
+def one_line_warnings() -> Iterator[None]:
+    """Print each warning of loi once, as one line on standard error; warnings of other packages are unchanged."""
     with warnings.catch_warnings():
-        kept, told = warnings.showwarning, set[str]()
+        original, printed = warnings.showwarning, set[str]()
 
         def show(
             message: Warning | str,
@@ -27,12 +27,12 @@ def warning_aloud() -> Iterator[None]:
             file: TextIO | None = None,
             line: str | None = None,
         ) -> None:
-            said = printable(str(message))
+            text = printable(str(message))
             if not category.__module__.startswith("loi_"):
-                kept(message, category, filename, lineno, file, line)
-            elif said not in told:
-                told.add(said)
-                print(f"loi: {said}", file=sys.stderr)
+                original(message, category, filename, lineno, file, line)
+            elif text not in printed:
+                printed.add(text)
+                print(f"loi: {text}", file=sys.stderr)
 
         warnings.simplefilter("always", UserWarning)
         warnings.showwarning = show
