@@ -5,7 +5,6 @@ from loi_core.fitting.loop import FitInterruptedError, FitResult, FitStep, fit
 from loi_core.fitting.optimiser import Optimiser
 from loi_core.fitting.parameters import Free
 from loi_core.fitting.stages import FarToNear
-from loi_core.fitting.tensorboard import TensorBoardCallback
 from loi_core.fitting.verdict import Diagnosis
 from loi_core.method.histograms import inner_images, isophotes, local_histograms
 from loi_core.method.scales import ScaleSpace
@@ -51,7 +50,6 @@ __all__ = [
     "RendererCapabilities",
     "ScaleSpace",
     "Target",
-    "TensorBoardCallback",
     "TiledLOIObjective",
     "__version__",
     "available_renderers",

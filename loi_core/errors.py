@@ -122,24 +122,20 @@ class ParameterError(LoiError, ValueError):
 
 
 class CheckpointError(ParameterError):
-    """A checkpoint is damaged, or is none; so is the one before it, if there is one.
+    """A checkpoint file is damaged, or is not a checkpoint.
 
     Attributes
     ----------
-    refused : tuple of (str, str)
-        The files, and what is wrong with each.
+    path, reason : str
+        The file, and the damage.
     """
 
-    def __init__(self, *refused: tuple[str, str]) -> None:
-        self.refused = refused
-        (path, why), *before = refused
-        rest = "; delete it to start anew"
-        if before:
-            rest = f", nor is the one before it, {before[0][0]} ({before[0][1]}); delete both to start anew"
-        super().__init__(f"`checkpoint` {path} is not a checkpoint of a fit ({why}){rest}")
+    def __init__(self, path: str, reason: str) -> None:
+        self.path, self.reason = path, reason
+        super().__init__(f"`checkpoint` {path} is not a checkpoint of a fit ({reason}); delete it to start anew")
 
-    def __reduce__(self) -> tuple[type[CheckpointError], tuple[tuple[str, str], ...]]:
-        return type(self), self.refused
+    def __reduce__(self) -> tuple[type[CheckpointError], tuple[str, str]]:
+        return type(self), (self.path, self.reason)
 
 
 class InUseError(LoiError, OSError):

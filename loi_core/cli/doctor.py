@@ -55,6 +55,7 @@ class Finding:
 REQUIRED: Final = {
     "numpy": "numpy",
     "array-api-compat": "array_api_compat",
+    "filelock": "filelock",
     "pillow": "PIL",
     "OpenEXR": "OpenEXR",
     "shtab": "shtab",
@@ -62,7 +63,7 @@ REQUIRED: Final = {
 }
 # Each is imported by its adapter: loi_mitsuba has to come before mitsuba, to choose the LLVM.
 BACKENDS: Final = {"torch": "loi_torch", "jax": "loi_jax", "mitsuba": "loi_mitsuba"}
-EXTRAS: Final = {"distributed": "dask", "matplotlib": "plots", "pyarrow": "parquet", "tensorboard": "tensorboard"}
+EXTRAS: Final = {"distributed": "dask", "matplotlib": "plots", "pyarrow": "parquet"}
 
 
 def run(options: argparse.Namespace) -> int:

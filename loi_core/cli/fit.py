@@ -15,8 +15,8 @@ from loi_core.cli.codes import DONE, FAILED, NOT_FOUND
 from loi_core.cli.progress import ProgressBar
 from loi_core.errors import SceneError, WriteError
 from loi_core.fitting.loop import check_fit_options
-from loi_core.io.lock import FileLock
-from loi_core.io.result_folder import CHECKPOINT_FILE, CHECKPOINT_FILES, LOCK_FILE, RESULT_FILE, ResultFolder
+from loi_core.io.lock import exclusive_use
+from loi_core.io.result_folder import CHECKPOINT_FILE, LOCK_FILE, RESULT_FILE, ResultFolder
 from loi_core.renderers.contract import capabilities_of
 from loi_core.report import RunningPage, write_page, write_results
 from loi_core.report.names import objective_label
@@ -53,7 +53,7 @@ def run(options: argparse.Namespace) -> int:
     ResultFolder(scene.output)  # a folder of somebody else is refused before a lock is put into it
     # The command in the report leaves out folders, and `--resume`, which changes no result.
     command = shlex.join(["loi", "fit", options.scene.name, *(f"--{name}={value}" for name, value in changes.items())])
-    with FileLock(scene.output / LOCK_FILE, scene.output):
+    with exclusive_use(scene.output / LOCK_FILE, scene.output):
         try:
             result = run_and_write(scene, resume=options.resume, command=command, watch=options.watch)
             page = write_page(scene.output)
@@ -88,7 +88,7 @@ def run_and_write(scene: Scene, *, resume: bool = False, command: str = "", watc
     folder = ResultFolder(scene.output)  # a folder of somebody else is refused now, not after the fit
 
     def progress(name: str, step: int, value: float) -> None:
-        folder.claim(CHECKPOINT_FILES)  # before the first is written
+        folder.claim([CHECKPOINT_FILE])  # before it is written
         bar.show(step + 1, scene.fit.steps, f"{value:.3g}", title=objective_label(name))
 
     with ProgressBar() as bar:

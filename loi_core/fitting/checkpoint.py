@@ -1,4 +1,4 @@
-"""The state of a fit in a file, so that one that was stopped can go on as if it had not been."""
+"""Checkpoints: the state of a fit in one file, from which a stopped fit continues as if it had never stopped."""
 
 from __future__ import annotations
 
@@ -7,218 +7,310 @@ import hashlib
 import json
 import math
 import os
-import struct
 import zipfile
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import IO, Any, BinaryIO, Final
+from typing import Any, Final
 
 import numpy as np
 
-from loi_core.errors import CheckpointError, ParameterError
-from loi_core.fitting.history import FIRST_COLUMNS
-from loi_core.io.files import atomic_path, open_regular
-from loi_core.io.npy import read_npy_header, read_npy_values
-from loi_core.support.arrays import Host
+from loi_core.errors import CheckpointError, OptionError, ParameterError
+from loi_core.fitting.history import FitStep, rows_of, steps_of
+from loi_core.fitting.optimiser import Optimiser, require_shapes
+from loi_core.fitting.parameters import Bounds, Free
+from loi_core.fitting.state import Best, State
+from loi_core.fitting.views import Views, mean
+from loi_core.io.files import atomic_path, open_regular, remove_temporaries, unwritable
+from loi_core.io.lock import LOCK, exclusive_use
+from loi_core.renderers.contract import Parameters
+from loi_core.support.arrays import Host, from_numpy, to_numpy
+from loi_core.support.guards import foreign
 from loi_core.support.wording import described
 
-__all__ = ["Checkpoint", "is_checkpoint", "load_checkpoint", "save_checkpoint", "seal"]
+__all__ = ["Checkpoint", "CheckpointFile", "is_due", "load_checkpoint", "resume", "save_checkpoint", "settings_of"]
 
-GROUPS = ("params", "memory", "best_params", "callback")
-NUMBERS = ("step", "best_step", "best_value", "history")
-KINDS: Final = {"memory": "fiub", "callback": "fiub"}  # of dtypes; of all other groups floats
-BEGINNING: Final = b"PK\x03\x04"  # of a zip archive, then 26 bytes on, the name of its first member
-FIRST: Final = f"{NUMBERS[0]}.npy".encode()
-SEAL: Final = b"sha256:"
-SEALED: Final = len(SEAL) + 2 * hashlib.sha256().digest_size
+INTERVAL: Final = 25  # steps
+GROUPS: Final = ("params", "memory", "best_params", "callback")
 
 
 @dataclass(frozen=True)
 class Checkpoint:
-    """Everything that a fit needs to go on; arrays are on the host."""
+    """The content of a checkpoint file.
+
+    Attributes
+    ----------
+    settings : dict of str
+        See :func:`settings_of`.
+    numbers : dict
+        Everything else of the state that is not an array.
+    history : list of FitStep
+    params, memory, best_params, callback : dict of arrays
+        The parameters, the optimiser's memory, the best parameters and the memory of the callback.
+    """
 
     settings: Mapping[str, str]
-    step: int
-    best_step: int
-    best_value: float
+    numbers: Mapping[str, Any]
+    history: list[FitStep]
     params: Mapping[str, Host]
     memory: Mapping[str, Host]
     best_params: Mapping[str, Host]
-    history: Host
-    callback: Mapping[str, Host] = field(default_factory=dict)
+    callback: Mapping[str, Host]
 
 
-def save_checkpoint(path: Path, state: Checkpoint, *, before: Path | None = None) -> None:
-    """Write `state` to `path` (.npz), whole or not at all.
+def is_due(step: int) -> bool:
+    """Return whether the state after `step` steps is saved: every 25 steps, every 100th of the way from step 2500 on.
 
-    What lay there is moved to `before`, if that is given, once the new one is written: there is always one that is
-    whole. It is not moved if it holds the same.
+    A checkpoint holds the whole history, so a fixed interval would write an amount that grows with the square of the
+    steps. An interval that doubles, between one hundredth and one fiftieth of the way, writes at most 200 histories.
+    """
+    doublings = max(1, step // (100 * INTERVAL)).bit_length() - 1
+    return step % (INTERVAL << doublings) == 0
+
+
+class CheckpointFile:
+    """The checkpoint file of one fit, locked against others while the fit runs.
+
+    Parameters
+    ----------
+    path : Path
+        The file (.npz).
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        self._lock = contextlib.ExitStack()
+        self._locked = False
+        self._owned = False  # whether the file at the path was written or loaded by this fit
+
+    def acquire(self, *, resume: bool) -> None:
+        """Lock the path and remove what killed fits have left half written.
+
+        Raises
+        ------
+        InUseError
+            If another fit has it.
+        OptionError
+            If a file lies there that is not a checkpoint, and the fit would overwrite it.
+        WriteError
+            If nothing can be written there.
+        """
+        self._lock.enter_context(exclusive_use(self.path.with_name(f"{LOCK}-{self.path.name}"), self.path))
+        self._locked = True
+        remove_temporaries(self.path)
+        if not resume and os.path.lexists(self.path) and not _is_checkpoint(self.path):
+            msg = f"`checkpoint`: {self.path} is not a checkpoint of a fit; remove it, or give another path"
+            raise OptionError(msg)
+
+    def release(self) -> None:
+        """Unlock the path."""
+        self._locked = False
+        self._lock.close()
+
+    def load(self, settings: Mapping[str, str]) -> Checkpoint | None:
+        """Return the checkpoint for a fit with these settings; None if there is none. Errors: `load_checkpoint`."""
+        if not os.path.lexists(self.path):
+            return None
+        checkpoint = load_checkpoint(self.path, settings)
+        self._owned = True
+        return checkpoint
+
+    def begin(self) -> None:
+        """Remove the checkpoint of an earlier fit, unless this fit resumes it.
+
+        Raises
+        ------
+        WriteError
+            If it cannot be removed.
+        """
+        if not self._owned:
+            try:
+                self.path.unlink(missing_ok=True)
+            except OSError as error:
+                raise unwritable(self.path, error) from error
+            self._owned = True
+
+    def save(self, state: State, settings: Mapping[str, str], callback: Mapping[str, Host]) -> None:
+        """Replace the checkpoint. If that raises a WriteError, the previous one is still there."""
+        if self._locked:  # otherwise the fit is over and saved, and another may have the path
+            self.begin()
+            save_checkpoint(self.path, state, settings, callback)
+
+
+def _is_checkpoint(path: Path) -> bool:
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return {"state.npy", "history.npy"} <= set(archive.namelist())
+    except (OSError, zipfile.BadZipFile):
+        return False
+
+
+def save_checkpoint(path: Path, state: State, settings: Mapping[str, str], callback: Mapping[str, Host]) -> None:
+    """Write a state that has a best iterate to `path`, whole or not at all.
 
     Raises
     ------
     WriteError
         If it cannot be written.
     """
-    arrays: dict[str, Any] = {name: np.asarray(getattr(state, name)) for name in NUMBERS}
-    arrays["settings"] = np.asarray(json.dumps(dict(state.settings)))
-    for group in GROUPS:
-        arrays |= {f"{group}/{name}": value for name, value in getattr(state, group).items()}
-    with atomic_path(path) as temporary:
-        with temporary.open("w+b") as stream:
-            np.savez(stream, allow_pickle=False, **arrays)
-            digest = seal(stream)
-            stream.flush()
-            os.fsync(stream.fileno())  # or after a loss of power the name might be there, and the content not
-        if before is not None and not _has_seal(path, digest):
-            with contextlib.suppress(FileNotFoundError):  # somebody has removed it
-                path.replace(before)
-
-
-def is_checkpoint(path: Path) -> bool:
-    """Whether a file begins as checkpoints do, though it may be torn, or is empty.
-
-    Raises
-    ------
-    OSError
-        If it cannot be read.
-    """
-    with open_regular(path) as stream:
-        head = stream.read(30 + len(FIRST))
-    return not head or (head.startswith(BEGINNING) and head[30:] == FIRST[: max(len(head) - 30, 0)])
-
-
-def seal(stream: BinaryIO) -> bytes:
-    """Put a digest of all of a zip archive, open for reading and writing, into its comment; returns that.
-
-    The checksums of a zip archive are of its members alone, and of 32 bits.
-    """
-    size = stream.seek(-2, os.SEEK_END) + 2  # an archive ends with the length of its comment, which is 0
-    stream.write(struct.pack("<H", SEALED))
-    digest = _digest(stream, size)
-    stream.seek(size)
-    stream.write(digest)
-    return digest
-
-
-def _has_seal(path: Path, digest: bytes) -> bool:
-    try:
-        with path.open("rb") as stream:
-            stream.seek(-SEALED, os.SEEK_END)
-            return stream.read() == digest
-    except OSError:
-        return False
-
-
-def _check_seal(stream: BinaryIO) -> None:
-    """Raise ValueError unless the seal of a file is there and right."""
-    size = stream.seek(0, os.SEEK_END) - SEALED
-    stream.seek(max(size, 0))
-    seal = stream.read()
-    if not seal.startswith(SEAL):
-        msg = "it does not end as checkpoints do: it is torn, or not one"
-        raise ValueError(msg)
-    if seal != _digest(stream, size):
-        msg = "its content is not what was written: it is damaged"
-        raise ValueError(msg)
-    stream.seek(0)
-
-
-def _digest(stream: BinaryIO, size: int) -> bytes:
-    """The digest of the first bytes of a file, as a seal has it."""
-    stream.seek(0)
-    found = hashlib.sha256()
-    while size > 0 and (part := stream.read(min(size, 2**20))):
-        found.update(part)
-        size -= len(part)
-    return SEAL + found.hexdigest().encode()
+    best = state.best
+    assert best is not None  # noqa: S101 - the caller saves after the first value only
+    numbers = {
+        "step": state.step,
+        "best": [best.value, best.step, best.stage, best.partial],
+        "rates": dict(state.rates),
+        "schedule": state.schedule.state(),
+        "latest": dict(state.latest),
+        "agreeing": state.agreeing,
+        "recorded": {name: value.shape for name, value in state.log[0].params.items()} if state.step else {},
+    }
+    arrays: dict[str, Any] = {
+        "state": np.asarray(json.dumps({"settings": dict(settings), "numbers": numbers})),
+        "history": rows_of(state.history),
+    }
+    for group, values in zip(GROUPS, (state.params, state.memory, best.params, callback), strict=True):
+        arrays |= {f"{group}/{name}": np.asarray(to_numpy(value)) for name, value in values.items()}
+    with atomic_path(path) as temporary, temporary.open("wb") as stream:
+        np.savez(stream, allow_pickle=False, **arrays)
+        stream.flush()
+        os.fsync(stream.fileno())  # otherwise a power failure could leave the name without the content
 
 
 def load_checkpoint(path: Path, settings: Mapping[str, str]) -> Checkpoint:
-    """Read what :func:`save_checkpoint` wrote, for a fit with these settings.
+    """Read a checkpoint for a fit with these settings.
 
     Raises
     ------
     CheckpointError
-        If the file is not a whole checkpoint, every byte as it was written. Nothing in it is executed.
+        If the file is damaged or is not a checkpoint. Nothing in it is executed.
     ParameterError
-        If it is one of a fit with other settings.
+        If it belongs to a fit with other settings.
     """
-    state = _load(path)
+    try:
+        checkpoint = _load(path)
+    except Exception as error:  # damage may show in any layer: the file, zip, NumPy, JSON
+        raise CheckpointError(str(path), described(error)) from error
     for name, value in settings.items():
-        if name == "steps" and state.settings.get(name, "").isdecimal() and int(value) >= state.step:
-            continue  # more steps, or fewer that are still to come, go on from here
-        if state.settings.get(name) != value:
-            before = state.settings.get(name, "none")
-            told = f"other {name}" if value.startswith("sha256 ") else f"{name} = {before:.80}, this fit has {value}"
-            msg = f"`checkpoint` was made with {told}; start without resume"
+        saved = checkpoint.settings.get(name, "none")
+        if name == "steps" and saved != "none" and int(value) >= checkpoint.numbers["step"]:
+            continue  # more steps, or fewer that are still ahead, continue from here
+        if saved != value:
+            change = f"other {name}" if value.startswith("sha256 ") else f"{name} = {saved:.80}, this fit has {value}"
+            msg = f"`checkpoint` was made with {change}; start without resume"
             raise ParameterError(msg)
-    return state
+    return checkpoint
 
 
 def _load(path: Path) -> Checkpoint:
-    try:
-        arrays = _arrays(path)
-        groups = {
-            group: {
-                name.removeprefix(f"{group}/"): value for name, value in arrays.items() if name.startswith(f"{group}/")
-            }
-            for group in GROUPS
-        }
-        state = Checkpoint(
-            settings={str(name): str(value) for name, value in json.loads(str(arrays["settings"])).items()},
-            step=int(arrays["step"]),
-            best_step=int(arrays["best_step"]),
-            best_value=float(arrays["best_value"]),
-            history=_table(np.asarray(arrays["history"], dtype=np.float64)),
-            **groups,
-        )
-    except Exception as error:  # damage may show in any layer: the file, zip, NumPy, JSON
-        raise _foreign(path, described(error)) from error
-    if not 0 <= state.best_step <= state.step == len(state.history):
-        raise _foreign(path, "its counts of steps disagree")
-    if not np.array_equal(state.history[:, 0], np.arange(state.step)):
-        raise _foreign(path, "its history is not one of steps in order")
-    if not np.all(np.isfinite(state.history)) or not math.isfinite(state.best_value):
-        raise _foreign(path, "its history holds what is not a number")
-    for group, values in groups.items():
-        for name, value in values.items():
-            finite = group == "callback" or value.dtype.kind not in "fiub" or np.all(np.isfinite(value))
-            if value.dtype.kind not in KINDS.get(group, "f") or not finite:
-                raise _foreign(path, f"{group} of {name!r} are not numbers of a fit")
-    return state
-
-
-def _table(history: Host) -> Host:
-    if history.ndim != 2 or history.shape[1] < FIRST_COLUMNS:
-        msg = f"its history has shape {history.shape}"
-        raise ValueError(msg)
-    return history
-
-
-def _arrays(path: Path) -> dict[str, Host]:
-    """Every array of the file; they take no more memory than the file does."""
-    arrays = {}
     with open_regular(path) as stream:
-        _check_seal(stream)
-        with zipfile.ZipFile(stream) as archive:
-            size = path.stat().st_size
-            for member in archive.infolist():
-                if member.compress_type != zipfile.ZIP_STORED:
-                    msg = "it is compressed"
+        if not zipfile.is_zipfile(stream):
+            msg = "it is torn, or not an .npz file"
+            raise ValueError(msg)
+        stream.seek(0)
+        groups: dict[str, dict[str, Host]] = {group: {} for group in GROUPS}
+        with np.load(stream, allow_pickle=False) as stored:  # it checks the CRC of every array that is read
+            state = json.loads(str(stored["state"]))
+            numbers, rows = state["numbers"], stored["history"]
+            for key in stored.files:  # in their order, which is the order of the parameters
+                if key in ("state", "history"):
+                    continue
+                group, _, name = key.partition("/")
+                values = groups[group]
+                values[name] = value = stored[key]
+                if not isinstance(value, np.ndarray) or value.dtype.kind not in "fiub":
+                    msg = f"{key!r} is not an array of numbers"
                     raise ValueError(msg)
-                size -= member.file_size
-                if size < 0:
-                    msg = "its arrays are larger than the file"
-                    raise ValueError(msg)
-                with archive.open(member) as values:
-                    arrays[member.filename.removesuffix(".npy")] = _array(values, member.file_size)
-    return arrays
+    history = steps_of(rows, {name: tuple(shape) for name, shape in numbers["recorded"].items()})
+    if len(history) != numbers["step"]:
+        msg = "its counts of steps disagree"
+        raise ValueError(msg)
+    return Checkpoint(state["settings"], numbers, history, **groups)
 
 
-def _array(stream: IO[bytes], size: int) -> Host:
-    return read_npy_values(stream, read_npy_header(stream), size)
+def settings_of(
+    steps: int,
+    seed: int,
+    decay: str,
+    rates: Mapping[str, float | str],
+    free: Mapping[str, Free],
+    starts: int,
+    bounds: Bounds,
+    views: Views,
+    optimiser: str,
+) -> dict[str, str]:
+    """Return, by name, the settings that a resumed fit must share with the stopped one.
+
+    `rates` are the requested ones, in a parameter's own unit or as text in pixels. The start counts only if it was
+    given: the renderer's own may be where an earlier fit has left the scene.
+    """
+    given = {
+        name: np.asarray(to_numpy(entry.initial)).tolist() for name, entry in free.items() if entry.initial is not None
+    }
+    limits = {name: [to_numpy(limit[name]).tolist() for limit in (bounds.lower, bounds.upper)] for name in rates}
+    return {
+        "steps": str(steps),
+        "seed": str(seed),
+        "decay": decay,
+        "learning rates": json.dumps(dict(rates)),
+        "start": _digest(given),
+        "starts": str(starts),
+        "bounds": _digest(limits),
+        "stages": f"{views.stages}, the last of them to finish" if views.finish else str(views.stages),
+        "views": json.dumps([*views.each, views.at_once]),
+        "optimiser": optimiser,
+    }
 
 
-def _foreign(path: Path, why: str) -> CheckpointError:
-    return CheckpointError((str(path), why))
+def _digest(value: object) -> str:
+    return f"sha256 {hashlib.sha256(json.dumps(value).encode()).hexdigest()[:12]}"
+
+
+def resume(
+    saved: Checkpoint, fresh: State, views: Views, optimiser: Optimiser, free: Iterable[str], seed: int
+) -> State:
+    """Return the saved state, with arrays of the same library, dtype and device as those of `fresh`.
+
+    Raises
+    ------
+    ParameterError
+        If a fit with other parameters, or with another objective, reference or scene, has saved it.
+    """
+
+    def live(stored: Mapping[str, Host]) -> Parameters:
+        require_shapes(stored, fresh.params, "parameters than this fit has")
+        return {name: from_numpy(value, fresh.params[name]) for name, value in stored.items()}
+
+    params, moving = live(saved.params), list(free)
+    memory = optimiser.restore({name: params[name] for name in moving}, saved.memory)
+    for name, value in fresh.params.items():
+        if name not in moving and not np.array_equal(saved.params[name], to_numpy(value)):
+            msg = f"`checkpoint` was made with another scene: {name!r}, which does not move, differs"
+            raise ParameterError(msg)
+    numbers = saved.numbers
+    best_value, best_step, stage, partial = numbers["best"]
+    best = live(saved.best_params)
+    with foreign("rendering the best of the checkpoint"):
+        images = views.render(best, seed + best_step)
+    with np.errstate(all="ignore"):  # a damaged value may overflow; it then differs from the saved one
+        value = mean(views.values(images, stage))
+    # Loosely, since libraries may sum in another order from one run to the next. If a step renders only some views, its
+    # value includes views at other parameters.
+    if views.all_at_once and not math.isclose(value, best_value, rel_tol=1e-4, abs_tol=1e-12):
+        msg = (
+            f"`checkpoint` was made with another objective, reference or scene: its best value is "
+            f"{best_value:.6g}, here the same parameters give {value:.6g}; start without resume"
+        )
+        raise ParameterError(msg)
+    schedule = fresh.schedule.copy()
+    schedule.restore(numbers["schedule"], [step.value for step in saved.history])
+    return State(
+        params,
+        memory,
+        numbers["step"],
+        Best(best, best_value, best_step, images, stage, partial),
+        saved.history,
+        numbers["rates"],
+        schedule,
+        numbers["latest"],
+        numbers["agreeing"],
+    )

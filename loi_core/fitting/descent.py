@@ -11,13 +11,12 @@ from typing import Any, Final, Literal, TypeAlias
 import numpy as np
 
 from loi_core.errors import FitDivergedError, LoiError, RendererError
-from loi_core.fitting.history import FitStep
+from loi_core.fitting.history import FitStep, small_parameters
 from loi_core.fitting.keeping import keeping
 from loi_core.fitting.optimiser import Optimiser
 from loi_core.fitting.parameters import Bounds
 from loi_core.fitting.race import search
 from loi_core.fitting.rates import measured_rates
-from loi_core.fitting.resuming import few_numbers
 from loi_core.fitting.stages import FarToNear
 from loi_core.fitting.state import State
 from loi_core.fitting.views import Images, View, Views, as_given, mean
@@ -70,7 +69,7 @@ class Descent:
         seen, stage = state.params, state.schedule.stage
         factor = self._rate(state.schedule, state.step)
         with keeping(state, "telling the renderer how far the fit has come"):
-            self.views.at_step(state.step, self.steps, state.history[-1].value if state.step else None)
+            self.views.at_step(state.step, self.steps, state.log[state.step - 1].value if state.step else None)
         images, values, gradient = self._evaluate(state)
         latest = {**state.latest, **values}
         value = mean(latest)
@@ -85,7 +84,7 @@ class Descent:
         moved = {**seen, **free}
         moved = self._legal(moved, state)
         seconds = time.perf_counter() - started
-        entry = FitStep(state.step, value, norm, factor, seconds, stage, few_numbers(seen, self.bounds.lower))
+        entry = FitStep(state.step, value, norm, factor, seconds, stage, small_parameters(seen, self.bounds.lower))
         after = state.stepped(entry, moved, memory, latest)
         if after.schedule.lost:
             after = self._searched(after)

@@ -1,29 +1,26 @@
-"""The steps of a fit, however many: rows of numbers, of which all but the first lie in a file."""
+"""The steps of a fit, and their table of numbers in a checkpoint."""
 
 from __future__ import annotations
 
 import math
-import os
-import tempfile
-import weakref
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import IO, Any, Final, overload
+from typing import Any, Final
 
 import numpy as np
 
-from loi_core.support.arrays import Host
+from loi_core.renderers.contract import Parameters
+from loi_core.support.arrays import Host, to_numpy
 
-__all__ = ["FIRST_COLUMNS", "FitStep", "History", "StepLog"]
+__all__ = ["FitStep", "rows_of", "small_parameters", "steps_of"]
 
-FIRST_COLUMNS: Final = 6  # step, value, gradient norm, rate, seconds, stage; then the free parameters if they are few
-MOST_BYTES: Final = 2**19  # of rows in memory: thousands of steps; a million have 56 MB and more
-TOGETHER: Final = 1024  # rows that are read at a time
+COLUMNS: Final = 6  # step, value, gradient norm, rate, seconds, stage; then the free parameters, if they are recorded
+MAX_NUMBERS: Final = 64  # free parameters of at most this size in total are recorded at every step
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, slots=True)
 class FitStep:
-    """What one step found, before the parameters moved.
+    """One step of a fit, evaluated before the parameters moved.
 
     Attributes
     ----------
@@ -32,15 +29,15 @@ class FitStep:
     value : float
         The objective.
     gradient_norm : float
-        Euclidean norm of the gradient by the free parameters.
+        Euclidean norm of the gradient with respect to the free parameters.
     rate : float
-        Fraction of the learning rate that the step took.
+        Fraction of the learning rate that the step used.
     seconds : float
-        Time the step took.
+        Duration of the step.
     stage : int
-        Which objective that is, from far to near; 0 where there is one.
+        Index of the objective, from far to near; 0 if there is only one.
     params : dict of arrays
-        The free parameters, as NumPy; empty if they are more than 64 numbers together.
+        The free parameters, as NumPy arrays; empty if they have more than 64 numbers in total.
     """
 
     step: int
@@ -52,162 +49,40 @@ class FitStep:
     params: Mapping[str, Host] = field(default_factory=dict)
 
 
-class StepLog:
-    """Steps by their numbers, written one after another. A step may be written again; those after it are then void.
+def small_parameters(params: Parameters, names: Iterable[str]) -> dict[str, np.ndarray[Any, Any]]:
+    """Return the named parameters as float64 NumPy arrays; none if they have more than 64 numbers in total."""
+    free = {name: params[name] for name in names}
+    if sum(math.prod(value.shape) for value in free.values()) > MAX_NUMBERS:
+        return {}
+    return {name: np.array(to_numpy(value), dtype=np.float64) for name, value in free.items()}
 
-    So that a long fit takes no more memory than a short one, rows beyond the first half megabyte go to a temporary file
-    that has no name. Where none can be made, or the disk is full, they stay in memory.
 
-    Parameters
-    ----------
-    shapes : dict of shape, optional
-        Of the parameters that every step has; those of the first step by default.
+def rows_of(history: Sequence[FitStep]) -> Host:
+    """Return the history as float64 rows, shape (steps, 6 + numbers of the recorded parameters)."""
+    rows = [
+        [step.step, step.value, step.gradient_norm, step.rate, step.seconds, step.stage]
+        + [number for value in step.params.values() for number in value.ravel().tolist()]
+        for step in history
+    ]
+    return np.array(rows, dtype=np.float64) if rows else np.zeros((0, COLUMNS))
+
+
+def steps_of(rows: Host, shapes: Mapping[str, tuple[int, ...]]) -> list[FitStep]:
+    """Return the history that :func:`rows_of` has written, with recorded parameters of these shapes.
+
+    Raises
+    ------
+    ValueError
+        If the rows have another number of columns.
     """
-
-    def __init__(self, shapes: Mapping[str, tuple[int, ...]] | None = None) -> None:
-        self._shapes = None if shapes is None else dict(shapes)
-        self._near = np.empty((0, 0))
-        self._file: IO[bytes] | None = None
-        self._far: dict[int, bytes] = {}  # by place in the file, what could not be written there
-
-    def put(self, index: int, entry: FitStep) -> None:
-        """Write a step as number `index`, 0 or the one after another that is there."""
-        if self._shapes is None:
-            self._shapes = {name: value.shape for name, value in entry.params.items()}
-        first = entry.step, entry.value, entry.gradient_norm, entry.rate, entry.seconds, entry.stage
-        values = (np.ravel(entry.params[name]) for name in self._shapes)
-        self.put_row(index, np.concat([np.asarray(first, np.float64), *values]))
-
-    def put_row(self, index: int, row: Host) -> None:
-        """The same, as a row of :meth:`rows`."""
-        if index < self._room:
-            if index >= len(self._near):
-                grown = np.empty((min(max(64, 2 * index), self._room), self._columns))
-                if index:
-                    grown[:index] = self._near[:index]
-                self._near = grown
-            self._near[index] = row
-        else:
-            self._write((index - self._room) * self._bytes, np.asarray(row, np.float64).tobytes())
-
-    def rows(self, first: int, last: int) -> Host:
-        """The steps from one number to before another: float64, shape (steps, 6 + numbers of the parameters)."""
-        room = self._room
-        near = self._near[first : min(last, room)]
-        if last <= room:
-            return near.copy()
-        begin = max(first, room)
-        raw = self._read((begin - room) * self._bytes, (last - begin) * self._bytes)
-        return np.concat([near[: max(room - first, 0)], np.frombuffer(raw).reshape(-1, self._columns)])
-
-    def step(self, row: Host) -> FitStep:
-        """The step that a row holds."""
-        params: dict[str, Host] = {}
-        at = FIRST_COLUMNS
-        for name, shape in (self._shapes or {}).items():
-            size = math.prod(shape)
-            params[name] = np.array(row[at : at + size]).reshape(shape)
-            at += size
+    sizes = [math.prod(shape) for shape in shapes.values()]
+    if rows.ndim != 2 or rows.shape[1] != COLUMNS + sum(sizes):
+        msg = f"its history has shape {rows.shape}"
+        raise ValueError(msg)
+    history = []
+    for row in rows:
+        flat = np.split(row[COLUMNS:], np.cumsum(sizes, dtype=int)[:-1])
+        params = {name: value.reshape(shape) for (name, shape), value in zip(shapes.items(), flat, strict=False)}
         value, norm, rate, seconds = map(float, row[1:5])
-        return FitStep(int(row[0]), value, norm, rate, seconds, int(row[5]), params)
-
-    @property
-    def shapes(self) -> dict[str, tuple[int, ...]]:
-        """Of the parameters that every step has."""
-        return dict(self._shapes or {})
-
-    @property
-    def _columns(self) -> int:
-        return FIRST_COLUMNS + sum(math.prod(shape) for shape in (self._shapes or {}).values())
-
-    @property
-    def _bytes(self) -> int:
-        return 8 * self._columns
-
-    @property
-    def _room(self) -> int:
-        """How many rows are kept in memory."""
-        return MOST_BYTES // self._bytes
-
-    def _write(self, at: int, row: bytes) -> None:
-        self._far.pop(at, None)
-        try:
-            if self._file is None:
-                self._file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115  # for as long as this lives
-                weakref.finalize(self, self._file.close)
-            self._file.seek(at)
-            written = self._file.write(row)
-        except OSError:
-            written = 0
-        if written != len(row):
-            self._far[at] = row
-
-    def _read(self, at: int, size: int) -> bytes:
-        if self._file is None:
-            raw = bytearray(size)
-        elif hasattr(os, "pread"):  # a forked process shares the place where a file is read
-            raw = bytearray(os.pread(self._file.fileno(), size, at))
-        else:
-            self._file.seek(at)
-            raw = bytearray(self._file.read(size))
-        raw += bytes(size - len(raw))
-        for place, row in self._far.items():
-            if at <= place < at + size:
-                raw[place - at : place - at + len(row)] = row
-        return bytes(raw)
-
-
-class History(Sequence[FitStep]):
-    """The steps of a fit, from the first: a sequence that reads them as they are asked for.
-
-    Parameters
-    ----------
-    log : StepLog
-    steps : int
-        How many of its steps.
-    """
-
-    def __init__(self, log: StepLog, steps: int) -> None:
-        self._log, self._steps = log, steps
-
-    @classmethod
-    def of(cls, rows: Host, shapes: Mapping[str, tuple[int, ...]]) -> History:
-        """That of rows as :attr:`rows` gives them."""
-        log = StepLog(shapes)
-        for index, row in enumerate(rows):
-            log.put_row(index, row)
-        return cls(log, len(rows))
-
-    @property
-    def rows(self) -> Host:
-        """All of them: float64, shape (steps, 6 + numbers of the parameters); see `FIRST_COLUMNS`."""
-        return self._log.rows(0, self._steps) if self._steps else np.zeros((0, FIRST_COLUMNS))
-
-    def __len__(self) -> int:
-        return self._steps
-
-    @overload
-    def __getitem__(self, index: int) -> FitStep: ...
-
-    @overload
-    def __getitem__(self, index: slice) -> tuple[FitStep, ...]: ...
-
-    def __getitem__(self, index: int | slice) -> FitStep | tuple[FitStep, ...]:
-        found = range(self._steps)[index]
-        if isinstance(found, range):
-            return tuple(self[one] for one in found)
-        return self._log.step(self._log.rows(found, found + 1)[0])
-
-    def __iter__(self) -> Iterator[FitStep]:
-        for first in range(0, self._steps, TOGETHER):
-            for row in self._log.rows(first, min(first + TOGETHER, self._steps)):
-                yield self._log.step(row)
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return History.of, (self.rows, self._log.shapes)
-
-    def __deepcopy__(self, _: object) -> History:
-        return History.of(self.rows, self._log.shapes)
-
-    def __repr__(self) -> str:
-        return f"<{self._steps} steps>"
+        history.append(FitStep(int(row[0]), value, norm, rate, seconds, int(row[5]), params))
+    return history

@@ -12,9 +12,10 @@ from typing import Final, get_args
 from loi_core.errors import FitError, OptionError
 from loi_core.fitting.adam import Adam
 from loi_core.fitting.callbacks import Callback, RememberingCallback, ends_the_fit
+from loi_core.fitting.checkpoint import CheckpointFile, is_due, settings_of
+from loi_core.fitting.checkpoint import resume as resumed
 from loi_core.fitting.descent import SEARCHES, Decay, Descent
 from loi_core.fitting.diagnosis import judged, nearness
-from loi_core.fitting.generations import Checkpoints, CheckpointWarning, is_due
 from loi_core.fitting.history import FitStep
 from loi_core.fitting.keeping import keeping
 from loi_core.fitting.optimiser import Optimiser
@@ -28,7 +29,6 @@ from loi_core.fitting.parameters import (
 )
 from loi_core.fitting.race import can_search, race
 from loi_core.fitting.rates import measured_rates, named_rates
-from loi_core.fitting.resuming import resumed, settings_of, snapshot
 from loi_core.fitting.stages import FarToNear, Finish, Stages
 from loi_core.fitting.state import FitResult, State
 from loi_core.fitting.views import Images, Views, as_given, by_view
@@ -41,7 +41,6 @@ from loi_core.support.wording import shown
 
 __all__ = [
     "Callback",
-    "CheckpointWarning",
     "Decay",
     "FitInterruptedError",
     "FitResult",
@@ -135,14 +134,12 @@ def fit(
         How many of several views a step renders, in a random order in which all come about equally often; all by
         default.
     checkpoint : path, optional
-        File (.npz) in which the state is kept every 25 steps, or hundredth of the way so far if that is longer, and at
-        the end, written whole or not at all. The one before it stays beside it, as ``NAME.previous.npz``. While the fit
-        runs no other has it.
+        File (.npz) to which the state is written every 25 steps, or every hundredth of the way if that is longer, and
+        at the end, whole or not at all. No other fit may use it meanwhile.
     resume : bool
-        Whether to go on from `checkpoint`, which has to be given, if it exists. The fit then ends as if it had never
-        stopped, whatever has stopped it. Of a damaged checkpoint a ``CheckpointWarning`` tells, and the one before it
-        is used; one of other settings, or of another objective or scene, is refused. Without `resume`, both are removed
-        after the first step; a file that is no checkpoint is refused.
+        Whether to continue from `checkpoint`, which has to be given, if it exists. The fit then ends as if it had
+        never stopped. A checkpoint that is damaged, or belongs to other settings, another objective or another scene,
+        is refused. Without `resume`, it is removed after the first step; a file that is not a checkpoint is refused.
     callback : callable, optional
         ``callback(step, params, image)`` after every step; returning True ends the fit, False or None does not. Of
         several views, `image` is a dict of those that the step has rendered. The arrays are its own, to write to.
@@ -163,7 +160,7 @@ def fit(
     RendererError
         If the renderer breaks the contract on the first step.
     CheckpointError
-        If neither the checkpoint nor the one before it is whole.
+        If the checkpoint is damaged.
     InUseError
         If another fit has the checkpoint, in this process or in another.
     FitInterruptedError
@@ -192,9 +189,7 @@ def fit(
     state = called = _beginning(descent, params, dict.fromkeys(free, 1.0))
     try:
         if kept is not None:
-            kept.acquire()
-            if not resume:
-                kept.check_replaceable()
+            kept.acquire(resume=resume)
         saved = kept.load(settings) if kept is not None and resume else None
         if saved is not None:
             state = called = resumed(saved, state, views, optimiser, free, seed)
@@ -274,21 +269,22 @@ def _lap(descent: Descent) -> Callable[[Parameters, int, int], tuple[float, Para
     return run
 
 
-def _release(kept: Checkpoints | None) -> None:
+def _release(kept: CheckpointFile | None) -> None:
     if kept is not None:
         kept.release()
 
 
-def _begin(kept: Checkpoints | None, state: State) -> None:
+def _begin(kept: CheckpointFile | None, state: State) -> None:
     if kept is not None:
         with keeping(state, "removing the checkpoint of an earlier fit"):
             kept.begin()
 
 
-def _save(kept: Checkpoints | None, state: State, settings: Mapping[str, str], callback: Callback | None) -> None:
+def _save(kept: CheckpointFile | None, state: State, settings: Mapping[str, str], callback: Callback | None) -> None:
     if kept is not None and state.best is not None:
         with keeping(state, "writing the checkpoint"):
-            kept.save(snapshot(state, state.best, settings, callback))
+            memory = callback.memory() if isinstance(callback, RememberingCallback) else {}
+            kept.save(state, settings, memory)
 
 
 def check_fit_options(steps: object, learning_rate: object, seed: object, decay: object, starts: object = 1) -> None:
@@ -310,7 +306,7 @@ def check_fit_options(steps: object, learning_rate: object, seed: object, decay:
         raise OptionError(msg)
 
 
-def _checkpoints(checkpoint: object, *, resume: object) -> Checkpoints | None:
+def _checkpoints(checkpoint: object, *, resume: object) -> CheckpointFile | None:
     if checkpoint is None:
         if resume:
             msg = f"`resume` must be False without a `checkpoint` to go on from, got {shown(resume)}"
@@ -320,4 +316,4 @@ def _checkpoints(checkpoint: object, *, resume: object) -> Checkpoints | None:
         msg = f"`checkpoint` must be the path of a file, got {shown(checkpoint)}"
         raise OptionError(msg)
     check_writable("checkpoint", Path(checkpoint).parent)
-    return Checkpoints(Path(checkpoint))
+    return CheckpointFile(Path(checkpoint))

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
-from loi_core.fitting.history import FitStep, History, StepLog
+from loi_core.fitting.history import FitStep
 from loi_core.fitting.notebook import result_html
 from loi_core.fitting.optimiser import Memory
 from loi_core.fitting.stages import FarToNear
@@ -33,8 +33,8 @@ class FitResult:
         The step at which they were seen; equal to the number of steps if after the last.
     image : array, shape (H, W, C), or dict of arrays
         Rendered from `best_params`; of several views, by their names.
-    history : sequence of FitStep
-        One entry a step, read as it is asked for: those of long fits lie in a temporary file.
+    history : list of FitStep
+        One entry for each step.
     diagnosis : Diagnosis, optional
         What came of it and what to try; None for a fit that was cut short.
     rates : dict of float
@@ -51,7 +51,7 @@ class FitResult:
     best_value: float
     best_step: int
     image: Images
-    history: Sequence[FitStep]
+    history: list[FitStep]
     diagnosis: Diagnosis | None = None
     rates: Mapping[str, float] = field(default_factory=dict)
     agreeing: int | None = None
@@ -98,8 +98,8 @@ class State:
         Number of steps taken.
     best : Best or None
         None before the first value.
-    log : StepLog
-        Its first `step` entries are the history. The states of a fit share it, so that no step copies it.
+    log : list of FitStep
+        Its first `step` entries are the history. The states of a fit share the list, so that no step copies it.
     rates : dict of float
         Of each free parameter, in its own unit.
     schedule : FarToNear
@@ -114,16 +114,16 @@ class State:
     memory: Memory
     step: int = 0
     best: Best | None = None
-    log: StepLog = field(default_factory=StepLog)
+    log: list[FitStep] = field(default_factory=list)
     rates: Mapping[str, float] = field(default_factory=dict)
     schedule: FarToNear = field(default_factory=lambda: FarToNear(1, 1))
     latest: Mapping[str, float] = field(default_factory=dict)
     agreeing: int | None = None
 
     @property
-    def history(self) -> History:
-        """One entry a step taken."""
-        return History(self.log, self.step)
+    def history(self) -> list[FitStep]:
+        """One entry for each step taken."""
+        return self.log[: self.step]
 
     def seen(self, value: float, images: Mapping[str, Array], stage: int = 0, *, partial: bool = False) -> State:
         """The same state, once the value and images of its parameters are known.
@@ -139,7 +139,7 @@ class State:
         self, entry: FitStep, params: Parameters, memory: Memory, latest: Mapping[str, float] | None = None
     ) -> State:
         """The state after one more step."""
-        self.log.put(self.step, entry)  # past the history of this state and of all before it
+        self.log[self.step :] = [entry]  # past the history of this state and of all before it
         ahead = self.schedule.copy()
         ahead.step(entry.value)
         latest = latest if latest and ahead.stage == self.schedule.stage else {}

@@ -12,8 +12,7 @@ import numpy as np
 
 from loi_core.errors import ImageFileError
 from loi_core.io.exr import read_exr
-from loi_core.io.files import open_regular, write_bytes
-from loi_core.io.npy import read_npy_header, read_npy_values
+from loi_core.io.files import write_bytes
 from loi_core.support.wording import described
 
 __all__ = ["IMAGE_SUFFIXES", "FloatImage", "StoredImage", "png_bytes", "read_image", "read_stored", "write_png"]
@@ -82,8 +81,7 @@ def read_stored(path: Path | str) -> StoredImage:
 
 
 def _holds_integers(path: Path) -> bool:
-    with open_regular(path) as stream:
-        return bool(read_npy_header(stream).dtype.kind == "u")
+    return bool(_open_npy(path).dtype.kind == "u")
 
 
 def _read(path: Path) -> tuple[FloatImage, str]:
@@ -154,19 +152,23 @@ def _read_pillow(path: Path) -> np.ndarray[Any, Any]:
 
 
 def _read_npy(path: Path) -> np.ndarray[Any, Any]:
-    with open_regular(path) as stream:
-        header = read_npy_header(stream)
-        shape, dtype = header.shape, header.dtype
-        numbers = dtype.kind in "fb" or dtype in (np.uint8, np.uint16)
-        if len(shape) not in (2, 3) or not numbers or shape[2:] not in ((), (1,), (3,), (4,)):
-            msg = (
-                f"{path}: an NPY image must be floating point, uint8, uint16 or bool, of shape (H, W) or "
-                f"(H, W, 1, 3 or 4), got {dtype} {shape}"
-            )
-            raise ImageFileError(msg)
-        _check_size(path, *shape[:2])
-        values = read_npy_values(stream, header, path.stat().st_size)
+    values = _open_npy(path)
+    shape, dtype = values.shape, values.dtype
+    is_numeric = dtype.kind in "fb" or dtype in (np.uint8, np.uint16)
+    if len(shape) not in (2, 3) or not is_numeric or shape[2:] not in ((), (1,), (3,), (4,)):
+        msg = (
+            f"{path}: an NPY image must be floating point, uint8, uint16 or bool, of shape (H, W) or "
+            f"(H, W, 1, 3 or 4), got {dtype} {shape}"
+        )
+        raise ImageFileError(msg)
+    _check_size(path, *shape[:2])
     return _scaled(values, 1.0 if dtype.kind in "fb" else float(np.iinfo(dtype).max))
+
+
+def _open_npy(path: Path) -> np.ndarray[Any, Any]:
+    """Map an NPY file into memory: a header that asks for more than the file holds is refused without allocating."""
+    values: np.ndarray[Any, Any] = np.load(path, mmap_mode="r", allow_pickle=False)
+    return values
 
 
 def _scaled(pixels: Any, greatest: float) -> np.ndarray[Any, Any]:

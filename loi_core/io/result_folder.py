@@ -21,7 +21,6 @@ from loi_core.support.wording import printable, shown
 
 __all__ = [
     "CHECKPOINT_FILE",
-    "CHECKPOINT_FILES",
     "FRAME_NAME",
     "HISTORY_FILE",
     "LIST_FILE",
@@ -35,7 +34,6 @@ __all__ = [
 
 LIST_FILE: Final = "loi-files.json"
 CHECKPOINT_FILE: Final = "checkpoint.npz"
-CHECKPOINT_FILES: Final = (CHECKPOINT_FILE, "checkpoint.previous.npz")
 LOCK_FILE: Final = LOCK
 HISTORY_FILE: Final = "history.csv"
 SCALES_FILE: Final = "scales.csv"
@@ -48,7 +46,7 @@ PICTURE: Final = r"(?:initial|final|target|error)\.png"
 TEXT: Final = r"(?:parameters\.json|history\.csv|scales\.csv|result\.json|report\.html)"
 GRADIENT: Final = r"gradients/(?:start|end)(?:-[a-z]+-[0-9.e+-]+){3}\.png"
 OWN: Final = re.compile(
-    rf"(?:{PICTURE}|{TEXT}|checkpoint(?:\.previous)?\.npz|frames/[0-9]{{6,}}\.png|effects/[\w -]+\.png|{GRADIENT}"
+    rf"(?:{PICTURE}|{TEXT}|checkpoint\.npz|frames/[0-9]{{6,}}\.png|effects/[\w -]+\.png|{GRADIENT}"
     rf"|compare/[\w-]+/(?:{PICTURE}|{TEXT}))"
 )
 """What a fit may call a file. A list that says otherwise was not written by one."""

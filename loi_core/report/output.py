@@ -16,7 +16,6 @@ from loi_core.io.files import write_text
 from loi_core.io.images import write_png
 from loi_core.io.result_folder import (
     CHECKPOINT_FILE,
-    CHECKPOINT_FILES,
     HISTORY_FILE,
     PAGE_FILE,
     RESULT_FILE,
@@ -67,7 +66,6 @@ def write_results(scene: Scene, trials: Sequence[Trial], *, command: str = "") -
     folder = ResultFolder(scene.output)
     folder.claim([CHECKPOINT_FILE, PAGE_FILE])  # other modules write these
     folder.remove_unfinished()
-    folder.remove([name for name in CHECKPOINT_FILES[1:] if not (folder.path / name).exists()])
     target, display = scene.strip({name: view.target.image for name, view in scene.views.items()}), _display(scene)
     gradients: list[dict[str, Any]] = []
     for index, trial in enumerate(trials):

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from loi_core.errors import OptionError
 from loi_core.io.files import TEMPORARY, check_writable, write_text
-from loi_core.io.lock import LOCK, FileLock
+from loi_core.io.lock import LOCK, exclusive_use
 from loi_core.runs import read_record, write_record
 from loi_core.support.wording import printable, shown
 from loi_core.sweeps.plan import SweepRun
@@ -76,5 +76,5 @@ class SweepFolder:
         mark = self.path / MARK
         if not mark.exists():
             write_text(mark, json.dumps({"made by": "loi sweep; the folder and all in it are its own"}) + "\n")
-        with FileLock(self.path / LOCK, self.path):
+        with exclusive_use(self.path / LOCK, self.path):
             yield

@@ -11,7 +11,7 @@ from typing import Any
 from loi_core.errors import LoiError, ParameterError
 from loi_core.fitting.parameters import bounds_of, starting_parameters
 from loi_core.fitting.race import draw_starts
-from loi_core.io.result_folder import CHECKPOINT_FILE, CHECKPOINT_FILES, ResultFolder
+from loi_core.io.result_folder import CHECKPOINT_FILE, ResultFolder
 from loi_core.report import write_page, write_results
 from loi_core.scenes.experiment import Trial, run_scene
 from loi_core.scenes.reading import make_scene
@@ -61,12 +61,12 @@ def carry_out(task: FitTask) -> dict[str, Any]:
     A fit that was cut off goes on from its checkpoint, and one that has failed keeps it; one that is done removes it.
     """
     scene = _scene(task)
-    ResultFolder(scene.output).claim(CHECKPOINT_FILES)  # before the first is written
+    ResultFolder(scene.output).claim([CHECKPOINT_FILE])  # before the first is written
     trials = _fitted(scene)
     entry = write_results(scene, trials)["trials"][0]
     write_page(scene.output)
     if not entry["error"]:  # of all that is left they are nine tenths, and many runs are left
-        ResultFolder(scene.output).remove(CHECKPOINT_FILES)
+        ResultFolder(scene.output).remove([CHECKPOINT_FILE])
     found = entry.get("diagnosis") or {}
     # Of equal images PSNR is infinite, for which JSON has no number.
     psnr = entry.get("psnr") if entry.get("psnr") is not None or "psnr" not in entry else math.inf
@@ -100,6 +100,6 @@ def _fitted(scene: Scene) -> list[Trial]:
         return run_scene(scene, checkpoint=checkpoint, resume=True)
     except ParameterError:  # damaged, or from before something changed that a sweep does not know of
         folder = ResultFolder(scene.output)
-        folder.remove(CHECKPOINT_FILES)
-        folder.claim(CHECKPOINT_FILES)
+        folder.remove([CHECKPOINT_FILE])
+        folder.claim([CHECKPOINT_FILE])
         return run_scene(scene, checkpoint=checkpoint)

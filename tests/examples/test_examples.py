@@ -163,6 +163,7 @@ def test_the_readme_finds_a_mesh_in_under_twenty_lines(tmp_path: Path) -> None:
         ("numpy", (75.0, 45.0), 0.5),
         pytest.param("torch", (75.0, 45.0), 0.5, marks=thorough),  # as the guide's, which always runs
         pytest.param("mesh", (2.0, -0.8, 0.0), 0.05, marks=thorough),  # scene units; a pixel is 0.09
+        pytest.param("tensorboard", (75.0, 45.0), 0.5, marks=thorough),
         pytest.param("torch_distributed", (15.0, 45.0, -10.0), 0.5, marks=thorough),
         pytest.param("jax", (75.0, 45.0), 0.5, marks=thorough),
         pytest.param("jax_sharding", (15.0, 45.0, -10.0), 0.5, marks=thorough),

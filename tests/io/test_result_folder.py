@@ -138,7 +138,7 @@ def test_a_fit_that_was_killed_before_its_first_result_can_go_on(scene: Path) ->
 def test_the_checkpoint_is_on_the_list_before_it_is_written(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     listed = []
     monkeypatch.setattr(
-        "loi_core.fitting.generations.save_checkpoint",
+        "loi_core.fitting.checkpoint.save_checkpoint",
         lambda path, *_, **__: listed.append("checkpoint.npz" in ResultFolder(path.parent).names),
     )
     assert main(["fit", str(scene)]) in FINISHED

@@ -231,7 +231,7 @@ WHAT: dict[str, Callable[..., Outcome]] = {
 
 
 if __name__ == "__main__":
-    sys.modules["loi_core.fitting.generations"].EVERY = 5  # type: ignore[attr-defined]  # many in a short fit
+    sys.modules["loi_core.fitting.checkpoint"].INTERVAL = 5  # type: ignore[attr-defined]  # many in a short fit
     place, of, doing, *options = sys.argv[1:]
     kept, sys.stdout = sys.stdout, sys.stderr
     came = WHAT[doing](Fits(Path(place), of), *options)

@@ -91,7 +91,7 @@ def recover(start: Image, target: Image) -> float:
     free = {"positions": loi.Free(start, 0.0, 32.0, learning_rate="1.5 px")}
     result = loi.fit(renderer, loi.LOIObjective(reference), steps=10, optimise=free, callback=watch)
     assert_type(result, loi.FitResult)
-    assert_type(result.history, Sequence[loi.FitStep])
+    assert_type(result.history, list[loi.FitStep])
     assert_type(result.best_value, float)
     assert_type(result.psnr, float | None)
     assert_type(result.diagnosis, loi.Diagnosis | None)

@@ -31,7 +31,6 @@ loi.fit(DISKS, OBJECTIVE).best  # wrong
 loi.fit(DISKS, OBJECTIVE).best_value.upper()  # wrong
 loi.fit(DISKS, OBJECTIVE).diagnosis.ok  # wrong
 loi.read_target("photo.png", to="Lab")  # wrong
-loi.TensorBoardCallback(OBJECTIVE)  # wrong
 loi.not_there  # wrong
 OBJECTIVE.plan("wide")  # wrong
 text: str = OBJECTIVE.tolerance  # wrong
