@@ -11,7 +11,8 @@ objective = LOIObjective(renderer.render(renderer.parameters()))
 
 with SummaryWriter("runs/disks") as writer:
 
-    def write(step: FitStep, params: Parameters, image: np.ndarray) -> None:
+    def write(step: FitStep, _: Parameters, image: np.ndarray) -> None:
+        """Write the curves of every step, and every 25th image."""
         writer.add_scalar("value", step.value, step.step)
         writer.add_scalar("gradient norm", step.gradient_norm, step.step)
         for name, value in step.params.items():
