@@ -235,7 +235,7 @@ def test_an_interrupt_right_after_a_record_is_written_counts_that_run(
 def test_two_sweeps_do_not_work_in_one_folder(done: Path) -> None:
     with (
         SweepFolder(done.parent / "sweep-result").held(),
-        pytest.raises(InUseError, match=r"sweep-result is in use by process \d+"),
+        pytest.raises(InUseError, match=r"sweep-result is in use by another fit"),
     ):
         sweep(done)
     sweep(done)
