@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import ClassVar, Final
 
@@ -22,18 +23,27 @@ from loi_core.support.arrays import Array, epsilon, values_may_decide, widened
 from loi_core.support.values import real_number
 from loi_core.support.wording import shown
 
-__all__ = ["ACCURACIES", "LOIObjective", "ScaleKey", "accuracy_name", "default_scales", "gradient_tolerance"]
+__all__ = [
+    "ACCURACIES",
+    "LOIObjective",
+    "ScaleKey",
+    "accuracy_name",
+    "default_scales",
+    "gradient_tolerance",
+    "gradients_by_scale",
+]
 
 ACCURACIES: Final = {"exact": 0.0, "balanced": 1e-2, "fast": 5e-2}
+"""Relative error of the gradient that each accuracy allows."""
 
 
 def gradient_tolerance(accuracy: str | float) -> float:
-    """The relative gradient error that `accuracy` allows: of "exact" 0, "balanced" 1e-2, "fast" 5e-2.
+    """Return the relative gradient error that `accuracy` allows: "exact" 0, "balanced" 1e-2, "fast" 5e-2.
 
     Raises
     ------
     OptionError
-        For another name, or a number that is not in [0, 1).
+        For another name, or a number outside [0, 1).
     """
     if isinstance(accuracy, str) and accuracy in ACCURACIES:
         return ACCURACIES[accuracy]
@@ -46,8 +56,8 @@ def gradient_tolerance(accuracy: str | float) -> float:
 
 
 def accuracy_name(tolerance: float) -> str:
-    """What a relative gradient error is called by; the number if it has no name."""
-    return next((name for name, one in ACCURACIES.items() if one == tolerance), f"{tolerance:g}")
+    """Return the name of the accuracy with this relative gradient error, or the number if it has no name."""
+    return next((name for name, error in ACCURACIES.items() if error == tolerance), f"{tolerance:g}")
 
 
 def default_scales(
@@ -58,7 +68,7 @@ def default_scales(
     bounds: tuple[float, float] = (0.0, 1.0),
     boundary: Boundary = "reflect",
 ) -> ScaleSpace:
-    """The scales of :meth:`ScaleSpace.for_image`; with half the beta for differences of colours, which are halved."""
+    """Return :meth:`ScaleSpace.for_image`, with half its beta for differences of colours, which are halved."""
     scales = ScaleSpace.for_image(height, width, bounds=bounds, boundary=boundary)
     return scales if colours == "channels" else replace(scales, beta=(scales.beta[0] / 2.0,))
 
@@ -69,31 +79,30 @@ class LOIObjective(ImageObjective[ScaleKey]):
     Every pixel becomes a soft histogram of the intensities around it, at inner scale sigma, tonal scale beta and
     extent alpha. Histograms are compared by the Wasserstein distance of order `p`, averaged over pixels and
     channels, and summed over scales. Unlike a difference of pixels it has a gradient where nothing overlaps.
-    :mod:`loi_core.method.reference` is the whole of it on one page, by brute force; start reading there.
+    :mod:`loi_core.method.reference` computes it by brute force on one page; start reading there.
 
     Parameters
     ----------
     reference : array, shape (*batch, H, W, C)
-        What the image should look like. Real floating point; see :class:`ImageObjective`.
+        The target. Real floating point; see :class:`ImageObjective`.
     scales : ScaleSpace, optional
         The scales to compare; ``ScaleSpace.for_image(H, W)`` by default, with half its beta for differences of colours.
     accuracy : {"exact", "balanced", "fast"} or float
-        Largest relative error of the gradient that is allowed in exchange for time: 0, 1e-2, 5e-2, or the number
-        given; in the 2-norm, beside "exact". :meth:`plan` says what is done with it. Every call estimates its error
-        from the images; where that is too large, its gradient is computed exactly.
+        Largest relative error of the gradient that is allowed in exchange for time: 0, 1e-2, 5e-2, or a number; in the
+        2-norm, relative to "exact". :meth:`plan` shows how it is used. Every call estimates its error from the images,
+        and computes the gradient exactly if that error is too large.
     channel_axis : int or None
         Where the channels are; None for images without channels.
     nan_policy : {"raise", "mask"}
-        What happens to pixels that are not finite.
+        Treatment of pixels that are not finite.
     tone : LogTone, optional
-        A tone curve for images of high dynamic range. `bounds`, beta and the clipping of values beyond the bounds are
-        those of the values that it gives.
+        A tone curve for images of high dynamic range. The scales' `bounds` and beta refer to its output.
     weights : array, shape (H, W) or that of the reference without channels, optional
-        How much each pixel counts, 0 or more, and so in the histograms of its neighbours; see :class:`ImageObjective`.
+        Weight of each pixel, 0 or more, also in the histograms of its neighbours; see :class:`ImageObjective`.
     colours : {"channels", "differences"}
         "differences" compares half of red - green, green - blue and blue - red, around the middle of the bounds. White
-        light on a grey surface, and shadows there, change none of them: for scenes where objects of many colours throw
-        shadows as they move. What is grey is not seen. Needs three channels.
+        light on a grey surface, and shadows there, change none of them, which helps in scenes where objects of many
+        colours cast shadows as they move. Grey objects are invisible. Needs three channels.
 
     Examples
     --------
@@ -151,16 +160,16 @@ class LOIObjective(ImageObjective[ScaleKey]):
 
     @property
     def has_default_scales(self) -> bool:
-        """Whether the scales are the default ones, with any bounds, whoever put them there."""
+        """Whether the scales are the default ones, with any bounds, passed explicitly or not."""
         scales = self._scales
         return scales == default_scales(*self.size, self.colours, bounds=scales.bounds, boundary=scales.boundary)
 
     def with_scales(self, scales: ScaleSpace) -> LOIObjective:
-        """The same objective at other scales."""
+        """Return the same objective at other scales."""
         return self._like(self._reference, scales)
 
     def with_reference(self, reference: Array) -> LOIObjective:
-        """The same objective with another reference."""
+        """Return the same objective with another reference."""
         return self._like(reference, self._scales)
 
     def _like(self, reference: Array, scales: ScaleSpace) -> LOIObjective:
@@ -186,11 +195,11 @@ class LOIObjective(ImageObjective[ScaleKey]):
         return self._tolerance
 
     def terms(self, image: Array) -> dict[ScaleKey, Array]:
-        """What each scale adds to the value: ``{(alpha, beta, sigma): 0-d array}``; they sum to the value."""
+        """Return the term of each scale, ``{(alpha, beta, sigma): 0-d array}``; they sum to the value."""
         return super().terms(image)
 
     def plan(self, height: int | None = None, width: int | None = None, *, eps: float | None = None) -> Plan:
-        """What is computed for each scale, at which cost and error; ``print`` shows it.
+        """Return the operations of each scale, with their cost and error; ``print`` shows them.
 
         Parameters
         ----------
@@ -263,3 +272,14 @@ class _ScaleComparison(PlaneComparison[ScaleKey]):
     def _prepared(self, plan: Plan) -> Comparison:
         reference = self._reference
         return reference.backend.comparison(self._scales, plan, reference.planes, reference.weights)
+
+
+def gradients_by_scale(objective: LOIObjective, image: Array) -> Iterator[tuple[ScaleKey, Array]]:
+    """Yield (alpha, beta, sigma) and the gradient of each scale's term; these sum to the gradient of the loss.
+
+    Errors as in :meth:`LOIObjective.value_and_grad`.
+    """
+    for key in objective.scales.keys:
+        alpha, beta, sigma = key
+        single = objective.with_scales(replace(objective.scales, alpha=(alpha,), beta=(beta,), sigma=(sigma,)))
+        yield key, single.value_and_grad(image)[1]
