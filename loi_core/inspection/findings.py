@@ -13,8 +13,7 @@ from loi_core.inspection.pair import Pair
 from loi_core.inspection.reach import Reach, Shifts, reach_of_object, shifts_of_picture
 from loi_core.io.images import FloatImage
 from loi_core.method.comparison import ScaleKey
-from loi_core.objectives.by_scale import gradients_by_scale
-from loi_core.objectives.loi import LOIObjective
+from loi_core.objectives.loi import LOIObjective, gradients_by_scale
 from loi_core.pixels.bounds import RangeWarning
 
 __all__ = ["Findings", "ScaleFindings", "inspect_pair"]

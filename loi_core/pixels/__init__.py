@@ -1,1 +1,1 @@
-"""What happens to pixels before the method sees them: layout, pixels that are not finite, tone curve, bounds."""
+"""Operations on pixels before the comparison: layout, masks, tone curve, colours, bounds; and encodings of images."""

@@ -1,4 +1,4 @@
-"""What of the colours is compared: the channels, or their differences, in which white light leaves no trace."""
+"""The compared quantities of colours: channels, or their differences, which white light does not change."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ Colours = Literal["channels", "differences"]
 
 CHANNELS: Final = 3
 LARGEST_FACTOR: Final = math.sqrt(3.0) / 2.0
-"""The most that :func:`differences_pullback` multiplies the 2-norm of a cotangent by."""
+"""Largest factor by which :func:`differences_pullback` multiplies the 2-norm of a cotangent."""
 
 
 def check_colours(colours: object, channels: int | None) -> Colours:
-    """`colours` itself, once it is known to be one that images of so many channels have.
+    """Return `colours` if it is valid for images with this number of channels, None for images without a channel axis.
 
     Raises
     ------
@@ -40,9 +40,9 @@ def check_colours(colours: object, channels: int | None) -> Colours:
 
 
 def differences(planes: Array, middle: float) -> Array:
-    """Half of red - green, green - blue and blue - red, around `middle`: of planes, shape (3 N, H, W), as many.
+    """Return half of red - green, green - blue and blue - red, plus `middle`, for planes of shape (3 N, H, W).
 
-    Values within bounds stay within them, if `middle` is the middle of the bounds.
+    Values within bounds stay within them if `middle` is the middle of the bounds.
     """
     xp = namespace(planes)
     halves = _by_image(planes) * 0.5  # before they are subtracted: no two finite values overflow
@@ -50,7 +50,7 @@ def differences(planes: Array, middle: float) -> Array:
 
 
 def differences_pullback(cotangent: Array) -> Array:
-    """Carry a cotangent of :func:`differences` back to the planes, shape (3 N, H, W)."""
+    """Return the cotangent of the planes, shape (3 N, H, W), from the cotangent of :func:`differences`."""
     xp = namespace(cotangent)
     halves = _by_image(cotangent) * 0.5
     return xp.reshape(halves - xp.roll(halves, 1, axis=1), cotangent.shape)

@@ -1,4 +1,4 @@
-"""Between the images that users have, (*batch, H, W, C) with the channels anywhere, and flat stacks of planes."""
+"""Conversion between images, (*batch, H, W, C) with the channels on any axis, and flat stacks of planes."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["Layout", "check_channel_axis"]
 
 
 def check_channel_axis(channel_axis: object) -> int | None:
-    """`channel_axis` itself, once it is known to be an int or None."""
+    """Return `channel_axis` if it is an int or None."""
     if channel_axis is None:
         return None
     axis = whole_number(channel_axis)
@@ -25,7 +25,7 @@ def check_channel_axis(channel_axis: object) -> int | None:
 
 @dataclass(frozen=True)
 class Layout:
-    """How an image of one shape becomes a stack of planes of shape (N, H, W), and back.
+    """Mapping between images of one shape and stacks of planes of shape (N, H, W).
 
     Attributes
     ----------
@@ -40,18 +40,18 @@ class Layout:
 
     @classmethod
     def of(cls, name: str, shape: tuple[int, ...], channel_axis: int | None) -> Layout:
-        """The layout of an image of this shape.
+        """Return the layout of an image of this shape.
 
         Raises
         ------
         ImageError
             If the shape has too few axes, no such channel axis, or no pixels.
         """
-        needed = 2 if channel_axis is None else 3
-        wanted = "(*batch, H, W)" if channel_axis is None else "(*batch, H, W, C)"
-        if len(shape) < needed:
+        min_axes = 2 if channel_axis is None else 3
+        axes = "(*batch, H, W)" if channel_axis is None else "(*batch, H, W, C)"
+        if len(shape) < min_axes:
             hint = "" if channel_axis is None else "; pass channel_axis=None for images without channels"
-            msg = f"`{name}` must have at least {needed} axes, {wanted}, got shape {tuple(shape)}{hint}"
+            msg = f"`{name}` must have at least {min_axes} axes, {axes}, got shape {tuple(shape)}{hint}"
             raise ImageError(msg)
         if channel_axis is not None:
             if not -len(shape) <= channel_axis < len(shape):
@@ -79,28 +79,28 @@ class Layout:
         return self.planes_shape[-1]
 
     def to_planes(self, image: Array) -> Array:
-        """`image` as planes, shape (N, H, W)."""
+        """Return `image` as planes, shape (N, H, W)."""
         xp = namespace(image)
         return xp.reshape(xp.permute_dims(image, self._order), (-1, self.height, self.width))
 
     def require_fit(self, name: str, layout: Layout) -> None:
-        """Raise unless images of this layout can be compared with a reference of the other.
+        """Raise unless images of this layout can be compared with a reference of `layout`.
 
         Raises
         ------
         ImageError
             If rows, columns or channels differ, or the batches do not fit.
         """
-        ours, theirs = self.planes_shape, layout.planes_shape
+        shape, reference = self.planes_shape, layout.planes_shape
         core = 2 if self.channel_axis is None else 3
-        batch = (1,) * (len(ours) - len(theirs)) + theirs[:-core]
-        fits = len(batch) == len(ours) - core and all(n in (1, m) for n, m in zip(batch, ours, strict=False))
-        if ours[-core:] != theirs[-core:] or not fits:
+        batch = (1,) * (len(shape) - len(reference)) + reference[:-core]
+        fits = len(batch) == len(shape) - core and all(n in (1, m) for n, m in zip(batch, shape, strict=False))
+        if shape[-core:] != reference[-core:] or not fits:
             msg = f"`{name}` has shape {self.shape}, which does not fit the reference's shape {layout.shape}"
             raise ImageError(msg)
 
     def broadcast_planes(self, name: str, reference: Array, layout: Layout) -> Array:
-        """`reference`, of another layout, as planes of shape (N, H, W) that match this layout's.
+        """Return `reference`, whose layout is `layout`, as planes of shape (N, H, W) that match this layout's.
 
         Batch axes of length 1, and batch axes that the reference lacks, are repeated. Errors as in :meth:`require_fit`.
         """
@@ -110,7 +110,7 @@ class Layout:
         return xp.reshape(stack, (-1, self.height, self.width))
 
     def to_image(self, planes: Array) -> Array:
-        """Planes, shape (N, H, W), in the shape of the image."""
+        """Return planes, shape (N, H, W), in the shape of the image."""
         xp = namespace(planes)
         order = self._order
         inverse = tuple(order.index(axis) for axis in range(len(order)))

@@ -1,4 +1,4 @@
-"""What happens to pixels that are NaN or infinite."""
+"""Detection of NaN and infinite pixels, and a diagnosis of their pattern."""
 
 from __future__ import annotations
 
@@ -15,12 +15,11 @@ __all__ = ["NanPolicy", "check_nan_policy", "count_non_finite", "require_finite"
 
 NanPolicy = Literal["raise", "mask"]
 
-
 SCATTERED: Final = "isolated pixels"
 
 
 def check_nan_policy(policy: object) -> NanPolicy:
-    """`policy` itself, once it is known to be allowed."""
+    """Return `policy` if it is valid."""
     for allowed in get_args(NanPolicy):
         if isinstance(policy, str) and policy == allowed:
             return allowed  # type: ignore[no-any-return]  # get_args is untyped; it yields the literals above
@@ -29,7 +28,7 @@ def check_nan_policy(policy: object) -> NanPolicy:
 
 
 def count_non_finite(array: Array) -> int:
-    """How many values of `array` are NaN or infinite."""
+    """Return the number of NaN and infinite values of `array`."""
     xp = namespace(array)
     return int(xp.sum(xp.astype(~xp.isfinite(array), xp.int32)))  # JAX has no int64 unless asked
 
@@ -49,36 +48,36 @@ def require_finite(name: str, image: Array, channel_axis: int | None) -> None:
 
 
 def _axes(count: int, channel_axis: int | None) -> str:
-    """The names of an image's axes, those of the batch together: ``(*batch, y, x, c)``."""
-    plain = [*["*batch"] * (count - 2), "y", "x"]
+    """Return the names of an image's axes, with one name for all batch axes: ``(*batch, y, x, c)``."""
+    names = [*["*batch"] * (count - 2), "y", "x"]
     if channel_axis is not None:
-        del plain[0]
-        plain.insert(channel_axis % count, "c")
-    return f"({', '.join(name for name, _ in itertools.groupby(plain))})"
+        del names[0]
+        names.insert(channel_axis % count, "c")
+    return f"({', '.join(name for name, _ in itertools.groupby(names))})"
 
 
 def _suspicion(bad: Host, kinds: tuple[int, int, int], channel_axis: int | None) -> str:
-    """How the bad values lie, and what usually makes such a pattern."""
+    """Return the pattern of the bad values and its usual cause."""
     pixels = bad[..., None] if channel_axis is None else np.moveaxis(bad, channel_axis, -1)
     batch, images = pixels.shape[:-3], pixels.reshape(-1, *pixels.shape[-3:])
-    hit = np.flatnonzero(images.any(axis=(1, 2, 3)))
-    only = ""
-    if len(images) > 1 and len(hit) == 1:
-        index = tuple(int(one) for one in np.unravel_index(hit[0], batch))
-        only = f"only image {index[0] if len(index) == 1 else index} of the batch, "
-        images = images[hit]
-    pattern, usual = _pattern(images)
+    bad_images = np.flatnonzero(images.any(axis=(1, 2, 3)))
+    prefix = ""
+    if len(images) > 1 and len(bad_images) == 1:
+        index = tuple(int(number) for number in np.unravel_index(bad_images[0], batch))
+        prefix = f"only image {index[0] if len(index) == 1 else index} of the batch, "
+        images = images[bad_images]
+    pattern, cause = _pattern(images)
     _, positive, negative = kinds
-    # Where there are both, the infinity came first: its difference to another, or product with 0, is NaN.
+    # If there are both, the infinity came first: its difference from another, or product with 0, is NaN.
     if positive:
-        usual = f"an overflow: exp, a division by almost 0{'' if pattern == SCATTERED else ', float16 beyond 65504'}"
+        cause = f"an overflow: exp, a division by almost 0{'' if pattern == SCATTERED else ', float16 beyond 65504'}"
     elif negative:
-        usual = "a logarithm of 0, or an overflow"
-    return f"{only}{pattern}, which suggests {usual}"
+        cause = "a logarithm of 0, or an overflow"
+    return f"{prefix}{pattern}, which suggests {cause}"
 
 
 def _pattern(bad: Host) -> tuple[str, str]:
-    """How the bad values of images (N, H, W, C) lie, and what usually makes NaN in such a pattern."""
+    """Return the pattern of the bad values of images, shape (N, H, W, C), and the usual cause of NaN in it."""
     if bad.all():
         return "every value", "parameters that are not finite since the last step, or a division by a sum that is 0"
     channels = bad.all(axis=(0, 1, 2))
@@ -89,8 +88,8 @@ def _pattern(bad: Host) -> tuple[str, str]:
     for name, axis in (("rows", 2), ("columns", 1)):
         if pixels.shape[axis] > 1 and np.array_equal(pixels.any(axis=axis), pixels.all(axis=axis)):
             return f"whole {name}", "an unfinished render, or weights that are 0 along the border"
-    around = np.pad(pixels, ((0, 0), (1, 1), (1, 1)))
-    beside = around[:, :-2, 1:-1] | around[:, 2:, 1:-1] | around[:, 1:-1, :-2] | around[:, 1:-1, 2:]
-    if 2 * np.count_nonzero(pixels & ~beside) > np.count_nonzero(pixels):
+    padded = np.pad(pixels, ((0, 0), (1, 1), (1, 1)))
+    neighbour_is_bad = padded[:, :-2, 1:-1] | padded[:, 2:, 1:-1] | padded[:, 1:-1, :-2] | padded[:, 1:-1, 2:]
+    if 2 * np.count_nonzero(pixels & ~neighbour_is_bad) > np.count_nonzero(pixels):
         return SCATTERED, "0/0 in shading or sampling, or a normal of length 0"
     return "connected pixels", "one object whose parameters or texture are not finite"

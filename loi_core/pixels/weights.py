@@ -1,4 +1,4 @@
-"""How much each pixel counts: weights, and masks, which are weights of 0 and 1."""
+"""Weights of pixels, and masks, which are weights of 0 and 1."""
 
 from __future__ import annotations
 
@@ -31,28 +31,28 @@ class PixelWeights:
 
     @classmethod
     def of(cls, weights: object, layout: Layout) -> PixelWeights:
-        """Weights, shape (*batch, H, W), for a reference of this layout.
+        """Return checked weights, shape (*batch, H, W), for a reference of this layout.
 
         Raises
         ------
         ImageTypeError
-            If they are no array of numbers.
+            If they are not an array of numbers.
         ImageError
             If the shape does not fit, a weight is negative or not finite, or all are 0.
         """
         values = np.asarray(given_weights(weights)).astype(np.float64)
         size = layout.height, layout.width
-        whole = layout.planes_shape if layout.channel_axis is None else (*layout.planes_shape[:-3], *size)
-        if values.shape not in (size, whole):
-            wanted = f"{size}" if size == whole else f"{size} or {whole}"
-            msg = f"`weights` must have shape {wanted}, one for each pixel of the reference, got {values.shape}"
+        batched = layout.planes_shape if layout.channel_axis is None else (*layout.planes_shape[:-3], *size)
+        if values.shape not in (size, batched):
+            allowed = f"{size}" if size == batched else f"{size} or {batched}"
+            msg = f"`weights` must have shape {allowed}, one for each pixel of the reference, got {values.shape}"
             raise ImageError(msg)
         largest = require_some(largest_weight(values))
         return cls(values / largest, largest)
 
     @property
     def is_mask(self) -> bool:
-        """Whether there are only two weights, 0 and another, or only one."""
+        """Whether all positive weights are equal."""
         return bool(np.all((self.normalised == 0.0) | (self.normalised == 1.0)))
 
     @property
@@ -62,16 +62,16 @@ class PixelWeights:
 
     @property
     def values(self) -> Host:
-        """The weights as they were given, shape (*batch, H, W), float64."""
+        """The weights as passed, shape (*batch, H, W), float64."""
         return self.normalised * self.largest
 
     def planes(self, layout: Layout, like: Array) -> Array:
-        """Return the normalised weights as planes of shape (N, H, W) of images of `layout`, an array like `like`.
+        """Return the normalised weights as planes of shape (N, H, W) for images of `layout`, an array like `like`.
 
         Raises
         ------
         ImageError
-            If the batch axes do not fit those of the images.
+            If the batch axes do not fit the images' batch axes.
         """
         weights = self.normalised if layout.channel_axis is None else self.normalised[..., None, :, :]
         try:
@@ -83,45 +83,45 @@ class PixelWeights:
 
 
 def given_weights(weights: object) -> Host:
-    """Weights as a NumPy array of real numbers; NumPy's own as they are, memory maps among them.
+    """Return weights as a NumPy array of real numbers; NumPy arrays, memory maps included, without a copy.
 
     Raises
     ------
     ImageTypeError
-        If they are no array of numbers.
+        If they are not an array of numbers.
     """
     if not is_array_api_obj(weights):
         msg = f"`weights` must be an array, got {type(weights).__name__}"
         raise ImageTypeError(msg)
-    given: Host = weights if is_numpy_array(weights) else np.asarray(to_numpy(weights))
-    if given.dtype.kind not in "fiub":
-        msg = f"`weights` must be real numbers, got {given.dtype}"
+    host: Host = weights if is_numpy_array(weights) else np.asarray(to_numpy(weights))
+    if host.dtype.kind not in "fiub":
+        msg = f"`weights` must be real numbers, got {host.dtype}"
         raise ImageTypeError(msg)
-    return given
+    return host
 
 
 def largest_weight(values: Host) -> float:
-    """The largest of some weights, float64.
+    """Return the largest of some weights, float64.
 
     Raises
     ------
     ImageError
         If one is negative or not finite.
     """
-    good = np.isfinite(values) & (values >= 0.0)
-    if not np.all(good):
-        msg = f"`weights` must be finite and not negative, got {shown(float(values[~good][0]))}"
+    valid = np.isfinite(values) & (values >= 0.0)
+    if not np.all(valid):
+        msg = f"`weights` must be finite and not negative, got {shown(float(values[~valid][0]))}"
         raise ImageError(msg)
     return float(values.max())
 
 
 def require_some(largest: float) -> float:
-    """The largest of all weights, if that is not 0.
+    """Return the largest of all weights if it is not 0.
 
     Raises
     ------
     ImageError
-        If it is.
+        If it is 0.
     """
     if largest == 0.0:
         msg = "`weights` must not all be 0: nothing would be compared"
