@@ -1,26 +1,29 @@
-"""``loi doctor --stability``: the catalogue of hard cases on every installed backend."""
+"""``loi doctor --stability``: the catalogue of hard cases on every installed backend, in a short summary."""
 
 from __future__ import annotations
 
 import json
-import math
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import asdict
+from typing import Final
 
 from loi_core.cli.progress import ProgressBar
 from loi_core.errors import BackendNotFoundError
 from loi_core.plugins.backends import Backend
 from loi_core.plugins.registry import BACKENDS
 from loi_core.stability import StabilityRow, hard_cases, stability_rows
-from loi_core.support.markdown import markdown
+from loi_core.support.markdown import columns
+from loi_core.support.values import finite_or_none
 
-__all__ = ["examine_stability", "stability_lines"]
+__all__ = ["examine_stability", "summary_lines"]
 
-HEADS = ("case", "backend", "dtype", "loss: error", "bound", "gradient: error", "bound", "verdict")
+VERDICTS: Final = ("ok", "loose", "refused", "not held", "FAILED")
+HEADS: Final = ("backend and dtype", *VERDICTS, "loss error / bound", "gradient error / bound")
 
 
 def examine_stability(*, as_json: bool) -> bool:
-    """Run all cases and print the table; return False if a rule was broken, or a backend could not be tried."""
+    """Run all cases and print the results; return False if a rule was broken, or a backend could not be tried."""
     backends, missing, broken = _backends()
     rows: list[StabilityRow] = []
     interrupted = False
@@ -31,20 +34,39 @@ def examine_stability(*, as_json: bool) -> bool:
         except KeyboardInterrupt:
             interrupted = True
     if as_json:
-        plain = [{name: _plain(value) for name, value in asdict(row).items()} for row in rows]
+        plain = [
+            {name: finite_or_none(value) if isinstance(value, float) else value for name, value in asdict(row).items()}
+            for row in rows
+        ]
         print(json.dumps({"rows": plain, "missing": missing, "broken": broken}, indent=2, allow_nan=False))
     else:
-        print("\n".join(stability_lines(rows)))
+        print("\n".join(summary_lines(rows)))
         for name, problem in {**missing, **broken}.items():
             print(f"not tried: {name}: {problem}")
     return not interrupted and not broken and not any(row.verdict == "FAILED" for row in rows)
 
 
-def stability_lines(rows: list[StabilityRow]) -> list[str]:
-    """Return the table as Markdown, the number of rows of each verdict, and the details of failed rows."""
+def summary_lines(rows: Sequence[StabilityRow]) -> list[str]:
+    """Return a table with one line for each backend and dtype, and the details of failed rows.
+
+    Integer, complex and other arrays that must be refused are counted in one line for each backend.
+    """
+    groups: dict[str, list[StabilityRow]] = {}
+    for row in rows:
+        dtype = row.dtype if "float" in row.dtype else "other arrays"
+        groups.setdefault(f"{row.backend} {dtype}", []).append(row)
+    table = columns([HEADS, *([name, *_cells(group)] for name, group in groups.items())])
+    failures = [f"{row.case}, {row.backend} {row.dtype}: {row.detail}" for row in rows if row.verdict == "FAILED"]
+    return [*table, *failures, "", f"{len(rows)} rows; `--json` prints all of them"]
+
+
+def _cells(rows: Sequence[StabilityRow]) -> list[str]:
+    """Return the number of rows of each verdict, and the largest errors in units of their bounds."""
     counts = Counter(row.verdict for row in rows)
-    lines = [*markdown(HEADS, map(_cells, rows)), "", ", ".join(f"{n} {verdict}" for verdict, n in counts.items())]
-    return lines + [f"{row.case}, {row.backend} {row.dtype}: {row.detail}" for row in rows if row.verdict == "FAILED"]
+    losses = [row.loss_error / row.loss_bound for row in rows if row.loss_bound > 0.0]
+    gradients = [row.gradient_error / row.gradient_bound for row in rows if row.gradient_bound > 0.0]
+    ratios = (f"{max(errors):.2g}" if errors else "-" for errors in (losses, gradients))
+    return [*(str(counts[verdict]) for verdict in VERDICTS), *ratios]
 
 
 def _backends() -> tuple[dict[str, Backend], dict[str, str], dict[str, str]]:
@@ -60,13 +82,3 @@ def _backends() -> tuple[dict[str, Backend], dict[str, str], dict[str, str]]:
         except (Exception, SystemExit) as error:  # noqa: BLE001 - a plugin may raise anything; the others must still run
             broken[info.name] = " ".join(f"{type(error).__name__}: {error}".split())
     return backends, missing, broken
-
-
-def _cells(row: StabilityRow) -> list[str]:
-    numbers = (row.loss_error, row.loss_bound, row.gradient_error, row.gradient_bound)
-    shown = ("" if math.isnan(number) else f"{number:.1e}" for number in numbers)
-    return [row.case, row.backend, row.dtype, *shown, row.verdict]
-
-
-def _plain(value: object) -> object:
-    return None if isinstance(value, float) and not math.isfinite(value) else value

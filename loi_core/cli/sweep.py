@@ -9,12 +9,13 @@ import math
 import sys
 from collections.abc import Iterator
 from concurrent.futures import Executor
-from typing import Any, Final
+from typing import Final
 
 from loi_core.cli.codes import DONE, FAILED
 from loi_core.cli.progress import ProgressBar
 from loi_core.errors import OptionError
 from loi_core.runs import DaskExecutor
+from loi_core.support.values import finite_or_none
 from loi_core.support.wording import printable
 from loi_core.sweeps import SweepResult, sweep
 
@@ -45,7 +46,10 @@ def run(options: argparse.Namespace) -> int:
             progress=progress,
         )
     if options.json:
-        rows = [{name: _plain(value) for name, value in row.items()} for row in result.rows]
+        rows = [
+            {name: finite_or_none(value) if isinstance(value, float) else value for name, value in row.items()}
+            for row in result.rows
+        ]
         print(json.dumps({"rows": rows, "table": str(result.table), "leaderboard": str(result.page)}, indent=2))
     else:
         _print(result)
@@ -76,7 +80,3 @@ def _print(result: SweepResult) -> None:
     hint = "; `--retry-failed` runs those again" if failed else ""
     print(f"\n{result.count('done')} runs done, {len(failed)} failed{hint}")
     print(f"leaderboard: {result.page}\ntable: {result.table}")
-
-
-def _plain(value: Any) -> Any:
-    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -1,4 +1,4 @@
-"""What is said of an objective where it is printed or shown in a notebook."""
+"""Descriptions of objectives for ``print`` and for notebooks."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from loi_core.support.wording import printable
 
 __all__ = ["facts_of_options", "facts_of_reference", "facts_of_scales", "in_notebook", "printed", "unusual_settings"]
 
-USUAL: Final[Mapping[str, Any]] = {
+DEFAULTS: Final[Mapping[str, Any]] = {
     "bounds": (0.0, 1.0),
     "boundary": "reflect",
     "p": 1.0,
@@ -24,25 +24,25 @@ USUAL: Final[Mapping[str, Any]] = {
 
 
 def facts_of_reference(shape: tuple[int, ...], dtype: object) -> dict[str, str]:
-    """Its size and dtype, in whatever library."""
+    """Return the reference's shape and dtype."""
     return {"reference": f"{'x'.join(map(str, shape))} {str(dtype).rpartition('.')[2]}"}
 
 
 def facts_of_scales(scales: ScaleSpace) -> dict[str, str]:
-    """The scales, and of their settings those that are not the usual ones."""
-    facts = {name: " ".join(f"{one:g}" for one in getattr(scales, name)) for name in ("sigma", "alpha", "beta")}
+    """Return the scales, and their settings that differ from the defaults."""
+    facts = {name: " ".join(f"{scale:g}" for scale in getattr(scales, name)) for name in ("sigma", "alpha", "beta")}
     return facts | {name: str(value) for name, value in unusual_settings(scales).items()}
 
 
 def unusual_settings(scales: ScaleSpace) -> dict[str, Any]:
-    """Of the settings that go with scales, those that are not the usual ones."""
-    return {name: getattr(scales, name) for name, usual in USUAL.items() if getattr(scales, name) != usual}
+    """Return the settings of a scale space that differ from the defaults."""
+    return {name: getattr(scales, name) for name, default in DEFAULTS.items() if getattr(scales, name) != default}
 
 
 def facts_of_options(
     channel_axis: int | None, nan_policy: str, tone: object, weights: tuple[int, ...] | None
 ) -> dict[str, str]:
-    """The options that every objective has, where they are not the usual ones; of weights the shape."""
+    """Return the options of every objective that differ from the defaults, and the shape of the weights."""
     facts = {} if channel_axis == -1 else {"channel_axis": str(channel_axis)}
     facts |= {} if nan_policy == "raise" else {"nan_policy": nan_policy}
     facts |= {} if tone is None else {"tone": str(tone)}
@@ -50,10 +50,10 @@ def facts_of_options(
 
 
 def printed(name: str, facts: Mapping[str, str]) -> str:
-    """An objective in one line."""
-    return printable(f"<{name}: {', '.join(f'{what} {fact}' for what, fact in facts.items())}>")
+    """Return the description of an objective in one line."""
+    return printable(f"<{name}: {', '.join(f'{label} {fact}' for label, fact in facts.items())}>")
 
 
 def in_notebook(name: str, facts: Mapping[str, str], reference: Array, channel_axis: int | None) -> str:
-    """An objective as HTML: the reference, small, beside the facts."""
+    """Return the description of an objective as HTML: a thumbnail of the reference beside the facts."""
     return card(name, row([thumbnail(reference, "reference", channel_axis), table(facts.items())]))

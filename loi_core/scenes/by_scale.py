@@ -9,7 +9,7 @@ import numpy as np
 from loi_core.errors import LoiError
 from loi_core.method.comparison import ScaleKey
 from loi_core.objectives import LOIObjective
-from loi_core.objectives.by_scale import gradients_by_scale
+from loi_core.objectives.loi import gradients_by_scale
 from loi_core.scenes.scene import Scene
 from loi_core.support.arrays import Host
 
