@@ -5,7 +5,7 @@ from __future__ import annotations
 import jax
 import jax.numpy as jnp
 
-from loi_core.plugins.backends import Evaluate, Request
+from loi_core.plugins.measurement_backends import Evaluate, Request
 from loi_core.support.arrays import Host, to_numpy
 from loi_jax.loss import loi_loss
 
@@ -13,7 +13,7 @@ __all__ = ["Jax"]
 
 
 class Jax:
-    """A :class:`loi_core.plugins.backends.Backend`."""
+    """A :class:`loi_core.plugins.measurement_backends.MeasurementBackend`."""
 
     dtypes = ("float32", "float64")
     half_dtypes = ("float16", "bfloat16")
@@ -28,7 +28,7 @@ class Jax:
         return jnp.asarray(host)
 
     def prepare(self, request: Request) -> Evaluate:
-        """See :class:`loi_core.plugins.backends.Backend`."""
+        """See :class:`loi_core.plugins.measurement_backends.MeasurementBackend`."""
         wanted = request.reference.astype("float32" if request.dtype in self.half_dtypes else request.dtype)
         loss = loi_loss(wanted, request.scales, request.accuracy, nan_policy=request.nan_policy)
         value_and_grad = jax.jit(jax.value_and_grad(loss))

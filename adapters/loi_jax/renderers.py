@@ -12,9 +12,9 @@ import numpy as np
 
 from loi_core import renderers as core
 from loi_core.errors import ParameterError
-from loi_core.renderers.checks import FloatArray, check_parameters
 from loi_core.renderers.contract import RendererCapabilities
 from loi_core.renderers.coverage import canvas_coverage
+from loi_core.renderers.validation import FloatArray, check_parameters
 from loi_core.support.arrays import to_numpy
 
 __all__ = ["Disks"]

@@ -8,7 +8,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_core.plugins.backends import Evaluate, Request
+from loi_core.plugins.measurement_backends import Evaluate, Request
 from loi_core.support.arrays import Host, to_numpy
 from loi_mitsuba.loss import LOILoss
 
@@ -16,7 +16,7 @@ __all__ = ["Mitsuba"]
 
 
 class Mitsuba:
-    """A :class:`loi_core.plugins.backends.Backend`, in the variant that is set, or else ``llvm_ad_rgb``."""
+    """Measurement backend for Mitsuba in the current variant, or in ``llvm_ad_rgb`` if none is set."""
 
     dtypes = ("float32",)
     half_dtypes: tuple[str, ...] = ()
@@ -32,7 +32,7 @@ class Mitsuba:
         raise TypeError(msg)
 
     def prepare(self, request: Request) -> Evaluate:
-        """See :class:`loi_core.plugins.backends.Backend`."""
+        """See :class:`loi_core.plugins.measurement_backends.MeasurementBackend`."""
         self._variant()
         reference = request.reference.astype(request.dtype)
         loss = LOILoss(reference, request.scales, request.accuracy, nan_policy=request.nan_policy)

@@ -8,7 +8,7 @@ from collections.abc import Iterator
 
 import torch
 
-from loi_core.plugins.backends import BFLOAT16_PRODUCTS, Evaluate, Request
+from loi_core.plugins.measurement_backends import BFLOAT16_PRODUCTS, Evaluate, Request
 from loi_core.support.arrays import Host, to_numpy
 from loi_torch.loss import LOILoss
 
@@ -16,7 +16,7 @@ __all__ = ["Torch"]
 
 
 class Torch:
-    """A :class:`loi_core.plugins.backends.Backend`."""
+    """A :class:`loi_core.plugins.measurement_backends.MeasurementBackend`."""
 
     half_dtypes = ("float16", "bfloat16")
     compiled = False
@@ -37,7 +37,7 @@ class Torch:
             return torch.as_tensor(host, device=self.device())
 
     def prepare(self, request: Request) -> Evaluate:
-        """See :class:`loi_core.plugins.backends.Backend`."""
+        """See :class:`loi_core.plugins.measurement_backends.MeasurementBackend`."""
         products = "medium" if request.dtype == BFLOAT16_PRODUCTS else "highest"
         dtype = "float32" if request.dtype == BFLOAT16_PRODUCTS else request.dtype
         host = "float32" if dtype in self.half_dtypes else dtype  # NumPy has no bfloat16

@@ -28,7 +28,7 @@ def painted_over(
         Where each fragment lies.
     layers : tuple of slice
         The fragments of each layer, lowest first, in which no pixel comes twice
-        (:func:`loi_core.renderers.fragments.painting_order`).
+        (:func:`loi_core.renderers.rasterization.peel_layers`).
     count : int
         Of pixels.
 

@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 
 from loi_core.errors import ParameterError
-from loi_core.renderers.checks import FloatArray
 from loi_core.renderers.contract import RendererCapabilities
+from loi_core.renderers.validation import FloatArray
 from loi_core.support.arrays import to_numpy
 
 __all__ = ["HostScene", "Painted", "Tensors"]

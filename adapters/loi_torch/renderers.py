@@ -12,9 +12,9 @@ from torch import Tensor
 from torch.autograd.function import FunctionCtx, once_differentiable
 
 from loi_core import renderers as core
-from loi_core.renderers.checks import FloatArray
 from loi_core.renderers.coverage import disk_coverage
-from loi_core.renderers.fragments import Fragments, disk_fragments
+from loi_core.renderers.rasterization import Fragments, rasterize_disks
+from loi_core.renderers.validation import FloatArray
 from loi_core.support.arrays import to_numpy
 from loi_torch.compositing import painted_over
 from loi_torch.painted import Painted, Tensors
@@ -61,7 +61,7 @@ class Disks(Painted):
         self._background = torch.tensor(scene.background, device=self._device)
 
     def _paint(self, scene: Tensors) -> Tensor:
-        fragments = disk_fragments(to_numpy(scene["positions"]), to_numpy(scene["radii"]), self._size)
+        fragments = rasterize_disks(to_numpy(scene["positions"]), to_numpy(scene["radii"]), self._size)
         owner = torch.tensor(fragments.owner, device=self._device)
         pixels = torch.tensor(fragments.rows * self._size[1] + fragments.columns, device=self._device)
         coverage: Tensor = _Coverage.apply(scene["positions"], scene["radii"], fragments)[0]  # type: ignore[no-untyped-call]  # untyped in torch

@@ -17,7 +17,7 @@ import numpy as np
 from deodr import ColoredTriMesh, Scene2D
 
 from loi_core.errors import ImageError, ParameterError, RendererError
-from loi_core.renderers.checks import FloatArray, check_parameters, check_size, floats
+from loi_core.renderers.validation import FloatArray, check_floats, check_parameters, check_size
 
 __all__ = ["DeodrMesh", "sphere"]
 
@@ -79,14 +79,14 @@ class DeodrMesh:
     ) -> None:
         self._height = check_size("height", height)
         self._width = check_size("width", width)
-        self._vertices = floats("vertices", vertices, (None, 3))
+        self._vertices = check_floats("vertices", vertices, (None, 3))
         count = len(self._vertices)
         self._faces = _checked_faces(faces, count)
-        self._background = floats("background", background, (3,))
+        self._background = check_floats("background", background, (3,))
         self._pose = {
-            "translation": floats("translation", translation, (3,)),
-            "rotation": floats("rotation", rotation, (3,)),
-            "colours": floats("colours", colours, (count, 3)),
+            "translation": check_floats("translation", translation, (3,)),
+            "rotation": check_floats("rotation", rotation, (3,)),
+            "colours": check_floats("colours", colours, (count, 3)),
         }
         if not 0.0 < field_of_view < 180.0:
             msg = f"`field_of_view` must be between 0 and 180 degrees, got {field_of_view!r}"

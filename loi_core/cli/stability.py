@@ -10,7 +10,7 @@ from typing import Final
 
 from loi_core.cli.progress import ProgressBar
 from loi_core.errors import BackendNotFoundError
-from loi_core.plugins.backends import Backend
+from loi_core.plugins.measurement_backends import MeasurementBackend
 from loi_core.plugins.registry import BACKENDS
 from loi_core.stability import StabilityRow, hard_cases, stability_rows
 from loi_core.support.markdown import columns
@@ -69,9 +69,9 @@ def _cells(rows: Sequence[StabilityRow]) -> list[str]:
     return [*(str(counts[verdict]) for verdict in VERDICTS), *ratios]
 
 
-def _backends() -> tuple[dict[str, Backend], dict[str, str], dict[str, str]]:
+def _backends() -> tuple[dict[str, MeasurementBackend], dict[str, str], dict[str, str]]:
     """Return the backends that work by name, and the problems of missing and of broken ones."""
-    backends: dict[str, Backend] = {}
+    backends: dict[str, MeasurementBackend] = {}
     missing: dict[str, str] = {}
     broken: dict[str, str] = {}
     for info in BACKENDS.available():

@@ -6,7 +6,8 @@ A distribution announces one with an entry point whose name is what it is called
 renderer's is called with the options of a scene and returns something that keeps the contract of
 :class:`loi_core.Renderer`; an objective's with the reference, ``nan_policy`` and ``tone``, as
 :class:`loi_core.PixelL2` is; a backend's is called without arguments and returns a
-:class:`loi_core.plugins.backends.Backend`. A plugin that cannot be loaded is reported by name and hides no other.
+:class:`loi_core.plugins.measurement_backends.MeasurementBackend`. A plugin that
+cannot be loaded is reported by name and hides no other.
 ``LOI_PLUGINS=0`` leaves out the plugins of other distributions.
 """
 
@@ -24,7 +25,7 @@ from typing import Any, Final, Generic, Literal, TypeAlias, TypeVar, cast
 
 from loi_core.errors import BackendNotFoundError, ObjectiveNotFoundError, RendererNotFoundError
 from loi_core.objectives import Objective
-from loi_core.plugins.backends import Backend
+from loi_core.plugins.measurement_backends import MeasurementBackend
 from loi_core.renderers.contract import Renderer
 from loi_core.support.guards import is_ctrl_c
 from loi_core.support.installed import how_to_install
@@ -50,7 +51,7 @@ OWN: Final = "loi"
 
 RendererFactory: TypeAlias = Callable[..., Renderer]
 ObjectiveFactory: TypeAlias = Callable[..., Objective]
-BackendFactory: TypeAlias = Callable[[], Backend]
+BackendFactory: TypeAlias = Callable[[], MeasurementBackend]
 FactoryT = TypeVar("FactoryT")
 
 

@@ -8,11 +8,11 @@ from typing import ClassVar
 import numpy as np
 
 from loi_core.errors import ParameterError
-from loi_core.renderers.checks import FloatArray, check_dtype, check_parameters, check_size, floats
-from loi_core.renderers.confinement import confined
 from loi_core.renderers.contract import RendererCapabilities
 from loi_core.renderers.coverage import disk_coverage
-from loi_core.renderers.fragments import IndexArray, disk_fragments
+from loi_core.renderers.packing import separate_disks
+from loi_core.renderers.rasterization import IndexArray, rasterize_disks
+from loi_core.renderers.validation import FloatArray, check_dtype, check_floats, check_parameters, check_size
 from loi_core.support.wording import shown
 
 __all__ = ["Disks"]
@@ -77,15 +77,15 @@ class Disks:
         confine: bool = False,
     ) -> None:
         self.size = check_size("height", height), check_size("width", width)
-        centres = floats("positions", positions, (None, 2))
+        centres = check_floats("positions", positions, (None, 2))
         count = centres.shape[0]
         spread = np.full(count, radii) if np.ndim(radii) == 0 else radii
         self._scene = {
             "positions": centres,
-            "radii": floats("radii", spread, (count,)),
-            "colours": floats("colours", colours, (count, 3)),
+            "radii": check_floats("radii", spread, (count,)),
+            "colours": check_floats("colours", colours, (count, 3)),
         }
-        self.background = floats("background", background, (3,))
+        self.background = check_floats("background", background, (3,))
         self._dtype = check_dtype(dtype)
         if not isinstance(confine, bool):
             msg = f"`confine` must be true or false, got {shown(confine)}"
@@ -116,7 +116,7 @@ class Disks:
         positions, radii = scene["positions"], scene["radii"]
         # Beyond 1e154 coordinates have no squares; where that matters the image is not finite, which its users check.
         with np.errstate(over="ignore", invalid="ignore"):
-            fragments = disk_fragments(positions, radii, self.size)
+            fragments = rasterize_disks(positions, radii, self.size)
             owner, pixels = fragments.owner, fragments.rows * self.size[1] + fragments.columns
             coverage = np.ones(len(owner))
             edge = np.flatnonzero(fragments.on_edge)
@@ -159,12 +159,12 @@ class Disks:
         return check_parameters(params, self._scene)
 
     def project(self, params: dict[str, FloatArray]) -> dict[str, FloatArray]:
-        """`params` with radii of a tenth of a pixel or more, and the disks confined if the scene asks for it.
+        """`params` with radii of a tenth of a pixel or more, and the disks separated if the scene asks for it.
 
         A disk without area would have no gradient, and could never come back.
         """
         scene = self.checked(params)
         scene["radii"] = np.maximum(scene["radii"], LEAST_RADIUS)
         if self._confine:
-            scene["positions"] = confined(scene["positions"], scene["radii"], self.size)
+            scene["positions"] = separate_disks(scene["positions"], scene["radii"], self.size)
         return {name: value.astype(self._dtype) for name, value in scene.items()}

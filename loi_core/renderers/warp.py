@@ -8,8 +8,8 @@ from typing import ClassVar
 import numpy as np
 
 from loi_core.errors import ParameterError
-from loi_core.renderers.checks import FloatArray, check_dtype, check_image, check_parameters, floats
 from loi_core.renderers.contract import RendererCapabilities
+from loi_core.renderers.validation import FloatArray, check_dtype, check_floats, check_image, check_parameters
 
 __all__ = ["Warp"]
 
@@ -76,10 +76,10 @@ class Warp:
             self.layers, ((1, 1), (1, 1), (0, 0))
         )  # a transparent rim for the samples that straddle it
         self._scene = {
-            "translation": floats("translation", translation, (2,)),
-            "rotation": floats("rotation", rotation, ()),
-            "scale": floats("scale", scale, ()),
-            "exposure": floats("exposure", exposure, ()),
+            "translation": check_floats("translation", translation, (2,)),
+            "rotation": check_floats("rotation", rotation, ()),
+            "scale": check_floats("scale", scale, ()),
+            "exposure": check_floats("exposure", exposure, ()),
         }
 
     @property

@@ -28,8 +28,8 @@ from loi_core.report.names import EFFECTS_FOLDER, FRAMES_FOLDER, GRADIENTS_FOLDE
 from loi_core.report.provenance import environment
 from loi_core.report.scales import scale_table, write_gradients
 from loi_core.report.tables import csv_text
-from loi_core.scenes.by_scale import scale_objectives
 from loi_core.scenes.experiment import FrameWriter, Trial, frame_steps, quality
+from loi_core.scenes.scale_terms import scale_objectives
 from loi_core.scenes.scene import Scene
 from loi_core.support.arrays import Array, Host, epsilon, to_numpy, widened
 from loi_core.support.values import finite_or_none

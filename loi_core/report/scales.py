@@ -12,8 +12,8 @@ from loi_core.io.result_folder import ResultFolder
 from loi_core.pixels.display import signed_to_grey
 from loi_core.report.names import GRADIENTS_FOLDER, MOMENTS, gradient_file
 from loi_core.report.tables import SCALE_COLUMNS, csv_text
-from loi_core.scenes.by_scale import scale_objectives, scale_pulls
 from loi_core.scenes.experiment import Trial
+from loi_core.scenes.scale_terms import scale_descent, scale_objectives
 from loi_core.scenes.scene import Scene
 from loi_core.support.arrays import Host, to_numpy
 
@@ -52,7 +52,7 @@ def write_gradients(folder: ResultFolder, scene: Scene, trial: Trial) -> list[di
         for moment, images in zip(MOMENTS, (trial.starts, ends), strict=True):
             if set(images) != set(scene.views):
                 continue
-            for (alpha, beta, sigma), pull in scale_pulls(scene, trial.objective, images).items():
+            for (alpha, beta, sigma), pull in scale_descent(scene, trial.objective, images).items():
                 empty = {"sigma": sigma, "alpha": alpha, "beta": beta, "gradient_norm": {}}
                 entry = entries.setdefault((alpha, beta, sigma), empty)
                 entry["gradient_norm"][moment] = float(np.linalg.norm(pull))

@@ -20,7 +20,7 @@ from loi_core.method.comparison import ScaleKey
 from loi_core.objectives.base import Objective
 from loi_core.pixels.psnr import psnr
 from loi_core.renderers.contract import Parameters, capabilities_of
-from loi_core.scenes.by_scale import scale_terms
+from loi_core.scenes.scale_terms import scale_terms
 from loi_core.scenes.scene import Scene
 from loi_core.support.arrays import Array, Host, to_numpy
 from loi_core.support.guards import foreign

@@ -9,7 +9,7 @@ from typing import Final, Literal, TypeAlias
 
 import numpy as np
 
-from loi_core.plugins.backends import Backend
+from loi_core.plugins.measurement_backends import MeasurementBackend
 from loi_core.stability.case import HardCase
 from loi_core.stability.rules import STABILITY_CHECKS, distance
 from loi_core.stability.trial import Answer, Trial, dtypes_of, try_case
@@ -89,7 +89,7 @@ class StabilityRow:
 
 
 def stability_rows(
-    cases: Sequence[HardCase], backends: Mapping[str, Backend], progress: Progress | None = None
+    cases: Sequence[HardCase], backends: Mapping[str, MeasurementBackend], progress: Progress | None = None
 ) -> Iterator[StabilityRow]:
     """Yield the stability table row by row: every case on every backend in every dtype.
 
@@ -97,7 +97,7 @@ def stability_rows(
     ----------
     cases : sequence of HardCase
         Such as :func:`loi_core.stability.hard_cases`.
-    backends : mapping of str to Backend
+    backends : mapping of str to MeasurementBackend
     progress : callable, optional
         Called before each row.
     """

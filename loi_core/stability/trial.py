@@ -10,7 +10,7 @@ import numpy as np
 
 from loi_core.method.reference import loss_and_gradient
 from loi_core.objectives import LOIObjective
-from loi_core.plugins.backends import BFLOAT16_PRODUCTS, Backend, Request
+from loi_core.plugins.measurement_backends import BFLOAT16_PRODUCTS, MeasurementBackend, Request
 from loi_core.stability.bounds import allowed
 from loi_core.stability.case import HardCase
 from loi_core.support.arrays import Host, to_numpy
@@ -98,7 +98,7 @@ def epsilon_of(dtype: str) -> float:
     return HALF_PRECISION[dtype][0] if dtype in HALF_PRECISION else float(np.finfo(dtype).eps)
 
 
-def dtypes_of(case: HardCase, backend: Backend) -> tuple[str, ...]:
+def dtypes_of(case: HardCase, backend: MeasurementBackend) -> tuple[str, ...]:
     """Return the dtypes in which `case` is tried on `backend`."""
     if case.layout is not None:
         return backend.dtypes[:1]
@@ -106,7 +106,7 @@ def dtypes_of(case: HardCase, backend: Backend) -> tuple[str, ...]:
     return (*dtypes, *(backend.half_dtypes if case.half else ()))
 
 
-def try_case(case: HardCase, name: str, backend: Backend, dtype: str) -> Trial:
+def try_case(case: HardCase, name: str, backend: MeasurementBackend, dtype: str) -> Trial:
     """Evaluate `case` on the backend called `name`."""
     if case.layout is not None:
         return _try_layout(case, name, backend, dtype)
@@ -128,7 +128,7 @@ def try_case(case: HardCase, name: str, backend: Backend, dtype: str) -> Trial:
     return Trial(case, name, dtype, _expected(case, dtype), answer, at_reference, tuple(members), tuple(replaced))
 
 
-def _try_layout(case: HardCase, name: str, backend: Backend, dtype: str) -> Trial:
+def _try_layout(case: HardCase, name: str, backend: MeasurementBackend, dtype: str) -> Trial:
     """Evaluate the core itself on an array of the backend's library, whose memory layout is the subject of the case."""
     image, reference = _rounded_pair(case, dtype)
     expected = None if case.error is not None else _expected(case, dtype)
@@ -152,7 +152,7 @@ def _try_layout(case: HardCase, name: str, backend: Backend, dtype: str) -> Tria
     return Trial(case, name, str(image.dtype), expected, answer, modified=not np.array_equal(original, image))
 
 
-def _evaluate(case: HardCase, backend: Backend, dtype: str, image: Host, reference: Host) -> Outcome:
+def _evaluate(case: HardCase, backend: MeasurementBackend, dtype: str, image: Host, reference: Host) -> Outcome:
     try:
         return Answer(*backend.prepare(Request(image, reference, case.scales, "exact", dtype, case.nan_policy))())
     except Exception as error:  # noqa: BLE001 - a backend may raise anything; the row reports it

@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 
 from loi_core.method.scales import ScaleSpace
-from loi_core.plugins.backends import Backend, Request
+from loi_core.plugins.measurement_backends import MeasurementBackend, Request
 from loi_core.support.arrays import Host
 from loi_core.tradeoff.memory import peak_memory, restart_peak
 from loi_core.tradeoff.settings import Setting
@@ -142,14 +142,14 @@ def _ignored_interrupts() -> Iterator[None]:
 
 def _work(sender: Connection, target: str, setting: Setting, image: Host, reference: Host, seconds: float) -> None:
     try:
-        backend: Backend = EntryPoint(setting.backend, target, "").load()()
+        backend: MeasurementBackend = EntryPoint(setting.backend, target, "").load()()
         sample: Sample | str = _measure(backend, setting, image, reference, seconds)
     except (Exception, SystemExit) as error:  # noqa: BLE001 - a backend may raise anything; the others must go on
         sample = " ".join(f"{type(error).__name__}: {error}".split())
     sender.send(sample)
 
 
-def _measure(backend: Backend, setting: Setting, image: Host, reference: Host, seconds: float) -> Sample:
+def _measure(backend: MeasurementBackend, setting: Setting, image: Host, reference: Host, seconds: float) -> Sample:
     accuracy, dtype = setting.accuracy, setting.dtype
     small = Request(image[:SMALL, :SMALL], reference[:SMALL, :SMALL], ScaleSpace(1.0, 2.0, 0.5), accuracy, dtype)
     backend.prepare(small)()  # loads what a library loads on first use

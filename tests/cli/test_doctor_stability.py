@@ -13,9 +13,9 @@ from loi_core.plugins import registry
 from loi_core.stability import hard_cases
 
 FEW = ("ordinary pair", "one NaN", "ties", "big-endian")
-NUMPY = EntryPoint("numpy", "loi_core.plugins.backends:NumPy", registry.BACKENDS.name)
+NUMPY = EntryPoint("numpy", "loi_core.plugins.measurement_backends:NumPy", registry.BACKENDS.name)
 WRONG = """
-from loi_core.plugins.backends import NumPy
+from loi_core.plugins.measurement_backends import NumPy
 
 
 class Wrong(NumPy):

@@ -23,7 +23,7 @@ import torch
 
 from loi_core import LOIObjective, ScaleSpace
 from loi_core.method.reference import DOUBLE, loss_and_gradient
-from loi_core.plugins.backends import Backend, Evaluate, NumPy, Request
+from loi_core.plugins.measurement_backends import Evaluate, MeasurementBackend, NumPy, Request
 from loi_core.stability import (
     STABILITY_CHECKS,
     HardCase,
@@ -89,7 +89,7 @@ class JaxWithoutNumba(Jax):
         return within
 
 
-BACKENDS: dict[str, Backend] = {
+BACKENDS: dict[str, MeasurementBackend] = {
     "NumPy": NumPy(),
     "array_api_strict": OfCore(array_api_strict.asarray, ("float32", "float64")),
     "torch": OfCore(Torch().asarray, ("float32", "float64"), ("float16", "bfloat16")),

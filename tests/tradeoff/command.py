@@ -15,7 +15,7 @@ from loi_core.plugins import registry
 
 Plugins = Callable[..., None]
 
-NUMPY = EntryPoint("numpy", "loi_core.plugins.backends:NumPy", registry.BACKENDS.name)
+NUMPY = EntryPoint("numpy", "loi_core.plugins.measurement_backends:NumPy", registry.BACKENDS.name)
 
 
 def tradeoff(output: Path, capsys: pytest.CaptureFixture[str], *arguments: str, code: int = 0) -> dict[str, Any]:

@@ -15,7 +15,7 @@ import torch
 from loi_core import LOIObjective, ScaleSpace
 from loi_core.cli import main
 from loi_core.plugins import registry
-from loi_core.plugins.backends import BFLOAT16_PRODUCTS, Backend, NumPy, Request
+from loi_core.plugins.measurement_backends import BFLOAT16_PRODUCTS, MeasurementBackend, NumPy, Request
 from loi_core.tradeoff import Setting, rows
 from loi_core.tradeoff.memory import peak_memory
 from tests.environments import ROOT
@@ -25,7 +25,7 @@ from tests.tradeoff.command import NUMPY, Plugins, tradeoff
 BROKEN = """\
 import os
 
-from loi_core.plugins.backends import NumPy
+from loi_core.plugins.measurement_backends import NumPy
 
 
 class Refuses:
@@ -46,7 +46,7 @@ class Crashes(Fails):
 """
 
 
-def announced_backends() -> dict[str, Backend]:
+def announced_backends() -> dict[str, MeasurementBackend]:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     entries = project["entry-points"][registry.BACKENDS.name]
     return {name: EntryPoint(name, value, registry.BACKENDS.name).load()() for name, value in entries.items()}
@@ -161,7 +161,7 @@ def test_a_larger_image_takes_more_memory() -> None:
         pytest.skip("the system does not tell")
     setting = Setting("numpy", "exact", "float64", ScaleSpace(1, 4, 0.125))
     small, large = (
-        rows.measure_setting("loi_core.plugins.backends:NumPy", setting, *images((size, size, 3), 0), 1e-3)
+        rows.measure_setting("loi_core.plugins.measurement_backends:NumPy", setting, *images((size, size, 3), 0), 1e-3)
         for size in (16, 192)
     )
     assert isinstance(small, rows.Sample)

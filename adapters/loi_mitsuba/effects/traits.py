@@ -12,7 +12,7 @@ import numpy as np
 
 from loi_mitsuba.geometry.bounds import bounding_box
 from loi_mitsuba.scene.parameters import SceneIndex, ancestors
-from loi_mitsuba.scene.poses import Handle, Translate
+from loi_mitsuba.scene.poses import PoseParameter, Translate
 from loi_mitsuba.scene.queries import has_medium
 
 __all__ = ["VOLUME_INTEGRATORS", "Traits", "group_by_unit", "is_known", "kind_of", "traits_of"]
@@ -103,7 +103,7 @@ class Traits:
         return self.lights and (self.delta_reflection or self.delta_transmission)
 
 
-def traits_of(called: SceneIndex, targets: Mapping[str, str | Handle], sensor: Any) -> Traits:
+def traits_of(called: SceneIndex, targets: Mapping[str, str | PoseParameter], sensor: Any) -> Traits:
     """Traverse a scene and find out what `targets`, the optimised parameters by name, change in it."""
     unknown: list[str] = []
     moving: dict[str, Any] = {}
@@ -169,7 +169,7 @@ def is_known(integrator: str) -> bool:
     return integrator in SURFACE_INTEGRATORS or integrator in VOLUME_INTEGRATORS
 
 
-def group_by_unit(targets: Mapping[str, str | Handle]) -> tuple[tuple[str, ...], ...]:
+def group_by_unit(targets: Mapping[str, str | PoseParameter]) -> tuple[tuple[str, ...], ...]:
     """The parameters, those together whose gradients have one unit: all translations, and every other alone."""
     moves = tuple(name for name, target in targets.items() if isinstance(target, Translate))
     rest = tuple((name,) for name in targets if name not in moves)

@@ -12,15 +12,15 @@ import drjit as dr
 import mitsuba as mi
 
 from loi_core.errors import OptionError, ParameterError
-from loi_core.renderers.handles import Rotate, Target, targets_of
+from loi_core.renderers.poses import ParameterTarget, Rotate, parse_targets
 from loi_core.support.values import whole_number
 from loi_core.support.wording import shown
 from loi_mitsuba.scene.safety import SceneLoadError, check_description, check_scene_file, file_search_path
 
 __all__ = [
     "LoadedScene",
+    "ParameterTarget",
     "SceneLoadError",
-    "Target",
     "checked_samples",
     "checked_targets",
     "copied_description",
@@ -155,9 +155,9 @@ def copied_description(description: dict[str, Any]) -> dict[str, Any]:
     return {key: copied(value) for key, value in description.items()}
 
 
-def checked_targets(parameters: object) -> dict[str, Target]:
+def checked_targets(parameters: object) -> dict[str, ParameterTarget]:
     """Return the target of each parameter, with handles in place of a scene file's tables."""
-    targets = targets_of(parameters)
+    targets = parse_targets(parameters)
     for name, target in targets.items():
         if isinstance(target, Rotate) and target.axis is None:
             msg = f"`parameters[{name!r}]`: Rotate needs `axis` in Mitsuba; several Rotates turn a shape freely"

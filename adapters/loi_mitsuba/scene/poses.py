@@ -8,17 +8,17 @@ from typing import Any, TypeAlias
 import drjit as dr
 import mitsuba as mi
 
-from loi_core.renderers.handles import Handle, Rotate, Scale, Translate, in_order
+from loi_core.renderers.poses import PoseParameter, Rotate, Scale, Translate, in_application_order
 
-__all__ = ["Handle", "Rotate", "Scale", "Translate", "posed"]
+__all__ = ["PoseParameter", "Rotate", "Scale", "Translate", "posed"]
 
 Vector: TypeAlias = tuple[float, float, float]
 
 
-def posed(handles: Sequence[tuple[Handle, Any]], centre: Vector) -> Any:
+def posed(handles: Sequence[tuple[PoseParameter, Any]], centre: Vector) -> Any:
     """The transform that several handles on one shape make together.
 
-    The order is that of :func:`loi_core.renderers.handles.in_order`.
+    The order is that of :func:`loi_core.renderers.poses.in_application_order`.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def posed(handles: Sequence[tuple[Handle, Any]], centre: Vector) -> Any:
         Attached to the values.
     """
     total = mi.Transform4f()
-    for handle, value in in_order(handles):
+    for handle, value in in_application_order(handles):
         if isinstance(handle, Translate):
             offset = dr.unravel(mi.Vector3f, value) if handle.axis is None else _along(handle.axis) * value
             total = mi.Transform4f().translate(offset) @ total

@@ -7,7 +7,7 @@ from typing import Any
 
 import mitsuba as mi
 
-from loi_mitsuba.scene.poses import Handle
+from loi_mitsuba.scene.poses import PoseParameter
 
 __all__ = ["group_by_shape", "has_medium", "is_clear_glass", "parts_of"]
 
@@ -41,7 +41,9 @@ def has_medium(scene: Any) -> bool:
     )
 
 
-def group_by_shape(targets: Mapping[str, str | Handle], moving: Mapping[str, Any]) -> tuple[tuple[str, ...], ...]:
+def group_by_shape(
+    targets: Mapping[str, str | PoseParameter], moving: Mapping[str, Any]
+) -> tuple[tuple[str, ...], ...]:
     """The parameters, those together that move one shape, and every other alone."""
     together: dict[object, list[str]] = {}
     for name in targets:

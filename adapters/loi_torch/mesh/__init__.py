@@ -1,6 +1,6 @@
 """Triangle meshes on torch: images with gradients for geometry, camera and appearance, also at outlines."""
 
-from loi_core.renderers.handles import Rotate, Scale, Translate
+from loi_core.renderers.poses import Rotate, Scale, Translate
 from loi_torch.mesh.cameras import Camera
 from loi_torch.mesh.drawing import draw, draw_positions
 from loi_torch.mesh.lighting import Environment, Light

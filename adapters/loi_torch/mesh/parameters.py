@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from loi_core.errors import ParameterError
-from loi_core.renderers.checks import FloatArray, check_parameters
-from loi_core.renderers.handles import Rotate, Scale, Target, Translate
+from loi_core.renderers.poses import ParameterTarget, Rotate, Scale, Translate
+from loi_core.renderers.validation import FloatArray, check_parameters
 from loi_core.support.arrays import to_numpy
 from loi_torch.mesh.cameras import Camera
 from loi_torch.mesh.lighting import Environment, Light
@@ -95,7 +95,7 @@ class SceneParameters:
         If a target does not exist, or two parameters set the same entry.
     """
 
-    def __init__(self, scene: MeshScene, targets: Mapping[str, Target]) -> None:
+    def __init__(self, scene: MeshScene, targets: Mapping[str, ParameterTarget]) -> None:
         self.scene, self.targets = scene, dict(targets)
         entries = scene.entries()
         self._initial: dict[str, FloatArray] = {}

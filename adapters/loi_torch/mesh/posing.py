@@ -8,13 +8,13 @@ import torch
 from kornia.geometry.conversions import axis_angle_to_rotation_matrix
 from torch import Tensor
 
-from loi_core.renderers.handles import Handle, Rotate, Translate, in_order
+from loi_core.renderers.poses import PoseParameter, Rotate, Translate, in_application_order
 
 __all__ = ["apply_handles", "rotation_from_rows"]
 
 
-def apply_handles(vertices: Tensor, handles: Sequence[tuple[Handle, Tensor]], centre: Tensor) -> Tensor:
-    """Transform vertices by handles, in the order of :func:`loi_core.renderers.handles.in_order`.
+def apply_handles(vertices: Tensor, handles: Sequence[tuple[PoseParameter, Tensor]], centre: Tensor) -> Tensor:
+    """Transform vertices by handles, in the order of :func:`loi_core.renderers.poses.in_application_order`.
 
     Parameters
     ----------
@@ -28,7 +28,7 @@ def apply_handles(vertices: Tensor, handles: Sequence[tuple[Handle, Tensor]], ce
     -------
     Tensor, shape (n, 3)
     """
-    for handle, value in in_order(handles):
+    for handle, value in in_application_order(handles):
         if isinstance(handle, Translate):
             offset = value if handle.axis is None else value * _tensor_like(vertices, handle.axis)
             vertices = vertices + offset

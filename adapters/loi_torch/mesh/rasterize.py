@@ -10,7 +10,7 @@ import torch
 from torch import Tensor
 
 from loi_core.errors import ParameterError
-from loi_core.renderers.checks import check_size
+from loi_core.renderers.validation import check_size
 from loi_core.support.arrays import to_numpy
 from loi_core.support.wording import shown
 from loi_torch.mesh.barycentric import SurfaceSamples

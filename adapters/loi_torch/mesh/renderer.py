@@ -11,9 +11,9 @@ from typing import Any, Final
 from torch import Tensor
 
 from loi_core.errors import OptionError, ParameterError
-from loi_core.renderers.checks import check_dtype, check_size
 from loi_core.renderers.contract import RendererCapabilities
-from loi_core.renderers.handles import Target, targets_of
+from loi_core.renderers.poses import ParameterTarget, parse_targets
+from loi_core.renderers.validation import check_dtype, check_size
 from loi_core.scenes.target import read_target
 from loi_core.support.wording import shown
 from loi_torch.mesh.cameras import Camera
@@ -89,7 +89,7 @@ class MeshRenderer(Painted):
         width: int,
         meshes: Mapping[str, Mesh | pathlib.Path | Mapping[str, Any]],
         camera: Camera | Mapping[str, Any],
-        parameters: Mapping[str, Target | Mapping[str, Any]],
+        parameters: Mapping[str, ParameterTarget | Mapping[str, Any]],
         *,
         textures: Mapping[str, Any | pathlib.Path] | None = None,
         materials: Mapping[str, Material | Mapping[str, Any]] | None = None,
@@ -124,7 +124,7 @@ class MeshRenderer(Painted):
                 msg = f"`meshes` and `lights` must have distinct names without dots, got {name!r}"
                 raise ParameterError(msg)
         check_dtype(dtype)
-        self._scene_parameters = SceneParameters(scene, targets_of(parameters))
+        self._scene_parameters = SceneParameters(scene, parse_targets(parameters))
         self._draws_positions = bool(positions)
         super().__init__(self._scene_parameters, dtype, device)
 

@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from loi_core.errors import ParameterError
-from loi_core.renderers.checks import floats
+from loi_core.renderers.validation import check_floats
 from loi_core.support.values import whole_number
 from loi_core.support.wording import shown
 from loi_torch.mesh.meshes import Mesh
@@ -31,7 +31,7 @@ def box(size: Any = (1.0, 1.0, 1.0), centre: Any = (0.0, 0.0, 0.0), **options: A
     -------
     Mesh
     """
-    half, middle = 0.5 * floats("size", size, (3,)), floats("centre", centre, (3,))
+    half, middle = 0.5 * check_floats("size", size, (3,)), check_floats("centre", centre, (3,))
     corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)])
     quads = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
     faces = [face for a, b, c, d in quads for face in ((a, b, c), (a, c, d))]
@@ -86,7 +86,7 @@ def sphere(radius: float = 1.0, centre: Any = (0.0, 0.0, 0.0), subdivisions: int
         a, b, c = faces.T
         faces = np.stack([a, ab, ca, ab, b, bc, ca, bc, c, ab, bc, ca], axis=1).reshape(-1, 3)
         vertices = np.concatenate([vertices, midpoints / np.linalg.norm(midpoints, axis=1, keepdims=True)])
-    return Mesh(radius * vertices + floats("centre", centre, (3,)), faces, **options)
+    return Mesh(radius * vertices + check_floats("centre", centre, (3,)), faces, **options)
 
 
 def quad(first: Any, second: Any, third: Any, fourth: Any, **options: Any) -> Mesh:
@@ -103,7 +103,7 @@ def quad(first: Any, second: Any, third: Any, fourth: Any, **options: Any) -> Me
     -------
     Mesh
     """
-    corners = np.stack([floats("corner", corner, (3,)) for corner in (first, second, third, fourth)])
+    corners = np.stack([check_floats("corner", corner, (3,)) for corner in (first, second, third, fourth)])
     if "texture" in options:
         options = {"uv": np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]]), **options}
     return Mesh(corners, [[0, 1, 2], [0, 2, 3]], **options)

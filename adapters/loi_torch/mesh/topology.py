@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 
 import numpy as np
 
-from loi_core.renderers.checks import FloatArray
+from loi_core.renderers.validation import FloatArray
 
 __all__ = ["FloatArray", "IndexArray", "Topology", "concatenate", "edge_topology", "weld_vertices"]
 

@@ -16,8 +16,8 @@ from torch import Tensor
 from torch.autograd.function import FunctionCtx, once_differentiable
 
 from loi_core.errors import ParameterError
-from loi_core.renderers.checks import FloatArray
-from loi_core.renderers.fragments import IndexArray, painting_order
+from loi_core.renderers.rasterization import IndexArray, peel_layers
+from loi_core.renderers.validation import FloatArray
 from loi_core.support.arrays import to_numpy
 
 __all__ = ["FARTHEST", "Edges", "Painting", "check_near", "cover"]
@@ -49,7 +49,7 @@ class Edges:
 
 @dataclass(frozen=True)
 class Painting:
-    """Pixels that layers meet, in the order of painting; see :class:`loi_core.renderers.fragments.Fragments`.
+    """Pixels that layers meet, in the order of painting; see :class:`loi_core.renderers.rasterization.Fragments`.
 
     Attributes
     ----------
@@ -130,7 +130,7 @@ def cover(points: Tensor, edges: Edges, size: tuple[int, int]) -> Painting:
     row, column = row + boxes.row[layer], column + boxes.column[layer]
     on_canvas = column < size[1]
     spots, layer, pixels = spots[on_canvas], layer[on_canvas], (row * size[1] + column)[on_canvas]
-    order, sheets = painting_order(pixels)
+    order, sheets = peel_layers(pixels)
     fragment = np.zeros(boxes.size, dtype=np.int64)
     fragment[spots[order]] = np.arange(len(order))
     kept = np.flatnonzero(inside)

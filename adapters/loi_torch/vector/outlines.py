@@ -9,8 +9,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from loi_core.renderers.checks import FloatArray
-from loi_core.renderers.fragments import IndexArray
+from loi_core.renderers.rasterization import IndexArray
+from loi_core.renderers.validation import FloatArray
 from loi_core.support.arrays import to_numpy
 from loi_torch.painted import Tensors
 from loi_torch.vector.table import Table

@@ -11,9 +11,9 @@ from torch import Tensor
 
 from loi_core.errors import ParameterError
 from loi_core.pixels.encoding import check_encoding, encode_srgb
-from loi_core.renderers.checks import FloatArray, check_size, floats
 from loi_core.renderers.contract import RendererCapabilities
-from loi_core.renderers.fragments import IndexArray
+from loi_core.renderers.rasterization import IndexArray
+from loi_core.renderers.validation import FloatArray, check_floats, check_size
 from loi_core.support.arrays import to_numpy
 from loi_core.support.wording import shown
 from loi_torch.painted import Painted, Tensors
@@ -106,7 +106,7 @@ class Vector(Painted):
             drawing = read_svg(pathlib.Path(svg), *self._size)
             shapes, own = drawing.shapes, drawing.background
         behind = own if background is None else background
-        self.background = floats("background", behind, (*self._size, 3) if np.ndim(behind) == 3 else (3,))
+        self.background = check_floats("background", behind, (*self._size, 3) if np.ndim(behind) == 3 else (3,))
         self._table = Table(shapes or [], dtype)
         super().__init__(self._table, dtype, device)
         behind = self.background if self.background.ndim == 1 else self.background.reshape(-1, 3)

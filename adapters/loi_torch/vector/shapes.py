@@ -10,7 +10,7 @@ from typing import Literal, TypeAlias, get_args
 import numpy as np
 
 from loi_core.errors import ParameterError
-from loi_core.renderers.checks import FloatArray, floats
+from loi_core.renderers.validation import FloatArray, check_floats
 from loi_core.support.wording import shown
 
 __all__ = ["Cap", "Circle", "Ellipse", "Join", "Outline", "Paint", "Path", "Rectangle", "Rule", "Shape", "polygon"]
@@ -52,9 +52,9 @@ class Paint:
             msg = "a shape needs a `fill`, a `stroke` or both"
             raise ParameterError(msg)
         if self.fill is not None:
-            floats("fill", self.fill, (4, 4) if np.ndim(self.fill) == 2 else (4,))
+            check_floats("fill", self.fill, (4, 4) if np.ndim(self.fill) == 2 else (4,))
         if self.stroke is not None:
-            floats("stroke", self.stroke, (4,))
+            check_floats("stroke", self.stroke, (4,))
         _not_negative("width", self.width, ())
         for name, choices in (("cap", Cap), ("join", Join), ("rule", Rule)):
             if getattr(self, name) not in get_args(choices):
@@ -80,7 +80,7 @@ class Circle:
     paint: Paint
 
     def __post_init__(self) -> None:
-        floats("centre", self.centre, (2,))
+        check_floats("centre", self.centre, (2,))
         _not_negative("radius", self.radius, ())
 
 
@@ -105,9 +105,9 @@ class Ellipse:
     rotation: float = 0.0
 
     def __post_init__(self) -> None:
-        floats("centre", self.centre, (2,))
+        check_floats("centre", self.centre, (2,))
         _not_negative("radii", self.radii, (2,))
-        floats("rotation", self.rotation, ())
+        check_floats("rotation", self.rotation, ())
 
 
 @dataclass(frozen=True)
@@ -134,10 +134,10 @@ class Rectangle:
     rotation: float = 0.0
 
     def __post_init__(self) -> None:
-        floats("centre", self.centre, (2,))
+        check_floats("centre", self.centre, (2,))
         _not_negative("sides", self.sides, (2,))
         _not_negative("rounding", self.rounding, ())
-        floats("rotation", self.rotation, ())
+        check_floats("rotation", self.rotation, ())
 
 
 @dataclass(frozen=True)
@@ -162,7 +162,7 @@ class Outline:
         if not self.degrees or any(one not in (1, 2, 3) for one in self.degrees):
             msg = f"`degrees` must be 1, 2 or 3 for each segment, got {shown(self.degrees)}"
             raise ParameterError(msg)
-        floats("points", self.points, (sum(self.degrees) + (0 if self.closed else 1), 2))
+        check_floats("points", self.points, (sum(self.degrees) + (0 if self.closed else 1), 2))
 
 
 @dataclass(frozen=True)
@@ -195,6 +195,6 @@ def polygon(points: Numbers, paint: Paint, *, closed: bool = True) -> Path:
 
 
 def _not_negative(name: str, value: object, shape: tuple[int, ...]) -> None:
-    if np.any(floats(name, value, shape) < 0.0):
+    if np.any(check_floats(name, value, shape) < 0.0):
         msg = f"`{name}` must be 0 or more, got {shown(value)}"
         raise ParameterError(msg)

@@ -12,8 +12,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from loi_core.renderers.checks import FloatArray
-from loi_core.renderers.fragments import IndexArray
+from loi_core.renderers.rasterization import IndexArray
+from loi_core.renderers.validation import FloatArray
 from loi_core.support.arrays import to_numpy
 from loi_torch.vector.outlines import TOLERANCE, Ring, Rings, spread
 from loi_torch.vector.shapes import Paint

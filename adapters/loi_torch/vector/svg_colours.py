@@ -9,7 +9,7 @@ import numpy as np
 from PIL import ImageColor
 
 from loi_core.pixels.encoding import decode_srgb, encode_srgb
-from loi_core.renderers.checks import FloatArray
+from loi_core.renderers.validation import FloatArray
 
 __all__ = ["CORNERS", "NAMESPACE", "read_colour", "spell_colour"]
 

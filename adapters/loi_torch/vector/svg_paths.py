@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 import svgelements as svg
 
-from loi_core.renderers.checks import FloatArray
+from loi_core.renderers.validation import FloatArray
 from loi_torch.vector.shapes import Outline
 
 __all__ = ["Commands", "has_dot", "moved", "path_outlines", "without_arcs"]

@@ -13,7 +13,7 @@ import numpy as np
 
 from loi_core.errors import SvgError
 from loi_core.io.files import read_bytes
-from loi_core.renderers.checks import FloatArray
+from loi_core.renderers.validation import FloatArray
 from loi_core.support.wording import described, shown
 from loi_torch.vector.coverage import FARTHEST
 from loi_torch.vector.shapes import Path, Shape

@@ -12,7 +12,7 @@ import numpy as np
 import svgelements as svg
 
 from loi_core.errors import LoiError, SvgError
-from loi_core.renderers.checks import FloatArray
+from loi_core.renderers.validation import FloatArray
 from loi_core.support.wording import described, shown
 from loi_torch.vector.shapes import Circle, Ellipse, Paint, Path, Rectangle, Shape
 from loi_torch.vector.svg_colours import CORNERS

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from loi_core.renderers.checks import FloatArray
+from loi_core.renderers.validation import FloatArray
 from loi_core.support.wording import shown
 from loi_torch.vector.coverage import FARTHEST
 from loi_torch.vector.svg_values import ONE, PIXELS, Values

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Final, NoReturn
 
 from loi_core.errors import SvgError
-from loi_core.renderers.checks import FloatArray
+from loi_core.renderers.validation import FloatArray
 from loi_core.support.wording import printable, shown
 from loi_torch.vector.coverage import FARTHEST
 from loi_torch.vector.svg_colours import read_colour

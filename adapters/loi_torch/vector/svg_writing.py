@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 import numpy as np
 
 from loi_core.io.files import write_text
-from loi_core.renderers.checks import FloatArray, check_size, floats
+from loi_core.renderers.validation import FloatArray, check_floats, check_size
 from loi_torch.vector.shapes import Circle, Ellipse, Outline, Paint, Path, Shape
 from loi_torch.vector.svg_colours import CORNERS, NAMESPACE, spell_colour
 
@@ -41,7 +41,7 @@ def write_svg(
     renderer with that encoding shows it.
     """
     rows, columns = check_size("height", height), check_size("width", width)
-    style = f"background-color: {spell_colour(floats('background', background, (3,)))}"
+    style = f"background-color: {spell_colour(check_floats('background', background, (3,)))}"
     lines = [
         f'<svg xmlns="{NAMESPACE}" width="{columns}" height="{rows}" viewBox="0 0 {columns} {rows}" style="{style}">',
         *(f"  <{_element(one)} {_painted(one.paint)}/>" for one in shapes),

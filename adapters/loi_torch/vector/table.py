@@ -9,7 +9,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from loi_core.errors import ParameterError
-from loi_core.renderers.checks import FloatArray, check_dtype, check_parameters
+from loi_core.renderers.validation import FloatArray, check_dtype, check_parameters
 from loi_core.support.wording import shown
 from loi_torch.vector.shapes import Circle, Ellipse, Outline, Paint, Path, Rectangle, Shape
 

@@ -8,8 +8,8 @@ import numpy as np
 
 from examples.paper.table1.problem import RADIUS, FloatArray
 from loi_core.renderers import Disks
-from loi_core.renderers.confinement import near_pairs
 from loi_core.renderers.contract import RendererCapabilities
+from loi_core.renderers.packing import candidate_pairs
 
 __all__ = ["ReleasedMoves"]
 
@@ -54,7 +54,7 @@ class ReleasedMoves:
         places = np.clip(params["positions"].astype(np.float64), 2.0 * RADIUS, frame - 2.0 * RADIUS)
         radii = np.full(len(places), RADIUS)
         for _ in range(ROUNDS):
-            first, second = near_pairs(places, radii)
+            first, second = candidate_pairs(places, radii)
             apart = places[first] - places[second]
             distance = np.hypot(apart[:, 0], apart[:, 1])
             touching = np.flatnonzero((distance < 2.0 * RADIUS) & (distance > 0.0))

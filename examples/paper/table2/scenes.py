@@ -15,7 +15,7 @@ import numpy as np
 from examples.effects.parts import ball, camera, colour, diffuse, lamp
 from examples.paper.table2.shadow import START, TRUTH
 from examples.paper.table2.shadow import scene as shadow_scene
-from loi_core.renderers.handles import Translate
+from loi_core.renderers.poses import Translate
 
 __all__ = ["SCENES", "Built", "FloatArray"]
 

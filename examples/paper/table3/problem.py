@@ -14,7 +14,7 @@ from matplotlib.font_manager import FontProperties
 from matplotlib.textpath import TextPath
 
 from examples.paper.table3.teapot import teapot
-from loi_core.renderers.handles import Target
+from loi_core.renderers.poses import ParameterTarget
 from loi_torch.mesh import (
     Camera,
     Environment,
@@ -149,7 +149,7 @@ class Problem:
 class _Scene:
     meshes: dict[str, Mesh]
     cameras: list[Camera]
-    parameters: dict[str, Target]
+    parameters: dict[str, ParameterTarget]
     start: dict[str, FloatArray]
     lights: dict[str, Light] = field(default_factory=lambda: dict(HEADLIGHT))
     environment: Environment | None = None
@@ -222,7 +222,7 @@ def _pose(rng: np.random.Generator) -> _Scene:
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     cube = box((2.0, 2.0, 2.0), colours=np.repeat(colours, 2, axis=0), per="triangle")
     names, axes = ("about x", "about y", "about z"), np.eye(3)
-    parameters: dict[str, Target] = {"translation": Translate("cube")}
+    parameters: dict[str, ParameterTarget] = {"translation": Translate("cube")}
     parameters |= {name: Rotate("cube", tuple(axis), (0.0, 0.0, 0.0)) for name, axis in zip(names, axes, strict=True)}
     angles = rng.uniform(0.0, 90.0, 3)
     return _Scene(
@@ -275,7 +275,7 @@ def _material(rng: np.random.Generator) -> _Scene:
     mesh = teapot(1.2, colours=(1.0, 1.0, 1.0), material=made)
     start = {"cube map": np.full((6, CUBE, CUBE, 3), 0.5)}
     start |= {name: rng.uniform(0.0, 1.0, 3) for name in ("diffuse", "specular")}
-    parameters: dict[str, Target] = {"cube map": "environment.image", "diffuse": "teapot.diffuse"}
+    parameters: dict[str, ParameterTarget] = {"cube map": "environment.image", "diffuse": "teapot.diffuse"}
     parameters["specular"] = "teapot.specular"
     return _Scene({"teapot": mesh}, _around(3.0), parameters, start, environment=Environment(_surroundings()))
 

@@ -11,7 +11,7 @@ from functools import lru_cache
 from typing import Any, Final
 
 from examples.paper.variational.problem import Group, Images, Problem, as_arrays
-from loi_core.renderers.handles import Target
+from loi_core.renderers.poses import ParameterTarget
 from loi_mitsuba import Rotate, Translate  # before mitsuba
 
 # isort: split
@@ -87,7 +87,7 @@ def scene(side: int) -> dict[str, Any]:
 def problem(side: int, samples: int) -> Problem:
     """The kaleidoscope at a size in pixels; its target is a render of the very same scene."""
     mi.set_variant("llvm_ad_rgb")
-    targets: dict[str, Target] = {name: Rotate(name, (0, 0, 1), (0, 0, 0)) for name in OPENING}
+    targets: dict[str, ParameterTarget] = {name: Rotate(name, (0, 0, 1), (0, 0, 0)) for name in OPENING}
     truth: dict[str, float] = dict(ANGLES)
     low, high = dict.fromkeys(OPENING, -TURN), dict.fromkeys(OPENING, TURN)
     for name, at in PLACES.items():

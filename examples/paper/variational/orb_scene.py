@@ -13,7 +13,7 @@ import numpy as np
 
 from examples.paper.variational.photograph import Photograph
 from examples.paper.variational.problem import Group, Images, Problem
-from loi_core.renderers.handles import Target
+from loi_core.renderers.poses import ParameterTarget
 from loi_mitsuba import Translate  # before mitsuba
 
 # isort: split
@@ -101,7 +101,7 @@ def problem(side: int, samples: int) -> Problem:
     """The orb at a size in pixels."""
     target = Photograph().of(_light(side), seed=7)
     mi.set_variant(MODEL)
-    targets: dict[str, Target] = {"x": Translate("orb", (1, 0, 0)), "z": Translate("orb", (0, 0, 1))}
+    targets: dict[str, ParameterTarget] = {"x": Translate("orb", (1, 0, 0)), "z": Translate("orb", (0, 0, 1))}
     images, close = (Images(scene(side, Rig()), targets, count) for count in (samples, CLOSE))
     return Problem(images, close, target, TRUTH, LOW, HIGH, (Group("orb, radii", tuple(TRUTH), RADIUS, 0.25),))
 

@@ -11,7 +11,7 @@ import numpy as np
 from loi_core.errors import RendererError
 from loi_core.pixels.encoding import encode_srgb
 from loi_core.renderers.contract import Parameters, Pullback, RendererCapabilities
-from loi_core.renderers.handles import Target
+from loi_core.renderers.poses import ParameterTarget
 from loi_mitsuba import MitsubaRenderer
 
 __all__ = ["AT_TRUTH", "FloatArray", "Group", "Images", "Problem", "as_arrays", "shown"]
@@ -33,7 +33,7 @@ class Images:
         Per pixel.
     """
 
-    def __init__(self, scene: dict[str, Any], parameters: Mapping[str, Target], samples: int) -> None:
+    def __init__(self, scene: dict[str, Any], parameters: Mapping[str, ParameterTarget], samples: int) -> None:
         self._mitsuba = MitsubaRenderer(
             scene, parameters, integrator="scene", spp=samples, without_gradient=tuple(parameters)
         )

@@ -11,7 +11,7 @@ from loi_core.objectives import LOIObjective
 from loi_core.pixels.nonfinite import NanPolicy
 from loi_core.support.arrays import Array, Host
 
-__all__ = ["BFLOAT16_PRODUCTS", "Backend", "Evaluate", "NumPy", "Request"]
+__all__ = ["BFLOAT16_PRODUCTS", "Evaluate", "MeasurementBackend", "NumPy", "Request"]
 
 Evaluate: TypeAlias = Callable[[], tuple[float, Host]]
 """Computes the value, and the gradient as NumPy, of the image's shape; returns when both are there."""
@@ -46,7 +46,7 @@ class Request:
     nan_policy: NanPolicy = "raise"
 
 
-class Backend(Protocol):
+class MeasurementBackend(Protocol):
     """An array library and how its users call the loss."""
 
     @property
@@ -93,7 +93,7 @@ class NumPy:
         return host
 
     def prepare(self, request: Request) -> Evaluate:
-        """See :class:`Backend`."""
+        """See :class:`MeasurementBackend`."""
         reference, given = (each.astype(request.dtype) for each in (request.reference, request.image))
         objective = LOIObjective(reference, request.scales, request.accuracy, nan_policy=request.nan_policy)
 

@@ -6,17 +6,17 @@ from typing import Final
 
 import numpy as np
 
-from loi_core.renderers.checks import FloatArray
-from loi_core.renderers.fragments import IndexArray
+from loi_core.renderers.rasterization import IndexArray
+from loi_core.renderers.validation import FloatArray
 
-__all__ = ["confined", "near_pairs"]
+__all__ = ["candidate_pairs", "separate_disks"]
 
 SWEEPS: Final = 10  # chains of touching disks need a few
 GOLDEN_ANGLE: Final = 2.399963
 COINCIDENT: Final = 1e-9  # pixels; nearer than this the line through two centres says nothing
 
 
-def confined(positions: FloatArray, radii: FloatArray, size: tuple[int, int]) -> FloatArray:
+def separate_disks(positions: FloatArray, radii: FloatArray, size: tuple[int, int]) -> FloatArray:
     """Centres moved by little that brings every disk into the frame and parts each overlapping pair.
 
     Parameters
@@ -37,7 +37,7 @@ def confined(positions: FloatArray, radii: FloatArray, size: tuple[int, int]) ->
     margin = np.minimum(radii[:, None], 0.5 * frame)
     positions = _within(positions, margin, frame)
     for _ in range(SWEEPS):
-        first, second = near_pairs(positions, radii)
+        first, second = candidate_pairs(positions, radii)
         apart = positions[first] - positions[second]
         distance = np.hypot(apart[:, 0], apart[:, 1])
         overlap = radii[first] + radii[second] - distance
@@ -60,13 +60,13 @@ def _within(positions: FloatArray, margin: FloatArray, frame: FloatArray) -> Flo
     return kept
 
 
-def near_pairs(positions: FloatArray, radii: FloatArray) -> tuple[IndexArray, IndexArray]:
+def candidate_pairs(positions: FloatArray, radii: FloatArray) -> tuple[IndexArray, IndexArray]:
     """Every pair of disks, once, that is near enough along x to overlap: indices, two arrays of one length.
 
     Parameters
     ----------
     positions, radii
-        As :func:`confined` takes them.
+        As :func:`separate_disks` takes them.
     """
     order = np.argsort(positions[:, 0], kind="stable")
     columns = positions[order, 0]

@@ -1,4 +1,4 @@
-"""Disks that are confined are parted as if every pair had been looked at."""
+"""Packed disks do not overlap, as if every pair had been examined."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from loi_core.renderers.confinement import SWEEPS, confined
+from loi_core.renderers.packing import SWEEPS, separate_disks
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 40), st.floats(0.5, 30.0))
@@ -17,12 +17,12 @@ def test_every_overlapping_pair_is_parted_by_half_its_overlap_each(seed: int, co
     positions = rng.uniform(-10.0, 80.0, (count, 2))
     radii = largest * rng.uniform(0.1, 1.0, count)
     expected = pair_by_pair(positions, radii, size)
-    assert np.allclose(confined(positions, radii, size), expected, rtol=0.0, atol=1e-6)
+    assert np.allclose(separate_disks(positions, radii, size), expected, rtol=0.0, atol=1e-6)
 
 
 def test_disks_in_one_place_are_parted() -> None:
     radii = np.full(5, 3.0)
-    places = confined(np.full((5, 2), 32.0), radii, (64, 64))
+    places = separate_disks(np.full((5, 2), 32.0), radii, (64, 64))
     apart = np.linalg.norm(places[:, None] - places[None], axis=-1)[np.triu_indices(5, 1)]
     assert apart.min() > 3.0
 

@@ -11,12 +11,12 @@ from loi_core.errors import ParameterError
 from loi_core.support.values import whole_number
 from loi_core.support.wording import shown
 
-__all__ = ["FloatArray", "check_dtype", "check_image", "check_parameters", "check_size", "floats"]
+__all__ = ["FloatArray", "check_dtype", "check_floats", "check_image", "check_parameters", "check_size"]
 
 FloatArray: TypeAlias = np.ndarray[Any, np.dtype[np.float64]]
 
 
-def floats(name: str, value: object, shape: tuple[int | None, ...]) -> FloatArray:
+def check_floats(name: str, value: object, shape: tuple[int | None, ...]) -> FloatArray:
     """`value` as a new float64 array of `shape`, in which None stands for any length."""
     try:
         given = np.asarray(value)
@@ -54,7 +54,7 @@ def check_size(name: str, value: object) -> int:
 
 def check_image(name: str, value: object, channels: tuple[int, ...]) -> FloatArray:
     """`value` as a new float64 image (H, W, C) whose channel count is one of `channels`."""
-    image = floats(name, value, (None, None, None))
+    image = check_floats(name, value, (None, None, None))
     if image.shape[2] not in channels or image.size == 0:
         msg = f"`{name}` must be (H, W, {' or '.join(map(str, channels))}) and not empty, got {image.shape}"
         raise ParameterError(msg)
@@ -66,7 +66,7 @@ def check_parameters(params: Mapping[str, object], like: Mapping[str, FloatArray
     if set(params) != set(like):
         msg = f"`params` must have exactly the names {sorted(like)}, got {sorted(params)}"
         raise ParameterError(msg)
-    return {name: floats(name, params[name], like[name].shape) for name in like}
+    return {name: check_floats(name, params[name], like[name].shape) for name in like}
 
 
 def _spell(shape: tuple[int | None, ...]) -> str:

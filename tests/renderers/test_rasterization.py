@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from loi_core.renderers import Disks
 from loi_core.renderers.coverage import canvas_coverage
-from loi_core.renderers.fragments import disk_fragments
+from loi_core.renderers.rasterization import rasterize_disks
 from tests.helpers import Host
 
 
@@ -29,7 +29,7 @@ def scenes(draw: st.DrawFn) -> tuple[tuple[int, int], Host, Host, Host]:
 @given(scenes())
 def test_fragments_are_the_pixels_that_disks_cover(scene: tuple[tuple[int, int], Host, Host, Host]) -> None:
     (height, width), positions, radii, _ = scene
-    found = disk_fragments(positions, radii, (height, width))
+    found = rasterize_disks(positions, radii, (height, width))
     coverage, *slopes = canvas_coverage(positions, radii, np.arange(width + 1.0), np.arange(height + 1.0))
     painted = np.zeros(coverage.shape, dtype=bool)
     painted[found.owner, found.rows, found.columns] = True
@@ -45,7 +45,7 @@ def test_fragments_are_the_pixels_that_disks_cover(scene: tuple[tuple[int, int],
 @given(scenes())
 def test_a_layer_holds_a_pixel_once_and_later_disks_lie_higher(scene: tuple[tuple[int, int], Host, Host, Host]) -> None:
     size, positions, radii, _ = scene
-    found = disk_fragments(positions, radii, size)
+    found = rasterize_disks(positions, radii, size)
     pixels = found.rows * size[1] + found.columns
     top = np.full(size[0] * size[1], -1)
     for layer in found.layers:

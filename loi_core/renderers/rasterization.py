@@ -12,9 +12,9 @@ from typing import TypeAlias
 
 import numpy as np
 
-from loi_core.renderers.checks import FloatArray
+from loi_core.renderers.validation import FloatArray
 
-__all__ = ["Fragments", "IndexArray", "disk_fragments", "painting_order"]
+__all__ = ["Fragments", "IndexArray", "peel_layers", "rasterize_disks"]
 
 IndexArray: TypeAlias = np.ndarray[tuple[int, ...], np.dtype[np.int64]]
 
@@ -42,7 +42,7 @@ class Fragments:
     layers: tuple[slice, ...]
 
 
-def disk_fragments(positions: FloatArray, radii: FloatArray, size: tuple[int, int]) -> Fragments:
+def rasterize_disks(positions: FloatArray, radii: FloatArray, size: tuple[int, int]) -> Fragments:
     """The fragments of `n` disks, the later ones on top, on a canvas of `size` pixels, height and width.
 
     Parameters
@@ -65,11 +65,11 @@ def disk_fragments(positions: FloatArray, radii: FloatArray, size: tuple[int, in
     kept = np.flatnonzero(nearest < radii[owner])
     on_edge = np.hypot(x[kept] + 0.5, y[kept] + 0.5) > radii[owner[kept]]
     owner, rows, columns = owner[kept], rows[kept], columns[kept]
-    order, layers = painting_order(rows * width + columns)
+    order, layers = peel_layers(rows * width + columns)
     return Fragments(owner[order], rows[order], columns[order], on_edge[order], layers)
 
 
-def painting_order(pixels: IndexArray) -> tuple[IndexArray, tuple[slice, ...]]:
+def peel_layers(pixels: IndexArray) -> tuple[IndexArray, tuple[slice, ...]]:
     """How to sort fragments, given lowest first by their `pixels`, into layers that hold a pixel at most once."""
     depth = _depth(pixels)
     order = np.argsort(depth, kind="stable")

@@ -13,11 +13,11 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 
 from loi_core.errors import ParameterError
-from loi_core.renderers.checks import FloatArray
+from loi_core.renderers.validation import FloatArray
 from loi_core.support.values import real_number
 from loi_core.support.wording import shown
 
-__all__ = ["Handle", "Rotate", "Scale", "Target", "Translate", "in_order", "targets_of"]
+__all__ = ["ParameterTarget", "PoseParameter", "Rotate", "Scale", "Translate", "in_application_order", "parse_targets"]
 
 Vector: TypeAlias = tuple[float, float, float]
 
@@ -105,13 +105,13 @@ class Scale:
         return np.ones(())
 
 
-Handle: TypeAlias = Translate | Rotate | Scale
-Target: TypeAlias = str | Handle
+PoseParameter: TypeAlias = Translate | Rotate | Scale
+ParameterTarget: TypeAlias = str | PoseParameter
 
-KINDS: Final[dict[str, type[Handle]]] = {kind.__name__: kind for kind in (Translate, Rotate, Scale)}
+KINDS: Final[dict[str, type[PoseParameter]]] = {kind.__name__: kind for kind in (Translate, Rotate, Scale)}
 
 
-def _from_table(table: Mapping[str, Any]) -> Handle:
+def _from_table(table: Mapping[str, Any]) -> PoseParameter:
     """The handle that a table of a scene file spells: ``{ Rotate = "ball", axis = [0, 1, 0] }``.
 
     Its class is a key whose value is the shape; the other keys are the class's other arguments.
@@ -139,12 +139,12 @@ def _from_table(table: Mapping[str, Any]) -> Handle:
     return kind(table[named[0]], **options)
 
 
-def targets_of(parameters: object) -> dict[str, Target]:
+def parse_targets(parameters: object) -> dict[str, ParameterTarget]:
     """Targets by parameter; tables of scene files become handles."""
     if not isinstance(parameters, Mapping) or not parameters:
         msg = f"`parameters` must be a dict of names and what they stand for, at least one, got {parameters!r:.80}"
         raise ParameterError(msg)
-    targets: dict[str, Target] = {}
+    targets: dict[str, ParameterTarget] = {}
     for name, given in parameters.items():
         try:
             target = _from_table(given) if isinstance(given, Mapping) else given
@@ -158,7 +158,7 @@ def targets_of(parameters: object) -> dict[str, Target]:
     return targets
 
 
-def in_order(handles: Sequence[tuple[Handle, Any]]) -> list[tuple[Handle, Any]]:
+def in_application_order(handles: Sequence[tuple[PoseParameter, Any]]) -> list[tuple[PoseParameter, Any]]:
     """Handles with their values, in the order in which they act on a shape.
 
     It is scaled first, then turned, in the order in which the handles are given, then moved, so that a turn does not
