@@ -15,7 +15,7 @@ from loi_mitsuba.proxy.light_size import KINDS, delta_lights
 from loi_mitsuba.proxy.scene import ProxyScene
 from loi_mitsuba.proxy.substitutions import LAMP, LIGHT
 from loi_mitsuba.renderer import MitsubaRenderer
-from loi_mitsuba.scene.load import LoadedScene, Target
+from loi_mitsuba.scene.load import LoadedScene, ParameterTarget
 from loi_mitsuba.scene.parameters import SceneIndex, ancestors
 from loi_mitsuba.scene.poses import Translate
 
@@ -30,7 +30,7 @@ class ProxyTarget:
     position, the lamp is moved from where it is.
     """
 
-    target: Target
+    target: ParameterTarget
     factor: float = 1.0
     origin: Float32Array | None = None
 
@@ -40,7 +40,7 @@ class LightTarget:
     """A parameter of a light without a size: its number, and the name of the entry, or the handle on it."""
 
     light: int
-    target: Target
+    target: ParameterTarget
 
     @property
     def is_power(self) -> bool:
@@ -53,7 +53,7 @@ class LightTarget:
         return self.is_power or (moves and KINDS[kind] != "directional")
 
 
-def light_targets(called: SceneIndex, targets: Mapping[str, Target]) -> dict[str, LightTarget]:
+def light_targets(called: SceneIndex, targets: Mapping[str, ParameterTarget]) -> dict[str, LightTarget]:
     """Parameters that are of lights without a size."""
     params = mi.traverse(called.scene)
     lights = delta_lights(called.scene)
@@ -111,7 +111,7 @@ class ProxyGradientRenderer(MitsubaRenderer):
     def __init__(
         self,
         scene: Any,
-        parameters: Mapping[str, Target],
+        parameters: Mapping[str, ParameterTarget],
         *,
         proxy: LoadedScene,
         moving: Iterable[str],

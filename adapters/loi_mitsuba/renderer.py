@@ -26,7 +26,7 @@ from loi_mitsuba.drjit.arrays import Float32Array
 from loi_mitsuba.geometry.coincident_edges import UniqueEdges
 from loi_mitsuba.scene.binding import ParameterBinding, host_numbers
 from loi_mitsuba.scene.load import (
-    Target,
+    ParameterTarget,
     checked_samples,
     checked_targets,
     find_sensor,
@@ -103,7 +103,7 @@ class MitsubaRenderer:
     def __init__(
         self,
         scene: dict[str, Any] | str | Path | Scene,  # scene files take from here that it may be a path
-        parameters: Mapping[str, Target | Mapping[str, Any]],
+        parameters: Mapping[str, ParameterTarget | Mapping[str, Any]],
         *,
         integrator: Any = None,
         spp: int = 16,
@@ -156,7 +156,7 @@ class MitsubaRenderer:
         return self._names
 
     @property
-    def targets(self) -> dict[str, Target]:
+    def targets(self) -> dict[str, ParameterTarget]:
         """What each parameter stands for."""
         return dict(self._named.targets)
 

@@ -19,7 +19,7 @@ from loi_mitsuba.drjit.arrays import Float32Array
 from loi_mitsuba.geometry.mesh import is_closed, is_sharp_edged
 from loi_mitsuba.renderer import MitsubaRenderer, split_seed
 from loi_mitsuba.scene.binding import ParameterBinding
-from loi_mitsuba.scene.load import Target
+from loi_mitsuba.scene.load import ParameterTarget
 from loi_mitsuba.scene.parameters import SceneIndex
 from loi_mitsuba.scene.poses import Scale
 from loi_mitsuba.scene.queries import has_medium, is_clear_glass
@@ -35,7 +35,7 @@ GRAZING: Final = 0.01  # cosine below which the derivative of a direction, witho
 LIFT: Final = 4.0  # times as far as Mitsuba lifts rays from surfaces, do rays begin before one that they are to meet
 
 
-def attachable_dielectrics(called: SceneIndex, targets: Mapping[str, Target], sensor: Any) -> dict[str, Any]:
+def attachable_dielectrics(called: SceneIndex, targets: Mapping[str, ParameterTarget], sensor: Any) -> dict[str, Any]:
     """The parameters that move clear glass whose light can be followed, each with its shape: balls and smooth meshes.
 
     None where colours are not red, green and blue, where there is a medium, or where the camera is not a perspective

@@ -22,7 +22,7 @@ from loi_mitsuba.geometry.bounds import bounding_box
 from loi_mitsuba.proxy.light_size import light_position
 from loi_mitsuba.renderer import MitsubaRenderer, split_seed
 from loi_mitsuba.scene.binding import ParameterBinding
-from loi_mitsuba.scene.load import Target
+from loi_mitsuba.scene.load import ParameterTarget
 from loi_mitsuba.scene.parameters import SceneIndex
 from loi_mitsuba.scene.poses import Rotate, Scale
 from loi_mitsuba.scene.queries import has_medium
@@ -42,7 +42,7 @@ OF_SCALE: Final = 0.02
 OUTLINE: Final = Settings("direct_projective", 2, 0)
 
 
-def attachable_emitters(called: SceneIndex, targets: Mapping[str, Target]) -> dict[str, Any]:
+def attachable_emitters(called: SceneIndex, targets: Mapping[str, ParameterTarget]) -> dict[str, Any]:
     """The parameters that move a light, each with the light: a shape that emits, a point or a spot.
 
     None where there is a medium, or light is polarised. Not what scales a mesh, whose samples Mitsuba does not scale.
@@ -158,7 +158,7 @@ def _seen(scene: Any, sensor: Any) -> Float32Array:
     return points
 
 
-def _shift(target: Target, light: Any, seen: Float32Array) -> float:
+def _shift(target: ParameterTarget, light: Any, seen: Float32Array) -> float:
     """How far to either side a parameter is put for the slope of what hides its lamp, in its own unit."""
     if isinstance(target, Rotate):
         return DEGREES

@@ -12,7 +12,7 @@ from loi_mitsuba.attached.dielectrics import REASON, AttachedDielectrics, attach
 from loi_mitsuba.attached.emitters import AttachedEmitters, attachable_emitters, is_shape, reason_of
 from loi_mitsuba.drjit.arrays import Float32Array
 from loi_mitsuba.renderer import MitsubaRenderer
-from loi_mitsuba.scene.load import Target
+from loi_mitsuba.scene.load import ParameterTarget
 from loi_mitsuba.scene.parameters import SceneIndex
 from loi_mitsuba.scene.queries import group_by_shape
 
@@ -30,7 +30,7 @@ class AttachedParameters:
 
     @classmethod
     def of(
-        cls, called: SceneIndex, targets: Mapping[str, Target], sensor: Any, *, lights: bool, glass: bool
+        cls, called: SceneIndex, targets: Mapping[str, ParameterTarget], sensor: Any, *, lights: bool, glass: bool
     ) -> AttachedParameters:
         """Among `targets`, what can be followed of that which is asked for."""
         return cls(

@@ -13,7 +13,7 @@ from loi_core.errors import OptionError
 from loi_core.renderers.blurred import BlurredRenderer
 from loi_mitsuba.drjit.arrays import Float32Array
 from loi_mitsuba.effects.gradient_draws import APART, Probe
-from loi_mitsuba.scene.load import Target
+from loi_mitsuba.scene.load import ParameterTarget
 from loi_mitsuba.scene.poses import Scale
 
 __all__ = ["Blurring"]
@@ -28,7 +28,7 @@ class _Planned(Protocol):
     """What is needed of a planned renderer."""
 
     @property
-    def targets(self) -> Mapping[str, Target]: ...
+    def targets(self) -> Mapping[str, ParameterTarget]: ...
 
     def parameters(self) -> dict[str, Float32Array]: ...
 

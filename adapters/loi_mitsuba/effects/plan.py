@@ -11,7 +11,7 @@ from loi_core.effects import EffectPlan
 from loi_core.objectives.base import Objective
 from loi_mitsuba.effects.renderer import FRACTION, PlannedRenderer
 from loi_mitsuba.proxy.scene import ProxySettings
-from loi_mitsuba.scene.load import Target
+from loi_mitsuba.scene.load import ParameterTarget
 from loi_mitsuba.scene.parameters import Scene
 
 __all__ = ["plan_effects"]
@@ -19,7 +19,7 @@ __all__ = ["plan_effects"]
 
 def plan_effects(
     scene: dict[str, Any] | str | Path | Scene,
-    optimised: Mapping[str, Target | Mapping[str, Any]],
+    optimised: Mapping[str, ParameterTarget | Mapping[str, Any]],
     *,
     objective: Objective | None = None,
     params: Mapping[str, Any] | None = None,

@@ -33,7 +33,7 @@ from loi_mitsuba.effects.verify import Verification, verification
 from loi_mitsuba.proxy.scene import ProxySettings
 from loi_mitsuba.renderer import MitsubaRenderer
 from loi_mitsuba.scene.binding import host_numbers
-from loi_mitsuba.scene.load import Target
+from loi_mitsuba.scene.load import ParameterTarget
 from loi_mitsuba.scene.parameters import Scene
 from loi_mitsuba.scene.queries import group_by_shape
 from loi_mitsuba.scene.settings import settings_of
@@ -98,7 +98,7 @@ class PlannedRenderer:
     def __init__(
         self,
         scene: dict[str, Any] | str | Path | Scene,
-        parameters: Mapping[str, Target | Mapping[str, Any]],
+        parameters: Mapping[str, ParameterTarget | Mapping[str, Any]],
         *,
         spp: int = 16,
         fraction: float = FRACTION,
@@ -174,7 +174,7 @@ class PlannedRenderer:
         return self._groups
 
     @property
-    def targets(self) -> dict[str, Target]:
+    def targets(self) -> dict[str, ParameterTarget]:
         """What each parameter stands for."""
         return self._base.targets
 
@@ -426,7 +426,7 @@ class PlannedRenderer:
         elif self._blurred is None or self._blurred.names != tuple(missing):  # or else it knows how far a fit has come
             self._blurred = self._blurring.over(missing)
 
-    def _traits_of(self, targets: Mapping[str, Target]) -> Traits:
+    def _traits_of(self, targets: Mapping[str, ParameterTarget]) -> Traits:
         traits = traits_of(self._base.names, targets, self._base.sensor)
         return replace(traits, exchanged=self._whole.exchanged if traits.moving else {}, smooth=self._whole.smooth)
 

@@ -21,7 +21,14 @@ from loi_mitsuba.proxy.scene import MovingShapes, ProxyScene, ProxySettings, bui
 from loi_mitsuba.proxy_renderer import ProxyGradientRenderer, light_targets, proxy_targets
 from loi_mitsuba.renderer import MitsubaRenderer
 from loi_mitsuba.scene.binding import ParameterBinding
-from loi_mitsuba.scene.load import Target, checked_samples, checked_targets, find_sensor, max_samples, use_variant
+from loi_mitsuba.scene.load import (
+    ParameterTarget,
+    checked_samples,
+    checked_targets,
+    find_sensor,
+    max_samples,
+    use_variant,
+)
 from loi_mitsuba.scene.parameters import SceneIndex, ancestors, index_scene
 from loi_mitsuba.scene.settings import bordered
 from loi_mitsuba.sensing.frustum import Frustum
@@ -102,7 +109,7 @@ def prepare_renderer(
 
 
 def _missing(
-    names: SceneIndex, targets: Mapping[str, Target], sensor: Any, blur: Mapping[str, Any] | None
+    names: SceneIndex, targets: Mapping[str, ParameterTarget], sensor: Any, blur: Mapping[str, Any] | None
 ) -> dict[str, str]:
     """The parameters to blur, each with the reason; those that are asked for, or that have no gradient."""
     if blur is None:
@@ -113,7 +120,9 @@ def _missing(
     return {name: found.get(name, "it was asked for") for name in names_to_blur(blur["names"], targets)}
 
 
-def _split_meshes(called: SceneIndex, targets: Mapping[str, Target], moving: Mapping[str, Any]) -> dict[int, Any]:
+def _split_meshes(
+    called: SceneIndex, targets: Mapping[str, ParameterTarget], moving: Mapping[str, Any]
+) -> dict[int, Any]:
     """By their numbers, meshes that are moved as a whole and store vertices of an edge more than once.
 
     Not those that are smooth in part and have hard edges: shared vertices would have them smooth throughout.
@@ -125,7 +134,9 @@ def _split_meshes(called: SceneIndex, targets: Mapping[str, Target], moving: Map
     return {own.index(one): one for one in split if is_flat_shaded(one) or not is_sharp_edged(one)}
 
 
-def _stepped_shapes(called: SceneIndex, targets: Mapping[str, Target], moving: Mapping[str, Any]) -> dict[int, Any]:
+def _stepped_shapes(
+    called: SceneIndex, targets: Mapping[str, ParameterTarget], moving: Mapping[str, Any]
+) -> dict[int, Any]:
     """By their numbers, shapes that move and have textures with steps, of which no parameter is an entry."""
     own = list(called.scene.shapes())
     params = mi.traverse(called.scene)
@@ -139,7 +150,7 @@ def _stepped_shapes(called: SceneIndex, targets: Mapping[str, Target], moving: M
 def _neighboured(
     scene: Any,
     called: SceneIndex,
-    targets: Mapping[str, Target],
+    targets: Mapping[str, ParameterTarget],
     traits: Traits,
     moved: MovingShapes,
     near: ProxySettings,

@@ -15,14 +15,14 @@ from loi_mitsuba.diagnostics import (
     unsupported_parameter,
 )
 from loi_mitsuba.effects.traits import is_known, kind_of
-from loi_mitsuba.scene.load import Target
+from loi_mitsuba.scene.load import ParameterTarget
 from loi_mitsuba.scene.parameters import INSTANCE, SceneIndex, is_instance
 from loi_mitsuba.scene.queries import has_medium, is_clear_glass
 
 __all__ = ["unsupported_parameters"]
 
 
-def unsupported_parameters(called: SceneIndex, targets: Mapping[str, Target], sensor: Any) -> dict[str, str]:
+def unsupported_parameters(called: SceneIndex, targets: Mapping[str, ParameterTarget], sensor: Any) -> dict[str, str]:
     """The parameters without a gradient, each with the reason in a line.
 
     Entries that can be set and have no gradient; cameras and lights without a surface that move; and shapes that move

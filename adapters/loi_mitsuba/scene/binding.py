@@ -15,7 +15,7 @@ import numpy as np
 from loi_core.errors import ParameterError
 from loi_core.support.wording import shown
 from loi_mitsuba.drjit.arrays import Float32Array, aligned_copy
-from loi_mitsuba.scene.load import Target
+from loi_mitsuba.scene.load import ParameterTarget
 from loi_mitsuba.scene.parameters import SceneIndex, numbers
 from loi_mitsuba.scene.poses import Scale, posed
 
@@ -63,7 +63,9 @@ class ParameterBinding:
         If a target is not there, has no gradient, or sets what another sets.
     """
 
-    def __init__(self, called: SceneIndex, targets: Mapping[str, Target], without_gradient: Iterable[str] = ()) -> None:
+    def __init__(
+        self, called: SceneIndex, targets: Mapping[str, ParameterTarget], without_gradient: Iterable[str] = ()
+    ) -> None:
         self.entries = mi.traverse(called.scene)
         self.targets = dict(targets)
         self.start: dict[str, Float32Array] = {}
