@@ -22,7 +22,6 @@ from typing import Any, Final
 
 import numpy as np
 
-from benchmarks.large import own_memory
 from loi_core import Free, LOIObjective, ScaleSpace, fit
 from loi_core.renderers import Disks
 
@@ -32,6 +31,13 @@ SAMPLES: Final = 100
 WARM: Final = 10  # a tenth of the run
 MIB: Final = 2.0**20
 SIDE: Final = 16
+
+
+def own_memory() -> float:
+    """Return the anonymous resident memory of this process in bytes; 0 on systems without ``/proc``."""
+    status = Path("/proc/self/status")
+    lines = status.read_text().splitlines() if status.exists() else []
+    return next((1024.0 * float(line.split()[1]) for line in lines if line.startswith("RssAnon")), 0.0)
 
 
 @dataclass

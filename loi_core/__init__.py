@@ -15,7 +15,6 @@ from loi_core.objectives import (
     LOIObjective,
     Objective,
     PixelL2,
-    TiledLOIObjective,
 )
 from loi_core.pixels.tone_curve import LogTone
 from loi_core.plugins.registry import available_renderers, load_renderer
@@ -50,7 +49,6 @@ __all__ = [
     "RendererCapabilities",
     "ScaleSpace",
     "Target",
-    "TiledLOIObjective",
     "__version__",
     "available_renderers",
     "fit",

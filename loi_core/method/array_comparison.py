@@ -210,10 +210,7 @@ class _InnerComparison:
         for index, extent in enumerate(self.extents):
             window, plan = route.support[extent.start], self.plan.extents[index]
             blurred = extent.blur.apply(differences[extent.start], window)
-            made, reached = plan.blur.reached(window), plan.reached(window)
-            if made | reached != made:
-                continue  # nothing that differs reaches what is compared
-            blurred = reached.crop(blurred, made)
+            reached = plan.blur.reached(window)
             if gradient and plan.is_sampled:
                 tally.sums[index] += misplaced(to_numpy(blurred), plan.blur.target, reached, tie)
             weight = scales.scale_weight * scales.level_weight(beta) / (self.intensity.shape[0] * extent.cells)

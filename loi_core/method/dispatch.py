@@ -12,14 +12,13 @@ from typing import Final, Protocol
 import numpy as np
 
 from loi_core.method.array_comparison import ArrayComparison
-from loi_core.method.blurs import Blur, GaussianBlur, PlaneBlur
 from loi_core.method.comparison import Comparison
 from loi_core.method.compiled import compiles
 from loi_core.method.plan import Plan
 from loi_core.method.scales import ScaleSpace
 from loi_core.support.arrays import Array, from_numpy, is_numpy_array, is_read_by_numpy, is_recorded, to_numpy
 
-__all__ = ["ARRAY_API", "NUMBA", "Backend", "choose_backend", "numba_supports", "plane_blur"]
+__all__ = ["ARRAY_API", "NUMBA", "Backend", "choose_backend", "numba_supports"]
 
 
 class Backend(Protocol):
@@ -74,15 +73,6 @@ def numba_supports(dtype: str) -> bool:
     The first call for a dtype compiles its loops, or loads them from a cache.
     """
     return dtype in ("float32", "float64") and compiles(dtype)
-
-
-def plane_blur(blur: PlaneBlur, like: Array) -> Blur:
-    """Return the operator that blurs one plane, shape (H, W), of the library and dtype of `like`."""
-    if is_numpy_array(like) and numba_supports(str(like.dtype)):
-        from loi_core.method.compiled.inner import LonePlaneBlur
-
-        return LonePlaneBlur.of(blur, like.dtype)
-    return GaussianBlur(blur, like)
 
 
 def choose_backend(image: Array) -> Backend:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from typing import Final
 
 from loi_core.method.blurs import PlaneBlur, PlaneGrid
-from loi_core.method.windows import Window
 
 __all__ = ["ExtentPlan", "InnerPlan", "Plan", "TonalPlan"]
 
@@ -28,20 +27,12 @@ class ExtentPlan:
         From there to where histograms are compared.
     error : float
         Estimated relative error of this scale's gradient.
-    compared : Window, optional
-        The only samples that are compared, of a plane that is a part of another; all by default.
     """
 
     alpha: float
     start: int
     blur: PlaneBlur
     error: float
-    compared: Window | None = None
-
-    def reached(self, window: Window) -> Window:
-        """Where histograms are compared, and may differ if they do not outside `window` before they are blurred."""
-        reached = self.blur.reached(window)
-        return reached if self.compared is None else reached.within(self.compared)
 
     @property
     def is_sampled(self) -> bool:

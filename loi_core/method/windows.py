@@ -48,26 +48,6 @@ class Window:
         """The smallest window that holds both."""
         return Window(_hull(self.rows, other.rows), _hull(self.columns, other.columns))
 
-    def within(self, other: Window) -> Window:
-        """What of it lies in another window; a single sample of that if nothing does, since no window is empty."""
-        return Window(_common(self.rows, other.rows), _common(self.columns, other.columns))
-
-    def grown(self, reach: int, height: int, width: int) -> Window:
-        """All that is at most `reach` samples away, of a plane of that size."""
-        rows, columns = (
-            range(max(axis.start - reach, 0), min(axis.stop + reach, size))
-            for axis, size in ((self.rows, height), (self.columns, width))
-        )
-        return Window(rows, columns)
-
-    def seen_from(self, other: Window) -> Window:
-        """The same samples, counted from the first of a window that holds them."""
-        rows, columns = (
-            range(ours.start - theirs.start, ours.stop - theirs.start)
-            for ours, theirs in ((self.rows, other.rows), (self.columns, other.columns))
-        )
-        return Window(rows, columns)
-
     def crop(self, planes: Array, within: Window | None = None) -> Array:
         """The part of `planes` inside, a view where the library has views.
 
@@ -104,11 +84,6 @@ def window_of(mask: Array) -> Window | None:
     if not len(rows):
         return None
     return Window(range(int(rows[0]), int(rows[-1]) + 1), range(int(columns[0]), int(columns[-1]) + 1))
-
-
-def _common(one: range, other: range) -> range:
-    common = range(max(one.start, other.start), min(one.stop, other.stop))
-    return common if len(common) else other[:1]
 
 
 def _hull(one: range, other: range) -> range:

@@ -6,7 +6,6 @@ from loi_core.objectives.loi import LOIObjective
 from loi_core.objectives.msssim import MSSSIM
 from loi_core.objectives.pixel import PixelL2
 from loi_core.objectives.pyramid import GaussianPyramid
-from loi_core.objectives.tiled import TiledLOIObjective
 from loi_core.pixels.bounds import RangeWarning
 
 __all__ = [
@@ -20,5 +19,4 @@ __all__ = [
     "PlaneComparison",
     "RangeWarning",
     "ReferencePlanes",
-    "TiledLOIObjective",
 ]

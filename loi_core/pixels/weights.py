@@ -11,7 +11,7 @@ from loi_core.pixels.layout import Layout
 from loi_core.support.arrays import Array, Host, from_numpy, is_array_api_obj, is_numpy_array, to_numpy
 from loi_core.support.wording import shown
 
-__all__ = ["PixelWeights", "given_weights", "largest_weight", "require_some"]
+__all__ = ["PixelWeights"]
 
 
 @dataclass(frozen=True)
@@ -40,14 +40,21 @@ class PixelWeights:
         ImageError
             If the shape does not fit, a weight is negative or not finite, or all are 0.
         """
-        values = np.asarray(given_weights(weights)).astype(np.float64)
+        values = np.asarray(_real_array(weights)).astype(np.float64)
         size = layout.height, layout.width
         batched = layout.planes_shape if layout.channel_axis is None else (*layout.planes_shape[:-3], *size)
         if values.shape not in (size, batched):
             allowed = f"{size}" if size == batched else f"{size} or {batched}"
             msg = f"`weights` must have shape {allowed}, one for each pixel of the reference, got {values.shape}"
             raise ImageError(msg)
-        largest = require_some(largest_weight(values))
+        valid = np.isfinite(values) & (values >= 0.0)
+        if not np.all(valid):
+            msg = f"`weights` must be finite and not negative, got {shown(float(values[~valid][0]))}"
+            raise ImageError(msg)
+        largest = float(values.max())
+        if largest == 0.0:
+            msg = "`weights` must not all be 0: nothing would be compared"
+            raise ImageError(msg)
         return cls(values / largest, largest)
 
     @property
@@ -82,8 +89,8 @@ class PixelWeights:
         return from_numpy(np.ascontiguousarray(stack).reshape(-1, layout.height, layout.width), like)
 
 
-def given_weights(weights: object) -> Host:
-    """Return weights as a NumPy array of real numbers; NumPy arrays, memory maps included, without a copy.
+def _real_array(weights: object) -> Host:
+    """Return weights as a NumPy array of real numbers.
 
     Raises
     ------
@@ -98,32 +105,3 @@ def given_weights(weights: object) -> Host:
         msg = f"`weights` must be real numbers, got {host.dtype}"
         raise ImageTypeError(msg)
     return host
-
-
-def largest_weight(values: Host) -> float:
-    """Return the largest of some weights, float64.
-
-    Raises
-    ------
-    ImageError
-        If one is negative or not finite.
-    """
-    valid = np.isfinite(values) & (values >= 0.0)
-    if not np.all(valid):
-        msg = f"`weights` must be finite and not negative, got {shown(float(values[~valid][0]))}"
-        raise ImageError(msg)
-    return float(values.max())
-
-
-def require_some(largest: float) -> float:
-    """Return the largest of all weights if it is not 0.
-
-    Raises
-    ------
-    ImageError
-        If it is 0.
-    """
-    if largest == 0.0:
-        msg = "`weights` must not all be 0: nothing would be compared"
-        raise ImageError(msg)
-    return largest

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from loi_core import MSSSIM, FitResult, FitStep, GaussianPyramid, LOIObjective, PixelL2, TiledLOIObjective
+from loi_core import MSSSIM, FitResult, FitStep, GaussianPyramid, LOIObjective, PixelL2
 from loi_core.fitting.notebook import convergence_points
 from loi_core.pixels.psnr import psnr
 from loi_core.pixels.thumbnail import shown_pixels, thumbnail
@@ -126,7 +126,6 @@ def test_values_that_are_not_finite_leave_no_trace_in_a_curve() -> None:
 
 OBJECTIVES = [
     OBJECTIVE,
-    TiledLOIObjective(REFERENCE, SCALES, tile=16),
     PixelL2(REFERENCE),
     GaussianPyramid(REFERENCE),
     MSSSIM(REFERENCE, levels=1),

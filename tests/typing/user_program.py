@@ -56,7 +56,6 @@ def compare(image: Image, reference: Image) -> dict[str, float]:
     objectives: list[loi.Objective] = [
         loi.LOIObjective(reference, scales, "balanced", weights=mask),
         loi.LOIObjective(reference, loi.ScaleSpace(1, (3, 9), 0.125), 0.02, tone=loi.LogTone(peak=1.0)),
-        loi.TiledLOIObjective(reference, scales, tile=16),
         loi.PixelL2(reference),
         loi.GaussianPyramid(reference),
         loi.MSSSIM(reference, levels=1),

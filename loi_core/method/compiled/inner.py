@@ -17,7 +17,7 @@ from loi_core.method.compiled.records import GROUP, SIDE, STRIP, Floats, Operato
 from loi_core.method.compiled.rows import transpose
 from loi_core.method.windows import Window
 
-__all__ = ["InnerBlur", "LonePlaneBlur"]
+__all__ = ["InnerBlur"]
 
 FORTH = 0, 1  # bands of rows and of columns
 BACK = 2, 3
@@ -67,27 +67,6 @@ class InnerBlur:
         operators = Operators(self.bands.weights, self.bands.starts, self.bands.table, arena.of(self.elements))
         _blur_plane(plane, np.asarray(way, np.int64), *operators, self.places, strides, made)
         return made
-
-
-@dataclass(frozen=True)
-class LonePlaneBlur:
-    """The same with an arena of its own: a `loi_core.method.blurs.Blur` of one plane, shape (H, W)."""
-
-    blur: InnerBlur
-    dtype: np.dtype[Any]
-
-    @classmethod
-    def of(cls, blur: PlaneBlur, dtype: np.dtype[Any]) -> LonePlaneBlur:
-        """The bands of a blur."""
-        return cls(InnerBlur.of(blur, dtype), dtype)
-
-    def apply(self, planes: Numbers) -> Numbers:
-        """The blurred plane, shape (h, w)."""
-        return self.blur.apply(planes, Arena(self.dtype))
-
-    def adjoint(self, planes: Numbers) -> Numbers:
-        """The transpose of :meth:`apply`: shape (h, w) to shape (H, W)."""
-        return self.blur.adjoint(planes, Arena(self.dtype))
 
 
 @compiled

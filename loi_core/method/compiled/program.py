@@ -122,7 +122,7 @@ class Wiring:
             if index < self.pyramid_levels:
                 reached, returning = edge.blur.reached(support), scope.route.pulled[edge.target]
             else:
-                reached = returning = self.plan.extents[edge.target].reached(support)
+                reached = returning = edge.blur.reached(support)
             source, out = _laid(support, edge.source), _laid(reached, edge.source)
             end, back = _laid(returning, edge.source), _laid(edge.blur.reached_back(returning), edge.source)
             row[: EdgeColumn.FORTH] = edge.source, edge.target
