@@ -294,7 +294,7 @@ def test_a_mirror_shows_the_direction_that_it_reflects() -> None:
     rows = np.linspace(0.0, 1.0, 16)[:, None, None] * np.ones((16, 32, 3))  # dark at +y, bright at -y
     above = Camera((0, 5, 0), up=(0, 0, -1), extent=2.0)
     floor = replace(glass, vertices=glass.vertices[:, [0, 2, 1]] * torch.tensor([1.0, 1.0, -1.0]))
-    up = draw([floor], above, 6, 6, environment=Environment(rows, blurred=False))
+    up = draw([floor], above, 6, 6, environment=Environment(rows))
     np.testing.assert_allclose(up.numpy(), 0.0, atol=1e-9)
 
 

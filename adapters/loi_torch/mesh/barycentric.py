@@ -37,21 +37,10 @@ def gather_corners(values: Tensor, corners: Tensor) -> Tensor:
 
 
 def barycentric_weights(screen: Tensor, points: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the perspective-correct barycentric coordinates of points in triangles.
+    """Return the perspective-correct barycentric coordinates and the edge functions of points, both of shape (s, 3).
 
-    Parameters
-    ----------
-    screen : Tensor, shape (s, 3, 3)
-        Homogeneous corners (x w, y w, w) of the triangle of each point.
-    points : Tensor, shape (s, 2)
-        In pixels.
-
-    Returns
-    -------
-    weights : Tensor, shape (s, 3)
-        Barycentric coordinates in world space; they sum to 1.
-    functions : Tensor, shape (s, 3)
-        The edge functions, whose signs give the facing of the triangle.
+    `points`, shape (s, 2), are in pixels; `screen`, shape (s, 3, 3), has the homogeneous corners (x w, y w, w) of the
+    triangle of each point. The sign of the sum of the edge functions is the facing of the triangle.
     """
     w = screen[..., 2]
     x = screen[..., 0] - points[:, :1] * w

@@ -20,20 +20,11 @@ END_MARGIN: Final = 0.02  # fraction of a segment at either end where its sides 
 
 
 def hidden_area(start: Tensor, end: Tensor, orientation: Tensor) -> Tensor:
-    """Return the area of a pixel that edge segments hide from its centre.
+    """Return the area, in pixels and shape (f,), of a pixel that edge segments hide from its centre.
 
-    Parameters
-    ----------
-    start, end : Tensor, shape (f, 2)
-        End points of each segment relative to the centre of its pixel, within [-0.5, 0.5].
-    orientation : Tensor, shape (f,)
-        1 if the segment runs around the centre from x to y, -1 if it runs the other way. It decides only for segments
-        through the centre or nearly so, where rounding would decide otherwise.
-
-    Returns
-    -------
-    Tensor, shape (f,)
-        In pixels; negative where `orientation` is negative.
+    `start` and `end`, shape (f, 2), are relative to the centre and within [-0.5, 0.5]. `orientation`, shape (f,), is 1
+    if a segment runs around the centre from x to y, -1 if it runs the other way, and gives the sign of the area. It
+    decides only for segments through the centre or nearly so, where rounding would decide otherwise.
     """
     wedge = (_perimeter_position(end) - _perimeter_position(start)) / 8.0
     wedge = wedge - torch.round(wedge.detach())
@@ -43,7 +34,7 @@ def hidden_area(start: Tensor, end: Tensor, orientation: Tensor) -> Tensor:
 
 
 def nearest_point(start: Tensor, end: Tensor, centre: Tensor) -> Tensor:
-    """Return the points at which the two sides of segments are queried, shape (f, 2): the nearest to the centre.
+    """Return the points of segments nearest to the centre, shape (f, 2), for queries of their two sides.
 
     With these points the contribution of an edge through the centre is continuous as the centre changes sides. They
     keep away from the ends, where other edges begin.

@@ -82,9 +82,9 @@ def draw(
     image = background_colours.index_copy(0, frame.index_tensor(covered), centre_colours)
     if len(edges.pixels):
         pixels = frame.index_tensor(edges.pixels)
-        behind, centre = background_colours.index_select(0, pixels), image.index_select(0, pixels)
+        uncovered, centre = background_colours.index_select(0, pixels), image.index_select(0, pixels)
         left, right = (
-            torch.where(torch.as_tensor(has_centre_colour, device=frame.device)[:, None], centre, behind).index_copy(
+            torch.where(torch.as_tensor(has_centre_colour, device=frame.device)[:, None], centre, uncovered).index_copy(
                 0, frame.index_tensor(side_rows), colours
             )
             for has_centre_colour, side_rows, colours in zip(edges.has_centre_colour, rows, side_colours, strict=True)
@@ -105,7 +105,7 @@ def draw_positions(
 ) -> Tensor:
     """Draw colours and image positions of surface points, which RGBXY compares (Xing et al. 2022).
 
-    The arguments are those of :func:`draw`. Outlines are aliased: each pixel shows the surface at its centre.
+    The arguments are as for :func:`draw`. Outlines are aliased: each pixel shows the surface at its centre.
 
     Returns
     -------

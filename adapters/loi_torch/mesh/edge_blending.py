@@ -1,7 +1,7 @@
 """Analytic anti-aliasing: the area and the two sides of every visible edge and intersection segment.
 
-End points move with the geometry at which they end, so that the areas of :mod:`loi_torch.mesh.coverage` carry the
-gradient of the motion.
+End points move with the geometry that ends their segment, so that the areas of :mod:`loi_torch.mesh.coverage` carry
+the gradient of the motion.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from loi_torch.mesh.tensors import unit
 
 __all__ = ["EdgeContributions", "edge_contributions"]
 
-CENTRE_OFFSET_PX: Final = 1e-6  # by which a pixel's centre on an edge is moved off it
+CENTRE_OFFSET_PX: Final = 1e-6  # displacement of a pixel's centre that lies on an edge
 MIN_CROSSING_SINE: Final = 1e-6  # of the angle between two lines below which their crossing is not differentiated
 
 
@@ -139,26 +139,19 @@ def _intersection_points(frame: Frame) -> tuple[Tensor, Tensor, Tensor]:
 
 
 def _constrained(frame: Frame, point: Tensor, normal: Tensor, endpoint: Any) -> Tensor:
-    """Return points that move along with a line and stay on the geometry at which the line ends.
+    """Return end points, shape (f, 2), that move with their line and stay on the geometry that ends it.
 
-    Parameters
-    ----------
-    frame : Frame
-    point : Tensor, shape (f, 2)
-        Points that move as the line does.
-    normal : Tensor, shape (f, 2)
-        Of the line.
-    endpoint : array of int, shape (f, 3)
-        As in :class:`loi_torch.mesh.segment_endpoints.EdgeSegments`.
+    `point`, shape (f, 2), moves as the line with `normal`, shape (f, 2), does. `endpoint`, shape (f, 3), is as in
+    :class:`loi_torch.mesh.segment_endpoints.EdgeSegments`.
     """
     fixed = point.detach()
     displacement = ((point - fixed) * normal).sum(dim=1)
-    kind = endpoint[:, 0]
-    borders = [kind == EndpointKind.VERTICAL_BORDER, kind == EndpointKind.HORIZONTAL_BORDER]
+    kinds = endpoint[:, 0]
+    borders = [kinds == EndpointKind.VERTICAL_BORDER, kinds == EndpointKind.HORIZONTAL_BORDER]
     end_normal = torch.as_tensor(np.stack(borders, axis=1).astype(float), device=frame.device)
     end_displacement = torch.zeros_like(displacement)
     for line_kind, lines in ((EndpointKind.EDGE, _edge_lines), (EndpointKind.INTERSECTION, _intersection_lines)):
-        is_kind = np.flatnonzero(kind == line_kind)
+        is_kind = np.flatnonzero(kinds == line_kind)
         if len(is_kind):
             rows, line = frame.index_tensor(is_kind), lines(frame, endpoint[is_kind, 1:])
             end_normal = end_normal.index_copy(0, rows, line[:, :2].detach())
@@ -178,7 +171,7 @@ def _edge_lines(frame: Frame, edges: Any) -> Tensor:
 
 
 def _intersection_lines(frame: Frame, pairs: Any) -> Tensor:
-    """Return the lines, shape (f, 3), along which pairs of triangles have equal depth."""
+    """Return the lines of equal depth of pairs of triangles, shape (f, 3), in the same form."""
     return _normalised(_depth_planes(frame, pairs[:, 0]) - _depth_planes(frame, pairs[:, 1]))
 
 

@@ -69,9 +69,7 @@ class Environment:
     ----------
     image : array, shape (6, s, s, 3) or (h, w, 3)
         Linear RGB: the faces +x, -x, +y, -y, +z, -z of a cube map, oriented as in OpenGL; or a map of longitude and
-        latitude with -z in the middle and +y on top.
-    blurred : bool
-        Whether to look the map up in its mipmap where pixels cover many texels.
+        latitude with -z in the middle and +y on top. Where pixels cover many texels, its mipmap is used.
 
     Raises
     ------
@@ -79,30 +77,17 @@ class Environment:
         If `image` has another shape or is not finite.
     """
 
-    def __init__(self, image: Any, *, blurred: bool = True) -> None:
+    def __init__(self, image: Any) -> None:
         self.image = finite_tensor("image", image)
         shape = tuple(self.image.shape)
         self.cube = self.image.ndim == 4 and shape[0] == 6 and shape[3] == 3 and shape[1] == shape[2]
         if not self.cube and not (self.image.ndim == 3 and shape[2] == 3):
             msg = f"`image` of an environment must have shape (6, s, s, 3) or (h, w, 3), got {shape}"
             raise ParameterError(msg)
-        self._blurred = blurred
-        layers = self.image if self.cube else self.image[None]
-        self._pyramid = MipPyramid(layers, (not self.cube, False), None if blurred else 0)
-
-    def with_image(self, image: Any) -> Environment:
-        """Return the environment with another image."""
-        return Environment(image, blurred=self._blurred)
+        self._pyramid = MipPyramid(self.image if self.cube else self.image[None], (not self.cube, False))
 
     def radiance(self, direction: Tensor, footprint: Tensor | None = None) -> Tensor:
-        """Return the radiance from directions, shape (s, 3).
-
-        Parameters
-        ----------
-        direction : Tensor, shape (s, 3)
-        footprint : Tensor, shape (s,), optional
-            Angle that a pixel subtends, in radians; 0 by default.
-        """
+        """Return the radiance from directions, shape (s, 3); `footprint`, shape (s,), is a pixel's angle in radians."""
         if self.cube:
             face, position = cube_coordinates(direction)
             return self._pyramid.sample(face, position, None if footprint is None else 0.5 * footprint)
@@ -116,13 +101,7 @@ def blinn_phong(
 ) -> Tensor:
     """Return the reflected light of all lights (Blinn 1977), shape (s, 3).
 
-    Parameters
-    ----------
-    colours, points, normals, view : Tensor, shape (s, 3)
-        The surface's colour, position and unit normal, and unit vectors to the eye.
-    eye : Tensor, shape (3,)
-    material : Material
-    lights : list of Light
+    `colours`, `points`, unit `normals` and `view`, unit vectors to the `eye`, have shape (s, 3).
     """
     total: Tensor = colours * material.ambient
     for light in lights:

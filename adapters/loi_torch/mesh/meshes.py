@@ -141,7 +141,7 @@ class Mesh:
             object.__setattr__(self, name, value)
 
     def _update_topology(self, vertices: Tensor) -> None:
-        """Weld vertices and find adjacent triangles, unless they are those of the mesh that is replaced."""
+        """Weld vertices and find adjacent triangles, unless a replaced mesh has passed on the same ones."""
         if (
             self.topology is None
             or len(self.welds) != len(vertices)

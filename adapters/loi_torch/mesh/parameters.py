@@ -72,8 +72,8 @@ class MeshScene:
                 scene = replace(scene, camera=replace(self.camera, **changes))
             elif owner in self.lights:
                 scene = replace(scene, lights={**scene.lights, owner: replace(self.lights[owner], **changes)})
-            elif owner == "environment" and self.environment is not None:
-                scene = replace(scene, environment=self.environment.with_image(changes["image"]))
+            elif owner == "environment":
+                scene = replace(scene, environment=Environment(changes["image"]))
             else:
                 scene = replace(scene, background=changes[""])
         return scene
@@ -82,17 +82,8 @@ class MeshScene:
 class SceneParameters:
     """Named parameters of a scene; implements :class:`loi_torch.painted.HostScene`.
 
-    Parameters
-    ----------
-    scene : MeshScene
-        Its values are the initial values of the parameters.
-    targets : dict of str or handle
-        The entry that each parameter sets, or the handle that it moves.
-
-    Raises
-    ------
-    ParameterError
-        If a target does not exist, or two parameters set the same entry.
+    Each parameter sets the entry, or moves the handle, that is its target, from the value in the scene. A
+    ParameterError is raised if a target does not exist, or if two parameters set the same entry.
     """
 
     def __init__(self, scene: MeshScene, targets: Mapping[str, ParameterTarget]) -> None:

@@ -14,19 +14,9 @@ __all__ = ["apply_handles", "rotation_from_rows"]
 
 
 def apply_handles(vertices: Tensor, handles: Sequence[tuple[PoseParameter, Tensor]], centre: Tensor) -> Tensor:
-    """Transform vertices by handles, in the order of :func:`loi_core.renderers.poses.in_application_order`.
+    """Transform vertices, shape (n, 3), by handles and their values, with the default pivot `centre`, shape (3,).
 
-    Parameters
-    ----------
-    vertices : Tensor, shape (n, 3)
-    handles : sequence of (handle, Tensor)
-        Each with its value.
-    centre : Tensor, shape (3,)
-        Default pivot.
-
-    Returns
-    -------
-    Tensor, shape (n, 3)
+    The order is that in :func:`loi_core.renderers.poses.in_application_order`.
     """
     for handle, value in in_application_order(handles):
         if isinstance(handle, Translate):
@@ -36,13 +26,11 @@ def apply_handles(vertices: Tensor, handles: Sequence[tuple[PoseParameter, Tenso
         pivot = centre if handle.pivot is None else _tensor_like(vertices, handle.pivot)
         if not isinstance(handle, Rotate):
             vertices = pivot + value * (vertices - pivot)
+        elif handle.axis is None:
+            vertices = pivot + (vertices - pivot) @ rotation_from_rows(value).T
         else:
-            rotation = (
-                rotation_from_rows(value)
-                if handle.axis is None
-                else _rotation_about(_tensor_like(vertices, handle.axis), value)
-            )
-            vertices = pivot + (vertices - pivot) @ rotation.T
+            axis_angle = _tensor_like(vertices, handle.axis) * torch.deg2rad(value)
+            vertices = pivot + (vertices - pivot) @ axis_angle_to_rotation_matrix(axis_angle[None])[0].T
     return vertices
 
 
@@ -52,11 +40,6 @@ def rotation_from_rows(rows: Tensor) -> Tensor:
     second = rows[1] - (first * rows[1]).sum() * first
     second = second / torch.linalg.vector_norm(second)
     return torch.stack([first, second, torch.linalg.cross(first, second)])
-
-
-def _rotation_about(axis: Tensor, degrees: Tensor) -> Tensor:
-    matrix: Tensor = axis_angle_to_rotation_matrix((axis * torch.deg2rad(degrees))[None])[0]
-    return matrix
 
 
 def _tensor_like(values: Tensor, numbers: Sequence[float]) -> Tensor:

@@ -28,11 +28,6 @@ __all__ = ["Frame"]
 class Frame:
     """Meshes projected to an image, with their visible triangles and edge segments.
 
-    Parameters
-    ----------
-    meshes, camera, height, width
-        See :func:`loi_torch.mesh.draw`.
-
     Attributes
     ----------
     vertices : Tensor, shape (n, 3)

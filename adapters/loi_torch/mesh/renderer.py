@@ -137,10 +137,6 @@ class MeshRenderer(Painted):
         """Return the shapes of all entries that a parameter may set, by name."""
         return {name: tuple(value.shape) for name, value in self._scene_parameters.scene.entries().items()}
 
-    def scene(self, params: Tensors) -> MeshScene:
-        """Return the meshes, camera and lights with these parameters."""
-        return self._scene_parameters.scene_of(self._checked(params))
-
     def with_camera(self, camera: Camera) -> MeshRenderer:
         """Return a renderer of the same meshes and parameters with another camera: a view for :func:`loi_core.fit`.
 
@@ -177,25 +173,25 @@ class MeshRenderer(Painted):
         )
 
 
-def _from_table(kind: type[Any], argument: str, name: str | None, value: Any) -> Any:
+def _from_table(table_type: type[Any], argument: str, name: str | None, value: Any) -> Any:
     """Return `value` as a camera, light, material or mesh; a table of a scene file has the arguments of its class."""
     where = argument if name is None else f"{argument}[{name!r}]"
-    if isinstance(value, kind):
+    if isinstance(value, table_type):
         return value
     if not isinstance(value, Mapping):
-        msg = f"`{where}` must be a {kind.__name__} or a table of its arguments, got {shown(value)}"
+        msg = f"`{where}` must be a {table_type.__name__} or a table of its arguments, got {shown(value)}"
         raise ParameterError(msg)
-    allowed = list(kind.__dataclass_fields__)
+    allowed = list(table_type.__dataclass_fields__)
     for key in value:
         if key not in allowed:
-            msg = f"`{where}`: unknown key `{key}`; {kind.__name__} takes {', '.join(allowed)}"
+            msg = f"`{where}`: unknown key `{key}`; {table_type.__name__} takes {', '.join(allowed)}"
             raise ParameterError(msg)
-    for key in REQUIRED_KEYS.get(kind, ()):
+    for key in REQUIRED_KEYS.get(table_type, ()):
         if key not in value:
             msg = f"`{where}`: `{key}` is missing"
             raise ParameterError(msg)
     try:
-        return kind(**value)
+        return table_type(**value)
     except ParameterError as error:
         msg = f"`{where}`: {error}"
         raise ParameterError(msg) from None

@@ -7,9 +7,8 @@ where outlines meet. The occluding edge is split at the crossing, because the su
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
 from enum import IntEnum
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import torch
@@ -26,17 +25,16 @@ PIXEL_CORNER_PX: Final = 1e-9  # distance from both borders below which a point 
 
 
 class EndpointKind(IntEnum):
-    """The geometry at which a segment ends."""
+    """The geometry that ends a segment."""
 
     VERTEX = 0  # of the edge itself
     VERTICAL_BORDER = 1  # of the pixel, x constant
     HORIZONTAL_BORDER = 2  # of the pixel, y constant
     EDGE = 3  # between two vertices
-    INTERSECTION = 4  # line along which two triangles intersect
+    INTERSECTION = 4  # line of equal depth of two triangles
 
 
-@dataclass(frozen=True)
-class EdgeSegments:
+class EdgeSegments(NamedTuple):
     """Visible edge segments with classified end points.
 
     Attributes
@@ -85,26 +83,24 @@ def classify_endpoints(scene: ProjectedScene, visible: VisibleSegments) -> EdgeS
     best = np.argmin(distance, axis=1)
     rows = np.arange(len(segment))
     is_found = distance[rows, best] < MAX_SNAP_PX
-    kind = np.choose(
-        np.maximum(best - 2, 0),
-        [EndpointKind.EDGE, EndpointKind.INTERSECTION, EndpointKind.VERTEX, EndpointKind.VERTEX],
-    )
+    kinds = [EndpointKind.EDGE] * 3 + [EndpointKind.INTERSECTION, EndpointKind.VERTEX, EndpointKind.VERTEX]
+    endpoint_kind = np.where(is_found, np.array(kinds)[best], EndpointKind.VERTEX)
     corner = np.minimum(best, 2)
     first = np.where(best < 3, topology.faces[occluder, (corner + 1) % 3], owner)
     second = np.where(best < 3, topology.faces[occluder, (corner + 2) % 3], occluder)
     span[segment[is_found], which_end[is_found]] = np.stack(t, axis=1)[rows, best][is_found]
-    endpoints[segment, which_end] = np.stack([np.where(is_found, kind, EndpointKind.VERTEX), first, second], axis=1)
+    endpoints[segment, which_end] = np.stack([endpoint_kind, first, second], axis=1)
     at_edge = is_found & (best < 3)
     welded = [topology.welded_faces[occluder, (corner + k) % 3] for k in (1, 2)]
     occluding_edges = np.sort(np.stack(welded, axis=1), axis=1)
     segments = _split_occluders(scene, segments, segment[at_edge], occluding_edges[at_edge])
     # Segments that have become shorter are queried at another point.
     rows = np.flatnonzero(np.any(segments.endpoints[:, :, 0] > EndpointKind.HORIZONTAL_BORDER, axis=1))
-    beside = visible.query(segments.edge[rows], segments.pixel[rows], _query_positions(scene, segments, rows))
-    differs = beside[:, 0] != beside[:, 1]
+    pairs = visible.query(segments.edge[rows], segments.pixel[rows], _query_positions(scene, segments, rows))
+    is_edge = pairs[:, 0] != pairs[:, 1]
     triangles = segments.triangles.copy()
-    triangles[rows[differs]] = beside[differs]
-    return replace(segments, triangles=triangles)
+    triangles[rows[is_edge]] = pairs[is_edge]
+    return segments._replace(triangles=triangles)
 
 
 def intersection_endpoints(scene: ProjectedScene, visible: VisibleSegments) -> IndexArray:
@@ -125,23 +121,23 @@ def intersection_endpoints(scene: ProjectedScene, visible: VisibleSegments) -> I
                 distances.append(np.abs(value))
                 candidates.append((EndpointKind.EDGE, a, b))
         best = np.argmin(np.nan_to_num(np.stack(distances, axis=1), nan=np.inf), axis=1)
-        for number, (kind, first, second) in enumerate(candidates):
+        for number, (endpoint_kind, first, second) in enumerate(candidates):
             is_best = best == number
-            endpoints[is_best, k] = np.stack([np.full(count, kind), first, second], axis=1)[is_best]
+            endpoints[is_best, k] = np.stack([np.full(count, endpoint_kind), first, second], axis=1)[is_best]
     return endpoints
 
 
 def _query_positions(scene: ProjectedScene, segments: EdgeSegments, rows: Any) -> FloatArray:
     """Return the edge positions, 0 to 1 in world space, of :func:`loi_torch.mesh.coverage.nearest_point`."""
     a, b = (scene.corners[scene.topology.edges[segments.edge[rows], k]] for k in (0, 1))
-    low, high = segments.span[rows].T
-    start, end = (a + position[:, None] * (b - a) for position in (low, high))
+    first, last = segments.span[rows].T
+    start, end = (a + position[:, None] * (b - a) for position in (first, last))
     width = scene.viewport.width
     centre = np.stack([segments.pixel[rows] % width + 0.5, segments.pixel[rows] // width + 0.5], axis=1)
     on_screen = (start[:, :2] / start[:, 2:], end[:, :2] / end[:, 2:], centre)
     fraction = nearest_fraction(*map(torch.from_numpy, on_screen)).numpy()
     in_world = fraction * start[:, 2] / (end[:, 2] - fraction * (end[:, 2] - start[:, 2]))
-    positions: FloatArray = low + (high - low) * in_world
+    positions: FloatArray = first + (last - first) * in_world
     return positions
 
 
@@ -155,9 +151,9 @@ def _border_kind(start: FloatArray, end: FloatArray, t: FloatArray) -> IndexArra
     # A corner of the pixel lies on both borders; choose the one that the edge crosses at the greater angle.
     is_corner = np.max(to_border, axis=1) < PIXEL_CORNER_PX
     is_vertical = np.where(is_corner, ~is_steep, to_border[:, 0] < to_border[:, 1])
-    kind = np.where(is_vertical, EndpointKind.VERTICAL_BORDER, EndpointKind.HORIZONTAL_BORDER)
+    border_kind = np.where(is_vertical, EndpointKind.VERTICAL_BORDER, EndpointKind.HORIZONTAL_BORDER)
     is_inside = np.min(to_border, axis=1) > SAME_POINT_PX  # an end without a known occluder, which is not followed
-    return np.where((t <= 0.0) | (t >= 1.0) | is_inside, EndpointKind.VERTEX, kind).astype(np.int32)
+    return np.where((t <= 0.0) | (t >= 1.0) | is_inside, EndpointKind.VERTEX, border_kind).astype(np.int32)
 
 
 def _line_through(scene: ProjectedScene, faces: IndexArray, corner: int) -> tuple[FloatArray, IndexArray, IndexArray]:
@@ -229,13 +225,9 @@ def _split_occluders(
             spans.append(limits[k : k + 2])
             triangles.append(pair)
             endpoints.append(kinds[k : k + 2])
-    return EdgeSegments(
-        np.append(segments.edge[is_whole], segments.edge[sources]),
-        np.concatenate([segments.span[is_whole], np.array(spans)]),
-        np.append(segments.pixel[is_whole], segments.pixel[sources]),
-        np.concatenate([segments.triangles[is_whole], np.array(triangles, np.int32)]),
-        np.concatenate([segments.endpoints[is_whole], np.array(endpoints, np.int32)]),
-    )
+    halves = (segments.edge[sources], spans, segments.pixel[sources], triangles, endpoints)
+    columns: Any = zip(segments, halves, strict=True)
+    return EdgeSegments(*(np.concatenate([column[is_whole], np.array(new, column.dtype)]) for column, new in columns))
 
 
 def _cut_positions(
@@ -246,7 +238,7 @@ def _cut_positions(
     corners: FloatArray,
     lines: dict[int, FloatArray],
 ) -> dict[int, list[tuple[float, int]]]:
-    """Return the positions at which segments are split, each with the occluded segment that ends there."""
+    """Return the positions to split each segment at, and the occluded segment that ends there."""
     ending: dict[tuple[int, int, int], list[int]] = {}
     pixels = segments.pixel[occluded]
     for e, pixel, (a, b) in zip(occluded.tolist(), pixels.tolist(), occluding_edges.tolist(), strict=True):

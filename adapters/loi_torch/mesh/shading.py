@@ -27,15 +27,7 @@ def shade(
 ) -> Tensor:
     """Return the colours of samples, shape (s, 3).
 
-    Parameters
-    ----------
-    frame : Frame
-    samples : SurfaceSamples
-    lights : sequence of Light
-    environment : Environment or None
-    attached : bool
-        Whether samples move with the surface, which makes their barycentric coordinates constant. By default they stay
-        in place in the image.
+    Samples are fixed in the image; with `attached`, they move with the surface, at constant barycentric coordinates.
     """
     total = len(samples.points)
     result = torch.zeros((total, 3), dtype=torch.float64, device=frame.device)

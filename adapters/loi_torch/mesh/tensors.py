@@ -17,18 +17,7 @@ __all__ = ["background_tensor", "finite_tensor", "unit"]
 def finite_tensor(name: str, value: Any, shape: tuple[int | None, ...] | None = None) -> Tensor:
     """Return `value` as a finite float64 tensor; a tensor keeps its graph.
 
-    Parameters
-    ----------
-    name : str
-        Argument to name in errors.
-    value : array or Tensor
-    shape : tuple of int or None, optional
-        Required shape, in which None allows any length.
-
-    Raises
-    ------
-    ParameterError
-        If `value` is not numeric, has another shape or is not finite.
+    A ParameterError with `name` is raised if it is not numeric, not finite or of another shape; None allows any length.
     """
     try:
         tensor = value if isinstance(value, Tensor) else torch.as_tensor(_real_array(value))

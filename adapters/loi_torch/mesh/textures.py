@@ -9,34 +9,22 @@ __all__ = ["MipPyramid", "cube_coordinates", "latlong_coordinates"]
 
 
 class MipPyramid:
-    """A texture and its mipmap levels (Williams 1983).
+    """A texture, shape (layers, h, w, c), and its mipmap levels (Williams 1983).
 
-    Parameters
-    ----------
-    texture : Tensor, shape (layers, h, w, c)
-    wrap : (bool, bool)
-        Whether the texture repeats horizontally and vertically; if not, its border is extended.
-    max_level : int, optional
-        Largest number of times that the texture is halved.
+    `wrap` is whether the texture repeats horizontally and vertically; if not, its border is extended.
     """
 
-    def __init__(self, texture: Tensor, wrap: tuple[bool, bool], max_level: int | None = None) -> None:
+    def __init__(self, texture: Tensor, wrap: tuple[bool, bool]) -> None:
         self._wrap = wrap
         self._levels = [texture]
-        while max(self._levels[-1].shape[1:3]) > 1 and (max_level is None or len(self._levels) <= max_level):
+        while max(self._levels[-1].shape[1:3]) > 1:
             self._levels.append(_halved(self._levels[-1]))
 
     def sample(self, layer: Tensor, position: Tensor, footprint: Tensor | None = None) -> Tensor:
-        """Return the colours at positions, shape (s, c).
+        """Return the colours, shape (s, c), at positions from the top left corner (0, 0) to (1, 1), shape (s, 2).
 
-        Parameters
-        ----------
-        layer : Tensor of int64, shape (s,)
-        position : Tensor, shape (s, 2)
-            Horizontal and vertical, 0 to 1 over the texture from its top left corner.
-        footprint : Tensor, shape (s,), optional
-            Side of a pixel in units of `position`, which chooses the levels and carries no gradient. Without it, only
-            the texture itself is used.
+        The `footprint`, shape (s,), is the side of a pixel in units of `position`; it selects the levels and carries no
+        gradient. Without it, only the texture itself is used.
         """
         if footprint is None or len(self._levels) == 1:
             return self._bilinear(0, layer, position)
@@ -97,19 +85,9 @@ def _texel_index(position: Tensor, size: int, *, wrap: bool) -> Tensor:
 
 
 def cube_coordinates(direction: Tensor) -> tuple[Tensor, Tensor]:
-    """Return the face of a cube map, and the position on it, in each direction.
+    """Return the face of a cube map in each direction, shape (s,), and the position on it, shape (s, 2), 0 to 1.
 
-    Parameters
-    ----------
-    direction : Tensor, shape (s, 3)
-        Of any length but 0.
-
-    Returns
-    -------
-    face : Tensor of int64, shape (s,)
-        +x, -x, +y, -y, +z, -z, in the orientations of OpenGL.
-    position : Tensor, shape (s, 2)
-        Horizontal and vertical, 0 to 1.
+    The faces are +x, -x, +y, -y, +z, -z in the orientations of OpenGL. Directions have any length but 0.
     """
     x, y, z = direction.unbind(dim=1)
     axis = direction.detach().abs().argmax(dim=1)

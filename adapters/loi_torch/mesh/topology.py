@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -15,8 +14,7 @@ __all__ = ["FloatArray", "IndexArray", "Topology", "concatenate", "edge_topology
 IndexArray: TypeAlias = np.ndarray[Any, np.dtype[np.int32]]
 
 
-@dataclass(frozen=True)
-class Topology:
+class Topology(NamedTuple):
     """Faces and edges of triangle meshes.
 
     Attributes
@@ -38,7 +36,7 @@ class Topology:
         triangles.
     has_several_components : bool
     inconsistent_edges : int
-        Number of edges along which exactly two triangles run in the same direction, so that one shows its back.
+        Number of edges of exactly two triangles that run in the same direction, so that one shows its back.
     """
 
     faces: IndexArray
@@ -65,17 +63,10 @@ def weld_vertices(vertices: FloatArray) -> IndexArray:
 
 
 def edge_topology(faces: IndexArray, welds: IndexArray, *, creased: bool, seams: bool) -> Topology:
-    """Build the topology of one mesh.
+    """Build the topology of one mesh from its faces, shape (m, 3), and the indices of :func:`weld_vertices`.
 
-    Parameters
-    ----------
-    faces : array of int, shape (m, 3)
-    welds : array of int, shape (n,)
-        Welded index of each vertex, from :func:`weld_vertices`.
-    creased : bool
-        Whether colours or normals belong to triangles, which makes every edge discontinuous.
-    seams : bool
-        Whether vertices have colours or texture coordinates, which may differ between welded vertices.
+    With `creased`, colours or normals belong to triangles, and every edge is discontinuous. With `seams`, vertices have
+    colours or texture coordinates, which may differ between welded vertices.
     """
     welded_faces = welds[faces].astype(np.int32)
     edges, welded_edges = _half_edges(faces), _half_edges(welded_faces)

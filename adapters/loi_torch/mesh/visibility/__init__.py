@@ -2,8 +2,8 @@
 
 The depth buffer gives the visible triangle at each pixel's centre (``edge_functions``). Silhouettes, boundaries and
 creases are cut at pixel borders (``edge_walk``), and the visible segments are found by visibility queries beside the
-edges, among the triangles binned to each pixel (``bins``). ``intersections`` finds the segments along which triangles
-intersect.
+edges, among the triangles binned to each pixel (``bins``). ``intersections`` finds the visible intersections of
+triangles.
 """
 
 from __future__ import annotations

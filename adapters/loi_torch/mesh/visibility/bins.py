@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from loi_core.method.compiled.compiling import compiled_as_written
-from loi_torch.mesh.visibility.edge_functions import Triangles
-from loi_torch.mesh.visibility.tolerances import BIN_MARGIN_PX
+from loi_torch.mesh.visibility.edge_functions import BIN_MARGIN_PX, Triangles
 
-__all__ = ["Bins", "bin_triangles", "nearest_triangle"]
+__all__ = ["QUERY_OFFSET_PX", "Bins", "bin_triangles", "nearest_triangle"]
+
+QUERY_OFFSET_PX: Final = 1e-6  # distance from an edge of the two visibility queries beside it
 
 
 class Bins(NamedTuple):
     """The triangles that may be visible in each selected pixel."""
 
+    triangles: Triangles
     bin_of_pixel: Any  # (H * W,) int32, -1 for pixels without a bin
-    first: Any  # (k + 1,) int64: offsets into `triangle`
-    triangle: Any  # int32; within a bin in order of decreasing largest reversed depth
+    first: Any  # (k + 1,) int64: offsets into `members`
+    members: Any  # int32; within a bin in order of decreasing largest reversed depth
     pixel: Any  # (k,) int32
     width: int  # of the image
 
@@ -93,17 +95,17 @@ def bin_triangles(triangles: Triangles, selected: Any, height: int, width: int) 
         unsorted, order = in_bin.copy(), np.argsort(bound, kind="mergesort")
         for j in range(len(in_bin)):
             in_bin[j] = unsorted[order[j]]
-    return Bins(bin_of_pixel, first, members, pixel_of_bin, width)
+    return Bins(triangles, bin_of_pixel, first, members, pixel_of_bin, width)
 
 
 @compiled_as_written
-def nearest_triangle(triangles: Triangles, bins: Bins, bin_index: int, x: float, y: float) -> int:
+def nearest_triangle(bins: Bins, bin_index: int, x: float, y: float) -> int:
     """Return the nearest triangle at a point (x, y) of the bin's pixel, or -1."""
-    edges, planes = triangles.edges, triangles.planes
+    edges, planes = bins.triangles.edges, bins.triangles.planes
     nearest, nearest_depth = -1, -math.inf
     centre_x, centre_y = bins.pixel[bin_index] % bins.width + 0.5, bins.pixel[bin_index] // bins.width + 0.5
     for index in range(bins.first[bin_index], bins.first[bin_index + 1]):
-        k = bins.triangle[index]
+        k = bins.members[index]
         if _depth_bound(planes, k, centre_x, centre_y) < nearest_depth:
             break  # the following triangles are farther still
         if (
@@ -113,6 +115,6 @@ def nearest_triangle(triangles: Triangles, bins: Bins, bin_index: int, x: float,
         ):
             depth = planes[k, 0] * x + planes[k, 1] * y + planes[k, 2]
             is_nearer = depth > nearest_depth or (depth == nearest_depth and k < nearest)
-            if depth <= triangles.max_depth and is_nearer:
+            if depth <= bins.triangles.max_depth and is_nearer:
                 nearest, nearest_depth = k, depth
     return nearest

@@ -9,14 +9,18 @@ the two, and no pixel falls between them.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from loi_core.method.compiled.compiling import compiled_as_written
-from loi_torch.mesh.visibility.tolerances import BIN_MARGIN_PX, DEGENERATE_AREA_RATIO, SAME_POSITION_PX
+from loi_torch.mesh.visibility.types import ProjectedScene
 
-__all__ = ["Triangles", "depth_at", "depth_buffer", "has_edge_at", "set_up_triangles"]
+__all__ = ["BIN_MARGIN_PX", "Triangles", "depth_at", "depth_buffer", "has_edge_at", "set_up_triangles"]
+
+BIN_MARGIN_PX: Final = 2e-3  # distance from a pixel of the farthest triangles that are binned to it
+DEGENERATE_AREA_RATIO: Final = 1e-9  # largest volume of a triangle seen edge-on, over its bound
+SAME_POSITION_PX: Final = 1e-5
 
 
 class Triangles(NamedTuple):
@@ -61,10 +65,10 @@ def _volume_bound(corners: Any, faces: Any, k: int, min_w: float) -> float:
 
 
 @compiled_as_written
-def set_up_triangles(
-    corners: Any, depth: Any, faces: Any, height: int, width: int, min_w: float, max_depth: float
-) -> Triangles:
-    """Return the edge functions, depth planes and bounding boxes of the triangles `faces`, shape (m, 3)."""
+def set_up_triangles(scene: ProjectedScene) -> Triangles:
+    """Return the edge functions, depth planes and bounding boxes of all triangles."""
+    corners, depth, faces = scene.corners, scene.depth, scene.topology.faces
+    height, width, min_w = scene.viewport.height, scene.viewport.width, scene.viewport.min_w
     count = len(faces)
     in_frame = np.zeros(count, np.bool_)
     edges = np.empty((count, 3, 3))
@@ -109,12 +113,12 @@ def set_up_triangles(
         box[k, 0], box[k, 1] = int(max(left, 0.0)), int(min(right, width - 0.5))
         box[k, 2], box[k, 3] = int(max(top, 0.0)), int(min(bottom, height - 0.5))
         in_frame[k] = True
-    return Triangles(in_frame, edges, planes, facing, box, max_depth)
+    return Triangles(in_frame, edges, planes, facing, box, scene.viewport.max_depth)
 
 
 @compiled_as_written
 def _column_range(edges: Any, k: int, y: float, first: int, last: int) -> tuple[int, int]:
-    """Return the columns of a row in which all edge functions may be positive; rounding may add one at either end."""
+    """Return the range of columns with positive edge functions in a row; rounding may add one column at either end."""
     for j in range(3):
         slope, at_zero = edges[k, j, 0], edges[k, j, 1] * y + edges[k, j, 2]
         if slope > 0.0:

@@ -9,6 +9,7 @@ import numpy as np
 
 from loi_core.method.compiled.compiling import compiled_as_written
 from loi_torch.mesh.visibility.edge_functions import Triangles
+from loi_torch.mesh.visibility.types import Viewport
 
 __all__ = ["clip_edge", "discontinuity_edges", "grow", "walk_edges"]
 
@@ -47,15 +48,8 @@ def clip_edge(
 ) -> tuple[bool, float, float, float, float, float, float, float, float]:
     """Clip the edge between homogeneous points `a` and `b` to the near plane and the frame.
 
-    Returns
-    -------
-    is_visible : bool
-    xa, ya, xb, yb : float
-        Start and end in pixels after clipping to the near plane.
-    start, end : float
-        The same positions on the whole edge, 0 to 1 in world space.
-    low, high : float
-        The interval within the frame, 0 to 1 on the screen from (xa, ya) to (xb, yb).
+    Returns whether it is visible; its ends (xa, ya, xb, yb) in pixels after clipping to the near plane; the same ends
+    as positions on the whole edge, 0 to 1 in world space; and the interval within the frame, 0 to 1 on the screen.
     """
     outside = (False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
     start, end = 0.0, 1.0
@@ -68,35 +62,36 @@ def clip_edge(
     wa, wb = a[2] + start * (b[2] - a[2]), a[2] + end * (b[2] - a[2])
     xa, ya = (a[0] + start * (b[0] - a[0])) / wa, (a[1] + start * (b[1] - a[1])) / wa
     xb, yb = (a[0] + end * (b[0] - a[0])) / wb, (a[1] + end * (b[1] - a[1])) / wb
-    low, high = 0.0, 1.0
+    lower, upper = 0.0, 1.0
     for p, q, size in ((xa, xb, width), (ya, yb, height)):
         if p == q:
             if p < 0.0 or p >= size:
                 return outside
             continue
         s0, s1 = -p / (q - p), (size - p) / (q - p)
-        low, high = max(low, min(s0, s1)), min(high, max(s0, s1))
-    if not high - low > 0.0:
+        lower, upper = max(lower, min(s0, s1)), min(upper, max(s0, s1))
+    if not upper - lower > 0.0:
         return outside
-    return True, xa, ya, xb, yb, start, end, low, high
+    return True, xa, ya, xb, yb, start, end, lower, upper
 
 
 @compiled_as_written
-def walk_edges(corners: Any, edges: Any, height: int, width: int, min_w: float) -> tuple[Any, Any, Any]:
+def walk_edges(corners: Any, edges: Any, viewport: Viewport) -> tuple[Any, Any, Any]:
     """Cut edges at pixel borders; return the edge, the pixel and the interval on the screen of each segment."""
+    height, width = viewport.height, viewport.width
     edge, pixel, interval = np.empty(1024, np.int32), np.empty(1024, np.int32), np.empty((1024, 2))
     count = 0
     for k in range(len(edges)):
-        is_visible, xa, ya, xb, yb, _, _, low, high = clip_edge(
-            corners[edges[k, 0]], corners[edges[k, 1]], min_w, height, width
+        is_visible, xa, ya, xb, yb, _, _, lower, upper = clip_edge(
+            corners[edges[k, 0]], corners[edges[k, 1]], viewport.min_w, height, width
         )
         if not is_visible:
             continue
         dx, dy = xb - xa, yb - ya
-        s = low
-        while s < high:
+        s = lower
+        while s < upper:
             x, y = xa + s * dx, ya + s * dy
-            border = high
+            border = upper
             if dx != 0.0:
                 line = math.floor(x) + 1.0 if dx > 0.0 else math.ceil(x) - 1.0
                 border = min(border, max((line - xa) / dx, s))
@@ -104,7 +99,7 @@ def walk_edges(corners: Any, edges: Any, height: int, width: int, min_w: float) 
                 line = math.floor(y) + 1.0 if dy > 0.0 else math.ceil(y) - 1.0
                 border = min(border, max((line - ya) / dy, s))
             if border <= s:
-                border = min(high, s + max(1e-12, 1e-9 / max(abs(dx), abs(dy))))
+                border = min(upper, s + max(1e-12, 1e-9 / max(abs(dx), abs(dy))))
             middle = 0.5 * (s + border)
             column, row = math.floor(xa + middle * dx), math.floor(ya + middle * dy)
             if 0 <= column < width and 0 <= row < height:

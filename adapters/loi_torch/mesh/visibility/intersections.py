@@ -1,20 +1,21 @@
-"""Visible segments along which triangles of two connected components intersect."""
+"""Visible segments of the intersection of two connected components."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 
 from loi_core.method.compiled.compiling import compiled_as_written
 from loi_torch.mesh.coverage import END_MARGIN
-from loi_torch.mesh.visibility.bins import Bins, nearest_triangle
-from loi_torch.mesh.visibility.edge_functions import Triangles, has_edge_at
+from loi_torch.mesh.visibility.bins import QUERY_OFFSET_PX, Bins, nearest_triangle
+from loi_torch.mesh.visibility.edge_functions import has_edge_at
 from loi_torch.mesh.visibility.edge_walk import grow
-from loi_torch.mesh.visibility.tolerances import MAX_INTERSECTING_TRIANGLES, QUERY_OFFSET_PX
 
 __all__ = ["intersection_segments", "pixels_between_components"]
+
+MAX_INTERSECTING_TRIANGLES: Final = 24  # nearest triangles of a pixel that are tested for intersection
 
 
 @compiled_as_written
@@ -38,26 +39,25 @@ def pixels_between_components(centre_triangle: Any, component: Any, height: int,
 
 @compiled_as_written
 def _clip_to_triangle(
-    edges: Any, x: float, y: float, dx: float, dy: float, low: float, high: float
+    edges: Any, x: float, y: float, dx: float, dy: float, lower: float, upper: float
 ) -> tuple[float, float]:
-    """Clip the interval (low, high) of a line through (x, y) along (dx, dy) to a triangle's edge functions."""
+    """Clip the interval (lower, upper) of a line through (x, y) along (dx, dy) to a triangle's edge functions."""
     for j in range(3):
         value, slope = edges[j, 0] * x + edges[j, 1] * y + edges[j, 2], edges[j, 0] * dx + edges[j, 1] * dy
         if slope == 0.0:
             if value < 0.0:
                 return 1.0, 0.0
         elif slope > 0.0:
-            low = max(low, -value / slope)
+            lower = max(lower, -value / slope)
         else:
-            high = min(high, -value / slope)
-    return low, high
+            upper = min(upper, -value / slope)
+    return lower, upper
 
 
 @compiled_as_written
-def intersection_segments(
-    triangles: Triangles, bins: Bins, component: Any, selected: Any, width: int
-) -> tuple[Any, Any, Any, int]:
-    """Return the pixels, triangles and end points of :class:`VisibleSegments`, and the number of segments."""
+def intersection_segments(bins: Bins, component: Any, selected: Any, width: int) -> tuple[Any, Any, Any]:
+    """Return the pixel, triangles and points of the intersections of :class:`VisibleSegments`."""
+    triangles = bins.triangles
     pixels, pairs, points = np.empty(64, np.int32), np.empty((64, 2), np.int32), np.empty((64, 4))
     count = 0
     for pixel in range(len(selected)):
@@ -68,7 +68,7 @@ def intersection_segments(
         last = min(bins.first[bin_index + 1], bins.first[bin_index] + MAX_INTERSECTING_TRIANGLES)
         for i in range(bins.first[bin_index], last):
             for j in range(i + 1, last):
-                t, u = bins.triangle[i], bins.triangle[j]
+                t, u = bins.members[i], bins.members[j]
                 if component[t] == component[u]:
                     continue
                 difference = triangles.planes[t] - triangles.planes[u]
@@ -80,33 +80,33 @@ def intersection_segments(
                 if abs(distance) > 0.75:  # more than half the diagonal of a pixel
                     continue
                 px, py, dx, dy = x - distance * nx, y - distance * ny, ny, -nx
-                low, high = -2.0, 2.0
+                lower, upper = -2.0, 2.0
                 for p, d, middle in ((px, dx, x), (py, dy, y)):
                     if d == 0.0:
                         if abs(p - middle) > 0.5:
-                            high = -3.0
+                            upper = -3.0
                         continue
                     s0, s1 = (middle - 0.5 - p) / d, (middle + 0.5 - p) / d
-                    low, high = max(low, min(s0, s1)), min(high, max(s0, s1))
-                low, high = _clip_to_triangle(triangles.edges[t], px, py, dx, dy, low, high)
-                low, high = _clip_to_triangle(triangles.edges[u], px, py, dx, dy, low, high)
-                if not high - low > 1e-9:
+                    lower, upper = max(lower, min(s0, s1)), min(upper, max(s0, s1))
+                lower, upper = _clip_to_triangle(triangles.edges[t], px, py, dx, dy, lower, upper)
+                lower, upper = _clip_to_triangle(triangles.edges[u], px, py, dx, dy, lower, upper)
+                if not upper - lower > 1e-9:
                     continue
-                margin = END_MARGIN * (high - low)
-                nearest = min(max(0.0, low + margin), high - margin)
+                margin = END_MARGIN * (upper - lower)
+                nearest = min(max(0.0, lower + margin), upper - margin)
                 qx, qy = px + nearest * dx, py + nearest * dy
                 # Triangles that only meet at an edge of either do not intersect.
                 if has_edge_at(triangles, t, qx, qy) or has_edge_at(triangles, u, qx, qy):
                     continue
                 # Left of the direction (dx, dy) is (-dy, dx) = (nx, ny), where t is nearer.
                 offset_x, offset_y = QUERY_OFFSET_PX * nx, QUERY_OFFSET_PX * ny
-                if nearest_triangle(triangles, bins, bin_index, qx + offset_x, qy + offset_y) != t:
+                if nearest_triangle(bins, bin_index, qx + offset_x, qy + offset_y) != t:
                     continue
-                if nearest_triangle(triangles, bins, bin_index, qx - offset_x, qy - offset_y) != u:
+                if nearest_triangle(bins, bin_index, qx - offset_x, qy - offset_y) != u:
                     continue
                 pixels, pairs, points = grow(pixels, count + 1), grow(pairs, count + 1), grow(points, count + 1)
                 pixels[count], pairs[count, 0], pairs[count, 1] = pixel, t, u
-                points[count, 0], points[count, 1] = px + low * dx, py + low * dy
-                points[count, 2], points[count, 3] = px + high * dx, py + high * dy
+                points[count, 0], points[count, 1] = px + lower * dx, py + lower * dy
+                points[count, 2], points[count, 3] = px + upper * dx, py + upper * dy
                 count += 1
-    return pixels, pairs, points, count
+    return pixels[:count], pairs[:count], points[:count]

@@ -1,37 +1,33 @@
-"""Visible edge segments: visibility queries on both sides of edges, and bisection of their changes."""
+"""Visible edge segments: visibility queries on both sides of edges, and bisection where the result changes."""
 
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 
 from loi_core.method.compiled.compiling import compiled_as_written
 from loi_torch.mesh.coverage import END_MARGIN
 from loi_torch.mesh.topology import FloatArray, IndexArray
-from loi_torch.mesh.visibility.bins import Bins, bin_triangles, nearest_triangle
-from loi_torch.mesh.visibility.edge_functions import (
-    Triangles,
-    depth_at,
-    depth_buffer,
-    has_edge_at,
-    set_up_triangles,
-)
+from loi_torch.mesh.visibility.bins import QUERY_OFFSET_PX, Bins, bin_triangles, nearest_triangle
+from loi_torch.mesh.visibility.edge_functions import Triangles, depth_at, depth_buffer, has_edge_at, set_up_triangles
 from loi_torch.mesh.visibility.edge_walk import clip_edge, discontinuity_edges, walk_edges
 from loi_torch.mesh.visibility.intersections import intersection_segments, pixels_between_components
-from loi_torch.mesh.visibility.tolerances import MAX_RELATIVE_CONTACT_DEPTH, N_BISECTIONS, QUERY_OFFSET_PX
 from loi_torch.mesh.visibility.types import ProjectedScene, VisibleSegments
 
 __all__ = ["find_visible"]
+
+MAX_RELATIVE_CONTACT_DEPTH: Final = 1e-9  # relative difference in depth between touching surfaces
+N_BISECTIONS: Final = 14  # of an edge within a pixel
 
 
 class ScreenEdge(NamedTuple):
     """An edge in pixels, clipped to the near plane."""
 
-    x: float
+    x: float  # start
     y: float
-    dx: float  # to the end
+    dx: float  # start to end
     dy: float
     nx: float  # unit normal
     ny: float
@@ -41,18 +37,6 @@ class ScreenEdge(NamedTuple):
     end: float
     wa: float
     wb: float
-
-
-class EdgeGeometry(NamedTuple):
-    """Edges in space, as in :class:`loi_torch.mesh.visibility.types.ProjectedScene`."""
-
-    corners: Any
-    edges: Any
-    welded_faces: Any
-    welded_edges: Any
-    height: int
-    width: int
-    min_w: float
 
 
 @compiled_as_written
@@ -79,18 +63,17 @@ def _has_edge(welded_faces: Any, k: int, a: int, b: int) -> bool:
 
 
 @compiled_as_written
-def _query(
-    triangles: Triangles, bins: Bins, bin_index: int, welded_faces: Any, edge: ScreenEdge, s: float
-) -> tuple[bool, int, int]:
+def _query(bins: Bins, bin_index: int, welded_faces: Any, edge: ScreenEdge, s: float) -> tuple[bool, int, int]:
     """Return whether an edge is visible at `s`, and the triangles on its left and right there.
 
     It is visible if it belongs to the triangle in front. Where the two triangles touch, as a box touches the floor, it
-    may belong to either; but if both end there with an edge of their own, only one of these edges is counted.
+    may belong to either; but if both end there with different edges, only one of these edges is counted.
     """
+    triangles = bins.triangles
     x, y = edge.x + s * edge.dx, edge.y + s * edge.dy
     offset_x, offset_y = QUERY_OFFSET_PX * edge.nx, QUERY_OFFSET_PX * edge.ny
-    left = nearest_triangle(triangles, bins, bin_index, x + offset_x, y + offset_y)
-    right = nearest_triangle(triangles, bins, bin_index, x - offset_x, y - offset_y)
+    left = nearest_triangle(bins, bin_index, x + offset_x, y + offset_y)
+    right = nearest_triangle(bins, bin_index, x - offset_x, y - offset_y)
     if left == right:
         return False, left, right
     if left < 0 or right < 0 or not _are_touching(triangles, left, right, x, y):
@@ -104,33 +87,27 @@ def _query(
 
 @compiled_as_written
 def _bisect_visibility(
-    triangles: Triangles,
-    bins: Bins,
-    bin_index: int,
-    welded_faces: Any,
-    edge: ScreenEdge,
-    visible: float,
-    hidden: float,
+    bins: Bins, bin_index: int, welded_faces: Any, edge: ScreenEdge, visible: float, hidden: float
 ) -> tuple[float, int]:
-    """Return where between a visible and a hidden position an edge disappears, and the triangle that occludes it."""
+    """Return the position between a visible and a hidden one where an edge disappears, and its occluder there."""
     for _ in range(N_BISECTIONS):
         middle = 0.5 * (visible + hidden)
-        if _query(triangles, bins, bin_index, welded_faces, edge, middle)[0]:
+        if _query(bins, bin_index, welded_faces, edge, middle)[0]:
             visible = middle
         else:
             hidden = middle
-    _, left, right = _query(triangles, bins, bin_index, welded_faces, edge, hidden)
-    occluder = _front_triangle(triangles, left, right, edge.x + hidden * edge.dx, edge.y + hidden * edge.dy)
-    return 0.5 * (visible + hidden), occluder
+    _, left, right = _query(bins, bin_index, welded_faces, edge, hidden)
+    x, y = edge.x + hidden * edge.dx, edge.y + hidden * edge.dy
+    return 0.5 * (visible + hidden), _front_triangle(bins.triangles, left, right, x, y)
 
 
 @compiled_as_written
-def _query_position(edge: ScreenEdge, pixel: int, width: int, low: float, high: float) -> float:
-    """Return the position on a segment at which it is queried: see :func:`loi_torch.mesh.coverage.nearest_point`."""
+def _query_position(edge: ScreenEdge, pixel: int, width: int, lower: float, upper: float) -> float:
+    """Return the position of a segment's visibility query, see :func:`loi_torch.mesh.coverage.nearest_point`."""
     x, y = pixel % width + 0.5 - edge.x, pixel // width + 0.5 - edge.y
     nearest = (x * edge.dx + y * edge.dy) / (edge.dx * edge.dx + edge.dy * edge.dy)
-    margin = END_MARGIN * (high - low)
-    return min(max(nearest, low + margin), high - margin)
+    margin = END_MARGIN * (upper - lower)
+    return min(max(nearest, lower + margin), upper - margin)
 
 
 @compiled_as_written
@@ -140,63 +117,45 @@ def _to_world(edge: ScreenEdge, s: float) -> float:
 
 
 @compiled_as_written
-def _screen_edge(scene: EdgeGeometry, index: int) -> ScreenEdge:
-    a, b = scene.edges[index, 0], scene.edges[index, 1]
-    _, xa, ya, xb, yb, start, end, _, _ = clip_edge(
-        scene.corners[a], scene.corners[b], scene.min_w, scene.height, scene.width
-    )
-    length = math.hypot(xb - xa, yb - ya)
-    w, w_change = scene.corners[a, 2], scene.corners[b, 2] - scene.corners[a, 2]
-    return ScreenEdge(
-        xa,
-        ya,
-        xb - xa,
-        yb - ya,
-        -(yb - ya) / length,
-        (xb - xa) / length,
-        scene.welded_edges[index, 0],
-        scene.welded_edges[index, 1],
-        start,
-        end,
-        w + start * w_change,
-        w + end * w_change,
-    )
+def _screen_edge(scene: ProjectedScene, index: int) -> ScreenEdge:
+    corners, view = scene.corners, scene.viewport
+    i, j = scene.topology.edges[index, 0], scene.topology.edges[index, 1]
+    _, x, y, end_x, end_y, start, end, _, _ = clip_edge(corners[i], corners[j], view.min_w, view.height, view.width)
+    dx, dy = end_x - x, end_y - y
+    length = math.hypot(dx, dy)
+    w, w_change = corners[i, 2], corners[j, 2] - corners[i, 2]
+    wa, wb = w + start * w_change, w + end * w_change
+    a, b = scene.topology.welded_edges[index, 0], scene.topology.welded_edges[index, 1]
+    return ScreenEdge(x, y, dx, dy, -dy / length, dx / length, a, b, start, end, wa, wb)
 
 
 @compiled_as_written
 def _visible_segments(
-    scene: EdgeGeometry,
-    triangles: Triangles,
-    bins: Bins,
-    candidates: Any,
-    segment_edge: Any,
-    segment_pixel: Any,
-    interval: Any,
+    scene: ProjectedScene, bins: Bins, candidates: Any, segment_edge: Any, segment_pixel: Any, interval: Any
 ) -> tuple[Any, Any, Any, Any, Any]:
     """Return the edge, span, pixel, triangles and occluder of :class:`VisibleSegments`."""
     total = len(segment_pixel)
     edges, span, pixels = np.empty(2 * total, np.int32), np.empty((2 * total, 2)), np.empty(2 * total, np.int32)
     pairs, occluders = np.empty((2 * total, 2), np.int32), np.full((2 * total, 2), -1, np.int32)
-    welded_faces, bin_of_pixel = scene.welded_faces, bins.bin_of_pixel
+    welded_faces = scene.topology.welded_faces
     count = 0
     for k in range(total):
         index, pixel = candidates[segment_edge[k]], segment_pixel[k]
         if k == 0 or segment_edge[k] != segment_edge[k - 1]:
             edge = _screen_edge(scene, index)
-        bin_index = bin_of_pixel[pixel]
-        middle = _query_position(edge, pixel, scene.width, interval[k, 0], interval[k, 1])
-        is_visible, left, right = _query(triangles, bins, bin_index, welded_faces, edge, middle)
+        bin_index = bins.bin_of_pixel[pixel]
+        middle = _query_position(edge, pixel, scene.viewport.width, interval[k, 0], interval[k, 1])
+        is_visible, left, right = _query(bins, bin_index, welded_faces, edge, middle)
         for j in range(2):
             limit = interval[k, j]
-            at_limit, limit_left, limit_right = _query(
-                triangles, bins, bin_index, welded_faces, edge, limit + 1e-4 * (middle - limit)
-            )
+            inside = limit + 1e-4 * (middle - limit)
+            at_limit, limit_left, limit_right = _query(bins, bin_index, welded_faces, edge, inside)
             if at_limit == is_visible:
                 if is_visible:
                     span[count, j] = _to_world(edge, limit)
                 continue
             visible, hidden = (middle, limit) if is_visible else (limit, middle)
-            border, occluder = _bisect_visibility(triangles, bins, bin_index, welded_faces, edge, visible, hidden)
+            border, occluder = _bisect_visibility(bins, bin_index, welded_faces, edge, visible, hidden)
             occluded_end = j if is_visible else 1 - j
             span[count, occluded_end], occluders[count, occluded_end] = _to_world(edge, border), occluder
             if not is_visible:
@@ -212,60 +171,26 @@ def _visible_segments(
 
 
 @compiled_as_written
-def _find_visible(
-    corners: Any,
-    depth: Any,
-    faces: Any,
-    welded_faces: Any,
-    component: Any,
-    edges: Any,
-    welded_edges: Any,
-    adjacent_faces: Any,
-    discontinuous: Any,
-    height: int,
-    width: int,
-    min_w: float,
-    max_depth: float,
-    has_several_components: bool,
-) -> Any:
-    triangles = set_up_triangles(corners, depth, faces, height, width, min_w, max_depth)
-    centre_triangle = depth_buffer(triangles, height, width)
-    candidates = discontinuity_edges(triangles, adjacent_faces, discontinuous)
-    segment_edge, segment_pixel, interval = walk_edges(corners, edges[candidates], height, width, min_w)
-    if has_several_components:
-        intersecting = pixels_between_components(centre_triangle, component, height, width)
-    else:
-        intersecting = np.zeros(height * width, np.bool_)
+def _find_visible(scene: ProjectedScene) -> Any:
+    topology, view = scene.topology, scene.viewport
+    triangles = set_up_triangles(scene)
+    centre_triangle = depth_buffer(triangles, view.height, view.width)
+    candidates = discontinuity_edges(triangles, topology.adjacent_faces, topology.discontinuous)
+    segment_edge, segment_pixel, interval = walk_edges(scene.corners, topology.edges[candidates], view)
+    intersecting = np.zeros(view.height * view.width, np.bool_)
+    if topology.has_several_components:
+        intersecting = pixels_between_components(centre_triangle, topology.component, view.height, view.width)
     selected = intersecting.copy()
     for pixel in segment_pixel:
         selected[pixel] = True
-    bins = bin_triangles(triangles, selected, height, width)
-    scene = EdgeGeometry(corners, edges, welded_faces, welded_edges, height, width, min_w)
-    edge, span, pixels, pairs, occluder = _visible_segments(
-        scene, triangles, bins, candidates, segment_edge, segment_pixel, interval
-    )
-    intersection_pixel, intersection_pair, intersection_points, count = intersection_segments(
-        triangles, bins, component, intersecting, width
-    )
-    return (
-        centre_triangle,
-        edge,
-        span,
-        pixels,
-        pairs,
-        occluder,
-        intersection_pixel[:count],
-        intersection_pair[:count],
-        intersection_points[:count],
-        triangles,
-        bins,
-    )
+    bins = bin_triangles(triangles, selected, view.height, view.width)
+    segments = _visible_segments(scene, bins, candidates, segment_edge, segment_pixel, interval)
+    intersections = intersection_segments(bins, topology.component, intersecting, view.width)
+    return centre_triangle, segments, intersections, bins
 
 
 @compiled_as_written
-def _triangles_beside(
-    corners: Any, edges: Any, triangles: Triangles, bins: Bins, edge: Any, pixel: Any, position: Any
-) -> Any:
+def _triangles_beside(corners: Any, edges: Any, bins: Bins, edge: Any, pixel: Any, position: Any) -> Any:
     pairs = np.full((len(edge), 2), -1, np.int32)
     for k in range(len(edge)):
         bin_index = bins.bin_of_pixel[pixel[k]]
@@ -278,35 +203,18 @@ def _triangles_beside(
         if bin_index < 0 or not length > 0.0:
             continue
         offset_x, offset_y = -QUERY_OFFSET_PX * dy / length, QUERY_OFFSET_PX * dx / length
-        pairs[k, 0] = nearest_triangle(triangles, bins, bin_index, x + offset_x, y + offset_y)
-        pairs[k, 1] = nearest_triangle(triangles, bins, bin_index, x - offset_x, y - offset_y)
+        pairs[k, 0] = nearest_triangle(bins, bin_index, x + offset_x, y + offset_y)
+        pairs[k, 1] = nearest_triangle(bins, bin_index, x - offset_x, y - offset_y)
     return pairs
 
 
 def find_visible(scene: ProjectedScene) -> VisibleSegments:
     """Return the visible triangles and edge segments of a projected scene."""
-    topology, viewport = scene.topology, scene.viewport
-    result = _find_visible(
-        scene.corners,
-        scene.depth,
-        topology.faces,
-        topology.welded_faces,
-        topology.component,
-        topology.edges,
-        topology.welded_edges,
-        topology.adjacent_faces,
-        topology.discontinuous,
-        viewport.height,
-        viewport.width,
-        viewport.min_w,
-        viewport.max_depth,
-        topology.has_several_components,
-    )
-    triangles, bins = result[-2:]
+    centre_triangle, segments, intersections, bins = _find_visible(scene)
 
     def query(edge: IndexArray, pixel: IndexArray, position: FloatArray) -> IndexArray:
-        pairs: IndexArray = _triangles_beside(scene.corners, topology.edges, triangles, bins, edge, pixel, position)
+        pairs: IndexArray = _triangles_beside(scene.corners, scene.topology.edges, bins, edge, pixel, position)
         return pairs
 
-    columns: list[Any] = [*result[:-2], query]
+    columns: list[Any] = [centre_triangle, *segments, *intersections, query]
     return VisibleSegments(*columns)

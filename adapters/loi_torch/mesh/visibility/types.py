@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 from loi_torch.mesh.topology import FloatArray, IndexArray, Topology
 
 __all__ = ["ProjectedScene", "Viewport", "VisibleSegments"]
 
 
-@dataclass(frozen=True)
-class Viewport:
+class Viewport(NamedTuple):
     """Image size in pixels, and the near plane as the smallest `w` and the largest reversed depth."""
 
     height: int
@@ -20,8 +20,7 @@ class Viewport:
     max_depth: float
 
 
-@dataclass(frozen=True)
-class ProjectedScene:
+class ProjectedScene(NamedTuple):
     """Triangles in homogeneous pixel coordinates.
 
     Attributes
@@ -59,7 +58,7 @@ class VisibleSegments:
         Triangle that hides the edge beyond the start and the end, -1 if the edge leaves the pixel or ends there.
     intersection_pixel : array of int, shape (g,)
     intersection_triangles : array of int, shape (g, 2)
-        Triangles on the left and right of each visible segment along which two triangles intersect.
+        Triangles on the left and right of each visible segment of an intersection.
     intersection_points : array, shape (g, 4)
         Start and end (x, y, x, y) in pixels.
     query : callable
