@@ -1,4 +1,4 @@
-"""Meshes from files and in scene files: what formats hold is read, and no other file is opened."""
+"""Meshes from files and in scene files: formats keep colours and textures, and no other file is opened."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ TRIANGLES = trimesh.creation.box((1.0, 2.0, 3.0))
 
 
 @pytest.mark.parametrize("suffix", ["obj", "ply", "stl", "glb", "off"])
-def test_formats_have_the_same_triangles(suffix: str, tmp_path: Path) -> None:
+def test_mesh_formats_give_the_same_triangles(suffix: str, tmp_path: Path) -> None:
     path = tmp_path / f"box.{suffix}"
     TRIANGLES.export(path)
     mesh = read_mesh(path, colours=(0.2, 0.4, 0.6))
-    view = Camera((3.0, 2.0, 5.0))
-    expected = draw([box((1.0, 2.0, 3.0), colours=(0.2, 0.4, 0.6))], view, 24, 24)
-    np.testing.assert_allclose(draw([mesh], view, 24, 24).numpy(), expected.numpy(), atol=1e-5)
-    assert not mesh.topology.discontinuous.any()  # STL stores each triangle's own corners, and they are joined
+    camera = Camera((3.0, 2.0, 5.0))
+    expected = draw([box((1.0, 2.0, 3.0), colours=(0.2, 0.4, 0.6))], camera, 24, 24)
+    np.testing.assert_allclose(draw([mesh], camera, 24, 24).numpy(), expected.numpy(), atol=1e-5)
+    assert not mesh.topology.discontinuous.any()  # the separate corners of an STL are welded
 
 
-def test_colours_of_vertices_are_decoded(tmp_path: Path) -> None:
+def test_vertex_colours_of_a_file_are_decoded(tmp_path: Path) -> None:
     coloured = trimesh.Trimesh(TRIANGLES.vertices, TRIANGLES.faces, vertex_colors=np.full((8, 4), 128, np.uint8))
     coloured.export(tmp_path / "box.ply")
     np.testing.assert_allclose(read_mesh(tmp_path / "box.ply").colours.numpy(), 0.2158605, atol=1e-6)
 
 
-def test_the_texture_of_a_glb_is_its_meshs(tmp_path: Path) -> None:
+def test_a_mesh_has_the_texture_of_its_glb(tmp_path: Path) -> None:
     from PIL import Image
 
     picture = Image.fromarray(np.full((4, 4, 3), 255, np.uint8))
@@ -51,14 +51,14 @@ def test_the_texture_of_a_glb_is_its_meshs(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.sort(mesh.uv.numpy(), axis=0), np.sort(uv, axis=0), atol=1e-6)
 
 
-def test_an_stl_has_the_vertices_that_a_ply_has(tmp_path: Path) -> None:
+def test_an_stl_has_as_many_vertices_as_a_ply(tmp_path: Path) -> None:
     ball = trimesh.creation.icosphere(subdivisions=2)
     for suffix in ("ply", "stl"):
         ball.export(tmp_path / f"ball.{suffix}")
     assert len(read_mesh(tmp_path / "ball.stl").vertices) == len(read_mesh(tmp_path / "ball.ply").vertices)
 
 
-def test_colours_of_triangles_are_decoded(tmp_path: Path) -> None:
+def test_triangle_colours_of_a_file_are_decoded(tmp_path: Path) -> None:
     coloured = TRIANGLES.copy()
     colours = np.tile([255, 128, 0, 255], (12, 1)).astype(np.uint8)
     coloured.visual = trimesh.visual.ColorVisuals(coloured, face_colors=colours)
@@ -68,42 +68,44 @@ def test_colours_of_triangles_are_decoded(tmp_path: Path) -> None:
     np.testing.assert_allclose(mesh.colours.numpy(), np.tile([1.0, 0.2158605, 0.0], (12, 1)), atol=1e-6)
 
 
-def glb(path: Path, *materials: Any) -> Path:
-    """Boxes side by side, one of each material."""
+def write_glb(path: Path, *materials: Any) -> Path:
+    """Write boxes side by side, one for each material."""
     scene = trimesh.Scene()
     for number, material in enumerate(materials):
-        one = TRIANGLES.copy()
-        one.apply_translation([3.0 * number, 0.0, 0.0])
-        one.visual = trimesh.visual.TextureVisuals(uv=np.full((8, 2), 0.5), material=material)  # type: ignore[no-untyped-call]
-        scene.add_geometry(one)
+        geometry = TRIANGLES.copy()
+        geometry.apply_translation([3.0 * number, 0.0, 0.0])
+        geometry.visual = trimesh.visual.TextureVisuals(uv=np.full((8, 2), 0.5), material=material)  # type: ignore[no-untyped-call]
+        scene.add_geometry(geometry)
     scene.export(path)  # type: ignore[no-untyped-call]
     return path
 
 
-def painted(**options: Any) -> Any:
+def glb_material(**options: Any) -> Any:
     return trimesh.visual.material.PBRMaterial(**options)  # type: ignore[no-untyped-call]
 
 
-def test_the_base_colours_of_a_glb_are_its_meshs_and_linear(tmp_path: Path) -> None:
-    red, grey = painted(baseColorFactor=[255, 0, 0, 255]), painted(baseColorFactor=[128, 128, 128, 255])
-    one = read_mesh(glb(tmp_path / "one.glb", red))
-    np.testing.assert_allclose(one.colours.numpy(), [1.0, 0.0, 0.0])
-    two = read_mesh(glb(tmp_path / "two.glb", red, grey))
-    np.testing.assert_allclose(np.unique(two.colours.numpy(), axis=0), [[128 / 255] * 3, [1.0, 0.0, 0.0]], atol=1e-6)
+def test_a_mesh_has_the_linear_base_colours_of_its_glb(tmp_path: Path) -> None:
+    red, grey = glb_material(baseColorFactor=[255, 0, 0, 255]), glb_material(baseColorFactor=[128, 128, 128, 255])
+    red_mesh = read_mesh(write_glb(tmp_path / "one.glb", red))
+    np.testing.assert_allclose(red_mesh.colours.numpy(), [1.0, 0.0, 0.0])
+    merged = read_mesh(write_glb(tmp_path / "two.glb", red, grey))
+    np.testing.assert_allclose(np.unique(merged.colours.numpy(), axis=0), [[128 / 255] * 3, [1.0, 0.0, 0.0]], atol=1e-6)
 
 
-def test_textures_that_one_mesh_cannot_hold_are_told_of(tmp_path: Path) -> None:
+def test_several_textures_of_a_file_give_a_warning(tmp_path: Path) -> None:
     from PIL import Image
 
     picture = Image.fromarray(np.full((4, 4, 3), 255, np.uint8))
-    path = glb(tmp_path / "two.glb", painted(baseColorTexture=picture), painted(baseColorTexture=picture))
+    path = write_glb(
+        tmp_path / "two.glb", glb_material(baseColorTexture=picture), glb_material(baseColorTexture=picture)
+    )
     with pytest.warns(MeshWarning, match=r"two\.glb: has 2 parts with separate textures"):
         read_mesh(path)
-    read_mesh(path, colours=(1.0, 0.0, 0.0))  # said what to show instead: no warning
+    read_mesh(path, colours=(1.0, 0.0, 0.0))  # explicit colours: no warning
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "says"),
+    ("name", "content", "message"),
     [
         ("a.obj", b"", "has no triangles|cannot be read"),
         ("a.stl", b"solid\nnothing", "has no triangles|cannot be read"),
@@ -112,13 +114,13 @@ def test_textures_that_one_mesh_cannot_hold_are_told_of(tmp_path: Path) -> None:
         ("a.blend", b"", "a mesh must be one of .obj"),
     ],
 )
-def test_what_is_no_mesh_is_refused(name: str, content: bytes, says: str, tmp_path: Path) -> None:
+def test_files_that_are_not_meshes_are_refused(name: str, content: bytes, message: str, tmp_path: Path) -> None:
     (tmp_path / name).write_bytes(content)
-    with pytest.raises(MeshError, match=says):
+    with pytest.raises(MeshError, match=message):
         read_mesh(tmp_path / name)
 
 
-def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
+def test_missing_and_special_mesh_files_are_refused(tmp_path: Path) -> None:
     with pytest.raises(MeshError, match="No such file"):
         read_mesh(tmp_path / "gone.obj")
     os.mkfifo(tmp_path / "pipe.obj")
@@ -126,14 +128,14 @@ def test_what_is_no_file_is_refused(tmp_path: Path) -> None:
         read_mesh(tmp_path / "pipe.obj")
 
 
-def test_no_other_file_is_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """An OBJ names materials, and a glTF its data: neither is looked for."""
+def test_reading_a_mesh_opens_no_other_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The materials that an OBJ names, and the data that a glTF names, are not opened."""
     opened: list[str] = []
-    real = Path.open
+    path_open = Path.open
 
-    def watch(path: Path, *args: Any, **options: Any) -> Any:
+    def recording_open(path: Path, *args: Any, **options: Any) -> Any:
         opened.append(path.name)
-        return real(path, *args, **options)
+        return path_open(path, *args, **options)
 
     (tmp_path / "secret.mtl").write_text("newmtl a\nmap_Kd /etc/passwd\n")
     lines = ["mtllib secret.mtl", "usemtl a", "v 0 0 0", "v 1 0 0", "v 0 1 0", "f 1 2 3"]
@@ -141,7 +143,7 @@ def test_no_other_file_is_opened(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     data = {"asset": {"version": "2.0"}, "buffers": [{"uri": "secret.bin", "byteLength": 4}], "meshes": []}
     (tmp_path / "secret.bin").write_bytes(b"\x00" * 4)
     (tmp_path / "a.gltf").write_text(json.dumps(data))
-    monkeypatch.setattr(Path, "open", watch)
+    monkeypatch.setattr(Path, "open", recording_open)
     assert len(read_mesh(tmp_path / "a.obj").faces) == 1
     with pytest.raises(MeshError):
         read_mesh(tmp_path / "a.gltf")
@@ -155,9 +157,9 @@ name = "mesh-torch"
 meshes = { box = "models/box.obj" }
 textures = {}
 lights = { sun = { direction = [-1, -2, -3] } }
-parameters = { place = { Translate = "box" } }
+parameters = { position = { Translate = "box" } }
 camera = { position = [0, 2, 8], target = [0, 0, 0], fov = 40 }
-[optimise.place]
+[optimise.position]
 initial = [-1.5, 0.3, 0.0]
 lower = [-3, -3, 0]
 upper = [3, 3, 0]
@@ -166,54 +168,53 @@ steps = 60
 """
 
 
-def as_in_the_scene(folder: Path, **options: Any) -> MeshRenderer:
-    """What the scene file describes."""
+def scene_renderer(folder: Path, **options: Any) -> MeshRenderer:
+    """The renderer of the scene file."""
     return MeshRenderer(
         48,
         64,
         {"box": folder / "models" / "box.obj"},
         Camera((0, 2, 8), fov=40.0),
-        {"place": Translate("box")},
+        {"position": Translate("box")},
         lights={"sun": Light(direction=(-1, -2, -3))},
         **options,
     )
 
 
-def test_a_mesh_of_a_scene_file_is_found(tmp_path: Path) -> None:
+def test_a_fit_of_a_scene_file_finds_the_position_of_a_mesh(tmp_path: Path) -> None:
     (tmp_path / "models").mkdir()
     TRIANGLES.export(tmp_path / "models" / "box.obj")
     (tmp_path / "scene.toml").write_text(SCENE)
-    renderer = as_in_the_scene(tmp_path)
-    there = torch.tensor([1.0, -0.4, 0.0], dtype=torch.float64)
-    write_png(tmp_path / "photo.png", encode_srgb(renderer.render({"place": there}).numpy()))
+    renderer = scene_renderer(tmp_path)
+    position = torch.tensor([1.0, -0.4, 0.0], dtype=torch.float64)
+    write_png(tmp_path / "photo.png", encode_srgb(renderer.render({"position": position}).numpy()))
     assert main(["fit", str(tmp_path / "scene.toml")]) in (0, 3)
-    found = json.loads((tmp_path / "scene-result" / "parameters.json").read_text())
-    assert np.ravel(found["best"]["place"] if "best" in found else found["place"]) == pytest.approx(
-        [1.0, -0.4, 0.0], abs=0.02
-    )
+    parameters = json.loads((tmp_path / "scene-result" / "parameters.json").read_text())
+    best = parameters.get("best", parameters)["position"]
+    assert np.ravel(best) == pytest.approx([1.0, -0.4, 0.0], abs=0.02)
 
 
-@pytest.mark.parametrize("way", ["images", "path"])
-def test_a_background_of_a_scene_file_is_light_as_the_target_is(way: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("option", ["images", "path"])
+def test_the_background_of_a_scene_file_is_decoded_as_the_target(option: str, tmp_path: Path) -> None:
     (tmp_path / "models").mkdir()
     TRIANGLES.export(tmp_path / "models" / "box.obj")
-    behind = np.random.default_rng(5).uniform(size=(48, 64, 3))
-    write_png(tmp_path / "behind.png", encode_srgb(behind))
-    line = '[renderer.images]\nbackground = "behind.png"\n[optimise.place]'
-    scene = SCENE.replace("[optimise.place]", line)
-    if way == "path":
-        scene = SCENE.replace("textures = {}", 'background = "behind.png"')
+    background = np.random.default_rng(5).uniform(size=(48, 64, 3))
+    write_png(tmp_path / "background.png", encode_srgb(background))
+    line = '[renderer.images]\nbackground = "background.png"\n[optimise.position]'
+    scene = SCENE.replace("[optimise.position]", line)
+    if option == "path":
+        scene = SCENE.replace("textures = {}", 'background = "background.png"')
     scene = scene.replace("[-1.5, 0.3, 0.0]", "[1.0, -0.4, 0.0]").replace("steps = 60", "steps = 2")
     (tmp_path / "scene.toml").write_text(scene)
-    renderer = as_in_the_scene(tmp_path, background=behind)
-    there = torch.tensor([1.0, -0.4, 0.0], dtype=torch.float64)
-    write_png(tmp_path / "photo.png", encode_srgb(renderer.render({"place": there}).numpy()))
+    renderer = scene_renderer(tmp_path, background=background)
+    position = torch.tensor([1.0, -0.4, 0.0], dtype=torch.float64)
+    write_png(tmp_path / "photo.png", encode_srgb(renderer.render({"position": position}).numpy()))
     main(["fit", str(tmp_path / "scene.toml")])
-    found = json.loads((tmp_path / "scene-result" / "result.json").read_text())
-    assert found["trials"][0]["psnr_initial"] > 50.0  # the start is the truth, up to 8 bits
+    result = json.loads((tmp_path / "scene-result" / "result.json").read_text())
+    assert result["trials"][0]["psnr_initial"] > 50.0  # the start is the truth, up to 8 bits
 
 
-def test_a_mesh_of_a_scene_file_that_is_not_there_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_mesh_of_a_scene_file_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "scene.toml").write_text(SCENE)
     write_png(tmp_path / "photo.png", np.zeros((8, 8, 3)))
     assert main(["fit", str(tmp_path / "scene.toml")]) != 0
