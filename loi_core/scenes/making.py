@@ -50,7 +50,7 @@ def make_renderer(
     for key in images:
         if key in options:
             raise where.error(f"{heading}.images", f"`{key}` is given in [renderer] as well")
-        options[key] = _picture(folder / where.text(f"{heading}.images", images, key), factory)
+        options[key] = _read_image(folder / where.text(f"{heading}.images", images, key), factory)
     for key, argument in (accepted or {}).items():
         given = options.get(key)
         if not _is_path(argument):
@@ -104,11 +104,10 @@ def _blurred(
         raise where.error(heading, str(error)) from error
 
 
-def _picture(path: Path, factory: RendererFactory) -> FloatImage:
-    """An image for a renderer: as light if its images are in a known encoding, and else as it is stored."""
-    if hasattr(factory, "encoding"):
-        return read_target(path, to="linear", alpha="ignore").image
-    return read_image(path)
+def _read_image(path: Path, factory: RendererFactory) -> FloatImage:
+    """Return an image option in the `image_encoding` of a renderer's class, or its stored values if it has none."""
+    encoding = getattr(factory, "image_encoding", None)
+    return read_image(path) if encoding is None else read_target(path, to=encoding, alpha="ignore").image
 
 
 def _accepted(factory: RendererFactory) -> Mapping[str, Parameter] | None:

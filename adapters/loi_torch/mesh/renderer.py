@@ -6,11 +6,12 @@ import copy
 import pathlib
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any, Final
+from typing import Any, ClassVar, Final
 
 from torch import Tensor
 
 from loi_core.errors import OptionError, ParameterError
+from loi_core.pixels.encoding import Encoding
 from loi_core.renderers.contract import RendererCapabilities
 from loi_core.renderers.poses import ParameterTarget, parse_targets
 from loi_core.renderers.validation import check_dtype, check_size
@@ -82,6 +83,8 @@ class MeshRenderer(Painted):
     >>> tuple(renderer.render(renderer.parameters()).shape)
     (48, 64, 3)
     """
+
+    image_encoding: ClassVar[Encoding] = "linear"  # of image options in scene files
 
     def __init__(
         self,

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import pathlib
 from collections.abc import Mapping, Sequence
+from typing import ClassVar
 
 import numpy as np
 import torch
 from torch import Tensor
 
 from loi_core.errors import ParameterError
-from loi_core.pixels.encoding import check_encoding, encode_srgb
+from loi_core.pixels.encoding import Encoding, check_encoding, encode_srgb
 from loi_core.renderers.contract import RendererCapabilities
 from loi_core.renderers.rasterization import IndexArray
 from loi_core.renderers.validation import FloatArray, check_floats, check_size
@@ -80,6 +81,8 @@ class Vector(Painted):
     ``widths`` (s,)
         Of the strokes, in pixels.
     """
+
+    image_encoding: ClassVar[Encoding] = "linear"  # of image options in scene files
 
     def __init__(
         self,
