@@ -26,6 +26,7 @@ from torch.nn import functional
 import loi_jax
 import loi_torch
 from benchmarks.convolutions import ConvLOI
+from examples.paper.lib.lpips import lpips
 from loi_core import LOIObjective, ScaleSpace
 from loi_core.errors import WeightsError
 
@@ -227,12 +228,12 @@ def _kornia_pyramid(row: Row, image: Image, reference: Image) -> Prepare:
 def _lpips(row: Row, image: Image, reference: Image) -> Prepare:
     leaf = torch.tensor(image, device=row.device)
     try:
-        loi_torch.LPIPS(reference)  # whose weights may not be installed
+        lpips(reference)  # raises if the weights are missing
     except WeightsError as error:
         raise ImportError(str(error)) from error
 
     def prepare() -> Call:
-        objective = loi_torch.LPIPS(reference)
+        objective = lpips(reference)
 
         def step() -> None:
             objective.value_and_grad(leaf)

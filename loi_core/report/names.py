@@ -25,7 +25,6 @@ LABELS: Final = {
     "pixel_l2": "pixel L2",
     "gaussian_pyramid": "Gaussian pyramid",
     "ms_ssim": "MS-SSIM",
-    "lpips": "LPIPS",
 }
 
 

@@ -136,7 +136,6 @@ def test_the_doctor_reports_every_installed_part_as_ok(capsys: pytest.CaptureFix
         "renderer warp-torch",
         "renderer mitsuba",
         "renderer mitsuba-planned",
-        "objective lpips",
         "LLVM",
         "threads",
     ):

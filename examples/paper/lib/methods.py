@@ -9,11 +9,11 @@ from typing import Any, Final
 import numpy as np
 
 from examples.paper.figures.signals import Host
+from examples.paper.lib.lpips import lpips
 from loi_core import MSSSIM, GaussianPyramid, LOIObjective, PixelL2, ScaleSpace
 from loi_core.method.blurs import Blur, gaussian_blur
 from loi_core.objectives import Evaluation, ImageObjective, PlaneComparison, ReferencePlanes
 from loi_core.support.arrays import Array, sum_of_all
-from loi_torch import LPIPS
 
 __all__ = ["METHODS", "SIGMAS", "Comparison", "Method", "SigmaSpace", "sigma_method"]
 
@@ -125,7 +125,7 @@ METHODS: Final = (
     Method("pixel L2", PixelL2),
     Method("Gaussian pyramid", GaussianPyramid, least_rows=None),
     Method("MS-SSIM", MSSSIM, least_rows=None),
-    Method("LPIPS", LPIPS, least_rows=32, dtype="float32"),
+    Method("LPIPS", lpips, least_rows=32, dtype="float32"),
     Method("sigma only", SigmaSpace),
     sigma_method(15.0),
     sigma_method(45.0),

@@ -71,9 +71,9 @@ def objective(setting: Setting, reference: Image) -> Objective:
         return MSSSIM(reference)
     if setting.method == "pixel_l2":
         return PixelL2(reference)
-    from loi_torch import LPIPS  # torch is slow to import, and only this method needs it
+    from examples.paper.lib.lpips import lpips  # torch is slow to import, and only this method needs it
 
-    return LPIPS(reference, "alex" if setting.method == "lpips_alex" else "vgg")
+    return lpips(reference, "alex" if setting.method == "lpips_alex" else "vgg")
 
 
 def _ours(setting: Setting, reference: Image) -> Objective:

@@ -12,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 import torch
 
+from examples.paper.lib.lpips import lpips
 from examples.paper.table2.problem import Column, Problem, images_of, numbers
 from examples.paper.table2.scenes import FloatArray
 from examples.paper.table2.settings import (
@@ -37,7 +38,6 @@ from loi_core.renderers.contract import (
 )
 from loi_mitsuba import PlannedRenderer
 from loi_torch import TorchOptimiser
-from loi_torch.lpips import LPIPS
 
 # isort: split
 import drjit as dr
@@ -259,7 +259,7 @@ def objective(setting: Setting, target: Any) -> Objective:
         return MSSSIM(target)
     if kind == "pixel_l2":
         return PixelL2(target)
-    return LPIPS(np.clip(target, 0.0, 1.0), "alex")
+    return lpips(np.clip(target, 0.0, 1.0), "alex")
 
 
 def _arrival(errors: Sequence[float], clock: Sequence[float]) -> float:

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import torch
 
+from examples.paper.lib.lpips import lpips
 from examples.paper.table3.problem import FloatArray
 from examples.paper.table3.settings import PAPER_SCALES, Setting
 from loi_core import LOIObjective
 from loi_core.objectives import MSSSIM, GaussianPyramid, Objective, PixelL2
-from loi_torch.lpips import LPIPS
 from loi_torch.rgbxy import RGBXY
 
 __all__ = ["objective"]
@@ -18,14 +18,14 @@ INTERVAL = 6  # visits of a view between two matchings
 
 def objective(setting: Setting, target: FloatArray) -> Objective:
     """The objective of a setting, for one view."""
-    wanted = torch.as_tensor(target, dtype=torch.float32)
+    target_image = torch.as_tensor(target, dtype=torch.float32)
     if setting.method == "loi":
         scales = PAPER_SCALES if setting.name == "published" else None
-        return LOIObjective(wanted, scales, accuracy="balanced")
+        return LOIObjective(target_image, scales, accuracy="balanced")
     if setting.method in ("rgbxy", "rgbxy_finetune"):
-        return RGBXY(wanted, grid=setting.grid, interval=INTERVAL)
+        return RGBXY(target_image, grid=setting.grid, interval=INTERVAL)
     if setting.method == "gaussian_pyramid":
-        return GaussianPyramid(wanted)
+        return GaussianPyramid(target_image)
     if setting.method == "ms_ssim":
-        return MSSSIM(wanted)
-    return PixelL2(wanted) if setting.method == "pixel_l2" else LPIPS(wanted, "alex")
+        return MSSSIM(target_image)
+    return PixelL2(target_image) if setting.method == "pixel_l2" else lpips(target_image, "alex")

