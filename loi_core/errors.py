@@ -1,7 +1,7 @@
-"""Every exception that `loi` raises on purpose.
+"""All exceptions that `loi` raises on purpose.
 
-Each derives from :class:`LoiError` and from the built-in exception that a caller who has never heard of `loi`
-would catch: a wrong value is a ``ValueError``, a wrong type a ``TypeError``, and so on.
+Each derives from :class:`LoiError` and from the matching built-in exception: a wrong value is also a ``ValueError``, a
+wrong type a ``TypeError``, and so on.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class LoiError(Exception):
 
 
 class OptionError(LoiError, ValueError):
-    """An option has a value outside what it allows."""
+    """An option has a value that is not allowed."""
 
 
 class ScaleError(OptionError):
@@ -48,7 +48,7 @@ class ScaleError(OptionError):
 
 
 class ImageError(LoiError, ValueError):
-    """An image has a shape or size that the operation does not take."""
+    """An image has a shape or size that the operation does not accept."""
 
 
 class ImageTypeError(LoiError, TypeError):
@@ -63,15 +63,15 @@ class NonFiniteImageError(ImageError):
     name : str
         The argument that holds them.
     nan, positive, negative : int
-        How many values are NaN, +inf and -inf.
+        Numbers of values that are NaN, +inf and -inf.
     first : tuple of int
         Index of the first of them.
     axes : str
-        What that index counts: ``"(*batch, y, x, c)"``, the batch only if there is one.
+        Names of the axes of that index: ``"(*batch, y, x, c)"``, the batch only if there is one.
     size : int
-        How many values there are.
+        Number of all values.
     suspicion : str
-        How the bad values lie, and what usually makes such a pattern.
+        Pattern of the bad values, and its usual cause.
     """
 
     def __init__(
@@ -84,24 +84,24 @@ class NonFiniteImageError(ImageError):
         self.size = size
         self.suspicion = suspicion
         fix = f"fix the {'reference' if name == 'reference' else 'render'}"
-        if self.count < size:  # with nothing left to compare the loss would be 0, which fixes nothing
+        if self.count < size:  # with all pixels masked the loss would be 0
             fix += ", or pass nan_policy='mask' to leave such pixels out"
         super().__init__(f"{self.finding}; {fix}")
 
     @property
     def finding(self) -> str:
-        """What is wrong, without what to do about it."""
+        """The problem, without the fix."""
         kinds = {"NaN": self.nan, "+inf": self.positive, "-inf": self.negative}
-        named = ", ".join(f"{one} {what}" for what, one in kinds.items() if one)
-        several = "s" if self.count != 1 else ""
+        counts = ", ".join(f"{count} {kind}" for kind, count in kinds.items() if count)
+        plural = "s" if self.count != 1 else ""
         return (
-            f"`{self.name}` has {self.count} non-finite value{several} of {self.size} ({named}), "
+            f"`{self.name}` has {self.count} non-finite value{plural} of {self.size} ({counts}), "
             f"the first at {self.axes} = {self.first}: {self.suspicion}"
         )
 
     @property
     def count(self) -> int:
-        """How many values are not finite."""
+        """Number of values that are not finite."""
         return self.nan + self.positive + self.negative
 
     def __reduce__(self) -> tuple[type[NonFiniteImageError], tuple[object, ...]]:
@@ -110,11 +110,11 @@ class NonFiniteImageError(ImageError):
 
 
 class ImageFileError(LoiError, OSError):
-    """An image file is missing, damaged, too large, or of a kind that is not read."""
+    """An image file is missing, damaged, too large, or of an unsupported format."""
 
 
 class DerivativeError(LoiError, NotImplementedError):
-    """A derivative is asked for that there is not, and that would be zero if nothing were said."""
+    """A derivative that is not implemented was requested; without this error it would silently be zero."""
 
 
 class ParameterError(LoiError, ValueError):
@@ -143,7 +143,7 @@ class InUseError(LoiError, OSError):
 
 
 class WriteError(LoiError, OSError):
-    """A file could not be written: the disk is full, or the folder cannot be written to. It is as it was before."""
+    """A file could not be written, because the disk is full or the folder is read-only; the old file is unchanged."""
 
 
 class RendererError(LoiError, RuntimeError):
@@ -151,40 +151,40 @@ class RendererError(LoiError, RuntimeError):
 
 
 class RendererNotFoundError(LoiError, LookupError):
-    """No renderer of that name is installed, or the one that is cannot be loaded."""
+    """No renderer of this name is installed, or it cannot be loaded."""
 
 
 class BackendNotFoundError(LoiError, LookupError):
-    """No backend of that name is installed, or the one that is cannot be loaded."""
+    """No backend of this name is installed, or it cannot be loaded."""
 
 
 class ObjectiveNotFoundError(LoiError, LookupError):
-    """No objective of that name is installed, or the one that is cannot be loaded."""
+    """No objective of this name is installed, or it cannot be loaded."""
 
 
 class WeightsError(LoiError, OSError):
-    """The weights of a network are not installed, or are not the ones that were published: ``PROBLEM; COMMAND``."""
+    """The weights of a network are not installed, or differ from the published ones: ``PROBLEM; COMMAND``."""
 
 
 class SceneError(LoiError, ValueError):
-    """A scene file, or that of a sweep, has a wrong key, type or value."""
+    """A scene file or a sweep file has a wrong key, type or value."""
 
 
 class SvgError(LoiError, ValueError):
-    """An SVG file is missing, damaged or too large, or has an element or attribute that is not supported."""
+    """An SVG file is missing, damaged or too large, or has an unsupported element or attribute."""
 
 
 class MeshError(LoiError, ValueError):
-    """A file with a mesh is missing, damaged or too large, of a kind that is not supported, or has no triangles."""
+    """A mesh file is missing, damaged or too large, of an unsupported format, or has no triangles."""
 
 
 class FitError(LoiError, RuntimeError):
-    """A fit ended early: its renderer failed, or its checkpoint could not be written; what it had reached is kept.
+    """A fit ended early, because its renderer failed or its checkpoint could not be written; holds the partial result.
 
     Attributes
     ----------
     result : FitResult or None
-        What the fit had reached; ``None`` only if the very first step failed.
+        The result so far; ``None`` only if the very first step failed.
     """
 
     def __init__(self, message: str, result: object = None) -> None:
@@ -193,7 +193,7 @@ class FitError(LoiError, RuntimeError):
 
 
 class FitDivergedError(FitError, ArithmeticError):
-    """A fit met an image, loss or gradient that is not finite."""
+    """An image, loss or gradient of a fit is not finite."""
 
 
 class MissingPackageError(LoiError, ImportError):
@@ -201,7 +201,7 @@ class MissingPackageError(LoiError, ImportError):
 
 
 class ExecutorError(LoiError, RuntimeError):
-    """What is to carry out runs is not installed, does not answer or broke; what had ended before is kept."""
+    """The executor of runs is not installed, does not respond or failed; finished runs are kept."""
 
 
 class ConformanceError(LoiError, AssertionError):
@@ -212,7 +212,9 @@ class ConformanceError(LoiError, AssertionError):
     check : str
         Name of the check.
     rule : str
-        The rule of the contract that was broken.
+        The broken rule of the contract.
+    finding : str
+        The expected and the actual behaviour.
     """
 
     def __init__(self, check: str, rule: str, finding: str) -> None:

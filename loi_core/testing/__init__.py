@@ -1,4 +1,4 @@
-"""The conformance kit, which tells whether a renderer or an objective keeps the contract.
+"""The conformance kit: named checks of the contracts of renderers and objectives.
 
 >>> from loi_core.renderers import Disks
 >>> from loi_core.testing import check_renderer

@@ -1,4 +1,4 @@
-"""What all checks share: named rules, running them, and comparing a gradient with differences."""
+"""The engine of all checks: named rules, their execution, and the comparison of a gradient with differences."""
 
 from __future__ import annotations
 
@@ -17,39 +17,39 @@ __all__ = ["Check", "Slopes", "measure_slopes", "run_checks", "slope_tolerance"]
 
 SubjectT = TypeVar("SubjectT")
 
-STEPS: Final = tuple(16.0 * 4.0**-power for power in range(9))
-"""Widths of central differences, times the cube root of epsilon and the size of what moves.
+STEP_FACTORS: Final = tuple(16.0 * 4.0**-power for power in range(9))
+"""Widths of central differences, in units of the cube root of epsilon times the size of the argument.
 
-Their error grows with the square of the width, and that of rounding falls with it: at the cube root the two are alike
-for a function whose derivatives are of its own size. Sums that cancel want wider steps; where an edge just touches a
-pixel, errors grow with the root of the width only, and narrower ones are wanted.
+Their error grows with the square of the width, and the effect of rounding shrinks with it: at the cube root the two are
+equal for a function whose derivatives have its own magnitude. Sums with cancellation need wider steps; where an edge
+just touches a pixel, errors grow only with the root of the width, which calls for narrower ones.
 """
 
 DIRECTIONS: Final = 4
-ULPS: Final = 3  # how many roundings an argument is moved by to see the noise of a function
-NEIGHBOURS: Final = 6  # and how often
-SIGMAS: Final = 3.0  # standard errors of a mean over seeds that are put down to chance
-COARSEST: Final = 0.05  # relative error of a measured slope beyond which nothing is said about a gradient
+PERTURBATION_ULPS: Final = 3  # largest perturbation of an argument that samples the noise of a function
+NOISE_SAMPLES: Final = 6
+STANDARD_ERRORS: Final = 3.0  # of a mean over seeds that are attributed to chance
+MAX_UNCERTAINTY: Final = 0.05  # relative uncertainty of a measured slope up to which it can judge a gradient
 
 
 def slope_tolerance(epsilon: float) -> float:
-    """The relative error of slopes that is allowed by default: 5e-4 in float64, 5e-3 in float32.
+    """Return the relative error of slopes that is allowed by default: 5e-4 in float64, 5e-3 in float32.
 
-    Half of what has to be caught where nothing is noisy. Central differences reach eps**(2/3): 4e-11 and 2e-5 for a
-    smooth function; edges that pass from pixel to pixel, and sums that cancel, cost the rest.
+    Half of the errors that must be detected in a function without noise. Central differences reach eps**(2/3), 4e-11
+    and 2e-5, for a smooth function; the rest allows for edges that cross pixels and for sums with cancellation.
     """
     return min(max(5e-4, 4e4 * epsilon), 0.1)
 
 
 @dataclass(frozen=True)
 class Check(Generic[SubjectT]):
-    """One named rule and the function that tests it.
+    """A named rule and the function that tests it.
 
     Attributes
     ----------
     name : str
     rule : str
-        What the contract says, in a sentence.
+        The rule of the contract, in one sentence.
     test : callable
         Called with the check and the subject; calls :meth:`fail` if the rule is broken.
     """
@@ -64,7 +64,7 @@ class Check(Generic[SubjectT]):
             self.test(self, subject)
         except ConformanceError:
             raise
-        except Exception as error:  # of the subject, which may raise anything
+        except Exception as error:  # a subject may raise anything
             msg = f"the check ended with {described(error)}"
             raise ConformanceError(self.name, self.rule, msg) from error
 
@@ -80,7 +80,7 @@ class Check(Generic[SubjectT]):
         return self.name
 
     def fail(self, finding: str) -> NoReturn:
-        """Say what was expected and what came."""
+        """Raise :class:`ConformanceError` with the expected and the actual behaviour."""
         raise ConformanceError(self.name, self.rule, finding)
 
 
@@ -116,16 +116,16 @@ def run_checks(
 
 @dataclass(frozen=True)
 class Slopes:
-    """Slopes along a few directions, as a gradient claims them and as central differences measure them.
+    """Directional derivatives along a few directions, from a gradient and from central differences.
 
     Attributes
     ----------
     claimed, measured : tuple of float
-        Along each direction.
+        From the gradient and from differences, for each direction.
     uncertainty : float
-        How far the measured ones may be off, 2-norm over directions.
+        Uncertainty of the measured slopes, 2-norm over directions.
     noise : float
-        What of it is noise of the seeds, which is there wherever slopes are measured.
+        The component of `uncertainty` from the noise of the seeds, which is the same at all arguments.
     """
 
     claimed: tuple[float, ...]
@@ -139,13 +139,13 @@ class Slopes:
         return math.hypot(*self.measured)
 
     @property
-    def doubt(self) -> float:
-        """How far the measured ones may be off, relative to the larger of the two."""
+    def relative_uncertainty(self) -> float:
+        """Uncertainty of the measured slopes in units of the larger of the two norms."""
         return self.uncertainty / self._larger
 
     @property
     def roughness(self) -> float:
-        """What of `doubt` comes of where they are measured, and may be less elsewhere."""
+        """Component of the relative uncertainty that depends on the argument, and may be smaller at another one."""
         return (self.uncertainty - self.noise) / self._larger
 
     @property
@@ -153,25 +153,25 @@ class Slopes:
         return max(self.size, math.hypot(*self.claimed), 1e-300)
 
     @property
-    def off(self) -> float:
-        """2-norm of the difference."""
+    def error(self) -> float:
+        """2-norm of the difference of claimed and measured slopes."""
         return math.dist(self.claimed, self.measured)
 
     def finding(self, rtol: float) -> str:
-        """What is wrong with the claim, in a sentence; empty if nothing is.
+        """Return the fault of the gradient in a sentence; empty if there is none.
 
-        Noise makes the test no looser than by itself, and not at all where it would hide an error of one in twenty:
-        then the finding is that nothing can be said.
+        Noise loosens the test only by its own size. If it could hide an error of one in twenty, the finding is that the
+        measurement is too uncertain.
         """
         listed = (
             f"central differences give {_listed(self.measured)} along random directions, the gradient "
             f"{_listed(self.claimed)}"
         )
-        if self.off > rtol * self.size + self.uncertainty:
-            relative = self.off / max(self.size, 1e-300)
+        if self.error > rtol * self.size + self.uncertainty:
+            relative = self.error / max(self.size, 1e-300)
             return f"{listed}: off by {relative:.2g}, allowed {rtol:.2g}"
-        if self.doubt > max(rtol, COARSEST):
-            return f"{listed}, but these are uncertain by {self.doubt:.2g}; average over more seeds"
+        if self.relative_uncertainty > max(rtol, MAX_UNCERTAINTY):
+            return f"{listed}, but these are uncertain by {self.relative_uncertainty:.2g}; average over more seeds"
         return ""
 
 
@@ -193,45 +193,47 @@ def measure_slopes(
     Parameters
     ----------
     functions : sequence of callables
-        The same function under different seeds; one if it has no noise.
+        The same function under different seeds; a single one if it has no noise.
     at : array
-        Where, float64.
+        The argument, float64.
     gradients : sequence of arrays
-        Of each function there, float64.
+        The gradient of each function at `at`, float64.
     rounded : callable
-        From float64 to the numbers that the function sees, as float64.
+        Maps float64 to the numbers that the function sees, as float64.
     epsilon : float
         Machine epsilon of its arithmetic.
     seed : int
-        For the directions.
+        Seed of the directions.
     """
     rng = np.random.default_rng(seed)
     size = max(1.0, float(np.abs(at).max(initial=0.0)))
     directions = [np.asarray(rng.standard_normal(at.shape)) for _ in range(DIRECTIONS)]
-    near = [rounded(at * (1.0 + epsilon * rng.integers(-ULPS, ULPS + 1, at.shape))) for _ in range(NEIGHBOURS)]
-    noise = _noise(functions[0], near, gradients[0], epsilon)
+    ulps = PERTURBATION_ULPS
+    perturbed = [rounded(at * (1.0 + epsilon * rng.integers(-ulps, ulps + 1, at.shape))) for _ in range(NOISE_SAMPLES)]
+    noise = _noise(functions[0], perturbed, gradients[0], epsilon)
     widths: list[_Width] = []
     errors: list[float] = []  # of each width but the first
-    for step in STEPS:
-        reach = step * epsilon ** (1.0 / 3.0) * size
-        ends = [(rounded(at + reach * one), rounded(at - reach * one)) for one in directions]
-        # An argument in float32 moves by what its rounding leaves of a step.
-        claimed = np.array([[np.sum(one * (up - down)) for up, down in ends] for one in gradients]) / (2.0 * reach)
-        measured = np.array([[one(up) - one(down) for up, down in ends] for one in functions]) / (2.0 * reach)
-        rounding = SIGMAS * noise * math.sqrt(DIRECTIONS / len(functions)) / reach
+    for factor in STEP_FACTORS:
+        step = factor * epsilon ** (1.0 / 3.0) * size
+        pairs = [(rounded(at + step * direction), rounded(at - step * direction)) for direction in directions]
+        # In float32 an argument moves by the step after rounding, not by the step.
+        claimed = np.array([[np.sum(slope * (up - down)) for up, down in pairs] for slope in gradients]) / (2.0 * step)
+        measured = np.array([[value(up) - value(down) for up, down in pairs] for value in functions]) / (2.0 * step)
+        rounding = STANDARD_ERRORS * noise * math.sqrt(DIRECTIONS / len(functions)) / step
         widths.append(_Width(claimed, measured, rounding))
         if len(widths) > 1 and rounding > 4.0 * min(errors, default=math.inf):
             break
         if len(widths) > 1:
-            # How slopes change from one width to a fourth of it is at least what is left at that fourth: as much where
-            # errors fall with the root of the width, a fifteenth where they fall with its square.
+            # The change of slopes from one width to a fourth of it bounds the error at the latter: the change equals
+            # the error where errors fall with the root of the width, and is 15 times larger where they fall with its
+            # square.
             errors.append(widths[-2].distance(widths[-1]) + rounding)
     best = int(np.argmin(errors))
     claimed, measured = widths[best + 1].claimed, widths[best + 1].measured
     chance = 0.0
     if len(functions) > 1:
         deviations = np.std(measured - claimed, axis=0, ddof=1) / math.sqrt(len(functions))
-        chance = SIGMAS * float(np.linalg.norm(deviations))
+        chance = STANDARD_ERRORS * float(np.linalg.norm(deviations))
     return Slopes(
         tuple(map(float, np.mean(claimed, axis=0))),
         tuple(map(float, np.mean(measured, axis=0))),
@@ -242,19 +244,22 @@ def measure_slopes(
 
 @dataclass(frozen=True)
 class _Width:
-    """Slopes from differences of one width, shape (functions, directions), and how far rounding may have moved them."""
+    """Slopes from differences of one width, shape (functions, directions), and the effect of rounding on them."""
 
     claimed: Host
     measured: Host
     rounding: float
 
     def distance(self, other: _Width) -> float:
-        """Between the mean slopes of two widths, 2-norm over directions."""
+        """Return the 2-norm over directions of the difference of the mean slopes at two widths."""
         return float(np.linalg.norm(np.mean(self.measured - other.measured, axis=0)))
 
 
-def _noise(function: Callable[[Host], float], places: Sequence[Host], gradient: Host, epsilon: float) -> float:
-    """How far values next to each other are off a line: what the function's own arithmetic does to them."""
-    values = [function(place) for place in places]
-    off = [value - float(np.sum(gradient * (place - places[0]))) for value, place in zip(values, places, strict=True)]
-    return float(np.std(off)) + epsilon * abs(float(np.mean(values)))
+def _noise(function: Callable[[Host], float], arguments: Sequence[Host], gradient: Host, epsilon: float) -> float:
+    """Return the deviation of a function from a line at adjacent arguments, caused by its own arithmetic."""
+    values = [function(argument) for argument in arguments]
+    deviations = [
+        value - float(np.sum(gradient * (argument - arguments[0])))
+        for value, argument in zip(values, arguments, strict=True)
+    ]
+    return float(np.std(deviations)) + epsilon * abs(float(np.mean(values)))

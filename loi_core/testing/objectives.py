@@ -18,20 +18,20 @@ __all__ = ["OBJECTIVE_CHECKS", "ObjectiveSubject", "check_objective"]
 
 @dataclass(frozen=True)
 class ObjectiveSubject:
-    """A way of making objectives, under test.
+    """A factory of objectives under test.
 
     Attributes
     ----------
     make : callable
-        ``make(reference)`` gives an objective.
+        ``make(reference)`` returns an objective.
     asarray : callable
-        From a NumPy array to one of the library that the objective is to be tested with.
+        Converts a NumPy array to the library of the test.
     shape : tuple of int
-        Of the images, (H, W, C).
+        Shape of the images, (H, W, C).
     dtype : str
-        Of the images.
+        Dtype of the images.
     seed : int
-        For the random images.
+        Seed of the random images.
     rtol : float, optional
         Largest relative error of slopes against central differences; by default 5e-4 in float64, 5e-3 in float32.
     """
@@ -44,7 +44,7 @@ class ObjectiveSubject:
     rtol: float | None = None
 
     def images(self) -> tuple[Host, Host]:
-        """Two random images, strictly inside [0, 1]."""
+        """Return two random images, strictly inside [0, 1]."""
         first, second = np.random.default_rng(self.seed).uniform(0.05, 0.95, (2, *self.shape)).astype(self.dtype)
         return first, second
 
@@ -62,16 +62,16 @@ def check_objective(
     rtol: float | None = None,
     expected_failures: Mapping[str, str] | None = None,
 ) -> None:
-    """Check that what `make` makes is an objective.
+    """Check that `make` returns objectives that keep the contract.
 
     Parameters
     ----------
     make : callable
-        ``make(reference)`` gives an objective for this reference image.
+        ``make(reference)`` returns an objective for this reference image.
     asarray : callable
-        Turns a NumPy array into one of the library to test with.
+        Converts a NumPy array to the library of the test.
     shape, dtype, seed
-        Of the random images.
+        Properties of the random images.
     rtol : float, optional
         Largest relative error of slopes against central differences; by default 5e-4 in float64, 5e-3 in float32.
     expected_failures : dict of str, optional
@@ -80,7 +80,7 @@ def check_objective(
     Raises
     ------
     ConformanceError
-        At the first check that fails: its name, what was expected and what came, and the rule.
+        At the first check that fails: its name, the expected and the actual behaviour, and the rule.
     """
     run_checks(OBJECTIVE_CHECKS, ObjectiveSubject(make, asarray, shape, dtype, seed, rtol), expected_failures)
 
@@ -103,10 +103,10 @@ def _check_value(check: _Check, subject: ObjectiveSubject) -> None:
 def _check_pair(check: _Check, subject: ObjectiveSubject) -> None:
     image, reference = map(subject.asarray, subject.images())
     objective = subject.make(reference)
-    alone = float(objective.value(image))
+    expected = float(objective.value(image))
     value, gradient = objective.value_and_grad(image)
-    if abs(float(value) - alone) > 1e2 * epsilon(image) * max(abs(alone), 1e-30):
-        check.fail(f"value gives {alone:.9g}, value_and_grad {float(value):.9g}")
+    if abs(float(value) - expected) > 1e2 * epsilon(image) * max(abs(expected), 1e-30):
+        check.fail(f"value gives {expected:.9g}, value_and_grad {float(value):.9g}")
     if tuple(gradient.shape) != tuple(image.shape):
         check.fail(f"expected a gradient of shape {tuple(image.shape)}, got {tuple(gradient.shape)}")
     if library_name(gradient) != library_name(image) or gradient.dtype != image.dtype:
@@ -118,13 +118,13 @@ def _check_pair(check: _Check, subject: ObjectiveSubject) -> None:
 def _check_minimum(check: _Check, subject: ObjectiveSubject) -> None:
     image, reference = subject.images()
     objective = subject.make(subject.asarray(reference))
-    value, gradient = objective.value_and_grad(subject.asarray(reference))
-    elsewhere, away = objective.value_and_grad(subject.asarray(image))
-    if not float(value) < float(elsewhere):
-        check.fail(f"the value at the reference is {float(value):.6g}, at another image {float(elsewhere):.6g}")
-    rest, far = float(np.linalg.norm(to_numpy(gradient))), float(np.linalg.norm(to_numpy(away)))
-    if rest > 1e-3 * far:
-        check.fail(f"the gradient at the reference has norm {rest:.3g}, at another image {far:.3g}")
+    minimum, gradient = objective.value_and_grad(subject.asarray(reference))
+    value, slope = objective.value_and_grad(subject.asarray(image))
+    if not float(minimum) < float(value):
+        check.fail(f"the value at the reference is {float(minimum):.6g}, at another image {float(value):.6g}")
+    norm, image_norm = float(np.linalg.norm(to_numpy(gradient))), float(np.linalg.norm(to_numpy(slope)))
+    if norm > 1e-3 * image_norm:
+        check.fail(f"the gradient at the reference has norm {norm:.3g}, at another image {image_norm:.3g}")
 
 
 def _check_differences(check: _Check, subject: ObjectiveSubject) -> None:
@@ -142,23 +142,23 @@ def _check_weights(check: _Check, subject: ObjectiveSubject) -> None:
         return
     make: Callable[..., Objective] = subject.make
     try:
-        ways = weights, 2.0 * weights, np.where(weights > 0.0, 1.0, 0.0)
-        weighed, doubled, masked = (make(subject.asarray(reference), weights=one) for one in ways)
+        arguments = weights, 2.0 * weights, np.where(weights > 0.0, 1.0, 0.0)
+        weighted, doubled, masked = (make(subject.asarray(reference), weights=argument) for argument in arguments)
     except TypeError:
-        return  # what makes it takes a reference alone
-    value, gradient = weighed.value_and_grad(subject.asarray(image))
+        return  # the factory takes only a reference
+    value, gradient = weighted.value_and_grad(subject.asarray(image))
     twice = float(doubled.value(subject.asarray(image)))
     if abs(twice - 2.0 * float(value)) > 1e2 * float(np.finfo(subject.dtype).eps) * abs(twice):
         check.fail(f"the value is {float(value):.9g}, and {twice:.9g} with weights that are twice as large")
     if np.any(to_numpy(gradient)[0]):
         check.fail("the gradient is not 0 in pixels of weight 0")
     if float(value) == float(masked.value(subject.asarray(image))):
-        check.fail("the value is the same whatever the weights are, if they are not 0")
-    _check_slopes(check, subject, weighed, image)
+        check.fail("the value is the same for all positive weights")
+    _check_slopes(check, subject, weighted, image)
 
 
 def _check_batch(check: _Check, subject: ObjectiveSubject) -> None:
-    """Of what takes batches; others may refuse them."""
+    """Check batches, which an objective may refuse."""
     image, reference = subject.images()
     pairs = [(image, reference), (0.5 * (image + reference), image[::-1].copy())]
     images, references = (np.stack(each).astype(image.dtype) for each in zip(*pairs, strict=True))
@@ -166,19 +166,21 @@ def _check_batch(check: _Check, subject: ObjectiveSubject) -> None:
         value = float(subject.make(subject.asarray(references)).value(subject.asarray(images)))
     except ValueError:
         return
-    each = [float(subject.make(subject.asarray(two)).value(subject.asarray(one))) for one, two in pairs]
-    if abs(value - sum(each) / 2.0) > 1e3 * float(np.finfo(subject.dtype).eps) * abs(value):
-        check.fail(f"a batch of two gave {value:.6g}, the two alone {each[0]:.6g} and {each[1]:.6g}")
+    first, second = (
+        float(subject.make(subject.asarray(target)).value(subject.asarray(image))) for image, target in pairs
+    )
+    if abs(value - (first + second) / 2.0) > 1e3 * float(np.finfo(subject.dtype).eps) * abs(value):
+        check.fail(f"a batch of two gave {value:.6g}, the two alone {first:.6g} and {second:.6g}")
 
 
 def _check_channels(check: _Check, subject: ObjectiveSubject) -> None:
     image, reference = subject.images()
     objective = subject.make(subject.asarray(reference))
     for channel in range(image.shape[-1]):
-        other = reference.copy()
-        other[..., channel] = image[..., channel]
-        if float(objective.value(subject.asarray(other))) == float(objective.value(subject.asarray(reference))):
-            check.fail(f"the value is the same whatever channel {channel} is")
+        changed = reference.copy()
+        changed[..., channel] = image[..., channel]
+        if float(objective.value(subject.asarray(changed))) == float(objective.value(subject.asarray(reference))):
+            check.fail(f"the value does not depend on channel {channel}")
 
 
 def _check_slopes(check: _Check, subject: ObjectiveSubject, objective: Objective, image: Host) -> None:
@@ -187,16 +189,16 @@ def _check_slopes(check: _Check, subject: ObjectiveSubject, objective: Objective
     def value(moved: Host) -> float:
         return float(objective.value(subject.asarray(moved.astype(subject.dtype))))
 
-    coarsest = float(np.finfo(subject.dtype).eps)
+    eps = float(np.finfo(subject.dtype).eps)
     slopes = measure_slopes(
         [value],
         image.astype(np.float64),
         [to_numpy(gradient).astype(np.float64)],
         rounded=lambda moved: moved.astype(subject.dtype).astype(np.float64),
-        epsilon=coarsest,
+        epsilon=eps,
         seed=subject.seed,
     )
-    finding = slopes.finding(slope_tolerance(coarsest) if subject.rtol is None else subject.rtol)
+    finding = slopes.finding(slope_tolerance(eps) if subject.rtol is None else subject.rtol)
     if finding:
         check.fail(finding)
 
@@ -204,31 +206,30 @@ def _check_slopes(check: _Check, subject: ObjectiveSubject, objective: Objective
 def _check_no_memory(check: _Check, subject: ObjectiveSubject) -> None:
     image, reference = subject.images()
     objective = subject.make(subject.asarray(reference))
-    first, gradient = objective.value_and_grad(subject.asarray(image))
-    before = float(first), to_numpy(gradient).copy()
-    other = 0.5 * (image + reference)
-    if float(objective.value(subject.asarray(other))) == before[0]:
+    value, gradient = objective.value_and_grad(subject.asarray(image))
+    first, slopes = float(value), to_numpy(gradient).copy()
+    if float(objective.value(subject.asarray(0.5 * (image + reference)))) == first:
         check.fail("two different images gave the same value to the bit")
-    again, second = objective.value_and_grad(subject.asarray(image))
-    if float(again) != before[0] or not same(to_numpy(second), before[1]):
+    again, gradient = objective.value_and_grad(subject.asarray(image))
+    if float(again) != first or not same(to_numpy(gradient), slopes):
         check.fail("after another image, the first one gave another value or gradient")
 
 
 def _check_no_mutation(check: _Check, subject: ObjectiveSubject) -> None:
     image, reference = subject.images()
-    given_image, given_reference = subject.asarray(image.copy()), subject.asarray(reference.copy())
-    subject.make(given_reference).value_and_grad(given_image)
-    for name, given, kept in (("image", given_image, image), ("reference", given_reference, reference)):
-        if not same(to_numpy(given), kept):
+    image_copy, reference_copy = subject.asarray(image.copy()), subject.asarray(reference.copy())
+    subject.make(reference_copy).value_and_grad(image_copy)
+    for name, copy, original in (("image", image_copy, image), ("reference", reference_copy, reference)):
+        if not same(to_numpy(copy), original):
             check.fail(f"the {name} was written to")
 
 
 def _check_own_reference(check: _Check, subject: ObjectiveSubject) -> None:
     image, reference = subject.images()
-    given = reference.copy()
-    objective = subject.make(given)
+    argument = reference.copy()
+    objective = subject.make(argument)
     before = float(objective.value(subject.asarray(image)))
-    given[...] = 0.5
+    argument[...] = 0.5
     after = float(objective.value(subject.asarray(image)))
     if before != after:
         check.fail(f"the value went from {before:.6g} to {after:.6g} when the caller wrote to the reference array")
@@ -241,34 +242,34 @@ def _check_non_finite(check: _Check, subject: ObjectiveSubject) -> None:
         value, gradient = subject.make(subject.asarray(reference)).value_and_grad(subject.asarray(image))
     except ValueError:
         return
-    except Exception as error:  # noqa: BLE001 - anything else is what this check is about
+    except Exception as error:  # noqa: BLE001 - this check is about other errors
         check.fail(f"expected a ValueError for an image with a NaN, got {type(error).__name__}: {error}")
     if np.isfinite(float(value)) and np.any(to_numpy(gradient)[1, 2, 0]):
         check.fail(f"a NaN pixel gave the finite value {float(value):.6g} and a gradient at that pixel")
     if np.isfinite(float(value)) and not np.all(np.isfinite(to_numpy(gradient))):
-        check.fail("a NaN pixel gave a finite value and a gradient that is not")
+        check.fail("a NaN pixel gave a finite value and a gradient that is not finite")
     if np.isfinite(float(value)) and not _masks(subject, image, reference, float(value)):
-        check.fail("a NaN pixel was taken for some number: the value depends on it")
+        check.fail("a NaN pixel was replaced by a number, and the value depends on it")
 
 
 def _masks(subject: ObjectiveSubject, image: Host, reference: Host, value: float) -> bool:
-    """Whether the value is that of an image which equals the reference at the bad pixel."""
+    """Return whether an image that equals the reference at the bad pixel has this value."""
     fixed = np.where(np.isnan(image), reference, image)
-    wanted = float(subject.make(subject.asarray(reference)).value(subject.asarray(fixed)))
-    return abs(wanted - value) <= 1e-4 * max(abs(wanted), 1e-30)
+    expected = float(subject.make(subject.asarray(reference)).value(subject.asarray(fixed)))
+    return abs(expected - value) <= 1e-4 * max(abs(expected), 1e-30)
 
 
 OBJECTIVE_CHECKS: Final[tuple[_Check, ...]] = (
-    Check("value", "value gives a finite 0-d array of the image's library and dtype", _check_value),
-    Check("value_and_grad", "value_and_grad gives that value, and a gradient like the image", _check_pair),
-    Check("minimum", "the reference is the least of all images, and the gradient is zero there", _check_minimum),
+    Check("value", "value returns a finite 0-d array of the image's library and dtype", _check_value),
+    Check("value_and_grad", "value_and_grad returns the same value, and a gradient like the image", _check_pair),
+    Check("minimum", "the reference has the smallest value of all images, and a gradient of zero", _check_minimum),
     Check("finite_differences", "the gradient is the derivative of the value", _check_differences),
-    Check("weights", "if it takes weights, pixels count by them, and by nothing if they are 0", _check_weights),
-    Check("batch", "if it takes batches, the value of one is the mean of its images' values", _check_batch),
-    Check("channels", "every channel counts", _check_channels),
-    Check("no_memory", "a value depends on the image given, not on earlier calls", _check_no_memory),
-    Check("no_mutation", "nothing that is given is written to", _check_no_mutation),
-    Check("own_reference", "the reference is the objective's own: later writes change nothing", _check_own_reference),
-    Check("non_finite", "a NaN pixel is refused with a ValueError, masked, or seen in the value", _check_non_finite),
+    Check("weights", "if it takes weights, they multiply the contributions of pixels", _check_weights),
+    Check("batch", "if it takes batches, their value is the mean of their images' values", _check_batch),
+    Check("channels", "every channel changes the value", _check_channels),
+    Check("no_memory", "a value depends on the image, not on earlier calls", _check_no_memory),
+    Check("no_mutation", "arguments are never written to", _check_no_mutation),
+    Check("own_reference", "the reference is copied: later writes change nothing", _check_own_reference),
+    Check("non_finite", "a NaN pixel raises a ValueError, is masked, or makes the value NaN", _check_non_finite),
 )
-"""What `check_objective` checks, in its order: each has a `name` and the `rule` that it holds an objective to."""
+"""The checks of `check_objective`, in order, each with a `name` and a `rule`."""

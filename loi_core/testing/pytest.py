@@ -15,15 +15,15 @@ __all__ = ["parametrize_with_checks"]
 def parametrize_with_checks(
     subjects: Iterable[RendererSubject | ObjectiveSubject], *, expected_failures: Mapping[str, str] | None = None
 ) -> Callable[[Any], Any]:
-    """Make one test per subject and check of a function that takes ``check`` and ``subject``.
+    """Return a decorator that runs a test with arguments ``check`` and ``subject`` for all checks of all subjects.
 
     Parameters
     ----------
     subjects : iterable of RendererSubject or ObjectiveSubject
         At least one.
     expected_failures : dict of str, optional
-        Names of checks that are known to fail, of every subject, with the reason. They are marked as strict expected
-        failures: one that passes fails the test.
+        Names of checks that are known to fail for every subject, with the reason. They are marked as strict expected
+        failures, so a check that passes fails the test.
 
     Raises
     ------
@@ -43,11 +43,11 @@ def parametrize_with_checks(
     cases = []
     for number, subject in enumerate(subjects):
         checks: tuple[Any, ...] = RENDERER_CHECKS if isinstance(subject, RendererSubject) else OBJECTIVE_CHECKS
-        what = type(subject.renderer).__name__ if isinstance(subject, RendererSubject) else "objective"
+        label = type(subject.renderer).__name__ if isinstance(subject, RendererSubject) else "objective"
         for check in checks:
             reason = (expected_failures or {}).get(check.name)
             marks = () if reason is None else (pytest.mark.xfail(raises=ConformanceError, strict=True, reason=reason),)
-            cases.append(pytest.param(check, subject, id=f"{number}-{what}-{check.name}", marks=marks))
+            cases.append(pytest.param(check, subject, id=f"{number}-{label}-{check.name}", marks=marks))
     if not cases:
         msg = "`subjects` must hold at least one subject, got none"
         raise OptionError(msg)
