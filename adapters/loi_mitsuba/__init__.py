@@ -1,14 +1,14 @@
 """Locally orderless images in Mitsuba 3 and Dr.Jit.
 
-Import this package before `mitsuba`: Dr.Jit loads LLVM while it is imported, and may have to be told which one.
+Import this package before `mitsuba`: Dr.Jit loads LLVM while it is imported, and may need to be given another one.
 """
 
-# ruff: noqa: E402 - LLVM is chosen before anything imports Dr.Jit
+# ruff: noqa: E402 - LLVM is chosen before Dr.Jit is imported
 import importlib.util
 
-from loi_mitsuba.drjit.llvm import LLVMChoice, LLVMError, choose_llvm, prepare
+from loi_mitsuba.drjit.llvm import LLVMChoice, LLVMError, prepare
 
-# Without Mitsuba there is nothing to prepare, and "not installed" says more than that there is no LLVM.
+# Without this check, the error would be a missing `drjit`.
 if importlib.util.find_spec("mitsuba") is None:
     msg = "No module named 'mitsuba'"
     raise ModuleNotFoundError(msg, name="mitsuba")
@@ -28,10 +28,10 @@ from loi_mitsuba.scene.poses import Rotate, Scale, Translate
 
 
 def diagnose() -> list[tuple[str, str]]:
-    """What ``loi doctor`` shows of this adapter: name and finding."""
+    """Return the name and detail of each finding that ``loi doctor`` lists for this adapter."""
     choice = prepare()
-    version = "a version not known yet" if choice.version is None else str(choice.version)
-    return [("LLVM", f"{version}, from {choice.source}: {choice.reason}")]
+    version = "none found; only the scalar and CUDA variants work" if choice.version is None else str(choice.version)
+    return [("LLVM", f"{version} ({choice.source})")]
 
 
 __all__ = [
@@ -50,7 +50,6 @@ __all__ = [
     "SceneParameter",
     "Translate",
     "Verification",
-    "choose_llvm",
     "diagnose",
     "list_parameters",
     "plan_effects",

@@ -135,8 +135,9 @@ class ProxyGradientRenderer(MitsubaRenderer):
         self._near_shapes = {name: value.shape for name, value in self._near.parameters().items()}
         super().__init__(scene, parameters, integrator=integrator, **options)
         if only_shadows:
-            self._left_out, self._near._left_out = frozenset({"sppi"}), frozenset({"sppc", "sppp"})
-        self._followed = tuple(name for name in self._able if name not in self._apart)
+            self._near._set_terms(self._near.wrt, frozenset({"sppc", "sppp"}))
+        excluded = frozenset({"sppi"}) if only_shadows else frozenset()
+        self._set_terms(frozenset(self._differentiable) - self._apart, excluded)
 
     @property
     def proxy_scene(self) -> Any:
@@ -152,18 +153,18 @@ class ProxyGradientRenderer(MitsubaRenderer):
         wrt: Iterable[str] | None = None,
     ) -> ProxyGradientRenderer:
         """As that of :class:`MitsubaRenderer`, of both scenes."""
-        names = set(self._named.targets if wrt is None else wrt)
+        names = set(self._binding.targets if wrt is None else wrt)
         other = copy(self)
-        other._use(integrator, self._spp if spp is None else spp, spp_grad)
-        other._followed = tuple(name for name in self._able if name in names - self._apart)
+        other._set_integrator(integrator, self._spp if spp is None else spp, spp_grad)
+        other._set_terms(names - self._apart)
         other._near = self._near.with_integrator(integrator, spp=spp, spp_grad=spp_grad, wrt=names & self._moving)
         return other
 
     def vjp(self, params: Mapping[str, Any], cotangent: Any, *, seed: int = 0) -> dict[str, Float32Array]:
         """As that of :class:`MitsubaRenderer`, each parameter's from the scene that has it."""
         self._leaves(params)  # which checks them
-        pulled = {name: np.zeros_like(start) for name, start in self._named.start.items()}
-        if self._followed:
+        pulled = {name: np.zeros_like(start) for name, start in self._binding.start.items()}
+        if self._wrt:
             pulled |= super().vjp(params, cotangent, seed=seed)
         if self._near.wrt:
             near = self._near.vjp(self._nearly(params), cotangent, seed=seed)
@@ -173,7 +174,7 @@ class ProxyGradientRenderer(MitsubaRenderer):
     def jvp(self, params: Mapping[str, Any], tangent: Mapping[str, Any], *, seed: int = 0) -> Float32Array:
         """As that of :class:`MitsubaRenderer`, the sum of both scenes'."""
         parts = []
-        if self._followed:
+        if self._wrt:
             parts.append(super().jvp(params, tangent, seed=seed))
         if self._near.wrt:
             parts.append(self._near.jvp(self._nearly(params), self._nearly(tangent), seed=seed))
@@ -190,5 +191,5 @@ class ProxyGradientRenderer(MitsubaRenderer):
                 near[name] = np.broadcast_to(moved * np.float32(stand_in.factor), self._near_shapes[name])
         return near
 
-    def _check_moving(self, *, told: bool) -> None:
+    def _check_gradients(self, *, is_planned: bool, edged: list[Any]) -> None:
         """The neighbour has told what is missing there, which is all that counts."""

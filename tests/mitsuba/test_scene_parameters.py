@@ -46,7 +46,7 @@ def places(scene: Any) -> dict[str, tuple[float, ...]]:
         folder, _, last = name.rpartition(".")
         if last in ("vertex_positions", "to_world") and not entry.problem:
             renderer = MitsubaRenderer(scene, {"place": Translate(folder)})
-            (moving,) = renderer._named.moving()
+            (moving,) = renderer._binding.moving()
             found[folder] = tuple(np.round(np.array(moving.bbox().center(), dtype=float).reshape(3), 4).tolist())
     return found
 
@@ -70,7 +70,7 @@ def test_a_name_means_the_same_mesh_in_a_file_and_in_a_scene_loaded_from_it(tmp_
     assert set(loaded.values()) == set(own.values())
     for name, place in loaded.items():  # the loaded scene's names, given to a renderer of the file
         renderer = MitsubaRenderer(path, {"place": Translate(name)})
-        (moving,) = renderer._named.moving()
+        (moving,) = renderer._binding.moving()
         assert tuple(np.round(np.array(moving.bbox().center()).reshape(3), 4)) == pytest.approx(place), name
     assert all(own[name] == place for name, place in loaded.items() if name in own)
 
@@ -99,7 +99,7 @@ def test_meshes_in_one_place_are_told_apart_by_their_size(tmp_path: Path) -> Non
     for scene in (path, mi.load_file(str(path))):
         for k in range(1, 6):
             renderer = MitsubaRenderer(scene, {"place": Translate(f"cube_at_0_3_0_size_{2 * k}_{2 * k}_{2 * k}")})
-            (moving,) = renderer._named.moving()
+            (moving,) = renderer._binding.moving()
             np.testing.assert_allclose(np.array(moving.bbox().max)[0], k)
 
 

@@ -16,7 +16,8 @@ import drjit as dr
 import mitsuba as mi
 
 from loi_mitsuba.drjit.arrays import Float32Array
-from loi_mitsuba.geometry.mesh import is_closed, is_sharp_edged
+from loi_mitsuba.geometry.mesh import is_closed
+from loi_mitsuba.geometry.mesh_checks import is_sharp_edged
 from loi_mitsuba.renderer import MitsubaRenderer, split_seed
 from loi_mitsuba.scene.binding import ParameterBinding
 from loi_mitsuba.scene.load import ParameterTarget
@@ -106,7 +107,7 @@ class Samples:
         """What they add, by `count` samples each way: the image less that without glass, shape (H, W, 3)."""
         with dr.suspend_grad():
             light = self._thrown(count, seed)
-            return self._eye.cropped(light + self._eye.splat(self._views(self._eye.padded_texture(light), count, seed)))
+            return self._eye.crop(light + self._eye.splat(self._views(self._eye.padded_texture(light), count, seed)))
 
     def vjp(self, cotangent: Any, count: int, seed: int) -> None:
         """Carry a cotangent of the image by `count` samples each way to whatever of the scene has a gradient."""

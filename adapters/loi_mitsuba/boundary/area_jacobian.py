@@ -1,8 +1,8 @@
-"""What is seen edge-on has no gradient that drowns all others.
+"""Clamp the grazing-angle term of the area Jacobian, whose relative derivative is unbounded.
 
-Where what is lit moves, Mitsuba keeps the points of lamps, and of whatever else light comes from, and differentiates
-the solid angle that their surface has. Relative to itself, its change grows beyond all bounds as a surface is turned
-away: under a round lamp the variance of a gradient is infinite, and one sample may outweigh all others together.
+Where the lit surface moves, Mitsuba fixes the sampled emitter points and differentiates the solid angle of their area.
+The relative derivative of the cosine in it is unbounded at grazing angles: under a spherical emitter the variance of
+the gradient is infinite, and a single sample may outweigh all others.
 """
 
 from __future__ import annotations
@@ -14,32 +14,32 @@ from typing import Any, Final
 
 import drjit as dr
 
-__all__ = ["LEAST", "clamped_area_jacobian"]
+__all__ = ["MIN_COSINE", "clamped_area_jacobian"]
 
-NAME: Final = "solid_angle_to_area_jacobian"  # what Mitsuba's integrators differentiate
-LEAST: Final = 0.01  # the cosine below which a surface counts as no more turned: 0.0001 of the light of a round lamp
+FUNCTION: Final = "solid_angle_to_area_jacobian"  # a global of the modules of Mitsuba's integrators
+MIN_COSINE: Final = 0.01  # smaller ones carry 0.0001 of the light of a spherical emitter
 
 
 @contextmanager
 def clamped_area_jacobian(integrator: Any) -> Iterator[None]:
-    """Have an integrator of Mitsuba bound the relative change of cosines near 0 meanwhile."""
+    """Replace the area Jacobian in the module of an integrator by one with a clamped relative derivative."""
     module = sys.modules.get(type(integrator).__module__)
-    own = getattr(module, NAME, None)
-    if own is not None:
-        setattr(module, NAME, _bounded)
+    original = getattr(module, FUNCTION, None)
+    if original is not None:
+        setattr(module, FUNCTION, _clamped)
     try:
         yield
     finally:
-        if own is not None:
-            setattr(module, NAME, own)
+        if original is not None:
+            setattr(module, FUNCTION, original)
 
 
-def _bounded(o: Any, p: Any, n: Any, active: Any = True) -> Any:  # noqa: FBT002  # as it is called
-    """Solid angle to an area at `p`, as it is seen from `o`, with another value where that is next to nothing.
+def _clamped(o: Any, p: Any, n: Any, active: Any = True) -> Any:  # noqa: FBT002  # Mitsuba's signature
+    """Return the Jacobian from solid angle at `o` to area at `p` with normal `n`, with small cosines raised.
 
-    Mitsuba takes how it changes relative to its value, and nothing else.
+    Mitsuba only uses its derivative relative to its value.
     """
-    way = p - o
-    cosine = dr.abs_dot(n, dr.normalize(way))
-    least = dr.maximum(LEAST - dr.detach(cosine), 0.0)
-    return dr.select(active, (cosine + least) / dr.squared_norm(way), 1.0)
+    direction = p - o
+    cosine = dr.abs_dot(n, dr.normalize(direction))
+    raise_by = dr.maximum(MIN_COSINE - dr.detach(cosine), 0.0)
+    return dr.select(active, (cosine + raise_by) / dr.squared_norm(direction), 1.0)

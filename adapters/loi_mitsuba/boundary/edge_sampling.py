@@ -1,9 +1,9 @@
-"""The edges of meshes with sides, as of a box: the gradient by how they move in view.
+"""The boundary term of creased meshes, rectangles and disks by edge sampling (Li et al. 2018).
 
-Projective sampling asks how bright a mesh is at an outline, and takes for it the triangle that the edge was found with,
-which of a box is as often the side that is turned away. Between two sides that are both seen it looks for no edge. And
-edges of a rectangle or disk that leans count for more or less than they are long. So points of such edges are drawn
-here, and the jump at each is that of two rays, one on either side of it.
+Projective sampling evaluates the radiance of a mesh at a silhouette on the triangle that the edge was found with, which
+of a box is as often the one that faces away. It finds no edge between two visible faces, and weighs the edges of a
+leaning rectangle or disk wrongly. Here points are sampled on such edges, and the radiance difference at each is
+measured by two rays, one on either side.
 """
 
 from __future__ import annotations
@@ -15,13 +15,14 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.drjit.arrays import Float32Array
+from loi_mitsuba.drjit.arrays import HostArray
 from loi_mitsuba.drjit.ragged import hit_shape_index, shape_index
 from loi_mitsuba.geometry.coincident_edges import uncovered_segments
-from loi_mitsuba.geometry.mesh import crease_edges, edge_vertices, has_creases
+from loi_mitsuba.geometry.mesh import crease_edges, edge_vertices
+from loi_mitsuba.geometry.mesh_checks import has_creases
 from loi_mitsuba.sensing.sensor import (
-    BESIDE,
-    NEARLY,
+    DEPTH_TOLERANCE,
+    OFFSET_PX,
     PerspectiveSensor,
     make_sampler,
     radiance_difference,
@@ -30,17 +31,17 @@ from loi_mitsuba.sensing.sensor import (
 
 __all__ = ["EdgeBoundary"]
 
-SHARE: Final = 4  # samples of the image for one here
-LEAST: Final = 4096
-WITHIN: Final = 0.25  # of the way from an edge to the middle of a triangle, at most, for a ray that is to hit it
-HIDDEN: Final = 0.02  # of the length of an edge: what is nearer than it by less does not hide it
-IN_FRONT: Final = 0.01  # of the distance to the camera: what is nearer by less touches the edge, as a floor under a box
-RIM: Final = 1024  # edges of a disk: they are off its rim by less than BESIDE, up to 20,000 pixels across
-STEP: Final = 0.01  # of the distance to the camera, along an edge to either side, for the direction that it is seen in
+IMAGE_SAMPLES_PER_EDGE_SAMPLE: Final = 4
+MIN_SAMPLES: Final = 4096
+MAX_INSET: Final = 0.25  # fraction of the way from an edge to the centroid of a triangle, for a ray that must hit it
+MAX_SELF_OCCLUSION: Final = 0.02  # fraction of an edge's length: occluders nearer to the edge are its own triangles
+CONTACT_DEPTH: Final = 0.01  # fraction of the distance to the camera: nearer shapes touch the edge, as a floor a box
+RIM_VERTICES: Final = 1024  # of a disk: within OFFSET_PX of the circle for disks up to 20,000 pixels wide
+TANGENT_STEP: Final = 0.01  # fraction of the distance to the camera, for central differences along an edge
 
 
 class EdgeBoundary:
-    """The edges of flat shapes, and of meshes that have sides, and the gradient of what is in view by where they are.
+    """The edges of flat shapes and of creased meshes.
 
     Parameters
     ----------
@@ -57,151 +58,165 @@ class EdgeBoundary:
         self.shapes = shapes
         self._sensor = sensor
         self._params = [(str(shape.class_name()), mi.traverse(shape)) for shape in shapes]
-        places = [np.array(_positions(*one)).reshape(-1, 3) for one in self._params]
-        first = np.cumsum([0, *map(len, places[:-1])])
-        found = [_pieces_of(shape, place) for shape, place in zip(shapes, places, strict=True)]
-        ends, third = (
-            np.concatenate([one[k] + start for one, start in zip(found, first, strict=True)]) for k in (0, 1)
+        positions = [np.array(_positions(*params)).reshape(-1, 3) for params in self._params]
+        first_vertex = np.cumsum([0, *map(len, positions[:-1])])
+        edges = [_edges_of(shape, vertices) for shape, vertices in zip(shapes, positions, strict=True)]
+        ends, opposite = (
+            np.concatenate([arrays[k] + first for arrays, first in zip(edges, first_vertex, strict=True)])
+            for k in (0, 1)
         )
-        self._ends, self._third = (
-            [mi.UInt32(np.ascontiguousarray(one, dtype=np.uint32)) for one in every.T] for every in (ends, third)
+        self._ends, self._opposite = (
+            [mi.UInt32(np.ascontiguousarray(column, dtype=np.uint32)) for column in vertices.T]
+            for vertices in (ends, opposite)
         )
-        between = np.concatenate([one[2] for one in found])
-        self._between = [mi.Float(np.ascontiguousarray(one, dtype=np.float32)) for one in between.T]
-        counts = [len(one[0]) for one in found]
-        self._shape = mi.UInt32(np.repeat([shape_index(one) for one in shapes], counts).astype(np.uint32))
+        interval = np.concatenate([arrays[2] for arrays in edges])
+        self._interval = [mi.Float(np.ascontiguousarray(bound, dtype=np.float32)) for bound in interval.T]
+        counts = [len(arrays[0]) for arrays in edges]
+        self._shape = mi.UInt32(np.repeat([shape_index(shape) for shape in shapes], counts).astype(np.uint32))
         width, height = sensor.film().crop_size()
         self._size = mi.Point2f(float(width), float(height))
 
     @classmethod
-    def of(cls, scene: Any, sensor: Any, shapes: Iterable[Any]) -> EdgeBoundary | None:
-        """The edges of those of some shapes of a scene that are flat, or meshes with sides.
-
-        None where there are none, or the scene is not plain.
-        """
+    def from_scene(cls, scene: Any, sensor: Any, shapes: Iterable[Any]) -> EdgeBoundary | None:
+        """Build from the flat shapes and creased meshes among `shapes`; None if there are none, or no support."""
         if not supports_boundary_sampling(scene, sensor):
             return None
-        own = scene.shapes()
-        sided = [one for one in dict.fromkeys(shapes) if one in own and (one.class_name() in FLAT or has_creases(one))]
-        return cls(sensor, sided) if sided else None
+        in_scene = scene.shapes()
+        edged = [
+            shape
+            for shape in dict.fromkeys(shapes)
+            if shape in in_scene and (shape.class_name() in OUTLINES or has_creases(shape))
+        ]
+        return cls(sensor, edged) if edged else None
 
     def sample(self, scene: Any, integrator: Any, samples: int, seed: int) -> tuple[Any, Any]:
-        """At points of the edges, 0 with how it changes: the jump times how far the edge moves across; and places."""
-        eye = PerspectiveSensor(self._sensor)  # which may move
+        """Sample the edges; see :class:`loi_mitsuba.boundary.terms.BoundarySampler`."""
+        camera = PerspectiveSensor(self._sensor)  # built here, because the sensor may move between calls
         pixels = int(self._size.x[0] * self._size.y[0])
-        count = max(LEAST, samples * pixels // SHARE)
+        count = max(MIN_SAMPLES, samples * pixels // IMAGE_SAMPLES_PER_EDGE_SAMPLE)
         sampler = make_sampler(seed, count)
-        positions = dr.concat([_positions(*one) for one in self._params])
+        positions = dr.concat([_positions(*params) for params in self._params])
         with dr.suspend_grad():
-            drawn = self._drawn(eye, dr.detach(positions))
-            index, along = drawn.sample_reuse(sampler.next_1d())
-        first, second, *third = (
-            dr.gather(mi.Point3f, positions, dr.gather(mi.UInt32, one, index)) for one in (*self._ends, *self._third)
+            distribution = self._edge_distribution(camera, dr.detach(positions))
+            index, fraction = distribution.sample_reuse(sampler.next_1d())
+        first, second, *opposite = (
+            dr.gather(mi.Point3f, positions, dr.gather(mi.UInt32, vertex, index))
+            for vertex in (*self._ends, *self._opposite)
         )
-        low, high = (dr.gather(mi.Float, one, index) for one in self._between)
-        point = dr.lerp(first, second, dr.lerp(low, high, along))
-        place = eye.project(point)[2]
+        low, high = (dr.gather(mi.Float, bound, index) for bound in self._interval)
+        point = dr.lerp(first, second, dr.lerp(low, high, fraction))
+        uv = camera.project(point).uv
         with dr.suspend_grad():
             point, edge = dr.detach(point), dr.detach(second - first)
-            away = eye.place - point
-            distance = dr.norm(away)
-            step = STEP * distance * dr.normalize(edge)
-            ahead, behind = (eye.project(point + sign * step)[2] for sign in (1.0, -1.0))
-            seen = (ahead - behind) * self._size
-            length = dr.norm(seen)
-            across = mi.Vector2f(-seen.y, seen.x) / length
-            start = eye.near_clip_point(point)
-            ray = mi.Ray3f(start, -away / distance)
-            ray.maxt = dr.norm(point - start) - dr.minimum(NEARLY * distance, HIDDEN * dr.norm(edge))
-            active = eye.project(point)[3] & (length > 0.0) & ~scene.ray_test(ray)
-            middles = [eye.project((first + second + one) / 3.0)[2] for one in third]
-            ends = self._sides(dr.detach(place), across, middles)
-            own = dr.gather(mi.UInt32, self._shape, index)
-            for end in ends:
-                active &= ~self._is_hidden(scene, end, eye, distance, own, active)
-            jump = radiance_difference(self._sensor, integrator, scene, ends, active, sampler)
-            # Points to a unit of length.
-            density = drawn.eval_pmf_normalized(index) * count / (dr.norm(edge) * (high - low))
-            pixels_each = length / (2.0 * STEP * distance * density)
-        moved = dr.dot(across, place * self._size)
-        moved = dr.select(active, moved - dr.detach(moved), 0.0)
-        return dr.select(active, -jump * pixels_each, 0.0) * moved, dr.detach(place)
+            to_camera = camera.position - point
+            distance = dr.norm(to_camera)
+            step = TANGENT_STEP * distance * dr.normalize(edge)
+            forward, backward = (camera.project(point + sign * step).uv for sign in (1.0, -1.0))
+            tangent = (forward - backward) * self._size
+            length = dr.norm(tangent)
+            normal = mi.Vector2f(-tangent.y, tangent.x) / length
+            start = camera.near_clip_point(point)
+            ray = mi.Ray3f(start, -to_camera / distance)
+            ray.maxt = dr.norm(point - start) - dr.minimum(
+                DEPTH_TOLERANCE * distance, MAX_SELF_OCCLUSION * dr.norm(edge)
+            )
+            active = camera.project(point).visible & (length > 0.0) & ~scene.ray_test(ray)
+            centroids = [camera.project((first + second + vertex) / 3.0).uv for vertex in opposite]
+            offset_uvs = self._offset_positions(dr.detach(uv), normal, centroids)
+            shape = dr.gather(mi.UInt32, self._shape, index)
+            for offset_uv in offset_uvs:
+                active &= ~self._is_occluded(scene, offset_uv, camera, distance, shape, active)
+            difference = radiance_difference(self._sensor, integrator, scene, offset_uvs, active, sampler)
+            # Samples per unit of length.
+            density = distribution.eval_pmf_normalized(index) * count / (dr.norm(edge) * (high - low))
+            pixels_per_sample = length / (2.0 * TANGENT_STEP * distance * density)
+        displacement = dr.dot(normal, uv * self._size)
+        displacement = dr.select(active, displacement - dr.detach(displacement), 0.0)
+        return dr.select(active, -difference * pixels_per_sample, 0.0) * displacement, dr.detach(uv)
 
-    def _is_hidden(self, scene: Any, place: Any, eye: PerspectiveSensor, distance: Any, own: Any, active: Any) -> Any:
-        """Whether a place beside an edge shows another shape, in front of it, which ends between the two."""
-        ray = self._sensor.sample_ray(0.0, 0.5, place, mi.Point2f(0.5))[0]
+    def _is_occluded(
+        self, scene: Any, uv: Any, camera: PerspectiveSensor, distance: Any, shape: Any, active: Any
+    ) -> Any:
+        """Return a mask of the film positions beside an edge that show another shape in front of the edge."""
+        ray = self._sensor.sample_ray(0.0, 0.5, uv, mi.Point2f(0.5))[0]
         hit = scene.ray_intersect_preliminary(ray, active=active)
-        nearer = hit.t + dr.norm(ray.o - eye.place) < (1.0 - IN_FRONT) * distance
-        return hit.is_valid() & nearer & (hit_shape_index(hit) != own)
+        is_nearer = hit.t + dr.norm(ray.o - camera.position) < (1.0 - CONTACT_DEPTH) * distance
+        return hit.is_valid() & is_nearer & (hit_shape_index(hit) != shape)
 
-    def _drawn(self, eye: PerspectiveSensor, positions: Any) -> Any:
-        """How often each edge is drawn: half of the time by its length, and half if it looks like an outline.
+    def _edge_distribution(self, camera: PerspectiveSensor, positions: Any) -> Any:
+        """Return the distribution of samples over edges: half by length, half by length of silhouette edges.
 
-        Of the edges of a fine mesh few are outlines, and brightness jumps most there.
+        Few edges of a fine mesh are silhouettes, but the largest radiance differences are there.
         """
-        first, second, *third = (dr.gather(mi.Point3f, positions, one) for one in (*self._ends, *self._third))
-        begin, end, middle = (eye.project(one)[2] * self._size for one in (first, second, 0.5 * (first + second)))
-        across = mi.Vector2f(begin.y - end.y, end.x - begin.x)
-        one, other = (
-            dr.dot(across, eye.project((first + second + each) / 3.0)[2] * self._size - middle) for each in third
+        first, second, *opposite = (
+            dr.gather(mi.Point3f, positions, vertex) for vertex in (*self._ends, *self._opposite)
         )
-        length = dr.norm(second - first) * (self._between[1] - self._between[0])
-        outline = dr.select(one * other > 0.0, length, 0.0)
-        shares = [each / dr.maximum(dr.sum(each), 1e-30) for each in (length, outline)]
-        return mi.DiscreteDistribution(shares[0] + shares[1])
+        begin, end, middle = (
+            camera.project(point).uv * self._size for point in (first, second, 0.5 * (first + second))
+        )
+        normal = mi.Vector2f(begin.y - end.y, end.x - begin.x)
+        side, opposite_side = (
+            dr.dot(normal, camera.project((first + second + vertex) / 3.0).uv * self._size - middle)
+            for vertex in opposite
+        )
+        length = dr.norm(second - first) * (self._interval[1] - self._interval[0])
+        silhouette_length = dr.select(side * opposite_side > 0.0, length, 0.0)
+        pdfs = [weight / dr.maximum(dr.sum(weight), 1e-30) for weight in (length, silhouette_length)]
+        return mi.DiscreteDistribution(pdfs[0] + pdfs[1])
 
-    def _sides(self, place: Any, across: Any, middles: list[Any]) -> tuple[Any, Any]:
-        """A place before an edge and one beyond it, of the film: in the triangle that is there, or close to the edge.
+    def _offset_positions(self, uv: Any, normal: Any, centroids: list[Any]) -> tuple[Any, Any]:
+        """Return a film position on either side of an edge: inside the adjacent triangle, or OFFSET_PX away.
 
-        A triangle that is seen nearly edge-on is much narrower than what is close.
+        A triangle seen at a grazing angle may be much narrower than OFFSET_PX.
         """
-        ends = []
+        offsets = []
         for sign in (-1.0, 1.0):
-            beside = place + sign * BESIDE * across / self._size
-            for middle in middles:
-                way = middle - place
-                far = sign * dr.dot(across, way * self._size)
-                inside = place + dr.minimum(WITHIN, BESIDE / far) * way
-                beside = dr.select(far > 0.0, inside, beside)
-            ends.append(beside)
-        return ends[0], ends[1]
+            position = uv + sign * OFFSET_PX * normal / self._size
+            for centroid in centroids:
+                inwards = centroid - uv
+                width = sign * dr.dot(normal, inwards * self._size)
+                inside = uv + dr.minimum(MAX_INSET, OFFSET_PX / width) * inwards
+                position = dr.select(width > 0.0, inside, position)
+            offsets.append(position)
+        return offsets[0], offsets[1]
 
 
-def _rims() -> dict[str, Float32Array]:
-    """The outlines of Mitsuba's flat shapes, in their own coordinates: shape (n, 3)."""
-    turns = 2.0 * np.pi * np.arange(RIM) / RIM
+def _outlines() -> dict[str, HostArray]:
+    """Return the outline vertices of Mitsuba's flat shapes in local coordinates, shape (n, 3), by class name."""
+    angle = 2.0 * np.pi * np.arange(RIM_VERTICES) / RIM_VERTICES
     return {
         "Rectangle": np.array([[-1.0, -1.0, 0.0], [1.0, -1.0, 0.0], [1.0, 1.0, 0.0], [-1.0, 1.0, 0.0]]),
-        "Disk": np.stack([np.cos(turns), np.sin(turns), np.zeros(RIM)], axis=1),
+        "Disk": np.stack([np.cos(angle), np.sin(angle), np.zeros(RIM_VERTICES)], axis=1),
     }
 
 
-FLAT: Final = _rims()
+OUTLINES: Final = _outlines()
 
 
 def _positions(kind: str, params: Any) -> Any:
-    """Of the vertices of a shape, one after the other; they change with what moves it."""
-    if kind not in FLAT:
+    """Return the flat vertex positions of a shape, mi.Float, attached to its parameters."""
+    if kind not in OUTLINES:
         return params["vertex_positions"]
-    return dr.ravel(params["to_world"] @ mi.Point3f(np.ascontiguousarray(FLAT[kind].T, dtype=np.float32)))
+    return dr.ravel(params["to_world"] @ mi.Point3f(np.ascontiguousarray(OUTLINES[kind].T, dtype=np.float32)))
 
 
-def _pieces_of(shape: Any, places: Float32Array) -> tuple[Float32Array, Float32Array, Float32Array]:
-    """The edges of a shape, each line of them once: as of :func:`_edges_of`, and where each piece begins and ends.
+def _edges_of(shape: Any, positions: HostArray) -> tuple[HostArray, HostArray, HostArray]:
+    """Return a shape's edges without coincident ones, given its vertex positions, shape (n, 3).
 
-    `places` are those of its vertices, shape (n, 3).
+    Each array has shape (edges, 2): the end vertices, the opposite vertices of the adjacent triangles, and the interval
+    of the edge that counts, as fractions of its length.
     """
-    ends, third = _edges_of(shape)
-    which, between = uncovered_segments(places, ends)
-    return ends[which], third[which], between
+    ends, opposite = _all_edges(shape)
+    index, interval = uncovered_segments(positions, ends)
+    return ends[index], opposite[index], interval
 
 
-def _edges_of(shape: Any) -> tuple[Float32Array, Float32Array]:
-    """As :func:`edges_of`, of a rectangle or disk as well."""
-    if shape.class_name() not in FLAT:
+def _all_edges(shape: Any) -> tuple[HostArray, HostArray]:
+    """Return the end vertices and opposite vertices of a mesh's creases and borders, or of a flat shape's outline."""
+    if shape.class_name() not in OUTLINES:
         return edge_vertices(shape, crease_edges(shape))
-    count = len(FLAT[shape.class_name()])
+    count = len(OUTLINES[shape.class_name()])
     first = np.arange(count)
-    ends: Float32Array = np.stack([first, (first + 1) % count], axis=1)
-    across: Float32Array = np.repeat(((first + count // 2) % count)[:, None], 2, axis=1)
-    return ends, across
+    ends: HostArray = np.stack([first, (first + 1) % count], axis=1)
+    opposite: HostArray = np.repeat(((first + count // 2) % count)[:, None], 2, axis=1)
+    return ends, opposite

@@ -1,8 +1,9 @@
-"""The curves in view along which shapes go through each other: the gradient by how they move.
+"""The boundary term of the curves in view along which shapes interpenetrate.
 
-A ball that is half in a floor meets it in a curve, at which brightness jumps, and which moves when the ball does. It is
-no outline: projective sampling does not look for it. So it is searched for here, along lines of a pixel's length. Where
-one crosses from a shape to another, and each goes on behind the other, the depths of both say how the crossing moves.
+Radiance is discontinuous along the curve in which a half-sunk ball meets the floor, and the curve moves with the ball.
+It is no silhouette, so projective sampling does not find it. Here it is searched for along segments of the image. Where
+a segment crosses from one shape to another, and each continues behind the other, the difference of the two depths is an
+implicit function whose root gives the velocity of the curve.
 """
 
 from __future__ import annotations
@@ -15,11 +16,11 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.boundary.segments import STEP, SegmentSampler, narrowed
+from loi_mitsuba.boundary.segments import DIFFERENCE_STEP_PX, SegmentSampler, bisect
 from loi_mitsuba.geometry.bounds import bounding_box
 from loi_mitsuba.geometry.components import ComponentIds
 from loi_mitsuba.sensing.sensor import (
-    NEARLY,
+    DEPTH_TOLERANCE,
     make_sampler,
     radiance_difference,
     ray_epsilon,
@@ -28,24 +29,26 @@ from loi_mitsuba.sensing.sensor import (
 
 __all__ = ["IntersectionBoundary"]
 
-NEAR: Final = 0.05  # pixels between a crossing and where the planes of the two shapes cross
-BESIDE: Final = (0.0125, 0.05)  # pixels from a crossing, to either side: at least, and at the most in reach of LIFTS
-LIFTS: Final = 4.0  # of what Mitsuba lifts a ray by, off the surface that it leaves
-AROUND: Final = 0.5  # of how far a shape lies behind the other, to either side of where its plane is
+MAX_DEPTH_GAP_PX: Final = 0.05  # pixels from a crossing to where the tangent planes of the two shapes intersect
+OFFSET_RANGE_PX: Final = (0.0125, 0.05)  # pixels from a crossing to the rays on its two sides
+OFFSET_EPSILONS: Final = 4.0  # ray epsilons of the surface, within that range
+DEPTH_MARGIN: Final = 0.5  # fraction of the depth between two planes within which the hidden shape is searched for
 
 
 @dataclass(frozen=True)
 class _Hit:
-    """What the ends of lines see.
+    """Camera hits at the ends of segments.
 
     Attributes
     ----------
     t : mi.Float
-        How far away it is along the ray, which changes with the shape.
-    p, n : mi.Point3f, mi.Normal3f
-        Where, and the normal there.
+        Distance along the ray, attached to the motion of the shape.
+    p : mi.Point3f
+        Detached.
+    n : mi.Normal3f
+        Geometric normal, detached.
     shape : mi.UInt32
-        The number of its shape, or of the part of a mesh; 0 for none.
+        Id of the shape or of the mesh's component; 0 for none.
     """
 
     t: Any
@@ -55,170 +58,167 @@ class _Hit:
 
 
 class IntersectionBoundary:
-    """Where shapes go through each other in view, and the gradient by how they move.
+    """The visible intersection curves of moving shapes with each other, with other shapes and with themselves.
 
     Parameters
     ----------
     sensor : mi.Sensor
         A perspective camera.
     shapes : list of mi.Shape
-        Those that move.
-    parts : Parts
-        Of these, and of all others.
+        The moving shapes.
+    component_ids : ComponentIds
+        Of all shapes of the scene.
     """
 
-    def __init__(self, sensor: Any, shapes: list[Any], parts: ComponentIds) -> None:
+    def __init__(self, sensor: Any, shapes: list[Any], component_ids: ComponentIds) -> None:
         self._sensor = sensor
         self._shapes = shapes
-        self._parts = parts
-        self._lines = SegmentSampler(sensor)
+        self._component_ids = component_ids
+        self._segments = SegmentSampler(sensor)
 
     @classmethod
-    def of(cls, scene: Any, sensor: Any, shapes: Iterable[Any]) -> IntersectionBoundary | None:
-        """Those of shapes that move, with all others of a scene and of a mesh's parts with each other.
-
-        None where there are none, or the scene is not plain.
-        """
-        own = scene.shapes()
-        moving = [one for one in dict.fromkeys(shapes) if one in own]
+    def from_scene(cls, scene: Any, sensor: Any, shapes: Iterable[Any]) -> IntersectionBoundary | None:
+        """Build for the moving `shapes`; None if nothing can intersect, or without support for boundary sampling."""
+        in_scene = scene.shapes()
+        moving = [shape for shape in dict.fromkeys(shapes) if shape in in_scene]
         if not moving or not supports_boundary_sampling(scene, sensor):
             return None
-        parts = ComponentIds(own, moving)
-        return cls(sensor, moving, parts) if len(own) > 1 or parts.meet else None
+        component_ids = ComponentIds(in_scene, moving)
+        return cls(sensor, moving, component_ids) if len(in_scene) > 1 or component_ids.may_intersect else None
 
     def sample(self, scene: Any, integrator: Any, samples: int, seed: int) -> tuple[Any, Any] | None:
-        """At crossings, 0 with how it changes: the jump times how far the crossing moves; and places. None without."""
-        if not self._may_meet(scene):
+        """Sample the curves; see :class:`loi_mitsuba.boundary.terms.BoundarySampler`."""
+        if not self._bounds_overlap(scene):
             return None
         with dr.suspend_grad():
-            found = self._changes(scene, samples, seed)
-            if found is None:
+            crossings = self._find_crossings(scene, samples, seed)
+            if crossings is None:
                 return None
-            first, second, along = self._narrowed(scene, *found)
-        near, far = self._hits(scene, first, second)
+            first, second, direction = crossings
+            shape = self._visible_id(scene, first)
+            first, second = bisect(first, second, lambda position: self._visible_id(scene, position) == shape)
+        front, back = self._hits(scene, first, second)
         with dr.suspend_grad():
-            middle = dr.lerp(first, second, 0.5)
-            slope, active = self._slope(scene, near, far, middle, along)
-            count = dr.width(middle)
-            aside = self._aside(near, middle) * along
-            active &= self._shows(scene, near, far, middle, aside)
-            # Under a shape that bulges over the crossing, light grows as the root of the distance from it, which is
-            # twice as much at four times the distance; unless that is beyond the outline of something in front.
-            close, off = (
+            crossing = dr.lerp(first, second, 0.5)
+            slope, active = self._depth_slope(scene, front, back, crossing, direction)
+            count = dr.width(crossing)
+            offset = self._offset_px(front, crossing) * direction
+            active &= self._is_visible(scene, front, back, crossing, offset)
+            # Under a shape that bulges over the curve, radiance grows with the square root of the distance: it doubles
+            # at four times the offset. Extrapolate to offset 0, unless the far offset is beyond another silhouette.
+            close, far = (
                 radiance_difference(
                     self._sensor,
                     integrator,
                     scene,
-                    ((middle - way) / self._lines.size, (middle + way) / self._lines.size),
+                    ((crossing - step) / self._segments.size, (crossing + step) / self._segments.size),
                     active,
                     make_sampler(seed + 1, count),
                 )
-                for way in (aside, 4.0 * aside)
+                for step in (offset, 4.0 * offset)
             )
-            jump = dr.select(self._shows(scene, near, far, middle, 4.0 * aside), 2.0 * close - off, close)
-        gap = near.t - far.t
-        moved = dr.select(active, -(gap - dr.detach(gap)) / slope, 0.0)
-        return dr.select(active, self._lines.mean(-jump, samples), 0.0) * moved, middle / self._lines.size
+            can_extrapolate = self._is_visible(scene, front, back, crossing, 4.0 * offset)
+            difference = dr.select(can_extrapolate, 2.0 * close - far, close)
+        gap = front.t - back.t
+        displacement = dr.select(active, -(gap - dr.detach(gap)) / slope, 0.0)
+        value = dr.select(active, self._segments.average(-difference, samples), 0.0) * displacement
+        return value, crossing / self._segments.size
 
-    def _may_meet(self, scene: Any) -> bool:
-        """Whether the box of a shape that moves touches that of another, or its own parts touch."""
-        if self._parts.meet:
+    def _bounds_overlap(self, scene: Any) -> bool:
+        """Return whether the bounding box of a moving shape overlaps another, or its own components may intersect."""
+        if self._component_ids.may_intersect:
             return True
-        every = scene.shapes()
-        low, high = np.stack([bounding_box(one) for one in every], axis=1)
-        moving = [every.index(one) for one in self._shapes]
-        meet = np.all((low[moving, None] <= high) & (low <= high[moving, None]), axis=-1)
-        meet[np.arange(len(moving)), moving] = False
-        return bool(np.any(meet))
+        shapes = scene.shapes()
+        low, high = np.stack([bounding_box(shape) for shape in shapes], axis=1)
+        moving = [shapes.index(shape) for shape in self._shapes]
+        overlap = np.all((low[moving, None] <= high) & (low <= high[moving, None]), axis=-1)
+        overlap[np.arange(len(moving)), moving] = False
+        return bool(np.any(overlap))
 
-    def _changes(self, scene: Any, samples: int, seed: int) -> tuple[Any, Any, Any] | None:
-        """Lines that begin at one shape and end at another: their ends, in pixels, and their directions."""
-        first, second, along = self._lines.drawn(scene, samples, seed)
-        before, after = self._seen(scene, first), self._seen(scene, second)
-        which = dr.compress((before != 0) & (after != 0) & (before != after))
-        if dr.width(which) == 0:
+    def _find_crossings(self, scene: Any, samples: int, seed: int) -> tuple[Any, Any, Any] | None:
+        """Return the segments whose ends see two shapes: ends in pixels, and directions."""
+        first, second, direction = self._segments.sample(scene, samples, seed)
+        before, after = self._visible_id(scene, first), self._visible_id(scene, second)
+        index = dr.compress((before != 0) & (after != 0) & (before != after))
+        if dr.width(index) == 0:
             return None
-        return tuple(dr.gather(type(one), one, which) for one in (first, second, along))
+        return tuple(dr.gather(type(array), array, index) for array in (first, second, direction))
 
-    def _narrowed(self, scene: Any, first: Any, second: Any, along: Any) -> tuple[Any, Any, Any]:
-        """The same lines, from the last point that sees the first shape to the next that does not."""
-        shape = self._seen(scene, first)
-        first, second = narrowed(first, second, lambda at: self._seen(scene, at) == shape)
-        return first, second, along
-
-    def _slope(self, scene: Any, near: _Hit, far: _Hit, middle: Any, along: Any) -> tuple[Any, Any]:
-        """How fast the first shape falls behind the second along a line, by pixel; and whether they do cross there."""
-        aside = mi.Vector2f(along.y, along.x)
-        slope, other = (self._behind(near, far, middle, way) for way in (along, aside))
-        away = dr.norm(near.p - self._lines.eye)
-        # Lines of one direction find curves that are within 45 degrees of upright to it, each once.
-        active = (near.shape != 0) & (far.shape != 0) & (slope > 0.0) & (slope >= dr.abs(other))
-        active &= dr.abs(self._depth(near, middle) - self._depth(far, middle)) < NEAR * slope
-        # What goes no deeper than this ends there, and its edge is drawn as one.
-        beyond = NEARLY * away / slope * along
-        active &= self._goes_on(scene, near, far, middle + beyond, active)
-        active &= self._goes_on(scene, far, near, middle - beyond, active)
+    def _depth_slope(self, scene: Any, front: _Hit, back: _Hit, crossing: Any, direction: Any) -> tuple[Any, Any]:
+        """Return the derivative per pixel of the first shape's depth behind the second, and where they intersect."""
+        across = mi.Vector2f(direction.y, direction.x)
+        slope, slope_across = (self._depth_derivative(front, back, crossing, axis) for axis in (direction, across))
+        distance = dr.norm(front.p - self._segments.camera_position)
+        # Segments of one direction count curves within 45 degrees of their normal, so that each curve counts once.
+        active = (front.shape != 0) & (back.shape != 0) & (slope > 0.0) & (slope >= dr.abs(slope_across))
+        gap = self._plane_depth(front, crossing) - self._plane_depth(back, crossing)
+        active &= dr.abs(gap) < MAX_DEPTH_GAP_PX * slope
+        # A shape that does not continue to this depth has an edge there, which the edge term samples.
+        beyond = DEPTH_TOLERANCE * distance / slope * direction
+        active &= self._continues_behind(scene, front, back, crossing + beyond, active)
+        active &= self._continues_behind(scene, back, front, crossing - beyond, active)
         return dr.select(active, slope, 1.0), active
 
-    def _shows(self, scene: Any, near: _Hit, far: _Hit, middle: Any, way: Any) -> Any:
-        """Whether the first shape is seen on one side of a crossing, and the second on the other."""
-        before, after = self._seen(scene, middle - way), self._seen(scene, middle + way)
-        return (before == near.shape) & (after == far.shape)
+    def _is_visible(self, scene: Any, front: _Hit, back: _Hit, crossing: Any, offset: Any) -> Any:
+        """Return whether the first shape is visible on one side of a crossing, and the second on the other."""
+        before, after = self._visible_id(scene, crossing - offset), self._visible_id(scene, crossing + offset)
+        return (before == front.shape) & (after == back.shape)
 
-    def _seen(self, scene: Any, at: Any) -> Any:
-        """The number of the shape or part that a place in pixels sees; 0 for none."""
-        return self._parts.of(scene.ray_intersect_preliminary(self._lines.ray(at)))
+    def _visible_id(self, scene: Any, position: Any) -> Any:
+        """Return the id of the shape or component that is visible at positions in pixels; 0 for none."""
+        return self._component_ids.ids(scene.ray_intersect_preliminary(self._segments.ray(position)))
 
-    def _aside(self, hit: _Hit, middle: Any) -> Any:
-        """Pixels from a crossing to where brightness is looked up: rays that start there see what is around it."""
-        one = dr.norm(self._lines.ray(middle + mi.Vector2f(1.0, 0.0)).d - self._lines.ray(middle).d) * dr.norm(
-            hit.p - self._lines.eye
+    def _offset_px(self, hit: _Hit, crossing: Any) -> Any:
+        """Return the offset in pixels at which rays spawned at the surface see the surroundings of a crossing."""
+        ray, next_ray = (self._segments.ray(position) for position in (crossing, crossing + mi.Vector2f(1.0, 0.0)))
+        pixel_width = dr.norm(next_ray.d - ray.d) * dr.norm(hit.p - self._segments.camera_position)
+        return dr.clip(OFFSET_EPSILONS * ray_epsilon(hit.p) / pixel_width, *OFFSET_RANGE_PX)
+
+    def _depth_derivative(self, front: _Hit, back: _Hit, crossing: Any, axis: Any) -> Any:
+        """Return the derivative along an axis of the depth of the first tangent plane minus that of the second."""
+        forward, backward = (
+            self._plane_depth(front, position) - self._plane_depth(back, position)
+            for position in (crossing + DIFFERENCE_STEP_PX * axis, crossing - DIFFERENCE_STEP_PX * axis)
         )
-        return dr.clip(LIFTS * ray_epsilon(hit.p) / one, *BESIDE)
+        return (forward - backward) / (2.0 * DIFFERENCE_STEP_PX)
 
-    def _behind(self, near: _Hit, far: _Hit, middle: Any, way: Any) -> Any:
-        """The slope along a direction of how far the first shape's plane is behind the second's."""
-        ahead, back = (
-            self._depth(near, at) - self._depth(far, at) for at in (middle + STEP * way, middle - STEP * way)
-        )
-        return (ahead - back) / (2.0 * STEP)
+    def _continues_behind(self, scene: Any, hidden: _Hit, front: _Hit, position: Any, active: Any) -> Any:
+        """Return whether the hidden shape exists near its tangent plane behind the front shape."""
+        ray = self._segments.ray(position)
+        depth = self._plane_depth(front, position)
+        gap = self._plane_depth(hidden, position) - depth
+        ray.o = self._segments.camera_position + ray.d * (depth + (1.0 - DEPTH_MARGIN) * gap)
+        ray.maxt = 2.0 * DEPTH_MARGIN * gap
+        active = active & (gap > 0.0)
+        hit = scene.ray_intersect_preliminary(ray, active=active)
+        return active & (self._component_ids.ids(hit) == hidden.shape)
 
-    def _goes_on(self, scene: Any, hidden: _Hit, front: _Hit, at: Any, active: Any) -> Any:
-        """Whether a shape is where its plane is behind another one."""
-        ray = self._lines.ray(at)
-        depth = self._depth(front, at)
-        behind = self._depth(hidden, at) - depth
-        ray.o = self._lines.eye + ray.d * (depth + (1.0 - AROUND) * behind)
-        ray.maxt = 2.0 * AROUND * behind
-        active = active & (behind > 0.0)
-        return active & (self._parts.of(scene.ray_intersect_preliminary(ray, active=active)) == hidden.shape)
+    def _plane_depth(self, hit: _Hit, position: Any) -> Any:
+        """Return the distance from the camera to the tangent plane of a hit, along the ray through a position."""
+        return dr.dot(hit.p - self._segments.camera_position, hit.n) / dr.dot(self._segments.ray(position).d, hit.n)
 
-    def _depth(self, hit: _Hit, at: Any) -> Any:
-        """How far away the plane of what was hit is, where a place in pixels looks."""
-        return dr.dot(hit.p - self._lines.eye, hit.n) / dr.dot(self._lines.ray(at).d, hit.n)
+    def _hits(self, scene: Any, *positions: Any) -> list[_Hit]:
+        """Return the camera hits at several arrays of positions of equal width.
 
-    def _hits(self, scene: Any, *ends: Any) -> list[_Hit]:
-        """What places in pixels see, as many of each.
-
-        All by one call: Dr.Jit carries no gradient forward through two of one shape.
+        All rays are traced by one call: Dr.Jit propagates no forward gradient through two calls on one shape.
         """
-        # How many there are must not be written into kernels: they would be compiled again for each other number. So it
-        # is opaque, and the gradient comes back without sums of each thread's own, which lie that far apart.
-        lines = dr.width(ends[0])
-        count = dr.opaque(mi.UInt32, lines)
-        number, at = dr.arange(mi.UInt32, len(ends) * lines), mi.Point2f(0.0)
-        for k, end in enumerate(ends):
-            part = (number >= k * count) & (number < (k + 1) * count)
-            at = dr.select(part, dr.gather(mi.Point2f, end, number - k * count, part), at)
-        found = scene.ray_intersect(self._lines.ray(at))
-        shape = self._parts.of(found)
-        each = [dr.arange(mi.UInt32, lines) + k * count for k in range(len(ends))]
+        # A literal width would be compiled into kernels, which would be compiled again for each other width. The opaque
+        # offsets also make the gathers below free of conflicts, so their adjoint needs no atomic sums.
+        width = dr.width(positions[0])
+        count = dr.opaque(mi.UInt32, width)
+        index, position = dr.arange(mi.UInt32, len(positions) * width), mi.Point2f(0.0)
+        for k, array in enumerate(positions):
+            mask = (index >= k * count) & (index < (k + 1) * count)
+            position = dr.select(mask, dr.gather(mi.Point2f, array, index - k * count, mask), position)
+        hit = scene.ray_intersect(self._segments.ray(position))
+        shape = self._component_ids.ids(hit)
+        slices = [dr.arange(mi.UInt32, width) + k * count for k in range(len(positions))]
         return [
             _Hit(
-                dr.gather(mi.Float, found.t, part, mode=dr.ReduceMode.NoConflicts),
-                dr.gather(mi.Point3f, dr.detach(found.p), part),
-                dr.gather(mi.Normal3f, dr.detach(found.n), part),
-                dr.gather(mi.UInt32, shape, part),
+                dr.gather(mi.Float, hit.t, rows, mode=dr.ReduceMode.NoConflicts),
+                dr.gather(mi.Point3f, dr.detach(hit.p), rows),
+                dr.gather(mi.Normal3f, dr.detach(hit.n), rows),
+                dr.gather(mi.UInt32, shape, rows),
             )
-            for part in each
+            for rows in slices
         ]

@@ -1,4 +1,7 @@
-"""What Mitsuba's projective integrators draw of a gradient: outlines in view, and those of shadows and reflections."""
+"""The boundary term by Mitsuba's projective sampling of silhouettes.
+
+The samples are taken before they reach the film, and sensors with an off-centre principal point are repaired.
+"""
 
 from __future__ import annotations
 
@@ -19,16 +22,16 @@ from loi_mitsuba.sensing.sensor import PerspectiveSensor, is_off_centre, ray_eps
 
 __all__ = ["ProjectiveBoundary"]
 
-SEEDS: Final = {"sppp": 0xFFFFFFFF, "sppi": 0xAA00AA00}  # by part, those of samples; as in Mitsuba
-GUIDE: Final = 0xAFAFAFAF  # that of what says where indirect silhouettes are looked for
-TOUCH: Final = 1.0  # of what Mitsuba lifts a ray by, from an edge to what it lies in
+SEED_MASKS: Final = {"sppp": 0xFFFFFFFF, "sppi": 0xAA00AA00}  # those of Mitsuba's PSIntegrator
+GUIDING_SEED_MASK: Final = 0xAFAFAFAF  # likewise
+CONTACT_EPSILONS: Final = 1.0  # ray epsilons from a silhouette to a surface that it lies in
 
 
-class _Shifted:
-    """A perspective camera that shows all of its view to a point.
+class _OffCentreSensor:
+    """A perspective camera whose `sample_direction` covers the whole view.
 
-    Where its principal point is not in the middle, Mitsuba's own shows nothing to points that would be out of view if
-    it were.
+    With an off-centre principal point, Mitsuba's own has zero importance for points that would be out of view if the
+    principal point were in the centre.
 
     Parameters
     ----------
@@ -36,87 +39,91 @@ class _Shifted:
     """
 
     def __init__(self, sensor: Any) -> None:
-        self._sensor, self._eye = sensor, PerspectiveSensor(sensor)
+        self._sensor, self._perspective = sensor, PerspectiveSensor(sensor)
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._sensor, name)
 
     def sample_direction(self, it: Any, sample: Any, active: Any) -> tuple[Any, Any]:
-        """Where it is from a point, and its importance; as `mi.Sensor.sample_direction`."""
+        """Return the direction sample from points to the camera and its importance; see `mi.Sensor`."""
         ds, _ = self._sensor.sample_direction(it, sample, active)
-        _, weight, place, visible = self._eye.project(it.p)
-        within = visible & dr.all((place >= 0.0) & (place <= 1.0))
-        return ds, mi.Spectrum(dr.select(active & within, weight / math.prod(self._sensor.film().crop_size()), 0.0))
+        _, weight, uv, visible = self._perspective.project(it.p)
+        in_view = visible & dr.all((uv >= 0.0) & (uv <= 1.0))
+        pixels = math.prod(self._sensor.film().crop_size())
+        return ds, mi.Spectrum(dr.select(active & in_view, weight / pixels, 0.0))
 
 
 @dataclass(frozen=True)
 class ProjectiveBoundary:
-    """One part of the gradient of a projective integrator.
+    """Silhouettes, sampled by a projective integrator of Mitsuba.
 
     Attributes
     ----------
     sensor : mi.Sensor
     film : Film
-        Of the camera.
-    part : str
-        "sppp", outlines in view, or "sppi", those of what is seen in mirrors, or hides light.
-    once : Once or None
-        Of "sppi", which points of the edges of meshes count.
+        Of the sensor.
+    kind : {"sppp", "sppi"}
+        Primary silhouettes, which the camera sees, or indirect ones, of shadows and reflections.
+    unique_edges : UniqueEdges or None
+        For indirect silhouettes, the mesh edges that count among coincident ones.
     """
 
     sensor: Any
     film: Film
-    part: Literal["sppp", "sppi"]
-    once: UniqueEdges | None = None
+    kind: Literal["sppp", "sppi"]
+    unique_edges: UniqueEdges | None = None
 
     def sample(self, scene: Any, integrator: Any, samples: int, seed: int) -> tuple[Any, Any] | None:
-        """At points of silhouettes, 0 with how it changes: the jump times how far they move; and places. None without.
+        """Sample silhouettes; see :class:`loi_mitsuba.boundary.terms.BoundarySampler`.
 
-        The seed and `samples`, of each pixel, are those of Mitsuba's `render_backward`.
+        `integrator` is the projective integrator. The samples are those of Mitsuba's `render_backward` with this seed.
         """
         if not scene.silhouette_shapes():
             return None
         sensor = self.sensor
         with dr.suspend_grad():
-            if self.part == "sppp":
+            if self.kind == "sppp":
                 integrator.proj_detail.init_primarily_visible_silhouette(scene, sensor)
-                draw = integrator.render_primarily_visible_silhouette
+                render = integrator.render_primarily_visible_silhouette
             else:
-                sensor = _Shifted(sensor) if is_off_centre(sensor) else sensor
-                integrator.proj_detail.init_indirect_silhouette(scene, sensor, GUIDE ^ seed)
-                draw = integrator.render_indirect_silhouette
-            sampler, number = integrator.prepare(self.sensor, SEEDS[self.part] ^ seed, samples, integrator.aov_names())
-        lamps = hittable_proxy_emitters() if self.part == "sppi" else nullcontext()
-        with lamps, self._counted(integrator), capture_splats() as taken:
-            draw(scene, sensor, sampler, 1)  # by whose number it is divided below, or each would be compiled anew
-        if not taken:
+                sensor = _OffCentreSensor(sensor) if is_off_centre(sensor) else sensor
+                integrator.proj_detail.init_indirect_silhouette(scene, sensor, GUIDING_SEED_MASK ^ seed)
+                render = integrator.render_indirect_silhouette
+            sampler, spp = integrator.prepare(
+                self.sensor, SEED_MASKS[self.kind] ^ seed, samples, integrator.aov_names()
+            )
+        emitters = hittable_proxy_emitters() if self.kind == "sppi" else nullcontext()
+        with emitters, self._filtered(integrator), capture_splats() as splats:
+            # With 1 sample per pixel: the number would be compiled into kernels. The values are divided by it below.
+            render(scene, sensor, sampler, 1)
+        if not splats:
             return None
-        (sample,) = taken
-        value = to_rgb(sample["value"], sample["wavelengths"], active=sample["active"])
-        value = dr.select(sample["active"], value, 0.0) / dr.opaque(mi.Float, number * self.film.sampled)
-        return value, dr.detach(sample["pos"]) / mi.Point2f(*map(float, self.film.size))
+        (splat,) = splats
+        value = to_rgb(splat["value"], splat["wavelengths"], active=splat["active"])
+        value = dr.select(splat["active"], value, 0.0) / dr.opaque(mi.Float, spp * self.film.border_oversampling)
+        return value, dr.detach(splat["pos"]) / mi.Point2f(*map(float, self.film.size))
 
     @contextmanager
-    def _counted(self, integrator: Any) -> Iterator[None]:
-        """The integrator meanwhile finds one of several edges of a mesh along a line, and none on what it touches.
+    def _filtered(self, integrator: Any) -> Iterator[None]:
+        """Make the integrator skip redundant coincident edges, and edges that touch another surface.
 
-        An edge that lies in another side, as where two boxes end in one plane, throws no shadow on it. Rounding puts it
-        beside that side, and as close as nothing else is.
+        An edge that lies in another surface, as where two boxes end in one plane, casts no shadow on it. Rounding puts
+        the edge beside that surface, nearer than any other occluder is.
         """
-        if self.part != "sppi":
+        if self.kind != "sppi":
             yield
             return
-        found, once = integrator.sample_importance, self.once
+        original, unique_edges = integrator.sample_importance, self.unique_edges
 
-        def sample_importance(scene: Any, sensor: Any, drawn: Any, *rest: Any) -> Any:
-            *before, active = rest
-            if once is not None:
-                active = active & once.counts(drawn)  # not in place, which would change the integrator's own
-            back = mi.SilhouetteSample3f(drawn)
-            back.d = -drawn.d
-            ray = back.spawn_ray()
-            ray.maxt = TOUCH * ray_epsilon(drawn.p)
-            return found(scene, sensor, drawn, *before, active & ~scene.ray_test(ray, active=active))
+        def sample_importance(scene: Any, sensor: Any, silhouette: Any, *arguments: Any) -> Any:
+            *others, active = arguments
+            if unique_edges is not None:
+                active = active & unique_edges.is_representative(silhouette)  # not in place: it is the integrator's
+            reverse = mi.SilhouetteSample3f(silhouette)
+            reverse.d = -silhouette.d
+            ray = reverse.spawn_ray()
+            ray.maxt = CONTACT_EPSILONS * ray_epsilon(silhouette.p)
+            return original(scene, sensor, silhouette, *others, active & ~scene.ray_test(ray, active=active))
 
         integrator.sample_importance = sample_importance
         try:

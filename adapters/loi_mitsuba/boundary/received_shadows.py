@@ -1,10 +1,10 @@
-"""Shadows that fall on what moves: the gradient by how it moves through them.
+"""The boundary term of shadows that fall on moving shapes.
 
-Projective sampling follows the outlines of what moves, and so the shadows that it throws. Where it moves under
-something else, or its own parts throw shadows on each other, a shadow passes over it as well. So the edges of these
-shadows are searched for here, along lines of a pixel's length that see it: under light from one random point, one end
-is lit and the other is not. The plane of light that just passes what throws the shadow goes through the edge, and says
-how that moves.
+Projective sampling follows the silhouettes of moving shapes, and so the shadows that they cast. A shape that moves
+under an occluder, or has components that shadow each other, also moves through shadows. The edges of these shadows are
+searched for along segments of the image that see the moving shape: for light from one random point of an emitter, one
+end is lit and the other is not. The plane of light rays that graze the occluder contains the shadow edge, and gives the
+velocity of the edge in the image.
 """
 
 from __future__ import annotations
@@ -16,8 +16,8 @@ from typing import Any, Final
 import drjit as dr
 import mitsuba as mi
 
-from loi_mitsuba.boundary.area_jacobian import LEAST
-from loi_mitsuba.boundary.segments import STEP, SegmentSampler, narrowed
+from loi_mitsuba.boundary.area_jacobian import MIN_COSINE
+from loi_mitsuba.boundary.segments import DIFFERENCE_STEP_PX, SegmentSampler, bisect
 from loi_mitsuba.drjit.ragged import RaggedTable, hit_shape_index, shape_index
 from loi_mitsuba.plugins.proxy_emitter import hittable_proxy_emitters
 from loi_mitsuba.sensing.film_samples import to_rgb
@@ -25,287 +25,321 @@ from loi_mitsuba.sensing.sensor import make_sampler, ray_epsilon, supports_bound
 
 __all__ = ["ReceivedShadowBoundary"]
 
-ASIDE: Final = 0.05  # pixels between the two points of a shadow's edge that give its direction
-REACH: Final = 0.06  # pixels to either side in which the second of them is looked for
-CLEAR: Final = 0.01  # pixels from an outline, at which rounding has rays hit the dark far side of what is closed
-GRAZING: Final = 1e-3  # cosine of light that a surface may seem to hide from itself, since rays are lifted off surfaces
-NEAR: Final = 0.05  # pixels between the two ends that a line is narrowed to: farther, and depth jumps there
+TANGENT_STEP_PX: Final = 0.05  # between the two points of a shadow edge that give its direction
+SEARCH_RADIUS_PX: Final = 0.06  # in which the second of them is searched for
+SILHOUETTE_MARGIN_PX: Final = 0.01  # from a silhouette, where rounding makes rays hit the unlit back of closed shapes
+MIN_LIGHT_COSINE: Final = 1e-3  # at smaller ones a surface may shadow itself, because rays are spawned off surfaces
+MAX_HIT_DISTANCE_PX: Final = 0.05  # between the ends of a bisected segment; larger ones have a jump in depth
+MIN_RELATIVE_SPEED: Final = 1e-3  # of the surface point across the grazing plane, relative to its whole speed
 
-_Within = Callable[[Any], Callable[[Any], Any]]  # for lines of some numbers, what says whether places on them are in it
+_Predicate = Callable[[Any], Callable[[Any], Any]]  # maps indices of segments to a predicate of positions on them
 
 
 @dataclass(frozen=True)
-class _Light:
-    """Light from one point for each line.
+class _EmitterSample:
+    """One point of an emitter for each segment.
 
     Attributes
     ----------
-    p, n, d : mi.Point3f, mi.Normal3f, mi.Vector3f
-        Where it comes from, and the normal there; or if it comes from infinitely far, the direction to there.
-    far, flat : mi.Bool
-        Whether it does, and whether it comes off a surface, which is seen the smaller the more it is turned.
-    power : mi.Color3f
-        Radiance over the density with which the point was drawn, per area of a surface or solid angle.
+    p : mi.Point3f
+        Position.
+    n : mi.Normal3f
+        Normal of the emitter's surface.
+    d : mi.Vector3f
+        Direction to an infinitely distant emitter.
+    is_infinite : mi.Bool
+    is_surface : mi.Bool
+        Whether the emitter is an area light, whose solid angle depends on its orientation.
+    weight : mi.Color3f
+        Radiance over the sampling density, per area of a surface or per solid angle.
     """
 
     p: Any
     n: Any
     d: Any
-    far: Any
-    flat: Any
-    power: Any
+    is_infinite: Any
+    is_surface: Any
+    weight: Any
 
     @classmethod
-    def drawn(cls, scene: Any, si: Any, sample: Any) -> _Light:
-        """From one point that lights each of some places."""
-        ds, power = scene.sample_emitter_direction(si, sample, test_visibility=False, active=si.is_valid())
-        power = dr.select(ds.pdf > 0.0, to_rgb(power), 0.0)
+    def sample(cls, scene: Any, si: Any, uv: Any) -> _EmitterSample:
+        """Sample an emitter for each surface interaction, without testing for occluders."""
+        ds, weight = scene.sample_emitter_direction(si, uv, test_visibility=False, active=si.is_valid())
+        weight = dr.select(ds.pdf > 0.0, to_rgb(weight), 0.0)
         flags = ds.emitter.flags()
-        far, flat = (mi.has_flag(flags, one) for one in (mi.EmitterFlags.Infinite, mi.EmitterFlags.Surface))
-        light = cls(ds.p, ds.n, ds.d, far, flat, power)
-        share = light._share(si.p, LEAST)  # what is seen edge-on from here may be seen much better from there
-        return replace(light, power=power * dr.select(light._share(si.p) > 0.0, dr.rcp(share), 0.0))
+        is_infinite, is_surface = (
+            mi.has_flag(flags, flag) for flag in (mi.EmitterFlags.Infinite, mi.EmitterFlags.Surface)
+        )
+        emitter = cls(ds.p, ds.n, ds.d, is_infinite, is_surface, weight)
+        # The other points of the segment may see the emitter at a much larger cosine than this one.
+        jacobian = emitter._area_jacobian(si.p, MIN_COSINE)
+        return replace(emitter, weight=weight * dr.select(emitter._area_jacobian(si.p) > 0.0, dr.rcp(jacobian), 0.0))
 
-    def gathered(self, which: Any) -> _Light:
-        """That of some lines."""
-        parts = (self.p, self.n, self.d, self.far, self.flat, self.power)
-        return _Light(*(dr.gather(type(one), one, which) for one in parts))
+    def gather(self, index: Any) -> _EmitterSample:
+        """Return the samples of some segments."""
+        fields = (self.p, self.n, self.d, self.is_infinite, self.is_surface, self.weight)
+        return _EmitterSample(*(dr.gather(type(array), array, index) for array in fields))
 
-    def reaching(self, point: Any) -> Any:
-        """What of it comes to a point, if nothing is in between."""
-        return self.power * self._share(point)
+    def unoccluded(self, point: Any) -> Any:
+        """Return the incident light, mi.Color3f, at points without occluders."""
+        return self.weight * self._area_jacobian(point)
 
-    def _share(self, point: Any, least: float = 0.0) -> Any:
-        """The solid angle of an area of its surface from a point, by a cosine of at least this; 1 where it has none."""
-        way, away = self.way(point)
-        return dr.select(self.flat, dr.maximum(-dr.dot(self.n, way), least) / dr.square(away), 1.0)
+    def _area_jacobian(self, point: Any, min_cosine: float = 0.0) -> Any:
+        """Return the solid angle per area of the emitter, seen from points; 1 for emitters without a surface."""
+        direction, distance = self.direction(point)
+        cosine = dr.maximum(-dr.dot(self.n, direction), min_cosine)
+        return dr.select(self.is_surface, cosine / dr.square(distance), 1.0)
 
-    def way(self, point: Any) -> tuple[Any, Any]:
-        """The direction from a point to the light, and how far it is."""
-        return self._way_to(self.p, point)
+    def direction(self, point: Any) -> tuple[Any, Any]:
+        """Return the unit direction and distance from points to the emitter."""
+        return self._direction_to(self.p, point)
 
-    def way_clear_of_it(self, point: Any) -> tuple[Any, Any]:
-        """The same to where its surface, seen nearly edge-on, does not hide the light by an error of rounding."""
-        return self._way_to(dr.select(self.flat, self.p + ray_epsilon(self.p) * self.n, self.p), point)
+    def spawned_direction(self, point: Any) -> tuple[Any, Any]:
+        """Return the same to a position just off the emitter, which rounding errors do not hide at grazing angles."""
+        return self._direction_to(dr.select(self.is_surface, self.p + ray_epsilon(self.p) * self.n, self.p), point)
 
-    def _way_to(self, there: Any, point: Any) -> tuple[Any, Any]:
-        to = there - point
-        away = dr.norm(to)
-        return dr.select(self.far, self.d, to / away), dr.select(self.far, dr.largest(mi.Float), away)
+    def _direction_to(self, position: Any, point: Any) -> tuple[Any, Any]:
+        offset = position - point
+        distance = dr.norm(offset)
+        return (
+            dr.select(self.is_infinite, self.d, offset / distance),
+            dr.select(self.is_infinite, dr.largest(mi.Float), distance),
+        )
 
 
 @dataclass(frozen=True)
-class _Found:
-    """Lines at whose ends one shape is lit, and is not.
+class _ShadowCrossing:
+    """Segments that see one shape, lit at one end and not at the other.
 
     Attributes
     ----------
     first, second : mi.Point2f
-        Their ends, in pixels.
-    along : mi.Vector2f
-        Their directions.
-    lit : mi.Bool
-        Whether it is the first end that is lit.
+        Ends, in pixels.
+    direction : mi.Vector2f
+    is_first_lit : mi.Bool
     weight : mi.Float
-        Of how many such lines each is one.
-    light : _Light
-        What by.
+        Number of segments that each one counts for.
+    emitter : _EmitterSample
     """
 
     first: Any
     second: Any
-    along: Any
-    lit: Any
+    direction: Any
+    is_first_lit: Any
     weight: Any
-    light: _Light
+    emitter: _EmitterSample
 
 
 class ReceivedShadowBoundary:
-    """Where shadows fall on shapes that move and are in view, and the gradient by how they move.
+    """The edges of shadows that fall on visible moving shapes.
 
     Parameters
     ----------
     sensor : mi.Sensor
         A perspective camera.
     shapes : list of mi.Shape
-        Those that move.
+        The moving shapes.
     """
 
     def __init__(self, sensor: Any, shapes: list[Any]) -> None:
-        self._lines = SegmentSampler(sensor)
+        self._segments = SegmentSampler(sensor)
         self._shapes = shapes
-        self._moves = RaggedTable({shape_index(one): 1 for one in shapes})
+        self._moving_table = RaggedTable({shape_index(shape): 1 for shape in shapes})
 
     @classmethod
-    def of(cls, scene: Any, sensor: Any, shapes: Iterable[Any]) -> ReceivedShadowBoundary | None:
-        """Those on shapes that move in a scene; None where there are none, or it is not plain."""
-        moving = [one for one in dict.fromkeys(shapes) if one in scene.shapes()]
-        return (
-            cls(sensor, moving) if moving and scene.emitters() and supports_boundary_sampling(scene, sensor) else None
-        )
+    def from_scene(cls, scene: Any, sensor: Any, shapes: Iterable[Any]) -> ReceivedShadowBoundary | None:
+        """Build for the moving `shapes`; None without any, without emitters or support for boundary sampling."""
+        moving = [shape for shape in dict.fromkeys(shapes) if shape in scene.shapes()]
+        is_supported = moving and scene.emitters() and supports_boundary_sampling(scene, sensor)
+        return cls(sensor, moving) if is_supported else None
 
     @hittable_proxy_emitters()
-    def sample(self, scene: Any, integrator: Any, samples: int, seed: int) -> tuple[Any, Any] | None:  # noqa: ARG002  # direct light alone
-        """At edges of shadows, 0 with how it changes: the jump times how far they move; and places. None without."""
-        with dr.suspend_grad():
-            found = self._changes(scene, samples, seed)
-            if found is None:
-                return None
-            along, light, lit = found.along, found.light, found.lit
-            first, second = self._narrowed(scene, found.first, found.second, light, lit)
-            middle = dr.lerp(first, second, 0.5)
-            beside, active = self._beside(scene, middle, along, light, lit)
-        si = scene.ray_intersect(self._lines.ray(middle))
-        with dr.suspend_grad():
-            at = dr.detach(si)
-            active &= self._is_smooth(scene, first, second, at, light)
-            edge = self._on_plane(at, beside) - at.p
-            step = STEP * along
-            over = (self._on_plane(at, middle + step) - self._on_plane(at, middle - step)) / (2.0 * STEP)
-            way, _ = light.way(at.p)
-            # Of the plane of light that just passes what throws the shadow.
-            normal = dr.normalize(dr.cross(way, edge))
-            speed = dr.dot(normal, over)
-            active &= dr.abs(speed) > 1e-3 * dr.norm(over)
-            value = light.reaching(at.p) * at.bsdf().eval(mi.BSDFContext(), at, at.to_local(way), active)
-            jump = to_rgb(value)
-            jump = self._lines.mean(dr.select(lit, jump, -jump) * found.weight, samples)
-            jump = dr.select(active, jump, 0.0)
-            scale = dr.select(active, -dr.rcp(speed), 0.0)
-        moved = scale * dr.dot(normal, si.p - dr.detach(si.p))
-        return jump * dr.select(active, moved, 0.0), middle / self._lines.size
+    def sample(self, scene: Any, integrator: Any, samples: int, seed: int) -> tuple[Any, Any] | None:  # noqa: ARG002
+        """Sample the shadow edges of direct light; see :class:`loi_mitsuba.boundary.terms.BoundarySampler`.
 
-    def _changes(self, scene: Any, samples: int, seed: int) -> _Found | None:
-        """Lines of which one end is in a shadow."""
-        pixels = self._lines.around(self._shapes)
+        `integrator` is not used.
+        """
+        with dr.suspend_grad():
+            crossing = self._find_crossings(scene, samples, seed)
+            if crossing is None:
+                return None
+            direction, emitter, is_first_lit = crossing.direction, crossing.emitter, crossing.is_first_lit
+            first, second = self._bisect_shadow(scene, crossing.first, crossing.second, emitter, is_first_lit)
+            position = dr.lerp(first, second, 0.5)
+            next_position, active = self._next_edge_point(scene, position, direction, emitter, is_first_lit)
+        si = scene.ray_intersect(self._segments.ray(position))
+        with dr.suspend_grad():
+            hit = dr.detach(si)
+            active &= self._is_smooth(scene, first, second, hit, emitter)
+            edge = self._on_tangent_plane(hit, next_position) - hit.p
+            step = DIFFERENCE_STEP_PX * direction
+            forward, backward = (
+                self._on_tangent_plane(hit, position + step),
+                self._on_tangent_plane(hit, position - step),
+            )
+            surface_velocity = (forward - backward) / (2.0 * DIFFERENCE_STEP_PX)  # per pixel
+            to_emitter, _ = emitter.direction(hit.p)
+            grazing_normal = dr.normalize(dr.cross(to_emitter, edge))  # of the plane of rays that graze the occluder
+            speed = dr.dot(grazing_normal, surface_velocity)
+            active &= dr.abs(speed) > MIN_RELATIVE_SPEED * dr.norm(surface_velocity)
+            bsdf_value = hit.bsdf().eval(mi.BSDFContext(), hit, hit.to_local(to_emitter), active)
+            value = emitter.unoccluded(hit.p) * bsdf_value
+            radiance = to_rgb(value)
+            difference = dr.select(is_first_lit, radiance, -radiance) * crossing.weight
+            difference = dr.select(active, self._segments.average(difference, samples), 0.0)
+            scale = dr.select(active, -dr.rcp(speed), 0.0)
+        displacement = scale * dr.dot(grazing_normal, si.p - dr.detach(si.p))
+        return difference * dr.select(active, displacement, 0.0), position / self._segments.size
+
+    def _find_crossings(self, scene: Any, samples: int, seed: int) -> _ShadowCrossing | None:
+        """Return the segments with one end in a shadow."""
+        pixels = self._segments.pixels_covering(self._shapes)
         if dr.width(pixels) == 0:
             return None
-        first, second, along = self._lines.drawn(scene, samples, seed, pixels)
-        one, other = self._lines.seen(scene, first), self._lines.seen(scene, second)
-        # Where a line sees two shapes that move, it is taken for either, half of the time.
-        two = self._moving(one) & self._moving(other) & (one != other)
-        turn = ~self._moving(one) | (two & (make_sampler(seed + 1, dr.width(one)).next_1d() < 0.5))
-        shape = dr.select(turn, other, one)
-        which = dr.compress(self._moving(shape))
-        if dr.width(which) == 0:
-            return None
-        weight = dr.select(two, 2.0, 1.0)
-        within = one == other
-        first, second, along, turn, shape, weight, within = (
-            dr.gather(type(part), part, which) for part in (first, second, along, turn, shape, weight, within)
+        first, second, direction = self._segments.sample(scene, samples, seed, pixels)
+        first_shape, second_shape = (
+            self._segments.visible_shape(scene, first),
+            self._segments.visible_shape(scene, second),
         )
-        first, second = self._cut(first, second, turn, dr.compress(~within), self._sees(scene, shape))
+        # A segment that sees two moving shapes is assigned to either with probability one half.
+        sees_two = self._is_moving(first_shape) & self._is_moving(second_shape) & (first_shape != second_shape)
+        coin = make_sampler(seed + 1, dr.width(first_shape)).next_1d() < 0.5
+        at_second = ~self._is_moving(first_shape) | (sees_two & coin)
+        shape = dr.select(at_second, second_shape, first_shape)
+        index = dr.compress(self._is_moving(shape))
+        if dr.width(index) == 0:
+            return None
+        weight = dr.select(sees_two, 2.0, 1.0)
+        sees_one = first_shape == second_shape
+        first, second, direction, at_second, shape, weight, sees_one = (
+            dr.gather(type(array), array, index)
+            for array in (first, second, direction, at_second, shape, weight, sees_one)
+        )
+        first, second = self._clip(first, second, at_second, dr.compress(~sees_one), self._sees(scene, shape))
         sampler = make_sampler(seed + 2, dr.width(first))
-        si = scene.ray_intersect(self._lines.ray(first))
-        light = _Light.drawn(scene, si, sampler.next_2d())
-        end = scene.ray_intersect(self._lines.ray(second))
-        # What is turned away from light has no edge of a shadow there, for no light is lost.
-        facing, turn = self._faces(si, light), self._faces(end, light)
-        which = dr.compress((dr.max(light.power) > 0.0) & (facing | turn))
-        if dr.width(which) == 0:
+        si = scene.ray_intersect(self._segments.ray(first))
+        emitter = _EmitterSample.sample(scene, si, sampler.next_2d())
+        second_si = scene.ray_intersect(self._segments.ray(second))
+        # A surface that turns away from the light has no shadow edge there: no light is lost.
+        first_faces, second_faces = self._faces(si, emitter), self._faces(second_si, emitter)
+        index = dr.compress((dr.max(emitter.weight) > 0.0) & (first_faces | second_faces))
+        if dr.width(index) == 0:
             return None
-        first, second, along, weight, facing, turn = (
-            dr.gather(type(part), part, which) for part in (first, second, along, weight, facing, turn)
+        first, second, direction, weight, first_faces, second_faces = (
+            dr.gather(type(array), array, index)
+            for array in (first, second, direction, weight, first_faces, second_faces)
         )
-        light = light.gathered(which)
-        first, second = self._cut(first, second, turn, dr.compress(facing != turn), self._is_faced(scene, light))
-        lit = self._lit_at(scene, first, light)
-        which = dr.compress(lit != self._lit_at(scene, second, light))
-        if dr.width(which) == 0:
+        emitter = emitter.gather(index)
+        partial = dr.compress(first_faces != second_faces)
+        first, second = self._clip(first, second, second_faces, partial, self._faces_emitter(scene, emitter))
+        is_first_lit = self._is_lit_at(scene, first, emitter)
+        index = dr.compress(is_first_lit != self._is_lit_at(scene, second, emitter))
+        if dr.width(index) == 0:
             return None
-        first, second, along, lit, weight = (
-            dr.gather(type(part), part, which) for part in (first, second, along, lit, weight)
+        first, second, direction, is_first_lit, weight = (
+            dr.gather(type(array), array, index) for array in (first, second, direction, is_first_lit, weight)
         )
-        return _Found(first, second, along, lit, weight, light.gathered(which))
+        return _ShadowCrossing(first, second, direction, is_first_lit, weight, emitter.gather(index))
 
-    def _cut(self, first: Any, second: Any, turn: Any, which: Any, within: _Within) -> tuple[Any, Any]:
-        """Lines as far as they are within something, and not quite to where it ends.
+    def _clip(self, first: Any, second: Any, at_second: Any, index: Any, predicate: _Predicate) -> tuple[Any, Any]:
+        """Clip some segments to where a predicate holds, less SILHOUETTE_MARGIN_PX.
 
-        Those of some numbers have one end in it, the second if `turn` says so.
+        It holds at one end of the segments `index`: at the second end where `at_second` is set.
         """
-        if dr.width(which) == 0:
+        if dr.width(index) == 0:
             return first, second
-        turned = dr.gather(mi.Bool, turn, which)
-        low, high = (dr.gather(type(end), end, which) for end in (first, second))
-        start, outside = dr.select(turned, high, low), dr.select(turned, low, high)
-        inside, _ = narrowed(start, outside, within(which))
-        inside = dr.lerp(inside, start, CLEAR / dr.maximum(dr.norm(start - inside), CLEAR))
+        is_second = dr.gather(mi.Bool, at_second, index)
+        low, high = (dr.gather(type(end), end, index) for end in (first, second))
+        start, outside = dr.select(is_second, high, low), dr.select(is_second, low, high)
+        inside, _ = bisect(start, outside, predicate(index))
+        margin = SILHOUETTE_MARGIN_PX / dr.maximum(dr.norm(start - inside), SILHOUETTE_MARGIN_PX)
+        inside = dr.lerp(inside, start, margin)
         first, second = mi.Point2f(first), mi.Point2f(second)
-        dr.scatter(first, dr.select(turned, inside, low), which)
-        dr.scatter(second, dr.select(turned, high, inside), which)
+        dr.scatter(first, dr.select(is_second, inside, low), index)
+        dr.scatter(second, dr.select(is_second, high, inside), index)
         return first, second
 
-    def _sees(self, scene: Any, shape: Any) -> _Within:
-        """Whether lines see the shape of a number at places."""
+    def _sees(self, scene: Any, shape: Any) -> _Predicate:
+        """Return the predicate that positions on segments see the segment's shape."""
 
-        def within(which: Any) -> Callable[[Any], Any]:
-            own = dr.gather(mi.UInt32, shape, which)
-            return lambda at: self._lines.seen(scene, at) == own
+        def for_segments(index: Any) -> Callable[[Any], Any]:
+            expected = dr.gather(mi.UInt32, shape, index)
+            return lambda position: self._segments.visible_shape(scene, position) == expected
 
-        return within
+        return for_segments
 
-    def _is_faced(self, scene: Any, light: _Light) -> _Within:
-        """Whether what lines see at places is turned to their light."""
+    def _faces_emitter(self, scene: Any, emitter: _EmitterSample) -> _Predicate:
+        """Return the predicate that the surface at positions on segments faces the segment's emitter sample."""
 
-        def within(which: Any) -> Callable[[Any], Any]:
-            own = light.gathered(which)
-            return lambda at: self._faces(scene.ray_intersect(self._lines.ray(at)), own)
+        def for_segments(index: Any) -> Callable[[Any], Any]:
+            gathered = emitter.gather(index)
+            return lambda position: self._faces(scene.ray_intersect(self._segments.ray(position)), gathered)
 
-        return within
+        return for_segments
 
-    def _narrowed(self, scene: Any, first: Any, second: Any, light: _Light, lit: Any) -> tuple[Any, Any]:
-        """Lines narrowed to where lit and unlit meet."""
-        return narrowed(first, second, lambda at: self._lit_at(scene, at, light) == lit)
+    def _bisect_shadow(
+        self, scene: Any, first: Any, second: Any, emitter: _EmitterSample, is_first_lit: Any
+    ) -> tuple[Any, Any]:
+        """Bisect segments for the boundary between lit and unlit."""
+        return bisect(first, second, lambda position: self._is_lit_at(scene, position, emitter) == is_first_lit)
 
-    def _beside(self, scene: Any, middle: Any, along: Any, light: _Light, lit: Any) -> tuple[Any, Any]:
-        """A second point of the edge of each shadow, and whether there is one, on lines nearly upright to it."""
-        aside = ASIDE * mi.Vector2f(along.y, along.x)
-        there = dr.zeros(mi.Bool)  # the edge may end on one side
-        first, second = mi.Point2f(middle), mi.Point2f(middle)
-        for way in (aside, -aside):
-            low, high = middle + way - REACH * along, middle + way + REACH * along
-            found = ~there & (self._lit_at(scene, low, light) == lit) & (self._lit_at(scene, high, light) != lit)
-            first, second = dr.select(found, low, first), dr.select(found, high, second)
-            there |= found
-            dr.eval(first, second, there)
-        first, second = self._narrowed(scene, first, second, light, lit)
-        beside = dr.lerp(first, second, 0.5)
-        shape = self._lines.seen(scene, middle)  # off which another one may be lit where it is not
-        there &= (self._lines.seen(scene, first) == shape) & (self._lines.seen(scene, second) == shape)
-        # Lines of one direction find edges that are within 45 degrees of upright to it, each once.
-        return beside, there & (dr.abs(dr.dot(beside - middle, along)) <= ASIDE)
+    def _next_edge_point(
+        self, scene: Any, position: Any, direction: Any, emitter: _EmitterSample, is_first_lit: Any
+    ) -> tuple[Any, Any]:
+        """Return a second point of each shadow edge, and whether there is one at less than 45 degrees to the normal."""
+        step = TANGENT_STEP_PX * mi.Vector2f(direction.y, direction.x)
+        is_found = dr.zeros(mi.Bool)
+        first, second = mi.Point2f(position), mi.Point2f(position)
+        for offset in (step, -step):  # the edge may end on one side
+            low = position + offset - SEARCH_RADIUS_PX * direction
+            high = position + offset + SEARCH_RADIUS_PX * direction
+            brackets = (
+                ~is_found
+                & (self._is_lit_at(scene, low, emitter) == is_first_lit)
+                & (self._is_lit_at(scene, high, emitter) != is_first_lit)
+            )
+            first, second = dr.select(brackets, low, first), dr.select(brackets, high, second)
+            is_found |= brackets
+            dr.eval(first, second, is_found)
+        first, second = self._bisect_shadow(scene, first, second, emitter, is_first_lit)
+        next_position = dr.lerp(first, second, 0.5)
+        shape = self._segments.visible_shape(scene, position)  # beyond its silhouette, another shape may be lit
+        is_found &= (self._segments.visible_shape(scene, first) == shape) & (
+            self._segments.visible_shape(scene, second) == shape
+        )
+        # Segments of one direction count edges within 45 degrees of their normal, so that each edge counts once.
+        return next_position, is_found & (dr.abs(dr.dot(next_position - position, direction)) <= TANGENT_STEP_PX)
 
-    def _is_smooth(self, scene: Any, first: Any, second: Any, at: Any, light: _Light) -> Any:
-        """Whether both ends of a narrowed line see one surface, which faces the light."""
-        ends = [scene.ray_intersect(self._lines.ray(end)) for end in (first, second)]
-        smooth = dr.ones(mi.Bool)
-        for one in ends:
-            smooth &= (hit_shape_index(one) == hit_shape_index(at)) & self._faces(one, light)
-        apart = dr.norm(self._on_plane(at, first + mi.Vector2f(NEAR, 0.0)) - self._on_plane(at, first))
-        return smooth & (dr.norm(ends[1].p - ends[0].p) < apart)
+    def _is_smooth(self, scene: Any, first: Any, second: Any, hit: Any, emitter: _EmitterSample) -> Any:
+        """Return whether both ends of a bisected segment see one surface without a jump in depth, facing the light."""
+        ends = [scene.ray_intersect(self._segments.ray(position)) for position in (first, second)]
+        is_smooth = dr.ones(mi.Bool)
+        for end_hit in ends:
+            is_smooth &= (hit_shape_index(end_hit) == hit_shape_index(hit)) & self._faces(end_hit, emitter)
+        shifted = first + mi.Vector2f(MAX_HIT_DISTANCE_PX, 0.0)
+        max_distance = dr.norm(self._on_tangent_plane(hit, shifted) - self._on_tangent_plane(hit, first))
+        return is_smooth & (dr.norm(ends[1].p - ends[0].p) < max_distance)
 
-    def _on_plane(self, hit: Any, at: Any) -> Any:
-        """Where a place in pixels would see the plane of what was hit."""
-        ray = self._lines.ray(at)
+    def _on_tangent_plane(self, hit: Any, position: Any) -> Any:
+        """Return where the rays through positions in pixels intersect the tangent plane of a hit."""
+        ray = self._segments.ray(position)
         return ray.o + ray.d * (dr.dot(hit.p - ray.o, hit.n) / dr.dot(ray.d, hit.n))
 
-    def _lit_at(self, scene: Any, at: Any, light: _Light) -> Any:
-        return self._lit(scene, scene.ray_intersect(self._lines.ray(at)), light)
-
-    def _moving(self, shape: Any) -> Any:
-        """Whether the shape of a number moves."""
-        return self._moves.of(shape)[1]
-
-    @staticmethod
-    def _faces(si: Any, light: _Light) -> Any:
-        """Whether what a ray has hit is turned to the light on the side that the ray came from."""
-        way, _ = light.way(si.p)
-        return dr.dot(si.n, way) * dr.sign(dr.dot(si.n, si.to_world(si.wi))) > GRAZING
-
-    @staticmethod
-    def _lit(scene: Any, si: Any, light: _Light) -> Any:
-        """Whether light comes to where a ray has hit."""
-        way, away = light.way_clear_of_it(si.p)
-        ray = si.spawn_ray(way)
-        ray.maxt = dr.select(light.far, away, away * (1.0 - mi.math.ShadowEpsilon))
+    def _is_lit_at(self, scene: Any, position: Any, emitter: _EmitterSample) -> Any:
+        """Return whether the emitter sample lights the surface that is visible at positions in pixels."""
+        si = scene.ray_intersect(self._segments.ray(position))
+        to_emitter, distance = emitter.spawned_direction(si.p)
+        ray = si.spawn_ray(to_emitter)
+        ray.maxt = dr.select(emitter.is_infinite, distance, distance * (1.0 - mi.math.ShadowEpsilon))
         return ~scene.ray_test(ray, active=si.is_valid())
+
+    def _is_moving(self, shape: Any) -> Any:
+        """Return a mask of the shape indices that are moving shapes."""
+        return self._moving_table.first_row(shape)[1]
+
+    @staticmethod
+    def _faces(si: Any, emitter: _EmitterSample) -> Any:
+        """Return whether the surface faces the emitter sample on the side that the camera ray came from."""
+        to_emitter, _ = emitter.direction(si.p)
+        side = dr.sign(dr.dot(si.n, si.to_world(si.wi)))
+        return dr.dot(si.n, to_emitter) * side > MIN_LIGHT_COSINE

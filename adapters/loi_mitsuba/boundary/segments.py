@@ -1,4 +1,4 @@
-"""Lines of a pixel's length on the film of a perspective camera, along which jumps of brightness are searched for."""
+"""Short segments of the image plane, one pixel long, in which discontinuities are searched for by bisection."""
 
 from __future__ import annotations
 
@@ -13,18 +13,18 @@ from loi_mitsuba.drjit.ragged import hit_shape_index
 from loi_mitsuba.geometry.bounds import bounding_box
 from loi_mitsuba.sensing.sensor import PerspectiveSensor, make_sampler
 
-__all__ = ["STEP", "SegmentSampler", "narrowed"]
+__all__ = ["DIFFERENCE_STEP_PX", "SegmentSampler", "bisect"]
 
-SHARE: Final = 4  # samples of the image for one line across and one down
-MOST: Final = 2**22  # lines of one direction: in large images curves are long, and fewer to a pixel will do
-HALVINGS: Final = 16  # of a line
-PIECES: Final = 4  # of a line that may pass over something narrow: an eighth finds hardly more
-BENT: Final = 0.9  # least cosine between normals at its ends, for one that does not
-STEP: Final = 0.05  # pixels to either side, for a slope
+IMAGE_SAMPLES_PER_PAIR: Final = 4  # a pair is one horizontal and one vertical segment
+MAX_SEGMENTS: Final = 2**22  # of one direction: curves in large images are long, so fewer per pixel suffice
+BISECTIONS: Final = 16
+PIECES: Final = 4  # of a segment that may cross a narrow shape; 8 find hardly more
+MIN_SMOOTH_COSINE: Final = 0.9  # between the normals at the ends of a segment that is not split
+DIFFERENCE_STEP_PX: Final = 0.05  # to either side, for central differences
 
 
 class SegmentSampler:
-    """Lines across and down the film of a camera.
+    """Horizontal and vertical segments of a camera's image. Positions are in pixels.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ class SegmentSampler:
     Attributes
     ----------
     size : mi.Point2f
-        Of the image, in pixels.
+        Width and height of the image in pixels.
     """
 
     def __init__(self, sensor: Any) -> None:
@@ -42,88 +42,106 @@ class SegmentSampler:
         self._pixels = tuple(int(side) for side in sensor.film().crop_size())
         self.size = mi.Point2f(*map(float, self._pixels))
 
-    def number(self, samples: int) -> int:
-        """How many go across, and as many down, from every pixel."""
+    def segments_per_pixel(self, samples: int) -> int:
+        """Return the number of horizontal, and of vertical, segments per pixel for `samples` per pixel of the image."""
         width, height = self._pixels
-        return max(1, min(samples // SHARE, MOST // (width * height)))
+        return max(1, min(samples // IMAGE_SAMPLES_PER_PAIR, MAX_SEGMENTS // (width * height)))
 
-    def mean(self, value: Any, samples: int) -> Any:
-        """What lines have found, as a change of the image."""
-        return value / dr.opaque(mi.Float, self.number(samples))
+    def average(self, value: Any, samples: int) -> Any:
+        """Divide values found by segments by the number of segments per pixel."""
+        return value / dr.opaque(mi.Float, self.segments_per_pixel(samples))
 
-    def drawn(self, scene: Any, samples: int, seed: int, pixels: Any = None) -> tuple[Any, Any, Any]:
-        """Where lines begin and end, in pixels, at random, and their directions: also left of and above the film.
+    def sample(self, scene: Any, samples: int, seed: int, pixels: Any = None) -> tuple[Any, Any, Any]:
+        """Sample segments that are stratified by pixel.
 
-        `pixels` are those that :meth:`around` gives, or all.
+        Segments also begin in the column left of the image and in the row above it.
+
+        Parameters
+        ----------
+        scene : mi.Scene
+        samples : int
+            Per pixel of the image.
+        seed : int
+        pixels : mi.UInt32, optional
+            Pixels to begin in, of :meth:`pixels_covering`; all by default.
+
+        Returns
+        -------
+        first, second : mi.Point2f
+            Ends of the segments, or of their pieces.
+        direction : mi.Vector2f
+            (1, 0) or (0, 1).
         """
         width, height = (side + 1 for side in self._pixels)
-        both = 2 * self.number(samples)
-        number = dr.arange(mi.UInt32, both * (width * height if pixels is None else dr.width(pixels)))
-        pixel = number // dr.opaque(mi.UInt32, both)  # or kernels would be compiled again for each other number
+        per_pixel = 2 * self.segments_per_pixel(samples)
+        index = dr.arange(mi.UInt32, per_pixel * (width * height if pixels is None else dr.width(pixels)))
+        pixel = index // dr.opaque(mi.UInt32, per_pixel)  # a literal would be compiled into kernels
         if pixels is not None:
             pixel = dr.gather(mi.UInt32, pixels, pixel)
-        sampler = make_sampler(seed, dr.width(number))
+        sampler = make_sampler(seed, dr.width(index))
         first = mi.Point2f(pixel % width, pixel // width) - 1.0 + sampler.next_2d()
-        return self._split(scene, first, dr.select(number % 2 == 0, mi.Vector2f(1.0, 0.0), mi.Vector2f(0.0, 1.0)))
+        return self._split(scene, first, dr.select(index % 2 == 0, mi.Vector2f(1.0, 0.0), mi.Vector2f(0.0, 1.0)))
 
-    def _split(self, scene: Any, first: Any, along: Any) -> tuple[Any, Any, Any]:
-        """The same lines, in pieces where their ends see two shapes, or what is turned to two sides.
+    def _split(self, scene: Any, first: Any, direction: Any) -> tuple[Any, Any, Any]:
+        """Split segments whose ends hit two shapes, or one shape with different normals.
 
-        Of what is between them and narrower than a line, as a side of a box that is seen nearly edge-on, neither end
-        would tell.
+        Neither end hits a shape between them that is narrower than a pixel, as a face of a box at a grazing angle.
         """
-        one, other = (
-            scene.ray_intersect(self.ray(at), ray_flags=mi.RayFlags.Minimal, coherent=True)
-            for at in (first, first + along)
+        hit, next_hit = (
+            scene.ray_intersect(self.ray(position), ray_flags=mi.RayFlags.Minimal, coherent=True)
+            for position in (first, first + direction)
         )
-        bent = (hit_shape_index(one) != hit_shape_index(other)) | (one.is_valid() & (dr.dot(one.n, other.n) < BENT))
-        dr.eval(bent)  # or rays are traced again for what follows
-        piece = dr.arange(mi.UInt32, PIECES * dr.width(bent))
-        piece = dr.compress((piece % PIECES == 0) | dr.gather(mi.Bool, bent, piece // PIECES))
-        line = piece // PIECES
-        first, along, bent = (dr.gather(type(one), one, line) for one in (first, along, bent))
-        first = mi.Point2f(first + dr.select(bent, mi.Float(piece % PIECES) / PIECES, 0.0) * along)
-        return first, mi.Point2f(first + dr.select(bent, 1.0 / PIECES, 1.0) * along), along
+        is_split = (hit_shape_index(hit) != hit_shape_index(next_hit)) | (
+            hit.is_valid() & (dr.dot(hit.n, next_hit.n) < MIN_SMOOTH_COSINE)
+        )
+        dr.eval(is_split)  # else the rays are traced again below
+        piece = dr.arange(mi.UInt32, PIECES * dr.width(is_split))
+        piece = dr.compress((piece % PIECES == 0) | dr.gather(mi.Bool, is_split, piece // PIECES))
+        segment = piece // PIECES
+        first, direction, is_split = (dr.gather(type(array), array, segment) for array in (first, direction, is_split))
+        first = mi.Point2f(first + dr.select(is_split, mi.Float(piece % PIECES) / PIECES, 0.0) * direction)
+        return first, mi.Point2f(first + dr.select(is_split, 1.0 / PIECES, 1.0) * direction), direction
 
-    def around(self, shapes: list[Any]) -> Any:
-        """Pixels from which lines may reach some shapes; those of all lines where one is beside or behind the camera.
+    def pixels_covering(self, shapes: list[Any]) -> Any:
+        """Return the pixels, mi.UInt32, whose segments may reach the bounding boxes of some shapes.
 
-        The boxes of the shapes tell.
+        All pixels, if a box reaches beside or behind the camera.
         """
         width, height = (side + 1 for side in self._pixels)
-        low, high = np.stack([bounding_box(one) for one in shapes], axis=1)[..., None]
+        low, high = np.stack([bounding_box(shape) for shape in shapes], axis=1)[..., None]
         corners = low + (high - low) * np.indices((2, 2, 2)).reshape(3, 8)  # shape (shapes, 3, 8)
         points = np.ascontiguousarray(corners.transpose(1, 0, 2).reshape(3, -1), dtype=np.float32)
-        _, _, place, visible = PerspectiveSensor(self._sensor).project(mi.Point3f(points))
-        within = np.zeros((height, width), dtype=bool)
-        if not np.all(np.array(visible)):
-            within[:] = True
-        at = np.nan_to_num(np.array(place)).reshape(2, len(shapes), 8) * np.array(self._pixels)[:, None, None]
-        least = np.clip(np.floor(at.min(axis=2)), 0, [[width], [height]]).astype(int)
-        most = np.clip(np.floor(at.max(axis=2)) + 2.0, 0, [[width], [height]]).astype(int)
-        for (left, top), (right, bottom) in zip(least.T, most.T, strict=True):
-            within[top:bottom, left:right] = True
-        return mi.UInt32(np.flatnonzero(within).astype(np.uint32))
+        projection = PerspectiveSensor(self._sensor).project(mi.Point3f(points))
+        covered = np.zeros((height, width), dtype=bool)
+        if not np.all(np.array(projection.visible)):
+            covered[:] = True
+        uv = np.nan_to_num(np.array(projection.uv)).reshape(2, len(shapes), 8)
+        position = uv * np.array(self._pixels)[:, None, None]
+        begin = np.clip(np.floor(position.min(axis=2)), 0, [[width], [height]]).astype(int)
+        end = np.clip(np.floor(position.max(axis=2)) + 2.0, 0, [[width], [height]]).astype(int)
+        for (left, top), (right, bottom) in zip(begin.T, end.T, strict=True):
+            covered[top:bottom, left:right] = True
+        return mi.UInt32(np.flatnonzero(covered).astype(np.uint32))
 
     @property
-    def eye(self) -> Any:
-        """Where the camera is, which may move."""
+    def camera_position(self) -> Any:
+        """The current position of the camera, mi.Point3f."""
         return mi.Point3f(self._sensor.world_transform().translation())
 
-    def ray(self, at: Any) -> Any:
-        """What a place in pixels looks along."""
-        return self._sensor.sample_ray(0.0, 0.5, at / self.size, mi.Point2f(0.5))[0]
+    def ray(self, position: Any) -> Any:
+        """Return the camera rays, mi.Ray3f, through positions in pixels."""
+        return self._sensor.sample_ray(0.0, 0.5, position / self.size, mi.Point2f(0.5))[0]
 
-    def seen(self, scene: Any, at: Any) -> Any:
-        """The number of the shape that a place in pixels sees; 0 for none."""
-        return hit_shape_index(scene.ray_intersect_preliminary(self.ray(at)))
+    def visible_shape(self, scene: Any, position: Any) -> Any:
+        """Return the index, mi.UInt32, of the shape that is visible at positions in pixels; 0 for none."""
+        return hit_shape_index(scene.ray_intersect_preliminary(self.ray(position)))
 
 
-def narrowed(first: Any, second: Any, is_first: Callable[[Any], Any]) -> tuple[Any, Any]:
-    """Lines narrowed to where what holds at their first ends ceases to hold."""
-    for _ in range(HALVINGS):
+def bisect(first: Any, second: Any, holds: Callable[[Any], Any]) -> tuple[Any, Any]:
+    """Shrink segments to where a condition changes that holds at `first`, and not at `second`."""
+    for _ in range(BISECTIONS):
         middle = dr.lerp(first, second, 0.5)
-        same = is_first(middle)
-        first, second = dr.select(same, middle, first), dr.select(same, second, middle)
+        at_middle = holds(middle)
+        first, second = dr.select(at_middle, middle, first), dr.select(at_middle, second, middle)
         dr.eval(first, second)
     return first, second

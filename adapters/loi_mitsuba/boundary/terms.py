@@ -1,11 +1,11 @@
-"""What carries parts of the gradient of a scene between its image and its entries: shading, and jumps."""
+"""The interior and boundary terms of a gradient, each with a vjp and a jvp."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 import drjit as dr
 import mitsuba as mi
@@ -13,12 +13,22 @@ import numpy as np
 
 from loi_mitsuba.boundary.area_jacobian import clamped_area_jacobian
 from loi_mitsuba.drjit.arrays import Float32Array
-from loi_mitsuba.scene.binding import as_host
-from loi_mitsuba.scene.settings import PARTS
 from loi_mitsuba.sensing.film import Film
 from loi_mitsuba.sensing.film_samples import backpropagate, radiance_samples
 
-__all__ = ["BoundarySampler", "BoundaryTerm", "InteriorTerm"]
+__all__ = ["BoundarySampler", "BoundaryTerm", "GradientTerm", "InteriorTerm"]
+
+SILHOUETTE_COUNTS: Final = ("sppp", "sppi")  # attributes of Mitsuba's projective integrators
+
+
+class GradientTerm(Protocol):
+    """A term of the gradient of a scene's image with respect to the scene's entries that have gradients enabled."""
+
+    def vjp(self, cotangent: Float32Array, seed: int) -> None:
+        """Propagate a cotangent of the image, shape (H, W, C), to the entries."""
+
+    def jvp(self, seed: int, seed_grad: int) -> Float32Array:
+        """Return the derivative of the image, shape (H, W, C), along the gradients set on the entries."""
 
 
 class BoundarySampler(Protocol):
@@ -47,15 +57,17 @@ class BoundarySampler(Protocol):
 
 @dataclass(frozen=True)
 class InteriorTerm:
-    """What an integrator of Mitsuba has of the gradient, but for silhouettes.
+    """The derivative of the radiance between discontinuities, by an integrator of Mitsuba.
 
     Attributes
     ----------
-    scene, sensor, integrator : mi.Scene, mi.Sensor, mi.Integrator
+    scene : mi.Scene
     entries : mi.SceneParameters
-        What the scene can be set by, some of it with a gradient.
+        Of the scene; some have gradients enabled.
+    sensor : mi.Sensor
     film : Film
-        Of the camera.
+        Of the sensor.
+    integrator : mi.Integrator
     samples : int
         Per pixel.
     """
@@ -68,27 +80,27 @@ class InteriorTerm:
     samples: int
 
     def vjp(self, cotangent: Float32Array, seed: int) -> None:
-        """Carry a cotangent of the image, shape (H, W, C), back to the entries."""
-        if self._by_film:
-            backpropagate(*self._samples(seed, dr.ADMode.Backward), self.film, cotangent)
+        """Propagate a cotangent of the image; see :class:`GradientTerm`."""
+        if self._bypasses_film:
+            backpropagate(*self._radiance_samples(seed, dr.ADMode.Backward), self.film, cotangent)
             return
-        with self._alone(), clamped_area_jacobian(self.integrator):
+        with self._without_silhouettes(), clamped_area_jacobian(self.integrator):
             try:
                 self.integrator.render_backward(
                     self.scene, self.entries, mi.TensorXf(cotangent), self.sensor, seed, self.samples
                 )
             except RuntimeError as error:
                 if "does not depend on the input" not in str(error):
-                    raise  # an image in which none of the entries is to be found, as one of depths, has the gradient 0
+                    raise  # else the gradient is 0, as of an image of depths with respect to colours
 
     def jvp(self, seed: int, seed_grad: int) -> Float32Array:
-        """How the image changes with the entries: shape (H, W, C)."""
-        if self._by_film:
-            value, place = self._samples(seed_grad, dr.ADMode.Forward)
+        """Return the derivative of the image; see :class:`GradientTerm`."""
+        if self._bypasses_film:
+            value, uv = self._radiance_samples(seed_grad, dr.ADMode.Forward)
             change = dr.forward_to(value) if dr.grad_enabled(value) else mi.Color3f(0.0)
             with dr.suspend_grad():
-                return self.film.mean(change, place)
-        with self._alone(), clamped_area_jacobian(self.integrator):
+                return self.film.reconstruct(change, uv)
+        with self._without_silhouettes(), clamped_area_jacobian(self.integrator):
             image = mi.render(
                 self.scene,
                 self.entries,
@@ -98,70 +110,72 @@ class InteriorTerm:
                 seed_grad=seed_grad,
                 spp_grad=self.samples,
             )
-            return as_host(dr.forward_to(image), image.shape)
+            return np.array(dr.forward_to(image), dtype=np.float32, order="C").reshape(image.shape)
 
     @property
-    def _by_film(self) -> bool:
-        """Whether the integrator differentiates through the film."""
-        special = mi.has_flag(self.sensor.film().flags(), mi.FilmFlags.Special)
-        return not special and not getattr(self.integrator, "radiative_backprop", True)
+    def _bypasses_film(self) -> bool:
+        """Whether samples are taken before the film: for integrators that would differentiate through it."""
+        is_special = mi.has_flag(self.sensor.film().flags(), mi.FilmFlags.Special)
+        return not is_special and not getattr(self.integrator, "radiative_backprop", True)
 
-    def _samples(self, seed: int, mode: Any) -> tuple[Any, Any]:
+    def _radiance_samples(self, seed: int, mode: Any) -> tuple[Any, Any]:
         with clamped_area_jacobian(self.integrator):
             return radiance_samples(self.integrator, self.scene, self.sensor, self.samples, seed, mode)
 
     @contextmanager
-    def _alone(self) -> Iterator[None]:
-        """The integrator has no silhouettes meanwhile."""
-        before = {part: getattr(self.integrator, part) for part in PARTS[1:] if hasattr(self.integrator, part)}
-        for part in before:
-            setattr(self.integrator, part, 0)
+    def _without_silhouettes(self) -> Iterator[None]:
+        """Set the integrator's sample counts for silhouettes to 0 within the context."""
+        counts = {name: getattr(self.integrator, name) for name in SILHOUETTE_COUNTS if hasattr(self.integrator, name)}
+        for name in counts:
+            setattr(self.integrator, name, 0)
         try:
             yield
         finally:
-            for part, count in before.items():
-                setattr(self.integrator, part, count)
+            for name, count in counts.items():
+                setattr(self.integrator, name, count)
 
 
 @dataclass(frozen=True)
 class BoundaryTerm:
-    """What jumps of brightness have of it, of one kind.
+    """The derivative of an image due to the motion of one kind of discontinuity.
 
     Attributes
     ----------
-    drawn : Silhouettes, Edges, Crossings or Received
+    sampler : BoundarySampler
     scene : mi.Scene
     film : Film
-        Of the camera.
-    radiance : mi.Integrator
-        Says how bright it is where a ray goes; of silhouettes, what draws them.
+        Of the sensor.
+    integrator : mi.Integrator
+        See :meth:`BoundarySampler.sample`.
     samples : int
         Per pixel of the image.
     """
 
-    drawn: BoundarySampler
+    sampler: BoundarySampler
     scene: Any
     film: Film
-    radiance: Any
+    integrator: Any
     samples: int
 
     def vjp(self, cotangent: Float32Array, seed: int) -> None:
-        """Carry a cotangent of the image, shape (H, W, C), back to the shapes."""
-        found = self.drawn.sample(self.scene, self.radiance, self.samples, seed)
-        if found is not None:
-            value, place = found
-            weighted = value * self.film.gather(cotangent, place)
-            if dr.grad_enabled(weighted):  # or else Dr.Jit knows that none jumps, as at shadows under a point light
-                # Their sum, which Dr.Jit would evaluate, would trace all rays twice.
+        """Propagate a cotangent of the image; see :class:`GradientTerm`."""
+        sample = self.sampler.sample(self.scene, self.integrator, self.samples, seed)
+        if sample is not None:
+            value, uv = sample
+            weighted = value * self.film.gather(cotangent, uv)
+            if dr.grad_enabled(
+                weighted
+            ):  # False if Dr.Jit knows the difference to be 0, as for shadows of point lights
+                # Not of the sum, which Dr.Jit would evaluate first, tracing all rays twice.
                 dr.backward(weighted, dr.ADFlag.ClearInterior)
 
-    def jvp(self, seed: int, seed_grad: int) -> Float32Array:  # noqa: ARG002  # there is no image to draw
-        """How the image changes with the shapes, which have a gradient: shape (H, W, C)."""
-        found = self.drawn.sample(self.scene, self.radiance, self.samples, seed_grad)
-        if found is None:
+    def jvp(self, seed: int, seed_grad: int) -> Float32Array:  # noqa: ARG002  # no primal image is rendered
+        """Return the derivative of the image; see :class:`GradientTerm`."""
+        sample = self.sampler.sample(self.scene, self.integrator, self.samples, seed_grad)
+        if sample is None:
             width, height = self.film.size
             return np.zeros((height, width, self.film.channels), dtype=np.float32)
-        value, place = found
+        value, uv = sample
         change = mi.Color3f(dr.forward_to(value)) if dr.grad_enabled(value) else mi.Color3f(0.0)
         with dr.suspend_grad():
-            return self.film.splat(change, place)
+            return self.film.splat(change, uv)

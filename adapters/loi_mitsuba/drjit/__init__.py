@@ -1,1 +1,1 @@
-"""Helpers for Dr.Jit: LLVM, memory and ragged tables."""
+"""Dr.Jit's LLVM, arrays and tables."""

@@ -1,4 +1,4 @@
-"""Shapes by number, and tables with rows for each triangle of some of them."""
+"""Registry indices of shapes, and tables with a variable number of rows per shape."""
 
 from __future__ import annotations
 
@@ -13,22 +13,22 @@ __all__ = ["RaggedTable", "hit_shape_index", "shape_index"]
 
 
 def hit_shape_index(hit: Any) -> Any:
-    """The number of the shape that a ray has hit; 0 for none."""
+    """Return the registry indices, mi.UInt32, of the shapes that rays have hit; 0 for rays that miss."""
     return dr.select(hit.is_valid(), dr.reinterpret_array(mi.UInt32, hit.shape), 0)
 
 
 def shape_index(shape: Any) -> int:
-    """The number that :func:`shape_of` gives of a shape."""
+    """Return the index of a shape in Dr.Jit's registry, as :func:`hit_shape_index` does."""
     return int(np.array(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))).item())
 
 
 class RaggedTable:
-    """Where the rows of each shape begin, in a table of one shape's rows after another's.
+    """The first row of each shape in a table that concatenates the rows of all shapes.
 
     Parameters
     ----------
-    counts : mapping
-        By the number of a shape, how many rows it has; in the order of the table.
+    counts : mapping of int to int
+        Number of rows by the index of a shape, in the order of the table.
     """
 
     def __init__(self, counts: Mapping[int, int]) -> None:
@@ -36,9 +36,9 @@ class RaggedTable:
         first[list(counts)] = 1 + np.cumsum([0, *counts.values()])[:-1]
         self._first = mi.UInt32(first)
 
-    def of(self, number: Any) -> tuple[Any, Any]:
-        """Where those of shapes begin, by their numbers; and whether they have any."""
-        # As a literal, kernels would be compiled again for each other number.
-        known = number < dr.opaque(mi.UInt32, dr.width(self._first))
-        first = dr.gather(mi.UInt32, self._first, number, known)
+    def first_row(self, shape: Any) -> tuple[Any, Any]:
+        """Return the first row of each shape, mi.UInt32, and whether the table has rows of it, mi.Bool."""
+        # A literal width would be compiled into kernels, which would then be compiled again for each other width.
+        in_table = shape < dr.opaque(mi.UInt32, dr.width(self._first))
+        first = dr.gather(mi.UInt32, self._first, shape, in_table)
         return first - 1, first > 0

@@ -14,7 +14,8 @@ from loi_mitsuba.attached.gradient import AttachedParameters
 from loi_mitsuba.effects.rules import plan_by_rules
 from loi_mitsuba.effects.traits import Traits, traits_of
 from loi_mitsuba.effects.unsupported import unsupported_parameters
-from loi_mitsuba.geometry.mesh import is_flat_shaded, is_sharp_edged, is_unwelded
+from loi_mitsuba.geometry.mesh import is_flat_shaded
+from loi_mitsuba.geometry.mesh_checks import is_sharp_edged, is_unwelded
 from loi_mitsuba.geometry.stepped_textures import has_stepped_texture, is_stepped_texture
 from loi_mitsuba.proxy.light_size import LightContext, delta_lights
 from loi_mitsuba.proxy.scene import MovingShapes, ProxyScene, ProxySettings, build_proxy_scene

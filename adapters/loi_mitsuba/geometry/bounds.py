@@ -1,4 +1,4 @@
-"""Boxes around shapes, as NumPy holds them."""
+"""Axis-aligned bounding boxes as NumPy arrays."""
 
 from __future__ import annotations
 
@@ -12,6 +12,6 @@ __all__ = ["bounding_box"]
 
 
 def bounding_box(node: Any) -> HostArray:
-    """The least and the largest coordinates of a shape, or of a scene: shape (2, 3), float64."""
+    """Return the lower and upper corner of the bounding box of a shape or scene: shape (2, 3), float64."""
     box = node.bbox()
-    return np.array([np.array(one, dtype=np.float64).reshape(3) for one in (box.min, box.max)])
+    return np.array([np.array(corner, dtype=np.float64).reshape(3) for corner in (box.min, box.max)])

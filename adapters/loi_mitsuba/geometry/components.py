@@ -1,4 +1,4 @@
-"""What rays have hit, by number, where a mesh is of several parts that may go through each other."""
+"""Ids of connected components on the device, for meshes whose components may intersect."""
 
 from __future__ import annotations
 
@@ -15,49 +15,52 @@ from loi_mitsuba.geometry.mesh import component_bounds, connected_components, ha
 
 __all__ = ["ComponentIds"]
 
-MOST: Final = 1000  # parts of a mesh whose boxes are compared; those of more are taken to meet
+MAX_COMPARED_COMPONENTS: Final = 1000  # more components of a mesh are assumed to intersect, without comparing all pairs
 
 
 class ComponentIds:
-    """The numbers of shapes and, where a mesh is of several parts that meet, of each of its parts.
+    """Ids of shapes and, for meshes whose components may intersect, of each component.
 
     Parameters
     ----------
     shapes : sequence of mi.Shape
-        All of a scene.
+        All shapes of a scene.
     moving : sequence of mi.Shape
-        Those of whose parts there is to be told.
+        The shapes whose components get ids of their own.
 
     Attributes
     ----------
-    meet : bool
-        Whether there are meshes whose parts may go through each other.
+    may_intersect : bool
+        Whether a moving mesh has components that may intersect each other.
     """
 
     def __init__(self, shapes: Sequence[Any], moving: Sequence[Any]) -> None:
         meshes = filter(has_triangles, moving)
-        parts = {shape_index(one): part for one in meshes if _meet(one, part := connected_components(one))}
-        self.meet = bool(parts)
-        self._shapes = 1 + max(map(shape_index, shapes), default=0)
-        self._rows = RaggedTable({number: len(one) for number, one in parts.items()})
-        self._labels = mi.UInt32(np.concatenate([[], *parts.values()]).astype(np.uint32))
+        components = {
+            shape_index(mesh): component for mesh in meshes if _overlap(mesh, component := connected_components(mesh))
+        }
+        self.may_intersect = bool(components)
+        self._shape_count = 1 + max(map(shape_index, shapes), default=0)
+        self._table = RaggedTable({index: len(component) for index, component in components.items()})
+        self._components = mi.UInt32(np.concatenate([[], *components.values()]).astype(np.uint32))
 
-    def of(self, hit: Any) -> Any:
-        """The number of the shape that a ray has hit, or of its part; 0 for none."""
-        number = hit_shape_index(hit)
-        if not self.meet:
-            return number
-        shapes = dr.opaque(mi.UInt32, self._shapes)  # or kernels would be compiled again for each other number
-        first, known = self._rows.of(number)
-        part = dr.gather(mi.UInt32, self._labels, first + hit.prim_index, known)
-        return number + part * shapes
+    def ids(self, hit: Any) -> Any:
+        """Return the id, mi.UInt32, of the shape or component that each ray has hit; 0 for rays that miss."""
+        shape = hit_shape_index(hit)
+        if not self.may_intersect:
+            return shape
+        # A literal count would be compiled into kernels, which would then be compiled again for each other count.
+        shape_count = dr.opaque(mi.UInt32, self._shape_count)
+        first, in_table = self._table.first_row(shape)
+        component = dr.gather(mi.UInt32, self._components, first + hit.prim_index, in_table)
+        return shape + component * shape_count
 
 
-def _meet(mesh: Any, part: HostArray) -> bool:
-    """Whether the boxes of any two of a mesh's parts touch."""
-    count = int(part.max(initial=0)) + 1
-    if not 1 < count <= MOST:
+def _overlap(mesh: Any, component: HostArray) -> bool:
+    """Return whether the bounding boxes of any two components of a mesh overlap."""
+    count = int(component.max(initial=0)) + 1
+    if not 1 < count <= MAX_COMPARED_COMPONENTS:
         return count > 1
-    low, high = component_bounds(mesh, part)
-    touch = np.all((low[:, None] <= high) & (low <= high[:, None]), axis=-1)
-    return bool(np.count_nonzero(touch) > count)
+    low, high = component_bounds(mesh, component)
+    overlap = np.all((low[:, None] <= high) & (low <= high[:, None]), axis=-1)
+    return bool(np.count_nonzero(overlap) > count)

@@ -1,7 +1,7 @@
-"""Textures with steps, which have no gradient where they move, and interpolated ones that stand for them.
+"""Textures with discontinuities, and their ramped stand-ins.
 
-Mitsuba differentiates what a texture looks like between its steps, and not that these move. A ramp in place of a step
-has a gradient, which is that of the step for all that changes little over the ramp.
+Mitsuba differentiates texture values but not the motion of discontinuities in the texture. A ramp in place of a step
+has a gradient, which equals that of the step for everything that varies slowly over the width of the ramp.
 """
 
 from __future__ import annotations
@@ -14,23 +14,25 @@ import numpy as np
 
 __all__ = ["RAMP", "has_stepped_texture", "is_stepped_texture", "ramp_texture"]
 
-FINE: Final = 4  # texels along each side of what is of one colour: the ramp is one of them wide
-RAMP: Final = f"with ramps 1/{FINE} as wide as a check or texel, for steps that move have no gradient"
-LARGEST: Final = 4096  # texels along a side
-PLACES: Final = 4096
-CLOSE: Final = 1e-3  # texels, between two places of one texel
-STEADY: Final = 0.9  # of pairs of places so close, where the next texel differs, that are equal if nothing interpolates
-COLOURS: Final = {"color0": 0.4, "color1": 0.2}  # of a checkerboard that is not told
+SUBDIVISION: Final = 4  # texels along each side of a check or original texel; the ramp is one of them wide
+RAMP: Final = f"with ramps 1/{SUBDIVISION} as wide as a check or texel, because moving steps have no gradient"
+MAX_SIDE: Final = 4096  # texels along a side
+PROBES: Final = 4096  # random texture coordinates
+PROBE_OFFSET: Final = 1e-3  # texels between two lookups in one texel
+MIN_EQUAL_FRACTION: Final = 0.9  # of such pairs, next to a different texel, are equal unless the texture interpolates
+DEFAULT_COLOURS: Final = {"color0": 0.4, "color1": 0.2}  # of Mitsuba's checkerboard
 
 
 def has_stepped_texture(shape: Any) -> bool:
-    """Whether a texture of a shape has steps, which move with it."""
-    nodes = {one[2] for one in mi.traverse(shape).properties.values()}
-    return any(is_stepped_texture(one) for one in nodes)
+    """Return whether a shape has a texture with discontinuities, which move with the shape."""
+    return any(is_stepped_texture(node) for node in {entry[2] for entry in mi.traverse(shape).properties.values()})
 
 
 def is_stepped_texture(node: Any) -> bool:
-    """Whether an object of a scene is a texture with steps: a checkerboard, or a bitmap that is not interpolated."""
+    """Return whether an object of a scene is a checkerboard, or a bitmap without interpolation.
+
+    A loaded bitmap does not expose its filter, so pairs of nearby lookups are compared.
+    """
     if not isinstance(node, mi.Texture):
         return False
     kind = node.class_name()
@@ -40,45 +42,57 @@ def is_stepped_texture(node: Any) -> bool:
         return False
     params = mi.traverse(node)
     height, width, channels = params["data"].shape
-    turned = np.array(params["to_uv"].matrix, dtype=np.float64).reshape(3, 3)[:2, :2]
-    texel = np.linalg.pinv(turned) @ np.array([1.0 / width, 1.0 / height])
-    first = np.random.default_rng(0).random((PLACES, 2))
-    point = dr.zeros(mi.SurfaceInteraction3f, 3 * PLACES)
-    point.uv = mi.Point2f(np.concatenate([first, first + CLOSE * texel, first + texel]).astype(np.float32).T)
-    seen = np.array(node.eval_1(point) if channels == 1 else node.eval(point)).reshape(-1, 3, PLACES)
-    differs = np.any(seen[:, 0] != seen[:, 2], axis=0)
-    equal = np.all(seen[:, 0] == seen[:, 1], axis=0)
-    return bool(np.any(differs) and np.mean(equal[differs]) > STEADY)
+    to_uv = np.array(params["to_uv"].matrix, dtype=np.float64).reshape(3, 3)[:2, :2]
+    texel = np.linalg.pinv(to_uv) @ np.array([1.0 / width, 1.0 / height])
+    uv = np.random.default_rng(0).random((PROBES, 2))
+    point = dr.zeros(mi.SurfaceInteraction3f, 3 * PROBES)
+    point.uv = mi.Point2f(np.concatenate([uv, uv + PROBE_OFFSET * texel, uv + texel]).astype(np.float32).T)
+    value = np.array(node.eval_1(point) if channels == 1 else node.eval(point)).reshape(-1, 3, PROBES)
+    next_differs = np.any(value[:, 0] != value[:, 2], axis=0)
+    is_equal = np.all(value[:, 0] == value[:, 1], axis=0)
+    return bool(np.any(next_differs) and np.mean(is_equal[next_differs]) > MIN_EQUAL_FRACTION)
 
 
 def ramp_texture(props: Any) -> bool:
-    """Make an interpolated bitmap of the properties of a texture with steps; False if they have none, or cannot be."""
+    """Replace the steps of a parsed texture by ramps.
+
+    Parameters
+    ----------
+    props : mi.Properties
+        Of a texture; changed in place to an interpolated bitmap.
+
+    Returns
+    -------
+    bool
+        False if the texture has no steps, or cannot be replaced.
+    """
     kind = props.plugin_name()
     if kind == "checkerboard":
-        return _interpolate_checks(props)
+        return _ramp_checkerboard(props)
     if kind == "bitmap" and props.get("filter_type", "bilinear") == "nearest":
-        _interpolate_texels(props)
+        _ramp_bitmap(props)
         return True
     return False
 
 
-def _interpolate_checks(props: Any) -> bool:
-    colours = [props.get(name, usual) for name, usual in COLOURS.items()]
-    if not all(isinstance(one, int | float | mi.ScalarColor3d) for one in colours):
-        return False  # they are textures themselves
-    first, second = (np.broadcast_to(np.array(one, dtype=np.float32), 3) for one in colours)
+def _ramp_checkerboard(props: Any) -> bool:
+    colours = [props.get(name, default) for name, default in DEFAULT_COLOURS.items()]
+    if not all(isinstance(colour, int | float | mi.ScalarColor3d) for colour in colours):
+        return False  # nested textures
+    first, second = (np.broadcast_to(np.array(colour, dtype=np.float32), 3) for colour in colours)
     if min(first.min(), second.min()) < 0.0 or max(first.max(), second.max()) > 1.0:
-        return False  # which a bitmap would not hold
-    half = np.arange(2 * FINE) >= FINE
-    checks = np.where((half[:, None] == half)[..., None], first, second)
-    for name in set(props.keys()) & set(COLOURS):
+        return False  # outside the range of a reflectance bitmap
+    is_second_half = np.arange(2 * SUBDIVISION) >= SUBDIVISION
+    checks = np.where((is_second_half[:, None] == is_second_half)[..., None], first, second)
+    for name in set(props.keys()) & set(DEFAULT_COLOURS):
         del props[name]
     props.set_plugin_name("bitmap")
     props["bitmap"] = mi.Bitmap(np.ascontiguousarray(checks))
     return True
 
 
-def _interpolate_texels(props: Any) -> None:
+def _ramp_bitmap(props: Any) -> None:
+    """Replace a bitmap without interpolation by a finer, interpolated one."""
     props["filter_type"] = "bilinear"
     if "data" in props:
         image = mi.Bitmap(np.array(props["data"], dtype=np.float32))
@@ -88,13 +102,9 @@ def _interpolate_texels(props: Any) -> None:
     else:
         image = mi.Bitmap(str(mi.file_resolver().resolve(str(props["filename"]))))
         del props["filename"]
-    finer = mi.Bitmap(_finer(np.array(image)), image.pixel_format())
+    texels = np.array(image)
+    factor = max(1, min(SUBDIVISION, MAX_SIDE // max(texels.shape[:2])))
+    finer = mi.Bitmap(np.ascontiguousarray(texels.repeat(factor, axis=0).repeat(factor, axis=1)), image.pixel_format())
     finer.set_srgb_gamma(image.srgb_gamma())
     finer.set_premultiplied_alpha(image.premultiplied_alpha())
     props["bitmap"] = finer
-
-
-def _finer(image: Any) -> Any:
-    """Every texel several times, along both axes."""
-    times = max(1, min(FINE, LARGEST // max(image.shape[:2])))
-    return np.ascontiguousarray(image.repeat(times, axis=0).repeat(times, axis=1))

@@ -9,7 +9,7 @@ from typing import Any, Final
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.geometry.mesh import has_creases
+from loi_mitsuba.geometry.mesh_checks import has_creases
 from loi_mitsuba.geometry.stepped_textures import RAMP, ramp_texture
 from loi_mitsuba.plugins.proxy_bsdf import register_proxy_bsdf
 from loi_mitsuba.plugins.proxy_emitter import register_proxy_emitter

@@ -1,4 +1,4 @@
-"""What the film of a camera makes of a point of light: which pixels show it, how much of it, and in which colours."""
+"""The reconstruction filter of a film: splatting of samples, and its adjoint."""
 
 from __future__ import annotations
 
@@ -17,11 +17,13 @@ __all__ = ["Film"]
 
 LUMINANCE: Final = ((0.2126, 0.7152, 0.0722),)  # of linear red, green and blue (Rec. 709)
 XYZ: Final = ((0.412453, 0.357580, 0.180423), (0.212671, 0.715160, 0.072169), (0.019334, 0.119193, 0.950227))
-STEPS: Final = 1024  # of the integral over a reconstruction filter, which is off by their square
+FILTER_STEPS: Final = 1024  # of the midpoint rule for the integral of the filter, whose error is of second order
 
 
 class Film:
-    """The image that a film shows: its window, its reconstruction filter and its colours.
+    """The crop window, reconstruction filter and colour channels of a film.
+
+    Film positions (uv) are fractions of the image, 0 to 1 on both axes. Values are linear red, green and blue.
 
     Parameters
     ----------
@@ -30,112 +32,109 @@ class Film:
     Attributes
     ----------
     size : tuple of int
-        Width and height of the image.
+        Width and height of the image in pixels.
     channels : int
-        Of colour.
+        Number of channels of the image.
     """
 
     def __init__(self, film: Any) -> None:
-        width, height = (int(one) for one in film.crop_size())
+        width, height = (int(side) for side in film.crop_size())
         self.size = (width, height)
         self.channels = int(film.base_channels_count())
-        self._mix = np.asarray(_mix_of(film, self.channels), dtype=np.float32)
+        self._from_rgb = np.asarray(_channel_matrix(film, self.channels), dtype=np.float32)
         self._filter = film.rfilter()
-        self._beyond = float(self._filter.border_size()) if film.sample_border() else 0.0
+        self._border = float(self._filter.border_size()) if film.sample_border() else 0.0
 
     @property
-    def sampled(self) -> float:
-        """How many pixels samples are drawn for, with those of a border, to each of the image."""
-        return math.prod(1.0 + 2.0 * self._beyond / side for side in self.size)
+    def border_oversampling(self) -> float:
+        """Number of sampled pixels, including the border, per pixel of the image."""
+        return math.prod(1.0 + 2.0 * self._border / side for side in self.size)
 
     @cached_property
-    def _norms(self) -> list[Any]:
-        """Along each axis, one over the integral of the filter around each pixel, as far as it is sampled."""
+    def _normalisation(self) -> list[Any]:
+        """For each axis, one over the integral of the filter around each pixel, restricted to the sampled region."""
         radius = float(self._filter.radius())
-        offset = radius * (2.0 * (np.arange(STEPS) + 0.5) / STEPS - 1.0)
+        offset = radius * (2.0 * (np.arange(FILTER_STEPS) + 0.5) / FILTER_STEPS - 1.0)
         value = np.array(self._filter.eval(mi.Float(offset.astype(np.float32))), dtype=np.float64)
         norms = []
         for side in self.size:
-            at = np.arange(side)[:, None] + 0.5 + offset
-            sampled = (at >= -self._beyond) & (at <= side + self._beyond)
-            norms.append(mi.Float((STEPS / (2.0 * radius) / (sampled @ value)).astype(np.float32)))
+            position = np.arange(side)[:, None] + 0.5 + offset
+            is_sampled = (position >= -self._border) & (position <= side + self._border)
+            norms.append(mi.Float((FILTER_STEPS / (2.0 * radius) / (is_sampled @ value)).astype(np.float32)))
         return norms
 
-    def colours_of(self, cotangent: Any) -> Float32Array:
-        """A cotangent of the image, shape (H, W, C), as one of its red, green and blue.
+    def rgb_cotangent(self, cotangent: Any) -> Float32Array:
+        """Convert a cotangent of the image, shape (H, W, C), to one of linear RGB, shape (H, W, 3).
 
-        Channels beyond colours have no gradient.
+        The adjoint of :meth:`to_channels`. Alpha and other extra channels have no gradient.
         """
-        return np.asarray(cotangent, dtype=np.float32)[..., : len(self._mix)] @ self._mix
+        return np.asarray(cotangent, dtype=np.float32)[..., : len(self._from_rgb)] @ self._from_rgb
 
-    def shown(self, image: Float32Array) -> Float32Array:
-        """An image of red, green and blue in the film's channels: what :meth:`colours_of` is the transpose of."""
-        return np.pad(image @ self._mix.T, ((0, 0), (0, 0), (0, self.channels - len(self._mix))))
+    def to_channels(self, rgb: Float32Array) -> Float32Array:
+        """Convert linear RGB, shape (H, W, 3), to the film's channels, shape (H, W, C), with 0 in extra channels."""
+        return np.pad(rgb @ self._from_rgb.T, ((0, 0), (0, 0), (0, self.channels - len(self._from_rgb))))
 
-    def gather(self, cotangent: Any, place: Any) -> Any:
-        """A cotangent of the image, shape (H, W, C), for red, green and blue at places of the film, 0 to 1 both ways.
+    def gather(self, cotangent: Any, uv: Any) -> Any:
+        """Return the filter-weighted mean of a cotangent of the image, shape (H, W, C), at film positions: mi.Color3f.
 
-        That is its mean over the pixels that show a place, with the weights of the reconstruction filter.
+        The adjoint of :meth:`splat`.
         """
-        values = mi.Float(np.ascontiguousarray(self.colours_of(cotangent)).ravel())
-        found = mi.Color3f(0.0)
-        for first, weight, there in self._pixels(place):
-            found += weight * dr.gather(mi.Color3f, values, first, there)
-        return found
+        values = mi.Float(np.ascontiguousarray(self.rgb_cotangent(cotangent)).ravel())
+        total = mi.Color3f(0.0)
+        for pixel, weight, in_image in self._pixels(uv):
+            total += weight * dr.gather(mi.Color3f, values, pixel, in_image)
+        return total
 
-    def splat(self, value: Any, place: Any) -> Float32Array:
-        """What red, green and blue at places add to the image, shape (H, W, C).
+    def splat(self, value: Any, uv: Any) -> Float32Array:
+        """Return the sum of values, mi.Color3f, splatted at film positions: an image, shape (H, W, C)."""
+        return self.to_channels(self._splat_sums(value, uv))
 
-        What :meth:`looked_up` is the transpose of.
+    def reconstruct(self, value: Any, uv: Any) -> Float32Array:
+        """Return the image, shape (H, W, C), of samples with these values, mi.Color3f, and film positions."""
+        sums = self._splat_sums(mi.Vector4f(*value, 1.0), uv)
+        return self.to_channels(sums[..., :3] / _nonzero(sums[..., 3:]))
+
+    def normalised_cotangent(self, cotangent: Any, uv: Any) -> Float32Array:
+        """Divide a cotangent of the image, shape (H, W, C), by the pixels' total weights of samples at `uv`.
+
+        :meth:`gather` of the result is the adjoint of :meth:`reconstruct`.
         """
-        return self.shown(self._sums(value, place))
+        return np.asarray(cotangent, dtype=np.float32) / _nonzero(self._splat_sums(mi.Vector1f(1.0), uv))
 
-    def mean(self, value: Any, place: Any) -> Float32Array:
-        """The image, shape (H, W, C), of samples that are red, green and blue at places."""
-        sums = self._sums(mi.Vector4f(*value, 1.0), place)
-        return self.shown(sums[..., :3] / _above(sums[..., 3:]))
-
-    def shared(self, cotangent: Any, place: Any) -> Float32Array:
-        """A cotangent of the image, shape (H, W, C), for :meth:`looked_up` at the places of all samples of an image.
-
-        What :meth:`mean` is then the transpose of.
-        """
-        return np.asarray(cotangent, dtype=np.float32) / _above(self._sums(mi.Vector1f(1.0), place))
-
-    def _sums(self, value: Any, place: Any) -> Float32Array:
-        """Sums of values over the pixels that show their places, shape (H, W, channels of the values)."""
+    def _splat_sums(self, value: Any, uv: Any) -> Float32Array:
+        """Return weighted sums of values over pixels, shape (H, W, channels of `value`)."""
         width, height = self.size
         image = dr.zeros(mi.Float, len(value) * width * height)
-        for first, weight, there in self._pixels(place):
-            dr.scatter_add(image, weight * value, first, there)
+        for pixel, weight, in_image in self._pixels(uv):
+            dr.scatter_add(image, weight * value, pixel, in_image)
         return np.array(image, dtype=np.float32).reshape(height, width, len(value))
 
-    def _pixels(self, place: Any) -> Iterator[tuple[Any, Any, Any]]:
-        """The pixels that show places: index in the image, share of it, and whether the image has that pixel."""
-        across, down = (list(self._along(axis, place[axis] * side)) for axis, side in enumerate(self.size))
-        for row, of_row, in_row in down:
-            for column, of_column, in_column in across:
-                yield mi.UInt32(row * self.size[0] + column), of_row * of_column, in_row & in_column
+    def _pixels(self, uv: Any) -> Iterator[tuple[Any, Any, Any]]:
+        """Yield the pixels in the filter's footprint: flat index, weight, and whether the image has the pixel."""
+        columns, rows = (list(self._footprint(axis, uv[axis] * side)) for axis, side in enumerate(self.size))
+        for row, row_weight, in_rows in rows:
+            for column, column_weight, in_columns in columns:
+                yield mi.UInt32(row * self.size[0] + column), row_weight * column_weight, in_rows & in_columns
 
-    def _along(self, axis: int, at: Any) -> Iterator[tuple[Any, Any, Any]]:
-        """The same along one axis, of places in pixels."""
+    def _footprint(self, axis: int, position: Any) -> Iterator[tuple[Any, Any, Any]]:
+        """Yield the same for one axis: pixel, weight and mask, for positions in pixels."""
         radius = float(self._filter.radius())
-        sampled = (at >= -self._beyond) & (at <= self.size[axis] + self._beyond)
-        first = mi.Int32(dr.floor(at - radius + 0.5))
+        is_sampled = (position >= -self._border) & (position <= self.size[axis] + self._border)
+        first = mi.Int32(dr.floor(position - radius + 0.5))
         for index in range(math.ceil(2.0 * radius)):
             pixel = first + index
-            there = sampled & (pixel >= 0) & (pixel < self.size[axis])
-            weight = self._filter.eval(at - 0.5 - mi.Float(pixel)) if radius > 0.5 else mi.Float(1.0)
-            yield pixel, weight * dr.gather(mi.Float, self._norms[axis], mi.UInt32(pixel), there), there
+            mask = is_sampled & (pixel >= 0) & (pixel < self.size[axis])
+            weight = self._filter.eval(position - 0.5 - mi.Float(pixel)) if radius > 0.5 else mi.Float(1.0)
+            yield pixel, weight * dr.gather(mi.Float, self._normalisation[axis], mi.UInt32(pixel), mask), mask
 
 
-def _above(weights: Float32Array) -> Float32Array:
-    """Weights of pixels, and 1 where there is no sample."""
+def _nonzero(weights: Float32Array) -> Float32Array:
+    """Replace the weight 0 of pixels without samples by 1."""
     return np.where(weights > 0.0, weights, np.float32(1.0))
 
 
-def _mix_of(film: Any, channels: int) -> Any:
-    """What the channels of a film that are colours have of red, green and blue, shape (C, 3)."""
+def _channel_matrix(film: Any, channels: int) -> Any:
+    """Return the matrix, shape (C, 3), from linear RGB to the film's colour channels."""
     if channels < 3:
         return LUMINANCE
     return XYZ if "pixel_format = xyz" in str(film) else np.eye(3)

@@ -1,7 +1,7 @@
-"""Samples of integrators of Mitsuba, before they reach the film.
+"""Radiance samples of Mitsuba's integrators before they reach the film.
 
-Mitsuba differentiates through its film. To find the gradient it makes an image first, that nobody looks at; and to find
-how the image changes it traces all rays again for each pixel that a sample reaches, of 25 with a Gaussian filter.
+Mitsuba differentiates through its film: the backward pass renders a primal image that is then discarded, and the
+forward pass traces all rays again for each pixel in the filter's footprint, 25 for a Gaussian.
 """
 
 from __future__ import annotations
@@ -18,13 +18,30 @@ from loi_mitsuba.sensing.film import Film
 
 __all__ = ["backpropagate", "capture_splats", "radiance_samples", "to_rgb"]
 
-NOTHING: Final = {"δL": None, "state_in": None, "project": False, "si_shade": None}  # what integrators ask for besides
+UNUSED_ARGUMENTS: Final = {"δL": None, "state_in": None, "project": False, "si_shade": None}  # of `Integrator.sample`
 
 
 def radiance_samples(integrator: Any, scene: Any, sensor: Any, samples: int, seed: int, mode: Any) -> tuple[Any, Any]:
-    """Red, green and blue of the samples of an image, with their gradient, and places of the film, 0 to 1 both ways.
+    """Return the radiance samples of an image, with their gradient, and their film positions.
 
-    They are those of Mitsuba's `render_backward`, for integrators that differentiate what they sample.
+    The samples are those of Mitsuba's `render_backward`, for integrators that differentiate by automatic
+    differentiation of `sample`.
+
+    Parameters
+    ----------
+    integrator : mi.ad.common.ADIntegrator
+    scene : mi.Scene
+    sensor : mi.Sensor
+    samples : int
+        Per pixel.
+    seed : int
+    mode : dr.ADMode
+
+    Returns
+    -------
+    value : mi.Color3f
+    uv : mi.Point2f
+        Fractions of the image, 0 to 1.
     """
     film = sensor.film()
     with dr.suspend_grad():
@@ -37,35 +54,35 @@ def radiance_samples(integrator: Any, scene: Any, sensor: Any, samples: int, see
             ray=ray,
             depth=mi.UInt32(0),
             active=dr.ones(mi.Bool),
-            **NOTHING,
+            **UNUSED_ARGUMENTS,
         )
-        corner = film.rfilter().is_box_filter()  # of its pixel: all that Mitsuba tells of a place then
-        offset, size = (mi.Point2f(*map(float, one)) for one in (film.crop_offset(), film.crop_size()))
-        place = (mi.Point2f(pos) + (0.5 if corner else 0.0) - offset) / size
-    return to_rgb(value * weight, ray.wavelengths), place
+        is_corner = film.rfilter().is_box_filter()  # Mitsuba then returns the corner of the pixel
+        offset, size = (mi.Point2f(*map(float, pair)) for pair in (film.crop_offset(), film.crop_size()))
+        uv = (mi.Point2f(pos) + (0.5 if is_corner else 0.0) - offset) / size
+    return to_rgb(value * weight, ray.wavelengths), uv
 
 
 def to_rgb(value: Any, wavelengths: Any = None, *, active: Any = True) -> Any:
-    """Red, green and blue of a spectrum of Mitsuba's variant, which has wavelengths if it is a spectral one."""
+    """Convert a spectrum of Mitsuba's variant to linear RGB, mi.Color3f; spectral variants need `wavelengths`."""
     if mi.is_spectral:
         return mi.spectrum_to_srgb(value, wavelengths, active)
     return mi.Color3f(value.x) if mi.is_monochromatic else value
 
 
-def backpropagate(value: Any, place: Any, film: Film, cotangent: Float32Array) -> None:
-    """Carry a cotangent of the image, shape (H, W, C), back to its samples, and on to what they depend on."""
+def backpropagate(value: Any, uv: Any, film: Film, cotangent: Float32Array) -> None:
+    """Propagate a cotangent of the image, shape (H, W, C), to its samples, and through them to the scene."""
     if dr.grad_enabled(value):
-        weight = film.gather(film.shared(cotangent, place), place)
+        weight = film.gather(film.normalised_cotangent(cotangent, uv), uv)
         dr.backward(value * weight, dr.ADFlag.ClearInterior)
 
 
 @contextmanager
 def capture_splats() -> Iterator[list[dict[str, Any]]]:
-    """What Mitsuba would put on films meanwhile, which stay empty: arguments of `mi.ImageBlock.put`, by their names."""
-    taken: list[dict[str, Any]] = []
+    """Collect the keyword arguments of all calls of `mi.ImageBlock.put` instead of changing any film."""
+    splats: list[dict[str, Any]] = []
     put = mi.ImageBlock.put
-    mi.ImageBlock.put = lambda block, **sample: taken.append(sample)  # noqa: ARG005 - no block gets it
+    mi.ImageBlock.put = lambda block, **arguments: splats.append(arguments)  # noqa: ARG005
     try:
-        yield taken
+        yield splats
     finally:
         mi.ImageBlock.put = put

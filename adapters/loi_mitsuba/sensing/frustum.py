@@ -13,12 +13,12 @@ __all__ = ["Frustum"]
 
 
 class Frustum:
-    """What a perspective camera sees.
+    """The view frustum of a sensor.
 
     Parameters
     ----------
     sensor : mi.Sensor
-        What any other sees is not known.
+        Only perspective cameras have a known frustum.
     """
 
     def __init__(self, sensor: Any) -> None:
@@ -28,9 +28,9 @@ class Frustum:
             self._offset = principal_point_offset(sensor)
 
     def overlaps(self, shape: Any) -> bool:
-        """Whether the box around a shape reaches into the view; True if that is not known.
+        """Return whether the bounding box of a shape may overlap the frustum; True for other than perspective cameras.
 
-        No corner of the box beyond one side of the pyramid of view is the only case in which it surely does not.
+        The test is conservative: False only if all corners of the box lie beyond one plane of the frustum.
         """
         if self._to_film is None:
             return True
@@ -39,10 +39,10 @@ class Frustum:
             [[x, y, z, 1.0] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
         )
         x, y, _, w = self._to_film @ corners.T
-        x, y = (one - offset * w for one, offset in zip((x, y), self._offset, strict=True))
+        x, y = (coordinate - offset * w for coordinate, offset in zip((x, y), self._offset, strict=True))
         # Homogeneous coordinates: a corner behind the camera has w < 0, and the inequalities still hold.
-        sides = (x < 0.0, x > w, y < 0.0, y > w, w < 0.0)
-        return not any(bool(np.all(side)) for side in sides)
+        is_outside = (x < 0.0, x > w, y < 0.0, y > w, w < 0.0)
+        return not any(bool(np.all(plane)) for plane in is_outside)
 
 
 def _matrix(transform: Any) -> Any:

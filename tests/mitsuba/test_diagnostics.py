@@ -191,7 +191,7 @@ def test_shapes_that_mitsuba_lifts_rays_far_off_are_warned_of_where_they_touch(
         floor={"type": "rectangle", "to_world": place().translate([away, 0, 0]).rotate([1, 0, 0], -90).scale(8)},
     )
     MitsubaRenderer(scene, {"x": Translate("ball", (1, 0, 0))})
-    assert any("'ball' touches another shape, so small or" in str(one.message) for one in recwarn) == told
+    assert any("'ball' touches another shape, and is too small, or" in str(one.message) for one in recwarn) == told
 
 
 SINGLE: dict[str, tuple[dict[str, Any], str]] = {
@@ -208,7 +208,7 @@ SINGLE: dict[str, tuple[dict[str, Any], str]] = {
 def test_what_material_in_single_directions_has_no_gradient_by_is_told_and_blurred(kind: str) -> None:
     bsdf, part = SINGLE[kind]
     scene = shadow_scene(ball={"type": "sphere", "bsdf": bsdf})
-    with pytest.warns(GradientWarning, match=f"'it': it is the {part} of a material with light in single directions"):
+    with pytest.warns(GradientWarning, match=f"'it': it is the {part} of a material with a delta lobe"):
         MitsubaRenderer(scene, {"it": f"ball.bsdf.{part}.value"})
     planned = PlannedRenderer(scene, {"it": f"ball.bsdf.{part}.value"})
     assert planned.plan.blurred["it"].startswith(f"it is the {part} of a material")
