@@ -1,4 +1,4 @@
-"""``loi completion``: a script with which a shell completes commands, options and files."""
+"""``loi completion``: a script that lets a shell complete commands, options and files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``loi doctor``: the state of every part of the installation, and the command that fixes what is broken."""
+"""``loi doctor``: the state of every part of the installation, and the commands that repair it."""
 
 from __future__ import annotations
 

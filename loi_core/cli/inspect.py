@@ -58,7 +58,7 @@ def _lines(findings: Findings) -> list[str]:
         "",
         *markdown(heads, cells),
         "",
-        "small object: the distance from which a single small object is drawn back.",
+        "small object: the largest distance of a single small object that is still drawn back.",
         "this image: how far the reference may be shifted against itself while its loss still rises.",
         "",
         *pair.scales.describe(pair.height, pair.width).splitlines(),

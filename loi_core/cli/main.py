@@ -22,7 +22,7 @@ __all__ = ["main"]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run ``loi`` with these arguments, by default those of the process, and return the exit code."""
+    """Run ``loi`` with these arguments, by default the arguments of the process, and return the exit code."""
     if isinstance(sys.stdout, io.TextIOWrapper):
         sys.stdout.reconfigure(errors="backslashreplace")  # for a title or path that the terminal cannot encode
     try:

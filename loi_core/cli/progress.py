@@ -1,4 +1,4 @@
-"""Progress bars on standard error; silent where that is not a terminal."""
+"""Progress bars on standard error; silent if it is not a terminal."""
 
 from __future__ import annotations
 

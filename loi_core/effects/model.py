@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from loi_core.errors import OptionError
 from loi_core.support.markdown import markdown
-from loi_core.support.wording import LISTED, listed, shown
+from loi_core.support.wording import MAX_LISTED, listed, shown
 
 __all__ = ["Capability", "Choice", "Effect", "EffectPlan"]
 
@@ -208,5 +208,5 @@ def _together(reasons: Mapping[str, str]) -> list[tuple[str, str]]:
     names: dict[str, list[str]] = {}
     for name, reason in reasons.items():
         names.setdefault(reason, []).append(name)
-    many = {reason: listed(group) for reason, group in names.items() if len(group) > LISTED + 1}
+    many = {reason: listed(group) for reason, group in names.items() if len(group) > MAX_LISTED + 1}
     return list(dict.fromkeys((many.get(reason, repr(name)), reason) for name, reason in reasons.items()))

@@ -25,7 +25,7 @@ from loi_core.io.files import atomic_path, open_regular, remove_temporaries, unw
 from loi_core.io.lock import LOCK, exclusive_use
 from loi_core.renderers.contract import Parameters
 from loi_core.support.arrays import Host, from_numpy, to_numpy
-from loi_core.support.guards import foreign
+from loi_core.support.guards import wrap_errors
 from loi_core.support.wording import described
 
 __all__ = ["Checkpoint", "CheckpointFile", "is_due", "load_checkpoint", "resume", "save_checkpoint", "settings_of"]
@@ -289,7 +289,7 @@ def resume(
     numbers = saved.numbers
     best_value, best_step, stage, partial = numbers["best"]
     best = live(saved.best_params)
-    with foreign("rendering the best of the checkpoint"):
+    with wrap_errors("rendering the best of the checkpoint"):
         images = views.render(best, seed + best_step)
     with np.errstate(all="ignore"):  # a damaged value may overflow; it then differs from the saved one
         value = mean(views.values(images, stage))

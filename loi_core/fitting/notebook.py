@@ -75,7 +75,7 @@ def numbers(value: Host) -> str:
 
 
 def _parameter_rows(params: Parameters, free: Collection[str], history: Sequence[FitStep]) -> list[list[str]]:
-    """Return name, start and result of the free parameters; the start is empty if the history does not have it."""
+    """Return name, start and result of the free parameters; the start is empty if the history lacks it."""
     start = history[0].params if len(history) else {}
     names = [name for name in params if name in free]
     rows = [

@@ -14,7 +14,7 @@ from loi_core.pixels.nonfinite import count_non_finite
 from loi_core.renderers.contract import Parameters
 from loi_core.renderers.units import pixels_of
 from loi_core.support.arrays import Array, Host, as_floating, detached, from_numpy, library_name, namespace, to_numpy
-from loi_core.support.guards import foreign
+from loi_core.support.guards import wrap_errors
 from loi_core.support.values import real_number
 from loi_core.support.wording import shown
 
@@ -85,7 +85,7 @@ def own_parameters(renderer: HasParameters) -> Parameters:
     RendererError
         If they are not a dict of real floating-point arrays.
     """
-    with foreign(f"{type(renderer).__name__}.parameters()"):
+    with wrap_errors(f"{type(renderer).__name__}.parameters()"):
         params = renderer.parameters()
     if not isinstance(params, Mapping) or not params or not all(isinstance(name, str) for name in params):
         msg = f"{type(renderer).__name__}.parameters() must give a dict of at least one array, got {shown(params)}"

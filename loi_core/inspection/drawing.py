@@ -60,7 +60,7 @@ def inner_image(image: FloatImage, scales: ScaleSpace, sigma: float) -> FloatIma
 
 
 def isophote_lines(inner: FloatImage, levels: Host, beta: float, side: int) -> FloatImage:
-    """Return lines of equal intensity, shape (H, W, C), those of each channel in its own colour.
+    """Return lines of equal intensity, shape (H, W, C), each channel in its own colour.
 
     Parameters
     ----------

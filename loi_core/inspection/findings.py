@@ -34,7 +34,7 @@ class ScaleFindings:
     gradient : array, shape (h, w, C)
         The gradient of `value` with respect to the image.
     reach : Reach
-        The distance from which a single small object is drawn back.
+        The largest distance of a single small object that is still drawn back.
     rise : Reach
         How far the reference may be shifted against itself while its own loss rises.
     """

@@ -88,7 +88,7 @@ class _Page:
         facts = f'<script type="application/json" id="facts">{embedded_json(packed_histograms(self.pair))}</script>'
         ratio = f":root {{ --wide: {self.pair.width}; --high: {self.pair.height}; }}\n"
         return document(
-            f"What the loss sees: {self.pair.names[0]}",
+            f"Inspection: {self.pair.names[0]}",
             f"{body}\n{facts}",
             style=asset("inspect.css", "loi_core.inspection") + ratio,
             script=asset("inspect.js", "loi_core.inspection"),
@@ -98,7 +98,7 @@ class _Page:
     def _head(self) -> Iterator[str]:
         pair = self.pair
         first, second = map(escape, pair.names)
-        yield "<h1>What the loss sees</h1>"
+        yield "<h1>The loss, scale by scale</h1>"
         yield f'<p class="lead">{first}, compared with {second}; {pair.width} x {pair.height} pixels</p>'
         yield f'<p class="loss">The loss is <b>{self.findings.value:.4g}</b>{_largest_share(self.findings)}</p>'
         if pair.shift:
@@ -154,8 +154,8 @@ move it, with Shift farther.</p>
         for index, scale in enumerate(findings.scales):
             yield self._card(index, scale, side)
         yield (
-            "<p><b>Small object</b>: the distance from which a bright disk, alone on a flat frame of this size, is "
-            f"still drawn to its position. <b>This image</b>: how far {escape(self.pair.names[1])} may be shifted "
+            "<p><b>Small object</b>: the largest distance of a bright disk, alone on a flat frame of this size, that "
+            f"is still drawn to its position. <b>This image</b>: how far {escape(self.pair.names[1])} may be shifted "
             "against itself while its loss still rises, the mean over left, right, up and down; shifts up to "
             f"{findings.shifts.distances[-1]:.0f} px were tried. The curve is that loss. Both end where the slope "
             f"falls below {MIN_RELATIVE_SLOPE:.0%} of its steepest: beyond, the gradient hardly points back. In the "

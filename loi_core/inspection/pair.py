@@ -22,7 +22,7 @@ __all__ = ["MAX_PIXELS", "Pair", "averaged", "make_pair", "read_pair", "scaled_d
 MAX_PIXELS: Final = 2**20
 """Larger images are averaged over blocks of pixels first."""
 
-SHIFT_FRACTION: Final = 0.01  # of the longer side, by which a single image is shifted
+SHIFT_FRACTION: Final = 0.01  # shift of a single image, relative to its longer side
 
 
 @dataclass(frozen=True)

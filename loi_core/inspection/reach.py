@@ -31,7 +31,7 @@ DISTANCE_RATIO: Final = 1.25  # of a distance to the one before
 
 @dataclass(frozen=True)
 class Reach:
-    """The distance from which an object is drawn back.
+    """The largest distance of an object that is still drawn back.
 
     Attributes
     ----------
@@ -69,11 +69,11 @@ class Shifts:
 
 
 def reach_of_object(scales: ScaleSpace, height: int, width: int) -> dict[ScaleKey, Reach]:
-    """Return the distance from which each scale alone draws a small object back.
+    """Return the largest distance of a small object that each scale alone still draws back.
 
     A bright disk, with a radius of 2 % of the longer side, lies on a flat frame of the images' size, an eighth of the
     longer side from one end. The same disk is moved away along the longer side. As long as the loss rises with the
-    distance, its gradient points back. The reach is the distance up to which the loss rises by 1 % or more of its
+    distance, its gradient points back. Up to the reach, the loss rises by 1 % or more of its
     steepest rise at every step.
 
     Parameters
@@ -133,7 +133,7 @@ def shifts_of_picture(reference: FloatImage, scales: ScaleSpace, factor: int) ->
 
 
 def furthest_rise(distances: Sequence[float], values: FloatImage) -> Reach:
-    """Return the distance up to which values rise by 1 % or more of their steepest rise at every step; 0 if never."""
+    """Return how far values rise by 1 % or more of their steepest rise at every step; 0 if they never do."""
     slopes = np.diff(values) / np.diff(distances)
     minimum = MIN_RELATIVE_SLOPE * float(np.max(slopes))
     if minimum <= 0.0:

@@ -27,7 +27,7 @@ from loi_core.support.arrays import (
     namespace,
     outlives_its_context,
 )
-from loi_core.support.cache import BESIDE, Cache
+from loi_core.support.cache import ARRAY_OVERHEAD, Cache
 
 __all__ = ["Blur", "DenseBlur", "GaussianBlur", "PlaneBlur", "PlaneGrid", "blur_about", "gaussian_blur"]
 
@@ -250,7 +250,7 @@ def _products(blur: AxisBlur, like: Array) -> tuple[_AxisProduct, _AxisProduct]:
     forward = _AxisProduct.forward(blur, like)
     pair = (forward, forward if blur.transposes else _AxisProduct.backward(blur, like))
     if outlives_its_context(forward.blocks[0].left):
-        _CACHE.put(key, pair, _elements(pair) + 2 * BESIDE)
+        _CACHE.put(key, pair, _elements(pair) + 2 * ARRAY_OVERHEAD)
     return pair
 
 

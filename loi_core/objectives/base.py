@@ -9,7 +9,7 @@ from typing import Any, ClassVar, Final, Generic, Protocol, TypeVar, runtime_che
 from loi_core.errors import ImageError, ImageTypeError, OptionError
 from loi_core.method.dispatch import ARRAY_API, Backend, choose_backend
 from loi_core.objectives.evaluation import PlaneComparison, PreparedObjective, ReferencePlanes
-from loi_core.objectives.facts import facts_of_options, facts_of_reference, in_notebook, printed
+from loi_core.objectives.facts import facts_of_options, facts_of_reference, objective_html, summary_line
 from loi_core.pixels.layout import Layout, check_channel_axis
 from loi_core.pixels.nonfinite import NanPolicy, check_nan_policy, require_finite
 from loi_core.pixels.pipeline import PixelPipeline, PixelSettings
@@ -113,10 +113,10 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
         return {**self.__dict__, "_prepared": {}}
 
     def __repr__(self) -> str:
-        return printed(type(self).__name__, self._facts())
+        return summary_line(type(self).__name__, self._facts())
 
     def _repr_html_(self) -> str:
-        return in_notebook(type(self).__name__, self._facts(), self._reference, self.channel_axis)
+        return objective_html(type(self).__name__, self._facts(), self._reference, self.channel_axis)
 
     def _facts(self) -> dict[str, str]:
         """What is said of it, for those who override it."""

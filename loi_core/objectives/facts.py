@@ -11,7 +11,14 @@ from loi_core.support.arrays import Array
 from loi_core.support.repr_html import card, row, table
 from loi_core.support.wording import printable
 
-__all__ = ["facts_of_options", "facts_of_reference", "facts_of_scales", "in_notebook", "printed", "unusual_settings"]
+__all__ = [
+    "facts_of_options",
+    "facts_of_reference",
+    "facts_of_scales",
+    "objective_html",
+    "summary_line",
+    "unusual_settings",
+]
 
 DEFAULTS: Final[Mapping[str, Any]] = {
     "bounds": (0.0, 1.0),
@@ -49,11 +56,11 @@ def facts_of_options(
     return facts | ({} if weights is None else {"weights": "x".join(map(str, weights))})
 
 
-def printed(name: str, facts: Mapping[str, str]) -> str:
+def summary_line(name: str, facts: Mapping[str, str]) -> str:
     """Return the description of an objective in one line."""
     return printable(f"<{name}: {', '.join(f'{label} {fact}' for label, fact in facts.items())}>")
 
 
-def in_notebook(name: str, facts: Mapping[str, str], reference: Array, channel_axis: int | None) -> str:
+def objective_html(name: str, facts: Mapping[str, str], reference: Array, channel_axis: int | None) -> str:
     """Return the description of an objective as HTML: a thumbnail of the reference beside the facts."""
     return card(name, row([thumbnail(reference, "reference", channel_axis), table(facts.items())]))

@@ -45,7 +45,7 @@ def thumbnail(image: Array, caption: str, channel_axis: int | str | None = "unkn
 def shown_pixels(image: Array, channel_axis: int | str | None = "unknown") -> Host | None:
     """Return an image as RGB, shape (H, W, 3), its values unchanged; None if the array cannot be shown.
 
-    Parameters are those of :func:`thumbnail`.
+    The parameters are as in :func:`thumbnail`.
     """
     pixels: np.ndarray[Any, Any] = np.asarray(to_numpy(image))
     axis = _find_channel_axis(pixels.shape) if channel_axis == "unknown" else channel_axis

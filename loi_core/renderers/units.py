@@ -18,7 +18,7 @@ import numpy as np
 from loi_core.method.blurs import gaussian_blur
 from loi_core.renderers.contract import Parameters
 from loi_core.support.arrays import Array, Host, from_numpy, to_numpy
-from loi_core.support.guards import foreign
+from loi_core.support.guards import wrap_errors
 
 __all__ = ["measure_units", "pixels_of"]
 
@@ -174,7 +174,7 @@ def _unit(seen: Sequence[_Seen], params: Parameters, bounds: Limits | None, name
 
 
 def _render(renderer: Renders, params: Parameters, seed: int, why: str = "to measure units") -> Host:
-    with foreign(f"rendering {why}"):
+    with wrap_errors(f"rendering {why}"):
         return _blurred(renderer.render(params, seed=seed))
 
 

@@ -119,7 +119,7 @@ def _lines(histories: Mapping[str, Columns], values: Mapping[str, Sequence[float
 
 
 def _fractions(rows: ScaleRows) -> tuple[list[int], dict[tuple[float, float, float], list[float]]]:
-    """Return the steps at which all scales have a value, and the fraction of each scale there."""
+    """Return the steps where all scales have a value, and the fraction of each scale there."""
     common = set.intersection(*(set(values) for values in rows.values()))
     totals = {step: math.fsum(max(values[step], 0.0) for values in rows.values()) for step in sorted(common)}
     steps = [step for step, total in totals.items() if 0.0 < total < math.inf]

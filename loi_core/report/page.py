@@ -78,7 +78,7 @@ def write_index(page: Path, folders: Sequence[Path], title: str) -> Path:
 
 
 def verdict_line(trial: Mapping[str, Any]) -> str:
-    """Return the diagnosis in the summary of a fit as one line; empty if the summary has none."""
+    """Return the diagnosis in the summary of a fit as one line; empty without a diagnosis."""
     diagnosis = trial.get("diagnosis")
     if not isinstance(diagnosis, Mapping):
         return ""

@@ -34,7 +34,7 @@ def picture_figure(
     image_class : str
         The class of the image.
     key : str
-        The name by which the script finds the image.
+        The name of the image for the script.
     alt : str
     """
     width, height = int.from_bytes(png[16:20], "big"), int.from_bytes(png[20:24], "big")

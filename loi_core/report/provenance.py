@@ -112,7 +112,7 @@ def _accuracy_sentence(accuracy: Mapping[str, Any]) -> str:
     name = accuracy.get("name")
     prefix = f"{name}: " if isinstance(name, str) else ""
     if tolerance == 0.0:
-        return f"{prefix}value and gradient are those of the definition, up to rounding"
+        return f"{prefix}value and gradient equal the definition, up to rounding"
     if not math.isfinite(tolerance):
         return f"{prefix}unknown"
     return f"{prefix}the gradient may be off by {tolerance:.3g} of its size, in exchange for time"

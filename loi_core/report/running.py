@@ -78,7 +78,7 @@ class RunningPage:
 PSNR {history["psnr"][-1]:.4g} dB, objective {history["value"][-1]:.4g}, at {time.strftime("%H:%M:%S")}</p>
 <progress value="{min(progress, 1.0):.3f}" aria-label="steps done"></progress>
 <div class="row gallery">{newest}{self._target}</div>
-<div class="charts">{charts}</div>
+<h2>Convergence</h2><div class="charts">{charts}</div>
 <noscript><p>Without scripts this page does not reload itself.</p></noscript>
 </main>"""
         return document(scene.title, body, style=asset("report.css"), script=asset("report.js"))

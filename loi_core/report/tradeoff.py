@@ -226,7 +226,7 @@ def _body(result: Tradeoff) -> str:
     rows = [list(map(escape, row)) for row in _cells(result)]
     table = html_table("Every setting", _heads(result), rows, text_columns=range(TEXT_COLUMNS))
     parts = [
-        f"<main><h1>{escape(problem.name)}: what accuracy costs</h1>",
+        f"<main><h1>{escape(problem.name)}: the cost of accuracy</h1>",
         f'<p class="lead">{escape(_title(result))}</p>',
         f"<p><b>{escape(_advice(result))}</b></p>",
         f'<div class="row">{figures}</div>',
@@ -256,9 +256,11 @@ def _chart(result: Tradeoff) -> str:
     for colour, backend in enumerate(dict.fromkeys(row.setting.backend for row, _ in measured), FIRST_BACKEND_COLOUR):
         rows = [row for row, _ in measured if row.setting.backend == backend]
         lines.append(_points(backend, [row for row in rows if not row.setting.change], colour, "dot"))
-        lines.append(_points(f"{backend}, other scales", [row for row in rows if row.setting.change], colour, "cross"))
+        lines.append(
+            _points(f"{backend}, other scales (crosses)", [row for row in rows if row.setting.change], colour, "cross")
+        )
     gradient = "parameters'" if any(row.parameter_error is not None for row, _ in measured) else "image's"
-    title = f"Relative error of the {gradient} gradient; errors below {MIN_PLOTTED_ERROR:g} are drawn there"
+    title = f"Relative error of the {gradient} gradient; at least {MIN_PLOTTED_ERROR:g} here"
     figure = chart_figure(Chart(title, lines, "value and gradient, ms", log_x=True, log_y=True))
     items = "".join(f"<li>{escape(name)}</li>" for _, _, name in front)
     return f'{figure.replace("chart panel", "chart plot panel", 1)}<ol aria-label="Pareto set">{items}</ol>'

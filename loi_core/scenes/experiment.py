@@ -23,7 +23,7 @@ from loi_core.renderers.contract import Parameters, capabilities_of
 from loi_core.scenes.scale_terms import scale_terms
 from loi_core.scenes.scene import Scene
 from loi_core.support.arrays import Array, Host, to_numpy
-from loi_core.support.guards import foreign
+from loi_core.support.guards import wrap_errors
 
 __all__ = ["FrameWriter", "Progress", "Start", "Trial", "Watch", "frame_steps", "plan_scene", "quality", "run_scene"]
 
@@ -131,7 +131,7 @@ class Start:
         images = {}
         for name, view in scene.views.items():
             where = f"{scene.path}: [views.{name}]" if name else f"{scene.path}"
-            with foreign(f"{where}: rendering the start"):
+            with wrap_errors(f"{where}: rendering the start"):
                 images[name] = view.renderer.render(view.own(params, scene.optimise), seed=scene.fit.seed)
                 shape = tuple(images[name].shape)
             wanted = view.target.image.shape

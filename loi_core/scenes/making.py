@@ -15,7 +15,7 @@ from loi_core.renderers.blurred import BLUR_KEYS, BlurredRenderer
 from loi_core.renderers.contract import Renderer
 from loi_core.scenes.target import read_target
 from loi_core.scenes.where import Where
-from loi_core.support.guards import foreign, is_ctrl_c
+from loi_core.support.guards import is_ctrl_c, wrap_errors
 from loi_core.support.values import whole_number
 from loi_core.support.wording import described, shown
 
@@ -97,7 +97,7 @@ def _blurred(
 ) -> Renderer:
     """A renderer whose gradients are those of its images blurred."""
     try:
-        with foreign("blurring"):
+        with wrap_errors("blurring"):
             names = [name for name in moving if name in renderer.parameters()]
             return BlurredRenderer(renderer, **{"names": names, **table})
     except LoiError as error:

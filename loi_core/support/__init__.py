@@ -1,1 +1,1 @@
-"""Small helpers that know nothing of images: arrays of any library, the wording of messages, caches, checks."""
+"""Small helpers without images: arrays of any library, charts, the wording of messages, caches, checks."""

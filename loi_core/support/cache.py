@@ -1,4 +1,4 @@
-"""What is costly to make and often wanted again, kept within a bound on memory."""
+"""A cache with a bound on memory."""
 
 from __future__ import annotations
 
@@ -8,32 +8,32 @@ from typing import Final, Generic, TypeVar
 
 from loi_core.support.forking import ForkSafeLock
 
-__all__ = ["BESIDE", "Cache"]
+__all__ = ["ARRAY_OVERHEAD", "Cache"]
 
-BESIDE: Final = 1024
-"""Numbers that a kept array takes the memory of, beside its own: of the objects that hold it, and of its key."""
+ARRAY_OVERHEAD: Final = 1024
+"""The memory of an array's key and of the objects around it, in elements of the array."""
 
 Key = TypeVar("Key", bound=Hashable)
 Value = TypeVar("Value")
 
 
 class Cache(Generic[Key, Value]):
-    """Values by key, up to a number of elements; those longest unused go first. Any thread may use it.
+    """Values by key, up to a total number of elements; the least recently used are dropped. Safe for threads.
 
     Parameters
     ----------
-    most : int
-        How many elements all values together may have.
+    max_elements : int
+        The largest number of elements of all values together.
     """
 
-    def __init__(self, most: int) -> None:
-        self._most = most
-        self._held = 0
+    def __init__(self, max_elements: int) -> None:
+        self._max_elements = max_elements
+        self._elements = 0
         self._values: OrderedDict[Key, tuple[Value, int]] = OrderedDict()
         self._lock = ForkSafeLock()
 
     def get(self, key: Key) -> Value | None:
-        """What is kept for `key`, if anything."""
+        """Return the value of `key`, or None."""
         with self._lock:
             if key not in self._values:
                 return None
@@ -41,16 +41,16 @@ class Cache(Generic[Key, Value]):
             return self._values[key][0]
 
     def put(self, key: Key, value: Value, elements: int) -> None:
-        """Keep a value of so many elements, unless that alone is too many."""
+        """Store a value with this number of elements, unless that number alone is too large."""
         with self._lock:
-            if key in self._values or elements > self._most:
+            if key in self._values or elements > self._max_elements:
                 return
             self._values[key] = value, elements
-            self._held += elements
-            while self._held > self._most:
-                self._held -= self._values.popitem(last=False)[1][1]
+            self._elements += elements
+            while self._elements > self._max_elements:
+                self._elements -= self._values.popitem(last=False)[1][1]
 
     @property
-    def held(self) -> int:
-        """Elements of all that is kept."""
-        return self._held
+    def elements(self) -> int:
+        """The number of elements of all stored values."""
+        return self._elements

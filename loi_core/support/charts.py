@@ -141,7 +141,7 @@ def sparkline(
     width, height : int
         In CSS pixels.
     shaded_to : float, optional
-        The x up to which the background is shaded.
+        The end of the shaded background, in x.
     """
     finite = [[point for point in line if all(map(math.isfinite, point))] for line in lines]
     finite = [line for line in finite if len(line) > 1]

@@ -1,4 +1,4 @@
-"""Locks that a forked process does not find held by a thread that it does not have."""
+"""Locks that are released in forked processes."""
 
 from __future__ import annotations
 
@@ -12,14 +12,17 @@ __all__ = ["ForkSafeLock"]
 
 
 class ForkSafeLock:
-    """A lock for ``with`` statements; a forked process gets one that nobody holds."""
+    """A lock for ``with`` statements that a forked process finds released.
+
+    The thread that holds a plain lock does not exist in the forked process, which would wait for it forever.
+    """
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
         _LOCKS.add(self)
 
     def renew(self) -> None:
-        """Take a new one for the old."""
+        """Replace the lock by a released one."""
         self._lock = threading.Lock()
 
     def __enter__(self) -> None:

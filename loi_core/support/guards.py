@@ -1,4 +1,4 @@
-"""Running code that is not ours and may raise anything."""
+"""Running foreign code, which may raise anything."""
 
 from __future__ import annotations
 
@@ -7,22 +7,22 @@ from dataclasses import dataclass
 from loi_core.errors import LoiError, RendererError
 from loi_core.support.wording import described
 
-__all__ = ["foreign", "is_ctrl_c"]
+__all__ = ["is_ctrl_c", "wrap_errors"]
 
 
 def is_ctrl_c(error: BaseException) -> bool:
-    """Whether the user wants to stop; a plugin's own exceptions derived from ``KeyboardInterrupt`` do not say so."""
+    """Return whether the user interrupts; subclasses of ``KeyboardInterrupt`` in a plugin do not count."""
     return type(error) is KeyboardInterrupt
 
 
 @dataclass(frozen=True)
-class foreign:  # noqa: N801 - it reads as what it does: with foreign("rendering")
-    """Turns whatever a renderer raises into a :class:`RendererError` that says what failed.
+class wrap_errors:  # noqa: N801 - a context manager reads as a verb: with wrap_errors("rendering")
+    """Turn any error of a renderer into a :class:`RendererError` that names the failed action.
 
-    Our own errors, Ctrl-C and a lack of memory pass as they are.
+    Errors of loi, Ctrl-C and a lack of memory pass unchanged.
     """
 
-    what: str
+    action: str
 
     def __enter__(self) -> None:
         pass
@@ -30,5 +30,5 @@ class foreign:  # noqa: N801 - it reads as what it does: with foreign("rendering
     def __exit__(self, _: object, error: BaseException | None, __: object) -> None:
         if error is None or is_ctrl_c(error) or isinstance(error, LoiError | MemoryError):
             return
-        msg = f"{self.what} failed: {described(error)}"
+        msg = f"{self.action} failed: {described(error)}"
         raise RendererError(msg) from error

@@ -1,4 +1,4 @@
-"""How to install what is missing."""
+"""The command that installs a missing extra."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ __all__ = ["how_to_install"]
 
 
 def how_to_install(extra: str, package: str = "loi") -> str:
-    """The command that brings an extra of a package: from its clone if it was installed from one, or from an index."""
+    """Return the command that installs an extra of a package, from the package's clone if it was installed from one."""
     clone = _clone(package)
     if clone is None:
         return f"pip install '{package}[{extra}]'"
-    pinned = clone / "constraints.txt"
-    held = f"-c {shlex.quote(str(pinned))} " if pinned.is_file() else ""
-    return f"pip install {held}-e {shlex.quote(f'{clone}[{extra}]')}"
+    constraints = clone / "constraints.txt"
+    option = f"-c {shlex.quote(str(constraints))} " if constraints.is_file() else ""
+    return f"pip install {option}-e {shlex.quote(f'{clone}[{extra}]')}"
 
 
 def _clone(package: str) -> Path | None:
-    """The folder of a package that is used from where its sources are (``pip install -e``), or None."""
-    # Here, for they load what makes up a tenth of the time to import loi: sockets and encryption.
+    """Return the folder of the sources of a package that was installed with ``pip install -e``, or None."""
+    # Imported here, since sockets and encryption take a tenth of the time to import loi.
     from urllib.parse import urlsplit
     from urllib.request import url2pathname
 
     try:
-        said = importlib.metadata.distribution(package).read_text("direct_url.json")
-        origin = json.loads(said) if said else {}
+        text = importlib.metadata.distribution(package).read_text("direct_url.json")
+        origin = json.loads(text) if text else {}
         if not origin.get("dir_info", {}).get("editable", False):
             return None
         folder = Path(url2pathname(urlsplit(origin["url"]).path))

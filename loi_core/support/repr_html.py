@@ -1,6 +1,6 @@
 """The HTML that notebooks show of results and objectives: no style sheet, readable on light and dark pages.
 
-Colours are those of the page, or a grey that is visible on both. Every text is escaped.
+Colours are the colours of the page, or a grey that is visible on both. Every text is escaped.
 """
 
 from __future__ import annotations

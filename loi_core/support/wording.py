@@ -1,4 +1,4 @@
-"""What messages show of values and errors that may be anything: always short, always one line."""
+"""Short, one-line texts of arbitrary values and errors for messages."""
 
 from __future__ import annotations
 
@@ -6,85 +6,87 @@ import io
 from collections.abc import Collection, Iterable
 from typing import Final, TextIO
 
-__all__ = ["LISTED", "PlainText", "clause", "described", "listed", "printable", "shown"]
+__all__ = ["MAX_LISTED", "PlainText", "clause", "described", "listed", "printable", "shown"]
 
-MOST: Final = 60
-MOST_DESCRIBED: Final = 500
-LISTED: Final = 4
-"""Names in a list, before others are counted; one more is named as well."""
+MAX_SHOWN_LENGTH: Final = 60
+MAX_ERROR_LENGTH: Final = 500
+MAX_LISTED: Final = 4
+"""Names in a list before the others are only counted; a single other is named as well."""
 
 
 def shown(value: object) -> str:
-    """The first 60 characters of how `value` would be typed, on one line; its type if it cannot be printed.
+    """Return the first 60 characters of `value` as Python code on one line; its type if it cannot be printed.
 
-    Numbers of thousands of digits, nests of thousands of levels and objects of a plugin cannot always be.
+    Numbers of thousands of digits, deeply nested values and objects of a plugin cannot always be printed.
     """
     try:
         text = repr(value)
-    except Exception:  # noqa: BLE001 - whatever it is, the message that shows it matters more
+    except Exception:  # noqa: BLE001 - the message around the value matters more than the error
         return f"a {type(value).__name__} that cannot be printed"
-    return " ".join(text[:MOST].split())
+    return " ".join(text[:MAX_SHOWN_LENGTH].split())
 
 
 def listed(names: Iterable[str]) -> str:
-    """Each of `names` once, in quotes; of more than five the first four, and how many others there are."""
-    quoted = [repr(one) for one in dict.fromkeys(names)]
-    more = len(quoted) - LISTED
-    return ", ".join(quoted) if more <= 1 else f"{', '.join(quoted[:LISTED])} and {more} others"
+    """Return each name once, in quotes; of more than five names the first four and the number of the others."""
+    quoted = [repr(name) for name in dict.fromkeys(names)]
+    omitted = len(quoted) - MAX_LISTED
+    return ", ".join(quoted) if omitted <= 1 else f"{', '.join(quoted[:MAX_LISTED])} and {omitted} others"
 
 
-def clause(names: Collection[str], one: str, several: str) -> str:
-    """The names as :func:`listed`, and what they do: `one` if there is one of them, or else `several`."""
-    return f"{listed(names)} {one if len(set(names)) == 1 else several}"
+def clause(names: Collection[str], singular: str, plural: str) -> str:
+    """Return the names as :func:`listed`, followed by `singular` for one name and `plural` for several."""
+    return f"{listed(names)} {singular if len(set(names)) == 1 else plural}"
 
 
 def described(error: BaseException) -> str:
-    """The type of `error` and what it says, on one line."""
+    """Return the type and the message of an error on one line."""
     name = type(error).__name__
     try:
         text = str(error)
-    except Exception:  # noqa: BLE001 - likewise
+    except Exception:  # noqa: BLE001 - the type of the error is still useful
         text = "its message cannot be printed"
-    text = " ".join(text[:MOST_DESCRIBED].split())
+    text = " ".join(text[:MAX_ERROR_LENGTH].split())
     return f"{name}: {text}" if text else name
 
 
 def printable(text: str) -> str:
-    """`text` on one line, with control characters and such as have no UTF-8 escaped, so that a terminal shows all."""
+    """Return `text` on one line, with control characters and invalid Unicode escaped."""
     return _escaped(" ".join(text.split()))
 
 
 def _escaped(text: str) -> str:
-    plain = (one if one.isprintable() or one == "\t" else one.encode("unicode_escape").decode("ascii") for one in text)
-    return "".join(plain)
+    return "".join(
+        letter if letter.isprintable() or letter == "\t" else letter.encode("unicode_escape").decode("ascii")
+        for letter in text
+    )
 
 
 class PlainText(io.TextIOBase):
-    """A stream on which titles, paths and names may be printed, whoever chose them: a terminal obeys none of them.
+    """A text stream that escapes control characters, so that titles and paths cannot control the terminal.
 
     Parameters
     ----------
     stream : text stream
-        Where the text goes on to, with line ends as they are and all other control characters escaped.
+        The stream that receives the text; line ends stay as they are.
     """
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
 
     def write(self, text: str) -> int:
-        """Write `text`; how long it was."""
+        """Write `text` and return its length."""
         self._stream.write("\n".join(map(_escaped, text.split("\n"))))
         return len(text)
 
     @property
     def encoding(self) -> str:  # type: ignore[override]  # writable in the base, for no reason
-        """Of the stream that the text goes on to."""
+        """The encoding of the underlying stream."""
         return self._stream.encoding
 
     def flush(self) -> None:
-        """Have all that was written go on."""
+        """Flush the underlying stream."""
         self._stream.flush()
 
     def isatty(self) -> bool:
-        """Whether it ends at a terminal."""
+        """Return whether the underlying stream is a terminal."""
         return self._stream.isatty()

@@ -262,8 +262,8 @@ def test_operators_are_kept_within_a_bound() -> None:
         LOIObjective(np.zeros((size, size, 1)), ScaleSpace.paper("path")).value(np.zeros((size, size, 1)))
     from loi_core.method.compiled import bands
 
-    before = _CACHE.held, bands._CACHE.held
+    before = _CACHE.elements, bands._CACHE.elements
     LOIObjective(np.ones((59, 59, 1)), ScaleSpace.paper("path")).value(np.zeros((59, 59, 1)))
-    assert before == (_CACHE.held, bands._CACHE.held)
+    assert before == (_CACHE.elements, bands._CACHE.elements)
     assert 0 < before[0] <= 2**24
     assert 0 < before[1] <= 2**22

@@ -10,7 +10,7 @@ import numpy as np
 
 from loi_core.method.compiled.records import GROUP, PAIRS, TAPS, BandColumn
 from loi_core.method.gaussian import AxisBlur, Matrix
-from loi_core.support.cache import BESIDE, Cache
+from loi_core.support.cache import ARRAY_OVERHEAD, Cache
 
 __all__ = ["Band", "Bands", "Numbers", "Pairs", "band_back", "band_forth"]
 
@@ -196,5 +196,5 @@ def _kept(blur: AxisBlur, dtype: np.dtype[Any], part: Callable[[range], tuple[ra
     if found is None:
         sizes = (blur.source.cells, blur.target.cells) if back else (blur.target.cells, blur.source.cells)
         found = Band.of(*sizes, part, dtype)
-        _CACHE.put(key, found, found.weights.size + BESIDE)
+        _CACHE.put(key, found, found.weights.size + ARRAY_OVERHEAD)
     return found
