@@ -88,7 +88,7 @@ def run_and_write(scene: Scene, *, resume: bool = False, command: str = "", watc
     folder = ResultFolder(scene.output)  # a folder of somebody else is refused now, not after the fit
 
     def progress(name: str, step: int, value: float) -> None:
-        folder.claim([CHECKPOINT_FILE])  # before it is written
+        folder.claim()  # before the checkpoint is written
         bar.show(step + 1, scene.fit.steps, f"{value:.3g}", title=objective_label(name))
 
     with ProgressBar() as bar:

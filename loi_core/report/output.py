@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -15,9 +14,7 @@ from loi_core.fitting.views import Images, by_view
 from loi_core.io.files import write_text
 from loi_core.io.images import write_png
 from loi_core.io.result_folder import (
-    CHECKPOINT_FILE,
     HISTORY_FILE,
-    PAGE_FILE,
     RESULT_FILE,
     SCALES_FILE,
     ResultFolder,
@@ -64,7 +61,7 @@ def write_results(scene: Scene, trials: Sequence[Trial], *, command: str = "") -
         If a file cannot be written.
     """
     folder = ResultFolder(scene.output)
-    folder.claim([CHECKPOINT_FILE, PAGE_FILE])  # other modules write these
+    folder.claim()
     folder.remove_unfinished()
     target, display = scene.strip({name: view.target.image for name, view in scene.views.items()}), _display(scene)
     gradients: list[dict[str, Any]] = []
@@ -76,7 +73,7 @@ def write_results(scene: Scene, trials: Sequence[Trial], *, command: str = "") -
         if trial.result is None:
             # Files of an earlier run must not be mistaken for the outcome of this one.
             names = ("final.png", "error.png", "parameters.json", HISTORY_FILE, SCALES_FILE)
-            pictures = (*folder.listed(FRAMES_FOLDER), *folder.listed(GRADIENTS_FOLDER)) if index == 0 else ()
+            pictures = (*folder.pictures(FRAMES_FOLDER), *folder.pictures(GRADIENTS_FOLDER)) if index == 0 else ()
             folder.remove([*(f"{prefix}{name}" for name in names), *pictures])
             continue
         final = scene.strip(_host_images(trial.result.image))
@@ -204,20 +201,18 @@ def _pixel_weights(scene: Scene) -> Host:
 
 def _write_frames(folder: ResultFolder, scene: Scene, trial: Trial, display: Display) -> None:
     frames = {frame_file(step): frame for step, frame in trial.frames}
-    folder.claim(frames)
     for name, frame in frames.items():
         write_png(folder.path / name, display.show(frame))
     done = len(trial.result.history) if trial.result else 0
     # A resumed fit keeps the frames of its first part; frames of a run with other steps must go.
-    expected = {step for step in frame_steps(scene) if step < done}
-    folder.remove([name for name in folder.listed(FRAMES_FOLDER) if int(Path(name).stem) not in expected])
+    expected = {frame_file(step) for step in frame_steps(scene) if step < done}
+    folder.remove(set(folder.pictures(FRAMES_FOLDER)) - expected)
 
 
 def _write_effects(folder: ResultFolder, trial: Trial) -> None:
     """Write the change by each effect, all on the range of their sum without its few largest values."""
     pictures = {effect_file(name): image for name, image in trial.effects.items()}
-    folder.remove(set(folder.listed(EFFECTS_FOLDER)) - set(pictures))
-    folder.claim(pictures)
+    folder.remove(set(folder.pictures(EFFECTS_FOLDER)) - set(pictures))
     if pictures:
         largest = robust_maximum(np.sum(list(pictures.values()), axis=0))
         for name, image in pictures.items():

@@ -11,7 +11,7 @@ from typing import Any, Final
 
 from loi_core.errors import SceneError
 from loi_core.io.files import read_bytes, write_text
-from loi_core.io.result_folder import PAGE_FILE, RESULT_FILE, is_listed
+from loi_core.io.result_folder import MARKER_FILE, PAGE_FILE, RESULT_FILE
 from loi_core.plugins.baselines import is_objective_name
 from loi_core.report.curves import curves
 from loi_core.report.document import REPORT, asset, document, is_made_by, scrollable
@@ -37,7 +37,7 @@ def write_page(folder: Path) -> Path:
         If the folder does not hold the results of a scene.
     """
     page, text = folder / PAGE_FILE, run_page(folder)  # a missing result is reported before a page in the way
-    if page.exists() and not is_listed(page):
+    if page.exists() and not (folder / MARKER_FILE).exists():
         msg = f"{page} was not written by `loi`; move it away, and call again"
         raise SceneError(msg)
     write_text(page, text)

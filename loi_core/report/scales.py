@@ -57,8 +57,7 @@ def write_gradients(folder: ResultFolder, scene: Scene, trial: Trial) -> list[di
                 entry = entries.setdefault((alpha, beta, sigma), empty)
                 entry["gradient_norm"][moment] = float(np.linalg.norm(pull))
                 pictures[gradient_file(moment, sigma, alpha, beta)] = pull
-    folder.remove(set(folder.listed(GRADIENTS_FOLDER)) - set(pictures))
-    folder.claim(pictures)
+    folder.remove(set(folder.pictures(GRADIENTS_FOLDER)) - set(pictures))
     for name, pull in pictures.items():
         write_png(folder.path / name, signed_to_grey(pull))
     return list(entries.values())

@@ -8,11 +8,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Final
 
-from loi_core.errors import OptionError
-from loi_core.io.files import TEMPORARY, check_writable, write_text
+from loi_core.io.files import write_text
 from loi_core.io.lock import LOCK, exclusive_use
+from loi_core.io.result_folder import check_owned
 from loi_core.runs import read_record, write_record
-from loi_core.support.wording import printable, shown
 from loi_core.sweeps.plan import SweepRun
 
 __all__ = ["SweepFolder"]
@@ -38,15 +37,7 @@ class SweepFolder:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        check_writable("output", path)
-        held = sorted(each.name for each in path.iterdir()) if path.is_dir() else []
-        strange = [name for name in held if not name.startswith(TEMPORARY)]
-        if strange and MARK not in strange:
-            msg = (
-                f"`output` must be a new or empty folder, or one of a sweep; {shown(str(path))} holds "
-                f"{shown(strange[0])} and no {MARK}"
-            )
-            raise OptionError(printable(msg))
+        check_owned("output", path, MARK)
 
     @property
     def runs(self) -> Path:

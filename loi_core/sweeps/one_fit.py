@@ -61,12 +61,13 @@ def carry_out(task: FitTask) -> dict[str, Any]:
     A fit that was cut off goes on from its checkpoint, and one that has failed keeps it; one that is done removes it.
     """
     scene = _scene(task)
-    ResultFolder(scene.output).claim([CHECKPOINT_FILE])  # before the first is written
+    folder = ResultFolder(scene.output)
+    folder.claim()
     trials = _fitted(scene)
     entry = write_results(scene, trials)["trials"][0]
     write_page(scene.output)
     if not entry["error"]:  # of all that is left they are nine tenths, and many runs are left
-        ResultFolder(scene.output).remove([CHECKPOINT_FILE])
+        folder.remove([CHECKPOINT_FILE])
     found = entry.get("diagnosis") or {}
     # Of equal images PSNR is infinite, for which JSON has no number.
     psnr = entry.get("psnr") if entry.get("psnr") is not None or "psnr" not in entry else math.inf
@@ -99,7 +100,5 @@ def _fitted(scene: Scene) -> list[Trial]:
     try:
         return run_scene(scene, checkpoint=checkpoint, resume=True)
     except ParameterError:  # damaged, or from before something changed that a sweep does not know of
-        folder = ResultFolder(scene.output)
-        folder.remove([CHECKPOINT_FILE])
-        folder.claim([CHECKPOINT_FILE])
+        ResultFolder(scene.output).remove([CHECKPOINT_FILE])
         return run_scene(scene, checkpoint=checkpoint)

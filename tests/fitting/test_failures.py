@@ -9,6 +9,7 @@ import pytest
 
 from loi_core import Free, PixelL2, RendererCapabilities, fit
 from loi_core.errors import FitDivergedError, FitError, LoiError, RendererError
+from loi_core.renderers import Disks
 from tests.fitting.fits import Bowl, bad_pullback, run
 
 
@@ -154,3 +155,22 @@ def test_wrong_arguments_are_named(options: dict[str, Any], says: str) -> None:
     with pytest.raises(ValueError, match=says) as caught:
         run(**options)
     assert isinstance(caught.value, LoiError)
+
+
+class Exiting(Disks):
+    """A renderer that raises SystemExit in its third gradient."""
+
+    calls = 0
+
+    def render_vjp(self, params: Any, *, seed: int = 0) -> Any:
+        self.calls += 1
+        if self.calls == 3:
+            raise SystemExit(0)
+        return super().render_vjp(params, seed=seed)
+
+
+def test_a_renderer_that_raises_system_exit_ends_the_fit_with_a_result() -> None:
+    renderer = Exiting(6, 6, [[2.0, 3.0]], [1.5], [[0.9, 0.2, 0.1]])
+    with pytest.raises(FitError, match="step 2: rendering failed: SystemExit: 0") as caught:
+        fit(renderer, PixelL2(np.full((6, 6, 3), 0.25)), steps=5, learning_rate=0.1)
+    assert caught.value.result is not None

@@ -6,16 +6,14 @@ import base64
 import json
 import os
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from loi_core.cli import main
-from loi_core.errors import OptionError
 from loi_core.io.files import remove_temporaries
 from loi_core.io.images import write_png
-from loi_core.io.result_folder import LIST_FILE, ResultFolder
+from loi_core.io.result_folder import MARKER_FILE, ResultFolder
 from loi_core.renderers import Disks
 from tests.helpers import FINISHED
 
@@ -71,45 +69,6 @@ def test_a_folder_that_somebody_keeps_files_in_is_refused_and_stays_as_it_is(
     assert contents(mine) == before
 
 
-def test_a_list_that_a_stranger_wrote_makes_no_folder_ours(scene: Path, tmp_path: Path) -> None:
-    mine = assets(tmp_path / "assets")
-    lists: tuple[Any, ...] = (["note.txt"], ["../a"], ["frames/../../b"], ["/etc/passwd"], [3], "final.png", 3, "", {})
-    for files in lists:
-        (mine / LIST_FILE).write_text(json.dumps({"files": files}))
-        before = contents(tmp_path)
-        assert main(["fit", str(scene), "--output", str(mine)]) == 2
-        assert contents(tmp_path) == before
-
-
-def test_what_somebody_adds_to_a_folder_of_results_stays(scene: Path) -> None:
-    assert main(["fit", str(scene)]) in FINISHED
-    mine = scene.parent / "result" / "frames" / "000777.png"
-    mine.write_bytes(b"mine")
-    assert main(["fit", str(scene)]) in FINISHED
-    assert mine.read_bytes() == b"mine"
-
-
-def test_every_file_of_a_fit_is_on_its_list(scene: Path) -> None:
-    assert main(["fit", str(scene)]) in FINISHED
-    result = scene.parent / "result"
-    listed = set(json.loads((result / LIST_FILE).read_text())["files"])
-    assert set(contents(result)) == listed | {LIST_FILE}
-
-
-@pytest.mark.parametrize("name", ["frames", "compare"])
-def test_nothing_is_written_or_removed_through_a_link(
-    name: str, scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert main(["fit", str(scene)]) in FINISHED
-    inside, outside = scene.parent / "result" / name, tmp_path / "elsewhere"
-    inside.rename(outside)
-    inside.symlink_to(outside, target_is_directory=True)
-    before = contents(outside)
-    assert main(["fit", str(scene)]) == 2
-    assert "is a link" in capsys.readouterr().err
-    assert contents(outside) == before
-
-
 @pytest.mark.parametrize("output", ["../x", "a/../../x", "/x", "linked"])
 def test_the_output_that_a_scene_names_lies_in_its_folder(
     output: str, scene: Path, tmp_path_factory: pytest.TempPathFactory, capsys: pytest.CaptureFixture[str]
@@ -128,24 +87,23 @@ def test_a_fit_that_was_killed_before_its_first_result_can_go_on(scene: Path) ->
         path.rmdir() if path.is_dir() else path.unlink()
     left = result / ".loi-unfinished-checkpoint-a1b2c3d4.npz"
     left.write_bytes(b"half")
-    (result / ".loi-unfinished-loi-files-a1b2c3d4.json").write_bytes(b"half")
-    ResultFolder(result).claim(["checkpoint.npz"])
+    ResultFolder(result).claim()
     (result / "checkpoint.npz").write_bytes(kept)
     assert main(["fit", str(scene), "--resume"]) in FINISHED
     assert not left.exists()
 
 
-def test_the_checkpoint_is_on_the_list_before_it_is_written(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    listed = []
+def test_the_folder_is_marked_before_the_checkpoint_is_written(scene: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    marked = []
     monkeypatch.setattr(
         "loi_core.fitting.checkpoint.save_checkpoint",
-        lambda path, *_, **__: listed.append("checkpoint.npz" in ResultFolder(path.parent).names),
+        lambda path, *_: marked.append((path.parent / MARKER_FILE).exists()),
     )
     assert main(["fit", str(scene)]) in FINISHED
-    assert listed == [True]
+    assert marked == [True]
 
 
-def test_a_folder_with_a_checkpoint_of_somebody_is_not_ours(scene: Path, tmp_path: Path) -> None:
+def test_a_folder_that_only_holds_a_foreign_checkpoint_is_refused(scene: Path, tmp_path: Path) -> None:
     mine = tmp_path / "models"
     mine.mkdir()
     (mine / "checkpoint.npz").write_bytes(b"mine")
@@ -158,7 +116,7 @@ def test_a_folder_with_a_checkpoint_of_somebody_is_not_ours(scene: Path, tmp_pat
 def test_a_report_that_somebody_wrote_is_not_replaced(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["fit", str(scene)]) in FINISHED
     result = scene.parent / "result"
-    (result / LIST_FILE).unlink()
+    (result / MARKER_FILE).unlink()
     (result / "report.html").write_text("mine")
     assert main(["report", str(result)]) == 2
     assert "was not written by `loi`" in capsys.readouterr().err
@@ -172,14 +130,6 @@ def test_only_temporaries_of_the_file_itself_are_removed(tmp_path: Path) -> None
         (tmp_path / name).write_bytes(b"")
     remove_temporaries(tmp_path / "a.npz")
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(names[1:])
-
-
-def test_names_that_are_none_of_a_result_are_not_claimed(tmp_path: Path) -> None:
-    with pytest.raises(ValueError, match="no name of a result"):
-        ResultFolder(tmp_path / "r").claim(["../x.png"])
-    (tmp_path / "file").write_bytes(b"")
-    with pytest.raises(OptionError, match="output"):
-        ResultFolder(tmp_path)
 
 
 def test_a_terminal_obeys_no_title_and_no_path(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:

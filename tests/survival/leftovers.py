@@ -1,4 +1,4 @@
-"""What a fit leaves behind, but for the time that it took: in two folders the same, if the fits were."""
+"""The files of a fit without the times in them: equal in two folders if the fits were equal."""
 
 from __future__ import annotations
 
@@ -11,36 +11,34 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["different", "leftovers"]
+__all__ = ["different"]
 
-SECONDS = 4  # the column of a checkpoint's history
-# Of files that are compared themselves.
-TIMED_LINK = re.compile(r'href="data:(?:text/csv|application/json);base64,[^"]*"')
-TIMED = re.compile(r'(<tr><td>[^<]*</td>(?:<td class="n">[^<]*</td>){2})<td class="n">[^<]*</td>')
-
-
-def leftovers(folder: Path) -> dict[str, Any]:
-    """Every file by its name, as something that can be compared."""
-    return {str(path.relative_to(folder)): _content(path) for path in folder.rglob("*") if path.is_file()}
+SECONDS_COLUMN = 4  # of a checkpoint's history
+TIMED_LINK = re.compile(r'href="data:(?:text/csv|application/json);base64,[^"]*"')  # files that are compared themselves
+TIMED_CELL = re.compile(r'(<tr><td>[^<]*</td>(?:<td class="n">[^<]*</td>){2})<td class="n">[^<]*</td>')
 
 
-def different(one: Path, other: Path) -> list[str]:
-    """The files that are not the same in two folders."""
-    first, second = leftovers(one), leftovers(other)
-    return sorted(name for name in first.keys() | second.keys() if first.get(name) != second.get(name))
+def different(first: Path, second: Path) -> list[str]:
+    """Return the names of files that differ between two folders."""
+    contents = [
+        {str(path.relative_to(folder)): _content(path) for path in folder.rglob("*") if path.is_file()}
+        for folder in (first, second)
+    ]
+    names = contents[0].keys() | contents[1].keys()
+    return sorted(name for name in names if contents[0].get(name) != contents[1].get(name))
 
 
 def _content(path: Path) -> Any:
     if path.name == "history.csv":
         return [{**row, "seconds": ""} for row in csv.DictReader(io.StringIO(path.read_text()))]
     if path.name == "result.json":
-        told = json.loads(path.read_text())
-        return {**told, "output": "", "trials": [{**trial, "seconds": None} for trial in told["trials"]]}
+        result = json.loads(path.read_text())
+        return {**result, "output": "", "trials": [{**trial, "seconds": None} for trial in result["trials"]]}
     if path.name == "report.html":
-        return TIMED_LINK.sub("", TIMED.sub(r"\1", path.read_text()))
+        return TIMED_LINK.sub("", TIMED_CELL.sub(r"\1", path.read_text()))
     if path.suffix == ".npz":
         with np.load(path) as stored:
             arrays = {name: stored[name] for name in stored.files}
-        arrays["history"] = np.delete(arrays["history"], SECONDS, axis=1)
+        arrays["history"] = np.delete(arrays["history"], SECONDS_COLUMN, axis=1)
         return {name: (value.dtype.str, value.shape, value.tobytes()) for name, value in arrays.items()}
     return path.read_bytes()

@@ -8,7 +8,7 @@ from tests.one_disk import DISK, DISK_TO_FIND, lay_out_disk
 
 __all__ = ["SCENES", "lay_out"]
 
-ONE = f"""\
+ONE_VIEW = f"""\
 target = "target.png"
 output = "result"
 
@@ -43,10 +43,10 @@ views_per_step = 1
 """
 
 SCENES = {
-    "disks": ONE,
+    "disks": ONE_VIEW,
     "views": VIEWS,
-    "torch": ONE.replace('"disks"', '"disks-torch"'),
-    "JAX": ONE.replace('"disks"', '"disks-jax"')
+    "torch": ONE_VIEW.replace('"disks"', '"disks-torch"'),
+    "JAX": ONE_VIEW.replace('"disks"', '"disks-jax"')
     .replace("starts = 2", "starts = 1")
     .replace("= 40", "= 60")
     .replace("confine = true", 'dtype = "float32"'),
