@@ -1,7 +1,6 @@
 """Fits in forked children that are killed, or meet a full disk, at any moment.
 
-``python -m tests.survival.children FOLDER SCENE kill COUNT`` and ``... starve full|read-only MOMENTS`` print the outcome
-as JSON.
+``python -m tests.survival.children FOLDER SCENE kill COUNT``, or ``starve HOW MOMENTS``, prints the outcome as JSON.
 """
 
 from __future__ import annotations
