@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from tests.mitsuba.test_scene_file import folder
-from tests.survival.processes import ends
+from tests.survival.processes import fit_killed_and_whole
 
 __all__ = ["folder"]
 
@@ -31,5 +31,5 @@ def one_core() -> Iterator[None]:
 
 @pytest.mark.usefixtures("one_core")
 def test_a_fit_of_a_mitsuba_scene_that_was_killed_ends_where_a_whole_one_does(folder: Path) -> None:
-    broken, whole = ends(folder / "scene.toml", "place")
+    broken, whole = fit_killed_and_whole(folder / "scene.toml", "place")
     assert broken == whole
