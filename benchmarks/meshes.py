@@ -1,9 +1,10 @@
-"""What drawing meshes costs, and how true it is, beside DEODR: ``python -m benchmarks.meshes`` from the root.
+"""Time and exactness of meshes beside DEODR: ``python -m benchmarks.meshes`` from the root.
 
-Image and gradients by all vertices, medians of several, the two in turns. DEODR blends outlines over a pixel outside of
-them; ours cover exact areas. *Wobble* is by how much the sum over an image of one colour changes as the object moves
-between pixels, of the sum; *bias* is how far the gradient by a translation, of a random smooth sum over the image, is
-from the slope of the same sum over an image of 16 times as many samples along each side, of that slope.
+Times are medians of an image with its gradients with respect to all vertices, the two renderers in turns. DEODR blends
+outlines over one pixel outside of them; ours cover exact areas. *Wobble* is the relative change of the sum over an
+image of one colour as the object moves between pixels. *Bias* is the relative error of the gradient of a random smooth
+sum over the image, with respect to a translation, against differences of an image with 16 times as many samples along
+each side.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 import torch
@@ -21,83 +22,100 @@ import torch
 from examples.adapters.deodr_mesh import DeodrMesh
 from loi_torch.mesh import Camera, Light, Mesh, draw, sphere
 
-SIDE: Final = 128
-FINE: Final = 16
+SIDE_PX: Final = 128
+COARSE_SIDE_PX: Final = 32
+FINE_FACTOR: Final = 16
 DISTANCE: Final = 3.0
-TURNS: Final = 9
-Draw = Callable[[np.ndarray[Any, Any], int, np.ndarray[Any, Any] | None], tuple[Any, Any]]
+REPEATS: Final = 9
+STEP: Final = 1e-3  # of differences, in world units
+RenderTranslated: TypeAlias = Callable[[np.ndarray[Any, Any], int, np.ndarray[Any, Any] | None], tuple[Any, Any]]
 
 
 def camera() -> Camera:
-    """Like DEODR's in the example: at the origin, looking along z, with y downwards."""
+    """Return a camera as DEODR's in the example: at the origin, looking along z, with y downwards."""
     return Camera((0.0, 0.0, 0.0), (0.0, 0.0, 1.0), up=(0.0, -1.0, 0.0), fov=45.0)
 
 
-def ours(mesh: Mesh) -> Draw:
-    """The image of a mesh moved to a place, and the gradient by that place, or by vertices that DEODR has none for."""
+def our_renderer(mesh: Mesh) -> RenderTranslated:
+    """Return a function from a translation, a side in pixels and weights to the image and the gradient."""
 
-    def drawn(place: Any, side: int, weights: Any) -> tuple[Any, Any]:
-        leaf = torch.tensor(place, dtype=torch.float64, requires_grad=weights is not None)
-        image = draw([replace(mesh, vertices=mesh.vertices + leaf)], camera(), side, side)
+    def render(translation: Any, side_px: int, weights: Any) -> tuple[Any, Any]:
+        leaf = torch.tensor(translation, dtype=torch.float64, requires_grad=weights is not None)
+        image = draw([replace(mesh, vertices=mesh.vertices + leaf)], camera(), side_px, side_px)
         if weights is None:
             return image.detach().numpy(), None
         return image.detach().numpy(), torch.autograd.grad(image, leaf, torch.from_numpy(weights))[0].numpy()
 
-    return drawn
+    return render
 
 
-def deodr(mesh: Mesh) -> Draw:
-    """The same by DEODR."""
+def deodr_renderer(mesh: Mesh) -> RenderTranslated:
+    """Return the same function for DEODR."""
     colours = mesh.colours.expand(len(mesh.vertices), 3).numpy()
-    made: dict[int, DeodrMesh] = {}
+    renderers: dict[int, DeodrMesh] = {}
 
-    def drawn(place: Any, side: int, weights: Any) -> tuple[Any, Any]:
-        if side not in made:
-            made[side] = DeodrMesh(side, side, mesh.vertices.numpy(), mesh.faces, colours)
-        params = made[side].parameters() | {"translation": np.asarray(place, dtype=np.float64)}
-        image, pullback = made[side].render_vjp(params)
+    def render(translation: Any, side_px: int, weights: Any) -> tuple[Any, Any]:
+        if side_px not in renderers:
+            renderers[side_px] = DeodrMesh(side_px, side_px, mesh.vertices.numpy(), mesh.faces, colours)
+        params = renderers[side_px].parameters() | {"translation": np.asarray(translation, dtype=np.float64)}
+        image, pullback = renderers[side_px].render_vjp(params)
         return image, None if weights is None else pullback(weights)["translation"]
 
-    return drawn
+    return render
 
 
-def smooth_weights(side: int) -> np.ndarray[Any, Any]:
-    """A random sum over the image whose weights change over a sixth of it."""
+def smooth_weights(side_px: int) -> np.ndarray[Any, Any]:
+    """Return random weights of an image that change over a sixth of its side."""
     coarse = torch.from_numpy(np.random.default_rng(0).normal(size=(1, 3, 6, 6)))
-    return torch.nn.functional.interpolate(coarse, (side, side), mode="bicubic")[0].movedim(0, 2).contiguous().numpy()
+    weights = torch.nn.functional.interpolate(coarse, (side_px, side_px), mode="bicubic")[0]
+    return weights.movedim(0, 2).contiguous().numpy()
 
 
 def milliseconds(calls: dict[str, Callable[[], Any]]) -> dict[str, float]:
-    """Median times, the calls in turns."""
-    taken: dict[str, list[float]] = {name: [] for name in calls}
-    for turn in range(TURNS + 1):
+    """Return the median time of each call, taken in turns."""
+    times: dict[str, list[float]] = {name: [] for name in calls}
+    for repeat in range(REPEATS + 1):
         for name, call in calls.items():
             started = time.perf_counter()
             call()
-            if turn:
-                taken[name].append(1e3 * (time.perf_counter() - started))
-    return {name: statistics.median(one) for name, one in taken.items()}
+            if repeat:  # the first call compiles
+                times[name].append(1e3 * (time.perf_counter() - started))
+    return {name: statistics.median(values) for name, values in times.items()}
 
 
-def wobble(drawn: Draw) -> float:
-    """Of the sum over the image, as the object moves by up to a pixel."""
+def wobble(render: RenderTranslated) -> float:
+    """Return the relative change of the sum over the image as the object moves by up to a pixel."""
     rng = np.random.default_rng(1)
-    places = [np.array([*rng.uniform(-0.01, 0.01, 2), DISTANCE]) for _ in range(20)]
-    sums = [float(np.sum(drawn(place, 32, None)[0])) for place in places]
+    translations = [np.array([*rng.uniform(-0.01, 0.01, 2), DISTANCE]) for _ in range(20)]
+    sums = [float(np.sum(render(translation, COARSE_SIDE_PX, None)[0])) for translation in translations]
     return (max(sums) - min(sums)) / float(np.mean(sums))
 
 
-def bias(drawn: Draw) -> float:
-    """Of the gradient at 32 pixels a side, against slopes of a fine image."""
-    side, place, step = 32, np.array([0.11, -0.07, DISTANCE]), 1e-3
-    weights = smooth_weights(side)
-    gradient = np.asarray(drawn(place, side, weights)[1])[:2]
-    fine = np.repeat(np.repeat(weights, FINE, axis=0), FINE, axis=1) / FINE**2
-    slopes = []
+def bias(render: RenderTranslated) -> float:
+    """Return the relative error of the gradient against differences of a fine image."""
+    translation = np.array([0.11, -0.07, DISTANCE])
+    weights = smooth_weights(COARSE_SIDE_PX)
+    gradient = np.asarray(render(translation, COARSE_SIDE_PX, weights)[1])[:2]
+    fine_weights = np.repeat(np.repeat(weights, FINE_FACTOR, axis=0), FINE_FACTOR, axis=1) / FINE_FACTOR**2
+    fine_side = COARSE_SIDE_PX * FINE_FACTOR
+    differences = []
     for axis in np.eye(3)[:2]:
-        ahead, behind = (drawn(place + sign * step * axis, side * FINE, None)[0] for sign in (1.0, -1.0))
-        slopes.append(float(np.sum((ahead - behind) * fine)) / (2.0 * step))
-    return float(np.linalg.norm(gradient - slopes) / np.linalg.norm(slopes))
+        plus, minus = (render(translation + sign * STEP * axis, fine_side, None)[0] for sign in (1.0, -1.0))
+        differences.append(float(np.sum((plus - minus) * fine_weights)) / (2.0 * STEP))
+    return float(np.linalg.norm(gradient - differences) / np.linalg.norm(differences))
+
+
+def lit_milliseconds(mesh: Mesh, side_px: int, views: int = 1) -> float:
+    """Return the time of lit images of several views, with the gradient with respect to all vertices."""
+    cameras = [Camera((4.0 * np.sin(k), 1.0, 4.0 * np.cos(k))) for k in range(views)]
+
+    def call() -> None:
+        leaf = mesh.vertices.clone().requires_grad_()
+        moved = replace(mesh, vertices=leaf)
+        total = sum(draw([moved], view, side_px, side_px, lights=[Light()]).sum() for view in cameras)
+        torch.autograd.grad(total, leaf)  # type: ignore[arg-type]  # a tensor
+
+    return milliseconds({"lit": call})["lit"]
 
 
 def main() -> None:
@@ -105,35 +123,24 @@ def main() -> None:
     white = sphere(0.8, subdivisions=4, colours=(1.0, 1.0, 1.0))
     shaded = replace(white, colours=0.5 + 0.6 * white.vertices, per="vertex")
     print("| sphere, 5,120 triangles | ours | DEODR |\n| --- | --- | --- |")
-    weights = smooth_weights(SIDE)
-    place = (0.1, -0.05, DISTANCE)
-    both = {"ours": ours(shaded), "DEODR": deodr(shaded)}
-    times = milliseconds({name: partial(drawn, np.array(place), SIDE, weights) for name, drawn in both.items()})
-    print(f"| image and gradient, {SIDE}x{SIDE} | {times['ours']:.1f} ms | {times['DEODR']:.1f} ms |")
+    weights, translation = smooth_weights(SIDE_PX), np.array([0.1, -0.05, DISTANCE])
+    renderers = {"ours": our_renderer(shaded), "DEODR": deodr_renderer(shaded)}
+    times = milliseconds({name: partial(r, translation, SIDE_PX, weights) for name, r in renderers.items()})
+    print(f"| image and gradient, {SIDE_PX}x{SIDE_PX} | {times['ours']:.1f} ms | {times['DEODR']:.1f} ms |")
     for label, mesh in (("one colour", white), ("colours of vertices", shaded)):
-        pair = ours(mesh), deodr(mesh)
+        pair = our_renderer(mesh), deodr_renderer(mesh)
         print(f"| wobble, {label} | {wobble(pair[0]):.1e} | {wobble(pair[1]):.1e} |")
         print(f"| bias, {label} | {bias(pair[0]):.1e} | {bias(pair[1]):.1e} |")
-    print("\n| ours, lit, image and gradients by all vertices | |\n| --- | --- |")
-    lights = [Light()]
-
-    def lit(mesh: Mesh, side: int, views: int = 1) -> float:
-        around = [Camera((4.0 * np.sin(k), 1.0, 4.0 * np.cos(k))) for k in range(views)]
-
-        def call() -> None:
-            leaf = mesh.vertices.clone().requires_grad_()
-            moved = replace(mesh, vertices=leaf)
-            total = sum(draw([moved], one, side, side, lights=lights).sum() for one in around)
-            torch.autograd.grad(total, leaf)  # type: ignore[arg-type]  # a tensor
-
-        return milliseconds({"one": call})["one"]
-
+    print("\n| ours, lit, image and gradients of all vertices | |\n| --- | --- |")
     meshes = {k: sphere(subdivisions=k) for k in (2, 3, 4, 5, 6)}
-    for k, side, views in ((4, 128, 1), (4, 128, 6), (2, 256, 1), (3, 256, 1), (4, 256, 1), (5, 256, 1), (6, 256, 1)):
-        taken = lit(meshes[k], side, views)
-        print(f"| {20 * 4**k:,} triangles, {side}x{side}, {views} view{'s'[: views > 1]} | {taken:.0f} ms |")
-    for side in (64, 128, 256, 512):
-        print(f"| 81,920 triangles, {side}x{side} | {lit(meshes[6], side):.0f} ms |", flush=True)
+    cases = ((4, 128, 1), (4, 128, 6), (2, 256, 1), (3, 256, 1), (4, 256, 1), (5, 256, 1), (6, 256, 1))
+    for level, side_px, views in cases:
+        duration = lit_milliseconds(meshes[level], side_px, views)
+        print(
+            f"| {20 * 4**level:,} triangles, {side_px}x{side_px}, {views} view{'s'[: views > 1]} | {duration:.0f} ms |"
+        )
+    for side_px in (64, 128, 256, 512):
+        print(f"| 81,920 triangles, {side_px}x{side_px} | {lit_milliseconds(meshes[6], side_px):.0f} ms |", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,7 @@
-"""A mesh is found that does not overlap its photograph, on torch alone: ``python -m examples.loops.with_mesh``."""
+"""Find the position of a mesh that does not overlap its photograph, on torch alone.
+
+``python -m examples.loops.with_mesh``
+"""
 
 from dataclasses import replace
 
@@ -13,19 +16,19 @@ camera, lights = Camera((0.0, 2.0, 8.0), fov=40.0), [Light(direction=(-1.0, -2.0
 crate = box(colours=(0.8, 0.4, 0.2))  # or read_mesh("crate.glb")
 
 
-def render(place: torch.Tensor) -> torch.Tensor:
-    """The crate there, (height, width, 3)."""
-    return draw([replace(crate, vertices=crate.vertices + place)], camera, height, width, lights=lights)
+def render(position: torch.Tensor) -> torch.Tensor:
+    """Render the crate at a position, shape (height, width, 3)."""
+    return draw([replace(crate, vertices=crate.vertices + position)], camera, height, width, lights=lights)
 
 
 photograph = render(torch.tensor([2.0, -0.8, 0.0]))
-place = torch.tensor([-2.0, 0.9, 0.0], requires_grad=True)
-optimizer = torch.optim.Adam([place], lr=0.05)
+position = torch.tensor([-2.0, 0.9, 0.0], requires_grad=True)
+optimizer = torch.optim.Adam([position], lr=0.05)
 
 loss = loi_torch.LOILoss(photograph, ScaleSpace.for_image(height, width))
 for _ in range(300):
     optimizer.zero_grad()
-    loss(render(place)).backward()
+    loss(render(position)).backward()
     optimizer.step()
 
-print(*(round(one, 1) for one in place.tolist()))
+print(*(round(value, 1) for value in position.tolist()))

@@ -1,6 +1,7 @@
-"""A cube is found with nvdiffrast: ``python -m examples.loops.with_nvdiffrast``. It needs a CUDA GPU and nvdiffrast.
+"""Find the position of a cube with nvdiffrast: ``python -m examples.loops.with_nvdiffrast``.
 
-``pip install git+https://github.com/NVlabs/nvdiffrast``. The loss runs on the GPU as the renderer does.
+It needs a CUDA GPU and nvdiffrast, ``pip install git+https://github.com/NVlabs/nvdiffrast``. The loss
+runs on the GPU as the renderer does.
 """
 
 import nvdiffrast.torch as dr
@@ -19,7 +20,7 @@ colours = 0.5 + 0.5 * corners
 
 
 def render(position: torch.Tensor) -> torch.Tensor:
-    """The cube at a position in front of the camera, shape (height, width, 3)."""
+    """Render the cube at a position in front of the camera, shape (height, width, 3)."""
     points = 0.5 * corners + position
     clip = torch.nn.functional.pad(points, (0, 1), value=1.0) @ projection.T
     raster, _ = dr.rasterize(context, clip[None], faces, resolution=[height, width])
@@ -39,4 +40,4 @@ for _ in range(300):
     loss(render(position)).backward()
     optimizer.step()
 
-print(*(round(x, 1) for x in position.tolist()))
+print(*(round(value, 1) for value in position.tolist()))

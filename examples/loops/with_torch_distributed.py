@@ -1,4 +1,4 @@
-"""A ball is found in photographs from three sides, which two processes share.
+"""Find a ball in photographs from three sides, which two processes share.
 
 ``python -m torch.distributed.run --standalone --nproc-per-node 2 -m examples.loops.with_torch_distributed``
 """
@@ -17,10 +17,10 @@ y, x = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, ind
 
 
 def render(centre: torch.Tensor, view: int) -> torch.Tensor:
-    """A soft ball of radius 8 on black from one of the sides, which go round it, (height, width, 3)."""
+    """Render a soft ball of radius 8 on black from one of the sides, shape (height, width, 3)."""
     angle = math.pi * view / views
-    across = width / 2 + centre[0] * math.cos(angle) + centre[2] * math.sin(angle)
-    inside = torch.sigmoid((64 - (x - across) ** 2 - (y - centre[1]) ** 2) / 8)
+    centre_x = width / 2 + centre[0] * math.cos(angle) + centre[2] * math.sin(angle)
+    inside = torch.sigmoid((64 - (x - centre_x) ** 2 - (y - centre[1]) ** 2) / 8)
     return inside[..., None] * torch.tensor([1.0, 0.6, 0.1])
 
 
@@ -39,5 +39,5 @@ for _ in range(200):
     optimizer.step()
 
 if dist.get_rank() == 0:
-    print(*(round(x, 1) for x in centre.tolist()))
+    print(*(round(value, 1) for value in centre.tolist()))
 dist.destroy_process_group()
