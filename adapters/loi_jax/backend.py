@@ -1,4 +1,4 @@
-"""The loss on JAX as ``loi tradeoff`` measures it: compiled, on JAX's default device."""
+"""The loss on JAX for ``loi tradeoff``: compiled, on JAX's default device."""
 
 from __future__ import annotations
 
@@ -20,25 +20,25 @@ class Jax:
     compiled = True
 
     def device(self) -> str:
-        """JAX's default device."""
+        """Return the name of JAX's default device."""
         return str(jax.default_backend())
 
     def asarray(self, host: Host) -> jax.Array:
-        """A copy as a JAX array; of 64 bits only where JAX has them switched on."""
+        """Return a copy as a JAX array, in 64 bits only if JAX allows them."""
         return jnp.asarray(host)
 
     def prepare(self, request: Request) -> Evaluate:
         """See :class:`loi_core.plugins.measurement_backends.MeasurementBackend`."""
-        wanted = request.reference.astype("float32" if request.dtype in self.half_dtypes else request.dtype)
-        loss = loi_loss(wanted, request.scales, request.accuracy, nan_policy=request.nan_policy)
+        reference = request.reference.astype("float32" if request.dtype in self.half_dtypes else request.dtype)
+        loss = loi_loss(reference, request.scales, request.accuracy, nan_policy=request.nan_policy)
         value_and_grad = jax.jit(jax.value_and_grad(loss))
         double = request.dtype == "float64"
         with jax.enable_x64(double):
-            given = jnp.asarray(request.image, dtype=request.dtype)
+            image = jnp.asarray(request.image, dtype=request.dtype)
 
         def evaluate() -> tuple[float, Host]:
             with jax.enable_x64(double):
-                value, gradient = value_and_grad(given)
+                value, gradient = value_and_grad(image)
                 gradient.block_until_ready()  # computed together with the value
             return float(value), to_numpy(gradient)
 

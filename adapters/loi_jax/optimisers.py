@@ -1,4 +1,4 @@
-"""The gradient transformations of optax in a fit, whatever library its renderer is written in."""
+"""Gradient transformations of optax in a fit, for renderers of any library."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ class OptaxOptimiser:
     Parameters
     ----------
     transformation : optax.GradientTransformation
-        Made with a learning rate of 1: the fit multiplies its updates by the rate of every parameter in every step.
+        Created with a learning rate of 1: the fit multiplies its updates by the rate of each parameter.
 
     Raises
     ------
     OptionError
-        If it has no ``init`` and ``update``.
+        If it lacks ``init`` or ``update``.
 
     Examples
     --------
@@ -42,12 +42,12 @@ class OptaxOptimiser:
 
     def __init__(self, transformation: Any) -> None:
         if not callable(getattr(transformation, "init", None)) or not callable(getattr(transformation, "update", None)):
-            msg = f"`transformation` must be one of optax, such as optax.adam(1.0), got {shown(transformation)}"
+            msg = f"`transformation` must be an optax transformation, e.g. optax.adam(1.0), got {shown(transformation)}"
             raise OptionError(msg)
         self._transformation = transformation
         self._update = jax.jit(transformation.update)
 
-    def start(self, params: Parameters, after: Memory | None = None) -> Memory:  # noqa: ARG002  # it begins anew
+    def start(self, params: Parameters, after: Memory | None = None) -> Memory:  # noqa: ARG002  # the state starts afresh
         """See :class:`loi_core.Optimiser`."""
         return _flat(self._transformation.init(_live(params)))
 
@@ -69,21 +69,20 @@ class OptaxOptimiser:
         return moved, _flat(state)
 
     def identity(self, params: Parameters) -> str:
-        """See :class:`loi_core.Optimiser`. What it computes tells transformations apart: they have no names.
+        """See :class:`loi_core.Optimiser`. The traced computation identifies a transformation, which has no name.
 
         Raises
         ------
         OptionError
-            If it cannot be called with these parameters and a gradient alone, as those that search along a line or want
-            the value cannot.
+            If it needs more than these parameters and a gradient, such as a line search or the value.
         """
         live = _live(params)
         try:
             computed = str(jax.make_jaxpr(self._transformation.update)(live, self._transformation.init(live), live))
-        except Exception as error:  # whatever a transformation of somebody's raises when it lacks an argument
+        except Exception as error:  # a transformation may raise anything when it lacks an argument
             msg = (
-                f"`optimiser` must be a transformation that a gradient alone can step, without value or line search, "
-                f"and for the parameters {', '.join(params)}; optax says {described(error):.200}"
+                f"`optimiser` must be a transformation of the gradient alone, without value or line search, for the "
+                f"parameters {', '.join(params)}; optax says {described(error):.200}"
             )
             raise OptionError(msg) from error
         return f"optax {hashlib.sha256(re.sub('0x[0-9a-f]+', '', computed).encode()).hexdigest()[:16]}"
@@ -96,15 +95,15 @@ class OptaxOptimiser:
 
 
 def _live(params: Parameters) -> dict[str, jax.Array]:
-    """The parameters in float32 at least: in 16 bits the floors of optimisers are 0."""
+    """Return the parameters in float32 at least, because the epsilons of optimisers are 0 in 16 bits."""
     arrays = {name: jnp.asarray(to_numpy(value)) for name, value in params.items()}
-    return {name: one.astype(jnp.float32) if one.dtype.itemsize < 4 else one for name, one in arrays.items()}
+    return {name: array.astype(jnp.float32) if array.dtype.itemsize < 4 else array for name, array in arrays.items()}
 
 
 def _flat(state: Any) -> dict[str, jax.Array]:
-    """Its arrays by their numbers, as a checkpoint can hold them: a random key by what it is made of."""
+    """Return the arrays of a state by index, as a checkpoint holds them; random keys as their data."""
     leaves = [jnp.asarray(leaf) for leaf in jax.tree.leaves(state)]
-    return {str(index): jax.random.key_data(one) if _is_key(one) else one for index, one in enumerate(leaves)}
+    return {str(index): jax.random.key_data(leaf) if _is_key(leaf) else leaf for index, leaf in enumerate(leaves)}
 
 
 def _like(stored: Any, leaf: Any) -> Any:

@@ -1,4 +1,4 @@
-"""Disks on JAX, the same images as those of `loi_core.renderers`, compiled for any of JAX's devices."""
+"""Disks on JAX, equal to `loi_core.renderers.Disks`, compiled for any of JAX's devices."""
 
 from __future__ import annotations
 
@@ -38,8 +38,8 @@ class Disks:
 
     Notes
     -----
-    Compiled once for each size of image, number of disks and dtype. Every disk is painted on the whole canvas, so
-    memory grows with n times the number of pixels. Values are checked, so `render` cannot be traced.
+    `render` compiles once for each image size, number of disks and dtype. Every disk is painted on the whole canvas,
+    so memory grows with n times the number of pixels. `render` checks values, so it cannot be traced.
     """
 
     backend: ClassVar[str] = "jax"
@@ -68,45 +68,45 @@ class Disks:
         return RendererCapabilities(project=self.project)
 
     def parameters(self) -> Arrays:
-        """``positions`` (n, 2), ``radii`` (n,) and ``colours`` (n, 3), of the scene's dtype."""
-        return self._given(self._core.parameters())
+        """Return ``positions`` (n, 2), ``radii`` (n,) and ``colours`` (n, 3) in the scene's dtype."""
+        return self._as_jax(self._core.parameters())
 
     def render(self, params: Arrays, *, seed: int = 0) -> jax.Array:
-        """The image, shape (height, width, 3); `seed` is not needed, nothing is random."""
+        """Return the image, shape (height, width, 3); `seed` is unused, because nothing is random."""
         scene = self._checked(params)
         with jax.enable_x64():
             image: jax.Array = _render(scene, self._core.background, self._core.size, self._dtype)
         return image
 
     def render_vjp(self, params: Arrays, *, seed: int = 0) -> tuple[jax.Array, Callable[[jax.Array], Arrays]]:
-        """The image and its pullback; see :class:`loi_core.Renderer`."""
+        """Return the image and its pullback; see :class:`loi_core.Renderer`."""
         scene = self._checked(params)
         with jax.enable_x64():
-            image, pull = _render_vjp(scene, self._core.background, self._core.size, self._dtype)
+            image, residuals = _render_vjp(scene, self._core.background, self._core.size, self._dtype)
 
         def pullback(cotangent: jax.Array) -> Arrays:
             with jax.enable_x64():
-                slopes: Arrays = _pull(pull, cotangent, self._dtype)
+                slopes: Arrays = _pull_back(residuals, cotangent, self._dtype)
             return slopes
 
         return image, pullback
 
     def project(self, params: Arrays) -> Arrays:
-        """The legal parameters next to `params`; see :meth:`loi_core.renderers.Disks.project`."""
-        return self._given(self._core.project(_host(params)))
+        """Return the legal parameters nearest to `params`; see :meth:`loi_core.renderers.Disks.project`."""
+        return self._as_jax(self._core.project(_host(params)))
 
     def _checked(self, params: Arrays) -> dict[str, FloatArray]:
         return check_parameters(_host(params), self._core.parameters())
 
-    def _given(self, values: Mapping[str, FloatArray]) -> Arrays:
+    def _as_jax(self, values: Mapping[str, FloatArray]) -> Arrays:
         return {name: jnp.asarray(value, dtype=self._dtype) for name, value in values.items()}
 
 
 @partial(jax.custom_vjp, nondiff_argnums=(2,))
 def _coverage(positions: jax.Array, radii: jax.Array, size: tuple[int, int]) -> jax.Array:
-    """The core's areas, shape (n, height, width), with the core's derivatives.
+    """Return the core's areas, shape (n, height, width), with the core's derivatives.
 
-    JAX's own are NaN where a square root starts.
+    JAX's derivatives of square roots are NaN at 0.
     """
     return _forward(positions, radii, size)[0]
 
@@ -127,8 +127,8 @@ _coverage.defvjp(_forward, _backward)
 
 def _paint(background: jax.Array, size: tuple[int, int], scene: Arrays) -> jax.Array:
     def over(image: jax.Array, disk: tuple[jax.Array, jax.Array]) -> tuple[jax.Array, None]:
-        share, colour = disk
-        return image + share[..., None] * (colour - image), None
+        cover, colour = disk
+        return image + cover[..., None] * (colour - image), None
 
     coverage = _coverage(scene["positions"], scene["radii"], size)
     canvas = jnp.broadcast_to(background, (*size, 3))
@@ -145,13 +145,13 @@ def _render(scene: Arrays, background: jax.Array, size: tuple[int, int], dtype: 
 def _render_vjp(
     scene: Arrays, background: jax.Array, size: tuple[int, int], dtype: str
 ) -> tuple[jax.Array, Callable[[jax.Array], tuple[Arrays]]]:
-    image, pull = jax.vjp(partial(_paint, background, size), scene)
-    return image.astype(dtype), pull  # what the pullback keeps is a tree of arrays, so it may leave the compiled code
+    image, vjp = jax.vjp(partial(_paint, background, size), scene)
+    return image.astype(dtype), vjp  # its residuals are a tree of arrays, so it may leave the compiled code
 
 
 @partial(jax.jit, static_argnums=2)
-def _pull(pull: Callable[[jax.Array], tuple[Arrays]], cotangent: jax.Array, dtype: str) -> Arrays:
-    (slopes,) = pull(cotangent.astype(jnp.float64))
+def _pull_back(vjp: Callable[[jax.Array], tuple[Arrays]], cotangent: jax.Array, dtype: str) -> Arrays:
+    (slopes,) = vjp(cotangent.astype(jnp.float64))
     return {name: slope.astype(dtype) for name, slope in slopes.items()}
 
 

@@ -195,7 +195,7 @@ def test_an_optimiser_that_breaks_loses_nothing() -> None:
         (lambda: torch_optimiser("Adam", lr=1.0), "`lr` is set by the fit"),
         (lambda: torch_optimiser("Adam", betas=3), "Adam does not take these options"),
         (lambda: loi_torch.TorchOptimiser(torch.nn.Linear), "must be a class of torch.optim"),
-        (lambda: loi_jax.OptaxOptimiser("adam"), "must be one of optax"),
+        (lambda: loi_jax.OptaxOptimiser("adam"), "must be an optax transformation"),
         (lambda: bowl("adam"), "`optimiser` must be an Optimiser"),
         (lambda: bowl(Adam), "`optimiser` must be an Optimiser"),
     ],
