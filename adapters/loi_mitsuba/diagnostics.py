@@ -223,8 +223,8 @@ def unsupported_parameter(index: SceneIndex, target: str) -> str:
 
     Mitsuba's path tracers take the value of a delta lobe from BSDF sampling, without a gradient.
     """
-    entry = index.known(target)
-    material, attribute = (None, "") if entry is None else index.part_of_material(entry)
+    entry = index.get(target)
+    material, attribute = (None, "") if entry is None else index.material_input(entry)
     if material is None:
         return ""
     is_delta = mi.has_flag(material.flags(), mi.BSDFFlags.Delta)

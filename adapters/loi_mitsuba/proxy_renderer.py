@@ -1,4 +1,4 @@
-"""A scene that is rendered as it is, with the gradient by what moves taken from its neighbour."""
+"""A renderer whose image comes from the scene, and the gradients of moving shapes from its proxy."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ import mitsuba as mi
 import numpy as np
 
 from loi_mitsuba.drjit.arrays import Float32Array
-from loi_mitsuba.proxy.light_size import KINDS, delta_lights
+from loi_mitsuba.proxy.light_size import DELTA_LIGHTS, delta_lights
 from loi_mitsuba.proxy.scene import ProxyScene
-from loi_mitsuba.proxy.substitutions import LAMP, LIGHT
+from loi_mitsuba.proxy.substitutions import LIGHT_ID, PROXY_EMITTER_ID
 from loi_mitsuba.renderer import MitsubaRenderer
 from loi_mitsuba.scene.load import LoadedScene, ParameterTarget
 from loi_mitsuba.scene.parameters import SceneIndex, ancestors
@@ -24,10 +24,10 @@ __all__ = ["LightTarget", "ProxyGradientRenderer", "ProxyTarget", "light_targets
 
 @dataclass(frozen=True)
 class ProxyTarget:
-    """What a parameter of a light stands for in the proxy: for what, and the value less `origin`, times `factor`.
+    """The target of a light's parameter in the proxy scene, set to ``(value - origin) * factor``.
 
-    A light without a size has an intensity, and the lamp that stands for it a radiance; and where that light has a
-    position, the lamp is moved from where it is.
+    A delta light has an intensity and its proxy a radiance. A proxy in place of a light with a position is moved from
+    that position.
     """
 
     target: ParameterTarget
@@ -37,75 +37,79 @@ class ProxyTarget:
 
 @dataclass(frozen=True)
 class LightTarget:
-    """A parameter of a light without a size: its number, and the name of the entry, or the handle on it."""
+    """A parameter of a delta light: the light's number, and the name of the entry or the handle."""
 
     light: int
     target: ParameterTarget
 
     @property
-    def is_power(self) -> bool:
-        """Whether it sets how bright the light is."""
+    def is_intensity(self) -> bool:
+        """Whether it sets the intensity or irradiance of the light."""
         return self.target in ("intensity.value", "irradiance.value")
 
-    def can_follow(self, kind: str) -> bool:
-        """Whether what stands for a light of that kind can do as it does."""
+    def has_proxy(self, kind: str) -> bool:
+        """Return whether the proxy of a light of that class has an equivalent parameter."""
         moves = isinstance(self.target, Translate) or self.target == "position"
-        return self.is_power or (moves and KINDS[kind] != "directional")
+        return self.is_intensity or (moves and DELTA_LIGHTS[kind] != "directional")
 
 
-def light_targets(called: SceneIndex, targets: Mapping[str, ParameterTarget]) -> dict[str, LightTarget]:
-    """Parameters that are of lights without a size."""
-    params = mi.traverse(called.scene)
-    lights = delta_lights(called.scene)
+def light_targets(index: SceneIndex, targets: Mapping[str, ParameterTarget]) -> dict[str, LightTarget]:
+    """Return the parameters that belong to delta lights."""
+    params = mi.traverse(index.scene)
+    lights = delta_lights(index.scene)
     found = {}
     for name, target in targets.items():
         if isinstance(target, str):
-            entry = called.known(target)
-            node, rest = (None, target) if entry is None else (params.properties[entry.key][2], entry.key)
+            parameter = index.get(target)
+            node, key = (None, target) if parameter is None else (params.properties[parameter.key][2], parameter.key)
         else:
-            node, rest = called.find_movable(target.shape)[1], ""
-        number = next((lights.index(one) for one in ancestors(params, node) if one in lights), None)
+            node, key = index.find_movable(target.shape)[1], ""
+        number = next((lights.index(ancestor) for ancestor in ancestors(params, node) if ancestor in lights), None)
         if number is not None:
-            found[name] = LightTarget(number, rest.split(".", 1)[1] if isinstance(target, str) else target)
+            found[name] = LightTarget(number, key.split(".", 1)[1] if isinstance(target, str) else target)
     return found
 
 
 def proxy_targets(
-    lights: Mapping[str, LightTarget], near: ProxyScene, called: SceneIndex, start: Mapping[str, Float32Array]
+    lights: Mapping[str, LightTarget], proxy: ProxyScene, index: SceneIndex, start: Mapping[str, Float32Array]
 ) -> dict[str, ProxyTarget]:
-    """What parameters of lights stand for in the neighbour, by their values at the start."""
-    factors = {one.light: one.factor for one in near.exchanges if one.light is not None}
-    ids = [one.id() for one in delta_lights(called.scene)]
+    """Return the targets of light parameters in the proxy scene, for the initial values `start`."""
+    factors = {
+        substitution.light: substitution.factor
+        for substitution in proxy.substitutions
+        if substitution.light is not None
+    }
+    ids = [light.id() for light in delta_lights(index.scene)]
     found = {}
-    for name, one in lights.items():
-        lamp, own = f"{LAMP}{one.light}", ids[one.light] or f"{LIGHT}{one.light}"
-        if one.light in factors and one.is_power:
-            found[name] = ProxyTarget(f"{lamp}.emitter.radiance.value", factors[one.light])
-        elif one.light in factors and isinstance(one.target, str):
-            found[name] = ProxyTarget(Translate(lamp), origin=start[name])
-        elif isinstance(one.target, str):
-            found[name] = ProxyTarget(f"{own}.{one.target}")
+    for name, parameter in lights.items():
+        number, target = parameter.light, parameter.target
+        emitter, original = f"{PROXY_EMITTER_ID}{number}", ids[number] or f"{LIGHT_ID}{number}"
+        if number in factors and parameter.is_intensity:
+            found[name] = ProxyTarget(f"{emitter}.emitter.radiance.value", factors[number])
+        elif number in factors and isinstance(target, str):
+            found[name] = ProxyTarget(Translate(emitter), origin=start[name])
+        elif isinstance(target, str):
+            found[name] = ProxyTarget(f"{original}.{target}")
         else:
-            found[name] = ProxyTarget(replace(one.target, shape=lamp if one.light in factors else own))
+            found[name] = ProxyTarget(replace(target, shape=emitter if number in factors else original))
     return found
 
 
 class ProxyGradientRenderer(MitsubaRenderer):
-    """A :class:`MitsubaRenderer` whose pullback goes, for what moves, through a neighbouring scene.
+    """A :class:`MitsubaRenderer` that takes the gradients of moving shapes from a proxy scene.
 
     Parameters
     ----------
     scene, parameters, integrator, spp, spp_grad, sensor, without_gradient
-        As those of :class:`MitsubaRenderer`.
+        As for :class:`MitsubaRenderer`.
     proxy : LoadedScene
-        The neighbouring scene, which has all of the parameters.
+        The proxy scene, with all of the parameters.
     moving : names
-        Parameters whose gradient is the neighbour's.
-    exchanged : dict of ProxyTarget
-        By parameter that stands for something else there, for what.
+        Parameters whose gradient comes from the proxy.
+    replaced_targets : dict of ProxyTarget
+        Parameters with other targets in the proxy.
     only_shadows : bool
-        Whether the neighbour has only the gradient of what is hidden behind what, off the camera's rays; all else is
-        the scene's own.
+        Whether the proxy contributes only the indirect boundary term, and the scene itself the others.
     """
 
     def __init__(
@@ -115,7 +119,7 @@ class ProxyGradientRenderer(MitsubaRenderer):
         *,
         proxy: LoadedScene,
         moving: Iterable[str],
-        exchanged: Mapping[str, ProxyTarget],
+        replaced_targets: Mapping[str, ProxyTarget],
         only_shadows: bool = False,
         integrator: Any = None,
         spp: int = 16,
@@ -124,25 +128,25 @@ class ProxyGradientRenderer(MitsubaRenderer):
         without_gradient: Iterable[str] = (),
     ) -> None:
         self._moving = frozenset(moving)
-        self._apart = frozenset() if only_shadows else self._moving  # whose gradient is the neighbour's alone
-        self._exchanged = dict(exchanged)
+        self._proxy_only = frozenset() if only_shadows else self._moving  # no gradient from the scene itself
+        self._replaced_targets = dict(replaced_targets)
         images = tuple(without_gradient)
-        targets = {**parameters, **{name: one.target for name, one in exchanged.items()}}
+        targets = {**parameters, **{name: replaced.target for name, replaced in replaced_targets.items()}}
         options: dict[str, Any] = {"spp": spp, "spp_grad": spp_grad, "sensor": sensor, "without_gradient": images}
-        self._near = MitsubaRenderer(proxy, targets, integrator=integrator, **options).with_integrator(
+        self._proxy = MitsubaRenderer(proxy, targets, integrator=integrator, **options).with_integrator(
             integrator, spp=spp, spp_grad=spp_grad, wrt=self._moving
         )
-        self._near_shapes = {name: value.shape for name, value in self._near.parameters().items()}
+        self._proxy_shapes = {name: value.shape for name, value in self._proxy.parameters().items()}
         super().__init__(scene, parameters, integrator=integrator, **options)
         if only_shadows:
-            self._near._set_terms(self._near.wrt, frozenset({"sppc", "sppp"}))
+            self._proxy._set_terms(self._proxy.wrt, frozenset({"sppc", "sppp"}))
         excluded = frozenset({"sppi"}) if only_shadows else frozenset()
-        self._set_terms(frozenset(self._differentiable) - self._apart, excluded)
+        self._set_terms(frozenset(self._differentiable) - self._proxy_only, excluded)
 
     @property
     def proxy_scene(self) -> Any:
-        """The neighbouring scene, an ``mi.Scene``."""
-        return self._near.scene
+        """The proxy scene, an ``mi.Scene``."""
+        return self._proxy.scene
 
     def with_integrator(
         self,
@@ -152,44 +156,44 @@ class ProxyGradientRenderer(MitsubaRenderer):
         spp_grad: int | None = None,
         wrt: Iterable[str] | None = None,
     ) -> ProxyGradientRenderer:
-        """As that of :class:`MitsubaRenderer`, of both scenes."""
+        """Return a renderer with another integrator for both scenes; see :meth:`MitsubaRenderer.with_integrator`."""
         names = set(self._binding.targets if wrt is None else wrt)
-        other = copy(self)
-        other._set_integrator(integrator, self._spp if spp is None else spp, spp_grad)
-        other._set_terms(names - self._apart)
-        other._near = self._near.with_integrator(integrator, spp=spp, spp_grad=spp_grad, wrt=names & self._moving)
-        return other
+        renderer = copy(self)
+        renderer._set_integrator(integrator, self._spp if spp is None else spp, spp_grad)
+        renderer._set_terms(names - self._proxy_only)
+        renderer._proxy = self._proxy.with_integrator(integrator, spp=spp, spp_grad=spp_grad, wrt=names & self._moving)
+        return renderer
 
     def vjp(self, params: Mapping[str, Any], cotangent: Any, *, seed: int = 0) -> dict[str, Float32Array]:
-        """As that of :class:`MitsubaRenderer`, each parameter's from the scene that has it."""
-        self._leaves(params)  # which checks them
-        pulled = {name: np.zeros_like(start) for name, start in self._binding.start.items()}
+        """Return the sum of both scenes' gradients; see :meth:`MitsubaRenderer.vjp`."""
+        self._leaves(params)  # checks them
+        gradient = {name: np.zeros_like(start) for name, start in self._binding.start.items()}
         if self._wrt:
-            pulled |= super().vjp(params, cotangent, seed=seed)
-        if self._near.wrt:
-            near = self._near.vjp(self._nearly(params), cotangent, seed=seed)
-            pulled |= {name: pulled[name] + near[name] for name in self._moving}
-        return pulled
+            gradient |= super().vjp(params, cotangent, seed=seed)
+        if self._proxy.wrt:
+            from_proxy = self._proxy.vjp(self._to_proxy(params), cotangent, seed=seed)
+            gradient |= {name: gradient[name] + from_proxy[name] for name in self._moving}
+        return gradient
 
     def jvp(self, params: Mapping[str, Any], tangent: Mapping[str, Any], *, seed: int = 0) -> Float32Array:
-        """As that of :class:`MitsubaRenderer`, the sum of both scenes'."""
-        parts = []
+        """Return the sum of both scenes' derivatives; see :meth:`MitsubaRenderer.jvp`."""
+        derivatives = []
         if self._wrt:
-            parts.append(super().jvp(params, tangent, seed=seed))
-        if self._near.wrt:
-            parts.append(self._near.jvp(self._nearly(params), self._nearly(tangent), seed=seed))
-        return np.asarray(sum(parts), dtype=np.float32)  # one may have nothing to add, and is a single 0
+            derivatives.append(super().jvp(params, tangent, seed=seed))
+        if self._proxy.wrt:
+            derivatives.append(self._proxy.jvp(self._to_proxy(params), self._to_proxy(tangent), seed=seed))
+        return np.asarray(sum(derivatives), dtype=np.float32)  # a derivative without any term is a single 0
 
-    def _nearly(self, params: Mapping[str, Any]) -> dict[str, Any]:
-        """Values for the neighbour, where a light of one grey has three colours."""
-        near = {}
+    def _to_proxy(self, params: Mapping[str, Any]) -> dict[str, Any]:
+        """Return the values of the proxy's parameters, whose lights have three channels where one was grey."""
+        values = {}
         for name, value in params.items():
-            near[name] = np.asarray(value, dtype=np.float32)
-            stand_in = self._exchanged.get(name)
-            if stand_in is not None:
-                moved = near[name] if stand_in.origin is None else near[name] - stand_in.origin
-                near[name] = np.broadcast_to(moved * np.float32(stand_in.factor), self._near_shapes[name])
-        return near
+            values[name] = np.asarray(value, dtype=np.float32)
+            replaced = self._replaced_targets.get(name)
+            if replaced is not None:
+                offset = values[name] if replaced.origin is None else values[name] - replaced.origin
+                values[name] = np.broadcast_to(offset * np.float32(replaced.factor), self._proxy_shapes[name])
+        return values
 
     def _check_gradients(self, *, is_planned: bool, edged: list[Any]) -> None:
-        """The neighbour has told what is missing there, which is all that counts."""
+        """Skip the warnings of the scene itself: the proxy has warned about the gradients that are used."""

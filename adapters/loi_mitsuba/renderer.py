@@ -36,7 +36,7 @@ from loi_mitsuba.scene.load import (
 )
 from loi_mitsuba.scene.parameters import Scene, SceneIndex, index_scene
 from loi_mitsuba.scene.safety import SceneLoadError, check_description
-from loi_mitsuba.scene.settings import PARTS, bordered, integrator_of, leaves_edges_out, settings_of
+from loi_mitsuba.scene.settings import GRADIENT_TERMS, integrator_of, omits_edges, settings_of, with_sampled_border
 from loi_mitsuba.sensing.film import Film
 
 __all__ = ["MitsubaRenderer", "split_seed"]
@@ -114,7 +114,7 @@ class MitsubaRenderer:
     ) -> None:
         self._variant = use_variant()
         targets = checked_targets(parameters)
-        self._index = index_scene(bordered(scene, integrator), targets)
+        self._index = index_scene(with_sampled_border(scene, integrator), targets)
         self._scene = self._index.scene
         self._sensor = find_sensor(self._scene, sensor)
         self._set_integrator(integrator, spp, spp_grad)
@@ -132,9 +132,7 @@ class MitsubaRenderer:
             name for name in self._differentiable if any(shape in edged for shape in self._binding.moving([name]))
         )
         self._set_terms(self._differentiable)
-        self._check_gradients(
-            is_planned=isinstance(integrator, EffectPlan) and leaves_edges_out(integrator), edged=edged
-        )
+        self._check_gradients(is_planned=isinstance(integrator, EffectPlan) and omits_edges(integrator), edged=edged)
 
     @property
     def capabilities(self) -> RendererCapabilities:
@@ -347,7 +345,7 @@ class MitsubaRenderer:
                 msg = "`spp_grad` and a plan exclude each other, because a plan has its own counts; give one of them"
                 raise OptionError(msg)
             settings = settings_of(integrator)
-            for name in PARTS:
+            for name in GRADIENT_TERMS:
                 if getattr(settings, name) > 0:
                     checked_samples(name, getattr(settings, name), max_count)
             self._integrator, self._spp_grad = integrator_of(settings, self._scene)
@@ -405,7 +403,7 @@ def _gradient_samples(integrator: Any, spp: int, spp_grad: int | None, max_count
     """Return Mitsuba's `spp_grad`: 0 keeps the integrator's own counts, another number replaces those above 0."""
     if spp_grad is not None:
         return checked_samples("spp_grad", spp_grad, max_count)
-    return 0 if any(getattr(integrator, name, None) for name in PARTS) else spp
+    return 0 if any(getattr(integrator, name, None) for name in GRADIENT_TERMS) else spp
 
 
 def split_seed(seed: int) -> tuple[int, int]:

@@ -1,4 +1,4 @@
-"""The gradient by lights that move: exact, with little noise, and left to others where their light is not seen."""
+"""Gradients of attached emitter samples are exact and hardly noisy, and are used only where they are complete."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from loi_core import Free, LOIObjective, fit
 from loi_core.errors import OptionError
 from loi_mitsuba import MitsubaRenderer, PlannedRenderer, Rotate, Scale, Translate, plan_effects
-from loi_mitsuba.attached.emitters import AttachedEmitters, attachable_emitters
+from loi_mitsuba.effects.attached_gradient import AttachedGradient, AttachedParameters, attachable_emitters
 from tests.helpers import Host
 from tests.mitsuba.scenes import HEIGHT, WIDTH, shadow_scene
 from tests.strategies import thorough
@@ -41,7 +41,7 @@ def lamp(kind: str) -> dict[str, Any]:
 
 
 def lit_scene(kind: str, **changes: Any) -> dict[str, Any]:
-    """Two balls on a floor, one of them shining, and their shadows."""
+    """Two balls on a floor, one of them glossy, and their shadows."""
     return shadow_scene(
         ball={"type": "sphere", "center": [-1, 1.2, 0], "radius": 0.9},
         other={"type": "sphere", "center": [1.5, 0.8, 1], "radius": 0.8, "bsdf": GLOSSY},
@@ -51,18 +51,24 @@ def lit_scene(kind: str, **changes: Any) -> dict[str, Any]:
     )
 
 
-def differences(renderer: MitsubaRenderer, at: dict[str, Any], steps: dict[str, float]) -> tuple[Host, Host]:
-    """Central differences of what RAMP makes of the image, by parameter, and their standard errors."""
-    drawn = []
+def attached_gradient(renderer: MitsubaRenderer, samples: int) -> AttachedGradient:
+    parameters = AttachedParameters(attachable_emitters(renderer.names, renderer.targets), {})
+    return AttachedGradient(renderer, parameters, samples)
+
+
+def differences(renderer: MitsubaRenderer, params: dict[str, Any], steps: dict[str, float]) -> tuple[Host, Host]:
+    """Return central differences of the image weighted by RAMP for each parameter, and their standard errors."""
+    draws = []
     for seed in range(4):
         slopes = []
         for name, step in steps.items():
-            ahead, behind = (
-                renderer.render({**at, name: at[name] + np.float32(by)}, seed=seed) for by in (step, -step)
+            plus, minus = (
+                renderer.render({**params, name: params[name] + np.float32(offset)}, seed=seed)
+                for offset in (step, -step)
             )
-            slopes.append(float(np.sum((ahead.astype(np.float64) - behind) * RAMP)) / (2.0 * step))
-        drawn.append(slopes)
-    return np.mean(drawn, axis=0), np.std(drawn, axis=0, ddof=1) / 2.0
+            slopes.append(float(np.sum((plus.astype(np.float64) - minus) * RAMP)) / (2.0 * step))
+        draws.append(slopes)
+    return np.mean(draws, axis=0), np.std(draws, axis=0, ddof=1) / 2.0
 
 
 @pytest.mark.filterwarnings("ignore:mesh 'lamp' stores the vertices:loi_mitsuba.GradientWarning")
@@ -76,123 +82,127 @@ def differences(renderer: MitsubaRenderer, at: dict[str, Any], steps: dict[str, 
         pytest.param("spot", marks=thorough),
     ],
 )
-def test_it_is_that_of_finite_differences(kind: str) -> None:
-    """Brightness, highlights and shadows alike."""
+def test_the_gradient_of_a_moving_light_matches_finite_differences(kind: str) -> None:
+    """The gradient includes shading, highlights and shadows."""
     handles: dict[str, Any] = {"x": Translate("lamp", X), "y": Translate("lamp", Y), "z": Translate("lamp", Z)}
-    at: dict[str, Any] = {"x": np.float32(1.5), "y": np.float32(0.0), "z": np.float32(-1.0)}
+    params: dict[str, Any] = {"x": np.float32(1.5), "y": np.float32(0.0), "z": np.float32(-1.0)}
     steps = {"x": 0.1, "y": 0.1, "z": 0.1}
     if kind != "point":
-        handles["turn"], at["turn"], steps["turn"] = Rotate("lamp", Z), np.float32(10.0), 2.0
+        handles["turn"], params["turn"], steps["turn"] = Rotate("lamp", Z), np.float32(10.0), 2.0
     if kind in ("ball", "panel"):
-        handles["size"], at["size"], steps["size"] = Scale("lamp"), np.float32(1.2), 0.05
+        handles["size"], params["size"], steps["size"] = Scale("lamp"), np.float32(1.2), 0.05
     images = tuple(handles) if kind in ("point", "spot") else ()
     renderer = MitsubaRenderer(lit_scene(kind), handles, spp=128, without_gradient=images)
-    lamps = AttachedEmitters(renderer, attachable_emitters(renderer.names, renderer.targets), 32)
-    drawn = [list(lamps.vjp(at, RAMP, names=handles, seed=seed).values()) for seed in range(6)]
-    mean, error = np.mean(drawn, axis=0), np.std(drawn, axis=0, ddof=1) / np.sqrt(6)
-    wanted, unsure = differences(renderer, at, steps)
-    rounding = 32.0 * np.finfo(np.float32).eps * np.max(np.abs(wanted))  # all that is there where a ball turns
-    bound = 0.02 * np.abs(wanted) + 4.0 * np.hypot(error, unsure) + rounding
-    np.testing.assert_array_less(np.abs(mean - wanted), bound)
+    gradient = attached_gradient(renderer, 32)
+    draws = [list(gradient.vjp(params, RAMP, names=handles, seed=seed).values()) for seed in range(6)]
+    mean, error = np.mean(draws, axis=0), np.std(draws, axis=0, ddof=1) / np.sqrt(6)
+    expected, expected_error = differences(renderer, params, steps)
+    rounding = 32.0 * np.finfo(np.float32).eps * np.max(np.abs(expected))  # the gradient of a rotating ball is 0
+    bound = 0.02 * np.abs(expected) + 4.0 * np.hypot(error, expected_error) + rounding
+    np.testing.assert_array_less(np.abs(mean - expected), bound)
 
 
 @pytest.mark.parametrize("changes", [{"half": 400.0}, {"glow": 0.05}], ids=["wide floor", "glowing floor"])
-def test_the_floor_may_be_wide_and_may_shine_itself(changes: dict[str, float]) -> None:
+def test_a_wide_or_emitting_floor_receives_the_light_of_an_attached_light(changes: dict[str, float]) -> None:
     scene = lit_scene("point")
     scene["floor"]["to_world"] = mi.ScalarTransform4f().rotate(X, -90).scale(changes.get("half", 8.0))
     if "glow" in changes:
         scene["floor"]["emitter"] = {"type": "area", "radiance": {"type": "rgb", "value": changes["glow"]}}
     handles: dict[str, Any] = {"x": Translate("lamp", X), "y": Translate("lamp", Y)}
-    at: dict[str, Any] = {"x": np.float32(1.5), "y": np.float32(0.0)}
+    params: dict[str, Any] = {"x": np.float32(1.5), "y": np.float32(0.0)}
     renderer = MitsubaRenderer(scene, handles, spp=64, without_gradient=tuple(handles))
-    lamps = AttachedEmitters(renderer, attachable_emitters(renderer.names, renderer.targets), 32)
-    drawn = [list(lamps.vjp(at, RAMP, names=handles, seed=seed).values()) for seed in range(6)]
-    mean, error = np.mean(drawn, axis=0), np.std(drawn, axis=0, ddof=1) / np.sqrt(6)
-    wanted, unsure = differences(renderer, at, {"x": 0.1, "y": 0.1})
-    np.testing.assert_array_less(np.abs(mean - wanted), 0.02 * np.abs(wanted) + 4.0 * np.hypot(error, unsure))
+    gradient = attached_gradient(renderer, 32)
+    draws = [list(gradient.vjp(params, RAMP, names=handles, seed=seed).values()) for seed in range(6)]
+    mean, error = np.mean(draws, axis=0), np.std(draws, axis=0, ddof=1) / np.sqrt(6)
+    expected, expected_error = differences(renderer, params, {"x": 0.1, "y": 0.1})
+    np.testing.assert_array_less(
+        np.abs(mean - expected), 0.02 * np.abs(expected) + 4.0 * np.hypot(error, expected_error)
+    )
 
 
-def test_its_noise_is_less_than_a_fiftieth_of_mitsubas_own() -> None:
-    place = {"place": Translate("lamp")}
-    renderer = MitsubaRenderer(lit_scene("ball"), place, spp=16)
-    lamps, at = (
-        AttachedEmitters(renderer, attachable_emitters(renderer.names, renderer.targets), 16),
+def test_attached_emitter_samples_have_a_fiftieth_of_mitsuba_s_noise() -> None:
+    targets = {"place": Translate("lamp")}
+    renderer = MitsubaRenderer(lit_scene("ball"), targets, spp=16)
+    gradient, params = (
+        attached_gradient(renderer, 16),
         renderer.parameters(),
     )
-    ours = [lamps.vjp(at, RAMP, names=place, seed=seed)["place"] for seed in range(6)]
-    own = [renderer.vjp(at, RAMP, seed=seed)["place"] for seed in range(6)]
-    assert np.linalg.norm(np.std(ours, axis=0)) < 0.02 * np.linalg.norm(np.std(own, axis=0))
+    attached = [gradient.vjp(params, RAMP, names=targets, seed=seed)["place"] for seed in range(6)]
+    mitsuba = [renderer.vjp(params, RAMP, seed=seed)["place"] for seed in range(6)]
+    assert np.linalg.norm(np.std(attached, axis=0)) < 0.02 * np.linalg.norm(np.std(mitsuba, axis=0))
 
 
-def test_a_lamp_in_view_has_its_outline_too() -> None:
-    low = {"type": "sphere", "center": [0, 2.5, 0], "radius": 0.5, "emitter": EMITS}
+def test_a_moving_light_in_view_has_the_gradient_of_its_silhouette() -> None:
+    visible_lamp = {"type": "sphere", "center": [0, 2.5, 0], "radius": 0.5, "emitter": EMITS}
     scene = lit_scene("ball")
-    scene["lamp"] = low
-    place = {"x": Translate("lamp", X)}
-    renderer = MitsubaRenderer(scene, place, spp=128)
-    lamps, at = (
-        AttachedEmitters(renderer, attachable_emitters(renderer.names, renderer.targets), 32),
+    scene["lamp"] = visible_lamp
+    targets = {"x": Translate("lamp", X)}
+    renderer = MitsubaRenderer(scene, targets, spp=128)
+    gradient, params = (
+        attached_gradient(renderer, 32),
         renderer.parameters(),
     )
-    drawn = [float(lamps.vjp(at, RAMP, names=place, seed=seed)["x"]) for seed in range(8)]
-    wanted, unsure = differences(renderer, at, {"x": 0.1})
-    error = np.hypot(np.std(drawn, ddof=1) / np.sqrt(8), unsure[0])
-    assert np.mean(drawn) == pytest.approx(wanted[0], rel=0.03, abs=4.0 * error)
+    draws = [float(gradient.vjp(params, RAMP, names=targets, seed=seed)["x"]) for seed in range(8)]
+    expected, expected_error = differences(renderer, params, {"x": 0.1})
+    error = np.hypot(np.std(draws, ddof=1) / np.sqrt(8), expected_error[0])
+    assert np.mean(draws) == pytest.approx(expected[0], rel=0.03, abs=4.0 * error)
 
 
 @thorough
-def test_a_lamp_that_comes_into_view_has_its_outline_there() -> None:
-    """The film samples beyond its border, for which the scene is loaded twice: the lamp is that of the scene in use."""
+def test_a_light_that_comes_into_view_has_the_gradient_of_its_silhouette() -> None:
+    """The film samples its border, so that the scene is loaded twice; the light must be the second scene's."""
     scene = lit_scene("ball")
     scene["sensor"]["film"]["rfilter"] = {"type": "tent"}
     planned = PlannedRenderer(scene, {"x": Translate("lamp", X), "y": Translate("lamp", Y)}, spp=32)
     planned.begin(planned.parameters(), RAMP, optimise=["x", "y"])
     assert list(planned.plan.followed) == ["x", "y"]
-    at: dict[str, Any] = {"x": np.float32(0.0), "y": np.float32(-4.5)}
-    drawn = [float(planned.render_vjp(at, seed=seed)[1](RAMP)["x"]) for seed in range(8)]
-    wanted, unsure = differences(planned.unabridged.with_integrator("scene", spp=128), at, {"x": 0.1})
-    error = np.hypot(np.std(drawn, ddof=1) / np.sqrt(8), unsure[0])
-    assert np.mean(drawn) == pytest.approx(wanted[0], rel=0.03, abs=4.0 * error)
+    params: dict[str, Any] = {"x": np.float32(0.0), "y": np.float32(-4.5)}
+    draws = [float(planned.render_vjp(params, seed=seed)[1](RAMP)["x"]) for seed in range(8)]
+    expected, expected_error = differences(planned.unabridged.with_integrator("scene", spp=128), params, {"x": 0.1})
+    error = np.hypot(np.std(draws, ddof=1) / np.sqrt(8), expected_error[0])
+    assert np.mean(draws) == pytest.approx(expected[0], rel=0.03, abs=4.0 * error)
 
 
 @pytest.mark.parametrize("light", ["lamp.position", pytest.param(Translate("lamp"), marks=thorough)], ids=str)
 @pytest.mark.parametrize("blur", [{}, pytest.param(None, marks=thorough)], ids=["blur", "no blur"])
 def test_a_fit_finds_a_point_light(light: Any, blur: dict[str, Any] | None) -> None:
-    """Within 0.05 of a way of 2.7; what the ball hides tells of it as well."""
+    """The fit ends within 0.05 of the position, from a distance of 2.7; the shadow of the ball is visible too."""
     scene = lit_scene("point")
     scene["sensor"]["film"] |= {"width": 32, "height": 24}
     planned = PlannedRenderer(scene, {"light": light}, spp=16, blur=blur)
     start = planned.parameters()["light"]
     truth = start + np.array([2.0, 1.0, -1.5], np.float32)
-    found = fit(planned, LOIObjective(planned.render({"light": truth}, seed=10**6)), steps=80)
+    result = fit(planned, LOIObjective(planned.render({"light": truth}, seed=10**6)), steps=80)
     assert list(planned.plan.followed) == ["light"]
     assert not planned.plan.blurred
-    np.testing.assert_allclose(found.best_params["light"], truth, atol=0.05)
+    np.testing.assert_allclose(result.best_params["light"], truth, atol=0.05)
 
 
 def begun(scene: dict[str, Any], targets: dict[str, Any], **options: Any) -> PlannedRenderer:
-    """A renderer that has looked at a gradient."""
+    """Return a planned renderer after its pilot."""
     planned = PlannedRenderer(scene, targets, **options)
     planned.begin(planned.parameters(), RAMP, optimise=targets)
     return planned
 
 
-def test_a_light_that_shines_where_nobody_looks_is_left_to_others() -> None:
-    """A lid hides all of the lamp's direct light: its own outline tells nothing either, and it is held."""
+def test_a_light_without_visible_direct_light_is_not_attached() -> None:
+    """A lid blocks all direct light of the lamp, whose silhouette is out of view as well, so that it is frozen."""
     lid = {"type": "cube", "to_world": mi.ScalarTransform4f().translate([0, 6, 0]).scale([9, 0.1, 9])}
-    for kind, otherwise in (("ball", "held"), ("point", "blurred")):
+    for kind, field in (("ball", "held"), ("point", "blurred")):
         plan = begun(lit_scene(kind, lid=lid), {"x": Translate("lamp", X)}, spp=4).plan
         assert not plan.followed
-        assert list(getattr(plan, otherwise)) == ["x"]
-    both: dict[str, Any] = {"x": Translate("lamp", X), "ball": Translate("ball", X)}
-    plan = begun(lit_scene("point", lid=lid), both, spp=4, blur={"names": ["ball"]}).plan  # there are no others
+        assert list(getattr(plan, field)) == ["x"]
+    targets: dict[str, Any] = {"x": Translate("lamp", X), "ball": Translate("ball", X)}
+    plan = begun(
+        lit_scene("point", lid=lid), targets, spp=4, blur={"names": ["ball"]}
+    ).plan  # `names` excludes the light from blurring
     assert list(plan.followed) == ["x"]
 
 
-def test_a_lamp_that_a_mirror_shows_keeps_the_gradient_of_all_its_light() -> None:
-    """The floor is a mirror, and its reflection carries nearly all that is known of the glowing ball above it."""
-    place = mi.ScalarTransform4f
-    mirror = {"type": "rectangle", "to_world": place().translate([0, 0, -1]).scale(8), "bsdf": {"type": "conductor"}}
+def test_a_light_seen_in_a_mirror_keeps_mitsuba_s_gradient() -> None:
+    """The floor is a mirror, whose reflection of the glowing ball carries nearly all of the gradient."""
+    targets = mi.ScalarTransform4f
+    mirror = {"type": "rectangle", "to_world": targets().translate([0, 0, -1]).scale(8), "bsdf": {"type": "conductor"}}
     glows = {"type": "area", "radiance": {"type": "rgb", "value": 1.0}}
     scene = shadow_scene(
         floor=mirror,
@@ -208,16 +218,16 @@ def test_a_lamp_that_a_mirror_shows_keeps_the_gradient_of_all_its_light() -> Non
 
 
 @thorough
-def test_each_parameter_has_the_gradient_that_is_best_for_it() -> None:
-    """A ball that moves has Mitsuba's, the lamp above it that of its light; and the scene is left as it was."""
-    both = {"lamp": Translate("lamp", X), "ball": Translate("ball", X)}
-    planned = PlannedRenderer(lit_scene("ball"), both, spp=16)
+def test_a_moving_light_is_attached_and_a_moving_ball_is_not() -> None:
+    """The scene has its initial values again after each gradient."""
+    targets = {"lamp": Translate("lamp", X), "ball": Translate("ball", X)}
+    planned = PlannedRenderer(lit_scene("ball"), targets, spp=16)
     start = planned.parameters()
     image, pullback = planned.render_vjp(start)
     first = pullback(RAMP)
     assert list(planned.plan.followed) == ["lamp"]
     (row,) = (line for line in str(planned.plan).splitlines() if line.startswith("| 'lamp'"))
-    assert "it moves a lamp, and samples of its direct light move with it" in row
+    assert "it moves the area light, and attached samples of its direct light have the gradient" in row
     assert planned.groups == (("ball",),)
     assert np.all(first["ball"])
     np.testing.assert_allclose(pullback(RAMP)["lamp"], first["lamp"], rtol=1e-4)
@@ -228,14 +238,14 @@ def test_each_parameter_has_the_gradient_that_is_best_for_it() -> None:
 
 
 @pytest.mark.filterwarnings("ignore:mesh 'lamp' stores the vertices:loi_mitsuba.GradientWarning")
-def test_what_scales_a_mesh_is_left_to_mitsuba() -> None:
-    """Whose samples are as many to the area as before."""
+def test_the_scale_of_an_emitting_mesh_is_not_attached() -> None:
+    """Mitsuba's samples of a mesh do not scale with it."""
     for kind, wrt in (("box", ["x"]), ("panel", ["x", "size"])):
         renderer = MitsubaRenderer(lit_scene(kind), {"x": Translate("lamp", X), "size": Scale("lamp")}, spp=4)
         assert list(attachable_emitters(renderer.names, renderer.targets)) == wrt
 
 
-def test_it_can_be_turned_off() -> None:
+def test_attached_lights_can_be_turned_off() -> None:
     light: dict[str, Any] = {"x": Translate("lamp", X)}
     assert list(begun(lit_scene("point"), light, spp=4, attached_lights=False).plan.blurred) == ["x"]
     assert not begun(lit_scene("ball"), light, spp=4, attached_lights=False).plan.followed
@@ -246,8 +256,7 @@ def test_it_can_be_turned_off() -> None:
 
 
 @thorough
-def test_a_fit_ends_where_the_light_is_among_other_unknowns() -> None:
-    """The floor's colour, the place of a ball, and of the lamp above both."""
+def test_a_fit_finds_a_light_together_with_a_ball_and_a_colour() -> None:
     scene = lit_scene("ball")
     scene["sensor"]["film"] |= {"width": 48, "height": 36}
     targets: dict[str, Any] = {
@@ -262,7 +271,7 @@ def test_a_fit_ends_where_the_light_is_among_other_unknowns() -> None:
         "floor": np.array([0.6, 0.5, 0.3], np.float32),
     }
     target = planned.render(truth, seed=10**6)
-    found = fit(
+    result = fit(
         planned,
         LOIObjective(target),
         steps=100,
@@ -270,4 +279,4 @@ def test_a_fit_ends_where_the_light_is_among_other_unknowns() -> None:
     )
     assert list(planned.plan.followed) == ["lamp"]
     for name, value in truth.items():
-        np.testing.assert_allclose(found.best_params[name], value, atol=0.1)
+        np.testing.assert_allclose(result.best_params[name], value, atol=0.1)

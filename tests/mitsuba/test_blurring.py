@@ -43,8 +43,8 @@ def lit_scene(**changes: Any) -> dict[str, Any]:
     )
 
 
-def test_one_fit_finds_what_has_a_gradient_and_what_has_none() -> None:
-    """A colour, and the place of a point light, of which only its light and the ball's shadow tell."""
+def test_one_fit_finds_parameters_with_and_without_a_gradient() -> None:
+    """A colour, and the position of a point light, which is visible only by its light and by the ball's shadow."""
     scene = lit_scene()
     scene["sensor"]["film"] |= {"width": 32, "height": 24}
     planned = PlannedRenderer(scene, {"light": Translate("lamp", X), "floor": FLOOR}, spp=8, attached_lights=False)
@@ -52,15 +52,15 @@ def test_one_fit_finds_what_has_a_gradient_and_what_has_none() -> None:
     truth: dict[str, Any] = {"light": np.float32(3.0), "floor": np.array([0.7, 0.5, 0.3], np.float32)}
     target = planned.render(truth, seed=10**6)
     free = {"light": Free(None, -1.0, 5.0), "floor": Free(None, 0.0, 1.0)}
-    found = fit(planned, LOIObjective(target), steps=40, optimise=free)
-    assert float(found.best_params["light"]) == pytest.approx(3.0, abs=0.1)
-    np.testing.assert_allclose(found.best_params["floor"], truth["floor"], atol=0.03)
-    assert found.diagnosis is not None
-    assert found.diagnosis.verdict == "converged"
+    result = fit(planned, LOIObjective(target), steps=40, optimise=free)
+    assert float(result.best_params["light"]) == pytest.approx(3.0, abs=0.1)
+    np.testing.assert_allclose(result.best_params["floor"], truth["floor"], atol=0.03)
+    assert result.diagnosis is not None
+    assert result.diagnosis.verdict == "converged"
 
 
 def shining_scene() -> dict[str, Any]:
-    """A ball that is nearly a mirror, and a lamp behind the camera that it shows as a small highlight."""
+    """Return a nearly specular ball with a small highlight of a light behind the camera."""
     ball = {"type": "roughconductor", "alpha": 0.02}
     lamp = {"type": "area", "radiance": {"type": "rgb", "value": [60.0] * 3}}
     return lit_scene(
@@ -77,29 +77,31 @@ def shining_scene() -> dict[str, Any]:
 
 
 @thorough
-def test_what_has_nothing_but_noise_is_blurred_once_that_is_known() -> None:
+def test_a_parameter_with_a_noisy_gradient_is_blurred_by_the_pilot() -> None:
     lamp = {"x": Translate("lamp", X), "y": Translate("lamp", (0, 1, 0))}
     scene = shining_scene()
     del scene["floor"]
     planned = PlannedRenderer(scene, lamp, spp=16, attached_lights=False)
-    held = PlannedRenderer(scene, lamp, spp=16, attached_lights=False, blur=None)
+    without_blur = PlannedRenderer(scene, lamp, spp=16, attached_lights=False, blur=None)
     truth = {"x": np.float32(-1.5), "y": np.float32(2.0)}
     objective = LOIObjective(planned.unabridged.render(truth, seed=10**6))
     free = {name: Free(None, -5.0, 5.0) for name in lamp}
     assert not planned.plan.blurred
-    found = fit(planned, objective, steps=60, optimise=free)
+    result = fit(planned, objective, steps=60, optimise=free)
     assert not planned.plan.held
     assert list(planned.plan.blurred) == ["x", "y"]
-    assert "cannot be distinguished from noise in 8 draws; that of images blurred over it is" in str(planned.plan)
+    assert "cannot be distinguished from noise in 8 draws; the blurred gradient is significant" in str(planned.plan)
     for name, value in truth.items():
-        assert float(found.best_params[name]) == pytest.approx(float(value), abs=0.7)  # a pixel and a half
-    held.begin(held.parameters(), objective.value_and_grad(held.render(held.parameters()))[1], optimise=lamp)
-    assert list(held.plan.held) == ["x", "y"]
-    assert not held.plan.blurred
+        assert float(result.best_params[name]) == pytest.approx(float(value), abs=0.7)  # a pixel and a half
+    start = without_blur.parameters()
+    cotangent = objective.value_and_grad(without_blur.render(start))[1]
+    without_blur.begin(start, cotangent, optimise=lamp)
+    assert list(without_blur.plan.held) == ["x", "y"]
+    assert not without_blur.plan.blurred
 
 
-def test_what_was_blurred_for_its_noise_has_a_gradient_of_its_own_in_view(caplog: pytest.LogCaptureFixture) -> None:
-    """A ball above the view, of which a faint shadow tells at first."""
+def test_a_shape_that_comes_into_view_is_no_longer_blurred(caplog: pytest.LogCaptureFixture) -> None:
+    """At first only a faint shadow of the ball is in view."""
     caplog.set_level(logging.INFO, "loi_mitsuba")
     planned = PlannedRenderer(shadow_scene(integrator={"type": "direct"}), {"place": Translate("ball")})
     objective = PixelL2(planned.render({"place": np.array([0.5, 0.0, 0.3])}, seed=10**6))
@@ -114,13 +116,15 @@ def test_what_was_blurred_for_its_noise_has_a_gradient_of_its_own_in_view(caplog
     assert not planned.plan.blurred
     assert planned.plan.measured
     assert Effect.PRIMARY in planned.plan.on
-    said = [one.getMessage() for one in caplog.records]
-    assert any(line.startswith("effects, by the pilot: ") and "'place' blurred (its gradient" in line for line in said)
-    assert any("as it comes into view" in line and "'place' no longer blurred" in line for line in said)
+    messages = [record.getMessage() for record in caplog.records]
+    assert any(
+        line.startswith("effects, by the pilot: ") and "'place' blurred (its gradient" in line for line in messages
+    )
+    assert any("as it comes into view" in line and "'place' no longer blurred" in line for line in messages)
 
 
-def test_what_was_blurred_for_its_noise_goes_free_once_its_gradient_can_be_told_from_it() -> None:
-    """A ball out of view, of whose shadow one loss tells next to nothing, and the next one much."""
+def test_a_blurred_parameter_is_released_when_its_gradient_becomes_significant() -> None:
+    """The first loss hardly depends on the shadow of a ball out of view, the second one strongly."""
     scene = shadow_scene(integrator={"type": "direct"})
     planned = PlannedRenderer(scene, {"x": Translate("ball", X)}, spp=4)
     planned.render_vjp(planned.parameters())[1](random_cotangent())
@@ -132,7 +136,7 @@ def test_what_was_blurred_for_its_noise_goes_free_once_its_gradient_can_be_told_
     assert pulled[-1] == pytest.approx(np.mean(pulled[:-1]), rel=0.5)
 
 
-def test_a_plan_with_nothing_missing_is_not_blurred(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_plan_with_all_gradients_blurs_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object, **__: object) -> None:
         raise AssertionError
 
@@ -144,18 +148,18 @@ def test_a_plan_with_nothing_missing_is_not_blurred(monkeypatch: pytest.MonkeyPa
     assert "blurred" not in str(planned.plan)
 
 
-def test_many_numbers_at_once_are_held_and_not_blurred(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Sixteen draws of images would show none of them, and cost hundreds of renders."""
+def test_many_noisy_parameters_are_frozen_and_not_blurred(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Sixteen blurred draws would be significant for none of them, and would cost hundreds of renders."""
 
     def refuse(*_: object, **__: object) -> None:
         raise AssertionError
 
     monkeypatch.setattr(BlurredRenderer, "__init__", refuse)
-    far = {f"far_{k}": {"type": "sphere", "center": [4.0 * k, 9, 90], "radius": 1} for k in range(6)}
-    planned = PlannedRenderer(shadow_scene(**far), {name: Translate(name) for name in far}, spp=4)
+    shapes = {f"far_{k}": {"type": "sphere", "center": [4.0 * k, 9, 90], "radius": 1} for k in range(6)}
+    planned = PlannedRenderer(shadow_scene(**shapes), {name: Translate(name) for name in shapes}, spp=4)
     image, pullback = planned.render_vjp(planned.parameters())
     pullback(np.ones_like(image))
-    assert list(planned.plan.held) == list(far)
+    assert list(planned.plan.held) == list(shapes)
     assert not planned.plan.blurred
 
 
@@ -185,12 +189,12 @@ FOG = {"type": "homogeneous", "albedo": 0.5, "sigma_t": 0.5}
         (
             {"cloud": {"type": "sphere", "bsdf": {"type": "null"}, "interior": FOG}},
             Translate("ball", X),
-            "it moves a shape where there is a medium",
+            "it moves a shape in a scene with a medium",
         ),
         (
             {"sensor": PARALLEL},
             Translate("ball", X),
-            "no gradient of outlines for the camera, which is of type OrthographicCamera",
+            "no gradient of outlines for a camera of type OrthographicCamera",
         ),
         (
             {
@@ -212,7 +216,7 @@ FOG = {"type": "homogeneous", "albedo": 0.5, "sigma_t": 0.5}
         *("values", "depths"),
     ],
 )
-def test_the_plan_names_what_is_blurred_and_why(changes: dict[str, Any], target: Any, says: str) -> None:
+def test_a_plan_lists_the_blurred_parameters_with_reasons(changes: dict[str, Any], target: Any, says: str) -> None:
     if "sensor" in changes:
         place = mi.ScalarTransform4f().look_at(*PARALLEL["to_world"][1:]).scale(3)
         changes = {"sensor": {**PARALLEL, "to_world": place}}
@@ -227,16 +231,16 @@ def test_the_plan_names_what_is_blurred_and_why(changes: dict[str, Any], target:
     np.testing.assert_array_equal(planned.render(start), image)
 
 
-def test_where_a_directional_area_shines_what_moves_is_blurred() -> None:
+def test_a_shape_that_moves_under_a_directional_area_is_blurred() -> None:
     pose = mi.ScalarTransform4f().translate([0, 5, 0]).rotate(X, 90)
     beam = {"type": "rectangle", "to_world": pose, "emitter": {"type": "directionalarea"}}
     scene = lit_scene(lamp=beam, sky={"type": "constant"})
     reason = PlannedRenderer(scene, {"it": Translate("ball", X)}, spp=4).plan.blurred["it"]
-    gc.collect()  # Mitsuba asks all lights that there are, of whatever scene, for what this one does not have
-    assert "where a DirectionalArea shines" in reason
+    gc.collect()  # Mitsuba queries the lights of all scenes that still exist, and this one lacks a method
+    assert "under a DirectionalArea" in reason
 
 
-def test_what_an_image_of_depths_does_not_show_has_the_gradient_0() -> None:
+def test_a_colour_has_no_gradient_in_an_image_of_depths() -> None:
     scene = lit_scene(integrator={"type": "depth"})
     for renderer in (
         MitsubaRenderer(scene, {"floor": FLOOR}, integrator="scene"),
@@ -247,61 +251,67 @@ def test_what_an_image_of_depths_does_not_show_has_the_gradient_0() -> None:
         assert not np.any(pullback(np.ones_like(image))["floor"])
 
 
-def test_without_a_blur_what_has_no_gradient_is_refused_or_left_to_mitsuba() -> None:
-    with pytest.raises(ParameterError, match=r"is missing or wrong; .* leave it to PlannedRenderer"):
+def test_without_a_blur_unsupported_parameters_are_refused_or_have_mitsuba_s_gradient() -> None:
+    with pytest.raises(ParameterError, match=r"is missing or wrong; .* or use PlannedRenderer"):
         PlannedRenderer(lit_scene(), {"light": "lamp.position"}, blur=None, attached_lights=False)
-    with pytest.raises(ParameterError, match=r"'sensor' cannot be moved: .*; or leave it to PlannedRenderer"):
+    with pytest.raises(ParameterError, match=r"'sensor' cannot be moved: .*; or use PlannedRenderer"):
         PlannedRenderer(lit_scene(), {"pose": Translate("sensor")}, blur=None)
     moved = {"x": Translate("ball", X)}
     plan = PlannedRenderer(lit_scene(**GLASS, **HIGH), moved, blur=None, attached_glass=False).plan
     assert not plan.blurred
     assert "dielectric 'bsdf'" in plan.exchanged
-    with pytest.raises(ParameterError, match=r"has no entry 'lamp\.place'"):
+    with pytest.raises(ParameterError, match=r"has no parameter 'lamp\.place'"):
         PlannedRenderer(lit_scene(), {"light": "lamp.place"})
 
 
-def test_light_from_all_around_is_at_no_place() -> None:
+def test_an_environment_light_cannot_be_moved() -> None:
     scene = shadow_scene(sky={"type": "constant"})
     for renderer in (MitsubaRenderer, PlannedRenderer):
-        with pytest.raises(ParameterError, match=r"'sky' cannot be moved: a ConstantBackgroundEmitter is at no place$"):
+        with pytest.raises(
+            ParameterError, match=r"'sky' cannot be moved: a ConstantBackgroundEmitter has no position$"
+        ):
             renderer(scene, {"turn": Rotate("sky", (0, 1, 0))})
 
 
-def test_a_matrix_is_moved_by_a_handle_and_not_by_its_numbers() -> None:
+def test_a_matrix_is_fitted_with_a_handle_and_not_by_its_elements() -> None:
     with pytest.raises(
         ParameterError,
-        match=r"'sensor.to_world' cannot be fitted: .*a Translate or Rotate of 'sensor', which it finds by images",
+        match=r"'sensor.to_world' cannot be fitted: .*a Translate or Rotate of 'sensor', whose gradient it estimates",
     ):
         PlannedRenderer(lit_scene(), {"pose": "sensor.to_world"})
 
 
-def test_a_camera_that_moves_sees_the_scene_move_the_other_way() -> None:
+def test_moving_the_camera_equals_moving_the_scene_the_opposite_way() -> None:
     scene = shadow_scene(ball={"type": "sphere", "radius": 0.7}, lamp={"type": "constant"}, floor={"type": "null"})
     del scene["floor"]
     camera = PlannedRenderer(scene, {"it": Translate("sensor", X)}, spp=4)
     ball = PlannedRenderer(scene, {"it": Translate("ball", X)}, spp=4)
-    seen, wanted = camera.render({"it": np.float32(0.5)}), ball.render({"it": np.float32(-0.5)})
-    assert np.mean(np.abs(seen - wanted)) < 0.01 * np.mean(np.abs(wanted - ball.render({"it": np.float32(0.0)})))
+    camera_image, expected = camera.render({"it": np.float32(0.5)}), ball.render({"it": np.float32(-0.5)})
+    assert np.mean(np.abs(camera_image - expected)) < 0.01 * np.mean(
+        np.abs(expected - ball.render({"it": np.float32(0.0)}))
+    )
 
 
-def test_the_gradient_is_that_of_finite_differences() -> None:
+def test_the_blurred_gradient_of_a_light_matches_finite_differences() -> None:
     blur = {"sigma": 0.2, "pairs": 4}
     planned = PlannedRenderer(lit_scene(), {"light": Translate("lamp", X)}, spp=32, blur=blur, attached_lights=False)
     image, pullback = planned.render_vjp(planned.parameters())
     ramp = np.linspace(-1.0, 1.0, 64, dtype=np.float32)[None, :, None] * np.ones_like(image)
-    drawn = [float(planned.render_vjp(planned.parameters(), seed=seed)[1](ramp)["light"]) for seed in range(8)]
-    ahead, behind = (planned.render({"light": np.float32(by)}, seed=1) for by in (0.2, -0.2))
-    slope = float(np.sum((ahead - behind) * ramp)) / 0.4
-    assert np.mean(drawn) == pytest.approx(slope, rel=0.05, abs=3.0 * np.std(drawn) / np.sqrt(8))
+    draws = [float(planned.render_vjp(planned.parameters(), seed=seed)[1](ramp)["light"]) for seed in range(8)]
+    plus, minus = (planned.render({"light": np.float32(by)}, seed=1) for by in (0.2, -0.2))
+    slope = float(np.sum((plus - minus) * ramp)) / 0.4
+    assert np.mean(draws) == pytest.approx(slope, rel=0.05, abs=3.0 * np.std(draws) / np.sqrt(8))
     assert float(pullback(ramp)["light"]) == pytest.approx(slope, rel=0.3)
 
 
 @pytest.mark.parametrize(
-    "light", ["lamp.position", *(pytest.param(Translate("lamp", *one), marks=thorough) for one in ((), (X,)))], ids=str
+    "light",
+    ["lamp.position", *(pytest.param(Translate("lamp", *axis), marks=thorough) for axis in ((), (X,)))],
+    ids=str,
 )
-def test_the_lamp_in_the_neighbour_goes_where_the_light_goes(light: Any) -> None:
-    sharp = {"x": Translate("ball", X)}
-    planned = PlannedRenderer(lit_scene(**HIGH), {**sharp, "light": light}, spp=16, attached_lights=False)
+def test_a_proxy_light_moves_with_its_delta_light(light: Any) -> None:
+    ball = {"x": Translate("ball", X)}
+    planned = PlannedRenderer(lit_scene(**HIGH), {**ball, "light": light}, spp=16, attached_lights=False)
     assert list(planned.plan.exchanged) == ["point light 'lamp'"]
     assert list(planned.plan.blurred) == ["light"]
     params = planned.parameters()
@@ -310,15 +320,15 @@ def test_the_lamp_in_the_neighbour_goes_where_the_light_goes(light: Any) -> None
     pulled = planned.unabridged.vjp(params, ramp)
     assert np.any(pulled["x"])
     assert not np.any(pulled["light"])
-    near = mi.traverse(planned.unabridged.proxy_scene)["loi_lamp_0.to_world"]  # type: ignore[attr-defined]
+    proxy_pose = mi.traverse(planned.unabridged.proxy_scene)["proxy_emitter_0.to_world"]  # type: ignore[attr-defined]
     moved = [1.5, 12, 0] if isinstance(light, Translate) and light.axis is not None else [1.5, 13, 1]
-    np.testing.assert_allclose(np.array(near.matrix).reshape(4, 4)[:3, 3], moved, atol=1e-5)
+    np.testing.assert_allclose(np.array(proxy_pose.matrix).reshape(4, 4)[:3, 3], moved, atol=1e-5)
 
 
-def test_only_what_is_named_is_blurred() -> None:
-    both: dict[str, Any] = {"x": Translate("ball", X), "floor": FLOOR}
-    planned = PlannedRenderer(shadow_scene(floor=lit_scene()["floor"]), both, blur={"names": ["x"]}, spp=4)
-    assert planned.plan.blurred == {"x": "it was asked for"}
+def test_only_the_parameters_in_names_are_blurred() -> None:
+    targets: dict[str, Any] = {"x": Translate("ball", X), "floor": FLOOR}
+    planned = PlannedRenderer(shadow_scene(floor=lit_scene()["floor"]), targets, blur={"names": ["x"]}, spp=4)
+    assert planned.plan.blurred == {"x": "`blur` names it"}
     assert planned.groups == (("floor",),)
     with pytest.raises(ParameterError, match=r"'lamp\.position' cannot be fitted"):
         PlannedRenderer(
@@ -340,12 +350,12 @@ def test_only_what_is_named_is_blurred() -> None:
         ({"names": ["place"]}, ParameterError, "`names` must be of light, got 'place'"),
     ],
 )
-def test_options_are_checked(blur: Any, error: type[Exception], says: str) -> None:
+def test_options_of_the_blur_are_checked(blur: Any, error: type[Exception], says: str) -> None:
     with pytest.raises(error, match=says):
         PlannedRenderer(lit_scene(), {"light": "lamp.position"}, blur=blur)
 
 
-def test_where_all_is_blurred_there_is_nothing_to_measure() -> None:
+def test_a_plan_with_only_blurred_parameters_has_nothing_to_verify() -> None:
     lamp = {"light": Translate("lamp", X)}
     planned = PlannedRenderer(lit_scene(), lamp, spp=4, blur={"sigma": 0.3}, attached_lights=False)
     image = planned.render(planned.parameters())
@@ -358,7 +368,7 @@ def test_where_all_is_blurred_there_is_nothing_to_measure() -> None:
         planned.verify(objective)
 
 
-def test_what_is_not_optimised_is_not_blurred() -> None:
+def test_a_parameter_that_is_not_optimised_is_not_blurred() -> None:
     lights: dict[str, Any] = {"light": Translate("lamp", X), "floor": FLOOR}
     planned = PlannedRenderer(lit_scene(), lights, spp=4, blur={"sigma": {"light": 0.3}})
     image = planned.render(planned.parameters())
@@ -369,7 +379,7 @@ def test_what_is_not_optimised_is_not_blurred() -> None:
     assert not planned.plan.blurred
 
 
-def test_any_renderer_of_mitsuba_can_be_blurred() -> None:
+def test_a_mitsuba_renderer_can_be_wrapped_in_a_blurred_renderer() -> None:
     plain = MitsubaRenderer(lit_scene(), {"light": "lamp.position", "floor": FLOOR}, spp=4, without_gradient=["light"])
     image, pullback = plain.render_vjp(plain.parameters())
     assert not np.any(pullback(np.ones_like(image))["light"])
@@ -379,7 +389,7 @@ def test_any_renderer_of_mitsuba_can_be_blurred() -> None:
     assert np.any(pulled["floor"])
 
 
-def test_a_scene_file_sets_the_blur_and_explains_it(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_scene_file_sets_the_options_of_the_blur(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     light = '<emitter type="point" id="lamp"><point name="position" x="0" y="9" z="0"/></emitter></scene>'
     (tmp_path / "scene.xml").write_text(XML.replace("</scene>", light))
     text = SCENE.replace('"mitsuba"', '"mitsuba-planned"')
@@ -389,11 +399,11 @@ def test_a_scene_file_sets_the_blur_and_explains_it(tmp_path: Path, capsys: pyte
     scene = tmp_path / "scene.toml"
     scene.write_text(f"{text}\n[renderer.blur]\nsigma = 0.5\n")
     assert main(["fit", str(scene), "--explain", "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["blurred"] == {}  # it is not among what is optimised
+    assert json.loads(capsys.readouterr().out)["blurred"] == {}  # the light is not optimised
     scene.write_text(f"{text}\n[renderer.blur]\nsigma = 0.5\n[optimise.light]\n")
     assert main(["fit", str(scene), "--explain", "--json"]) == 0
     assert list(json.loads(capsys.readouterr().out)["followed"]) == ["light"]
-    text = text.replace('"mitsuba-planned"', '"mitsuba-planned"\nfollow_lights = false')
+    text = text.replace('"mitsuba-planned"', '"mitsuba-planned"\nattached_lights = false')
     scene.write_text(f"{text}\n[renderer.blur]\nsigma = 0.5\n[optimise.light]\n")
     assert main(["fit", str(scene), "--explain", "--json"]) == 0
     assert list(json.loads(capsys.readouterr().out)["blurred"]) == ["light"]
@@ -405,7 +415,7 @@ def test_a_scene_file_sets_the_blur_and_explains_it(tmp_path: Path, capsys: pyte
     assert "[renderer.blur] unknown key `sigm`; did you mean `sigma`?" in capsys.readouterr().err
 
 
-def test_an_instance_moves_by_images_alone() -> None:
+def test_a_moving_instance_has_a_blurred_gradient() -> None:
     place = mi.ScalarTransform4f
     group = {"type": "shapegroup", "within": {"type": "sphere", "radius": 0.7, "center": [0.0, 1.0, 0.0]}}
     instance = {
@@ -420,13 +430,13 @@ def test_an_instance_moves_by_images_alone() -> None:
     planned = PlannedRenderer(scene, moves, spp=16, blur={"sigma": 0.2})
     assert "instance" in planned.plan.blurred["x"]
     weight = np.linspace(-1.0, 1.0, WIDTH, dtype=np.float32)[None, :, None] * np.ones((HEIGHT, WIDTH, 3), np.float32)
-    drawn = []
+    draws = []
     for seed in range(4):
         _, pullback = planned.render_vjp(planned.parameters(), seed=seed)
-        drawn.append(float(pullback(weight)["x"]))
+        draws.append(float(pullback(weight)["x"]))
 
-    def there(x: float) -> float:
+    def weighted_sum(x: float) -> float:
         return float(np.sum(planned.render({"x": np.float32(x)}, seed=9) * weight))
 
-    wanted = (there(0.2) - there(-0.2)) / 0.4
-    assert np.mean(drawn) == pytest.approx(wanted, rel=0.3)
+    expected = (weighted_sum(0.2) - weighted_sum(-0.2)) / 0.4
+    assert np.mean(draws) == pytest.approx(expected, rel=0.3)

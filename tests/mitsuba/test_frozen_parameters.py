@@ -1,4 +1,4 @@
-"""What cannot be seen is held at its start, and goes free as soon as it can: real scenes, small."""
+"""Parameters of objects out of view are frozen, and released when the objects come into view: small real scenes."""
 
 from __future__ import annotations
 
@@ -38,45 +38,45 @@ def two_balls() -> tuple[PlannedRenderer, PixelL2]:
     return renderer, PixelL2(target)
 
 
-def test_what_cannot_be_seen_stays_where_it_is(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_fit_does_not_move_an_object_behind_the_camera(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO, "loi_mitsuba")
     renderer, objective = two_balls()
-    found = fit(renderer, objective, steps=12, learning_rate=0.05)
-    np.testing.assert_array_equal(found.params["behind"], NOWHERE)
-    assert np.any(found.params["ball"] != 0.0)
+    result = fit(renderer, objective, steps=12, learning_rate=0.05)
+    np.testing.assert_array_equal(result.params["behind"], NOWHERE)
+    assert np.any(result.params["ball"] != 0.0)
     assert list(renderer.plan.held) == ["behind"]
     assert f"| {'behind'!r}" in str(renderer.plan)
     assert asdict(renderer.plan)["held"] == renderer.plan.held  # what --explain --json prints
     assert json.dumps(asdict(renderer.plan))
-    (line,) = [one.getMessage() for one in caplog.records if "held" in one.getMessage()]
+    (line,) = [record.getMessage() for record in caplog.records if "held" in record.getMessage()]
     assert "'behind' held (its gradient " in line
     assert "\n" not in line
 
 
-def test_where_nothing_can_be_seen_nothing_moves_and_the_plan_says_so() -> None:
+def test_a_plan_notes_that_all_parameters_are_frozen() -> None:
     renderer = PlannedRenderer(behind_scene(), dict(BEHIND.parameters), spp=16)
     objective = PixelL2(renderer.render(dict(BEHIND.truth), seed=10**6))
-    found = fit(renderer, objective, steps=12, learning_rate=0.05)
-    np.testing.assert_array_equal(found.params["place"], BEHIND.start["place"])
-    assert any("nothing that is optimised can be seen here" in note for note in renderer.plan.notes)
+    result = fit(renderer, objective, steps=12, learning_rate=0.05)
+    np.testing.assert_array_equal(result.params["place"], BEHIND.start["place"])
+    assert any("no optimised parameter has a significant gradient here" in note for note in renderer.plan.notes)
 
 
-def test_what_comes_into_view_goes_free_in_that_step(caplog: pytest.LogCaptureFixture) -> None:
+def test_an_object_that_comes_into_view_is_released_in_that_step(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO, "loi_mitsuba")
     renderer, objective = two_balls()
-    away = {"ball": np.zeros(3), "behind": np.zeros(3)}
-    image, pullback = renderer.render_vjp(away)
+    out_of_view = {"ball": np.zeros(3), "behind": np.zeros(3)}
+    image, pullback = renderer.render_vjp(out_of_view)
     assert not np.any(pullback(objective.value_and_grad(image)[1])["behind"])
-    seen = {"ball": np.zeros(3), "behind": np.array([1.0, 0.5, -14.0])}
-    image, pullback = renderer.render_vjp(seen, seed=1)
+    in_view = {"ball": np.zeros(3), "behind": np.array([1.0, 0.5, -14.0])}
+    image, pullback = renderer.render_vjp(in_view, seed=1)
     assert np.any(pullback(objective.value_and_grad(image)[1])["behind"])
     assert not renderer.plan.held
-    (line,) = [one.getMessage() for one in caplog.records if "free" in one.getMessage()]
+    (line,) = [record.getMessage() for record in caplog.records if "free" in record.getMessage()]
     assert line == "effects, as it comes into view: 'behind' free"
 
 
-def test_what_was_hidden_goes_free_when_its_gradients_agree() -> None:
-    """A ball within the view all the time, at first behind a screen that another parameter takes away."""
+def test_an_occluded_object_is_released_when_its_gradients_agree() -> None:
+    """The ball is inside the frustum all the time, at first behind a screen that another parameter moves away."""
     place = mi.ScalarTransform4f
     scene = behind_scene()
     del scene["behind"]
@@ -88,7 +88,9 @@ def test_what_was_hidden_goes_free_when_its_gradients_agree() -> None:
         image, pullback = renderer.render_vjp({"ball": NOWHERE, "screen": np.array([screen, 0, 0])}, seed=seed)
         cotangent = objective.value_and_grad(image)[1]
         first = pullback(cotangent)["ball"]
-        np.testing.assert_array_equal(pullback(cotangent)["ball"] == 0.0, first == 0.0)  # of one image, one answer
+        np.testing.assert_array_equal(
+            pullback(cotangent)["ball"] == 0.0, first == 0.0
+        )  # all gradients of one image agree
         return first
 
     assert not any(np.any(gradient(0.0, seed)) for seed in range(5))
@@ -96,17 +98,17 @@ def test_what_was_hidden_goes_free_when_its_gradients_agree() -> None:
     moved = [bool(np.any(gradient(9.0, seed))) for seed in range(5, 25)]
     assert not moved[0]
     assert moved[-1]
-    assert moved == sorted(moved)  # once free, it is not held again
+    assert moved == sorted(moved)  # a released parameter is not frozen again
     assert "ball" not in renderer.plan.held
 
 
-def test_what_moves_one_shape_is_one_object() -> None:
+def test_parameters_that_move_one_shape_are_one_group() -> None:
     targets: dict[str, Any] = {
         "x": Translate("ball", (1, 0, 0)),
         "light": "lamp.emitter.radiance.value",
         "turn": Rotate("ball", (0, 1, 0)),
         "lamp": Translate("lamp"),
     }
-    called = SceneIndex(load_scene(shadow_scene()))
-    moving = traits_of(called, targets, called.scene.sensors()[0]).moving
+    index = SceneIndex(load_scene(shadow_scene()))
+    moving = traits_of(index, targets, index.scene.sensors()[0]).moving
     assert group_by_shape(targets, moving) == (("x", "turn"), ("light",), ("lamp",))

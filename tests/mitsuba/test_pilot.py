@@ -1,4 +1,4 @@
-"""The pilot turns off what carries nothing, and what it turned off comes back when it matters: real scenes, small."""
+"""The pilot turns off negligible effects, and effects that appear later are turned on again: small real scenes."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SIZE = (WIDTH // 2, HEIGHT // 2)
 
 
 def begun(case: Case, **options: Any) -> tuple[PlannedRenderer, LOIObjective]:
-    """A scene of the suite at half its size, planned for its fit."""
+    """Return a scene of the suite at half its size after its pilot, and the loss."""
     renderer = PlannedRenderer(case.scene(*SIZE), case.parameters, **options)
     target = renderer.render(dict(case.truth), seed=10**6)
     objective = LOIObjective(target, ScaleSpace.for_image(*target.shape[:2]))
@@ -38,7 +38,7 @@ def start(renderer: PlannedRenderer, objective: Any, params: dict[str, Any]) -> 
     renderer.begin(params, cotangent, optimise=list(params))
 
 
-def test_a_shadow_alone_needs_neither_shading_nor_outlines_nor_bounces() -> None:
+def test_a_shadow_alone_needs_no_shading_no_outlines_and_no_bounces() -> None:
     case = CASES["shadow of an object out of view"]
     renderer, objective = begun(case, spp=64)
     assert renderer.plan.measured
@@ -47,29 +47,31 @@ def test_a_shadow_alone_needs_neither_shading_nor_outlines_nor_bounces() -> None
     assert renderer.plan.settings["integrator"] == "direct_projective"
     assert renderer.plan[Effect.INDIRECT].fraction == pytest.approx(1.0, abs=1e-6)
     assert not renderer.plan.held
-    found = renderer.verify(objective, dict(case.start), draws=12)
-    assert found.seconds < found.full_seconds
-    assert found.gradient.cosine > 0.99 - 2.0 * found.gradient.cosine_error
-    assert f"cosine {found.gradient.cosine:.4f}" in str(found)
+    verification = renderer.verify(objective, dict(case.start), draws=12)
+    assert verification.seconds < verification.full_seconds
+    assert verification.gradient.cosine > 0.99 - 2.0 * verification.gradient.cosine_error
+    assert f"cosine {verification.gradient.cosine:.4f}" in str(verification)
 
 
-def test_a_light_that_only_changes_colour_needs_no_edges_but_bounces() -> None:
+def test_the_colour_of_a_light_needs_bounces_and_no_edges() -> None:
     renderer, objective = begun(CASES["emitter colour"])
     assert not renderer.plan.on & {Effect.PRIMARY, Effect.INDIRECT}
     assert {Effect.BOUNCES, Effect.EMITTERS} <= renderer.plan.on
     assert 2 < renderer.plan.settings["max_depth"] < 8
     assert not renderer.plan.held
-    found = renderer.verify(objective, dict(CASES["emitter colour"].start), draws=6)
-    assert found.gradient.cosine > 0.999
-    assert found.gradient.ratio == pytest.approx(1.0, abs=0.02)
+    verification = renderer.verify(objective, dict(CASES["emitter colour"].start), draws=6)
+    assert verification.gradient.cosine > 0.999
+    assert verification.gradient.ratio == pytest.approx(1.0, abs=0.02)
 
 
-def test_what_is_noise_is_held_and_keeps_everything_on() -> None:
+def test_a_noisy_gradient_is_frozen_and_turns_no_effect_off() -> None:
     renderer, _ = begun(CASES["nothing that can be seen"], spp=4)
     assert list(renderer.plan.held) == ["place"]
-    kept = {effect for effect in (Effect.CONTINUOUS, Effect.INDIRECT) if renderer.plan[effect].reason[:7] != "exactly"}
-    assert kept <= renderer.plan.on  # nothing is known to be small but what is exactly 0
-    assert kept
+    nonzero = {
+        effect for effect in (Effect.CONTINUOUS, Effect.INDIRECT) if renderer.plan[effect].reason[:7] != "exactly"
+    }
+    assert nonzero <= renderer.plan.on  # only effects that are exactly 0 are known to be small
+    assert nonzero
 
 
 HIGH: dict[str, Any] = {"place": Translate("ball")}
@@ -78,26 +80,26 @@ DIRECT: dict[str, Any] = {"type": "direct"}  # no bounces: fewer kernels to comp
 
 @thorough
 def test_an_object_that_comes_into_view_has_its_outline_at_once(caplog: pytest.LogCaptureFixture) -> None:
-    """At first only its shadow is seen; who then never samples outlines misses the object itself."""
+    """At first only its shadow is in view, and outlines are off; the object itself would be missed."""
     caplog.set_level(logging.INFO, "loi_mitsuba")
     renderer = PlannedRenderer(shadow_scene(integrator=DIRECT), HIGH, blur=None)
     objective = PixelL2(renderer.render({"place": np.array([0.5, 0.0, 0.3])}, seed=10**6))
     start(renderer, objective, {"place": np.array([-0.3, 0.0, 0.0])})
     assert Effect.PRIMARY not in renderer.plan.on
-    seen = {"place": np.array([0.0, -3.5, 0.0])}
-    image, pullback = renderer.render_vjp(seen, seed=1)
+    in_view = {"place": np.array([0.0, -3.5, 0.0])}
+    image, pullback = renderer.render_vjp(in_view, seed=1)
     assert Effect.PRIMARY in renderer.plan.on
-    (line,) = [one.getMessage() for one in caplog.records if "comes into view" in one.getMessage()]
+    (line,) = [record.getMessage() for record in caplog.records if "comes into view" in record.getMessage()]
     assert "primary visibility on" in line
     assert "\n" not in line
     cotangent = objective.value_and_grad(image)[1]
     gradient = pullback(cotangent)["place"]
     fixed = MitsubaRenderer(shadow_scene(integrator=DIRECT), HIGH, integrator=renderer.plan)
-    np.testing.assert_allclose(gradient, fixed.vjp(seen, cotangent, seed=1)["place"], rtol=1e-3, atol=1e-7)
+    np.testing.assert_allclose(gradient, fixed.vjp(in_view, cotangent, seed=1)["place"], rtol=1e-3, atol=1e-7)
 
 
 def wall_scene() -> dict[str, Any]:
-    """A ball before nothing, a lamp to the left, a wall far to the right on which the ball may cast a shadow."""
+    """Return a ball, a lamp to its left, and far to its right a wall on which the ball may cast a shadow."""
     place = mi.ScalarTransform4f
     return shadow_scene(
         integrator=DIRECT,
@@ -121,24 +123,24 @@ def wall_scene() -> dict[str, Any]:
     )
 
 
-def test_a_shadow_that_appears_only_after_motion_is_found_on_schedule(caplog: pytest.LogCaptureFixture) -> None:
+def test_a_shadow_that_appears_later_is_found_on_schedule(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO, "loi_mitsuba")
     target = {"y": Translate("ball", (0, 1, 0))}
     renderer = PlannedRenderer(wall_scene(), target)
     objective = PixelL2(renderer.render({"y": np.array(-0.4)}, seed=10**6))
     start(renderer, objective, {"y": np.array(0.0)})
     assert Effect.PRIMARY in renderer.plan.on
-    assert Effect.INDIRECT not in renderer.plan.on  # there is no shadow to be seen
+    assert Effect.INDIRECT not in renderer.plan.on  # there is no shadow in view
     for step in range(25):
-        image, pullback = renderer.render_vjp({"y": np.array(-3.0)}, seed=step)  # before the wall
+        image, pullback = renderer.render_vjp({"y": np.array(-3.0)}, seed=step)  # in front of the wall
         pullback(objective.value_and_grad(image)[1])
     assert Effect.INDIRECT in renderer.plan.on
-    assert renderer.plan[Effect.INDIRECT].reason == "it was exactly 0 when it was turned off, and is no longer"
-    (line,) = [one.getMessage() for one in caplog.records if "on schedule" in one.getMessage()]
+    assert renderer.plan[Effect.INDIRECT].reason == "it was exactly 0 when it was turned off, and no longer is"
+    (line,) = [record.getMessage() for record in caplog.records if "on schedule" in record.getMessage()]
     assert "indirect visibility on" in line
 
 
-def test_a_shadow_that_appears_is_found_when_the_loss_stalls() -> None:
+def test_a_shadow_that_appears_later_is_found_when_the_loss_stalls() -> None:
     target = {"y": Translate("ball", (0, 1, 0))}
     renderer = PlannedRenderer(wall_scene(), target)
     objective = PixelL2(renderer.render({"y": np.array(-0.4)}, seed=10**6))
@@ -154,7 +156,7 @@ def test_a_shadow_that_appears_is_found_when_the_loss_stalls() -> None:
 
 
 def test_a_light_behind_glass_keeps_its_paths() -> None:
-    """Direct light alone is black there, for a shadow ray does not pass glass."""
+    """Direct light is black there, because shadow rays do not pass glass."""
     bulb = {
         "type": "sphere",
         "to_world": mi.ScalarTransform4f().translate([0, 4, 0]).scale(1.2),
@@ -176,12 +178,12 @@ def test_a_light_behind_glass_keeps_its_paths() -> None:
     dark = MitsubaRenderer(scene, target, integrator={"type": "prb", "max_depth": 2}).render(renderer.parameters())
     bright = renderer.render(renderer.parameters())
     assert bright.mean() > 3.0 * dark.mean()  # the rest is light that shines past the glass
-    found = renderer.verify(objective, draws=6)
-    assert found.gradient.cosine > 0.99 - 2.0 * found.gradient.cosine_error
+    verification = renderer.verify(objective, draws=6)
+    assert verification.gradient.cosine > 0.99 - 2.0 * verification.gradient.cosine_error
 
 
-def test_an_object_that_is_felt_only_by_the_light_it_reflects_keeps_its_bounces() -> None:
-    """Out of view, its shadow too: in direct light alone nothing changes with it, and the image hardly does at all."""
+def test_an_object_that_only_reflects_light_into_view_keeps_its_bounces() -> None:
+    """The object and its shadow are out of view: direct light does not depend on it, and the image hardly does."""
     place = mi.ScalarTransform4f
     scene = shadow_scene(
         ball={
@@ -204,7 +206,7 @@ def test_an_object_that_is_felt_only_by_the_light_it_reflects_keeps_its_bounces(
     assert not np.any(blind.vjp({"x": np.array(0.0)}, np.ones((48, 64, 3)))["x"])
 
 
-def test_only_what_is_optimised_is_planned_for_and_pulled_back() -> None:
+def test_only_optimised_parameters_are_planned_for_and_have_a_gradient() -> None:
     parameters: dict[str, Any] = {"place": Translate("ball"), "light": "lamp.emitter.radiance.value"}
     renderer = PlannedRenderer(shadow_scene(), parameters, spp=4)
     assert Effect.INDIRECT in renderer.plan.on
@@ -230,44 +232,44 @@ def test_a_fit_is_planned_by_its_first_gradient() -> None:
         dict(case.truth), seed=10**6
     )
     optimise = {name: Free(value) for name, value in case.start.items()}
-    found = fit(renderer, PixelL2(target), steps=60, learning_rate=1.0, optimise=optimise)
+    verification = fit(renderer, PixelL2(target), steps=60, learning_rate=1.0, optimise=optimise)
     assert renderer.plan.measured
-    np.testing.assert_allclose(found.best_params["light"], case.truth["light"], rtol=0.1)
+    np.testing.assert_allclose(verification.best_params["light"], case.truth["light"], rtol=0.1)
 
 
-def test_it_keeps_the_contract() -> None:
+def test_a_planned_renderer_satisfies_the_contract() -> None:
     renderer = PlannedRenderer(CASES["emitter colour"].scene(12, 9), CASES["emitter colour"].parameters, spp=32)
     check_renderer(renderer, seeds=10)  # as many samples in all as 40 images of 8, in a fourth of the calls
 
 
-def test_parts_of_the_image_s_change_are_shown_apart() -> None:
+def test_effect_images_show_the_change_by_each_effect() -> None:
     case = CASES["object and its shadow"]
     renderer = PlannedRenderer(case.scene(*SIZE) | {"integrator": DIRECT}, case.parameters, spp=4)
     image = renderer.render(dict(case.start))
     pictures = renderer.effect_images(dict(case.start), np.ones_like(image) * image)
     assert list(pictures) == ["continuous shading", "primary visibility", "indirect visibility"]
-    assert all(one.shape == image.shape and np.any(one) for one in pictures.values())
+    assert all(picture.shape == image.shape and np.any(picture) for picture in pictures.values())
     fog = CASES["fog"]
     volume = PlannedRenderer(fog.scene(12, 9), fog.parameters, spp=1)
     assert volume.effect_images(dict(fog.start), np.ones((9, 12, 3), np.float32)) == {}
 
 
-def test_the_image_s_derivative_is_the_transpose_of_the_pullback() -> None:
+def test_the_jvp_is_the_transpose_of_the_vjp() -> None:
     """Both are one sum over the same samples, so they agree to rounding of sums of some thousand float32."""
     target: dict[str, Any] = {"light": "lamp.emitter.radiance.value", "floor": "floor.bsdf.reflectance.value"}
     renderer = MitsubaRenderer(shadow_scene(), target, spp=4)
     params = renderer.parameters()
     rng = np.random.default_rng(0)
     tangent = {name: np.float32(rng.standard_normal(value.shape)) for name, value in params.items()}
-    pushed: Host = renderer.jvp(params, tangent, seed=3)
-    cotangent = np.float32(rng.standard_normal(pushed.shape))
-    pulled = renderer.vjp(params, cotangent, seed=3)
-    size = float(np.linalg.norm(cotangent) * np.linalg.norm(pushed))
-    along = sum(float(np.vdot(pulled[name], tangent[name])) for name in params)
-    assert along == pytest.approx(float(np.vdot(cotangent, pushed)), abs=1e-5 * size)
+    change: Host = renderer.jvp(params, tangent, seed=3)
+    cotangent = np.float32(rng.standard_normal(change.shape))
+    gradient = renderer.vjp(params, cotangent, seed=3)
+    scale = float(np.linalg.norm(cotangent) * np.linalg.norm(change))
+    directional_derivative = sum(float(np.vdot(gradient[name], tangent[name])) for name in params)
+    assert directional_derivative == pytest.approx(float(np.vdot(cotangent, change)), abs=1e-5 * scale)
 
 
 @pytest.mark.parametrize(("fraction", "says"), [(1.0, "got 1.0"), (-0.1, "got -0.1"), ("much", "got 'much'")])
-def test_a_share_is_a_fraction(fraction: Any, says: str) -> None:
+def test_the_fraction_of_a_plan_is_checked(fraction: Any, says: str) -> None:
     with pytest.raises(OptionError, match=f"`fraction` must be at least 0 and less than 1, {says}"):
         plan_effects(shadow_scene(), HIGH, fraction=fraction)

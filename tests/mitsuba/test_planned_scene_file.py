@@ -1,4 +1,4 @@
-"""Scene files may ask for a plan of effects: it is explained, followed, and shown in the report."""
+"""Scene files may use a planned renderer: its plan is explained, used, and shown in the report."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_a_scene_is_explained_without_being_fitted(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_plan_is_explained_without_a_fit(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["fit", str(folder / "scene.toml"), "--explain"]) in FINISHED
     printed = capsys.readouterr().out
     assert "| primary visibility       | on " in printed
@@ -36,20 +36,20 @@ def test_a_scene_is_explained_without_being_fitted(folder: Path, capsys: pytest.
     assert json.loads(capsys.readouterr().out)["settings"]["sppi"] == 0
 
 
-def test_what_a_neighbour_has_otherwise_is_shown_and_set(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_scene_file_sets_and_explains_the_proxy(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     light = '<emitter type="point"><point name="position" x="0" y="9" z="0"/></emitter></scene>'
     (folder / "scene.xml").write_text(XML.replace("</scene>", light))
-    text = (folder / "scene.toml").read_text().replace("spp = 8", "spp = 64")  # at 8 all of it is noise
+    text = (folder / "scene.toml").read_text().replace("spp = 8", "spp = 64")  # with 8 samples the gradient is noise
     (folder / "scene.toml").write_text(f"{text}\n[renderer.proxy]\nlights = 0.05\n")
     assert main(["fit", str(folder / "scene.toml"), "--explain", "--json"]) in FINISHED
     (reason,) = json.loads(capsys.readouterr().out)["exchanged"].values()
-    assert "0.05 of its distance from what moves" in reason
+    assert "0.05 of its distance from the moving shapes" in reason
     (folder / "scene.toml").write_text(f"{text}\n[renderer.proxy]\nlights = 2\n")
     assert main(["fit", str(folder / "scene.toml"), "--explain"]) == 2
     assert "`proxy.lights` must be 0 to 0.5, got 2" in capsys.readouterr().err
 
 
-def test_a_fit_follows_its_plan_and_the_page_shows_every_effect(folder: Path) -> None:
+def test_a_fit_uses_the_plan_and_its_page_shows_the_effects(folder: Path) -> None:
     assert main(["fit", str(folder / "scene.toml")]) in FINISHED
     results = folder / "scene-result"
     np.testing.assert_allclose(json.loads((results / "parameters.json").read_text())["place"], GOAL, atol=0.1)
@@ -59,7 +59,7 @@ def test_a_fit_follows_its_plan_and_the_page_shows_every_effect(folder: Path) ->
     assert "the scene is one convex shape" in page
 
 
-def test_a_renderer_without_effects_is_named(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_explaining_a_renderer_without_a_plan_is_an_error(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (folder / "scene.toml").write_text(SCENE)
     assert main(["fit", str(folder / "scene.toml"), "--explain"]) == 2
-    assert "[renderer] has no effects to choose; those that have are named *-planned" in capsys.readouterr().err
+    assert "[renderer] does not plan its effects; renderers that do are named *-planned" in capsys.readouterr().err

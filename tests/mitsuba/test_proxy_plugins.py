@@ -1,4 +1,4 @@
-"""Smooth surfaces that move: what stands for them has little noise, and shows no light that they do not."""
+"""The plugins of proxy scenes: surfaces with little noise in the gradient and without highlights of delta lights."""
 
 from __future__ import annotations
 
@@ -32,60 +32,62 @@ def shiny_scene(kind: str) -> dict[str, Any]:
 
 
 def blocks() -> Host:
-    """Weights of 8 x 8 pixels each."""
+    """Return random weights that are constant in blocks of 8 x 8 pixels."""
     return np.kron(np.random.default_rng(1).uniform(-1.0, 1.0, (6, 8, 3)), np.ones((8, 8, 1))).astype(np.float32)
 
 
 @pytest.mark.parametrize("kind", ["mirror", pytest.param("plastic", marks=thorough)])
-def test_the_gradient_of_a_shiny_ball_under_a_sun_goes_where_finite_differences_do(kind: str) -> None:
+def test_the_gradient_of_a_shiny_ball_under_a_sun_agrees_with_finite_differences(kind: str) -> None:
     planned = PlannedRenderer(shiny_scene(kind), AXES, spp=64)
     assert not planned.plan.blurred
-    renderer, here, step = planned.unabridged, planned.parameters(), 0.04
-    drawn = [renderer.vjp(here, blocks(), seed=seed) for seed in range(16)]
-    found = np.array([[float(one[name]) for name in AXES] for one in drawn])
+    renderer, params, step = planned.unabridged, planned.parameters(), 0.04
+    gradients = [renderer.vjp(params, blocks(), seed=seed) for seed in range(16)]
+    draws = np.array([[float(gradient[name]) for name in AXES] for gradient in gradients])
     slopes = []
     for name in AXES:
-        sides = [{**here, name: here[name] + np.float32(by)} for by in (step, -step)]
-        images = [sum(renderer.render(side, seed=seed) for seed in range(16)) / 16 for side in sides]
+        displaced = [{**params, name: params[name] + np.float32(offset)} for offset in (step, -step)]
+        images = [sum(renderer.render(values, seed=seed) for seed in range(16)) / 16 for values in displaced]
         slopes.append(float(np.sum((images[0] - images[1]) * blocks())) / (2.0 * step))
-    size, mean = float(np.linalg.norm(slopes)), found.mean(axis=0)
-    assert float(np.linalg.norm(found.std(axis=0, ddof=1))) < size  # of one draw; it had been 32 times as large
-    assert float(mean @ slopes) / size / float(np.linalg.norm(mean)) > 0.85  # it had been negative
+    size, mean = float(np.linalg.norm(slopes)), draws.mean(axis=0)
+    assert float(np.linalg.norm(draws.std(axis=0, ddof=1))) < size  # of one draw; 32 times as large with highlights
+    assert float(mean @ slopes) / size / float(np.linalg.norm(mean)) > 0.85  # negative with highlights
 
 
 @pytest.mark.parametrize("kind", SHINY)
-def test_a_neighbour_shows_no_light_that_the_scene_does_not(kind: str) -> None:
+def test_a_proxy_scene_shows_no_highlights_of_delta_lights(kind: str) -> None:
     planned = PlannedRenderer(shiny_scene(kind), AXES, proxy={"mirrors": 0.01})
     scene: Any = planned.unabridged
-    own, near = (mi.render(one, spp=256, seed=1).numpy() for one in (scene.scene, scene.proxy_scene))
-    np.testing.assert_allclose(near.max(), own.max(), rtol=0.1)  # a highlight would be 60 times as bright as the sky
-    of_own, of_near = (one.reshape(6, 8, 8, 8, -1).mean(axis=(1, 3)) for one in (own, near))
-    np.testing.assert_allclose(of_near, of_own, rtol=0.05, atol=0.01)
+    image, proxy_image = (mi.render(rendered, spp=256, seed=1).numpy() for rendered in (scene.scene, scene.proxy_scene))
+    np.testing.assert_allclose(
+        proxy_image.max(), image.max(), rtol=0.1
+    )  # a highlight would be 60 times as bright as the sky
+    means, proxy_means = (pixels.reshape(6, 8, 8, 8, -1).mean(axis=(1, 3)) for pixels in (image, proxy_image))
+    np.testing.assert_allclose(proxy_means, means, rtol=0.05, atol=0.01)
 
 
 @pytest.mark.parametrize("kind", ["roughconductor", "roughplastic", "roughdielectric"])
-def test_what_stands_for_a_mirror_reflects_as_much_as_what_it_is_made_of(kind: str) -> None:
+def test_a_proxy_bsdf_reflects_as_much_as_the_rough_bsdf_within(kind: str) -> None:
     rough = mi.load_dict({"type": kind, "alpha": 0.2})
     mirror = mi.load_dict({"type": register_proxy_bsdf(), "rough": rough})
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(0, 1 << 18)
     si = dr.zeros(mi.SurfaceInteraction3f, 1 << 18)
     si.wi = dr.normalize(mi.Vector3f(0.5, 0.2, 0.6))
-    drawn, weights = zip(
-        *(one.sample(mi.BSDFContext(), si, sampler.next_1d(), sampler.next_2d(), True) for one in (mirror, rough)),
+    samples, weights = zip(
+        *(bsdf.sample(mi.BSDFContext(), si, sampler.next_1d(), sampler.next_2d(), True) for bsdf in (mirror, rough)),
         strict=True,
     )
-    of_mirror, of_rough = (np.array(one).mean() for one in weights)
-    assert of_mirror == pytest.approx(of_rough, rel=0.01)
+    mirror_albedo, rough_albedo = (np.array(weight).mean() for weight in weights)
+    assert mirror_albedo == pytest.approx(rough_albedo, rel=0.01)
     glossy = int(mi.BSDFFlags.Glossy)
-    assert not np.any(np.array(drawn[0].sampled_type) & glossy)
-    assert np.any(np.array(drawn[1].sampled_type) & glossy)
-    assert np.any(np.array(drawn[0].sampled_type) & int(mi.BSDFFlags.Delta))
-    value, _ = mirror.eval_pdf(mi.BSDFContext(), si, drawn[1].wo, True)
-    assert np.any(np.array(value)) == (kind == "roughplastic")  # whose other lobe lamps are sampled for
+    assert not np.any(np.array(samples[0].sampled_type) & glossy)
+    assert np.any(np.array(samples[1].sampled_type) & glossy)
+    assert np.any(np.array(samples[0].sampled_type) & int(mi.BSDFFlags.Delta))
+    value, _ = mirror.eval_pdf(mi.BSDFContext(), si, samples[1].wo, True)
+    assert np.any(np.array(value)) == (kind == "roughplastic")  # its diffuse lobe is open to emitter sampling
 
 
-def test_only_a_shadow_s_rays_find_the_light_of_a_lamp_that_they_hit() -> None:
+def test_rays_see_a_proxy_emitter_only_while_it_is_hittable() -> None:
     lamp = {"type": "sphere", "emitter": {"type": register_proxy_emitter(), "radiance": {"type": "rgb", "value": 3.0}}}
     scene = mi.load_dict({"type": "scene", "lamp": lamp})
     si = scene.ray_intersect(mi.Ray3f(mi.Point3f(0.0, 0.0, 5.0), mi.Vector3f(0.0, 0.0, -1.0)))

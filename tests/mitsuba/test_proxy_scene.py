@@ -1,7 +1,8 @@
-"""Gradients that Mitsuba does not have are taken from a neighbouring scene; images never are."""
+"""Gradients that Mitsuba lacks come from a proxy scene; images never do."""
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +15,7 @@ from loi_core.errors import OptionError, ParameterError
 from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, ProxySettings, Translate, list_parameters
 from loi_mitsuba.proxy.light_size import LightContext
 from loi_mitsuba.proxy.scene import build_proxy_scene
+from loi_mitsuba.scene.load import parsed_scene
 from tests.mitsuba.scenes import shadow_scene
 from tests.strategies import thorough
 
@@ -30,7 +32,7 @@ LIGHTS: dict[str, dict[str, Any]] = {
 
 
 def lit_scene(kind: str = "point", **changes: Any) -> dict[str, Any]:
-    """The scene of a shadow, under a light without a size."""
+    """Return the scene of a shadow under a delta light."""
     light = dict(LIGHTS[kind])
     if kind in ("point placed", "spot", "directional placed"):
         light["to_world"] = mi.ScalarTransform4f().look_at([0.5, 12.0, 0.0], [0.0, 5.0, 0.0], [0, 0, 1])
@@ -38,7 +40,7 @@ def lit_scene(kind: str = "point", **changes: Any) -> dict[str, Any]:
 
 
 def xml_of(folder: Path) -> Path:
-    """The same as a file, in which nothing has a name but the ball."""
+    """Write the same scene as a file, in which only the ball has an id."""
     path = folder / "scene.xml"
     path.write_text("""<scene version="3.0.0">
         <integrator type="path"><integer name="max_depth" value="2"/></integrator>
@@ -63,119 +65,120 @@ def xml_of(folder: Path) -> Path:
 
 
 def ball_of(scene: Any) -> Any:
-    (ball,) = (one for one in scene.shapes() if one.id() == "ball")
+    (ball,) = (shape for shape in scene.shapes() if shape.id() == "ball")
     return ball
 
 
 @pytest.mark.parametrize("kind", LIGHTS)
-def test_what_stands_for_a_light_is_as_bright(kind: str) -> None:
+def test_a_proxy_light_is_as_bright_as_its_delta_light(kind: str) -> None:
     scene = lit_scene(kind)
     loaded = mi.load_dict(scene)
-    around = LightContext.of(loaded, [ball_of(loaded)])
-    found = build_proxy_scene(scene, ProxySettings(lights=0.02), around, lambda _: False)
-    assert found is not None
-    assert [one.what for one in found.exchanges] == [f"{kind.split()[0]} light 'lamp'"]
-    own, near = (mi.render(one, spp=256, seed=1).numpy() for one in (loaded, found.loaded.scene))
-    of_own, of_near = (one.reshape(6, 8, 8, 8, -1).mean(axis=(1, 3)) for one in (own, near))
-    # Of a directional light, a disk's rays are not quite parallel; and the shadow is a little soft.
-    np.testing.assert_allclose(near.mean(axis=(0, 1)), own.mean(axis=(0, 1)), rtol=0.02)
-    np.testing.assert_allclose(of_near, of_own, rtol=0.02, atol=0.02 * float(own.max()))
+    context = LightContext.of(loaded, [ball_of(loaded)])
+    parse = partial(parsed_scene, float_textures=False)
+    proxy = build_proxy_scene(scene, ProxySettings(lights=0.02), context, lambda _: False, parse=parse)
+    assert proxy is not None
+    assert [substitution.original for substitution in proxy.substitutions] == [f"{kind.split()[0]} light 'lamp'"]
+    image, proxy_image = (mi.render(rendered, spp=256, seed=1).numpy() for rendered in (loaded, proxy.scene))
+    blocks, proxy_blocks = (pixels.reshape(6, 8, 8, 8, -1).mean(axis=(1, 3)) for pixels in (image, proxy_image))
+    # The rays of the disk in place of a directional light are not quite parallel, and shadows are slightly soft.
+    np.testing.assert_allclose(proxy_image.mean(axis=(0, 1)), image.mean(axis=(0, 1)), rtol=0.02)
+    np.testing.assert_allclose(proxy_blocks, blocks, rtol=0.02, atol=0.02 * float(image.max()))
 
 
-def test_a_lamp_stays_within_a_shade_and_not_below_a_ceiling() -> None:
-    """What is outside of the light's cone is in the dark, and a lamp that pokes through the shade would light it."""
+def test_a_proxy_light_is_made_smaller_in_a_shade_and_not_below_a_ceiling() -> None:
+    """A proxy light that reaches through the shade would light the dark side of it."""
     light, black = [2.5, 4.9, 0.5], {"type": "twosided", "nested": {"type": "diffuse"}}
     above = mi.ScalarTransform4f().translate([0, 4.95, 0]).rotate([1, 0, 0], 90).scale(9)
     shade = {"type": "cylinder", "p0": [2.5, 4.5, 0.5], "p1": [2.5, 5.0, 0.5], "radius": 0.1, "bsdf": black}
     ceiling = {"type": "rectangle", "to_world": above, "bsdf": black}
     reasons = []
-    for around in (shade, ceiling):
+    for occluder in (shade, ceiling):
         lamp = {"type": "point", "position": light, "intensity": 20.0}
         ball = {"type": "sphere", "center": [0, 1.2, 0], "radius": 0.7}
         planned = PlannedRenderer(
-            shadow_scene(ball=ball, around=around, lamp=lamp), {"x": Translate("ball", (1, 0, 0))}
+            shadow_scene(ball=ball, occluder=occluder, lamp=lamp), {"x": Translate("ball", (1, 0, 0))}
         )
         (reason,) = planned.plan.exchanged.values()
-        reasons.append("less to stay within what is around it" in reason)
+        reasons.append("reduced until it fits between the shapes around it" in reason)
     assert reasons == [True, False]
 
 
 @pytest.mark.parametrize("kind", ["point", "spot", pytest.param("directional", marks=thorough)])
-def test_shadows_of_lights_without_a_size_have_the_gradient_of_finite_differences(kind: str) -> None:
+def test_the_gradient_of_a_delta_light_s_shadow_matches_finite_differences(kind: str) -> None:
     scene = lit_scene(kind)
     planned = PlannedRenderer(scene, AXES, spp=64)
     exact = planned.unabridged.with_integrator("scene", spp=512)
-    drawn = [planned.unabridged.vjp(HERE, RAMP, seed=seed) for seed in range(8)]
-    slopes, errors, found = np.zeros(2), np.zeros(2), np.zeros(2)
+    draws = [planned.unabridged.vjp(HERE, RAMP, seed=seed) for seed in range(8)]
+    slopes, errors, means = np.zeros(2), np.zeros(2), np.zeros(2)
     for k, name in enumerate(AXES):
-        ahead, behind = (exact.render({**HERE, name: np.float32(by)}, seed=1) for by in (0.1, -0.1))
-        slopes[k] = float(np.sum((ahead - behind) * RAMP)) / 0.2
-        values = np.array([float(one[name]) for one in drawn])
-        found[k], errors[k] = values.mean(), values.std(ddof=1) / np.sqrt(len(values))
+        plus, minus = (exact.render({**HERE, name: np.float32(by)}, seed=1) for by in (0.1, -0.1))
+        slopes[k] = float(np.sum((plus - minus) * RAMP)) / 0.2
+        values = np.array([float(gradient[name]) for gradient in draws])
+        means[k], errors[k] = values.mean(), values.std(ddof=1) / np.sqrt(len(values))
     size, error = float(np.linalg.norm(slopes)), float(np.linalg.norm(errors))
-    assert np.linalg.norm(found - slopes) < 0.1 * size + 3.0 * error
+    assert np.linalg.norm(means - slopes) < 0.1 * size + 3.0 * error
     assert error < 0.1 * size
 
 
 @pytest.mark.filterwarnings("ignore::loi_mitsuba.GradientWarning")
 @pytest.mark.parametrize("kind", ["point", "directional"])
-def test_all_but_shadows_is_the_scene_s_own_under_lights_without_a_size(kind: str) -> None:
+def test_only_the_gradient_of_shadows_comes_from_the_proxy_of_a_delta_light(kind: str) -> None:
     scene = lit_scene(kind, ball={"type": "sphere", "center": [0, 1, 0], "radius": 0.6})
     without_shadows = {"type": "direct_projective", "guiding": "none", "sppc": 8, "sppp": 8, "sppi": 0}
     planned = PlannedRenderer(scene, AXES).unabridged.with_integrator(without_shadows)
-    own = MitsubaRenderer(scene, AXES, integrator=without_shadows)
-    found, wanted = (one.vjp(HERE, RAMP, seed=2) for one in (planned, own))
-    assert all(wanted.values())
-    for name, value in wanted.items():
-        np.testing.assert_allclose(found[name], value, rtol=1e-4)
+    plain = MitsubaRenderer(scene, AXES, integrator=without_shadows)
+    actual, expected = (renderer.vjp(HERE, RAMP, seed=2) for renderer in (planned, plain))
+    assert all(expected.values())
+    for name, value in expected.items():
+        np.testing.assert_allclose(actual[name], value, rtol=1e-4)
 
 
-def test_the_shadow_of_something_small_has_a_gradient_that_pixels_see() -> None:
-    """A lamp much larger than what casts the shadow would leave no umbra, and of the gradient of pixels a twentieth."""
+def test_a_proxy_light_is_not_larger_than_a_small_moving_shape() -> None:
+    """A light much larger than the occluder would leave no umbra, and a twentieth of the gradient of a pixel loss."""
     planned = PlannedRenderer(lit_scene(ball={"type": "sphere", "center": [0, 5, 0], "radius": 0.12}), AXES, spp=64)
     (reason,) = planned.plan.exchanged.values()
-    assert "a sphere of radius 0.24, 2 times that of what moves" in reason
+    assert "a sphere of radius 0.24, the size of the smallest moving shape" in reason
     exact = planned.unabridged.with_integrator("scene", spp=512)
     objective = PixelL2(exact.render(HERE, seed=10**6))
-    beside = {**HERE, "x": HERE["x"] + np.float32(0.1)}
-    drawn = []
+    displaced = {**HERE, "x": HERE["x"] + np.float32(0.1)}
+    draws = []
     for seed in range(8):
-        cotangent = objective.value_and_grad(planned.render(beside, seed=seed))[1]
-        drawn.append(float(planned.unabridged.vjp(beside, cotangent, seed=seed)["x"]))
-    ahead, behind = (
+        cotangent = objective.value_and_grad(planned.render(displaced, seed=seed))[1]
+        draws.append(float(planned.unabridged.vjp(displaced, cotangent, seed=seed)["x"]))
+    plus, minus = (
         float(objective.value(exact.render({**HERE, "x": HERE["x"] + np.float32(by)}, seed=1))) for by in (0.15, 0.05)
     )
-    assert np.mean(drawn) > 0.5 * (ahead - behind) / 0.1 > 0.0
+    assert np.mean(draws) > 0.5 * (plus - minus) / 0.1 > 0.0
 
 
-def test_the_image_is_that_of_the_scene_as_it_is() -> None:
+def test_the_image_comes_from_the_scene_and_not_from_the_proxy() -> None:
     planned = PlannedRenderer(lit_scene(), AXES, spp=16)
     with pytest.warns(GradientWarning, match="moves under a PointLight"):
-        alone = PlannedRenderer(lit_scene(), AXES, spp=16, proxy=None)
+        without_proxy = PlannedRenderer(lit_scene(), AXES, spp=16, proxy=None)
     image, pullback = planned.render_vjp(HERE, seed=3)
-    np.testing.assert_allclose(image, alone.render(HERE, seed=3), rtol=1e-5, atol=1e-6)
+    np.testing.assert_allclose(image, without_proxy.render(HERE, seed=3), rtol=1e-5, atol=1e-6)
     pullback(np.ones_like(image))
     np.testing.assert_allclose(planned.render(HERE, seed=3), image, rtol=1e-2, atol=1e-2)
 
 
-def test_the_plan_says_what_was_exchanged_and_what_for() -> None:
+def test_a_plan_lists_the_substitutions_and_their_reasons() -> None:
     plan = PlannedRenderer(lit_scene(), AXES).plan
     (reason,) = plan.exchanged.values()
     assert list(plan.exchanged) == ["point light 'lamp'"]
-    assert "a sphere of radius 0.66, 0.1 of its distance from what moves" in reason
+    assert "a sphere of radius 0.66, 0.1 of its distance from the moving shapes" in reason
     assert "| point light 'lamp'" in str(plan)
     assert "exchanged" in str(plan)
 
 
-def test_nothing_is_exchanged_that_no_parameter_calls_for() -> None:
+def test_nothing_is_replaced_that_no_parameter_needs() -> None:
     light = {"brightness": "lamp.intensity.value"}
     assert not PlannedRenderer(lit_scene(), light).plan.exchanged
     assert not PlannedRenderer(shadow_scene(), AXES).plan.exchanged
     with pytest.warns(GradientWarning, match="moves under a PointLight"):
         assert not PlannedRenderer(lit_scene(), AXES, proxy={"lights": 0.0}).plan.exchanged
     with pytest.warns(GradientWarning, match="moves under a PointLight"):
-        alone = PlannedRenderer(lit_scene(), AXES, proxy=None)
-    gradient = alone.unabridged.vjp(HERE, np.ones((48, 64, 3), np.float32))
+        without_proxy = PlannedRenderer(lit_scene(), AXES, proxy=None)
+    gradient = without_proxy.unabridged.vjp(HERE, np.ones((48, 64, 3), np.float32))
     assert not np.any(gradient["x"])
 
 
@@ -183,13 +186,13 @@ def test_nothing_is_exchanged_that_no_parameter_calls_for() -> None:
     "light",
     [
         {"type": "point", "position": [0, 9, 0], "intensity": {"type": "blackbody", "temperature": 5000.0}},
-        {"type": "point", "position": [0, 1, 0], "intensity": 20.0},  # in view, where a lamp would be seen
+        {"type": "point", "position": [0, 1, 0], "intensity": 20.0},  # in view, where its proxy would be visible
         {"type": "spot", "to_world": ("look_at", [5, 9, 0], [9, 9, 0], [0, 0, 1]), "cutoff_angle": 10.0},  # looks away
         {"type": "projector"},
     ],
     ids=["a spectrum that cannot be scaled", "in view", "looks away", "of another kind"],
 )
-def test_a_light_that_nothing_can_stand_for_stays_and_is_told_of(light: dict[str, Any]) -> None:
+def test_a_light_that_has_no_proxy_stays_and_causes_a_warning(light: dict[str, Any]) -> None:
     if isinstance(light.get("to_world"), tuple):
         light = {**light, "to_world": mi.ScalarTransform4f().look_at(*light["to_world"][1:])}
     if light["type"] == "projector":
@@ -199,27 +202,27 @@ def test_a_light_that_nothing_can_stand_for_stays_and_is_told_of(light: dict[str
     assert list(plan.exchanged) == ["point light 'lamp'"]
 
 
-def test_lights_that_share_a_spectrum_keep_it() -> None:
+def test_lights_that_share_a_spectrum_keep_their_intensities() -> None:
     shared = mi.load_dict({"type": "uniform", "value": 100.0})
     lamps = {
         name: {"type": "point", "position": [x, 12.0, 0.0], "intensity": shared}
         for name, x in (("lamp", 1.0), ("other", -1.0))
     }
     scene = shadow_scene(**lamps, integrator={"type": "path", "max_depth": 2})
-    wanted = np.mean(mi.render(mi.load_dict(scene), spp=64).numpy())
+    expected = np.mean(mi.render(mi.load_dict(scene), spp=64).numpy())
     planned = PlannedRenderer(scene, AXES, spp=64)
     assert list(planned.plan.exchanged) == ["point light 'lamp'", "point light 'other'"]
-    assert np.mean(planned.render(HERE)) == pytest.approx(wanted, rel=1e-3)
-    near = mi.render(planned.unabridged.proxy_scene, spp=64).numpy()  # type: ignore[attr-defined]
-    assert np.mean(near) == pytest.approx(wanted, rel=0.02)
+    assert np.mean(planned.render(HERE)) == pytest.approx(expected, rel=1e-3)
+    proxy_image = mi.render(planned.unabridged.proxy_scene, spp=64).numpy()  # type: ignore[attr-defined]
+    assert np.mean(proxy_image) == pytest.approx(expected, rel=0.02)
 
 
-def test_parameters_of_lights_mean_the_same_ones_in_the_neighbour(tmp_path: Path) -> None:
-    """The second of three lights without names looks away, and so stays what it is."""
+def test_a_light_s_parameter_sets_the_same_light_in_the_proxy(tmp_path: Path) -> None:
+    """The second of three lights without ids is a spot that lights no moving shape, and is not replaced."""
     path = xml_of(tmp_path)
     text = path.read_text()
-    away = '<transform name="to_world"><lookat origin="5,9,0" target="9,9,0" up="0,0,1"/></transform>'
-    spots = f'<emitter type="spot">{away}<rgb name="intensity" value="7"/></emitter>'
+    facing_away = '<transform name="to_world"><lookat origin="5,9,0" target="9,9,0" up="0,0,1"/></transform>'
+    spots = f'<emitter type="spot">{facing_away}<rgb name="intensity" value="7"/></emitter>'
     spots += '<emitter type="point"><point name="position" x="2" y="12" z="0"/></emitter></scene>'
     path.write_text(text.replace("</scene>", spots))
     powers = {f"{kind}_{k}": f"{kind}_{k}.intensity.value" for kind, k in (("point_light", 0), ("point_light", 1))}
@@ -229,14 +232,14 @@ def test_parameters_of_lights_mean_the_same_ones_in_the_neighbour(tmp_path: Path
             planned = PlannedRenderer(scene, {**AXES, **powers}, spp=16)
         assert list(planned.plan.exchanged) == ["point light (1)", "point light (2)"]
         planned.unabridged.vjp({**planned.parameters(), "spot": np.full(3, 9.0, np.float32)}, RAMP)
-        near = mi.traverse(planned.unabridged.proxy_scene)  # type: ignore[attr-defined]
-        (spot,) = (key for key in near.properties if key.endswith(".intensity.value"))
-        np.testing.assert_allclose(np.array(near[spot]).reshape(-1), 9.0)
-        bright = [np.array(near[f"loi_lamp_{k}.emitter.radiance.value"]).reshape(-1)[0] for k in (0, 2)]
+        proxy_params = mi.traverse(planned.unabridged.proxy_scene)  # type: ignore[attr-defined]
+        (spot,) = (key for key in proxy_params.properties if key.endswith(".intensity.value"))
+        np.testing.assert_allclose(np.array(proxy_params[spot]).reshape(-1), 9.0)
+        bright = [np.array(proxy_params[f"proxy_emitter_{k}.emitter.radiance.value"]).reshape(-1)[0] for k in (0, 2)]
         assert bright[0] > 100.0 * bright[1]
 
 
-def test_what_its_stand_in_has_no_entry_for_is_not_exchanged() -> None:
+def test_an_object_is_not_replaced_if_its_proxy_lacks_a_fitted_entry() -> None:
     spot = lit_scene("spot")
     with pytest.warns(GradientWarning, match="moves under a SpotLight"):
         plan = PlannedRenderer(spot, {**AXES, "cone": "lamp.texture.value"}).plan
@@ -247,7 +250,7 @@ def test_what_its_stand_in_has_no_entry_for_is_not_exchanged() -> None:
     assert any("perfect mirror" in note for note in planned.plan.notes)
 
 
-def test_scenes_of_instances_do_without_a_neighbour_once_they_are_loaded() -> None:
+def test_a_loaded_scene_with_instances_has_no_proxy() -> None:
     group = {"type": "shapegroup", "inner": {"type": "sphere", "radius": 0.2}}
     scene = lit_scene(group=group, one={"type": "instance", "shapegroup": {"type": "ref", "id": "group"}})
     assert PlannedRenderer(scene, AXES).plan.exchanged
@@ -255,10 +258,10 @@ def test_scenes_of_instances_do_without_a_neighbour_once_they_are_loaded() -> No
         assert not PlannedRenderer(mi.load_dict(scene), AXES).plan.exchanged
 
 
-def test_files_and_loaded_scenes_have_neighbours_too(tmp_path: Path) -> None:
+def test_files_and_loaded_scenes_have_proxies_too(tmp_path: Path) -> None:
     path = xml_of(tmp_path)
     loaded = mi.load_file(str(path))
-    before = [one.id() for one in loaded.shapes()]
+    ids = [shape.id() for shape in loaded.shapes()]
     names = list(list_parameters(loaded))
     gradients = []
     for scene in (path, loaded, lit_scene()):
@@ -267,35 +270,35 @@ def test_files_and_loaded_scenes_have_neighbours_too(tmp_path: Path) -> None:
         gradients.append(np.mean([planned.unabridged.vjp(HERE, RAMP, seed=k)["x"] for k in range(3)]))
     assert gradients[0] == pytest.approx(gradients[1], rel=0.15)
     assert np.sign(gradients[0]) == np.sign(gradients[2])
-    assert [one.id() for one in loaded.shapes()] == before
+    assert [shape.id() for shape in loaded.shapes()] == ids
     assert list(list_parameters(loaded)) == names
 
 
-def test_what_does_not_move_has_the_gradient_of_the_scene_itself() -> None:
-    both = {**AXES, "brightness": "lamp.intensity.value"}
-    planned = PlannedRenderer(lit_scene("point placed"), both, spp=64)
+def test_the_gradient_of_an_intensity_comes_from_the_scene_itself() -> None:
+    targets = {**AXES, "brightness": "lamp.intensity.value"}
+    planned = PlannedRenderer(lit_scene("point placed"), targets, spp=64)
     params: dict[str, Any] = {**HERE, "brightness": np.array([300.0, 120.0, 90.0], np.float32)}
     cotangent = np.ones((48, 64, 3), np.float32)
     pulled = planned.unabridged.vjp(params, cotangent)
     image = planned.unabridged.with_integrator("scene", spp=64).render(params)
     # The image is proportional to the light.
     np.testing.assert_allclose(pulled["brightness"] * params["brightness"], image.sum(axis=(0, 1)), rtol=0.05)
-    lamps = mi.traverse(planned.unabridged.proxy_scene)  # type: ignore[attr-defined]
-    radius = 0.1 * float(np.linalg.norm([0.1, 6.6, 0.0]))  # to the box around the ball
-    radiance = np.array(lamps["loi_lamp_0.emitter.radiance.value"], dtype=np.float64).reshape(-1)
+    proxy_params = mi.traverse(planned.unabridged.proxy_scene)  # type: ignore[attr-defined]
+    radius = 0.1 * float(np.linalg.norm([0.1, 6.6, 0.0]))  # from the light to the bounding box of the ball
+    radiance = np.array(proxy_params["proxy_emitter_0.emitter.radiance.value"], dtype=np.float64).reshape(-1)
     np.testing.assert_allclose(radiance * np.pi * radius**2, params["brightness"], rtol=1e-3)
 
 
-def test_a_light_of_a_spectrum_stays_as_it_is_and_a_warning_tells(recwarn: pytest.WarningsRecorder) -> None:
+def test_a_spectral_light_is_not_replaced_and_causes_a_warning(recwarn: pytest.WarningsRecorder) -> None:
     mi.set_variant("llvm_ad_spectral")
     planned = PlannedRenderer(lit_scene("point placed"), AXES)
-    assert any("a shape moves under a PointLight" in str(one.message) for one in recwarn)
+    assert any("a shape moves under a PointLight" in str(warning.message) for warning in recwarn)
     assert not planned.plan.exchanged
     image, pullback = planned.render_vjp(planned.parameters())
     assert np.all(np.isfinite(pullback(np.ones_like(image))["x"]))
 
 
-def test_edges_in_perfect_mirrors_have_the_gradient_of_finite_differences() -> None:
+def test_the_gradient_of_edges_in_a_mirror_matches_finite_differences() -> None:
     place = mi.ScalarTransform4f
     mirror = {"type": "rectangle", "to_world": place().translate([0, 0, -1]).scale(8), "bsdf": {"type": "conductor"}}
     glow = {"type": "area", "radiance": 1.0}
@@ -306,30 +309,30 @@ def test_edges_in_perfect_mirrors_have_the_gradient_of_finite_differences() -> N
     assert list(planned.plan.exchanged) == ["conductor 'bsdf'"]
     assert not any("perfect mirror" in note for note in planned.plan.notes)
     exact = planned.unabridged.with_integrator("scene", spp=256)
-    ahead, behind = (exact.render({**HERE, "x": np.float32(by)}, seed=1) for by in (0.1, -0.1))
-    slope = float(np.sum((ahead - behind) * RAMP)) / 0.2
-    found = np.array([float(planned.unabridged.vjp(HERE, RAMP, seed=seed)["x"]) for seed in range(6)])
-    assert found.mean() == pytest.approx(slope, rel=0.1, abs=3.0 * found.std(ddof=1) / np.sqrt(len(found)))
+    plus, minus = (exact.render({**HERE, "x": np.float32(by)}, seed=1) for by in (0.1, -0.1))
+    slope = float(np.sum((plus - minus) * RAMP)) / 0.2
+    draws = np.array([float(planned.unabridged.vjp(HERE, RAMP, seed=seed)["x"]) for seed in range(6)])
+    assert draws.mean() == pytest.approx(slope, rel=0.1, abs=3.0 * draws.std(ddof=1) / np.sqrt(len(draws)))
 
 
-def test_textures_of_8_bits_are_read_as_floats_where_they_are_fitted(tmp_path: Path) -> None:
+def test_a_fitted_8_bit_texture_is_loaded_as_floats(tmp_path: Path) -> None:
     picture = np.random.default_rng(0).integers(0, 256, (6, 8, 3), dtype=np.uint8)
     mi.util.write_bitmap(str(tmp_path / "floor.png"), mi.Bitmap(picture), write_async=False)
     scene = lit_scene()
     scene["floor"]["bsdf"]["reflectance"] = {"type": "bitmap", "filename": str(tmp_path / "floor.png")}
     colours = {"picture": "floor.bsdf.reflectance.data"}
-    without = MitsubaRenderer(scene, {"brightness": "lamp.intensity.value"}, spp=64)
+    reference = MitsubaRenderer(scene, {"brightness": "lamp.intensity.value"}, spp=64)
     for renderer in (MitsubaRenderer(scene, colours, spp=64), PlannedRenderer(scene, {**AXES, **colours}, spp=64)):
         start = renderer.parameters()
         assert start["picture"].shape == (6, 8, 3)
         image, pullback = renderer.render_vjp(start)
-        np.testing.assert_allclose(np.mean(image), np.mean(without.render(without.parameters())), rtol=2e-3)
+        np.testing.assert_allclose(np.mean(image), np.mean(reference.render(reference.parameters())), rtol=2e-3)
         assert np.any(pullback(np.ones_like(image))["picture"])
     with pytest.raises(ParameterError, match=r"an 8-bit texture, .*load the bitmap with format='variant'"):
         MitsubaRenderer(mi.load_dict(scene), colours)
 
 
-def test_a_scene_s_dict_can_be_loaded_again_with_its_tensors() -> None:
+def test_a_scene_s_dict_with_tensors_can_be_loaded_twice() -> None:
     picture = mi.TensorXf(np.full((4, 4, 3), 0.5, np.float32))
     scene = lit_scene()
     scene["floor"]["bsdf"]["reflectance"] = {"type": "bitmap", "data": picture, "raw": True}
@@ -348,6 +351,6 @@ def test_a_scene_s_dict_can_be_loaded_again_with_its_tensors() -> None:
         (0.1, r"`proxy` must be a ProxySettings, None, or a table of lights, mirrors, seams, textures, got 0\.1"),
     ],
 )
-def test_settings_of_a_neighbour_are_checked(proxy: Any, says: str) -> None:
+def test_proxy_settings_are_checked(proxy: Any, says: str) -> None:
     with pytest.raises(OptionError, match=says):
         PlannedRenderer(lit_scene(), AXES, proxy=proxy)

@@ -1,4 +1,4 @@
-"""What the rules decide before anything is rendered: never that something which might matter goes off."""
+"""The rules turn off only effects that cannot matter, before anything is rendered."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ MOVING = ("place", "x", "z", "turn", "pan", "tilt")
 
 
 @pytest.mark.parametrize("case", SUITE, ids=list(CASES))
-def test_edges_are_sampled_where_a_shape_moves_and_nowhere_else(case: Case) -> None:
+def test_edges_are_sampled_exactly_if_a_shape_moves(case: Case) -> None:
     plan = plan_effects(case.scene(16, 12), case.parameters)
     moves = any(name in MOVING for name in case.parameters)
-    alone = case.name == "visible object, no shadow"
-    assert plan.on & EDGES == ((EDGES - ({Effect.INDIRECT} if alone else set())) if moves else set())
+    single_shape = case.name == "visible object, no shadow"
+    assert plan.on & EDGES == ((EDGES - ({Effect.INDIRECT} if single_shape else set())) if moves else set())
     assert Effect.CONTINUOUS in plan.on
     assert plan.understood
     assert all(choice.reason for choice in plan.choices)
@@ -48,8 +48,8 @@ def test_edges_are_sampled_where_a_shape_moves_and_nowhere_else(case: Case) -> N
 
 
 def test_every_effect_has_a_capability_and_only_cameras_cannot_be_simulated() -> None:
-    assert [one.effect for one in CAPABILITIES] == list(Effect)
-    assert [one.effect for one in CAPABILITIES if not one.simulated] == [Effect.CAMERA]
+    assert [capability.effect for capability in CAPABILITIES] == list(Effect)
+    assert [capability.effect for capability in CAPABILITIES if not capability.simulated] == [Effect.CAMERA]
 
 
 @pytest.mark.parametrize(
@@ -72,7 +72,7 @@ def test_the_scene_s_own_integrator_sets_the_depth(integrator: dict[str, Any], d
     assert (Effect.BOUNCES in plan.on) == (depth > 2)
 
 
-def test_emitters_stay_hidden_where_the_scene_hides_them() -> None:
+def test_a_plan_hides_emitters_if_the_scene_does() -> None:
     for kind in ("path", "prb"):
         scene = shadow_scene(integrator={"type": kind, "hide_emitters": True})
         plan = plan_effects(scene, {"floor": "floor.bsdf.reflectance.value"})
@@ -94,7 +94,7 @@ def test_emitters_stay_hidden_where_the_scene_hides_them() -> None:
     ],
     ids=["integrator", "instance"],
 )
-def test_what_the_rules_do_not_know_gets_everything_and_says_so(change: dict[str, Any], says: str) -> None:
+def test_a_scene_unknown_to_the_rules_gets_all_effects_and_a_note(change: dict[str, Any], says: str) -> None:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", GradientWarning)
         plan = plan_effects(shadow_scene(**change), {"x": Translate("ball", (1, 0, 0))})
@@ -106,7 +106,7 @@ def test_what_the_rules_do_not_know_gets_everything_and_says_so(change: dict[str
         assert (plan.settings["sppp"], plan.settings["sppi"]) == (16, 16)
 
 
-def test_a_parameter_that_the_rules_do_not_know_gets_everything_and_says_so() -> None:
+def test_a_parameter_unknown_to_the_rules_gets_all_effects_and_a_note() -> None:
     scene = shadow_scene(spot={"type": "spot"})
     plan = plan_effects(scene, {"angle": "spot.cutoff_angle"})
     assert not plan.understood
@@ -114,7 +114,7 @@ def test_a_parameter_that_the_rules_do_not_know_gets_everything_and_says_so() ->
     assert plan_effects(scene, {"light": "spot.intensity.value"}).understood
 
 
-def test_a_film_samples_its_border_where_shapes_may_cross_it() -> None:
+def test_a_film_samples_its_border_if_shapes_may_cross_it() -> None:
     scene = shadow_scene()
     scene["sensor"]["film"]["rfilter"] = {"type": "gaussian"}
     target = {"x": Translate("ball", (1, 0, 0))}
@@ -127,7 +127,7 @@ def test_a_film_samples_its_border_where_shapes_may_cross_it() -> None:
     assert plan_effects(shadow_scene(), target).settings["sample_border"] is False  # a box filter ends at its pixel
 
 
-def test_missing_gradients_are_told() -> None:
+def test_a_plan_notes_missing_gradients() -> None:
     mirror = {"type": "rectangle", "bsdf": {"type": "conductor"}}
     plan = plan_effects(shadow_scene(mirror=mirror), {"x": Translate("ball", (1, 0, 0))}, proxy=None)
     assert any("perfect mirror" in note for note in plan.notes)
@@ -141,8 +141,8 @@ def test_missing_gradients_are_told() -> None:
         plan_effects(shadow_scene(sensor={"type": "orthographic"}), {"x": Translate("ball", (1, 0, 0))}, blur=None)
 
 
-def test_a_plan_that_has_measured_edges_away_is_not_warned_of() -> None:
-    """The rules cannot know that a sky which turns has no outline in view; a pilot does, and has said so."""
+def test_a_plan_whose_pilot_turned_edges_off_causes_no_warning() -> None:
+    """Only the pilot can find that a rotating environment map has no outline in view."""
     case = CASES["environment rotation"]
     scene = case.scene(16, 12) | {"integrator": {"type": "direct"}}
     renderer = PlannedRenderer(scene, case.parameters)
@@ -154,15 +154,19 @@ def test_a_plan_that_has_measured_edges_away_is_not_warned_of() -> None:
         MitsubaRenderer(scene, case.parameters, integrator={"type": "prb"})
 
 
-def test_a_plan_is_given_to_a_renderer_whole() -> None:
+def test_a_renderer_takes_the_integrator_and_samples_of_a_plan() -> None:
     target = {"x": Translate("ball", (1, 0, 0))}
     scene = shadow_scene(integrator={"type": "direct"})
     plan = plan_effects(scene, target, spp=4)
     image, pullback = MitsubaRenderer(scene, target, integrator=plan, spp=4).render_vjp({"x": np.float32(0)})
-    by_hand = {"type": "direct_projective", "guiding": "none"}
-    hand, other = MitsubaRenderer(scene, target, integrator=by_hand, spp=4).render_vjp({"x": np.float32(0)})
-    np.testing.assert_array_equal(image, hand)
-    np.testing.assert_allclose(pullback(image)["x"], other(image)["x"], rtol=1e-3)  # sums by atomic adds, in any order
+    integrator = {"type": "direct_projective", "guiding": "none"}
+    fixed_image, fixed_pullback = MitsubaRenderer(scene, target, integrator=integrator, spp=4).render_vjp(
+        {"x": np.float32(0)}
+    )
+    np.testing.assert_array_equal(image, fixed_image)
+    np.testing.assert_allclose(
+        pullback(image)["x"], fixed_pullback(image)["x"], rtol=1e-3
+    )  # sums by atomic adds, in any order
     with pytest.raises(OptionError, match="`spp_grad` and a plan exclude each other"):
         MitsubaRenderer(scene, target, integrator=plan, spp_grad=4)
     foreign = EffectPlan(plan.choices, {"samples": 3})
@@ -173,8 +177,8 @@ def test_a_plan_is_given_to_a_renderer_whole() -> None:
         MitsubaRenderer(scene, target, integrator=too_many)
 
 
-def test_a_shape_is_in_view_exactly_where_its_box_may_be_seen() -> None:
-    """Against images: of a shining box at random places, seen where the rule says that it cannot be, none."""
+def test_a_shape_outside_the_frustum_is_in_no_image() -> None:
+    """An emitting ball at random positions is compared with images of it."""
     scene = {
         "type": "scene",
         "sensor": {
@@ -188,23 +192,23 @@ def test_a_shape_is_in_view_exactly_where_its_box_may_be_seen() -> None:
     renderer = MitsubaRenderer(scene, {"place": Translate("ball")}, spp=16)
     (ball,) = renderer.scene.shapes()
     agreed = {True: 0, False: 0}
-    for place in np.random.default_rng(0).uniform(-7, 9, (60, 3)):
-        visible = bool(renderer.render({"place": place}).any())
-        seen = Frustum(renderer.sensor).overlaps(ball)
-        assert seen or not visible
-        agreed[seen] += seen == visible
+    for position in np.random.default_rng(0).uniform(-7, 9, (60, 3)):
+        visible = bool(renderer.render({"place": position}).any())
+        overlaps = Frustum(renderer.sensor).overlaps(ball)
+        assert overlaps or not visible
+        agreed[overlaps] += overlaps == visible
     assert agreed[True] >= 5
     assert agreed[False] >= 20
 
 
-def test_a_shape_around_the_camera_lights_itself() -> None:
+def test_a_shape_around_the_camera_keeps_shadows_and_bounces() -> None:
     scene = SUITE[2].scene(16, 12)
     scene["ball"] = {"type": "sphere", "radius": 20.0, "bsdf": {"type": "twosided", "bsdf": {"type": "diffuse"}}}
     plan = plan_effects(scene, {"place": Translate("ball")})
     assert plan.on >= {Effect.INDIRECT, Effect.BOUNCES}
 
 
-def test_turning_a_shape_moves_it() -> None:
+def test_rotating_a_shape_needs_edges() -> None:
     plan = plan_effects(shadow_scene(box=box((1, 1, 0), 0.4)), {"turn": Rotate("box", (0, 1, 0))})
     assert plan.on >= EDGES
 

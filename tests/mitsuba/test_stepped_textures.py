@@ -13,8 +13,8 @@ import pytest
 
 from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, Rotate, Translate
 from loi_mitsuba.geometry.stepped_textures import has_stepped_texture, ramp_texture
+from loi_mitsuba.proxy.substitutions import nodes_of_shape
 from loi_mitsuba.scene.load import parsed_scene
-from loi_mitsuba.scene.queries import parts_of
 from tests.helpers import Host
 from tests.mitsuba.scenes import HEIGHT, WIDTH, shadow_scene
 from tests.strategies import thorough
@@ -77,7 +77,7 @@ def test_an_interpolated_texture_is_that_with_steps_but_near_them(kind: str, tmp
     own = mi.load_dict(KINDS[kind](tmp_path) | turned)
     ball = {"type": "sphere", "bsdf": {"type": "diffuse", "reflectance": KINDS[kind](tmp_path) | turned}}
     with parsed_scene({"type": "scene", "ball": ball}, float_textures=False) as (config, state):
-        (part,) = parts_of(state, 0, mi.ObjectType.Texture)
+        (part,) = nodes_of_shape(state, 0, mi.ObjectType.Texture)
         assert ramp_texture(state.nodes[part].props)
         made = mi.parser.instantiate(config, state)
     scene = made[0] if isinstance(made, list) else made

@@ -1,1 +1,1 @@
-"""Attached sampling: samples that move with the scene."""
+"""Attached samples, which move with lights and with clear glass."""

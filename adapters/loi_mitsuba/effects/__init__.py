@@ -1,1 +1,1 @@
-"""Which effects of light transport a Mitsuba scene calls for: traits, sound rules, a pilot, and its upkeep in a fit."""
+"""Plan the effects of light transport that a Mitsuba scene needs: traits, rules, a pilot, and updates during a fit."""

@@ -1,4 +1,4 @@
-"""How each effect changes the image, so that one sees what a plan has dropped."""
+"""Images of the change that each effect contributes along a step of descent."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from loi_core.effects import EffectPlan
 from loi_mitsuba.drjit.arrays import Float32Array
 from loi_mitsuba.effects.rules import EFFECTS
 from loi_mitsuba.renderer import MitsubaRenderer
-from loi_mitsuba.scene.settings import PROJECTIVE, as_mapping, settings_of
+from loi_mitsuba.scene.settings import PROJECTIVE, settings_of
 
 __all__ = ["effect_images"]
 
-DRAWN_FORWARD: Final = (*PROJECTIVE, "prb")
+FORWARD_INTEGRATORS: Final = (*PROJECTIVE, "prb")  # with a derivative of images in Mitsuba
 
 
 def effect_images(
@@ -29,20 +29,20 @@ def effect_images(
     *,
     seed: int,
 ) -> dict[str, Float32Array]:
-    """Images of the effects of a plan by rules; see :meth:`loi_mitsuba.PlannedRenderer.effect_images`."""
-    full = settings_of(rules)
-    if not rules.understood or full.integrator not in DRAWN_FORWARD:
+    """Return an image for each effect of a plan by the rules; see :meth:`loi_mitsuba.PlannedRenderer.effect_images`."""
+    settings = settings_of(rules)
+    if not rules.understood or settings.integrator not in FORWARD_INTEGRATORS:
         return {}
-    pulled = renderer.with_integrator(rules, wrt=names).vjp(params, cotangent, seed=seed)
+    gradient = renderer.with_integrator(rules, wrt=names).vjp(params, cotangent, seed=seed)
     tangent = {}
     for name in names:
-        size = float(np.linalg.norm(pulled[name]))
-        tangent[name] = -pulled[name] / np.float32(size if size > 0.0 else 1.0)
-    if not any(np.any(one) for one in tangent.values()):
+        norm = float(np.linalg.norm(gradient[name]))
+        tangent[name] = -gradient[name] / np.float32(norm if norm > 0.0 else 1.0)
+    if not any(np.any(direction) for direction in tangent.values()):
         return {}
     images = {}
-    for part, effect in EFFECTS.items():
-        if getattr(full, part) > 0:
-            only = replace(rules, settings=as_mapping(full.only(part, samples)))
+    for term, effect in EFFECTS.items():
+        if getattr(settings, term) > 0:
+            only = replace(rules, settings=settings.only(term, samples).to_mapping())
             images[str(effect)] = renderer.with_integrator(only, wrt=names).jvp(params, tangent, seed=seed)
     return images

@@ -1,9 +1,9 @@
-"""Draws of the gradient at one place of a fit, under any settings."""
+"""Draws of the gradient at one point of a fit, under any settings."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -12,27 +12,27 @@ from loi_mitsuba.drjit.arrays import Float32Array
 from loi_mitsuba.renderer import MitsubaRenderer
 from loi_mitsuba.scene.settings import Settings
 
-__all__ = ["APART", "Probe"]
+__all__ = ["PILOT_SEED_OFFSET", "GradientProbe"]
 
-APART: Final = 2**63  # beyond all seeds of a fit: a step with the noise of a draw would seem to agree with it
+PILOT_SEED_OFFSET: Final = 2**63  # beyond all seeds of a fit: steps with the noise of a draw would seem to confirm it
 
 
 @dataclass(frozen=True)
-class Probe:
-    """Where the gradient is asked for.
+class GradientProbe:
+    """A point of a fit, and the gradient of the loss with respect to the image there.
 
     Attributes
     ----------
     renderer : MitsubaRenderer
-        Any of those that fraction the scene.
+        Renderer of the scene, under any plan.
     params : dict of arrays
-        The parameters.
+        Values of all parameters.
     cotangent : array, shape (H, W, C)
-        The gradient of the loss by the image there.
+        Gradient of the loss with respect to the image.
     names : tuple of str
-        The parameters that are optimised.
+        Parameters whose gradient is drawn.
     seed : int
-        First of the seeds that are used; a fit at the same seeds has other noise.
+        First seed; a fit with the same seeds has other noise.
     """
 
     renderer: MitsubaRenderer
@@ -42,23 +42,21 @@ class Probe:
     seed: int = 0
 
     def gradients(self, settings: Settings, seeds: Sequence[int]) -> Draws:
-        """Draws of the gradient under these settings, of each parameter alone."""
-        made = self.renderer.with_integrator(
+        """Draw the gradient under these settings once for each seed.
+
+        The time of the draws is the shortest, because the first may include the compilation of kernels.
+        """
+        renderer = self.renderer.with_integrator(
             settings.load(), spp_grad=None if settings.projective else settings.sppc, wrt=self.names
         )
-        return _draw(lambda seed: made.vjp(self.params, self.cotangent, seed=APART + seed), self.names, seeds)
+        gradients, times = [], []
+        for seed in seeds:
+            begin = time.perf_counter()
+            gradient = renderer.vjp(self.params, self.cotangent, seed=PILOT_SEED_OFFSET + seed)
+            times.append(time.perf_counter() - begin)
+            gradients.append({name: gradient[name] for name in self.names})
+        return Draws.of(gradients, min(times))
 
     def image(self, settings: Settings, seed: int) -> Float32Array:
-        """The image under these settings."""
-        return self.renderer.with_integrator(settings.load()).render(self.params, seed=APART + seed)
-
-
-def _draw(function: Callable[[int], Mapping[str, Any]], names: Sequence[str], seeds: Sequence[int]) -> Draws:
-    """One draw of a gradient for each seed, and the time of the fastest: the first may compile."""
-    drawn, times = [], []
-    for seed in seeds:
-        begin = time.perf_counter()
-        pulled = function(seed)
-        times.append(time.perf_counter() - begin)
-        drawn.append({name: pulled[name] for name in names})
-    return Draws.of(drawn, min(times))
+        """Render the image under these settings."""
+        return self.renderer.with_integrator(settings.load()).render(self.params, seed=PILOT_SEED_OFFSET + seed)

@@ -1,4 +1,4 @@
-"""The pilot: a few cheap gradients of each effect, which say what carries the gradient of the loss at hand."""
+"""The pilot: a few cheap gradients of each effect, which show the effects that carry the gradient of the loss."""
 
 from __future__ import annotations
 
@@ -27,55 +27,55 @@ from loi_core.effects import (
 )
 from loi_core.support.wording import listed
 from loi_mitsuba.drjit.arrays import Float32Array
-from loi_mitsuba.effects.gradient_draws import Probe
-from loi_mitsuba.effects.rules import DIRECT, EFFECTS, everything, integrator_for, plan_of
+from loi_mitsuba.effects.gradient_draws import GradientProbe
+from loi_mitsuba.effects.rules import DIRECT_DEPTH, EFFECTS, everything, integrator_for, plan_of
 from loi_mitsuba.effects.traits import Traits
-from loi_mitsuba.scene.settings import OWN, PARTS, Settings, settings_of
+from loi_mitsuba.scene.settings import GRADIENT_TERMS, SCENE_INTEGRATOR, Settings, settings_of
 
-__all__ = ["MOST_DRAWS", "Findings", "Pilot"]
+__all__ = ["MAX_DRAWS", "Pilot", "PilotResult"]
 
 DRAWS: Final = 4
-DEEP_DRAWS: Final = 3  # of everything, which costs most
-MOST_DRAWS: Final = 8
-IMAGE: Final = 0.1  # of the fraction: what an image may lack, for that moves where a fit ends
-DEEPEST_TRIED: Final = 4
-MOST_MOVED: Final = 4  # a part gets at most so many times its samples, and at least that fraction: draws are few
-LEAST: Final = 1e-9  # of a fraction that is not nothing
+DEEP_DRAWS: Final = 3  # with all effects on, which costs most
+MAX_DRAWS: Final = 8
+IMAGE_FRACTION: Final = 0.1  # of the fraction, that the image may lack: errors of the image move the optimum
+MAX_TRIED_DEPTH: Final = 4
+MAX_SAMPLE_RATIO: Final = 4  # of allocated to equal samples, or the inverse: the draws are few
+MIN_GROWN_FRACTION: Final = 1e-9
 
 
 @dataclass(frozen=True)
-class Findings:
-    """What a pilot has found.
+class PilotResult:
+    """The result of a pilot.
 
     Attributes
     ----------
     plan : EffectPlan
-        What is to be simulated, and what is held.
+        The simulated effects, and the frozen parameters.
     sizes : Sizes
-        Of the gradient, for :meth:`Pilot.grown`.
-    holding : Holding
-        What speaks for letting go of what is held.
+        Sizes of the gradient, for :meth:`Pilot.grown`.
+    frozen : Holding
+        The frozen parameters, with the evidence for releasing them.
     """
 
     plan: EffectPlan
     sizes: Sizes = field(default_factory=dict)
-    holding: Holding = field(default_factory=Holding)
+    frozen: Holding = field(default_factory=Holding)
 
 
 @dataclass(frozen=True)
 class Pilot:
-    """What the pilot measures by.
+    """Measures the effects of a scene.
 
     Attributes
     ----------
     traits : Traits
-        Of the scene.
+        Traits of the scene.
     samples : int
-        Samples per pixel of each part of the gradient that is on; the time they take together is shared out.
+        Samples per pixel of each term of the gradient; their total time is allocated to the terms that stay on.
     fraction : float
-        Effects that carry less of the gradient go off.
+        Effects that carry less of the gradient are turned off.
     units, objects : tuple of tuple of str
-        The optimised parameters, those of one unit together, and those of one object together.
+        The optimised parameters, grouped by unit and by object.
     """
 
     traits: Traits
@@ -84,222 +84,239 @@ class Pilot:
     units: tuple[tuple[str, ...], ...]
     objects: tuple[tuple[str, ...], ...]
 
-    def run(self, plan: EffectPlan, probe: Probe) -> Findings:
-        """The plan by rules with the effects off that a few gradients show to be under the fraction.
+    def run(self, plan: EffectPlan, probe: GradientProbe) -> PilotResult:
+        """Turn off the effects of a plan by the rules that carry less than the fraction, as a few gradients show.
 
-        Objects whose gradient cannot be distinguished from noise are held. What is not exactly 0 for them stays on, so
-        that it can become significant later.
+        Objects whose gradient is indistinguishable from noise are frozen. Effects that are not exactly 0 for them stay
+        on, so that their gradient can become significant.
         """
         rules = settings_of(plan)
-        if not plan.understood or rules.integrator == OWN:
-            return Findings(plan)
-        settings, each, bounces, lacking = self._shallowest(rules, probe)
-        holding = Holding.begun(total(list(each.values())), self.objects)
-        notes = _notes(total(list(each.values())), holding, self.samples)
-        drawn = {part: one.grouped(self.units) for part, one in each.items()}
-        whole = total(list(drawn.values()))
-        significant = self._significant(whole, holding)
+        if not plan.understood or rules.integrator == SCENE_INTEGRATOR:
+            return PilotResult(plan)
+        settings, draws, depth_reason, missing = self._shallowest(rules, probe)
+        whole_by_name = total(list(draws.values()))
+        frozen = Holding.begun(whole_by_name, self.objects)
+        notes = _notes(whole_by_name, frozen, self.samples)
+        terms = {term: drawn.grouped(self.units) for term, drawn in draws.items()}
+        whole = total(list(terms.values()))
+        significant = self._significant(whole, frozen)
         sizes = sizes_of(whole, significant)
-        fractions = {part: largest_fraction(one, whole, significant) for part, one in drawn.items()}
-        reasons = {Effect.BOUNCES: bounces}
-        kept = dict(drawn)
-        seen = any(not one.zero(name) for one in drawn.values() for name in one.gradients)
-        # The smallest first, as long as all that is off together stays under the fraction.
-        for part, one in sorted(drawn.items(), key=lambda item: most_fraction(item[1], sizes)):
-            most = most_fraction(one, sizes)
-            if (seen and most == 0.0) or (significant and lacking + most < self.fraction):
-                lacking += most
-                del kept[part]
-                if most == 0.0:
-                    why = f"exactly 0 in {one.count} draws of {self.samples} samples a pixel"
-                else:
-                    why = f"surely under {most:.1%} of the gradient"
-                reasons[EFFECTS[part]] = why
-            elif fractions[part] is not None:
-                reasons[EFFECTS[part]] = f"{fractions[part]:.1%} of the gradient"
-        settings = settings.sampled({part: 0 for part in drawn if part not in kept})
+        kept, reasons = self._terms_to_keep(terms, whole, significant, sizes, missing)
+        settings = settings.sampled({term: 0 for term in terms if term not in kept})
         edges = settings.sppp > 0 or settings.sppi > 0
-        kind = integrator_for(
-            self.traits, everything(self.traits, self.samples).integrator, settings.max_depth, edges=edges
-        )
-        settings = replace(settings, integrator=kind).sampled(self._allocation(kept, whole, significant))
-        planned = plan_of(self.traits, settings, reasons, notes=notes)
-        planned = replace(
-            planned, choices=_with_fractions(planned, drawn, whole, significant), held=holding.reasons, measured=True
-        )
-        return Findings(planned, sizes, holding)
+        full = everything(self.traits, self.samples).integrator
+        integrator = integrator_for(self.traits, full, settings.max_depth, edges=edges)
+        settings = replace(settings, integrator=integrator).sampled(self._allocation(kept, whole, significant))
+        planned = plan_of(self.traits, settings, {Effect.BOUNCES: depth_reason, **reasons}, notes=notes)
+        choices = _with_fractions(planned, terms, whole, significant)
+        planned = replace(planned, choices=choices, held=frozen.reasons, measured=True)
+        return PilotResult(planned, sizes, frozen)
 
-    def _shallowest(self, rules: Settings, probe: Probe) -> tuple[Settings, dict[str, Draws], str, float]:
-        """The least depth at which the image lacks next to nothing, and the gradient less than the fraction.
+    def _terms_to_keep(
+        self,
+        terms: Mapping[str, Draws],
+        whole: Draws,
+        significant: tuple[str, ...],
+        sizes: Sizes,
+        missing: float,
+    ) -> tuple[dict[str, Draws], dict[Effect, str]]:
+        """Turn terms off, the smallest first, while all that is off stays below the fraction; add the reasons."""
+        kept = dict(terms)
+        reasons = {}
+        has_gradient = any(not drawn.zero(name) for drawn in terms.values() for name in drawn.gradients)
+        for term, drawn in sorted(terms.items(), key=lambda item: most_fraction(item[1], sizes)):
+            largest = most_fraction(drawn, sizes)
+            measured = largest_fraction(drawn, whole, significant)
+            if (has_gradient and largest == 0.0) or (significant and missing + largest < self.fraction):
+                missing += largest
+                del kept[term]
+                reasons[EFFECTS[term]] = f"surely under {largest:.1%} of the gradient"
+                if largest == 0.0:
+                    reasons[EFFECTS[term]] = f"exactly 0 in {drawn.count} draws of {self.samples} samples a pixel"
+            elif measured is not None:
+                reasons[EFFECTS[term]] = f"{measured:.1%} of the gradient"
+        return kept, reasons
+
+    def _shallowest(self, rules: Settings, probe: GradientProbe) -> tuple[Settings, dict[str, Draws], str, float]:
+        """Find the smallest depth at which the image is complete and the gradient misses less than the fraction.
 
         Returns
         -------
         settings : Settings
-            The rules' at that depth.
-        drawn : dict of Draws
-            The parts of the gradient there, by parameter.
+            The settings of the rules at that depth.
+        draws : dict of Draws
+            Draws of each term of the gradient at that depth.
         reason : str
-        lacking : float
-            The most that the gradient may lack of longer paths, as a fraction of it.
+        missing : float
+            Upper bound of the fraction of the gradient that longer paths carry.
         """
         seeds = range(probe.seed, probe.seed + DEEP_DRAWS)
-        if rules.max_depth <= DIRECT or self.traits.media:
-            return rules, self._parts(rules, probe), plan_of(self.traits, rules)[Effect.BOUNCES].reason, 0.0
+        if rules.max_depth <= DIRECT_DEPTH or self.traits.media:
+            return rules, self._draw_terms(rules, probe), plan_of(self.traits, rules)[Effect.BOUNCES].reason, 0.0
         deep = [probe.image(rules, seed) for seed in seeds[:2]]
-        for depth in range(DIRECT, min(rules.max_depth, DEEPEST_TRIED + 1)):
+        for depth in range(DIRECT_DEPTH, min(rules.max_depth, MAX_TRIED_DEPTH + 1)):
             shallow = replace(rules, max_depth=depth)
             if not self._same_image(deep, shallow, probe, seeds[:2]):
                 continue
-            settings = replace(
-                shallow, integrator=integrator_for(self.traits, rules.integrator, depth, edges=rules.projective)
-            )
-            drawn = self._parts(settings, probe)
-            # Each part draws from the seed in its own way, alone or with others, and a shallow path is the beginning of
-            # the deep one of the same seed: most of the noise goes with the difference.
-            parts = total([one.first(DEEP_DRAWS) for one in drawn.values()])
-            lacking = probe.gradients(rules, seeds).less(parts)
-            most = self._most(lacking, self._sizes(drawn))
-            found = self._most(lacking, self._sizes(drawn), sure=0.0)
-            if most >= self.fraction and not self.fraction <= found < math.inf:
-                # It may well be less, if only what it is a fraction of were known better; a depth too many costs more.
-                drawn = self._more_parts(settings, drawn, probe)
-                most = self._most(lacking, self._sizes(drawn))
-            if most == 0.0 or most < self.fraction:
-                reason = f"longer paths surely carry under {most:.1%} of the gradient, and next to none of the image"
-                return settings, drawn, reason, most
+            integrator = integrator_for(self.traits, rules.integrator, depth, edges=rules.projective)
+            settings = replace(shallow, integrator=integrator)
+            draws = self._draw_terms(settings, probe)
+            # Each term uses the seed in the same way, alone or with others, and a short path is the beginning of the
+            # long path of the same seed: most of the noise cancels in the difference.
+            shallow_draws = total([drawn.first(DEEP_DRAWS) for drawn in draws.values()])
+            longer = probe.gradients(rules, seeds).less(shallow_draws)
+            largest = self._largest_fraction(longer, self._sizes(draws))
+            measured = self._largest_fraction(longer, self._sizes(draws), sure=0.0)
+            if largest >= self.fraction and not self.fraction <= measured < math.inf:
+                # The bound may be loose because the whole gradient is noisy; too large a depth costs more than draws.
+                draws = self._draw_more(settings, draws, probe)
+                largest = self._largest_fraction(longer, self._sizes(draws))
+            if largest == 0.0 or largest < self.fraction:
+                reason = f"longer paths surely carry under {largest:.1%} of the gradient, and hardly any of the image"
+                return settings, draws, reason, largest
             break
         else:
             reason = f"longer paths than {depth} change the image"
-            return rules, self._parts(rules, probe), reason, 0.0
+            return rules, self._draw_terms(rules, probe), reason, 0.0
         reason = f"longer paths than {depth} carry {self.fraction:.0%} of the gradient, or may"
-        return rules, self._parts(rules, probe), reason, 0.0
+        return rules, self._draw_terms(rules, probe), reason, 0.0
 
-    def _parts(self, settings: Settings, probe: Probe) -> dict[str, Draws]:
-        """Draws of each part of the gradient; twice as many where something cannot be distinguished from noise."""
+    def _draw_terms(self, settings: Settings, probe: GradientProbe) -> dict[str, Draws]:
+        """Draw each term of the gradient; twice as often if a gradient is indistinguishable from noise."""
         seeds = range(probe.seed, probe.seed + DRAWS)
-        first = {
-            part: probe.gradients(settings.only(part) if settings.projective else settings, seeds)
-            for part in PARTS
-            if getattr(settings, part) > 0
+        draws = {
+            term: probe.gradients(settings.only(term) if settings.projective else settings, seeds)
+            for term in GRADIENT_TERMS
+            if getattr(settings, term) > 0
         }
-        whole = total(list(first.values()))
-        united = whole.grouped(self.units)
-        held = Holding.begun(whole, self.objects).reasons
-        if all(united.heard(name) or united.zero(name) for name in united.gradients) and all(map(whole.zero, held)):
-            return first
-        return self._more_parts(settings, first, probe)
+        whole = total(list(draws.values()))
+        by_unit = whole.grouped(self.units)
+        frozen = Holding.begun(whole, self.objects).reasons
+        if all(by_unit.heard(name) or by_unit.zero(name) for name in by_unit.gradients) and all(
+            map(whole.zero, frozen)
+        ):
+            return draws
+        return self._draw_more(settings, draws, probe)
 
-    def _more_parts(self, settings: Settings, drawn: Mapping[str, Draws], probe: Probe) -> dict[str, Draws]:
-        """Twice as many draws of each part that is not exactly 0, unless it has them."""
-        seeds = range(probe.seed + DRAWS, probe.seed + MOST_DRAWS)
+    def _draw_more(self, settings: Settings, draws: Mapping[str, Draws], probe: GradientProbe) -> dict[str, Draws]:
+        """Double the draws of each term that is not exactly 0, up to MAX_DRAWS."""
+        seeds = range(probe.seed + DRAWS, probe.seed + MAX_DRAWS)
         return {
-            part: one
-            if one.count == MOST_DRAWS or all(map(one.zero, one.gradients))
-            else one.and_more(probe.gradients(settings.only(part) if settings.projective else settings, seeds))
-            for part, one in drawn.items()
+            term: drawn
+            if drawn.count == MAX_DRAWS or all(map(drawn.zero, drawn.gradients))
+            else drawn.and_more(probe.gradients(settings.only(term) if settings.projective else settings, seeds))
+            for term, drawn in draws.items()
         }
 
-    def _significant(self, whole: Draws, holding: Holding) -> tuple[str, ...]:
-        """Of the units, those that can be distinguished from noise; what is held decides nothing."""
-        held = {", ".join(unit) for unit in self.units if holding.reasons.keys() >= set(unit)}
-        return tuple(name for name in whole.significant if name not in held)
+    def _significant(self, whole: Draws, frozen: Holding) -> tuple[str, ...]:
+        """Return the units with a significant gradient; units of frozen parameters have no vote."""
+        frozen_units = {", ".join(unit) for unit in self.units if frozen.reasons.keys() >= set(unit)}
+        return tuple(name for name in whole.significant if name not in frozen_units)
 
-    def _sizes(self, drawn: Mapping[str, Draws]) -> Sizes:
-        whole = total(list(drawn.values()))
-        united = whole.grouped(self.units)
-        return sizes_of(united, self._significant(united, Holding.begun(whole, self.objects)))
+    def _sizes(self, draws: Mapping[str, Draws]) -> Sizes:
+        whole = total(list(draws.values()))
+        by_unit = whole.grouped(self.units)
+        return sizes_of(by_unit, self._significant(by_unit, Holding.begun(whole, self.objects)))
 
-    def _most(self, part: Draws, sizes: Sizes, sure: float = SURE) -> float:
-        return most_fraction(part.grouped(self.units), sizes, sure)
+    def _largest_fraction(self, term: Draws, sizes: Sizes, sure: float = SURE) -> float:
+        return most_fraction(term.grouped(self.units), sizes, sure)
 
-    def grown(self, rules: Settings, plan: EffectPlan, probe: Probe, sizes: Sizes) -> dict[Effect, str]:
-        """Effects that the rules turn on and a plan off, and that have appeared or grown to the fraction, with reasons.
+    def grown(self, rules: Settings, plan: EffectPlan, probe: GradientProbe, sizes: Sizes) -> dict[Effect, str]:
+        """Return the effects of the rules that a plan turned off and that carry a gradient now, with the reasons.
 
-        What was exactly 0 has appeared as soon as it is not. What was small is compared with the gradient as the pilot
-        found it: near the end of a fit, where the gradient is faint, everything has a great fraction of it. Depth,
-        which costs most, has been shown to matter little and gets less benefit of the doubt.
+        An effect that was exactly 0 counts as soon as it is not 0. A small effect is compared with the gradient at the
+        pilot: near the end of a fit, where the gradient is small, every effect is a large fraction of it. Depth, which
+        costs most and was measured to be negligible, counts only if its expected fraction is large enough.
         """
         seeds = (probe.seed, probe.seed + 1)
         settings = settings_of(plan)
         shallow = replace(rules, max_depth=settings.max_depth)
-        found: dict[Effect, str] = {}
-        for part, effect in EFFECTS.items():
-            if getattr(rules, part) == 0 or getattr(settings, part) > 0:
+        threshold = max(self.fraction, MIN_GROWN_FRACTION)
+        grown: dict[Effect, str] = {}
+        for term, effect in EFFECTS.items():
+            if getattr(rules, term) == 0 or getattr(settings, term) > 0:
                 continue
-            one = probe.gradients(shallow.only(part), seeds)
-            if plan[effect].fraction == 0.0 and not all(map(one.zero, one.gradients)):
-                found[effect] = "it was exactly 0 when it was turned off, and is no longer"
-            elif self._most(one, sizes) >= max(self.fraction, LEAST):
-                found[effect] = f"it may have grown to {self.fraction:.0%} of the gradient that the pilot found"
+            drawn = probe.gradients(shallow.only(term), seeds)
+            if plan[effect].fraction == 0.0 and not all(map(drawn.zero, drawn.gradients)):
+                grown[effect] = "it was exactly 0 when it was turned off, and no longer is"
+            elif self._largest_fraction(drawn, sizes) >= threshold:
+                grown[effect] = f"it may have grown to {self.fraction:.0%} of the gradient at the pilot"
         if settings.max_depth < rules.max_depth:
             deep = [probe.image(rules, seed) for seed in seeds]
-            drawn = [probe.gradients(one, seeds) for one in (rules, shallow)]
-            missing = self._most(drawn[0].less(drawn[1]), sizes, sure=1.0)
-            if missing >= max(self.fraction, LEAST) or not self._same_image(deep, shallow, probe, seeds, sure=1.0):
-                found[Effect.BOUNCES] = (
-                    "longer paths carry more of the image or the gradient than when they were left out"
+            deep_draws, shallow_draws = (probe.gradients(candidate, seeds) for candidate in (rules, shallow))
+            missing = self._largest_fraction(deep_draws.less(shallow_draws), sizes, sure=1.0)
+            if missing >= threshold or not self._same_image(deep, shallow, probe, seeds, sure=1.0):
+                grown[Effect.BOUNCES] = (
+                    "longer paths carry more of the image or the gradient than when they were turned off"
                 )
-        return found
+        return grown
 
     def _same_image(
-        self, deep: Sequence[Float32Array], shallow: Settings, probe: Probe, seeds: Sequence[int], sure: float = SURE
+        self,
+        deep: Sequence[Float32Array],
+        shallow: Settings,
+        probe: GradientProbe,
+        seeds: Sequence[int],
+        sure: float = SURE,
     ) -> bool:
-        lacking = [full - probe.image(shallow, seed) for full, seed in zip(deep, seeds, strict=True)]
-        return _image_under(lacking, deep, IMAGE * self.fraction, sure)
+        missing = [image - probe.image(shallow, seed) for image, seed in zip(deep, seeds, strict=True)]
+        return _is_negligible(missing, deep, IMAGE_FRACTION * self.fraction, sure)
 
     def _allocation(self, kept: Mapping[str, Draws], whole: Draws, significant: Sequence[str]) -> dict[str, int]:
-        """Samples of every part that is kept, in the time that equal counts would take."""
+        """Allocate samples to the terms that stay on, in the time that equal counts would take."""
         if len(kept) < 2 or not significant:
             return dict.fromkeys(kept, self.samples)
-        spreads = [relative_variance(one, whole, significant) * self.samples for one in kept.values()]
-        costs = [one.seconds / self.samples for one in kept.values()]
-        budget = sum(one.seconds for one in kept.values())
+        variances = [relative_variance(drawn, whole, significant) * self.samples for drawn in kept.values()]
+        costs = [drawn.seconds / self.samples for drawn in kept.values()]
+        budget = sum(drawn.seconds for drawn in kept.values())
         base = 2 ** (self.samples.bit_length() - 1)
-        least, most = max(1, base // MOST_MOVED), base * MOST_MOVED
-        counts = whole_samples(allocate(spreads, costs, budget), costs, budget, least=least, most=most)
+        smallest, largest = max(1, base // MAX_SAMPLE_RATIO), base * MAX_SAMPLE_RATIO
+        counts = whole_samples(allocate(variances, costs, budget), costs, budget, least=smallest, most=largest)
         return dict(zip(kept, counts, strict=True))
 
 
-def _image_under(lacking: Sequence[Float32Array], whole: Sequence[Float32Array], fraction: float, sure: float) -> bool:
-    """Whether what an image lacks is surely under a fraction of it, in the Euclidean norm.
+def _is_negligible(
+    missing: Sequence[Float32Array], whole: Sequence[Float32Array], fraction: float, sure: float
+) -> bool:
+    """Return whether an image certainly misses less than a fraction of its Euclidean norm.
 
-    Two seeds give the squared norm without the noise, and its error.
+    Two seeds give an estimate of the squared norm without bias from noise, and its error.
     """
-    first, second = (one.astype(np.float64).reshape(-1) for one in lacking)
+    first, second = (image.astype(np.float64).reshape(-1) for image in missing)
     products = first * second
     error = math.sqrt(products.size) * float(np.std(products))
-    most = math.sqrt(max(0.0, float(np.sum(products)) + sure * error))
-    return most <= fraction * float(np.linalg.norm(np.mean([one.astype(np.float64) for one in whole], axis=0)))
+    bound = math.sqrt(max(0.0, float(np.sum(products)) + sure * error))
+    return bound <= fraction * float(np.linalg.norm(np.mean([image.astype(np.float64) for image in whole], axis=0)))
 
 
 def _with_fractions(
-    plan: EffectPlan, drawn: Mapping[str, Draws], whole: Draws, significant: Sequence[str]
+    plan: EffectPlan, terms: Mapping[str, Draws], whole: Draws, significant: Sequence[str]
 ) -> tuple[Choice, ...]:
-    parts = {effect: part for part, effect in EFFECTS.items() if part in drawn}
+    """Return the choices of a plan with the measured fraction and work of each term."""
+    draws = {effect: terms[term] for term, effect in EFFECTS.items() if term in terms}
     choices = []
     for choice in plan.choices:
-        part = parts.get(choice.effect)
-        if part is None:
+        drawn = draws.get(choice.effect)
+        if drawn is None:
             choices.append(choice)
             continue
-        one = drawn[part]
-        work = relative_variance(one, whole, significant) * one.seconds if significant else None
-        choices.append(replace(choice, fraction=largest_fraction(one, whole, significant), variance_seconds=work))
+        work = relative_variance(drawn, whole, significant) * drawn.seconds if significant else None
+        choices.append(replace(choice, fraction=largest_fraction(drawn, whole, significant), variance_seconds=work))
     return tuple(choices)
 
 
-def _notes(each: Draws, holding: Holding, samples: int) -> tuple[str, ...]:
-    """What the pilot has to say about parameters without a gradient."""
-    lost = [name for name in each.gradients if not each.heard(name) and name not in holding.reasons]
+def _notes(whole: Draws, frozen: Holding, samples: int) -> tuple[str, ...]:
+    """Return notes about parameters whose gradient is indistinguishable from noise."""
+    noisy = [name for name in whole.gradients if not whole.heard(name) and name not in frozen.reasons]
     notes = []
-    if len(holding.reasons) == len(each.gradients):
+    if len(frozen.reasons) == len(whole.gradients):
         notes.append(
-            "nothing that is optimised can be seen here: everything is held, and a fit stays where it is until the "
-            "gradient of something can be distinguished from noise"
+            "no optimised parameter has a significant gradient here: all are frozen, and a fit does not move until the "
+            "gradient of a parameter can be distinguished from noise"
         )
-    if lost:
+    if noisy:
         notes.append(
-            f"the gradient by {listed(lost)} cannot be distinguished from noise in {each.count} draws "
-            f"of {samples} samples a pixel; it is not held, for that of what moves with it can"
+            f"the gradient by {listed(noisy)} cannot be distinguished from noise in {whole.count} draws of {samples} "
+            f"samples a pixel; it is not frozen, because another parameter of its object has a significant gradient"
         )
     return tuple(notes)

@@ -1,4 +1,4 @@
-"""Which effects a scene calls for, without a fit of it."""
+"""Plan the effects of a scene without fitting it."""
 
 from __future__ import annotations
 
@@ -32,25 +32,25 @@ def plan_effects(
     attached_lights: bool = True,
     attached_glass: bool = True,
 ) -> EffectPlan:
-    """Which effects a scene calls for when these parameters are optimised.
+    """Return the effects that a scene needs when these parameters are optimised.
 
     Parameters
     ----------
     scene, optimised, sensor
         As `scene`, `parameters` and `sensor` of :class:`MitsubaRenderer`.
     objective : Objective, optional
-        The loss at hand; without one there is no pilot, and the plan is that of the sound rules.
+        The loss. Without a loss there is no pilot, and the plan follows the rules.
     params : dict of arrays, optional
-        Where the pilot measures; as the scene has them by default.
+        Where the pilot measures; the scene's own values by default.
     spp, fraction, proxy, blur, attached_lights, attached_glass
-        As those of :class:`PlannedRenderer`.
+        As for :class:`PlannedRenderer`.
     seed : int
-        Of the pilot.
+        Seed of the pilot.
 
     Returns
     -------
     EffectPlan
-        ``print`` shows it; :class:`MitsubaRenderer` takes it as its integrator.
+        ``print`` shows it; :class:`MitsubaRenderer` accepts it as its integrator.
 
     Raises
     ------
@@ -69,7 +69,7 @@ def plan_effects(
         attached_glass=attached_glass,
     )
     if objective is not None:
-        at = renderer.parameters() if params is None else dict(params)
-        cotangent = objective.value_and_grad(renderer.render(at, seed=seed))[1]
-        renderer.begin(at, cotangent, optimise=list(at), seed=seed)
+        values = renderer.parameters() if params is None else dict(params)
+        cotangent = objective.value_and_grad(renderer.render(values, seed=seed))[1]
+        renderer.begin(values, cotangent, optimise=list(values), seed=seed)
     return renderer.plan

@@ -1,4 +1,4 @@
-"""Sound rules: what a scene's traits alone decide about its effects. They never turn off what might matter."""
+"""Sound rules: the effects that the traits of a scene allow to turn off without measuring any."""
 
 from __future__ import annotations
 
@@ -9,21 +9,22 @@ from typing import Final
 from loi_core.effects import Choice, Effect, EffectPlan
 from loi_core.support.wording import clause
 from loi_mitsuba.effects.traits import VOLUME_INTEGRATORS, Traits, is_known
-from loi_mitsuba.scene.settings import OWN, PARTS, Settings, as_mapping, settings_of
+from loi_mitsuba.scene.settings import GRADIENT_TERMS, SCENE_INTEGRATOR, Settings, settings_of
 
-__all__ = ["DIRECT", "EFFECTS", "everything", "integrator_for", "plan_by_rules", "plan_of", "plan_with"]
+__all__ = ["DIRECT_DEPTH", "EFFECTS", "everything", "integrator_for", "plan_by_rules", "plan_of", "plan_with"]
 
 EFFECTS: Final = {"sppc": Effect.CONTINUOUS, "sppp": Effect.PRIMARY, "sppi": Effect.INDIRECT}
-DIRECT: Final = 2  # paths from the camera over one surface to a light
-STILL: Final = "nothing that is optimised moves a shape"
-APART: Final = ", but what is followed or blurred"
+DIRECT_DEPTH: Final = 2  # of paths from the camera over one surface to a light
+NO_MOTION: Final = "no optimised parameter moves a shape"
+EXCEPTION: Final = ", except by attached or blurred gradients"
+CAMERA_REASON: Final = "Mitsuba has no gradient for sensors"
 
 
 def everything(traits: Traits, samples: int) -> Settings:
-    """Every effect that Mitsuba has the gradient of, without guiding: what a plan is compared with."""
+    """Return settings with all effects on that Mitsuba can differentiate, without guiding: the reference of a plan."""
     border = bool(traits.moving) and traits.reaches_border
     if not is_known(traits.own_integrator):
-        return Settings(OWN, traits.depth, samples, sample_border=border)
+        return Settings(SCENE_INTEGRATOR, traits.depth, samples, sample_border=border)
     if traits.media or traits.own_integrator in VOLUME_INTEGRATORS:
         return Settings("prbvolpath", traits.depth, samples, hide_emitters=traits.hide_emitters, sample_border=border)
     return Settings(
@@ -38,26 +39,26 @@ def everything(traits: Traits, samples: int) -> Settings:
 
 
 def plan_by_rules(traits: Traits, samples: int) -> EffectPlan:
-    """The plan before anything is rendered: settings of :func:`everything` less what surely has no gradient."""
+    """Return the plan before any rendering: :func:`everything` without the effects that certainly have no gradient."""
     full = everything(traits, samples)
     if traits.unknown:
-        why = "not known to the rules: " + ", ".join(traits.unknown)
-        notes = (f"everything is on, for the rules do not know {', '.join(traits.unknown)}", *_missing(traits))
-        choices = [_choice(effect, effect is not Effect.CAMERA, why, full) for effect in Effect]
-        choices[list(Effect).index(Effect.CAMERA)] = _camera()
+        reason = "not known to the rules: " + ", ".join(traits.unknown)
+        notes = (f"everything is on, because the rules do not know {', '.join(traits.unknown)}", *_notes(traits))
+        choices = [_choice(effect, effect is not Effect.CAMERA, reason, full) for effect in Effect]
+        choices[list(Effect).index(Effect.CAMERA)] = Choice(Effect.CAMERA, on=False, reason=CAMERA_REASON)
         return EffectPlan(
             tuple(choices),
-            as_mapping(full),
-            _why(traits, full),
+            full.to_mapping(),
+            _setting_reasons(traits, full),
             exchanged=traits.exchanged,
             followed=traits.followed,
             blurred=traits.blurred,
             notes=notes,
             understood=False,
         )
-    depth = min(traits.depth, DIRECT) if traits.alone else traits.depth
+    depth = min(traits.depth, DIRECT_DEPTH) if traits.alone else traits.depth
     edges = bool(traits.moving) and full.projective
-    indirect = edges and not (traits.alone and depth <= DIRECT)
+    indirect = edges and not (traits.alone and depth <= DIRECT_DEPTH)
     settings = Settings(
         integrator_for(traits, full.integrator, depth, edges=edges),
         depth,
@@ -71,160 +72,159 @@ def plan_by_rules(traits: Traits, samples: int) -> EffectPlan:
 
 
 def integrator_for(traits: Traits, full: str, depth: int, *, edges: bool) -> str:
-    """The integrator that is fastest for what is left of `full`, the one that has everything."""
+    """Return the fastest integrator for the effects that are on; `full` is the integrator with all of them."""
     if full != "prb_projective":
         return full
     if not edges:
         return "prb"
-    # That for direct light has only the gradient of what lamps are sampled for, of which mirrors have nothing.
-    return "direct_projective" if depth == DIRECT and not traits.unlit_mirrors else full
+    # direct_projective differentiates emitter samples only, which mirrors do not reflect.
+    return "direct_projective" if depth == DIRECT_DEPTH and not traits.unlit_mirrors else full
 
 
 def plan_of(
     traits: Traits, settings: Settings, reasons: dict[Effect, str] | None = None, *, notes: tuple[str, ...] = ()
 ) -> EffectPlan:
-    """A plan of these settings, each effect with the rules' reason unless `reasons` has another."""
-    told = _reasons(traits, settings) | (reasons or {})
+    """Return the plan with these settings; `reasons` replace the reasons of the rules."""
+    all_reasons = _effect_reasons(traits, settings) | (reasons or {})
     on = {
         Effect.CONTINUOUS: settings.sppc > 0,
         Effect.PRIMARY: settings.sppp > 0,
         Effect.INDIRECT: settings.sppi > 0,
-        Effect.BOUNCES: settings.max_depth > DIRECT,
-        Effect.SPECULAR: _specular(traits) and settings.max_depth > DIRECT,
+        Effect.BOUNCES: settings.max_depth > DIRECT_DEPTH,
+        Effect.SPECULAR: _has_specular_surfaces(traits) and settings.max_depth > DIRECT_DEPTH,
         Effect.MEDIA: settings.integrator == "prbvolpath",
         Effect.EMITTERS: bool(traits.emission) and settings.sppc > 0,
         Effect.CAMERA: False,
         Effect.APPEARANCE: bool(traits.appearance) and settings.sppc > 0,
     }
-    choices = tuple(_choice(effect, on[effect], told[effect], settings) for effect in Effect)
+    choices = tuple(_choice(effect, on[effect], all_reasons[effect], settings) for effect in Effect)
     return EffectPlan(
         choices,
-        as_mapping(settings),
-        _why(traits, settings),
+        settings.to_mapping(),
+        _setting_reasons(traits, settings),
         exchanged=traits.exchanged,
         followed=traits.followed,
         blurred=traits.blurred,
-        notes=(*_missing(traits), *notes),
+        notes=(*_notes(traits), *notes),
     )
 
 
 def plan_with(traits: Traits, plan: EffectPlan, rules: Settings, grown: Mapping[Effect, str]) -> EffectPlan:
-    """A measured plan with more effects on, each with its reason, as the settings of the rules have them."""
+    """Return a measured plan with the effects in `grown` on as in the settings of the rules, each with its reason."""
     settings = settings_of(plan)
-    for part, effect in EFFECTS.items():
+    for term, effect in EFFECTS.items():
         if effect in grown:
-            settings = settings.sampled({part: getattr(rules, part)})
+            settings = settings.sampled({term: getattr(rules, term)})
     depth = rules.max_depth if Effect.BOUNCES in grown else settings.max_depth
     edges = settings.sppp > 0 or settings.sppi > 0
-    kind = integrator_for(traits, everything(traits, rules.sppc).integrator, depth, edges=edges)
+    integrator = integrator_for(traits, everything(traits, rules.sppc).integrator, depth, edges=edges)
     reasons = {choice.effect: choice.reason for choice in plan.choices} | dict(grown)
-    more = plan_of(traits, replace(settings, max_depth=depth, integrator=kind), reasons)
-    kept = [
+    extended = plan_of(traits, replace(settings, max_depth=depth, integrator=integrator), reasons)
+    choices = [
         replace(new, fraction=old.fraction, variance_seconds=old.variance_seconds) if new.on == old.on else new
-        for new, old in zip(more.choices, plan.choices, strict=True)
+        for new, old in zip(extended.choices, plan.choices, strict=True)
     ]
-    return replace(more, choices=tuple(kept), measured=True)
+    return replace(extended, choices=tuple(choices), measured=True)
 
 
 def _choice(effect: Effect, on: bool, reason: str, settings: Settings) -> Choice:  # noqa: FBT001
-    samples = {EFFECTS[part]: getattr(settings, part) for part in PARTS}.get(effect)
+    samples = {EFFECTS[term]: getattr(settings, term) for term in GRADIENT_TERMS}.get(effect)
     return Choice(effect, on, reason, samples if on and samples else None)
 
 
-def _camera() -> Choice:
-    return Choice(Effect.CAMERA, on=False, reason="Mitsuba has no gradient by sensors")
-
-
-def _reasons(traits: Traits, settings: Settings) -> dict[Effect, str]:
-    but = APART if traits.followed or traits.blurred else ""
-    moves = clause(traits.moving, "moves a shape", "move shapes")
-    single = len(traits.moving) == 1
-    shades = [*traits.moving, *traits.appearance, *traits.emission, *traits.volumes]
-    limit = (
-        f"the scene's own limit is {traits.depth}"
-        if traits.limited
-        else f"the scene sets no limit, {traits.depth} stands for all"
-    )
-    if not traits.moving:
-        primary = indirect = STILL + but
-    elif not settings.projective:
-        primary = indirect = f"{moves}, but {settings.integrator} has no gradient of edges"
-    else:
-        primary = f"{moves}, and {'its outline' if single else 'their outlines'} in view"
-        indirect = f"{moves}, and with {'it' if single else 'them'} shadows, and edges seen in other surfaces"
-        if traits.alone:
-            indirect = "the scene is one convex shape, which neither shadows nor reflects itself"
-    if settings.max_depth > DIRECT:
-        bounces = f"light may reach the camera over {settings.max_depth - 1} surfaces; {limit}"
-    else:
-        bounces = "the scene is one convex shape, which does not light itself" if traits.alone else limit
+def _effect_reasons(traits: Traits, settings: Settings) -> dict[Effect, str]:
+    """Return the reason for each effect, in one line."""
+    exception = EXCEPTION if traits.followed or traits.blurred else ""
+    shading = [*traits.moving, *traits.appearance, *traits.emission, *traits.volumes]
+    primary, indirect = _edge_reasons(traits, settings, exception)
     return {
-        Effect.CONTINUOUS: clause(shades, "changes how surfaces or media look", "change how surfaces or media look")
-        if shades
-        else f"nothing is optimised{but}",
+        Effect.CONTINUOUS: clause(shading, "changes shading", "change shading")
+        if shading
+        else f"nothing is optimised{exception}",
         Effect.PRIMARY: primary,
         Effect.INDIRECT: indirect,
-        Effect.BOUNCES: bounces,
+        Effect.BOUNCES: _depth_reason(traits, settings),
         Effect.SPECULAR: _surfaces(traits),
         Effect.MEDIA: "the scene has a participating medium" if traits.media else "the scene has no medium",
         Effect.EMITTERS: clause(traits.emission, "changes emitters", "change emitters")
         if traits.emission
-        else f"no emitter is optimised{but}",
-        Effect.CAMERA: _camera().reason,
+        else f"no emitter is optimised{exception}",
+        Effect.CAMERA: CAMERA_REASON,
         Effect.APPEARANCE: clause(traits.appearance, "changes materials", "change materials")
         if traits.appearance
-        else f"no material is optimised{but}",
+        else f"no material is optimised{exception}",
     }
 
 
-def _why(traits: Traits, settings: Settings) -> dict[str, str]:
-    """Reasons of the settings that are not those of one effect."""
-    kinds = {
-        OWN: "the scene's own, which the rules do not know",
+def _edge_reasons(traits: Traits, settings: Settings, exception: str) -> tuple[str, str]:
+    """Return the reasons for primary and for indirect visibility."""
+    if not traits.moving:
+        return NO_MOTION + exception, NO_MOTION + exception
+    moves = clause(traits.moving, "moves a shape", "move shapes")
+    if not settings.projective:
+        reason = f"{moves}, but {settings.integrator} has no gradient of edges"
+        return reason, reason
+    outline, pronoun = ("its outline", "its") if len(traits.moving) == 1 else ("their outlines", "their")
+    indirect = f"{moves}, with {pronoun} shadows, and edges seen in other surfaces"
+    if traits.alone:
+        indirect = "the scene is one convex shape, which neither shadows nor reflects itself"
+    return f"{moves}, with {outline} in view", indirect
+
+
+def _depth_reason(traits: Traits, settings: Settings) -> str:
+    limit = f"the scene sets no limit, and {traits.depth} is used"
+    if traits.limited:
+        limit = f"the scene's own limit is {traits.depth}"
+    if settings.max_depth > DIRECT_DEPTH:
+        return f"light may reach the camera over {settings.max_depth - 1} surfaces; {limit}"
+    return "the scene is one convex shape, which does not light itself" if traits.alone else limit
+
+
+def _setting_reasons(traits: Traits, settings: Settings) -> dict[str, str]:
+    """Return the reasons for settings that are not the settings of one effect."""
+    integrators = {
+        SCENE_INTEGRATOR: "the scene's own, which the rules do not know",
         "prbvolpath": "the only one with media",
         "prb": "there are no edges to sample",
         "direct_projective": "edges, and no light over more than one surface",
         "prb_projective": "edges, and light over several surfaces",
     }
-    why = {"integrator": kinds[settings.integrator]}
+    reasons = {"integrator": integrators[settings.integrator]}
     if settings.sppi > 0:
-        why["guiding"] = "guided samples never fall where no seed has been, and cost much on a processor"
+        reasons["guiding"] = "guided samples never fall where no seed was, and are slow on a CPU"
     if traits.moving:
-        why["sample_border"] = (
-            "a shape may cross the border, over which the film's filter reaches"
+        reasons["sample_border"] = (
+            "a shape may cross the border, and the film's filter reaches over it"
             if settings.sample_border
             else "the film's filter ends at the border"
         )
-    return why
+    return reasons
 
 
-def _specular(traits: Traits) -> bool:
+def _has_specular_surfaces(traits: Traits) -> bool:
     return traits.delta_reflection or traits.delta_transmission or traits.glossy
 
 
 def _surfaces(traits: Traits) -> str:
-    kinds = [
-        word
-        for word, there in (
-            ("mirrors", traits.delta_reflection),
-            ("clear glass", traits.delta_transmission),
-            ("glossy surfaces", traits.glossy),
-        )
-        if there
-    ]
-    return f"the scene has {' and '.join(kinds)}" if kinds else "every surface is diffuse"
+    surfaces = {
+        "mirrors": traits.delta_reflection,
+        "clear glass": traits.delta_transmission,
+        "glossy surfaces": traits.glossy,
+    }
+    present = [name for name, exists in surfaces.items() if exists]
+    return f"the scene has {' and '.join(present)}" if present else "every surface is diffuse"
 
 
-def _missing(traits: Traits) -> tuple[str, ...]:
-    """Gradients that a scene calls for and Mitsuba does not have, beyond those that a GradientWarning names."""
+def _notes(traits: Traits) -> tuple[str, ...]:
+    """Return notes about gradients that Mitsuba lacks in this scene, other than those of a GradientWarning."""
     notes = []
     if traits.moving and (traits.delta_reflection or traits.delta_transmission) and traits.smooth:
         notes.append(
-            "edges that are seen in a perfect mirror or through clear glass have no gradient in Mitsuba; those in a "
-            "rough conductor or dielectric have, and so has what `blur` names"
+            "edges seen in a perfect mirror or through clear glass have no gradient in Mitsuba; make the surface a "
+            "rough conductor or dielectric, or name the parameters in `blur`"
         )
     if traits.moving and traits.media:
-        notes.append("the motion of outlines and shadows has no gradient in Mitsuba where there is a medium")
+        notes.append("moving outlines and shadows have no gradient in Mitsuba where there is a medium")
     if traits.moving and traits.reaches_border and not traits.samples_border:
-        notes.append("the film must have sample_border=True, for shapes that cross the border of the image")
+        notes.append("shapes that cross the border of the image need a film with sample_border=True")
     return tuple(notes)

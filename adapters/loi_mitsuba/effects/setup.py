@@ -1,16 +1,18 @@
-"""The scene that a plan is made for: what it lacks gradients of, and its neighbour that has some of them."""
+"""Prepare the renderer that a plan is made for: load the scene, find unsupported parameters, build the proxy."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import mitsuba as mi
 
+from loi_core.effects import EffectPlan
 from loi_core.errors import ParameterError
 from loi_core.renderers.blurred import names_to_blur
-from loi_mitsuba.attached.gradient import AttachedParameters
+from loi_mitsuba.effects.attached_gradient import AttachedParameters
 from loi_mitsuba.effects.rules import plan_by_rules
 from loi_mitsuba.effects.traits import Traits, traits_of
 from loi_mitsuba.effects.unsupported import unsupported_parameters
@@ -23,33 +25,79 @@ from loi_mitsuba.proxy_renderer import ProxyGradientRenderer, light_targets, pro
 from loi_mitsuba.renderer import MitsubaRenderer
 from loi_mitsuba.scene.binding import ParameterBinding
 from loi_mitsuba.scene.load import (
+    LoadedScene,
     ParameterTarget,
     checked_samples,
     checked_targets,
     find_sensor,
     max_samples,
+    parsed_scene,
     use_variant,
 )
 from loi_mitsuba.scene.parameters import SceneIndex, ancestors, index_scene
-from loi_mitsuba.scene.settings import bordered
+from loi_mitsuba.scene.settings import with_sampled_border
 from loi_mitsuba.sensing.frustum import Frustum
 
-__all__ = ["Base", "prepare_renderer"]
+__all__ = ["PlanSetup", "prepare_renderer"]
 
 
 @dataclass(frozen=True)
-class Base:
-    """A scene by the rules' plan, with its neighbour where what moves calls for one.
+class PlanSetup:
+    """The renderer of a scene by the rules, with its proxy where moving shapes need one.
 
-    Also what that has exchanged, whether surfaces are left that are perfectly smooth, why which parameters have no
-    gradient, and what can be followed.
+    Attributes
+    ----------
+    renderer : MitsubaRenderer
+    substitutions : dict of str
+        Reason for each object that the proxy replaces.
+    has_delta_bsdf : bool
+        Whether the proxy still has perfectly smooth surfaces.
+    unsupported : dict of str
+        Reason for each parameter without a gradient.
+    attached : AttachedParameters
     """
 
     renderer: MitsubaRenderer
-    exchanged: Mapping[str, str]
-    smooth: bool
-    missing: Mapping[str, str]
-    followed: AttachedParameters
+    substitutions: Mapping[str, str]
+    has_delta_bsdf: bool
+    unsupported: Mapping[str, str]
+    attached: AttachedParameters
+
+
+@dataclass(frozen=True)
+class _Request:
+    """The arguments of a planned renderer, checked."""
+
+    targets: Mapping[str, ParameterTarget]
+    sensor: int
+    spp: Any
+    proxy: ProxySettings
+    unsupported: Mapping[str, str]
+    attachable: Mapping[str, ParameterTarget]
+    attached_lights: bool
+    attached_glass: bool
+
+
+@dataclass(frozen=True)
+class _Analysis:
+    """An indexed scene, with the traits that its optimised parameters give it."""
+
+    index: SceneIndex
+    sensor: Any
+    attached: AttachedParameters
+    images_only: tuple[str, ...]
+    traits: Traits
+
+    @classmethod
+    def of(cls, index: SceneIndex, request: _Request) -> _Analysis:
+        sensor = find_sensor(index.scene, request.sensor)
+        attached = AttachedParameters.of(
+            index, request.attachable, sensor, lights=request.attached_lights, glass=request.attached_glass
+        )
+        excluded = {*request.unsupported, *attached.without_gradient}
+        images_only = tuple(name for name in request.targets if name in excluded)
+        targets = {name: target for name, target in request.targets.items() if name not in excluded}
+        return cls(index, sensor, attached, images_only, traits_of(index, targets, sensor))
 
 
 def prepare_renderer(
@@ -57,136 +105,148 @@ def prepare_renderer(
     parameters: Any,
     sensor: int,
     spp: Any,
-    near: ProxySettings,
+    proxy: ProxySettings,
     blur: Mapping[str, Any] | None,
     *,
     attached_lights: bool,
     attached_glass: bool,
-) -> Base:
-    """What a plan is made for.
+) -> PlanSetup:
+    """Prepare the renderer of a plan; arguments as for :class:`loi_mitsuba.PlannedRenderer`.
 
-    The film samples its border if need be. The plan comes first, so that warnings of missing gradients are about its
-    integrator.
+    The plan by the rules is made first, so that warnings about missing gradients refer to its integrator, and the film
+    samples its border if the plan needs it.
     """
     use_variant()
     targets = checked_targets(parameters)
-    names = index_scene(scene, targets)
-    found = find_sensor(names.scene, sensor)
-    samples = checked_samples("spp", spp, max_samples(found.film()))
-    missing = _missing(names, targets, found, blur)
-    asked = {} if blur is None or blur.get("names") is None else missing
-    free = {name: target for name, target in targets.items() if name not in asked}
-    followed = AttachedParameters.of(names, free, found, lights=attached_lights, glass=attached_glass)
-    images = tuple(name for name in targets if name in missing or name in followed.without_gradient)
-    traits = traits_of(names, {name: target for name, target in targets.items() if name not in images}, found)
-    plan = plan_by_rules(traits, samples)
-    ready = bordered(scene, plan)
-    if ready is not scene:
-        names = index_scene(ready, targets)  # whose objects are others
-        found = find_sensor(names.scene, sensor)
-        followed = AttachedParameters.of(names, free, found, lights=attached_lights, glass=attached_glass)
-        traits = traits_of(names, {name: target for name, target in targets.items() if name not in images}, found)
-    options: dict[str, Any] = {"integrator": plan, "spp": spp, "sensor": sensor, "without_gradient": images}
-    own = list(names.scene.shapes())
-    moved = MovingShapes(
-        frozenset(own.index(shape) for shape in traits.moving.values() if shape in own),
-        _split_meshes(names, targets, traits.moving) if near.seams else {},
-        _stepped_shapes(names, targets, traits.moving) if near.textures else {},
-    )
-    delta = traits.lights or traits.delta_reflection or traits.delta_transmission
-    if traits.moving and not traits.media and (delta or moved.split or moved.stepped):
-        for size in (near, replace(near, mirrors=0.0)):  # rough surfaces may lack what a parameter stands for
-            try:
-                pair = _neighboured(ready, names, targets, traits, moved, size, options)
-            except ParameterError:
-                continue
-            if pair is None:
-                break
-            base, near_scene = pair
-            exchanged = {one.what: one.reason for one in near_scene.exchanges}
-            return Base(base, exchanged, near_scene.smooth, missing, followed)
-    renderer = MitsubaRenderer(names.loaded, targets, **options)
-    return Base(renderer, {}, smooth=True, missing=missing, followed=followed)
+    index = index_scene(scene, targets)
+    camera = find_sensor(index.scene, sensor)
+    samples = checked_samples("spp", spp, max_samples(camera.film()))
+    unsupported = _parameters_to_blur(index, targets, camera, blur)
+    requested = {} if blur is None or blur.get("names") is None else unsupported
+    attachable = {name: target for name, target in targets.items() if name not in requested}
+    request = _Request(targets, sensor, spp, proxy, unsupported, attachable, attached_lights, attached_glass)
+    analysis = _Analysis.of(index, request)
+    plan = plan_by_rules(analysis.traits, samples)
+    bordered = with_sampled_border(scene, plan)
+    if bordered is not scene:
+        analysis = _Analysis.of(index_scene(bordered, targets), request)  # its objects are new
+    renderer, proxy_scene = _renderer_with_proxy(bordered, analysis, request, plan)
+    if proxy_scene is None:
+        return PlanSetup(renderer, {}, has_delta_bsdf=True, unsupported=unsupported, attached=analysis.attached)
+    substitutions = {substitution.original: substitution.reason for substitution in proxy_scene.substitutions}
+    return PlanSetup(renderer, substitutions, proxy_scene.has_delta_bsdf, unsupported, analysis.attached)
 
 
-def _missing(
-    names: SceneIndex, targets: Mapping[str, ParameterTarget], sensor: Any, blur: Mapping[str, Any] | None
+def _parameters_to_blur(
+    index: SceneIndex, targets: Mapping[str, ParameterTarget], sensor: Any, blur: Mapping[str, Any] | None
 ) -> dict[str, str]:
-    """The parameters to blur, each with the reason; those that are asked for, or that have no gradient."""
+    """Return the requested parameters, or without a request the unsupported ones, each with the reason."""
     if blur is None:
         return {}
-    found = unsupported_parameters(names, targets, sensor)
+    unsupported = unsupported_parameters(index, targets, sensor)
     if blur.get("names") is None:
-        return found
-    return {name: found.get(name, "it was asked for") for name in names_to_blur(blur["names"], targets)}
+        return unsupported
+    return {name: unsupported.get(name, "`blur` names it") for name in names_to_blur(blur["names"], targets)}
 
 
-def _split_meshes(
-    called: SceneIndex, targets: Mapping[str, ParameterTarget], moving: Mapping[str, Any]
+def _renderer_with_proxy(
+    scene: Any, analysis: _Analysis, request: _Request, plan: EffectPlan
+) -> tuple[MitsubaRenderer, ProxyScene | None]:
+    """Return the renderer of a plan, and its proxy scene if it has one."""
+    index, traits = analysis.index, analysis.traits
+    options: dict[str, Any] = {
+        "integrator": plan,
+        "spp": request.spp,
+        "sensor": request.sensor,
+        "without_gradient": analysis.images_only,
+    }
+    moving = _moving_shapes(index, request.targets, traits.moving, request.proxy)
+    delta = traits.lights or traits.delta_reflection or traits.delta_transmission
+    if traits.moving and not traits.media and (delta or moving.unwelded or moving.stepped):
+        # A parameter of a smooth surface may not exist in the rough one that replaces it.
+        for settings in (request.proxy, replace(request.proxy, mirrors=0.0)):
+            try:
+                built = _proxy_renderer(scene, analysis, request, moving, settings, options)
+            except ParameterError:
+                continue
+            if built is None:
+                break
+            return built
+    return MitsubaRenderer(index.loaded, request.targets, **options), None
+
+
+def _moving_shapes(
+    index: SceneIndex, targets: Mapping[str, ParameterTarget], moving: Mapping[str, Any], settings: ProxySettings
+) -> MovingShapes:
+    shapes = list(index.scene.shapes())
+    return MovingShapes(
+        frozenset(shapes.index(shape) for shape in moving.values() if shape in shapes),
+        _unwelded_meshes(shapes, targets, moving) if settings.seams else {},
+        _stepped_shapes(index, shapes, targets, moving) if settings.textures else {},
+    )
+
+
+def _unwelded_meshes(
+    shapes: list[Any], targets: Mapping[str, ParameterTarget], moving: Mapping[str, Any]
 ) -> dict[int, Any]:
-    """By their numbers, meshes that are moved as a whole and store vertices of an edge more than once.
+    """Return by index the meshes with split vertices that move as a whole.
 
-    Not those that are smooth in part and have hard edges: shared vertices would have them smooth throughout.
+    A mesh with both smooth shading and sharp edges is left out, because welding would make it smooth throughout.
     """
-    own = list(called.scene.shapes())
-    whole = [shape for name, shape in moving.items() if not isinstance(targets[name], str)]
-    parts = [shape for name, shape in moving.items() if isinstance(targets[name], str)]
-    split = [one for one in whole if one in own and one not in parts and is_unwelded(one)]
-    return {own.index(one): one for one in split if is_flat_shaded(one) or not is_sharp_edged(one)}
+    rigid = [shape for name, shape in moving.items() if not isinstance(targets[name], str)]
+    deformed = [shape for name, shape in moving.items() if isinstance(targets[name], str)]
+    unwelded = [shape for shape in rigid if shape in shapes and shape not in deformed and is_unwelded(shape)]
+    return {shapes.index(shape): shape for shape in unwelded if is_flat_shaded(shape) or not is_sharp_edged(shape)}
 
 
 def _stepped_shapes(
-    called: SceneIndex, targets: Mapping[str, ParameterTarget], moving: Mapping[str, Any]
+    index: SceneIndex, shapes: list[Any], targets: Mapping[str, ParameterTarget], moving: Mapping[str, Any]
 ) -> dict[int, Any]:
-    """By their numbers, shapes that move and have textures with steps, of which no parameter is an entry."""
-    own = list(called.scene.shapes())
-    params = mi.traverse(called.scene)
-    entries = (called.known(target) for target in targets.values() if isinstance(target, str))
-    nodes = [one for entry in entries if entry for one in ancestors(params, params.properties[entry.key][2])]
+    """Return by index the moving shapes with stepped textures; none if a parameter belongs to such a texture."""
+    params = mi.traverse(index.scene)
+    parameters = (index.get(target) for target in targets.values() if isinstance(target, str))
+    nodes = [
+        node for parameter in parameters if parameter for node in ancestors(params, params.properties[parameter.key][2])
+    ]
     if any(is_stepped_texture(node) for node in nodes):
         return {}
-    return {own.index(one): one for one in moving.values() if one in own and has_stepped_texture(one)}
+    return {shapes.index(shape): shape for shape in moving.values() if shape in shapes and has_stepped_texture(shape)}
 
 
-def _neighboured(
+def _proxy_renderer(
     scene: Any,
-    called: SceneIndex,
-    targets: Mapping[str, ParameterTarget],
-    traits: Traits,
-    moved: MovingShapes,
-    near: ProxySettings,
+    analysis: _Analysis,
+    request: _Request,
+    moving: MovingShapes,
+    settings: ProxySettings,
     options: dict[str, Any],
 ) -> tuple[ProxyGradientRenderer, ProxyScene] | None:
-    """A scene and its neighbour, if there is something to exchange."""
-    loaded = called.loaded
-    lights = light_targets(called, targets)
-    kinds = [one.class_name() for one in delta_lights(loaded.scene)]
-    stay = [one.light for one in lights.values() if not one.can_follow(kinds[one.light])]
-    moving = traits.moving
-    around = LightContext.of(loaded.scene, moving.values(), stay)
-    sensor = find_sensor(loaded.scene, options["sensor"])
-    found = build_proxy_scene(
+    """Return a renderer with a proxy, and the proxy; None if nothing is replaced."""
+    index, traits, loaded = analysis.index, analysis.traits, analysis.index.loaded
+    lights = light_targets(index, request.targets)
+    kinds = [light.class_name() for light in delta_lights(loaded.scene)]
+    unchanged = [light.light for light in lights.values() if not light.has_proxy(kinds[light.light])]
+    proxy = build_proxy_scene(
         scene,
-        near,
-        around,
-        Frustum(sensor).overlaps,
-        moved,
-        float_textures=loaded.float_textures,
+        settings,
+        LightContext.of(loaded.scene, traits.moving.values(), unchanged),
+        Frustum(analysis.sensor).overlaps,
+        moving,
+        parse=partial(parsed_scene, float_textures=loaded.float_textures),
         unlit=traits.unlit_mirrors,
     )
-    if found is None:
+    if proxy is None:
         return None
-    start = ParameterBinding(called, targets, options["without_gradient"]).start
-    exchanged = proxy_targets(lights, found, called, start)
-    still = all(one.is_power for name, one in lights.items() if name not in options["without_gradient"])
-    only_shadows = still and all(one.only_shadows for one in found.exchanges)
-    base = ProxyGradientRenderer(
+    start = ParameterBinding(index, request.targets, analysis.images_only).start
+    # The scene itself has the gradients of lights at rest; a moving light has them from the proxy.
+    lights_at_rest = all(light.is_intensity for name, light in lights.items() if name not in analysis.images_only)
+    renderer = ProxyGradientRenderer(
         loaded,
-        targets,
-        proxy=found.loaded,
-        moving=moving,
-        exchanged=exchanged,
-        only_shadows=only_shadows,
+        request.targets,
+        proxy=LoadedScene(proxy.scene, not isinstance(scene, mi.Scene), loaded.float_textures),
+        moving=traits.moving,
+        replaced_targets=proxy_targets(lights, proxy, index, start),
+        only_shadows=lights_at_rest and all(substitution.only_shadows for substitution in proxy.substitutions),
         **options,
     )
-    return base, found
+    return renderer, proxy

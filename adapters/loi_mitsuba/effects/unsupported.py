@@ -1,4 +1,4 @@
-"""Which parameters have no gradient in Mitsuba that is of use, and why: those that images alone have to tell of."""
+"""Find parameters with no usable gradient in Mitsuba; they are estimated from blurred images instead."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Any
 
 import mitsuba as mi
 
+from loi_mitsuba.attached.dielectrics import is_clear_glass
 from loi_mitsuba.diagnostics import (
     has_inverted_normals,
     is_near_clipped,
@@ -16,74 +17,81 @@ from loi_mitsuba.diagnostics import (
 )
 from loi_mitsuba.effects.traits import is_known, kind_of
 from loi_mitsuba.scene.load import ParameterTarget
-from loi_mitsuba.scene.parameters import INSTANCE, SceneIndex, is_instance
-from loi_mitsuba.scene.queries import has_medium, is_clear_glass
+from loi_mitsuba.scene.parameters import INSTANCE_PROBLEM, SceneIndex, is_instance
+from loi_mitsuba.scene.queries import has_medium
 
 __all__ = ["unsupported_parameters"]
 
 
-def unsupported_parameters(called: SceneIndex, targets: Mapping[str, ParameterTarget], sensor: Any) -> dict[str, str]:
-    """The parameters without a gradient, each with the reason in a line.
+def unsupported_parameters(index: SceneIndex, targets: Mapping[str, ParameterTarget], sensor: Any) -> dict[str, str]:
+    """Return the parameters without a usable gradient, each with a reason in one line.
 
-    Entries that can be set and have no gradient; cameras and lights without a surface that move; and shapes that move
-    where Mitsuba misses most of what changes, or finds it with too much noise.
+    They are entries that can be set and have no gradient, moving cameras and delta lights, and moving shapes whose
+    gradient in Mitsuba is mostly missing or too noisy.
     """
-    medium = has_medium(called.scene)
-    found = {}
+    medium = has_medium(index.scene)
+    reasons = {}
     for name, target in targets.items():
         if isinstance(target, str):
-            entry = called.known(target)
-            if entry is None:
-                continue  # which is told when it is looked for
-            if entry.problem and entry.settable:
-                found[name] = entry.problem.partition(";")[0]
+            parameter = index.get(target)
+            if parameter is None:
+                continue  # SceneIndex.find raises for it
+            if parameter.problem and parameter.settable:
+                reasons[name] = parameter.problem.partition(";")[0]
                 continue
-            if why := unsupported_parameter(called, target):
-                found[name] = why
+            if reason := unsupported_parameter(index, target):
+                reasons[name] = reason
                 continue
-            node = called.moved_by(entry)
+            node = index.moved_shape(parameter)
         else:
-            node = called.find_movable(target.shape)[1]
-        whole = not isinstance(target, str)
-        reason = "" if node is None else _of_moving(node, called.scene, sensor, medium=medium, whole=whole)
+            node = index.find_movable(target.shape)[1]
+        rigid = not isinstance(target, str)
+        reason = "" if node is None else _unsupported_motion(node, index.scene, sensor, medium=medium, rigid=rigid)
         if reason:
-            found[name] = reason
-    return found
+            reasons[name] = reason
+    return reasons
 
 
-def _of_moving(node: Any, scene: Any, sensor: Any, *, medium: bool, whole: bool) -> str:
-    """Why moving an object, as a whole or by its vertices, has no gradient; empty if it has one, or one is off.
+def _unsupported_motion(node: Any, scene: Any, sensor: Any, *, medium: bool, rigid: bool) -> str:
+    """Return why moving an object has no usable gradient; empty if it has one.
 
-    What is off by vertices is told of in a warning: there are too many of them to blur.
+    Parameters
+    ----------
+    node, scene, sensor
+    medium : bool
+        Whether the scene has a medium.
+    rigid : bool
+        Whether the object moves as a whole. Wrong gradients of single vertices cause a warning instead, because there
+        are too many vertices to blur.
     """
     if isinstance(node, mi.Sensor):
-        return "it moves a camera, by which Mitsuba has no gradient"
+        return "it moves a camera, for which Mitsuba has no gradient"
     if isinstance(node, mi.Emitter):
-        return f"it moves a {node.class_name()}, by which Mitsuba's gradient is missing or wrong"
+        return f"it moves a {node.class_name()}, for which Mitsuba's gradient is missing or wrong"
     if is_instance(node):
-        return INSTANCE
+        return INSTANCE_PROBLEM
     if is_clear_glass(node):
-        return "it moves clear glass, and what that bends light to has next to no gradient in Mitsuba"
+        return "it moves clear glass, whose refractions have hardly any gradient in Mitsuba"
     if node not in scene.shapes():
         return "it moves a shape of a shapegroup, whose outlines and shadows have no gradient in Mitsuba"
-    if whole and is_partly_transparent(node):
-        return "it moves a shape that light goes straight through in part, and Mitsuba has no gradient of cutouts"
-    if whole and has_inverted_normals(node, sensor):
-        return "it moves a shape whose normals point inwards, of which Mitsuba misses the shadow"
-    if whole and is_non_manifold(node):
-        return "it moves a mesh at whose edges several triangles meet, and Mitsuba counts such an edge several times"
-    if whole and is_near_clipped(scene, sensor):
-        return "it moves a shape before a near clipping plane that cuts something away, which Mitsuba takes for opaque"
+    if rigid and is_partly_transparent(node):
+        return "it moves a partly transparent shape, and Mitsuba has no gradient of cutouts"
+    if rigid and has_inverted_normals(node, sensor):
+        return "it moves a shape with inverted normals, whose shadow has no gradient in Mitsuba"
+    if rigid and is_non_manifold(node):
+        return "it moves a mesh with non-manifold edges, whose gradient Mitsuba counts several times"
+    if rigid and is_near_clipped(scene, sensor):
+        return "it moves a shape in front of a near clipping plane that cuts a shape, which Mitsuba takes for opaque"
     if medium:
-        return "it moves a shape where there is a medium, in which outlines and shadows have no gradient in Mitsuba"
+        return "it moves a shape in a scene with a medium, where outlines and shadows have no gradient in Mitsuba"
     if sensor.class_name() != "PerspectiveCamera":
         kind = sensor.class_name()
-        return f"it moves a shape, and Mitsuba has no gradient of outlines for the camera, which is of type {kind}"
-    if any(one.class_name() == "DirectionalArea" for one in scene.emitters()):
-        return (
-            "it moves a shape where a DirectionalArea shines, and Mitsuba has no gradient of outlines and shadows there"
-        )
-    own = scene.integrator()
-    if whole and not is_known(kind_of(own)) and not hasattr(own, "sppp"):  # who has outlines counts their samples
-        return f"it moves a shape, and an integrator of type {own.class_name()} has no gradient of outlines and shadows"
+        return f"it moves a shape, and Mitsuba has no gradient of outlines for a camera of type {kind}"
+    if any(emitter.class_name() == "DirectionalArea" for emitter in scene.emitters()):
+        return "it moves a shape under a DirectionalArea, where Mitsuba has no gradient of outlines and shadows"
+    integrator = scene.integrator()
+    has_boundary_terms = hasattr(integrator, "sppp")
+    if rigid and not is_known(kind_of(integrator)) and not has_boundary_terms:
+        kind = integrator.class_name()
+        return f"it moves a shape, and an integrator of type {kind} has no gradient of outlines and shadows"
     return ""

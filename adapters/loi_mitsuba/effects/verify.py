@@ -1,4 +1,4 @@
-"""A plan beside everything on: what a step takes, and how far apart the gradients are."""
+"""Compare a plan with all effects on: the time of a step, and the gradient of the loss."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import statistics
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 from loi_core.effects import Comparison, Draws, compare
 from loi_core.errors import OptionError
@@ -17,19 +17,19 @@ from loi_core.support.wording import shown
 
 __all__ = ["Verification", "step_draws", "steps_in_turn", "verification"]
 
-FEWEST: int = 3
+MIN_DRAWS: Final = 3
 
 
 @dataclass(frozen=True)
 class Verification:
-    """How a plan does beside everything on, without guiding.
+    """A plan compared with all effects on, without guiding.
 
     Attributes
     ----------
     seconds, full_seconds : float
-        Median time of image, loss and gradient, of the plan and of everything on.
+        Median time of image, loss and gradient, for the plan and for all effects.
     gradient : Comparison
-        Of the gradient of the loss.
+        The two gradients of the loss.
     """
 
     seconds: float
@@ -37,14 +37,15 @@ class Verification:
     gradient: Comparison
 
     def __str__(self) -> str:
-        """Two lines for a person."""
-        one = self.gradient
-        silent = f"; lost in noise: {', '.join(one.silent)}" if one.silent else ""
+        """Summarise the comparison in two lines."""
+        gradient = self.gradient
+        silent = f"; lost in noise: {', '.join(gradient.silent)}" if gradient.silent else ""
         return (
             f"step {1e3 * self.seconds:.3g} ms, everything on {1e3 * self.full_seconds:.3g} ms: "
             f"{self.full_seconds / self.seconds:.3g} times as fast\n"
-            f"gradient: cosine {one.cosine:.4f} +- {one.cosine_error:.4f}, norm ratio {one.ratio:.3f} +- "
-            f"{one.ratio_error:.3f}, noise of a draw {one.noise:.2g} against {one.wanted_noise:.2g}{silent}"
+            f"gradient: cosine {gradient.cosine:.4f} +- {gradient.cosine_error:.4f}, "
+            f"norm ratio {gradient.ratio:.3f} +- {gradient.ratio_error:.3f}, "
+            f"noise of a draw {gradient.noise:.2g} against {gradient.wanted_noise:.2g}{silent}"
         )
 
 
@@ -58,7 +59,7 @@ def verification(
     draws: int,
     seed: int,
 ) -> Verification:
-    """Measure; see :meth:`loi_mitsuba.PlannedRenderer.verify`.
+    """Compare two renderers; see :meth:`loi_mitsuba.PlannedRenderer.verify`.
 
     Raises
     ------
@@ -66,12 +67,12 @@ def verification(
         If `draws` is less than 3.
     """
     number = whole_number(draws)
-    if number is None or number < FEWEST:
-        msg = f"`draws` must be a whole number, {FEWEST} or more, got {shown(draws)}"
+    if number is None or number < MIN_DRAWS:
+        msg = f"`draws` must be a whole number, {MIN_DRAWS} or more, got {shown(draws)}"
         raise OptionError(msg)
     seeds = range(seed, seed + number), range(seed + number, seed + 2 * number)
-    found, wanted = step_draws((planned, full), objective, params, groups, seeds)
-    return Verification(found.seconds, wanted.seconds, compare(found, wanted))
+    plan_draws, full_draws = step_draws((planned, full), objective, params, groups, seeds)
+    return Verification(plan_draws.seconds, full_draws.seconds, compare(plan_draws, full_draws))
 
 
 def step_draws(
@@ -81,31 +82,39 @@ def step_draws(
     groups: Sequence[Sequence[str]],
     seeds: Sequence[Sequence[int]],
 ) -> list[Draws]:
-    """Gradients of the loss as the steps of a fit see them, each of its own image, and the median time of a step.
+    """Return for each renderer the gradients that the steps of a fit use, and the median time of a step.
 
-    The renderers are drawn as in :func:`steps_in_turn`, each with its own `seeds`.
+    Arguments as for :func:`steps_in_turn`; gradients are grouped by `groups`.
     """
     names = [name for group in groups for name in group]
     return [
-        Draws.of([{name: one[name] for name in names} for one in drawn], seconds).grouped(groups)
-        for drawn, seconds in steps_in_turn(renderers, objective, params, seeds)
+        Draws.of([{name: gradient[name] for name in names} for gradient in gradients], seconds).grouped(groups)
+        for gradients, seconds in steps_in_turn(renderers, objective, params, seeds)
     ]
 
 
 def steps_in_turn(
     renderers: Sequence[Renderer], objective: Objective, params: Mapping[str, Any], seeds: Sequence[Sequence[int]]
 ) -> list[tuple[list[Mapping[str, Any]], float]]:
-    """For each renderer the gradients of a step at each of its seeds, as many for all, and the median time of a step.
+    """Return for each renderer the gradient of a step at each of its seeds, and the median time of a step.
 
-    They take turns, so that whatever slows the machine down hits all alike. The first step, which may compile, is drawn
-    twice and not timed.
+    The renderers take turns, so that a slow phase of the machine affects all alike. The first step, which may include
+    the compilation of kernels, is repeated and not timed.
+
+    Parameters
+    ----------
+    renderers : sequence of Renderer
+    objective : Objective
+    params : mapping of arrays
+    seeds : sequence of sequence of int
+        As many seeds for each renderer.
     """
-    drawn: list[list[Mapping[str, Any]]] = [[] for _ in renderers]
+    gradients: list[list[Mapping[str, Any]]] = [[] for _ in renderers]
     times: list[list[float]] = [[] for _ in renderers]
-    for turn in (0, *range(len(seeds[0]))):
+    for number in (0, *range(len(seeds[0]))):
         for index, renderer in enumerate(renderers):
             begin = time.perf_counter()
-            image, pullback = renderer.render_vjp(dict(params), seed=seeds[index][turn])
-            drawn[index].append(pullback(objective.value_and_grad(image)[1]))
+            image, pullback = renderer.render_vjp(dict(params), seed=seeds[index][number])
+            gradients[index].append(pullback(objective.value_and_grad(image)[1]))
             times[index].append(time.perf_counter() - begin)
-    return [(kept[1:], statistics.median(spent[1:])) for kept, spent in zip(drawn, times, strict=True)]
+    return [(drawn[1:], statistics.median(seconds[1:])) for drawn, seconds in zip(gradients, times, strict=True)]

@@ -1,7 +1,7 @@
-"""The surface that stands in a neighbouring scene for a perfectly smooth one, where lights have no size.
+"""A rough BSDF that replaces a perfectly smooth one in proxy scenes with delta lights.
 
-A rough surface reflects light that comes straight from such a light; a smooth one does not, for no path finds it. What
-stands for it is rough, and looks for light as a smooth one does: only by the direction in which a ray is reflected.
+A smooth surface shows no delta light, because no path can hit one; a rough surface reflects its emitter samples. This
+BSDF is rough, but its glossy lobes are hidden from emitter sampling.
 """
 
 from __future__ import annotations
@@ -14,25 +14,25 @@ import mitsuba as mi
 
 __all__ = ["register_proxy_bsdf"]
 
-NAME: Final = "loi_mirror"
+NAME: Final = "proxy_bsdf"
 
 
 def register_proxy_bsdf() -> str:
-    """Have the current variant of Mitsuba know the surface; its name."""
+    """Register the plugin with Mitsuba's current variant and return its name."""
     _register(mi.variant())
     return NAME
 
 
 @functools.cache
-def _register(variant: str) -> None:  # noqa: ARG001  # once for each
-    """Register the surface. Its class is made here, for those that it derives from and uses are the variant's own."""
+def _register(variant: str) -> None:  # noqa: ARG001  # once for each variant
+    """Register the plugin. Its class is defined here, because the classes that it uses are the variant's own."""
     flags = mi.BSDFFlags
 
-    class Mirror(mi.BSDF):  # type: ignore[misc]  # Mitsuba has no types
-        """A rough surface, `rough`, whose glossy lobes lamps are not sampled for.
+    class ProxyBSDF(mi.BSDF):  # type: ignore[misc]  # Mitsuba has no types
+        """The BSDF `rough`, with glossy lobes that are hidden from emitter sampling.
 
-        Mitsuba's integrators sample lamps by `eval_pdf`, which has only the other lobe if there is one. Directions that
-        are drawn from a glossy lobe are told to be the only ones, as those of a smooth surface are.
+        Mitsuba's integrators weight emitter samples by `eval_pdf`, which here has only the other lobe, if there is one.
+        Samples of a glossy lobe are flagged as delta samples, so that they are not weighted against emitter samples.
         """
 
         def __init__(self, props: Any) -> None:
@@ -40,9 +40,11 @@ def _register(variant: str) -> None:  # noqa: ARG001  # once for each
             self.rough = props["rough"]
             self.m_components = [self.rough.flags(number) for number in range(self.rough.component_count())]
             self.m_flags = self.rough.flags()
-            glossy = [bool(int(one) & int(flags.Glossy)) for one in self.m_components]
-            self.glossy = tuple(number for number, one in enumerate(glossy) if one)
-            self.other = next((number for number, one in enumerate(glossy) if not one), None)  # that of plastic
+            glossy = [bool(int(component) & int(flags.Glossy)) for component in self.m_components]
+            self.glossy = tuple(number for number, is_glossy in enumerate(glossy) if is_glossy)
+            self.diffuse = next(
+                (number for number, is_glossy in enumerate(glossy) if not is_glossy), None
+            )  # of plastic
 
         def traverse(self, callback: Any) -> None:
             self.rough.traverse(callback)
@@ -50,17 +52,19 @@ def _register(variant: str) -> None:  # noqa: ARG001  # once for each
         def parameters_changed(self, keys: Any) -> None:
             self.rough.parameters_changed(keys)
 
-        def sample(self, context: Any, si: Any, first: Any, second: Any, active: Any) -> tuple[Any, Any]:
-            if self.other is None:
-                sample, weight = self.rough.sample(context, si, first, second, active)
-                return _single(sample), weight
-            of_glossy, of_other = _only(context, self.glossy[0]), _only(context, self.other)
-            reflects = first < 0.5
-            sample, weight = self.rough.sample(of_glossy, si, 2.0 * first, second, active & reflects)
-            other, other_weight = self.rough.sample(of_other, si, 2.0 * first - 1.0, second, active & ~reflects)
-            drawn = dr.select(reflects, _single(sample), other)
-            drawn.pdf *= 0.5
-            return drawn, 2.0 * dr.select(reflects, weight, other_weight)
+        def sample(self, context: Any, si: Any, sample1: Any, sample2: Any, active: Any) -> tuple[Any, Any]:
+            if self.diffuse is None:
+                sample, weight = self.rough.sample(context, si, sample1, sample2, active)
+                return _flagged_as_delta(sample), weight
+            glossy_context, diffuse_context = _only(context, self.glossy[0]), _only(context, self.diffuse)
+            is_glossy = sample1 < 0.5
+            glossy, glossy_weight = self.rough.sample(glossy_context, si, 2.0 * sample1, sample2, active & is_glossy)
+            diffuse, diffuse_weight = self.rough.sample(
+                diffuse_context, si, 2.0 * sample1 - 1.0, sample2, active & ~is_glossy
+            )
+            sample = dr.select(is_glossy, _flagged_as_delta(glossy), diffuse)
+            sample.pdf *= 0.5
+            return sample, 2.0 * dr.select(is_glossy, glossy_weight, diffuse_weight)
 
         def eval(self, context: Any, si: Any, wo: Any, active: Any) -> Any:
             return self.rough.eval(context, si, wo, active)
@@ -69,24 +73,23 @@ def _register(variant: str) -> None:  # noqa: ARG001  # once for each
             return self.eval_pdf(context, si, wo, active)[1]
 
         def eval_pdf(self, context: Any, si: Any, wo: Any, active: Any) -> tuple[Any, Any]:
-            if self.other is None:
+            if self.diffuse is None:
                 return mi.Spectrum(0.0), mi.Float(0.0)
-            value, pdf = self.rough.eval_pdf(_only(context, self.other), si, wo, active)
+            value, pdf = self.rough.eval_pdf(_only(context, self.diffuse), si, wo, active)
             return value, 0.5 * pdf
 
         def to_string(self) -> str:
-            return f"Mirror[{self.rough}]"
+            return f"ProxyBSDF[{self.rough}]"
 
-    def _single(sample: Any) -> Any:
-        """A sample that is said to be of a single direction."""
-        through = mi.has_flag(sample.sampled_type, flags.GlossyTransmission)
-        kinds = (mi.UInt32(int(one)) for one in (flags.DeltaTransmission, flags.DeltaReflection))
-        sample.sampled_type = dr.select(through, *kinds)
+    def _flagged_as_delta(sample: Any) -> Any:
+        transmitted = mi.has_flag(sample.sampled_type, flags.GlossyTransmission)
+        types = (mi.UInt32(int(flag)) for flag in (flags.DeltaTransmission, flags.DeltaReflection))
+        sample.sampled_type = dr.select(transmitted, *types)
         return sample
 
     def _only(context: Any, number: int) -> Any:
-        one = mi.BSDFContext(context.mode)
-        one.component = number
-        return one
+        restricted = mi.BSDFContext(context.mode)
+        restricted.component = number
+        return restricted
 
-    mi.register_bsdf(NAME, lambda props: Mirror(props))
+    mi.register_bsdf(NAME, lambda props: ProxyBSDF(props))

@@ -1,1 +1,1 @@
-"""Proxy scenes, which have gradients where the scene itself has none."""
+"""Proxy scenes: substitutes with gradients for the parts of a scene without gradients."""

@@ -1,4 +1,4 @@
-"""What is around the things that move in a scene: where they are, and the lights without a size."""
+"""The delta lights of a scene, and the size that a small area light in place of one may have."""
 
 from __future__ import annotations
 
@@ -14,112 +14,115 @@ import numpy as np
 from loi_mitsuba.drjit.arrays import Float64Array
 from loi_mitsuba.geometry.bounds import bounding_box
 
-__all__ = ["KINDS", "LightContext", "delta_lights", "light_intensity", "light_position"]
+__all__ = ["DELTA_LIGHTS", "LightContext", "delta_lights", "light_intensity", "light_position"]
 
-
-KINDS: Final = {"PointLight": "point", "SpotLight": "spot", "DirectionalEmitter": "directional"}
-PLACES: Final = 64  # of a lamp, from which what moves is seen or hidden
-OPEN: Final = 0.9  # of them, that see it if the light does; if that does not, none may
+DELTA_LIGHTS: Final = {"PointLight": "point", "SpotLight": "spot", "DirectionalEmitter": "directional"}
+SURFACE_POINTS: Final = 64  # of a proxy light, for tests of visibility
+MIN_VISIBLE_FRACTION: Final = 0.9  # of the surface points if the light itself sees a point; otherwise none may
 
 
 @dataclass(frozen=True)
 class LightContext:
-    """Where things move, and what lights there are.
+    """The moving shapes and the delta lights of a scene.
 
     Attributes
     ----------
     boxes : array, shape (n, 2, 3)
-        Lowest and highest corners of what moves.
-    middle : array, shape (3,)
-        Of the whole scene.
+        Bounding boxes of the moving shapes.
+    centre : array, shape (3,)
+        Centre of the scene.
     radius : float
-        Of a sphere around the whole scene.
-    powers : tuple of array or None
-        Intensity or irradiance of each light without a size, as red, green and blue; None where it is not known, or the
-        light is to stay as it is.
+        Radius of the bounding sphere of the scene.
+    intensities : tuple of array or None
+        RGB intensity or irradiance of each delta light; None if it is unknown, or the light must not be replaced.
     scene : mi.Scene
-        What there is.
     """
 
     boxes: Float64Array
-    middle: Float64Array
+    centre: Float64Array
     radius: float
-    powers: tuple[Float64Array | None, ...]
+    intensities: tuple[Float64Array | None, ...]
     scene: Any
 
     @classmethod
-    def of(cls, scene: Any, moving: Iterable[Any], stay: Iterable[int] = ()) -> LightContext:
-        """Of a loaded scene, the shapes that move in it, and the numbers of lights that are to stay as they are."""
-        boxes = np.array([bounding_box(one) for one in moving])
+    def of(cls, scene: Any, moving: Iterable[Any], unchanged: Iterable[int] = ()) -> LightContext:
+        """Describe a loaded scene with these moving shapes; the lights with indices `unchanged` are not replaced."""
+        boxes = np.array([bounding_box(shape) for shape in moving])
         low, high = bounding_box(scene)
-        kept = set(stay)
-        powers = tuple(None if k in kept else light_intensity(one) for k, one in enumerate(delta_lights(scene)))
-        return cls(boxes, 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low)), powers, scene)
+        excluded = set(unchanged)
+        intensities = tuple(
+            None if number in excluded else light_intensity(light) for number, light in enumerate(delta_lights(scene))
+        )
+        return cls(boxes, 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low)), intensities, scene)
+
+    @property
+    def smallest_half_size(self) -> float:
+        """Half the longest side of the smallest bounding box."""
+        return 0.5 * float(np.min(np.max(self.boxes[:, 1] - self.boxes[:, 0], axis=1)))
 
     def distance(self, point: Float64Array) -> float:
-        """From a point to the nearest box, or if it is within one, to that one's middle."""
-        outside = np.maximum(np.maximum(self.boxes[:, 0] - point, point - self.boxes[:, 1]), 0.0)
-        away = np.linalg.norm(outside, axis=1)
-        middles = np.linalg.norm(self.boxes.mean(axis=1) - point, axis=1)
-        return float(np.min(np.where(away > 0.0, away, middles)))
+        """Return the distance from a point to the nearest box; from within a box, the distance to its centre."""
+        offsets = np.maximum(np.maximum(self.boxes[:, 0] - point, point - self.boxes[:, 1]), 0.0)
+        distances = np.linalg.norm(offsets, axis=1)
+        to_centres = np.linalg.norm(self.boxes.mean(axis=1) - point, axis=1)
+        return float(np.min(np.where(distances > 0.0, distances, to_centres)))
 
-    def fits(self, point: Float64Array, radius: float) -> bool:
-        """Whether a sphere at a light sees what moves where the light does, and does not where that has a shade."""
-        turns = np.arange(PLACES) * math.pi * (3.0 - math.sqrt(5.0))
-        away = np.sqrt((np.arange(PLACES) + 0.5) / PLACES)
-        disk = radius * np.stack([away * np.cos(turns), away * np.sin(turns)], axis=1)
+    def preserves_visibility(self, point: Float64Array, radius: float) -> bool:
+        """Return whether a sphere at a light sees the moving shapes where the light does, and only there.
+
+        A light in a shade does not see through the shade; a larger sphere may reach beyond it.
+        """
+        numbers = np.arange(SURFACE_POINTS)
+        angles = numbers * math.pi * (3.0 - math.sqrt(5.0))  # golden angle
+        radii = np.sqrt((numbers + 0.5) / SURFACE_POINTS)
+        disk = radius * np.stack([radii * np.cos(angles), radii * np.sin(angles)], axis=1)
         for low, high in self.boxes:
-            middle, reach = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
-            before = float(np.linalg.norm(middle - point)) - reach  # from there on, it may be what moves itself
-            if before <= 0.0:
+            centre, half_diagonal = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
+            clearance = float(np.linalg.norm(centre - point)) - half_diagonal  # beyond it, the moving shape may be hit
+            if clearance <= 0.0:
                 continue
-            towards = (middle - point) / np.linalg.norm(middle - point)
-            across = np.linalg.svd(towards[None, :])[2][1:]
-            bulge = np.sqrt(radius**2 - np.sum(disk**2, axis=1))  # of the side of the sphere that is turned there
-            origins = np.concatenate([point[None, :], point + disk @ across + bulge[:, None] * towards])
-            room = before - np.append(0.0, bulge)
+            forward = (centre - point) / np.linalg.norm(centre - point)
+            tangents = np.linalg.svd(forward[None, :])[2][1:]
+            heights = np.sqrt(radius**2 - np.sum(disk**2, axis=1))  # of the hemisphere that faces the shape
+            origins = np.concatenate([point[None, :], point + disk @ tangents + heights[:, None] * forward])
+            limits = clearance - np.append(0.0, heights)
             corners = low + (high - low) * np.indices((2, 2, 2)).reshape(3, 8).T
-            for goal in (middle, *corners):
-                hidden = _first_hit(self.scene, origins, goal) < room
-                if not (np.all(hidden) if hidden[0] else np.mean(~hidden) >= OPEN):
+            for target in (centre, *corners):
+                hidden = _first_hit(self.scene, origins, target) < limits
+                if not (np.all(hidden) if hidden[0] else np.mean(~hidden) >= MIN_VISIBLE_FRACTION):
                     return False
         return True
 
-    @property
-    def least(self) -> float:
-        """Half the longest side of the smallest box."""
-        return 0.5 * float(np.min(np.max(self.boxes[:, 1] - self.boxes[:, 0], axis=1)))
-
 
 def delta_lights(scene: Any) -> list[Any]:
-    """The lights without a size that can be exchanged, in the scene's order."""
-    return [one for one in scene.emitters() if one.class_name() in KINDS]
+    """Return the delta lights that a proxy can replace, in the scene's order."""
+    return [emitter for emitter in scene.emitters() if emitter.class_name() in DELTA_LIGHTS]
 
 
 def light_position(light: Any) -> Float64Array:
-    """Where a light without a size is, shape (3,); of a directional light, nowhere that means anything."""
+    """Return the position of a point or spot light, shape (3,); it has no meaning for a directional light."""
     params = mi.traverse(light)
-    told = params["position"] if "position" in params else params["to_world"].translation()
-    return np.array(told, dtype=np.float64).reshape(3)
+    position = params["position"] if "position" in params else params["to_world"].translation()
+    return np.array(position, dtype=np.float64).reshape(3)
 
 
-def _first_hit(scene: Any, origins: Float64Array, goal: Float64Array) -> Float64Array:
-    """How far away the first surface is on the ways from points, shape (n, 3), to one; infinite where there is none."""
-    ways = goal - origins
-    ways /= np.linalg.norm(ways, axis=1, keepdims=True)
-    ray = mi.Ray3f(mi.Point3f(origins.astype(np.float32).T), mi.Vector3f(ways.astype(np.float32).T))
+def _first_hit(scene: Any, origins: Float64Array, target: Float64Array) -> Float64Array:
+    """Return the distance to the first hit from origins, shape (n, 3), towards a point; infinite without a hit."""
+    directions = target - origins
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    ray = mi.Ray3f(mi.Point3f(origins.astype(np.float32).T), mi.Vector3f(directions.astype(np.float32).T))
     with dr.suspend_grad():
         return np.array(scene.ray_intersect_preliminary(ray).t, dtype=np.float64)
 
 
 def light_intensity(light: Any) -> Float64Array | None:
-    """Intensity or irradiance of a light of one colour in all directions, shape (3,); None for others, and spectra."""
+    """Return the RGB intensity or irradiance of a delta light, shape (3,); None if it is textured or a spectrum."""
     if mi.is_spectral:
         return None
     params = mi.traverse(light)
-    power = "irradiance" if KINDS[light.class_name()] == "directional" else "intensity"
+    quantity = "irradiance" if DELTA_LIGHTS[light.class_name()] == "directional" else "intensity"
     textured = "texture.data" in params
-    if f"{power}.value" not in params or textured:
+    if f"{quantity}.value" not in params or textured:
         return None
-    value = np.array(params[f"{power}.value"], dtype=np.float64).reshape(-1)
+    value = np.array(params[f"{quantity}.value"], dtype=np.float64).reshape(-1)
     return np.resize(value, 3) if value.size in (1, 3) else None

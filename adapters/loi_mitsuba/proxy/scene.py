@@ -1,66 +1,68 @@
-"""A scene next to the one that is fitted, with gradients where Mitsuba has none: small lamps instead of points.
+"""Build a proxy scene, which has gradients where the scene itself has none.
 
-The image is that of the scene as it is. Only the gradient by what moves is taken from the neighbour, which differs from
-the scene by just enough: hardly any ray hits a point light, but a small sphere has an outline behind which rays that
-graze a shape find light or none; where a mesh stores the vertices of an edge twice, its triangles share them; and where
-a texture has steps, it has ramps.
+The image is always rendered from the scene itself; only gradients of moving shapes come from the proxy, which differs
+as little as possible. Rays cannot hit a point light, but they can hit a small sphere, whose visibility from a surface
+changes continuously as an occluder moves. Meshes that store their edges twice are welded, and textures with steps have
+ramps.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, fields, replace
-from typing import Any
+from numbers import Real
+from typing import Any, Final, TypeAlias
 
 import mitsuba as mi
 import numpy as np
 
-from loi_core.errors import OptionError
-from loi_core.support.values import real_number
-from loi_core.support.wording import shown
 from loi_mitsuba.geometry.mesh import weld_vertices
-from loi_mitsuba.proxy.light_size import KINDS, LightContext, delta_lights, light_intensity
+from loi_mitsuba.proxy.light_size import DELTA_LIGHTS, LightContext, delta_lights, light_intensity
 from loi_mitsuba.proxy.substitutions import (
-    LAMP,
-    LIGHT,
-    ROUGH,
+    LIGHT_ID,
+    PROXY_EMITTER_ID,
+    ROUGH_BSDFS,
     Substitution,
-    interpolate_textures,
+    nodes_of_shape,
     substitute_light,
     substitute_surface,
-    welding_of,
+    substitute_textures,
+    welding,
 )
-from loi_mitsuba.scene.load import LoadedScene, SceneLoadError, parsed_scene
-from loi_mitsuba.scene.queries import parts_of
 
-__all__ = ["MovingShapes", "ProxyScene", "ProxySettings", "build_proxy_scene"]
+__all__ = ["MovingShapes", "ProxyScene", "ProxySettings", "SceneParser", "build_proxy_scene"]
+
+SceneParser: TypeAlias = Callable[[Any], AbstractContextManager[tuple[Any, Any]]]
+"""Opens a dict or a path as the configuration and state of Mitsuba's parser; raises ValueError if Mitsuba fails."""
+
+MAX_SIZE: Final = 0.5  # of lights and roughness
 
 
 @dataclass(frozen=True)
 class ProxySettings:
-    """How far the neighbouring scene may be from the scene itself; 0 leaves what it is about as it is.
+    """How far the proxy scene may differ from the scene; 0 or False keeps what it is about.
 
     Attributes
     ----------
     lights : float
-        Radius of the sphere that stands for a point or spot light, over its distance from what moves, though no larger
-        than twice the least of that; and half the angle, in radians, of the disk that stands for a directional light.
-        0 to 0.5. A shadow is blurred by about its distance from what casts it, times this; a smaller lamp is hit by
-        fewer rays, and its gradient noisier.
+        Radius of the sphere in place of a point or spot light over its distance from the moving shapes, at most the
+        longest side of the smallest one; half the angle, in radians, of the disk in place of a directional light.
+        0 to 0.5. A shadow is blurred by about its distance from the occluder times this value. A smaller light is hit
+        by fewer rays, and its gradient is noisier.
     mirrors : float
-        Roughness (`alpha`) of what stands for perfect mirrors, smooth plastic and clear glass. 0 to 0.5. A mirror or
-        plastic that moves is six times as rough, at most 1, since the noise of its gradient grows steeply as it gets
-        smoother.
+        Roughness (`alpha`) in place of perfect mirrors, smooth plastic and clear glass. 0 to 0.5. A moving mirror or
+        plastic is six times as rough, at most 1, because the noise of its gradient grows steeply as it gets smoother.
     seams : bool
-        Whether the triangles of meshes that move share the vertices at one place. Along the seams of a texture,
-        triangles may then show another part of it.
+        Whether coincident vertices of moving meshes are welded. Along the seams of a texture, triangles may then show
+        another region of it.
     textures : bool
-        Whether checkerboards, and bitmaps that are not interpolated, are interpolated on what moves.
+        Whether checkerboards and bitmaps of filter type "nearest" are interpolated on moving shapes.
 
     Raises
     ------
-    OptionError
-        If a value is out of its range.
+    ValueError
+        If a value is out of range.
     """
 
     lights: float = 0.1
@@ -70,190 +72,195 @@ class ProxySettings:
 
     def __post_init__(self) -> None:
         for name in ("lights", "mirrors"):
-            value = real_number(getattr(self, name))
-            if not 0.0 <= value <= 0.5:
-                msg = f"`proxy.{name}` must be 0 to 0.5, got {shown(getattr(self, name))}"
-                raise OptionError(msg)
+            value = getattr(self, name)
+            if not isinstance(value, Real) or isinstance(value, bool) or not 0.0 <= float(value) <= MAX_SIZE:
+                msg = f"`proxy.{name}` must be 0 to {MAX_SIZE:g}, got {value!r}"
+                raise ValueError(msg)
         for name in ("seams", "textures"):
             if not isinstance(getattr(self, name), bool):
-                msg = f"`proxy.{name}` must be true or false, got {shown(getattr(self, name))}"
-                raise OptionError(msg)
+                msg = f"`proxy.{name}` must be true or false, got {getattr(self, name)!r}"
+                raise ValueError(msg)
 
     @classmethod
     def of(cls, value: object) -> ProxySettings:
-        """From settings, a table of them, or None for no exchange at all."""
+        """Return settings as they are, from a table of them, or for None those that replace nothing."""
         if isinstance(value, ProxySettings):
             return value
         if value is None:
             return cls(0.0, 0.0, seams=False, textures=False)
-        names = [one.name for one in fields(cls)]
+        names = [setting.name for setting in fields(cls)]
         if not isinstance(value, Mapping) or set(value) - set(names):
-            msg = f"`proxy` must be a ProxySettings, None, or a table of {', '.join(names)}, got {shown(value)}"
-            raise OptionError(msg)
+            msg = f"`proxy` must be a ProxySettings, None, or a table of {', '.join(names)}, got {value!r}"
+            raise ValueError(msg)
         return cls(**value)
 
 
 @dataclass(frozen=True)
 class ProxyScene:
-    """A neighbouring scene: what it has otherwise, and whether surfaces are left in it that are perfectly smooth."""
+    """A proxy scene, its substitutions, and whether it still has BSDFs with delta lobes."""
 
-    loaded: LoadedScene
-    exchanges: tuple[Substitution, ...]
-    smooth: bool
+    scene: Any
+    substitutions: tuple[Substitution, ...]
+    has_delta_bsdf: bool
 
 
 @dataclass(frozen=True)
 class MovingShapes:
-    """What moves, by the numbers of shapes in the scene, from 0. Of a scene that is loaded already, none of it counts.
+    """Indices of the moving shapes in the scene. Ignored for scenes that are loaded already.
 
     Attributes
     ----------
     shapes : frozenset of int
-        All of them, whose smooth surfaces are rougher.
-    split : dict of mi.Shape
-        Meshes whose vertices are to be shared.
+        All moving shapes, whose delta BSDFs are made rougher.
+    unwelded : dict of mi.Shape
+        Meshes whose vertices are welded, by index.
     stepped : dict of mi.Shape
-        Shapes whose textures are to be interpolated.
+        Shapes whose textures are interpolated, by index.
     """
 
     shapes: frozenset[int] = frozenset()
-    split: Mapping[int, Any] = field(default_factory=dict)
+    unwelded: Mapping[int, Any] = field(default_factory=dict)
     stepped: Mapping[int, Any] = field(default_factory=dict)
 
 
 def build_proxy_scene(
     scene: Any,
-    near: ProxySettings,
-    around: LightContext,
-    in_view: Callable[[Any], bool],
-    moved: MovingShapes = MovingShapes(),
+    settings: ProxySettings,
+    context: LightContext,
+    is_visible: Callable[[Any], bool],
+    moving: MovingShapes = MovingShapes(),
     *,
-    float_textures: bool = False,
+    parse: SceneParser,
     unlit: bool = False,
 ) -> ProxyScene | None:
-    """The neighbouring scene of one that can be loaded; None if nothing is to be exchanged, or can be.
+    """Build the proxy of a scene; None if nothing needs replacing or can be replaced.
 
     Parameters
     ----------
     scene : dict, path or mi.Scene
-        Which has been loaded before, so that it is known to be sound. Of a loaded scene only lights are exchanged, and
-        the neighbour shares its shapes.
-    near : ProxySettings
-    around : LightContext
-    in_view : callable
-        Whether the camera may see a shape. A lamp that it sees is not exchanged, for the light is never seen.
-    moved : MovingShapes
-    float_textures : bool
-        Whether textures are to hold floats.
+        A scene that Mitsuba has loaded before. The proxy of a loaded scene shares its shapes, and has only its lights
+        replaced.
+    settings : ProxySettings
+    context : LightContext
+    is_visible : callable
+        Whether the camera may see a shape. A light whose proxy would be in view is not replaced: delta lights are
+        invisible.
+    moving : MovingShapes
+    parse : SceneParser
     unlit : bool
-        Whether what stands for lights without a size is to have no image in what stands for mirrors.
+        Whether proxy lights must not be seen in the surfaces that replace mirrors.
     """
     if isinstance(scene, mi.Scene):
-        described, shared = _described(scene)
-        ids = [one.id() for one in shared]
+        description, shared = _describe(scene)
+        ids = [node.id() for node in shared]
         try:
-            found = build_proxy_scene(described, near, around, in_view, unlit=unlit)
-        except SceneLoadError:  # not every scene can be made of the objects of another, such as one with instances
+            return build_proxy_scene(description, settings, context, is_visible, parse=parse, unlit=unlit)
+        except ValueError:  # a scene with instances cannot be made of the objects of another
             return None
-        finally:  # what a dict holds is called by its key
-            for one, own in zip(shared, ids, strict=True):
-                one.set_id(own)
-        return None if found is None else replace(found, loaded=LoadedScene(found.loaded.scene, in_order=False))
-    keep: frozenset[int | None] = frozenset()
+        finally:  # Mitsuba sets the ids of a dict's objects to their keys
+            for node, node_id in zip(shared, ids, strict=True):
+                node.set_id(node_id)
+    unchanged: frozenset[int | None] = frozenset()
     while True:
-        exchanged = _exchanged(scene, near, around, moved, keep, float_textures=float_textures, unlit=unlit)
-        if exchanged is None:
+        built = _substitute(scene, settings, context, moving, unchanged, parse, unlit=unlit)
+        if built is None:
             return None
-        made, exchanges = exchanged
-        seen = {shape.id() for shape in made.shapes() if shape.id().startswith(LAMP) and in_view(shape)}
-        if not seen:
+        proxy, substitutions = built
+        visible = {
+            shape.id() for shape in proxy.shapes() if shape.id().startswith(PROXY_EMITTER_ID) and is_visible(shape)
+        }
+        if not visible:
             break
-        keep |= {one.light for one in exchanges if f"{LAMP}{one.light}" in seen}
-    flags = [int(shape.bsdf().flags()) for shape in made.shapes() if shape.bsdf() is not None]
-    smooth = any(one & int(mi.BSDFFlags.DeltaReflection | mi.BSDFFlags.DeltaTransmission) for one in flags)
-    return ProxyScene(LoadedScene(made, in_order=True, float_textures=float_textures), _distinct(exchanges), smooth)
+        unchanged |= {
+            substitution.light for substitution in substitutions if f"{PROXY_EMITTER_ID}{substitution.light}" in visible
+        }
+    delta = int(mi.BSDFFlags.DeltaReflection | mi.BSDFFlags.DeltaTransmission)
+    has_delta_bsdf = any(int(shape.bsdf().flags()) & delta for shape in proxy.shapes() if shape.bsdf() is not None)
+    return ProxyScene(proxy, _numbered(substitutions), has_delta_bsdf)
 
 
-def _exchanged(
+def _substitute(
     scene: Any,
-    near: ProxySettings,
-    around: LightContext,
-    moved: MovingShapes,
-    keep: frozenset[int | None],
+    settings: ProxySettings,
+    context: LightContext,
+    moving: MovingShapes,
+    unchanged: frozenset[int | None],
+    parse: SceneParser,
     *,
-    float_textures: bool,
     unlit: bool,
 ) -> tuple[Any, list[Substitution]] | None:
-    """A neighbouring scene in which some lights are kept, and what is exchanged in it; None if nothing is."""
-    exchanges: list[Substitution] = []
+    """Return a proxy scene and its substitutions, without the lights `unchanged`; None if nothing is replaced."""
+    substitutions: list[Substitution] = []
     lights = 0
-    with parsed_scene(scene, float_textures=float_textures) as (config, state):
+    with parse(scene) as (config, state):
         if any(node.props.plugin_name() == "shapegroup" for node in state.nodes):
-            moved = MovingShapes()  # the shapes of a group have no number
-        surfaces = (parts_of(state, number, mi.ObjectType.BSDF) for number in moved.shapes)
-        rougher = {index for parts in surfaces for index in parts}
-        for number, shape in moved.stepped.items():
-            interpolate_textures(state, number, shape, exchanges)
+            moving = MovingShapes()  # the indices of parsed and loaded shapes differ
+        moving_bsdfs = {bsdf for shape in moving.shapes for bsdf in nodes_of_shape(state, shape, mi.ObjectType.BSDF)}
+        for number, shape in moving.stepped.items():
+            substitutions += substitute_textures(state, number, shape)
         for index in range(len(state.nodes)):
             node = state.nodes[index]
             kind = node.props.plugin_name()
-            if kind in KINDS.values() and node.type == mi.ObjectType.Emitter:
-                called = node.props.id()
-                node.props.set_id(called or f"{LIGHT}{lights}")
-                power = around.powers[lights] if lights < len(around.powers) else None
-                if near.lights > 0.0 and power is not None and lights not in keep:
-                    substitute_light(state, index, lights, near.lights, power, around, exchanges, unseen=unlit)
+            if kind in DELTA_LIGHTS.values() and node.type == mi.ObjectType.Emitter:
+                node.props.set_id(node.props.id() or f"{LIGHT_ID}{lights}")
+                intensity = context.intensities[lights] if lights < len(context.intensities) else None
+                if settings.lights > 0.0 and intensity is not None and lights not in unchanged:
+                    light = substitute_light(state, index, lights, settings.lights, intensity, context, unseen=unlit)
+                    substitutions += [] if light is None else [light]
                 lights += 1
-            elif kind in ROUGH and node.type == mi.ObjectType.BSDF and near.mirrors > 0.0:
-                substitute_surface(state, index, near.mirrors, exchanges, moves=index in rougher, unlit=unlit)
-        if not exchanges and not moved.split:
+            elif kind in ROUGH_BSDFS and node.type == mi.ObjectType.BSDF and settings.mirrors > 0.0:
+                moves = index in moving_bsdfs
+                substitutions.append(substitute_surface(state, index, settings.mirrors, moves=moves, unlit=unlit))
+        if not substitutions and not moving.unwelded:
             return None
         loaded = mi.parser.instantiate(config, state)
-    made = loaded[0] if isinstance(loaded, list) else loaded
-    own = [shape for shape in made.shapes() if not shape.id().startswith(LAMP)]
-    for number, shape in moved.split.items():
-        if own[number] != shape:  # what a dict holds as an object is the scene's as well
-            weld_vertices(own[number])
-            exchanges.append(welding_of(shape))
-    return (made, exchanges) if exchanges else None
+    proxy = loaded[0] if isinstance(loaded, list) else loaded
+    shapes = [shape for shape in proxy.shapes() if not shape.id().startswith(PROXY_EMITTER_ID)]
+    for number, shape in moving.unwelded.items():
+        if shapes[number] != shape:  # an object in a dict belongs to the scene as well
+            weld_vertices(shapes[number])
+            substitutions.append(welding(shape))
+    return (proxy, substitutions) if substitutions else None
 
 
-def _distinct(exchanges: list[Substitution]) -> tuple[Substitution, ...]:
-    """Exchanges under names of their own: those that share one are numbered."""
-    names = [one.what for one in exchanges]
+def _numbered(substitutions: list[Substitution]) -> tuple[Substitution, ...]:
+    """Number the substitutions of objects that have one name."""
+    names = [substitution.original for substitution in substitutions]
     return tuple(
-        replace(one, what=f"{one.what} ({names[: k + 1].count(one.what)})") if names.count(one.what) > 1 else one
-        for k, one in enumerate(exchanges)
+        replace(substitution, original=f"{name} ({names[: k + 1].count(name)})")
+        if names.count(name) > 1
+        else substitution
+        for k, (name, substitution) in enumerate(zip(names, substitutions, strict=True))
     )
 
 
-def _described(scene: Any) -> tuple[dict[str, Any], list[Any]]:
-    """A loaded scene as a dict of its objects, but of lights that can be exchanged a description; and those objects."""
-    emitters = [one for one in scene.emitters() if not mi.has_flag(one.flags(), mi.EmitterFlags.Surface)]
+def _describe(scene: Any) -> tuple[dict[str, Any], list[Any]]:
+    """Return a loaded scene as a dict of its objects, with descriptions of its delta lights; and the shared objects."""
+    emitters = [emitter for emitter in scene.emitters() if not mi.has_flag(emitter.flags(), mi.EmitterFlags.Surface)]
     lights = delta_lights(scene)
-    described: dict[str, Any] = {"type": "scene"}
+    description: dict[str, Any] = {"type": "scene"}
     shared = []
-    for number, one in enumerate([*scene.sensors(), *scene.shapes(), *emitters, scene.integrator()]):
-        light = _described_light(one) if one in lights else None
-        key = one.id() or (f"{LIGHT}{lights.index(one)}" if one in lights else f"loi_{number}")
-        described[key] = one if light is None else light
+    for number, node in enumerate([*scene.sensors(), *scene.shapes(), *emitters, scene.integrator()]):
+        light = _describe_light(node) if node in lights else None
+        key = node.id() or (f"{LIGHT_ID}{lights.index(node)}" if node in lights else f"shared_object_{number}")
+        description[key] = node if light is None else light
         if light is None:
-            shared.append(one)
-    return described, shared
+            shared.append(node)
+    return description, shared
 
 
-def _described_light(light: Any) -> dict[str, Any] | None:
-    """What a light that can be exchanged is loaded from."""
-    kind, value = KINDS[light.class_name()], light_intensity(light)
+def _describe_light(light: Any) -> dict[str, Any] | None:
+    """Return the dict that loads a delta light; None if its intensity is unknown."""
+    kind, value = DELTA_LIGHTS[light.class_name()], light_intensity(light)
     if value is None:
         return None
     params = mi.traverse(light)
-    power = "irradiance" if kind == "directional" else "intensity"
-    told: dict[str, Any] = {"type": kind, power: {"type": "rgb", "value": value.tolist()}}
+    quantity = "irradiance" if kind == "directional" else "intensity"
+    description: dict[str, Any] = {"type": kind, quantity: {"type": "rgb", "value": value.tolist()}}
     if kind == "point":
-        return told | {"position": np.array(params["position"]).reshape(3).tolist()}
-    place = np.array(params["to_world"].matrix, dtype=np.float32).reshape(4, 4)
-    told["to_world"] = mi.ScalarTransform4f(place)
+        return description | {"position": np.array(params["position"]).reshape(3).tolist()}
+    to_world = np.array(params["to_world"].matrix, dtype=np.float32).reshape(4, 4)
+    description["to_world"] = mi.ScalarTransform4f(to_world)
     if kind == "spot":
-        told |= {name: float(np.array(params[name]).reshape(-1)[0]) for name in ("cutoff_angle", "beam_width")}
-    return told
+        description |= {name: float(np.array(params[name]).reshape(-1)[0]) for name in ("cutoff_angle", "beam_width")}
+    return description

@@ -1,194 +1,266 @@
-"""What a neighbouring scene has instead of what Mitsuba has no gradient of."""
+"""Replace the nodes of a parsed scene that have no gradient in Mitsuba."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Final
 
 import mitsuba as mi
 import numpy as np
 
+from loi_mitsuba.drjit.arrays import Float64Array
 from loi_mitsuba.geometry.mesh_checks import has_creases
 from loi_mitsuba.geometry.stepped_textures import RAMP, ramp_texture
 from loi_mitsuba.plugins.proxy_bsdf import register_proxy_bsdf
 from loi_mitsuba.plugins.proxy_emitter import register_proxy_emitter
 from loi_mitsuba.proxy.light_size import LightContext
-from loi_mitsuba.scene.queries import parts_of
 
 __all__ = [
-    "LAMP",
-    "LIGHT",
-    "MOVING",
-    "ROUGH",
+    "LIGHT_ID",
+    "PROXY_EMITTER_ID",
+    "ROUGH_BSDFS",
     "Substitution",
-    "interpolate_textures",
+    "nodes_of_shape",
     "substitute_light",
     "substitute_surface",
-    "welding_of",
+    "substitute_textures",
+    "welding",
 ]
 
-ROUGH: Final = {"conductor": "roughconductor", "dielectric": "roughdielectric", "plastic": "roughplastic"}
-LAMP: Final = "loi_lamp_"  # and a number: what stands for a light is called so
-LIGHT: Final = "loi_light_"  # and a number: a light without a name is called so
-MOVING: Final = 6.0  # times as rough as a mirror that stands still is one that moves
-WIDEST: Final = 2.0  # times what casts a shadow: its umbra then reaches as far behind it as the lamp is before it
-FAR: Final = 100.0  # how many times the scene's radius away the disk is that stands for a directional light
+ROUGH_BSDFS: Final = {"conductor": "roughconductor", "dielectric": "roughdielectric", "plastic": "roughplastic"}
+PROXY_EMITTER_ID: Final = "proxy_emitter_"  # followed by the number of the delta light that it replaces
+LIGHT_ID: Final = "delta_light_"  # followed by the number of a delta light without an id
+MOVING_ROUGHNESS: Final = 6.0  # relative to a mirror at rest
+MAX_RADIUS: Final = 2.0  # in half sizes of the smallest moving shape: its umbra is then as long as the light is far
+MIN_RADIUS: Final = 1e-4  # in radii of the scene
+SUN_DISTANCE: Final = 100.0  # of the disk that replaces a directional light, in radii of the scene
+DEFAULT_CUTOFF_DEG: Final = 20.0  # of Mitsuba's spot light
+DEFAULT_BEAM_FRACTION: Final = 0.75  # beam width of Mitsuba's spot light, relative to its cutoff angle
 
 
 @dataclass(frozen=True)
 class Substitution:
-    """One thing that the neighbour has instead of another: what, and in a line why and how large.
+    """One substitution in the proxy scene.
 
-    Also whether nothing but shadows is any better for it, and of a light, which of the scene's lights without a size it
-    is, from 0, and how many times its intensity the radiance is of what stands for it.
+    Attributes
+    ----------
+    original : str
+        The object that is replaced.
+    reason : str
+        One line: the replacement, its size, and why.
+    only_shadows : bool
+        Whether it improves nothing but the gradient of shadows.
+    light : int or None
+        Number of the delta light that is replaced.
+    factor : float
+        Ratio of the replacement's radiance to the light's intensity.
     """
 
-    what: str
+    original: str
     reason: str
     only_shadows: bool = False
     light: int | None = None
     factor: float = 1.0
 
 
-def substitute_surface(
-    state: Any, index: int, size: float, exchanges: list[Substitution], *, moves: bool, unlit: bool
-) -> None:
-    """Make a perfectly smooth surface slightly rough, that of what moves rougher.
+@dataclass(frozen=True)
+class _AreaLight:
+    """A shape with the irradiance of a delta light."""
 
-    It is `unlit` where it shall not reflect light that comes straight from a lamp that is sampled.
+    shape: str
+    radius: float
+    pose: Any
+    factor: float
+    description: str
+
+
+def nodes_of_shape(state: Any, number: int, kind: Any) -> Iterator[int]:
+    """Yield the indices of the nodes below a shape that have a type `kind`, an ``mi.ObjectType``."""
+    nodes = state.nodes
+    shapes = [child for child in _children(nodes[0].props) if nodes[child].type == mi.ObjectType.Shape]
+    if number < len(shapes):
+        yield from _descendants(nodes, shapes[number], kind)
+
+
+def _descendants(nodes: Any, parent: int, kind: Any) -> Iterator[int]:
+    for child in _children(nodes[parent].props):
+        if nodes[child].type == kind:
+            yield child
+        yield from _descendants(nodes, child, kind)
+
+
+def _children(props: Any) -> list[int]:
+    values = (props[key] for key in props.keys())  # noqa: SIM118  # not a mapping
+    return [value.index() for value in values if isinstance(value, mi.Properties.ResolvedReference)]
+
+
+def substitute_surface(state: Any, index: int, roughness: float, *, moves: bool, unlit: bool) -> Substitution:
+    """Make a delta BSDF slightly rough.
+
+    Parameters
+    ----------
+    state : parser state
+    index : int
+        Node of the BSDF.
+    roughness : float
+        `alpha` of a surface at rest.
+    moves : bool
+        Whether its shape moves, so that it is made rougher.
+    unlit : bool
+        Whether it must not reflect light of emitter samples.
     """
     props = state.nodes[index].props
     kind = props.plugin_name()
-    moves = moves and kind != "dielectric"  # through which nothing would be seen
-    alpha = min(MOVING * size, 1.0) if moves else size
-    props.set_plugin_name(ROUGH[kind])
+    rougher = moves and kind != "dielectric"  # rough glass would blur the view through it
+    alpha = min(MOVING_ROUGHNESS * roughness, 1.0) if rougher else roughness
+    props.set_plugin_name(ROUGH_BSDFS[kind])
     props["alpha"] = alpha
-    named = f" {props.id()!r}" if props.id() else ""
-    why = "edges seen in what is perfectly smooth have no gradient"
-    also = ", and that of what moves has the less noise, the rougher it is" if moves else ""
-    exchanges.append(Substitution(f"{kind}{named}", f"a {ROUGH[kind]} of roughness {alpha:g}, for {why}{also}"))
+    suffix = f" {props.id()!r}" if props.id() else ""
+    reason = "because edges seen in a perfectly smooth surface have no gradient"
+    noise = "; the rougher a moving surface, the less noisy its gradient" if rougher else ""
     if unlit:
         rough = mi.parser.SceneNode()
-        rough.props, rough.type = mi.Properties(ROUGH[kind]), mi.ObjectType.BSDF
+        rough.props, rough.type = mi.Properties(ROUGH_BSDFS[kind]), mi.ObjectType.BSDF
         for key in list(props.keys()):
             rough.props[key] = props[key]
             del props[key]
         props.set_plugin_name(register_proxy_bsdf())
         props["rough"] = mi.Properties.ResolvedReference(len(state.nodes))
-        state.nodes.append(rough)  # which moves all nodes: what was referred to before is gone
+        state.nodes.append(rough)  # moves all nodes in memory: earlier references to them are invalid
+    return Substitution(f"{kind}{suffix}", f"a {ROUGH_BSDFS[kind]} of roughness {alpha:g}, {reason}{noise}")
 
 
-def interpolate_textures(state: Any, number: int, shape: Any, exchanges: list[Substitution]) -> None:
+def substitute_textures(state: Any, number: int, shape: Any) -> list[Substitution]:
     """Interpolate the textures of a shape that have steps."""
-    for part in parts_of(state, number, mi.ObjectType.Texture):
-        node = state.nodes[part]
+    substitutions = []
+    suffix = f" of {shape.id()!r}" if shape.id() else ""
+    for index in nodes_of_shape(state, number, mi.ObjectType.Texture):
+        node = state.nodes[index]
         kind = node.props.plugin_name()
         if ramp_texture(node.props):
-            named = f" of {shape.id()!r}" if shape.id() else ""
-            exchanges.append(Substitution(f"{kind}{named}", f"an interpolated bitmap {RAMP}"))
+            substitutions.append(Substitution(f"{kind}{suffix}", f"an interpolated bitmap {RAMP}"))
+    return substitutions
 
 
-def welding_of(shape: Any) -> Substitution:
-    """Of a mesh whose vertices are shared: what is told of it."""
-    named = f" {shape.id()!r}" if shape.id() else ""
-    reason = "with the vertices at one place shared, for an edge that is stored twice has its gradient twice"
-    # A box whose corners are shared has another texture. Its outlines are drawn in the scene itself, and so is that.
-    return Substitution(f"mesh{named}", reason, only_shadows=has_creases(shape))
+def welding(shape: Any) -> Substitution:
+    """Describe the welding of a mesh's vertices."""
+    suffix = f" {shape.id()!r}" if shape.id() else ""
+    reason = "with coincident vertices welded, because the gradient of an edge that is stored twice counts twice"
+    # Welding changes the texture coordinates of a box. Its outlines are sampled in the scene itself, with its texture.
+    return Substitution(f"mesh{suffix}", reason, only_shadows=has_creases(shape))
 
 
 def substitute_light(
-    state: Any,
-    index: int,
-    number: int,
-    size: float,
-    power: Any,
-    around: LightContext,
-    exchanges: list[Substitution],
-    *,
-    unseen: bool,
-) -> None:
-    """Put a lamp with a size, called by the light's number, where a light without one is.
+    state: Any, index: int, number: int, size: float, intensity: Any, context: LightContext, *, unseen: bool
+) -> Substitution | None:
+    """Replace a delta light by a small area light.
 
-    It is `unseen` where rays that hit it by chance shall not find its light.
+    Parameters
+    ----------
+    state : parser state
+    index : int
+        Node of the light.
+    number : int
+        Number of the light among the delta lights.
+    size : float
+        Radius over distance from the moving shapes; half the angle of a directional light's disk.
+    intensity : array, shape (3,)
+    context : LightContext
+    unseen : bool
+        Whether rays that hit the area light by chance must not see its radiance.
+
+    Returns
+    -------
+    Substitution or None
+        None if a spot lights none of the moving shapes; it is not replaced.
     """
     props = state.nodes[index].props
-    kind, called = props.plugin_name(), props.id()
-    place = np.array(props["to_world"].matrix, dtype=np.float64) if "to_world" in props else np.eye(4)
+    kind, light_id = props.plugin_name(), props.id()
+    to_world = np.array(props["to_world"].matrix, dtype=np.float64) if "to_world" in props else np.eye(4)
     if kind == "directional":
-        along = np.array(props["direction"]) if "direction" in props else place[:3, 2]
-        along = along / np.linalg.norm(along)
-        away = FAR * around.radius
-        origin = around.middle - away * along
-        up = np.eye(3)[int(np.argmin(np.abs(along)))]
-        pose = mi.ScalarTransform4f().look_at(origin.tolist(), around.middle.tolist(), up.tolist())
-        radius, shape = away * math.tan(size), "disk"
-        # Seen from the scene, a disk of half the angle a lights what faces it with pi sin(a)^2 of its radiance.
-        factor = 1.0 / (math.pi * math.sin(size) ** 2)
-        how = f"a disk of {math.degrees(2.0 * size):.2g} degrees, for"
+        direction = np.array(props["direction"]) if "direction" in props else to_world[:3, 2]
+        area_light = _disk(direction / np.linalg.norm(direction), size, context)
     else:
-        origin = np.array(props["position"]) if "position" in props else place[:3, 3]
-        if kind == "spot" and not _lights(props, place, origin, around):
-            return
-        share, most, least = size * around.distance(origin), WIDEST * around.least, 1e-4 * around.radius
-        radius = widest = max(min(share, most), least)
-        shape = "sphere"
-        while radius > least and not around.fits(origin, radius):
-            radius = max(0.5 * radius, least)
-        pose = mi.ScalarTransform4f().translate(origin.tolist())
-        if kind == "spot":  # whose cone turns with it
-            turned = np.eye(4)
-            turned[:3, :3] = place[:3, :3] / np.linalg.norm(place[:3, :3], axis=0)
-            pose = pose @ mi.ScalarTransform4f(turned)
-        factor = 1.0 / (math.pi * radius**2)
-        of = f"{size:g} of its distance from what moves" if share <= most else f"{WIDEST:g} times that of what moves"
-        of = f"{of}, less to stay within what is around it" if radius < widest else of
-        how = f"a sphere of radius {radius:.3g}, {of}, for"
-    lamp = mi.Properties(register_proxy_emitter() if unseen or kind == "spot" else "area")
+        origin = np.array(props["position"]) if "position" in props else to_world[:3, 3]
+        if kind == "spot" and not _lights_moving_shapes(props, to_world, origin, context):
+            return None
+        area_light = _sphere(origin, to_world if kind == "spot" else None, size, context)
+    emitter = mi.Properties(register_proxy_emitter() if unseen or kind == "spot" else "area")
     surface = mi.Properties("diffuse")
     if kind == "spot":
-        lamp["cutoff_angle"] = cutoff = _cutoff(props)
-        lamp["beam_width"] = float(props["beam_width"]) if "beam_width" in props else 0.75 * cutoff
-    lamp["radiance"] = mi.ScalarColor3f((factor * power).tolist())
+        emitter["cutoff_angle"] = cutoff = _cutoff_angle(props)
+        emitter["beam_width"] = float(props["beam_width"]) if "beam_width" in props else DEFAULT_BEAM_FRACTION * cutoff
+    emitter["radiance"] = mi.ScalarColor3f((area_light.factor * intensity).tolist())
     surface["reflectance"] = 0.0
-    parts = {"emitter": (lamp, mi.ObjectType.Emitter), "bsdf": (surface, mi.ObjectType.BSDF)}
-    for own, kind_of in parts.values():
-        one = mi.parser.SceneNode()
-        one.props, one.type = own, kind_of
-        state.nodes.append(one)  # which moves all nodes: what was referred to before is gone
+    children = {"emitter": (emitter, mi.ObjectType.Emitter), "bsdf": (surface, mi.ObjectType.BSDF)}
+    for child_props, child_type in children.values():
+        child = mi.parser.SceneNode()
+        child.props, child.type = child_props, child_type
+        state.nodes.append(child)  # moves all nodes in memory: earlier references to them are invalid
     node = state.nodes[index]
     for key in list(node.props.keys()):
         del node.props[key]
-    node.props.set_plugin_name(shape)
-    node.props.set_id(f"{LAMP}{number}")
-    node.props["to_world"] = pose @ mi.ScalarTransform4f().scale(radius)
-    for place_of, key in enumerate(parts, len(state.nodes) - len(parts)):
-        node.props[key] = mi.Properties.ResolvedReference(place_of)
+    node.props.set_plugin_name(area_light.shape)
+    node.props.set_id(f"{PROXY_EMITTER_ID}{number}")
+    node.props["to_world"] = area_light.pose @ mi.ScalarTransform4f().scale(area_light.radius)
+    for child_index, key in enumerate(children, len(state.nodes) - len(children)):
+        node.props[key] = mi.Properties.ResolvedReference(child_index)
     node.type = mi.ObjectType.Shape
-    named = "" if called.startswith(LIGHT) else f" {called!r}"
-    # All but shadows is the scene's own, with less noise; but by what moves, Mitsuba has no gradient of a spot's cone.
-    only_shadows = kind != "spot"
-    reason = f"{how} a shadow of light from a point has no gradient"
-    exchanges.append(
-        Substitution(f"{kind} light{named}", reason, only_shadows=only_shadows, light=number, factor=factor)
-    )
+    suffix = "" if light_id.startswith(LIGHT_ID) else f" {light_id!r}"
+    reason = f"{area_light.description}, because the shadow of a delta light has no gradient"
+    # The scene itself has all gradients but those of shadows, with less noise. Only for shapes that move in the cone of
+    # a spot does Mitsuba have no gradient at all.
+    return Substitution(f"{kind} light{suffix}", reason, kind != "spot", number, area_light.factor)
 
 
-def _lights(props: Any, place: Any, origin: Any, around: LightContext) -> bool:
-    """Whether anything that moves reaches into the cone of a spot, as spheres around the boxes tell."""
-    along = place[:3, 2] / np.linalg.norm(place[:3, 2])
-    cutoff = math.radians(_cutoff(props))
-    for low, high in around.boxes:
-        towards = 0.5 * (low + high) - origin
-        away, radius = float(np.linalg.norm(towards)), 0.5 * float(np.linalg.norm(high - low))
-        if away <= radius:
+def _disk(direction: Float64Array, half_angle: float, context: LightContext) -> _AreaLight:
+    distance = SUN_DISTANCE * context.radius
+    origin = context.centre - distance * direction
+    up = np.eye(3)[int(np.argmin(np.abs(direction)))]
+    pose = mi.ScalarTransform4f().look_at(origin.tolist(), context.centre.tolist(), up.tolist())
+    # The irradiance of a disk of half angle a, on a surface that faces it, is pi sin(a)^2 times its radiance.
+    factor = 1.0 / (math.pi * math.sin(half_angle) ** 2)
+    description = f"a disk of {math.degrees(2.0 * half_angle):.2g} degrees"
+    return _AreaLight("disk", distance * math.tan(half_angle), pose, factor, description)
+
+
+def _sphere(origin: Float64Array, to_world: Float64Array | None, size: float, context: LightContext) -> _AreaLight:
+    """Return a sphere for a point light, or with `to_world` for a spot, oriented as its cone."""
+    relative = size * context.distance(origin)
+    largest, smallest = MAX_RADIUS * context.smallest_half_size, MIN_RADIUS * context.radius
+    radius = initial = max(min(relative, largest), smallest)
+    while radius > smallest and not context.preserves_visibility(origin, radius):
+        radius = max(0.5 * radius, smallest)
+    pose = mi.ScalarTransform4f().translate(origin.tolist())
+    if to_world is not None:
+        rotation = np.eye(4)
+        rotation[:3, :3] = to_world[:3, :3] / np.linalg.norm(to_world[:3, :3], axis=0)
+        pose = pose @ mi.ScalarTransform4f(rotation)
+    rule = f"{size:g} of its distance from the moving shapes"
+    if relative > largest:
+        rule = "the size of the smallest moving shape"
+    if radius < initial:
+        rule = f"{rule}, reduced until it fits between the shapes around it"
+    return _AreaLight("sphere", radius, pose, 1.0 / (math.pi * radius**2), f"a sphere of radius {radius:.3g}, {rule}")
+
+
+def _lights_moving_shapes(props: Any, to_world: Any, origin: Any, context: LightContext) -> bool:
+    """Return whether the bounding sphere of a moving shape reaches into the cone of a spot."""
+    axis = to_world[:3, 2] / np.linalg.norm(to_world[:3, 2])
+    cutoff = math.radians(_cutoff_angle(props))
+    for low, high in context.boxes:
+        offset = 0.5 * (low + high) - origin
+        distance, radius = float(np.linalg.norm(offset)), 0.5 * float(np.linalg.norm(high - low))
+        if distance <= radius:
             return True
-        angle = math.acos(min(max(float(along @ towards) / away, -1.0), 1.0))
-        if angle - math.asin(radius / away) < cutoff:
+        angle = math.acos(min(max(float(axis @ offset) / distance, -1.0), 1.0))
+        if angle - math.asin(radius / distance) < cutoff:
             return True
     return False
 
 
-def _cutoff(props: Any) -> float:
-    """The half-angle of a spot's cone, in degrees."""
-    return float(props["cutoff_angle"]) if "cutoff_angle" in props else 20.0
+def _cutoff_angle(props: Any) -> float:
+    """Return the half angle of a spot's cone, in degrees."""
+    return float(props["cutoff_angle"]) if "cutoff_angle" in props else DEFAULT_CUTOFF_DEG

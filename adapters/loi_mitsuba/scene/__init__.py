@@ -1,1 +1,1 @@
-"""Scenes of Mitsuba: loading, checks, named parameters and poses."""
+"""Mitsuba scenes: loading, checks, named parameters and poses."""

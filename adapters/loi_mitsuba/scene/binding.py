@@ -1,4 +1,4 @@
-"""Named parameters in a scene: where each is found, how it is set, and what it starts from."""
+"""Bind the named parameters of a renderer to a scene: their targets, their initial values, and how they are set."""
 
 from __future__ import annotations
 
@@ -16,104 +16,104 @@ from loi_core.errors import ParameterError
 from loi_core.support.wording import shown
 from loi_mitsuba.drjit.arrays import Float32Array, aligned_copy
 from loi_mitsuba.scene.load import ParameterTarget
-from loi_mitsuba.scene.parameters import SceneIndex, numbers
-from loi_mitsuba.scene.poses import Scale, posed
+from loi_mitsuba.scene.parameters import SceneIndex, matrix_or_value
+from loi_mitsuba.scene.poses import Scale, combined_transform
 
 __all__ = ["ParameterBinding", "as_host", "host_numbers"]
 
 NORMALS: Final = "vertex_normals"
-SAME: Final = 1e-3  # between unit normals that are one but for rounding
+NORMAL_TOLERANCE: Final = 1e-3  # between unit normals that are equal up to rounding
 
 
 @dataclass(frozen=True)
-class _Posed:
+class _PosedShape:
     """A shape that handles move."""
 
     key: str
     names: tuple[str, ...]
     centre: tuple[float, float, float]
     start: Any  # vertex positions as a Point3f, or the transform
-    normals: Any = None  # of the vertices, as a Normal3f, where they are not those that Mitsuba would compute
+    normals: Any = None  # vertex normals as a Normal3f, where they differ from those that Mitsuba computes
 
 
 class ParameterBinding:
-    """The parameters of a renderer, by their names, as entries of a scene and poses of its shapes.
+    """The parameters of a renderer, bound to entries of a scene and to poses of its shapes.
 
     Parameters
     ----------
-    called : SceneIndex
-        Of a scene; its values at this moment are those that the parameters start from.
+    index : SceneIndex
+        Index of the scene; the scene's current values are the initial values.
     targets : dict of str or handle
-        What each parameter stands for.
+        ParameterTarget of each parameter.
     without_gradient : names, optional
-        Parameters that need not have a gradient.
+        Parameters that need no gradient.
 
     Attributes
     ----------
     entries : mi.SceneParameters
-        What the scene can be set by.
+        All parameters of the scene.
     targets : dict
         As given.
     start : dict of arrays, float32
-        Values at the start.
+        Initial values.
 
     Raises
     ------
     ParameterError
-        If a target is not there, has no gradient, or sets what another sets.
+        If a target does not exist, has no gradient, or is set by two parameters.
     """
 
     def __init__(
-        self, called: SceneIndex, targets: Mapping[str, ParameterTarget], without_gradient: Iterable[str] = ()
+        self, index: SceneIndex, targets: Mapping[str, ParameterTarget], without_gradient: Iterable[str] = ()
     ) -> None:
-        self.entries = mi.traverse(called.scene)
+        self.entries = mi.traverse(index.scene)
         self.targets = dict(targets)
         self.start: dict[str, Float32Array] = {}
         self._keys: dict[str, str] = {}
-        self._posed: list[_Posed] = []
-        by_shape: defaultdict[str, list[str]] = defaultdict(list)
+        self._posed: list[_PosedShape] = []
+        names_by_shape: defaultdict[str, list[str]] = defaultdict(list)
         nodes: dict[str, Any] = {}
         images = frozenset(without_gradient)
         for name, target in targets.items():
             if isinstance(target, str):
-                entry = called.find(target, images=name in images)
-                self._keys[name] = entry.key
-                self.start[name] = as_host(numbers(self.entries[entry.key]), entry.shape)
+                parameter = index.find(target, images=name in images)
+                self._keys[name] = parameter.key
+                self.start[name] = as_host(matrix_or_value(self.entries[parameter.key]), parameter.shape)
             else:
-                key, node = (called.find_movable if name in images else called.find_shape)(target.shape)
-                by_shape[key].append(name)
+                key, node = (index.find_movable if name in images else index.find_shape)(target.shape)
+                names_by_shape[key].append(name)
                 nodes[key] = node
                 self.start[name] = target.initial().astype(np.float32)
-        normals = self._own_normals(nodes)
-        for key, names in by_shape.items():
+        normals = self._authored_normals(nodes)
+        for key, names in names_by_shape.items():
             value = self.entries[key]
             start = value if isinstance(value, mi.Transform4f | mi.Point3f) else dr.unravel(mi.Point3f, value)
-            centre = _centre(nodes[key], start)
-            self._posed.append(_Posed(key, tuple(names), centre, dr.detach(start), normals.get(key)))
-        used = [*self._keys.values(), *by_shape]
-        for key in used:
-            if used.count(key) > 1:
-                names = [name for name in targets if self._keys.get(name) == key or name in by_shape.get(key, ())]
+            centre = _pivot(nodes[key], start)
+            self._posed.append(_PosedShape(key, tuple(names), centre, dr.detach(start), normals.get(key)))
+        keys = [*self._keys.values(), *names_by_shape]
+        for key in keys:
+            if keys.count(key) > 1:
+                names = [name for name in targets if self._keys.get(name) == key or name in names_by_shape.get(key, ())]
                 msg = f"`parameters` must not set one entry twice, got {', '.join(map(repr, names))}"
                 raise ParameterError(msg)
 
     def moving(self, names: Iterable[str] | None = None) -> list[Any]:
-        """The shapes that the parameters move, or some of them, as often as they do."""
-        wanted = set(self.targets if names is None else names)
-        keys = [key for name, key in self._keys.items() if name in wanted]
-        keys += [one.key for one in self._posed if wanted & set(one.names)]
+        """Return the shapes that all or some of the parameters move; a shape is listed once for each key."""
+        selected = set(self.targets if names is None else names)
+        keys = [key for name, key in self._keys.items() if name in selected]
+        keys += [posed.key for posed in self._posed if selected & set(posed.names)]
         # A shape has entries that do not move it, such as the colours of its vertices.
         keys = [key for key in keys if self.entries.flags(key) & mi.ParamFlags.Discontinuous]
         nodes = [self.entries.properties[key][2] for key in keys]
         return [node for node in nodes if isinstance(node, mi.Shape)]
 
     def leaves(self, params: Mapping[str, Any]) -> dict[str, Any]:
-        """`params`, checked, as flat arrays of Dr.Jit.
+        """Check `params` and return them as flat arrays of Dr.Jit.
 
         Raises
         ------
         ParameterError
-            If they have not exactly the names, shapes, and finite values.
+            If they have not exactly the names and shapes of the parameters, or values that are not finite.
         """
         if set(params) != set(self.start):
             msg = f"`params` must have exactly the names {sorted(self.start)}, got {sorted(params)}"
@@ -129,90 +129,97 @@ class ParameterBinding:
 
     @contextmanager
     def attached(
-        self, params: Mapping[str, Any], wanted: Collection[str], *, settled: bool = False
+        self, params: Mapping[str, Any], wrt: Collection[str], *, settled: bool = False
     ) -> Iterator[dict[str, Any]]:
-        """`params` in the scene, and their leaves, of which those that are `wanted` have a gradient meanwhile.
+        """Set `params` in the scene with gradients enabled for `wrt`, and yield their leaves.
 
-        No graph is left behind in the scene, also where Mitsuba fails; errors as of :meth:`leaves`.
+        On exit no graph is left in the scene, even if Mitsuba raises. Errors are those of :meth:`leaves`.
 
         Parameters
         ----------
         params : mapping of arrays
-        wanted : names
+        wrt : names
+            Parameters that have a gradient within the context.
         settled : bool
-            Whether the scene has these `params` already, so that only what is wanted is to be set.
+            Whether the scene has the values of `params` already, so that only `wrt` is set.
         """
         leaves = self.leaves(params)
         try:
             with dr.resume_grad():  # the caller may have suspended gradients
-                dr.enable_grad([leaves[name] for name in wanted])
-                self.set(leaves, wanted if settled else None)
+                dr.enable_grad([leaves[name] for name in wrt])
+                self.set(leaves, wrt if settled else None)
                 yield leaves
         finally:
-            self.set(self.leaves(params), wanted)
+            self.set(self.leaves(params), wrt)
 
     def gradients(self, leaves: Mapping[str, Any], names: Iterable[str]) -> dict[str, Float32Array]:
-        """What has arrived at leaves, in the shapes of their parameters."""
+        """Return the gradients that leaves have accumulated, in the shapes of their parameters."""
         return {name: as_host(dr.grad(leaves[name]), self.start[name].shape) for name in names}
 
     def set(self, leaves: Mapping[str, Any], names: Collection[str] | None = None) -> None:
-        """Put values into the scene: all, so that none is left from the call before, or what some of them set."""
+        """Set all parameters in the scene, or those in `names` with the other handles of their shapes."""
         for name, key in self._keys.items():
             if names is None or name in names:
                 self.entries[key] = _like(self.entries[key], leaves[name], self.start[name].shape)
-        for one in self._posed:
-            if names is not None and not any(name in names for name in one.names):
+        for posed in self._posed:
+            if names is not None and not any(name in names for name in posed.names):
                 continue
-            handles = [(self.targets[name], leaves[name]) for name in one.names]
-            pose = posed(handles, one.centre)  # type: ignore[arg-type]  # handles, all of them
-            moved = pose @ one.start
-            flat = isinstance(moved, mi.Point3f) and not isinstance(self.entries[one.key], mi.Point3f)
-            self.entries[one.key] = dr.ravel(moved) if flat else moved
-            if one.normals is not None:
-                turned = dr.normalize(pose @ one.normals)
-                self.entries[_beside(one.key, NORMALS)] = dr.ravel(turned)
+            handles = [(self.targets[name], leaves[name]) for name in posed.names]
+            transform = combined_transform(handles, posed.centre)  # type: ignore[arg-type]  # handles, all of them
+            moved = transform @ posed.start
+            flat = isinstance(moved, mi.Point3f) and not isinstance(self.entries[posed.key], mi.Point3f)
+            self.entries[posed.key] = dr.ravel(moved) if flat else moved
+            if posed.normals is not None:
+                normals = dr.normalize(transform @ posed.normals)
+                self.entries[_sibling(posed.key, NORMALS)] = dr.ravel(normals)
         self.entries.update()
 
-    def _own_normals(self, nodes: Mapping[str, Any]) -> dict[str, Any]:
-        """By key, normals of meshes that are not what Mitsuba computes when vertices are set."""
-        given = {
-            key: as_host(self.entries[_beside(key, NORMALS)], (-1, 3))
+    def _authored_normals(self, nodes: Mapping[str, Any]) -> dict[str, Any]:
+        """Return by key the vertex normals that differ from those that Mitsuba computes when vertices are set."""
+        stored = {
+            key: as_host(self.entries[_sibling(key, NORMALS)], (-1, 3))
             for key, node in nodes.items()
-            if isinstance(node, mi.Mesh) and not node.has_face_normals() and _beside(key, NORMALS) in self.entries
+            if isinstance(node, mi.Mesh) and not node.has_face_normals() and _sibling(key, NORMALS) in self.entries
         }
-        given = {key: own for key, own in given.items() if len(own)}
-        for key in given:
+        stored = {key: normals for key, normals in stored.items() if len(normals)}
+        for key in stored:
             self.entries.set_dirty(key)
         self.entries.update()
-        found = {}
-        for key, own in given.items():
-            beside = _beside(key, NORMALS)
-            if np.max(np.abs(as_host(self.entries[beside], (-1, 3)) - own)) >= SAME:
-                self.entries[beside] = mi.Float(aligned_copy(own.reshape(-1)))
-                found[key] = mi.Normal3f(*(mi.Float(aligned_copy(each)) for each in own.T))
+        authored = {}
+        for key, normals in stored.items():
+            sibling = _sibling(key, NORMALS)
+            if np.max(np.abs(as_host(self.entries[sibling], (-1, 3)) - normals)) >= NORMAL_TOLERANCE:
+                self.entries[sibling] = mi.Float(aligned_copy(normals.reshape(-1)))
+                authored[key] = mi.Normal3f(*(mi.Float(aligned_copy(axis)) for axis in normals.T))
         self.entries.update()
-        return found
+        return authored
 
 
-def _beside(key: str, entry: str) -> str:
-    """The key of another entry of the same shape."""
+def _sibling(key: str, entry: str) -> str:
+    """Return the key of another entry of the same shape."""
     return f"{key.rpartition('.')[0]}.{entry}"
 
 
-def _centre(node: Any, start: Any) -> tuple[float, float, float]:
-    """What an object turns about: the middle of a shape's box, the place of anything else."""
+def _pivot(node: Any, start: Any) -> tuple[float, float, float]:
+    """Return the centre of a shape's bounding box, or the position of any other object."""
     if isinstance(node, mi.Shape):
-        place = node.bbox().center()
+        point = node.bbox().center()
     else:
-        place = start @ mi.Point3f(0.0) if isinstance(start, mi.Transform4f) else start
-    x, y, z = np.array(place, dtype=np.float64).reshape(3).tolist()
+        point = start @ mi.Point3f(0.0) if isinstance(start, mi.Transform4f) else start
+    x, y, z = np.array(point, dtype=np.float64).reshape(3).tolist()
     return x, y, z
 
 
 def host_numbers(name: str, value: Any, shape: tuple[int, ...]) -> Float32Array:
-    """`value` as a new float32 array, once it is known to be finite numbers of `shape`."""
+    """Return `value` as a new float32 array.
+
+    Raises
+    ------
+    ParameterError
+        If it is not of that shape, or not finite.
+    """
     try:
-        with np.errstate(over="ignore"):  # what is too large for float32 becomes infinite
+        with np.errstate(over="ignore"):  # values too large for float32 become infinite
             array = np.array(value, dtype=np.float32, order="C")
     except (TypeError, ValueError):
         msg = f"`{name}` must be numbers of shape {shape}, got {shown(value)}"
@@ -227,18 +234,18 @@ def host_numbers(name: str, value: Any, shape: tuple[int, ...]) -> Float32Array:
 
 
 def as_host(value: Any, shape: tuple[int, ...]) -> Float32Array:
-    """An array of Dr.Jit as float32 of `shape`, in C order."""
+    """Return an array of Dr.Jit as float32 of `shape`, in C order."""
     return np.array(value, dtype=np.float32, order="C").reshape(shape)
 
 
 def _like(current: Any, flat: Any, shape: tuple[int, ...]) -> Any:
-    """The flat array `flat`, in C order of `shape`, as a value of the type of `current`."""
+    """Return the flat array `flat`, in C order of `shape`, as a value of the type of `current`."""
     if isinstance(current, float):
         return float(flat[0])
     if dr.is_tensor_v(current):
         return type(current)(flat, shape=shape)
     if isinstance(current, mi.Transform4f):
-        # By gathering: an entry of a flat array, as `flat[3]`, is a plain number without a gradient.
+        # Gathered: an element of a flat array, such as `flat[3]`, is a plain number without a gradient.
         rows = [[dr.gather(type(flat), flat, 4 * row + column) for column in range(4)] for row in range(4)]
         return mi.Transform4f(mi.Matrix4f(rows))
     return type(current)(flat) if dr.depth_v(current) == 1 else dr.unravel(type(current), flat, order="C")

@@ -1,4 +1,4 @@
-"""What a scene can be fitted by: every entry of ``mi.traverse``, under a name that is the same in every process."""
+"""Index the parameters of a scene under readable names that are the same in every process."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from loi_mitsuba.geometry.bounds import bounding_box
 from loi_mitsuba.scene.load import LoadedScene, load_scene, load_with_float_textures, use_variant
 
 __all__ = [
-    "INSTANCE",
+    "INSTANCE_PROBLEM",
     "Scene",
     "SceneIndex",
     "SceneParameter",
@@ -27,37 +27,40 @@ __all__ = [
     "index_scene",
     "is_instance",
     "list_parameters",
-    "numbers",
+    "matrix_or_value",
 ]
 
 Scene: TypeAlias = Any
 SceneParameters: TypeAlias = Any
 
-EIGHT_BITS: Final = "it is an 8-bit texture, which has no gradient; load the bitmap with format='variant'"
-INSTANCE: Final = "it moves an instance of a shapegroup, by which Mitsuba has no gradient"
-PLACING: Final = ("to_world", "position")  # what places a sensor or a light
-BY_IMAGES: Final = "; or leave it to PlannedRenderer, which finds it by images alone"
-BY_HANDLE: Final = "; or give PlannedRenderer a Translate or Rotate of {!r}, which it finds by images alone"
+EIGHT_BIT_PROBLEM: Final = "it is an 8-bit texture, which has no gradient; load the bitmap with format='variant'"
+INSTANCE_PROBLEM: Final = "it moves an instance of a shapegroup, for which Mitsuba has no gradient"
+POSE_ENTRIES: Final = ("to_world", "position")  # of sensors and lights
+BLUR_HINT: Final = "; or use PlannedRenderer, which estimates the gradient from images alone"
+HANDLE_HINT: Final = (
+    "; or give PlannedRenderer a Translate or Rotate of {!r}, whose gradient it estimates from images alone"
+)
+ZERO_TOLERANCE: Final = 1e-5  # coordinates below it are rounding errors, and 0 in a name
 _ADDRESS = re.compile(r"object_\d+(_\d+)?")
-_WORD = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
+_WORD_BOUNDARY = re.compile(r"(?<=[a-z0-9])(?=[A-Z])|(?<=[A-Z])(?=[A-Z][a-z])")
 
 
 @dataclass(frozen=True)
 class SceneParameter:
-    """One entry of a scene.
+    """One entry of ``mi.traverse``.
 
     Attributes
     ----------
     name : str
-        Readable: an object without an id is called by its kind and order, as in ``sphere_0.to_world``.
+        Readable name. An object without an id is named after its kind and number, as in ``sphere_0.to_world``.
     key : str
-        What ``mi.traverse`` calls it in this process.
+        Key in ``mi.traverse`` in this process.
     shape : tuple of int
-        Of its value.
+        Shape of its value.
     problem : str
-        Why it cannot be fitted, and what to do instead; empty if it can.
+        Why it cannot be fitted and an alternative; empty if it can be fitted.
     settable : bool
-        Whether it can be set all the same, so that images tell of it.
+        Whether it can be set although it has no gradient, so that a blurred gradient exists.
     """
 
     name: str
@@ -68,39 +71,40 @@ class SceneParameter:
 
 
 def list_parameters(scene: dict[str, Any] | str | Path | Scene) -> dict[str, SceneParameter]:
-    """Every entry of a scene by its readable name, in the order of ``mi.traverse``.
+    """List all parameters of a scene by their readable names, in the order of ``mi.traverse``.
 
-    A name means one object however the scene was loaded. Objects without an id are numbered in the file's order, as
-    ``sphere_0``. A scene that you have loaded yourself may not have kept that order of its meshes, so those are called
-    by where they stand, as ``rectangle_at_0_0_-1``; renderers know both names.
+    A name refers to the same object however the scene is loaded. Objects without an id are numbered in the order of the
+    file, as ``sphere_0``. A scene that you have loaded yourself may have lost that order for its meshes. They are named
+    by their position instead, as ``rectangle_at_0_0_-1``; renderers accept both names.
 
     Parameters
     ----------
     scene : dict, path or mi.Scene
-        As that of :class:`MitsubaRenderer`.
+        As for :class:`MitsubaRenderer`.
 
     Raises
     ------
     SceneLoadError
         If Mitsuba cannot load the scene.
     OptionError
-        If it is none.
+        If `scene` is of another type.
     """
     use_variant()
-    return SceneIndex(load_scene(scene)).entries
+    return SceneIndex(load_scene(scene)).parameters
 
 
 def index_scene(scene: dict[str, Any] | str | Path | Scene | LoadedScene, targets: Mapping[str, Any]) -> SceneIndex:
-    """A scene, loaded so that the entries among `targets` have a gradient if that is a matter of how it is loaded."""
-    names = SceneIndex(load_scene(scene))
-    wanted = [names.known(target) for target in targets.values() if isinstance(target, str)]
-    if any(one is not None and one.problem == EIGHT_BITS for one in wanted) and isinstance(scene, dict | str | Path):
+    """Load and index a scene, with float textures if an 8-bit texture is among `targets`."""
+    index = SceneIndex(load_scene(scene))
+    parameters = [index.get(target) for target in targets.values() if isinstance(target, str)]
+    eight_bit = any(parameter is not None and parameter.problem == EIGHT_BIT_PROBLEM for parameter in parameters)
+    if eight_bit and isinstance(scene, dict | str | Path):
         return SceneIndex(load_with_float_textures(scene))
-    return names
+    return index
 
 
 class SceneIndex:
-    """What the entries and shapes of a scene are called, as it stands when this is made.
+    """The parameters and shapes of a scene by name, for the scene's values at construction.
 
     Parameters
     ----------
@@ -110,7 +114,7 @@ class SceneIndex:
     ----------
     loaded : LoadedScene
     scene : mi.Scene
-    entries : dict of SceneParameter
+    parameters : dict of SceneParameter
         By readable name.
     """
 
@@ -118,94 +122,98 @@ class SceneIndex:
         self.loaded = loaded
         self.scene = loaded.scene
         self._params = mi.traverse(loaded.scene)
-        self._readable, places = _readable(self._params, in_order=loaded.in_order)
-        self.entries: dict[str, SceneParameter] = {}
-        self._also: dict[str, SceneParameter] = {}
-        for key in self._params.properties:  # iterating over it itself yields pairs
-            folder, _, last = key.rpartition(".")
-            name = f"{self._readable[folder]}.{last}" if folder else last
+        self._readable, self._positional = _readable_names(self._params, in_order=loaded.in_order)
+        self.parameters: dict[str, SceneParameter] = {}
+        self._aliases: dict[str, SceneParameter] = {}
+        for key in self._params.properties:  # iterating over it directly yields pairs
+            folder, _, entry = key.rpartition(".")
+            name = f"{self._readable[folder]}.{entry}" if folder else entry
             try:
                 shape = _shape(self._params[key])
-            except TypeError:  # it is not set, as is what absorbs light in hair that has pigments
+            except TypeError:  # not set, as the absorption of hair that is given by pigments
                 continue
-            entry = SceneParameter(name, key, shape, _problem(self._params, key), _settable(self._params, key))
-            self.entries[name] = self._also[key] = entry
-            for own, place in places.items():
-                if folder == own or folder.startswith(f"{own}."):
-                    self._also[f"{place}{folder[len(own) :]}.{last}"] = entry
-        self._places = places
+            parameter = SceneParameter(name, key, shape, _problem(self._params, key), _is_settable(self._params, key))
+            self.parameters[name] = self._aliases[key] = parameter
+            for path, positional in self._positional.items():
+                if folder == path or folder.startswith(f"{path}."):
+                    self._aliases[f"{positional}{folder[len(path) :]}.{entry}"] = parameter
 
-    def known(self, key: str) -> SceneParameter | None:
-        """The entry of that name or key, if there is one."""
-        return self.entries.get(key) or self._also.get(key)
+    def get(self, key: str) -> SceneParameter | None:
+        """Return the parameter with that name or key, or None."""
+        return self.parameters.get(key) or self._aliases.get(key)
 
     def find(self, key: str, *, images: bool = False) -> SceneParameter:
-        """The entry of that name or key; with `images`, it need not have a gradient.
+        """Return the parameter with that name or key.
+
+        Parameters
+        ----------
+        key : str
+        images : bool
+            Accept a parameter without a gradient if it can be set, for blurred gradients.
 
         Raises
         ------
         ParameterError
             If there is none, or it cannot be fitted.
         """
-        entry = self.known(key)
-        if entry is None:
-            usable = [name for name, one in self.entries.items() if not one.problem]
-            near = difflib.get_close_matches(key, usable, 3, 0.4) or usable
-            msg = f"the scene has no entry {key!r}; {'near' if near != usable else 'it has'}: {', '.join(near)}"
+        parameter = self.get(key)
+        if parameter is None:
+            usable = [name for name, candidate in self.parameters.items() if not candidate.problem]
+            similar = difflib.get_close_matches(key, usable, 3, 0.4)
+            options = f"similar: {', '.join(similar)}" if similar else f"it has: {', '.join(usable)}"
+            msg = f"the scene has no parameter {key!r}; {options}"
             raise ParameterError(msg)
-        if entry.problem and not (images and entry.settable):
-            otherwise = BY_IMAGES if entry.settable and not images else self._by_handle(entry)
-            msg = f"{key!r} cannot be fitted: {entry.problem}{otherwise}"
+        if parameter.problem and not (images and parameter.settable):
+            hint = BLUR_HINT if parameter.settable and not images else self._handle_hint(parameter)
+            msg = f"{key!r} cannot be fitted: {parameter.problem}{hint}"
             raise ParameterError(msg)
-        return entry
+        return parameter
 
-    def _by_handle(self, entry: SceneParameter) -> str:
-        """How else what an entry moves can be moved; empty if not."""
-        folder, _, last = entry.key.rpartition(".")
-        node = self._params.properties[entry.key][2]
-        movable = last == "to_world" and _is_placed(node)
-        return BY_HANDLE.format(self._readable.get(folder, folder)) if movable else ""
+    def _handle_hint(self, parameter: SceneParameter) -> str:
+        folder, _, entry = parameter.key.rpartition(".")
+        movable = entry == "to_world" and _moves_by_images_only(self._params.properties[parameter.key][2])
+        return HANDLE_HINT.format(self._readable.get(folder, folder)) if movable else ""
 
-    def moved_by(self, entry: SceneParameter) -> Any:
-        """The shape that an entry moves; None if it moves none."""
-        node = self._params.properties[entry.key][2]
-        moves = isinstance(node, mi.Shape) and self._params.flags(entry.key) & mi.ParamFlags.Discontinuous
+    def moved_shape(self, parameter: SceneParameter) -> Any:
+        """Return the shape that a parameter moves, or None."""
+        node = self._params.properties[parameter.key][2]
+        moves = isinstance(node, mi.Shape) and self._params.flags(parameter.key) & mi.ParamFlags.Discontinuous
         return node if moves else None
 
-    def part_of_material(self, entry: SceneParameter) -> tuple[Any, str]:
-        """The material nearest to an entry, and which of its inputs the entry belongs to; None and "" without."""
-        nodes, parts = ancestors(self._params, self._params.properties[entry.key][2]), entry.key.split(".")
-        for node, part in reversed([*zip(nodes, parts, strict=False)]):
+    def material_input(self, parameter: SceneParameter) -> tuple[Any, str]:
+        """Return the innermost BSDF around a parameter and the input it belongs to; None and "" without a BSDF."""
+        nodes, keys = ancestors(self._params, self._params.properties[parameter.key][2]), parameter.key.split(".")
+        for node, key in reversed([*zip(nodes, keys, strict=False)]):
             if isinstance(node, mi.BSDF):
-                return node, part
+                return node, key
         return None, ""
 
-    def placed_by(self, key: str) -> Any:
-        """The light whose position the entry of that name or key is; None if it is no light's."""
-        entry = self.known(key)
-        if entry is None or entry.key.rpartition(".")[2] != "position":
+    def positioned_light(self, key: str) -> Any:
+        """Return the light whose position has that name or key, or None."""
+        parameter = self.get(key)
+        if parameter is None or parameter.key.rpartition(".")[2] != "position":
             return None
-        node = self._params.properties[entry.key][2]
+        node = self._params.properties[parameter.key][2]
         return node if isinstance(node, mi.Emitter) else None
 
     def find_movable(self, name: str) -> tuple[str, Any]:
-        """As :meth:`find_shape`, and of sensors, instances and lights without a surface, which have no gradient."""
+        """Return the pose key and the object, as :meth:`find_shape`, also for sensors, instances and delta lights."""
         for key in self._params.properties:
-            folder, _, last = key.rpartition(".")
+            folder, _, entry = key.rpartition(".")
             node = self._params.properties[key][2]
-            if last not in PLACING or not _is_placed(node):
+            if entry not in POSE_ENTRIES or not _moves_by_images_only(node):
                 continue
             if name in (folder, self._readable.get(folder)):
                 return key, node
         return self.find_shape(name)
 
     def find_shape(self, name: str) -> tuple[str, Any]:
-        """The key of what places the shape of that name or id, and the shape.
+        """Return the pose key of the shape with that name or id, and the shape.
 
         Returns
         -------
         key : str
-            Of its ``vertex_positions`` or ``to_world``.
+            Key of its ``vertex_positions`` or ``to_world``.
         shape : mi.Shape
 
         Raises
@@ -213,126 +221,123 @@ class SceneIndex:
         ParameterError
             If there is none, or it cannot be moved.
         """
-        shapes = []
+        movable = []
         for key in self._params.properties:
-            folder, _, last = key.rpartition(".")
+            folder, _, entry = key.rpartition(".")
             node = self._params.properties[key][2]
-            called = (folder, self._readable.get(folder), self._places.get(folder))
-            if isinstance(node, mi.Shape) and last in ("vertex_positions", "to_world"):
+            matches = name in (folder, self._readable.get(folder), self._positional.get(folder))
+            if isinstance(node, mi.Shape) and entry in ("vertex_positions", "to_world"):
                 problem = _problem(self._params, key)
-                if name in called and not problem:
+                if matches and not problem:
                     return key, node
-                if name in called and is_instance(node):
-                    msg = f"{name!r} cannot be moved: {INSTANCE}{BY_IMAGES}"
-                    raise ParameterError(msg)
-                if name in called and problem:
-                    msg = f"{name!r} cannot be moved: {problem}"
+                if matches:
+                    msg = f"{name!r} cannot be moved: {INSTANCE_PROBLEM + BLUR_HINT if is_instance(node) else problem}"
                     raise ParameterError(msg)
                 if not problem:
-                    shapes.append(self._readable[folder])
-            elif folder and name in called and isinstance(node, mi.Sensor | mi.Emitter):
-                placed = any(f"{folder}.{last}" in self._params.properties for last in PLACING)
-                problem = f"{_fixed(node)}{BY_IMAGES}" if placed else f"a {node.class_name()} is at no place"
+                    movable.append(self._readable[folder])
+            elif folder and matches and isinstance(node, mi.Sensor | mi.Emitter):
+                has_pose = any(f"{folder}.{pose}" in self._params.properties for pose in POSE_ENTRIES)
+                problem = f"{_immovable(node)}{BLUR_HINT}" if has_pose else f"a {node.class_name()} has no position"
                 msg = f"{name!r} cannot be moved: {problem}"
                 raise ParameterError(msg)
-        msg = f"the scene has no shape {name!r} that can be moved; it has: {', '.join(dict.fromkeys(shapes)) or 'none'}"
+        names = ", ".join(dict.fromkeys(movable)) or "none"
+        msg = f"the scene has no shape {name!r} that can be moved; it has: {names}"
         raise ParameterError(msg)
 
 
-def numbers(value: Any) -> Any:
-    """The matrix of a transform, or `value` as it is."""
+def matrix_or_value(value: Any) -> Any:
+    """Return the matrix of a transform, or any other value unchanged."""
     # By type: an array of Dr.Jit has an attribute of nearly any name, which picks components.
     return value.matrix if isinstance(value, mi.Transform4f) else value
 
 
-def _readable(params: SceneParameters, *, in_order: bool) -> tuple[dict[str, str], dict[str, str]]:
-    """Readable names of the objects that entries belong to, by their keys, and those by place of meshes without an id.
+def _readable_names(params: SceneParameters, *, in_order: bool) -> tuple[dict[str, str], dict[str, str]]:
+    """Return readable names of all objects by key, and positional names of meshes without an id.
 
-    Where meshes may have been merged or moved, numbers would mean other ones than in the file.
+    The order of meshes that Mitsuba may have merged or moved is not the file's, so they are not numbered.
     """
     names: dict[str, str] = {}
     counts: defaultdict[str, int] = defaultdict(int)
-    taken = {part for key in params.properties for part in key.split(".")}
-    places = _places(params)
-    unsafe = set() if in_order else _unsafe(params, places)
+    reserved = {word for key in params.properties for word in key.split(".")}
+    positional = _positional_names(params)
+    unordered = set() if in_order else _unordered_meshes(params, positional)
     for key in params.properties:
-        parts = key.split(".")[:-1]
+        words = key.split(".")[:-1]
         nodes = ancestors(params, params.properties[key][2])
-        for depth in range(1, len(parts) + 1):
-            path, above = ".".join(parts[:depth]), names.get(".".join(parts[: depth - 1]), "")
+        for depth in range(1, len(words) + 1):
+            path, parent = ".".join(words[:depth]), names.get(".".join(words[: depth - 1]), "")
             if path in names:
                 continue
-            part = parts[depth - 1]
-            node = nodes[depth] if len(nodes) == len(parts) + 1 else None
-            if path in unsafe:
-                part = places[path]
-            elif node is not None and not node.id() and _ADDRESS.fullmatch(part):
-                kind = _kind_of(node)
-                while (part := f"{kind}_{counts[kind]}") in taken:
+            word = words[depth - 1]
+            node = nodes[depth] if len(nodes) == len(words) + 1 else None
+            if path in unordered:
+                word = positional[path]
+            elif node is not None and not node.id() and _ADDRESS.fullmatch(word):
+                kind = _snake_case_kind(node)
+                while (word := f"{kind}_{counts[kind]}") in reserved:
                     counts[kind] += 1
                 counts[kind] += 1
-            names[path] = f"{above}.{part}" if above else part
-    return names, places
+            names[path] = f"{parent}.{word}" if parent else word
+    return names, positional
 
 
-def _places(params: SceneParameters) -> dict[str, str]:
-    """By key, a name for each mesh without an id that says where it stands, and if others do too, how large it is."""
-    found: dict[str, str] = {}
+def _positional_names(params: SceneParameters) -> dict[str, str]:
+    """Return a name with the position of each mesh without an id, and with its size where positions coincide."""
+    names: dict[str, str] = {}
     sizes: dict[str, str] = {}
     for key in params.properties:
-        folder, _, last = key.rpartition(".")
+        folder, _, entry = key.rpartition(".")
         node = params.properties[key][2]
-        if last in ("vertex_positions", "to_world") and isinstance(node, mi.Mesh) and not node.id():
+        if entry in ("vertex_positions", "to_world") and isinstance(node, mi.Mesh) and not node.id():
             if _is_merged(node):
-                found[folder] = "merged_meshes"
+                names[folder] = "merged_meshes"
                 continue
-            found[folder] = f"{_kind_of(node)}_at_{_numbers(bounding_box(node).mean(axis=0))}"
-            sizes[folder] = f"_size_{_numbers(np.ptp(bounding_box(node), axis=0))}"
-    named = list(found.values())
-    found = {key: name + sizes.get(key, "") if named.count(name) > 1 else name for key, name in found.items()}
-    named = list(found.values())
-    numbered = {name: iter(range(len(named))) for name in named}
-    # Nothing that is known here says which is which of meshes of one size in one place.
-    return {key: f"{name}_{next(numbered[name])}" if named.count(name) > 1 else name for key, name in found.items()}
+            names[folder] = f"{_snake_case_kind(node)}_at_{_joined(bounding_box(node).mean(axis=0))}"
+            sizes[folder] = f"_size_{_joined(np.ptp(bounding_box(node), axis=0))}"
+    listed = list(names.values())
+    names = {key: name + sizes.get(key, "") if listed.count(name) > 1 else name for key, name in names.items()}
+    listed = list(names.values())
+    numbers = {name: iter(range(len(listed))) for name in listed}
+    # Meshes of one size in one position cannot be distinguished, so their numbers are arbitrary.
+    return {key: f"{name}_{next(numbers[name])}" if listed.count(name) > 1 else name for key, name in names.items()}
 
 
-def _numbers(values: Any) -> str:
-    """Coordinates as part of a name; what is 0 but for rounding is 0."""
-    return "_".join(f"{one:.5g}" for one in np.where(np.abs(values) < 1e-5, 0.0, values))
+def _joined(coordinates: Any) -> str:
+    return "_".join(f"{value:.5g}" for value in np.where(np.abs(coordinates) < ZERO_TOLERANCE, 0.0, coordinates))
 
 
-def _unsafe(params: SceneParameters, places: Mapping[str, str]) -> set[str]:
-    """The meshes whose number may not be that of the file: all but the only one of their kind, if none were merged."""
+def _unordered_meshes(params: SceneParameters, positional: Mapping[str, str]) -> set[str]:
+    """Return the meshes that may be out of order: without merged meshes, a mesh that is alone of its kind is not."""
     nodes = {params.properties[key][2]: key.rpartition(".")[0] for key in params.properties}
-    meshes = {folder: node for node, folder in nodes.items() if folder in places}
-    kinds = [_kind_of(node) for node in meshes.values()]
+    meshes = {folder: node for node, folder in nodes.items() if folder in positional}
+    kinds = [_snake_case_kind(node) for node in meshes.values()]
     merged = any(map(_is_merged, meshes.values()))
-    return {folder for folder, node in meshes.items() if merged or kinds.count(_kind_of(node)) > 1}
+    return {folder for folder, node in meshes.items() if merged or kinds.count(_snake_case_kind(node)) > 1}
 
 
-def _kind_of(node: Any) -> str:
-    return _WORD.sub("_", node.class_name()).lower()
+def _snake_case_kind(node: Any) -> str:
+    return _WORD_BOUNDARY.sub("_", node.class_name()).lower()
 
 
 def _is_merged(node: Any) -> bool:
-    """Whether Mitsuba has made one mesh of several; it then joins their names."""
+    """Return whether Mitsuba has merged several meshes into this one; it then joins their names."""
     if not isinstance(node, mi.Mesh) or node.class_name() != "Mesh" or node.id():
         return False
     return " + " in str(node).partition("bbox")[0]
 
 
 def is_instance(node: Any) -> bool:
-    """Whether an object is an instance of a shapegroup."""
+    """Return whether an object is an instance of a shapegroup."""
     return isinstance(node, mi.Shape) and node.class_name() == "Instance"
 
 
-def _is_placed(node: Any) -> bool:
-    """Whether an object is moved by images alone: a sensor, an instance, or a light."""
+def _moves_by_images_only(node: Any) -> bool:
+    """Return whether moving an object has no gradient in Mitsuba: a sensor, an instance, or a light."""
     return isinstance(node, mi.Sensor | mi.Emitter) or is_instance(node)
 
 
 def ancestors(params: SceneParameters, node: Any) -> list[Any]:
-    """The objects from the scene down to `node`."""
+    """Return the objects from the scene down to `node`."""
     chain = []
     while node is not None:
         chain.append(node)
@@ -341,39 +346,39 @@ def ancestors(params: SceneParameters, node: Any) -> list[Any]:
 
 
 def _shape(value: Any) -> tuple[int, ...]:
-    value = numbers(value)
+    value = matrix_or_value(value)
     shape = np.array(value).shape
     # Dr.Jit's last axis runs over a whole wavefront; a uniform value has just one entry there.
-    flat = dr.is_jit_v(value) and not dr.is_tensor_v(value)
-    return shape[:-1] if flat and shape[-1:] == (1,) else shape
+    is_wavefront = dr.is_jit_v(value) and not dr.is_tensor_v(value)
+    return shape[:-1] if is_wavefront and shape[-1:] == (1,) else shape
 
 
 def _problem(params: SceneParameters, key: str) -> str:
     flags, node, value = params.flags(key), params.properties[key][2], params[key]
     if any(map(_is_merged, ancestors(params, node))):
         return "Mitsuba has merged several meshes into it; give the renderer the path, or load with optimize=False"
-    owners = [one for one in ancestors(params, node) if isinstance(one, mi.Sensor)]
-    if owners:
-        return _fixed(owners[-1])
-    plain = numbers(value)
-    if dr.is_tensor_v(plain) and not dr.is_float_v(plain):
-        return EIGHT_BITS
+    sensors = [ancestor for ancestor in ancestors(params, node) if isinstance(ancestor, mi.Sensor)]
+    if sensors:
+        return _immovable(sensors[-1])
+    array = matrix_or_value(value)
+    if dr.is_tensor_v(array) and not dr.is_float_v(array):
+        return EIGHT_BIT_PROBLEM
     if (flags & mi.ParamFlags.NonDifferentiable) or (flags & mi.ParamFlags.ReadOnly):
         if isinstance(node, mi.Emitter) and key.rpartition(".")[2] in ("position", "to_world"):
-            return _fixed(node)
+            return _immovable(node)
         return "Mitsuba gives no gradient for it"
-    return "" if dr.is_diff_v(plain) and dr.is_float_v(plain) else "it is not a floating-point array of Dr.Jit"
+    return "" if dr.is_diff_v(array) and dr.is_float_v(array) else "it is not a floating-point array of Dr.Jit"
 
 
-def _settable(params: SceneParameters, key: str) -> bool:
-    """Whether blurred values of an entry are values of it. Those of a matrix are not: a handle turns and moves it."""
+def _is_settable(params: SceneParameters, key: str) -> bool:
+    """Return whether any value may be set. Not so for a matrix: blurring its elements leaves the rigid transforms."""
     value = params[key]
     if params.flags(key) & mi.ParamFlags.ReadOnly or any(map(_is_merged, ancestors(params, params.properties[key][2]))):
         return False
     return isinstance(value, float) or bool(dr.is_diff_v(value) and dr.is_float_v(value))
 
 
-def _fixed(node: Any) -> str:
+def _immovable(node: Any) -> str:
     if isinstance(node, mi.Sensor):
         return "Mitsuba gives no gradient for sensors; move the scene instead"
     kind = node.class_name()

@@ -1,4 +1,4 @@
-"""Transforms of Mitsuba for the handles on a shape's pose."""
+"""Transforms of Mitsuba from handles on a shape's pose."""
 
 from __future__ import annotations
 
@@ -10,22 +10,22 @@ import mitsuba as mi
 
 from loi_core.renderers.poses import PoseParameter, Rotate, Scale, Translate, in_application_order
 
-__all__ = ["PoseParameter", "Rotate", "Scale", "Translate", "posed"]
+__all__ = ["PoseParameter", "Rotate", "Scale", "Translate", "combined_transform"]
 
 Vector: TypeAlias = tuple[float, float, float]
 
 
-def posed(handles: Sequence[tuple[PoseParameter, Any]], centre: Vector) -> Any:
-    """The transform that several handles on one shape make together.
+def combined_transform(handles: Sequence[tuple[PoseParameter, Any]], centre: Vector) -> Any:
+    """Combine several handles on one shape into a transform.
 
-    The order is that of :func:`loi_core.renderers.poses.in_application_order`.
+    Their order is that of :func:`loi_core.renderers.poses.in_application_order`.
 
     Parameters
     ----------
     handles : sequence of (handle, mi.Float)
-        Each with its value; a flat array.
+        Each handle with its value, a flat array.
     centre : 3 floats
-        The pivot of handles that have none of their own.
+        The pivot of handles without a pivot.
 
     Returns
     -------
@@ -35,17 +35,17 @@ def posed(handles: Sequence[tuple[PoseParameter, Any]], centre: Vector) -> Any:
     total = mi.Transform4f()
     for handle, value in in_application_order(handles):
         if isinstance(handle, Translate):
-            offset = dr.unravel(mi.Vector3f, value) if handle.axis is None else _along(handle.axis) * value
+            offset = dr.unravel(mi.Vector3f, value) if handle.axis is None else _vector(handle.axis) * value
             total = mi.Transform4f().translate(offset) @ total
             continue
         pivot = mi.Vector3f(*(centre if handle.pivot is None else handle.pivot))
         if isinstance(handle, Rotate):
-            local = mi.Transform4f().rotate(_along(handle.axis or ()), value)  # targets have one, they were checked
+            local = mi.Transform4f().rotate(_vector(handle.axis or ()), value)  # checked_targets requires an axis
         else:
             local = mi.Transform4f().scale(mi.Vector3f(value))
         total = mi.Transform4f().translate(pivot) @ local @ mi.Transform4f().translate(-pivot) @ total
     return total
 
 
-def _along(axis: Sequence[float]) -> Any:
+def _vector(axis: Sequence[float]) -> Any:
     return mi.Vector3f(*axis)

@@ -1,4 +1,4 @@
-"""The settings of Mitsuba that a plan decides, and the integrators that they make."""
+"""The settings of Mitsuba that a plan decides, and the integrators that they configure."""
 
 from __future__ import annotations
 
@@ -12,42 +12,41 @@ from loi_core.effects import EffectPlan
 from loi_core.errors import OptionError
 
 __all__ = [
-    "OWN",
-    "PARTS",
+    "GRADIENT_TERMS",
     "PROJECTIVE",
+    "SCENE_INTEGRATOR",
     "Settings",
-    "as_mapping",
-    "bordered",
     "integrator_of",
-    "leaves_edges_out",
+    "omits_edges",
     "settings_of",
+    "with_sampled_border",
 ]
 
-OWN: Final = "scene"  # the scene's own integrator, which the rules do not know
+SCENE_INTEGRATOR: Final = "scene"  # the scene's own integrator, of a type that the rules do not know
 PROJECTIVE: Final = ("direct_projective", "prb_projective")
-PARTS: Final = ("sppc", "sppp", "sppi")  # samples of continuous shading, primary and indirect visibility
+GRADIENT_TERMS: Final = ("sppc", "sppp", "sppi")  # samples of the interior, primary and indirect boundary terms
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What Mitsuba is told.
+    """Settings of an integrator.
 
     Attributes
     ----------
     integrator : str
-        Its plugin, or "scene" for the scene's own.
+        Name of its plugin, or "scene" for the scene's own.
     max_depth : int
-        Longest paths; 2 is direct light.
+        Length of the longest paths; 2 is direct light.
     sppc, sppp, sppi : int
-        Samples per pixel of the gradient's three parts. 0 turns a part off; integrators that have no edges know the
-        first only.
+        Samples per pixel of the gradient's three terms. 0 turns a term off; integrators without boundary terms use
+        `sppc` only.
     guiding : str
-        How samples of indirect edges are placed: "none", for all alike. Mitsuba's others are slow on a processor, and
-        never sample where no seed has been.
+        Guiding of indirect boundary samples, "none" for uniform. Mitsuba's guiding is slow on a CPU, and never samples
+        where no seed was.
     hide_emitters : bool
-        As the scene's own integrator has it.
+        As in the scene's own integrator.
     sample_border : bool
-        Whether the film has to sample beyond its border, for what crosses it.
+        Whether the film samples beyond its border, for shapes that cross it.
     """
 
     integrator: str
@@ -61,34 +60,38 @@ class Settings:
 
     @property
     def projective(self) -> bool:
-        """Whether the gradient has parts that can be drawn one by one."""
+        """Whether the terms of the gradient can be sampled separately."""
         return self.integrator in PROJECTIVE
 
-    def only(self, part: str, samples: int | None = None) -> Settings:
-        """The same with one part of the gradient and no other."""
-        kept = getattr(self, part) if samples is None else samples
-        return self.sampled({name: kept if name == part else 0 for name in PARTS})
+    def only(self, term: str, samples: int | None = None) -> Settings:
+        """Return the settings with a single term, with its samples or another number."""
+        count = getattr(self, term) if samples is None else samples
+        return self.sampled({name: count if name == term else 0 for name in GRADIENT_TERMS})
 
     def sampled(self, counts: Mapping[str, int]) -> Settings:
-        """The same with other samples of some parts."""
-        all_counts = {name: counts.get(name, getattr(self, name)) for name in PARTS}
+        """Return the settings with other sample counts for some terms."""
+        all_counts = {name: counts.get(name, getattr(self, name)) for name in GRADIENT_TERMS}
         return replace(self, sppc=all_counts["sppc"], sppp=all_counts["sppp"], sppi=all_counts["sppi"])
 
+    def to_mapping(self) -> dict[str, Any]:
+        """Return the value of :attr:`loi_core.effects.EffectPlan.settings`."""
+        return asdict(self)
+
     def load(self) -> Any:
-        """The integrator, for every kind but the scene's own."""
-        described: dict[str, Any] = {"type": self.integrator, "hide_emitters": self.hide_emitters}
+        """Load the integrator; not for "scene"."""
+        description: dict[str, Any] = {"type": self.integrator, "hide_emitters": self.hide_emitters}
         if self.integrator != "direct_projective":
-            described["max_depth"] = self.max_depth
+            description["max_depth"] = self.max_depth
         if self.projective:
-            described |= {name: getattr(self, name) for name in PARTS} | {"guiding": self.guiding}
-        made = mi.load_dict(described)
+            description |= {name: getattr(self, name) for name in GRADIENT_TERMS} | {"guiding": self.guiding}
+        integrator = mi.load_dict(description)
         if self.projective:
-            made.sample_border_warning = False  # each new integrator gives it once, and a plan says what is called for
-        return made
+            integrator.sample_border_warning = False  # each new integrator warns once; the plan reports the border
+        return integrator
 
 
 def settings_of(plan: EffectPlan) -> Settings:
-    """The settings that a plan of this adapter holds.
+    """Return the settings in a plan of this adapter.
 
     Raises
     ------
@@ -103,35 +106,30 @@ def settings_of(plan: EffectPlan) -> Settings:
 
 
 def integrator_of(settings: Settings, scene: Any) -> tuple[Any, int]:
-    """The integrator of a plan's settings, and the samples to ask it for: 0 for its own counts."""
-    if settings.integrator == OWN:
+    """Return the integrator of the settings, and the `spp` to render with: 0 for the integrator's own counts."""
+    if settings.integrator == SCENE_INTEGRATOR:
         return scene.integrator(), settings.sppc
     return settings.load(), 0 if settings.projective else settings.sppc
 
 
-def leaves_edges_out(plan: EffectPlan) -> bool:
-    """Whether a pilot has measured that the motion of outlines and shadows carries next to nothing."""
+def omits_edges(plan: EffectPlan) -> bool:
+    """Return whether a pilot has measured that outlines and shadows carry a negligible part of the gradient."""
     return plan.measured and settings_of(plan).integrator == "prb"
 
 
-def as_mapping(settings: Settings) -> dict[str, Any]:
-    """For :attr:`loi_core.effects.EffectPlan.settings`."""
-    return asdict(settings)
+def with_sampled_border(scene: Any, integrator: Any) -> Any:
+    """Return a dict `scene` whose films sample their borders if the plan `integrator` needs it, or `scene` itself.
 
-
-def bordered(scene: Any, integrator: Any) -> Any:
-    """`scene`, its films sampling beyond their borders if it is a dict and `integrator` a plan that asks for it.
-
-    A film cannot be changed once it is made.
+    A film that is loaded cannot be changed.
     """
     if not isinstance(scene, dict) or not isinstance(integrator, EffectPlan):
         return scene
     if not settings_of(integrator).sample_border:
         return scene
-    return {key: _with_border(value) for key, value in scene.items()}
+    return {key: _with_sampled_border(value) for key, value in scene.items()}
 
 
-def _with_border(entry: Any) -> Any:
+def _with_sampled_border(entry: Any) -> Any:
     if not isinstance(entry, dict):
         return entry
     return {
