@@ -1,4 +1,4 @@
-"""The loss on Dr.Jit's tensors as users of Mitsuba call it, for ``loi tradeoff`` and ``loi doctor --stability``."""
+"""The measurement backend of Mitsuba, for ``loi tradeoff`` and ``loi doctor --stability``."""
 
 from __future__ import annotations
 
@@ -23,27 +23,27 @@ class Mitsuba:
     compiled = False
 
     def device(self) -> str:
-        """The processor, or "cuda"."""
+        """Return "cuda" in CUDA variants, else "cpu"."""
         return "cuda" if str(self._variant()).startswith("cuda") else "cpu"
 
     def asarray(self, host: Host) -> NoReturn:
-        """Dr.Jit's tensors are flat memory in row-major order, so there is nothing to choose."""
-        msg = f"Dr.Jit's tensors are copies in an order of their own, got {type(host).__name__}"
+        """Raise TypeError: Dr.Jit's tensors always have contiguous memory, whatever the layout of `host`."""
+        msg = f"Dr.Jit's tensors are contiguous copies, which lose the memory layout of a {type(host).__name__}"
         raise TypeError(msg)
 
     def prepare(self, request: Request) -> Evaluate:
-        """See :class:`loi_core.plugins.measurement_backends.MeasurementBackend`."""
+        """Build the loss; see :class:`loi_core.plugins.measurement_backends.MeasurementBackend`."""
         self._variant()
         reference = request.reference.astype(request.dtype)
         loss = LOILoss(reference, request.scales, request.accuracy, nan_policy=request.nan_policy)
-        given = mi.TensorXf(np.ascontiguousarray(request.image, request.dtype))
+        tensor = mi.TensorXf(np.ascontiguousarray(request.image, request.dtype))
 
         def evaluate() -> tuple[float, Host]:
-            dr.enable_grad(given)
-            dr.set_grad(given, 0.0)
-            value = loss(given)
+            dr.enable_grad(tensor)
+            dr.set_grad(tensor, 0.0)
+            value = loss(tensor)
             dr.backward(value)
-            return float(value[0]), to_numpy(dr.grad(given).numpy())
+            return float(value[0]), to_numpy(dr.grad(tensor).numpy())
 
         return evaluate
 

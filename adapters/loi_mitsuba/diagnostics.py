@@ -1,4 +1,4 @@
-"""Scenes for which Mitsuba's gradient is silently missing or wrong."""
+"""Diagnoses of scenes whose gradient Mitsuba gets wrong without an error."""
 
 from __future__ import annotations
 
@@ -188,12 +188,12 @@ def sees_inside_cylinder(shape: Any, sensor: Any) -> bool:
 
 def ray_epsilon_too_large(shape: Any, shapes: Sequence[Any]) -> bool:
     """Return whether a shape's box overlaps another's, and Mitsuba's ray epsilon is large compared to the shape."""
-    low, high = bounding_box(shape)
-    farthest = np.max(np.abs(np.stack([low, high])), axis=0)
-    if ray_epsilon(mi.ScalarPoint3f(farthest.tolist())) <= MAX_RELATIVE_EPSILON * np.linalg.norm(high - low):
+    lower, upper = bounding_box(shape)
+    farthest = np.max(np.abs(np.stack([lower, upper])), axis=0)
+    if ray_epsilon(mi.ScalarPoint3f(farthest.tolist())) <= MAX_RELATIVE_EPSILON * np.linalg.norm(upper - lower):
         return False
     boxes = [bounding_box(neighbour) for neighbour in shapes if neighbour != shape]
-    return any(bool(np.all(low <= top) and np.all(bottom <= high)) for bottom, top in boxes)
+    return any(bool(np.all(lower <= top) and np.all(bottom <= upper)) for bottom, top in boxes)
 
 
 def is_near_clipped(scene: Any, sensor: Any) -> bool:
@@ -211,7 +211,7 @@ def is_near_clipped(scene: Any, sensor: Any) -> bool:
 
 
 def warn_about_entries(index: SceneIndex, targets: Mapping[str, Any]) -> None:
-    """Warn about targets that are entries of materials for which Mitsuba's gradient is missing or wrong."""
+    """Warn about targets that are material entries without a correct gradient in Mitsuba."""
     for name, target in targets.items():
         reason = unsupported_parameter(index, target) if isinstance(target, str) else ""
         if reason:

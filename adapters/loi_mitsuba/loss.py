@@ -24,10 +24,10 @@ __all__ = ["Backend", "BackendMissingError", "LOILoss"]
 Backend = Literal["torch", "numpy", "jax"]
 
 Tensor: TypeAlias = Any
-"""A tensor of Dr.Jit, ``mi.TensorXf``; its type depends on the variant, so there is no one name to give."""
+"""A Dr.Jit tensor, ``mi.TensorXf``, whose class depends on the variant."""
 
 Float: TypeAlias = Any
-"""A flat array of Dr.Jit, ``mi.Float``."""
+"""A flat Dr.Jit array, ``mi.Float``."""
 
 EXPORTS: Final[dict[str, Callable[[Tensor], Array]]] = {
     "torch": lambda tensor: tensor.torch(),
@@ -37,7 +37,7 @@ EXPORTS: Final[dict[str, Callable[[Tensor], Array]]] = {
 
 
 class BackendMissingError(LoiError, ImportError):
-    """The array library that was asked for is not installed."""
+    """The requested array library is not installed."""
 
 
 class LOILoss:
@@ -46,24 +46,24 @@ class LOILoss:
     Parameters
     ----------
     reference : mi.TensorXf or array, shape (H, W, C)
-        What the image should look like. It is copied; later writes to it change nothing.
+        The target image. It is copied, so later changes to it have no effect.
     scales : ScaleSpace, optional
         The scales to compare; ``ScaleSpace.for_image(H, W)`` by default, with half its beta for differences of colours.
     accuracy : {"exact", "balanced", "fast"} or float
         Largest relative error of the gradient allowed in exchange for time; see :class:`loi_core.LOIObjective`.
     channel_axis : int or None
-        Where the channels are, in the reference and in the images; None for images without channels.
+        Axis of the channels in the reference and in the images; None for images without channels.
     nan_policy : {"raise", "mask"}
-        What happens to pixels that are not finite.
+        Whether non-finite pixels raise an error or are ignored.
     tone : LogTone, optional
         A tone curve for images of high dynamic range, as ``mi.render`` gives them; see :class:`loi_core.LOIObjective`.
     weights : mi.TensorXf or array, shape (H, W), optional
-        How much each pixel counts; a mask is weights of 0 and 1. See :class:`loi_core.LOIObjective`.
+        Weights of the pixels; a mask has weights of 0 and 1. See :class:`loi_core.LOIObjective`.
     colours : {"channels", "differences"}
-        What of the colours is compared; see :class:`loi_core.LOIObjective`.
+        Which colour features are compared; see :class:`loi_core.LOIObjective`.
     backend : {"torch", "numpy", "jax"}, optional
-        The array library that does the work. By default torch if it is installed, and computes on GPUs if Mitsuba's
-        variant does, or else NumPy.
+        The array library that computes the loss. By default torch if it is installed and supports Mitsuba's device,
+        or else NumPy.
 
     Raises
     ------
@@ -74,10 +74,10 @@ class LOILoss:
 
     Notes
     -----
-    Memory is shared with the array library, not copied, except that NumPy cannot see a GPU: in CUDA variants only
-    torch and JAX keep the image there. The loss is evaluated when it is called, and value and gradient together; it
-    adds nothing to Dr.Jit's kernels, so they are compiled once, and ``dr.backward`` only scales the gradient.
-    Dr.Jit itself may hang where several threads of a process render at once; give each a process of its own.
+    The array library shares the image's memory without a copy, except NumPy in CUDA variants: only torch and JAX keep
+    the image on the GPU. A call evaluates the value and the gradient at once. It adds nothing to Dr.Jit's kernels, so
+    they are compiled once, and ``dr.backward`` only scales the gradient. Dr.Jit itself may hang where several threads
+    of a process render at once; use one process for each.
 
     Examples
     --------
@@ -117,16 +117,16 @@ class LOILoss:
 
     @property
     def objective(self) -> LOIObjective:
-        """The objective of the core that does the work."""
+        """The objective of the core that computes the loss."""
         return self._objective
 
     @property
     def backend(self) -> Backend:
-        """The array library that does the work."""
+        """The array library that computes the loss."""
         return self._backend
 
     def __call__(self, image: Tensor) -> Float:
-        """The loss at `image`.
+        """Return the loss at `image`.
 
         Parameters
         ----------
@@ -151,11 +151,11 @@ class LOILoss:
         _check_tensor(image)
         if not dr.grad_enabled(image):
             return _flat(type(image.array), self._objective.value(EXPORTS[self._backend](image)))
-        # Evaluated out here: an error inside the operation would reach the caller as a RuntimeError that hides it.
+        # Evaluated outside the operation, because Dr.Jit hides errors inside it behind a RuntimeError.
         return dr.custom(_Loss, image, *self.value_and_grad(image))
 
     def value_and_grad(self, image: Tensor) -> tuple[Float, Tensor]:
-        """The loss, detached, and its gradient by the image, a tensor like it. Errors as of a call."""
+        """Return the detached loss and its gradient with respect to `image`, of the same type. Errors as of a call."""
         _check_not_frozen()
         _check_tensor(image)
         value, gradient = self._objective.value_and_grad(EXPORTS[self._backend](dr.detach(image)))
@@ -164,9 +164,9 @@ class LOILoss:
 
 
 class _Loss(dr.CustomOp):  # type: ignore[misc]  # Dr.Jit's types are not read, see pyproject.toml
-    """A value whose gradient is known; derivatives in either direction only scale that gradient."""
+    """An operation with a precomputed value and gradient; both modes only scale the gradient."""
 
-    def eval(self, image: Tensor, value: Float, gradient: Tensor) -> Float:  # noqa: ARG002 - what it is attached to
+    def eval(self, image: Tensor, value: Float, gradient: Tensor) -> Float:  # noqa: ARG002 - `image` is the differentiable input
         self.gradient = gradient
         return value
 
@@ -181,20 +181,20 @@ class _Loss(dr.CustomOp):  # type: ignore[misc]  # Dr.Jit's types are not read, 
 
 
 def _host(array: Any) -> Any:
-    """A tensor of Dr.Jit as NumPy; anything else as it is."""
+    """Convert a Dr.Jit tensor to NumPy; return anything else unchanged."""
     return dr.detach(array).numpy() if array is not None and dr.is_tensor_v(array) else array
 
 
-def _flat(kind: Any, array: Array) -> Float:
-    """`array` as a flat array of Dr.Jit, without a copy where it is contiguous and aligned."""
+def _flat(array_type: Any, array: Array) -> Float:
+    """Convert `array` to a flat Dr.Jit array, without a copy if it is contiguous and aligned."""
     flat = namespace(array).reshape(array, (-1,))
     if isinstance(flat, np.ndarray) and flat.ctypes.data % ALIGNMENT_BYTES:
         flat = aligned_copy(flat)
-    return kind(flat)
+    return array_type(flat)
 
 
 def _check_not_frozen() -> None:
-    """Raise :class:`OptionError` where ``dr.freeze`` records, which ends the process when the image is looked at."""
+    """Raise :class:`OptionError` while ``dr.freeze`` records: reading the image would then abort the process."""
     if dr.flag(dr.JitFlag.FreezingScope):
         msg = "LOILoss cannot be called in a function under `dr.freeze`; freeze the rendering, and call it outside"
         raise OptionError(msg)
@@ -210,14 +210,14 @@ def _check_tensor(image: object) -> None:
 def _check_backend(backend: object) -> Backend:
     if backend is None:
         return _default_backend()
-    for known in get_args(Backend):
-        if isinstance(backend, str) and backend == known:
+    for name in get_args(Backend):
+        if isinstance(backend, str) and backend == name:
             try:
-                importlib.import_module(known)
+                importlib.import_module(name)
             except ImportError as error:
-                msg = f"`backend` is {known!r}, which cannot be imported ({error}); {how_to_install(known)}"
+                msg = f"`backend` is {name!r}, which cannot be imported ({error}); {how_to_install(name)}"
                 raise BackendMissingError(msg) from None
-            return known  # type: ignore[no-any-return]  # one of the literals
+            return name  # type: ignore[no-any-return]  # one of the literals
     msg = f"`backend` must be one of {', '.join(map(repr, get_args(Backend)))} or None, got {shown(backend)}"
     raise OptionError(msg)
 
@@ -227,8 +227,8 @@ def _default_backend() -> Backend:
         torch = importlib.import_module("torch")
     except ImportError:
         return "numpy"
-    # A torch that was built for processors only cannot take an image on a GPU. JAX, which could, is not chosen unless
-    # asked for: it would reserve most of the GPU's memory, which Mitsuba needs.
+    # A CPU-only torch cannot read an image on a GPU. JAX can, but is never the default, because it would reserve most
+    # of the GPU memory that Mitsuba needs.
     if str(mi.variant()).startswith("cuda") and not torch.cuda.is_available():
         return "numpy"
     return "torch"

@@ -177,7 +177,7 @@ class MitsubaRenderer:
         Parameters
         ----------
         integrator, spp, spp_grad
-            As for the class; `spp` is that of this renderer by default.
+            As for the class; `spp` is this renderer's by default.
         wrt : iterable of str, optional
             Parameters to differentiate with respect to, by default all; the gradient of the others is 0 and costs
             nothing.
@@ -204,7 +204,7 @@ class MitsubaRenderer:
         ParameterError
             If `params` has not exactly the parameters' names, shapes, and finite values.
         OptionError
-            If `seed` is not allowed, or Mitsuba's variant is not that under which the scene was loaded.
+            If `seed` is not allowed, or Mitsuba's variant has changed since the scene was loaded.
         """
         self._binding.set(self._leaves(params))
         with dr.suspend_grad():
@@ -359,7 +359,7 @@ class MitsubaRenderer:
         return self._binding.leaves(params)
 
     def _check_variant(self) -> None:
-        """Raise OptionError if Mitsuba's variant is not that under which the scene was loaded."""
+        """Raise OptionError if Mitsuba's variant has changed since the scene was loaded."""
         if mi.variant() != self._variant:
             msg = (
                 f"Mitsuba's variant is {mi.variant()!r}, the scene's is {self._variant!r}; call mi.set_variant with it"
@@ -372,11 +372,11 @@ class MitsubaRenderer:
         if not is_planned:
             warn_about_moving_shapes(self._scene, self._sensor, self._integrator, moving, edged)
         warn_about_entries(self._index, {name: self._binding.targets[name] for name in self._differentiable})
-        kind = self._sensor.class_name()
-        if moving and getattr(self._integrator, "sppp", 0) != 0 and kind != "PerspectiveCamera":
+        sensor_type = self._sensor.class_name()
+        if moving and getattr(self._integrator, "sppp", 0) != 0 and sensor_type != "PerspectiveCamera":
             msg = (
-                f"`sensor` is a {kind}, and Mitsuba has the gradient of visible silhouettes for perspective only; use "
-                f"a narrow perspective, or an integrator with sppp=0 if nothing that moves is in view"
+                f"`sensor` is a {sensor_type}, and Mitsuba has the gradient of visible silhouettes for perspective only; "
+                f"use a narrow perspective, or an integrator with sppp=0 if nothing that moves is in view"
             )
             raise ParameterError(msg)
 

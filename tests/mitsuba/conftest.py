@@ -1,4 +1,4 @@
-"""One variant and one thread for all tests of the Mitsuba adapter, and none of them where Mitsuba is not installed.
+"""Run the tests of the Mitsuba adapter under one variant and with one thread, if Mitsuba is installed.
 
 ``LOI_MITSUBA_VARIANT=cuda_ad_rgb`` runs them on a GPU.
 """
@@ -18,7 +18,7 @@ VARIANT = os.environ.get("LOI_MITSUBA_VARIANT", "llvm_ad_rgb")
 if importlib.util.find_spec("mitsuba") is None:  # pragma: no cover - depends on the environment
     collect_ignore_glob = ["*.py"]
 else:
-    import loi_mitsuba  # noqa: F401 - before Dr.Jit, so that it gets an LLVM that works
+    import loi_mitsuba  # noqa: F401 - before Dr.Jit, to choose its LLVM
 
     # isort: split
     import drjit as dr
@@ -31,7 +31,7 @@ else:
 
 @pytest.fixture(autouse=True)
 def _same_variant() -> Iterator[None]:
-    """Tests that change the variant do so for themselves only, and for no fixture of the module after them."""
+    """Restore the variant before and after each test, also for the fixtures of the module."""
     mi.set_variant(VARIANT)
     yield
     mi.set_variant(VARIANT)
@@ -39,7 +39,7 @@ def _same_variant() -> Iterator[None]:
 
 @pytest.fixture
 def kernel_history() -> Iterator[None]:
-    """Dr.Jit tells of its kernels meanwhile."""
+    """Record Dr.Jit's kernel history during the test."""
     with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
         dr.kernel_history()
         yield

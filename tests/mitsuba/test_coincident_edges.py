@@ -41,9 +41,9 @@ LIGHTS: dict[str, dict[str, Any]] = {
 def two_bars() -> trimesh.Trimesh:
     """Two boxes with two pairs of coplanar faces, and coincident edges of unequal lengths."""
     bars = []
-    for low, high in BARS:
-        bar = trimesh.creation.box([high[0] - low[0], high[1] - low[1], 0.4])
-        bar.apply_translation([(low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0, 0.0])
+    for lower, upper in BARS:
+        bar = trimesh.creation.box([upper[0] - lower[0], upper[1] - lower[1], 0.4])
+        bar.apply_translation([(lower[0] + upper[0]) / 2.0, (lower[1] + upper[1]) / 2.0, 0.0])
         bars.append(bar)
     return concatenate(*bars)
 
@@ -60,9 +60,9 @@ def l_shape() -> trimesh.Trimesh:
     count = len(OUTLINE)
     corners = np.array([[x, y, z] for z in (-0.2, 0.2) for x, y in OUTLINE])
     front = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 5]]) + count
-    sides = [[k, (k + 1) % count, (k + 1) % count + count] for k in range(count)]
-    sides += [[k, (k + 1) % count + count, k + count] for k in range(count)]
-    return trimesh.Trimesh(corners, np.concatenate([front, front[:, ::-1] - count, sides]), process=False)
+    side_faces = [[k, (k + 1) % count, (k + 1) % count + count] for k in range(count)]
+    side_faces += [[k, (k + 1) % count + count, k + count] for k in range(count)]
+    return trimesh.Trimesh(corners, np.concatenate([front, front[:, ::-1] - count, side_faces]), process=False)
 
 
 def renderer_of(mesh: trimesh.Trimesh, folder: Path, light: str) -> Any:

@@ -65,19 +65,19 @@ def lit_scene(light: str, block: Any) -> dict[str, Any]:
     return scene
 
 
-def cube(kind: str, folder: Path) -> dict[str, Any]:
+def cube(shape_name: str, folder: Path) -> dict[str, Any]:
     """Mitsuba's cube, or a PLY file of a cube that is welded ("whole") or not ("split")."""
     pose = TRANSFORM().translate([0, 1.2, 0]).scale(0.7)
-    if kind == "cube":
+    if shape_name == "cube":
         return {"type": "cube", "to_world": pose, "bsdf": RED}
     mesh = trimesh.creation.box(extents=[2.0, 2.0, 2.0])
-    if kind == "split":
+    if shape_name == "split":
         corners = np.array(mesh.vertices)[mesh.faces.ravel()]
         normals = np.repeat(np.array(mesh.face_normals), 3, axis=0)
         mesh = trimesh.Trimesh(corners, np.arange(36).reshape(-1, 3), vertex_normals=normals, process=False)
-    path = folder / f"{kind}.ply"
-    mesh.export(path, vertex_normal=kind == "split")
-    return {"type": "ply", "filename": str(path), "face_normals": kind == "whole", "to_world": pose, "bsdf": RED}
+    path = folder / f"{shape_name}.ply"
+    mesh.export(path, vertex_normal=shape_name == "split")
+    return {"type": "ply", "filename": str(path), "face_normals": shape_name == "whole", "to_world": pose, "bsdf": RED}
 
 
 def finite_differences(renderer: MitsubaRenderer, names: Iterable[str] = MOVES) -> tuple[Host, Host]:
@@ -97,11 +97,13 @@ def finite_differences(renderer: MitsubaRenderer, names: Iterable[str] = MOVES) 
     return np.mean(draws, axis=0), np.std(draws, axis=0, ddof=1) / 2.0
 
 
-@pytest.mark.parametrize("kind", ["cube", pytest.param("split", marks=thorough), pytest.param("whole", marks=thorough)])
+@pytest.mark.parametrize(
+    "shape_name", ["cube", pytest.param("split", marks=thorough), pytest.param("whole", marks=thorough)]
+)
 @pytest.mark.parametrize("light", ["lamp", *(pytest.param(light, marks=thorough) for light in ("sky", "both"))])
-def test_a_box_has_the_gradient_of_finite_differences(light: str, kind: str, tmp_path: Path) -> None:
+def test_a_box_has_the_gradient_of_finite_differences(light: str, shape_name: str, tmp_path: Path) -> None:
     """Mitsuba's own gradient has the wrong sign in some of these cases, and up to seven times the size."""
-    scene = lit_scene(light, cube(kind, tmp_path))
+    scene = lit_scene(light, cube(shape_name, tmp_path))
     planned = PlannedRenderer(scene, MOVES, spp=64)
     gradients = [planned.unabridged.vjp(VALUES, bump(), seed=seed) for seed in range(8)]
     draws = np.array([[float(gradient[name]) for name in MOVES] for gradient in gradients])
@@ -167,11 +169,15 @@ def test_smooth_shapes_keep_mitsuba_s_silhouettes_beside_a_box() -> None:
         assert np.mean(actual) == pytest.approx(np.mean(expected), abs=4.0 * error)
 
 
-LEANING = ["card", "disk", *(pytest.param(kind, marks=thorough) for kind in ("long card", "long disk", "fine mesh"))]
+LEANING = [
+    "card",
+    "disk",
+    *(pytest.param(shape_name, marks=thorough) for shape_name in ("long card", "long disk", "fine mesh")),
+]
 
 
-@pytest.mark.parametrize("kind", LEANING)
-def test_leaning_flat_shapes_have_the_gradient_of_finite_differences(kind: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize("shape_name", LEANING)
+def test_leaning_flat_shapes_have_the_gradient_of_finite_differences(shape_name: str, tmp_path: Path) -> None:
     """Mitsuba's own gradients are off by 12 and 39 % for a leaning rectangle, and by 7 to 20 % for a disk.
 
     Near the silhouette of a fine mesh, triangles at grazing angles are much narrower than a pixel.
@@ -185,7 +191,7 @@ def test_leaning_flat_shapes_have_the_gradient_of_finite_differences(kind: str, 
         "long disk": {"type": "disk", "to_world": leaning.scale([1, 0.5, 1])},
         "fine mesh": {"type": "ply", "filename": str(tmp_path / "fine.ply"), "face_normals": True, "to_world": leaning},
     }
-    check_silhouettes(emitting_scene(block=shapes[kind] | {"emitter": area_light(0.9, 0.2, 0.1)}))
+    check_silhouettes(emitting_scene(block=shapes[shape_name] | {"emitter": area_light(0.9, 0.2, 0.1)}))
 
 
 TILTED = TRANSFORM().translate([0, 1.2, 0]).rotate([1, 0, 0], -50)
@@ -201,10 +207,10 @@ OCCLUDED: dict[str, dict[str, Any]] = {
 
 
 @pytest.mark.filterwarnings("ignore:mesh 'block' stores the vertices:loi_mitsuba.GradientWarning")
-@pytest.mark.parametrize("kind", OCCLUDED)
-def test_the_radiance_of_occluders_does_not_enter_the_gradient(kind: str) -> None:
+@pytest.mark.parametrize("shape_name", OCCLUDED)
+def test_the_radiance_of_occluders_does_not_enter_the_gradient(shape_name: str) -> None:
     """An occluder may end beside an edge, or beside an intersection curve, that it covers."""
-    emitting = {"block": OCCLUDED[kind] | {"emitter": area_light(0.9, 0.2, 0.1)}}
+    emitting = {"block": OCCLUDED[shape_name] | {"emitter": area_light(0.9, 0.2, 0.1)}}
     weight = np.ones((HEIGHT, WIDTH, 3), np.float32)
     draws = []
     for radiance in (0.5, 50.0):
@@ -222,8 +228,8 @@ def load_block(description: Any) -> Any:
 def test_crease_edges_are_where_a_mesh_bends_or_ends(tmp_path: Path) -> None:
     trimesh.creation.icosphere(2).export(tmp_path / "ball.ply")
     smooth = load_block({"type": "ply", "filename": str(tmp_path / "ball.ply")})
-    for kind in ("cube", "split", "whole"):
-        shape = load_block(cube(kind, tmp_path))
+    for shape_name in ("cube", "split", "whole"):
+        shape = load_block(cube(shape_name, tmp_path))
         assert has_creases(shape)
         assert is_flat_shaded(shape)
         assert edge_vertices(shape, crease_edges(shape))[0].shape == (12, 2)  # without the diagonals of the faces
@@ -241,8 +247,8 @@ def test_a_fine_creased_mesh_keeps_the_shallow_edges_of_its_silhouette(tmp_path:
     can = load_block({"type": "ply", "filename": str(tmp_path / "can.ply"), "face_normals": True})
     assert has_creases(can)
     vertices = np.array(mi.traverse(can)["vertex_positions"]).reshape(-1, 3)
-    ends = vertices[edge_vertices(can, crease_edges(can))[0]]
-    is_vertical = np.all(np.abs(np.diff(ends, axis=1)[:, 0, :2]) < 1e-6, axis=1)
+    end_points = vertices[edge_vertices(can, crease_edges(can))[0]]
+    is_vertical = np.all(np.abs(np.diff(end_points, axis=1)[:, 0, :2]) < 1e-6, axis=1)
     assert np.count_nonzero(is_vertical) == 200
 
 

@@ -16,10 +16,10 @@ WIDTH, HEIGHT = 9, 6
 FILTERS = ("box", "tent", "gaussian", "lanczos")
 TABLE_ERROR = 1e-3  # Mitsuba tabulates filters: half the difference of neighbouring entries
 
-filters = pytest.mark.parametrize("kind", FILTERS)
+filters = pytest.mark.parametrize("filter_name", FILTERS)
 
 
-def load_film(kind: str, *, border: bool = False, pixel_format: str = "rgb") -> Any:
+def load_film(filter_name: str, *, border: bool = False, pixel_format: str = "rgb") -> Any:
     return mi.load_dict(
         {
             "type": "hdrfilm",
@@ -27,7 +27,7 @@ def load_film(kind: str, *, border: bool = False, pixel_format: str = "rgb") -> 
             "height": HEIGHT,
             "pixel_format": pixel_format,
             "sample_border": border,
-            "rfilter": {"type": kind},
+            "rfilter": {"type": filter_name},
         }
     )
 
@@ -40,8 +40,8 @@ def splat(film: Any, x: Host, y: Host, value: float = 1.0) -> Host:
 
 @filters
 @pytest.mark.parametrize(("x", "y"), [(4.3, 2.8), (5.0, 3.1), (4.999, 3.5), (0.2, 5.9), (8.7, 0.4)])
-def test_a_splatted_point_equals_that_of_an_image_block(kind: str, x: float, y: float) -> None:
-    film = load_film(kind)
+def test_a_splatted_point_equals_that_of_an_image_block(filter_name: str, x: float, y: float) -> None:
+    film = load_film(filter_name)
     block = mi.ImageBlock([WIDTH, HEIGHT], [0, 0], 1, film.rfilter(), border=False, normalize=False, coalesce=False)
     block.put(mi.Point2f(x, y), [mi.Float(1.0)])
     block_image = np.array(block.tensor())[..., 0]
@@ -50,8 +50,8 @@ def test_a_splatted_point_equals_that_of_an_image_block(kind: str, x: float, y: 
     offset = np.linspace(-radius, radius, 20001)
     value = np.array(film.rfilter().eval(mi.Float(offset.astype(np.float32))), dtype=np.float64)
     integrals = []
-    for side in (WIDTH, HEIGHT):
-        is_inside = np.abs(np.arange(side)[:, None] + 0.5 + offset - side / 2) <= side / 2
+    for length in (WIDTH, HEIGHT):
+        is_inside = np.abs(np.arange(length)[:, None] + 0.5 + offset - length / 2) <= length / 2
         integrals.append((is_inside * value).mean(axis=1) * 2.0 * radius)
     expected = block_image / np.outer(integrals[1], integrals[0])
     actual = splat(film, np.array([x]), np.array([y]))[..., 0]
@@ -60,22 +60,22 @@ def test_a_splatted_point_equals_that_of_an_image_block(kind: str, x: float, y: 
 
 @filters
 @pytest.mark.parametrize("border", [False, True])
-def test_constant_light_gives_a_constant_image(kind: str, border: bool) -> None:
+def test_constant_light_gives_a_constant_image(filter_name: str, border: bool) -> None:
     """Also at the border of the image, whether or not the film samples beyond it."""
-    film = load_film(kind, border=border)
+    film = load_film(filter_name, border=border)
     margin = float(film.rfilter().border_size()) if border else 0.0
     per_pixel = 40
     columns, rows = (
-        -margin + (np.arange(round((side + 2 * margin) * per_pixel)) + 0.5) / per_pixel for side in (WIDTH, HEIGHT)
+        -margin + (np.arange(round((length + 2 * margin) * per_pixel)) + 0.5) / per_pixel for length in (WIDTH, HEIGHT)
     )
     x, y = (grid.ravel() for grid in np.meshgrid(columns, rows))
     np.testing.assert_allclose(splat(film, x, y, per_pixel**-2), 1.0, rtol=0.0, atol=5 * TABLE_ERROR)
 
 
 @filters
-def test_points_outside_the_sampled_region_do_not_appear(kind: str) -> None:
+def test_points_outside_the_sampled_region_do_not_appear(filter_name: str) -> None:
     outside = np.array([-0.1, WIDTH + 0.1, 3.0, 3.0]), np.array([2.0, 2.0, -0.1, HEIGHT + 0.1])
-    assert np.all(splat(load_film(kind), *outside) == 0.0)
+    assert np.all(splat(load_film(filter_name), *outside) == 0.0)
 
 
 @pytest.mark.parametrize("pixel_format", ["rgb", "rgba", "xyz", "luminance"])

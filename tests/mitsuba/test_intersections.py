@@ -37,7 +37,7 @@ def sphere_mesh(folder: Path) -> dict[str, Any]:
     return {"type": "ply", "filename": str(folder / "sphere.ply"), "to_world": TRANSFORM().translate([0, 0.3, 0])}
 
 
-def intersecting_scene(kind: str, folder: Path) -> dict[str, Any]:
+def intersecting_scene(scene_name: str, folder: Path) -> dict[str, Any]:
     """A red block that intersects the floor, or a blue shape."""
     red, blue = {"emitter": area_light(0.9, 0.2, 0.1)}, {"emitter": area_light(0.1, 0.3, 0.9)}
     box = {"type": "cube", **red}
@@ -55,20 +55,23 @@ def intersecting_scene(kind: str, folder: Path) -> dict[str, Any]:
             },
         },
     }
-    return emitting_scene(**shapes[kind])
+    return emitting_scene(**shapes[scene_name])
 
 
 @pytest.mark.filterwarnings("ignore::loi_mitsuba.GradientWarning")
 @pytest.mark.parametrize(
-    "kind",
+    "scene_name",
     [
         "ball in the floor",
-        *(pytest.param(kind, marks=thorough) for kind in ("mesh in the floor", "box in the floor", "balls", "boxes")),
+        *(
+            pytest.param(scene_name, marks=thorough)
+            for scene_name in ("mesh in the floor", "box in the floor", "balls", "boxes")
+        ),
     ],
 )
-def test_intersecting_shapes_have_the_gradient_of_finite_differences(kind: str, tmp_path: Path) -> None:
+def test_intersecting_shapes_have_the_gradient_of_finite_differences(scene_name: str, tmp_path: Path) -> None:
     """Without the intersection curve, some of these have the wrong sign."""
-    check_silhouettes(intersecting_scene(kind, tmp_path))
+    check_silhouettes(intersecting_scene(scene_name, tmp_path))
 
 
 def test_the_radiance_difference_is_extrapolated_to_the_intersection_curve() -> None:

@@ -1,4 +1,4 @@
-"""What is compiled is compiled once: the steps of a fit differ in their numbers, not in their kernels."""
+"""The steps of a fit reuse the kernels of the first steps."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ WARM_UP, STEPS = 3, 6
 MOVES = {"x": Translate("ball", (1, 0, 0)), "z": Translate("ball", (0, 0, 1))}
 
 
-def ball(height: float, **more: Any) -> dict[str, Any]:
-    return {"type": "sphere", "to_world": mi.ScalarTransform4f().translate([0, height, 0]).scale(0.6), **more}
+def ball(height: float, **properties: Any) -> dict[str, Any]:
+    return {"type": "sphere", "to_world": mi.ScalarTransform4f().translate([0, height, 0]).scale(0.6), **properties}
 
 
-def compiled(renderer: Any) -> list[int]:
-    """How many kernels each of a few steps needs that none before has needed."""
+def kernel_misses(renderer: Any) -> list[int]:
+    """Return the number of kernels that each of a few steps compiles after the warm-up."""
     start, counts = renderer.parameters(), []
     for step in range(WARM_UP + STEPS):
         params = {name: value + np.float32(0.013 * step) for name, value in start.items()}
         renderer.render_vjp(params, seed=step)[1](random_cotangent(step))
-        counts.append(sum(not one["cache_hit"] for one in dr.kernel_history([dr.KernelType.JIT])))
+        counts.append(sum(not kernel["cache_hit"] for kernel in dr.kernel_history([dr.KernelType.JIT])))
     return counts[WARM_UP:]
 
 
-def test_a_curve_in_which_shapes_cross_is_another_number_of_points_each_time_and_no_other_kernel() -> None:
-    """Of a ball half in a floor, a step took 1.4 s, of which 1.3 compiled kernels in which that number was written."""
-    assert compiled(MitsubaRenderer(shadow_scene(ball=ball(0.3)), MOVES)) == [0] * STEPS
+def test_intersection_curves_of_any_length_compile_no_further_kernel() -> None:
+    """With the number of points as a literal, a step of a half-sunk ball took 1.4 s, 1.3 s of it for compilation."""
+    assert kernel_misses(MitsubaRenderer(shadow_scene(ball=ball(0.3)), MOVES)) == [0] * STEPS
 
 
 @thorough
@@ -52,29 +52,29 @@ def test_a_curve_in_which_shapes_cross_is_another_number_of_points_each_time_and
     ],
     ids=["ball", "box", "point light", "glass", "lamp", "camera"],
 )
-def test_nor_does_any_part_of_a_plan(changes: dict[str, Any], moves: dict[str, Any]) -> None:
-    assert compiled(PlannedRenderer(shadow_scene(**changes), moves)) == [0] * STEPS
+def test_planned_renderers_compile_no_further_kernel(changes: dict[str, Any], moves: dict[str, Any]) -> None:
+    assert kernel_misses(PlannedRenderer(shadow_scene(**changes), moves)) == [0] * STEPS
 
 
 @pytest.mark.filterwarnings("ignore:mesh 'box' stores the vertices:loi_mitsuba.GradientWarning")
-def test_a_shape_is_set_once_for_an_image_and_twice_for_each_part_of_a_gradient_that_it_has_alone(
+def test_a_shape_is_set_once_per_image_and_twice_per_group_of_gradient_terms(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Each time costs Mitsuba some forty small kernels: of 65 shapes, a second and more on a GPU."""
+    """Each update costs Mitsuba some forty small kernels, more than a second for 65 shapes on a GPU."""
     scene = shadow_scene(ball=ball(0.3), box={**ball(0.9), "type": "cube"})
     moves = {"ball": Translate("ball", (1, 0, 0)), "box": Translate("box", (1, 0, 0))}
     renderer = MitsubaRenderer(scene, moves)
-    start, told = renderer.parameters(), []
-    plain = mi.SceneParameters.__setitem__
+    start, keys = renderer.parameters(), []
+    original = mi.SceneParameters.__setitem__
 
-    def counted(self: Any, key: str, value: Any) -> None:
-        told.append(key)
-        plain(self, key, value)
+    def recorded(self: Any, key: str, value: Any) -> None:
+        keys.append(key)
+        original(self, key, value)
 
-    monkeypatch.setattr(mi.SceneParameters, "__setitem__", counted)
+    monkeypatch.setattr(mi.SceneParameters, "__setitem__", recorded)
     _, pullback = renderer.render_vjp(start)
-    assert sorted(told) == ["ball.to_world", "box.vertex_positions"]
-    told.clear()
+    assert sorted(keys) == ["ball.to_world", "box.vertex_positions"]
+    keys.clear()
     pullback(random_cotangent(0))
-    # Of both, all but the outlines that Mitsuba has, which are those of the ball: attached, and set back.
-    assert sorted(told) == ["ball.to_world"] * 4 + ["box.vertex_positions"] * 2
+    # Both shapes have one group of terms, and the ball's silhouettes are another: attached, and reset.
+    assert sorted(keys) == ["ball.to_world"] * 4 + ["box.vertex_positions"] * 2

@@ -1,4 +1,4 @@
-"""A fit of a Mitsuba scene that was killed, and resumed."""
+"""A killed fit of a Mitsuba scene can be resumed."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ __all__ = ["folder"]
 def one_core() -> Iterator[None]:
     """Keep this process and its children to one core.
 
-    Dr.Jit adds gradients up in the order in which its threads come. With 8 samples a pixel those roundings grow: of
-    two fits that nothing has cut short, one may end a quarter of a pixel from the other. On one core they are equal.
+    Dr.Jit accumulates gradients in the order of its threads. With 8 samples per pixel the rounding errors grow: two
+    uninterrupted fits may end a quarter of a pixel apart. On one core they are equal.
     """
     if not hasattr(os, "sched_setaffinity"):
-        pytest.skip("this system does not keep a process to one core")
+        pytest.skip("this system cannot restrict a process to one core")
     cores = os.sched_getaffinity(0)
     os.sched_setaffinity(0, {min(cores)})
     yield
@@ -30,6 +30,6 @@ def one_core() -> Iterator[None]:
 
 
 @pytest.mark.usefixtures("one_core")
-def test_a_fit_of_a_mitsuba_scene_that_was_killed_ends_where_a_whole_one_does(folder: Path) -> None:
-    broken, whole = fit_killed_and_whole(folder / "scene.toml", "place")
-    assert broken == whole
+def test_a_killed_and_resumed_fit_of_a_mitsuba_scene_equals_an_uninterrupted_one(folder: Path) -> None:
+    resumed, uninterrupted = fit_killed_and_whole(folder / "scene.toml", "place")
+    assert resumed == uninterrupted

@@ -67,9 +67,9 @@ def test_a_dr_jit_that_has_loaded_llvm_15_already_is_refused() -> None:
 
 
 def test_a_second_call_of_prepare_changes_nothing() -> None:
-    before: Any = dict(os.environ)
+    environment: Any = dict(os.environ)
     assert loi_mitsuba.prepare() is CHOICE
-    assert dict(os.environ) == before
+    assert dict(os.environ) == environment
 
 
 def test_doctor_lists_the_version_of_llvm() -> None:

@@ -1,4 +1,4 @@
-"""The loss through Dr.Jit is the core's, in value and gradient, and costs nothing to repeat."""
+"""The loss for Dr.Jit has the value and gradient of the core, and compiles no kernels in a loop."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ from tests.helpers import Host, images, relative_error
 SCALES = ScaleSpace(1, (1, 5), 0.125)
 SHAPE = (24, 19, 3)
 
-# Dr.Jit computes in float32 (epsilon 1.2e-7). Some hundred roundings lie between image and loss, which gives 1e-5 in
-# the value. Where the two CDFs are within rounding of each other the gradient, a sign, may differ from that in float64;
-# random images have a few such pixels and levels in some ten thousand, which move its norm by less than 2e-3.
-VALUE, GRADIENT = 1e-5, 2e-3
+# Dr.Jit computes in float32 (epsilon 1.2e-7), and some hundred roundings between image and loss give 1e-5 in the value.
+# Where the two CDFs differ by no more than rounding, the sign in the gradient may differ from the sign in float64.
+# Random images have a few such pixels and levels in ten thousand, which change the gradient's norm by less than 2e-3.
+VALUE_RTOL, GRADIENT_RTOL = 1e-5, 2e-3
 
 
 def attached(image: Host) -> Any:
-    """Where Dr.Jit has one kernel for it, wherever NumPy puts the image."""
+    """An attached tensor in aligned memory, so that Dr.Jit has one kernel for all images."""
     tensor = mi.TensorXf(mi.Float(aligned_copy(image.astype(np.float32).reshape(-1))), shape=image.shape)
     dr.enable_grad(tensor)
     return tensor
@@ -38,63 +38,63 @@ def attached(image: Host) -> Any:
 
 @pytest.mark.parametrize("backend", ["numpy", "torch", "jax", None])
 @pytest.mark.parametrize("scales", [SCALES, ScaleSpace.released((1, 5), (1, 5), 8, 31), None])
-def test_value_and_gradient_are_the_core_s(backend: Any, scales: ScaleSpace | None) -> None:
+def test_value_and_gradient_equal_those_of_the_core(backend: Any, scales: ScaleSpace | None) -> None:
     image, reference = images(SHAPE, 1)
     value, gradient = LOIObjective(reference, scales).value_and_grad(image)
     tensor = attached(image)
-    got = LOILoss(reference, scales, backend=backend)(tensor)
-    assert type(got) is mi.Float
-    assert dr.width(got) == 1
-    dr.backward(got)
-    assert float(got[0]) == pytest.approx(float(value), rel=VALUE)
-    assert relative_error(dr.grad(tensor).numpy(), gradient) < GRADIENT
+    loss = LOILoss(reference, scales, backend=backend)(tensor)
+    assert type(loss) is mi.Float
+    assert dr.width(loss) == 1
+    dr.backward(loss)
+    assert float(loss[0]) == pytest.approx(float(value), rel=VALUE_RTOL)
+    assert relative_error(dr.grad(tensor).numpy(), gradient) < GRADIENT_RTOL
 
 
-def test_it_is_a_part_of_a_larger_expression() -> None:
+def test_the_loss_may_be_part_of_a_larger_expression() -> None:
     image, reference = images(SHAPE, 2)
     objective = LOIObjective(reference, SCALES)
     gain, tensor = mi.Float(0.7), mi.TensorXf(image.astype(np.float32))
     dr.enable_grad(gain)
     dr.backward(dr.sin(3.0 * LOILoss(reference, SCALES)(tensor * gain)))
     value, gradient = objective.value_and_grad(0.7 * image)
-    wanted = 3.0 * np.cos(3.0 * value) * np.sum(gradient * image)
-    assert float(dr.grad(gain)[0]) == pytest.approx(float(wanted), rel=GRADIENT)
+    expected = 3.0 * np.cos(3.0 * value) * np.sum(gradient * image)
+    assert float(dr.grad(gain)[0]) == pytest.approx(float(expected), rel=GRADIENT_RTOL)
 
 
-def test_forward_mode_gives_the_same_derivative() -> None:
+def test_forward_mode_of_the_loss_gives_the_directional_derivative() -> None:
     image, reference = images(SHAPE, 3)
     direction = np.random.default_rng(3).standard_normal(SHAPE)
     tensor = attached(image)
     dr.set_grad(tensor, mi.TensorXf(direction.astype(np.float32)))
     loss = LOILoss(reference, SCALES)(tensor)
     dr.forward_to(loss)
-    wanted = np.sum(LOIObjective(reference, SCALES).value_and_grad(image)[1] * direction)
-    assert float(dr.grad(loss)[0]) == pytest.approx(float(wanted), rel=10 * GRADIENT)  # the sum cancels
+    expected = np.sum(LOIObjective(reference, SCALES).value_and_grad(image)[1] * direction)
+    assert float(dr.grad(loss)[0]) == pytest.approx(float(expected), rel=10 * GRADIENT_RTOL)  # the sum cancels
 
 
 @pytest.mark.parametrize("backend", ["numpy", "torch", "jax"])
-def test_without_gradients_it_is_a_plain_value(backend: Any) -> None:
+def test_the_loss_of_a_detached_image_is_detached(backend: Any) -> None:
     image, reference = images(SHAPE, 4)
     loss = LOILoss(reference, SCALES, backend=backend)
     value = loss(mi.TensorXf(image.astype(np.float32)))
     assert not dr.grad_enabled(value)
-    assert float(value[0]) == pytest.approx(float(LOIObjective(reference, SCALES).value(image)), rel=VALUE)
+    assert float(value[0]) == pytest.approx(float(LOIObjective(reference, SCALES).value(image)), rel=VALUE_RTOL)
     with dr.suspend_grad():
         assert not dr.grad_enabled(loss(attached(image)))
 
 
-def test_channels_may_be_first_or_missing() -> None:
+def test_dr_jit_images_may_have_channels_first_or_none() -> None:
     image, reference = images(SHAPE, 5)
     last = LOILoss(reference, SCALES).value_and_grad(mi.TensorXf(image.astype(np.float32)))
     first = LOILoss(np.moveaxis(reference, -1, 0), SCALES, channel_axis=0)
     value, gradient = first.value_and_grad(mi.TensorXf(np.ascontiguousarray(np.moveaxis(image, -1, 0), np.float32)))
-    assert float(value[0]) == pytest.approx(float(last[0][0]), rel=VALUE)
-    assert relative_error(np.moveaxis(gradient.numpy(), 0, -1), last[1].numpy()) < GRADIENT
+    assert float(value[0]) == pytest.approx(float(last[0][0]), rel=VALUE_RTOL)
+    assert relative_error(np.moveaxis(gradient.numpy(), 0, -1), last[1].numpy()) < GRADIENT_RTOL
     plain = LOILoss(reference[..., 0], SCALES, channel_axis=None)
     assert plain.value_and_grad(mi.TensorXf(image[..., 0].astype(np.float32)))[1].shape == SHAPE[:2]
 
 
-def test_masked_pixels_have_no_gradient() -> None:
+def test_non_finite_pixels_of_dr_jit_images_have_no_gradient_when_masked() -> None:
     image, reference = images(SHAPE, 6)
     image[3, 4] = np.nan
     tensor = attached(image)
@@ -107,20 +107,20 @@ def test_masked_pixels_have_no_gradient() -> None:
 
 
 @pytest.mark.parametrize("backend", ["numpy", "torch", "jax"])
-def test_nothing_is_shared_with_the_caller(backend: Any) -> None:
-    image, reference = (one.astype(np.float32) for one in images(SHAPE, 7))
-    given = reference.copy()
-    loss, same = LOILoss(given, SCALES, backend=backend), LOILoss(mi.TensorXf(given), SCALES, backend=backend)
-    tensor = mi.TensorXf(image)  # aliases `image`, but on a GPU
-    value, gradient = loss.value_and_grad(tensor)
-    kept = gradient.numpy().copy()
-    given[:] = 0.0
-    for one in (loss, same):
-        assert float(one(tensor)[0]) == pytest.approx(float(value[0]), rel=VALUE)
+def test_the_loss_copies_the_reference_and_the_gradient(backend: Any) -> None:
+    image, reference = (array.astype(np.float32) for array in images(SHAPE, 7))
+    changed = reference.copy()
+    losses = [LOILoss(target, SCALES, backend=backend) for target in (changed, mi.TensorXf(changed))]
+    tensor = mi.TensorXf(image)  # shares the memory of `image`, except on a GPU
+    value, gradient = losses[0].value_and_grad(tensor)
+    original = gradient.numpy().copy()
+    changed[:] = 0.0
+    for loss in losses:
+        assert float(loss(tensor)[0]) == pytest.approx(float(value[0]), rel=VALUE_RTOL)
     image[:] = 0.0
-    assert np.array_equal(gradient.numpy(), kept)
+    assert np.array_equal(gradient.numpy(), original)
     if mi.variant().startswith("llvm"):
-        assert float(loss(tensor)[0]) != pytest.approx(float(value[0]), rel=VALUE)
+        assert float(losses[0](tensor)[0]) != pytest.approx(float(value[0]), rel=VALUE_RTOL)
 
 
 def step(loss: LOILoss, image: Host, index: int) -> None:
@@ -130,7 +130,7 @@ def step(loss: LOILoss, image: Host, index: int) -> None:
 
 
 @pytest.mark.parametrize("backend", ["numpy", "torch", "jax"])
-def test_a_loop_compiles_nothing_anew(backend: Any) -> None:
+def test_the_loss_in_a_loop_compiles_no_further_kernel(backend: Any) -> None:
     image, reference = images(SHAPE, 8)
     loss = LOILoss(reference, SCALES, backend=backend)
     counts = []
@@ -145,23 +145,23 @@ def test_a_loop_compiles_nothing_anew(backend: Any) -> None:
 
 
 @pytest.mark.parametrize("offset", [0, 4, 16, 32])
-def test_a_gradient_of_numpy_s_has_one_kernel_wherever_it_lies(offset: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Dr.Jit compiles for arrays at multiples of 64 bytes, and again for others."""
+def test_gradients_from_numpy_are_aligned_for_dr_jit(offset: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Dr.Jit compiles one kernel for arrays at multiples of 64 bytes, and another one for all others."""
     image, reference = images(SHAPE, 8)
     loss = LOILoss(reference, SCALES, backend="numpy")
     gradient = loss.value_and_grad(attached(image))[1].numpy()
-    room = np.empty(gradient.size + 32, np.float32)
-    first = (-room.ctypes.data % 64 + offset) // room.itemsize
-    moved = room[first : first + gradient.size].reshape(gradient.shape)
+    memory = np.empty(gradient.size + 32, np.float32)
+    first = (-memory.ctypes.data % 64 + offset) // memory.itemsize
+    moved = memory[first : first + gradient.size].reshape(gradient.shape)
     moved[...] = gradient
     monkeypatch.setattr(type(loss.objective), "value_and_grad", lambda *_: (np.float32(0.0), moved))
-    given = loss.value_and_grad(attached(image))[1]
-    np.testing.assert_array_equal(given.numpy(), gradient)
-    assert given.numpy().ctypes.data % 64 == 0  # which shares its memory
+    tensor = loss.value_and_grad(attached(image))[1]
+    np.testing.assert_array_equal(tensor.numpy(), gradient)
+    assert tensor.numpy().ctypes.data % 64 == 0  # NumPy shares the tensor's memory
 
 
-def test_a_loop_does_not_grow() -> None:
-    """In a process of its own: what other tests have left to be freed would hide, or feign, a leak of 28 MB."""
+def test_the_loss_in_a_loop_leaks_no_memory() -> None:
+    """In a fresh process, because memory that other tests free later would hide or feign a leak of 28 MB."""
     if not Path("/proc/self/statm").exists():
         pytest.skip("no /proc here")
     code = """
@@ -180,10 +180,10 @@ print((pages() - before) * 4096)
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
-    assert int(done.stdout) < 10 * 192 * 256 * 3 * 4  # ten images, where a leak would keep at least fifty
+    assert int(done.stdout) < 10 * 192 * 256 * 3 * 4  # ten images; a leak would keep at least fifty
 
 
-def test_wrong_arguments_are_named() -> None:
+def test_wrong_arguments_of_the_loss_raise_an_error_that_names_them() -> None:
     image, reference = images(SHAPE, 9)
     loss = LOILoss(reference, SCALES)
     with pytest.raises(ImageTypeError, match="`image` must be a TensorXf of a variant with gradients"):
@@ -198,7 +198,7 @@ def test_wrong_arguments_are_named() -> None:
         LOILoss(reference, SCALES, backend="cupy")  # type: ignore[arg-type]
 
 
-def test_a_missing_backend_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_array_library_raises_an_error_that_names_it(monkeypatch: pytest.MonkeyPatch) -> None:
     def absent(name: str) -> None:
         raise ModuleNotFoundError(name=name)
 
@@ -210,24 +210,24 @@ def test_a_missing_backend_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     assert str(caught.value).endswith(how_to_install("torch"))
 
 
-def test_a_torch_that_cannot_see_the_gpu_is_not_chosen_for_it(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_cpu_only_torch_is_not_the_default_in_cuda_variants(monkeypatch: pytest.MonkeyPatch) -> None:
     reference = images(SHAPE, 11)[1]
     monkeypatch.setattr(mi, "variant", lambda: "cuda_ad_rgb")
-    for sees, wanted in ((False, "numpy"), (True, "torch")):
-        monkeypatch.setattr("torch.cuda.is_available", lambda sees=sees: sees)
-        assert LOILoss(reference, SCALES).backend == wanted
-    assert LOILoss(reference, SCALES, backend="torch").backend == "torch"  # asked for is asked for
+    for has_cuda, expected in ((False, "numpy"), (True, "torch")):
+        monkeypatch.setattr("torch.cuda.is_available", lambda has_cuda=has_cuda: has_cuda)
+        assert LOILoss(reference, SCALES).backend == expected
+    assert LOILoss(reference, SCALES, backend="torch").backend == "torch"  # an explicit request is honoured
 
 
-def test_freezing_is_refused_by_name_where_it_would_end_the_process() -> None:
-    image, reference = (each.astype(np.float32) for each in images(SHAPE, 12))
+def test_the_loss_under_dr_freeze_raises_an_error_instead_of_aborting() -> None:
+    image, reference = (array.astype(np.float32) for array in images(SHAPE, 12))
     loss = LOILoss(reference, SCALES)
 
     @dr.freeze  # type: ignore[untyped-decorator,unused-ignore]  # Dr.Jit's types are not read
     def frozen(tensor: Any) -> Any:
         return loss(tensor)
 
-    with pytest.raises(RuntimeError) as caught:  # Dr.Jit's own, of what it met while it recorded
+    with pytest.raises(RuntimeError) as caught:  # Dr.Jit wraps errors that occur while it records
         frozen(mi.TensorXf(image))
     assert isinstance(caught.value.__cause__, OptionError)
     assert "under `dr.freeze`" in str(caught.value.__cause__)

@@ -1,4 +1,4 @@
-"""Meshes that store the vertices of an edge twice have the gradient that they would have if they did not."""
+"""Unwelded meshes have the gradient of welded ones, and meshes without a right gradient are recognised."""
 
 from __future__ import annotations
 
@@ -21,11 +21,15 @@ from tests.strategies import thorough
 RAMP = np.linspace(-1.0, 1.0, WIDTH, dtype=np.float32)[None, :, None] * np.ones((HEIGHT, WIDTH, 3), np.float32)
 MOVES: dict[str, Any] = {"x": Translate("mesh", (1, 0, 0))}
 TURNS: dict[str, Any] = MOVES | {"turn": Rotate("mesh", (0, 0, 1))}
-PLACE = mi.ScalarTransform4f
+TRANSFORM = mi.ScalarTransform4f
+
+
+def load_shape(mesh: dict[str, Any]) -> Any:
+    return mi.load_dict({"type": "scene", "mesh": mesh}, optimize=False).shapes()[0]
 
 
 def ball_file(folder: Path, *, split: bool, normals: bool = False) -> str:
-    """A ball of triangles, every one of which has vertices of its own if it is split."""
+    """A triangulated ball; if it is split, no two triangles share a vertex."""
     ball = trimesh.creation.icosphere(subdivisions=2, radius=1.0)
     corners, triangles = np.array(ball.vertices), np.array(ball.faces)
     if split:
@@ -37,52 +41,52 @@ def ball_file(folder: Path, *, split: bool, normals: bool = False) -> str:
 
 
 def scene_of(mesh: dict[str, Any]) -> dict[str, Any]:
-    """One that throws a shadow and is in view."""
+    """A scene in which the mesh and its shadow are in view."""
     return shadow_scene(
-        mesh={"to_world": PLACE().translate([0.3, 1.5, 0.2]).rotate([0.6, 0.0, 0.8], 30).scale(0.7), **mesh}
+        mesh={"to_world": TRANSFORM().translate([0.3, 1.5, 0.2]).rotate([0.6, 0.0, 0.8], 30).scale(0.7), **mesh}
     )
 
 
-def gradients(renderer: PlannedRenderer, draws: int = 1) -> Any:
-    """By parameter, the gradient of each draw."""
-    here = renderer.parameters()
-    drawn = [renderer.unabridged.vjp(here, RAMP, seed=seed) for seed in range(draws)]
-    return {name: np.array([float(one[name]) for one in drawn]) for name in here}
+def gradients(renderer: PlannedRenderer, seeds: int = 1) -> Any:
+    """Return the gradients of several seeds by parameter."""
+    start = renderer.parameters()
+    vjps = [renderer.unabridged.vjp(start, RAMP, seed=seed) for seed in range(seeds)]
+    return {name: np.array([float(vjp[name]) for vjp in vjps]) for name in start}
 
 
-def test_a_smooth_mesh_with_seams_has_the_gradient_of_the_same_mesh_without(tmp_path: Path) -> None:
+def test_an_unwelded_smooth_mesh_has_the_gradient_of_the_welded_mesh(tmp_path: Path) -> None:
     meshes = ({"type": "ply", "filename": ball_file(tmp_path, split=split, normals=True)} for split in (True, False))
-    split, whole = (PlannedRenderer(scene_of(mesh), TURNS, spp=16) for mesh in meshes)
-    assert list(split.plan.exchanged) == ["mesh 'mesh'"]
-    assert not whole.plan.exchanged
-    found, wanted = gradients(split), gradients(whole)
+    unwelded, welded = (PlannedRenderer(scene_of(mesh), TURNS, spp=16) for mesh in meshes)
+    assert list(unwelded.plan.exchanged) == ["mesh 'mesh'"]
+    assert not welded.plan.exchanged
+    actual, expected = gradients(unwelded), gradients(welded)
     for name in TURNS:
-        assert abs(wanted[name]) > 0.0
-        np.testing.assert_allclose(found[name], wanted[name], rtol=1e-3)
+        assert abs(expected[name]) > 0.0
+        np.testing.assert_allclose(actual[name], expected[name], rtol=1e-3)
 
 
 @thorough
-def test_a_flat_mesh_with_seams_has_the_gradient_of_the_same_mesh_without(tmp_path: Path) -> None:
-    """But for noise, for the two number their edges otherwise, and draw others."""
+def test_an_unwelded_flat_mesh_has_the_gradient_of_the_welded_mesh(tmp_path: Path) -> None:
+    """Up to noise, because the order of the edges differs, and so do their samples."""
     files = (ball_file(tmp_path, split=split) for split in (True, False))
     meshes = ({"type": "ply", "filename": file, "face_normals": True} for file in files)
-    split, whole = (gradients(PlannedRenderer(scene_of(mesh), MOVES, spp=16), draws=24)["x"] for mesh in meshes)
-    error = np.hypot(np.std(split, ddof=1), np.std(whole, ddof=1)) / np.sqrt(24.0)
-    assert abs(np.mean(whole)) > 10.0 * error
-    assert np.mean(split) == pytest.approx(np.mean(whole), abs=4.0 * error)
+    unwelded, welded = (gradients(PlannedRenderer(scene_of(mesh), MOVES, spp=16), seeds=24)["x"] for mesh in meshes)
+    error = np.hypot(np.std(unwelded, ddof=1), np.std(welded, ddof=1)) / np.sqrt(24.0)
+    assert abs(np.mean(welded)) > 10.0 * error
+    assert np.mean(unwelded) == pytest.approx(np.mean(welded), abs=4.0 * error)
 
 
-def test_images_are_those_of_the_mesh_as_it_is(tmp_path: Path) -> None:
+def test_welding_does_not_change_the_image(tmp_path: Path) -> None:
     ball = {"type": "ply", "filename": ball_file(tmp_path, split=True)}
     with pytest.warns(GradientWarning, match=r"mesh 'mesh' stores the vertices .* PlannedRenderer does where"):
-        alone = PlannedRenderer(scene_of(ball), MOVES, spp=8, proxy={"seams": False})
-    assert not alone.plan.exchanged
+        plain = PlannedRenderer(scene_of(ball), MOVES, spp=8, proxy={"seams": False})
+    assert not plain.plan.exchanged
     planned = PlannedRenderer(scene_of(ball), MOVES, spp=8)
-    here = planned.parameters()
-    np.testing.assert_allclose(planned.render(here, seed=3), alone.render(here, seed=3), rtol=1e-4, atol=1e-5)
+    start = planned.parameters()
+    np.testing.assert_allclose(planned.render(start, seed=3), plain.render(start, seed=3), rtol=1e-4, atol=1e-5)
 
 
-def test_a_mesh_that_is_an_object_of_the_user_stays_as_it_is(tmp_path: Path) -> None:
+def test_a_mesh_object_of_the_caller_is_not_welded(tmp_path: Path) -> None:
     mesh = mi.load_dict({"type": "ply", "filename": ball_file(tmp_path, split=True)})
     faces = np.array(mi.traverse(mesh)["faces"])
     with pytest.warns(GradientWarning, match="stores the vertices of an edge more than once"):
@@ -90,100 +94,94 @@ def test_a_mesh_that_is_an_object_of_the_user_stays_as_it_is(tmp_path: Path) -> 
     np.testing.assert_array_equal(mi.traverse(mesh)["faces"], faces)
 
 
-def test_a_mesh_whose_vertices_move_apart_stays_as_it_is() -> None:
+def test_a_mesh_with_fitted_vertices_is_not_welded() -> None:
     with pytest.warns(GradientWarning, match="mesh 'mesh' stores the vertices of an edge more than once"):
         planned = PlannedRenderer(scene_of({"type": "cube"}), {"corners": "mesh.vertex_positions"})
     assert not planned.plan.exchanged
 
 
-def test_edges_are_hard_where_triangles_that_meet_are_shaded_otherwise(tmp_path: Path) -> None:
-    def loaded(mesh: dict[str, Any]) -> Any:
-        return mi.load_dict({"type": "scene", "mesh": mesh}, optimize=False).shapes()[0]
-
-    cube = loaded({"type": "cube"})
-    smooth = loaded({"type": "ply", "filename": ball_file(tmp_path, split=True, normals=True)})
-    whole = loaded({"type": "ply", "filename": ball_file(tmp_path, split=False)})
-    assert [is_unwelded(one) for one in (cube, smooth, whole, loaded({"type": "rectangle"}))] == [
+def test_sharp_edged_and_unwelded_meshes_are_recognised(tmp_path: Path) -> None:
+    cube = load_shape({"type": "cube"})
+    smooth = load_shape({"type": "ply", "filename": ball_file(tmp_path, split=True, normals=True)})
+    whole = load_shape({"type": "ply", "filename": ball_file(tmp_path, split=False)})
+    assert [is_unwelded(shape) for shape in (cube, smooth, whole, load_shape({"type": "rectangle"}))] == [
         True,
         True,
         False,
         False,
     ]
-    flat = loaded({"type": "ply", "filename": ball_file(tmp_path, split=True), "face_normals": True})
-    assert [is_sharp_edged(one) for one in (cube, smooth, flat, box((0.0, 0.0, 0.0), 1.0))] == [
+    flat = load_shape({"type": "ply", "filename": ball_file(tmp_path, split=True), "face_normals": True})
+    assert [is_sharp_edged(shape) for shape in (cube, smooth, flat, box((0.0, 0.0, 0.0), 1.0))] == [
         True,
         False,
         False,
         True,
     ]
-    assert not is_unwelded(loaded({"type": "sphere"}))
+    assert not is_unwelded(load_shape({"type": "sphere"}))
 
 
 @pytest.mark.parametrize("film", [{}, {"sample_border": True}, {"rfilter": {"type": "box"}}])
-def test_a_cube_of_a_dict_is_exchanged_whatever_film_it_is_seen_on(film: dict[str, Any]) -> None:
-    """Where a filter reaches over the border, the scene is loaded anew, and its shapes are others."""
+def test_a_cube_in_a_dict_is_replaced_for_all_films(film: dict[str, Any]) -> None:
+    """Where the filter extends beyond the border, the scene is loaded again, with new shape objects."""
     scene = scene_of({"type": "cube"})
     scene["sensor"]["film"] = {"type": "hdrfilm", "width": WIDTH, "height": HEIGHT, **film}
     assert list(PlannedRenderer(scene, MOVES, spp=4).plan.exchanged) == ["mesh 'mesh'"]
 
 
-def crowded_file(folder: Path, kind: str) -> str:
-    """A box: as it is, with strips for a top, with a wall across it, or with every side there twice, back to back."""
+def box_file(folder: Path, variant: str) -> str:
+    """A plain box, or one with a top of strips, with a diagonal wall, or with all faces doubled back to back."""
     corners: list[tuple[float, float, float]] = []
     faces: list[list[int]] = []
 
-    def side(*four: tuple[float, float, float]) -> None:
+    def add_quad(*vertices: tuple[float, float, float]) -> None:
         faces.extend(
             [[len(corners), len(corners) + 1, len(corners) + 2], [len(corners), len(corners) + 2, len(corners) + 3]]
         )
-        corners.extend(four)
+        corners.extend(vertices)
 
-    around = [(-1.0, -1.0), (-1.0, 1.0), (1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)]
-    for (x, z), (u, w) in pairwise(around):
-        side((x, -1.0, z), (u, -1.0, w), (u, 1.0, w), (x, 1.0, z))
-    cuts = (-1.0, -0.2, 0.4, 1.0) if kind == "strips" else (-1.0, 1.0)
+    outline = [(-1.0, -1.0), (-1.0, 1.0), (1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)]
+    for (x, z), (u, w) in pairwise(outline):
+        add_quad((x, -1.0, z), (u, -1.0, w), (u, 1.0, w), (x, 1.0, z))
+    cuts = (-1.0, -0.2, 0.4, 1.0) if variant == "strips" else (-1.0, 1.0)
     for a, b in pairwise(cuts):
-        side((a, 1.0, -1.0), (a, 1.0, 1.0), (b, 1.0, 1.0), (b, 1.0, -1.0))
-        side((a, -1.0, 1.0), (a, -1.0, -1.0), (b, -1.0, -1.0), (b, -1.0, 1.0))
-    if kind == "wall":
-        side((-1.0, -1.0, -1.0), (-1.0, 1.0, -1.0), (1.0, 1.0, 1.0), (1.0, -1.0, 1.0))
-    if kind == "twice":
+        add_quad((a, 1.0, -1.0), (a, 1.0, 1.0), (b, 1.0, 1.0), (b, 1.0, -1.0))
+        add_quad((a, -1.0, 1.0), (a, -1.0, -1.0), (b, -1.0, -1.0), (b, -1.0, 1.0))
+    if variant == "wall":
+        add_quad((-1.0, -1.0, -1.0), (-1.0, 1.0, -1.0), (1.0, 1.0, 1.0), (1.0, -1.0, 1.0))
+    if variant == "twice":
         faces += [[a, c, b] for a, b, c in faces]
-    path = folder / f"{kind}.ply"
+    path = folder / f"{variant}.ply"
     trimesh.Trimesh(corners, faces, process=False).export(path)
     return str(path)
 
 
-@pytest.mark.parametrize(("kind", "crowded"), [("box", False), ("strips", True), ("wall", True), ("twice", True)])
-def test_edges_that_mitsuba_counts_several_times_are_told_of_and_blurred(
-    kind: str,
-    crowded: bool,
-    tmp_path: Path,
-) -> None:
-    mesh = {"type": "ply", "filename": crowded_file(tmp_path, kind), "face_normals": True}
-    shape = mi.load_dict({"type": "scene", "mesh": mesh}, optimize=False).shapes()[0]
-    assert is_non_manifold(shape) == crowded
+@pytest.mark.parametrize(
+    ("variant", "non_manifold"), [("box", False), ("strips", True), ("wall", True), ("twice", True)]
+)
+def test_non_manifold_meshes_give_a_warning_and_are_blurred(variant: str, non_manifold: bool, tmp_path: Path) -> None:
+    mesh = {"type": "ply", "filename": box_file(tmp_path, variant), "face_normals": True}
+    assert is_non_manifold(load_shape(mesh)) == non_manifold
     planned = PlannedRenderer(scene_of(mesh), MOVES, spp=4)
-    assert list(planned.plan.blurred) == (["x"] if crowded else [])
-    with pytest.warns(GradientWarning) as told:
+    assert list(planned.plan.blurred) == (["x"] if non_manifold else [])
+    with pytest.warns(GradientWarning) as warnings:
         MitsubaRenderer(scene_of(mesh), MOVES, spp=4)
-    assert any("more than two triangles meet" in str(one.message) for one in told) == crowded
+    assert any("more than two triangles meet" in str(warning.message) for warning in warnings) == non_manifold
 
 
-def test_vertices_of_a_crowded_mesh_are_not_blurred_but_told_of(tmp_path: Path) -> None:
-    mesh = {"type": "ply", "filename": crowded_file(tmp_path, "twice"), "face_normals": True}
+def test_fitted_vertices_of_a_non_manifold_mesh_give_a_warning_without_blurring(tmp_path: Path) -> None:
+    mesh = {"type": "ply", "filename": box_file(tmp_path, "twice"), "face_normals": True}
     with pytest.warns(GradientWarning, match="more than two triangles meet"):
         planned = PlannedRenderer(scene_of(mesh), {"corners": "mesh.vertex_positions"}, spp=4)
     assert not planned.plan.blurred
 
 
-def test_a_smooth_mesh_is_not_crowded(tmp_path: Path) -> None:
+def test_a_smooth_mesh_has_no_non_manifold_edges(tmp_path: Path) -> None:
     for split in (True, False):
         mesh = {"type": "ply", "filename": ball_file(tmp_path, split=split)}
-        assert non_manifold_fraction(mi.load_dict({"type": "scene", "mesh": mesh}, optimize=False).shapes()[0]) == 0.0
+        assert non_manifold_fraction(load_shape(mesh)) == 0.0
 
 
-def test_a_cutout_is_blurred_and_told_of() -> None:
+def test_a_cutout_gives_a_warning_and_is_blurred() -> None:
     opacity = np.zeros((8, 8, 1), np.float32)
     opacity[2:6, 2:6] = 1.0
     mask = {
@@ -197,40 +195,40 @@ def test_a_cutout_is_blurred_and_told_of() -> None:
         MitsubaRenderer(scene, MOVES, spp=4)
 
 
-def test_the_switch_is_true_or_false() -> None:
+def test_the_option_seams_must_be_a_bool() -> None:
     with pytest.raises(OptionError, match=r"`proxy.seams` must be true or false, got 1"):
         PlannedRenderer(scene_of({"type": "cube"}), MOVES, proxy={"seams": 1})
 
 
-def test_a_box_keeps_its_texture_though_its_corners_are_shared() -> None:
-    """All but the gradient of its shadow is that of the scene itself: shared corners show other parts of a texture."""
+def test_a_welded_box_keeps_its_texture() -> None:
+    """Only the gradient of its shadow is the proxy's, because welded vertices change the texture coordinates."""
     values = mi.TensorXf(np.random.default_rng(0).random((4, 4, 3)).astype(np.float32))
     paint = {"type": "diffuse", "reflectance": {"type": "bitmap", "data": values, "raw": True}}
     pose = mi.ScalarTransform4f().translate([0, 1, 0]).scale(0.7)
     scene = shadow_scene(mesh={"type": "cube", "to_world": pose, "bsdf": paint})
     planned = PlannedRenderer(scene, MOVES, spp=8)
     assert list(planned.plan.exchanged) == ["mesh 'mesh'"]
-    seen = {"type": "direct_projective", "guiding": "none", "sppc": 8, "sppp": 8, "sppi": 0}
+    primary = {"type": "direct_projective", "guiding": "none", "sppc": 8, "sppp": 8, "sppi": 0}
     with pytest.warns(GradientWarning, match="mesh 'mesh' stores the vertices of an edge more than once"):
-        alone = MitsubaRenderer(scene, MOVES, integrator=seen)
-    both = planned.unabridged.with_integrator(seen)
-    here, cotangent = planned.parameters(), random_cotangent()
-    wanted, found = (one.vjp(here, cotangent, seed=1)["x"] for one in (alone, both))
-    assert abs(wanted) > 0.0
-    np.testing.assert_allclose(found, wanted, rtol=1e-4)
-    shadow = both.with_integrator(seen | {"sppc": 0, "sppp": 0, "sppi": 8})
-    assert abs(shadow.vjp(here, cotangent, seed=1)["x"]) > 0.0
-    whole = both.with_integrator(seen | {"sppi": 8})
-    ahead = {name: np.ones_like(value) for name, value in here.items()}
-    along = np.vdot(whole.jvp(here, ahead, seed=2), cotangent)
-    assert float(whole.vjp(here, cotangent, seed=2)["x"]) == pytest.approx(float(along), rel=1e-3)
+        plain = MitsubaRenderer(scene, MOVES, integrator=primary)
+    proxied = planned.unabridged.with_integrator(primary)
+    start, cotangent = planned.parameters(), random_cotangent()
+    expected, actual = (renderer.vjp(start, cotangent, seed=1)["x"] for renderer in (plain, proxied))
+    assert abs(expected) > 0.0
+    np.testing.assert_allclose(actual, expected, rtol=1e-4)
+    shadow = proxied.with_integrator(primary | {"sppc": 0, "sppp": 0, "sppi": 8})
+    assert abs(shadow.vjp(start, cotangent, seed=1)["x"]) > 0.0
+    full = proxied.with_integrator(primary | {"sppi": 8})
+    tangent = {name: np.ones_like(value) for name, value in start.items()}
+    derivative = np.vdot(full.jvp(start, tangent, seed=2), cotangent)
+    assert float(full.vjp(start, cotangent, seed=2)["x"]) == pytest.approx(float(derivative), rel=1e-3)
 
 
 MIRRORED = {"to_world": ("scale", [-1, 1, 1])}
 
 
 @pytest.mark.parametrize(
-    ("shape", "inside_out"),
+    ("shape", "is_inverted"),
     [
         ({"type": "sphere"}, False),
         ({"type": "sphere", "flip_normals": True}, True),
@@ -243,16 +241,16 @@ MIRRORED = {"to_world": ("scale", [-1, 1, 1])}
     ],
     ids=str,
 )
-def test_what_is_turned_inside_out_is_blurred_and_told_of(
-    shape: dict[str, Any], inside_out: bool, recwarn: pytest.WarningsRecorder
+def test_shapes_with_inward_normals_give_a_warning_and_are_blurred(
+    shape: dict[str, Any], is_inverted: bool, recwarn: pytest.WarningsRecorder
 ) -> None:
-    """Of a ball so turned, the gradient was three times too large along one axis; of a box, its sign was wrong."""
+    """The gradient of such a ball was three times too large along one axis; a box had the wrong sign."""
     shape = dict(shape)
     if "to_world" in shape:
         shape["to_world"] = mi.ScalarTransform4f().scale(shape["to_world"][1])
     scene = shadow_scene(mesh=shape | {"bsdf": {"type": "twosided", "nested": {"type": "diffuse"}}})
-    (found,) = (one for one in mi.load_dict(scene, optimize=False).shapes() if one.id() == "mesh")
-    assert has_inward_normals(found) == inside_out
-    assert list(PlannedRenderer(scene, MOVES).plan.blurred) == (["x"] if inside_out else [])
+    (mesh,) = (loaded for loaded in mi.load_dict(scene, optimize=False).shapes() if loaded.id() == "mesh")
+    assert has_inward_normals(mesh) == is_inverted
+    assert list(PlannedRenderer(scene, MOVES).plan.blurred) == (["x"] if is_inverted else [])
     MitsubaRenderer(scene, MOVES)
-    assert any("normals that point inwards" in str(one.message) for one in recwarn) == inside_out
+    assert any("normals that point inwards" in str(warning.message) for warning in recwarn) == is_inverted

@@ -23,8 +23,8 @@ START = {"x": np.float32(0.0)}
 MIN_OPERATIONS = 500  # of a kernel that traces rays
 
 
-def integrator(kind: str, term: str, samples: int = SAMPLES) -> dict[str, Any]:
-    return {"type": kind, "guiding": "none", "sppc": 0, "sppp": 0, "sppi": 0, term: samples}
+def integrator(integrator_type: str, term: str, samples: int = SAMPLES) -> dict[str, Any]:
+    return {"type": integrator_type, "guiding": "none", "sppc": 0, "sppp": 0, "sppi": 0, term: samples}
 
 
 def ball_in_view(**film: Any) -> dict[str, Any]:
@@ -53,10 +53,10 @@ def ray_tracing_kernels() -> list[dict[str, Any]]:
         ("sppc", {"pixel_format": "luminance", "width": 100, "height": 75}),
     ],
 )
-@pytest.mark.parametrize("kind", ["direct_projective", "prb_projective"])
-def test_each_term_of_the_gradient_equals_mitsuba_s(kind: str, term: str, film: dict[str, Any]) -> None:
+@pytest.mark.parametrize("integrator_type", ["direct_projective", "prb_projective"])
+def test_each_term_of_the_gradient_equals_mitsuba_s(integrator_type: str, term: str, film: dict[str, Any]) -> None:
     """For silhouettes with a box filter only: with others, Mitsuba divides by the weights of the pixels in reach."""
-    description = integrator(kind, term)
+    description = integrator(integrator_type, term)
     renderer = MitsubaRenderer(ball_in_view(**film), MOVES, integrator=description)
     weight = correlated_noise(renderer.render(START))
     gradient = float(renderer.vjp(START, weight, seed=3)["x"])

@@ -24,9 +24,9 @@ def ball(x: float, y: float, z: float, radius: float) -> dict[str, Any]:
     return {"type": "sphere", "center": [x, y, z], "radius": radius}
 
 
-def shadowed_ball(kind: str) -> dict[str, Any]:
+def shadowed_ball(scene_name: str) -> dict[str, Any]:
     scene = shadow_scene(**DIRECT, ball=ball(0.0, 1.2, 0.0, 0.9))
-    if kind == "under the sky":
+    if scene_name == "under the sky":
         del scene["lamp"]
         return scene | {"sky": {"type": "constant", "radiance": 0.8}, "other": ball(1.7, 1.4, 0.3, 0.9)}
     return scene | {"other": ball(0.3, 3.0, 0.3, 0.5)}
@@ -38,11 +38,11 @@ def mean_gradient(renderer: MitsubaRenderer, weight: Host, seeds: int) -> tuple[
     return draws.mean(axis=0), draws.std(axis=0, ddof=1) / np.sqrt(seeds)
 
 
-@pytest.mark.parametrize("kind", ["under a ball", "under the sky"])
+@pytest.mark.parametrize("scene_name", ["under a ball", "under the sky"])
 def test_a_shadowed_moving_ball_has_the_gradient_of_finite_differences(
-    kind: str, monkeypatch: pytest.MonkeyPatch
+    scene_name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    scene = shadowed_ball(kind)
+    scene = shadowed_ball(scene_name)
     renderer = MitsubaRenderer(scene, MOVES, spp=64)
     images = renderer.with_integrator("scene", spp=1024)
     row, column = np.mgrid[:HEIGHT, :WIDTH]

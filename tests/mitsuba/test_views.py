@@ -1,4 +1,4 @@
-"""Several sensors of one scene of Mitsuba, fitted together."""
+"""Several sensors of one Mitsuba scene can be fitted jointly."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ GOAL = np.array([0.6, -0.4, 0.7], np.float32)
 
 
 def scene() -> dict[str, Any]:
-    """A ball in front of a white sky, with a sensor in front of it and one at its side."""
+    """A ball before a white sky, with a sensor in front of the ball and one at its side."""
 
     def sensor(*origin: float) -> dict[str, Any]:
         view = mi.ScalarTransform4f().look_at(list(origin), [0, 0, 0], [0, 1, 0])
@@ -32,7 +32,7 @@ def scene() -> dict[str, Any]:
     }
 
 
-def test_two_sensors_place_a_ball_in_depth_with_one_render_a_step() -> None:
+def test_two_sensors_recover_the_depth_of_a_ball_with_one_render_per_step() -> None:
     views = {
         name: loi_mitsuba.MitsubaRenderer(scene(), {"place": loi_mitsuba.Translate("ball")}, spp=4, sensor=index)
         for index, name in enumerate(("front", "side"))

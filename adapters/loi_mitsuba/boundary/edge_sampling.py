@@ -61,13 +61,13 @@ class EdgeBoundary:
         positions = [np.array(_positions(*params)).reshape(-1, 3) for params in self._params]
         first_vertex = np.cumsum([0, *map(len, positions[:-1])])
         edges = [_edges_of(shape, vertices) for shape, vertices in zip(shapes, positions, strict=True)]
-        ends, opposite = (
+        end_vertices, opposite = (
             np.concatenate([arrays[k] + first for arrays, first in zip(edges, first_vertex, strict=True)])
             for k in (0, 1)
         )
         self._ends, self._opposite = (
             [mi.UInt32(np.ascontiguousarray(column, dtype=np.uint32)) for column in vertices.T]
-            for vertices in (ends, opposite)
+            for vertices in (end_vertices, opposite)
         )
         interval = np.concatenate([arrays[2] for arrays in edges])
         self._interval = [mi.Float(np.ascontiguousarray(bound, dtype=np.float32)) for bound in interval.T]
@@ -103,8 +103,8 @@ class EdgeBoundary:
             dr.gather(mi.Point3f, positions, dr.gather(mi.UInt32, vertex, index))
             for vertex in (*self._ends, *self._opposite)
         )
-        low, high = (dr.gather(mi.Float, bound, index) for bound in self._interval)
-        point = dr.lerp(first, second, dr.lerp(low, high, fraction))
+        lower, upper = (dr.gather(mi.Float, bound, index) for bound in self._interval)
+        point = dr.lerp(first, second, dr.lerp(lower, upper, fraction))
         uv = camera.project(point).uv
         with dr.suspend_grad():
             point, edge = dr.detach(point), dr.detach(second - first)
@@ -128,7 +128,7 @@ class EdgeBoundary:
                 active &= ~self._is_occluded(scene, offset_uv, camera, distance, shape, active)
             difference = radiance_difference(self._sensor, integrator, scene, offset_uvs, active, sampler)
             # Samples per unit of length.
-            density = distribution.eval_pmf_normalized(index) * count / (dr.norm(edge) * (high - low))
+            density = distribution.eval_pmf_normalized(index) * count / (dr.norm(edge) * (upper - lower))
             pixels_per_sample = length / (2.0 * TANGENT_STEP * distance * density)
         displacement = dr.dot(normal, uv * self._size)
         displacement = dr.select(active, displacement - dr.detach(displacement), 0.0)
@@ -151,16 +151,16 @@ class EdgeBoundary:
         first, second, *opposite = (
             dr.gather(mi.Point3f, positions, vertex) for vertex in (*self._ends, *self._opposite)
         )
-        begin, end, middle = (
+        first_px, second_px, middle = (
             camera.project(point).uv * self._size for point in (first, second, 0.5 * (first + second))
         )
-        normal = mi.Vector2f(begin.y - end.y, end.x - begin.x)
-        side, opposite_side = (
+        normal = mi.Vector2f(first_px.y - second_px.y, second_px.x - first_px.x)
+        signed_distance, opposite_distance = (
             dr.dot(normal, camera.project((first + second + vertex) / 3.0).uv * self._size - middle)
             for vertex in opposite
         )
         length = dr.norm(second - first) * (self._interval[1] - self._interval[0])
-        silhouette_length = dr.select(side * opposite_side > 0.0, length, 0.0)
+        silhouette_length = dr.select(signed_distance * opposite_distance > 0.0, length, 0.0)
         pdfs = [weight / dr.maximum(dr.sum(weight), 1e-30) for weight in (length, silhouette_length)]
         return mi.DiscreteDistribution(pdfs[0] + pdfs[1])
 
@@ -193,11 +193,11 @@ def _outlines() -> dict[str, HostArray]:
 OUTLINES: Final = _outlines()
 
 
-def _positions(kind: str, params: Any) -> Any:
+def _positions(class_name: str, params: Any) -> Any:
     """Return the flat vertex positions of a shape, mi.Float, attached to its parameters."""
-    if kind not in OUTLINES:
+    if class_name not in OUTLINES:
         return params["vertex_positions"]
-    return dr.ravel(params["to_world"] @ mi.Point3f(np.ascontiguousarray(OUTLINES[kind].T, dtype=np.float32)))
+    return dr.ravel(params["to_world"] @ mi.Point3f(np.ascontiguousarray(OUTLINES[class_name].T, dtype=np.float32)))
 
 
 def _edges_of(shape: Any, positions: HostArray) -> tuple[HostArray, HostArray, HostArray]:
@@ -206,9 +206,9 @@ def _edges_of(shape: Any, positions: HostArray) -> tuple[HostArray, HostArray, H
     Each array has shape (edges, 2): the end vertices, the opposite vertices of the adjacent triangles, and the interval
     of the edge that counts, as fractions of its length.
     """
-    ends, opposite = _all_edges(shape)
-    index, interval = uncovered_segments(positions, ends)
-    return ends[index], opposite[index], interval
+    end_vertices, opposite = _all_edges(shape)
+    index, interval = uncovered_segments(positions, end_vertices)
+    return end_vertices[index], opposite[index], interval
 
 
 def _all_edges(shape: Any) -> tuple[HostArray, HostArray]:
@@ -217,6 +217,6 @@ def _all_edges(shape: Any) -> tuple[HostArray, HostArray]:
         return edge_vertices(shape, crease_edges(shape))
     count = len(OUTLINES[shape.class_name()])
     first = np.arange(count)
-    ends: HostArray = np.stack([first, (first + 1) % count], axis=1)
+    end_vertices: HostArray = np.stack([first, (first + 1) % count], axis=1)
     opposite: HostArray = np.repeat(((first + count // 2) % count)[:, None], 2, axis=1)
-    return ends, opposite
+    return end_vertices, opposite

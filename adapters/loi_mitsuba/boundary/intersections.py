@@ -1,7 +1,7 @@
-"""The boundary term of the curves in view along which shapes interpenetrate.
+"""The boundary term of visible intersection curves of interpenetrating shapes.
 
-Radiance is discontinuous along the curve in which a half-sunk ball meets the floor, and the curve moves with the ball.
-It is no silhouette, so projective sampling does not find it. Here it is searched for along segments of the image. Where
+Radiance is discontinuous along the curve where a half-sunk ball meets the floor, and the curve moves with the ball. It
+is no silhouette, so projective sampling does not find it. Here it is searched for along segments of the image. Where
 a segment crosses from one shape to another, and each continues behind the other, the difference of the two depths is an
 implicit function whose root gives the velocity of the curve.
 """
@@ -97,16 +97,16 @@ class IntersectionBoundary:
             first, second, direction = crossings
             shape = self._visible_id(scene, first)
             first, second = bisect(first, second, lambda position: self._visible_id(scene, position) == shape)
-        front, back = self._hits(scene, first, second)
+        front, rear = self._hits(scene, first, second)
         with dr.suspend_grad():
             crossing = dr.lerp(first, second, 0.5)
-            slope, active = self._depth_slope(scene, front, back, crossing, direction)
+            slope, active = self._depth_slope(scene, front, rear, crossing, direction)
             count = dr.width(crossing)
             offset = self._offset_px(front, crossing) * direction
-            active &= self._is_visible(scene, front, back, crossing, offset)
+            active &= self._is_visible(scene, front, rear, crossing, offset)
             # Under a shape that bulges over the curve, radiance grows with the square root of the distance: it doubles
             # at four times the offset. Extrapolate to offset 0, unless the far offset is beyond another silhouette.
-            close, far = (
+            near_difference, far_difference = (
                 radiance_difference(
                     self._sensor,
                     integrator,
@@ -117,9 +117,9 @@ class IntersectionBoundary:
                 )
                 for step in (offset, 4.0 * offset)
             )
-            can_extrapolate = self._is_visible(scene, front, back, crossing, 4.0 * offset)
-            difference = dr.select(can_extrapolate, 2.0 * close - far, close)
-        gap = front.t - back.t
+            can_extrapolate = self._is_visible(scene, front, rear, crossing, 4.0 * offset)
+            difference = dr.select(can_extrapolate, 2.0 * near_difference - far_difference, near_difference)
+        gap = front.t - rear.t
         displacement = dr.select(active, -(gap - dr.detach(gap)) / slope, 0.0)
         value = dr.select(active, self._segments.average(-difference, samples), 0.0) * displacement
         return value, crossing / self._segments.size
@@ -129,55 +129,57 @@ class IntersectionBoundary:
         if self._component_ids.may_intersect:
             return True
         shapes = scene.shapes()
-        low, high = np.stack([bounding_box(shape) for shape in shapes], axis=1)
+        lower, upper = np.stack([bounding_box(shape) for shape in shapes], axis=1)
         moving = [shapes.index(shape) for shape in self._shapes]
-        overlap = np.all((low[moving, None] <= high) & (low <= high[moving, None]), axis=-1)
+        overlap = np.all((lower[moving, None] <= upper) & (lower <= upper[moving, None]), axis=-1)
         overlap[np.arange(len(moving)), moving] = False
         return bool(np.any(overlap))
 
     def _find_crossings(self, scene: Any, samples: int, seed: int) -> tuple[Any, Any, Any] | None:
         """Return the segments whose ends see two shapes: ends in pixels, and directions."""
         first, second, direction = self._segments.sample(scene, samples, seed)
-        before, after = self._visible_id(scene, first), self._visible_id(scene, second)
-        index = dr.compress((before != 0) & (after != 0) & (before != after))
+        first_id, second_id = self._visible_id(scene, first), self._visible_id(scene, second)
+        index = dr.compress((first_id != 0) & (second_id != 0) & (first_id != second_id))
         if dr.width(index) == 0:
             return None
         return tuple(dr.gather(type(array), array, index) for array in (first, second, direction))
 
-    def _depth_slope(self, scene: Any, front: _Hit, back: _Hit, crossing: Any, direction: Any) -> tuple[Any, Any]:
-        """Return the derivative per pixel of the first shape's depth behind the second, and where they intersect."""
-        across = mi.Vector2f(direction.y, direction.x)
-        slope, slope_across = (self._depth_derivative(front, back, crossing, axis) for axis in (direction, across))
+    def _depth_slope(self, scene: Any, front: _Hit, rear: _Hit, crossing: Any, direction: Any) -> tuple[Any, Any]:
+        """Return the derivative per pixel of the first shape's depth behind the second, and a mask of intersections."""
+        perpendicular = mi.Vector2f(direction.y, direction.x)
+        slope, slope_across = (
+            self._depth_derivative(front, rear, crossing, axis) for axis in (direction, perpendicular)
+        )
         distance = dr.norm(front.p - self._segments.camera_position)
         # Segments of one direction count curves within 45 degrees of their normal, so that each curve counts once.
-        active = (front.shape != 0) & (back.shape != 0) & (slope > 0.0) & (slope >= dr.abs(slope_across))
-        gap = self._plane_depth(front, crossing) - self._plane_depth(back, crossing)
+        active = (front.shape != 0) & (rear.shape != 0) & (slope > 0.0) & (slope >= dr.abs(slope_across))
+        gap = self._plane_depth(front, crossing) - self._plane_depth(rear, crossing)
         active &= dr.abs(gap) < MAX_DEPTH_GAP_PX * slope
         # A shape that does not continue to this depth has an edge there, which the edge term samples.
         beyond = DEPTH_TOLERANCE * distance / slope * direction
-        active &= self._continues_behind(scene, front, back, crossing + beyond, active)
-        active &= self._continues_behind(scene, back, front, crossing - beyond, active)
+        active &= self._continues_behind(scene, front, rear, crossing + beyond, active)
+        active &= self._continues_behind(scene, rear, front, crossing - beyond, active)
         return dr.select(active, slope, 1.0), active
 
-    def _is_visible(self, scene: Any, front: _Hit, back: _Hit, crossing: Any, offset: Any) -> Any:
+    def _is_visible(self, scene: Any, front: _Hit, rear: _Hit, crossing: Any, offset: Any) -> Any:
         """Return whether the first shape is visible on one side of a crossing, and the second on the other."""
-        before, after = self._visible_id(scene, crossing - offset), self._visible_id(scene, crossing + offset)
-        return (before == front.shape) & (after == back.shape)
+        first_id, second_id = self._visible_id(scene, crossing - offset), self._visible_id(scene, crossing + offset)
+        return (first_id == front.shape) & (second_id == rear.shape)
 
     def _visible_id(self, scene: Any, position: Any) -> Any:
         """Return the id of the shape or component that is visible at positions in pixels; 0 for none."""
         return self._component_ids.ids(scene.ray_intersect_preliminary(self._segments.ray(position)))
 
     def _offset_px(self, hit: _Hit, crossing: Any) -> Any:
-        """Return the offset in pixels at which rays spawned at the surface see the surroundings of a crossing."""
+        """Return the offset in pixels, large enough that rays spawned off the surface see beyond the crossing."""
         ray, next_ray = (self._segments.ray(position) for position in (crossing, crossing + mi.Vector2f(1.0, 0.0)))
         pixel_width = dr.norm(next_ray.d - ray.d) * dr.norm(hit.p - self._segments.camera_position)
         return dr.clip(OFFSET_EPSILONS * ray_epsilon(hit.p) / pixel_width, *OFFSET_RANGE_PX)
 
-    def _depth_derivative(self, front: _Hit, back: _Hit, crossing: Any, axis: Any) -> Any:
-        """Return the derivative along an axis of the depth of the first tangent plane minus that of the second."""
+    def _depth_derivative(self, front: _Hit, rear: _Hit, crossing: Any, axis: Any) -> Any:
+        """Return the derivative along an axis of the depth difference of the two tangent planes."""
         forward, backward = (
-            self._plane_depth(front, position) - self._plane_depth(back, position)
+            self._plane_depth(front, position) - self._plane_depth(rear, position)
             for position in (crossing + DIFFERENCE_STEP_PX * axis, crossing - DIFFERENCE_STEP_PX * axis)
         )
         return (forward - backward) / (2.0 * DIFFERENCE_STEP_PX)

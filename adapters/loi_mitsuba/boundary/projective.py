@@ -22,7 +22,7 @@ from loi_mitsuba.sensing.sensor import PerspectiveSensor, is_off_centre, ray_eps
 
 __all__ = ["ProjectiveBoundary"]
 
-SEED_MASKS: Final = {"sppp": 0xFFFFFFFF, "sppi": 0xAA00AA00}  # those of Mitsuba's PSIntegrator
+SEED_MASKS: Final = {"sppp": 0xFFFFFFFF, "sppi": 0xAA00AA00}  # as in Mitsuba's PSIntegrator
 GUIDING_SEED_MASK: Final = 0xAFAFAFAF  # likewise
 CONTACT_EPSILONS: Final = 1.0  # ray epsilons from a silhouette to a surface that it lies in
 
@@ -62,7 +62,7 @@ class ProjectiveBoundary:
     sensor : mi.Sensor
     film : Film
         Of the sensor.
-    kind : {"sppp", "sppi"}
+    term : {"sppp", "sppi"}
         Primary silhouettes, which the camera sees, or indirect ones, of shadows and reflections.
     unique_edges : UniqueEdges or None
         For indirect silhouettes, the mesh edges that count among coincident ones.
@@ -70,19 +70,20 @@ class ProjectiveBoundary:
 
     sensor: Any
     film: Film
-    kind: Literal["sppp", "sppi"]
+    term: Literal["sppp", "sppi"]
     unique_edges: UniqueEdges | None = None
 
     def sample(self, scene: Any, integrator: Any, samples: int, seed: int) -> tuple[Any, Any] | None:
         """Sample silhouettes; see :class:`loi_mitsuba.boundary.terms.BoundarySampler`.
 
-        `integrator` is the projective integrator. The samples are those of Mitsuba's `render_backward` with this seed.
+        `integrator` is the projective integrator. It takes the same samples in its own
+        `render_backward` with this seed.
         """
         if not scene.silhouette_shapes():
             return None
         sensor = self.sensor
         with dr.suspend_grad():
-            if self.kind == "sppp":
+            if self.term == "sppp":
                 integrator.proj_detail.init_primarily_visible_silhouette(scene, sensor)
                 render = integrator.render_primarily_visible_silhouette
             else:
@@ -90,9 +91,9 @@ class ProjectiveBoundary:
                 integrator.proj_detail.init_indirect_silhouette(scene, sensor, GUIDING_SEED_MASK ^ seed)
                 render = integrator.render_indirect_silhouette
             sampler, spp = integrator.prepare(
-                self.sensor, SEED_MASKS[self.kind] ^ seed, samples, integrator.aov_names()
+                self.sensor, SEED_MASKS[self.term] ^ seed, samples, integrator.aov_names()
             )
-        emitters = hittable_proxy_emitters() if self.kind == "sppi" else nullcontext()
+        emitters = hittable_proxy_emitters() if self.term == "sppi" else nullcontext()
         with emitters, self._filtered(integrator), capture_splats() as splats:
             # With 1 sample per pixel: the number would be compiled into kernels. The values are divided by it below.
             render(scene, sensor, sampler, 1)
@@ -110,20 +111,20 @@ class ProjectiveBoundary:
         An edge that lies in another surface, as where two boxes end in one plane, casts no shadow on it. Rounding puts
         the edge beside that surface, nearer than any other occluder is.
         """
-        if self.kind != "sppi":
+        if self.term != "sppi":
             yield
             return
         original, unique_edges = integrator.sample_importance, self.unique_edges
 
         def sample_importance(scene: Any, sensor: Any, silhouette: Any, *arguments: Any) -> Any:
-            *others, active = arguments
+            *leading, active = arguments
             if unique_edges is not None:
                 active = active & unique_edges.is_representative(silhouette)  # not in place: it is the integrator's
             reverse = mi.SilhouetteSample3f(silhouette)
             reverse.d = -silhouette.d
             ray = reverse.spawn_ray()
             ray.maxt = CONTACT_EPSILONS * ray_epsilon(silhouette.p)
-            return original(scene, sensor, silhouette, *others, active & ~scene.ray_test(ray, active=active))
+            return original(scene, sensor, silhouette, *leading, active & ~scene.ray_test(ray, active=active))
 
         integrator.sample_importance = sample_importance
         try:

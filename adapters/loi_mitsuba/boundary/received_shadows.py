@@ -1,6 +1,6 @@
 """The boundary term of shadows that fall on moving shapes.
 
-Projective sampling follows the silhouettes of moving shapes, and so the shadows that they cast. A shape that moves
+Projective sampling follows the silhouettes of moving shapes, and thereby the shadows that they cast. A shape that moves
 under an occluder, or has components that shadow each other, also moves through shadows. The edges of these shadows are
 searched for along segments of the image that see the moving shape: for light from one random point of an emitter, one
 end is lit and the other is not. The plane of light rays that graze the occluder contains the shadow edge, and gives the
@@ -26,7 +26,7 @@ from loi_mitsuba.sensing.sensor import make_sampler, ray_epsilon, supports_bound
 __all__ = ["ReceivedShadowBoundary"]
 
 TANGENT_STEP_PX: Final = 0.05  # between the two points of a shadow edge that give its direction
-SEARCH_RADIUS_PX: Final = 0.06  # in which the second of them is searched for
+SEARCH_RADIUS_PX: Final = 0.06  # of the search for the second of them
 SILHOUETTE_MARGIN_PX: Final = 0.01  # from a silhouette, where rounding makes rays hit the unlit back of closed shapes
 MIN_LIGHT_COSINE: Final = 1e-3  # at smaller ones a surface may shadow itself, because rays are spawned off surfaces
 MAX_HIT_DISTANCE_PX: Final = 0.05  # between the ends of a bisected segment; larger ones have a jump in depth
@@ -249,14 +249,14 @@ class ReceivedShadowBoundary:
         if dr.width(index) == 0:
             return first, second
         is_second = dr.gather(mi.Bool, at_second, index)
-        low, high = (dr.gather(type(end), end, index) for end in (first, second))
-        start, outside = dr.select(is_second, high, low), dr.select(is_second, low, high)
+        begin, stop = (dr.gather(type(position), position, index) for position in (first, second))
+        start, outside = dr.select(is_second, stop, begin), dr.select(is_second, begin, stop)
         inside, _ = bisect(start, outside, predicate(index))
         margin = SILHOUETTE_MARGIN_PX / dr.maximum(dr.norm(start - inside), SILHOUETTE_MARGIN_PX)
         inside = dr.lerp(inside, start, margin)
         first, second = mi.Point2f(first), mi.Point2f(second)
-        dr.scatter(first, dr.select(is_second, inside, low), index)
-        dr.scatter(second, dr.select(is_second, high, inside), index)
+        dr.scatter(first, dr.select(is_second, inside, begin), index)
+        dr.scatter(second, dr.select(is_second, stop, inside), index)
         return first, second
 
     def _sees(self, scene: Any, shape: Any) -> _Predicate:
@@ -291,14 +291,14 @@ class ReceivedShadowBoundary:
         is_found = dr.zeros(mi.Bool)
         first, second = mi.Point2f(position), mi.Point2f(position)
         for offset in (step, -step):  # the edge may end on one side
-            low = position + offset - SEARCH_RADIUS_PX * direction
-            high = position + offset + SEARCH_RADIUS_PX * direction
+            begin = position + offset - SEARCH_RADIUS_PX * direction
+            stop = position + offset + SEARCH_RADIUS_PX * direction
             brackets = (
                 ~is_found
-                & (self._is_lit_at(scene, low, emitter) == is_first_lit)
-                & (self._is_lit_at(scene, high, emitter) != is_first_lit)
+                & (self._is_lit_at(scene, begin, emitter) == is_first_lit)
+                & (self._is_lit_at(scene, stop, emitter) != is_first_lit)
             )
-            first, second = dr.select(brackets, low, first), dr.select(brackets, high, second)
+            first, second = dr.select(brackets, begin, first), dr.select(brackets, stop, second)
             is_found |= brackets
             dr.eval(first, second, is_found)
         first, second = self._bisect_shadow(scene, first, second, emitter, is_first_lit)
@@ -312,13 +312,13 @@ class ReceivedShadowBoundary:
 
     def _is_smooth(self, scene: Any, first: Any, second: Any, hit: Any, emitter: _EmitterSample) -> Any:
         """Return whether both ends of a bisected segment see one surface without a jump in depth, facing the light."""
-        ends = [scene.ray_intersect(self._segments.ray(position)) for position in (first, second)]
+        end_hits = [scene.ray_intersect(self._segments.ray(position)) for position in (first, second)]
         is_smooth = dr.ones(mi.Bool)
-        for end_hit in ends:
+        for end_hit in end_hits:
             is_smooth &= (hit_shape_index(end_hit) == hit_shape_index(hit)) & self._faces(end_hit, emitter)
         shifted = first + mi.Vector2f(MAX_HIT_DISTANCE_PX, 0.0)
         max_distance = dr.norm(self._on_tangent_plane(hit, shifted) - self._on_tangent_plane(hit, first))
-        return is_smooth & (dr.norm(ends[1].p - ends[0].p) < max_distance)
+        return is_smooth & (dr.norm(end_hits[1].p - end_hits[0].p) < max_distance)
 
     def _on_tangent_plane(self, hit: Any, position: Any) -> Any:
         """Return where the rays through positions in pixels intersect the tangent plane of a hit."""
@@ -341,5 +341,5 @@ class ReceivedShadowBoundary:
     def _faces(si: Any, emitter: _EmitterSample) -> Any:
         """Return whether the surface faces the emitter sample on the side that the camera ray came from."""
         to_emitter, _ = emitter.direction(si.p)
-        side = dr.sign(dr.dot(si.n, si.to_world(si.wi)))
-        return dr.dot(si.n, to_emitter) * side > MIN_LIGHT_COSINE
+        orientation = dr.sign(dr.dot(si.n, si.to_world(si.wi)))
+        return dr.dot(si.n, to_emitter) * orientation > MIN_LIGHT_COSINE

@@ -1,4 +1,4 @@
-"""Short segments of the image plane, one pixel long, in which discontinuities are searched for by bisection."""
+"""Search for discontinuities by bisection of segments of the image plane that are one pixel long."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class SegmentSampler:
 
     def __init__(self, sensor: Any) -> None:
         self._sensor = sensor
-        self._pixels = tuple(int(side) for side in sensor.film().crop_size())
+        self._pixels = tuple(int(length) for length in sensor.film().crop_size())
         self.size = mi.Point2f(*map(float, self._pixels))
 
     def segments_per_pixel(self, samples: int) -> int:
@@ -72,7 +72,7 @@ class SegmentSampler:
         direction : mi.Vector2f
             (1, 0) or (0, 1).
         """
-        width, height = (side + 1 for side in self._pixels)
+        width, height = (length + 1 for length in self._pixels)
         per_pixel = 2 * self.segments_per_pixel(samples)
         index = dr.arange(mi.UInt32, per_pixel * (width * height if pixels is None else dr.width(pixels)))
         pixel = index // dr.opaque(mi.UInt32, per_pixel)  # a literal would be compiled into kernels
@@ -107,9 +107,9 @@ class SegmentSampler:
 
         All pixels, if a box reaches beside or behind the camera.
         """
-        width, height = (side + 1 for side in self._pixels)
-        low, high = np.stack([bounding_box(shape) for shape in shapes], axis=1)[..., None]
-        corners = low + (high - low) * np.indices((2, 2, 2)).reshape(3, 8)  # shape (shapes, 3, 8)
+        width, height = (length + 1 for length in self._pixels)
+        lower, upper = np.stack([bounding_box(shape) for shape in shapes], axis=1)[..., None]
+        corners = lower + (upper - lower) * np.indices((2, 2, 2)).reshape(3, 8)  # shape (shapes, 3, 8)
         points = np.ascontiguousarray(corners.transpose(1, 0, 2).reshape(3, -1), dtype=np.float32)
         projection = PerspectiveSensor(self._sensor).project(mi.Point3f(points))
         covered = np.zeros((height, width), dtype=bool)
@@ -118,8 +118,8 @@ class SegmentSampler:
         uv = np.nan_to_num(np.array(projection.uv)).reshape(2, len(shapes), 8)
         position = uv * np.array(self._pixels)[:, None, None]
         begin = np.clip(np.floor(position.min(axis=2)), 0, [[width], [height]]).astype(int)
-        end = np.clip(np.floor(position.max(axis=2)) + 2.0, 0, [[width], [height]]).astype(int)
-        for (left, top), (right, bottom) in zip(begin.T, end.T, strict=True):
+        stop = np.clip(np.floor(position.max(axis=2)) + 2.0, 0, [[width], [height]]).astype(int)
+        for (left, top), (right, bottom) in zip(begin.T, stop.T, strict=True):
             covered[top:bottom, left:right] = True
         return mi.UInt32(np.flatnonzero(covered).astype(np.uint32))
 

@@ -27,7 +27,7 @@ WHEEL_RUNTIME: Final = ("libunwind", "libc++abi", "libc++")  # in the order of t
 
 
 class LLVMError(LoiError, ImportError):
-    """Dr.Jit has loaded an LLVM with which it aborts."""
+    """The LLVM that Dr.Jit has loaded is too old."""
 
 
 @dataclass(frozen=True)
@@ -102,8 +102,8 @@ def _wheel_files(stem: str) -> list[Path]:
 def _load_wheel_runtime() -> None:
     """Load the C++ runtime of the wheel's libLLVM, so that the dynamic linker need not find it.
 
-    A start-up hook of another package creates the links to these files (libc++.so.1 and so on). The hook has not run
-    in the process that installed the package, and cannot run where site-packages is read-only.
+    A start-up hook of another package creates the links to these files, such as libc++.so.1. The hook has not run in
+    the process that installed the package, and cannot run where site-packages is read-only.
     """
     for stem in WHEEL_RUNTIME:
         for path in _wheel_files(stem):

@@ -32,9 +32,9 @@ class UniqueEdges:
     """
 
     def __init__(self, intervals: dict[int, HostArray]) -> None:
-        low, high = np.concatenate(list(intervals.values())).astype(np.float32).T
+        lower, upper = np.concatenate(list(intervals.values())).astype(np.float32).T
         self._table = RaggedTable({index: len(rows) for index, rows in intervals.items()})
-        self._low, self._high = mi.Float(np.ascontiguousarray(low)), mi.Float(np.ascontiguousarray(high))
+        self._low, self._high = mi.Float(np.ascontiguousarray(lower)), mi.Float(np.ascontiguousarray(upper))
 
     @classmethod
     def from_shapes(cls, shapes: Iterable[Any]) -> UniqueEdges | None:
@@ -49,10 +49,10 @@ class UniqueEdges:
         first, in_table = self._table.first_row(hit_shape_index(sample))
         edge = sample.projection_index
         half_edge = first + 3 * sample.prim_index + edge
-        low, high = (dr.gather(mi.Float, bound, half_edge, in_table) for bound in (self._low, self._high))
+        lower, upper = (dr.gather(mi.Float, bound, half_edge, in_table) for bound in (self._low, self._high))
         u, v = sample.uv.x, sample.uv.y
         fraction = dr.select(edge == 0, u, dr.select(edge == 1, v, 1.0 - u - v))
-        return ~in_table | ((fraction >= low) & (fraction <= high))
+        return ~in_table | ((fraction >= lower) & (fraction <= upper))
 
 
 def _half_edge_intervals(mesh: Any) -> HostArray | None:
@@ -93,13 +93,13 @@ def uncovered_segments(positions: HostArray, edges: HostArray) -> tuple[HostArra
     interval: HostArray = np.tile([0.0, 1.0], (len(index), 1))
     direction = (second - first) / np.where(length > 0.0, length, 1.0)[:, None]
     direction *= np.where(direction @ REFERENCE_DIRECTION < 0.0, -1.0, 1.0)[:, None]
-    begin, end = np.sum(first * direction, axis=1), np.sum(second * direction, axis=1)
+    begin, stop = np.sum(first * direction, axis=1), np.sum(second * direction, axis=1)
     foot = (first - begin[:, None] * direction) / max(extent, 1e-300)
     lines = np.concatenate([direction / DIRECTION_TOLERANCE, foot / LINE_TOLERANCE], axis=1)
     for shift in CELL_SHIFTS:
         cells = np.floor(lines[index] + shift).astype(np.int64)
         _, line = np.unique(cells @ HASH_FACTORS, return_inverse=True)  # much faster than rows of six columns
-        start, size = begin[index], (end - begin)[index]
+        start, size = begin[index], (stop - begin)[index]
         spans = np.sort(start[:, None] + size[:, None] * interval, axis=1)
         row, uncovered_from = _uncovered(line.reshape(-1), spans, LINE_TOLERANCE * extent)
         cut = uncovered_from > spans[row, 0]
@@ -116,11 +116,11 @@ def _uncovered(line: HostArray, spans: HostArray, tolerance: float) -> tuple[Hos
     Overlaps and remainders shorter than `tolerance` are taken for rounding errors.
     """
     order = np.lexsort((spans[:, 0], line))
-    begin, end = spans[order].T
+    begin, stop = spans[order].T
     separation = line[order] * (2.0 * np.ptp(spans)) if len(spans) else line[order]
-    reached = np.maximum.accumulate(end + separation) - separation
+    reached = np.maximum.accumulate(stop + separation) - separation
     previous = np.concatenate([[-np.inf], reached])[: len(order)]
     previous[1:][np.diff(line[order]) != 0] = -np.inf
     uncovered_from = np.where(previous > begin + tolerance, previous, begin)
-    remains = (uncovered_from == begin) | (end - uncovered_from > tolerance)
+    remains = (uncovered_from == begin) | (stop - uncovered_from > tolerance)
     return order[remains], uncovered_from[remains]

@@ -61,6 +61,6 @@ def _overlap(mesh: Any, component: HostArray) -> bool:
     count = int(component.max(initial=0)) + 1
     if not 1 < count <= MAX_COMPARED_COMPONENTS:
         return count > 1
-    low, high = component_bounds(mesh, component)
-    overlap = np.all((low[:, None] <= high) & (low <= high[:, None]), axis=-1)
+    lower, upper = component_bounds(mesh, component)
+    overlap = np.all((lower[:, None] <= upper) & (lower <= upper[:, None]), axis=-1)
     return bool(np.count_nonzero(overlap) > count)

@@ -112,17 +112,17 @@ def edge_vertices(shape: Any, edges: HostArray) -> tuple[HostArray, HostArray]:
 def connected_components(shape: Any) -> HostArray:
     """Return the index, from 0, of the connected component of each triangle, shape (m,).
 
-    Triangles are connected by edges at which exactly two meet.
+    Edges connect triangles where exactly two meet.
     """
     pairs, _ = paired_half_edges(shape)
     first, second = pairs.T // 3
     label = np.arange(len(triangles(shape)))
     while True:
-        lower = np.minimum(label[first], label[second])
+        minimum = np.minimum(label[first], label[second])
         merged = label.copy()
         for triangle in (first, second):
-            np.minimum.at(merged, label[triangle], lower)  # the triangle that gave the component its label
-            np.minimum.at(merged, triangle, lower)
+            np.minimum.at(merged, label[triangle], minimum)  # the triangle that gave the component its label
+            np.minimum.at(merged, triangle, minimum)
         merged = merged[merged]
         if np.array_equal(merged, label):
             return np.unique(label, return_inverse=True)[1].reshape(-1)
@@ -132,10 +132,10 @@ def connected_components(shape: Any) -> HostArray:
 def component_bounds(shape: Any, component: HostArray) -> tuple[HostArray, HostArray]:
     """Return the lower and upper corners of the bounding box of each component, shape (components, 3) each."""
     corners = vertex_positions(shape)[triangles(shape)]
-    low, high = (np.full((int(component.max(initial=-1)) + 1, 3), sign * np.inf) for sign in (1.0, -1.0))
-    np.minimum.at(low, component, corners.min(axis=1))
-    np.maximum.at(high, component, corners.max(axis=1))
-    return low, high
+    lower, upper = (np.full((int(component.max(initial=-1)) + 1, 3), sign * np.inf) for sign in (1.0, -1.0))
+    np.minimum.at(lower, component, corners.min(axis=1))
+    np.maximum.at(upper, component, corners.max(axis=1))
+    return lower, upper
 
 
 def border_edge_count(faces: HostArray) -> int:

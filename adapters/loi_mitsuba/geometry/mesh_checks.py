@@ -72,14 +72,14 @@ def has_creases(shape: Any) -> bool:
 def non_manifold_fraction(shape: Any) -> float:
     """Return the fraction, by length, of a mesh's edges that Mitsuba counts several times even after welding.
 
-    These are edges at which more than two triangles meet, and border edges that run along others (T-junctions).
+    These are edges of more than two triangles, and border edges that run along others (T-junctions).
     """
     if not has_triangles(shape):
         return 0.0
     positions = vertex_positions(shape)
     _, unpaired = paired_half_edges(shape)
-    ends = half_edge_ends(welded_triangles(shape))
-    single = np.sort(ends[unpaired], axis=1)
+    half_edges = half_edge_ends(welded_triangles(shape))
+    single = np.sort(half_edges[unpaired], axis=1)
     edges, counts = np.unique(single, axis=0, return_counts=True) if len(single) else (single, np.zeros(0))
     non_manifold, borders = edges[counts > 2], edges[counts == 1]
     if 0 < len(borders) <= MAX_BORDER_EDGES:
@@ -88,7 +88,7 @@ def non_manifold_fraction(shape: Any) -> float:
     def length(edges: HostArray) -> float:
         return float(np.sum(np.linalg.norm(positions[edges[:, 0]] - positions[edges[:, 1]], axis=1)))
 
-    total = length(ends[crease_edges(shape, borders=False)[:, 0]]) + length(edges)
+    total = length(half_edges[crease_edges(shape, borders=False)[:, 0]]) + length(edges)
     return length(non_manifold) / total if total > 0.0 else 0.0
 
 
@@ -123,7 +123,7 @@ def has_inward_normals(shape: Any) -> bool:
         uv = np.random.default_rng(0).random((2, SURFACE_SAMPLES), dtype=np.float32)
         sample = shape.sample_position(0.0, mi.Point2f(uv))
         flux = np.sum((np.array(sample.p) - centre[:, None]) * np.array(sample.n), axis=0)  # Gauss: 3 times the volume
-    return any(float(np.sum(part)) < -MIN_INWARD_FRACTION * float(np.sum(np.abs(part))) for part in (winding, flux))
+    return any(float(np.sum(terms)) < -MIN_INWARD_FRACTION * float(np.sum(np.abs(terms))) for terms in (winding, flux))
 
 
 def is_sharp_edged(shape: Any) -> bool:

@@ -1,7 +1,7 @@
 """Textures with discontinuities, and their ramped stand-ins.
 
 Mitsuba differentiates texture values but not the motion of discontinuities in the texture. A ramp in place of a step
-has a gradient, which equals that of the step for everything that varies slowly over the width of the ramp.
+has a gradient, which equals the step's for everything that varies slowly over the width of the ramp.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ def is_stepped_texture(node: Any) -> bool:
     """
     if not isinstance(node, mi.Texture):
         return False
-    kind = node.class_name()
-    if kind == "Checkerboard":
+    type_name = node.class_name()
+    if type_name == "Checkerboard":
         return True
-    if not kind.startswith("BitmapTexture") or not mi.is_rgb:
+    if not type_name.startswith("BitmapTexture") or not mi.is_rgb:
         return False
     params = mi.traverse(node)
     height, width, channels = params["data"].shape
@@ -66,10 +66,10 @@ def ramp_texture(props: Any) -> bool:
     bool
         False if the texture has no steps, or cannot be replaced.
     """
-    kind = props.plugin_name()
-    if kind == "checkerboard":
+    type_name = props.plugin_name()
+    if type_name == "checkerboard":
         return _ramp_checkerboard(props)
-    if kind == "bitmap" and props.get("filter_type", "bilinear") == "nearest":
+    if type_name == "bitmap" and props.get("filter_type", "bilinear") == "nearest":
         _ramp_bitmap(props)
         return True
     return False

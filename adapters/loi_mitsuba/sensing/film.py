@@ -38,7 +38,7 @@ class Film:
     """
 
     def __init__(self, film: Any) -> None:
-        width, height = (int(side) for side in film.crop_size())
+        width, height = (int(length) for length in film.crop_size())
         self.size = (width, height)
         self.channels = int(film.base_channels_count())
         self._from_rgb = np.asarray(_channel_matrix(film, self.channels), dtype=np.float32)
@@ -48,7 +48,7 @@ class Film:
     @property
     def border_oversampling(self) -> float:
         """Number of sampled pixels, including the border, per pixel of the image."""
-        return math.prod(1.0 + 2.0 * self._border / side for side in self.size)
+        return math.prod(1.0 + 2.0 * self._border / length for length in self.size)
 
     @cached_property
     def _normalisation(self) -> list[Any]:
@@ -57,9 +57,9 @@ class Film:
         offset = radius * (2.0 * (np.arange(FILTER_STEPS) + 0.5) / FILTER_STEPS - 1.0)
         value = np.array(self._filter.eval(mi.Float(offset.astype(np.float32))), dtype=np.float64)
         norms = []
-        for side in self.size:
-            position = np.arange(side)[:, None] + 0.5 + offset
-            is_sampled = (position >= -self._border) & (position <= side + self._border)
+        for length in self.size:
+            position = np.arange(length)[:, None] + 0.5 + offset
+            is_sampled = (position >= -self._border) & (position <= length + self._border)
             norms.append(mi.Float((FILTER_STEPS / (2.0 * radius) / (is_sampled @ value)).astype(np.float32)))
         return norms
 
@@ -111,7 +111,7 @@ class Film:
 
     def _pixels(self, uv: Any) -> Iterator[tuple[Any, Any, Any]]:
         """Yield the pixels in the filter's footprint: flat index, weight, and whether the image has the pixel."""
-        columns, rows = (list(self._footprint(axis, uv[axis] * side)) for axis, side in enumerate(self.size))
+        columns, rows = (list(self._footprint(axis, uv[axis] * length)) for axis, length in enumerate(self.size))
         for row, row_weight, in_rows in rows:
             for column, column_weight, in_columns in columns:
                 yield mi.UInt32(row * self.size[0] + column), row_weight * column_weight, in_rows & in_columns

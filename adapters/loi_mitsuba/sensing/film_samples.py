@@ -24,8 +24,7 @@ UNUSED_ARGUMENTS: Final = {"δL": None, "state_in": None, "project": False, "si_
 def radiance_samples(integrator: Any, scene: Any, sensor: Any, samples: int, seed: int, mode: Any) -> tuple[Any, Any]:
     """Return the radiance samples of an image, with their gradient, and their film positions.
 
-    The samples are those of Mitsuba's `render_backward`, for integrators that differentiate by automatic
-    differentiation of `sample`.
+    Mitsuba's `render_backward` takes the same samples, for integrators whose `sample` is differentiated automatically.
 
     Parameters
     ----------

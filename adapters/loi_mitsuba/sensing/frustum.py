@@ -34,9 +34,9 @@ class Frustum:
         """
         if self._to_film is None:
             return True
-        low, high = bounding_box(shape)
+        lower, upper = bounding_box(shape)
         corners = np.array(
-            [[x, y, z, 1.0] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
+            [[x, y, z, 1.0] for x in (lower[0], upper[0]) for y in (lower[1], upper[1]) for z in (lower[2], upper[2])]
         )
         x, y, _, w = self._to_film @ corners.T
         x, y = (coordinate - offset * w for coordinate, offset in zip((x, y), self._offset, strict=True))

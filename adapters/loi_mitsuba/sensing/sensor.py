@@ -30,7 +30,7 @@ __all__ = [
 ]
 
 OFFSET_PX: Final = 0.05  # pixels from a discontinuity to the film positions on its two sides
-DEPTH_TOLERANCE: Final = 1e-3  # fraction of the distance to the camera by which an occluder must be nearer
+DEPTH_TOLERANCE: Final = 1e-3  # minimum depth of an occluder before a surface, as a fraction of the distance
 MIN_COSINE: Final = 1e-3  # between a direction and the optical axis; points beyond are outside of any view
 
 
@@ -95,7 +95,7 @@ class PerspectiveSensor:
 
     def splat(self, splats: Iterable[tuple[Any, Any]]) -> Any:
         """Return the padded image, mi.TensorXf, of bilinearly splatted values, mi.Color3f, at film positions."""
-        width, height = (side + 2 * self._padding for side in self._size)
+        width, height = (length + 2 * self._padding for length in self._size)
         image = dr.zeros(mi.Float, 3 * width * height)
         for value, uv in splats:
             position = self._to_pixels(uv) - 0.5
@@ -123,7 +123,7 @@ class PerspectiveSensor:
 
     def gather(self, texture: Any, uv: Any) -> Any:
         """Return a texture of :meth:`padded_texture` at film positions: mi.Color3f. The adjoint of :meth:`splat`."""
-        width, height = (side + 2 * self._padding for side in self._size)
+        width, height = (length + 2 * self._padding for length in self._size)
         position = self._to_pixels(uv)
         return mi.Color3f(*texture.eval(mi.Point2f(position.x / width, position.y / height)))
 
@@ -156,7 +156,7 @@ def principal_point_offset(sensor: Any) -> tuple[float, float]:
     """
     params, film = mi.traverse(sensor), sensor.film()
     offset = (float(np.array(params[f"principal_point_offset_{axis}"]).reshape(-1)[0]) for axis in "xy")
-    x, y = (value * side / crop for value, side, crop in zip(offset, film.size(), film.crop_size(), strict=True))
+    x, y = (value * length / crop for value, length, crop in zip(offset, film.size(), film.crop_size(), strict=True))
     return float(x), float(y)
 
 
@@ -187,7 +187,7 @@ def radiance_difference(
 
 
 def ray_epsilon(point: Any) -> Any:
-    """Return the distance from a surface at which Mitsuba spawns the rays that leave a point of it."""
+    """Return the offset from the surface of rays that Mitsuba spawns at a point."""
     return mi.math.RayEpsilon * (1.0 + dr.max(dr.abs(point)))
 
 

@@ -1,4 +1,4 @@
-"""Our rasterizer beside Mitsuba: one scene, two renderers."""
+"""The mesh rasteriser of loi_torch agrees with Mitsuba on one scene."""
 
 from __future__ import annotations
 
@@ -21,8 +21,8 @@ from loi_torch.mesh import Camera, Light, Material, box, draw, sphere
 from tests.helpers import Host
 from tests.strategies import thorough
 
-SIDE = 32
-WHERE = (2.2, 1.5, 4.0)
+SIZE_PX = 32
+CAMERA_POSITION = (2.2, 1.5, 4.0)
 COLOUR = [0.8, 0.4, 0.2]
 OFFSET, STEP = 0.2, 0.02
 SHAPES = {
@@ -31,12 +31,12 @@ SHAPES = {
 }
 
 
-def theirs(shape: str, folder: Path, offset: float = 0.0) -> Any:
-    """Mitsuba's own shapes have vertices of each face's own, whose outlines its gradient counts several times."""
+def mitsuba_scene(shape: str, folder: Path, offset: float = 0.0) -> Any:
+    """A mesh file, because Mitsuba's own box is unwelded, and its gradient counts the silhouettes several times."""
     mi.set_variant("llvm_ad_rgb")
     SHAPES[shape][0].export(folder / "shape.ply")
-    view = mi.ScalarTransform4f().look_at(list(WHERE), [0, 0, 0], [0, 1, 0])
-    film = {"type": "hdrfilm", "width": SIDE, "height": SIDE, "filter": {"type": "box"}, "sample_border": True}
+    view = mi.ScalarTransform4f().look_at(list(CAMERA_POSITION), [0, 0, 0], [0, 1, 0])
+    film = {"type": "hdrfilm", "width": SIZE_PX, "height": SIZE_PX, "filter": {"type": "box"}, "sample_border": True}
     return mi.load_dict(
         {
             "type": "scene",
@@ -54,59 +54,59 @@ def theirs(shape: str, folder: Path, offset: float = 0.0) -> Any:
     )
 
 
-def ours(shape: str, offset: torch.Tensor) -> torch.Tensor:
-    made = replace(SHAPES[shape][1], colours=COLOUR, material=Material(ambient=0.0, diffuse=1.0, specular=0.0))
-    moved = replace(made, vertices=made.vertices + torch.stack([offset, 0.0 * offset, 0.0 * offset]))
-    return draw([moved], Camera(WHERE), SIDE, SIDE, lights=[Light(direction=(-1.0, -2.0, -3.0))])
+def rasterise(shape: str, offset: torch.Tensor) -> torch.Tensor:
+    mesh = replace(SHAPES[shape][1], colours=COLOUR, material=Material(ambient=0.0, diffuse=1.0, specular=0.0))
+    moved = replace(mesh, vertices=mesh.vertices + torch.stack([offset, 0.0 * offset, 0.0 * offset]))
+    return draw([moved], Camera(CAMERA_POSITION), SIZE_PX, SIZE_PX, lights=[Light(direction=(-1.0, -2.0, -3.0))])
 
 
 def weights() -> Host:
     coarse = np.random.default_rng(0).normal(size=(4, 4, 3))
-    return np.repeat(np.repeat(coarse, SIDE // 4, axis=0), SIDE // 4, axis=1)
+    return np.repeat(np.repeat(coarse, SIZE_PX // 4, axis=0), SIZE_PX // 4, axis=1)
 
 
 def slope(shape: str) -> float:
     leaf = torch.tensor(OFFSET, dtype=torch.float64, requires_grad=True)
-    (ours(shape, leaf) * torch.from_numpy(weights())).sum().backward()  # type: ignore[no-untyped-call]  # untyped in torch
+    (rasterise(shape, leaf) * torch.from_numpy(weights())).sum().backward()  # type: ignore[no-untyped-call]  # untyped in torch
     assert leaf.grad is not None
     return float(leaf.grad)
 
 
-def agreed(value: float, estimates: list[float], rtol: float) -> bool:
-    """Within four standard errors of the mean, and what shading at the centres of pixels leaves."""
+def agrees(value: float, estimates: list[float], rtol: float) -> bool:
+    """Return whether a value is within four standard errors, and `rtol` for shading at pixel centres, of the mean."""
     error = 4.0 * np.std(estimates, ddof=1) / np.sqrt(len(estimates))
     return bool(abs(value - np.mean(estimates)) < error + rtol * abs(np.mean(estimates)))
 
 
 @pytest.mark.parametrize("shape", SHAPES)
-def test_a_shape_looks_the_same(shape: str, tmp_path: Path) -> None:
-    image = np.array(mi.render(theirs(shape, tmp_path, OFFSET), spp=1024))
-    difference = np.abs(ours(shape, torch.tensor(OFFSET, dtype=torch.float64)).numpy() - image)
+def test_both_renderers_show_the_same_image_of_a_shape(shape: str, tmp_path: Path) -> None:
+    image = np.array(mi.render(mitsuba_scene(shape, tmp_path, OFFSET), spp=1024))
+    difference = np.abs(rasterise(shape, torch.tensor(OFFSET, dtype=torch.float64)).numpy() - image)
     assert difference.mean() < 2e-3
     assert difference.max() < 0.1  # where the ball turns away from the light within a pixel
 
 
-def test_the_gradient_of_a_box_is_the_slope_of_its_images(tmp_path: Path) -> None:
-    scenes = [theirs("box", tmp_path, OFFSET + sign * STEP) for sign in (1.0, -1.0)]
+def test_the_rasteriser_has_the_finite_difference_of_mitsuba_s_images_of_a_box(tmp_path: Path) -> None:
+    scenes = [mitsuba_scene("box", tmp_path, OFFSET + sign * STEP) for sign in (1.0, -1.0)]
     estimates = []
     for seed in range(6):
-        ahead, behind = (np.array(mi.render(scene, spp=256, seed=seed), dtype=np.float64) for scene in scenes)
-        estimates.append(float(np.sum((ahead - behind) * weights())) / (2.0 * STEP))
-    assert agreed(slope("box"), estimates, 0.005)
+        forward, backward = (np.array(mi.render(scene, spp=256, seed=seed), dtype=np.float64) for scene in scenes)
+        estimates.append(float(np.sum((forward - backward) * weights())) / (2.0 * STEP))
+    assert agrees(slope("box"), estimates, 0.005)
 
 
 @pytest.mark.filterwarnings("ignore:a shape moves under a DirectionalEmitter:loi_mitsuba.GradientWarning")
-def test_both_renderers_have_one_gradient_of_a_box(tmp_path: Path) -> None:
-    scene = theirs("box", tmp_path)
+def test_both_renderers_have_the_same_gradient_of_a_box(tmp_path: Path) -> None:
+    scene = mitsuba_scene("box", tmp_path)
     renderer = MitsubaRenderer(scene, {"x": Translate("shape", (1, 0, 0))}, integrator="scene", spp_grad=256)
     weight = weights().astype(np.float32)
     estimates = [float(renderer.vjp({"x": np.float32(OFFSET)}, weight, seed=seed)["x"]) for seed in range(8)]
-    assert agreed(slope("box"), estimates, 0.03)
+    assert agrees(slope("box"), estimates, 0.03)
 
 
 @thorough
-def test_the_gradient_of_a_ball_is_that_of_its_outline(tmp_path: Path) -> None:
-    scene = theirs("ball", tmp_path)
+def test_both_renderers_have_the_same_gradient_of_a_ball(tmp_path: Path) -> None:
+    scene = mitsuba_scene("ball", tmp_path)
     params = mi.traverse(scene)
     start = dr.unravel(mi.Point3f, params["shape.vertex_positions"])
     estimates = []
@@ -118,4 +118,4 @@ def test_the_gradient_of_a_ball_is_that_of_its_outline(tmp_path: Path) -> None:
         image = mi.render(scene, params, seed=seed, spp=256)
         dr.backward(dr.sum(image * mi.TensorXf(weights().astype(np.float32)), axis=None))
         estimates.append(float(dr.grad(offset)[0]))
-    assert agreed(slope("ball"), estimates, 0.03)
+    assert agrees(slope("ball"), estimates, 0.03)
