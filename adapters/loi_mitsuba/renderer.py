@@ -375,8 +375,8 @@ class MitsubaRenderer:
         sensor_type = self._sensor.class_name()
         if moving and getattr(self._integrator, "sppp", 0) != 0 and sensor_type != "PerspectiveCamera":
             msg = (
-                f"`sensor` is a {sensor_type}, and Mitsuba has the gradient of visible silhouettes for perspective only; "
-                f"use a narrow perspective, or an integrator with sppp=0 if nothing that moves is in view"
+                f"`sensor` is a {sensor_type}, and Mitsuba has the gradient of visible silhouettes for perspective "
+                f"only; use a narrow perspective, or an integrator with sppp=0 if nothing that moves is in view"
             )
             raise ParameterError(msg)
 

@@ -1,4 +1,4 @@
-"""Scenes in which only silhouettes have a gradient, compared with finite differences of images."""
+"""Scenes of emitting shapes, whose gradient is due to silhouettes alone, and its check by finite differences."""
 
 from __future__ import annotations
 

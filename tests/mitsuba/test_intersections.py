@@ -1,4 +1,4 @@
-"""The curves in view along which shapes intersect have a gradient, and count once."""
+"""Visible intersection curves of shapes have a gradient, and count once."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ def ball_file(folder: Path, *, split: bool, normals: bool = False) -> str:
 
 
 def scene_of(mesh: dict[str, Any]) -> dict[str, Any]:
-    """A scene in which the mesh and its shadow are in view."""
+    """A scene that shows the mesh and its shadow."""
     return shadow_scene(
         mesh={"to_world": TRANSFORM().translate([0.3, 1.5, 0.2]).rotate([0.6, 0.0, 0.8], 30).scale(0.7), **mesh}
     )
@@ -67,7 +67,7 @@ def test_an_unwelded_smooth_mesh_has_the_gradient_of_the_welded_mesh(tmp_path: P
 
 @thorough
 def test_an_unwelded_flat_mesh_has_the_gradient_of_the_welded_mesh(tmp_path: Path) -> None:
-    """Up to noise, because the order of the edges differs, and so do their samples."""
+    """Up to noise, because the order of the edges, and thus their samples, differ."""
     files = (ball_file(tmp_path, split=split) for split in (True, False))
     meshes = ({"type": "ply", "filename": file, "face_normals": True} for file in files)
     unwelded, welded = (gradients(PlannedRenderer(scene_of(mesh), MOVES, spp=16), seeds=24)["x"] for mesh in meshes)

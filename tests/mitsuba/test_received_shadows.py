@@ -82,9 +82,9 @@ def test_the_gradient_of_received_shadows_does_not_depend_on_the_resolution() ->
 
 @pytest.mark.parametrize("is_box", [False, True], ids=["ball", "box"])
 def test_a_convex_shape_receives_no_shadow_from_itself(is_box: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Neither from the lamp, whose back may seem to hide a point of its rim.
+    """The far side of the lamp must not seem to hide a point of its rim.
 
-    Nor at the silhouette of a box, where rounding makes rays hit a face that points away, from inside.
+    At the silhouette of a box, rounding makes rays hit a face that points away, from inside; it must not count either.
     """
     lamp = {"type": "sphere", "center": [1.5, 5.0, 1.0], "radius": 0.6, "emitter": {"type": "area", "radiance": 60.0}}
     shape = box((0.0, 1.0, 0.0), 0.6) if is_box else ball(0.0, 1.0, 0.0, 0.6)

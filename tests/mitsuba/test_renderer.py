@@ -461,7 +461,7 @@ def test_the_loss_works_with_mi_render_without_a_renderer() -> None:
 )
 @pytest.mark.parametrize("height", [0.0, -3.6], ids=["shadow", "silhouette"])
 def test_edges_have_the_gradient_of_finite_differences_with_a_sampled_border(rfilter: str, height: float) -> None:
-    """Of a ball over a floor, in an image so small that its border has up to a third of the pixels."""
+    """The image is so small that its border has up to a third of the pixels."""
     scene = shadow_scene(integrator={"type": "direct"})
     scene["sensor"]["film"] |= {"width": 32, "height": 24, "rfilter": {"type": rfilter}, "sample_border": True}
     renderer = MitsubaRenderer(scene, {"place": Translate("ball")}, spp=256)
