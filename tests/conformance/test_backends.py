@@ -1,9 +1,9 @@
-"""Every backend gives the same loss and gradient, for whatever hypothesis can think of.
+"""Every backend returns the same loss and gradient, for random problems of hypothesis.
 
-How far apart two backends may be is derived in `loi_core.stability.bounds`: each is that close to the plain sum.
+`loi_core.stability.bounds` derives the largest difference of each backend from the plain sum.
 
-With a tone curve T all this is said of T(image) and T(reference), and of the gradient by T(image), which is that by the
-image over T'. Logarithms of two libraries differ by up to 4 eps, which is a shift of the intensities.
+With a tone curve T the bounds apply to T(image) and T(reference), and to the gradient with respect to T(image), which
+is the image's gradient divided by T'. Logarithms of two libraries differ by up to 4 eps, a shift of the intensities.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ from tests.strategies import FEWER, Problem, apart, problems, thorough
 # Problems are drawn with values beyond the bounds as well.
 pytestmark = pytest.mark.filterwarnings("ignore::loi_core.objectives.RangeWarning")
 
-LOGARITHM = 4.0
-COMPILED = 50  # problems for which JAX keeps what it compiled: it compiles for each shape anew, and memory would fill
+LOGARITHM_ERROR_EPS = 4.0
+PROBLEMS_PER_CACHE = 50  # after which JAX's compilation cache is cleared, which grows with each new shape
 Pair = tuple[Host, Host]
 Backend = Callable[[Host, Host, ScaleSpace, LogTone | None], Pair]
 
@@ -71,10 +71,10 @@ jax_calls = itertools.count(1)
 
 
 def jax_eager(image: Host, reference: Host, scales: ScaleSpace, tone: LogTone | None) -> Pair:
-    if next(jax_calls) % COMPILED == 0:
+    if next(jax_calls) % PROBLEMS_PER_CACHE == 0:
         jax.clear_caches()  # type: ignore[no-untyped-call]  # untyped in JAX
-    both: Any = jax.value_and_grad(loi_jax.loi_loss(reference, scales, tone=tone))
-    value, gradient = both(jnp.asarray(image))
+    value_and_grad: Any = jax.value_and_grad(loi_jax.loi_loss(reference, scales, tone=tone))
+    value, gradient = value_and_grad(jnp.asarray(image))
     return np.asarray(value), np.asarray(gradient)
 
 
@@ -104,37 +104,37 @@ BACKENDS: dict[str, Backend] = {
 
 TIE = np.full((3, 3, 1), 0.5)
 STEP = np.repeat(np.array([0.1, 0.1, 0.8]), 3).reshape(3, 3, 1)
-FLAT = np.full((12, 9, 2), 0.3)  # equal entries in axes so short that XLA would add them all one after another
+FLAT_IMAGE = np.full((12, 9, 2), 0.3)  # equal entries in axes so short that XLA would add them all in sequence
 
 
 TONES = (None, LogTone(1.0), LogTone(30.0, 100.0))
-HARD: tuple[tuple[Problem, LogTone | None], ...] = (
+HARD_PROBLEMS: tuple[tuple[Problem, LogTone | None], ...] = (
     ((TIE, TIE, ScaleSpace(1, (1, 5), 0.125), "float32"), None),
     ((STEP, STEP[::-1].copy(), ScaleSpace(0, (1, 5), 0.125), "float32"), None),
-    ((FLAT, 3.0 * FLAT, ScaleSpace(0, (0, 1), 0.125), "float32"), None),
-    ((FLAT, 3.0 * FLAT, ScaleSpace(0, (0, 1), 0.125), "float64"), None),
+    ((FLAT_IMAGE, 3.0 * FLAT_IMAGE, ScaleSpace(0, (0, 1), 0.125), "float32"), None),
+    ((FLAT_IMAGE, 3.0 * FLAT_IMAGE, ScaleSpace(0, (0, 1), 0.125), "float64"), None),
     ((1e4 * STEP, 1e30 * STEP[::-1], ScaleSpace(0, (1, 5), 0.125), "float32"), LogTone(1.0)),
 )
 
 
 def hard_problems(test: Callable[..., None]) -> Callable[..., None]:
-    """Try these in any case."""
-    for problem, tone in HARD:
+    """Add the hard problems as explicit examples."""
+    for problem, tone in HARD_PROBLEMS:
         test = example(problem, tone)(test)
     return test
 
 
 @given(problems(), st.sampled_from(TONES))
 @hard_problems
-def test_every_backend_gives_the_loss_and_gradient_of_numpy(problem: Problem, tone: LogTone | None) -> None:
+def test_every_backend_returns_the_loss_and_gradient_of_numpy(problem: Problem, tone: LogTone | None) -> None:
     check(problem, tone, BACKENDS)
 
 
-@thorough  # JAX compiles anew for each shape; tests/stability compiles one of each case
+@thorough  # JAX compiles again for each shape; tests/stability compiles some cases
 @FEWER
 @given(problems(), st.sampled_from(TONES))
 @hard_problems
-def test_so_does_what_jax_compiles(problem: Problem, tone: LogTone | None) -> None:
+def test_jax_without_numba_returns_the_loss_and_gradient_of_numpy(problem: Problem, tone: LogTone | None) -> None:
     check(problem, tone, {"JAX without Numba": jax_arrays})
 
 
@@ -147,22 +147,22 @@ def check(problem: Problem, tone: LogTone | None, backends: dict[str, Backend]) 
         loss_bound, gradient_bound = apart(image, reference, scales)
     else:
         steepness = tone.pullback(image, steepness)
-        shift = LOGARITHM * max(map(abs, scales.bounds))
+        shift = LOGARITHM_ERROR_EPS * max(map(abs, scales.bounds))
         loss_bound, gradient_bound = apart(tone.apply(image), tone.apply(reference), scales, shift)
-        gradient_bound += LOGARITHM * float(np.finfo(dtype).eps) * float(np.abs(gradient / steepness).sum())
+        gradient_bound += LOGARITHM_ERROR_EPS * float(np.finfo(dtype).eps) * float(np.abs(gradient / steepness).sum())
     for name, backend in backends.items():
         if name == "Dr.Jit" and dtype == "float64":
-            continue  # its tensors hold float32 only in the variants that people use
-        other, slopes = backend(image, reference, scales, tone)
-        assert other.dtype == slopes.dtype == np.dtype(dtype), name
+            continue  # tensors of the usual variants hold float32
+        backend_value, slopes = backend(image, reference, scales, tone)
+        assert backend_value.dtype == slopes.dtype == np.dtype(dtype), name
         assert slopes.shape == image.shape, name
-        assert abs(float(other) - float(value)) <= loss_bound, name
+        assert abs(float(backend_value) - float(value)) <= loss_bound, name
         assert float(np.abs((slopes - gradient) / steepness).sum()) <= gradient_bound, name
 
 
 @given(st.lists(st.integers(1, 32), min_size=1, max_size=4), st.floats(0.01, 1.0))
 @example([13, 11, 5, 3], 0.35)
-def test_a_sum_of_equal_entries_is_off_by_few_roundings_whatever_their_number(sizes: list[int], entry: float) -> None:
+def test_the_rounding_error_of_a_sum_does_not_grow_with_its_number_of_entries(sizes: list[int], entry: float) -> None:
     while np.prod(sizes) > 2**16:
         sizes = sizes[1:]
     host = np.full(sizes, entry)
@@ -174,13 +174,13 @@ def test_a_sum_of_equal_entries_is_off_by_few_roundings_whatever_their_number(si
         "JAX, jit": jax.jit(sum_of_all)(jnp.asarray(host)),
     }
     for name, total in sums.items():
-        # Of n equal entries, added one after another, the k-th sum is rounded by k eps / 2 of an entry at the most.
+        # In a sequential sum of equal entries, the k-th partial sum has a rounding error of at most k eps / 2 entries.
         assert abs(float(total) - exact) <= len(sizes) * (32 / 4 + 1) * np.finfo(np.float64).eps * exact, name
 
 
 @pytest.mark.parametrize(("dtype", "factor"), [("float64", 1e-6), ("float32", 1e-1)])
-def test_the_bound_is_far_below_the_gradient(dtype: str, factor: float) -> None:
-    # A backend whose gradient were off by this share would be caught on any ordinary pair of images.
+def test_the_gradient_bound_is_far_below_the_gradient(dtype: str, factor: float) -> None:
+    # A backend with this relative error of the gradient would fail for any ordinary pair of images.
     image, reference = np.random.default_rng(0).uniform(size=(2, 12, 12, 3)).astype(dtype)
     for scales in (ScaleSpace.paper("path"), ScaleSpace.for_image(12, 12), ScaleSpace.released((1, 5), (1, 5), 8, 21)):
         gradient = LOIObjective(reference, scales).value_and_grad(image)[1]

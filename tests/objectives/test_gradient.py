@@ -1,4 +1,4 @@
-"""The gradient is written once, by hand; three independent ways of getting it agree with it."""
+"""The analytic gradient agrees with central differences and with the autograd of torch and JAX."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ SHAPE = (24, 19, 3)
 
 
 def objectives(reference: Any) -> dict[str, ImageObjective[Any]]:
-    made: dict[str, ImageObjective[Any]] = {key: LOIObjective(reference, scales) for key, scales in SCALES.items()}
-    return made | {
+    losses: dict[str, ImageObjective[Any]] = {key: LOIObjective(reference, scales) for key, scales in SCALES.items()}
+    return losses | {
         "pixel": PixelL2(reference),
         "pyramid": GaussianPyramid(reference),
         "ms-ssim": MSSSIM(reference, data_range=10.0),
@@ -31,7 +31,7 @@ NAMES = [*SCALES, "pixel", "pyramid", "ms-ssim"]
 
 @pytest.mark.parametrize("name", NAMES)
 def test_gradient_equals_central_differences_in_float64(name: str) -> None:
-    # |x| has a kink wherever a difference of CDFs crosses 0, and a step that straddles one measures no derivative.
+    # |x| has a kink wherever a difference of CDFs crosses 0, and a step across a kink measures no derivative.
     # Extents mix thousands of differences, so the step must be small; at 1e-7 rounding leaves about 1e-8.
     image, reference = images(SHAPE, seed=3)
     objective = objectives(reference)[name]
@@ -71,7 +71,7 @@ def test_gradient_equals_jax_grad_through_the_same_forward_code(name: str) -> No
 
 
 @pytest.mark.parametrize("name", NAMES)
-def test_everything_runs_on_the_array_api_alone(name: str) -> None:
+def test_objectives_use_only_functions_of_the_array_api(name: str) -> None:
     image, reference = images((2, *SHAPE), seed=6)
     value, gradient = objectives(reference)[name].value_and_grad(image)
     strict = objectives(array_api_strict.asarray(reference))[name]
@@ -89,8 +89,8 @@ def test_float32_stays_near_the_float64_gradient(name: str) -> None:
     assert single_gradient.dtype == np.float32
     assert single_value.dtype == np.float32
     assert float(single_value) == pytest.approx(float(value), rel=1e-5)
-    # A sign flips where a difference of CDFs is within the rounding of float32 of 0: a share of about 1e-6 over the
-    # spread of the differences, 1e-2 and more here, each flip changing a gradient entry by its own size.
+    # A sign flips where a difference of CDFs is within float32's rounding of 0: a fraction of about 1e-6 divided by the
+    # spread of the differences, which is 1e-2 or more here. Each flip changes a gradient entry by its own size.
     assert relative_error(single_gradient, gradient) < 1e-3
 
 
@@ -103,7 +103,7 @@ def test_a_gradient_reaches_across_a_gap() -> None:
     _, gradient = LOIObjective(reference, scales).value_and_grad(image)
     _, baseline = PixelL2(reference).value_and_grad(image)
     ahead, behind = (slice(14, 15), slice(8, 14)), (slice(7, 8), slice(8, 14))  # just past the object's two edges
-    # To move the object towards the reference is to brighten ahead of it; that must pay more than behind it.
+    # Moving the object towards the reference brightens the pixels ahead of it, so their gradient must be lower.
     assert gradient[ahead].sum() < gradient[behind].sum()
     assert baseline[ahead].sum() == baseline[behind].sum() == 0.0
 
@@ -118,8 +118,8 @@ def test_the_gradient_is_zero_at_the_reference() -> None:
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_a_difference_that_rounding_could_have_made_is_a_tie(dtype: Any) -> None:
-    # One ulp of noise is no signal: its sign would be all that is left of it, at full size.
+def test_a_difference_within_rounding_is_a_tie(dtype: Any) -> None:
+    # Noise of one ulp is no signal: without the tie rule its sign would be a gradient of full size.
     reference = images(SHAPE, seed=9)[0].astype(dtype)
     noisy = np.nextafter(reference, np.where(np.random.default_rng(1).uniform(size=SHAPE) < 0.5, 0, 1).astype(dtype))
     assert np.any(noisy != reference)

@@ -1,4 +1,4 @@
-"""Bad images are refused in one line that says what came and what is allowed; bad pixels follow the policy."""
+"""Invalid images raise one-line errors with the actual and the allowed value; bad pixels follow the policy."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ REFERENCE = np.full((6, 5, 3), 0.5)
 
 
 @pytest.mark.parametrize(
-    ("image", "error", "says"),
+    ("image", "error", "message"),
     [
         (np.zeros((6, 5, 3), dtype=np.uint8), ImageTypeError, "dtype uint8; divide 8-bit images by 255"),
         (np.zeros((6, 5, 3), dtype=bool), ImageTypeError, "dtype bool"),
@@ -34,8 +34,8 @@ REFERENCE = np.full((6, 5, 3), 0.5)
         (np.zeros((0, 6, 5, 3)), ImageError, "must not be empty"),
     ],
 )
-def test_bad_images_are_refused_by_name(image: Any, error: type[LoiError], says: str) -> None:
-    with pytest.raises(error, match=f"`image`.*{says}") as caught:
+def test_bad_images_are_refused_by_name(image: Any, error: type[LoiError], message: str) -> None:
+    with pytest.raises(error, match=f"`image`.*{message}") as caught:
         LOIObjective(REFERENCE, SCALES).value_and_grad(image)
     assert isinstance(caught.value, ValueError | TypeError)
     assert "\n" not in str(caught.value)
@@ -46,7 +46,7 @@ def test_integers_of_another_library_are_refused_by_name() -> None:
         LOIObjective(REFERENCE, SCALES).value_and_grad(torch.zeros(6, 5, 3, dtype=torch.int64))
 
 
-def test_a_reference_of_another_library_is_refused_with_the_mend() -> None:
+def test_a_reference_of_another_library_is_refused_with_the_fix() -> None:
     objective = PixelL2(torch.zeros(6, 5, 3))
     with pytest.raises(ImageTypeError, match="array of numpy, the reference of torch; pass the reference as NumPy"):
         objective.value(REFERENCE)
@@ -55,39 +55,39 @@ def test_a_reference_of_another_library_is_refused_with_the_mend() -> None:
 def test_a_numpy_reference_serves_every_library_and_dtype() -> None:
     image, reference = images((6, 5, 3), seed=1)
     objective = LOIObjective(reference, SCALES)
-    wanted = float(objective.value(image))
-    assert float(objective.value(torch.tensor(image))) == pytest.approx(wanted, rel=1e-12)
-    assert float(objective.value(array_api_strict.asarray(image))) == pytest.approx(wanted, rel=1e-12)
-    single = objective.value_and_grad(torch.tensor(image, dtype=torch.float32))
-    assert single[0].dtype == single[1].dtype == torch.float32
-    assert float(single[0]) == pytest.approx(wanted, rel=1e-5)
+    expected = float(objective.value(image))
+    assert float(objective.value(torch.tensor(image))) == pytest.approx(expected, rel=1e-12)
+    assert float(objective.value(array_api_strict.asarray(image))) == pytest.approx(expected, rel=1e-12)
+    value, gradient = objective.value_and_grad(torch.tensor(image, dtype=torch.float32))
+    assert value.dtype == gradient.dtype == torch.float32
+    assert float(value) == pytest.approx(expected, rel=1e-5)
 
 
 def test_the_reference_is_copied() -> None:
     image, reference = images((6, 5, 3), seed=2)
     objective = LOIObjective(reference, SCALES)
-    wanted = float(LOIObjective(reference.copy(), SCALES).value(image))
+    expected = float(LOIObjective(reference.copy(), SCALES).value(image))
     reference[:] = 0.0
-    assert float(objective.value(image)) == wanted
+    assert float(objective.value(image)) == expected
 
 
-def test_torch_may_hold_an_image_as_the_negative_of_what_is_in_memory() -> None:
+def test_a_torch_image_may_be_a_lazy_negative_of_its_memory() -> None:
     image, reference = images((6, 5, 3), seed=1)
-    held = torch.view_as_complex(torch.tensor(np.stack([image, -image], -1))).conj().imag
-    assert held.is_neg()
-    wanted, slopes = LOIObjective(reference, SCALES).value_and_grad(image)
-    value, gradient = LOIObjective(reference, SCALES).value_and_grad(held)
-    assert value == wanted
+    negated = torch.view_as_complex(torch.tensor(np.stack([image, -image], -1))).conj().imag
+    assert negated.is_neg()
+    expected, slopes = LOIObjective(reference, SCALES).value_and_grad(image)
+    value, gradient = LOIObjective(reference, SCALES).value_and_grad(negated)
+    assert value == expected
     np.testing.assert_array_equal(gradient, slopes)
 
 
-def test_an_objective_is_copied_and_pickled_whether_it_was_used_or_not() -> None:
+def test_objectives_can_be_copied_and_pickled_before_and_after_use() -> None:
     image, reference = images((6, 5, 3), seed=1)
     used, new = LOIObjective(reference, SCALES), LOIObjective(reference, SCALES)
-    wanted = used.value(image)
+    expected = used.value(image)
     for objective in (used, new):
         restored = pickle.loads(pickle.dumps(objective))  # noqa: S301  # written here
-        assert copy.deepcopy(objective).value(image) == restored.value(image) == wanted
+        assert copy.deepcopy(objective).value(image) == restored.value(image) == expected
 
 
 def test_the_image_is_not_written_to() -> None:
@@ -98,7 +98,7 @@ def test_the_image_is_not_written_to() -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "says"),
+    ("options", "message"),
     [
         ({"accuracy": "best"}, "`accuracy` must be one of 'exact', 'balanced', 'fast', or a relative error"),
         ({"accuracy": 1.5}, "`accuracy`.*got 1.5"),
@@ -108,49 +108,49 @@ def test_the_image_is_not_written_to() -> None:
         ({"scales": 5}, "`scales` must be a ScaleSpace, got int"),
     ],
 )
-def test_bad_options_are_refused_by_name(options: dict[str, Any], says: str) -> None:
-    with pytest.raises(ValueError, match=says) as caught:
+def test_bad_options_are_refused_by_name(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message) as caught:
         LOIObjective(REFERENCE, **options)
     assert isinstance(caught.value, OptionError | ImageError)
 
 
 @pytest.mark.parametrize("levels", [0, 9, True, 2.0])
-def test_pyramid_levels_fit_the_image(levels: Any) -> None:
+def test_pyramid_levels_that_do_not_fit_the_image_are_refused(levels: Any) -> None:
     with pytest.raises(OptionError, match="`levels` must be a whole number from 1 to 2"):
         GaussianPyramid(REFERENCE, levels=levels)
 
 
 @pytest.mark.parametrize("bad", [np.nan, np.inf, -np.inf])
-def test_raise_counts_the_bad_pixels_and_finds_the_first(bad: float) -> None:
+def test_the_error_counts_bad_pixels_and_names_the_first(bad: float) -> None:
     image = REFERENCE.copy()
     image[2, 3, 1] = image[4, 0, 0] = bad
     with pytest.raises(NonFiniteImageError, match=r"`image` has 2 non-finite values of 90.*= \(2, 3, 1\)") as caught:
         LOIObjective(REFERENCE, SCALES).value(image)
     assert (caught.value.count, caught.value.first) == (2, (2, 3, 1))
     assert isinstance(caught.value, ValueError)
-    again = pickle.loads(pickle.dumps(caught.value))  # noqa: S301 - our own, as a worker process would send it
+    again = pickle.loads(pickle.dumps(caught.value))  # noqa: S301 - written here, as by a worker process
     assert (str(again), again.count) == (str(caught.value), 2)
     with pytest.raises(NonFiniteImageError, match="`reference` has"):
         LOIObjective(image, SCALES)
 
 
-@pytest.mark.parametrize("where", ["image", "reference", "both"])
-def test_masked_pixels_weigh_nothing(where: str) -> None:
+@pytest.mark.parametrize("masked", ["image", "reference", "both"])
+def test_masked_pixels_have_no_gradient_and_a_finite_value(masked: str) -> None:
     image, reference = images((6, 5, 3), seed=4)
     hole = (slice(1, 3), slice(2, 4), 1)
     bad_image, bad_reference = image.copy(), reference.copy()
-    if where != "reference":
+    if masked != "reference":
         bad_image[hole] = np.nan
-    if where != "image":
+    if masked != "image":
         bad_reference[hole] = np.inf
     for make in (lambda r: LOIObjective(r, SCALES, nan_policy="mask"), lambda r: PixelL2(r, nan_policy="mask")):
         value, gradient = make(bad_reference).value_and_grad(bad_image)
         assert np.isfinite(value)
         assert np.all(np.isfinite(gradient))
         assert not np.any(gradient[hole])
-    # Where both are finite, masking changes nothing.
-    whole = LOIObjective(reference, SCALES, nan_policy="mask").value_and_grad(image)
-    np.testing.assert_array_equal(whole[1], LOIObjective(reference, SCALES).value_and_grad(image)[1])
+    # Masking changes nothing if both images are finite.
+    _, gradient = LOIObjective(reference, SCALES, nan_policy="mask").value_and_grad(image)
+    np.testing.assert_array_equal(gradient, LOIObjective(reference, SCALES).value_and_grad(image)[1])
 
 
 @pytest.mark.parametrize(("level", "reference", "sign"), [(1.5, 0.2, 1.0), (-0.5, 0.8, -1.0)])
@@ -163,12 +163,11 @@ def test_a_clipped_value_keeps_the_gradient_that_points_back_inside(
 
 
 def test_a_clipped_value_loses_the_gradient_that_points_outside() -> None:
-    # The reference is brighter than the bound allows to see: a value beyond it must not be driven further out.
-    dark, bright = np.full((4, 4, 1), 1.0), np.full((4, 4, 1), 0.7)
-    image = bright.copy()
+    # The reference lies on the upper bound: a value beyond the bound must not be driven further out.
+    reference, image = np.full((4, 4, 1), 1.0), np.full((4, 4, 1), 0.7)
     image[0, 0] = 1.2
-    _, gradient = LOIObjective(dark, ScaleSpace(0, 5, 0.2)).value_and_grad(image)
-    assert gradient[1, 1, 0] < 0.0  # inside: brighter is better
+    _, gradient = LOIObjective(reference, ScaleSpace(0, 5, 0.2)).value_and_grad(image)
+    assert gradient[1, 1, 0] < 0.0  # inside the bounds, brighter is better
     assert gradient[0, 0, 0] >= 0.0
 
 
@@ -180,7 +179,7 @@ def test_zero_padding_is_the_bound_nearest_to_black() -> None:
     assert ScaleSpace(1, 1, 0.1, boundary="zero").padding == 0.0
 
 
-def test_a_positive_channel_axis_does_not_guess_which_axis_is_the_batch() -> None:
+def test_a_positive_channel_axis_refuses_images_with_more_batch_axes() -> None:
     reference = np.random.default_rng(0).uniform(size=(3, 8, 8))
     batch = np.stack([reference] * 3)
     with pytest.raises(ImageError, match="`channel_axis` must count from the end"):
@@ -194,11 +193,11 @@ def test_a_torch_gradient_carries_no_graph() -> None:
     value, gradient = objective.value_and_grad(image)
     assert not value.requires_grad
     assert not gradient.requires_grad
-    assert objective.value(image).requires_grad  # autograd through the forward code stays possible
+    assert objective.value(image).requires_grad  # autograd can still differentiate the value
 
 
 @pytest.mark.parametrize("make", [int, float, np.float32, np.array, lambda number: torch.tensor(float(number))])
-def test_numbers_of_any_library_are_scales(make: Any) -> None:
+def test_scales_may_be_numbers_of_any_library(make: Any) -> None:
     scalar = make(3)
     assert ScaleSpace(scalar, scalar, 0.1) == ScaleSpace(3.0, 3.0, 0.1)
 

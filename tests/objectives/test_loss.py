@@ -1,10 +1,10 @@
-"""What the loss is, as properties: a distance between local histograms, averaged and summed as documented."""
+"""Properties of the loss: a distance between local histograms, averaged and summed as documented."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 from scipy import stats
 
@@ -33,11 +33,11 @@ def test_a_batch_is_the_mean_of_its_images(
     image, reference = images((first, second, *shape), seed)
     value, gradient = LOIObjective(reference, scales).value_and_grad(image)
     count = first * second
-    single: list[tuple[float, Host]] = [
+    singles: list[tuple[float, Host]] = [
         LOIObjective(reference[index], scales).value_and_grad(image[index]) for index in np.ndindex(first, second)
     ]
-    assert float(value) == pytest.approx(np.mean([float(one) for one, _ in single]), rel=1e-12)
-    stacked = np.stack([one / count for _, one in single]).reshape(gradient.shape)
+    assert float(value) == pytest.approx(np.mean([float(single) for single, _ in singles]), rel=1e-12)
+    stacked = np.stack([slope / count for _, slope in singles]).reshape(gradient.shape)
     assert relative_error(gradient, stacked) < 1e-10
 
 
@@ -75,20 +75,19 @@ def test_over_a_whole_image_the_loss_is_the_wasserstein_distance_of_its_intensit
     seed: int, height: int, width: int
 ) -> None:
     # An extent far beyond the image makes every neighbourhood the whole image. Smoothing both histograms by beta
-    # moves no mass farther than their own sampling: the distance is kept to about the level spacing times the share
-    # of crossings of the two CDFs, so a tenth of beta is generous at 36 pixels and fails if a factor is wrong.
+    # changes their distance by about the level spacing times the fraction of crossings of the two CDFs.
     image, reference = images((height, width, 1), seed)
     beta = 1e-3
     value = LOIObjective(reference, ScaleSpace(0, 1e6, beta)).value(image)
-    wanted = stats.wasserstein_distance(image.ravel(), reference.ravel())
-    assert float(value) == pytest.approx(wanted, abs=beta)
+    expected = stats.wasserstein_distance(image.ravel(), reference.ravel())
+    assert float(value) == pytest.approx(expected, abs=beta)
 
 
 def test_the_wasserstein_limit_is_reached_as_beta_shrinks() -> None:
     image, reference = images((8, 8, 1), seed=11)
-    wanted = stats.wasserstein_distance(image.ravel(), reference.ravel())
+    expected = stats.wasserstein_distance(image.ravel(), reference.ravel())
     errors = [
-        abs(float(LOIObjective(reference, ScaleSpace(0, 1e6, beta)).value(image)) - wanted)
+        abs(float(LOIObjective(reference, ScaleSpace(0, 1e6, beta)).value(image)) - expected)
         for beta in (3e-2, 1e-2, 3e-3, 1e-3)
     ]
     assert errors == sorted(errors, reverse=True)
@@ -97,28 +96,27 @@ def test_the_wasserstein_limit_is_reached_as_beta_shrinks() -> None:
 
 @given(st.floats(0.0, 1.0), st.floats(0.0, 1.0), SPACES.filter(lambda s: s.convention == "paper" and s.p == 1.0))
 def test_between_two_flat_images_the_loss_is_the_difference_of_their_values(
-    one: float, other: float, scales: ScaleSpace
+    first: float, second: float, scales: ScaleSpace
 ) -> None:
-    if scales.boundary == "zero":
-        return  # black beyond the border is part of the picture there
-    image, reference = np.full((5, 6, 2), one), np.full((5, 6, 2), other)
+    assume(scales.boundary != "zero")  # black pixels beyond the border would count
+    image, reference = np.full((5, 6, 2), first), np.full((5, 6, 2), second)
     for (_, beta, _), term in LOIObjective(reference, scales).terms(image).items():
-        # The mass beyond tails of 4 beta, below 7e-5 of a saturated pixel, is all that is lost.
-        assert float(term) == pytest.approx(abs(one - other), abs=1e-4 * beta + 1e-7)
+        # The mass beyond tails of 4 beta, below 7e-5 of a saturated pixel, is lost.
+        assert float(term) == pytest.approx(abs(first - second), abs=1e-4 * beta + 1e-7)
 
 
 def test_reflection_keeps_the_loss_falling_towards_the_reference_and_zero_does_not() -> None:
-    # Finding of the project: with black padding the loss falls as an object leaves the image.
+    # With black padding the loss falls as an object leaves the image.
     def blob(x: float) -> Host:
         rows, columns = np.mgrid[:32, :64] + 0.5
         image: Host = np.exp(-((columns - x) ** 2 + (rows - 16) ** 2) / 18.0)[..., None]
         return image
 
-    places = np.arange(6.0, 59.0, 4.0)
+    positions = np.arange(6.0, 59.0, 4.0)
     for boundary, monotone in (("reflect", True), ("zero", False)):
         scales = ScaleSpace(1, (5, 15), 0.125, boundary=boundary)  # type: ignore[arg-type]  # a plain str
         objective = LOIObjective(blob(50.0), scales)
-        values = [float(objective.value(blob(x))) for x in places[places < 50.0]]
+        values = [float(objective.value(blob(x))) for x in positions[positions < 50.0]]
         assert (np.diff(values) < 0).all() == monotone
 
 
@@ -136,7 +134,7 @@ def test_isophotes_are_densities(shape: tuple[int, ...], seed: int, scales: Scal
         np.testing.assert_allclose(local.sum(axis=0) * scales.spacing(beta), 1.0, atol=1e-4)
 
 
-def test_the_rivals_are_what_their_names_say() -> None:
+def test_baselines_equal_their_definitions() -> None:
     image, reference = images((16, 16, 3), seed=2)
     assert float(PixelL2(reference).value(image)) == pytest.approx(np.mean((image - reference) ** 2))
     assert float(GaussianPyramid(reference, levels=1).value(image)) == pytest.approx(np.mean((image - reference) ** 2))

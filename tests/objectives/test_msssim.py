@@ -1,4 +1,4 @@
-"""MS-SSIM is what others compute, and says plainly where it has no gradient."""
+"""MS-SSIM equals the implementation of pytorch-msssim, and has a gradient of 0 where its value is constant."""
 
 from __future__ import annotations
 
@@ -13,35 +13,35 @@ from tests.frameworks import pytorch_msssim, torch
 from tests.helpers import Host
 
 SIZES = [(256, 192), (177, 201), (180, 333)]  # even, odd at several levels
-PEER = 1e-4  # its window is rounded to float32, and differences of nearly equal sums magnify that
+PEER_RTOL = 1e-4  # pytorch-msssim rounds its window to float32; cancellation magnifies the error
 
 
-def theirs(image: Host, reference: Host, levels: int) -> tuple[float, Host]:
-    given, wanted = (torch.tensor(np.moveaxis(each, -1, 0)[None].copy()) for each in (image, reference))
-    given.requires_grad_()
+def peer_value_and_grad(image: Host, reference: Host, levels: int) -> tuple[float, Host]:
+    leaf, target = (torch.tensor(np.moveaxis(array, -1, 0)[None].copy()) for array in (image, reference))
+    leaf.requires_grad_()
     compare = pytorch_msssim.ms_ssim if levels > 1 else pytorch_msssim.ssim
-    loss = 1.0 - compare(given, wanted, data_range=1.0)
+    loss = 1.0 - compare(leaf, target, data_range=1.0)
     loss.backward()
-    assert given.grad is not None
-    return float(loss.detach()), np.moveaxis(given.grad.numpy()[0], 0, -1)
+    assert leaf.grad is not None
+    return float(loss.detach()), np.moveaxis(leaf.grad.numpy()[0], 0, -1)
 
 
 @pytest.mark.parametrize("size", SIZES)
 @pytest.mark.parametrize("levels", [1, 5])
-@pytest.mark.parametrize("kind", ["shifted", "photographs"])
-def test_value_and_gradient_are_those_of_pytorch_msssim(size: tuple[int, int], levels: int, kind: str) -> None:
-    image, reference = CONTENTS[kind]((*size, 3), np.random.default_rng(1))
+@pytest.mark.parametrize("content", ["shifted", "photographs"])
+def test_value_and_gradient_equal_pytorch_msssim(size: tuple[int, int], levels: int, content: str) -> None:
+    image, reference = CONTENTS[content]((*size, 3), np.random.default_rng(1))
     value, gradient = MSSSIM(reference, levels).value_and_grad(image)
-    wanted, slopes = theirs(image, reference, levels)
-    assert float(value) == pytest.approx(wanted, rel=PEER)
-    assert np.linalg.norm(gradient - slopes) <= PEER * np.linalg.norm(slopes)
+    expected, slopes = peer_value_and_grad(image, reference, levels)
+    assert float(value) == pytest.approx(expected, rel=PEER_RTOL)
+    assert np.linalg.norm(gradient - slopes) <= PEER_RTOL * np.linalg.norm(slopes)
 
 
-def test_it_keeps_the_contract_of_objectives() -> None:
+def test_ms_ssim_keeps_the_contract_of_objectives() -> None:
     check_objective(lambda reference: MSSSIM(reference), shape=(24, 31, 2))
 
 
-def test_as_many_levels_as_fit_are_used_by_default() -> None:
+def test_ms_ssim_uses_as_many_levels_as_fit_by_default() -> None:
     for side, levels in ((11, 1), (21, 1), (22, 2), (128, 4), (175, 4), (176, 5), (400, 5)):
         image, reference = np.random.default_rng(0).uniform(size=(2, side, side, 1))
         assert float(MSSSIM(reference).value(image)) == float(MSSSIM(reference, levels).value(image))
@@ -56,7 +56,7 @@ def test_images_of_opposite_structure_have_the_largest_value_and_no_gradient() -
     assert not np.any(gradient)
 
 
-def test_what_it_cannot_take_is_said() -> None:
+def test_ms_ssim_refuses_small_images_and_an_empty_range() -> None:
     with pytest.raises(ImageError, match="at least 11 rows and columns"):
         MSSSIM(np.zeros((10, 40, 3)))
     with pytest.raises(OptionError, match="`data_range` must be"):

@@ -1,4 +1,4 @@
-"""Pixels that are not finite: told apart, located and explained, or masked so that what they hold changes nothing."""
+"""Pixels that are not finite are counted, located and explained, or masked so that their values change nothing."""
 
 from __future__ import annotations
 
@@ -50,11 +50,11 @@ def columns(image: Host) -> None:
     image[:, 0, 1] = np.nan
 
 
-def an_object(image: Host) -> None:
+def connected_pixels(image: Host) -> None:
     image[2:4, 2:5] = np.nan
 
 
-def a_dark_object(image: Host) -> None:
+def negative_infinities(image: Host) -> None:
     image[2:4, 2:5] = -np.inf
 
 
@@ -64,7 +64,7 @@ def overflow(image: Host) -> None:
 
 
 @pytest.mark.parametrize(
-    ("spoil", "counts", "says"),
+    ("corrupt", "counts", "message"),
     [
         (scattered, (2, 0, 0), r"\(2 NaN\), the first at .* = \(1, 2, 0\): isolated pixels, .* 0/0 in shading"),
         (fireflies, (0, 3, 0), r"\(3 \+inf\), .*: isolated pixels, which suggests an overflow: exp, a division by alm"),
@@ -72,30 +72,30 @@ def overflow(image: Host) -> None:
         (one_channel, (42, 0, 0), "all of channel 1, which suggests a parameter of that channel"),
         (rows, (42, 0, 0), "whole rows, which suggests an unfinished render"),
         (columns, (6, 0, 0), "whole columns, which suggests an unfinished render"),
-        (an_object, (18, 0, 0), "connected pixels, which suggests one object"),
-        (a_dark_object, (0, 0, 18), r"\(18 -inf\), .*: connected pixels, which suggests a logarithm of 0"),
+        (connected_pixels, (18, 0, 0), "connected pixels, which suggests one object"),
+        (negative_infinities, (0, 0, 18), r"\(18 -inf\), .*: connected pixels, which suggests a logarithm of 0"),
         (overflow, (1, 17, 0), r"\(1 NaN, 17 \+inf\), .* suggests an overflow: .* float16 beyond 65504"),
     ],
 )
-def test_the_error_tells_kinds_apart_and_names_the_likely_cause(
-    spoil: Callable[[Host], None], counts: tuple[int, int, int], says: str
+def test_the_error_counts_each_kind_of_value_and_names_the_likely_cause(
+    corrupt: Callable[[Host], None], counts: tuple[int, int, int], message: str
 ) -> None:
     image, reference = images(SHAPE, seed=1)
-    spoil(image)
-    with pytest.raises(NonFiniteImageError, match=says) as caught:
+    corrupt(image)
+    with pytest.raises(NonFiniteImageError, match=message) as caught:
         LOIObjective(reference, SCALES).value(image)
     error = caught.value
     assert "\n" not in str(error)
     assert (error.nan, error.positive, error.negative) == counts
     assert error.count == sum(counts)
-    # With nothing left to compare, masking would report a loss of 0.
+    # With all pixels masked, the loss would be 0.
     assert ("nan_policy='mask'" in str(error)) == (error.count < image.size)
-    again = pickle.loads(pickle.dumps(error))  # noqa: S301 - our own, as a worker process would send it
+    again = pickle.loads(pickle.dumps(error))  # noqa: S301 - written here, as by a worker process
     assert (str(again), vars(again)) == (str(error), vars(error))
 
 
 @pytest.mark.parametrize(
-    ("shape", "axis", "hole", "says"),
+    ("shape", "axis", "hole", "message"),
     [
         ((4, 6, 7, 3), -1, (2,), r"\(\*batch, y, x, c\) = \(2, 0, 0, 0\): only image 2 of the batch, every value, "),
         ((2, 2, 6, 7, 3), -1, (1, 0, 3, 4), r"only image \(1, 0\) of the batch, isolated pixels, "),
@@ -106,21 +106,21 @@ def test_the_error_tells_kinds_apart_and_names_the_likely_cause(
         ((1, 9, 1), -1, (0, 3, 0), "isolated pixels"),
     ],
 )
-def test_the_error_speaks_of_the_axes_that_the_image_has(
-    shape: tuple[int, ...], axis: int | None, hole: tuple[Any, ...], says: str
+def test_the_error_names_the_axes_of_the_image(
+    shape: tuple[int, ...], axis: int | None, hole: tuple[Any, ...], message: str
 ) -> None:
     image, reference = images(shape, seed=2)
     image[hole] = np.nan
-    with pytest.raises(NonFiniteImageError, match=says):
+    with pytest.raises(NonFiniteImageError, match=message):
         LOIObjective(reference, SCALES, channel_axis=axis).value(image)
-    with pytest.raises(NonFiniteImageError, match=says):
+    with pytest.raises(NonFiniteImageError, match=message):
         inner_images(image, SCALES, channel_axis=axis)
     with pytest.raises(NonFiniteImageError, match=r"`reference` has .*fix the reference"):
         LOIObjective(image, SCALES, channel_axis=axis)
 
 
 @given(st.data(), st.sampled_from(list(MASKING)), st.booleans())
-def test_what_masked_pixels_hold_changes_nothing_to_the_bit(data: st.DataObject, name: str, curved: bool) -> None:
+def test_values_of_masked_pixels_change_nothing_to_the_bit(data: st.DataObject, name: str, curved: bool) -> None:
     seed = data.draw(st.integers(0, 2**31))
     rng = np.random.default_rng(seed)
     image, reference = images(SHAPE, seed)
@@ -142,26 +142,25 @@ def test_what_masked_pixels_hold_changes_nothing_to_the_bit(data: st.DataObject,
 
 @pytest.mark.parametrize("name", MASKING)
 @pytest.mark.parametrize("tone", [None, LogTone(1.0)], ids=["plain", "tone"])
-@pytest.mark.parametrize("where", ["image", "reference", "both"])
-def test_with_nothing_left_the_value_and_the_gradient_are_zero(name: str, tone: LogTone | None, where: str) -> None:
+@pytest.mark.parametrize("masked", ["image", "reference", "both"])
+def test_value_and_gradient_are_zero_if_all_pixels_are_masked(name: str, tone: LogTone | None, masked: str) -> None:
     image, reference = images(SHAPE, seed=5)
-    nothing = np.full(SHAPE, np.nan)
-    value, gradient = MASKING[name](reference if where == "image" else nothing, tone=tone).value_and_grad(
-        image if where == "reference" else nothing
-    )
+    nan = np.full(SHAPE, np.nan)
+    objective = MASKING[name](reference if masked == "image" else nan, tone=tone)
+    value, gradient = objective.value_and_grad(image if masked == "reference" else nan)
     assert float(value) == 0.0
     assert not np.any(gradient)
 
 
-@pytest.mark.parametrize(("where", "tone"), [("image", LogTone(1.0)), ("reference", None)])
-def test_masking_is_the_same_under_jit(where: str, tone: LogTone | None) -> None:
-    scales = ScaleSpace(1, 2, 0.25)  # few levels: every reference is compiled anew
+@pytest.mark.parametrize(("masked", "tone"), [("image", LogTone(1.0)), ("reference", None)])
+def test_masking_works_under_jit(masked: str, tone: LogTone | None) -> None:
+    scales = ScaleSpace(1, 2, 0.25)  # few levels, because every reference is compiled again
     image, reference = images(SHAPE, seed=6)
     hole = (slice(1, 3), slice(2, 6), 1)
     results, compiled = [], None
     for bad in (np.nan, -np.inf):
-        (image if where == "image" else reference)[hole] = bad
-        if compiled is None or where == "reference":
+        (image if masked == "image" else reference)[hole] = bad
+        if compiled is None or masked == "reference":
             loss = loi_jax.loi_loss(reference, scales, nan_policy="mask", tone=tone)
             compiled = jax.jit(jax.value_and_grad(loss))
         results.append(compiled(jnp.asarray(image)))
@@ -169,16 +168,17 @@ def test_masking_is_the_same_under_jit(where: str, tone: LogTone | None) -> None
     assert float(value) == float(again)
     np.testing.assert_array_equal(gradient, slopes)
     assert not np.any(gradient[hole])
-    wanted, expected = LOIObjective(reference, scales, nan_policy="mask", tone=tone).value_and_grad(image)
-    assert float(value) == pytest.approx(float(wanted), rel=1e-12)
-    np.testing.assert_allclose(gradient, expected, rtol=1e-9, atol=1e-15)
+    objective = LOIObjective(reference, scales, nan_policy="mask", tone=tone)
+    expected, slopes = objective.value_and_grad(image)
+    assert float(value) == pytest.approx(float(expected), rel=1e-12)
+    np.testing.assert_allclose(gradient, slopes, rtol=1e-9, atol=1e-15)
     assert compiled is not None
     value, gradient = compiled(jnp.full(SHAPE, jnp.nan))
-    assert abs(float(value)) < 1e-15  # what is prepared before is not compiled alike, and differs in the last place
+    assert abs(float(value)) < 1e-15  # the prepared reference is not compiled, and differs in the last place
     assert not np.any(gradient)
 
 
-def test_a_bad_image_of_a_batch_leaves_the_others_as_they_are() -> None:
+def test_a_masked_image_of_a_batch_leaves_the_others_unchanged() -> None:
     image, reference = images((3, *SHAPE), seed=7)
     image[1] = np.nan
     value, gradient = MASKING["loi"](reference).value_and_grad(image)
@@ -186,11 +186,11 @@ def test_a_bad_image_of_a_batch_leaves_the_others_as_they_are() -> None:
     assert values[1] == 0.0
     assert float(value) == pytest.approx(sum(values) / 3.0, rel=1e-13)
     for index in (0, 2):
-        alone = MASKING["loi"](reference[index]).value_and_grad(image[index])[1]
-        np.testing.assert_allclose(3.0 * gradient[index], alone, rtol=1e-12, atol=1e-18)
+        _, expected = MASKING["loi"](reference[index]).value_and_grad(image[index])
+        np.testing.assert_allclose(3.0 * gradient[index], expected, rtol=1e-12, atol=1e-18)
 
 
-def test_masked_pixels_leave_torch_s_own_gradient_finite() -> None:
+def test_masked_pixels_leave_the_autograd_gradient_of_torch_finite() -> None:
     image, reference = images(SHAPE, seed=8)
     image[2, 3] = np.nan, np.inf, -np.inf
     objective = LOIObjective(torch.tensor(reference), SCALES, nan_policy="mask", tone=LogTone(1.0))

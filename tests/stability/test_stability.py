@@ -45,8 +45,8 @@ COMPILED_CASES = ("ordinary pair", "one NaN", "one NaN, masked", "batch with one
 LARGE_CASES = ("3x4096", "a sum of 1e7 terms", "beta 0.0001")
 
 
-class OfCore:
-    """The core on arrays of one library, without a bridge."""
+class CoreBackend:
+    """The core on arrays of one library, without an adapter."""
 
     compiled = False
 
@@ -60,16 +60,16 @@ class OfCore:
 
     def prepare(self, request: Request) -> Evaluate:
         objective = LOIObjective(request.reference, request.scales, request.accuracy, nan_policy=request.nan_policy)
-        given = self.held(request.image, request.dtype)
+        image = self.converted(request.image, request.dtype)
 
         def evaluate() -> tuple[float, Host]:
-            value, gradient = objective.value_and_grad(given)
-            assert gradient.dtype == value.dtype == given.dtype
+            value, gradient = objective.value_and_grad(image)
+            assert gradient.dtype == value.dtype == image.dtype
             return float(value), to_numpy(gradient)
 
         return evaluate
 
-    def held(self, image: Host, dtype: str) -> Array:
+    def converted(self, image: Host, dtype: str) -> Array:
         if dtype not in self.half_dtypes:
             return self.asarray(image.astype(dtype))
         single = self.asarray(image.astype("float32"))
@@ -83,7 +83,7 @@ class JaxWithoutNumba(Jax):
         evaluate = super().prepare(request)
 
         def within() -> tuple[float, Host]:
-            with by_arrays():  # when it is first called it is compiled
+            with by_arrays():  # the first call compiles
                 return evaluate()
 
         return within
@@ -91,10 +91,10 @@ class JaxWithoutNumba(Jax):
 
 BACKENDS: dict[str, MeasurementBackend] = {
     "NumPy": NumPy(),
-    "array_api_strict": OfCore(array_api_strict.asarray, ("float32", "float64")),
-    "torch": OfCore(Torch().asarray, ("float32", "float64"), ("float16", "bfloat16")),
+    "array_api_strict": CoreBackend(array_api_strict.asarray, ("float32", "float64")),
+    "torch": CoreBackend(Torch().asarray, ("float32", "float64"), ("float16", "bfloat16")),
     "torch autograd": Torch(),
-    "JAX": OfCore(jnp.asarray, ("float32", "float64"), ("float16", "bfloat16")),
+    "JAX": CoreBackend(jnp.asarray, ("float32", "float64"), ("float16", "bfloat16")),
     "JAX, jit": Jax(),
     "JAX, jit, without Numba": JaxWithoutNumba(),
     "Dr.Jit": Mitsuba(),
@@ -133,7 +133,7 @@ def trials(backend: str) -> list[Trial]:
 
 
 @pytest.mark.parametrize("backend", BACKENDS)
-def test_every_case_keeps_every_rule(backend: str) -> None:
+def test_every_hard_case_keeps_every_rule(backend: str) -> None:
     supported = [trial for trial in trials(backend) if not trial.unsupported]
     assert supported
     findings = {
@@ -148,8 +148,8 @@ def test_the_catalogue_is_complete() -> None:
     names = [case.name for case in hard_cases()]
     assert len(set(names)) == len(names)
     assert len({case.danger for case in hard_cases()}) > 40
-    for said in ("identical", "one pixel", "flat against flat", "all black", "all white", "just inside", "just beyond"):
-        assert any(said in name for name in names), said
+    for text in ("identical", "one pixel", "flat against flat", "all black", "all white", "just inside", "just beyond"):
+        assert any(text in name for name in names), text
     terms = [_terms(case) for case in hard_cases() if case.error is None]
     assert max(terms) >= 1e7
     channels = {case.make()[0].shape[-1] for case in hard_cases()}
@@ -163,7 +163,7 @@ def _terms(case: HardCase) -> int:
     return max(case.scales.level_count(beta) for beta in case.scales.beta) * case.make()[0].size
 
 
-def test_a_bound_says_when_it_says_little() -> None:
+def test_a_row_is_loose_if_its_bound_is_as_large_as_the_gradient() -> None:
     cases = [CASES[name] for name in ("flat against flat", "ties", "reference plus 1e-7")]
     verdicts = {(row.case, row.dtype): row.verdict for row in stability_rows(cases, {"NumPy": NumPy()})}
     assert verdicts["flat against flat", "float32"] == "ok"
@@ -172,18 +172,18 @@ def test_a_bound_says_when_it_says_little() -> None:
 
 
 class Broken(NumPy):
-    """A backend that does one thing wrong."""
+    """A backend with corrupted results."""
 
-    def __init__(self, spoil: Callable[[float, Host], tuple[float, Host]]) -> None:
-        self._spoil = spoil
+    def __init__(self, corrupt: Callable[[float, Host], tuple[float, Host]]) -> None:
+        self._corrupt = corrupt
 
     def prepare(self, request: Request) -> Evaluate:
         evaluate = super().prepare(request)
-        return lambda: self._spoil(*evaluate())
+        return lambda: self._corrupt(*evaluate())
 
 
 @pytest.mark.parametrize(
-    ("case", "rule", "spoil"),
+    ("case", "rule", "corrupt"),
     [
         ("ordinary pair", "finite", lambda value, slope: (value, slope * np.where(slope > 0.0, 1.0, np.nan))),
         ("ordinary pair", "not negative", lambda value, slope: (-value, slope)),
@@ -197,11 +197,11 @@ class Broken(NumPy):
         ("8-bit integers", "answered", None),
     ],
 )
-def test_every_rule_can_be_broken(case: str, rule: str, spoil: Any) -> None:
-    if spoil is None:
+def test_every_stability_rule_can_be_broken(case: str, rule: str, corrupt: Any) -> None:
+    if corrupt is None:
         trial = try_case(dataclasses.replace(CASES[case], error=KeyError), "broken", NumPy(), "float32")
     else:
-        trial = try_case(CASES[case], "broken", Broken(spoil), "float32")
+        trial = try_case(CASES[case], "broken", Broken(corrupt), "float32")
     assert [check.name for check in STABILITY_CHECKS if check.name == rule and check.finding(trial)] == [rule]
     assert StabilityRow.of(trial).verdict == "FAILED"
 
@@ -213,14 +213,14 @@ def test_every_rule_can_be_broken(case: str, rule: str, spoil: Any) -> None:
         *("radiance up to 1e4", "bounds far from zero", "p = 2"),
     ],
 )
-def test_the_plain_sum_is_right_to_the_last_digits(name: str) -> None:
-    case, few = CASES[name], (slice(3, 5), slice(7, 9), slice(1))
+def test_the_plain_sum_is_correct_to_the_last_digits(name: str) -> None:
+    case, crop = CASES[name], (slice(3, 5), slice(7, 9), slice(1))
     scales = case.scales
-    if name == "beta 0.0001":  # forty digits of ten thousand levels take a while
-        few, scales = (slice(1), slice(1), slice(1)), ScaleSpace(0.0, 0.0, 1e-4)
-    image, reference = (each[few] for each in case.make())
+    if name == "beta 0.0001":  # forty digits of ten thousand levels take long
+        crop, scales = (slice(1), slice(1), slice(1)), ScaleSpace(0.0, 0.0, 1e-4)
+    image, reference = (array[crop] for array in case.make())
     value, gradient = loss_and_gradient(image, reference, scales)
     bound = allowed(image, reference, scales, DOUBLE)
-    wanted, slopes = precise(image[..., 0], reference[..., 0], scales)
-    assert abs(value - wanted) <= 0.5 * bound.loss  # the other half is for what a backend rounds
+    expected, slopes = precise(image[..., 0], reference[..., 0], scales)
+    assert abs(value - expected) <= 0.5 * bound.loss  # the other half covers the rounding of a backend
     assert np.abs(gradient[..., 0] - slopes).sum() <= 0.5 * bound.norm

@@ -1,4 +1,4 @@
-"""Every check of the conformance kit can fail: each broken subject is caught by the check meant for it, by name."""
+"""Every check of the conformance kit can fail: each broken subject is detected by the check meant for it."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ from tests.testing.zoo import BROKEN_OBJECTIVES, BROKEN_RENDERERS, Params, Scale
 @pytest.mark.parametrize(
     ("broken", "name"),
     BROKEN_RENDERERS,
-    ids=[f"{one.__name__}-{number}" for number, (one, _) in enumerate(BROKEN_RENDERERS)],
+    ids=[f"{broken.__name__}-{index}" for index, (broken, _) in enumerate(BROKEN_RENDERERS)],
 )
 @pytest.mark.parametrize("dtype", ["float64", "float32"])
-def test_a_broken_renderer_is_caught_by_the_check_meant_for_it(broken: type[Sound], name: str, dtype: str) -> None:
-    check = next(one for one in RENDERER_CHECKS if one.name == name)
+def test_a_broken_renderer_is_detected_by_the_check_meant_for_it(broken: type[Sound], name: str, dtype: str) -> None:
+    check = next(check for check in RENDERER_CHECKS if check.name == name)
     with pytest.raises(ConformanceError) as caught:
         check(RendererSubject(broken(dtype=dtype)))
     assert caught.value.check == name
@@ -46,8 +46,8 @@ def test_a_broken_renderer_is_caught_by_the_check_meant_for_it(broken: type[Soun
 
 
 @pytest.mark.parametrize(("broken", "name"), BROKEN_OBJECTIVES)
-def test_a_broken_objective_is_caught_by_the_check_meant_for_it(broken: Callable[[Any], Any], name: str) -> None:
-    check = next(one for one in OBJECTIVE_CHECKS if one.name == name)
+def test_a_broken_objective_is_detected_by_the_check_meant_for_it(broken: Callable[[Any], Any], name: str) -> None:
+    check = next(check for check in OBJECTIVE_CHECKS if check.name == name)
     with pytest.raises(ConformanceError) as caught:
         check(ObjectiveSubject(broken))
     assert caught.value.check == name
@@ -55,24 +55,24 @@ def test_a_broken_objective_is_caught_by_the_check_meant_for_it(broken: Callable
         check_objective(broken)
 
 
-def test_every_check_has_a_subject_that_it_catches() -> None:
+def test_every_check_has_a_subject_that_breaks_its_rule() -> None:
     assert {name for _, name in BROKEN_RENDERERS} == {check.name for check in RENDERER_CHECKS}
     assert {name for _, name in BROKEN_OBJECTIVES} == {check.name for check in OBJECTIVE_CHECKS}
 
 
 @parametrize_with_checks([RendererSubject(Sound()), RendererSubject(Sound(dtype="float32")), ObjectiveSubject(Wrapped)])
-def test_what_is_sound_passes(check: Any, subject: Any) -> None:
+def test_a_sound_renderer_and_objective_pass_every_check(check: Any, subject: Any) -> None:
     check(subject)
 
 
 @parametrize_with_checks(
     [RendererSubject(scaled(2.0)())], expected_failures={"finite_differences": "its pullback is doubled on purpose"}
 )
-def test_known_failures_are_expected_as_parameters_too(check: Any, subject: Any) -> None:
+def test_expected_failures_are_marked_on_pytest_parameters(check: Any, subject: Any) -> None:
     check(subject)
 
 
-def test_known_failures_are_named_and_must_fail() -> None:
+def test_expected_failures_must_exist_and_must_fail() -> None:
     reason = {"finite_differences": "its pullback is doubled on purpose"}
     check_renderer(scaled(2.0)(), expected_failures=reason)
     with pytest.raises(ConformanceError, match="passed, but was expected to fail"):
@@ -89,7 +89,7 @@ def test_known_failures_are_named_and_must_fail() -> None:
 
 def test_a_conformance_error_survives_pickling() -> None:
     error = ConformanceError("image", "a rule", "a finding")
-    again = pickle.loads(pickle.dumps(copy.copy(error)))  # noqa: S301 - our own, as a worker process would send it
+    again = pickle.loads(pickle.dumps(copy.copy(error)))  # noqa: S301 - written here, as by a worker process
     assert (str(again), again.check) == (str(error), "image")
 
 
@@ -108,17 +108,15 @@ class Blob:
 
     def render_vjp(self, params: Params, *, seed: int = 0) -> Any:
         centre, spread = params["centre"].copy(), params["spread"].copy()
-        right, down = self.columns - centre[0], self.rows - centre[1]
-        squared = right * right + down * down
+        x, y = self.columns - centre[0], self.rows - centre[1]
+        squared = x * x + y * y
         image = np.exp(-squared / (2.0 * spread * spread))[..., None].astype(self.dtype)
 
         def pullback(cotangent: Any) -> Params:
-            each = (cotangent * image)[..., 0]
-            moved = np.array([np.sum(each * right), np.sum(each * down)]) / spread**2
-            return {
-                "centre": moved.astype(self.dtype),
-                "spread": np.asarray(np.sum(each * squared) / spread**3, self.dtype),
-            }
+            product = (cotangent * image)[..., 0]
+            centre_slope = np.array([np.sum(product * x), np.sum(product * y)]) / spread**2
+            spread_slope = np.asarray(np.sum(product * squared) / spread**3, self.dtype)
+            return {"centre": centre_slope.astype(self.dtype), "spread": spread_slope}
 
         return image, pullback
 
@@ -134,7 +132,7 @@ MAKERS: dict[str, Callable[[str], Any]] = {
 
 @pytest.mark.parametrize(("dtype", "error"), [("float64", 1e-3), ("float32", 1e-2)])
 @pytest.mark.parametrize("name", MAKERS)
-def test_a_gradient_that_is_a_little_off_is_caught_in_every_dtype_on_every_backend(
+def test_a_small_error_of_the_gradient_is_detected_in_every_dtype_and_library(
     name: str, dtype: str, error: float
 ) -> None:
     check_renderer(MAKERS[name](dtype))
@@ -144,7 +142,7 @@ def test_a_gradient_that_is_a_little_off_is_caught_in_every_dtype_on_every_backe
 
 
 class Noisy(Blob):
-    """Independent noise for each seed, and for the pullback, as a Monte Carlo renderer has it."""
+    """A blob with independent noise of image and pullback for each seed, as in a Monte Carlo renderer."""
 
     def __init__(self, size: float = 0.05, dtype: str = "float32") -> None:
         super().__init__(dtype)
@@ -158,7 +156,7 @@ class Noisy(Blob):
         return image, lambda g: {k: v * factor for k, v in pullback(g).items()}
 
 
-def test_noise_is_averaged_over_seeds_and_hides_no_error_of_one_in_twenty() -> None:
+def test_averaging_over_seeds_detects_an_error_of_5_percent_under_noise() -> None:
     check_renderer(Noisy(), seeds=25)
     for factor in (1.05, 0.95):
         with pytest.raises(ConformanceError, match=r"finite_differences: .* off by"):
@@ -173,16 +171,16 @@ class Counted(Noisy):
         return super().render(params, seed=seed)
 
 
-def test_noise_is_not_measured_again_elsewhere() -> None:
-    noisy, still = Counted(0.05), Counted(0.0)
+def test_noise_does_not_cause_retries_at_other_parameters() -> None:
+    noisy, quiet = Counted(0.05), Counted(0.0)
     check_renderer(noisy, seeds=25)
-    check_renderer(still, seeds=25)
-    assert noisy.renders == still.renders
+    check_renderer(quiet, seeds=25)
+    assert noisy.renders == quiet.renders
 
 
 @pytest.mark.parametrize("dtype", ["float64", "float32"])
 @pytest.mark.parametrize("shape", [(16, 12, 3), (3, 9, 1)])
-def test_all_objectives_of_the_library_conform(dtype: str, shape: tuple[int, ...]) -> None:
+def test_all_objectives_of_the_library_keep_the_contract(dtype: str, shape: tuple[int, ...]) -> None:
     for make in (
         PixelL2,
         GaussianPyramid,

@@ -1,4 +1,4 @@
-"""Renderers and objectives that break the contract, each in one way, and one that keeps it."""
+"""Renderers and objectives that break the contract in one way each, and sound ones that they derive from."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ Params = dict[str, Any]
 
 
 class Sound(Disks):
-    """A renderer that keeps the contract; the broken ones below each change one thing."""
+    """A renderer that keeps the contract; each broken renderer below changes one behaviour."""
 
     def __init__(self, **options: Any) -> None:
         positions = [[5.3, 9.1], [10.6, 4.4]]
@@ -37,20 +37,20 @@ class IntegerParameters(Sound):
 
 class SharedParameters(Sound):
     def parameters(self) -> Params:
-        self.kept = getattr(self, "kept", super().parameters())
-        return self.kept
+        self.cached = getattr(self, "cached", super().parameters())
+        return self.cached
 
 
-class OwnArrays(Sound):
-    """A new dict of the renderer's own arrays."""
+class InternalArrays(Sound):
+    """parameters() returns a new dict, but the renderer's internal arrays."""
 
     def parameters(self) -> Params:
-        self.kept = getattr(self, "kept", super().parameters())
-        return dict(self.kept)
+        self.cached = getattr(self, "cached", super().parameters())
+        return dict(self.cached)
 
 
 class SharedImage(Sound):
-    """All images are in one place."""
+    """All images share memory."""
 
     def render(self, params: Params, *, seed: int = 0) -> Any:
         image = super().render(params)
@@ -59,15 +59,15 @@ class SharedImage(Sound):
         return self.image
 
 
-class AtOwnParameters(Sound):
-    """The image of the parameters that are given, and the gradient at the renderer's own."""
+class GradientAtDefaults(Sound):
+    """The pullback ignores the parameters and uses the renderer's own."""
 
     def render_vjp(self, params: Params, *, seed: int = 0) -> Any:
         return super().render_vjp(params)[0], super().render_vjp(self.parameters())[1]
 
 
 class ReadsLater(Sound):
-    """A pullback of what the parameters have become."""
+    """The pullback reads the parameters when it is called, and so sees later writes."""
 
     def render_vjp(self, params: Params, *, seed: int = 0) -> Any:
         return super().render_vjp(params)[0], lambda g: super(ReadsLater, self).render_vjp(params)[1](g)
@@ -76,18 +76,18 @@ class ReadsLater(Sound):
 class CalledOnce(Sound):
     def render_vjp(self, params: Params, *, seed: int = 0) -> Any:
         image, pullback = super().render_vjp(params)
-        left = [pullback]
-        return image, lambda g: left.pop()(g)
+        pullbacks = [pullback]
+        return image, lambda g: pullbacks.pop()(g)
 
 
 class HardEdges(Sound):
-    """Disks by a comparison: colours have a gradient, edges have none."""
+    """Disks without anti-aliasing: colours have a gradient, positions and radii do not."""
 
     def owners(self, params: Params) -> Any:
         y, x = np.mgrid[:14, :17] + 0.5
         owner = np.zeros((14, 17), dtype=int)
-        for number, (place, radius) in enumerate(zip(params["positions"], params["radii"], strict=True)):
-            owner[np.hypot(x - place[0], y - place[1]) < radius] = number + 1
+        for index, (position, radius) in enumerate(zip(params["positions"], params["radii"], strict=True)):
+            owner[np.hypot(x - position[0], y - position[1]) < radius] = index + 1
         return owner
 
     def render(self, params: Params, *, seed: int = 0) -> Any:
@@ -96,10 +96,10 @@ class HardEdges(Sound):
 
     def render_vjp(self, params: Params, *, seed: int = 0) -> Any:
         owner = self.owners(params)
-        still = {name: np.zeros_like(value) for name, value in params.items()}
+        zeros = {name: np.zeros_like(value) for name, value in params.items()}
 
         def pullback(cotangent: Any) -> Params:
-            return {**still, "colours": np.stack([cotangent[owner == number].sum(axis=0) for number in (1, 2)])}
+            return {**zeros, "colours": np.stack([cotangent[owner == disk].sum(axis=0) for disk in (1, 2)])}
 
         return self.render(params), pullback
 
@@ -119,7 +119,7 @@ class TwoImages(Sound):
 
 
 class TransposedAxes(Sound):
-    """x and y are mixed up in the pullback of positions."""
+    """The pullback swaps x and y of positions."""
 
     def render_vjp(self, params: Params, *, seed: int = 0) -> Any:
         image, pullback = super().render_vjp(params)
@@ -136,7 +136,7 @@ def scaled(factor: float, name: str | None = None) -> type[Sound]:
 
 
 class Scaled:
-    """Any renderer with its gradients times a factor."""
+    """A renderer whose gradients are multiplied by a factor."""
 
     def __init__(self, renderer: Any, factor: float) -> None:
         self.renderer = renderer
@@ -154,7 +154,7 @@ class Scaled:
 
 
 class IgnoredSeed(Sound):
-    """Noise from a generator of its own, whatever the seed."""
+    """The noise does not depend on the seed."""
 
     noise = itertools.count()
 
@@ -164,7 +164,7 @@ class IgnoredSeed(Sound):
 
 
 class StaleImage(Sound):
-    """Keeps the last image as long as the positions stay, whatever else changes."""
+    """Every render returns the first image."""
 
     def render(self, params: Params, *, seed: int = 0) -> Any:
         if getattr(self, "last", None) is None:
@@ -173,7 +173,7 @@ class StaleImage(Sound):
 
 
 class SlowlyForgets(Sound):
-    """Mixes in a little of what it rendered before, unless it was the same scene."""
+    """An image contains a small fraction of the previous one."""
 
     def render(self, params: Params, *, seed: int = 0) -> Any:
         image = super().render(params)
@@ -215,19 +215,19 @@ class ZeroForOneParameter(Sound):
 class WrongDtype(Sound):
     def render_vjp(self, params: Params, *, seed: int = 0) -> Any:
         image, pullback = super().render_vjp(params)
-        other = np.float32 if image.dtype == np.float64 else np.float64
-        return image, lambda g: {k: v.astype(other) for k, v in pullback(g).items()}
+        wrong = np.float32 if image.dtype == np.float64 else np.float64
+        return image, lambda g: {k: v.astype(wrong) for k, v in pullback(g).items()}
 
 
 class TwoLibraries(Sound):
-    """Images are of one array library, and of another beside a pullback."""
+    """render and render_vjp return images of different array libraries."""
 
     def render(self, params: Params, *, seed: int = 0) -> Any:
         return array_api_strict.asarray(super().render(params))
 
 
 class Affine(Sound):
-    """Adds a constant to the pullback, a regulariser that has strayed."""
+    """The pullback adds a constant, like a misplaced regulariser."""
 
     def render_vjp(self, params: Params, *, seed: int = 0) -> Any:
         image, pullback = super().render_vjp(params)
@@ -235,7 +235,7 @@ class Affine(Sound):
 
 
 class SharedState(Sound):
-    """All pullbacks are that of the last render."""
+    """Every pullback belongs to the last render."""
 
     def render_vjp(self, params: Params, *, seed: int = 0) -> Any:
         image, self.last = super().render_vjp(params)
@@ -254,7 +254,7 @@ BROKEN_RENDERERS: list[tuple[type[Sound], str]] = [
     (NoParameters, "parameters"),
     (IntegerParameters, "parameters"),
     (SharedParameters, "parameters"),
-    (OwnArrays, "parameters"),
+    (InternalArrays, "parameters"),
     (FlatImage, "image"),
     (TwoImages, "image"),
     (TwoLibraries, "image"),
@@ -270,7 +270,7 @@ BROKEN_RENDERERS: list[tuple[type[Sound], str]] = [
     (CalledOnce, "linearity"),
     (SharedState, "pullback_memory"),
     (ReadsLater, "pullback_memory"),
-    (AtOwnParameters, "finite_differences"),
+    (GradientAtDefaults, "finite_differences"),
     (HardEdges, "edges"),
     (scaled(-1.0), "finite_differences"),
     (scaled(2.0), "finite_differences"),
@@ -284,7 +284,7 @@ BROKEN_RENDERERS: list[tuple[type[Sound], str]] = [
 
 
 class Wrapped:
-    """An objective that keeps the interface; the broken ones below each change one thing."""
+    """An objective that keeps the contract; each broken objective below changes one behaviour."""
 
     def __init__(self, reference: Any) -> None:
         self.inner = PixelL2(reference)
@@ -392,7 +392,7 @@ class BorrowedReference(Wrapped):
         raise NotImplementedError
 
 
-class NaNTakenForZero(Wrapped):
+class NaNReplacedByZero(Wrapped):
     def value(self, image: Any) -> Any:
         return super().value(np.nan_to_num(image))
 
@@ -442,7 +442,7 @@ BROKEN_OBJECTIVES: list[tuple[Callable[[Any], Any], str]] = [
     (MutatesImage, "no_mutation"),
     (MutatesReference, "no_mutation"),
     (BorrowedReference, "own_reference"),
-    (NaNTakenForZero, "non_finite"),
+    (NaNReplacedByZero, "non_finite"),
     (NaNIsAKeyError, "non_finite"),
     (IgnoresWeights, "weights"),
     (UnweightedGradient, "weights"),
