@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
@@ -10,25 +10,13 @@ from torch import Tensor
 __all__ = ["SurfaceSamples", "barycentric_weights", "gather_corners", "interpolate"]
 
 
-@dataclass(frozen=True)
-class SurfaceSamples:
-    """Points in the image, each with the triangle that is visible there.
+class SurfaceSamples(NamedTuple):
+    """Points in the image, each with the triangle that is visible there."""
 
-    Attributes
-    ----------
-    corners : Tensor of int64, shape (s, 3)
-        Vertices of the triangle.
-    mesh : Tensor of int64, shape (s,)
-        Index of its mesh.
-    points : Tensor, shape (s, 2)
-        (x, y) in pixels.
-    triangle : Tensor of int64, shape (s,)
-    """
-
-    corners: Tensor
-    mesh: Tensor
-    points: Tensor
-    triangle: Tensor
+    corners: Tensor  # (s, 3) int64: vertices of the triangle
+    mesh: Tensor  # (s,) int64
+    points: Tensor  # (s, 2): (x, y) in pixels
+    triangle: Tensor  # (s,) int64
 
 
 def gather_corners(values: Tensor, corners: Tensor) -> Tensor:

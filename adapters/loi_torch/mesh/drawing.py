@@ -68,11 +68,9 @@ def draw(
     covered = np.flatnonzero(centre_triangle >= 0)
     edges = edge_contributions(frame)
     # A side that shows the surface at the centre takes the colour of the centre; other sides are shaded at the edge.
-    rows = [
-        np.flatnonzero((triangle >= 0) & ~has_centre_colour)
-        for triangle, has_centre_colour in zip(edges.triangles, edges.has_centre_colour, strict=True)
-    ]
-    triangles = [triangle[side_rows] for triangle, side_rows in zip(edges.triangles, rows, strict=True)]
+    sides = list(zip(edges.triangles, edges.has_centre_colour, strict=True))
+    rows = [np.flatnonzero((triangle >= 0) & ~has_centre_colour) for triangle, has_centre_colour in sides]
+    triangles = [triangle[side_rows] for (triangle, _), side_rows in zip(sides, rows, strict=True)]
     points = [edges.points.index_select(0, frame.index_tensor(side_rows)) for side_rows in rows]
     samples = frame.samples(
         np.concatenate([centre_triangle[covered], *triangles]), torch.cat([frame.pixel_centres(covered), *points])
@@ -87,7 +85,7 @@ def draw(
             torch.where(torch.as_tensor(has_centre_colour, device=frame.device)[:, None], centre, uncovered).index_copy(
                 0, frame.index_tensor(side_rows), colours
             )
-            for has_centre_colour, side_rows, colours in zip(edges.has_centre_colour, rows, side_colours, strict=True)
+            for (_, has_centre_colour), side_rows, colours in zip(sides, rows, side_colours, strict=True)
         )
         image = image.index_add(0, pixels, edges.areas[:, None] * (right - left))
     return frame.connected(image).reshape(height, width, 3)

@@ -6,8 +6,7 @@ the gradient of the motion.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 import torch
@@ -26,28 +25,14 @@ CENTRE_OFFSET_PX: Final = 1e-6  # displacement of a pixel's centre that lies on 
 MIN_CROSSING_SINE: Final = 1e-6  # of the angle between two lines below which their crossing is not differentiated
 
 
-@dataclass(frozen=True)
-class EdgeContributions:
-    """Changes of colour within pixels: each adds its area times the colour on the right less the colour on the left.
+class EdgeContributions(NamedTuple):
+    """Changes of colour within pixels: each adds its area times the colour on the right less the colour on the left."""
 
-    Attributes
-    ----------
-    pixels : array of int, shape (f,)
-    triangles : pair of arrays of int, shape (f,)
-        Triangles on the left and right, -1 for none.
-    has_centre_colour : pair of arrays of bool, shape (f,)
-        Whether the left, or the right, is the side of the pixel's centre and shows the same surface.
-    points : Tensor, shape (f, 2)
-        Where the colours of the two sides are evaluated, in pixels.
-    areas : Tensor, shape (f,)
-        See :func:`loi_torch.mesh.coverage.hidden_area`.
-    """
-
-    pixels: Any
-    triangles: tuple[Any, Any]
-    has_centre_colour: tuple[Any, Any]
-    points: Tensor
-    areas: Tensor
+    pixels: Any  # (f,) int
+    triangles: tuple[Any, Any]  # (f,) int: on the left and right, -1 for none
+    has_centre_colour: tuple[Any, Any]  # (f,) bool: whether a side has the pixel's centre and shows the same surface
+    points: Tensor  # (f, 2): positions of the colours of the two sides, in pixels
+    areas: Tensor  # (f,): see :func:`loi_torch.mesh.coverage.hidden_area`
 
 
 def edge_contributions(frame: Frame) -> EdgeContributions:
@@ -179,9 +164,8 @@ def _depth_planes(frame: Frame, triangle: Any) -> Tensor:
     """Return the reversed depth of triangles as a x + b y + c, shape (g, 3)."""
     vertices = frame.index_tensor(frame.topology.faces[triangle])
     corners = gather_corners(frame.corners, vertices)
-    functions = torch.stack(
-        [torch.linalg.cross(corners[:, (k + 1) % 3], corners[:, (k + 2) % 3]) for k in range(3)], dim=1
-    )
+    opposite = [torch.linalg.cross(corners[:, (k + 1) % 3], corners[:, (k + 2) % 3]) for k in range(3)]
+    functions = torch.stack(opposite, dim=1)
     depth = gather_corners(frame.depth[:, None], vertices)
     return (functions * depth).sum(dim=1) / (corners[:, 0] * functions[:, 0]).sum(dim=1, keepdim=True)
 

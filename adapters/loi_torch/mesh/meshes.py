@@ -116,10 +116,9 @@ class Mesh:
         vertices = finite_tensor("vertices", self.vertices, (None, 3))
         count = len(vertices)
         faces = _checked_faces(self.faces, count)
-        self._set(faces=faces)
         default = (1.0, 1.0, 1.0) if self.texture is not None else (0.8, 0.8, 0.8)
         colours = finite_tensor("colours", default if self.colours is None else self.colours)
-        self._set(per=_colour_domain(self.per, colours, count, len(faces)), colours=colours)
+        self._set(faces=faces, colours=colours, per=_colour_domain(self.per, colours, count, len(faces)))
         if not isinstance(self.material, Material):
             msg = f"`material` must be a Material, got {shown(self.material)}"
             raise ParameterError(msg)

@@ -99,16 +99,15 @@ class SceneParameters:
                 self._initial[name] = np.array(to_numpy(entries[target].detach()), dtype=np.float64)
             else:
                 if target.shape not in scene.meshes:
-                    names = ", ".join(scene.meshes) or "none"
-                    msg = f"`parameters[{name!r}]` must move one of the meshes {names}, got {target.shape!r}"
+                    meshes = ", ".join(scene.meshes) or "none"
+                    msg = f"`parameters[{name!r}]` must move one of the meshes {meshes}, got {target.shape!r}"
                     raise ParameterError(msg)
                 self._initial[name] = target.initial()
                 self._centres[target.shape] = _box_centre(scene.meshes[target.shape].vertices.detach())
-        texts = [target for target in self.targets.values() if isinstance(target, str)]
-        for text in texts:
-            if texts.count(text) > 1:
-                names = ", ".join(repr(name) for name, target in self.targets.items() if target == text)
-                msg = f"`parameters` must not set one entry twice, got {names}"
+        for entry in entries:
+            names = [repr(name) for name, target in self.targets.items() if target == entry]
+            if len(names) > 1:
+                msg = f"`parameters` must not set one entry twice, got {', '.join(names)}"
                 raise ParameterError(msg)
 
     def parameters(self) -> dict[str, FloatArray]:

@@ -28,16 +28,8 @@ __all__ = ["Frame"]
 class Frame:
     """Meshes projected to an image, with their visible triangles and edge segments.
 
-    Attributes
-    ----------
-    vertices : Tensor, shape (n, 3)
-        Of all meshes, in world units.
-    corners, depth : Tensor, shapes (n, 3) and (n,)
-        The vertices in homogeneous pixels and their reversed depth, see :meth:`Camera.project`.
-    topology, scene, visible
-        The triangles of all meshes, their projection, and the result of the visibility pass, without gradients.
-    first_vertex, first_triangle : array of int
-        Offsets of each mesh.
+    `vertices` are in world units; `corners` and `depth` are their projection by :meth:`Camera.project`. The `topology`,
+    the projected `scene` and its `visible` segments carry no gradients.
     """
 
     def __init__(self, meshes: Sequence[Mesh], camera: Camera, height: int, width: int) -> None:

@@ -77,9 +77,7 @@ def read_mesh(path: pathlib.Path | str, **options: Any) -> Mesh:
         raise MeshError(msg)
     vertices = np.concatenate([geometry.vertices for geometry in geometries])
     first = np.append(0, np.cumsum([len(geometry.vertices) for geometry in geometries]))
-    faces = np.concatenate(
-        [geometry.faces + offset for geometry, offset in zip(geometries, first, strict=False)]  # one offset more
-    )
+    faces = np.concatenate([geometry.faces + offset for geometry, offset in zip(geometries, first, strict=False)])
     if suffix == ".stl":  # which stores the corners of each triangle separately
         welds = weld_vertices(np.asarray(vertices, dtype=np.float64))
         _, first_of_weld = np.unique(welds, return_index=True)

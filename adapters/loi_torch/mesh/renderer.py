@@ -104,12 +104,10 @@ class MeshRenderer(Painted):
         device: str = "cpu",
     ) -> None:
         self._size = check_size("height", height), check_size("width", width)
-        if lights is not None and not isinstance(lights, Mapping):
+        lights = {"light": Light()} if lights is None else lights
+        if not isinstance(lights, Mapping):
             msg = f"`lights` must be a dict of names and lights, got {shown(lights)}"
             raise ParameterError(msg)
-        scene_lights = {name: _from_table(Light, "lights", name, value) for name, value in (lights or {}).items()}
-        if lights is None:
-            scene_lights = {"light": Light()}
         if environment is not None and not isinstance(environment, Environment):
             environment = Environment(_linear_image(environment))
         if not isinstance(background, Environment):
@@ -117,7 +115,7 @@ class MeshRenderer(Painted):
         scene = MeshScene(
             _scene_meshes(meshes, textures or {}, materials or {}),
             _from_table(Camera, "camera", None, camera),
-            scene_lights,
+            {name: _from_table(Light, "lights", name, light) for name, light in lights.items()},
             environment,
             background,
         )

@@ -35,22 +35,17 @@ class EndpointKind(IntEnum):
 
 
 class EdgeSegments(NamedTuple):
-    """Visible edge segments with classified end points.
+    """Visible edge segments, see :class:`loi_torch.mesh.visibility.types.VisibleSegments`, with classified end points.
 
-    Attributes
-    ----------
-    edge, span, pixel, triangles
-        As in :class:`loi_torch.mesh.visibility.types.VisibleSegments`.
-    endpoints : array of int, shape (f, 2, 3)
-        For the start and the end: the :class:`EndpointKind`, and the two vertices of the edge or the two triangles of
-        the intersection.
+    For the start and the end, `endpoints` has the :class:`EndpointKind`, and the two vertices of the edge or the two
+    triangles of the intersection.
     """
 
     edge: IndexArray
     span: FloatArray
     pixel: IndexArray
     triangles: IndexArray
-    endpoints: IndexArray
+    endpoints: IndexArray  # (f, 2, 3)
 
 
 def classify_endpoints(scene: ProjectedScene, visible: VisibleSegments) -> EdgeSegments:
@@ -68,9 +63,8 @@ def classify_endpoints(scene: ProjectedScene, visible: VisibleSegments) -> EdgeS
     a, b = start[segment], end[segment]
     edges = topology.edges[segments.edge[segment]]
     t = [_meeting_position(a, b, _line_through(scene, topology.faces[occluder], k)[0]) for k in range(3)]
-    is_on_left = _have_edges(
-        topology.welded_faces[visible.triangles[segment, 0].clip(0)], topology.welded_edges[visible.edge[segment]]
-    )
+    left = topology.welded_faces[visible.triangles[segment, 0].clip(0)]
+    is_on_left = _have_edges(left, topology.welded_edges[visible.edge[segment]])
     owner = visible.triangles[segment, np.where(is_on_left, 0, 1)]
     plane = _depth_planes(scene, occluder)
     rise = scene.depth[edges[:, 1]] - scene.depth[edges[:, 0]]
@@ -204,9 +198,8 @@ def _split_occluders(
     if not cuts:
         return segments
     split = np.array(list(cuts))
-    left_is_front = _have_edges(
-        topology.welded_faces[segments.triangles[split, 0]], topology.welded_edges[segments.edge[split]]
-    )
+    left = topology.welded_faces[segments.triangles[split, 0]]
+    left_is_front = _have_edges(left, topology.welded_edges[segments.edge[split]])
     is_whole = np.ones(len(segments.edge), bool)
     is_whole[split] = False
     sources, spans, triangles, endpoints = [], [], [], []
@@ -246,9 +239,8 @@ def _cut_positions(
     candidates = np.flatnonzero(np.isin(segments.pixel, pixels))
     edges = np.sort(welded_edges[segments.edge[candidates]], axis=1)
     cuts: dict[int, list[tuple[float, int]]] = {}
-    for source, pixel, (a, b) in zip(
-        candidates.tolist(), segments.pixel[candidates].tolist(), edges.tolist(), strict=True
-    ):
+    pixels = segments.pixel[candidates]
+    for source, pixel, (a, b) in zip(candidates.tolist(), pixels.tolist(), edges.tolist(), strict=True):
         for e in ending.get((pixel, a, b), ()):
             c, d = corners[source]
             slope = float(lines[e] @ (d - c))

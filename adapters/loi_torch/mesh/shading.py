@@ -29,31 +29,28 @@ def shade(
 
     Samples are fixed in the image; with `attached`, they move with the surface, at constant barycentric coordinates.
     """
-    total = len(samples.points)
-    result = torch.zeros((total, 3), dtype=torch.float64, device=frame.device)
-    for index, mesh in enumerate(frame.meshes):
-        if len(frame.meshes) > 1:
-            rows = torch.nonzero(samples.mesh == index)[:, 0]
-            if not len(rows):
-                continue
-            columns = (getattr(samples, name)[rows] for name in ("corners", "mesh", "points", "triangle"))
-            colours = _shade_mesh(frame, index, mesh, SurfaceSamples(*columns), lights, environment, attached=attached)
+    if len(frame.meshes) == 1:
+        return _shade_mesh(frame, 0, samples, lights, environment, attached=attached)
+    result = torch.zeros((len(samples.points), 3), dtype=torch.float64, device=frame.device)
+    for index in range(len(frame.meshes)):
+        rows = torch.nonzero(samples.mesh == index)[:, 0]
+        if len(rows):
+            of_mesh = SurfaceSamples(*(column[rows] for column in samples))
+            colours = _shade_mesh(frame, index, of_mesh, lights, environment, attached=attached)
             result = result.index_copy(0, rows, colours)
-        else:
-            result = _shade_mesh(frame, index, mesh, samples, lights, environment, attached=attached)
     return result
 
 
 def _shade_mesh(
     frame: Frame,
     index: int,
-    mesh: Mesh,
     samples: SurfaceSamples,
     lights: Sequence[Light],
     environment: Environment | None,
     *,
     attached: bool,
 ) -> Tensor:
+    mesh = frame.meshes[index]
     screen = gather_corners(frame.corners, samples.corners)
     weights, functions = barycentric_weights(screen, samples.points)
     if attached:

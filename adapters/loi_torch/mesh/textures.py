@@ -18,7 +18,8 @@ class MipPyramid:
         self._wrap = wrap
         self._levels = [texture]
         while max(self._levels[-1].shape[1:3]) > 1:
-            self._levels.append(_halved(self._levels[-1]))
+            # Areas of 2 x 2 texels, slightly larger along odd sides, so that every texel has the same weight.
+            self._levels.append(_halved_along(_halved_along(self._levels[-1], 1), 2))
 
     def sample(self, layer: Tensor, position: Tensor, footprint: Tensor | None = None) -> Tensor:
         """Return the colours, shape (s, c), at positions from the top left corner (0, 0) to (1, 1), shape (s, 2).
@@ -58,11 +59,6 @@ class MipPyramid:
             for row in rows
         )
         return (1.0 - bottom_weight) * upper + bottom_weight * lower
-
-
-def _halved(texture: Tensor) -> Tensor:
-    """Average areas of 2 x 2 texels, slightly larger along odd sides, so that every texel has the same weight."""
-    return _halved_along(_halved_along(texture, 1), 2)
 
 
 def _halved_along(texture: Tensor, axis: int) -> Tensor:

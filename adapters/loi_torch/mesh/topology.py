@@ -15,40 +15,23 @@ IndexArray: TypeAlias = np.ndarray[Any, np.dtype[np.int32]]
 
 
 class Topology(NamedTuple):
-    """Faces and edges of triangle meshes.
+    """Faces and edges of triangle meshes, by vertex indices.
 
-    Attributes
-    ----------
-    faces : array of int, shape (m, 3)
-        Vertex indices of each triangle.
-    welded_faces : array of int, shape (m, 3)
-        The same with one index for all vertices of equal position, so that triangles along a seam are adjacent.
-    component : array of int, shape (m,)
-        Connected component of each triangle. Only triangles of different components are tested for intersection.
-    smoothing_group : array of int, shape (m,)
-        Connected component of each triangle if shading discontinuities separate triangles.
-    edges, welded_edges : array of int, shape (e, 2)
-        Vertex indices of each edge, before and after welding.
-    adjacent_faces : array of int, shape (e, 2)
-        The first two triangles at each edge, -1 if there is no second one.
-    discontinuous : array of bool, shape (e,)
-        Edges with a shading discontinuity from every viewpoint: boundaries, creases, seams, and edges of three or more
-        triangles.
-    has_several_components : bool
-    inconsistent_edges : int
-        Number of edges of exactly two triangles that run in the same direction, so that one shows its back.
+    Welded indices are shared by vertices of equal position, so that triangles along a seam are adjacent. Only triangles
+    of different components are tested for intersection. Smoothing groups are components without shading discontinuities
+    inside. Boundaries, creases, seams, and edges of three or more triangles are discontinuous from every viewpoint.
     """
 
-    faces: IndexArray
-    welded_faces: IndexArray
-    component: IndexArray
-    smoothing_group: IndexArray
-    edges: IndexArray
-    welded_edges: IndexArray
-    adjacent_faces: IndexArray
-    discontinuous: np.ndarray[Any, np.dtype[np.bool_]]
+    faces: IndexArray  # (m, 3)
+    welded_faces: IndexArray  # (m, 3)
+    component: IndexArray  # (m,)
+    smoothing_group: IndexArray  # (m,)
+    edges: IndexArray  # (e, 2)
+    welded_edges: IndexArray  # (e, 2)
+    adjacent_faces: IndexArray  # (e, 2): the first two triangles at each edge, -1 if there is no second one
+    discontinuous: np.ndarray[Any, np.dtype[np.bool_]]  # (e,)
     has_several_components: bool
-    inconsistent_edges: int
+    inconsistent_edges: int  # number of edges of two triangles in the same direction, so that one shows its back
 
 
 def weld_vertices(vertices: FloatArray) -> IndexArray:
@@ -106,27 +89,25 @@ def concatenate(topologies: Sequence[Topology], vertex_counts: Sequence[int]) ->
     """Return the topology of several meshes as one list of triangles."""
     if len(topologies) == 1:
         return topologies[0]
-    vertex_offset = np.append(0, np.cumsum(vertex_counts)).astype(np.int32)
-    face_offset = np.append(0, np.cumsum([len(topology.faces) for topology in topologies])).astype(np.int32)
 
-    def shifted(name: str, columns: int) -> IndexArray:
-        rows = [getattr(topology, name) + offset for topology, offset in zip(topologies, vertex_offset, strict=False)]
-        return np.concatenate([np.zeros((0, columns), np.int32), *rows])
+    def shifted(name: str, counts: Sequence[int], *row_shape: int) -> IndexArray:
+        offsets = np.append(0, np.cumsum(counts)).astype(np.int32)
+        arrays = [getattr(topology, name) for topology in topologies]
+        rows = [np.where(array < 0, -1, array + offset) for array, offset in zip(arrays, offsets, strict=False)]
+        return np.concatenate([np.zeros((0, *row_shape), np.int32), *rows]).astype(np.int32)
 
-    adjacent = [
-        np.where(topology.adjacent_faces < 0, -1, topology.adjacent_faces + offset)
-        for topology, offset in zip(topologies, face_offset, strict=False)
-    ]
+    n_components = [int(topology.component.max(initial=-1)) + 1 for topology in topologies]
+    n_groups = [int(topology.smoothing_group.max(initial=-1)) + 1 for topology in topologies]
     return Topology(
-        faces=shifted("faces", 3),
-        welded_faces=shifted("welded_faces", 3),
-        component=_concatenate_labels([topology.component for topology in topologies]),
-        smoothing_group=_concatenate_labels([topology.smoothing_group for topology in topologies]),
-        edges=shifted("edges", 2),
-        welded_edges=shifted("welded_edges", 2),
-        adjacent_faces=np.concatenate([np.zeros((0, 2), np.int32), *adjacent]).astype(np.int32),
+        faces=shifted("faces", vertex_counts, 3),
+        welded_faces=shifted("welded_faces", vertex_counts, 3),
+        component=shifted("component", n_components),
+        smoothing_group=shifted("smoothing_group", n_groups),
+        edges=shifted("edges", vertex_counts, 2),
+        welded_edges=shifted("welded_edges", vertex_counts, 2),
+        adjacent_faces=shifted("adjacent_faces", [len(topology.faces) for topology in topologies], 2),
         discontinuous=np.concatenate([np.zeros(0, np.bool_), *(topology.discontinuous for topology in topologies)]),
-        has_several_components=sum(int(topology.component.max(initial=-1)) + 1 for topology in topologies) > 1,
+        has_several_components=sum(n_components) > 1,
         inconsistent_edges=sum(topology.inconsistent_edges for topology in topologies),
     )
 
@@ -134,15 +115,6 @@ def concatenate(topologies: Sequence[Topology], vertex_counts: Sequence[int]) ->
 def _half_edges(faces: IndexArray) -> IndexArray:
     """Return the three directed edges of each triangle, shape (3 * m, 2)."""
     return np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
-
-
-def _concatenate_labels(labels: Sequence[IndexArray]) -> IndexArray:
-    """Return the labels of several meshes, each from 0, as distinct labels."""
-    shifted, n_labels = [np.zeros(0, np.int32)], 0
-    for label in labels:
-        shifted.append(label + np.int32(n_labels))
-        n_labels += int(label.max(initial=-1)) + 1
-    return np.concatenate(shifted)
 
 
 def _components(count: int, pairs: IndexArray) -> IndexArray:
