@@ -99,7 +99,7 @@ def findings() -> list[Finding]:
         listed.append(_package(name, module, how_to_install(name), required=False))
         if listed[-1].state == "ok":
             diagnose = getattr(sys.modules[module], "diagnose", list)
-            listed += [Finding(part, "ok", detail) for part, detail in diagnose()]
+            listed += [Finding(topic, "ok", detail) for topic, detail in diagnose()]
     listed.append(_numba())
     listed += [_package(name, name, how_to_install(extra), required=False) for name, extra in EXTRAS.items()]
     listed.append(_gpu())

@@ -18,7 +18,7 @@ from loi_core.support.arrays import Host, to_numpy
 from loi_core.support.charts import sparkline
 from loi_core.support.repr_html import card, figure, row, table
 
-__all__ = ["convergence_points", "numbers", "result_html"]
+__all__ = ["convergence_points", "result_html"]
 
 MAX_PICTURES: Final = 4
 MAX_PARAMETERS: Final = 12
@@ -67,7 +67,7 @@ def convergence_points(history: Sequence[FitStep]) -> list[list[tuple[float, flo
     ]
 
 
-def numbers(value: Host) -> str:
+def _numbers(value: Host) -> str:
     """Return the numbers of a parameter as text, or the shape and range of a large one."""
     if value.size > MAX_NUMBERS:
         return f"{'x'.join(map(str, value.shape))} from {np.min(value):.4g} to {np.max(value):.4g}"
@@ -79,7 +79,7 @@ def _parameter_rows(params: Parameters, free: Collection[str], history: Sequence
     start = history[0].params if len(history) else {}
     names = [name for name in params if name in free]
     rows = [
-        [name, numbers(start[name]) if name in start else "", numbers(np.asarray(to_numpy(params[name])))]
+        [name, _numbers(start[name]) if name in start else "", _numbers(np.asarray(to_numpy(params[name])))]
         for name in names[:MAX_PARAMETERS]
     ]
     omitted = len(names) - MAX_PARAMETERS

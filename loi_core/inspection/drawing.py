@@ -59,7 +59,7 @@ def inner_image(image: FloatImage, scales: ScaleSpace, sigma: float) -> FloatIma
     return np.moveaxis(blur_about(blur, planes, scales.padding), 0, -1)
 
 
-def isophote_lines(inner: FloatImage, levels: Host, beta: float, side: int) -> FloatImage:
+def isophote_lines(inner: FloatImage, levels: Host, beta: float, max_side: int) -> FloatImage:
     """Return lines of equal intensity, shape (H, W, C), each channel in its own colour.
 
     Parameters
@@ -70,10 +70,10 @@ def isophote_lines(inner: FloatImage, levels: Host, beta: float, side: int) -> F
         The intensities of the lines.
     beta : float
         The tonal scale.
-    side : int
-        A smaller image is enlarged by a whole factor, to a longer side of at most `side`.
+    max_side : int
+        A smaller image is enlarged by a whole factor, to a longer side of at most `max_side`.
     """
-    image = _enlarged(inner, max(1, side // max(inner.shape[:2])))
+    image = _enlarged(inner, max(1, max_side // max(inner.shape[:2])))
     down, right = (np.gradient(image, axis=axis) if image.shape[axis] > 1 else np.zeros_like(image) for axis in (0, 1))
     slope = np.hypot(down, right)
     difference = np.min(np.abs(image[..., None] - levels), axis=-1)
@@ -98,7 +98,7 @@ def _enlarged(image: FloatImage, factor: int) -> FloatImage:
     for axis in (0, 1):
         size = image.shape[axis]
         position = np.clip((np.arange(factor * size) + 0.5) / factor - 0.5, 0.0, size - 1.0)
-        low = np.minimum(np.floor(position).astype(int), max(0, size - 2))
-        weight = np.expand_dims(position - low, tuple({0, 1, 2} - {axis}))
-        image = (1.0 - weight) * image.take(low, axis) + weight * image.take(np.minimum(low + 1, size - 1), axis)
+        lower = np.minimum(np.floor(position).astype(int), max(0, size - 2))
+        weight = np.expand_dims(position - lower, tuple({0, 1, 2} - {axis}))
+        image = (1.0 - weight) * image.take(lower, axis) + weight * image.take(np.minimum(lower + 1, size - 1), axis)
     return image

@@ -40,7 +40,7 @@ def packed_histograms(pair: Pair) -> dict[str, Any]:
         for image in (pair.image, pair.reference)
     ]
     differences = np.diff(np.concatenate(roots).astype(np.uint8), prepend=np.uint8(0))
-    low, high = pair.scales.bounds
+    lower, upper = pair.scales.bounds
     tail = 2.0 * max(scales.beta)
     return {
         "names": pair.names,
@@ -49,8 +49,8 @@ def packed_histograms(pair: Pair) -> dict[str, Any]:
         "rows": [min(pair.height - 1, row * pair.factor + pair.factor // 2) for row in rows],
         "columns": [min(pair.width - 1, column * pair.factor + pair.factor // 2) for column in columns],
         "channels": CHANNEL_NAMES[channels],
-        "bounds": [low, high],
-        "shown": [low - tail, high + tail],
+        "bounds": [lower, upper],
+        "shown": [lower - tail, upper + tail],
         "p": scales.p,
         "groups": [
             {

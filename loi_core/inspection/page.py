@@ -144,7 +144,7 @@ move it, with Shift farther.</p>
 
     def _scales(self) -> Iterator[str]:
         findings = self.findings
-        side = MAP_SIDE_PX if len(findings.scales) <= FEW_SCALES else SMALL_MAP_SIDE_PX
+        max_side = MAP_SIDE_PX if len(findings.scales) <= FEW_SCALES else SMALL_MAP_SIDE_PX
         yield '<section aria-labelledby="parts"><h2 id="parts">The contribution of each scale</h2>'
         yield (
             "<p>The loss map is the distance of the two histograms at every pixel; its mean is the contribution of "
@@ -152,7 +152,7 @@ move it, with Shift farther.</p>
             "stay. Each map has its own range.</p>"
         )
         for index, scale in enumerate(findings.scales):
-            yield self._card(index, scale, side)
+            yield self._card(index, scale, max_side)
         yield (
             "<p><b>Small object</b>: the largest distance of a bright disk, alone on a flat frame of this size, that "
             f"is still drawn to its position. <b>This image</b>: how far {escape(self.pair.names[1])} may be shifted "
@@ -162,9 +162,9 @@ move it, with Shift farther.</p>
             "sum of all scales the widest takes over where the narrow ones end.</p></section>"
         )
 
-    def _card(self, index: int, scale: ScaleFindings, side: int) -> str:
+    def _card(self, index: int, scale: ScaleFindings, max_side: int) -> str:
         name = _scale_name(scale.key, self.pair)
-        loss, gradient = loss_colours(reduced(scale.loss, side)), signed_to_grey(reduced(-scale.gradient, side))
+        loss, gradient = loss_colours(reduced(scale.loss, max_side)), signed_to_grey(reduced(-scale.gradient, max_side))
         caption = f"loss map, up to {robust_maximum(scale.loss):.3g}"
         figures = self._figure(f"loss{index}", loss, f"loss map, {name}", caption)
         figures += self._figure(f"gradient{index}", gradient, f"gradient, {name}", "gradient")
@@ -197,7 +197,7 @@ move it, with Shift farther.</p>
         )
         yield '<div class="pictures">'
         single = len(pair.scales.sigma) * len(pair.scales.beta) == 1 and self._has_few_levels()
-        side = PICTURE_SIDE_PX if single else SMALL_PICTURE_SIDE_PX
+        max_side = PICTURE_SIDE_PX if single else SMALL_PICTURE_SIDE_PX
         images = [("image", pair.image, pair.names[0]), ("reference", pair.reference, pair.names[1])]
         images = images[1:] if pair.shift else images
         yield self._figure("reference", self._display(pair.reference), pair.names[1])
@@ -205,11 +205,11 @@ move it, with Shift farther.</p>
             for number, (sigma, computed_sigma) in enumerate(
                 zip(pair.scales.sigma, pair.computed_scales.sigma, strict=True)
             ):
-                inner = reduced(inner_image(image, pair.computed_scales, computed_sigma), side)
+                inner = reduced(inner_image(image, pair.computed_scales, computed_sigma), max_side)
                 if sigma > 0.0:
                     yield self._figure(f"{key}-{number}", self._display(inner), f"{name} at sigma {sigma:g} px")
                 for tonal, beta in enumerate(pair.scales.beta):
-                    lines = isophote_lines(inner, self._levels(beta), beta, side)
+                    lines = isophote_lines(inner, self._levels(beta), beta, max_side)
                     caption = f"isophotes of {name}, sigma {sigma:g} px, {beta:g} apart"
                     yield self._figure(f"{key}-lines-{number}-{tonal}", lines, caption)
         yield "</div>"
@@ -221,8 +221,8 @@ move it, with Shift farther.</p>
         """Yield an image at the first inner and tonal scale, level by level."""
         scales = self.pair.computed_scales
         beta = scales.beta[0]
-        side = LEVEL_SIDE_PX if self._has_few_levels() else LEVEL_SIDE_PX // 2
-        inner = reduced(inner_image(image, scales, scales.sigma[0]), side)
+        max_side = LEVEL_SIDE_PX if self._has_few_levels() else LEVEL_SIDE_PX // 2
+        inner = reduced(inner_image(image, scales, scales.sigma[0]), max_side)
         yield f"<h3>{escape(name)}, one picture for each tonal level: the density of that intensity</h3>"
         yield '<div class="strip">'
         for level in self._levels(beta):
@@ -241,9 +241,9 @@ move it, with Shift farther.</p>
 
     def _levels(self, beta: float) -> Host:
         """Return the tonal levels within the bounds."""
-        low, high = self.pair.scales.bounds
+        lower, upper = self.pair.scales.bounds
         levels = self.pair.scales.levels(beta)
-        return levels[(levels >= low - LEVEL_MARGIN * beta) & (levels <= high + LEVEL_MARGIN * beta)]
+        return levels[(levels >= lower - LEVEL_MARGIN * beta) & (levels <= upper + LEVEL_MARGIN * beta)]
 
     def _display(self, image: FloatImage) -> FloatImage:
         shown: FloatImage = Display.of(self.pair.reference, None).show(reduced(image, PICTURE_SIDE_PX))
@@ -267,10 +267,10 @@ def _image(key: str, image: Host, alt: str) -> str:
 def _scale_name(key: ScaleKey, pair: Pair) -> str:
     """Return the name of a scale: its extent, and sigma and beta where there are several."""
     alpha, beta, sigma = key
-    parts = [f"extent {alpha:g} px"]
-    parts += [f"sigma {sigma:g} px"] if len(pair.scales.sigma) > 1 else []
-    parts += [f"beta {beta:g}"] if len(pair.scales.beta) > 1 else []
-    return ", ".join(parts)
+    labels = [f"extent {alpha:g} px"]
+    labels += [f"sigma {sigma:g} px"] if len(pair.scales.sigma) > 1 else []
+    labels += [f"beta {beta:g}"] if len(pair.scales.beta) > 1 else []
+    return ", ".join(labels)
 
 
 def _largest_share(findings: Findings) -> str:
@@ -282,6 +282,6 @@ def _largest_share(findings: Findings) -> str:
     return f", {largest.share:.0%} of it from {_scale_name(largest.key, findings.pair)}"
 
 
-def _swatch(kind: str) -> str:
-    path = "M0 4H16" if kind == "theirs" else "M0 0H16V8H0Z"
-    return f'<svg viewBox="0 0 16 8" aria-hidden="true"><path class="{kind}" d="{path}"/></svg>'
+def _swatch(series: str) -> str:
+    path = "M0 4H16" if series == "theirs" else "M0 0H16V8H0Z"
+    return f'<svg viewBox="0 0 16 8" aria-hidden="true"><path class="{series}" d="{path}"/></svg>'

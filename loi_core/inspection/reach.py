@@ -91,9 +91,9 @@ def reach_of_object(scales: ScaleSpace, height: int, width: int) -> dict[ScaleKe
     def frame(distance: int) -> FloatImage:
         rows, columns = np.indices(size)
         from_centre = np.hypot(rows - (size[0] - 1) / 2, columns - round(OBJECT_POSITION * size[1]) - distance)
-        low, high = scales.bounds
+        lower, upper = scales.bounds
         coverage = np.clip(radius + 0.5 - from_centre, 0.0, 1.0)
-        image: FloatImage = low + (high - low) * (0.5 + 0.25 * coverage)
+        image: FloatImage = lower + (upper - lower) * (0.5 + 0.25 * coverage)
         return image[..., None]
 
     distances = _distances(round(MAX_OBJECT_SHIFT * size[1]))

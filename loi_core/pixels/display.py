@@ -41,8 +41,8 @@ class Display:
         """Return the display for a target; it changes nothing if the target lies in [0, 1] and is not linear."""
         finite = target[np.isfinite(target)]
         white = float(np.quantile(finite, WHITE_QUANTILE)) if finite.size else 1.0
-        high = white > 1.0
-        return cls(1.0 / white if high else 1.0, encoding == "linear" or (encoding is None and high))
+        is_bright = white > 1.0
+        return cls(1.0 / white if is_bright else 1.0, encoding == "linear" or (encoding is None and is_bright))
 
     def show(self, image: Host) -> Host:
         """Return `image` as values in [0, 1] for a display; NaN is black."""
@@ -58,10 +58,10 @@ class Display:
     @property
     def note(self) -> str:
         """The changes to the values, for a caption; empty if there are none."""
-        parts = ["encoded as sRGB"] if self.encode else []
+        changes = ["encoded as sRGB"] if self.encode else []
         if self.exposure != 1.0:
-            parts.insert(0, f"exposed by {math.log2(self.exposure):+.1f} stops")
-        return f"pictures are {' and '.join(parts)}" if parts else ""
+            changes.insert(0, f"exposed by {math.log2(self.exposure):+.1f} stops")
+        return f"pictures are {' and '.join(changes)}" if changes else ""
 
 
 def robust_maximum(values: Host) -> float:

@@ -1,4 +1,4 @@
-"""Thumbnails of images of any library, layout and range, for notebooks and logs."""
+"""Thumbnails of images of any library, layout and range, for notebooks."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from loi_core.pixels.display import Display
 from loi_core.support.arrays import Array, Host, to_numpy
 from loi_core.support.repr_html import picture
 
-__all__ = ["shown_pixels", "thumbnail"]
+__all__ = ["thumbnail"]
 
 MAX_SIDE_PX: Final = 160
 CHANNEL_COUNTS: Final = (1, 3, 4)
@@ -30,7 +30,7 @@ def thumbnail(image: Array, caption: str, channel_axis: int | str | None = "unkn
     """
     from PIL import Image
 
-    pixels = shown_pixels(image, channel_axis)
+    pixels = _as_rgb(image, channel_axis)
     if pixels is None:
         return ""
     size = pixels.shape[1], pixels.shape[0]
@@ -42,11 +42,8 @@ def thumbnail(image: Array, caption: str, channel_axis: int | str | None = "unkn
     return picture(png_bytes(np.asarray(small) / 255.0), size, caption)
 
 
-def shown_pixels(image: Array, channel_axis: int | str | None = "unknown") -> Host | None:
-    """Return an image as RGB, shape (H, W, 3), its values unchanged; None if the array cannot be shown.
-
-    The parameters are as in :func:`thumbnail`.
-    """
+def _as_rgb(image: Array, channel_axis: int | str | None) -> Host | None:
+    """Return an image as RGB, shape (H, W, 3), its values unchanged; None if the array cannot be shown."""
     pixels: np.ndarray[Any, Any] = np.asarray(to_numpy(image))
     axis = _find_channel_axis(pixels.shape) if channel_axis == "unknown" else channel_axis
     if axis == "unknown" or pixels.ndim < (2 if axis is None else 3) or not pixels.size:

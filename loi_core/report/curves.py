@@ -9,7 +9,7 @@ from html import escape
 from typing import Any, Final
 
 from loi_core.io.result_folder import HISTORY_FILE, SCALES_FILE
-from loi_core.report.document import embedded_json, scrollable
+from loi_core.report.document import embedded_json
 from loi_core.report.names import objective_label, scale_name
 from loi_core.report.pictures import Pictures
 from loi_core.report.tables import ScaleRows, read_columns, read_scale_rows
@@ -42,7 +42,6 @@ def curves(pictures: Pictures, result: Mapping[str, Any]) -> list[str]:
     if not figures:
         return []
     sections = [f'<h2>Convergence</h2><div class="charts">{figures}</div>']
-    sections += [_fraction_table(name, rows) for name, rows in tables.items() if rows]
     parameters = _parameter_charts(histories[result["trials"][0]["objective"]], result.get("truth"))
     figures = "".join(map(chart_figure, parameters))
     return [*sections, f'<h2>Parameters over time</h2><div class="charts">{figures}</div>'] if figures else sections
@@ -131,25 +130,6 @@ def _fraction_chart(name: str, rows: ScaleRows) -> Chart:
     lines = [Line(scale_name(*key), steps, values, colour) for colour, (key, values) in enumerate(fractions.items())]
     title = f"Share of each scale of {objective_label(name)}"
     return Chart(title, lines, stacked=True, note="Of the last stage's objective, at the recorded steps.")
-
-
-def _fraction_table(name: str, rows: ScaleRows) -> str:
-    steps, fractions = _fractions(rows)
-    if not steps:
-        return ""
-    heads = "".join(f'<th scope="col" class="n">{escape(scale_name(*key))}</th>' for key in fractions)
-    lines = [
-        f'<tr><th scope="row" class="n">{step}</th>'
-        + "".join(
-            f'<td class="n">{rows[key][step]:.4g} ({values[index]:.0%})</td>' for key, values in fractions.items()
-        )
-        + "</tr>"
-        for index, step in enumerate(steps)
-    ]
-    head = f'<thead><tr><th scope="col" class="n">step</th>{heads}</tr></thead>'
-    label = f"Scales of {objective_label(name)} as numbers"
-    table = scrollable(label, f"<table>{head}<tbody>{''.join(lines)}</tbody></table>")
-    return f"<details><summary>{escape(label)}</summary>{table}</details>"
 
 
 def _parameter_charts(columns: Columns, truth: object) -> list[Chart]:

@@ -53,8 +53,8 @@ def document(title: str, body: str, *, style: str = "", script: str = "", comman
         f'<meta name="viewport" content="width=device-width, initial-scale=1">{_generator(command)}'
         f"<title>{escape(title)}</title><style>{styles}</style>"
     )
-    end = f"<script>{script}</script>\n" if script else ""
-    return f'<!doctype html>\n<html lang="en"><head>{head}</head>\n<body>\n{body}\n{end}</body></html>\n'
+    element = f"<script>{script}</script>\n" if script else ""
+    return f'<!doctype html>\n<html lang="en"><head>{head}</head>\n<body>\n{body}\n{element}</body></html>\n'
 
 
 def embedded_json(value: Any) -> str:

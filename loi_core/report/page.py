@@ -82,9 +82,9 @@ def verdict_line(trial: Mapping[str, Any]) -> str:
     diagnosis = trial.get("diagnosis")
     if not isinstance(diagnosis, Mapping):
         return ""
-    parts = [str(diagnosis[key]) for key in ("verdict", "message") if diagnosis.get(key)]
+    texts = [str(diagnosis[key]) for key in ("verdict", "message") if diagnosis.get(key)]
     advice = str(diagnosis.get("advice") or "")
-    return ": ".join(parts) + (f"; {advice}" if advice else "")
+    return ": ".join(texts) + (f"; {advice}" if advice else "")
 
 
 def html_table(label: str, heads: Sequence[str], rows: Sequence[Sequence[str]], *, text_columns: Sequence[int]) -> str:
@@ -101,10 +101,13 @@ def html_table(label: str, heads: Sequence[str], rows: Sequence[Sequence[str]], 
     text_columns : sequence of int
         The columns that do not hold numbers.
     """
-    number = ["" if column in text_columns else ' class="n"' for column in range(len(heads))]
-    titles = "".join(f'<th scope="col"{kind}>{escape(head)}</th>' for head, kind in zip(heads, number, strict=True))
+    attributes = ["" if column in text_columns else ' class="n"' for column in range(len(heads))]
+    titles = "".join(
+        f'<th scope="col"{attribute}>{escape(head)}</th>' for head, attribute in zip(heads, attributes, strict=True)
+    )
     lines = "".join(
-        f"<tr>{''.join(f'<td{kind}>{cell}</td>' for cell, kind in zip(row, number, strict=True))}</tr>" for row in rows
+        f"<tr>{''.join(f'<td{attribute}>{cell}</td>' for cell, attribute in zip(row, attributes, strict=True))}</tr>"
+        for row in rows
     )
     return scrollable(label, f"<table><thead><tr>{titles}</tr></thead><tbody>{lines}</tbody></table>")
 
@@ -120,8 +123,8 @@ def _contents(results: Sequence[Mapping[str, Any]]) -> str:
     for run, result in enumerate(results):
         trial = result["trials"][0]
         link = f'<a href="#run-{run}">{escape(result["title"])}</a>'
-        start, end = (_number(trial.get(key), ".2f") for key in ("psnr_initial", "psnr"))
-        rows.append([link, _label(trial), start, end, escape(_outcome(trial))])
+        first, last = (_number(trial.get(key), ".2f") for key in ("psnr_initial", "psnr"))
+        rows.append([link, _label(trial), first, last, escape(_outcome(trial))])
     return html_table("Runs", heads, rows, text_columns=(0, 1, 4))
 
 
@@ -203,8 +206,8 @@ def _notes(result: Mapping[str, Any]) -> list[str]:
 
 def _verdict(trial: Mapping[str, Any]) -> str:
     """Return the outcome of the first fit as a highlighted line."""
-    start, end = real_number(trial.get("psnr_initial")), real_number(trial.get("psnr"))
-    quality = f"PSNR from {start:.1f} to {end:.1f} dB; " if math.isfinite(start) and math.isfinite(end) else ""
+    first, last = real_number(trial.get("psnr_initial")), real_number(trial.get("psnr"))
+    quality = f"PSNR from {first:.1f} to {last:.1f} dB; " if math.isfinite(first) and math.isfinite(last) else ""
     text = quality + _outcome(trial)
     if not text:
         return ""

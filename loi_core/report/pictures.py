@@ -19,9 +19,7 @@ PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
 SMOOTH_WIDTH: Final = 512  # pixels; narrower pictures are shown with hard pixels
 
 
-def picture_figure(
-    png: bytes, caption: str, attributes: str = "", *, image_class: str = "", key: str = "", alt: str = ""
-) -> str:
+def picture_figure(png: bytes, caption: str, attributes: str = "", *, key: str = "", alt: str = "") -> str:
     """Return a PNG with a caption as HTML.
 
     Parameters
@@ -31,15 +29,12 @@ def picture_figure(
         Also the alternative text, unless `alt` is given.
     attributes : str
         Attributes of the figure, as HTML.
-    image_class : str
-        The class of the image.
     key : str
         The name of the image for the script.
     alt : str
     """
     width, height = int.from_bytes(png[16:20], "big"), int.from_bytes(png[20:24], "big")
-    classes = image_class or ("pixels" if width < SMOOTH_WIDTH else "")
-    image = [f'class="{classes}"'] if classes else []
+    image = ['class="pixels"'] if width < SMOOTH_WIDTH else []
     image += [f'data-picture="{escape(key)}"'] if key else []
     image += [f'width="{width}" height="{height}"'] if 0 < width < 2**16 and 0 < height < 2**16 else []
     image += [f'alt="{escape(alt or caption)}" src="{data_uri(png)}"']
@@ -59,9 +54,7 @@ class Pictures:
         self._folder = folder
         self._remaining = MAX_TOTAL_BYTES
 
-    def figure(
-        self, name: str, caption: str, attributes: str = "", *, image_class: str = "", key: str = "", alt: str = ""
-    ) -> str:
+    def figure(self, name: str, caption: str, attributes: str = "", *, key: str = "", alt: str = "") -> str:
         """Return a PNG file of the folder as :func:`picture_figure` does; empty if it is missing or not a PNG.
 
         Raises
@@ -70,9 +63,7 @@ class Pictures:
             If it is a link, or too large.
         """
         png = self.read(name)
-        return (
-            "" if png is None else picture_figure(png, caption, attributes, image_class=image_class, key=key, alt=alt)
-        )
+        return "" if png is None else picture_figure(png, caption, attributes, key=key, alt=alt)
 
     def read(self, name: str) -> bytes | None:
         """Return the bytes of a PNG; None and errors as in :meth:`figure`."""

@@ -48,8 +48,8 @@ def write_gradients(folder: ResultFolder, scene: Scene, trial: Trial) -> list[di
     entries: dict[tuple[float, float, float], dict[str, Any]] = {}
     pictures: dict[str, Host] = {}
     if trial.result is not None and 0 < _count(scene, trial) <= MAX_SCALES:
-        ends = {name: to_numpy(image) for name, image in by_view(trial.result.image).items()}
-        for moment, images in zip(MOMENTS, (trial.starts, ends), strict=True):
+        final_images = {name: to_numpy(image) for name, image in by_view(trial.result.image).items()}
+        for moment, images in zip(MOMENTS, (trial.starts, final_images), strict=True):
             if set(images) != set(scene.views):
                 continue
             for (alpha, beta, sigma), pull in scale_descent(scene, trial.objective, images).items():

@@ -225,7 +225,7 @@ def _body(result: Tradeoff) -> str:
     figures = "".join(picture_figure(png_bytes(image), name) for name, image in images.items())
     rows = [list(map(escape, row)) for row in _cells(result)]
     table = html_table("Every setting", _heads(result), rows, text_columns=range(TEXT_COLUMNS))
-    parts = [
+    sections = [
         f"<main><h1>{escape(problem.name)}: the cost of accuracy</h1>",
         f'<p class="lead">{escape(_title(result))}</p>',
         f"<p><b>{escape(_advice(result))}</b></p>",
@@ -237,9 +237,9 @@ def _body(result: Tradeoff) -> str:
         heads, cells = _noise_table(result.noises)
         rows = [list(map(escape, row)) for row in cells]
         table = html_table("Noise of the renderer", heads, rows, text_columns=())
-        parts.append(f"<h2>The renderer</h2>{table}<p>{escape(_noise_note(result))}</p>")
-    parts += [f"<p>{escape(_missing(info.name, info.problem, info.fix))}</p>" for info in result.missing]
-    return "\n".join([*parts, "</main>"])
+        sections.append(f"<h2>The renderer</h2>{table}<p>{escape(_noise_note(result))}</p>")
+    sections += [f"<p>{escape(_missing(info.name, info.problem, info.fix))}</p>" for info in result.missing]
+    return "\n".join([*sections, "</main>"])
 
 
 def _chart(result: Tradeoff) -> str:
@@ -251,8 +251,8 @@ def _chart(result: Tradeoff) -> str:
     lines = [Line("Pareto set", times, errors, PARETO_COLOUR, mark="steps", labels=numbers)]
     noise = None if result.noise is None else result.noise.least
     if noise is not None and measured:
-        ends = [min(1e3 * row.seconds for row, _ in measured), max(1e3 * row.seconds for row, _ in measured)]
-        lines.append(Line("noise of the renderer's gradient", ends, [noise, noise], NOISE_COLOUR))
+        limits = [min(1e3 * row.seconds for row, _ in measured), max(1e3 * row.seconds for row, _ in measured)]
+        lines.append(Line("noise of the renderer's gradient", limits, [noise, noise], NOISE_COLOUR))
     for colour, backend in enumerate(dict.fromkeys(row.setting.backend for row, _ in measured), FIRST_BACKEND_COLOUR):
         rows = [row for row, _ in measured if row.setting.backend == backend]
         lines.append(_points(backend, [row for row in rows if not row.setting.change], colour, "dot"))

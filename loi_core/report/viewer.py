@@ -132,8 +132,8 @@ def gradients(pictures: Pictures, result: Mapping[str, Any]) -> list[str]:
         if not all(map(math.isfinite, (sigma, alpha, beta))):
             continue
         name, norms = scale_name(sigma, alpha, beta), entry.get("gradient_norm")
-        start, end = (real_number(norms.get(m)) if isinstance(norms, Mapping) else math.nan for m in MOMENTS)
-        growth = f", {end / start:.2g} times as strong" if start > 0.0 and math.isfinite(end / start) else ""
+        first, last = (real_number(norms.get(m)) if isinstance(norms, Mapping) else math.nan for m in MOMENTS)
+        growth = f", {last / first:.2g} times as strong" if first > 0.0 and math.isfinite(last / first) else ""
         figures = []
         for moment, caption in zip(MOMENTS, ("at the start", f"at the end{growth}"), strict=True):
             file = gradient_file(moment, sigma, alpha, beta)

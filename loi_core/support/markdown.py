@@ -17,8 +17,8 @@ def markdown(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> list[str]:
 
 def columns(rows: Sequence[Sequence[str]]) -> list[str]:
     """Return the lines of a table without rules: the first column aligned to the left, the others to the right."""
-    first, *others = _widths(rows)
-    return ["  ".join([row[0].ljust(first), *map(str.rjust, row[1:], others)]) for row in rows]
+    first, *following = _widths(rows)
+    return ["  ".join([row[0].ljust(first), *map(str.rjust, row[1:], following)]) for row in rows]
 
 
 def _widths(rows: Sequence[Sequence[str]]) -> list[int]:

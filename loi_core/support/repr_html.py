@@ -16,18 +16,18 @@ BORDER: Final = "1px solid rgba(128,128,128,.4)"
 PICTURE_SIDE: Final = 128  # the longer side, in CSS pixels
 
 
-def card(title: str, *parts: str) -> str:
+def card(title: str, *pieces: str) -> str:
     """Return a box with a title around pieces of HTML; empty pieces are left out."""
-    content = "".join(f'<div style="margin-top:.5em">{part}</div>' for part in parts if part)
+    content = "".join(f'<div style="margin-top:.5em">{piece}</div>' for piece in pieces if piece)
     return (
         f'<div style="border:{BORDER};border-radius:6px;padding:.6em .9em;display:inline-block;max-width:100%;'
         f'overflow-x:auto;font-size:13px;line-height:1.4"><strong>{escape(title)}</strong>{content}</div>'
     )
 
 
-def row(parts: Iterable[str]) -> str:
+def row(pieces: Iterable[str]) -> str:
     """Return pieces of HTML side by side, with line breaks where they do not fit."""
-    return f'<div style="display:flex;flex-wrap:wrap;gap:.8em;align-items:flex-start">{"".join(parts)}</div>'
+    return f'<div style="display:flex;flex-wrap:wrap;gap:.8em;align-items:flex-start">{"".join(pieces)}</div>'
 
 
 def table(rows: Iterable[Sequence[str]], heads: Sequence[str] = ()) -> str:
@@ -42,9 +42,9 @@ def table(rows: Iterable[Sequence[str]], heads: Sequence[str] = ()) -> str:
         return f'<tr style="background:none">{"".join(cells)}</tr>'
 
     lines = [line(cell("th", ' scope="col"', head) for head in heads)] if heads else []
-    for first, *others in rows:
+    for first, *remaining in rows:
         tag, scope = ("td", "") if heads else ("th", ' scope="row"')
-        lines.append(line([cell(tag, scope, first), *(cell("td", "", text) for text in others)]))
+        lines.append(line([cell(tag, scope, first), *(cell("td", "", text) for text in remaining)]))
     style = "border-collapse:collapse;margin:0;font-size:inherit;color:inherit;font-variant-numeric:tabular-nums"
     return f'<table style="{style}">{"".join(lines)}</table>'
 

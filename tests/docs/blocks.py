@@ -19,10 +19,10 @@ class Block:
     Attributes
     ----------
     language : str
-        What stands behind the fence; "" for none.
+        The word after the fence, or "".
     text : str
     line : int
-        Of the fence, from 1.
+        The line of the fence, from 1.
     """
 
     language: str
@@ -34,8 +34,8 @@ def blocks_of(page: Path) -> list[Block]:
     """All fenced blocks of a Markdown page, in order."""
     text = page.read_text(encoding="utf-8")
     return [
-        Block(found[1].strip(), found[2], text.count("\n", 0, found.start()) + 1)
-        for found in re.finditer(r"^```([^\n]*)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
+        Block(match[1].strip(), match[2], text.count("\n", 0, match.start()) + 1)
+        for match in re.finditer(r"^```([^\n]*)\n(.*?)^```$", text, re.MULTILINE | re.DOTALL)
     ]
 
 
@@ -45,7 +45,7 @@ def run_python(page: Path, namespace: dict[str, Any], *, shortened: bool = False
     A block of ``text`` right behind one is what that prints. With `shortened`, fits take three steps.
     """
     blocks, count = blocks_of(page), 0
-    for block, after in zip(blocks, [*blocks[1:], Block("", "", 0)], strict=True):
+    for block, following in zip(blocks, [*blocks[1:], Block("", "", 0)], strict=True):
         if block.language.split(" ")[0] != "python":
             continue
         count += 1
@@ -54,6 +54,6 @@ def run_python(page: Path, namespace: dict[str, Any], *, shortened: bool = False
         with contextlib.redirect_stdout(printed):
             # The lines of the page, so that a traceback shows where in it.
             exec(compile("\n" * block.line + text, str(page), "exec"), namespace)  # noqa: S102
-        if after.language == "text":
-            assert printed.getvalue() == after.text, f"{page.name}, line {block.line}, prints\n{printed.getvalue()}"
+        if following.language == "text":
+            assert printed.getvalue() == following.text, f"{page.name}, line {block.line}, prints\n{printed.getvalue()}"
     return count

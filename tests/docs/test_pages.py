@@ -41,7 +41,7 @@ def skip_without_imports(text: str) -> None:
 
 
 @pytest.mark.parametrize("page", [page for page in GUIDE if has_python(page)], ids=lambda page: page.stem)
-def test_the_guide_runs_as_it_is_and_prints_what_it_says(
+def test_the_blocks_of_the_guide_run_and_print_the_output_on_the_page(
     page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     skip_without_imports(page.read_text())
@@ -50,7 +50,7 @@ def test_the_guide_runs_as_it_is_and_prints_what_it_says(
 
 
 @pytest.mark.parametrize("name", SETUPS)
-def test_the_detailed_pages_run_with_what_they_assume(
+def test_the_blocks_of_the_detailed_pages_run_after_their_setups(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     page = ROOT / "docs" / f"{name}.md"
@@ -67,7 +67,7 @@ def test_no_page_with_python_is_left_out() -> None:
     assert all((ROOT / test).exists() for test in RUN_ELSEWHERE.values())
 
 
-def test_the_plan_on_the_page_about_accuracy_is_what_it_prints() -> None:
+def test_the_plan_on_the_page_about_accuracy_is_the_printed_plan() -> None:
     pytest.importorskip("numba")  # whose line the page shows
     assert run_python(ROOT / "docs" / "results" / "accuracy.md", {}) == 1
 

@@ -1,4 +1,4 @@
-"""What one can play with on the page "Why it works": it computes our loss, and works by keyboard."""
+"""The interactive figure of the page "Why it works" computes the loss of the library, and works by keyboard."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shuti
 
 @pytest.fixture(scope="module")
 def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
-    """A page that holds nothing but the element."""
+    """A page with the figure only."""
     playwright = pytest.importorskip("playwright.sync_api")
     if CHROMIUM is None:
         pytest.skip("there is no Chromium")
@@ -28,9 +28,9 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Any]:
     html.write_text(f"<!doctype html><style>{style}</style><body><div id=loi-play></div><script>{script}</script>")
     with playwright.sync_playwright() as running:
         browser = running.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
-        one = browser.new_page(reduced_motion="reduce")
-        one.goto(Path(html).as_uri())
-        yield one
+        tab = browser.new_page(reduced_motion="reduce")
+        tab.goto(Path(html).as_uri())
+        yield tab
         browser.close()
 
 
@@ -44,26 +44,27 @@ def test_the_page_computes_the_loss_of_the_library(
         return [[...a], [...b], loiPlay.localLoss(a, b, {sigma}, {beta}, {alpha})];
     }}"""
     image, reference, loss = page.evaluate(code)
-    planes = (np.array(one)[None, :, None] for one in (image, reference))
-    ours, theirs = planes
-    wanted = float(LOIObjective(theirs, ScaleSpace(sigma, alpha, beta)).value(ours))
-    assert loss == pytest.approx(wanted, rel=1e-6)
+    planes = [np.array(plane)[None, :, None] for plane in (image, reference)]
+    expected = float(LOIObjective(planes[1], ScaleSpace(sigma, alpha, beta)).value(planes[0]))
+    assert loss == pytest.approx(expected, rel=1e-6)
 
 
-def test_a_slider_moves_by_the_keyboard_and_the_page_says_what_changed(page: Any) -> None:
+def test_a_slider_moves_by_the_keyboard_and_the_page_reports_the_change(page: Any) -> None:
     slider = page.get_by_role("slider", name="Place of your bar")
     slider.focus()
-    before = page.locator(".loi-play-status").inner_text()
+    status = page.locator(".loi-play-status").inner_text()
     page.keyboard.press("ArrowRight")
-    page.wait_for_function("old => document.querySelector('.loi-play-status').innerText !== old", arg=before)
+    page.wait_for_function("old => document.querySelector('.loi-play-status').innerText !== old", arg=status)
     assert slider.input_value() == "25"
     assert "is at 25 px" in page.locator(".loi-play-status").inner_text()
 
 
 def test_descent_on_histograms_arrives_and_descent_on_pixels_does_not_start(page: Any) -> None:
     page.reload()
-    for name, place in (("Descend on pixels", 24), ("Descend on histograms", 96)):
+    for name, position in (("Descend on pixels", 24), ("Descend on histograms", 96)):
         page.get_by_role("button", name=name).focus()
         page.keyboard.press("Enter")
         page.wait_for_timeout(100)
-        assert float(page.get_by_role("slider", name="Place of your bar").input_value()) == pytest.approx(place, abs=1)
+        assert float(page.get_by_role("slider", name="Place of your bar").input_value()) == pytest.approx(
+            position, abs=1
+        )

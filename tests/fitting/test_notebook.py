@@ -1,4 +1,4 @@
-"""What notebooks show: results, objectives and plans as small pieces of HTML that need no style sheet."""
+"""Results and objectives as HTML for notebooks, without a style sheet."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from PIL import Image
 from loi_core import MSSSIM, FitResult, FitStep, GaussianPyramid, LOIObjective, PixelL2
 from loi_core.fitting.notebook import convergence_points
 from loi_core.pixels.psnr import psnr
-from loi_core.pixels.thumbnail import shown_pixels, thumbnail
+from loi_core.pixels.thumbnail import thumbnail
 from tests.fitting.fits import REFERENCE, SCALES, SCENE, Bowl, run
 
 OBJECTIVE = LOIObjective(REFERENCE, SCALES)
@@ -25,45 +25,43 @@ NASTY = "<script>alert('&')</script>"
 
 @pytest.fixture(scope="module")
 def result() -> FitResult:
-    found: FitResult = run(steps=60)
-    return found
+    fitted: FitResult = run(steps=60)
+    return fitted
 
 
-def parsed(thing: Any) -> ET.Element:
-    """The HTML of an object, which has to be whole enough for a parser of XML that forgives nothing but <br>."""
-    html = thing if isinstance(thing, str) else thing._repr_html_()
-    return ET.fromstring(re.sub(r"(<(?:br|img)\b[^>]*)>", r"\1/>", html))  # noqa: S314  # it is our own
+def parsed(shown: Any) -> ET.Element:
+    """Parse the HTML of an object strictly, as XML except for <br> and <img>."""
+    html = shown if isinstance(shown, str) else shown._repr_html_()
+    return ET.fromstring(re.sub(r"(<(?:br|img)\b[^>]*)>", r"\1/>", html))  # noqa: S314  # our own
 
 
-def texts(thing: Any) -> str:
-    return " ".join(parsed(thing).itertext())
+def texts(shown: Any) -> str:
+    return " ".join(parsed(shown).itertext())
 
 
-def pictures(thing: Any) -> list[Image.Image]:
-    data = [str(one.get("src")).removeprefix("data:image/png;base64,") for one in parsed(thing).iter("img")]
-    return [Image.open(io.BytesIO(base64.b64decode(one))) for one in data]
+def pictures(shown: Any) -> list[Image.Image]:
+    data = [str(element.get("src")).removeprefix("data:image/png;base64,") for element in parsed(shown).iter("img")]
+    return [Image.open(io.BytesIO(base64.b64decode(png))) for png in data]
 
 
 def test_a_result_shows_its_verdict_value_psnr_parameters_picture_and_curve(result: FitResult) -> None:
-    said = texts(result)
-    assert str(result.diagnosis) in said
-    assert f"{result.best_value:.4g}" in said
-    assert f"{result.psnr:.2f} dB" in said
-    assert "positions" in said
-    assert "8 23" in said  # where it began
-    assert " ".join(f"{one:.5g}" for one in result.best_params["positions"].ravel()) in said
-    assert [one.size for one in pictures(result)] == [(32, 32)]
+    text = texts(result)
+    assert str(result.diagnosis) in text
+    assert f"{result.best_value:.4g}" in text
+    assert f"{result.psnr:.2f} dB" in text
+    assert "positions" in text
+    assert "8 23" in text  # the start
+    assert " ".join(f"{number:.5g}" for number in result.best_params["positions"].ravel()) in text
+    assert [picture.size for picture in pictures(result)] == [(32, 32)]
     assert len(list(parsed(result).iter("polyline"))) == 1
 
 
-def test_the_psnr_of_a_result_is_that_of_its_image(result: FitResult) -> None:
+def test_the_psnr_of_a_result_is_the_psnr_of_its_image(result: FitResult) -> None:
     assert result.psnr == pytest.approx(psnr(result.image, REFERENCE), rel=1e-12)
 
 
-def test_the_psnr_counts_pixels_by_their_weights_and_knows_other_layouts() -> None:
-    class First:
-        """Channels first."""
-
+def test_the_psnr_of_a_result_uses_weights_and_the_channel_axis() -> None:
+    class ChannelsFirst:
         def parameters(self) -> Any:
             return SCENE.parameters()
 
@@ -71,22 +69,23 @@ def test_the_psnr_counts_pixels_by_their_weights_and_knows_other_layouts() -> No
             return np.moveaxis(SCENE.render(params), -1, 0)
 
         def render_vjp(self, params: Any, *, seed: int = 0) -> Any:
-            image, pull = SCENE.render_vjp(params)
-            return np.moveaxis(image, -1, 0), lambda gradient: pull(np.moveaxis(gradient, 0, -1))
+            image, pullback = SCENE.render_vjp(params)
+            return np.moveaxis(image, -1, 0), lambda cotangent: pullback(np.moveaxis(cotangent, 0, -1))
 
     import loi_core
 
-    weights = np.zeros((32, 32))
-    weights[:16] = 1.0
+    upper_half = np.zeros((32, 32))
+    upper_half[:16] = 1.0
     target = np.moveaxis(REFERENCE, -1, 0)
-    for one in (None, weights):
-        objective = LOIObjective(target, SCALES, channel_axis=0, weights=one)
-        found = loi_core.fit(First(), objective, steps=2, optimise=["positions"], learning_rate=1.0)
-        assert found.psnr == pytest.approx(psnr(np.moveaxis(found.image, 0, -1), REFERENCE, one), rel=1e-12)
+    for weights in (None, upper_half):
+        objective = LOIObjective(target, SCALES, channel_axis=0, weights=weights)
+        result = loi_core.fit(ChannelsFirst(), objective, steps=2, optimise=["positions"], learning_rate=1.0)
+        expected = psnr(np.moveaxis(result.image, 0, -1), REFERENCE, weights)
+        assert result.psnr == pytest.approx(expected, rel=1e-12)
 
 
-def test_of_an_objective_without_a_reference_no_psnr_is_known() -> None:
-    class Far:
+def test_a_result_of_an_objective_without_a_reference_has_no_psnr() -> None:
+    class SumOfSquares:
         def value(self, image: Any) -> Any:
             return np.sum(image**2)
 
@@ -95,18 +94,18 @@ def test_of_an_objective_without_a_reference_no_psnr_is_known() -> None:
 
     import loi_core
 
-    found = loi_core.fit(Bowl(), Far(), steps=2, optimise=["pixels"], learning_rate=0.1)
-    assert found.psnr is None
-    assert "PSNR" not in texts(found)
+    result = loi_core.fit(Bowl(), SumOfSquares(), steps=2, optimise=["pixels"], learning_rate=0.1)
+    assert result.psnr is None
+    assert "PSNR" not in texts(result)
 
 
-def test_each_stage_has_a_curve_of_its_own_and_long_fits_few_points() -> None:
+def test_each_stage_has_a_separate_curve_and_long_fits_have_few_points() -> None:
     history = [FitStep(step, 1e-3 * 0.999**step, 0.0, 1.0, 0.0, stage=step // 4000) for step in range(12000)]
-    drawn = convergence_points(history)
-    assert len(drawn) == 3
-    assert sum(map(len, drawn)) <= 120
-    assert all(curve[0][1] == 0.0 for curve in drawn)
-    assert drawn[-1][-1] == pytest.approx((11999, np.log10(0.999) * (11999 - drawn[-1][0][0])))
+    curves = convergence_points(history)
+    assert len(curves) == 3
+    assert sum(map(len, curves)) <= 120
+    assert all(curve[0][1] == 0.0 for curve in curves)
+    assert curves[-1][-1] == pytest.approx((11999, np.log10(0.999) * (11999 - curves[-1][0][0])))
 
 
 @pytest.mark.parametrize("steps", [0, 1])
@@ -116,11 +115,11 @@ def test_a_fit_of_no_or_one_step_is_shown_without_a_curve(result: FitResult, ste
     assert "cut short" in repr(short)
 
 
-def test_values_that_are_not_finite_leave_no_trace_in_a_curve() -> None:
+def test_a_curve_leaves_out_values_that_are_not_finite() -> None:
     values = [1.0, np.nan, np.inf, 0.0, 0.5]
     history = [FitStep(step, value, 0.0, 1.0, 0.0) for step, value in enumerate(values)]
-    show = replace(run(steps=2), history=history)
-    (line,) = parsed(show).iter("polyline")
+    result = replace(run(steps=2), history=history)
+    (line,) = parsed(result).iter("polyline")
     assert len(str(line.get("points")).split()) == 3
 
 
@@ -135,46 +134,45 @@ OBJECTIVES = [
 
 
 @pytest.mark.parametrize("objective", OBJECTIVES, ids=repr)
-def test_an_objective_shows_its_reference_and_what_it_compares(objective: Any) -> None:
-    assert [one.size for one in pictures(objective)] == [(32, 32)]
+def test_an_objective_shows_its_reference_and_its_options(objective: Any) -> None:
+    assert [picture.size for picture in pictures(objective)] == [(32, 32)]
     assert "32" in texts(objective)
     assert type(objective).__name__ in texts(objective)
     assert len(repr(objective)) < 160
 
 
-def test_options_are_said_where_they_are_not_the_usual_ones() -> None:
-    plain, other = repr(OBJECTIVE), repr(OBJECTIVES[5])
+def test_the_repr_of_an_objective_lists_options_that_differ_from_the_defaults() -> None:
+    plain, masked = repr(OBJECTIVE), repr(OBJECTIVES[4])
     assert plain == "<LOIObjective: reference 32x32x3 float64, sigma 1, alpha 3 9, beta 0.125, accuracy exact>"
-    assert "accuracy balanced, channel_axis 0, nan_policy mask" in other
+    assert "accuracy balanced, channel_axis 0, nan_policy mask" in masked
 
 
-def test_what_a_plan_prints_is_aligned() -> None:
+def test_the_printed_columns_of_a_plan_are_aligned() -> None:
     _, heads, *rows, _ = (line for line in str(OBJECTIVE.plan()).splitlines() if "Numba" not in line)
     assert {len(line) for line in [heads, *rows]} == {len(heads)}
 
 
 def test_names_of_parameters_and_views_cannot_be_html(result: FitResult) -> None:
-    found = {NASTY: np.zeros(2), "many": np.zeros(100)}
-    odd = replace(result, best_params=found, rates=dict.fromkeys(found, 1.0), image={NASTY: result.image})
-    html = odd._repr_html_()
-    assert "<script" not in html
-    assert texts(odd).count(NASTY) == 2
-    assert "100 from 0 to 0" in texts(odd)
+    params = {NASTY: np.zeros(2), "many": np.zeros(100)}
+    hostile = replace(result, best_params=params, rates=dict.fromkeys(params, 1.0), image={NASTY: result.image})
+    assert "<script" not in hostile._repr_html_()
+    assert texts(hostile).count(NASTY) == 2
+    assert "100 from 0 to 0" in texts(hostile)
 
 
-def test_results_are_small_whatever_they_are_of(result: FitResult) -> None:
+def test_the_html_of_a_large_result_is_small(result: FitResult) -> None:
     views = {f"view {index}": np.random.default_rng(index).random((700, 400, 3)) for index in range(5)}
     params = {f"parameter {index}": np.zeros(10**5) for index in range(40)}
     large = replace(result, best_params=params, image=views, rates=dict.fromkeys(params, 1.0))
-    assert [max(one.size) for one in pictures(large)] == [160] * 4
+    assert [max(picture.size) for picture in pictures(large)] == [160] * 4
     assert "and 28 more" in texts(large)
     assert len(large._repr_html_()) < 400_000
     assert len(repr(large)) < 160
 
 
-def test_no_colour_but_the_page_s_own_or_a_grey_that_shows_on_both(result: FitResult) -> None:
-    for one in (result, OBJECTIVE):
-        html = re.sub(r"base64,[^\"]*", "", one._repr_html_())
+def test_the_only_colours_are_the_page_s_own_and_a_translucent_grey(result: FitResult) -> None:
+    for shown in (result, OBJECTIVE):
+        html = re.sub(r"base64,[^\"]*", "", shown._repr_html_())
         assert not re.search(r"#[0-9a-f]{3,8}\b|\bwhite\b|\bblack\b|<style", html)
         assert "rgba(128,128,128" in html
 
@@ -193,17 +191,17 @@ SHAPES = {
 
 
 @pytest.mark.parametrize("shape", SHAPES, ids=str)
-def test_channels_are_found_where_they_may_be(shape: tuple[int, ...]) -> None:
-    pixels = shown_pixels(np.zeros(shape))
-    assert (None if pixels is None else pixels.shape[:2]) == SHAPES[shape]
-    assert bool(thumbnail(np.zeros(shape), "")) == (pixels is not None)
+def test_a_thumbnail_finds_the_channel_axis(shape: tuple[int, ...]) -> None:
+    html = thumbnail(np.zeros(shape), "")
+    sizes = [picture.size[::-1] for picture in pictures(html)] if html else [None]
+    assert sizes == [SHAPES[shape]]
 
 
-def test_pictures_show_bytes_as_fractions_and_what_is_not_finite_as_black() -> None:
+def test_a_thumbnail_shows_bytes_as_fractions_and_nan_as_black() -> None:
     image = np.full((4, 4, 3), 0.5)
     image[0, 0] = np.nan
-    for one in (image, np.rint(255 * np.nan_to_num(image)).astype(np.uint8)):
-        (shown,) = pictures(thumbnail(one, ""))
-        pixels = np.asarray(shown)
+    for array in (image, np.rint(255 * np.nan_to_num(image)).astype(np.uint8)):
+        (picture,) = pictures(thumbnail(array, ""))
+        pixels = np.asarray(picture)
         assert pixels[0, 0].tolist() == [0, 0, 0]
         assert np.all(np.abs(pixels[1:].astype(int) - 128) <= 1)

@@ -99,10 +99,10 @@ def test_the_policy_of_an_inspection_allows_only_its_own_script_and_style(
     rules = dict(rule.split(" ", 1) for rule in policy[1].split("; "))
     assert rules["default-src"] == "'none'"
     assert rules["img-src"] == "data:"
-    for kind in ("style", "script"):
-        (content,) = re.findall(rf"<{kind}>(.*?)</{kind}>", page, re.DOTALL)
+    for tag in ("style", "script"):
+        (content,) = re.findall(rf"<{tag}>(.*?)</{tag}>", page, re.DOTALL)
         digest = base64.b64encode(hashlib.sha256(content.encode()).digest()).decode()
-        assert rules[f"{kind}-src"] == f"'sha256-{digest}'"
+        assert rules[f"{tag}-src"] == f"'sha256-{digest}'"
     assert " style=" not in page
     assert not re.search(r"""(src|href)=["'](?!data:image/png;base64,|")""", page)
 

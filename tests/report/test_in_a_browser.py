@@ -74,7 +74,7 @@ def test_the_scrubber_moves_the_line_of_every_chart_and_its_readings(visit: Visi
     at_start = read()
     assert len(set(at_start[0])) == 1
     assert len(at_start[0]) >= 4
-    assert all(start != end for start, end in zip(at_start[0], at_end[0], strict=True))
+    assert all(first != last for first, last in zip(at_start[0], at_end[0], strict=True))
     assert at_start[1] != at_end[1]
     assert at_start[1][0] == "1"  # the objective, relative to its start
 

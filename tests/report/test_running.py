@@ -58,9 +58,9 @@ def test_the_running_page_takes_at_most_a_small_part_of_the_time(scene: Path, mo
     monkeypatch.setattr("loi_core.report.running.write_text", lambda *_: clock.__setitem__(0, clock[0] + 2.0))
     page = RunningPage(loaded, ResultFolder(loaded.output), lambda _: None)
     for step in range(1000):
-        before = clock[0]
+        began = clock[0]
         page("loi", FitStep(step, float("nan"), 1.0, 1.0, 0.1), float("inf"), lambda: IMAGE)
-        written += [step] if clock[0] > before else []
+        written += [step] if clock[0] > began else []
         clock[0] += 0.1
     assert len(written) == 3
     assert 2.0 * len(written) / clock[0] < 0.06
@@ -69,9 +69,9 @@ def test_the_running_page_takes_at_most_a_small_part_of_the_time(scene: Path, mo
 def test_a_watched_fit_names_its_page_and_ends_with_the_report(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["fit", str(scene), "--watch"]) in FINISHED
     page = scene.parent / "result" / "report.html"
-    found = re.search(r"^loi: follow the fit at (\S+)$", capsys.readouterr().err, re.MULTILINE)
-    assert found is not None
-    assert found[1] == page.as_uri()
+    message = re.search(r"^loi: follow the fit at (\S+)$", capsys.readouterr().err, re.MULTILINE)
+    assert message is not None
+    assert message[1] == page.as_uri()
     html = page.read_text()
     assert "<main data-running>" not in html
     assert "<h2>Numbers</h2>" in html
