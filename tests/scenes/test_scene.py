@@ -402,7 +402,7 @@ def test_what_stops_a_fit_before_it_has_come_to_anything_loses_nothing_of_the_on
     said = capsys.readouterr().err.splitlines()
     if isinstance(stop, KeyboardInterrupt):
         assert said == [
-            "loi: loi (ours): interrupted; `--resume` goes on",
+            "loi: loi (ours): interrupted; `--resume` continues the fit",
             f"loi: {folder / 'result'}: the results of an earlier fit are left as they are",
         ]
     elif arguments:
