@@ -1,4 +1,4 @@
-"""The loss on torch as ``loi tradeoff`` measures it: through autograd, on a GPU if there is one."""
+"""The loss on torch for ``loi tradeoff``: through autograd, on a GPU if available."""
 
 from __future__ import annotations
 
@@ -23,17 +23,17 @@ class Torch:
 
     @property
     def dtypes(self) -> tuple[str, ...]:
-        """Float32 and float64; products in bfloat16 only where torch makes use of the permission."""
+        """float32, float64, and bfloat16 products where torch uses them."""
         return ("float32", "float64", *([BFLOAT16_PRODUCTS] if _rounds_products(self.device()) else []))
 
     def device(self) -> str:
-        """The first CUDA device, or the processor."""
+        """Return the first CUDA device, or the processor."""
         return "cuda" if torch.cuda.is_available() else "cpu"
 
     def asarray(self, host: Host) -> torch.Tensor:
-        """A tensor on the same memory, or on a GPU."""
+        """Return a tensor on the same memory, or on a GPU."""
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # that memory is read-only, which the loss never writes to
+            warnings.simplefilter("ignore")  # about read-only memory; the loss never writes to it
             return torch.as_tensor(host, device=self.device())
 
     def prepare(self, request: Request) -> Evaluate:
@@ -41,24 +41,24 @@ class Torch:
         products = "medium" if request.dtype == BFLOAT16_PRODUCTS else "highest"
         dtype = "float32" if request.dtype == BFLOAT16_PRODUCTS else request.dtype
         host = "float32" if dtype in self.half_dtypes else dtype  # NumPy has no bfloat16
-        wanted, given = (
-            torch.as_tensor(each.astype(host), device=self.device()).to(getattr(torch, dtype))
-            for each in (request.reference, request.image)
+        reference, image = (
+            torch.as_tensor(array.astype(host), device=self.device()).to(getattr(torch, dtype))
+            for array in (request.reference, request.image)
         )
-        loss = LOILoss(wanted, request.scales, request.accuracy, nan_policy=request.nan_policy)
-        given.requires_grad_()
+        loss = LOILoss(reference, request.scales, request.accuracy, nan_policy=request.nan_policy)
+        image.requires_grad_()
 
         def evaluate() -> tuple[float, Host]:
             with _precision_of_products(products):
-                value = loss(given)
-                (gradient,) = torch.autograd.grad(value, given)
+                value = loss(image)
+                (gradient,) = torch.autograd.grad(value, image)
             return float(value.detach()), to_numpy(gradient)  # copying from a GPU waits until it is done
 
         return evaluate
 
 
 def _rounds_products(device: str) -> bool:
-    """Whether batches of products, as blurs are, are rounded when they may be: on GPUs, and on few processors."""
+    """Return whether torch rounds batched products when allowed to: on GPUs and few processors."""
     fine = torch.full((4, 64, 64), 1.0 + 2.0**-12, device=device)
     with _precision_of_products("medium"):
         product = torch.eye(64, device=device) @ fine
@@ -67,10 +67,10 @@ def _rounds_products(device: str) -> bool:
 
 @contextlib.contextmanager
 def _precision_of_products(precision: str) -> Iterator[None]:
-    """Set torch's own switch, which holds for the whole process, and set it back."""
-    before = torch.get_float32_matmul_precision()
+    """Set the process-wide precision of products, and restore it."""
+    previous = torch.get_float32_matmul_precision()
     torch.set_float32_matmul_precision(precision)
     try:
         yield
     finally:
-        torch.set_float32_matmul_precision(before)
+        torch.set_float32_matmul_precision(previous)

@@ -1,4 +1,4 @@
-"""The loss for torch's autograd: the core computes value and gradient, autograd is handed the gradient."""
+"""The loss under torch's autograd, with the value and the gradient that the core computes."""
 
 from __future__ import annotations
 
@@ -19,48 +19,52 @@ from loi_core.support.arrays import as_floating
 
 __all__ = ["LOILoss", "loi_loss"]
 
-REDUCED: Final = (torch.float16, torch.bfloat16)
-USUAL: Final[dict[str, Any]] = {"channel_axis": -1, "nan_policy": "raise", "tone": None, "colours": "channels"}
+HALF_DTYPES: Final = (torch.float16, torch.bfloat16)
+DEFAULT_OPTIONS: Final[dict[str, Any]] = {
+    "channel_axis": -1,
+    "nan_policy": "raise",
+    "tone": None,
+    "colours": "channels",
+}
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
-def _alone(function: Function) -> Function:
-    """`function`, which ``torch.compile`` breaks its graph for: it cannot follow what Numba has compiled."""
+def _without_compilation(function: Function) -> Function:
+    """Exclude `function` from ``torch.compile``, which cannot trace functions compiled by Numba."""
     disabled: Function = torch.compiler.disable(function)  # type: ignore[no-untyped-call]  # untyped in torch
     return disabled
 
 
 class LOILoss(torch.nn.Module):
-    """The locally orderless image loss as a module: image in, scalar out.
+    """The locally orderless image loss as a module that maps an image to a scalar.
 
     Parameters
     ----------
     reference : Tensor or NumPy array, shape (*batch, H, W, C)
-        What the image should look like; kept as the buffer ``reference``, so it moves with ``.to`` and is saved in
-        the state dict. It is a copy that is not differentiated: a reference that requires a gradient gets none.
+        Image to match; copied into the buffer ``reference``, which moves with ``.to`` and is saved in the state dict.
+        A reference that requires a gradient gets none.
     scales : ScaleSpace, optional
-        The scales to compare; ``ScaleSpace.for_image(H, W)`` by default, with half its beta for differences of colours.
+        The scales to compare; ``ScaleSpace.for_image(H, W)`` by default, with half its beta for colour differences.
     accuracy : {"exact", "balanced", "fast"} or float
         See :class:`loi_core.LOIObjective`.
     channel_axis : int or None
-        Where the channels are: -3 for torch's usual (N, C, H, W), -1 for (N, H, W, C).
+        Axis of the channels: -3 for (N, C, H, W), -1 for (N, H, W, C).
     nan_policy : {"raise", "mask"}
-        What happens to pixels that are not finite.
+        Treatment of pixels that are not finite.
     tone : LogTone, optional
         A tone curve for images of high dynamic range; see :class:`loi_core.LOIObjective`.
     weights : Tensor or NumPy array, shape (H, W), optional
-        How much each pixel counts; a mask is weights of 0 and 1. See :class:`loi_core.LOIObjective`. Kept as the
-        buffer ``weights``.
+        Weight of each pixel; a mask has weights 0 and 1. See :class:`loi_core.LOIObjective`. Kept in the buffer
+        ``weights``.
     colours : {"channels", "differences"}
-        What of the colours is compared; see :class:`loi_core.LOIObjective`.
+        Compared quantity; see :class:`loi_core.LOIObjective`.
 
     Notes
     -----
     float16 and bfloat16 images are compared in float32, under autocast as well, and the loss is float32; the gradient
-    comes back in the image's dtype. Under ``torch.compile`` the loss is one graph break. ``torch.func.grad``,
-    ``jacrev`` and ``vmap`` take it, in any order. Its gradient cannot be differentiated again: second derivatives
-    raise a DerivativeError instead of being silently zero, and so does forward mode.
+    has the image's dtype. Under ``torch.compile`` the loss is one graph break. ``torch.func.grad``, ``jacrev`` and
+    ``vmap`` work in any order. Second derivatives and forward mode raise a DerivativeError.
     """
 
     reference: Tensor
@@ -79,7 +83,7 @@ class LOILoss(torch.nn.Module):
         colours: Colours = "channels",
     ) -> None:
         super().__init__()
-        # The core checks the arguments, and copies: later writes of the caller to `reference` change nothing.
+        # The core checks and copies: later writes of the caller to `reference` change nothing.
         objective = LOIObjective(
             reference,
             scales,
@@ -101,37 +105,37 @@ class LOILoss(torch.nn.Module):
         self.register_buffer("reference", torch.as_tensor(objective.reference))
         self.register_buffer("weights", None if objective.weights is None else torch.as_tensor(objective.weights))
         self._objective: LOIObjective | None = None
-        self._weights: Tensor | None = None  # that it was made with
+        self._weights: Tensor | None = None  # weights of the prepared objective
 
     @property
     def scales(self) -> ScaleSpace:
-        """The scales that are compared."""
+        """Compared scales."""
         scales: ScaleSpace = self._options["scales"]
         return scales
 
-    @_alone
+    @_without_compilation
     def forward(self, image: Tensor) -> Tensor:
-        """The loss of `image`, a tensor of shape (); errors as :meth:`loi_core.ImageObjective.value`."""
+        """Return the loss of `image`, shape (); errors as in :meth:`loi_core.ImageObjective.value`."""
         return _apply(image, self._current())
 
     def extra_repr(self) -> str:
-        """What ``print`` shows of it: size and dtype of the reference, scales, accuracy and what is not usual."""
+        """Return the text that ``print`` shows: size and dtype of the reference, scales, accuracy, unusual options."""
         scales, options = self.scales, self._options
-        parts = [
+        entries = [
             str(tuple(self.reference.shape)),
             *(f"{name}={getattr(scales, name)}" for name in ("sigma", "alpha", "beta")),
             *(f"{name}={value!r}" for name, value in unusual_settings(scales).items()),
             f"accuracy={options['accuracy']!r}",
             f"dtype={self.reference.dtype}",
-            *(f"{name}={options[name]!r}" for name, usual in USUAL.items() if options[name] != usual),
+            *(f"{name}={options[name]!r}" for name, default in DEFAULT_OPTIONS.items() if options[name] != default),
         ]
-        return ", ".join(parts if self.weights is None else [*parts, f"weights={tuple(self.weights.shape)}"])
+        return ", ".join(entries if self.weights is None else [*entries, f"weights={tuple(self.weights.shape)}"])
 
     def _current(self) -> LOIObjective:
         reference = self.reference.detach()
-        precise = reference.float() if reference.dtype in REDUCED else reference
-        # The buffer may have been replaced, loaded or written to, also where torch keeps no count of it (`.data`, under
-        # inference_mode). To compare it with what is prepared takes less than a hundredth of an evaluation.
+        precise = reference.float() if reference.dtype in HALF_DTYPES else reference
+        # The buffer may have been replaced, loaded or written to, also where torch counts no versions (`.data`,
+        # inference_mode). Comparing it with the prepared reference takes less than a hundredth of an evaluation.
         weights = None if self.weights is None else self.weights.detach()
         if (
             self._objective is None
@@ -143,16 +147,16 @@ class LOILoss(torch.nn.Module):
         return self._objective
 
     def __getstate__(self) -> dict[str, Any]:
-        # What is prepared can be prepared again; copies and pickles need not carry it.
+        # Copies and pickles prepare the objective again.
         return {**self.__dict__, "_objective": None}
 
 
-def _same_bits(one: Tensor, other: Tensor) -> bool:
-    """Whether two tensors are equal and alike; NaN, which may be in a reference, equals itself."""
-    if one.dtype != other.dtype or one.device != other.device or one.shape != other.shape:
+def _same_bits(first: Tensor, second: Tensor) -> bool:
+    """Return whether dtype, device, shape and bits are equal; NaN, allowed in a reference, equals itself."""
+    if first.dtype != second.dtype or first.device != second.device or first.shape != second.shape:
         return False
-    whole = torch.int64 if one.dtype == torch.float64 else torch.int32
-    return torch.equal(one.view(whole), other.view(whole))
+    integer = torch.int64 if first.dtype == torch.float64 else torch.int32
+    return torch.equal(first.view(integer), second.view(integer))
 
 
 def loi_loss(
@@ -166,9 +170,9 @@ def loi_loss(
     weights: Any = None,
     colours: Colours = "channels",
 ) -> LOILoss:
-    """The locally orderless image loss against a reference, as a function of the image; as ``loi_jax.loi_loss``.
+    """Return the locally orderless image loss against a reference, as ``loi_jax.loi_loss`` does.
 
-    Parameters are those of :class:`LOILoss`, which is what comes back.
+    Takes the parameters of :class:`LOILoss` and returns one.
     """
     return LOILoss(
         reference,
@@ -186,9 +190,9 @@ def _apply(image: Tensor, objective: LOIObjective) -> Tensor:
     if not isinstance(image, Tensor):
         msg = f"`image` must be a torch tensor, got {type(image).__name__}"
         raise ImageTypeError(msg)
-    as_floating("image", image)  # autocast does not know every device, and says so in words of its own
+    as_floating("image", image)  # before autocast, which rejects some devices with its own message
     with torch.autocast(image.device.type, enabled=False):
-        precise = image.float() if image.dtype in REDUCED else image
+        precise = image.float() if image.dtype in HALF_DTYPES else image
         return _evaluate(precise, objective, gradient=_is_recorded(precise))[0]
 
 
@@ -197,18 +201,18 @@ def _is_recorded(image: Tensor) -> bool:
 
 
 def _evaluate(image: Tensor, objective: LOIObjective, *, gradient: bool) -> tuple[Tensor, Tensor]:
-    found: tuple[Tensor, Tensor] = _Loss.apply(image, objective, gradient)  # type: ignore[no-untyped-call]  # in torch
-    return found
+    results: tuple[Tensor, Tensor] = _Loss.apply(image, objective, gradient)  # type: ignore[no-untyped-call]  # in torch
+    return results
 
 
 class _Loss(torch.autograd.Function):
-    """Value and gradient in one pass, the latter empty if it is not wanted; backward only scales it."""
+    """Compute value and gradient in one pass, an empty gradient if none is requested; backward scales it."""
 
     @staticmethod
     def forward(
         image: Tensor,
         objective: LOIObjective,
-        gradient: bool,  # noqa: FBT001  # torch hands over arguments by position
+        gradient: bool,  # noqa: FBT001  # torch passes arguments by position
     ) -> tuple[Tensor, Tensor]:
         return objective.value_and_grad(image) if gradient else (objective.value(image), image.new_empty(0))
 
@@ -219,16 +223,16 @@ class _Loss(torch.autograd.Function):
 
     @staticmethod
     def backward(ctx: Any, upstream: Tensor | None, second: Tensor | None) -> tuple[Tensor | None, None, None]:
-        """Scale the gradient. As a result like the value it is no constant to autograd, which asks for its slope."""
+        """Scale the gradient. As an output it is no constant to autograd, which may ask for its derivative."""
         if second is not None:
-            msg = "loi's loss has no second derivatives on torch; its gradient alone can be had"
+            msg = "loi's loss has no second derivatives on torch"
             raise DerivativeError(msg)
         (gradient,) = ctx.saved_tensors
         return None if upstream is None else _product(upstream, gradient), None, None
 
     @staticmethod
     def jvp(*_: Any) -> Any:
-        """Only reverse mode is there."""
+        """Raise an error: only reverse mode is supported."""
         msg = "loi's loss has no forward mode on torch; use backward, torch.func.grad or torch.func.jacrev"
         raise DerivativeError(msg)
 
@@ -240,20 +244,20 @@ class _Loss(torch.autograd.Function):
         objective: LOIObjective,
         gradient: bool,  # noqa: FBT001  # as above
     ) -> tuple[tuple[Tensor, Tensor], tuple[int, int]]:
-        """One image after another: each has a value of its own, where a batch has one for all."""
-        # What is outside of this vmap may record each of them, which those in it do not tell.
-        each = images.movedim(axes[0], 0)
-        found = [_evaluate(image, objective, gradient=gradient or _is_recorded(image)) for image in each]
-        values, gradients = zip(*found, strict=True)
+        """Evaluate image by image: each has its own value, where a batch has one value for all."""
+        # A transformation outside of this vmap may record each image even if this one does not.
+        separate = images.movedim(axes[0], 0)
+        results = [_evaluate(image, objective, gradient=gradient or _is_recorded(image)) for image in separate]
+        values, gradients = zip(*results, strict=True)
         return (torch.stack(values), torch.stack(gradients)), (0, 0)
 
 
 def _product(upstream: Tensor, gradient: Tensor) -> Tensor:
-    """``upstream * gradient``; on the processor by NumPy.
+    """Return ``upstream * gradient``, on a processor by NumPy.
 
-    torch would wake all of its threads for it, which then wait for more to do on the cores that the next step needs.
+    torch would wake all its threads, which then spin on the cores that the next step needs.
     """
     if gradient.device.type == "cpu":
-        with suppress(RuntimeError):  # what torch.func hands over has no memory of its own
+        with suppress(RuntimeError):  # tensors of torch.func have no memory of their own
             return torch.from_numpy(upstream.numpy() * gradient.numpy())
     return upstream * gradient

@@ -1,4 +1,4 @@
-"""The optimisers of torch.optim in a fit, whatever library its renderer is written in."""
+"""Optimisers of torch.optim in a fit, for renderers of any library."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from loi_core.support.wording import shown
 
 __all__ = ["TorchOptimiser"]
 
-NUMBER: Final = "#"
-"""Ends the name of what an optimiser remembers as a number of Python."""
+NUMBER_SUFFIX: Final = "#"
+"""Suffix of entries of the state that are Python numbers."""
 
-STEP: Final = "step"
+STEP_KEY: Final = "step"
 
 
 class TorchOptimiser:
@@ -28,16 +28,16 @@ class TorchOptimiser:
 
     Parameters
     ----------
-    kind : class
-        Such as ``torch.optim.NAdam``; any that steps without a closure.
+    optimiser_class : class
+        Any class that steps without a closure, such as ``torch.optim.NAdam``.
     **options
-        Its options, but for ``lr``: the fit sets the rate of every parameter in every step. (Rprop, which sizes its
-        steps itself, looks at rates in its first step only.)
+        Its options except ``lr``: the fit sets the rate of every parameter in every step. (Rprop adapts its step sizes
+        and uses rates in its first step only.)
 
     Raises
     ------
     OptionError
-        If it is no such class, or does not take the options.
+        If `optimiser_class` is no such class, or does not take the options.
 
     Examples
     --------
@@ -46,20 +46,20 @@ class TorchOptimiser:
     >>> # fit(renderer, objective, optimiser=optimiser, learning_rate=1e3)
     """
 
-    def __init__(self, kind: type[torch.optim.Optimizer], **options: Any) -> None:
-        if not (isinstance(kind, type) and issubclass(kind, torch.optim.Optimizer)):
-            msg = f"`kind` must be a class of torch.optim, such as torch.optim.NAdam, got {shown(kind)}"
+    def __init__(self, optimiser_class: type[torch.optim.Optimizer], **options: Any) -> None:
+        if not (isinstance(optimiser_class, type) and issubclass(optimiser_class, torch.optim.Optimizer)):
+            msg = f"`optimiser_class` must be a class of torch.optim, such as NAdam, got {shown(optimiser_class)}"
             raise OptionError(msg)
-        if issubclass(kind, torch.optim.LBFGS):
-            msg = "`kind` must step without a closure, which LBFGS does not; Adam, NAdam, RMSprop and SGD do"
+        if issubclass(optimiser_class, torch.optim.LBFGS):
+            msg = "`optimiser_class` must step without a closure, which LBFGS does not; Adam, NAdam, RMSprop and SGD do"
             raise OptionError(msg)
         if "lr" in options:
             msg = "`lr` is set by the fit in every step; give it `learning_rate` instead"
             raise OptionError(msg)
-        self._kind, self._options = kind, options
+        self._kind, self._options = optimiser_class, options
         self._make([torch.zeros(2, 2)], [1.0])
 
-    def start(self, params: Parameters, after: Memory | None = None) -> Memory:  # noqa: ARG002  # it begins anew
+    def start(self, params: Parameters, after: Memory | None = None) -> Memory:  # noqa: ARG002  # the state starts empty
         """See :class:`loi_core.Optimiser`."""
         return {}
 
@@ -69,43 +69,45 @@ class TorchOptimiser:
         """See :class:`loi_core.Optimiser`."""
         leaves = {name: _wide(_tensor(params[name])).clone().requires_grad_() for name in rates}
         optimiser = self._make(list(leaves.values()), list(rates.values()))
-        held: dict[str, dict[str, Any]] = {}
+        states: dict[str, dict[str, Any]] = {}
         for key, value in memory.items():
-            name, what = key.rsplit("/", 1)
-            # Copied, as the optimiser writes to it.
-            number = what.endswith(NUMBER)
-            held.setdefault(name, {})[what.removesuffix(NUMBER)] = _number(value) if number else _tensor(value).clone()
+            name, entry = key.rsplit("/", 1)
+            # Copied, because the optimiser writes to it.
+            is_number = entry.endswith(NUMBER_SUFFIX)
+            states.setdefault(name, {})[entry.removesuffix(NUMBER_SUFFIX)] = (
+                _number(value) if is_number else _tensor(value).clone()
+            )
         for name, leaf in leaves.items():
-            if name in held:
-                optimiser.state[leaf] = held[name]
+            if name in states:
+                optimiser.state[leaf] = states[name]
             leaf.grad = _tensor(gradient[name]).to(leaf)
         optimiser.step()
         moved = {**params, **{name: _like(leaf.detach(), params[name]) for name, leaf in leaves.items()}}
-        after: dict[str, Array] = {}
+        new_memory: dict[str, Array] = {}
         for name, leaf in leaves.items():
             for key, value in optimiser.state[leaf].items():
                 if isinstance(value, Tensor):
-                    after[f"{name}/{key}"] = value.detach()
+                    new_memory[f"{name}/{key}"] = value.detach()
                 elif isinstance(value, int | float):
-                    after[f"{name}/{key}{NUMBER}"] = np.asarray(value)
-        return moved, after
+                    new_memory[f"{name}/{key}{NUMBER_SUFFIX}"] = np.asarray(value)
+        return moved, new_memory
 
     def restore(self, params: Parameters, stored: Mapping[str, Host]) -> Memory:
         """See :class:`loi_core.Optimiser`."""
-        strange = [key for key in stored if "/" not in key or key.rsplit("/", 1)[0] not in params]
-        if strange:
-            msg = f"`checkpoint` is of another optimiser: {self._kind.__name__} knows no {strange[0]!r}"
+        unknown = [key for key in stored if "/" not in key or key.rsplit("/", 1)[0] not in params]
+        if unknown:
+            msg = f"`checkpoint` is of another optimiser: {self._kind.__name__} has no {unknown[0]!r}"
             raise ParameterError(msg)
         live: dict[str, Array] = {}
         for key, value in stored.items():
-            name, what = key.rsplit("/", 1)
+            name, entry = key.rsplit("/", 1)
             like = _wide(_tensor(params[name]))
-            # The count of steps stays where torch keeps it, on the processor.
-            moves = what != STEP and not what.endswith(NUMBER) and value.shape == tuple(like.shape)
+            # torch keeps the step count on the processor.
+            moves = entry != STEP_KEY and not entry.endswith(NUMBER_SUFFIX) and value.shape == tuple(like.shape)
             live[key] = torch.tensor(value).to(like) if moves else value
         return live
 
-    def identity(self, params: Parameters) -> str:  # noqa: ARG002  # it is the same for all
+    def identity(self, params: Parameters) -> str:  # noqa: ARG002  # equal for all parameters
         """See :class:`loi_core.Optimiser`."""
         return f"torch.optim.{self._kind.__name__} {sorted(self._options.items())}"
 
@@ -128,7 +130,7 @@ def _tensor(array: Array) -> Tensor:
 
 
 def _wide(tensor: Tensor) -> Tensor:
-    """`tensor` in float32 at least: in 16 bits the floors of optimisers are 0."""
+    """Return `tensor` in float32 at least, because the epsilons of optimisers are 0 in 16 bits."""
     return tensor.float() if tensor.dtype in (torch.float16, torch.bfloat16) else tensor
 
 

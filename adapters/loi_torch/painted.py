@@ -1,4 +1,4 @@
-"""What all renderers on torch share: a scene on the host with its checks, an image and pullback by autograd."""
+"""Base of torch renderers: a scene on the host with its checks, an image and its pullback by autograd."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ Tensors: TypeAlias = dict[str, Tensor]
 
 
 class HostScene(Protocol):
-    """A scene's parameters as NumPy arrays, and the rules that they keep."""
+    """Parameters of a scene as NumPy arrays, with their checks."""
 
     def parameters(self) -> dict[str, FloatArray]:
-        """All parameters; new arrays on each call."""
+        """Return all parameters in new arrays."""
 
     def checked(self, params: Mapping[str, object]) -> dict[str, FloatArray]:
-        """`params` as new float64 arrays, once they are known to be a scene that can be rendered."""
+        """Return `params` as new float64 arrays; raise an error if they are no valid scene."""
 
     def project(self, params: dict[str, FloatArray]) -> dict[str, FloatArray]:
-        """The legal parameters next to `params`."""
+        """Return the legal parameters nearest to `params`."""
 
 
 class Painted(abc.ABC):
-    """A renderer whose picture torch paints: checks, parameters and :meth:`project` are a scene's on the host."""
+    """A renderer that paints in torch; a scene on the host provides checks, parameters and :meth:`project`."""
 
     backend: ClassVar[str] = "torch"
 
@@ -48,20 +48,20 @@ class Painted(abc.ABC):
         return RendererCapabilities(project=self.project)
 
     def parameters(self) -> Tensors:
-        """The parameters of the scene, of its dtype."""
+        """Return the parameters of the scene in its dtype."""
         return _tensors(self._scene.parameters(), self._dtype, self._device)
 
     def render(self, params: Tensors, *, seed: int = 0) -> Tensor:
-        """The image, shape (height, width, 3), detached; `seed` is not needed, nothing is random."""
+        """Return the detached image, shape (height, width, 3); `seed` is unused, because nothing is random."""
         with torch.no_grad():
             return self._paint(self._checked(params)).to(self._dtype)
 
     def render_vjp(self, params: Tensors, *, seed: int = 0) -> tuple[Tensor, Callable[[Tensor], Tensors]]:
-        """The image and its pullback, both detached; see :class:`loi_core.Renderer`."""
+        """Return the image and its pullback, both detached; see :class:`loi_core.Renderer`."""
         return _vjp(self._paint, self._checked(params), self._dtype)
 
     def project(self, params: Tensors) -> Tensors:
-        """The legal parameters next to `params`, as the scene has them."""
+        """Return the legal parameters nearest to `params`."""
         return _tensors(self._scene.project(_host(params)), self._dtype, self._device)
 
     def _checked(self, params: Tensors) -> Tensors:
@@ -69,30 +69,30 @@ class Painted(abc.ABC):
 
     @abc.abstractmethod
     def _paint(self, scene: Tensors) -> Tensor:
-        """The image, float64, for autograd."""
+        """Return the image in float64, differentiable by autograd."""
 
 
 def _vjp(
     paint: Callable[[Tensors], Tensor], scene: Tensors, dtype: torch.dtype
 ) -> tuple[Tensor, Callable[[Tensor], Tensors]]:
-    """Image and pullback in `dtype` of a function whose arithmetic is float64."""
+    """Return image and pullback in `dtype` of a function that computes in float64."""
     leaves = {name: value.requires_grad_() for name, value in scene.items()}
     with torch.enable_grad():
         image = paint(leaves)
 
     def pullback(cotangent: Tensor) -> Tensors:
-        given = torch.as_tensor(cotangent).detach()
-        if given.shape != image.shape:
-            msg = f"`cotangent` must have the image's shape, {tuple(image.shape)}, got {tuple(given.shape)}"
+        weights = torch.as_tensor(cotangent).detach()
+        if weights.shape != image.shape:
+            msg = f"`cotangent` must have the image's shape, {tuple(image.shape)}, got {tuple(weights.shape)}"
             raise ParameterError(msg)
         if not image.requires_grad:  # a scene without disks
             return {name: torch.zeros_like(leaf, dtype=dtype) for name, leaf in leaves.items()}
         slopes = torch.autograd.grad(
             image,
             list(leaves.values()),
-            given.to(image),
+            weights.to(image),
             retain_graph=True,  # a pullback may be called again
-            materialize_grads=True,  # what a scene has no use for, such as the width of a stroke of no length, gets 0
+            materialize_grads=True,  # unused parameters, such as the width of a stroke without length, get 0
         )
         return {name: slope.to(dtype) for name, slope in zip(leaves, slopes, strict=True)}
 
@@ -108,13 +108,13 @@ def _tensors(values: Mapping[str, FloatArray], dtype: torch.dtype, device: torch
 
 
 def _check_device(name: object) -> torch.device:
-    """The device of that name, once torch has made a float64 number there."""
+    """Return the device of that name if torch can create float64 numbers there."""
     try:
         if isinstance(name, str):
-            made = torch.zeros((), dtype=torch.float64, device=name)
-            made.item()  # a device such as "meta" has shapes and no numbers
-            return made.device
+            number = torch.zeros((), dtype=torch.float64, device=name)
+            number.item()  # a device such as "meta" has shapes and no numbers
+            return number.device
     except (AssertionError, NotImplementedError, RuntimeError, TypeError):  # which one depends on torch's build
         pass
-    msg = f"`device` must be the name of one on which torch can compute in float64, got {name!r}"
+    msg = f"`device` must name a device of torch with float64, got {name!r}"
     raise ParameterError(msg)

@@ -1,4 +1,4 @@
-"""Disks and warped pictures on torch, the same images as those of `loi_core.renderers`, on any of torch's devices."""
+"""Disks and warped pictures on torch, equal to the images of `loi_core.renderers`, on any of torch's devices."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from loi_core.renderers.coverage import disk_coverage
 from loi_core.renderers.rasterization import Fragments, rasterize_disks
 from loi_core.renderers.validation import FloatArray
 from loi_core.support.arrays import to_numpy
-from loi_torch.compositing import painted_over
+from loi_torch.compositing import composite_fragments
 from loi_torch.painted import Painted, Tensors
 
 __all__ = ["Disks", "Warp"]
@@ -30,7 +30,7 @@ class Disks(Painted):
     height, width, positions, radii, colours, background, dtype, confine
         See :class:`loi_core.renderers.Disks`; the parameters and the image are the same, as tensors.
     device : str
-        Where torch computes; one that has float64.
+        A device of torch with float64.
 
     Raises
     ------
@@ -39,7 +39,7 @@ class Disks(Painted):
 
     Notes
     -----
-    Only pixels that a disk meets are painted. Which they are is found on the host.
+    Only pixels that a disk meets are painted. The host determines these pixels.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class Disks(Painted):
         pixels = torch.tensor(fragments.rows * self._size[1] + fragments.columns, device=self._device)
         coverage: Tensor = _Coverage.apply(scene["positions"], scene["radii"], fragments)[0]  # type: ignore[no-untyped-call]  # untyped in torch
         height, width = self._size
-        image = painted_over(
+        image = composite_fragments(
             coverage, scene["colours"][owner], self._background, pixels, fragments.layers, height * width
         )
         return image.reshape(*self._size, 3)
@@ -80,7 +80,7 @@ class Warp(Painted):
     picture, background, translation, rotation, scale, exposure, dtype
         See :class:`loi_core.renderers.Warp`; the parameters and the image are the same, as tensors.
     device : str
-        Where torch computes; one that has float64.
+        A device of torch with float64.
 
     Raises
     ------
@@ -108,37 +108,37 @@ class Warp(Painted):
         super().__init__(scene, dtype, device)
         self._background = torch.tensor(scene.background, device=self._device)
         self._size = scene.layers.shape[:2]
-        self._layers = torch.tensor(_widened(scene.layers), device=self._device)
+        self._layers = torch.tensor(_padded_layers(scene.layers), device=self._device)
 
     def _paint(self, pose: Tensors) -> Tensor:
         height, width = self._background.shape[:2]
-        across = torch.arange(width, dtype=torch.float64, device=self._device) + 0.5 - 0.5 * width
+        columns_x = torch.arange(width, dtype=torch.float64, device=self._device) + 0.5 - 0.5 * width
         down = torch.arange(height, dtype=torch.float64, device=self._device) + 0.5 - 0.5 * height
-        right = across - pose["translation"][0]
-        low = down[:, None] - pose["translation"][1]
+        offset_x = columns_x - pose["translation"][0]
+        offset_y = down[:, None] - pose["translation"][1]
         angle = torch.deg2rad(pose["rotation"])
         cos, sin = torch.cos(angle), torch.sin(angle)
         # The layers' first row and column are the rim, so the picture's pixel (0, 0) is their (1, 1).
-        x = (cos * right + sin * low) / pose["scale"] + (0.5 * self._size[1] + 0.5)
-        y = (cos * low - sin * right) / pose["scale"] + (0.5 * self._size[0] + 0.5)
+        x = (cos * offset_x + sin * offset_y) / pose["scale"] + (0.5 * self._size[1] + 0.5)
+        y = (cos * offset_y - sin * offset_x) / pose["scale"] + (0.5 * self._size[0] + 0.5)
         sampled = remap(self._layers, x[None], y[None], mode="bilinear", padding_mode="zeros", align_corners=True)
         layers = sampled[0].movedim(0, -1)
         return torch.exp2(pose["exposure"]) * (layers[..., :3] + (1.0 - layers[..., 3:]) * self._background)
 
 
 class _Coverage(torch.autograd.Function):
-    """The core's areas with the core's derivatives: autograd's own are NaN where a square root starts."""
+    """The core's areas with the core's derivatives, because autograd's derivatives of square roots are NaN at 0."""
 
     @staticmethod
     def forward(positions: Tensor, radii: Tensor, fragments: Fragments) -> tuple[Tensor, ...]:
         edge = np.flatnonzero(fragments.on_edge)
-        where, owner = (torch.tensor(each, device=radii.device) for each in (edge, fragments.owner[edge]))
+        where, owner = (torch.tensor(index, device=radii.device) for index in (edge, fragments.owner[edge]))
         x, y = (
             torch.tensor(pixels[edge, None] + np.arange(2.0), device=radii.device) - centres[owner, None]
             for pixels, centres in zip((fragments.columns, fragments.rows), positions.unbind(dim=1), strict=True)
         )
-        parts = disk_coverage(x[:, None, :], y[:, :, None], radii[owner, None, None])
-        area, *slopes = (part[:, 0, 0] for part in parts)
+        values = disk_coverage(x[:, None, :], y[:, :, None], radii[owner, None, None])
+        area, *slopes = (value[:, 0, 0] for value in values)
         coverage = radii.new_ones(len(fragments.owner)).index_put((where,), area)
         return coverage, where, owner, *slopes
 
@@ -150,7 +150,7 @@ class _Coverage(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, upstream: Tensor, *_: Tensor) -> tuple[Tensor | None, ...]:
-        """Weigh the derivatives; differentiating this again is an error, since they are constants to autograd."""
+        """Scale the derivatives, which are constants to autograd, so differentiating again is an error."""
         radii, where, owner, *slopes = ctx.saved_tensors
         by_x, by_y, by_radius = (
             torch.zeros_like(radii).index_add(0, owner, upstream[where] * slope) for slope in slopes
@@ -158,11 +158,11 @@ class _Coverage(torch.autograd.Function):
         return torch.stack([by_x, by_y], dim=-1), by_radius, None
 
 
-def _widened(layers: FloatArray) -> FloatArray:
-    """`layers`, shape (h, w, 4), as kornia wants them, (1, 4, h', w'), with a transparent rim.
+def _padded_layers(layers: FloatArray) -> FloatArray:
+    """Return `layers`, shape (h, w, 4), in kornia's layout (1, 4, h', w'), with a transparent rim.
 
-    The rim is widened at the right and below to sides of 2^k + 1 pixels: Kornia's way to coordinates in [-1, 1] and
-    back is then free of rounding at the centres of pixels, where rounding would pick the derivative on either side.
+    The rim pads right and bottom to sides of 2^k + 1 pixels: kornia's conversion to coordinates in [-1, 1] and back is
+    then exact at pixel centres, where rounding would select the derivative of either side.
     """
     rims = [(1, 2 ** int(size).bit_length() - size) for size in layers.shape[:2]]
     return np.moveaxis(np.pad(layers, (*rims, (0, 0))), -1, 0)[None]

@@ -1,4 +1,4 @@
-"""The baseline that matches points: RGBXY (Xing, Luan, Yan, Hu, Qian and Xu, SIGGRAPH Asia 2022)."""
+"""A baseline that matches points: RGBXY (Xing, Luan, Yan, Hu, Qian and Xu, SIGGRAPH Asia 2022)."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from loi_core.support.wording import shown
 
 __all__ = ["RGBXY"]
 
-BLUR: Final = 0.01  # of the transport, in units of the image's side: that of the released code
+TRANSPORT_BLUR: Final = 0.01  # in units of the image's side, as in the released code
 
 
 class RGBXY:
-    """Pixels as points (r, g, b, x, y), each drawn to the point of the reference that optimal transport gives it.
+    """Pixels as points (r, g, b, x, y), each attracted to its match in the reference under optimal transport.
 
     Parameters
     ----------
     reference : array, shape (H, W, 3) or (H, W, 5)
-        The image to match. Its points are at the centres of its pixels; further channels are not looked at.
+        The image to match. Its points are at the centres of its pixels; further channels are ignored.
     grid : int, optional
         Points along each side: means of blocks of pixels. Every pixel is a point by default, but the transport's time
         and memory grow with the square of the number of points: 32 takes a third of a second, 64 ten, on one core.
     interval : int
-        The matching is made anew every so many evaluations with a gradient; 6 in the released code. With more than 1,
-        an evaluation depends on those before it.
+        Number of evaluations with a gradient between two matchings; 6 in the released code. With more than 1, an
+        evaluation depends on earlier ones.
     weight : float
-        Of colours against places in the matching.
+        Weight of colours against positions in the matching.
 
     Raises
     ------
@@ -46,50 +46,50 @@ class RGBXY:
     Notes
     -----
     Images have five channels, as from :func:`loi_torch.mesh.draw_positions` or a ``MeshRenderer(positions=True)``. The
-    value is the mean squared distance of the points from their matches, which are held fixed in the gradient. The
+    value is the mean squared distance of the points from their matches, which are constant in the gradient. The
     matching is entropic transport by geomloss, as in the released code. Exact transport takes a quarter of the time;
     it was better in three columns of Table 3, and worse in three (docs/results/table3.md).
     """
 
     def __init__(self, reference: Any, *, grid: int | None = None, interval: int = 1, weight: float = 1.0) -> None:
-        wanted = _tensor(reference)
-        if wanted.ndim != 3 or wanted.shape[2] not in (3, 5):
-            msg = f"`reference` must have shape (H, W, 3) or (H, W, 5), got {tuple(wanted.shape)}"
+        target = _tensor(reference)
+        if target.ndim != 3 or target.shape[2] not in (3, 5):
+            msg = f"`reference` must have shape (H, W, 3) or (H, W, 5), got {tuple(target.shape)}"
             raise ImageError(msg)
-        _require_finite(wanted, "reference")
-        self._size = wanted.shape[:2]
+        _require_finite(target, "reference")
+        self._size = target.shape[:2]
         number = None if grid is None else whole_number(grid)
-        if grid is not None and (number is None or number < 1 or any(side % number for side in self._size)):
+        if grid is not None and (number is None or number < 1 or any(length % number for length in self._size)):
             msg = f"`grid` must divide the sides of the image, {tuple(self._size)}, got {shown(grid)}"
             raise OptionError(msg)
-        period, share = whole_number(interval), real_number(weight)
+        period, colour_weight = whole_number(interval), real_number(weight)
         if period is None or period < 1:
             msg = f"`interval` must be a whole number, 1 or more, got {shown(interval)}"
             raise OptionError(msg)
-        if share is None or not 0.0 < share < float("inf"):
+        if colour_weight is None or not 0.0 < colour_weight < float("inf"):
             msg = f"`weight` must be a number more than 0, got {shown(weight)}"
             raise OptionError(msg)
         self._grid, self._interval = number, period
-        self._scale = torch.tensor([share, share, share, 1.0, 1.0], dtype=torch.float64, device=wanted.device)
+        self._scale = torch.tensor([colour_weight] * 3 + [1.0, 1.0], dtype=torch.float64, device=target.device)
         height, width = self._size
         y, x = torch.meshgrid(
             (torch.arange(height, dtype=torch.float64) + 0.5) / height,
             (torch.arange(width, dtype=torch.float64) + 0.5) / width,
             indexing="ij",
         )
-        places = torch.stack([x, y], dim=2).to(wanted.device)
-        self._wanted = self._points(torch.cat([wanted[..., :3], places], dim=2))
-        self._loss = SamplesLoss("sinkhorn", blur=BLUR, backend="tensorized")
+        positions = torch.stack([x, y], dim=2).to(target.device)
+        self._target = self._points(torch.cat([target[..., :3], positions], dim=2))
+        self._loss = SamplesLoss("sinkhorn", blur=TRANSPORT_BLUR, backend="tensorized")
         self._evaluations = 0
         self._matches: Tensor | None = None
 
     def value(self, image: Any) -> Any:
-        """The mean squared distance of an image's points, shape (H, W, 5), from their matches, which are made anew."""
+        """Return the mean squared distance of an image's points, shape (H, W, 5), from their matches, computed anew."""
         points = self._points(self._checked(image))
         return _like(_distance(points, self._match(points)), image)
 
     def value_and_grad(self, image: Any) -> tuple[Any, Any]:
-        """The value with the matches of this interval, and its gradient by the image."""
+        """Return the value with the matches of this interval, and its gradient with respect to the image."""
         leaf = self._checked(image).detach().requires_grad_()
         with torch.enable_grad():
             points = self._points(leaf)
@@ -101,24 +101,24 @@ class RGBXY:
         return _like(value, image), _like(gradient, image)
 
     def _match(self, points: Tensor) -> Tensor:
-        """Where each point is drawn to, shape (N, 5): the point less the transport's gradient, times their number."""
-        own = (points.detach() * self._scale).to(torch.float32).requires_grad_()
+        """Return the match of each point, shape (N, 5): the point minus N times the gradient of the transport cost."""
+        scaled = (points.detach() * self._scale).to(torch.float32).requires_grad_()
         with torch.enable_grad():
-            cost = self._loss(own, (self._wanted * self._scale).to(torch.float32)) * len(own)
-            (slope,) = torch.autograd.grad(cost, own)
-        return (own.detach() - slope).to(torch.float64) / self._scale
+            cost = self._loss(scaled, (self._target * self._scale).to(torch.float32)) * len(scaled)
+            (slope,) = torch.autograd.grad(cost, scaled)
+        return (scaled.detach() - slope).to(torch.float64) / self._scale
 
     def _points(self, image: Tensor) -> Tensor:
         if self._grid is not None:
-            sides = [side // self._grid for side in self._size]
-            image = functional.avg_pool2d(image.movedim(2, 0)[None], sides)[0].movedim(0, 2)
+            block = [length // self._grid for length in self._size]
+            image = functional.avg_pool2d(image.movedim(2, 0)[None], block)[0].movedim(0, 2)
         return image.reshape(-1, 5)
 
     def _checked(self, image: Any) -> Tensor:
         tensor = _tensor(image)
         if tuple(tensor.shape) != (*self._size, 5):
-            wanted = (*self._size, 5)
-            msg = f"`image` must have shape {wanted}, red, green, blue, x and y, got {tuple(tensor.shape)}"
+            expected = (*self._size, 5)
+            msg = f"`image` must have shape {expected}, red, green, blue, x and y, got {tuple(tensor.shape)}"
             raise ImageError(msg)
         _require_finite(tensor, "image")
         return tensor
@@ -131,7 +131,7 @@ def _distance(points: Tensor, matches: Tensor) -> Tensor:
 def _require_finite(tensor: Tensor, name: str) -> None:
     number = count_non_finite(tensor)
     if number:
-        msg = f"`{name}` must have finite numbers, got {number} that are not"
+        msg = f"`{name}` must have finite numbers, got {number} that are not finite"
         raise ImageError(msg)
 
 
@@ -141,6 +141,6 @@ def _tensor(image: Any) -> Tensor:
 
 
 def _like(value: Tensor, image: Any) -> Any:
-    """`value` in the library and dtype of `image`."""
+    """Return `value` in the library and dtype of `image`."""
     detached = value.detach()
     return detached.to(image) if isinstance(image, Tensor) else from_numpy(to_numpy(detached), image)

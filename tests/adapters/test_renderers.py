@@ -210,8 +210,8 @@ def test_jax_computes_in_float64_inside_whatever_its_mode() -> None:
 @pytest.mark.parametrize(
     ("make", "says"),
     [
-        (lambda: torch_disks(1, device="abacus"), "`device` must be the name of one on which torch can compute"),
-        (lambda: torch_warp(1, device=3), "`device` must be the name of one on which torch can compute"),
+        (lambda: torch_disks(1, device="abacus"), "`device` must name a device of torch with float64"),
+        (lambda: torch_warp(1, device=3), "`device` must name a device of torch with float64"),
         (lambda: torch_warp(1, dtype="int"), "`dtype` must be 'float64' or 'float32'"),
         (lambda: jax_disks(1, dtype="int"), "`dtype` must be 'float64' or 'float32'"),
         (lambda: torch_warp(1).render({"scale": torch.ones(())}), "`params` must have exactly the names"),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from loi_torch.compositing import painted_over
+from loi_torch.compositing import composite_fragments
 from loi_torch.vector.coverage import Painting
 
 __all__ = ["bilinear", "composite"]
@@ -46,4 +46,4 @@ def composite(colours: Tensor, painting: Painting, background: Tensor, count: in
     """
     share = painting.coverage * colours[:, 3]
     pixels = torch.as_tensor(painting.pixels, device=colours.device)
-    return painted_over(share, colours[:, :3], background, pixels, painting.sheets, count)
+    return composite_fragments(share, colours[:, :3], background, pixels, painting.sheets, count)
