@@ -2,7 +2,7 @@
 
 from loi_core.effects.allocation import allocate, whole_samples
 from loi_core.effects.fractions import Sizes, largest_fraction, most_fraction, relative_variance, sizes_of
-from loi_core.effects.holding import Evidence, Holding
+from loi_core.effects.frozen import Evidence, Frozen
 from loi_core.effects.model import Capability, Choice, Effect, EffectPlan
 from loi_core.effects.planner import EffectPlanner
 from loi_core.effects.schedule import Schedule
@@ -18,7 +18,7 @@ __all__ = [
     "EffectPlan",
     "EffectPlanner",
     "Evidence",
-    "Holding",
+    "Frozen",
     "Schedule",
     "Sizes",
     "allocate",

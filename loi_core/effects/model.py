@@ -99,14 +99,14 @@ class EffectPlan:
         What the renderer is told; its adapter knows the keys.
     why : mapping of str
         Reasons of settings that are no effect's own, by their name.
-    exchanged : mapping of str
-        What is not in the scene that gradients are taken from, and what is there instead and why: a line each.
-    followed : mapping of str
-        By parameter that moves a light, whose gradient is of samples that move with it, why: a line each.
+    substitutions : mapping of str
+        Objects that the proxy scene replaces, each with the replacement and the reason in one line.
+    attached : mapping of str
+        Parameters whose gradient is of attached samples, each with the reason in one line.
     blurred : mapping of str
-        By parameter without a gradient of its own, whose gradient is of images blurred over it, why: a line each.
-    held : mapping of str
-        By parameter that a fit does not move for now, why: a line each.
+        Parameters whose gradient is of images blurred over them, each with the reason in one line.
+    frozen : mapping of str
+        Parameters that a fit does not move at present, each with the reason in one line.
     notes : tuple of str
         What a person should know: gradients that the renderer does not have, or why everything is on.
     understood : bool
@@ -123,10 +123,10 @@ class EffectPlan:
     choices: tuple[Choice, ...]
     settings: Mapping[str, Any] = field(default_factory=dict)
     why: Mapping[str, str] = field(default_factory=dict)
-    exchanged: Mapping[str, str] = field(default_factory=dict)
-    followed: Mapping[str, str] = field(default_factory=dict)
+    substitutions: Mapping[str, str] = field(default_factory=dict)
+    attached: Mapping[str, str] = field(default_factory=dict)
     blurred: Mapping[str, str] = field(default_factory=dict)
-    held: Mapping[str, str] = field(default_factory=dict)
+    frozen: Mapping[str, str] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
     understood: bool = True
     measured: bool = False
@@ -147,10 +147,10 @@ class EffectPlan:
 
     def __repr__(self) -> str:
         on = ", ".join(one.effect for one in self.choices if one.on)
-        return f"<EffectPlan: {on or 'nothing'} on, {len(self.held)} parameters held>"
+        return f"<EffectPlan: {on or 'nothing'} on, {len(self.frozen)} parameters frozen>"
 
     def __str__(self) -> str:
-        """The plan as a small table, also Markdown, of effects and what is exchanged, followed, blurred or held."""
+        """Return a Markdown table of effects, substitutions, and attached, blurred and frozen parameters."""
         return "\n".join([*markdown(HEADS, self._rows), "", *self._settings, *self._notes])
 
     @property
@@ -165,8 +165,8 @@ class EffectPlan:
             ]
             for one in self.choices
         ]
-        rows += [[what, "exchanged", "", "", reason] for what, reason in self.exchanged.items()]
-        for state, reasons in (("followed", self.followed), ("blurred", self.blurred), ("held", self.held)):
+        rows += [[original, "replaced", "", "", reason] for original, reason in self.substitutions.items()]
+        for state, reasons in (("attached", self.attached), ("blurred", self.blurred), ("frozen", self.frozen)):
             rows += [[names, state, "", "", reason] for names, reason in _together(reasons)]
         return rows
 
@@ -187,13 +187,13 @@ class EffectPlan:
             for new, old in zip(self.choices, other.choices, strict=True)
             if new.on != old.on
         ]
-        for state, now, before in (("held", self.held, other.held), ("blurred", self.blurred, other.blurred)):
+        for state, now, before in (("frozen", self.frozen, other.frozen), ("blurred", self.blurred, other.blurred)):
             fresh = {name: reason for name, reason in now.items() if name not in before}
             changes += [f"{names} {state} ({reason})" for names, reason in _together(fresh)]
         for state, before, now in (
-            ("no longer followed", other.followed, self.followed),
+            ("no longer attached", other.attached, self.attached),
             ("no longer blurred", other.blurred, self.blurred),
-            ("free", other.held, {**self.held, **self.blurred}),
+            ("released", other.frozen, {**self.frozen, **self.blurred}),
         ):
             changes += [f"{names} {state}" for names, _ in _together({name: "" for name in before if name not in now})]
         for name in dict.fromkeys([*other.settings, *self.settings]):

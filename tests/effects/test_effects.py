@@ -114,14 +114,14 @@ def test_a_change_of_plan_is_one_line_and_no_change_is_none() -> None:
 
 
 def test_what_is_held_has_a_row_and_its_changes_are_told() -> None:
-    held = dataclasses.replace(plan(), held={"far": "it cannot be seen"})
-    lines = str(held).splitlines()
+    frozen_plan = dataclasses.replace(plan(), frozen={"far": "it cannot be seen"})
+    lines = str(frozen_plan).splitlines()
     row = lines[2 + len(Effect)]
-    assert [cell.strip() for cell in row.strip("|").split("|")] == ["'far'", "held", "", "", "it cannot be seen"]
+    assert [cell.strip() for cell in row.strip("|").split("|")] == ["'far'", "frozen", "", "", "it cannot be seen"]
     assert len({len(line) for line in lines[: len(Effect) + 3]}) == 1
-    assert held.changes_from(plan()) == "'far' held (it cannot be seen)"
-    assert plan().changes_from(held) == "'far' free"
-    assert held.changes_from(held) == ""
+    assert frozen_plan.changes_from(plan()) == "'far' frozen (it cannot be seen)"
+    assert plan().changes_from(frozen_plan) == "'far' released"
+    assert frozen_plan.changes_from(frozen_plan) == ""
 
 
 def test_a_part_that_is_never_there_takes_no_draws_from_the_others() -> None:
@@ -189,15 +189,15 @@ def test_draws_add_group_and_cancel() -> None:
 @pytest.mark.parametrize("count", [5, 6])
 def test_many_that_are_held_for_one_reason_share_a_row(count: int) -> None:
     far = {f"far {k}": "it cannot be seen" for k in range(count)}
-    held = dataclasses.replace(plan(), held={**far, "noisy": "it is noise"})
-    rows = [line for line in str(held).splitlines() if " held " in line]
-    changes = held.changes_from(plan()).split("; ")
-    freed = plan().changes_from(held).split("; ")
+    frozen_plan = dataclasses.replace(plan(), frozen={**far, "noisy": "it is noise"})
+    rows = [line for line in str(frozen_plan).splitlines() if " frozen " in line]
+    changes = frozen_plan.changes_from(plan()).split("; ")
+    released = plan().changes_from(frozen_plan).split("; ")
     if count == 5:
         assert len(rows) == len(changes) == 6
     else:
         names = "'far 0', 'far 1', 'far 2', 'far 3' and 2 others"
         assert [row.split("|")[1].strip() for row in rows] == [names, "'noisy'"]
-        assert changes == [f"{names} held (it cannot be seen)", "'noisy' held (it is noise)"]
-    assert freed == [f"'far 0', 'far 1', 'far 2', 'far 3' and {count - 3} others free"]
-    assert len(held.held) == count + 1  # where every name is
+        assert changes == [f"{names} frozen (it cannot be seen)", "'noisy' frozen (it is noise)"]
+    assert released == [f"'far 0', 'far 1', 'far 2', 'far 3' and {count - 3} others released"]
+    assert len(frozen_plan.frozen) == count + 1  # where every name is

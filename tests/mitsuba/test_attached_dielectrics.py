@@ -116,7 +116,7 @@ def test_a_fit_finds_a_ball_of_glass() -> None:
     truth = {"x": np.float32(1.5), "z": np.float32(1.0)}
     target = np.mean([planned.render(truth, seed=10**6 + seed) for seed in range(4)], axis=0)
     result = fit(planned, LOIObjective(target.astype(np.float32)), steps=60)
-    assert list(planned.plan.followed) == ["x", "z"]
+    assert list(planned.plan.attached) == ["x", "z"]
     assert not planned.plan.blurred
     for name, value in truth.items():
         np.testing.assert_allclose(result.best_params[name], value, atol=0.11)  # a pixel is 0.22
@@ -136,7 +136,7 @@ def test_glass_out_of_view_is_blurred() -> None:
     lid = {"type": "cube", "to_world": mi.ScalarTransform4f().translate([0, 3, 0]).scale([9, 0.1, 9])}
     plan = begun(glass_scene(lid=lid), {"x": Translate("ball", X)}, spp=4).plan
     assert list(plan.blurred) == ["x"]
-    assert not plan.followed
+    assert not plan.attached
 
 
 def test_glass_with_a_noisy_attached_gradient_is_not_blurred() -> None:
@@ -144,7 +144,7 @@ def test_glass_with_a_noisy_attached_gradient_is_not_blurred() -> None:
     planned = PlannedRenderer(glass_scene(), {"x": Translate("ball", X)}, spp=2)
     noise = np.random.default_rng(0).normal(size=(HEIGHT, WIDTH, 3)).astype(np.float32)
     plan = planned.begin(planned.parameters(), noise, optimise=["x"])
-    assert list(plan.followed) == ["x"]
+    assert list(plan.attached) == ["x"]
     assert not plan.blurred
 
 
@@ -154,7 +154,7 @@ def test_glass_that_comes_into_view_is_attached() -> None:
     planned.begin({"x": np.float32(60.0)}, RAMP, optimise=["x"])
     assert list(planned.plan.blurred) == ["x"]
     planned.render_vjp(planned.parameters())[1](RAMP)
-    assert list(planned.plan.followed) == ["x"]
+    assert list(planned.plan.attached) == ["x"]
     assert not planned.plan.blurred
 
 

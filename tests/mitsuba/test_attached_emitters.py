@@ -155,7 +155,7 @@ def test_a_light_that_comes_into_view_has_the_gradient_of_its_silhouette() -> No
     scene["sensor"]["film"]["rfilter"] = {"type": "tent"}
     planned = PlannedRenderer(scene, {"x": Translate("lamp", X), "y": Translate("lamp", Y)}, spp=32)
     planned.begin(planned.parameters(), RAMP, optimise=["x", "y"])
-    assert list(planned.plan.followed) == ["x", "y"]
+    assert list(planned.plan.attached) == ["x", "y"]
     params: dict[str, Any] = {"x": np.float32(0.0), "y": np.float32(-4.5)}
     draws = [float(planned.render_vjp(params, seed=seed)[1](RAMP)["x"]) for seed in range(8)]
     expected, expected_error = differences(planned.unabridged.with_integrator("scene", spp=128), params, {"x": 0.1})
@@ -173,7 +173,7 @@ def test_a_fit_finds_a_point_light(light: Any, blur: dict[str, Any] | None) -> N
     start = planned.parameters()["light"]
     truth = start + np.array([2.0, 1.0, -1.5], np.float32)
     result = fit(planned, LOIObjective(planned.render({"light": truth}, seed=10**6)), steps=80)
-    assert list(planned.plan.followed) == ["light"]
+    assert list(planned.plan.attached) == ["light"]
     assert not planned.plan.blurred
     np.testing.assert_allclose(result.best_params["light"], truth, atol=0.05)
 
@@ -188,15 +188,15 @@ def begun(scene: dict[str, Any], targets: dict[str, Any], **options: Any) -> Pla
 def test_a_light_without_visible_direct_light_is_not_attached() -> None:
     """A lid blocks all direct light of the lamp, whose silhouette is out of view as well, so that it is frozen."""
     lid = {"type": "cube", "to_world": mi.ScalarTransform4f().translate([0, 6, 0]).scale([9, 0.1, 9])}
-    for kind, field in (("ball", "held"), ("point", "blurred")):
+    for kind, field in (("ball", "frozen"), ("point", "blurred")):
         plan = begun(lit_scene(kind, lid=lid), {"x": Translate("lamp", X)}, spp=4).plan
-        assert not plan.followed
+        assert not plan.attached
         assert list(getattr(plan, field)) == ["x"]
     targets: dict[str, Any] = {"x": Translate("lamp", X), "ball": Translate("ball", X)}
     plan = begun(
         lit_scene("point", lid=lid), targets, spp=4, blur={"names": ["ball"]}
     ).plan  # `names` excludes the light from blurring
-    assert list(plan.followed) == ["x"]
+    assert list(plan.attached) == ["x"]
 
 
 def test_a_light_seen_in_a_mirror_keeps_mitsuba_s_gradient() -> None:
@@ -212,8 +212,8 @@ def test_a_light_seen_in_a_mirror_keeps_mitsuba_s_gradient() -> None:
         integrator={"type": "path", "max_depth": 3},
     )
     planned = begun(scene, {"x": Translate("ball", X)}, spp=16)
-    assert not planned.plan.followed
-    assert not planned.plan.held
+    assert not planned.plan.attached
+    assert not planned.plan.frozen
     assert not planned.plan.blurred
 
 
@@ -225,7 +225,7 @@ def test_a_moving_light_is_attached_and_a_moving_ball_is_not() -> None:
     start = planned.parameters()
     image, pullback = planned.render_vjp(start)
     first = pullback(RAMP)
-    assert list(planned.plan.followed) == ["lamp"]
+    assert list(planned.plan.attached) == ["lamp"]
     (row,) = (line for line in str(planned.plan).splitlines() if line.startswith("| 'lamp'"))
     assert "it moves the area light, and attached samples of its direct light have the gradient" in row
     assert planned.groups == (("ball",),)
@@ -233,7 +233,7 @@ def test_a_moving_light_is_attached_and_a_moving_ball_is_not() -> None:
     np.testing.assert_allclose(pullback(RAMP)["lamp"], first["lamp"], rtol=1e-4)
     np.testing.assert_array_equal(planned.render(start), image)
     alone = planned.begin(start, RAMP, optimise=["ball"])
-    assert not alone.followed
+    assert not alone.attached
     assert not np.any(planned.render_vjp(start)[1](RAMP)["lamp"])
 
 
@@ -248,8 +248,8 @@ def test_the_scale_of_an_emitting_mesh_is_not_attached() -> None:
 def test_attached_lights_can_be_turned_off() -> None:
     light: dict[str, Any] = {"x": Translate("lamp", X)}
     assert list(begun(lit_scene("point"), light, spp=4, attached_lights=False).plan.blurred) == ["x"]
-    assert not begun(lit_scene("ball"), light, spp=4, attached_lights=False).plan.followed
-    assert not plan_effects(lit_scene("point"), light, attached_lights=False).followed
+    assert not begun(lit_scene("ball"), light, spp=4, attached_lights=False).plan.attached
+    assert not plan_effects(lit_scene("point"), light, attached_lights=False).attached
     assert list(PlannedRenderer(lit_scene("point"), light, blur={"names": ["x"]}).plan.blurred) == ["x"]
     with pytest.raises(OptionError, match="`attached_lights` must be true or false, got 1"):
         PlannedRenderer(lit_scene("point"), light, attached_lights=1)  # type: ignore[arg-type]
@@ -277,6 +277,6 @@ def test_a_fit_finds_a_light_together_with_a_ball_and_a_colour() -> None:
         steps=100,
         optimise={"lamp": Free(None, -5, 5), "ball": Free(None, -5, 5), "floor": Free(None, 0.0, 1.0)},
     )
-    assert list(planned.plan.followed) == ["lamp"]
+    assert list(planned.plan.attached) == ["lamp"]
     for name, value in truth.items():
         np.testing.assert_allclose(result.best_params[name], value, atol=0.1)

@@ -88,7 +88,7 @@ def test_a_parameter_with_a_noisy_gradient_is_blurred_by_the_pilot() -> None:
     free = {name: Free(None, -5.0, 5.0) for name in lamp}
     assert not planned.plan.blurred
     result = fit(planned, objective, steps=60, optimise=free)
-    assert not planned.plan.held
+    assert not planned.plan.frozen
     assert list(planned.plan.blurred) == ["x", "y"]
     assert "cannot be distinguished from noise in 8 draws; the blurred gradient is significant" in str(planned.plan)
     for name, value in truth.items():
@@ -96,7 +96,7 @@ def test_a_parameter_with_a_noisy_gradient_is_blurred_by_the_pilot() -> None:
     start = without_blur.parameters()
     cotangent = objective.value_and_grad(without_blur.render(start))[1]
     without_blur.begin(start, cotangent, optimise=lamp)
-    assert list(without_blur.plan.held) == ["x", "y"]
+    assert list(without_blur.plan.frozen) == ["x", "y"]
     assert not without_blur.plan.blurred
 
 
@@ -132,7 +132,7 @@ def test_a_blurred_parameter_is_released_when_its_gradient_becomes_significant()
     ramp = np.linspace(-1.0, 1.0, WIDTH, dtype=np.float32)[None, :, None] * np.ones((HEIGHT, WIDTH, 3), np.float32)
     pulled = [planned.render_vjp(planned.parameters(), seed=seed)[1](ramp)["x"] for seed in range(1, 22)]
     assert not planned.plan.blurred
-    assert not planned.plan.held
+    assert not planned.plan.frozen
     assert pulled[-1] == pytest.approx(np.mean(pulled[:-1]), rel=0.5)
 
 
@@ -159,7 +159,7 @@ def test_many_noisy_parameters_are_frozen_and_not_blurred(monkeypatch: pytest.Mo
     planned = PlannedRenderer(shadow_scene(**shapes), {name: Translate(name) for name in shapes}, spp=4)
     image, pullback = planned.render_vjp(planned.parameters())
     pullback(np.ones_like(image))
-    assert list(planned.plan.held) == list(shapes)
+    assert list(planned.plan.frozen) == list(shapes)
     assert not planned.plan.blurred
 
 
@@ -259,7 +259,7 @@ def test_without_a_blur_unsupported_parameters_are_refused_or_have_mitsuba_s_gra
     moved = {"x": Translate("ball", X)}
     plan = PlannedRenderer(lit_scene(**GLASS, **HIGH), moved, blur=None, attached_glass=False).plan
     assert not plan.blurred
-    assert "dielectric 'bsdf'" in plan.exchanged
+    assert "dielectric 'bsdf'" in plan.substitutions
     with pytest.raises(ParameterError, match=r"has no parameter 'lamp\.place'"):
         PlannedRenderer(lit_scene(), {"light": "lamp.place"})
 
@@ -312,7 +312,7 @@ def test_the_blurred_gradient_of_a_light_matches_finite_differences() -> None:
 def test_a_proxy_light_moves_with_its_delta_light(light: Any) -> None:
     ball = {"x": Translate("ball", X)}
     planned = PlannedRenderer(lit_scene(**HIGH), {**ball, "light": light}, spp=16, attached_lights=False)
-    assert list(planned.plan.exchanged) == ["point light 'lamp'"]
+    assert list(planned.plan.substitutions) == ["point light 'lamp'"]
     assert list(planned.plan.blurred) == ["light"]
     params = planned.parameters()
     params["light"] = params["light"] + np.float32(1.0)
@@ -361,7 +361,7 @@ def test_a_plan_with_only_blurred_parameters_has_nothing_to_verify() -> None:
     image = planned.render(planned.parameters())
     objective = PixelL2(planned.render({"light": np.float32(1.0)}, seed=9))
     planned.begin(planned.parameters(), objective.value_and_grad(image)[1], optimise=["light"])
-    assert not planned.plan.held
+    assert not planned.plan.frozen
     assert np.any(planned.render_vjp(planned.parameters())[1](np.ones_like(image))["light"])
     assert planned.effect_images(planned.parameters(), np.ones_like(image)) == {}
     with pytest.raises(OptionError, match="nothing to verify: 'light'"):
@@ -402,7 +402,7 @@ def test_a_scene_file_sets_the_options_of_the_blur(tmp_path: Path, capsys: pytes
     assert json.loads(capsys.readouterr().out)["blurred"] == {}  # the light is not optimised
     scene.write_text(f"{text}\n[renderer.blur]\nsigma = 0.5\n[optimise.light]\n")
     assert main(["fit", str(scene), "--explain", "--json"]) == 0
-    assert list(json.loads(capsys.readouterr().out)["followed"]) == ["light"]
+    assert list(json.loads(capsys.readouterr().out)["attached"]) == ["light"]
     text = text.replace('"mitsuba-planned"', '"mitsuba-planned"\nattached_lights = false')
     scene.write_text(f"{text}\n[renderer.blur]\nsigma = 0.5\n[optimise.light]\n")
     assert main(["fit", str(scene), "--explain", "--json"]) == 0

@@ -265,4 +265,4 @@ def test_a_partly_smooth_mesh_keeps_its_split_vertices(tmp_path: Path) -> None:
     block = {"type": "ply", "filename": str(tmp_path / "can.ply"), "to_world": TRANSFORM().translate([0, 1.5, 0])}
     with pytest.warns(GradientWarning, match=r"PlannedRenderer does where shading is smooth or flat throughout"):
         planned = PlannedRenderer(lit_scene("lamp", block), {"x": MOVES["x"]})
-    assert not planned.plan.exchanged
+    assert not planned.plan.substitutions

@@ -39,8 +39,8 @@ def test_no_plan_turns_the_gradient(case: Case) -> None:
     samples = 4 * FULL.samples if case.name == "shadow of an object out of view" else FULL.samples
     row = measure(case, dataclasses.replace(FULL, defaults=0, fits=0, samples=samples))
     if case.name == "nothing that can be seen":
-        assert list(row.plan.held) == ["place"]
+        assert list(row.plan.frozen) == ["place"]
         return
-    assert not row.plan.held
+    assert not row.plan.frozen
     assert row.gradient.cosine > 0.99 - 2.0 * row.gradient.cosine_error
     assert row.gradient.ratio == pytest.approx(1.0, abs=0.1 + 3.0 * row.gradient.ratio_error)

@@ -44,12 +44,12 @@ def test_a_fit_does_not_move_an_object_behind_the_camera(caplog: pytest.LogCaptu
     result = fit(renderer, objective, steps=12, learning_rate=0.05)
     np.testing.assert_array_equal(result.params["behind"], NOWHERE)
     assert np.any(result.params["ball"] != 0.0)
-    assert list(renderer.plan.held) == ["behind"]
+    assert list(renderer.plan.frozen) == ["behind"]
     assert f"| {'behind'!r}" in str(renderer.plan)
-    assert asdict(renderer.plan)["held"] == renderer.plan.held  # what --explain --json prints
+    assert asdict(renderer.plan)["frozen"] == renderer.plan.frozen  # what --explain --json prints
     assert json.dumps(asdict(renderer.plan))
-    (line,) = [record.getMessage() for record in caplog.records if "held" in record.getMessage()]
-    assert "'behind' held (its gradient " in line
+    (line,) = [record.getMessage() for record in caplog.records if "frozen" in record.getMessage()]
+    assert "'behind' frozen (its gradient " in line
     assert "\n" not in line
 
 
@@ -70,9 +70,9 @@ def test_an_object_that_comes_into_view_is_released_in_that_step(caplog: pytest.
     in_view = {"ball": np.zeros(3), "behind": np.array([1.0, 0.5, -14.0])}
     image, pullback = renderer.render_vjp(in_view, seed=1)
     assert np.any(pullback(objective.value_and_grad(image)[1])["behind"])
-    assert not renderer.plan.held
-    (line,) = [record.getMessage() for record in caplog.records if "free" in record.getMessage()]
-    assert line == "effects, as it comes into view: 'behind' free"
+    assert not renderer.plan.frozen
+    (line,) = [record.getMessage() for record in caplog.records if "released" in record.getMessage()]
+    assert line == "effects, as it comes into view: 'behind' released"
 
 
 def test_an_occluded_object_is_released_when_its_gradients_agree() -> None:
@@ -94,12 +94,12 @@ def test_an_occluded_object_is_released_when_its_gradients_agree() -> None:
         return first
 
     assert not any(np.any(gradient(0.0, seed)) for seed in range(5))
-    assert "ball" in renderer.plan.held
+    assert "ball" in renderer.plan.frozen
     moved = [bool(np.any(gradient(9.0, seed))) for seed in range(5, 25)]
     assert not moved[0]
     assert moved[-1]
     assert moved == sorted(moved)  # a released parameter is not frozen again
-    assert "ball" not in renderer.plan.held
+    assert "ball" not in renderer.plan.frozen
 
 
 def test_parameters_that_move_one_shape_are_one_group() -> None:

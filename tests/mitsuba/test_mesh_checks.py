@@ -57,8 +57,8 @@ def gradients(renderer: PlannedRenderer, seeds: int = 1) -> Any:
 def test_an_unwelded_smooth_mesh_has_the_gradient_of_the_welded_mesh(tmp_path: Path) -> None:
     meshes = ({"type": "ply", "filename": ball_file(tmp_path, split=split, normals=True)} for split in (True, False))
     unwelded, welded = (PlannedRenderer(scene_of(mesh), TURNS, spp=16) for mesh in meshes)
-    assert list(unwelded.plan.exchanged) == ["mesh 'mesh'"]
-    assert not welded.plan.exchanged
+    assert list(unwelded.plan.substitutions) == ["mesh 'mesh'"]
+    assert not welded.plan.substitutions
     actual, expected = gradients(unwelded), gradients(welded)
     for name in TURNS:
         assert abs(expected[name]) > 0.0
@@ -80,7 +80,7 @@ def test_welding_does_not_change_the_image(tmp_path: Path) -> None:
     ball = {"type": "ply", "filename": ball_file(tmp_path, split=True)}
     with pytest.warns(GradientWarning, match=r"mesh 'mesh' stores the vertices .* PlannedRenderer does where"):
         plain = PlannedRenderer(scene_of(ball), MOVES, spp=8, proxy={"seams": False})
-    assert not plain.plan.exchanged
+    assert not plain.plan.substitutions
     planned = PlannedRenderer(scene_of(ball), MOVES, spp=8)
     start = planned.parameters()
     np.testing.assert_allclose(planned.render(start, seed=3), plain.render(start, seed=3), rtol=1e-4, atol=1e-5)
@@ -90,14 +90,14 @@ def test_a_mesh_object_of_the_caller_is_not_welded(tmp_path: Path) -> None:
     mesh = mi.load_dict({"type": "ply", "filename": ball_file(tmp_path, split=True)})
     faces = np.array(mi.traverse(mesh)["faces"])
     with pytest.warns(GradientWarning, match="stores the vertices of an edge more than once"):
-        assert not PlannedRenderer(shadow_scene(mesh=mesh), MOVES).plan.exchanged
+        assert not PlannedRenderer(shadow_scene(mesh=mesh), MOVES).plan.substitutions
     np.testing.assert_array_equal(mi.traverse(mesh)["faces"], faces)
 
 
 def test_a_mesh_with_fitted_vertices_is_not_welded() -> None:
     with pytest.warns(GradientWarning, match="mesh 'mesh' stores the vertices of an edge more than once"):
         planned = PlannedRenderer(scene_of({"type": "cube"}), {"corners": "mesh.vertex_positions"})
-    assert not planned.plan.exchanged
+    assert not planned.plan.substitutions
 
 
 def test_sharp_edged_and_unwelded_meshes_are_recognised(tmp_path: Path) -> None:
@@ -125,7 +125,7 @@ def test_a_cube_in_a_dict_is_replaced_for_all_films(film: dict[str, Any]) -> Non
     """Where the filter extends beyond the border, the scene is loaded again, with new shape objects."""
     scene = scene_of({"type": "cube"})
     scene["sensor"]["film"] = {"type": "hdrfilm", "width": WIDTH, "height": HEIGHT, **film}
-    assert list(PlannedRenderer(scene, MOVES, spp=4).plan.exchanged) == ["mesh 'mesh'"]
+    assert list(PlannedRenderer(scene, MOVES, spp=4).plan.substitutions) == ["mesh 'mesh'"]
 
 
 def box_file(folder: Path, variant: str) -> str:
@@ -207,7 +207,7 @@ def test_a_welded_box_keeps_its_texture() -> None:
     pose = mi.ScalarTransform4f().translate([0, 1, 0]).scale(0.7)
     scene = shadow_scene(mesh={"type": "cube", "to_world": pose, "bsdf": paint})
     planned = PlannedRenderer(scene, MOVES, spp=8)
-    assert list(planned.plan.exchanged) == ["mesh 'mesh'"]
+    assert list(planned.plan.substitutions) == ["mesh 'mesh'"]
     primary = {"type": "direct_projective", "guiding": "none", "sppc": 8, "sppp": 8, "sppi": 0}
     with pytest.warns(GradientWarning, match="mesh 'mesh' stores the vertices of an edge more than once"):
         plain = MitsubaRenderer(scene, MOVES, integrator=primary)

@@ -46,7 +46,7 @@ def test_a_shadow_alone_needs_no_shading_no_outlines_and_no_bounces() -> None:
     assert not renderer.plan.on & {Effect.CONTINUOUS, Effect.PRIMARY, Effect.BOUNCES}
     assert renderer.plan.settings["integrator"] == "direct_projective"
     assert renderer.plan[Effect.INDIRECT].fraction == pytest.approx(1.0, abs=1e-6)
-    assert not renderer.plan.held
+    assert not renderer.plan.frozen
     verification = renderer.verify(objective, dict(case.start), draws=12)
     assert verification.seconds < verification.full_seconds
     assert verification.gradient.cosine > 0.99 - 2.0 * verification.gradient.cosine_error
@@ -58,7 +58,7 @@ def test_the_colour_of_a_light_needs_bounces_and_no_edges() -> None:
     assert not renderer.plan.on & {Effect.PRIMARY, Effect.INDIRECT}
     assert {Effect.BOUNCES, Effect.EMITTERS} <= renderer.plan.on
     assert 2 < renderer.plan.settings["max_depth"] < 8
-    assert not renderer.plan.held
+    assert not renderer.plan.frozen
     verification = renderer.verify(objective, dict(CASES["emitter colour"].start), draws=6)
     assert verification.gradient.cosine > 0.999
     assert verification.gradient.ratio == pytest.approx(1.0, abs=0.02)
@@ -66,7 +66,7 @@ def test_the_colour_of_a_light_needs_bounces_and_no_edges() -> None:
 
 def test_a_noisy_gradient_is_frozen_and_turns_no_effect_off() -> None:
     renderer, _ = begun(CASES["nothing that can be seen"], spp=4)
-    assert list(renderer.plan.held) == ["place"]
+    assert list(renderer.plan.frozen) == ["place"]
     nonzero = {
         effect for effect in (Effect.CONTINUOUS, Effect.INDIRECT) if renderer.plan[effect].reason[:7] != "exactly"
     }
@@ -174,7 +174,7 @@ def test_a_light_behind_glass_keeps_its_paths() -> None:
     objective = PixelL2(renderer.render({"light": np.array([20.0, 15.0, 10.0])}, seed=10**6))
     start(renderer, objective, {"light": np.array([10.0, 10.0, 10.0])})
     assert {Effect.BOUNCES, Effect.SPECULAR} <= renderer.plan.on
-    assert not renderer.plan.held
+    assert not renderer.plan.frozen
     dark = MitsubaRenderer(scene, target, integrator={"type": "prb", "max_depth": 2}).render(renderer.parameters())
     bright = renderer.render(renderer.parameters())
     assert bright.mean() > 3.0 * dark.mean()  # the rest is light that shines past the glass

@@ -42,7 +42,7 @@ def test_a_scene_file_sets_and_explains_the_proxy(folder: Path, capsys: pytest.C
     text = (folder / "scene.toml").read_text().replace("spp = 8", "spp = 64")  # with 8 samples the gradient is noise
     (folder / "scene.toml").write_text(f"{text}\n[renderer.proxy]\nlights = 0.05\n")
     assert main(["fit", str(folder / "scene.toml"), "--explain", "--json"]) in FINISHED
-    (reason,) = json.loads(capsys.readouterr().out)["exchanged"].values()
+    (reason,) = json.loads(capsys.readouterr().out)["substitutions"].values()
     assert "0.05 of its distance from the moving shapes" in reason
     (folder / "scene.toml").write_text(f"{text}\n[renderer.proxy]\nlights = 2\n")
     assert main(["fit", str(folder / "scene.toml"), "--explain"]) == 2

@@ -98,7 +98,7 @@ def test_a_proxy_light_is_made_smaller_in_a_shade_and_not_below_a_ceiling() -> N
         planned = PlannedRenderer(
             shadow_scene(ball=ball, occluder=occluder, lamp=lamp), {"x": Translate("ball", (1, 0, 0))}
         )
-        (reason,) = planned.plan.exchanged.values()
+        (reason,) = planned.plan.substitutions.values()
         reasons.append("reduced until it fits between the shapes around it" in reason)
     assert reasons == [True, False]
 
@@ -136,7 +136,7 @@ def test_only_the_gradient_of_shadows_comes_from_the_proxy_of_a_delta_light(kind
 def test_a_proxy_light_is_not_larger_than_a_small_moving_shape() -> None:
     """A light much larger than the occluder would leave no umbra, and a twentieth of the gradient of a pixel loss."""
     planned = PlannedRenderer(lit_scene(ball={"type": "sphere", "center": [0, 5, 0], "radius": 0.12}), AXES, spp=64)
-    (reason,) = planned.plan.exchanged.values()
+    (reason,) = planned.plan.substitutions.values()
     assert "a sphere of radius 0.24, the size of the smallest moving shape" in reason
     exact = planned.unabridged.with_integrator("scene", spp=512)
     objective = PixelL2(exact.render(HERE, seed=10**6))
@@ -163,19 +163,19 @@ def test_the_image_comes_from_the_scene_and_not_from_the_proxy() -> None:
 
 def test_a_plan_lists_the_substitutions_and_their_reasons() -> None:
     plan = PlannedRenderer(lit_scene(), AXES).plan
-    (reason,) = plan.exchanged.values()
-    assert list(plan.exchanged) == ["point light 'lamp'"]
+    (reason,) = plan.substitutions.values()
+    assert list(plan.substitutions) == ["point light 'lamp'"]
     assert "a sphere of radius 0.66, 0.1 of its distance from the moving shapes" in reason
     assert "| point light 'lamp'" in str(plan)
-    assert "exchanged" in str(plan)
+    assert "| replaced" in str(plan)
 
 
 def test_nothing_is_replaced_that_no_parameter_needs() -> None:
     light = {"brightness": "lamp.intensity.value"}
-    assert not PlannedRenderer(lit_scene(), light).plan.exchanged
-    assert not PlannedRenderer(shadow_scene(), AXES).plan.exchanged
+    assert not PlannedRenderer(lit_scene(), light).plan.substitutions
+    assert not PlannedRenderer(shadow_scene(), AXES).plan.substitutions
     with pytest.warns(GradientWarning, match="moves under a PointLight"):
-        assert not PlannedRenderer(lit_scene(), AXES, proxy={"lights": 0.0}).plan.exchanged
+        assert not PlannedRenderer(lit_scene(), AXES, proxy={"lights": 0.0}).plan.substitutions
     with pytest.warns(GradientWarning, match="moves under a PointLight"):
         without_proxy = PlannedRenderer(lit_scene(), AXES, proxy=None)
     gradient = without_proxy.unabridged.vjp(HERE, np.ones((48, 64, 3), np.float32))
@@ -199,7 +199,7 @@ def test_a_light_that_has_no_proxy_stays_and_causes_a_warning(light: dict[str, A
         light = {**light, "irradiance": {"type": "bitmap", "data": mi.TensorXf(np.ones((4, 4, 3))), "raw": True}}
     with pytest.warns(GradientWarning, match="moves under"):
         plan = PlannedRenderer(lit_scene(other=light), AXES).plan
-    assert list(plan.exchanged) == ["point light 'lamp'"]
+    assert list(plan.substitutions) == ["point light 'lamp'"]
 
 
 def test_lights_that_share_a_spectrum_keep_their_intensities() -> None:
@@ -211,7 +211,7 @@ def test_lights_that_share_a_spectrum_keep_their_intensities() -> None:
     scene = shadow_scene(**lamps, integrator={"type": "path", "max_depth": 2})
     expected = np.mean(mi.render(mi.load_dict(scene), spp=64).numpy())
     planned = PlannedRenderer(scene, AXES, spp=64)
-    assert list(planned.plan.exchanged) == ["point light 'lamp'", "point light 'other'"]
+    assert list(planned.plan.substitutions) == ["point light 'lamp'", "point light 'other'"]
     assert np.mean(planned.render(HERE)) == pytest.approx(expected, rel=1e-3)
     proxy_image = mi.render(planned.unabridged.proxy_scene, spp=64).numpy()  # type: ignore[attr-defined]
     assert np.mean(proxy_image) == pytest.approx(expected, rel=0.02)
@@ -230,7 +230,7 @@ def test_a_light_s_parameter_sets_the_same_light_in_the_proxy(tmp_path: Path) ->
     for scene in (path, mi.load_file(str(path))):
         with pytest.warns(GradientWarning, match="moves under a SpotLight"):
             planned = PlannedRenderer(scene, {**AXES, **powers}, spp=16)
-        assert list(planned.plan.exchanged) == ["point light (1)", "point light (2)"]
+        assert list(planned.plan.substitutions) == ["point light (1)", "point light (2)"]
         planned.unabridged.vjp({**planned.parameters(), "spot": np.full(3, 9.0, np.float32)}, RAMP)
         proxy_params = mi.traverse(planned.unabridged.proxy_scene)  # type: ignore[attr-defined]
         (spot,) = (key for key in proxy_params.properties if key.endswith(".intensity.value"))
@@ -243,19 +243,19 @@ def test_an_object_is_not_replaced_if_its_proxy_lacks_a_fitted_entry() -> None:
     spot = lit_scene("spot")
     with pytest.warns(GradientWarning, match="moves under a SpotLight"):
         plan = PlannedRenderer(spot, {**AXES, "cone": "lamp.texture.value"}).plan
-    assert not plan.exchanged
+    assert not plan.substitutions
     mirror = {"type": "rectangle", "bsdf": {"type": "conductor"}}
     planned = PlannedRenderer(lit_scene(mirror=mirror), {**AXES, "gloss": "mirror.bsdf.specular_reflectance.value"})
-    assert list(planned.plan.exchanged) == ["point light 'lamp'"]
+    assert list(planned.plan.substitutions) == ["point light 'lamp'"]
     assert any("perfect mirror" in note for note in planned.plan.notes)
 
 
 def test_a_loaded_scene_with_instances_has_no_proxy() -> None:
     group = {"type": "shapegroup", "inner": {"type": "sphere", "radius": 0.2}}
     scene = lit_scene(group=group, one={"type": "instance", "shapegroup": {"type": "ref", "id": "group"}})
-    assert PlannedRenderer(scene, AXES).plan.exchanged
+    assert PlannedRenderer(scene, AXES).plan.substitutions
     with pytest.warns(GradientWarning, match="moves under a PointLight"):
-        assert not PlannedRenderer(mi.load_dict(scene), AXES).plan.exchanged
+        assert not PlannedRenderer(mi.load_dict(scene), AXES).plan.substitutions
 
 
 def test_files_and_loaded_scenes_have_proxies_too(tmp_path: Path) -> None:
@@ -266,7 +266,7 @@ def test_files_and_loaded_scenes_have_proxies_too(tmp_path: Path) -> None:
     gradients = []
     for scene in (path, loaded, lit_scene()):
         planned = PlannedRenderer(scene, AXES, spp=128)
-        assert len(planned.plan.exchanged) == 1
+        assert len(planned.plan.substitutions) == 1
         gradients.append(np.mean([planned.unabridged.vjp(HERE, RAMP, seed=k)["x"] for k in range(3)]))
     assert gradients[0] == pytest.approx(gradients[1], rel=0.15)
     assert np.sign(gradients[0]) == np.sign(gradients[2])
@@ -293,7 +293,7 @@ def test_a_spectral_light_is_not_replaced_and_causes_a_warning(recwarn: pytest.W
     mi.set_variant("llvm_ad_spectral")
     planned = PlannedRenderer(lit_scene("point placed"), AXES)
     assert any("a shape moves under a PointLight" in str(warning.message) for warning in recwarn)
-    assert not planned.plan.exchanged
+    assert not planned.plan.substitutions
     image, pullback = planned.render_vjp(planned.parameters())
     assert np.all(np.isfinite(pullback(np.ones_like(image))["x"]))
 
@@ -306,7 +306,7 @@ def test_the_gradient_of_edges_in_a_mirror_matches_finite_differences() -> None:
     sky = {"type": "constant", "radiance": 0.1}
     scene = shadow_scene(floor=mirror, ball=ball, lamp=sky, integrator={"type": "path", "max_depth": 3})
     planned = PlannedRenderer(scene, AXES, spp=64)
-    assert list(planned.plan.exchanged) == ["conductor 'bsdf'"]
+    assert list(planned.plan.substitutions) == ["conductor 'bsdf'"]
     assert not any("perfect mirror" in note for note in planned.plan.notes)
     exact = planned.unabridged.with_integrator("scene", spp=256)
     plus, minus = (exact.render({**HERE, "x": np.float32(by)}, seed=1) for by in (0.1, -0.1))
@@ -337,7 +337,7 @@ def test_a_scene_s_dict_with_tensors_can_be_loaded_twice() -> None:
     scene = lit_scene()
     scene["floor"]["bsdf"]["reflectance"] = {"type": "bitmap", "data": picture, "raw": True}
     for _ in range(2):
-        assert PlannedRenderer(scene, AXES).plan.exchanged
+        assert PlannedRenderer(scene, AXES).plan.substitutions
         MitsubaRenderer(scene, {"colour": "floor.bsdf.reflectance.data"})
 
 

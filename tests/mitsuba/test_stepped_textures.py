@@ -98,7 +98,7 @@ def test_a_ramped_texture_equals_the_stepped_one_away_from_steps(texture_name: s
 def test_a_moving_texture_has_the_gradient_of_finite_differences(texture_name: str, tmp_path: Path) -> None:
     scene = lit_scene(TEXTURES[texture_name](tmp_path))
     planned = PlannedRenderer(scene, MOVES, spp=64)
-    (reason,) = planned.plan.exchanged.values()
+    (reason,) = planned.plan.substitutions.values()
     assert "an interpolated bitmap" in reason
     start = planned.parameters()
     gradients = [planned.unabridged.vjp(start, bump(), seed=seed) for seed in range(8)]
@@ -145,4 +145,4 @@ def test_stepped_textures_that_cannot_be_replaced_give_a_warning(
 ) -> None:
     with pytest.warns(GradientWarning, match="'card' has a texture with steps"):
         planned = PlannedRenderer(lit_scene(texture), MOVES | targets, **options)
-    assert not planned.plan.exchanged
+    assert not planned.plan.substitutions

@@ -9,8 +9,8 @@ from typing import Any, Final
 import mitsuba as mi
 import numpy as np
 
-from loi_core.effects import Draws, Holding
-from loi_core.effects.holding import CLEAR
+from loi_core.effects import Draws, Frozen
+from loi_core.effects.frozen import CLEAR_ERRORS
 from loi_mitsuba.attached.dielectrics import AttachedDielectrics, is_clear_glass
 from loi_mitsuba.attached.emitters import (
     ROTATION_STEP_DEG,
@@ -198,14 +198,14 @@ class AttachedGradient:
         The gradient of `mitsuba` contains all light. Where it disagrees, the attached gradient lacks something.
         """
         draws = self._draws(params, cotangent, names, seed)
-        significant = frozenset(names) - Holding.begun(draws, self._groups(names)).reasons.keys()
+        significant = frozenset(names) - Frozen.of(draws, self._groups(names)).reasons.keys()
         selected = tuple(name for name in names if name in significant)
         if not selected:
             return significant
         pulled = [mitsuba.vjp(params, cotangent, seed=seed + k) for k in range(DRAWS)]
         complete = Draws.of([{name: gradient[name] for name in selected} for gradient in pulled])
         missing = complete.less(draws)
-        disagreeing = {name for name in selected if missing.heard(name, CLEAR)}
+        disagreeing = {name for name in selected if missing.heard(name, CLEAR_ERRORS)}
         return frozenset(name for group in self._groups(selected) for name in group if not disagreeing & set(group))
 
     def _draws(self, params: Mapping[str, Any], cotangent: Any, names: Sequence[str], seed: int) -> Draws:

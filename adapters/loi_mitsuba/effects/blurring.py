@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from loi_core.effects import Draws, Holding
+from loi_core.effects import Draws, Frozen
 from loi_core.errors import OptionError
 from loi_core.renderers.blurred import BlurredRenderer
 from loi_core.renderers.contract import Renderer
@@ -51,7 +51,7 @@ class Blurring:
                 options[key] = {name: sigma for name, sigma in options[key].items() if name not in ignored}
         return BlurredRenderer(self.images, **options)
 
-    def significant(self, probe: GradientProbe, frozen: Holding) -> dict[str, str]:
+    def significant(self, probe: GradientProbe, frozen: Frozen) -> dict[str, str]:
         """Return the frozen parameters whose blurred gradient is significant, with the reason."""
         names = tuple(frozen.reasons)
         if not names or self.options is None or self.options.get("names") is not None:
@@ -67,7 +67,7 @@ class Blurring:
             draws = [first, *(blurred.vjp(params, probe.cotangent, seed=seed + k) for k in range(1, DRAWS))]
         except OptionError:  # the parameters change no pixel, so that a blur in pixels has no size
             return {}
-        insignificant = Holding.begun(Draws.of(draws), frozen.groups).reasons
+        insignificant = Frozen.of(Draws.of(draws), frozen.groups).reasons
         return {
             name: f"{reason}; the blurred gradient is significant in {DRAWS} draws"
             for name, reason in frozen.reasons.items()

@@ -15,7 +15,7 @@ from loi_core.effects import (
     Draws,
     Effect,
     EffectPlan,
-    Holding,
+    Frozen,
     Sizes,
     allocate,
     largest_fraction,
@@ -53,13 +53,13 @@ class PilotResult:
         The simulated effects, and the frozen parameters.
     sizes : Sizes
         Sizes of the gradient, for :meth:`Pilot.grown`.
-    frozen : Holding
+    frozen : Frozen
         The frozen parameters, with the evidence for releasing them.
     """
 
     plan: EffectPlan
     sizes: Sizes = field(default_factory=dict)
-    frozen: Holding = field(default_factory=Holding)
+    frozen: Frozen = field(default_factory=Frozen)
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class Pilot:
             return PilotResult(plan)
         settings, draws, depth_reason, missing = self._shallowest(rules, probe)
         whole_by_name = total(list(draws.values()))
-        frozen = Holding.begun(whole_by_name, self.objects)
+        frozen = Frozen.of(whole_by_name, self.objects)
         notes = _notes(whole_by_name, frozen, self.samples)
         terms = {term: drawn.grouped(self.units) for term, drawn in draws.items()}
         whole = total(list(terms.values()))
@@ -109,7 +109,7 @@ class Pilot:
         settings = replace(settings, integrator=integrator).sampled(self._allocation(kept, whole, significant))
         planned = plan_of(self.traits, settings, {Effect.BOUNCES: depth_reason, **reasons}, notes=notes)
         choices = _with_fractions(planned, terms, whole, significant)
-        planned = replace(planned, choices=choices, held=frozen.reasons, measured=True)
+        planned = replace(planned, choices=choices, frozen=frozen.reasons, measured=True)
         return PilotResult(planned, sizes, frozen)
 
     def _terms_to_keep(
@@ -151,7 +151,7 @@ class Pilot:
             Upper bound of the fraction of the gradient that longer paths carry.
         """
         seeds = range(probe.seed, probe.seed + DEEP_DRAWS)
-        if rules.max_depth <= DIRECT_DEPTH or self.traits.media:
+        if rules.max_depth <= DIRECT_DEPTH or self.traits.has_medium:
             return rules, self._draw_terms(rules, probe), plan_of(self.traits, rules)[Effect.BOUNCES].reason, 0.0
         deep = [probe.image(rules, seed) for seed in seeds[:2]]
         for depth in range(DIRECT_DEPTH, min(rules.max_depth, MAX_TRIED_DEPTH + 1)):
@@ -191,7 +191,7 @@ class Pilot:
         }
         whole = total(list(draws.values()))
         by_unit = whole.grouped(self.units)
-        frozen = Holding.begun(whole, self.objects).reasons
+        frozen = Frozen.of(whole, self.objects).reasons
         if all(by_unit.heard(name) or by_unit.zero(name) for name in by_unit.gradients) and all(
             map(whole.zero, frozen)
         ):
@@ -208,7 +208,7 @@ class Pilot:
             for term, drawn in draws.items()
         }
 
-    def _significant(self, whole: Draws, frozen: Holding) -> tuple[str, ...]:
+    def _significant(self, whole: Draws, frozen: Frozen) -> tuple[str, ...]:
         """Return the units with a significant gradient; units of frozen parameters have no vote."""
         frozen_units = {", ".join(unit) for unit in self.units if frozen.reasons.keys() >= set(unit)}
         return tuple(name for name in whole.significant if name not in frozen_units)
@@ -216,7 +216,7 @@ class Pilot:
     def _sizes(self, draws: Mapping[str, Draws]) -> Sizes:
         whole = total(list(draws.values()))
         by_unit = whole.grouped(self.units)
-        return sizes_of(by_unit, self._significant(by_unit, Holding.begun(whole, self.objects)))
+        return sizes_of(by_unit, self._significant(by_unit, Frozen.of(whole, self.objects)))
 
     def _largest_fraction(self, term: Draws, sizes: Sizes, sure: float = SURE) -> float:
         return most_fraction(term.grouped(self.units), sizes, sure)
@@ -305,7 +305,7 @@ def _with_fractions(
     return tuple(choices)
 
 
-def _notes(whole: Draws, frozen: Holding, samples: int) -> tuple[str, ...]:
+def _notes(whole: Draws, frozen: Frozen, samples: int) -> tuple[str, ...]:
     """Return notes about parameters whose gradient is indistinguishable from noise."""
     noisy = [name for name in whole.gradients if not whole.heard(name) and name not in frozen.reasons]
     notes = []

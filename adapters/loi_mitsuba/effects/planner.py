@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from loi_core.effects import Effect, EffectPlan, Holding, Schedule, Sizes
+from loi_core.effects import Effect, EffectPlan, Frozen, Schedule, Sizes
 from loi_core.errors import ParameterError
 from loi_core.renderers.blurred import BlurredRenderer
 from loi_core.renderers.contract import Loss
@@ -58,7 +58,7 @@ class PlanState:
         The scene under the current plan.
     blurred : BlurredRenderer or None
         Gradient of the blurred parameters.
-    frozen : Holding
+    frozen : Frozen
         Parameters whose gradient is replaced by 0, and the evidence for releasing them.
     sizes : dict
         Size of the gradient at the pilot.
@@ -84,7 +84,7 @@ class PlanState:
     plan: EffectPlan
     renderer: MitsubaRenderer
     blurred: BlurredRenderer | None
-    frozen: Holding = field(default_factory=Holding)
+    frozen: Frozen = field(default_factory=Frozen)
     sizes: Sizes = field(default_factory=dict)
     schedule: Schedule = field(default_factory=Schedule)
     in_view: frozenset[str] = frozenset()
@@ -150,7 +150,7 @@ class Planner:
 
     def attached_vjp(self, params: Mapping[str, Any], cotangent: Any, *, seed: int) -> dict[str, Float32Array]:
         """Return the gradient of the parameters with attached samples."""
-        names = self.state.plan.followed
+        names = self.state.plan.attached
         return self._attached.vjp(params, cotangent, names=names, seed=seed) if names else {}
 
     def blurred_vjp(
@@ -186,7 +186,7 @@ class Planner:
         self._update(probe=probe, schedule=self.state.schedule.counted())
         if frozen is None:
             if not first:
-                self._update(frozen=self.state.frozen.seen(gradient))
+                self._update(frozen=self.state.frozen.updated(gradient))
                 self._release({}, "as gradients agree")
             frozen = frozenset(self.state.frozen.reasons)
         if self.state.schedule.is_due:
@@ -250,7 +250,7 @@ class Planner:
         if self.state.names:
             result = self.state.pilot.run(self.state.plan, probe)
             self._update(sizes=result.sizes, frozen=result.frozen.without(released))
-            self._change(replace(result.plan, held=self.state.frozen.reasons), "by the pilot")
+            self._change(replace(result.plan, frozen=self.state.frozen.reasons), "by the pilot")
 
     def _attach_lights(self, probe: GradientProbe, names: Iterable[str]) -> None:
         """Use attached samples for the lights among `names` whose gradient they have with less noise."""
@@ -271,7 +271,7 @@ class Planner:
 
         A noisy attached gradient is kept: a blurred gradient has ten times the noise.
         """
-        names = tuple(name for name in self.state.plan.followed if name in self._setup.unsupported)
+        names = tuple(name for name in self.state.plan.attached if name in self._setup.unsupported)
         vanishing = self._attached.vanishing(
             probe.params, probe.cotangent, names=names, seed=PILOT_SEED_OFFSET + probe.seed
         )
@@ -303,7 +303,7 @@ class Planner:
         rules = settings_of(plan_by_rules(traits, self._samples))
         draws = replace(probe, names=tuple(targets)).gradients(rules, range(probe.seed, probe.seed + MAX_DRAWS))
         groups = group_by_shape([name for name in targets if name in noisy], traits.moving)
-        released = frozenset(noisy) - Holding.begun(draws, groups).reasons.keys()
+        released = frozenset(noisy) - Frozen.of(draws, groups).reasons.keys()
         if not released:
             return
         self._update(hidden={name: shape for name, shape in self.state.hidden.items() if name not in released})
@@ -327,10 +327,10 @@ class Planner:
     def _release(self, grown: Mapping[Effect, str], when: str) -> None:
         """Turn effects on, and release parameters that are no longer frozen."""
         state = self.state
-        if not grown and len(state.frozen.reasons) == len(state.plan.held):
+        if not grown and len(state.frozen.reasons) == len(state.plan.frozen):
             return
         plan = plan_with(state.traits, state.plan, settings_of(state.rules), grown)
-        self._change(replace(plan, held=state.frozen.reasons), when)
+        self._change(replace(plan, frozen=state.frozen.reasons), when)
 
     def _change(self, plan: EffectPlan, when: str) -> None:
         changes = plan.changes_from(self.state.plan)
@@ -356,20 +356,20 @@ class Planner:
         blurred_renderer: BlurredRenderer | None,
     ) -> dict[str, Any]:
         """Return the fields of a state that the rules decide."""
-        followed = {
+        attached_reasons = {
             name: self._setup.attached.reason_of(name) for name in optimised if name in attached and name not in blurred
         }
         unsupported = {
             name: reason
             for name, reason in {**self._setup.unsupported, **blurred}.items()
-            if name in optimised and name not in followed
+            if name in optimised and name not in attached_reasons
         }
-        excluded = {*unsupported, *followed}
+        excluded = {*unsupported, *attached_reasons}
         targets = {
             name: target for name, target in self.base.targets.items() if name in optimised and name not in excluded
         }
         names, groups = tuple(targets), group_by_unit(targets)
-        traits = replace(self._traits_of(targets), followed=followed, blurred=unsupported)
+        traits = replace(self._traits_of(targets), attached=attached_reasons, blurred=unsupported)
         rules = plan_by_rules(traits, self._samples)
         if not unsupported:
             blurred_renderer = None
@@ -384,13 +384,13 @@ class Planner:
             "plan": rules,
             "renderer": self.base.with_integrator(rules, wrt=names),
             "blurred": blurred_renderer,
-            "frozen": Holding(),
+            "frozen": Frozen(),
         }
 
     def _traits_of(self, targets: Mapping[str, ParameterTarget]) -> Traits:
         traits = traits_of(self.base.names, targets, self.base.sensor)
         substitutions = self._setup.substitutions if traits.moving else {}
-        return replace(traits, exchanged=substitutions, smooth=self._setup.has_delta_bsdf)
+        return replace(traits, substitutions=substitutions, has_delta_bsdf=self._setup.has_delta_bsdf)
 
     def _probe_at(self, params: Mapping[str, Any], cotangent: Float32Array, seed: int) -> GradientProbe:
         return GradientProbe(self.base, dict(params), cotangent, self.state.names, seed)

@@ -45,7 +45,7 @@ class PlannedRenderer:
 
     If the gradient of an object is indistinguishable from noise, its parameters are blurred, provided that the blurred
     gradient is significant. Otherwise they are frozen: their gradient is 0 until the gradients of further steps agree;
-    see ``loi_core.effects.Holding``. Both end when the object comes into view. Blurring also ends when the object's own
+    see ``loi_core.effects.Frozen``. Both end when the object comes into view. Blurring also ends when the object's own
     gradient becomes significant, which is tested together with the effects. Changes are logged in one line, at level
     INFO of the logger ``loi_mitsuba``.
 
@@ -254,7 +254,7 @@ class PlannedRenderer:
         """
         state = self._planner.state
         if not state.names:
-            names = clause({**state.plan.blurred, **state.plan.followed}, "is", "are")
+            names = clause({**state.plan.blurred, **state.plan.attached}, "is", "are")
             msg = f"there is nothing to verify: {names} blurred or attached, and no gradient is Mitsuba's own"
             raise OptionError(msg)
         return verification(

@@ -23,9 +23,9 @@ CAMERA_REASON: Final = "Mitsuba has no gradient for sensors"
 def everything(traits: Traits, samples: int) -> Settings:
     """Return settings with all effects on that Mitsuba can differentiate, without guiding: the reference of a plan."""
     border = bool(traits.moving) and traits.reaches_border
-    if not is_known(traits.own_integrator):
+    if not is_known(traits.integrator):
         return Settings(SCENE_INTEGRATOR, traits.depth, samples, sample_border=border)
-    if traits.media or traits.own_integrator in VOLUME_INTEGRATORS:
+    if traits.has_medium or traits.integrator in VOLUME_INTEGRATORS:
         return Settings("prbvolpath", traits.depth, samples, hide_emitters=traits.hide_emitters, sample_border=border)
     return Settings(
         "prb_projective",
@@ -50,15 +50,15 @@ def plan_by_rules(traits: Traits, samples: int) -> EffectPlan:
             tuple(choices),
             full.to_mapping(),
             _setting_reasons(traits, full),
-            exchanged=traits.exchanged,
-            followed=traits.followed,
+            substitutions=traits.substitutions,
+            attached=traits.attached,
             blurred=traits.blurred,
             notes=notes,
             understood=False,
         )
-    depth = min(traits.depth, DIRECT_DEPTH) if traits.alone else traits.depth
+    depth = min(traits.depth, DIRECT_DEPTH) if traits.is_single_convex_shape else traits.depth
     edges = bool(traits.moving) and full.projective
-    indirect = edges and not (traits.alone and depth <= DIRECT_DEPTH)
+    indirect = edges and not (traits.is_single_convex_shape and depth <= DIRECT_DEPTH)
     settings = Settings(
         integrator_for(traits, full.integrator, depth, edges=edges),
         depth,
@@ -102,8 +102,8 @@ def plan_of(
         choices,
         settings.to_mapping(),
         _setting_reasons(traits, settings),
-        exchanged=traits.exchanged,
-        followed=traits.followed,
+        substitutions=traits.substitutions,
+        attached=traits.attached,
         blurred=traits.blurred,
         notes=(*_notes(traits), *notes),
     )
@@ -134,7 +134,7 @@ def _choice(effect: Effect, on: bool, reason: str, settings: Settings) -> Choice
 
 def _effect_reasons(traits: Traits, settings: Settings) -> dict[Effect, str]:
     """Return the reason for each effect, in one line."""
-    exception = EXCEPTION if traits.followed or traits.blurred else ""
+    exception = EXCEPTION if traits.attached or traits.blurred else ""
     shading = [*traits.moving, *traits.appearance, *traits.emission, *traits.volumes]
     primary, indirect = _edge_reasons(traits, settings, exception)
     return {
@@ -145,7 +145,7 @@ def _effect_reasons(traits: Traits, settings: Settings) -> dict[Effect, str]:
         Effect.INDIRECT: indirect,
         Effect.BOUNCES: _depth_reason(traits, settings),
         Effect.SPECULAR: _surfaces(traits),
-        Effect.MEDIA: "the scene has a participating medium" if traits.media else "the scene has no medium",
+        Effect.MEDIA: "the scene has a participating medium" if traits.has_medium else "the scene has no medium",
         Effect.EMITTERS: clause(traits.emission, "changes emitters", "change emitters")
         if traits.emission
         else f"no emitter is optimised{exception}",
@@ -166,18 +166,18 @@ def _edge_reasons(traits: Traits, settings: Settings, exception: str) -> tuple[s
         return reason, reason
     outline, pronoun = ("its outline", "its") if len(traits.moving) == 1 else ("their outlines", "their")
     indirect = f"{moves}, with {pronoun} shadows, and edges seen in other surfaces"
-    if traits.alone:
+    if traits.is_single_convex_shape:
         indirect = "the scene is one convex shape, which neither shadows nor reflects itself"
     return f"{moves}, with {outline} in view", indirect
 
 
 def _depth_reason(traits: Traits, settings: Settings) -> str:
     limit = f"the scene sets no limit, and {traits.depth} is used"
-    if traits.limited:
+    if traits.is_depth_limited:
         limit = f"the scene's own limit is {traits.depth}"
     if settings.max_depth > DIRECT_DEPTH:
         return f"light may reach the camera over {settings.max_depth - 1} surfaces; {limit}"
-    return "the scene is one convex shape, which does not light itself" if traits.alone else limit
+    return "the scene is one convex shape, which does not light itself" if traits.is_single_convex_shape else limit
 
 
 def _setting_reasons(traits: Traits, settings: Settings) -> dict[str, str]:
@@ -218,12 +218,12 @@ def _surfaces(traits: Traits) -> str:
 def _notes(traits: Traits) -> tuple[str, ...]:
     """Return notes about gradients that Mitsuba lacks in this scene, other than those of a GradientWarning."""
     notes = []
-    if traits.moving and (traits.delta_reflection or traits.delta_transmission) and traits.smooth:
+    if traits.moving and (traits.delta_reflection or traits.delta_transmission) and traits.has_delta_bsdf:
         notes.append(
             "edges seen in a perfect mirror or through clear glass have no gradient in Mitsuba; make the surface a "
             "rough conductor or dielectric, or name the parameters in `blur`"
         )
-    if traits.moving and traits.media:
+    if traits.moving and traits.has_medium:
         notes.append("moving outlines and shadows have no gradient in Mitsuba where there is a medium")
     if traits.moving and traits.reaches_border and not traits.samples_border:
         notes.append("shapes that cross the border of the image need a film with sample_border=True")

@@ -161,8 +161,8 @@ def _renderer_with_proxy(
         "without_gradient": analysis.images_only,
     }
     moving = _moving_shapes(index, request.targets, traits.moving, request.proxy)
-    delta = traits.lights or traits.delta_reflection or traits.delta_transmission
-    if traits.moving and not traits.media and (delta or moving.unwelded or moving.stepped):
+    delta = traits.has_delta_lights or traits.delta_reflection or traits.delta_transmission
+    if traits.moving and not traits.has_medium and (delta or moving.unwelded or moving.stepped):
         # A parameter of a smooth surface may not exist in the rough one that replaces it.
         for settings in (request.proxy, replace(request.proxy, mirrors=0.0)):
             try:

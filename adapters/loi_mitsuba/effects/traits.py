@@ -1,4 +1,4 @@
-"""What a loaded scene has that decides which effects it calls for."""
+"""The traits of a scene and its optimised parameters that decide which effects are needed."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from loi_mitsuba.scene.queries import has_medium
 
 __all__ = ["VOLUME_INTEGRATORS", "Traits", "group_by_unit", "is_known", "kind_of", "traits_of"]
 
-CONVEX: Final = ("Sphere", "Rectangle", "Disk", "Cube")
-SHAPES: Final = (*CONVEX, "Cylinder", "BSplineCurve", "LinearCurve")  # and every mesh
-SURFACE_INTEGRATORS: Final = {
+CONVEX_SHAPES: Final = ("Sphere", "Rectangle", "Disk", "Cube")
+KNOWN_SHAPES: Final = (*CONVEX_SHAPES, "Cylinder", "BSplineCurve", "LinearCurve")  # and all meshes
+SURFACE_INTEGRATORS: Final = {  # with their depth, or None if it is a setting
     "PathIntegrator": None,
     "DirectIntegrator": 2,
     "PRBIntegrator": None,
@@ -28,51 +28,44 @@ SURFACE_INTEGRATORS: Final = {
     "PathProjectiveIntegrator": None,
 }
 VOLUME_INTEGRATORS: Final = ("VolumetricSimplePathIntegrator", "VolumetricMisPathIntegrator", "PRBVolpathIntegrator")
-RADIANCE: Final = ("value", "data", "scale")
-UNLIMITED: Final = 8  # stands for all bounces of a scene that sets no limit
-MOST_DEPTH: Final = 2**31
+RADIANCE_ENTRIES: Final = ("value", "data", "scale")
+UNLIMITED_DEPTH: Final = 8  # for a scene without a limit
+MAX_DEPTH: Final = 2**31
 
 
 @dataclass(frozen=True)
 class Traits:
-    """What matters about a scene and what is optimised in it.
+    """The traits of a scene and its optimised parameters.
 
     Attributes
     ----------
     moving : dict of mi.Shape
-        By parameter, the shape that it moves.
+        The shape that each parameter moves.
     appearance, emission, volumes : tuple of str
         Parameters that change materials, emitters, and media.
     unknown : tuple of str
-        What the rules do not know, in words; empty if they know everything.
-    alone : bool
-        Whether there is one shape only, convex, opaque and not around the camera: it neither shadows nor lights itself.
+        Descriptions of everything that the rules do not know.
+    is_single_convex_shape : bool
+        Whether the scene is one opaque convex shape, not around the camera: it neither shadows nor lights itself.
     delta_reflection, delta_transmission, glossy : bool
-        Whether a surface is a perfect mirror, is clear glass, or reflects or transmits in a lobe.
-    lights : bool
-        Whether a light is a point or comes from one direction, so that hardly any ray hits it.
-    media : bool
-        Whether there is a participating medium.
-    own_integrator : str
+        Whether a BSDF has lobes of that kind.
+    has_delta_lights, has_medium : bool
+    integrator : str
         Kind of the scene's own integrator.
     depth : int
-        The deepest paths that the scene asks for.
-    limited : bool
-        Whether that is the scene's own limit.
+        Path depth of the scene.
+    is_depth_limited : bool
+        Whether the scene sets that depth.
     hide_emitters : bool
-        Whether the scene's own integrator hides emitters from the camera.
-    reaches_border : bool
-        Whether the film's filter reaches over the border of the image.
-    samples_border : bool
-        Whether the film samples there.
-    exchanged : dict of str
-        What a neighbouring scene, from which the gradient by what moves is taken, has otherwise, and why.
-    smooth : bool
-        Whether surfaces are left there that are perfectly smooth.
-    followed : dict of str
-        By parameter that moves a light, and is not among the others, what is to be said of its gradient.
-    blurred : dict of str
-        By parameter whose gradient is of images blurred over it, and which is not among the others, why.
+        Whether the scene's integrator hides emitters from the camera.
+    reaches_border, samples_border : bool
+        Whether the film's filter reaches over the border of the image, and whether the film samples beyond it.
+    substitutions : dict of str
+        Objects that the proxy scene replaces, with reasons.
+    has_delta_bsdf : bool
+        Whether the proxy scene still has perfectly smooth surfaces.
+    attached, blurred : dict of str
+        Parameters with attached and with blurred gradients, with reasons. The other fields ignore them.
     """
 
     moving: Mapping[str, Any]
@@ -80,63 +73,64 @@ class Traits:
     emission: tuple[str, ...]
     volumes: tuple[str, ...]
     unknown: tuple[str, ...]
-    alone: bool
+    is_single_convex_shape: bool
     delta_reflection: bool
     delta_transmission: bool
     glossy: bool
-    lights: bool
-    media: bool
-    own_integrator: str
+    has_delta_lights: bool
+    has_medium: bool
+    integrator: str
     depth: int
-    limited: bool
+    is_depth_limited: bool
     hide_emitters: bool
     reaches_border: bool
     samples_border: bool
-    exchanged: Mapping[str, str] = field(default_factory=dict)
-    smooth: bool = True
-    followed: Mapping[str, str] = field(default_factory=dict)
+    substitutions: Mapping[str, str] = field(default_factory=dict)
+    has_delta_bsdf: bool = True
+    attached: Mapping[str, str] = field(default_factory=dict)
     blurred: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def unlit_mirrors(self) -> bool:
-        """Whether perfectly smooth surfaces are there, and lights without a size, which no path finds in them."""
-        return self.lights and (self.delta_reflection or self.delta_transmission)
+        """Whether the scene has both delta lights and perfectly smooth surfaces, which do not show them."""
+        return self.has_delta_lights and (self.delta_reflection or self.delta_transmission)
 
 
-def traits_of(called: SceneIndex, targets: Mapping[str, str | PoseParameter], sensor: Any) -> Traits:
-    """Traverse a scene and find out what `targets`, the optimised parameters by name, change in it."""
+def traits_of(index: SceneIndex, targets: Mapping[str, str | PoseParameter], sensor: Any) -> Traits:
+    """Return the traits of a scene whose optimised parameters have these targets."""
     unknown: list[str] = []
     moving: dict[str, Any] = {}
     changed: dict[str, list[str]] = {"appearance": [], "emission": [], "volumes": []}
-    scene = called.scene
+    scene = index.scene
     params = mi.traverse(scene)
     for name, target in targets.items():
         if not isinstance(target, str):
-            moving[name] = called.find_shape(target.shape)[1]
+            moving[name] = index.find_shape(target.shape)[1]
             continue
-        key = called.find(target).key
-        kind, node = _kind(params, key)
-        if kind == "moving":
+        key = index.find(target).key
+        category, node = _category(params, key)
+        if category == "moving":
             moving[name] = node
-        elif kind:
-            changed[kind].append(name)
+        elif category:
+            changed[category].append(name)
         else:
             unknown.append(f"parameter {name!r}, of a {node.class_name()}")
     shapes = scene.shapes()
+    first_by_class = {shape.class_name(): shape for shape in shapes}
     unknown += [
-        f"a shape of kind {one.class_name()}"
-        for one in _first_of_kind(shapes)
-        if not isinstance(one, mi.Mesh) and one.class_name() not in SHAPES
+        f"a shape of kind {kind}"
+        for kind, shape in first_by_class.items()
+        if not isinstance(shape, mi.Mesh) and kind not in KNOWN_SHAPES
     ]
     integrator = scene.integrator()
     kind = kind_of(integrator)
     if not is_known(kind):
         unknown.append(f"the scene's own integrator, a {integrator.class_name()}")
     flags = [int(shape.bsdf().flags()) for shape in shapes if shape.bsdf() is not None]
-    media = has_medium(scene)
-    fixed = SURFACE_INTEGRATORS.get(kind)
-    limit = fixed if fixed is not None else _own_depth(integrator)
-    transmits = any(one & int(mi.BSDFFlags.Transmission) for one in flags)
+    medium = has_medium(scene)
+    fixed_depth = SURFACE_INTEGRATORS.get(kind)
+    limit = fixed_depth if fixed_depth is not None else _depth_limit(integrator)
+    transmits = any(flag & int(mi.BSDFFlags.Transmission) for flag in flags)
     film = sensor.film()
     return Traits(
         moving=moving,
@@ -144,15 +138,15 @@ def traits_of(called: SceneIndex, targets: Mapping[str, str | PoseParameter], se
         emission=tuple(changed["emission"]),
         volumes=tuple(changed["volumes"]),
         unknown=tuple(unknown),
-        alone=_alone(shapes, sensor) and not transmits and not media,
-        delta_reflection=any(one & int(mi.BSDFFlags.DeltaReflection) for one in flags),
-        delta_transmission=any(one & int(mi.BSDFFlags.DeltaTransmission) for one in flags),
-        glossy=any(one & int(mi.BSDFFlags.Glossy) for one in flags),
-        lights=any(mi.has_flag(one.flags(), mi.EmitterFlags.Delta) for one in scene.emitters()),
-        media=media,
-        own_integrator=kind,
-        depth=UNLIMITED if limit is None else limit,
-        limited=limit is not None,
+        is_single_convex_shape=_is_single_convex_shape(shapes, sensor) and not transmits and not medium,
+        delta_reflection=any(flag & int(mi.BSDFFlags.DeltaReflection) for flag in flags),
+        delta_transmission=any(flag & int(mi.BSDFFlags.DeltaTransmission) for flag in flags),
+        glossy=any(flag & int(mi.BSDFFlags.Glossy) for flag in flags),
+        has_delta_lights=any(mi.has_flag(emitter.flags(), mi.EmitterFlags.Delta) for emitter in scene.emitters()),
+        has_medium=medium,
+        integrator=kind,
+        depth=UNLIMITED_DEPTH if limit is None else limit,
+        is_depth_limited=limit is not None,
         hide_emitters=bool(getattr(integrator, "hide_emitters", False)),
         reaches_border=film.rfilter().border_size() > 0,
         samples_border=bool(film.sample_border()),
@@ -160,54 +154,50 @@ def traits_of(called: SceneIndex, targets: Mapping[str, str | PoseParameter], se
 
 
 def kind_of(integrator: Any) -> str:
-    """The kind of a scene's own integrator, by its words: the class name of those written in Python is their base's."""
+    """Return the kind of an integrator from its description; the class name of a Python integrator is its base's."""
     return "PathIntegrator" if integrator is None else str(integrator).partition("[")[0].strip()
 
 
 def is_known(integrator: str) -> bool:
-    """Whether the rules know this kind of integrator, and which of Mitsuba's stands for it."""
+    """Return whether the rules know an integrator of this kind, and Mitsuba's equivalent that has gradients."""
     return integrator in SURFACE_INTEGRATORS or integrator in VOLUME_INTEGRATORS
 
 
 def group_by_unit(targets: Mapping[str, str | PoseParameter]) -> tuple[tuple[str, ...], ...]:
-    """The parameters, those together whose gradients have one unit: all translations, and every other alone."""
-    moves = tuple(name for name, target in targets.items() if isinstance(target, Translate))
-    rest = tuple((name,) for name in targets if name not in moves)
-    return ((moves,) if moves else ()) + rest
+    """Group parameters whose gradients have the same unit: all translations, and each other parameter by itself."""
+    translations = tuple(name for name, target in targets.items() if isinstance(target, Translate))
+    singles = tuple((name,) for name in targets if name not in translations)
+    return ((translations,) if translations else ()) + singles
 
 
-def _kind(params: Any, key: str) -> tuple[str, Any]:
-    """Which of the lists an entry belongs to, empty for none, and the object that decides."""
+def _category(params: Any, key: str) -> tuple[str, Any]:
+    """Return the trait that lists a parameter, or an empty string, and the object that the parameter belongs to."""
     node = params.properties[key][2]
     if isinstance(node, mi.Shape) and params.flags(key) & mi.ParamFlags.Discontinuous:
         return "moving", node
-    for one in reversed(ancestors(params, node)):  # from the entry's own object up to the scene
-        for kind, cls in (("emission", mi.Emitter), ("appearance", mi.BSDF), ("volumes", mi.Medium)):
-            if isinstance(one, cls):
-                # An emitter's other entries, such as the angle of a spot, may move the edge of what it lights.
-                known = kind != "emission" or key.rpartition(".")[2] in RADIANCE
-                return kind if known else "", node
-        if isinstance(one, mi.Mesh):  # normals, texture coordinates and attributes of its vertices
+    for ancestor in reversed(ancestors(params, node)):
+        for category, cls in (("emission", mi.Emitter), ("appearance", mi.BSDF), ("volumes", mi.Medium)):
+            if isinstance(ancestor, cls):
+                # Other entries of an emitter, such as the cone angle of a spot, may move the edges of lit regions.
+                is_smooth = category != "emission" or key.rpartition(".")[2] in RADIANCE_ENTRIES
+                return category if is_smooth else "", node
+        if isinstance(ancestor, mi.Mesh):  # normals, texture coordinates and attributes of its vertices
             return "appearance", node
     return "", node
 
 
-def _alone(shapes: list[Any], sensor: Any) -> bool:
-    if len(shapes) != 1 or shapes[0].class_name() not in CONVEX:
+def _is_single_convex_shape(shapes: list[Any], sensor: Any) -> bool:
+    if len(shapes) != 1 or shapes[0].class_name() not in CONVEX_SHAPES:
         return False
-    eye = np.array(sensor.world_transform().translation(), dtype=np.float64).reshape(3)
+    camera = np.array(sensor.world_transform().translation(), dtype=np.float64).reshape(3)
     low, high = bounding_box(shapes[0])
-    return not bool(np.all((low <= eye) & (eye <= high)))
+    return not bool(np.all((low <= camera) & (camera <= high)))
 
 
-def _first_of_kind(shapes: list[Any]) -> list[Any]:
-    return list({shape.class_name(): shape for shape in shapes}.values())
-
-
-def _own_depth(integrator: Any) -> int | None:
-    """The limit of an integrator; None if it has none."""
+def _depth_limit(integrator: Any) -> int | None:
+    """Return the maximum depth of an integrator, or None without a limit."""
     depth = None if integrator is None else getattr(integrator, "max_depth", None)
-    if depth is None:  # those written in C++ show it only in words
-        found = re.search(r"max_depth = (-?\d+)", str(integrator))
-        depth = int(found.group(1)) if found else -1
-    return int(depth) if 0 <= int(depth) < MOST_DEPTH else None
+    if depth is None:  # integrators in C++ show it only in their description
+        match = re.search(r"max_depth = (-?\d+)", str(integrator))
+        depth = int(match.group(1)) if match else -1
+    return int(depth) if 0 <= int(depth) < MAX_DEPTH else None
