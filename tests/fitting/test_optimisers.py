@@ -81,8 +81,8 @@ def test_a_fit_that_is_resumed_ends_as_if_it_had_not_stopped(name: str, tmp_path
 
 
 @pytest.mark.parametrize("name", ["lbfgs", "polyak_sgd"])
-def test_what_a_gradient_alone_cannot_step_is_refused_at_the_start(name: str) -> None:
-    with pytest.raises(OptionError, match="`optimiser` must be a transformation that a gradient alone can step"):
+def test_optax_transformations_that_need_a_value_are_refused_at_the_start(name: str) -> None:
+    with pytest.raises(OptionError, match="`optimiser` must be a transformation of the gradient alone"):
         run(steps=3, optimiser=optax_optimiser(name))
 
 
