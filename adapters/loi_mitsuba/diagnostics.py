@@ -50,8 +50,8 @@ def warn_about_moving_shapes(
     Integrators without projective sampling differentiate only the interior of silhouettes and shadows, not the motion
     of these. Projective sampling finds rays that graze a shape and evaluates the radiance behind it. It considers the
     scene's own shapes only, not those in groups, and ignores cutouts. Rays hardly ever hit a point, so shadows of
-    point, spot and directional lights have no gradient at all. Every mesh edge that belongs to one triangle, or to more
-    than two, counts as a border, so an edge whose vertices are stored twice counts twice.
+    point, spot and directional lights have no gradient at all (mitsuba3#1585). Every mesh edge that belongs to one
+    triangle, or to more than two, counts as a border, so an edge whose vertices are stored twice counts twice.
 
     Parameters
     ----------

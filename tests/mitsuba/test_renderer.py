@@ -334,7 +334,7 @@ def test_the_integrator_of_the_scene_can_be_used() -> None:
     [
         ({}, "`parameters` must be a dict of names and what they stand for, at least one"),
         ({"a": 3}, r"`parameters\['a'\]` must be an entry's name, Translate, Rotate or Scale, got 3"),
-        ({"a": "floor.reflectance.value"}, "no entry 'floor.reflectance.value'; near: floor.bsdf.reflectance"),
+        ({"a": "floor.reflectance.value"}, "no parameter 'floor.reflectance.value'; similar: floor.bsdf.reflectance"),
         (
             {"a": "sensor.to_world"},
             "'sensor.to_world' cannot be fitted: .*move the scene instead; or give PlannedRenderer a Translate",

@@ -1,9 +1,9 @@
 """The boundary term of creased meshes, rectangles and disks by edge sampling (Li et al. 2018).
 
-Projective sampling evaluates the radiance of a mesh at a silhouette on the triangle that the edge was found with, which
-of a box is as often the one that faces away. It finds no edge between two visible faces, and weighs the edges of a
-leaning rectangle or disk wrongly. Here points are sampled on such edges, and the radiance difference at each is
-measured by two rays, one on either side.
+At a silhouette edge, projective sampling evaluates the radiance of a mesh on the triangle that it found the edge with.
+For a box, this triangle faces away as often as not (mitsuba3#1648). Projective sampling also finds no edge between two
+visible faces, and weighs the edges of a leaning rectangle or disk wrongly. Here points are sampled on such edges, and
+the radiance difference at each is measured by two rays, one on either side.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Mesh properties that make Mitsuba's gradients of moving silhouettes wrong.
 
 Projective sampling takes each edge that belongs to a single triangle for a border of the surface. An edge whose
-vertices are stored twice is two such edges, so its motion counts twice.
+vertices are stored twice is two such edges, so its motion counts twice (mitsuba3#1648).
 """
 
 from __future__ import annotations
