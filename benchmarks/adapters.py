@@ -1,4 +1,4 @@
-"""What a framework's bridge costs: value and gradient through it against the core alone, on the same arrays.
+"""Measure the overhead of each adapter: value and gradient through it against the core alone, on the same arrays.
 
 Run from the root of the repository: ``python -m benchmarks.adapters``. Prints a Markdown table.
 """
@@ -88,12 +88,12 @@ def ratio(pair: Pair) -> tuple[float, float]:
     started = time.perf_counter()
     while time.perf_counter() - started < SECONDS or len(ratios) < 7:
         first, second = (core, bridge) if len(ratios) % 2 else (bridge, core)
-        before = time.perf_counter()
+        started_first = time.perf_counter()
         first()
-        between = time.perf_counter()
+        started_second = time.perf_counter()
         second()
-        after = time.perf_counter()
-        lone, bridged = (between - before, after - between)
+        finished = time.perf_counter()
+        lone, bridged = (started_second - started_first, finished - started_second)
         if first is bridge:
             lone, bridged = bridged, lone
         times.append(lone)

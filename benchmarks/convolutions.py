@@ -13,19 +13,19 @@ from loi_core import ScaleSpace
 
 __all__ = ["ConvLOI"]
 
-TRUNCATE: Final = 4.0  # standard deviations, after which SciPy, for one, ends its kernels
+TRUNCATE: Final = 4.0  # standard deviations, as in SciPy
 
 
 class ConvLOI(torch.nn.Module):
-    """The loss as one would write it down: a convolution per axis and histogram, and autograd for the gradient.
+    """The loss written naively: a convolution per axis and histogram, and autograd for the gradient.
 
-    The histograms of the reference are kept. Kernels end after four standard deviations, unless the preset says how
-    long they are.
+    The histograms of the reference are computed once. Kernels end after four standard deviations unless the
+    preset sets their length.
 
     Parameters
     ----------
     reference : Tensor, shape (H, W, C)
-        What the image should look like.
+        Image to match.
     scales : ScaleSpace
         With p = 1 and one beta.
     """
@@ -52,11 +52,11 @@ class ConvLOI(torch.nn.Module):
         """For every inner scale the soft assignment to levels, shape (L, C, H, W)."""
         planes = image.movedim(-1, 0)[None].clamp(*self.scales.bounds)
         density = self.scales.mass(self.beta) / (math.sqrt(2.0 * math.pi) * self.beta)
-        found = []
+        isophotes = []
         for sigma in self.scales.sigma:
             offsets = (self.levels - self.blur(planes, sigma, self.scales.inner_taps)) / self.beta
-            found.append(density * torch.exp(-0.5 * offsets**2))
-        return found
+            isophotes.append(density * torch.exp(-0.5 * offsets**2))
+        return isophotes
 
     def histograms(self, isophotes: Tensor) -> list[Tensor]:
         """For every extent the cumulative histograms, shape (L, C, H, W)."""

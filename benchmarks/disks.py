@@ -1,4 +1,4 @@
-"""What painting disks and pulling back costs: ``python -m benchmarks.disks``, from the root of the repository.
+"""Time the disk renderers and their pullbacks: ``python -m benchmarks.disks``, from the root of the repository.
 
 Image and pullback of all parameters, float32 outside and float64 inside, medians of several. Time should grow with the
 pixels that disks cover, not with disks times pixels.
@@ -23,24 +23,24 @@ MAKERS: Final[dict[str, Callable[..., Any]]] = {
     "JAX, whole canvas": loi_jax.renderers.Disks,
 }
 SCENES: Final = ((16, 10.0, 128), (64, 5.0, 128), (256, 2.5, 128), (256, 5.0, 128), (1024, 2.5, 256), (1024, 5.0, 256))
-TURNS: Final = 7
-WHOLE: Final = 64  # disks up to which those are timed that paint each on the whole canvas
+REPETITIONS: Final = 7
+MAX_WHOLE_CANVAS_DISKS: Final = 64  # largest number of disks for renderers that paint each disk on the whole canvas
 
 
-def milliseconds(make: Callable[..., Any], count: int, radius: float, side: int) -> float:
+def milliseconds(make: Callable[..., Any], count: int, radius: float, size_px: int) -> float:
     """Median time of image and pullback."""
     rng = np.random.default_rng(0)
     disks = make(
-        side,
-        side,
-        rng.uniform(0, side, (count, 2)).tolist(),
+        size_px,
+        size_px,
+        rng.uniform(0, size_px, (count, 2)).tolist(),
         radius,
         rng.uniform(size=(count, 3)).tolist(),
         dtype="float32",
     )
     params = disks.parameters()
     seconds = []
-    for _ in range(TURNS + 1):
+    for _ in range(REPETITIONS + 1):
         started = time.perf_counter()
         image, pullback = disks.render_vjp(params)
         {name: np.asarray(value) for name, value in pullback(image).items()}  # waits for JAX
@@ -50,14 +50,16 @@ def milliseconds(make: Callable[..., Any], count: int, radius: float, side: int)
 
 def main() -> None:
     """Print the table."""
-    print(f"| disks | radius | side | covered, pixels | {' | '.join(MAKERS)} |\n|{' --- |' * (4 + len(MAKERS))}")
-    for count, radius, side in SCENES:
+    print(f"| disks | radius | size_px | covered, pixels | {' | '.join(MAKERS)} |\n|{' --- |' * (4 + len(MAKERS))}")
+    for count, radius, size_px in SCENES:
         cells = [
-            "" if name.startswith("JAX") and count > WHOLE else f"{milliseconds(make, count, radius, side):.1f} ms"
+            ""
+            if name.startswith("JAX") and count > MAX_WHOLE_CANVAS_DISKS
+            else f"{milliseconds(make, count, radius, size_px):.1f} ms"
             for name, make in MAKERS.items()
         ]
         covered = round(count * np.pi * radius**2)
-        print(f"| {count} | {radius:g} | {side} | {covered} | {' | '.join(cells)} |", flush=True)
+        print(f"| {count} | {radius:g} | {size_px} | {covered} | {' | '.join(cells)} |", flush=True)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""How long it takes to import the core, beside NumPy, which it needs: ``python -m benchmarks.importing``.
+"""Time the import of the core beside NumPy: ``python -m benchmarks.importing``.
 
-Each time is that of the processor in a fresh process; printed is the median of several.
+Prints medians of processor time in fresh processes.
 """
 
 from __future__ import annotations

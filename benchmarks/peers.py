@@ -1,7 +1,7 @@
-"""What ``benchmarks.speed`` times: the loss on every framework, other image losses, and a render, for scale.
+"""Rows of ``benchmarks.speed``: the loss on every framework, other image losses, and a render for scale.
 
-Every row is started in two steps: its inputs are put where it wants them, and only then is it prepared. What lies
-between is what a row needs beyond its inputs. A row whose library is missing raises ImportError.
+Every row starts in two steps: its inputs are placed on its device, then it is prepared, so that the memory between
+excludes the inputs. A row whose library is missing raises ImportError.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ ACCURACIES: Final = ("exact", "balanced", "fast")
 LOCAL: Final = ", a sixteenth differs"  # of the pixels, all in one corner; the others are equal to the bit
 RENDERED: Final = (192, 256)  # height and width of the one render
 SAMPLES: Final = 16  # per pixel
-MS_SSIM_SIDE: Final = 176  # five scales, the coarsest of which has to hold a window of 11 pixels
+MS_SSIM_MIN_SIDE_PX: Final = 176  # the coarsest of five scales has to hold a window of 11 pixels
 
 Image: TypeAlias = np.ndarray[tuple[int, ...], np.dtype[np.float32]]
 Call: TypeAlias = Callable[[], object]
@@ -49,22 +49,22 @@ Prepare: TypeAlias = Callable[[], Call]
 
 @dataclass(frozen=True)
 class Row:
-    """One thing to time.
+    """A timed function.
 
     Attributes
     ----------
     library, what : str
-        What the tables call it.
+        Its name in the tables.
     start : callable
         From the row, image and reference, both of shape (H, W, 3), to a function that prepares one evaluation.
     preset : str
-        Of :data:`PRESETS`; empty for what has no such scales.
+        Key of :data:`PRESETS`; empty for losses without scales.
     device : str
         "cpu" or "cuda".
     smallest : int
-        The shortest side that it accepts, in pixels.
+        Smallest accepted side in pixels.
     size : (int, int), optional
-        The only height and width at which it is timed.
+        Height and width, if only one size is timed.
     """
 
     library: str
@@ -77,23 +77,23 @@ class Row:
 
     @property
     def names(self) -> tuple[str, str, str, str]:
-        """What tells it from the others: library, what, preset and device."""
+        """Library, what, preset and device, which identify the row."""
         return self.library, self.what, self.preset, self.device
 
     @property
     def key(self) -> str:
-        """The same as one word, for command lines."""
+        """The names as one word, for command lines."""
         return "|".join(self.names)
 
 
 def images(height: int, width: int) -> tuple[Image, Image]:
-    """An image and a reference, shape (H, W, 3), that are alike enough for SSIM to be positive."""
+    """Return an image and a reference, shape (H, W, 3), similar enough for a positive SSIM."""
     noise, reference = np.random.default_rng(0).uniform(size=(2, height, width, 3)).astype(np.float32)
     return 0.3 * noise + 0.7 * reference, reference
 
 
 def all_rows() -> list[Row]:
-    """Every row, also those whose library is missing."""
+    """Return every row, including rows whose library is missing."""
     rows = []
     cuda = ["cuda"] if torch.cuda.is_available() else []
     for preset in PRESETS:
@@ -108,8 +108,8 @@ def all_rows() -> list[Row]:
         rows += [Row("torch", "plain conv2d", _conv_loi, preset, device) for device in ["cpu", *cuda]]
     for device in ["cpu", *cuda]:
         rows += [
-            Row("pytorch-msssim", "MS-SSIM", _msssim, device=device, smallest=MS_SSIM_SIDE),
-            Row("torchmetrics", "MS-SSIM", _torchmetrics, device=device, smallest=MS_SSIM_SIDE),
+            Row("pytorch-msssim", "MS-SSIM", _msssim, device=device, smallest=MS_SSIM_MIN_SIDE_PX),
+            Row("torchmetrics", "MS-SSIM", _torchmetrics, device=device, smallest=MS_SSIM_MIN_SIDE_PX),
             Row("kornia", "MS-SSIM", _kornia_msssim, device=device),
             Row("kornia", "pyramid, L2", _kornia_pyramid, device=device, smallest=64),
             Row("lpips", "LPIPS, AlexNet", _lpips, device=device),
@@ -121,7 +121,7 @@ def all_rows() -> list[Row]:
 def _jax_devices() -> list[str]:
     try:
         return ["cpu", "cuda"] if jax.devices("gpu") else ["cpu"]
-    except RuntimeError:  # what JAX says where there is none
+    except RuntimeError:  # raised by JAX without a GPU
         return ["cpu"]
 
 
@@ -137,7 +137,7 @@ def _torch_step(leaf: Tensor, loss: Callable[[Tensor], Tensor]) -> Call:
     return step
 
 
-def _given(row: Row, image: Image, reference: Image) -> tuple[Image, str]:
+def _inputs_of(row: Row, image: Image, reference: Image) -> tuple[Image, str]:
     """The image and the accuracy of a row."""
     accuracy, local, _ = row.what.partition(LOCAL)
     if local:
@@ -148,14 +148,14 @@ def _given(row: Row, image: Image, reference: Image) -> tuple[Image, str]:
 
 
 def _torch_loi(row: Row, image: Image, reference: Image) -> Prepare:
-    image, accuracy = _given(row, image, reference)
+    image, accuracy = _inputs_of(row, image, reference)
     leaf = torch.tensor(image, device=row.device, requires_grad=True)
     target = torch.tensor(reference, device=row.device)
     return lambda: _torch_step(leaf, loi_torch.LOILoss(target, PRESETS[row.preset], accuracy))
 
 
 def _numpy_loi(row: Row, image: Image, reference: Image) -> Prepare:
-    image, accuracy = _given(row, image, reference)
+    image, accuracy = _inputs_of(row, image, reference)
 
     def prepare() -> Call:
         objective = LOIObjective(reference, PRESETS[row.preset], accuracy)
@@ -182,17 +182,17 @@ def _jax_loi(row: Row, image: Image, reference: Image) -> Prepare:
 
 
 def _channels_first(row: Row, image: Image, reference: Image) -> tuple[Tensor, Tensor]:
-    """Image, with gradient, and reference as torch's libraries want them: shape (1, 3, H, W)."""
+    """Return image, with gradient, and reference in the layout of torch's libraries, (1, 3, H, W)."""
     leaf, target = (
-        torch.tensor(np.ascontiguousarray(np.moveaxis(each, -1, 0))[None], device=row.device)
-        for each in (image, reference)
+        torch.tensor(np.ascontiguousarray(np.moveaxis(array, -1, 0))[None], device=row.device)
+        for array in (image, reference)
     )
     return leaf.requires_grad_(), target
 
 
 def _against(row: Row, image: Image, reference: Image, loss: Callable[[Tensor, Tensor], Tensor]) -> Prepare:
     leaf, target = _channels_first(row, image, reference)
-    return lambda: _torch_step(leaf, lambda given: loss(given, target))
+    return lambda: _torch_step(leaf, lambda current: loss(current, target))
 
 
 def _msssim(row: Row, image: Image, reference: Image) -> Prepare:
@@ -258,22 +258,22 @@ def _mitsuba(row: Row, image: Image, reference: Image) -> Prepare:  # noqa: ARG0
     import mitsuba as mi
 
     mi.set_variant("llvm_ad_rgb")
-    mi.set_log_level(mi.LogLevel.Error)  # a warning about what enters the view would land amid the tables
+    mi.set_log_level(mi.LogLevel.Error)  # a warning would appear within the tables
     height, width, _ = image.shape
-    place = mi.ScalarTransform4f
+    transform = mi.ScalarTransform4f
     scene = {
         "type": "scene",
         "sensor": {
             "type": "perspective",
             "fov": 45,
-            "to_world": place().look_at([0, 6, 6], [0, 0, 0], [0, 1, 0]),
+            "to_world": transform().look_at([0, 6, 6], [0, 0, 0], [0, 1, 0]),
             "film": {"type": "hdrfilm", "width": width, "height": height, "rfilter": {"type": "box"}},
         },
-        "floor": {"type": "rectangle", "to_world": place().rotate([1, 0, 0], -90).scale(8)},
-        "ball": {"type": "sphere", "to_world": place().translate([0, 5, 0]).scale(0.4)},  # above what is in view
-        "lamp": {
+        "floor": {"type": "rectangle", "to_world": transform().rotate([1, 0, 0], -90).scale(8)},
+        "ball": {"type": "sphere", "to_world": transform().translate([0, 5, 0]).scale(0.4)},  # above the view
+        "light": {
             "type": "sphere",
-            "to_world": place().translate([0, 12, 0]).scale(0.7),
+            "to_world": transform().translate([0, 12, 0]).scale(0.7),
             "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 100.0}},
         },
     }

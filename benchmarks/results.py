@@ -1,4 +1,4 @@
-"""What was found out about each row of the tables of ``benchmarks.speed``."""
+"""Results of the rows in the tables of ``benchmarks.speed``."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ Size = tuple[int, int]
 
 @dataclass
 class Result:
-    """What was found out about a row at one size."""
+    """Measurements of a row at one size."""
 
     size: Size
     row: Row
@@ -25,7 +25,7 @@ class Result:
 
     @property
     def stack(self) -> float | None:
-        """Bytes of one inner scale's stack of levels, float32; None for what has no levels."""
+        """Bytes of one inner scale's stack of levels, float32; None for losses without levels."""
         if not self.row.preset:
             return None
         scales = PRESETS[self.row.preset]
@@ -41,12 +41,12 @@ class Results(list[Result]):
     """All results of a run."""
 
     def milliseconds(self, size: Size, library: str, what: str, preset: str = "", device: str = "cpu") -> float | None:
-        """The time of one row, if it is there."""
-        found = self.find(size, library, what, preset, device)
-        return found.milliseconds if found else None
+        """Return the time of one row, None without a result."""
+        result = self.find(size, library, what, preset, device)
+        return result.milliseconds if result else None
 
     def find(self, size: Size, library: str, what: str, preset: str = "", device: str = "cpu") -> Result | None:
-        """One row, if it is there."""
+        """Return the result of one row, None without a result."""
         names = (library, what, preset, device)
         return next((result for result in self if result.size == size and result.row.names == names), None)
 
@@ -54,8 +54,8 @@ class Results(list[Result]):
         """The time of pytorch-msssim."""
         return self.milliseconds(size, "pytorch-msssim", "MS-SSIM", "", device)
 
-    def kinds(self) -> Iterator[tuple[Row, list[Result]]]:
-        """Every kind of row with its results that have a time, smallest image first."""
+    def rows(self) -> Iterator[tuple[Row, list[Result]]]:
+        """Yield every row with its timed results, smallest image first."""
         for row in {result.row.names: result.row for result in self}.values():
             timed = [result for result in self if result.row.names == row.names and result.milliseconds is not None]
             yield row, sorted(timed, key=lambda result: result.pixels)

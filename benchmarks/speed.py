@@ -1,14 +1,13 @@
-"""What the loss costs beside other image losses: time of loss and gradient, memory, growth with size.
+"""Compare the loss with other image losses: time of value and gradient, memory, growth with size.
 
 Run from the root of the repository: ``python -m benchmarks.speed``. Prints Markdown tables; ``--csv`` writes the rows.
 
-- Every row is prepared and warmed up. Then all rows of a size take turns, so that drift hits them alike; slow rows sit
-  out some of the turns. A row that, from its time at the size before, would take more than ``--limit`` seconds is left
-  out, and says so.
-- Peak memory is that of a process of its own. It loads the library by evaluating a tiny image, makes the inputs, and
-  reports by how much the largest resident memory then grows over two evaluations and what comes before them: the
-  reference's histograms count, and so does compiling; the inputs do not. On a GPU it is what the framework has
-  allocated there.
+- Every row is prepared and warmed up. Then all rows of a size take turns, so that drift affects them equally; slow rows
+  skip some turns. A row is left out, with a note, if its time at the previous size predicts more than ``--limit``
+  seconds.
+- Peak memory is measured in a fresh process. It loads the library by evaluating a tiny image, creates the inputs, and
+  reports the growth of the resident memory over preparation and two evaluations: the reference's histograms and
+  compilation count, the inputs do not. On a GPU it is the memory that the framework has allocated there.
 """
 
 from __future__ import annotations
@@ -34,24 +33,24 @@ from loi_core import LOIObjective
 
 SIZES: Final = ("128", "256x192", "256", "512", "1024", "2048")
 QUICK_SIZES: Final = ("128", "256x192")
-AGREEMENT: Final = 1e-3  # of the plain convolutions, whose kernels end early, with the exact loss
+MAX_RELATIVE_DIFFERENCE: Final = 1e-3  # plain convolutions truncate their kernels
 
 
 def check_plain_convolutions() -> None:
-    """Stop unless the plain convolutions are the same loss."""
+    """Exit unless the plain convolutions compute the same loss."""
     image, reference = images(40, 48)
     for name, scales in PRESETS.items():
-        ours, _ = LOIObjective(reference, scales).value_and_grad(image)
-        theirs = float(ConvLOI(torch.tensor(reference), scales)(torch.tensor(image)))
-        apart = abs(theirs / float(ours) - 1.0)
-        print(f"- plain conv2d and the exact loss, {name}, 48x40: {apart:.1e} apart")
-        if not apart <= AGREEMENT:
-            msg = f"the plain convolutions are another loss: {theirs} for {float(ours)}"
+        exact, _ = LOIObjective(reference, scales).value_and_grad(image)
+        plain = float(ConvLOI(torch.tensor(reference), scales)(torch.tensor(image)))
+        difference = abs(plain / float(exact) - 1.0)
+        print(f"- plain conv2d and the exact loss, {name}, 48x40: relative difference {difference:.1e}")
+        if not difference <= MAX_RELATIVE_DIFFERENCE:
+            msg = f"the plain convolutions are another loss: {plain} for {float(exact)}"
             raise SystemExit(msg)
 
 
 def copy_bandwidth() -> float:
-    """Bytes that a copy reads and writes in a second: the median of several of 128 MiB."""
+    """Return the bytes per second that a copy of 128 MiB reads and writes, a median."""
     source = torch.ones(2**25)  # zeros might share one page of memory
     target = torch.empty_like(source)
     seconds = []

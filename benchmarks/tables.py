@@ -17,12 +17,12 @@ from loi_core.io.files import write_text
 
 __all__ = ["bars", "fields", "growths", "print_table", "traffic", "write_csv"]
 
-COMPARED: Final = ((192, 256), (512, 512), (1024, 1024))  # where the project has set itself bars
+COMPARED: Final = ((192, 256), (512, 512), (1024, 1024))  # sizes of the bars
 MIB: Final = 2.0**20
 
 
 def fields(result: Result, results: Results) -> dict[str, str]:
-    """One line of the table and the CSV."""
+    """Return one line of the table and the CSV."""
 
     def number(value: float | None, form: str) -> str:
         return "" if value is None else format(value, form)
@@ -45,18 +45,18 @@ def fields(result: Result, results: Results) -> dict[str, str]:
 
 
 def bars(results: Results) -> list[dict[str, str]]:
-    """The project's bars and what was measured for them, on torch and paper("path") unless they say otherwise."""
+    """Return the project's bars and their measurements, by default for torch and paper("path")."""
     lines = []
 
     def line(name: str, size: Size | None, value: float | None, bound: float, *, at_least: bool = False) -> None:
-        kept = value is not None and (value >= bound if at_least else value <= bound)
+        is_met = value is not None and (value >= bound if at_least else value <= bound)
         lines.append(
             {
                 "bar": name,
                 "size": _name(size) if size else "",
                 "measured": "not measured" if value is None else f"{value:.3g}",
-                "asked for": f"{bound:g} or {'more' if at_least else 'less'}",
-                "kept": "" if value is None else "yes" if kept else "no",
+                "limit": f"{bound:g} or {'more' if at_least else 'less'}",
+                "met": "" if value is None else "yes" if is_met else "no",
             }
         )
 
@@ -75,19 +75,19 @@ def bars(results: Results) -> list[dict[str, str]]:
     for size in COMPARED:
         line("balanced, JAX under jit / torch", size, _over(ours(size, library="jax"), ours(size)), 2.0)
     for size in COMPARED:
-        found = results.find(size, "torch", "balanced", "path")
-        peak = _over(found.peak, found.stack) if found else None
+        result = results.find(size, "torch", "balanced", "path")
+        peak = _over(result.peak, result.stack) if result else None
         line("balanced, peak memory / stack of levels", size, peak, 4.0)
-    renders = [each.milliseconds for each in results if each.row.library == "mitsuba"]
+    renders = [result.milliseconds for result in results if result.row.library == "mitsuba"]
     render = renders[0] if renders else None
     line("balanced / one render and backward of Mitsuba", RENDERED, _over(ours(RENDERED), render), 0.5)
     return lines
 
 
 def growths(results: Results) -> list[dict[str, str]]:
-    """How time grows with pixels: the exponent of each kind of row, by least squares of logarithms."""
+    """Return the exponent of time in pixels for each row, by least squares of logarithms."""
     lines = []
-    for row, timed in results.kinds():
+    for row, timed in results.rows():
         pixels = [math.log(result.pixels) for result in timed]
         if len(set(pixels)) < 2:
             continue
@@ -106,7 +106,7 @@ def growths(results: Results) -> list[dict[str, str]]:
 
 
 def traffic(results: Results, bandwidth: float) -> list[dict[str, str]]:
-    """The least time that memory allows, one pass over image, reference and gradient, beside balanced on torch."""
+    """Compare balanced on torch with one pass over image, reference and gradient at memory bandwidth."""
     lines = []
     for preset in PRESETS:
         for size in dict.fromkeys(result.size for result in results):
@@ -114,22 +114,22 @@ def traffic(results: Results, bandwidth: float) -> list[dict[str, str]]:
             if measured is None:
                 continue
             moved = 3 * 3 * 4 * size[0] * size[1]
-            least = 1e3 * moved / bandwidth
+            bound_ms = 1e3 * moved / bandwidth
             lines.append(
                 {
                     "preset": preset,
                     "size": _name(size),
                     "MiB": f"{moved / MIB:.1f}",
-                    "least ms": f"{least:.3f}",
+                    "bound ms": f"{bound_ms:.3f}",
                     "measured ms": f"{measured:.2f}",
-                    "ratio": f"{measured / least:.0f}",
+                    "ratio": f"{measured / bound_ms:.0f}",
                 }
             )
     return lines
 
 
-def _over(value: float | None, other: float | None) -> float | None:
-    return None if value is None or not other else value / other
+def _over(value: float | None, divisor: float | None) -> float | None:
+    return None if value is None or not divisor else value / divisor
 
 
 def _name(size: Size) -> str:
@@ -137,7 +137,7 @@ def _name(size: Size) -> str:
 
 
 def print_table(lines: Sequence[dict[str, str]]) -> None:
-    """Print lines of the same keys as a Markdown table."""
+    """Print lines with equal keys as a Markdown table."""
     for index, line in enumerate(lines):
         if index == 0:
             print("| " + " | ".join(line) + " |\n" + "| --- " * len(line) + "|")

@@ -1,4 +1,4 @@
-"""The benchmark of speed runs, and says what it could not measure."""
+"""The benchmark of speed runs, and reports rows that it could not measure."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from tests.environments import ROOT, run
 ROWS = ("balanced|path", "plain conv2d|path", "MS-SSIM", "pyramid", "AlexNet")
 
 
-def test_speed_writes_every_row_and_says_which_peers_are_missing(
+def test_the_speed_benchmark_writes_every_row_and_names_missing_peers(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for name in ("pytorch_msssim", "torchmetrics", "torchmetrics.functional.image"):
         monkeypatch.setitem(sys.modules, name, None)  # as if it were not installed
-    monkeypatch.setattr(timing, "SETTLE", 0.0)  # nothing here depends on the times
+    monkeypatch.setattr(timing, "SETTLE_SECONDS", 0.0)  # the test ignores times
     path = tmp_path / "rows.csv"
     options = ["--quick", "--seconds", "0.01", "--sizes", "32", "40x32", "--rows", *ROWS, "--csv", str(path)]
     assert speed.main(options) == 0
     with path.open() as file:
         rows = [row for row in csv.DictReader(file) if row["device"] == "cpu"]
     assert [row["size"] for row in rows] == ["32x32"] * 9 + ["40x32"] * 9
-    found = {(row["library"], row["what"], row["preset"]): row for row in rows}
-    assert {("torch", "balanced", "path"), ("numpy", "balanced", "path"), ("jax", "balanced", "path")} < set(found)
+    measured = {(row["library"], row["what"], row["preset"]): row for row in rows}
+    assert {("torch", "balanced", "path"), ("numpy", "balanced", "path"), ("jax", "balanced", "path")} < set(measured)
     notes = {row["library"]: row["note"] for row in rows if not row["ms"]}
     assert notes == {
         "pytorch-msssim": "not installed",
@@ -39,7 +39,7 @@ def test_speed_writes_every_row_and_says_which_peers_are_missing(
     assert "| balanced / pytorch-msssim | 256x192 | not measured | 1 or less |  |" in printed
 
 
-def test_peak_memory_is_that_of_a_process_of_its_own() -> None:
+def test_the_speed_benchmark_measures_peak_memory_in_a_fresh_process() -> None:
     arguments = ["--sizes", "96", "--memory-of", "torch|plain conv2d|path|cpu"]
     peak = float(run(sys.executable, "-m", "benchmarks.speed", *arguments, cwd=ROOT).split()[-1])
     stack = 17 * 3 * 96 * 96 * 4
