@@ -25,7 +25,7 @@ from loi_core.report.names import EFFECTS_FOLDER, FRAMES_FOLDER, GRADIENTS_FOLDE
 from loi_core.report.provenance import environment
 from loi_core.report.scales import scale_table, write_gradients
 from loi_core.report.tables import csv_text
-from loi_core.scenes.experiment import FrameWriter, Trial, frame_steps, quality
+from loi_core.scenes.recorder import FrameWriter, Trial, frame_steps, scene_psnr
 from loi_core.scenes.scale_terms import scale_objectives
 from loi_core.scenes.scene import Scene
 from loi_core.support.arrays import Array, Host, epsilon, to_numpy, widened
@@ -63,7 +63,7 @@ def write_results(scene: Scene, trials: Sequence[Trial], *, command: str = "") -
     folder = ResultFolder(scene.output)
     folder.claim()
     folder.remove_unfinished()
-    target, display = scene.strip({name: view.target.image for name, view in scene.views.items()}), _display(scene)
+    target, display = scene.montage({name: view.target.image for name, view in scene.views.items()}), _display(scene)
     gradients: list[dict[str, Any]] = []
     for index, trial in enumerate(trials):
         prefix = "" if index == 0 else f"compare/{trial.objective}/"
@@ -76,7 +76,7 @@ def write_results(scene: Scene, trials: Sequence[Trial], *, command: str = "") -
             pictures = (*folder.pictures(FRAMES_FOLDER), *folder.pictures(GRADIENTS_FOLDER)) if index == 0 else ()
             folder.remove([*(f"{prefix}{name}" for name in names), *pictures])
             continue
-        final = scene.strip(_host_images(trial.result.image))
+        final = scene.montage(_host_images(trial.result.image))
         write_png(folder.file(f"{prefix}final.png"), display.show(final))
         write_png(folder.file(f"{prefix}error.png"), display.difference(final, target) * _pixel_weights(scene))
         write_text(folder.file(f"{prefix}{HISTORY_FILE}"), _history(trial))
@@ -153,7 +153,7 @@ def _trial_summary(scene: Scene, trial: Trial) -> dict[str, Any]:
         "best_step": trial.result.best_step,
         "steps_done": len(trial.result.history),
         "seconds": round(trial.seconds, 3),
-        "psnr": finite_or_none(quality(scene, _host_images(trial.result.image))),
+        "psnr": finite_or_none(scene_psnr(scene, _host_images(trial.result.image))),
         "psnr_initial": finite_or_none(trial.psnr_initial),
         "diagnosis": None
         if diagnosis is None
@@ -179,8 +179,8 @@ def _stages_note(trials: Sequence[Trial]) -> str:
 
 def _display(scene: Scene) -> Display:
     """Return the exposure and encoding of all pictures of a scene."""
-    targets = scene.strip({name: view.target.image for name, view in scene.views.items()})
-    return Display.of(targets, scene.first.target.encoding)
+    targets = scene.montage({name: view.target.image for name, view in scene.views.items()})
+    return Display.of(targets, scene.first_view.target.encoding)
 
 
 def _host_images(image: Images) -> dict[str, Host]:
@@ -189,7 +189,7 @@ def _host_images(image: Images) -> dict[str, Host]:
 
 def _pixel_weights(scene: Scene) -> Host:
     """Return the weight of each pixel, at most 1, shape (H, W, 1), for a picture of the views."""
-    return scene.strip(
+    return scene.montage(
         {
             name: np.ones((*view.target.image.shape[:2], 1))
             if view.target.weights is None

@@ -44,8 +44,8 @@ class RunningPage:
         self._announce = announce
         self._scene = scene
         self._folder = folder
-        target = scene.strip({name: view.target.image for name, view in scene.views.items()})
-        self._display = Display.of(target, scene.first.target.encoding)
+        target = scene.montage({name: view.target.image for name, view in scene.views.items()})
+        self._display = Display.of(target, scene.first_view.target.encoding)
         self._target = self._figure(target, "target")
         self._histories: dict[str, dict[str, list[float]]] = {}
         self._due_s = 0.0

@@ -12,7 +12,7 @@ from loi_core.io.result_folder import ResultFolder
 from loi_core.pixels.display import signed_to_grey
 from loi_core.report.names import GRADIENTS_FOLDER, MOMENTS, gradient_file
 from loi_core.report.tables import SCALE_COLUMNS, csv_text
-from loi_core.scenes.experiment import Trial
+from loi_core.scenes.recorder import Trial
 from loi_core.scenes.scale_terms import scale_descent, scale_objectives
 from loi_core.scenes.scene import Scene
 from loi_core.support.arrays import Host, to_numpy

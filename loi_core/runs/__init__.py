@@ -1,10 +1,11 @@
-"""Many runs, side by side: each in a process that can be ended, over any executor, and each on record once.
+"""Parallel runs: each in a worker process that can be killed, over any executor, with one record per finished run.
 
-Nothing here knows what a run is. :mod:`loi_core.sweeps` makes them of scene files.
+:mod:`loi_core.sweeps` uses it for fits of scene files.
 """
 
-from loi_core.runs.on_dask import DaskExecutor
+from loi_core.runs.dask import DaskExecutor
+from loi_core.runs.processes import RunResult
 from loi_core.runs.records import read_record, write_record
-from loi_core.runs.workers import Ended, Workers
+from loi_core.runs.workers import Workers
 
-__all__ = ["DaskExecutor", "Ended", "Workers", "read_record", "write_record"]
+__all__ = ["DaskExecutor", "RunResult", "Workers", "read_record", "write_record"]

@@ -1,204 +1,191 @@
-"""Processes that carry out runs and can be ended; each is kept for the next run, with all that it has imported."""
+"""Worker processes, each started, reused and killed by one supervising thread."""
 
 from __future__ import annotations
 
 import contextlib
+import faulthandler
+import multiprocessing
 import os
-import pickle
 import signal
-import subprocess
-import sys
 import tempfile
 import threading
-import time
-from typing import Final
+import traceback
+from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass
+from multiprocessing.util import Finalize
+from pathlib import Path
+from typing import Any, Final, Generic, TypeVar
 
-from loi_core.runs.child import IDLE, SIZE
-from loi_core.runs.reply import Reply
 from loi_core.support.forking import ForkSafeLock
+from loi_core.support.wording import described
 
-__all__ = ["end", "watch"]
+__all__ = ["RunResult", "kill_processes", "supervise"]
 
-# Each process computes on one thread: runs side by side use the cores better than threads within a run, and sums come
-# out the same wherever it runs.
+# Each process computes on one thread: parallel runs use the cores better than threads within a run, and sums are the
+# same wherever a run is executed.
 ONE_THREAD: Final = dict.fromkeys(
     ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS"), "1"
 )
-FRESH: Final = 0.8 * IDLE  # seconds for which a process is kept: less than until it ends by itself
-TAIL: Final = 4096  # bytes of standard error that are told of a process that died
+MAX_TAIL_BYTES: Final = 4096  # of a dead process's output, reported with its run
+RunT = TypeVar("RunT")
 
 
-def watch(owner: str, payload: bytes, timeout: float | None) -> Reply:
-    """Have a process carry out one run, and end it if it takes longer than `timeout` seconds.
+@dataclass(frozen=True)
+class RunResult(Generic[RunT]):
+    """The result of one run.
 
-    Executors run this. What it calls lies apart in a process, so that it makes no difference whether the executor has
-    threads, processes or workers on other machines, and none of them is lost with a run.
+    Attributes
+    ----------
+    run : object
+        The run itself.
+    value : object
+        Return value of the function; None if the run failed.
+    cause : str
+        Cause of the failure, on one line; empty if the run succeeded.
+    details : str
+        Traceback of the failure, or the last output of a process that died.
+    """
+
+    run: RunT
+    value: Any = None
+    cause: str = ""
+    details: str = ""
+
+
+def supervise(owner: str, function: Callable[[RunT], Any], run: RunT, timeout: float | None) -> RunResult[RunT]:
+    """Execute one run in the worker process of this thread.
+
+    Executors call this function. Since the run is executed in another process, executors may use threads, processes or
+    a cluster, and a run that crashes harms none of their workers.
 
     Parameters
     ----------
     owner : str
-        Whose run it is; see :func:`end`.
-    payload : bytes
-        A function and its argument, pickled.
+        Identifies the processes for :func:`kill_processes`.
+    function : callable
+        Called with `run`.
+    run : object
+        Anything that can be pickled.
     timeout : float, optional
-        In seconds.
+        Time limit in seconds, after which the process is killed.
     """
-    crew = _crew(owner)
-    process = crew.take()
-    if process is None:
-        return Reply(cause="the sweep has ended", died=True)
-    try:
-        reply = process.carry_out(payload, timeout)
-    except BaseException:
+    thread = threading.get_ident()
+    with _LOCK:
+        if owner in _STOPPED:
+            return RunResult(run, cause="the workers are shut down")
+        if owner not in _PROCESSES:
+            _PROCESSES[owner] = {}
+            # A process of multiprocessing, such as a Dask worker, joins its children at exit, idle ones too.
+            Finalize(None, kill_processes, (owner,), exitpriority=10)
+        processes = _PROCESSES[owner]
+        if thread not in processes:
+            processes[thread] = _Process()
+        process = processes[thread]
+    result = process.execute(function, run, timeout)
+    if process.killed:
+        with _LOCK:
+            processes.pop(thread, None)
+    return result
+
+
+def kill_processes(owner: str) -> None:
+    """Kill all processes of an owner that this process supervises, and start no more for it."""
+    with _LOCK:
+        _STOPPED.add(owner)
+        processes = list(_PROCESSES.pop(owner, {}).values())
+    for process in processes:
         process.kill()
-        raise
-    finally:
-        crew.give(process)
-    return reply
 
 
-def end(owner: str) -> None:
-    """End all processes of this owner that were started from this process, and start no more."""
-    _crew(owner).end()
+_LOCK: Final = ForkSafeLock()
+_PROCESSES: Final[dict[str, dict[int, _Process]]] = {}  # by owner and supervising thread
+_STOPPED: Final[set[str]] = set()
 
 
 class _Process:
-    """One process, as seen from the one that started it."""
+    """One worker process: a pool of size 1, so that the run that breaks the pool is known."""
 
     def __init__(self) -> None:
-        self._errors = tempfile.TemporaryFile()  # noqa: SIM115 - closed when the process is
-        path = [os.path.abspath(one) for one in sys.path]  # noqa: PTH100 - an empty one is the current folder
-        code = f"import sys; sys.path[:] = {path!r}; from loi_core.runs.child import serve; serve()"
-        self._process = subprocess.Popen(  # noqa: S603 - of this very Python
-            [sys.executable, "-c", code],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE,
-            stderr=self._errors,
-            env={**os.environ, **ONE_THREAD},
-            start_new_session=True,  # so that Ctrl-C is ours alone to handle, and all that it starts ends with it
-        )
-        self._lock = threading.Lock()
-        self._late = self._gone = False
-        self._last_used = time.monotonic()
+        descriptor, self._log = tempfile.mkstemp(prefix="loi-run-")
+        os.close(descriptor)
+        if multiprocessing.parent_process() is not None:
+            multiprocessing.current_process().daemon = False  # Dask workers are daemonic, and could have no children
+        spawn = multiprocessing.get_context("spawn")  # a fork would inherit locks that other threads hold
+        self._pool = ProcessPoolExecutor(1, spawn, initializer=_initialise, initargs=(self._log,))
+        with _inherited_settings():
+            self._pid: Future[int] = self._pool.submit(os.getpid)
+        self.killed = False
 
-    @property
-    def usable(self) -> bool:
-        """Whether it can be given another run."""
-        return not self._gone and time.monotonic() - self._last_used < FRESH and self._process.poll() is None
-
-    def carry_out(self, payload: bytes, timeout: float | None) -> Reply:
-        """One run, to its end, or that of the process."""
-        assert self._process.stdin is not None and self._process.stdout is not None  # noqa: S101, PT018 - pipes
-        timer = None if timeout is None else threading.Timer(timeout, self._expire)
-        self._errors.seek(0)  # which the process shares: of every run only its own words are kept
-        self._errors.truncate()
-        if timer is not None:
-            timer.daemon = True
-            timer.start()
+    def execute(self, function: Callable[[RunT], Any], run: RunT, timeout: float | None) -> RunResult[RunT]:
+        """Execute one run; kill the process if it exceeds the time limit or dies."""
         try:
-            self._process.stdin.write(SIZE.pack(len(payload)) + payload)
-            self._process.stdin.flush()
-            reply = pickle.load(self._process.stdout)  # noqa: S301 - of our own process
-        except (OSError, EOFError, ValueError, pickle.UnpicklingError):
-            self.kill()
-            if self._late:
-                return Reply(cause=f"no end after {timeout:g} s; its process was ended", details=self._said())
-            return Reply(cause=self._ending(), details=self._said(), died=True)
-        finally:
-            if timer is not None:
-                timer.cancel()
-        self._last_used = time.monotonic()
-        return reply if isinstance(reply, Reply) else Reply(cause="its process answered nonsense", died=True)
+            return self._pool.submit(_call, self._log, function, run).result(timeout)
+        except TimeoutError:
+            return RunResult(run, None, f"no result after {timeout:g} s; its process was killed", self.kill())
+        except BrokenProcessPool:
+            return RunResult(run, None, "its process died", self.kill())
+        except Exception as error:  # noqa: BLE001 - pickling calls methods of arbitrary objects
+            return RunResult(run, None, described(error))
 
-    def kill(self) -> None:
-        """End it, with all that it has started."""
-        with self._lock:
-            if self._gone:
-                return
-            self._gone = True
-            with contextlib.suppress(OSError):
-                if hasattr(os, "killpg"):
-                    os.killpg(self._process.pid, signal.SIGKILL)
-                else:
-                    self._process.kill()
-            self._process.wait()
-
-    def close(self) -> None:
-        """Forget it, once it is ended and nobody waits for it."""
-        for stream in (self._process.stdin, self._process.stdout, self._errors):
-            with contextlib.suppress(OSError):
-                stream.close()  # type: ignore[union-attr]  # pipes
-
-    def _expire(self) -> None:
-        self._late = True
-        self.kill()
-
-    def _ending(self) -> str:
-        status = self._process.returncode
-        if status is not None and status < 0:
-            with contextlib.suppress(ValueError):
-                return f"its process was ended by {signal.Signals(-status).name}"
-        return f"its process ended with status {status}"
-
-    def _said(self) -> str:
-        with contextlib.suppress(OSError, ValueError):
-            size = self._errors.seek(0, os.SEEK_END)
-            self._errors.seek(max(0, size - TAIL))
-            return self._errors.read(TAIL).decode("utf-8", errors="replace")
-        return ""
-
-
-class _Crew:
-    """The processes of one owner."""
-
-    def __init__(self) -> None:
-        self._lock = ForkSafeLock()
-        self._idle: list[_Process] = []
-        self._busy: set[_Process] = set()
-        self._ended = False
-
-    def take(self) -> _Process | None:
-        """One for a run; None if no more are to be started."""
-        with self._lock:
-            if self._ended:
-                return None
-            while self._idle:
-                process = self._idle.pop()
-                if process.usable:
-                    break
-                process.kill()
-                process.close()
+    def kill(self) -> str:
+        """Kill the process and the processes that it has started; return its last output."""
+        if self.killed:
+            return ""
+        self.killed = True
+        with contextlib.suppress(BrokenProcessPool, OSError):
+            pid = self._pid.result()
+            if hasattr(os, "killpg"):
+                os.killpg(pid, signal.SIGKILL)
             else:
-                process = _Process()
-            self._busy.add(process)
-            return process
-
-    def give(self, process: _Process) -> None:
-        """Take it back after a run, for the next one if it lives."""
-        with self._lock:
-            self._busy.discard(process)
-            if process.usable and not self._ended:
-                self._idle.append(process)
-                return
-        process.kill()
-        process.close()
-
-    def end(self) -> None:
-        """End all; whoever waits for one is told that it died."""
-        with self._lock:
-            self._ended = True
-            busy, idle = list(self._busy), self._idle
-            self._idle = []
-        for process in (*busy, *idle):
-            process.kill()
-        for process in idle:
-            process.close()
+                os.kill(pid, signal.SIGTERM)
+        self._pool.shutdown(cancel_futures=True)
+        log = Path(self._log)
+        tail = log.read_bytes()[-MAX_TAIL_BYTES:].decode("utf-8", errors="replace")
+        log.unlink()
+        return tail
 
 
-_CREWS: Final[dict[str, _Crew]] = {}
-_LOCK: Final = ForkSafeLock()
+@contextlib.contextmanager
+def _inherited_settings() -> Iterator[None]:
+    """Settings for processes that are started inside: one thread, and no response to Ctrl-C."""
+    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    os.environ.update(ONE_THREAD)
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if hasattr(signal, "pthread_sigmask") else None
+    try:
+        yield
+    finally:
+        if mask is not None:
+            signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
 
 
-def _crew(owner: str) -> _Crew:
-    with _LOCK:
-        return _CREWS.setdefault(owner, _Crew())
+def _initialise(log: str) -> None:
+    """Prepare a worker process: its output goes to a file, and it exits when its parent does."""
+    if hasattr(os, "setsid"):
+        os.setsid()  # a session of its own, so that all processes that a run starts can be killed with it
+    output = os.open(log, os.O_WRONLY | os.O_APPEND)
+    os.dup2(output, 1)
+    os.dup2(output, 2)
+    faulthandler.enable()  # a crash in native code leaves a traceback in the log
+    threading.Thread(target=_exit_with_parent, daemon=True).start()
+
+
+def _exit_with_parent() -> None:
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def _call(log: str, function: Callable[[RunT], Any], run: RunT) -> RunResult[RunT]:
+    os.truncate(log, 0)  # the output of earlier runs in this process
+    try:
+        return RunResult(run, function(run))
+    except BaseException as error:  # noqa: BLE001 - any exception, SystemExit too, is a failure of this run alone
+        return RunResult(run, None, described(error), traceback.format_exc())

@@ -1,4 +1,4 @@
-"""Records of runs: a file for each that has ended, which says of which very run it is."""
+"""Records of finished runs: one JSON file each, which identifies its run."""
 
 from __future__ import annotations
 
@@ -11,32 +11,32 @@ from loi_core.io.files import read_bytes, write_text
 
 __all__ = ["read_record", "write_record"]
 
-MOST: Final = 2**26  # bytes of a record
+MAX_RECORD_BYTES: Final = 2**26
 RUN: Final = "run"
 
 
 def read_record(path: Path, identity: str) -> dict[str, Any] | None:
-    """What is on record of a run; None if there is no such file, or it is damaged, or is of another run.
+    """Return the record of a run; None if the file is missing, damaged, or belongs to another run.
 
     Parameters
     ----------
     path : Path
         The file.
     identity : str
-        All that the run depends on: a change of any of it makes it another run.
+        Everything that the run depends on: another identity is another run.
 
     Raises
     ------
     OSError
-        If there is a file that cannot be read.
+        If the file exists and cannot be read.
     """
     try:
-        record = json.loads(read_bytes(path, MOST))
+        record = json.loads(read_bytes(path, MAX_RECORD_BYTES))
     except (FileNotFoundError, ValueError, RecursionError):
         return None
     return record if isinstance(record, dict) and record.get(RUN) == identity else None
 
 
 def write_record(path: Path, identity: str, content: Mapping[str, Any]) -> None:
-    """Put plain values on record for a run, whole or not at all."""
+    """Write the record of a run, plain JSON values, atomically."""
     write_text(path, json.dumps({RUN: identity, **content}) + "\n")

@@ -1,1 +1,1 @@
-"""Scene files: what they hold, how they are read, and the experiment that they describe."""
+"""Scene files: their content, how they are read, and the experiment that they describe."""

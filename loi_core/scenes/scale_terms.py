@@ -53,7 +53,7 @@ def scale_terms(scene: Scene, name: str, images: Mapping[str, Host]) -> dict[Sca
 def scale_descent(scene: Scene, name: str, images: Mapping[str, Host]) -> dict[ScaleKey, Host]:
     """Return each scale's descent direction in the image: positive where the scale's term falls as pixels brighten.
 
-    Parameters and keys as in :func:`scale_terms`. Values have the shape of ``scene.strip(images)`` and are 0 in views
+    Parameters and keys as in :func:`scale_terms`. Values have the shape of ``scene.montage(images)`` and are 0 in views
     without the scale.
     """
     by_scale: dict[ScaleKey, dict[str, Host]] = {}
@@ -64,4 +64,4 @@ def scale_descent(scene: Scene, name: str, images: Mapping[str, Host]) -> dict[S
         except LoiError:
             return {}
     blank = {view: np.zeros_like(image) for view, image in images.items()}
-    return {key: scene.strip({**blank, **directions}) for key, directions in by_scale.items()}
+    return {key: scene.montage({**blank, **directions}) for key, directions in by_scale.items()}

@@ -1,4 +1,4 @@
-"""A scene: what is rendered, what the image should look like, what may move, and how it is compared."""
+"""A scene: renderers, target images, free parameters and objectives."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ __all__ = ["FitOptions", "Scene", "SceneView"]
 
 @dataclass(frozen=True)
 class FitOptions:
-    """The ``[fit]`` table; the arguments of :func:`loi_core.fit` of the same names."""
+    """The table ``[fit]``: arguments of :func:`loi_core.fit`."""
 
     steps: int = 200
     learning_rate: float | str | None = None
@@ -39,18 +39,18 @@ class FitOptions:
 
 @dataclass(frozen=True)
 class SceneView:
-    """One render of a scene, and what it is compared with.
+    """One view of a scene, with its target.
 
     Attributes
     ----------
     renderer : Renderer
-        As its factory made it.
+        The renderer of the view.
     target : Target
-        The image to match, and how much each of its pixels counts.
+        The image to match, with pixel weights.
     scales : ScaleSpace
-        Those of the file, for whichever objective compares them.
+        Scales of the file, for objectives that compare scales.
     objectives : dict
-        By name; the first is the one that the scene is fitted with, the others are compared with it.
+        By name; the scene is fitted with the first, and the others are compared with it.
     """
 
     renderer: Renderer
@@ -58,36 +58,36 @@ class SceneView:
     scales: ScaleSpace
     objectives: dict[str, Objective]
 
-    def own(self, params: Parameters, moving: Iterable[str]) -> Parameters:
-        """The parameters of this view: those that move out of `params`, all others as its renderer has them."""
-        own = self.renderer.parameters()
-        return {**own, **{name: params[name] for name in moving if name in own}}
+    def parameters(self, params: Parameters, optimised: Iterable[str]) -> Parameters:
+        """Return the parameters of this view: the optimised ones from `params`, the others from its renderer."""
+        current = self.renderer.parameters()
+        return {**current, **{name: params[name] for name in optimised if name in current}}
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A scene file, read, checked and made into objects.
+    """A scene file, read and checked.
 
     Attributes
     ----------
     path : Path
         The file.
     title : str
-        For the report.
+        Heading of the report.
     output : Path
         Folder of the results.
     views : dict of SceneView
-        By name; one whose name is empty if the file names none.
+        By name; a single view with an empty name if the file has no ``[views]``.
     optimise : dict of Free
-        What may move.
+        Free parameters.
     truth : dict of arrays
-        True values of parameters, where the scene gives them; only ever used to report errors.
+        True values of parameters, if the file has them; used only to report errors.
     fit : FitOptions
         Steps, rates and seed.
     samples : int, optional
-        Samples per pixel, if the renderer takes them as an option ``spp``.
+        Samples per pixel, if the renderer has an option ``spp``.
     tone : LogTone, optional
-        The tone curve that image and target pass in every objective.
+        Tone curve that every objective applies to image and target.
     """
 
     path: Path
@@ -101,48 +101,48 @@ class Scene:
     tone: LogTone | None = None
 
     @property
-    def first(self) -> SceneView:
-        """The only view, or the first of several."""
+    def first_view(self) -> SceneView:
+        """The first view."""
         return next(iter(self.views.values()))
 
     @property
     def renderer(self) -> Renderer:
         """The renderer of the first view."""
-        return self.first.renderer
+        return self.first_view.renderer
 
     @property
     def target(self) -> FloatImage:
-        """The image that the first view is to match, shape (H, W, 3)."""
-        return self.first.target.image
+        """The target image of the first view, shape (H, W, 3)."""
+        return self.first_view.target.image
 
     @property
     def scales(self) -> ScaleSpace:
         """The scales of the first view."""
-        return self.first.scales
+        return self.first_view.scales
 
     @property
     def objectives(self) -> dict[str, Objective]:
         """The objectives of the first view, by name."""
-        return self.first.objectives
+        return self.first_view.objectives
 
     def parameters(self) -> Parameters:
-        """The parameters of all views."""
+        """Return the parameters of all views."""
         return SharedParameters({name: view.renderer for name, view in self.views.items()}).parameters()
 
     @property
     def renderers(self) -> Images:
-        """The renderer, or those of several views by name."""
+        """The renderer of a single view, or the renderers of several views by name."""
         return as_given({name: view.renderer for name, view in self.views.items()})
 
     def objective(self, name: str) -> Images:
-        """The objective of this name, or those of several views by theirs."""
-        return as_given({view: one.objectives[name] for view, one in self.views.items()})
+        """Return the objective called `name` of a single view, or these objectives of several views by view."""
+        return as_given({view_name: view.objectives[name] for view_name, view in self.views.items()})
 
-    def strip(self, images: Mapping[str, Host]) -> Host:
-        """Images of views as one picture, in the order of the file."""
+    def montage(self, images: Mapping[str, Host]) -> Host:
+        """Return the images of all views side by side, in the order of the file."""
         return side_by_side(images[name] for name in self.views)
 
     @property
     def notes(self) -> list[str]:
-        """What was done to the targets as they were read, a line each."""
+        """Conversions of the target images when they were read, one line each."""
         return list(dict.fromkeys(note for view in self.views.values() for note in view.target.notes))

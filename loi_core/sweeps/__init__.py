@@ -1,4 +1,4 @@
-"""Sweeps: many fits of scene files, side by side, in one table and on one page."""
+"""Sweeps: many fits of scene files in parallel, summarised in one table and one page."""
 
 from loi_core.sweeps.leaderboard import Standing
 from loi_core.sweeps.run import SweepResult, sweep

@@ -1,4 +1,4 @@
-"""The folder of a sweep: its records, its runs, and that only one sweep at a time works in it."""
+"""The result folder of a sweep: its records and run folders, locked against a second sweep."""
 
 from __future__ import annotations
 
@@ -16,56 +16,56 @@ from loi_core.sweeps.plan import SweepRun
 
 __all__ = ["SweepFolder"]
 
-MARK: Final = "loi-sweep.json"
+MARKER: Final = "loi-sweep.json"
 RECORDS: Final = "records"
 RUNS: Final = "runs"
 
 
 class SweepFolder:
-    """A folder of results of a sweep.
+    """The result folder of a sweep.
 
     Parameters
     ----------
     path : Path
-        The folder. It need not be there.
+        The folder, which need not exist.
 
     Raises
     ------
     OptionError
-        If it cannot be written to, or holds something and is not of a sweep.
+        If it is not writable, or is not empty and does not belong to a sweep.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        check_owned("output", path, MARK)
+        check_owned("output", path, MARKER)
 
     @property
     def runs(self) -> Path:
-        """Holds a folder for each run, with what `loi fit` writes."""
+        """Folder of the runs; each has a folder with the files of `loi fit`."""
         return self.path / RUNS
 
     def read(self, run: SweepRun) -> dict[str, Any] | None:
-        """What is on record of a run; None if it has not ended."""
-        return read_record(self._record(run), run.identity)
+        """Return the record of a run; None if the run is not finished."""
+        return read_record(self._record_path(run), run.identity)
 
-    def keep(self, run: SweepRun, content: dict[str, Any]) -> None:
-        """Put on record how a run has ended."""
-        write_record(self._record(run), run.identity, content)
+    def write(self, run: SweepRun, content: dict[str, Any]) -> None:
+        """Write the record of a finished run."""
+        write_record(self._record_path(run), run.identity, content)
 
-    def _record(self, run: SweepRun) -> Path:
+    def _record_path(self, run: SweepRun) -> Path:
         return self.path / RECORDS / f"{run.name}.json"
 
     @contextlib.contextmanager
-    def held(self) -> Iterator[None]:
-        """Keep others from working in it.
+    def locked(self) -> Iterator[None]:
+        """Lock the folder against other processes.
 
         Raises
         ------
         InUseError
-            If somebody else does.
+            If another process has locked it.
         """
-        mark = self.path / MARK
-        if not mark.exists():
-            write_text(mark, json.dumps({"made by": "loi sweep; the folder and all in it are its own"}) + "\n")
+        marker = self.path / MARKER
+        if not marker.exists():
+            write_text(marker, json.dumps({"made by": "loi sweep; the folder and all in it are its own"}) + "\n")
         with exclusive_use(self.path / LOCK, self.path):
             yield

@@ -1,4 +1,4 @@
-"""Which setting did best: runs that differ in seed and start alone, taken together and ranked."""
+"""Ranking of settings: runs that differ only in seed and start are averaged."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from loi_core.sweeps.plan import REPEATS, Sweep, spelled
+from loi_core.sweeps.plan import REPEATS, Sweep, format_value
 from loi_core.sweeps.table import DONE, FAILED, Row
 
 __all__ = ["Standing", "standings_of"]
@@ -15,20 +15,20 @@ __all__ = ["Standing", "standings_of"]
 
 @dataclass(frozen=True)
 class Standing:
-    """How one setting did, over its seeds and starts.
+    """The result of one setting over its seeds and starts.
 
     Attributes
     ----------
     setting : dict of str
-        What it has of all that varies, as it is spelled; the scene too, if there are several.
+        Values of the varied keys, as text; and the scene, if the sweep has several.
     rows : tuple of dict
-        Its runs.
+        Rows of its runs.
     mean, worst : float
-        Of the measure that ranks, over the runs that are done; NaN if none is.
+        Mean and worst value of the ranking measure over finished runs; NaN without any.
     best : dict or None
-        The best of those runs.
+        Row of the best run.
     converged : int
-        How many of them found their target, by their own verdict.
+        Number of runs whose verdict is "converged".
     """
 
     setting: Mapping[str, str]
@@ -40,37 +40,36 @@ class Standing:
 
     @property
     def done(self) -> int:
-        """How many of its runs are done."""
+        """Number of finished runs."""
         return sum(row["status"] == DONE for row in self.rows)
 
     @property
     def failed(self) -> int:
-        """How many of them have failed."""
+        """Number of failed runs."""
         return sum(row["status"] == FAILED for row in self.rows)
 
     @property
     def name(self) -> str:
-        """The setting in words."""
+        """The setting as text."""
         return ", ".join(f"{key} = {value}" for key, value in self.setting.items()) or "as in the file"
 
 
 def standings_of(sweep: Sweep, rows: Sequence[Row]) -> tuple[Standing, ...]:
-    """All settings, the best first: by PSNR the largest, by all else the smallest mean."""
+    """Return the standings of all settings, best first: PSNR descends, every other measure ascends."""
     keys = [key for key in sweep.runs[0].varied if key not in REPEATS]
     if len(sweep.scenes) > 1:
         keys.insert(0, "scene")
     groups: dict[tuple[str, ...], list[Row]] = {}
     for row in rows:
-        groups.setdefault(tuple(spelled(row[key]) for key in keys), []).append(row)
-    found = [_standing(dict(zip(keys, values, strict=True)), some, sweep.rank) for values, some in groups.items()]
-    return tuple(sorted(found, key=lambda one: math.inf if math.isnan(one.mean) else _sign(sweep.rank) * one.mean))
+        groups.setdefault(tuple(format_value(row[key]) for key in keys), []).append(row)
+    standings = [_standing(dict(zip(keys, values, strict=True)), group, sweep.rank) for values, group in groups.items()]
+    sign = _sign(sweep.rank)
+    return tuple(sorted(standings, key=lambda row: math.inf if math.isnan(row.mean) else sign * row.mean))
 
 
 def _standing(setting: Mapping[str, str], rows: Sequence[Row], rank: str) -> Standing:
-    def badness(row: Row) -> float:
-        return _sign(rank) * float(row[rank])
-
-    done = sorted((row for row in rows if row["status"] == DONE and _is_measured(row.get(rank))), key=badness)
+    measured = (row for row in rows if row["status"] == DONE and _is_measured(row.get(rank)))
+    done = sorted(measured, key=lambda row: _sign(rank) * float(row[rank]))
     if not done:
         return Standing(setting, tuple(rows), math.nan, math.nan, None, 0)
     values = [float(row[rank]) for row in done]
@@ -83,4 +82,5 @@ def _is_measured(value: Any) -> bool:
 
 
 def _sign(rank: str) -> float:
+    """Return the factor with which smaller values of a measure are better."""
     return -1.0 if rank == "psnr" else 1.0

@@ -1,4 +1,4 @@
-"""What a sweep is of: its scenes, what varies, and each of its runs with all that it depends on."""
+"""The plan of a sweep: its scenes, its varied keys, and its runs with everything that they depend on."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ from typing import Any, Final
 from loi_core.errors import OptionError
 from loi_core.support.wording import listed
 
-__all__ = ["MOST_RUNS", "REPEATS", "START", "Axis", "Sweep", "SweepRun", "dotted", "spelled"]
+__all__ = ["MAX_RUNS", "REPEATS", "START", "Axis", "Sweep", "SweepRun", "dotted", "format_value"]
 
-MOST_RUNS: Final = 100_000
-LONGEST: Final = 48  # letters of what a name says, before its digest
-LONGEST_PATH: Final = 4096
+MAX_RUNS: Final = 100_000
+MAX_NAME_LENGTH: Final = 48  # characters of a run's name before its digest
+MAX_PATH_LENGTH: Final = 4096
 START: Final = "start"
 REPEATS: Final = ("fit.seed", START)
-"""What is varied to repeat a setting, and not to compare it with another."""
+"""Keys that repeat a setting; they do not distinguish settings."""
 
 
 @dataclass(frozen=True)
 class Axis:
-    """A key of scene files, and the values that it takes in turn.
+    """A varied key of scene files and its values.
 
     Attributes
     ----------
     key : tuple of str
-        Its parts: tables, then the key.
+        The tables that contain the key, then the key.
     values : tuple
-        Whatever such a key may have.
+        Values of any type that the key allows.
     """
 
     key: tuple[str, ...]
@@ -50,19 +50,19 @@ class SweepRun:
     Attributes
     ----------
     name : str
-        Of its folder and its record.
+        Name of its folder and its record.
     identity : str
-        A digest of all that it depends on.
+        Digest of everything that it depends on.
     label : str
-        Its scene file, as the sweep calls it.
+        Its scene file, as written in the sweep file.
     scene : Path
-        That file.
+        The scene file.
     document : dict
-        What stands in it, with what varies put in.
+        Content of the scene file, with the varied values in place.
     varied : dict
-        What varies, by dotted key.
+        Varied values by dotted key.
     start : int
-        Which of the places within the bounds it starts from; 0 is the scene's own.
+        Index of the starting point within the bounds; 0 is the scene's own.
     """
 
     name: str
@@ -83,19 +83,19 @@ class Sweep:
     path : Path
         The file.
     title : str
-        Heads the page.
+        Heading of the page.
     output : Path
         Folder of the results.
     scenes : dict of dict
-        The documents of the scene files, by their paths relative to the sweep's folder.
+        Contents of the scene files by their paths, relative to the folder of the sweep file.
     axes : tuple of Axis
-        What varies.
+        Varied keys.
     starts : int
-        From how many places each is fitted, one fit from each.
+        Number of starting points of each setting.
     timeout : float, optional
-        Seconds that a run may take.
+        Time limit of a run in seconds.
     rank : str
-        The column by which the page ranks.
+        Column by which the page ranks settings.
     """
 
     path: Path
@@ -110,104 +110,104 @@ class Sweep:
 
     def __post_init__(self) -> None:
         count = len(self.scenes) * self.starts * math.prod(len(axis.values) for axis in self.axes)
-        if count > MOST_RUNS:
-            msg = f"{self.path}: a sweep may have {MOST_RUNS} runs, got {count}"
+        if count > MAX_RUNS:
+            msg = f"{self.path}: a sweep may have {MAX_RUNS} runs, got {count}"
             raise OptionError(msg)
         ranked = self.rank.removeprefix("error.")
         if ranked != self.rank and ranked not in self._with_truth:
-            known = listed(sorted(self._with_truth)) or "none"
-            msg = f"{self.path}: `rank` is by the error of {ranked!r}; the scenes have a `truth` of {known}"
+            names = listed(sorted(self._with_truth)) or "none"
+            msg = f"{self.path}: `rank` is by the error of {ranked!r}; the scenes have a `truth` of {names}"
             raise OptionError(msg)
 
     @property
     def _with_truth(self) -> set[str]:
-        """The parameters whose truth is in a scene, or varies."""
-        found = {axis.key[1] for axis in self.axes if len(axis.key) > 2 and axis.key[::2] == ("optimise", "truth")}
+        """Parameters whose true value is in a scene, or varies."""
+        names = {axis.key[1] for axis in self.axes if len(axis.key) > 2 and axis.key[::2] == ("optimise", "truth")}
         for document in self.scenes.values():
             table = document.get("optimise")
             for name, entry in table.items() if isinstance(table, Mapping) else ():
                 if isinstance(entry, Mapping) and "truth" in entry:
-                    found.add(str(name))
-        return found
+                    names.add(str(name))
+        return names
 
     @cached_property
     def runs(self) -> tuple[SweepRun, ...]:
-        """All of them, one repeat of everything before the next; equal ones once."""
-        found: dict[str, SweepRun] = {}
-        # Axes that only repeat vary slowest, so that early on there is something to compare.
-        order = sorted(self.axes, key=lambda axis: dotted(axis.key) not in REPEATS)
-        slow = sum(dotted(axis.key) in REPEATS for axis in order)
-        first, last = order[:slow], order[slow:]
-        for start, repeat in itertools.product(range(self.starts), _product(first)):
+        """All distinct runs, one repetition of all settings after another, so that early results compare settings."""
+        runs: dict[str, SweepRun] = {}
+        repeats = [axis for axis in self.axes if dotted(axis.key) in REPEATS]
+        settings = [axis for axis in self.axes if dotted(axis.key) not in REPEATS]
+        for start, repeat in itertools.product(range(self.starts), _combinations(repeats)):
             for label, document in self.scenes.items():
-                for rest in _product(last):
-                    chosen = {**repeat, **rest}
-                    run = self._run(label, document, {axis.key: chosen[axis.key] for axis in self.axes}, start)
-                    found.setdefault(run.identity, run)
-        return tuple(found.values())
+                for setting in _combinations(settings):
+                    values = {**repeat, **setting}
+                    run = self._run(label, document, {axis.key: values[axis.key] for axis in self.axes}, start)
+                    runs.setdefault(run.identity, run)
+        return tuple(runs.values())
 
     def _run(
-        self, label: str, document: Mapping[str, Any], chosen: Mapping[tuple[str, ...], Any], start: int
+        self, label: str, document: Mapping[str, Any], values: Mapping[tuple[str, ...], Any], start: int
     ) -> SweepRun:
         scene = self.path.parent / label
-        varied = {dotted(key): value for key, value in chosen.items()}
+        varied = {dotted(key): value for key, value in values.items()}
         if self.starts > 1:
             varied[START] = start
-        whole = copy.deepcopy(dict(document))
-        for key, value in chosen.items():
+        varied_document = copy.deepcopy(dict(document))
+        for key, value in values.items():
             try:
-                _put(whole, key, value)
+                _put(varied_document, key, value)
             except TypeError:
-                msg = f"{self.path}: [vary] `{dotted(key)}` leads through what is no table in {label}"
+                msg = f"{self.path}: [vary] `{dotted(key)}` leads through a value that is not a table in {label}"
                 raise OptionError(msg) from None
-        files = {text: self._digest(scene.parent / text) for text in sorted(set(_texts(whole)))}
-        told = [label, whole, {text: one for text, one in files.items() if one}, start]
-        identity = hashlib.sha256(json.dumps(told, sort_keys=True, default=str).encode()).hexdigest()
-        said = [Path(label).stem] if len(self.scenes) > 1 else []
-        said += [f"{key.rsplit('.', 1)[-1]}-{spelled(value)}" for key, value in varied.items()]
-        words = re.sub(r"[^a-z0-9.]+", "-", " ".join(said or [Path(label).stem]).lower()).strip("-.")[:LONGEST]
-        return SweepRun(f"{words}-{identity[:12]}", identity, label, scene, whole, varied, start)
+        files = {text: self._digest(scene.parent / text) for text in sorted(set(_texts(varied_document)))}
+        content = [label, varied_document, {text: digest for text, digest in files.items() if digest}, start]
+        identity = hashlib.sha256(json.dumps(content, sort_keys=True, default=str).encode()).hexdigest()
+        words = [Path(label).stem] if len(self.scenes) > 1 else []
+        words += [f"{key.rsplit('.', 1)[-1]}-{format_value(value)}" for key, value in varied.items()]
+        text = " ".join(words or [Path(label).stem]).lower()
+        name = re.sub(r"[^a-z0-9.]+", "-", text).strip("-.")[:MAX_NAME_LENGTH]
+        return SweepRun(f"{name}-{identity[:12]}", identity, label, scene, varied_document, varied, start)
 
     def _digest(self, path: Path) -> str:
-        """Of what is in a file; empty if there is none of this name: a text may be anything."""
+        """Return the digest of a file's content; empty if `path`, which may be any text, is not a file."""
         if path not in self._digests:
-            found = ""
+            digest = ""
             try:
-                if len(str(path)) < LONGEST_PATH and path.is_file():
+                if len(str(path)) < MAX_PATH_LENGTH and path.is_file():
                     with path.open("rb") as stream:
-                        found = hashlib.file_digest(stream, "sha256").hexdigest()
+                        digest = hashlib.file_digest(stream, "sha256").hexdigest()
             except (OSError, ValueError):
                 pass
-            self._digests[path] = found
+            self._digests[path] = digest
         return self._digests[path]
 
 
 def dotted(key: tuple[str, ...]) -> str:
-    """A key as it is written in TOML."""
-    return ".".join(part if re.fullmatch(r"[\w-]+", part, re.ASCII) else json.dumps(part) for part in key)
+    """Return a key as it is written in TOML."""
+    return ".".join(name if re.fullmatch(r"[\w-]+", name, re.ASCII) else json.dumps(name) for name in key)
 
 
-def spelled(value: object) -> str:
-    """A value as a table shows it: texts as they are, numbers as they are typed, all else as JSON."""
+def format_value(value: object) -> str:
+    """Return a value as a table shows it: text unchanged, everything else as JSON."""
     return value if isinstance(value, str) else json.dumps(value, default=str)
 
 
-def _product(axes: list[Axis]) -> Iterator[dict[tuple[str, ...], Any]]:
+def _combinations(axes: list[Axis]) -> Iterator[dict[tuple[str, ...], Any]]:
     for values in itertools.product(*(axis.values for axis in axes)):
         yield dict(zip((axis.key for axis in axes), values, strict=True))
 
 
 def _put(table: dict[str, Any], key: tuple[str, ...], value: Any) -> None:
-    for part in key[:-1]:
-        table = table.setdefault(part, {})
+    for name in key[:-1]:
+        table = table.setdefault(name, {})
         if not isinstance(table, dict):
-            raise TypeError(part)
+            raise TypeError(name)
     table[key[-1]] = copy.deepcopy(value)
 
 
 def _texts(value: Any) -> Iterator[str]:
+    """Yield all strings in a document, any of which may name a file."""
     if isinstance(value, str):
         yield value
     elif isinstance(value, Mapping | list):
-        for one in value.values() if isinstance(value, Mapping) else value:
-            yield from _texts(one)
+        for item in value.values() if isinstance(value, Mapping) else value:
+            yield from _texts(item)

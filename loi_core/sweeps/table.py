@@ -1,15 +1,14 @@
-"""The table of a sweep: a row for each run, as CSV and as Parquet."""
+"""The table of a sweep: one row per run, as CSV and as Parquet."""
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final, TypeAlias
 
 from loi_core.io.files import atomic_path, write_text
-from loi_core.sweeps.plan import Sweep, spelled
+from loi_core.report.tables import csv_text
+from loi_core.sweeps.plan import Sweep, format_value
 
 __all__ = ["CSV_FILE", "DONE", "FAILED", "MISSING", "PARQUET_FILE", "Row", "rows_of", "write_table"]
 
@@ -21,46 +20,37 @@ PARQUET_FILE: Final = "sweep.parquet"
 DONE: Final = "done"
 FAILED: Final = "failed"
 MISSING: Final = "missing"
-BEFORE: Final = ("run", "scene")
-MEASURES: Final = ("status", "objective", "verdict", "psnr", "psnr_initial", "value")
-AFTER: Final = ("best_step", "steps", "seconds", "attempts", "cause")
-NUMBERS: Final = ("psnr", "psnr_initial", "value", "best_step", "steps", "seconds", "attempts")
+NUMBERS: Final = ("psnr", "psnr_initial", "value", "best_step", "steps", "seconds")
+COLUMNS_BEFORE_ERRORS: Final = ("status", "objective", "verdict", "psnr", "psnr_initial", "value")
+COLUMNS_AFTER_ERRORS: Final = ("best_step", "steps", "seconds", "cause")
+TEXTS: Final = ("run", "scene", "status", "objective", "verdict", "cause")
 
 
 def rows_of(sweep: Sweep, records: Mapping[str, Mapping[str, Any]]) -> list[Row]:
-    """The rows of all runs, in order; `records` are those of runs that have ended, by name."""
+    """Return the rows of all runs, in order; `records` holds the records of finished runs by name."""
     errors = sorted({name for record in records.values() for name in record.get("errors") or {}})
     rows: list[Row] = []
     for run in sweep.runs:
-        record = records.get(run.name)
+        record = records.get(run.name, {})
         row: dict[str, Any] = {"run": run.name, "scene": run.label, **run.varied}
-        measured = record or {}
-        row |= {name: measured.get(name) for name in MEASURES}
-        row["status"] = MISSING if record is None else FAILED if record.get("cause") else DONE
-        row |= {f"error.{name}": (measured.get("errors") or {}).get(name) for name in errors}
-        row |= {name: measured.get(name) for name in AFTER}
+        row |= {name: record.get(name) for name in COLUMNS_BEFORE_ERRORS}
+        row["status"] = MISSING if not record else FAILED if record.get("cause") else DONE
+        row |= {f"error.{name}": (record.get("errors") or {}).get(name) for name in errors}
+        row |= {name: record.get(name) for name in COLUMNS_AFTER_ERRORS}
         rows.append(row)
     return rows
 
 
 def write_table(folder: Path, rows: Sequence[Row]) -> Path:
-    """Write ``sweep.csv``, and ``sweep.parquet`` where pyarrow is installed; the path of the first."""
+    """Write ``sweep.csv``, and ``sweep.parquet`` if pyarrow is installed; return the path of the CSV file."""
     path = folder / CSV_FILE
-    write_text(path, _csv(rows))
+    write_text(path, csv_text(list(rows[0]), ([_cell(value) for value in row.values()] for row in rows)))
     _write_parquet(folder / PARQUET_FILE, rows)
     return path
 
 
-def _csv(rows: Sequence[Row]) -> str:
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(rows[0])
-    writer.writerows([_cell(value) for value in row.values()] for row in rows)
-    return stream.getvalue()
-
-
 def _cell(value: object) -> str:
-    return "" if value is None else repr(value) if isinstance(value, float) else spelled(value)
+    return "" if value is None else repr(value) if isinstance(value, float) else format_value(value)
 
 
 def _write_parquet(path: Path, rows: Sequence[Row]) -> None:
@@ -72,17 +62,15 @@ def _write_parquet(path: Path, rows: Sequence[Row]) -> None:
     columns = {}
     for name in rows[0]:
         values = [row[name] for row in rows]
-        if _is_number(name, values):
-            columns[name] = pa.array([None if one is None else float(one) for one in values], pa.float64())
+        if _is_numeric(name, values):
+            columns[name] = pa.array([None if value is None else float(value) for value in values], pa.float64())
         else:
-            columns[name] = pa.array([None if one is None else spelled(one) for one in values], pa.string())
+            columns[name] = pa.array([None if value is None else format_value(value) for value in values], pa.string())
     with atomic_path(path) as temporary:
         parquet.write_table(pa.table(columns), temporary)
 
 
-def _is_number(name: str, values: Sequence[Any]) -> bool:
+def _is_numeric(name: str, values: Sequence[Any]) -> bool:
     if name in NUMBERS or name.startswith("error."):
         return True
-    return name not in (*BEFORE, *MEASURES, *AFTER) and all(
-        isinstance(one, int | float) and not isinstance(one, bool) for one in values
-    )
+    return name not in TEXTS and all(isinstance(value, int | float) and not isinstance(value, bool) for value in values)

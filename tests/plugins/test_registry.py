@@ -106,6 +106,6 @@ def test_a_broken_renderer_plugin_fails_with_one_line(
     lay_out(tmp_path)
     document = {**SCENE, "renderer": {"name": "foreign"}, "optimise": {"positions": {}}}
     (tmp_path / "scene.toml").write_text(to_toml(document))
-    monkeypatch.setattr("loi_core.scenes.making.load_renderer", lambda name: lambda: made())
+    monkeypatch.setattr("loi_core.scenes.renderers.load_renderer", lambda name: lambda: made())
     with pytest.raises(error, match=says):
         Start.of(load_scene(tmp_path / "scene.toml"))

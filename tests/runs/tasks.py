@@ -1,4 +1,4 @@
-"""What runs may do, as functions of a module that processes can import."""
+"""Functions for runs, in a module that worker processes can import."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ def double(number: int) -> int:
     return 2 * number
 
 
-def place(_: Any) -> tuple[int, str]:
-    """In which process it runs, and on how many threads."""
+def process_settings(_: Any) -> tuple[int, str]:
+    """Return the process id and the number of threads."""
     return os.getpid(), os.environ["OMP_NUM_THREADS"]
 
 
-def refuse(number: int) -> int:
+def raise_error(number: int) -> int:
     msg = f"not {number}\nnor another"
     raise ArithmeticError(msg)
 
@@ -27,32 +27,31 @@ def quit_with(status: int) -> None:
     raise SystemExit(status)
 
 
-def talk(number: int) -> int:
+def print_and_read(number: int) -> int:
     print("a word on standard output")
     os.system("echo and one of a program")  # noqa: S605, S607
     return number + len(input() if number < 0 else "")
 
 
-def hang_on(number: int) -> int:
-    """In C, without letting go of the interpreter, for a number below 0."""
+def hang(number: int) -> int:
+    """For a negative number, compute in C without releasing the interpreter."""
     return len(str(7 ** (10**8))) if number < 0 else number
 
 
-def die_once(mark: Path) -> str:
-    """Killed the first time, as for lack of memory."""
-    if not mark.exists():
-        mark.write_text("x")
+def kill_process(number: int) -> int:
+    """For a negative number, end the process as the system does when memory runs out."""
+    if number < 0:
         os.kill(os.getpid(), signal.SIGKILL)
-    return "lived"
+    return number
 
 
-def die(_: object) -> None:
+def abort(_: object) -> None:
     os.write(2, b"out of everything\n")
     os.abort()
 
 
-def wait_for(path: Path) -> int:
-    """Says who it is, and waits until the file is gone."""
+def wait_for_removal(path: Path) -> int:
+    """Write the process id beside the file, and wait until the file is removed."""
     path.with_suffix(f".{os.getpid()}").write_text("x")
     while path.exists():
         time.sleep(0.02)

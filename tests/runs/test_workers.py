@@ -1,4 +1,4 @@
-"""Runs side by side: whatever one of them does, every other ends as it would alone."""
+"""Parallel runs: whatever one run does, every other run ends as it would alone."""
 
 from __future__ import annotations
 
@@ -16,8 +16,7 @@ from typing import Any
 import pytest
 
 from loi_core.errors import ExecutorError, OptionError
-from loi_core.runs import Ended, Workers, read_record, write_record
-from loi_core.runs.reply import Reply
+from loi_core.runs import RunResult, Workers, read_record, write_record
 from tests.environments import ROOT
 from tests.runs import tasks
 
@@ -27,137 +26,148 @@ EXECUTORS: dict[str, Callable[[], Executor]] = {
 }
 
 
-def ended(runs: Any, function: Any, workers: Workers | None = None, **options: Any) -> list[Ended[Any]]:
-    with workers or Workers(processes=2) as made:
-        return sorted(made.carry_out(runs, function, **options), key=lambda one: str(one.run))
+def run_all(function: Any, runs: Any, workers: Workers | None = None, **options: Any) -> list[RunResult[Any]]:
+    with workers or Workers(processes=2) as pool:
+        return sorted(pool.map_unordered(function, runs, **options), key=lambda result: str(result.run))
 
 
 @pytest.mark.parametrize("kind", EXECUTORS)
-def test_any_executor_carries_out_every_run_once(kind: str) -> None:
+def test_every_executor_executes_each_run_once(kind: str) -> None:
     with EXECUTORS[kind]() as executor:
-        found = ended(range(7), tasks.double, Workers(executor))
-        assert executor.submit(tasks.double, 4).result() == 8  # it stays open
-    assert [(one.run, one.value, one.cause, one.attempts) for one in found] == [(k, 2 * k, "", 1) for k in range(7)]
+        results = run_all(tasks.double, range(7), Workers(executor))
+        assert executor.submit(tasks.double, 4).result() == 8  # the executor stays open
+    assert results == [RunResult(k, 2 * k) for k in range(7)]
 
 
-def test_a_process_is_kept_for_the_next_run_and_has_one_thread() -> None:
-    found = {one.value for one in ended(range(5), tasks.place, Workers(processes=1))}
-    assert len(found) == 1
-    ((process, threads),) = found
+def test_a_worker_process_is_reused_and_has_one_thread() -> None:
+    settings = {result.value for result in run_all(tasks.process_settings, range(5), Workers(processes=1))}
+    assert len(settings) == 1
+    ((process, threads),) = settings
     assert process != os.getpid()
     assert threads == "1"
 
 
-def test_what_has_ended_is_told_while_others_are_still_submitted() -> None:
-    given: list[int] = []
+def test_workers_leave_the_environment_of_the_program_unchanged(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("OMP_NUM_THREADS", "3")
+    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
+    assert run_all(tasks.process_settings, [0])[0].value[1] == "1"
+    assert os.environ["OMP_NUM_THREADS"] == "3"
+    assert "MKL_NUM_THREADS" not in os.environ
+
+
+def test_results_are_yielded_while_later_runs_are_still_submitted() -> None:
+    submitted: list[int] = []
 
     def runs() -> Iterator[int]:
         for number in range(100):
-            given.append(number)
+            submitted.append(number)
             yield number
 
-    class AtOnce(ThreadPoolExecutor):
+    class Immediate(ThreadPoolExecutor):
         def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Any:
-            future: Future[Reply] = Future()
-            future.set_result(Reply(pickle.dumps("done")))
+            future: Future[RunResult[int]] = Future()
+            future.set_result(RunResult(args[2], "done"))
             return future
 
-    with AtOnce(1) as executor, Workers(executor) as workers:
-        found = workers.carry_out(runs(), tasks.double)
-        assert next(found).value == "done"
-        assert given == [0]
-        assert len(list(found)) == 99
+    with Immediate(1) as executor, Workers(executor) as workers:
+        results = workers.map_unordered(tasks.double, runs())
+        assert next(results).value == "done"
+        assert submitted == [0]
+        assert len(list(results)) == 99
 
 
-def test_a_run_that_raises_fails_with_its_cause_on_one_line() -> None:
-    (one,) = ended([5], tasks.refuse)
-    assert (one.value, one.cause, one.attempts) == (None, "ArithmeticError: not 5 nor another", 1)
-    assert "tasks.py" in one.details
-    assert [one.cause for one in ended([3], tasks.quit_with)] == ["SystemExit: 3"]
+def test_an_exception_fails_its_run_with_a_cause_on_one_line() -> None:
+    (result,) = run_all(tasks.raise_error, [5])
+    assert (result.value, result.cause) == (None, "ArithmeticError: not 5 nor another")
+    assert "tasks.py" in result.details
+    assert [result.cause for result in run_all(tasks.quit_with, [3])] == ["SystemExit: 3"]
 
 
-def test_what_a_run_prints_or_reads_is_not_taken_for_its_result() -> None:
-    first, second = ended([-1, 4], tasks.talk)
+def test_output_and_input_of_a_run_do_not_disturb_its_result() -> None:
+    first, second = run_all(tasks.print_and_read, [-1, 4])
     assert first.cause.startswith("EOFError")
     assert second.value == 4
 
 
-def test_a_run_that_hangs_is_ended_and_others_go_on() -> None:
-    found = ended([-1, 1, 2], tasks.hang_on, timeout=3.0)
-    assert [one.value for one in found] == [None, 1, 2]
-    assert found[0].cause == "no end after 3 s; its process was ended"
-    assert found[0].attempts == 1
+def test_a_run_that_hangs_is_killed_and_the_other_runs_finish() -> None:
+    results = run_all(tasks.hang, [-1, 1, 2], timeout=3.0)
+    assert [result.value for result in results] == [None, 1, 2]
+    assert results[0].cause == "no result after 3 s; its process was killed"
 
 
-def test_a_run_whose_process_is_killed_is_begun_once_more(tmp_path: Path) -> None:
-    (one,) = ended([tmp_path / "mark"], tasks.die_once)
-    assert (one.value, one.attempts) == ("lived", 2)
+def test_a_killed_process_loses_only_its_own_run() -> None:
+    results = run_all(tasks.kill_process, [-1, 1, 2, 3, 4])
+    assert [(result.value, result.cause) for result in results] == [
+        (None, "its process died"),
+        *((k, "") for k in range(1, 5)),
+    ]
 
 
-def test_a_run_whose_process_dies_again_has_failed_and_says_how() -> None:
-    (one,) = ended([0], tasks.die)
-    assert (one.cause, one.attempts) == ("its process was ended by SIGABRT, in each of 2 attempts", 2)
-    assert "out of everything" in one.details
+def test_the_last_output_of_a_process_that_died_is_reported() -> None:
+    (result,) = run_all(tasks.abort, [0])
+    assert result.cause == "its process died"
+    assert "out of everything" in result.details
+    assert "Fatal Python error: Aborted" in result.details
 
 
 def test_processes_end_with_their_workers(tmp_path: Path) -> None:
     mark = tmp_path / "wait"
     mark.write_text("x")
     with Workers(processes=2) as workers:
-        both = workers.carry_out([tmp_path / "gone" / "wait", mark], tasks.wait_for)
-        assert next(both).cause.startswith("FileNotFoundError")
+        results = workers.map_unordered(tasks.wait_for_removal, [tmp_path / "gone" / "wait", mark])
+        assert next(results).cause.startswith("FileNotFoundError")
         pid = process_of(mark)
-    assert gone(pid)
+    assert has_ended(pid)
 
 
-def test_processes_end_with_the_one_that_started_them(tmp_path: Path) -> None:
+def test_processes_end_with_the_program_that_started_them(tmp_path: Path) -> None:
     mark = tmp_path / "wait"
     mark.write_text("x")
     code = (
         "import sys; from pathlib import Path; from loi_core.runs import Workers; from tests.runs import tasks\n"
-        "with Workers(processes=1) as workers: list(workers.carry_out([Path(sys.argv[1])], tasks.wait_for))"
+        "with Workers(processes=1) as workers: list(workers.map_unordered(tasks.wait_for_removal, [Path(sys.argv[1])]))"
     )
     program = subprocess.Popen([sys.executable, "-c", code, mark], cwd=ROOT)
     pid = process_of(mark)
     program.kill()
     program.wait()
-    assert gone(pid)
+    assert has_ended(pid)
 
 
 def process_of(mark: Path) -> int:
-    """Of the run that waits for this file to go."""
+    """Return the id of the process that waits for the removal of this file."""
     for _ in range(3000):
-        found = [path for path in mark.parent.iterdir() if path != mark]
-        if found:
-            return int(found[0].suffix[1:])
+        paths = [path for path in mark.parent.iterdir() if path != mark]
+        if paths:
+            return int(paths[0].suffix[1:])
         time.sleep(0.02)
     msg = "the run has not begun within a minute"
     raise AssertionError(msg)
 
 
-def gone(pid: int) -> bool:
-    """Whether there is no such process, within ten seconds."""
+def has_ended(pid: int) -> bool:
+    """Return whether a process ends within ten seconds."""
     for _ in range(500):
         try:
             state = Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split()[0]
         except (FileNotFoundError, ProcessLookupError):
             return True
-        if state == "Z":  # it has ended, and whoever inherited it has not been told yet
+        if state == "Z":  # ended, and not yet reaped by its new parent
             return True
         time.sleep(0.02)
     return False
 
 
-def test_an_executor_that_breaks_is_told_as_such(tmp_path: Path) -> None:
+def test_a_broken_executor_raises_an_executor_error() -> None:
     with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as executor:
         with pytest.raises(Exception, match="abruptly"):
             executor.submit(os._exit, 1).result()
         with pytest.raises(ExecutorError, match="the executor broke \\(BrokenProcessPool"):
-            ended([1], tasks.double, Workers(executor))
+            run_all(tasks.double, [1], Workers(executor))
 
 
 @pytest.mark.parametrize(
-    ("options", "says"),
+    ("options", "message"),
     [
         ({"processes": 0}, "`processes` must be a whole number from 1 to 4096, got 0"),
         ({"processes": 1.5}, "got 1.5"),
@@ -165,20 +175,25 @@ def test_an_executor_that_breaks_is_told_as_such(tmp_path: Path) -> None:
         ({"executor": ThreadPoolExecutor(1), "processes": 1}, "exclude each other"),
     ],
 )
-def test_wrong_workers_are_refused(options: dict[str, Any], says: str) -> None:
-    with pytest.raises(OptionError, match=says):
+def test_workers_refuse_wrong_options(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(OptionError, match=message):
         Workers(**options)
 
 
-def test_what_cannot_be_sent_or_awaited_is_refused_before_anything_runs() -> None:
-    with pytest.raises(OptionError, match="such as can be pickled"):
-        ended([lambda: 0], tasks.double)
+def test_a_wrong_time_limit_is_refused_before_any_run() -> None:
     for timeout in (0, -1.0, float("nan"), "1", True, 1e9):
         with pytest.raises(OptionError, match="`timeout` must be a number of seconds"):
-            ended([1], tasks.double, timeout=timeout)
+            run_all(tasks.double, [1], timeout=timeout)
 
 
-def test_a_record_is_of_its_very_run_or_of_none(tmp_path: Path) -> None:
+def test_a_run_that_cannot_be_pickled_fails_with_its_cause() -> None:
+    results = run_all(tasks.double, [lambda: 0, 4])
+    assert [result.value for result in results if isinstance(result.run, int)] == [8]
+    (failed,) = (result for result in results if not isinstance(result.run, int))
+    assert "pickle" in failed.cause
+
+
+def test_a_record_belongs_to_exactly_one_run(tmp_path: Path) -> None:
     path = tmp_path / "below" / "one.json"
     assert read_record(path, "this") is None
     write_record(path, "this", {"psnr": 31.5})

@@ -101,7 +101,7 @@ def test_an_option_that_may_be_a_path_is_relative_to_the_scene(folder: Path, mon
     (folder / "scene.toml").write_text(
         SCENE[: SCENE.index("positions")] + options + SCENE[SCENE.index("\n\n[optimise") :]
     )
-    monkeypatch.setattr("loi_core.scenes.making.load_renderer", lambda name: factory)
+    monkeypatch.setattr("loi_core.scenes.renderers.load_renderer", lambda name: factory)
     load_scene(folder / "scene.toml")
     assert got == {"mesh": folder / "a/b.obj", "note": "a/b", "cache": Path("/c"), "other": None}
     factory.__annotations__ = {"mesh": str | Path, "note": str, "cache": Path}  # not as text

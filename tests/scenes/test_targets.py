@@ -186,7 +186,7 @@ def test_a_scene_hides_what_its_weights_hide(scene: Path) -> None:
     write_png(scene.parent / "mask.png", hidden)
     scene.write_text('weights = "mask.png"\n' + SCENE + '[objective]\ncompare = ["pixel_l2", "ms_ssim"]\n')
     loaded = load_scene(scene)
-    assert loaded.first.target.weights is not None
+    assert loaded.first_view.target.weights is not None
     for objective in loaded.objectives.values():
         np.testing.assert_array_equal(objective.weights, hidden[..., 0])  # type: ignore[attr-defined]
     trial = run_scene(loaded)[0]

@@ -115,7 +115,7 @@ def test_every_fit_is_recorded_once_though_a_worker_is_killed_and_a_fit_hangs(
     assert set(written.values()) == {1}
     (failed,) = (row for row in found.rows if row["status"] == "failed")
     assert failed["fit.steps"] == ENDLESS
-    assert failed["cause"] == f"no end after {LIMIT} s; its process was ended"
+    assert failed["cause"] == f"no result after {LIMIT} s; its process was killed"
     assert orphans
     wait_until(lambda: not any(one.is_running() and one.status() != psutil.STATUS_ZOMBIE for one in orphans))
     for name, record in records(output).items():

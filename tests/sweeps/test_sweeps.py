@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import pickle
 import re
 import shutil
 import signal
@@ -20,10 +19,10 @@ import pytest
 from loi_core.cli import main
 from loi_core.errors import ExecutorError, InUseError, LoiError, OptionError, SceneError
 from loi_core.io.images import read_image, write_png
-from loi_core.runs import DaskExecutor
-from loi_core.runs.reply import Reply
+from loi_core.runs import DaskExecutor, RunResult, processes
 from loi_core.support.installed import how_to_install
 from loi_core.sweeps import sweep
+from loi_core.sweeps.fit_task import scene_error
 from loi_core.sweeps.folder import SweepFolder
 from loi_core.sweeps.plan import SweepRun
 from loi_core.sweeps.reading import read_sweep
@@ -76,7 +75,7 @@ def test_a_sweep_varies_what_it_says_and_leaves_the_rest(finished: Path) -> None
 
 def test_what_is_done_is_not_done_again(done: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     before = {path: path.stat().st_mtime_ns for path in done.parent.glob("sweep-result/r*/**/*")}
-    monkeypatch.setattr(subprocess, "Popen", no_process)
+    monkeypatch.setattr(processes, "_Process", no_process)
     assert sweep(done).count("done") == 8
     assert {path: path.stat().st_mtime_ns for path in done.parent.glob("sweep-result/r*/**/*")} == before
 
@@ -181,7 +180,7 @@ def test_what_failed_is_listed_with_its_cause_and_done_again_only_when_asked(
     assert "thesis.tex" in (folder / "leaderboard.html").read_text()
     stranger.unlink()
     with monkeypatch.context() as patch:
-        patch.setattr(subprocess, "Popen", no_process)
+        patch.setattr(processes, "_Process", no_process)
         assert main(["sweep", str(done)]) == 1
     assert main(["sweep", str(done), "--retry-failed", "--processes", "1"]) == 0
     assert "8 runs done, 0 failed" in capsys.readouterr().out
@@ -205,7 +204,7 @@ def test_ctrl_c_keeps_what_has_ended_and_the_same_call_goes_on(tmp_path: Path) -
     _, said = program.communicate(timeout=60)
     kept = records(tmp_path / "sweep-result")
     assert program.returncode == 1
-    assert said == f"loi: interrupted; {len(kept)} of 8 runs have ended and are kept, the same call goes on\n"
+    assert said == f"loi: interrupted; {len(kept)} of 8 runs are finished, the same call continues\n"
     assert 1 <= len(kept) < 8
     with (tmp_path / "sweep-result" / "sweep.csv").open(newline="") as stream:
         assert [row["status"] for row in csv.DictReader(stream)].count("missing") == 8 - len(kept)
@@ -218,13 +217,13 @@ def test_an_interrupt_right_after_a_record_is_written_counts_that_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = lay_out(tmp_path)
-    keep = SweepFolder.keep
+    write = SweepFolder.write
 
-    def keep_and_interrupt(folder: SweepFolder, run: SweepRun, content: dict[str, Any]) -> None:
-        keep(folder, run, content)
+    def write_and_interrupt(folder: SweepFolder, run: SweepRun, content: dict[str, Any]) -> None:
+        write(folder, run, content)
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(SweepFolder, "keep", keep_and_interrupt)
+    monkeypatch.setattr(SweepFolder, "write", write_and_interrupt)
     with pytest.raises(KeyboardInterrupt, match="interrupted; 1 of 8 runs"):
         sweep(path, processes=1)
     with (tmp_path / "sweep-result" / "sweep.csv").open(newline="") as stream:
@@ -233,7 +232,7 @@ def test_an_interrupt_right_after_a_record_is_written_counts_that_run(
 
 def test_two_sweeps_do_not_work_in_one_folder(done: Path) -> None:
     with (
-        SweepFolder(done.parent / "sweep-result").held(),
+        SweepFolder(done.parent / "sweep-result").locked(),
         pytest.raises(InUseError, match=r"sweep-result is in use by another fit"),
     ):
         sweep(done)
@@ -247,7 +246,7 @@ def test_two_sweeps_do_not_work_in_one_folder(done: Path) -> None:
         ("seeds = 2", "`scene` is missing"),
         ("scene = []", "`scene` must be the path of a scene file, or a list of them, got \\[\\]"),
         ('scene = "none.toml"', "none.toml: no such scene file"),
-        ('scene = "scene.toml"\nseeds = 0', "`seeds` must be how many, 1 or more, or a list of seeds, got 0"),
+        ('scene = "scene.toml"\nseeds = 0', "`seeds` must be their number, 1 or more, or a list of seeds, got 0"),
         ('scene = "scene.toml"\nseeds = [1, -1]', "`seeds` must be"),
         ('scene = "scene.toml"\nstarts = true', "`starts` must be a whole number from 1 to 4096, got True"),
         ('scene = "scene.toml"\ntimeout = 0', "`timeout` must be a number of seconds, more than 0"),
@@ -262,7 +261,10 @@ def test_two_sweeps_do_not_work_in_one_folder(done: Path) -> None:
         ('scene = "scene.toml"\n[vary]\n"fit.steps" = [1]', "`fit.steps` is one key in quotes; write it without"),
         ('scene = "scene.toml"\n[vary]\nfit.steps = 3', "`fit.steps` must be a list of values to take in turn, got 3"),
         ('scene = "scene.toml"\n[vary]\nfit.steps = []', "`fit.steps` must be a list"),
-        ('scene = "scene.toml"\n[vary]\ntarget.x = [1]', "`target.x` leads through what is no table in scene.toml"),
+        (
+            'scene = "scene.toml"\n[vary]\ntarget.x = [1]',
+            "`target.x` leads through a value that is not a table in scene.toml",
+        ),
         ('scene = "scene.toml"\nseeds = 2\n[vary]\nfit.seed = [1]', "`seeds` and `fit.seed` of \\[vary\\] exclude"),
         ('scene = "scene.toml"\nseeds = 400\nstarts = 400', "a sweep may have 100000 runs, got 160000"),
         (
@@ -319,7 +321,7 @@ def test_many_seeds_are_checked_by_few_processes_and_a_wrong_one_is_found(
     class Counted(ThreadPoolExecutor):
         def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Any:
             begun.append(args)
-            return super().submit(lambda: Reply(pickle.dumps("" if b"refusal" in args[1] else {"cause": ""})))
+            return super().submit(lambda: RunResult(args[2], "" if args[1] is scene_error else {"cause": ""}))
 
     with Counted(1) as executor:
         assert sweep(path, executor=executor).count("done") == 300

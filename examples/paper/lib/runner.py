@@ -33,9 +33,9 @@ def carry_out_all(runs: Sequence[Made], carry_out: Callable[[Made], Any], folder
         if not wanted:
             return
         with Workers(processes=processes) as workers:
-            for ended in workers.carry_out(wanted, carry_out):
-                if ended.cause:
-                    msg = f"{ended.run!r}: {ended.cause}\n{ended.details}"
+            for result in workers.map_unordered(carry_out, wanted):
+                if result.cause:
+                    msg = f"{result.run!r}: {result.cause}\n{result.details}"
                     raise RuntimeError(msg)
-                keep(folder, ended.run, ended.value)
+                keep(folder, result.run, result.value)
                 bar.update()

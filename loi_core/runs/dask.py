@@ -1,4 +1,4 @@
-"""Runs on a cluster of Dask."""
+"""Executor for a Dask cluster."""
 
 from __future__ import annotations
 
@@ -14,22 +14,21 @@ from loi_core.support.wording import described, shown
 
 __all__ = ["DaskExecutor"]
 
-PATIENCE: Final = 10.0  # seconds until a scheduler has answered
-Given = ParamSpec("Given")
-Result = TypeVar("Result")
+CONNECT_TIMEOUT_S: Final = 10.0
+ArgumentsT = ParamSpec("ArgumentsT")
+ResultT = TypeVar("ResultT")
 
 
 class DaskExecutor(Executor):
-    """An executor whose workers are those of a Dask cluster; needs the extra ``dask``.
+    """Executor over the workers of a Dask cluster; needs the extra ``dask``.
 
-    Every thread of a worker carries out one run at a time. If a worker is lost, the scheduler has another one begin its
-    runs again, a few times. The scheduler and all workers need this library, and the files that runs read and write
-    under the same paths.
+    Each thread of a worker executes one run at a time. The scheduler restarts the runs of a lost worker elsewhere, a
+    few times. The scheduler and all workers need this library, and the files of the runs under the same paths.
 
     Parameters
     ----------
     cluster : str or distributed.Client
-        The address of the scheduler, such as "tcp://10.0.0.1:8786", or a client, which then stays open.
+        Address of the scheduler, such as "tcp://10.0.0.1:8786", or a client, which stays open.
 
     Raises
     ------
@@ -43,31 +42,35 @@ class DaskExecutor(Executor):
         except ModuleNotFoundError as error:
             msg = f"runs on Dask need the package {error.name}: {how_to_install('dask')}"
             raise ExecutorError(msg) from None
-        self._own = not isinstance(cluster, Client)
+        self._closes_client = not isinstance(cluster, Client)
         try:
-            self._client: Any = Client(cluster, timeout=PATIENCE, set_as_default=False) if self._own else cluster
+            self._client: Any = (
+                Client(cluster, timeout=CONNECT_TIMEOUT_S, set_as_default=False) if self._closes_client else cluster
+            )
         except (OSError, ValueError, TypeError, RuntimeError) as error:
             msg = f"no Dask scheduler answers at {shown(cluster)} ({described(error)})"
             raise ExecutorError(msg) from None
         self._executor: Executor = self._client.get_executor(pure=False)
 
-    def submit(self, fn: Callable[Given, Result], /, *args: Given.args, **kwargs: Given.kwargs) -> Future[Result]:
-        """Have a worker call a function."""
+    def submit(
+        self, fn: Callable[ArgumentsT, ResultT], /, *args: ArgumentsT.args, **kwargs: ArgumentsT.kwargs
+    ) -> Future[ResultT]:
+        """Call a function on a worker."""
         return self._executor.submit(fn, *args, **kwargs)
 
-    def everywhere(self, function: Callable[..., Any], *arguments: Any) -> None:
-        """Have every worker that answers call a function once."""
+    def call_on_all_workers(self, function: Callable[..., Any], *arguments: Any) -> None:
+        """Call a function once on every worker that answers."""
 
-        def tell() -> None:
-            with contextlib.suppress(Exception):  # of a cluster that is gone nothing is left to be told
+        def call() -> None:
+            with contextlib.suppress(Exception):  # the cluster may have shut down
                 self._client.run(function, *arguments, on_error="ignore")
 
-        telling = threading.Thread(target=tell, daemon=True)
-        telling.start()
-        telling.join(PATIENCE)  # a worker that is stopped would be waited for without end
+        thread = threading.Thread(target=call, daemon=True)
+        thread.start()
+        thread.join(CONNECT_TIMEOUT_S)  # a suspended worker would block forever
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:  # noqa: FBT001, FBT002 - the base's
-        """Submit no more; a client that was made here is closed."""
+        """Stop accepting runs, and close the client unless it was passed in."""
         self._executor.shutdown(wait=wait and not cancel_futures)
-        if self._own:
+        if self._closes_client:
             self._client.close()

@@ -1,4 +1,4 @@
-"""One fit of a sweep, in a process of its own: what `loi fit` does, without a terminal."""
+"""One fit of a sweep, executed in a worker process: `loi fit` without a terminal."""
 
 from __future__ import annotations
 
@@ -13,30 +13,31 @@ from loi_core.fitting.parameters import bounds_of, starting_parameters
 from loi_core.fitting.race import draw_starts
 from loi_core.io.result_folder import CHECKPOINT_FILE, ResultFolder
 from loi_core.report import write_page, write_results
-from loi_core.scenes.experiment import Trial, run_scene
+from loi_core.scenes.experiment import run_scene
 from loi_core.scenes.reading import make_scene
+from loi_core.scenes.recorder import Trial
 from loi_core.scenes.scene import Scene
 from loi_core.support.arrays import to_numpy
 
-__all__ = ["FitTask", "carry_out", "refusal"]
+__all__ = ["FitTask", "run_fit", "scene_error"]
 
 
 @dataclass(frozen=True, eq=False)
 class FitTask:
-    """What a process has to know of a fit.
+    """A fit, as sent to a worker process.
 
     Attributes
     ----------
     name : str
-        Of its run.
+        Name of the run.
     scene : Path
-        Its scene file, to whose folder paths are relative.
+        The scene file; paths in `document` are relative to its folder.
     document : dict
-        What stands in that file, with what varies put in.
+        Content of the scene file, with the varied values in place.
     start : int
-        Which of the places within the bounds it starts from; 0 is the scene's own.
+        Index of the starting point within the bounds; 0 is the scene's own.
     output : Path
-        Folder of its results.
+        Folder of the results.
     """
 
     name: str
@@ -46,34 +47,34 @@ class FitTask:
     output: Path
 
 
-def refusal(task: FitTask) -> str:
-    """What is wrong with the scene of a fit, on one line; empty if nothing is. Nothing is written."""
+def scene_error(task: FitTask) -> str:
+    """Return the error in the scene of a fit, on one line; empty if the scene is valid. Writes nothing."""
     try:
-        _scene(task)
+        _make_scene(task)
     except LoiError as error:
         return str(error)
     return ""
 
 
-def carry_out(task: FitTask) -> dict[str, Any]:
-    """Fit, write what `loi fit` writes, and give what a sweep keeps of it.
+def run_fit(task: FitTask) -> dict[str, Any]:
+    """Run a fit, write the files of `loi fit`, and return the record of the run.
 
-    A fit that was cut off goes on from its checkpoint, and one that has failed keeps it; one that is done removes it.
+    An interrupted fit continues from its checkpoint. A failed fit keeps the checkpoint; a finished fit removes it.
     """
-    scene = _scene(task)
+    scene = _make_scene(task)
     folder = ResultFolder(scene.output)
     folder.claim()
-    trials = _fitted(scene)
+    trials = _run(scene)
     entry = write_results(scene, trials)["trials"][0]
     write_page(scene.output)
-    if not entry["error"]:  # of all that is left they are nine tenths, and many runs are left
+    if not entry["error"]:  # checkpoints would take nine tenths of the space of a sweep
         folder.remove([CHECKPOINT_FILE])
-    found = entry.get("diagnosis") or {}
-    # Of equal images PSNR is infinite, for which JSON has no number.
+    diagnosis = entry.get("diagnosis") or {}
+    # Equal images have infinite PSNR, which JSON cannot represent.
     psnr = entry.get("psnr") if entry.get("psnr") is not None or "psnr" not in entry else math.inf
     return {
         "objective": entry["objective"],
-        "verdict": found.get("verdict", ""),
+        "verdict": diagnosis.get("verdict", ""),
         "psnr": psnr,
         "psnr_initial": entry.get("psnr_initial"),
         "value": entry.get("value"),
@@ -85,20 +86,22 @@ def carry_out(task: FitTask) -> dict[str, Any]:
     }
 
 
-def _scene(task: FitTask) -> Scene:
+def _make_scene(task: FitTask) -> Scene:
     scene = make_scene(task.document, task.scene, output=task.output)
     if task.start == 0:
         return scene
     params = starting_parameters(scene, scene.optimise)
-    place = draw_starts(params, bounds_of(params, scene.optimise), 2, first=task.start)[1]
-    moved = {name: replace(free, initial=to_numpy(place[name])) for name, free in scene.optimise.items()}
-    return replace(scene, optimise=moved)
+    start = draw_starts(params, bounds_of(params, scene.optimise), 2, first=task.start)[1]
+    return replace(
+        scene,
+        optimise={name: replace(free, initial=to_numpy(start[name])) for name, free in scene.optimise.items()},
+    )
 
 
-def _fitted(scene: Scene) -> list[Trial]:
+def _run(scene: Scene) -> list[Trial]:
     checkpoint = scene.output / CHECKPOINT_FILE
     try:
         return run_scene(scene, checkpoint=checkpoint, resume=True)
-    except ParameterError:  # damaged, or from before something changed that a sweep does not know of
+    except ParameterError:  # the checkpoint is damaged, or something outside the sweep has changed since
         ResultFolder(scene.output).remove([CHECKPOINT_FILE])
         return run_scene(scene, checkpoint=checkpoint)
