@@ -47,17 +47,17 @@ class LightTarget:
         """Whether it sets the intensity or irradiance of the light."""
         return self.target in ("intensity.value", "irradiance.value")
 
-    def has_proxy(self, kind: str) -> bool:
+    def has_proxy(self, light_class: str) -> bool:
         """Return whether the proxy of a light of that class has an equivalent parameter."""
         moves = isinstance(self.target, Translate) or self.target == "position"
-        return self.is_intensity or (moves and DELTA_LIGHTS[kind] != "directional")
+        return self.is_intensity or (moves and DELTA_LIGHTS[light_class] != "directional")
 
 
 def light_targets(index: SceneIndex, targets: Mapping[str, ParameterTarget]) -> dict[str, LightTarget]:
     """Return the parameters that belong to delta lights."""
     params = mi.traverse(index.scene)
     lights = delta_lights(index.scene)
-    found = {}
+    parameters_of_lights = {}
     for name, target in targets.items():
         if isinstance(target, str):
             parameter = index.get(target)
@@ -66,8 +66,10 @@ def light_targets(index: SceneIndex, targets: Mapping[str, ParameterTarget]) -> 
             node, key = index.find_movable(target.shape)[1], ""
         number = next((lights.index(ancestor) for ancestor in ancestors(params, node) if ancestor in lights), None)
         if number is not None:
-            found[name] = LightTarget(number, key.split(".", 1)[1] if isinstance(target, str) else target)
-    return found
+            parameters_of_lights[name] = LightTarget(
+                number, key.split(".", 1)[1] if isinstance(target, str) else target
+            )
+    return parameters_of_lights
 
 
 def proxy_targets(
@@ -80,19 +82,19 @@ def proxy_targets(
         if substitution.light is not None
     }
     ids = [light.id() for light in delta_lights(index.scene)]
-    found = {}
+    replaced = {}
     for name, parameter in lights.items():
         number, target = parameter.light, parameter.target
         emitter, original = f"{PROXY_EMITTER_ID}{number}", ids[number] or f"{LIGHT_ID}{number}"
         if number in factors and parameter.is_intensity:
-            found[name] = ProxyTarget(f"{emitter}.emitter.radiance.value", factors[number])
+            replaced[name] = ProxyTarget(f"{emitter}.emitter.radiance.value", factors[number])
         elif number in factors and isinstance(target, str):
-            found[name] = ProxyTarget(Translate(emitter), origin=start[name])
+            replaced[name] = ProxyTarget(Translate(emitter), origin=start[name])
         elif isinstance(target, str):
-            found[name] = ProxyTarget(f"{original}.{target}")
+            replaced[name] = ProxyTarget(f"{original}.{target}")
         else:
-            found[name] = ProxyTarget(replace(target, shape=emitter if number in factors else original))
-    return found
+            replaced[name] = ProxyTarget(replace(target, shape=emitter if number in factors else original))
+    return replaced
 
 
 class ProxyGradientRenderer(MitsubaRenderer):

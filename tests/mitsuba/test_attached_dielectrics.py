@@ -60,11 +60,11 @@ def test_dielectric_samples_are_the_image_less_the_image_without_glass() -> None
     assert np.linalg.norm(actual - expected) < 0.1 * np.linalg.norm(expected) + np.linalg.norm(noise)
 
 
-@pytest.mark.parametrize("kind", ["one ball", pytest.param("two balls", marks=thorough)])
-def test_the_gradient_of_moving_glass_is_close_to_finite_differences(kind: str) -> None:
+@pytest.mark.parametrize("balls", ["one ball", pytest.param("two balls", marks=thorough)])
+def test_the_gradient_of_moving_glass_is_close_to_finite_differences(balls: str) -> None:
     """It omits edges seen through glass, so that the angle is only less than 15 degrees."""
     second = {"type": "sphere", "center": [1.2, 1.0, 0.3], "radius": 0.8, "bsdf": CLEAR}
-    scene = glass_scene(**({} if kind == "one ball" else {"other": second}))
+    scene = glass_scene(**({} if balls == "one ball" else {"other": second}))
     targets: dict[str, Any] = {"x": Translate("ball", X), "y": Translate("ball", Y), "z": Translate("ball", Z)}
     renderer, glass = attached(scene, targets, spp=256)
     params = renderer.parameters()
@@ -160,8 +160,8 @@ def test_glass_that_comes_into_view_is_attached() -> None:
 
 def test_glass_that_attached_samples_do_not_support_is_blurred() -> None:
     box = {"type": "cube", "to_world": mi.ScalarTransform4f().translate([0, 1, 0]).scale(0.7), "bsdf": CLEAR}
-    turned: dict[str, Any] = {"it": Rotate("ball", Z)}
-    assert list(PlannedRenderer(glass_scene(ball=box), turned, spp=4).plan.blurred) == ["it"]
+    rotation: dict[str, Any] = {"it": Rotate("ball", Z)}
+    assert list(PlannedRenderer(glass_scene(ball=box), rotation, spp=4).plan.blurred) == ["it"]
     moved: dict[str, Any] = {"it": Translate("ball", X)}
     hidden = {"type": "path", "hide_emitters": True}
     assert list(PlannedRenderer(glass_scene(integrator=hidden), moved, spp=4).plan.blurred) == ["it"]

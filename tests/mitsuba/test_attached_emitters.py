@@ -22,7 +22,7 @@ GLOSSY = {"type": "roughconductor", "alpha": 0.2}
 RAMP = np.linspace(-1.0, 1.0, WIDTH, dtype=np.float32)[None, :, None] * np.ones((HEIGHT, WIDTH, 3), np.float32)
 
 
-def lamp(kind: str) -> dict[str, Any]:
+def lamp(light: str) -> dict[str, Any]:
     """A light seven units above the floor."""
     above = mi.ScalarTransform4f().translate([0, 7, 0])
     return {
@@ -37,15 +37,15 @@ def lamp(kind: str) -> dict[str, Any]:
             "cutoff_angle": 30.0,
             "beam_width": 15.0,
         },
-    }[kind]
+    }[light]
 
 
-def lit_scene(kind: str, **changes: Any) -> dict[str, Any]:
+def lit_scene(light: str, **changes: Any) -> dict[str, Any]:
     """Two balls on a floor, one of them glossy, and their shadows."""
     return shadow_scene(
         ball={"type": "sphere", "center": [-1, 1.2, 0], "radius": 0.9},
         other={"type": "sphere", "center": [1.5, 0.8, 1], "radius": 0.8, "bsdf": GLOSSY},
-        lamp=lamp(kind),
+        lamp=lamp(light),
         integrator={"type": "direct"},
         **changes,
     )
@@ -73,7 +73,7 @@ def differences(renderer: MitsubaRenderer, params: dict[str, Any], steps: dict[s
 
 @pytest.mark.filterwarnings("ignore:mesh 'lamp' stores the vertices:loi_mitsuba.GradientWarning")
 @pytest.mark.parametrize(
-    "kind",
+    "light",
     [
         "ball",
         "point",
@@ -82,17 +82,17 @@ def differences(renderer: MitsubaRenderer, params: dict[str, Any], steps: dict[s
         pytest.param("spot", marks=thorough),
     ],
 )
-def test_the_gradient_of_a_moving_light_matches_finite_differences(kind: str) -> None:
+def test_the_gradient_of_a_moving_light_matches_finite_differences(light: str) -> None:
     """The gradient includes shading, highlights and shadows."""
     handles: dict[str, Any] = {"x": Translate("lamp", X), "y": Translate("lamp", Y), "z": Translate("lamp", Z)}
     params: dict[str, Any] = {"x": np.float32(1.5), "y": np.float32(0.0), "z": np.float32(-1.0)}
     steps = {"x": 0.1, "y": 0.1, "z": 0.1}
-    if kind != "point":
+    if light != "point":
         handles["turn"], params["turn"], steps["turn"] = Rotate("lamp", Z), np.float32(10.0), 2.0
-    if kind in ("ball", "panel"):
+    if light in ("ball", "panel"):
         handles["size"], params["size"], steps["size"] = Scale("lamp"), np.float32(1.2), 0.05
-    images = tuple(handles) if kind in ("point", "spot") else ()
-    renderer = MitsubaRenderer(lit_scene(kind), handles, spp=128, without_gradient=images)
+    images = tuple(handles) if light in ("point", "spot") else ()
+    renderer = MitsubaRenderer(lit_scene(light), handles, spp=128, without_gradient=images)
     gradient = attached_gradient(renderer, 32)
     draws = [list(gradient.vjp(params, RAMP, names=handles, seed=seed).values()) for seed in range(6)]
     mean, error = np.mean(draws, axis=0), np.std(draws, axis=0, ddof=1) / np.sqrt(6)
@@ -188,8 +188,8 @@ def begun(scene: dict[str, Any], targets: dict[str, Any], **options: Any) -> Pla
 def test_a_light_without_visible_direct_light_is_not_attached() -> None:
     """A lid blocks all direct light of the lamp, whose silhouette is out of view as well, so that it is frozen."""
     lid = {"type": "cube", "to_world": mi.ScalarTransform4f().translate([0, 6, 0]).scale([9, 0.1, 9])}
-    for kind, field in (("ball", "frozen"), ("point", "blurred")):
-        plan = begun(lit_scene(kind, lid=lid), {"x": Translate("lamp", X)}, spp=4).plan
+    for light, field in (("ball", "frozen"), ("point", "blurred")):
+        plan = begun(lit_scene(light, lid=lid), {"x": Translate("lamp", X)}, spp=4).plan
         assert not plan.attached
         assert list(getattr(plan, field)) == ["x"]
     targets: dict[str, Any] = {"x": Translate("lamp", X), "ball": Translate("ball", X)}
@@ -240,8 +240,8 @@ def test_a_moving_light_is_attached_and_a_moving_ball_is_not() -> None:
 @pytest.mark.filterwarnings("ignore:mesh 'lamp' stores the vertices:loi_mitsuba.GradientWarning")
 def test_the_scale_of_an_emitting_mesh_is_not_attached() -> None:
     """Mitsuba's samples of a mesh do not scale with it."""
-    for kind, wrt in (("box", ["x"]), ("panel", ["x", "size"])):
-        renderer = MitsubaRenderer(lit_scene(kind), {"x": Translate("lamp", X), "size": Scale("lamp")}, spp=4)
+    for light, wrt in (("box", ["x"]), ("panel", ["x", "size"])):
+        renderer = MitsubaRenderer(lit_scene(light), {"x": Translate("lamp", X), "size": Scale("lamp")}, spp=4)
         assert list(attachable_emitters(renderer.names, renderer.targets)) == wrt
 
 

@@ -106,8 +106,8 @@ def test_a_shape_that_comes_into_view_is_no_longer_blurred(caplog: pytest.LogCap
     planned = PlannedRenderer(shadow_scene(integrator={"type": "direct"}), {"place": Translate("ball")})
     objective = PixelL2(planned.render({"place": np.array([0.5, 0.0, 0.3])}, seed=10**6))
 
-    def gradient(place: list[float], seed: int) -> Any:
-        image, pullback = planned.render_vjp({"place": np.array(place)}, seed=seed)
+    def gradient(position: list[float], seed: int) -> Any:
+        image, pullback = planned.render_vjp({"place": np.array(position)}, seed=seed)
         return pullback(objective.value_and_grad(image)[1])["place"]
 
     gradient([-0.3, 0.0, 0.0], 0)
@@ -167,7 +167,7 @@ GLASS: dict[str, Any] = {
     "ball": {"type": "sphere", "center": [0, 1.2, 0], "radius": 0.8, "bsdf": {"type": "dielectric"}},
     "integrator": {"type": "path", "max_depth": 5},
 }
-HIGH = {"lamp": {"type": "point", "position": [0.5, 12, 0], "intensity": 150.0}}  # out of view
+LAMP_OUT_OF_VIEW = {"lamp": {"type": "point", "position": [0.5, 12, 0], "intensity": 150.0}}  # out of view
 PARALLEL: dict[str, Any] = {
     "type": "orthographic",
     "to_world": ("look_at", [0, 6, 6], [0, 0, 0], [0, 1, 0]),
@@ -218,8 +218,8 @@ FOG = {"type": "homogeneous", "albedo": 0.5, "sigma_t": 0.5}
 )
 def test_a_plan_lists_the_blurred_parameters_with_reasons(changes: dict[str, Any], target: Any, says: str) -> None:
     if "sensor" in changes:
-        place = mi.ScalarTransform4f().look_at(*PARALLEL["to_world"][1:]).scale(3)
-        changes = {"sensor": {**PARALLEL, "to_world": place}}
+        pose = mi.ScalarTransform4f().look_at(*PARALLEL["to_world"][1:]).scale(3)
+        changes = {"sensor": {**PARALLEL, "to_world": pose}}
     planned = PlannedRenderer(lit_scene(**changes), {"it": target}, spp=4, attached_lights=False, attached_glass=False)
     assert says in planned.plan.blurred["it"]
     (row,) = (line for line in str(planned.plan).splitlines() if line.startswith("| 'it'"))
@@ -257,7 +257,7 @@ def test_without_a_blur_unsupported_parameters_are_refused_or_have_mitsuba_s_gra
     with pytest.raises(ParameterError, match=r"'sensor' cannot be moved: .*; or use PlannedRenderer"):
         PlannedRenderer(lit_scene(), {"pose": Translate("sensor")}, blur=None)
     moved = {"x": Translate("ball", X)}
-    plan = PlannedRenderer(lit_scene(**GLASS, **HIGH), moved, blur=None, attached_glass=False).plan
+    plan = PlannedRenderer(lit_scene(**GLASS, **LAMP_OUT_OF_VIEW), moved, blur=None, attached_glass=False).plan
     assert not plan.blurred
     assert "dielectric 'bsdf'" in plan.substitutions
     with pytest.raises(ParameterError, match=r"has no parameter 'lamp\.place'"):
@@ -311,7 +311,7 @@ def test_the_blurred_gradient_of_a_light_matches_finite_differences() -> None:
 )
 def test_a_proxy_light_moves_with_its_delta_light(light: Any) -> None:
     ball = {"x": Translate("ball", X)}
-    planned = PlannedRenderer(lit_scene(**HIGH), {**ball, "light": light}, spp=16, attached_lights=False)
+    planned = PlannedRenderer(lit_scene(**LAMP_OUT_OF_VIEW), {**ball, "light": light}, spp=16, attached_lights=False)
     assert list(planned.plan.substitutions) == ["point light 'lamp'"]
     assert list(planned.plan.blurred) == ["light"]
     params = planned.parameters()
@@ -416,11 +416,11 @@ def test_a_scene_file_sets_the_options_of_the_blur(tmp_path: Path, capsys: pytes
 
 
 def test_a_moving_instance_has_a_blurred_gradient() -> None:
-    place = mi.ScalarTransform4f
+    transform = mi.ScalarTransform4f
     group = {"type": "shapegroup", "within": {"type": "sphere", "radius": 0.7, "center": [0.0, 1.0, 0.0]}}
     instance = {
         "type": "instance",
-        "to_world": place().translate([0.3, 0.0, 0.0]),
+        "to_world": transform().translate([0.3, 0.0, 0.0]),
         "of": {"type": "ref", "id": "group"},
     }
     scene = shadow_scene(group=group, copy=instance)

@@ -1,4 +1,4 @@
-"""The table of twelve scenes: it can be made, and in the thorough tier its plans have the gradient of everything on."""
+"""The table of twelve scenes can be measured, and plans have the gradient of all effects (thorough tier)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from examples.effects.scenes import SUITE, Case
 from tests.strategies import thorough
 
 
-def test_a_line_of_the_table_is_measured() -> None:
+def test_a_row_of_the_table_is_measured() -> None:
     (case,) = [case for case in SUITE if case.name == "emitter colour"]
     row = measure(case, Effort(24, 18, samples=4, draws=4, steps=3, fits=2, defaults=0))
     line = cells(row)
@@ -22,19 +22,19 @@ def test_a_line_of_the_table_is_measured() -> None:
     assert line[1].startswith("shading 4; depth ")
     assert row.gradient.cosine == pytest.approx(1.0, abs=0.01)
     assert len(row.errors) == len(row.full_errors) == 2
-    assert max(row.errors + row.full_errors) < 1.0  # the fits have come nearer
+    assert max(row.errors + row.full_errors) < 1.0  # the fits have reduced the error
     assert min(row.seconds, row.full_seconds, row.hand_seconds, row.pilot_seconds, row.look_seconds) > 0.0
 
 
-def test_looks_at_what_is_off_are_few_and_ever_rarer() -> None:
+def test_a_plan_is_revisited_ever_more_rarely() -> None:
     looks = [looks_of_a_stall(10 * 2**doubling) for doubling in range(12)]
     assert looks[0] == 0
-    assert all(more - fewer in (0, 1) for fewer, more in pairwise(looks))
+    assert all(later - earlier in (0, 1) for earlier, later in pairwise(looks))
 
 
 @thorough
 @pytest.mark.parametrize("case", SUITE, ids=[case.name for case in SUITE])
-def test_no_plan_turns_the_gradient(case: Case) -> None:
+def test_no_plan_rotates_the_gradient(case: Case) -> None:
     # Noise in the image makes the gradient smaller (docs/results/noise.md); with all effects on, the shadow has more.
     samples = 4 * FULL.samples if case.name == "shadow of an object out of view" else FULL.samples
     row = measure(case, dataclasses.replace(FULL, defaults=0, fits=0, samples=samples))

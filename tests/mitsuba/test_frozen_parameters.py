@@ -21,7 +21,7 @@ from loi_mitsuba.scene.queries import group_by_shape
 from tests.helpers import Host
 from tests.mitsuba.scenes import shadow_scene
 
-(BEHIND,) = [case for case in SUITE if case.name == "nothing that can be seen"]
+(INVISIBLE,) = [case for case in SUITE if case.name == "nothing that can be seen"]
 DIRECT: dict[str, Any] = {"type": "direct"}  # no bounces: fewer kernels to compile
 BALLS: dict[str, Any] = {"ball": Translate("ball"), "behind": Translate("behind")}
 NOWHERE = np.zeros(3, np.float32)
@@ -29,7 +29,7 @@ NOWHERE = np.zeros(3, np.float32)
 
 def behind_scene() -> dict[str, Any]:
     """A ball in view and one behind the camera."""
-    return BEHIND.scene(32, 24) | {"integrator": DIRECT}
+    return INVISIBLE.scene(32, 24) | {"integrator": DIRECT}
 
 
 def two_balls() -> tuple[PlannedRenderer, PixelL2]:
@@ -54,10 +54,10 @@ def test_a_fit_does_not_move_an_object_behind_the_camera(caplog: pytest.LogCaptu
 
 
 def test_a_plan_notes_that_all_parameters_are_frozen() -> None:
-    renderer = PlannedRenderer(behind_scene(), dict(BEHIND.parameters), spp=16)
-    objective = PixelL2(renderer.render(dict(BEHIND.truth), seed=10**6))
+    renderer = PlannedRenderer(behind_scene(), dict(INVISIBLE.parameters), spp=16)
+    objective = PixelL2(renderer.render(dict(INVISIBLE.truth), seed=10**6))
     result = fit(renderer, objective, steps=12, learning_rate=0.05)
-    np.testing.assert_array_equal(result.params["place"], BEHIND.start["place"])
+    np.testing.assert_array_equal(result.params["place"], INVISIBLE.start["place"])
     assert any("no optimised parameter has a significant gradient here" in note for note in renderer.plan.notes)
 
 
@@ -77,10 +77,10 @@ def test_an_object_that_comes_into_view_is_released_in_that_step(caplog: pytest.
 
 def test_an_occluded_object_is_released_when_its_gradients_agree() -> None:
     """The ball is inside the frustum all the time, at first behind a screen that another parameter moves away."""
-    place = mi.ScalarTransform4f
+    transform = mi.ScalarTransform4f
     scene = behind_scene()
     del scene["behind"]
-    scene["screen"] = {"type": "rectangle", "to_world": place().translate([0, 0, 4])}
+    scene["screen"] = {"type": "rectangle", "to_world": transform().translate([0, 0, 4])}
     renderer = PlannedRenderer(scene, {"ball": Translate("ball"), "screen": Translate("screen")})
     objective = PixelL2(renderer.render({"ball": np.array([0.5, 0.3, 0]), "screen": np.array([9.0, 0, 0])}, seed=10**6))
 

@@ -74,7 +74,7 @@ def test_a_noisy_gradient_is_frozen_and_turns_no_effect_off() -> None:
     assert nonzero
 
 
-HIGH: dict[str, Any] = {"place": Translate("ball")}
+BALL: dict[str, Any] = {"place": Translate("ball")}
 DIRECT: dict[str, Any] = {"type": "direct"}  # no bounces: fewer kernels to compile
 
 
@@ -82,7 +82,7 @@ DIRECT: dict[str, Any] = {"type": "direct"}  # no bounces: fewer kernels to comp
 def test_an_object_that_comes_into_view_has_its_outline_at_once(caplog: pytest.LogCaptureFixture) -> None:
     """At first only its shadow is in view, and outlines are off; the object itself would be missed."""
     caplog.set_level(logging.INFO, "loi_mitsuba")
-    renderer = PlannedRenderer(shadow_scene(integrator=DIRECT), HIGH, blur=None)
+    renderer = PlannedRenderer(shadow_scene(integrator=DIRECT), BALL, blur=None)
     objective = PixelL2(renderer.render({"place": np.array([0.5, 0.0, 0.3])}, seed=10**6))
     start(renderer, objective, {"place": np.array([-0.3, 0.0, 0.0])})
     assert Effect.PRIMARY not in renderer.plan.on
@@ -94,30 +94,30 @@ def test_an_object_that_comes_into_view_has_its_outline_at_once(caplog: pytest.L
     assert "\n" not in line
     cotangent = objective.value_and_grad(image)[1]
     gradient = pullback(cotangent)["place"]
-    fixed = MitsubaRenderer(shadow_scene(integrator=DIRECT), HIGH, integrator=renderer.plan)
+    fixed = MitsubaRenderer(shadow_scene(integrator=DIRECT), BALL, integrator=renderer.plan)
     np.testing.assert_allclose(gradient, fixed.vjp(in_view, cotangent, seed=1)["place"], rtol=1e-3, atol=1e-7)
 
 
 def wall_scene() -> dict[str, Any]:
-    """Return a ball, a lamp to its left, and far to its right a wall on which the ball may cast a shadow."""
-    place = mi.ScalarTransform4f
+    """Return a ball, a lamp to its left, and far to its right a wall that the ball may cast a shadow on."""
+    transform = mi.ScalarTransform4f
     return shadow_scene(
         integrator=DIRECT,
         floor={
             "type": "rectangle",
-            "to_world": place().translate([4, 0, 0]).rotate([0, 1, 0], -90).scale(1.5),
+            "to_world": transform().translate([4, 0, 0]).rotate([0, 1, 0], -90).scale(1.5),
             "bsdf": {"type": "diffuse"},
         },
         sensor={
             "type": "perspective",
             "fov": 60,
-            "to_world": place().look_at([-2, 0, 9], [1, 0, 0], [0, 1, 0]),
+            "to_world": transform().look_at([-2, 0, 9], [1, 0, 0], [0, 1, 0]),
             "film": {"type": "hdrfilm", "width": 48, "height": 36, "rfilter": {"type": "box"}},
         },
-        ball={"type": "sphere", "to_world": place().translate([1, 3, 0]).scale(0.4)},
+        ball={"type": "sphere", "to_world": transform().translate([1, 3, 0]).scale(0.4)},
         lamp={
             "type": "sphere",
-            "to_world": place().translate([-6, 0, 0]).scale(0.5),
+            "to_world": transform().translate([-6, 0, 0]).scale(0.5),
             "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 60.0}},
         },
     )
@@ -184,16 +184,16 @@ def test_a_light_behind_glass_keeps_its_paths() -> None:
 
 def test_an_object_that_only_reflects_light_into_view_keeps_its_bounces() -> None:
     """The object and its shadow are out of view: direct light does not depend on it, and the image hardly does."""
-    place = mi.ScalarTransform4f
+    transform = mi.ScalarTransform4f
     scene = shadow_scene(
         ball={
             "type": "sphere",
-            "to_world": place().translate([-5.0, 1.2, 0]),
+            "to_world": transform().translate([-5.0, 1.2, 0]),
             "bsdf": {"type": "diffuse", "reflectance": {"type": "rgb", "value": [0.9, 0.9, 0.9]}},
         },
         lamp={
             "type": "sphere",
-            "to_world": place().translate([4, 6, 0]).scale(0.7),
+            "to_world": transform().translate([4, 6, 0]).scale(0.7),
             "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 60.0}},
         },
     )
@@ -272,4 +272,4 @@ def test_the_jvp_is_the_transpose_of_the_vjp() -> None:
 @pytest.mark.parametrize(("fraction", "says"), [(1.0, "got 1.0"), (-0.1, "got -0.1"), ("much", "got 'much'")])
 def test_the_fraction_of_a_plan_is_checked(fraction: Any, says: str) -> None:
     with pytest.raises(OptionError, match=f"`fraction` must be at least 0 and less than 1, {says}"):
-        plan_effects(shadow_scene(), HIGH, fraction=fraction)
+        plan_effects(shadow_scene(), BALL, fraction=fraction)

@@ -24,9 +24,9 @@ SHINY: dict[str, dict[str, Any]] = {
 SUN: dict[str, Any] = {"type": "directional", "direction": [-0.5, -1.0, -0.3], "irradiance": 2.0}
 
 
-def shiny_scene(kind: str) -> dict[str, Any]:
+def shiny_scene(surface: str) -> dict[str, Any]:
     """A ball in view over a floor, under a sun and a sky."""
-    ball = {"type": "sphere", "center": [0.0, 1.2, 0.0], "radius": 1.2, "bsdf": SHINY[kind]}
+    ball = {"type": "sphere", "center": [0.0, 1.2, 0.0], "radius": 1.2, "bsdf": SHINY[surface]}
     sky = {"type": "constant", "radiance": 0.3}
     return shadow_scene(ball=ball, lamp=SUN, sky=sky, integrator={"type": "path", "max_depth": 4})
 
@@ -36,9 +36,9 @@ def blocks() -> Host:
     return np.kron(np.random.default_rng(1).uniform(-1.0, 1.0, (6, 8, 3)), np.ones((8, 8, 1))).astype(np.float32)
 
 
-@pytest.mark.parametrize("kind", ["mirror", pytest.param("plastic", marks=thorough)])
-def test_the_gradient_of_a_shiny_ball_under_a_sun_agrees_with_finite_differences(kind: str) -> None:
-    planned = PlannedRenderer(shiny_scene(kind), AXES, spp=64)
+@pytest.mark.parametrize("surface", ["mirror", pytest.param("plastic", marks=thorough)])
+def test_the_gradient_of_a_shiny_ball_under_a_sun_agrees_with_finite_differences(surface: str) -> None:
+    planned = PlannedRenderer(shiny_scene(surface), AXES, spp=64)
     assert not planned.plan.blurred
     renderer, params, step = planned.unabridged, planned.parameters(), 0.04
     gradients = [renderer.vjp(params, blocks(), seed=seed) for seed in range(16)]
@@ -53,9 +53,9 @@ def test_the_gradient_of_a_shiny_ball_under_a_sun_agrees_with_finite_differences
     assert float(mean @ slopes) / size / float(np.linalg.norm(mean)) > 0.85  # negative with highlights
 
 
-@pytest.mark.parametrize("kind", SHINY)
-def test_a_proxy_scene_shows_no_highlights_of_delta_lights(kind: str) -> None:
-    planned = PlannedRenderer(shiny_scene(kind), AXES, proxy={"mirrors": 0.01})
+@pytest.mark.parametrize("surface", SHINY)
+def test_a_proxy_scene_shows_no_highlights_of_delta_lights(surface: str) -> None:
+    planned = PlannedRenderer(shiny_scene(surface), AXES, proxy={"mirrors": 0.01})
     scene: Any = planned.unabridged
     image, proxy_image = (mi.render(rendered, spp=256, seed=1).numpy() for rendered in (scene.scene, scene.proxy_scene))
     np.testing.assert_allclose(
@@ -65,9 +65,9 @@ def test_a_proxy_scene_shows_no_highlights_of_delta_lights(kind: str) -> None:
     np.testing.assert_allclose(proxy_means, means, rtol=0.05, atol=0.01)
 
 
-@pytest.mark.parametrize("kind", ["roughconductor", "roughplastic", "roughdielectric"])
-def test_a_proxy_bsdf_reflects_as_much_as_the_rough_bsdf_within(kind: str) -> None:
-    rough = mi.load_dict({"type": kind, "alpha": 0.2})
+@pytest.mark.parametrize("surface", ["roughconductor", "roughplastic", "roughdielectric"])
+def test_a_proxy_bsdf_reflects_as_much_as_the_rough_bsdf_within(surface: str) -> None:
+    rough = mi.load_dict({"type": surface, "alpha": 0.2})
     mirror = mi.load_dict({"type": register_proxy_bsdf(), "rough": rough})
     sampler = mi.load_dict({"type": "independent"})
     sampler.seed(0, 1 << 18)
@@ -84,7 +84,7 @@ def test_a_proxy_bsdf_reflects_as_much_as_the_rough_bsdf_within(kind: str) -> No
     assert np.any(np.array(samples[1].sampled_type) & glossy)
     assert np.any(np.array(samples[0].sampled_type) & int(mi.BSDFFlags.Delta))
     value, _ = mirror.eval_pdf(mi.BSDFContext(), si, samples[1].wo, True)
-    assert np.any(np.array(value)) == (kind == "roughplastic")  # its diffuse lobe is open to emitter sampling
+    assert np.any(np.array(value)) == (surface == "roughplastic")  # its diffuse lobe is open to emitter sampling
 
 
 def test_rays_see_a_proxy_emitter_only_while_it_is_hittable() -> None:

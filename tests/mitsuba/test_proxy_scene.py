@@ -20,7 +20,7 @@ from tests.mitsuba.scenes import shadow_scene
 from tests.strategies import thorough
 
 AXES: dict[str, Any] = {"x": Translate("ball", (1, 0, 0)), "z": Translate("ball", (0, 0, 1))}
-HERE = {"x": np.float32(0.0), "z": np.float32(0.0)}
+ORIGIN = {"x": np.float32(0.0), "z": np.float32(0.0)}
 RAMP = np.linspace(-1.0, 1.0, 64, dtype=np.float32)[None, :, None] * np.ones((48, 64, 3), np.float32)
 LIGHTS: dict[str, dict[str, Any]] = {
     "point": {"type": "point", "position": [0.5, 12.0, 0.0], "intensity": 150.0},
@@ -31,16 +31,16 @@ LIGHTS: dict[str, dict[str, Any]] = {
 }
 
 
-def lit_scene(kind: str = "point", **changes: Any) -> dict[str, Any]:
+def lit_scene(light: str = "point", **changes: Any) -> dict[str, Any]:
     """Return the scene of a shadow under a delta light."""
-    light = dict(LIGHTS[kind])
-    if kind in ("point placed", "spot", "directional placed"):
-        light["to_world"] = mi.ScalarTransform4f().look_at([0.5, 12.0, 0.0], [0.0, 5.0, 0.0], [0, 0, 1])
-    return shadow_scene(**{"lamp": light, "integrator": {"type": "path", "max_depth": 2}, **changes})
+    description = dict(LIGHTS[light])
+    if light in ("point placed", "spot", "directional placed"):
+        description["to_world"] = mi.ScalarTransform4f().look_at([0.5, 12.0, 0.0], [0.0, 5.0, 0.0], [0, 0, 1])
+    return shadow_scene(**{"lamp": description, "integrator": {"type": "path", "max_depth": 2}, **changes})
 
 
 def xml_of(folder: Path) -> Path:
-    """Write the same scene as a file, in which only the ball has an id."""
+    """Write the same scene as a file where only the ball has an id."""
     path = folder / "scene.xml"
     path.write_text("""<scene version="3.0.0">
         <integrator type="path"><integer name="max_depth" value="2"/></integrator>
@@ -69,15 +69,15 @@ def ball_of(scene: Any) -> Any:
     return ball
 
 
-@pytest.mark.parametrize("kind", LIGHTS)
-def test_a_proxy_light_is_as_bright_as_its_delta_light(kind: str) -> None:
-    scene = lit_scene(kind)
+@pytest.mark.parametrize("light", LIGHTS)
+def test_a_proxy_light_is_as_bright_as_its_delta_light(light: str) -> None:
+    scene = lit_scene(light)
     loaded = mi.load_dict(scene)
     context = LightContext.of(loaded, [ball_of(loaded)])
     parse = partial(parsed_scene, float_textures=False)
     proxy = build_proxy_scene(scene, ProxySettings(lights=0.02), context, lambda _: False, parse=parse)
     assert proxy is not None
-    assert [substitution.original for substitution in proxy.substitutions] == [f"{kind.split()[0]} light 'lamp'"]
+    assert [substitution.original for substitution in proxy.substitutions] == [f"{light.split()[0]} light 'lamp'"]
     image, proxy_image = (mi.render(rendered, spp=256, seed=1).numpy() for rendered in (loaded, proxy.scene))
     blocks, proxy_blocks = (pixels.reshape(6, 8, 8, 8, -1).mean(axis=(1, 3)) for pixels in (image, proxy_image))
     # The rays of the disk in place of a directional light are not quite parallel, and shadows are slightly soft.
@@ -103,15 +103,15 @@ def test_a_proxy_light_is_made_smaller_in_a_shade_and_not_below_a_ceiling() -> N
     assert reasons == [True, False]
 
 
-@pytest.mark.parametrize("kind", ["point", "spot", pytest.param("directional", marks=thorough)])
-def test_the_gradient_of_a_delta_light_s_shadow_matches_finite_differences(kind: str) -> None:
-    scene = lit_scene(kind)
+@pytest.mark.parametrize("light", ["point", "spot", pytest.param("directional", marks=thorough)])
+def test_the_gradient_of_a_delta_light_s_shadow_matches_finite_differences(light: str) -> None:
+    scene = lit_scene(light)
     planned = PlannedRenderer(scene, AXES, spp=64)
     exact = planned.unabridged.with_integrator("scene", spp=512)
-    draws = [planned.unabridged.vjp(HERE, RAMP, seed=seed) for seed in range(8)]
+    draws = [planned.unabridged.vjp(ORIGIN, RAMP, seed=seed) for seed in range(8)]
     slopes, errors, means = np.zeros(2), np.zeros(2), np.zeros(2)
     for k, name in enumerate(AXES):
-        plus, minus = (exact.render({**HERE, name: np.float32(by)}, seed=1) for by in (0.1, -0.1))
+        plus, minus = (exact.render({**ORIGIN, name: np.float32(by)}, seed=1) for by in (0.1, -0.1))
         slopes[k] = float(np.sum((plus - minus) * RAMP)) / 0.2
         values = np.array([float(gradient[name]) for gradient in draws])
         means[k], errors[k] = values.mean(), values.std(ddof=1) / np.sqrt(len(values))
@@ -121,13 +121,13 @@ def test_the_gradient_of_a_delta_light_s_shadow_matches_finite_differences(kind:
 
 
 @pytest.mark.filterwarnings("ignore::loi_mitsuba.GradientWarning")
-@pytest.mark.parametrize("kind", ["point", "directional"])
-def test_only_the_gradient_of_shadows_comes_from_the_proxy_of_a_delta_light(kind: str) -> None:
-    scene = lit_scene(kind, ball={"type": "sphere", "center": [0, 1, 0], "radius": 0.6})
+@pytest.mark.parametrize("light", ["point", "directional"])
+def test_only_the_gradient_of_shadows_comes_from_the_proxy_of_a_delta_light(light: str) -> None:
+    scene = lit_scene(light, ball={"type": "sphere", "center": [0, 1, 0], "radius": 0.6})
     without_shadows = {"type": "direct_projective", "guiding": "none", "sppc": 8, "sppp": 8, "sppi": 0}
     planned = PlannedRenderer(scene, AXES).unabridged.with_integrator(without_shadows)
     plain = MitsubaRenderer(scene, AXES, integrator=without_shadows)
-    actual, expected = (renderer.vjp(HERE, RAMP, seed=2) for renderer in (planned, plain))
+    actual, expected = (renderer.vjp(ORIGIN, RAMP, seed=2) for renderer in (planned, plain))
     assert all(expected.values())
     for name, value in expected.items():
         np.testing.assert_allclose(actual[name], value, rtol=1e-4)
@@ -139,14 +139,15 @@ def test_a_proxy_light_is_not_larger_than_a_small_moving_shape() -> None:
     (reason,) = planned.plan.substitutions.values()
     assert "a sphere of radius 0.24, the size of the smallest moving shape" in reason
     exact = planned.unabridged.with_integrator("scene", spp=512)
-    objective = PixelL2(exact.render(HERE, seed=10**6))
-    displaced = {**HERE, "x": HERE["x"] + np.float32(0.1)}
+    objective = PixelL2(exact.render(ORIGIN, seed=10**6))
+    displaced = {**ORIGIN, "x": ORIGIN["x"] + np.float32(0.1)}
     draws = []
     for seed in range(8):
         cotangent = objective.value_and_grad(planned.render(displaced, seed=seed))[1]
         draws.append(float(planned.unabridged.vjp(displaced, cotangent, seed=seed)["x"]))
     plus, minus = (
-        float(objective.value(exact.render({**HERE, "x": HERE["x"] + np.float32(by)}, seed=1))) for by in (0.15, 0.05)
+        float(objective.value(exact.render({**ORIGIN, "x": ORIGIN["x"] + np.float32(by)}, seed=1)))
+        for by in (0.15, 0.05)
     )
     assert np.mean(draws) > 0.5 * (plus - minus) / 0.1 > 0.0
 
@@ -155,10 +156,10 @@ def test_the_image_comes_from_the_scene_and_not_from_the_proxy() -> None:
     planned = PlannedRenderer(lit_scene(), AXES, spp=16)
     with pytest.warns(GradientWarning, match="moves under a PointLight"):
         without_proxy = PlannedRenderer(lit_scene(), AXES, spp=16, proxy=None)
-    image, pullback = planned.render_vjp(HERE, seed=3)
-    np.testing.assert_allclose(image, without_proxy.render(HERE, seed=3), rtol=1e-5, atol=1e-6)
+    image, pullback = planned.render_vjp(ORIGIN, seed=3)
+    np.testing.assert_allclose(image, without_proxy.render(ORIGIN, seed=3), rtol=1e-5, atol=1e-6)
     pullback(np.ones_like(image))
-    np.testing.assert_allclose(planned.render(HERE, seed=3), image, rtol=1e-2, atol=1e-2)
+    np.testing.assert_allclose(planned.render(ORIGIN, seed=3), image, rtol=1e-2, atol=1e-2)
 
 
 def test_a_plan_lists_the_substitutions_and_their_reasons() -> None:
@@ -178,7 +179,7 @@ def test_nothing_is_replaced_that_no_parameter_needs() -> None:
         assert not PlannedRenderer(lit_scene(), AXES, proxy={"lights": 0.0}).plan.substitutions
     with pytest.warns(GradientWarning, match="moves under a PointLight"):
         without_proxy = PlannedRenderer(lit_scene(), AXES, proxy=None)
-    gradient = without_proxy.unabridged.vjp(HERE, np.ones((48, 64, 3), np.float32))
+    gradient = without_proxy.unabridged.vjp(ORIGIN, np.ones((48, 64, 3), np.float32))
     assert not np.any(gradient["x"])
 
 
@@ -212,7 +213,7 @@ def test_lights_that_share_a_spectrum_keep_their_intensities() -> None:
     expected = np.mean(mi.render(mi.load_dict(scene), spp=64).numpy())
     planned = PlannedRenderer(scene, AXES, spp=64)
     assert list(planned.plan.substitutions) == ["point light 'lamp'", "point light 'other'"]
-    assert np.mean(planned.render(HERE)) == pytest.approx(expected, rel=1e-3)
+    assert np.mean(planned.render(ORIGIN)) == pytest.approx(expected, rel=1e-3)
     proxy_image = mi.render(planned.unabridged.proxy_scene, spp=64).numpy()  # type: ignore[attr-defined]
     assert np.mean(proxy_image) == pytest.approx(expected, rel=0.02)
 
@@ -225,7 +226,10 @@ def test_a_light_s_parameter_sets_the_same_light_in_the_proxy(tmp_path: Path) ->
     spots = f'<emitter type="spot">{facing_away}<rgb name="intensity" value="7"/></emitter>'
     spots += '<emitter type="point"><point name="position" x="2" y="12" z="0"/></emitter></scene>'
     path.write_text(text.replace("</scene>", spots))
-    powers = {f"{kind}_{k}": f"{kind}_{k}.intensity.value" for kind, k in (("point_light", 0), ("point_light", 1))}
+    powers = {
+        f"{light_name}_{k}": f"{light_name}_{k}.intensity.value"
+        for light_name, k in (("point_light", 0), ("point_light", 1))
+    }
     powers["spot"] = "spot_light_0.intensity.value"
     for scene in (path, mi.load_file(str(path))):
         with pytest.warns(GradientWarning, match="moves under a SpotLight"):
@@ -267,7 +271,7 @@ def test_files_and_loaded_scenes_have_proxies_too(tmp_path: Path) -> None:
     for scene in (path, loaded, lit_scene()):
         planned = PlannedRenderer(scene, AXES, spp=128)
         assert len(planned.plan.substitutions) == 1
-        gradients.append(np.mean([planned.unabridged.vjp(HERE, RAMP, seed=k)["x"] for k in range(3)]))
+        gradients.append(np.mean([planned.unabridged.vjp(ORIGIN, RAMP, seed=k)["x"] for k in range(3)]))
     assert gradients[0] == pytest.approx(gradients[1], rel=0.15)
     assert np.sign(gradients[0]) == np.sign(gradients[2])
     assert [shape.id() for shape in loaded.shapes()] == ids
@@ -277,7 +281,7 @@ def test_files_and_loaded_scenes_have_proxies_too(tmp_path: Path) -> None:
 def test_the_gradient_of_an_intensity_comes_from_the_scene_itself() -> None:
     targets = {**AXES, "brightness": "lamp.intensity.value"}
     planned = PlannedRenderer(lit_scene("point placed"), targets, spp=64)
-    params: dict[str, Any] = {**HERE, "brightness": np.array([300.0, 120.0, 90.0], np.float32)}
+    params: dict[str, Any] = {**ORIGIN, "brightness": np.array([300.0, 120.0, 90.0], np.float32)}
     cotangent = np.ones((48, 64, 3), np.float32)
     pulled = planned.unabridged.vjp(params, cotangent)
     image = planned.unabridged.with_integrator("scene", spp=64).render(params)
@@ -299,8 +303,12 @@ def test_a_spectral_light_is_not_replaced_and_causes_a_warning(recwarn: pytest.W
 
 
 def test_the_gradient_of_edges_in_a_mirror_matches_finite_differences() -> None:
-    place = mi.ScalarTransform4f
-    mirror = {"type": "rectangle", "to_world": place().translate([0, 0, -1]).scale(8), "bsdf": {"type": "conductor"}}
+    transform = mi.ScalarTransform4f
+    mirror = {
+        "type": "rectangle",
+        "to_world": transform().translate([0, 0, -1]).scale(8),
+        "bsdf": {"type": "conductor"},
+    }
     glow = {"type": "area", "radiance": 1.0}
     ball = {"type": "sphere", "center": [0, -4.5, 2], "radius": 0.8, "emitter": glow}
     sky = {"type": "constant", "radiance": 0.1}
@@ -309,9 +317,9 @@ def test_the_gradient_of_edges_in_a_mirror_matches_finite_differences() -> None:
     assert list(planned.plan.substitutions) == ["conductor 'bsdf'"]
     assert not any("perfect mirror" in note for note in planned.plan.notes)
     exact = planned.unabridged.with_integrator("scene", spp=256)
-    plus, minus = (exact.render({**HERE, "x": np.float32(by)}, seed=1) for by in (0.1, -0.1))
+    plus, minus = (exact.render({**ORIGIN, "x": np.float32(by)}, seed=1) for by in (0.1, -0.1))
     slope = float(np.sum((plus - minus) * RAMP)) / 0.2
-    draws = np.array([float(planned.unabridged.vjp(HERE, RAMP, seed=seed)["x"]) for seed in range(6)])
+    draws = np.array([float(planned.unabridged.vjp(ORIGIN, RAMP, seed=seed)["x"]) for seed in range(6)])
     assert draws.mean() == pytest.approx(slope, rel=0.1, abs=3.0 * draws.std(ddof=1) / np.sqrt(len(draws)))
 
 

@@ -73,8 +73,8 @@ def test_the_scene_s_own_integrator_sets_the_depth(integrator: dict[str, Any], d
 
 
 def test_a_plan_hides_emitters_if_the_scene_does() -> None:
-    for kind in ("path", "prb"):
-        scene = shadow_scene(integrator={"type": kind, "hide_emitters": True})
+    for plugin in ("path", "prb"):
+        scene = shadow_scene(integrator={"type": plugin, "hide_emitters": True})
         plan = plan_effects(scene, {"floor": "floor.bsdf.reflectance.value"})
         assert plan.settings["hide_emitters"] is True
         assert MitsubaRenderer(scene, {"floor": "floor.bsdf.reflectance.value"}, integrator=plan)

@@ -1,4 +1,4 @@
-"""Scene files can fit Mitsuba scenes: by entries and by handles, from wherever the command is called."""
+"""Scene files fit entries and poses of Mitsuba scenes, from any current folder."""
 
 from __future__ import annotations
 
@@ -35,26 +35,26 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_a_handle_moves_a_shape_to_where_the_target_has_it(
+def test_a_fit_moves_a_shape_to_its_position_in_the_target(
     folder: Path, tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    # On so few pixels, gradients with 8 samples are half noise, and a fit of 40 steps a matter of luck.
+    # With so few pixels and 8 samples, gradients are half noise, and the result of 40 steps is random.
     (folder / "scene.toml").write_text(SCENE.replace("spp = 8", "spp = 32"))
     monkeypatch.chdir(tmp_path_factory.mktemp("elsewhere"))
     assert main(["fit", str(folder / "scene.toml")]) in FINISHED
-    found = json.loads((folder / "scene-result" / "parameters.json").read_text())
+    fitted = json.loads((folder / "scene-result" / "parameters.json").read_text())
     # A pixel is 0.24 units of the world there.
-    np.testing.assert_allclose(found["place"], GOAL, atol=0.1)
+    np.testing.assert_allclose(fitted["place"], GOAL, atol=0.1)
 
 
 @thorough
-def test_the_ball_of_the_examples_is_found_within_a_pixel(tmp_path: Path) -> None:
+def test_the_example_of_a_ball_is_fitted_within_a_pixel(tmp_path: Path) -> None:
     assert main(["fit", str(BALL / "scene.toml"), "--output", str(tmp_path / "result")]) in FINISHED
-    found = json.loads((tmp_path / "result" / "parameters.json").read_text())
-    np.testing.assert_allclose(found["place"], GOAL, atol=0.08)
+    fitted = json.loads((tmp_path / "result" / "parameters.json").read_text())
+    np.testing.assert_allclose(fitted["place"], GOAL, atol=0.08)
 
 
-def test_tables_are_the_handles_of_the_same_names(folder: Path) -> None:
+def test_tables_are_equivalent_to_handles(folder: Path) -> None:
     targets: dict[str, tuple[dict[str, Any], Any]] = {
         "move": ({"Translate": "ball"}, Translate("ball")),
         "slide": ({"Translate": "ball", "axis": [0, 2, 0]}, Translate("ball", axis=[0, 1, 0])),
@@ -82,7 +82,7 @@ def test_tables_are_the_handles_of_the_same_names(folder: Path) -> None:
         ('"ball" }', '"ball", axis = [1, 0, true] }', "`axis` must be three finite numbers, got [1, 0, True]"),
     ],
 )
-def test_a_wrong_table_is_named(folder: Path, old: str, new: str, says: str) -> None:
+def test_a_wrong_table_is_an_error_that_names_the_parameter(folder: Path, old: str, new: str, says: str) -> None:
     (folder / "scene.toml").write_text(SCENE.replace(old, new))
     with pytest.raises(SceneError) as caught:
         load_scene(folder / "scene.toml")
@@ -90,13 +90,13 @@ def test_a_wrong_table_is_named(folder: Path, old: str, new: str, says: str) -> 
     assert "\n" not in str(caught.value)
 
 
-def test_a_scene_that_is_not_there_is_named(folder: Path) -> None:
+def test_a_missing_scene_is_an_error_that_names_the_file(folder: Path) -> None:
     (folder / "scene.toml").write_text(SCENE.replace("scene.xml", "nothing.xml"))
     with pytest.raises(SceneError, match=r"\[renderer\] `scene` cannot be loaded: .*nothing\.xml"):
         load_scene(folder / "scene.toml")
 
 
-def test_the_example_of_the_guide_can_be_read(folder: Path) -> None:
+def test_the_scene_file_in_the_docs_can_be_loaded(folder: Path) -> None:
     guide = (Path(__file__).parents[2] / "docs" / "guide" / "mitsuba.md").read_text()
     text = guide.split("```toml\n")[1].split("```")[0].replace("photo.exr", "target.png")
     (folder / "scene.xml").write_text(
@@ -113,13 +113,13 @@ def test_the_example_of_the_guide_can_be_read(folder: Path) -> None:
     assert list(scene.optimise) == ["place", "colour"]
 
 
-def test_the_samples_of_a_scene_are_known_and_can_be_overridden(folder: Path) -> None:
+def test_the_samples_of_a_scene_file_can_be_overridden(folder: Path) -> None:
     scene = load_scene(folder / "scene.toml")
     assert scene.samples == 8
     few, many = load_scene(folder / "scene.toml", samples=1), load_scene(folder / "scene.toml", samples=64)
     assert (few.samples, many.samples) == (1, 64)
     noises = []
-    for one in (few, many):
-        first, second = (one.renderer.render(one.renderer.parameters(), seed=seed) for seed in (0, 1))
+    for scene in (few, many):
+        first, second = (scene.renderer.render(scene.renderer.parameters(), seed=seed) for seed in (0, 1))
         noises.append(np.linalg.norm(first - second))
     assert noises[0] > 4.0 * noises[1]  # a factor of 8, if samples are independent

@@ -17,11 +17,11 @@ pytestmark = pytest.mark.filterwarnings("ignore::loi_mitsuba.GradientWarning")  
 DIFFUSE = '<bsdf type="diffuse"><rgb name="reflectance" value="{}"/></bsdf>'
 
 
-def shape(kind: str, position: tuple[float, float, float], colour: str = "0.5", inside: str = "") -> str:
+def shape(plugin: str, position: tuple[float, float, float], colour: str = "0.5", inside: str = "") -> str:
     """Return a shape without an id; Mitsuba may merge shapes of one colour."""
     x, y, z = position
     transform = f'<transform name="to_world"><scale value="0.3"/><translate x="{x}" y="{y}" z="{z}"/></transform>'
-    return f'<shape type="{kind}">{inside}{transform}{DIFFUSE.format(colour)}</shape>'
+    return f'<shape type="{plugin}">{inside}{transform}{DIFFUSE.format(colour)}</shape>'
 
 
 def write_scene(folder: Path, *shapes: str) -> Path:

@@ -90,10 +90,10 @@ def test_libraries_with_the_names_of_mitsuba_s_plugins_do_not_replace_them(tmp_p
 
 def test_loading_a_scene_leaves_mitsuba_s_search_path_unchanged(tmp_path: Path) -> None:
     resolver = mi.file_resolver()
-    before = [str(resolver[index]) for index in range(len(resolver))]
+    search_path = [str(resolver[index]) for index in range(len(resolver))]
     load(write_scene(tmp_path, f'<path value="{tmp_path}"/>{BALL}{LIGHT}'))
     resolver = mi.file_resolver()
-    assert [str(resolver[index]) for index in range(len(resolver))] == before
+    assert [str(resolver[index]) for index in range(len(resolver))] == search_path
 
 
 @pytest.mark.parametrize("name", ["../../x/evil", "/x/evil", "a.b", "", "evil\n"])

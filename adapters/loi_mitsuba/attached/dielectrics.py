@@ -57,7 +57,7 @@ class AttachedDielectrics:
         self._scene = scene
         self._sensor = sensor
         self._binding = binding
-        width, height = (int(side) for side in sensor.film().crop_size())
+        width, height = map(int, sensor.film().crop_size())
         self._count = max(MIN_SAMPLES, samples * width * height // PIXEL_SAMPLES)
 
     def vjp(
@@ -103,7 +103,7 @@ class DielectricSamples:
 
     def _backpropagate(self, splats: Splats, cotangent: Any) -> None:
         texture = self._camera.padded_texture(cotangent)
-        for value, position in splats:  # Dr.Jit would evaluate their sum, and so trace all rays twice
+        for value, position in splats:  # Dr.Jit would evaluate their sum and trace all rays twice
             product = value * self._camera.gather(texture, position)
             dr.set_grad(product, 1.0)
             dr.enqueue(dr.ADMode.Backward, product)

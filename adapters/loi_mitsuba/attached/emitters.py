@@ -34,7 +34,7 @@ DISTANCE_PERCENTILE: Final = 25.0  # of the distances from the light to the visi
 class AttachedEmitters:
     """The gradient of direct light at primary hits, with respect to lights that move.
 
-    Light over several surfaces is left out, and so is light through mirrors and clear glass.
+    Light over several surfaces, and light through mirrors and clear glass, is left out.
 
     Parameters
     ----------

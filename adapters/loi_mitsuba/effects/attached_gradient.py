@@ -1,4 +1,4 @@
-"""Gradients of attached samples: the parameters that have them, and when they are better than Mitsuba's own."""
+"""Gradients of attached samples: the supported parameters, and a comparison with Mitsuba's gradient."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class AttachedParameters:
 
     @property
     def without_gradient(self) -> frozenset[str]:
-        """Parameters without a usable gradient in Mitsuba: those of point lights and of glass."""
+        """Parameters of point lights and glass, which have no usable gradient in Mitsuba."""
         points = (name for name, light in self.lights.items() if not isinstance(light, mi.Shape))
         return frozenset((*points, *self.glass))
 
@@ -77,8 +77,8 @@ class AttachedParameters:
         if name in self.glass:
             return GLASS_REASON
         light = self.lights[name]
-        kind = light.class_name() if isinstance(light, mi.Emitter) else "area light"
-        return f"it moves the {kind}, and attached samples of its direct light have the gradient"
+        light_type = light.class_name() if isinstance(light, mi.Emitter) else "area light"
+        return f"it moves the {light_type}, and attached samples of its direct light have the gradient"
 
 
 def attachable_emitters(index: SceneIndex, targets: Mapping[str, ParameterTarget]) -> dict[str, Any]:
@@ -89,15 +89,15 @@ def attachable_emitters(index: SceneIndex, targets: Mapping[str, ParameterTarget
     """
     if mi.is_polarized or has_medium(index.scene):
         return {}
-    found = {}
+    lights_by_name = {}
     for name, target in targets.items():
         light = index.positioned_light(target) if isinstance(target, str) else index.find_movable(target.shape)[1]
         if isinstance(target, Scale) and isinstance(light, mi.Mesh) and light.class_name() != "Rectangle":
             continue
         has_position = isinstance(light, mi.Emitter) and light.class_name() in POSITIONED_LIGHTS
         if has_position or (isinstance(light, mi.Shape) and light.is_emitter() and light in index.scene.shapes()):
-            found[name] = light
-    return found
+            lights_by_name[name] = light
+    return lights_by_name
 
 
 def _attachable_dielectrics(index: SceneIndex, targets: Mapping[str, ParameterTarget], sensor: Any) -> dict[str, Any]:
@@ -110,7 +110,7 @@ def _attachable_dielectrics(index: SceneIndex, targets: Mapping[str, ParameterTa
         return {}
     if getattr(index.scene.integrator(), "hide_emitters", False):
         return {}
-    found = {}
+    shapes = {}
     for name, target in targets.items():
         if isinstance(target, str):
             parameter = index.get(target)
@@ -120,8 +120,8 @@ def _attachable_dielectrics(index: SceneIndex, targets: Mapping[str, ParameterTa
         if not isinstance(shape, mi.Shape) or shape not in index.scene.shapes() or not is_clear_glass(shape):
             continue
         if shape.class_name() == "Sphere" or (_is_smooth(shape) and not isinstance(target, (str, Scale))):
-            found[name] = shape
-    return found
+            shapes[name] = shape
+    return shapes
 
 
 def _is_smooth(shape: Any) -> bool:

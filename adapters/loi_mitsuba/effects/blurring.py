@@ -1,4 +1,4 @@
-"""Gradients of images blurred over parameters, and the parameters for which they are significant."""
+"""Gradients of images blurred over parameters, and a test of their significance."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ class Blurring:
     options : mapping or None
         Options of :class:`loi_core.renderers.BlurredRenderer`; None blurs nothing.
     unsupported : iterable of str
-        Parameters without a gradient in the scene, for which the options may have a ``sigma``.
+        Parameters without a gradient in the scene; the options may have a ``sigma`` for them.
     """
 
     images: Renderer

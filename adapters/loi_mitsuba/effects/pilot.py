@@ -97,16 +97,16 @@ class Pilot:
         whole_by_name = total(list(draws.values()))
         frozen = Frozen.of(whole_by_name, self.objects)
         notes = _notes(whole_by_name, frozen, self.samples)
-        terms = {term: drawn.grouped(self.units) for term, drawn in draws.items()}
+        terms = {term: term_draws.grouped(self.units) for term, term_draws in draws.items()}
         whole = total(list(terms.values()))
         significant = self._significant(whole, frozen)
         sizes = sizes_of(whole, significant)
-        kept, reasons = self._terms_to_keep(terms, whole, significant, sizes, missing)
-        settings = settings.sampled({term: 0 for term in terms if term not in kept})
+        active, reasons = self._terms_to_keep(terms, whole, significant, sizes, missing)
+        settings = settings.sampled({term: 0 for term in terms if term not in active})
         edges = settings.sppp > 0 or settings.sppi > 0
         full = everything(self.traits, self.samples).integrator
         integrator = integrator_for(self.traits, full, settings.max_depth, edges=edges)
-        settings = replace(settings, integrator=integrator).sampled(self._allocation(kept, whole, significant))
+        settings = replace(settings, integrator=integrator).sampled(self._allocation(active, whole, significant))
         planned = plan_of(self.traits, settings, {Effect.BOUNCES: depth_reason, **reasons}, notes=notes)
         choices = _with_fractions(planned, terms, whole, significant)
         planned = replace(planned, choices=choices, frozen=frozen.reasons, measured=True)
@@ -121,24 +121,24 @@ class Pilot:
         missing: float,
     ) -> tuple[dict[str, Draws], dict[Effect, str]]:
         """Turn terms off, the smallest first, while all that is off stays below the fraction; add the reasons."""
-        kept = dict(terms)
+        active = dict(terms)
         reasons = {}
-        has_gradient = any(not drawn.zero(name) for drawn in terms.values() for name in drawn.gradients)
-        for term, drawn in sorted(terms.items(), key=lambda item: most_fraction(item[1], sizes)):
-            largest = most_fraction(drawn, sizes)
-            measured = largest_fraction(drawn, whole, significant)
+        has_gradient = any(not term_draws.zero(name) for term_draws in terms.values() for name in term_draws.gradients)
+        for term, term_draws in sorted(terms.items(), key=lambda item: most_fraction(item[1], sizes)):
+            largest = most_fraction(term_draws, sizes)
+            measured = largest_fraction(term_draws, whole, significant)
             if (has_gradient and largest == 0.0) or (significant and missing + largest < self.fraction):
                 missing += largest
-                del kept[term]
+                del active[term]
                 reasons[EFFECTS[term]] = f"surely under {largest:.1%} of the gradient"
                 if largest == 0.0:
-                    reasons[EFFECTS[term]] = f"exactly 0 in {drawn.count} draws of {self.samples} samples a pixel"
+                    reasons[EFFECTS[term]] = f"exactly 0 in {term_draws.count} draws of {self.samples} samples a pixel"
             elif measured is not None:
                 reasons[EFFECTS[term]] = f"{measured:.1%} of the gradient"
-        return kept, reasons
+        return active, reasons
 
     def _shallowest(self, rules: Settings, probe: GradientProbe) -> tuple[Settings, dict[str, Draws], str, float]:
-        """Find the smallest depth at which the image is complete and the gradient misses less than the fraction.
+        """Find the smallest depth whose image is complete and whose gradient misses less than the fraction.
 
         Returns
         -------
@@ -163,7 +163,7 @@ class Pilot:
             draws = self._draw_terms(settings, probe)
             # Each term uses the seed in the same way, alone or with others, and a short path is the beginning of the
             # long path of the same seed: most of the noise cancels in the difference.
-            shallow_draws = total([drawn.first(DEEP_DRAWS) for drawn in draws.values()])
+            shallow_draws = total([term_draws.first(DEEP_DRAWS) for term_draws in draws.values()])
             longer = probe.gradients(rules, seeds).less(shallow_draws)
             largest = self._largest_fraction(longer, self._sizes(draws))
             measured = self._largest_fraction(longer, self._sizes(draws), sure=0.0)
@@ -202,10 +202,10 @@ class Pilot:
         """Double the draws of each term that is not exactly 0, up to MAX_DRAWS."""
         seeds = range(probe.seed + DRAWS, probe.seed + MAX_DRAWS)
         return {
-            term: drawn
-            if drawn.count == MAX_DRAWS or all(map(drawn.zero, drawn.gradients))
-            else drawn.and_more(probe.gradients(settings.only(term) if settings.projective else settings, seeds))
-            for term, drawn in draws.items()
+            term: term_draws
+            if term_draws.count == MAX_DRAWS or all(map(term_draws.zero, term_draws.gradients))
+            else term_draws.and_more(probe.gradients(settings.only(term) if settings.projective else settings, seeds))
+            for term, term_draws in draws.items()
         }
 
     def _significant(self, whole: Draws, frozen: Frozen) -> tuple[str, ...]:
@@ -236,10 +236,10 @@ class Pilot:
         for term, effect in EFFECTS.items():
             if getattr(rules, term) == 0 or getattr(settings, term) > 0:
                 continue
-            drawn = probe.gradients(shallow.only(term), seeds)
-            if plan[effect].fraction == 0.0 and not all(map(drawn.zero, drawn.gradients)):
+            term_draws = probe.gradients(shallow.only(term), seeds)
+            if plan[effect].fraction == 0.0 and not all(map(term_draws.zero, term_draws.gradients)):
                 grown[effect] = "it was exactly 0 when it was turned off, and no longer is"
-            elif self._largest_fraction(drawn, sizes) >= threshold:
+            elif self._largest_fraction(term_draws, sizes) >= threshold:
                 grown[effect] = f"it may have grown to {self.fraction:.0%} of the gradient at the pilot"
         if settings.max_depth < rules.max_depth:
             deep = [probe.image(rules, seed) for seed in seeds]
@@ -262,17 +262,17 @@ class Pilot:
         missing = [image - probe.image(shallow, seed) for image, seed in zip(deep, seeds, strict=True)]
         return _is_negligible(missing, deep, IMAGE_FRACTION * self.fraction, sure)
 
-    def _allocation(self, kept: Mapping[str, Draws], whole: Draws, significant: Sequence[str]) -> dict[str, int]:
+    def _allocation(self, active: Mapping[str, Draws], whole: Draws, significant: Sequence[str]) -> dict[str, int]:
         """Allocate samples to the terms that stay on, in the time that equal counts would take."""
-        if len(kept) < 2 or not significant:
-            return dict.fromkeys(kept, self.samples)
-        variances = [relative_variance(drawn, whole, significant) * self.samples for drawn in kept.values()]
-        costs = [drawn.seconds / self.samples for drawn in kept.values()]
-        budget = sum(drawn.seconds for drawn in kept.values())
+        if len(active) < 2 or not significant:
+            return dict.fromkeys(active, self.samples)
+        variances = [relative_variance(term_draws, whole, significant) * self.samples for term_draws in active.values()]
+        costs = [term_draws.seconds / self.samples for term_draws in active.values()]
+        budget = sum(term_draws.seconds for term_draws in active.values())
         base = 2 ** (self.samples.bit_length() - 1)
         smallest, largest = max(1, base // MAX_SAMPLE_RATIO), base * MAX_SAMPLE_RATIO
         counts = whole_samples(allocate(variances, costs, budget), costs, budget, least=smallest, most=largest)
-        return dict(zip(kept, counts, strict=True))
+        return dict(zip(active, counts, strict=True))
 
 
 def _is_negligible(
@@ -296,12 +296,14 @@ def _with_fractions(
     draws = {effect: terms[term] for term, effect in EFFECTS.items() if term in terms}
     choices = []
     for choice in plan.choices:
-        drawn = draws.get(choice.effect)
-        if drawn is None:
+        term_draws = draws.get(choice.effect)
+        if term_draws is None:
             choices.append(choice)
             continue
-        work = relative_variance(drawn, whole, significant) * drawn.seconds if significant else None
-        choices.append(replace(choice, fraction=largest_fraction(drawn, whole, significant), variance_seconds=work))
+        work = relative_variance(term_draws, whole, significant) * term_draws.seconds if significant else None
+        choices.append(
+            replace(choice, fraction=largest_fraction(term_draws, whole, significant), variance_seconds=work)
+        )
     return tuple(choices)
 
 

@@ -1,4 +1,4 @@
-"""The planner of a fit: its state, and the events on which the plan changes."""
+"""The planner of a fit: its state, and the events that change the plan."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ class PlanState:
 
 
 class Planner:
-    """Decides which effects of a scene are simulated, and for which parameters the gradient is blurred or frozen.
+    """Decides which effects are simulated, and which parameters are attached, blurred or frozen.
 
     Parameters
     ----------
@@ -170,7 +170,7 @@ class Planner:
         first: bool,
         frozen: frozenset[str] | None,
     ) -> frozenset[str]:
-        """Record a gradient, revisit the plan if that is due, and return the frozen parameters of this gradient.
+        """Record a gradient, revisit the plan if it is due, and return the frozen parameters of this gradient.
 
         Parameters
         ----------
@@ -339,9 +339,9 @@ class Planner:
         self._update(plan=plan, renderer=self.base.with_integrator(plan, wrt=self.state.names))
 
     def _restart_and_log(self, blurred: Mapping[str, str], when: str) -> None:
-        before = self.state.plan
+        previous = self.state.plan
         self._restart(blurred)
-        log.info("effects, %s: %s", when, self.state.plan.changes_from(before))
+        log.info("effects, %s: %s", when, self.state.plan.changes_from(previous))
 
     def _restart(self, blurred: Mapping[str, str] = NOTHING) -> None:
         """Start again from the rules, with the unsupported parameters and those in `blurred` blurred."""

@@ -226,7 +226,7 @@ class PlannedRenderer:
     def at_step(self, step: int, steps: int, value: float | None) -> None:
         """Test effects that are off again if the loss has stalled; :func:`loi_core.fit` calls this before every step.
 
-        The loss has stalled if it has reached no new minimum for 20 steps, then for 40 more, 80 more and so on. `value`
+        The loss has stalled if it has reached no new minimum for 20 steps, then for 40, 80, 160 ... more. `value`
         is the loss of the previous step; None where a fit begins.
         """
         self._planner.at_step(step, steps, value)

@@ -216,7 +216,7 @@ def _surfaces(traits: Traits) -> str:
 
 
 def _notes(traits: Traits) -> tuple[str, ...]:
-    """Return notes about gradients that Mitsuba lacks in this scene, other than those of a GradientWarning."""
+    """Return notes about gradients that Mitsuba lacks in this scene and no GradientWarning mentions."""
     notes = []
     if traits.moving and (traits.delta_reflection or traits.delta_transmission) and traits.has_delta_bsdf:
         notes.append(

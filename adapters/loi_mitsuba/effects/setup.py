@@ -238,7 +238,7 @@ def _proxy_renderer(
     if proxy is None:
         return None
     start = ParameterBinding(index, request.targets, analysis.images_only).start
-    # The scene itself has the gradients of lights at rest; a moving light has them from the proxy.
+    # The gradient of a moving light comes from the proxy; all other lights have theirs in the scene itself.
     lights_at_rest = all(light.is_intensity for name, light in lights.items() if name not in analysis.images_only)
     renderer = ProxyGradientRenderer(
         loaded,

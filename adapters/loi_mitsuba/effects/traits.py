@@ -118,17 +118,17 @@ def traits_of(index: SceneIndex, targets: Mapping[str, str | PoseParameter], sen
     shapes = scene.shapes()
     first_by_class = {shape.class_name(): shape for shape in shapes}
     unknown += [
-        f"a shape of kind {kind}"
-        for kind, shape in first_by_class.items()
-        if not isinstance(shape, mi.Mesh) and kind not in KNOWN_SHAPES
+        f"a shape of kind {class_name}"
+        for class_name, shape in first_by_class.items()
+        if not isinstance(shape, mi.Mesh) and class_name not in KNOWN_SHAPES
     ]
     integrator = scene.integrator()
-    kind = kind_of(integrator)
-    if not is_known(kind):
+    integrator_kind = kind_of(integrator)
+    if not is_known(integrator_kind):
         unknown.append(f"the scene's own integrator, a {integrator.class_name()}")
     flags = [int(shape.bsdf().flags()) for shape in shapes if shape.bsdf() is not None]
     medium = has_medium(scene)
-    fixed_depth = SURFACE_INTEGRATORS.get(kind)
+    fixed_depth = SURFACE_INTEGRATORS.get(integrator_kind)
     limit = fixed_depth if fixed_depth is not None else _depth_limit(integrator)
     transmits = any(flag & int(mi.BSDFFlags.Transmission) for flag in flags)
     film = sensor.film()
@@ -144,7 +144,7 @@ def traits_of(index: SceneIndex, targets: Mapping[str, str | PoseParameter], sen
         glossy=any(flag & int(mi.BSDFFlags.Glossy) for flag in flags),
         has_delta_lights=any(mi.has_flag(emitter.flags(), mi.EmitterFlags.Delta) for emitter in scene.emitters()),
         has_medium=medium,
-        integrator=kind,
+        integrator=integrator_kind,
         depth=UNLIMITED_DEPTH if limit is None else limit,
         is_depth_limited=limit is not None,
         hide_emitters=bool(getattr(integrator, "hide_emitters", False)),
@@ -190,8 +190,8 @@ def _is_single_convex_shape(shapes: list[Any], sensor: Any) -> bool:
     if len(shapes) != 1 or shapes[0].class_name() not in CONVEX_SHAPES:
         return False
     camera = np.array(sensor.world_transform().translation(), dtype=np.float64).reshape(3)
-    low, high = bounding_box(shapes[0])
-    return not bool(np.all((low <= camera) & (camera <= high)))
+    lower, upper = bounding_box(shapes[0])
+    return not bool(np.all((lower <= camera) & (camera <= upper)))
 
 
 def _depth_limit(integrator: Any) -> int | None:

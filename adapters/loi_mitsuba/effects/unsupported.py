@@ -85,13 +85,13 @@ def _unsupported_motion(node: Any, scene: Any, sensor: Any, *, medium: bool, rig
     if medium:
         return "it moves a shape in a scene with a medium, where outlines and shadows have no gradient in Mitsuba"
     if sensor.class_name() != "PerspectiveCamera":
-        kind = sensor.class_name()
-        return f"it moves a shape, and Mitsuba has no gradient of outlines for a camera of type {kind}"
+        class_name = sensor.class_name()
+        return f"it moves a shape, and Mitsuba has no gradient of outlines for a camera of type {class_name}"
     if any(emitter.class_name() == "DirectionalArea" for emitter in scene.emitters()):
         return "it moves a shape under a DirectionalArea, where Mitsuba has no gradient of outlines and shadows"
     integrator = scene.integrator()
     has_boundary_terms = hasattr(integrator, "sppp")
     if rigid and not is_known(kind_of(integrator)) and not has_boundary_terms:
-        kind = integrator.class_name()
-        return f"it moves a shape, and an integrator of type {kind} has no gradient of outlines and shadows"
+        class_name = integrator.class_name()
+        return f"it moves a shape, and an integrator of type {class_name} has no gradient of outlines and shadows"
     return ""

@@ -117,4 +117,4 @@ def steps_in_turn(
             image, pullback = renderer.render_vjp(dict(params), seed=seeds[index][number])
             gradients[index].append(pullback(objective.value_and_grad(image)[1]))
             times[index].append(time.perf_counter() - begin)
-    return [(drawn[1:], statistics.median(seconds[1:])) for drawn, seconds in zip(gradients, times, strict=True)]
+    return [(timed[1:], statistics.median(seconds[1:])) for timed, seconds in zip(gradients, times, strict=True)]

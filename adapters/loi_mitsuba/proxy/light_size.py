@@ -48,12 +48,12 @@ class LightContext:
     def of(cls, scene: Any, moving: Iterable[Any], unchanged: Iterable[int] = ()) -> LightContext:
         """Describe a loaded scene with these moving shapes; the lights with indices `unchanged` are not replaced."""
         boxes = np.array([bounding_box(shape) for shape in moving])
-        low, high = bounding_box(scene)
+        lower, upper = bounding_box(scene)
         excluded = set(unchanged)
         intensities = tuple(
             None if number in excluded else light_intensity(light) for number, light in enumerate(delta_lights(scene))
         )
-        return cls(boxes, 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low)), intensities, scene)
+        return cls(boxes, 0.5 * (lower + upper), 0.5 * float(np.linalg.norm(upper - lower)), intensities, scene)
 
     @property
     def smallest_half_size(self) -> float:
@@ -76,8 +76,8 @@ class LightContext:
         angles = numbers * math.pi * (3.0 - math.sqrt(5.0))  # golden angle
         radii = np.sqrt((numbers + 0.5) / SURFACE_POINTS)
         disk = radius * np.stack([radii * np.cos(angles), radii * np.sin(angles)], axis=1)
-        for low, high in self.boxes:
-            centre, half_diagonal = 0.5 * (low + high), 0.5 * float(np.linalg.norm(high - low))
+        for lower, upper in self.boxes:
+            centre, half_diagonal = 0.5 * (lower + upper), 0.5 * float(np.linalg.norm(upper - lower))
             clearance = float(np.linalg.norm(centre - point)) - half_diagonal  # beyond it, the moving shape may be hit
             if clearance <= 0.0:
                 continue
@@ -86,7 +86,7 @@ class LightContext:
             heights = np.sqrt(radius**2 - np.sum(disk**2, axis=1))  # of the hemisphere that faces the shape
             origins = np.concatenate([point[None, :], point + disk @ tangents + heights[:, None] * forward])
             limits = clearance - np.append(0.0, heights)
-            corners = low + (high - low) * np.indices((2, 2, 2)).reshape(3, 8).T
+            corners = lower + (upper - lower) * np.indices((2, 2, 2)).reshape(3, 8).T
             for target in (centre, *corners):
                 hidden = _first_hit(self.scene, origins, target) < limits
                 if not (np.all(hidden) if hidden[0] else np.mean(~hidden) >= MIN_VISIBLE_FRACTION):

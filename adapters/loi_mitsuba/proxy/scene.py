@@ -1,4 +1,4 @@
-"""Build a proxy scene, which has gradients where the scene itself has none.
+"""Build a proxy scene, which has the gradients that the scene itself lacks.
 
 The image is always rendered from the scene itself; only gradients of moving shapes come from the proxy, which differs
 as little as possible. Rays cannot hit a point light, but they can hit a small sphere, whose visibility from a surface
@@ -41,7 +41,7 @@ MAX_SIZE: Final = 0.5  # of lights and roughness
 
 @dataclass(frozen=True)
 class ProxySettings:
-    """How far the proxy scene may differ from the scene; 0 or False keeps what it is about.
+    """How far the proxy scene may differ from the scene; 0 or False turns a substitution off.
 
     Attributes
     ----------
@@ -200,15 +200,15 @@ def _substitute(
             substitutions += substitute_textures(state, number, shape)
         for index in range(len(state.nodes)):
             node = state.nodes[index]
-            kind = node.props.plugin_name()
-            if kind in DELTA_LIGHTS.values() and node.type == mi.ObjectType.Emitter:
+            plugin = node.props.plugin_name()
+            if plugin in DELTA_LIGHTS.values() and node.type == mi.ObjectType.Emitter:
                 node.props.set_id(node.props.id() or f"{LIGHT_ID}{lights}")
                 intensity = context.intensities[lights] if lights < len(context.intensities) else None
                 if settings.lights > 0.0 and intensity is not None and lights not in unchanged:
                     light = substitute_light(state, index, lights, settings.lights, intensity, context, unseen=unlit)
                     substitutions += [] if light is None else [light]
                 lights += 1
-            elif kind in ROUGH_BSDFS and node.type == mi.ObjectType.BSDF and settings.mirrors > 0.0:
+            elif plugin in ROUGH_BSDFS and node.type == mi.ObjectType.BSDF and settings.mirrors > 0.0:
                 moves = index in moving_bsdfs
                 substitutions.append(substitute_surface(state, index, settings.mirrors, moves=moves, unlit=unlit))
         if not substitutions and not moving.unwelded:
@@ -251,16 +251,16 @@ def _describe(scene: Any) -> tuple[dict[str, Any], list[Any]]:
 
 def _describe_light(light: Any) -> dict[str, Any] | None:
     """Return the dict that loads a delta light; None if its intensity is unknown."""
-    kind, value = DELTA_LIGHTS[light.class_name()], light_intensity(light)
+    plugin, value = DELTA_LIGHTS[light.class_name()], light_intensity(light)
     if value is None:
         return None
     params = mi.traverse(light)
-    quantity = "irradiance" if kind == "directional" else "intensity"
-    description: dict[str, Any] = {"type": kind, quantity: {"type": "rgb", "value": value.tolist()}}
-    if kind == "point":
+    quantity = "irradiance" if plugin == "directional" else "intensity"
+    description: dict[str, Any] = {"type": plugin, quantity: {"type": "rgb", "value": value.tolist()}}
+    if plugin == "point":
         return description | {"position": np.array(params["position"]).reshape(3).tolist()}
     to_world = np.array(params["to_world"].matrix, dtype=np.float32).reshape(4, 4)
     description["to_world"] = mi.ScalarTransform4f(to_world)
-    if kind == "spot":
+    if plugin == "spot":
         description |= {name: float(np.array(params[name]).reshape(-1)[0]) for name in ("cutoff_angle", "beam_width")}
     return description

@@ -76,19 +76,19 @@ class _AreaLight:
     description: str
 
 
-def nodes_of_shape(state: Any, number: int, kind: Any) -> Iterator[int]:
-    """Yield the indices of the nodes below a shape that have a type `kind`, an ``mi.ObjectType``."""
+def nodes_of_shape(state: Any, number: int, node_type: Any) -> Iterator[int]:
+    """Yield the indices of a shape's descendants of one ``mi.ObjectType``."""
     nodes = state.nodes
     shapes = [child for child in _children(nodes[0].props) if nodes[child].type == mi.ObjectType.Shape]
     if number < len(shapes):
-        yield from _descendants(nodes, shapes[number], kind)
+        yield from _descendants(nodes, shapes[number], node_type)
 
 
-def _descendants(nodes: Any, parent: int, kind: Any) -> Iterator[int]:
+def _descendants(nodes: Any, parent: int, node_type: Any) -> Iterator[int]:
     for child in _children(nodes[parent].props):
-        if nodes[child].type == kind:
+        if nodes[child].type == node_type:
             yield child
-        yield from _descendants(nodes, child, kind)
+        yield from _descendants(nodes, child, node_type)
 
 
 def _children(props: Any) -> list[int]:
@@ -112,24 +112,24 @@ def substitute_surface(state: Any, index: int, roughness: float, *, moves: bool,
         Whether it must not reflect light of emitter samples.
     """
     props = state.nodes[index].props
-    kind = props.plugin_name()
-    rougher = moves and kind != "dielectric"  # rough glass would blur the view through it
+    plugin = props.plugin_name()
+    rougher = moves and plugin != "dielectric"  # rough glass would blur the view through it
     alpha = min(MOVING_ROUGHNESS * roughness, 1.0) if rougher else roughness
-    props.set_plugin_name(ROUGH_BSDFS[kind])
+    props.set_plugin_name(ROUGH_BSDFS[plugin])
     props["alpha"] = alpha
     suffix = f" {props.id()!r}" if props.id() else ""
     reason = "because edges seen in a perfectly smooth surface have no gradient"
     noise = "; the rougher a moving surface, the less noisy its gradient" if rougher else ""
     if unlit:
         rough = mi.parser.SceneNode()
-        rough.props, rough.type = mi.Properties(ROUGH_BSDFS[kind]), mi.ObjectType.BSDF
+        rough.props, rough.type = mi.Properties(ROUGH_BSDFS[plugin]), mi.ObjectType.BSDF
         for key in list(props.keys()):
             rough.props[key] = props[key]
             del props[key]
         props.set_plugin_name(register_proxy_bsdf())
         props["rough"] = mi.Properties.ResolvedReference(len(state.nodes))
         state.nodes.append(rough)  # moves all nodes in memory: earlier references to them are invalid
-    return Substitution(f"{kind}{suffix}", f"a {ROUGH_BSDFS[kind]} of roughness {alpha:g}, {reason}{noise}")
+    return Substitution(f"{plugin}{suffix}", f"a {ROUGH_BSDFS[plugin]} of roughness {alpha:g}, {reason}{noise}")
 
 
 def substitute_textures(state: Any, number: int, shape: Any) -> list[Substitution]:
@@ -138,9 +138,9 @@ def substitute_textures(state: Any, number: int, shape: Any) -> list[Substitutio
     suffix = f" of {shape.id()!r}" if shape.id() else ""
     for index in nodes_of_shape(state, number, mi.ObjectType.Texture):
         node = state.nodes[index]
-        kind = node.props.plugin_name()
+        plugin = node.props.plugin_name()
         if ramp_texture(node.props):
-            substitutions.append(Substitution(f"{kind}{suffix}", f"an interpolated bitmap {RAMP}"))
+            substitutions.append(Substitution(f"{plugin}{suffix}", f"an interpolated bitmap {RAMP}"))
     return substitutions
 
 
@@ -177,19 +177,19 @@ def substitute_light(
         None if a spot lights none of the moving shapes; it is not replaced.
     """
     props = state.nodes[index].props
-    kind, light_id = props.plugin_name(), props.id()
+    plugin, light_id = props.plugin_name(), props.id()
     to_world = np.array(props["to_world"].matrix, dtype=np.float64) if "to_world" in props else np.eye(4)
-    if kind == "directional":
+    if plugin == "directional":
         direction = np.array(props["direction"]) if "direction" in props else to_world[:3, 2]
         area_light = _disk(direction / np.linalg.norm(direction), size, context)
     else:
         origin = np.array(props["position"]) if "position" in props else to_world[:3, 3]
-        if kind == "spot" and not _lights_moving_shapes(props, to_world, origin, context):
+        if plugin == "spot" and not _lights_moving_shapes(props, to_world, origin, context):
             return None
-        area_light = _sphere(origin, to_world if kind == "spot" else None, size, context)
-    emitter = mi.Properties(register_proxy_emitter() if unseen or kind == "spot" else "area")
+        area_light = _sphere(origin, to_world if plugin == "spot" else None, size, context)
+    emitter = mi.Properties(register_proxy_emitter() if unseen or plugin == "spot" else "area")
     surface = mi.Properties("diffuse")
-    if kind == "spot":
+    if plugin == "spot":
         emitter["cutoff_angle"] = cutoff = _cutoff_angle(props)
         emitter["beam_width"] = float(props["beam_width"]) if "beam_width" in props else DEFAULT_BEAM_FRACTION * cutoff
     emitter["radiance"] = mi.ScalarColor3f((area_light.factor * intensity).tolist())
@@ -210,9 +210,9 @@ def substitute_light(
     node.type = mi.ObjectType.Shape
     suffix = "" if light_id.startswith(LIGHT_ID) else f" {light_id!r}"
     reason = f"{area_light.description}, because the shadow of a delta light has no gradient"
-    # The scene itself has all gradients but those of shadows, with less noise. Only for shapes that move in the cone of
-    # a spot does Mitsuba have no gradient at all.
-    return Substitution(f"{kind} light{suffix}", reason, kind != "spot", number, area_light.factor)
+    # The scene itself has all gradients except of shadows, with less noise. Shapes that move in the cone of a spot have
+    # no gradient in Mitsuba at all.
+    return Substitution(f"{plugin} light{suffix}", reason, plugin != "spot", number, area_light.factor)
 
 
 def _disk(direction: Float64Array, half_angle: float, context: LightContext) -> _AreaLight:
@@ -250,9 +250,9 @@ def _lights_moving_shapes(props: Any, to_world: Any, origin: Any, context: Light
     """Return whether the bounding sphere of a moving shape reaches into the cone of a spot."""
     axis = to_world[:3, 2] / np.linalg.norm(to_world[:3, 2])
     cutoff = math.radians(_cutoff_angle(props))
-    for low, high in context.boxes:
-        offset = 0.5 * (low + high) - origin
-        distance, radius = float(np.linalg.norm(offset)), 0.5 * float(np.linalg.norm(high - low))
+    for lower, upper in context.boxes:
+        offset = 0.5 * (lower + upper) - origin
+        distance, radius = float(np.linalg.norm(offset)), 0.5 * float(np.linalg.norm(upper - lower))
         if distance <= radius:
             return True
         angle = math.acos(min(max(float(axis @ offset) / distance, -1.0), 1.0))

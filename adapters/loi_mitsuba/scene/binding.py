@@ -133,7 +133,7 @@ class ParameterBinding:
     ) -> Iterator[dict[str, Any]]:
         """Set `params` in the scene with gradients enabled for `wrt`, and yield their leaves.
 
-        On exit no graph is left in the scene, even if Mitsuba raises. Errors are those of :meth:`leaves`.
+        On exit no graph is left in the scene, even if Mitsuba raises. Errors as of :meth:`leaves`.
 
         Parameters
         ----------

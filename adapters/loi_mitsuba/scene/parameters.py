@@ -189,7 +189,7 @@ class SceneIndex:
         return None, ""
 
     def positioned_light(self, key: str) -> Any:
-        """Return the light whose position has that name or key, or None."""
+        """Return the light whose position is called `key`, or None."""
         parameter = self.get(key)
         if parameter is None or parameter.key.rpartition(".")[2] != "position":
             return None
@@ -273,10 +273,10 @@ def _readable_names(params: SceneParameters, *, in_order: bool) -> tuple[dict[st
             if path in unordered:
                 word = positional[path]
             elif node is not None and not node.id() and _ADDRESS.fullmatch(word):
-                kind = _snake_case_kind(node)
-                while (word := f"{kind}_{counts[kind]}") in reserved:
-                    counts[kind] += 1
-                counts[kind] += 1
+                class_name = _snake_case_class(node)
+                while (word := f"{class_name}_{counts[class_name]}") in reserved:
+                    counts[class_name] += 1
+                counts[class_name] += 1
             names[path] = f"{parent}.{word}" if parent else word
     return names, positional
 
@@ -292,7 +292,7 @@ def _positional_names(params: SceneParameters) -> dict[str, str]:
             if _is_merged(node):
                 names[folder] = "merged_meshes"
                 continue
-            names[folder] = f"{_snake_case_kind(node)}_at_{_joined(bounding_box(node).mean(axis=0))}"
+            names[folder] = f"{_snake_case_class(node)}_at_{_joined(bounding_box(node).mean(axis=0))}"
             sizes[folder] = f"_size_{_joined(np.ptp(bounding_box(node), axis=0))}"
     listed = list(names.values())
     names = {key: name + sizes.get(key, "") if listed.count(name) > 1 else name for key, name in names.items()}
@@ -310,12 +310,12 @@ def _unordered_meshes(params: SceneParameters, positional: Mapping[str, str]) ->
     """Return the meshes that may be out of order: without merged meshes, a mesh that is alone of its kind is not."""
     nodes = {params.properties[key][2]: key.rpartition(".")[0] for key in params.properties}
     meshes = {folder: node for node, folder in nodes.items() if folder in positional}
-    kinds = [_snake_case_kind(node) for node in meshes.values()]
+    classes = [_snake_case_class(node) for node in meshes.values()]
     merged = any(map(_is_merged, meshes.values()))
-    return {folder for folder, node in meshes.items() if merged or kinds.count(_snake_case_kind(node)) > 1}
+    return {folder for folder, node in meshes.items() if merged or classes.count(_snake_case_class(node)) > 1}
 
 
-def _snake_case_kind(node: Any) -> str:
+def _snake_case_class(node: Any) -> str:
     return _WORD_BOUNDARY.sub("_", node.class_name()).lower()
 
 
@@ -381,5 +381,5 @@ def _is_settable(params: SceneParameters, key: str) -> bool:
 def _immovable(node: Any) -> str:
     if isinstance(node, mi.Sensor):
         return "Mitsuba gives no gradient for sensors; move the scene instead"
-    kind = node.class_name()
-    return f"Mitsuba's gradient for moving a {kind} is missing or wrong; use a small sphere with an area emitter"
+    class_name = node.class_name()
+    return f"Mitsuba's gradient for moving a {class_name} is missing or wrong; use a small sphere with an area emitter"

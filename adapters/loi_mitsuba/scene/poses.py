@@ -18,7 +18,7 @@ Vector: TypeAlias = tuple[float, float, float]
 def combined_transform(handles: Sequence[tuple[PoseParameter, Any]], centre: Vector) -> Any:
     """Combine several handles on one shape into a transform.
 
-    Their order is that of :func:`loi_core.renderers.poses.in_application_order`.
+    They apply in the order of :func:`loi_core.renderers.poses.in_application_order`.
 
     Parameters
     ----------

@@ -99,7 +99,7 @@ def load_shipped_plugins() -> frozenset[str]:
 
 @contextlib.contextmanager
 def file_search_path(folders: Iterable[Path], *, extend: bool = False) -> Iterator[None]:
-    """Replace or `extend` the folders in which Mitsuba searches for files, and restore them afterwards."""
+    """Replace or `extend` Mitsuba's search path for files within the context."""
     previous = mi.file_resolver()
     resolver = mi.FileResolver(previous) if extend else mi.FileResolver()
     if not extend:
