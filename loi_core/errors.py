@@ -1,7 +1,7 @@
 """All exceptions that `loi` raises on purpose.
 
 Each derives from :class:`LoiError` and from the matching built-in exception: a wrong value is also a ``ValueError``, a
-wrong type a ``TypeError``, and so on.
+wrong type a ``TypeError``.
 """
 
 from __future__ import annotations
@@ -92,7 +92,7 @@ class NonFiniteImageError(ImageError):
     def finding(self) -> str:
         """The problem, without the fix."""
         kinds = {"NaN": self.nan, "+inf": self.positive, "-inf": self.negative}
-        counts = ", ".join(f"{count} {kind}" for kind, count in kinds.items() if count)
+        counts = ", ".join(f"{count} {label}" for label, count in kinds.items() if count)
         plural = "s" if self.count != 1 else ""
         return (
             f"`{self.name}` has {self.count} non-finite value{plural} of {self.size} ({counts}), "

@@ -32,7 +32,7 @@ from loi_core.support.arrays import (
 
 __all__ = ["ImageObjective", "Objective"]
 
-MAX_PREPARED_KINDS: Final = 4  # kinds of image (shape, dtype, device) for which one objective keeps its reference ready
+MAX_PREPARED_KINDS: Final = 4  # prepared references of one objective, by shape, dtype and device of the images
 
 KeyT = TypeVar("KeyT")
 
@@ -119,7 +119,7 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
         return objective_html(type(self).__name__, self._facts(), self._reference, self.channel_axis)
 
     def _facts(self) -> dict[str, str]:
-        """What is said of it, for those who override it."""
+        """Return the facts that ``repr`` shows; subclasses add their own."""
         weights = None if self.weights is None else self.weights.shape
         return facts_of_reference(self._reference.shape, self._reference.dtype) | facts_of_options(
             self.channel_axis, self.nan_policy, self.tone, weights
@@ -210,7 +210,7 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
         Parameters
         ----------
         image : array, shape (*batch, H, W, C)
-            Its type and shape are checked, its values are not; under ``nan_policy="raise"`` the caller checks them.
+            Its type and shape are checked. Its values are not; under ``nan_policy="raise"`` the caller checks them.
         like : array
             A concrete array of the image's library, dtype and device, for which the reference is prepared.
         gradient : bool
@@ -237,8 +237,8 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
     def _prepare(self, like: Array, shape: tuple[int, ...], backend: Backend) -> PreparedObjective[KeyT]:
         layout = Layout.of("image", shape, self.channel_axis)
         self._require_same_axes(layout)
-        kind = (library_name(like), str(like.dtype), str(device(like)), layout.shape, backend)
-        prepared = self._prepared.get(kind)
+        image_kind = (library_name(like), str(like.dtype), str(device(like)), layout.shape, backend)
+        prepared = self._prepared.get(image_kind)
         if prepared is None:
             planes = layout.broadcast_planes("image", self._reference_like(like), self._reference_layout)
             pipeline = PixelPipeline.of(self._settings, layout, backend.to_backend(planes))
@@ -249,7 +249,7 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
             if not is_traced(namespace(pipeline.reference).zeros(())):
                 # A new dict each time, as other threads may be reading the old one.
                 recent = list(self._prepared.items())[1 - MAX_PREPARED_KINDS :]
-                self._prepared = dict([*recent, (kind, prepared)])
+                self._prepared = dict([*recent, (image_kind, prepared)])
         return prepared
 
     def _require_same_axes(self, layout: Layout) -> None:
@@ -277,7 +277,7 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
 
 
 def _total(terms: Mapping[Any, Array]) -> Array:
-    first, *others = terms.values()
-    for term in others:
-        first = first + term
-    return first
+    total, *remaining = terms.values()
+    for term in remaining:
+        total = total + term
+    return total

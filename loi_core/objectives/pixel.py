@@ -16,7 +16,7 @@ __all__ = ["PixelL2"]
 class PixelL2(ImageObjective[str]):
     """Mean of ``(image - reference)**2`` over pixels, channels and batch.
 
-    Parameters are those of :class:`ImageObjective`.
+    See :class:`ImageObjective` for the parameters.
     """
 
     takes_weights: ClassVar[bool] = True

@@ -26,14 +26,14 @@ def check_colours(colours: object, channels: int | None) -> Colours:
     OptionError
         For another name, and for differences of images without three channels.
     """
-    for known in get_args(Colours):
-        if isinstance(colours, str) and colours == known:
-            if known == "differences" and channels != CHANNELS:
+    for name in get_args(Colours):
+        if isinstance(colours, str) and colours == name:
+            if name == "differences" and channels != CHANNELS:
                 msg = (
                     f"`colours` may be 'differences' for images of three channels, `reference` has {channels or 'none'}"
                 )
                 raise OptionError(msg)
-            checked: Colours = known
+            checked: Colours = name
             return checked
     msg = f"`colours` must be 'channels' or 'differences', got {shown(colours)}"
     raise OptionError(msg)

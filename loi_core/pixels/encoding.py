@@ -22,11 +22,11 @@ def check_encoding(encoding: object) -> Encoding:
     Raises
     ------
     OptionError
-        If it is not known.
+        If it is unknown.
     """
-    for known in get_args(Encoding):
-        if isinstance(encoding, str) and encoding.casefold() == known.casefold():
-            return known  # type: ignore[no-any-return]  # get_args is untyped
+    for spelling in get_args(Encoding):
+        if isinstance(encoding, str) and encoding.casefold() == spelling.casefold():
+            return spelling  # type: ignore[no-any-return]  # get_args is untyped
     msg = f"`encoding` must be 'linear' or 'sRGB', got {shown(encoding)}"
     raise OptionError(msg)
 

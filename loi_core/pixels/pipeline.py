@@ -109,7 +109,7 @@ class PixelPipeline:
 
     @classmethod
     def of(cls, settings: PixelSettings, layout: Layout, reference: Array) -> PixelPipeline:
-        """Prepare the pipeline for a reference, given as planes of shape (N, H, W) like those of the images."""
+        """Prepare the pipeline for a reference, planes of shape (N, H, W) in the library and dtype of the images."""
         xp = namespace(reference)
         weights = None if settings.weights is None else settings.weights.planes(layout, reference)
         visible = None
@@ -118,7 +118,7 @@ class PixelPipeline:
         if settings.nan_policy == "mask":
             visible = xp.isfinite(reference) if visible is None else xp.isfinite(reference) & visible
         if visible is not None:
-            # A pixel that is not visible keeps its reference value, if that is finite.
+            # An invisible pixel keeps its reference value unless the value is not finite.
             reference = xp.where(xp.isfinite(reference), reference, xp.zeros_like(reference))
         toned = settings.apply_tone(reference)
         unclipped = settings.apply_colours(toned)
@@ -147,8 +147,8 @@ class PixelPipeline:
         if visible is not None:
             planes = xp.where(visible, planes, xp.zeros_like(planes))  # no NaN reaches a curve or its derivative
         if settings.nan_policy == "raise" and check_finite:
-            seen = image if visible is None else self.layout.to_image(planes)
-            require_finite("image", seen, settings.channel_axis)
+            masked = image if visible is None else self.layout.to_image(planes)
+            require_finite("image", masked, settings.channel_axis)
         toned = settings.apply_tone(planes)
         if visible is not None:
             toned = xp.where(visible, toned, self.toned_reference)

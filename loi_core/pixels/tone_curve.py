@@ -62,9 +62,9 @@ class LogTone:
         sign = xp.where(image < 0, -ones, ones)
         magnitude = sign * image
         seam = self._seam(image)
-        low = xp.log1p(xp.clip(magnitude, max=seam) * self._gain)
-        high = xp.log(xp.clip(magnitude, min=seam) / seam)
-        return sign * (low + high) * (1.0 / math.log1p(self.compression))
+        below_seam = xp.log1p(xp.clip(magnitude, max=seam) * self._gain)
+        above_seam = xp.log(xp.clip(magnitude, min=seam) / seam)
+        return sign * (below_seam + above_seam) * (1.0 / math.log1p(self.compression))
 
     def pullback(self, image: Array, cotangent: Array) -> Array:
         """Return the cotangent of `image` from the cotangent of T(`image`): times T', positive, and 0 at infinity."""
@@ -81,7 +81,7 @@ class LogTone:
     def _seam(self, like: Array) -> float:
         """Return the power of two up to which the gain times a value stays in the range of the dtype.
 
-        Above it, the 1 in log(1 + gain x) is far below rounding, so the logarithm continues as log(x / seam), which is
+        Above it, the 1 in log(1 + gain x) is far below rounding. The logarithm continues as log(x / seam), which is
         exactly 0 at the seam; the division is exact.
         """
         largest = math.frexp(float(namespace(like).finfo(like.dtype).max))[1] - 1

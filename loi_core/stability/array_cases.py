@@ -128,8 +128,8 @@ def array_cases() -> list[HardCase]:
         ("complex image", "|z| and its derivative are another loss", convert, lambda image: image.astype(np.complex64)),
         ("object array", "it is slow, and holds any object", convert, lambda image: image.astype(object)),
     )
-    kept, error = "it is read without a copy and never written to", ImageTypeError
+    unchanged, error = "it is read without a copy and never written to", ImageTypeError
     return [
-        *(HardCase(name, danger, kept, pair, layout=layout) for name, danger, layout in views),
+        *(HardCase(name, danger, unchanged, pair, layout=layout) for name, danger, layout in views),
         *(HardCase(name, danger, answer, pair, error=error, layout=layout) for name, danger, answer, layout in invalid),
     ]

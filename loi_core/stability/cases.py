@@ -25,7 +25,7 @@ SPREADS: Final = "one pixel spreads through every blur to the whole gradient"
 
 @functools.cache
 def hard_cases() -> tuple[HardCase, ...]:
-    """Return all cases, in the order in which they are reported."""
+    """Return all cases, in the order of reports."""
     return (
         *_equal_image_cases(),
         *_range_cases(),
@@ -104,8 +104,8 @@ def _range_cases() -> list[HardCase]:
         image[8:, :4] = 1e-310
         return image, reference
 
-    far = ScaleSpace((0.0, 1.0), (1.0, 4.0), 0.125, bounds=(1000.0, 1001.0))
-    bright = ScaleSpace((0.0, 1.0), (1.0, 4.0), 1250.0, bounds=(0.0, 1e4))
+    offset_scales = ScaleSpace((0.0, 1.0), (1.0, 4.0), 0.125, bounds=(1000.0, 1001.0))
+    radiance_scales = ScaleSpace((0.0, 1.0), (1.0, 4.0), 1250.0, bounds=(0.0, 1e4))
     clipped = "a clipped value keeps the gradient that points back inside"
     return [
         HardCase(
@@ -124,14 +124,14 @@ def _range_cases() -> list[HardCase]:
             "float32 rounds levels near 1000 to 6e-5",
             "the error bound grows with it, and holds",
             partial(scaled, 1000.0, 1.0),
-            far,
+            offset_scales,
         ),
         HardCase(
             "radiance up to 1e4",
             "sizes differ widely in one sum",
             "bounds and beta scale with radiance",
             partial(scaled, 0.0, 1e4),
-            bright,
+            radiance_scales,
         ),
         HardCase(
             "fireflies of 1e4",
@@ -197,7 +197,7 @@ def _scale_cases() -> list[HardCase]:
         (1.0, "one soft histogram covers all intensities", "loss and gradient are nearly linear in intensity"),
         (10.0, "differences of CDFs are small beside the CDFs", "they barely exceed the tie threshold, 16 roundings"),
     )
-    small, both = ScaleSpace(1e-3, 1e-3, 0.125), ScaleSpace(200.0, 200.0, 0.125)
+    small, large = ScaleSpace(1e-3, 1e-3, 0.125), ScaleSpace(200.0, 200.0, 0.125)
     outside = ScaleSpace((0.0, 3.0), (1.0, 30.0), 0.125, boundary="zero")
     two = ScaleSpace((0.0, 1.0), (1.0, 4.0), 1.0, tails=0.0)
     many = ScaleSpace((0.0, 1.0), (0.0, 2.0), 1.0 / 1015.0)
@@ -215,7 +215,7 @@ def _scale_cases() -> list[HardCase]:
         HardCase("blur of a thousandth of a pixel", "sigma**2 underflows", "distances are divided first", pair, small),
         HardCase("sigma ten times the image", WIDE, MEAN, uneven, ScaleSpace(200.0, (0.0, 2.0), 0.125)),
         HardCase("alpha ten times the image", WIDE, MEAN, uneven, ScaleSpace((0.0, 1.0), 200.0, 0.125)),
-        HardCase("sigma and alpha ten times the image", WIDE, MEAN, uneven, both),
+        HardCase("sigma and alpha ten times the image", WIDE, MEAN, uneven, large),
         HardCase("black outside the image", "a wide blur loses nearly all mass at the border", lost, pair, outside),
         HardCase("1 level", "intensities have no second level", "only the density is compared", pair, single),
         HardCase("2 levels", "without tails a saturated pixel loses half its mass", "`tails` adds levels", pair, two),

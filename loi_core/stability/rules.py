@@ -112,9 +112,9 @@ def _check_batch(check: _Check, trial: Trial, expected: Expected, answer: Answer
             check.fail(described(outcome))
     for index, outcome in enumerate(trial.replaced):
         if isinstance(outcome, Answer):
-            before, after = answer.gradient[index], outcome.gradient[index]
-            allowed = BATCH_ULPS * epsilon_of(trial.dtype) * float(np.abs(before).max())
-            if not float(np.abs(after - before).max()) <= allowed:  # NaN is not a small change
+            expected_slopes, slopes = answer.gradient[index], outcome.gradient[index]
+            allowed = BATCH_ULPS * epsilon_of(trial.dtype) * float(np.abs(expected_slopes).max())
+            if not float(np.abs(slopes - expected_slopes).max()) <= allowed:  # NaN is not a small change
                 check.fail(f"the gradient of image {index} changed when the others were replaced")
     values = [outcome.value for outcome in trial.members if isinstance(outcome, Answer)]
     if values and abs(sum(values) / len(values) - answer.value) > 2.0 * expected.loss_bound:

@@ -71,7 +71,7 @@ class Trial:
     members : tuple of Answer or Exception
         For batches: at each image of the batch alone.
     replaced : tuple of Answer or Exception
-        For batches: with all images but the one of that index replaced.
+        For batches: with all images replaced except the image of that index.
     modified : bool
         Whether the caller's image was written to.
     compiled : bool
@@ -99,7 +99,7 @@ def epsilon_of(dtype: str) -> float:
 
 
 def dtypes_of(case: HardCase, backend: MeasurementBackend) -> tuple[str, ...]:
-    """Return the dtypes in which `case` is tried on `backend`."""
+    """Return the dtypes of the trials of `case` on `backend`."""
     if case.layout is not None:
         return backend.dtypes[:1]
     dtypes = (dtype for dtype in backend.dtypes if dtype != BFLOAT16_PRODUCTS)  # less precise than their dtype
@@ -119,9 +119,9 @@ def try_case(case: HardCase, name: str, backend: MeasurementBackend, dtype: str)
     replaced: list[Outcome] = []
     for index in range(len(image) if image.ndim == 4 else 0):
         members.append(evaluate(image[index], reference[index] if reference.ndim == 4 else reference))
-        others = np.full_like(image, np.nan) if case.nan_policy == "mask" else 0.5 * image
-        others[index] = image[index]
-        replaced.append(evaluate(others, reference))
+        replacement = np.full_like(image, np.nan) if case.nan_policy == "mask" else 0.5 * image
+        replacement[index] = image[index]
+        replaced.append(evaluate(replacement, reference))
     at_reference = None
     if dtype == backend.dtypes[0]:  # one dtype is enough: backends that compile each case take seconds
         at_reference = evaluate(np.broadcast_to(reference, image.shape), reference)
@@ -175,9 +175,9 @@ def _expected(case: HardCase, dtype: str) -> Expected:
 
 
 def _rounded_pair(case: HardCase, dtype: str) -> tuple[Host, Host]:
-    """Return image and reference as a backend sees them: in `dtype`, in float32 if that has 16 bits."""
+    """Return image and reference as a backend sees them: in `dtype`, or in float32 for dtypes of 16 bits."""
     with np.errstate(under="ignore"):  # values too small for a dtype become 0
-        image, reference = (_rounded(each, dtype) for each in case.make())
+        image, reference = (_rounded(array, dtype) for array in case.make())
     return (image if case.layout is None else case.layout(image)), reference
 
 

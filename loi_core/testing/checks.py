@@ -29,7 +29,7 @@ DIRECTIONS: Final = 4
 PERTURBATION_ULPS: Final = 3  # largest perturbation of an argument that samples the noise of a function
 NOISE_SAMPLES: Final = 6
 STANDARD_ERRORS: Final = 3.0  # of a mean over seeds that are attributed to chance
-MAX_UNCERTAINTY: Final = 0.05  # relative uncertainty of a measured slope up to which it can judge a gradient
+MAX_UNCERTAINTY: Final = 0.05  # largest relative uncertainty of a measured slope that can judge a gradient
 
 
 def slope_tolerance(epsilon: float) -> float:
@@ -250,9 +250,9 @@ class _Width:
     measured: Host
     rounding: float
 
-    def distance(self, other: _Width) -> float:
+    def distance(self, width: _Width) -> float:
         """Return the 2-norm over directions of the difference of the mean slopes at two widths."""
-        return float(np.linalg.norm(np.mean(self.measured - other.measured, axis=0)))
+        return float(np.linalg.norm(np.mean(self.measured - width.measured, axis=0)))
 
 
 def _noise(function: Callable[[Host], float], arguments: Sequence[Host], gradient: Host, epsilon: float) -> float:

@@ -161,7 +161,7 @@ def _check_batch(check: _Check, subject: ObjectiveSubject) -> None:
     """Check batches, which an objective may refuse."""
     image, reference = subject.images()
     pairs = [(image, reference), (0.5 * (image + reference), image[::-1].copy())]
-    images, references = (np.stack(each).astype(image.dtype) for each in zip(*pairs, strict=True))
+    images, references = (np.stack(arrays).astype(image.dtype) for arrays in zip(*pairs, strict=True))
     try:
         value = float(subject.make(subject.asarray(references)).value(subject.asarray(images)))
     except ValueError:
@@ -210,8 +210,8 @@ def _check_no_memory(check: _Check, subject: ObjectiveSubject) -> None:
     first, slopes = float(value), to_numpy(gradient).copy()
     if float(objective.value(subject.asarray(0.5 * (image + reference)))) == first:
         check.fail("two different images gave the same value to the bit")
-    again, gradient = objective.value_and_grad(subject.asarray(image))
-    if float(again) != first or not bitwise_equal(to_numpy(gradient), slopes):
+    second, gradient = objective.value_and_grad(subject.asarray(image))
+    if float(second) != first or not bitwise_equal(to_numpy(gradient), slopes):
         check.fail("after another image, the first one gave another value or gradient")
 
 

@@ -108,11 +108,11 @@ def _check_parameters(check: _Check, subject: RendererSubject) -> None:
             check.fail(f"parameter {name!r}: {error}")
         if not np.all(np.isfinite(to_numpy(value))):
             check.fail(f"parameter {name!r} starts with values that are not finite")
-    again = subject.renderer.parameters()
-    if again is params or list(again) != list(params):
+    second_params = subject.renderer.parameters()
+    if second_params is params or list(second_params) != list(params):
         check.fail("expected a new dict with the same names on each call")
     for name, value in params.items():
-        first, second = to_numpy(value), to_numpy(again[name])
+        first, second = to_numpy(value), to_numpy(second_params[name])
         if first.flags.writeable and np.shares_memory(first, second):
             check.fail(f"two calls returned the same array of {name!r}, so writes to one change the other")
 
@@ -130,9 +130,9 @@ def _check_image(check: _Check, subject: RendererSubject) -> None:
             check.fail(f"expected an image of shape (H, W, C) from {method}, got {tuple(rendered.shape)}")
         if not np.all(np.isfinite(to_numpy(rendered))):
             check.fail(f"{method} returned {int((~np.isfinite(to_numpy(rendered))).sum())} values that are not finite")
-    kind, vjp_kind = (f"{library_name(rendered)} {rendered.dtype}" for rendered in (image, vjp_image))
-    if kind != vjp_kind:
-        check.fail(f"render returned an image of {kind}, render_vjp an image of {vjp_kind}")
+    image_type, vjp_image_type = (f"{library_name(rendered)} {rendered.dtype}" for rendered in (image, vjp_image))
+    if image_type != vjp_image_type:
+        check.fail(f"render returned an image of {image_type}, render_vjp an image of {vjp_image_type}")
     if tuple(image.shape) != tuple(vjp_image.shape):
         check.fail(f"render returned shape {tuple(image.shape)}, render_vjp {tuple(vjp_image.shape)}")
     if not callable(pullback):
@@ -160,9 +160,9 @@ def _check_no_memory(check: _Check, subject: RendererSubject) -> None:
         check.fail("rendering other parameters wrote to an image that had been returned")
     if bitwise_equal(first, moved_image):
         check.fail("a small change of all parameters left the image the same to the bit")
-    again = to_numpy(renderer.render(params, seed=subject.seed))
-    if not bitwise_equal(first, again):
-        worst = float(np.abs(first - again).max())
+    repeated = to_numpy(renderer.render(params, seed=subject.seed))
+    if not bitwise_equal(first, repeated):
+        worst = float(np.abs(first - repeated).max())
         check.fail(f"after a render of other parameters, the image at the first ones is off by up to {worst:.3g}")
 
 
@@ -209,7 +209,7 @@ def _check_linearity(check: _Check, subject: RendererSubject) -> None:
     u, v = _cotangent(image, subject.seed), _cotangent(image, subject.seed + 1)
     first, second = pullback(u), pullback(v)
     combined = pullback(2.0 * u - 3.0 * v)
-    again = pullback(u)
+    repeated = pullback(u)
     tolerance = 1e3 * epsilon(image)
     for name in combined:
         a, b, c = to_numpy(first[name]), to_numpy(second[name]), to_numpy(combined[name])
@@ -217,7 +217,7 @@ def _check_linearity(check: _Check, subject: RendererSubject) -> None:
         error = float(np.linalg.norm(c - (2.0 * a - 3.0 * b)))
         if error > tolerance * max(scale, 1e-30) * 5.0:
             check.fail(f"pullback(2 u - 3 v) of {name!r} is off by {error:.3g}, at a size of {scale:.3g}")
-        if not np.allclose(to_numpy(again[name]), a, rtol=tolerance, atol=tolerance * scale):
+        if not np.allclose(to_numpy(repeated[name]), a, rtol=tolerance, atol=tolerance * scale):
             check.fail(f"the pullback of {name!r} returned another result when called again")
 
 
@@ -240,8 +240,8 @@ def _check_pullback_memory(check: _Check, subject: RendererSubject) -> None:
     _expect_same(check, pullback(cotangent), first, "after the caller wrote to its parameters, the pullback")
 
 
-def _expect_same(check: _Check, gradient: Parameters, before: Mapping[str, Host], pullback: str) -> None:
-    for name, expected in before.items():
+def _expect_same(check: _Check, gradient: Parameters, expected_gradient: Mapping[str, Host], pullback: str) -> None:
+    for name, expected in expected_gradient.items():
         slope = to_numpy(gradient[name])
         tolerance = 1e3 * epsilon(gradient[name])
         if not np.allclose(slope, expected, rtol=tolerance, atol=tolerance * np.abs(expected).max(initial=0.0)):
@@ -290,13 +290,13 @@ def _slopes(subject: RendererSubject, name: str, params: Parameters, eps: float)
 
 
 def _check_edges(check: _Check, subject: RendererSubject) -> None:
-    """Check that the gradient, integrated along a path on which edges cross pixels, equals the image's change."""
+    """Check that the gradient, integrated along a path where edges cross pixels, equals the image's change."""
     if subject.seeds > 1:
         return  # noise would be integrated too
     renderer, start = subject.renderer, subject.renderer.parameters()
-    end = _moved(start, subject.seed)
-    path = {name: to_numpy(end[name]).astype(np.float64) - to_numpy(value) for name, value in start.items()}
-    first, last = (renderer.render(params, seed=subject.seed) for params in (start, end))
+    target = _moved(start, subject.seed)
+    path = {name: to_numpy(target[name]).astype(np.float64) - to_numpy(value) for name, value in start.items()}
+    first, last = (renderer.render(params, seed=subject.seed) for params in (start, target))
     change = to_numpy(last).astype(np.float64) - to_numpy(first)
     cotangents = [_cotangent(first, subject.seed + 11 + index) for index in range(RANDOM_SUMS)]
     measured = np.array([np.sum(to_numpy(cotangent) * change) for cotangent in cotangents])

@@ -102,10 +102,10 @@ def test_a_gradient_reaches_across_a_gap() -> None:
     scales = ScaleSpace(1, (1, 5, 15), 0.125)
     _, gradient = LOIObjective(reference, scales).value_and_grad(image)
     _, baseline = PixelL2(reference).value_and_grad(image)
-    ahead, behind = (slice(14, 15), slice(8, 14)), (slice(7, 8), slice(8, 14))  # just past the object's two edges
+    leading, trailing = (slice(14, 15), slice(8, 14)), (slice(7, 8), slice(8, 14))  # just past the object's two edges
     # Moving the object towards the reference brightens the pixels ahead of it, so their gradient must be lower.
-    assert gradient[ahead].sum() < gradient[behind].sum()
-    assert baseline[ahead].sum() == baseline[behind].sum() == 0.0
+    assert gradient[leading].sum() < gradient[trailing].sum()
+    assert baseline[leading].sum() == baseline[trailing].sum() == 0.0
 
 
 def test_the_gradient_is_zero_at_the_reference() -> None:

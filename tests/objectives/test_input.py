@@ -128,8 +128,8 @@ def test_the_error_counts_bad_pixels_and_names_the_first(bad: float) -> None:
         LOIObjective(REFERENCE, SCALES).value(image)
     assert (caught.value.count, caught.value.first) == (2, (2, 3, 1))
     assert isinstance(caught.value, ValueError)
-    again = pickle.loads(pickle.dumps(caught.value))  # noqa: S301 - written here, as by a worker process
-    assert (str(again), again.count) == (str(caught.value), 2)
+    unpickled = pickle.loads(pickle.dumps(caught.value))  # noqa: S301 - written here, as by a worker process
+    assert (str(unpickled), unpickled.count) == (str(caught.value), 2)
     with pytest.raises(NonFiniteImageError, match="`reference` has"):
         LOIObjective(image, SCALES)
 

@@ -42,8 +42,8 @@ def test_ms_ssim_keeps_the_contract_of_objectives() -> None:
 
 
 def test_ms_ssim_uses_as_many_levels_as_fit_by_default() -> None:
-    for side, levels in ((11, 1), (21, 1), (22, 2), (128, 4), (175, 4), (176, 5), (400, 5)):
-        image, reference = np.random.default_rng(0).uniform(size=(2, side, side, 1))
+    for size, levels in ((11, 1), (21, 1), (22, 2), (128, 4), (175, 4), (176, 5), (400, 5)):
+        image, reference = np.random.default_rng(0).uniform(size=(2, size, size, 1))
         assert float(MSSSIM(reference).value(image)) == float(MSSSIM(reference, levels).value(image))
         with pytest.raises(OptionError, match=f"from 1 to {levels} "):
             MSSSIM(reference, levels + 1)

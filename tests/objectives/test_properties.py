@@ -119,7 +119,7 @@ def test_the_triangle_inequality_holds_for_p_of_1_and_more(problem: Problem, see
 
 @given(problems(), st.integers(0, 2**31))
 def test_an_extent_of_three_image_sides_ignores_the_order_of_pixels(problem: Problem, seed: int) -> None:
-    # Mirrored at its ends, an axis of n pixels is one of period 2 n, on which a Gaussian of alpha = 3 n differs from a
+    # With reflection, an axis of n pixels has the period 2 n. A Gaussian of alpha = 3 n with this period differs from a
     # constant by 2 exp(-(3 pi)^2 / 2) = 1e-19.
     image, reference, scales = typed(problem)
     wide = ScaleSpace(0, 3 * max(image.shape[-3:-1]), scales.beta, scales.bounds)

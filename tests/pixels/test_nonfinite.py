@@ -90,8 +90,8 @@ def test_the_error_counts_each_kind_of_value_and_names_the_likely_cause(
     assert error.count == sum(counts)
     # With all pixels masked, the loss would be 0.
     assert ("nan_policy='mask'" in str(error)) == (error.count < image.size)
-    again = pickle.loads(pickle.dumps(error))  # noqa: S301 - written here, as by a worker process
-    assert (str(again), vars(again)) == (str(error), vars(error))
+    unpickled = pickle.loads(pickle.dumps(error))  # noqa: S301 - written here, as by a worker process
+    assert (str(unpickled), vars(unpickled)) == (str(error), vars(error))
 
 
 @pytest.mark.parametrize(
@@ -132,9 +132,9 @@ def test_values_of_masked_pixels_change_nothing_to_the_bit(data: st.DataObject, 
         image[missing & ~hidden] = rng.uniform(-1e3, 1e3, int((missing & ~hidden).sum()))
         reference[missing] = rng.choice(BAD, size=int(missing.sum()))
         results.append(MASKING[name](reference, tone=tone).value_and_grad(image))
-    (value, gradient), (again, slopes) = results
+    (value, gradient), (second_value, slopes) = results
     assert np.isfinite(value)
-    assert value == again
+    assert value == second_value
     np.testing.assert_array_equal(gradient, slopes)
     assert not np.any(gradient[hidden | missing])
     assert np.all(np.isfinite(gradient))
@@ -164,8 +164,8 @@ def test_masking_works_under_jit(masked: str, tone: LogTone | None) -> None:
             loss = loi_jax.loi_loss(reference, scales, nan_policy="mask", tone=tone)
             compiled = jax.jit(jax.value_and_grad(loss))
         results.append(compiled(jnp.asarray(image)))
-    (value, gradient), (again, slopes) = results
-    assert float(value) == float(again)
+    (value, gradient), (second_value, slopes) = results
+    assert float(value) == float(second_value)
     np.testing.assert_array_equal(gradient, slopes)
     assert not np.any(gradient[hole])
     objective = LOIObjective(reference, scales, nan_policy="mask", tone=tone)

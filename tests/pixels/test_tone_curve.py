@@ -42,9 +42,9 @@ def test_the_tone_curve_is_finite_odd_and_increasing_for_all_floats(
     tone: LogTone, data: st.DataObject, dtype: str
 ) -> None:
     floats = st.floats(width=WIDTHS[dtype], allow_nan=False, allow_infinity=False)  # type: ignore[arg-type]
-    drawn = [*data.draw(st.lists(floats, min_size=1, max_size=6)), tone.peak, 1e-3 * tone.peak, 1e30]
+    samples = [*data.draw(st.lists(floats, min_size=1, max_size=6)), tone.peak, 1e-3 * tone.peak, 1e30]
     largest, smallest = np.finfo(dtype).max, np.finfo(dtype).smallest_subnormal
-    values = np.sort(np.array([*drawn, largest, -largest, smallest, -smallest, 0.0], dtype=dtype))
+    values = np.sort(np.array([*samples, largest, -largest, smallest, -smallest, 0.0], dtype=dtype))
     curve, slope = tone.apply(values), tone.pullback(values, np.ones_like(values))
     eps = float(np.finfo(dtype).eps)
     assert curve.dtype == slope.dtype == np.dtype(dtype)

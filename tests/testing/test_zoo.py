@@ -89,8 +89,8 @@ def test_expected_failures_must_exist_and_must_fail() -> None:
 
 def test_a_conformance_error_survives_pickling() -> None:
     error = ConformanceError("image", "a rule", "a finding")
-    again = pickle.loads(pickle.dumps(copy.copy(error)))  # noqa: S301 - written here, as by a worker process
-    assert (str(again), again.check) == (str(error), "image")
+    unpickled = pickle.loads(pickle.dumps(copy.copy(error)))  # noqa: S301 - written here, as by a worker process
+    assert (str(unpickled), unpickled.check) == (str(error), "image")
 
 
 class Blob:

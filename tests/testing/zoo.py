@@ -67,7 +67,7 @@ class GradientAtDefaults(Sound):
 
 
 class ReadsLater(Sound):
-    """The pullback reads the parameters when it is called, and so sees later writes."""
+    """The pullback reads the parameters when it is called, after later writes."""
 
     def render_vjp(self, params: Params, *, seed: int = 0) -> Any:
         return super().render_vjp(params)[0], lambda g: super(ReadsLater, self).render_vjp(params)[1](g)
@@ -177,8 +177,8 @@ class SlowlyForgets(Sound):
 
     def render(self, params: Params, *, seed: int = 0) -> Any:
         image = super().render(params)
-        before, self.before = getattr(self, "before", image), image
-        return image + 1e-3 * (before - image)
+        previous, self.previous = getattr(self, "previous", image), image
+        return image + 1e-3 * (previous - image)
 
 
 class MutatesParameters(Sound):
@@ -341,11 +341,11 @@ class TransposedGradient(Wrapped):
 class StaleValue(Wrapped):
     def value_and_grad(self, image: Any) -> Any:
         value, gradient = super().value_and_grad(image)
-        before, self.before = getattr(self, "before", gradient), gradient
-        return value, before if np.shape(before) == np.shape(gradient) else gradient
+        previous, self.previous = getattr(self, "previous", gradient), gradient
+        return value, previous if np.shape(previous) == np.shape(gradient) else gradient
 
     def value(self, image: Any) -> Any:
-        value, self.before = super().value_and_grad(image)
+        value, self.previous = super().value_and_grad(image)
         return value
 
 
