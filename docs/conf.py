@@ -7,8 +7,8 @@ import sys
 from pathlib import Path
 from typing import Final
 
-HERE: Final = Path(__file__).parent
-sys.path[:0] = [str(HERE)]  # for the extensions of this folder
+DOCS: Final = Path(__file__).parent
+sys.path[:0] = [str(DOCS)]  # for the extensions of this folder
 
 import loi_mitsuba  # noqa: E402, F401 - before Dr.Jit is imported, so that it gets an LLVM that works
 from loi_core import __version__  # noqa: E402 - the path is set before
@@ -55,13 +55,13 @@ copybutton_selector = "div.highlight-python pre, div.highlight-sh pre, div.highl
 
 linkcheck_timeout = 20
 linkcheck_retries = 2
-linkcheck_anchors = False  # of other sites; those of this one are checked by the build
+linkcheck_anchors = False  # the build checks the anchors within this site
 
 sphinx_gallery_conf = {
     "examples_dirs": "../examples/gallery",
     "gallery_dirs": "gallery",
     "filename_pattern": "/plot_",
-    "ignore_pattern": r"(^|/)(?!plot_)[^/]*\.py$",  # what the scripts share
+    "ignore_pattern": r"(^|/)(?!plot_)[^/]*\.py$",  # shared helpers of the scripts
     "write_computation_times": False,
     "plot_gallery": os.environ.get("GALLERY") != "0",  # "0" shows the scripts without running them
     "download_all_examples": False,

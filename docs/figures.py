@@ -1,4 +1,4 @@
-"""Makes the pictures of the README: ``python docs/figures.py DEMO``, where DEMO is a folder written by ``loi demo``."""
+"""Draw the pictures of the README: ``python docs/figures.py DEMO``, with a folder written by ``loi demo``."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ COLUMNS: Final = (
 
 
 def show_demo(demo: Path) -> None:
-    """Both scenes of the demo: where they start, what is wanted, and where each objective ends."""
+    """Draw both scenes of the demo: start, target, and the result of each objective."""
     figure = new_figure(11.0, 4.3)
     axes = figure.subplots(2, len(COLUMNS), height_ratios=[1.0, 0.78])
     for row, name in enumerate(("disks", "photograph")):
@@ -35,13 +35,13 @@ def show_demo(demo: Path) -> None:
                 axes[row, column].set_title(title, fontweight="bold" if title == "loi" else "normal")
         trials = json.loads((demo / name / "result" / "result.json").read_text())["trials"]
         for column, objective in ((2, "pixel_l2"), (3, "gaussian_pyramid"), (4, "loi")):
-            quality = next(one["psnr"] for one in trials if one["objective"] == objective)
+            quality = next(trial["psnr"] for trial in trials if trial["objective"] == objective)
             axes[row, column].set_xlabel(f"{quality:.1f} dB")
     figure.savefig(IMAGES / "demo.png", dpi=90)
 
 
 def show_scales(demo: Path) -> None:
-    """The three scales on the photograph of the demo."""
+    """Draw the three scales on the photograph of the demo."""
     image = read_image(demo / "photograph" / "target.png").mean(axis=-1)
     scales = ScaleSpace(sigma=(0, 2, 6), alpha=(3, 8, 20), beta=0.08)
     inner = inner_images(image, scales, channel_axis=None)
@@ -76,7 +76,7 @@ def show_scales(demo: Path) -> None:
 
 
 def show_mesh() -> None:
-    """A teapot on a floor that overlaps its photograph nowhere: where it starts, what is wanted, and what is found."""
+    """Draw a teapot that does not overlap its photograph: start, target, and the result of the fit."""
     import torch
 
     from examples.paper.table3.teapot import teapot
@@ -95,17 +95,17 @@ def show_mesh() -> None:
         lights={"sun": Light(direction=(-1, -2, -2))},
         background=(0.55, 0.7, 0.9),
     )
-    there = {"place": torch.tensor([2.0, 0.0, 0.6]), "turn": torch.tensor(40.0)}
-    target = renderer.render({name: value.double() for name, value in there.items()})
+    truth = {"place": torch.tensor([2.0, 0.0, 0.6]), "turn": torch.tensor(40.0)}
+    target = renderer.render({name: value.double() for name, value in truth.items()})
     free = {"place": Free((-2.2, 0.0, -1.0), (-3.0, 0.0, -3.0), (3.0, 0.0, 2.0)), "turn": Free(0.0, -90.0, 90.0)}
     start = renderer.render({"place": torch.tensor([-2.2, 0.0, -1.0]).double(), "turn": torch.tensor(0.0).double()})
     result = fit(renderer, LOIObjective(target), steps=200, optimise=free)
     print(result.params, result.diagnosis)
     figure = new_figure(11.0, 2.3)
     axes = figure.subplots(1, 3)
-    for place, title, image in zip(axes, ("start", "photograph", "found"), (start, target, result.image), strict=True):
-        _picture(place, encode_srgb(np.clip(image.numpy(), 0.0, 1.0)))
-        place.set_title(title)
+    for axis, title, image in zip(axes, ("start", "photograph", "result"), (start, target, result.image), strict=True):
+        _picture(axis, encode_srgb(np.clip(image.numpy(), 0.0, 1.0)))
+        axis.set_title(title)
     figure.savefig(IMAGES / "mesh.png", dpi=90)
 
 

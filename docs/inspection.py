@@ -1,6 +1,6 @@
-"""Makes the pictures of docs/inspect.md: ``python docs/inspection.py``; it needs a Chromium and playwright.
+"""Draw the pictures of docs/inspect.md: ``python docs/inspection.py``; needs a Chromium and playwright.
 
-The portrait that Matplotlib ships, and the disks of the demo, are inspected, and the pages photographed.
+Takes screenshots of `loi inspect` for Matplotlib's portrait and the disks of the demo.
 """
 
 from __future__ import annotations
@@ -26,45 +26,45 @@ SIZE: Final = (1100, 760)
 
 
 def portrait(folder: Path) -> tuple[Path, Path]:
-    """Grace Hopper (James S. Davis, U.S. Navy, public domain), and the same moved, turned and darker."""
+    """Write Grace Hopper (James S. Davis, U.S. Navy, public domain), and a shifted, rotated and darker copy."""
     source = Path(get_data_path()) / "sample_data" / "grace_hopper.jpg"
-    there, render = folder / "photo.jpg", folder / "render.png"
-    shutil.copyfile(source, there)
-    with Image.open(there) as picture:
+    photo, render = folder / "photo.jpg", folder / "render.png"
+    shutil.copyfile(source, photo)
+    with Image.open(photo) as picture:
         Image.eval(picture.rotate(-12, translate=(60, 20)), lambda value: int(0.8 * value)).save(render)
-    return render, there
+    return render, photo
 
 
 def disks(folder: Path) -> tuple[Path, Path]:
-    """The disks of the demo: where they start, and their target."""
+    """Write the disks of the demo at their start, and their target."""
     write_png(folder / "render.png", Start.of(load_scene(copy_scene("disks", folder))).host)
     return folder / "render.png", folder / "target.png"
 
 
 def inspected(image: Path, reference: Path) -> Path:
-    """Their page."""
+    """Inspect two images and return the page."""
     page = image.parent / "inspect.html"
     assert main(["inspect", str(image), str(reference), "--output", str(page)]) == 0
     return page
 
 
 def photograph(page: Page, name: str, *, selector: str | None = None) -> None:
-    """Write what is in the window, or one element, with few colours."""
+    """Write the window or one element as a PNG of few colours."""
     shot = page.locator(selector).screenshot() if selector else page.screenshot()
     picture = Image.open(io.BytesIO(shot)).convert("RGB").quantize(255, dither=Image.Dither.NONE)
     picture.save(PICTURES / name, optimize=True)
 
 
-def point(page: Page, across: float, down: float) -> None:
-    """Hold the point at a place of the picture, given in parts of it."""
+def point(page: Page, x: float, y: float) -> None:
+    """Click a point of the picture, in fractions of its size."""
     page.wait_for_selector("#stage[data-ready]")
     box = page.locator("#backdrop").bounding_box()
     assert box is not None
-    page.mouse.click(box["x"] + across * box["width"], box["y"] + down * box["height"])
+    page.mouse.click(box["x"] + x * box["width"], box["y"] + y * box["height"])
 
 
 def draw() -> None:
-    """All pictures."""
+    """Draw all pictures."""
     PICTURES.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder, sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=["--no-sandbox"])

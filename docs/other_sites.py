@@ -1,4 +1,4 @@
-"""Checks the links to other sites: ``python docs/other_sites.py``. Without a network it says so, and is done."""
+"""Check the links to other sites: ``python docs/other_sites.py``. Without a network it exits with 0."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from typing import Final
 
 from sphinx.cmd.build import main as sphinx
 
-HERE: Final = Path(__file__).parent
-ASKED: Final = ("https://toml.io", "https://www.python.org")  # if neither answers, nothing will
+DOCS: Final = Path(__file__).parent
+PROBE_SITES: Final = ("https://toml.io", "https://www.python.org")  # without an answer from either, there is no network
 
 
 def main() -> int:
-    """The exit status of the check, 0 where there is no network."""
-    if not any(_answers(one) for one in ASKED):
+    """Return the exit status of the check, 0 without a network."""
+    if not any(_answers(site) for site in PROBE_SITES):
         print("no network: links to other sites were NOT checked; all links within this site were, by the build")
         return 0
-    build = HERE / "_build"
-    status: int = sphinx(["-b", "linkcheck", "-q", "-d", str(build / "doctrees"), str(HERE), str(build / "linkcheck")])
+    build = DOCS / "_build"
+    status: int = sphinx(["-b", "linkcheck", "-q", "-d", str(build / "doctrees"), str(DOCS), str(build / "linkcheck")])
     return status
 
 

@@ -1,4 +1,4 @@
-"""Makes the pictures of docs/report.md: ``python docs/screenshots.py REPORT.html``, a page that `loi demo` has written.
+"""Draw the pictures of docs/report.md: ``python docs/screenshots.py REPORT.html``, a page written by `loi demo`.
 
 Needs playwright and a Chromium.
 """
@@ -18,8 +18,8 @@ IMAGES: Final = Path(__file__).parent / "images" / "report"
 BROWSERS: Final = ("chromium", "chromium-browser", "google-chrome")
 SCHEMES: Final[tuple[Literal["light", "dark"], ...]] = ("light", "dark")
 HEIGHTS: Final = {390: 2300, 1600: 2000}
-SHOWN: Final = 6  # of the recorded steps
-COLOURS: Final = 256  # of a picture: pages have few, and files stay small
+SHOWN_STEP: Final = 6  # index of a recorded step
+MAX_COLOURS: Final = 256  # keeps files small
 
 
 def main(page: Path, folder: Path) -> None:
@@ -37,10 +37,10 @@ def main(page: Path, folder: Path) -> None:
                 tab.goto(page.resolve().as_uri())
                 tab.get_by_label("Left", exact=True).select_option("initial")
                 tab.get_by_label("Right", exact=True).select_option("final-0")
-                tab.get_by_label("Step", exact=True).fill(str(SHOWN))
-                part = tab.screenshot(full_page=True, clip={"x": 0, "y": 0, "width": width, "height": height})
-                shown = Image.open(io.BytesIO(part)).convert("RGB")
-                small = shown.quantize(COLOURS, dither=Image.Dither.NONE)
+                tab.get_by_label("Step", exact=True).fill(str(SHOWN_STEP))
+                screenshot = tab.screenshot(full_page=True, clip={"x": 0, "y": 0, "width": width, "height": height})
+                shown = Image.open(io.BytesIO(screenshot)).convert("RGB")
+                small = shown.quantize(MAX_COLOURS, dither=Image.Dither.NONE)
                 small.save(folder / f"{width}-{scheme}.png", optimize=True)
                 context.close()
         browser.close()
