@@ -4,7 +4,7 @@ from loi_core.errors import FitDivergedError, FitError, LoiError, NonFiniteImage
 from loi_core.fitting.loop import FitInterruptedError, FitResult, FitStep, fit
 from loi_core.fitting.optimiser import Optimiser
 from loi_core.fitting.parameters import Free
-from loi_core.fitting.stages import FarToNear
+from loi_core.fitting.schedule import FarToNear
 from loi_core.fitting.verdict import Diagnosis
 from loi_core.method.histograms import inner_images, isophotes, local_histograms
 from loi_core.method.scales import ScaleSpace

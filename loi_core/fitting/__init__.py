@@ -1,1 +1,1 @@
-"""Fitting the parameters of a scene to an image: the loop, its optimiser, and its checkpoints."""
+"""Fit the parameters of a scene to an image: the loop, its schedule, its optimiser and its checkpoints."""

@@ -17,21 +17,21 @@ __all__ = ["Adam"]
 FIRST_DECAY: Final = 0.9
 SECOND_DECAY: Final = 0.999
 # Far below any gradient that matters: losses are means over pixels, so gradients of 1e-8 can be the signal.
-FLOOR: Final = 1e-15
+EPSILON: Final = 1e-15
 
 FIRST, SECOND, COUNT = "first/", "second/", "count"
 
 
 class Adam:
-    """Adam (Kingma and Ba 2015), with a floor that suits losses that are means over pixels.
+    """Adam (Kingma and Ba 2015), with an epsilon for losses that are means over pixels.
 
-    It remembers running means of the gradient, ``first/NAME``, and of its square, ``second/NAME``, in float32 at least,
-    and how many steps they hold, ``count``.
+    Its memory holds the moments of the gradient, ``first/NAME`` and ``second/NAME``, in float32 at least, and the step
+    ``count``.
     """
 
     def start(self, params: Parameters, after: Memory | None = None) -> Memory:
-        """See :class:`Optimiser`. After another descent, the squares and the count are kept."""
-        first = {FIRST + name: namespace(value).zeros_like(_wide(value)) for name, value in params.items()}
+        """See :class:`Optimiser`. After another descent, the second moments and the count are kept."""
+        first = {FIRST + name: namespace(value).zeros_like(_at_least_float32(value)) for name, value in params.items()}
         if after is not None:
             return {**after, **first}
         second = {SECOND + name: first[FIRST + name] for name in params}
@@ -44,18 +44,19 @@ class Adam:
         count = int(memory[COUNT]) + 1
         moved, after = dict(params), dict(memory)
         for name, rate in rates.items():
-            slope = _wide(gradient[name])
+            slope = _at_least_float32(gradient[name])
             first = FIRST_DECAY * memory[FIRST + name] + (1.0 - FIRST_DECAY) * slope
             second = SECOND_DECAY * memory[SECOND + name] + (1.0 - SECOND_DECAY) * slope * slope
             mean = first / (1.0 - FIRST_DECAY**count)
-            spread = (second / (1.0 - SECOND_DECAY**count)) ** 0.5
+            deviation = (second / (1.0 - SECOND_DECAY**count)) ** 0.5
             value: Array = params[name]
-            moved[name] = namespace(value).astype(_wide(value) - rate * mean / (spread + FLOOR), value.dtype)
+            stepped = _at_least_float32(value) - rate * mean / (deviation + EPSILON)
+            moved[name] = namespace(value).astype(stepped, value.dtype)
             after[FIRST + name], after[SECOND + name] = first, second
         after[COUNT] = np.asarray(float(count))
         return moved, after
 
-    def identity(self, params: Parameters) -> str:  # noqa: ARG002  # it is the same for all
+    def identity(self, params: Parameters) -> str:  # noqa: ARG002  # the same for all parameters
         """See :class:`Optimiser`."""
         return "Adam"
 
@@ -71,11 +72,11 @@ class Adam:
             if not valid:
                 msg = f"`checkpoint`: {name!r} are not numbers of a fit; delete it to start anew"
                 raise ParameterError(msg)
-        live = {name: from_numpy(value, fresh[name]) for name, value in stored.items() if name != COUNT}
-        return live | {COUNT: np.asarray(float(stored[COUNT]))}
+        memory = {name: from_numpy(value, fresh[name]) for name, value in stored.items() if name != COUNT}
+        return memory | {COUNT: np.asarray(float(stored[COUNT]))}
 
 
-def _wide(array: Array) -> Array:
-    """`array` in float32 at least: in 16 bits squares of small gradients are 0, and so is the floor under them."""
+def _at_least_float32(array: Array) -> Array:
+    """Return `array` in float32 at least: in 16 bits squares of small gradients underflow to 0, and so does epsilon."""
     xp = namespace(array)
     return xp.astype(array, xp.float32) if xp.finfo(array.dtype).bits < 32 else array

@@ -1,4 +1,4 @@
-"""What a fit calls after every step."""
+"""Callbacks of a fit."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ Callback: TypeAlias = Callable[[FitStep, Parameters, Images], bool | None]
 
 
 def ends_the_fit(answer: object) -> bool:
-    """Whether this answer of a callback does.
+    """Return whether the return value of a callback ends the fit.
 
     Raises
     ------
     OptionError
-        If it is neither a bool nor None: an array, say, is neither true nor false.
+        If it is neither a bool nor None; an array, for one, is neither true nor false.
     """
     if answer is None or isinstance(answer, bool | np.bool_):
         return bool(answer)
@@ -36,13 +36,13 @@ def ends_the_fit(answer: object) -> bool:
 
 @runtime_checkable
 class RememberingCallback(Protocol):
-    """A callback whose memory a checkpoint keeps, so that one of a resumed fit knows what was called before."""
+    """A callback whose memory is saved in checkpoints, so that a resumed fit restores it."""
 
     def __call__(self, step: FitStep, params: Parameters, image: Images, /) -> bool | None:
-        """What every callback is called with."""
+        """Handle a step, as any callback."""
 
     def memory(self) -> Mapping[str, Host]:
-        """What a checkpoint is to keep: arrays of numbers by name. It may be of more steps than the checkpoint is."""
+        """Return the memory to save: arrays of numbers by name. It may cover more steps than the checkpoint."""
 
     def restore(self, memory: Mapping[str, Host], /) -> None:
-        """Go on with what was kept, before the first step is called; empty if another callback was there before."""
+        """Restore the memory before the first step; it is empty if another callback wrote the checkpoint."""

@@ -159,17 +159,15 @@ def save_checkpoint(path: Path, state: State, settings: Mapping[str, str], callb
         "step": state.step,
         "best": [best.value, best.step, best.stage, best.partial],
         "rates": dict(state.rates),
-        "schedule": state.schedule.state(),
+        "schedule": state.schedule.to_json(),
         "latest": dict(state.latest),
         "agreeing": state.agreeing,
         "recorded": {name: value.shape for name, value in state.log[0].params.items()} if state.step else {},
     }
-    arrays: dict[str, Any] = {
-        "state": np.asarray(json.dumps({"settings": dict(settings), "numbers": numbers})),
-        "history": rows_of(state.history),
-    }
+    arrays: dict[str, Any] = {"history": rows_of(state.history)}
     for group, values in zip(GROUPS, (state.params, state.memory, best.params, callback), strict=True):
         arrays |= {f"{group}/{name}": np.asarray(to_numpy(value)) for name, value in values.items()}
+    arrays["state"] = np.asarray(json.dumps({"settings": dict(settings), "numbers": numbers, "arrays": [*arrays]}))
     with atomic_path(path) as temporary, temporary.open("wb") as stream:
         np.savez(stream, allow_pickle=False, **arrays)
         stream.flush()
@@ -211,9 +209,7 @@ def _load(path: Path) -> Checkpoint:
         with np.load(stream, allow_pickle=False) as stored:  # it checks the CRC of every array that is read
             state = json.loads(str(stored["state"]))
             numbers, rows = state["numbers"], stored["history"]
-            for key in stored.files:  # in their order, which is the order of the parameters
-                if key in ("state", "history"):
-                    continue
+            for key in state["arrays"][1:]:  # in the order of the parameters; a missing one raises a KeyError
                 group, _, name = key.partition("/")
                 values = groups[group]
                 values[name] = value = stored[key]
@@ -255,7 +251,7 @@ def settings_of(
         "start": _digest(given),
         "starts": str(starts),
         "bounds": _digest(limits),
-        "stages": f"{views.stages}, the last of them to finish" if views.finish else str(views.stages),
+        "stages": f"{views.stages}, the last of them a polish" if views.polish else str(views.stages),
         "views": json.dumps([*views.each, views.at_once]),
         "optimiser": optimiser,
     }
@@ -301,8 +297,6 @@ def resume(
             f"{best_value:.6g}, here the same parameters give {value:.6g}; start without resume"
         )
         raise ParameterError(msg)
-    schedule = fresh.schedule.copy()
-    schedule.restore(numbers["schedule"], [step.value for step in saved.history])
     return State(
         params,
         memory,
@@ -310,7 +304,7 @@ def resume(
         Best(best, best_value, best_step, images, stage, partial),
         saved.history,
         numbers["rates"],
-        schedule,
+        fresh.schedule.restored(numbers["schedule"]),
         numbers["latest"],
         numbers["agreeing"],
     )

@@ -1,4 +1,4 @@
-"""What came of a fit, in one line, and what to try where it is not what one wanted."""
+"""The diagnosis of a fit: a verdict in one line, and advice if the target was not found."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ import numpy as np
 
 from loi_core.fitting.history import FitStep
 from loi_core.fitting.parameters import Bounds
-from loi_core.fitting.race import moving, unbounded
+from loi_core.fitting.starts import free_numbers, unbounded_parameters
 from loi_core.fitting.state import FitResult
 from loi_core.fitting.verdict import Diagnosis, Verdict
-from loi_core.fitting.views import Images, View, Views, as_given, by_view, mean
+from loi_core.fitting.views import Images, View, Views, by_view, mean, ungrouped
 from loi_core.objectives import ImageObjective, LOIObjective, Objective
 from loi_core.pixels.encoding import encode_srgb
 from loi_core.pixels.psnr import psnr
@@ -23,72 +23,74 @@ from loi_core.renderers.units import measure_units
 from loi_core.support.arrays import Host, detached, from_numpy, to_numpy
 from loi_core.support.wording import clause, listed
 
-__all__ = ["Findings", "diagnose", "judged", "nearness"]
+__all__ = ["FitEvidence", "diagnose", "diagnose_fit", "psnr_of"]
 
-FOUND: Final = 0.02, 1.5
-"""What a fit that has found its target leaves at the most: of the loss at the start, and of what noise makes of it."""
+CONVERGED_FRACTION: Final = 0.02
+"""Fraction of the initial loss that a converged fit leaves at most, beside the noise."""
 
-RENDERS: Final = 8
-"""Whose mean tells what is left from what is noise."""
+CONVERGED_NOISE: Final = 1.5
+"""Multiple of the noise that a converged fit may leave in addition."""
 
-LOUD: Final = 0.7
-"""Of the loss at the start: with more noise than that, there is little else to follow."""
+NOISE_RENDERS: Final = 8
+"""Number of renders whose mean separates the remaining loss from noise."""
 
-FALLING: Final = 0.1
-"""A loss that falls by more than this fraction over the last quarter of the steps still falls."""
+MAX_NOISE: Final = 0.7
+"""Fraction of the initial loss: with more noise, the gradient follows noise."""
 
-APART: Final = 0.05
-"""How far the values of two images have to be apart before one of them may be encoded."""
+MIN_FALL: Final = 0.1
+"""Relative decrease over the last quarter of the steps at which a loss still falls."""
 
-ALIKE: Final = 0.35
-"""Of how far their values are apart: the most that may be left of it once one is encoded."""
+STEADY_FRACTION: Final = 0.9
+"""Fraction of the last stage's steps: a loss that decreases in as many has not converged."""
 
-MOSTLY: Final = 0.6
-"""Likewise of how far their pixels are apart, which what is not in its place keeps apart."""
+MIN_STEPS: Final = 16
+"""Number of values below which only the first and the last are compared."""
 
-FADED: Final = 1e-6
-"""Of the largest gradient on the way: less is none."""
+FADED_GRADIENT: Final = 1e-6
+"""Fraction of the largest gradient norm below which the gradient is gone."""
 
-STEADY: Final = 0.9
-"""Of the steps of the last stage: where a loss falls in so many, it was not yet there."""
+MIN_RANGE_DIFFERENCE: Final = 0.05
+"""Mean difference of the quantiles of two images above which one of them may be encoded."""
 
-SHORT: Final = 16
-"""Steps of a stage: of fewer one can say little more than whether the loss has fallen."""
+MAX_QUANTILE_RATIO: Final = 0.35
+"""Fraction of that difference that may remain once one image is encoded."""
 
-SEEN: Final = 40.0
-"""dB: images that are further apart differ to the eye."""
+MAX_PIXEL_RATIO: Final = 0.6
+"""The same for pixels, which a wrong position keeps different."""
 
-MANY: Final = 64
-"""Numbers: those of a texture or of a mesh, whose last digits are for pixels to find."""
+VISIBLE_DB: Final = 40.0
+"""PSNR below which images look different."""
 
-FINISH: Final = 'for so many numbers, finish="pixels" comes nearer, if the renderer can make the target exactly'
+MANY_NUMBERS: Final = 64
+"""Number of free numbers, such as those of a texture or a mesh, from which on pixels find the last digits."""
+
+POLISH_ADVICE: Final = 'for so many numbers, polish="pixels" comes nearer, if the renderer can make the target exactly'
 
 
 @dataclass(frozen=True)
-class Findings:
-    """What a fit has seen, for :func:`diagnose`.
+class FitEvidence:
+    """The observations of a fit that :func:`diagnose` judges.
 
     Attributes
     ----------
     start, end : float
-        The objective at the start and at the best parameters; there of the mean of some renders, where these are
-        random.
+        The objective at the start and at the best parameters, there of the mean of several renders if they are random.
     noise : float
-        The same objective between one of these renders and their mean; 0 where nothing is random.
+        The objective between one of these renders and their mean; 0 if nothing is random.
     history : sequence of FitStep
     params : dict of arrays
-        The best.
+        The best parameters.
     bounds : Bounds
     visible : dict of bool
-        Of each free parameter, whether a change of it changed the image.
+        Whether a change of each free parameter changes the image.
     unmoved : sequence of str
-        Free parameters that have their starting values still.
+        Free parameters that still have their starting values.
     pairs : list of (array, array)
-        The start's render and the target, shape (H, W, C), of each view.
-    finish : bool
-        Whether the fit had a finish on pixels.
+        The render at the start and the target, shape (H, W, C), of each view.
+    polish : bool
+        Whether the fit had a polish.
     psnr : float, optional
-        Of the start's render, where pixels count; dB.
+        Of the render at the start, in dB.
     """
 
     start: float
@@ -100,22 +102,22 @@ class Findings:
     visible: Mapping[str, bool]
     unmoved: Sequence[str] = ()
     pairs: Sequence[tuple[Host, Host]] = ()
-    finish: bool = False
+    polish: bool = False
     psnr: float | None = None
 
 
-def judged(views: Views, start: Parameters, bounds: Bounds, result: FitResult, seed: int) -> Diagnosis | None:
-    """What came of a fit from a start; None if a renderer or an objective refuses to say."""
+def diagnose_fit(views: Views, start: Parameters, bounds: Bounds, result: FitResult, seed: int) -> Diagnosis | None:
+    """Return the diagnosis of a fit from its start; None if a renderer or an objective fails meanwhile."""
     try:
-        views, placing, finish = views.unabridged(), views.placing, views.finish
+        views, stage = views.unabridged(), views.main_stage
         images = views.render(start, seed)
-        first = mean(views.values(images, placing))
+        start_value = mean(views.values(images, stage))
         ends, noises = {}, {}
         for name, view in views.each.items():
-            objective, at = view.objectives[placing], seed + result.best_step
-            ends[name], noises[name] = _end_and_noise(view, objective, result.best_params, at)
+            end_seed = seed + result.best_step
+            ends[name], noises[name] = _end_and_noise(view, view.objectives[stage], result.best_params, end_seed)
         visible: dict[str, bool] = {}
-        if all(one.gradient_norm == 0.0 for one in result.history):
+        if all(step.gradient_norm == 0.0 for step in result.history):
             units, _ = measure_units(list(views.each.values()), start, bounds, bounds.lower, seed=seed)
             visible = {name: math.isfinite(unit) for name, unit in units.items()}
         pairs = [
@@ -123,171 +125,186 @@ def judged(views: Views, start: Parameters, bounds: Bounds, result: FitResult, s
             for name, view in views.each.items()
             if isinstance(view.objectives[-1], ImageObjective)
         ]
-    except Exception:  # noqa: BLE001 - the fit is done, whatever a renderer does beyond it
+    except Exception:  # noqa: BLE001 - the fit is done, whatever a renderer does afterwards
         return None
-    found, near = result.best_params, nearness(views, as_given(images))
-    unmoved = _unmoved(start, found, bounds)
     return diagnose(
-        Findings(first, mean(ends), mean(noises), result.history, found, bounds, visible, unmoved, pairs, finish, near)
+        FitEvidence(
+            start_value,
+            mean(ends),
+            mean(noises),
+            result.history,
+            result.best_params,
+            bounds,
+            visible,
+            _unmoved(start, result.best_params, bounds),
+            pairs,
+            views.polish,
+            psnr_of(views, ungrouped(images)),
+        )
     )
 
 
-def _unmoved(start: Parameters, found: Parameters, bounds: Bounds) -> list[str]:
-    """The free parameters that no step has moved; none if nothing has moved, since the start may be the best."""
-    still = []
+def _unmoved(start: Parameters, best: Parameters, bounds: Bounds) -> list[str]:
+    """Return the free parameters that no step has moved; none if all are unmoved, since the start may be the best."""
+    unmoved = []
     for name, lower in bounds.lower.items():
-        before, after, low, high = (to_numpy(one) for one in (start[name], found[name], lower, bounds.upper[name]))
+        before, after, low, high = (to_numpy(value) for value in (start[name], best[name], lower, bounds.upper[name]))
         if np.array_equal(before, after) and np.all((low < before) & (before < high)):
-            still.append(name)
-    return still if len(still) < len(bounds.lower) else []
+            unmoved.append(name)
+    return unmoved if len(unmoved) < len(bounds.lower) else []
 
 
-def nearness(views: Views, images: Images) -> float | None:
-    """PSNR of images against the references of the last objectives, where pixels count, in dB; None if not known."""
+def psnr_of(views: Views, images: Images) -> float | None:
+    """Return the PSNR of images against the references of the last objectives in dB, over counted pixels; or None."""
     errors = []
     for name, image in by_view(images).items():
         objective = views.each[name].objectives[-1]
         if not isinstance(objective, ImageObjective):
             return None
-        pixels, reference = (to_numpy(one) for one in (image, objective.reference))
+        pixels, reference = (to_numpy(array) for array in (image, objective.reference))
         if pixels.shape != reference.shape:
             return None
         axis = objective.channel_axis
         pixels, reference = (
-            one[..., None] if axis is None else np.moveaxis(one, axis, -1) for one in (pixels, reference)
+            array[..., None] if axis is None else np.moveaxis(array, axis, -1) for array in (pixels, reference)
         )
         errors.append(10.0 ** (-0.1 * psnr(pixels, reference, objective.weights)))
     error = sum(errors) / len(errors)
-    if math.isnan(error):  # where pixels that are not finite are passed over
+    if math.isnan(error):  # pixels that are not finite are masked
         return None
     return math.inf if error == 0.0 else -10.0 * math.log10(error)
 
 
 def _end_and_noise(view: View, objective: Objective, params: Parameters, seed: int) -> tuple[float, float]:
-    """The value of an objective for the mean of some renders, and what it says of one beside that mean."""
+    """Return the objective of the mean of several renders, and between one render and that mean."""
     image, noise = view.render(params, seed=seed), 0.0
-    again = [view.render(params, seed=seed + 1)]
-    if not np.array_equal(to_numpy(again[0]), to_numpy(image)):
-        again += [view.render(params, seed=seed + k) for k in range(2, RENDERS + 1)]
-        average = np.mean([np.asarray(to_numpy(one), dtype=np.float64) for one in again], axis=0)
+    renders = [view.render(params, seed=seed + 1)]
+    if not np.array_equal(to_numpy(renders[0]), to_numpy(image)):
+        renders += [view.render(params, seed=seed + k) for k in range(2, NOISE_RENDERS + 1)]
+        average = np.mean([np.asarray(to_numpy(render), dtype=np.float64) for render in renders], axis=0)
         if isinstance(objective, LOIObjective):
             noise = float(detached(objective.with_reference(average).value(to_numpy(image))))
         image = from_numpy(average, image)
     return float(detached(objective.value(image))), noise
 
 
-def diagnose(seen: Findings) -> Diagnosis:
-    """The verdict on a fit."""
-    left, noise = (each / seen.start if seen.start > 0.0 else 0.0 for each in (seen.end, seen.noise))
-    norms = [one.gradient_norm for one in seen.history]
-    rest = f"{left:.0%} of the loss at the start is left"
-    if seen.unmoved:
-        rest += f", {clause(seen.unmoved, 'had no gradient and has', 'had no gradient and have')} not moved"
+def diagnose(evidence: FitEvidence) -> Diagnosis:
+    """Return the verdict on a fit."""
+    left, noise = (value / evidence.start if evidence.start > 0.0 else 0.0 for value in (evidence.end, evidence.noise))
+    norms = [step.gradient_norm for step in evidence.history]
+    summary = f"{left:.0%} of the loss at the start is left"
+    if evidence.unmoved:
+        summary += f", {clause(evidence.unmoved, 'had no gradient and has', 'had no gradient and have')} not moved"
 
-    def say(verdict: Verdict, message: str, advice: str = "") -> Diagnosis:
-        return Diagnosis(verdict, message, advice, left, noise)
+    def verdict(name: Verdict, message: str, advice: str = "") -> Diagnosis:
+        return Diagnosis(name, message, advice, left, noise)
 
-    blind = max(norms, default=0.0) == 0.0
-    hidden = [name for name, one in seen.visible.items() if not one]
-    if blind and hidden:
-        return say(
+    no_gradient = max(norms, default=0.0) == 0.0
+    hidden = [name for name, is_visible in evidence.visible.items() if not is_visible]
+    if no_gradient and hidden:
+        message = clause(hidden, "leaves no trace in the image", "leave no trace in the image")
+        return verdict("no gradient", message, "check that they are in view")
+    if evidence.start == 0.0 and evidence.psnr is not None and evidence.psnr < VISIBLE_DB:
+        return verdict(
             "no gradient",
-            clause(hidden, "leaves no trace in the image", "leave no trace in the image"),
-            "check that they are in view",
-        )
-    if seen.start == 0.0 and seen.psnr is not None and seen.psnr < SEEN:
-        return say(
-            "no gradient",
-            f"start and target differ ({seen.psnr:.1f} dB), and the loss does not see it",
+            f"start and target differ ({evidence.psnr:.1f} dB), and the loss does not see it",
             "it may compare too little: look at its scales and their bounds, and at `colours`",
         )
-    if seen.start == 0.0:
-        return say("converged", "the start is the target, as far as the loss sees")
-    if blind:
-        return say(
+    if evidence.start == 0.0:
+        return verdict("converged", "the start is the target, as far as the loss sees")
+    if no_gradient:
+        return verdict(
             "no gradient",
             "start and target differ, but the gradient is 0 throughout",
-            "what moves may be hidden, or out of reach of all scales, or the renderer may have no gradient by it; "
-            "give bounds and `starts`, or start elsewhere",
+            "the moving objects may be hidden, or out of reach of all scales, or the renderer may not differentiate "
+            "with respect to these parameters; give bounds and `starts`, or start elsewhere",
         )
-    if left <= FOUND[0] + FOUND[1] * noise:
-        return say("converged", rest, FINISH if moving(seen.bounds) > MANY and not seen.finish else "")
-    if noise > LOUD * (1.0 + left):
-        return say("follows noise", f"{rest}, and noise makes {noise:.0%} of it", "raise the samples")
-    ranges = [found for image, reference in seen.pairs if (found := _other_range(image, reference))]
+    if left <= CONVERGED_FRACTION + CONVERGED_NOISE * noise:
+        return verdict("converged", summary, POLISH_ADVICE if _wants_polish(evidence) else "")
+    if noise > MAX_NOISE * (1.0 + left):
+        return verdict("follows noise", f"{summary}, and noise makes {noise:.0%} of it", "raise the samples")
+    ranges = [mismatch for pair in evidence.pairs if (mismatch := _range_mismatch(*pair))]
     if ranges:
-        return say("other range", f"{rest}; {ranges[0][0]}", ranges[0][1])
-    if norms[-1] <= FADED * max(norms):
-        bounds = "set bounds" if unbounded(seen.bounds) else "narrow the bounds to what is in view"
-        return say("left the frame", f"{rest}, and the gradient is gone", f"start nearer, or {bounds}")
-    held = _at_bounds(seen.params, seen.bounds)
-    if held:
-        return say("at a bound", f"{rest}, and {listed(held)} ended at a bound", "widen it, or start elsewhere")
-    last = [one.value for one in seen.history if one.stage == seen.history[-1].stage]
+        return verdict("other range", f"{summary}; {ranges[0][0]}", ranges[0][1])
+    if norms[-1] <= FADED_GRADIENT * max(norms):
+        bounds = "set bounds" if unbounded_parameters(evidence.bounds) else "narrow the bounds to the field of view"
+        return verdict("left the frame", f"{summary}, and the gradient is gone", f"start nearer, or {bounds}")
+    at_bound = _at_bounds(evidence.params, evidence.bounds)
+    if at_bound:
+        message = f"{summary}, and {listed(at_bound)} ended at a bound"
+        return verdict("at a bound", message, "widen it, or start elsewhere")
+    last = [step.value for step in evidence.history if step.stage == evidence.history[-1].stage]
     if _falls(last):
-        return say("still falling", rest, _with_finish("give it more steps", seen))
-    if np.mean(np.diff(last) < 0.0) >= STEADY:
-        more = _with_finish("give it more steps, or a higher learning_rate", seen)
-        return say("still falling", f"{rest}, and it fell in nearly every step", more)
-    return say("stalled", f"{rest} and no longer falls", _for_one_that_stalls(seen))
+        return verdict("still falling", summary, _or_polish("give it more steps", evidence))
+    if np.mean(np.diff(last) < 0.0) >= STEADY_FRACTION:
+        advice = _or_polish("give it more steps, or a higher learning_rate", evidence)
+        return verdict("still falling", f"{summary}, and it fell in nearly every step", advice)
+    return verdict("stalled", f"{summary} and no longer falls", _advice_if_stalled(evidence))
 
 
 def _falls(values: Sequence[float]) -> bool:
-    """Whether the values of the last stage still fall at its end; of few values, whether they fell at all."""
-    if len(values) < SHORT:
+    """Return whether the values of the last stage still fall at its end; whether they fell at all if they are few."""
+    if len(values) < MIN_STEPS:
         return len(values) < 2 or values[-1] < values[0]
     quarter = values[-(len(values) // 4) :]
     half = len(quarter) // 2
     first, second = float(np.mean(quarter[:half])), float(np.mean(quarter[half:]))
-    return first - second > FALLING * abs(second)
+    return first - second > MIN_FALL * abs(second)
 
 
-def _with_finish(advice: str, seen: Findings) -> str:
-    return f"{advice}; {FINISH}" if moving(seen.bounds) > MANY and not seen.finish else advice
+def _wants_polish(evidence: FitEvidence) -> bool:
+    return free_numbers(evidence.bounds) > MANY_NUMBERS and not evidence.polish
 
 
-def _for_one_that_stalls(seen: Findings) -> str:
-    """What to try where a loss no longer falls, and it may be that the renderer can make the target exactly."""
-    if moving(seen.bounds) > MANY and not seen.finish:
-        return f"{FINISH}; if things are out of place as well, free fewer numbers first"
-    endless = unbounded(seen.bounds)
-    if endless:
-        return f"give {listed(endless)} bounds: within them the fit searches, and starts=8 can begin elsewhere"
+def _or_polish(advice: str, evidence: FitEvidence) -> str:
+    return f"{advice}; {POLISH_ADVICE}" if _wants_polish(evidence) else advice
+
+
+def _advice_if_stalled(evidence: FitEvidence) -> str:
+    if _wants_polish(evidence):
+        return f"{POLISH_ADVICE}; if objects are out of place as well, free fewer numbers first"
+    unbounded = unbounded_parameters(evidence.bounds)
+    if unbounded:
+        return f"give {listed(unbounded)} bounds: within them the fit searches, and starts=8 can begin elsewhere"
     return "if the renderer can make the target exactly, try more steps, starts=8, or a nearer start"
 
 
 def _at_bounds(params: Parameters, bounds: Bounds) -> list[str]:
-    """The parameters that have an entry at a bound, where the bound leaves room."""
-    found = []
+    """Return the parameters with an entry at a bound, unless both bounds are equal."""
+    names = []
     for name, lower in bounds.lower.items():
-        value, low, high = (np.asarray(to_numpy(one)) for one in (params[name], lower, bounds.upper[name]))
+        value, low, high = (np.asarray(to_numpy(array)) for array in (params[name], lower, bounds.upper[name]))
         if np.any(((value == low) | (value == high)) & (low < high)):
-            found.append(name)
-    return found
+            names.append(name)
+    return names
 
 
-def _other_range(image: Host, reference: Host) -> tuple[str, str] | None:
-    """What is wrong if one of two images looks as if it were encoded for a display and the other not, and what to do.
+def _range_mismatch(image: Host, reference: Host) -> tuple[str, str] | None:
+    """Return a message and advice if one of two images looks encoded for a display and the other does not.
 
-    The distribution of values has to say so, and most pixels as well: noise shifts the one, but not along the curve.
-    Where one exposure explains as much, it is that.
+    Both the distribution of values and most pixels must agree, since noise shifts the distribution but not along the
+    encoding curve. If one exposure explains as much, it is the exposure.
     """
     if image.shape != reference.shape:
         return None
     levels = np.linspace(0.02, 0.98, 49)
-    ours, theirs = (np.clip(np.nan_to_num(each), 0.0, 1.0) for each in (image, reference))
-    for linear, encoded, says in (
-        (ours, theirs, "the target looks encoded for a display (sRGB), the render linear"),
-        (theirs, ours, "the render looks encoded for a display (sRGB), the target linear"),
+    render, target = (np.clip(np.nan_to_num(array), 0.0, 1.0) for array in (image, reference))
+    for linear, other_image, message in (
+        (render, target, "the target looks encoded for a display (sRGB), the render linear"),
+        (target, render, "the render looks encoded for a display (sRGB), the target linear"),
     ):
-        # Encoded, since decoding makes all small numbers smaller, whatever they are.
-        seen, wanted = encode_srgb(linear), encoded
-        pixels = float(np.mean(np.abs(seen - wanted))), float(np.mean(np.abs(linear - wanted)))
-        low, high, goal = (np.quantile(each, levels) for each in (linear, seen, wanted))
+        # Encoding, since decoding makes all small numbers smaller, whatever they are.
+        encoded = encode_srgb(linear)
+        pixels = float(np.mean(np.abs(encoded - other_image))), float(np.mean(np.abs(linear - other_image)))
+        low, high, goal = (np.quantile(array, levels) for array in (linear, encoded, other_image))
         values = float(np.mean(np.abs(high - goal))), float(np.mean(np.abs(low - goal)))
-        if values[1] > APART and values[0] < ALIKE * values[1] and pixels[0] < MOSTLY * pixels[1]:
-            exposure = float(np.sum(ours * theirs) / np.sum(ours * ours))
-            if np.mean(np.abs(exposure * ours - theirs)) < pixels[0]:
+        if (
+            values[1] > MIN_RANGE_DIFFERENCE
+            and values[0] < MAX_QUANTILE_RATIO * values[1]
+            and pixels[0] < MAX_PIXEL_RATIO * pixels[1]
+        ):
+            exposure = float(np.sum(render * target) / np.sum(render * render))
+            if np.mean(np.abs(exposure * render - target)) < pixels[0]:
                 return f"the target is {exposure:.2g} times as bright as the render", "match the exposure, or fit it"
-            return says, "compare linear with linear: read_target(file, to='linear')"
+            return message, "compare linear with linear: read_target(file, to='linear')"
     return None

@@ -1,10 +1,10 @@
-"""Fitting the parameters of any renderer to an image, with nothing but the renderer contract."""
+"""Fit the parameters of any renderer to an image, using only the renderer contract."""
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Final, get_args
@@ -13,11 +13,10 @@ from loi_core.errors import FitError, OptionError
 from loi_core.fitting.adam import Adam
 from loi_core.fitting.callbacks import Callback, RememberingCallback, ends_the_fit
 from loi_core.fitting.checkpoint import CheckpointFile, is_due, settings_of
-from loi_core.fitting.checkpoint import resume as resumed
-from loi_core.fitting.descent import SEARCHES, Decay, Descent
-from loi_core.fitting.diagnosis import judged, nearness
+from loi_core.fitting.checkpoint import resume as resume_state
+from loi_core.fitting.descent import MAX_RESTARTS, Decay, Descent
+from loi_core.fitting.diagnosis import diagnose_fit, psnr_of
 from loi_core.fitting.history import FitStep
-from loi_core.fitting.keeping import keeping
 from loi_core.fitting.optimiser import Optimiser
 from loi_core.fitting.parameters import (
     Free,
@@ -27,11 +26,13 @@ from loi_core.fitting.parameters import (
     own_parameters,
     starting_parameters,
 )
-from loi_core.fitting.race import can_search, race
+from loi_core.fitting.partial_result import with_partial_result
 from loi_core.fitting.rates import measured_rates, named_rates
-from loi_core.fitting.stages import FarToNear, Finish, Stages
+from loi_core.fitting.schedule import Schedule
+from loi_core.fitting.stages import Polish, Stages
+from loi_core.fitting.starts import RunRound, can_search, successive_halving
 from loi_core.fitting.state import FitResult, State
-from loi_core.fitting.views import Images, Views, as_given, by_view
+from loi_core.fitting.views import Images, Views, ungrouped
 from loi_core.io.files import check_writable
 from loi_core.objectives import Objective
 from loi_core.renderers.contract import Parameters, Renderer
@@ -52,20 +53,20 @@ __all__ = [
     "starting_parameters",
 ]
 
-MOST_STEPS: Final = 2**31 - 1
-MOST_STARTS: Final = 4096
-MOST_SEED: Final = 2**63 - 1  # of 64 bits with a sign, which is what TOML, JSON and a checkpoint hold anywhere
+MAX_STEPS: Final = 2**31 - 1
+MAX_STARTS: Final = 4096
+MAX_SEED: Final = 2**63 - 1  # a signed 64-bit integer, which TOML, JSON and a checkpoint can hold
 
 
 class FitInterruptedError(KeyboardInterrupt):
-    """Ctrl-C during a fit; ``result`` holds what it had reached.
+    """Ctrl-C during a fit; ``result`` is the result so far, None before the first value.
 
-    Its message says so if the checkpoint could not be written. Derived from ``KeyboardInterrupt`` alone, so that
-    nothing which catches ordinary errors swallows it.
+    The message mentions a checkpoint that could not be written. The class derives from ``KeyboardInterrupt`` alone, so
+    that no handler of ordinary errors swallows it.
     """
 
-    def __init__(self, result: FitResult | None, lost: str = "") -> None:
-        super().__init__(f"interrupted; {lost}" if lost else "interrupted")
+    def __init__(self, result: FitResult | None, checkpoint_error: str = "") -> None:
+        super().__init__(f"interrupted; {checkpoint_error}" if checkpoint_error else "interrupted")
         self.result = result
 
 
@@ -79,7 +80,7 @@ def fit(
     optimise: Mapping[str, Free] | Iterable[str] | None = None,
     decay: Decay = "cosine",
     stages: Stages = "auto",
-    finish: Finish = None,
+    polish: Polish = None,
     starts: int = 1,
     optimiser: Optimiser | None = None,
     views_per_step: int | None = None,
@@ -89,50 +90,46 @@ def fit(
 ) -> FitResult:
     """Fit the parameters of a renderer so that its image minimises an objective.
 
-    Adam with a decaying rate, from scales that reach far to those that place the last digits; bounds are kept by
-    clipping, the best iterate is remembered, and the result says what came of it.
+    Adam with a decaying rate, on scales from far to near. Bounds are kept by clipping, the best iterate is remembered,
+    and the result has a diagnosis.
 
     Parameters
     ----------
     renderer : Renderer, or dict of Renderer
-        Anything that keeps the contract. If it has ``project``, that is called after every step, for
-        the parameters that may move; their bounds hold all the same. If it has ``at_step``, it is told before every
-        step how far the fit has come. Several views are a dict by their names:
-        parameters of the same name are one if they move, and not every view has to have all of them.
+        Anything that keeps the contract; its :class:`RendererCapabilities` are used. Several views are a dict by name:
+        free parameters of the same name are shared, and a view need not have all of them.
     objective : Objective, or dict of Objective
-        Anything with ``value`` and ``value_and_grad``; of several views one each, by the same names. Their mean is
+        Anything with ``value`` and ``value_and_grad``; for several views one each, by the same names. Their mean is
         minimised.
     steps : int
         Number of steps, 1 or more.
     learning_rate : float or str, optional
-        About how far a step moves. A number is in each parameter's own unit; a text such as "1.5 px" is in pixels that
-        the image moves, for which every parameter's unit is measured from the renderer first. By default as many
-        pixels as cross the image once, over all steps. A rate of `Free` comes before it.
+        Approximate length of a step: a number in each parameter's own unit, or text such as "1.5 px" in pixels that the
+        image moves, for which every parameter's unit is measured from the renderer first. By default as many pixels as
+        cross the image once over all steps. The rate of a `Free` has precedence.
     seed : int
         Step k renders with seed ``seed + k``.
     optimise : dict of Free, or names, optional
-        What moves, and how; every parameter by default.
+        The free parameters; all parameters by default.
     decay : {"cosine", "none"}
-        "cosine" takes the rate down to a thousandth of `learning_rate` over the steps of the last stage, which is the
-        finish if there is one.
+        "cosine" lowers the rate to a thousandth of `learning_rate` over the steps of the last stage.
     stages : "auto", None, or a sequence of ScaleSpace or Objective
-        What comes before `objective`, from far to near; each until its loss no longer falls. "auto" puts
-        :meth:`ScaleSpace.far_to_near` there if the objective is a :class:`LOIObjective` with default scales, and
-        nothing otherwise; if the first stage ends with most of its loss left, and the parameters are few and bounded,
-        it also looks for a better start within the bounds, up to three times.
-    finish : "pixels", optional
-        What comes after `objective`: "pixels" compares pixels once its loss no longer falls, or for the last two fifths
-        of the steps, for the last digits of what the renderer can make exactly. `best_value` is of the pixels then.
-        None, as by default, is right for photographs, which no renderer makes to the last digit.
+        The stages before `objective`, from far to near; each lasts until its loss no longer falls. "auto" uses
+        :meth:`ScaleSpace.far_to_near` if the objective is a :class:`LOIObjective` with default scales, and nothing
+        otherwise; a stage that is stuck at a high loss then restarts from a better point within the bounds, up to three
+        times, if the free parameters are few and bounded.
+    polish : "pixels", optional
+        "pixels" compares pixels once the loss of `objective` no longer falls, at the latest for the last two fifths of
+        the steps, for the last digits of a target that the renderer can reproduce exactly. `best_value` is then that of
+        the pixels. The default, None, suits photographs.
     starts : int
-        From how many places to start: the parameters' own, and others within their bounds, which then all have to be
-        finite. They race by successive halving; a race takes some `starts` thirds of the time of a fit.
+        Number of starts: the parameters' own, and points within their bounds, which must be finite. Successive halving
+        chooses among them, which takes about the time of `starts` thirds of a fit.
     optimiser : Optimiser, optional
-        Adam by default; :class:`loi_torch.TorchOptimiser` and :class:`loi_jax.OptaxOptimiser` bring others. Rates in
-        pixels suit those that, like Adam, move by about the rate whatever the size of the gradient.
+        Adam by default; :class:`loi_torch.TorchOptimiser` and :class:`loi_jax.OptaxOptimiser` wrap others. Rates in
+        pixels suit those that, like Adam, move by about the rate for any size of the gradient.
     views_per_step : int, optional
-        How many of several views a step renders, in a random order in which all come about equally often; all by
-        default.
+        Number of views that a step renders, in a random order in which all come about equally often; all by default.
     checkpoint : path, optional
         File (.npz) to which the state is written every 25 steps, or every hundredth of the way if that is longer, and
         at the end, whole or not at all. No other fit may use it meanwhile.
@@ -141,10 +138,9 @@ def fit(
         never stopped. A checkpoint that is damaged, or belongs to other settings, another objective or another scene,
         is refused. Without `resume`, it is removed after the first step; a file that is not a checkpoint is refused.
     callback : callable, optional
-        ``callback(step, params, image)`` after every step; returning True ends the fit, False or None does not. Of
-        several views, `image` is a dict of those that the step has rendered. The arrays are its own, to write to.
-        A checkpoint holds the steps whose callback has returned; what a
-        ``loi_core.fitting.callbacks.RememberingCallback`` knows is in it as well.
+        ``callback(step, params, image)`` after every step; returning True ends the fit, False or None continues it. For
+        several views, `image` is a dict of the rendered ones. The arrays are copies. A checkpoint holds the steps whose
+        callback has returned, and the memory of a ``loi_core.fitting.callbacks.RememberingCallback``.
 
     Returns
     -------
@@ -155,16 +151,16 @@ def fit(
     OptionError, ParameterError
         If an argument is not allowed.
     FitError
-        If the loss or gradient stops being finite, the callback returns something else, or the renderer fails or the
-        checkpoint cannot be written after the first step; its ``result`` holds the best parameters so far.
+        If the loss or gradient is not finite, the callback returns something else, or the renderer fails or the
+        checkpoint cannot be written after the first step; its ``result`` is the result so far.
     RendererError
         If the renderer breaks the contract on the first step.
     CheckpointError
         If the checkpoint is damaged.
     InUseError
-        If another fit has the checkpoint, in this process or in another.
+        If another fit uses the checkpoint, in this process or in another.
     FitInterruptedError
-        On Ctrl-C; likewise.
+        On Ctrl-C; its ``result`` is the result so far.
     """
     check_fit_options(steps, learning_rate, seed, decay, starts)
     if optimiser is None:
@@ -172,132 +168,134 @@ def fit(
     if not isinstance(optimiser, Optimiser) or isinstance(optimiser, type):
         msg = f"`optimiser` must be an Optimiser, such as loi_torch.TorchOptimiser, got {shown(optimiser)}"
         raise OptionError(msg)
-    # NumPy's own numbers would wrap around in a sum, or widen the dtype of what they are multiplied with.
+    # NumPy's own integers would wrap around in a sum, or widen the dtype of a product.
     steps, seed = int(steps), int(seed)
-    kept = _checkpoints(checkpoint, resume=resume)
-    views = Views.of(renderer, objective, stages, views_per_step, finish)
+    file = _checkpoint_file(checkpoint, resume=resume)
+    views = Views.of(renderer, objective, stages, views_per_step, polish)
     free = free_parameters(optimise, own_parameters(views))
-    views = views.moving(free)
+    views = views.with_free(free)
     params = starting_parameters(views, free)
     bounds = bounds_of(params, free)
-    asked = {name: learning_rate if one.learning_rate is None else one.learning_rate for name, one in free.items()}
-    named = named_rates(asked)
+    requested = {
+        name: learning_rate if entry.learning_rate is None else entry.learning_rate for name, entry in free.items()
+    }
     identity = optimiser.identity({name: params[name] for name in free})
-    settings = settings_of(steps, seed, decay, named, free, starts, bounds, views, identity)
-    descent = Descent(views, bounds, asked, optimiser, decay, steps, seed)
-    # The state is only ever replaced whole, so that Ctrl-C falls before a step or after it, never within.
-    state = called = _beginning(descent, params, dict.fromkeys(free, 1.0))
+    settings = settings_of(steps, seed, decay, named_rates(requested), free, starts, bounds, views, identity)
+    descent = Descent(views, bounds, requested, optimiser, decay, steps, seed)
+    # The state is only ever replaced as a whole, so that Ctrl-C falls before a step or after it, never within.
+    state = called = _initial_state(descent, params, dict.fromkeys(free, 1.0))
     try:
-        if kept is not None:
-            kept.acquire(resume=resume)
-        saved = kept.load(settings) if kept is not None and resume else None
+        if file is not None:
+            file.acquire(resume=resume)
+        saved = file.load(settings) if file is not None and resume else None
         if saved is not None:
-            state = called = resumed(saved, state, views, optimiser, free, seed)
+            state = called = resume_state(saved, state, views, optimiser, free, seed)
             if isinstance(callback, RememberingCallback):
                 callback.restore(saved.callback)
         else:
             if starts > 1:
-                winner, agreeing = race(params, bounds, starts, views.placing + 1, steps, _lap(descent))
-                state = replace(state, params=winner, agreeing=agreeing)
-            state = replace(state, rates=measured_rates(views, state.params, bounds, asked, steps, seed))
-            if stages == "auto" and views.placing > 0 and can_search(bounds):
-                enough = descent.enough(state)
-                schedule = FarToNear(views.stages, steps, searches=SEARCHES, enough=enough, finish=views.finish)
+                best_start, agreeing = successive_halving(
+                    params, bounds, starts, views.main_stage + 1, steps, _round_of(descent)
+                )
+                state = replace(state, params=best_start, agreeing=agreeing)
+            state = replace(state, rates=measured_rates(views, state.params, bounds, requested, steps, seed))
+            if stages == "auto" and views.main_stage > 0 and can_search(bounds):
+                noise_floor = descent.noise_floor(state)
+                schedule = Schedule(views.stages, steps, MAX_RESTARTS, noise_floor, polish=views.polish)
                 state = replace(state, schedule=schedule)
         while state.step < steps:
-            state, entry, seen, image = descent.step(state)
-            _begin(kept, state)
-            answer = None if callback is None else callback(entry, *_own(seen, image))
-            called = state  # only now may a checkpoint hold the step: a callback that was cut off sees it again
-            with keeping(state, "the callback"):
+            state, evaluation = descent.step(state)
+            _begin(file, state)
+            entry = state.log[state.step - 1]
+            answer = None if callback is None else callback(entry, *_copies(evaluation.params, evaluation.images))
+            called = state  # only now may a checkpoint hold the step: a callback that was interrupted sees it again
+            with with_partial_result(state, "the callback"):
                 stop = ends_the_fit(answer)
             if is_due(state.step):
-                _save(kept, state, settings, callback)
+                _save(file, state, settings, callback)
             if stop:
                 break
         state = called = descent.finished(state, params)
-        _save(kept, state, settings, callback)
+        _save(file, state, settings, callback)
         result = state.result()
-        if result is None:  # pragma: no cover - steps >= 1 has seen at least one value
-            msg = "the fit saw no value"
+        if result is None:  # pragma: no cover - steps >= 1 has evaluated at least one value
+            msg = "the fit has no value"
             raise FitError(msg)
-        result = replace(
-            result, diagnosis=judged(views, params, bounds, result, seed), psnr=nearness(views, result.image)
-        )
-        _release(kept)  # here, since Ctrl-C in a `finally` would take the result with it
+        diagnosis = diagnose_fit(views, params, bounds, result, seed)
+        result = replace(result, diagnosis=diagnosis, psnr=psnr_of(views, result.image))
+        _release(file)  # here, since Ctrl-C in a `finally` would lose the result
         return result
     except KeyboardInterrupt:
-        lost = ""
+        checkpoint_error = ""
         try:
-            _save(kept, state if callback is None else called, settings, callback)
+            _save(file, state if callback is None else called, settings, callback)
         except FitError as error:
-            lost = str(error)
+            checkpoint_error = str(error)
         finally:
-            _release(kept)
-        raise FitInterruptedError(state.result(), lost) from None
+            _release(file)
+        raise FitInterruptedError(state.result(), checkpoint_error) from None
     except BaseException:
-        _release(kept)
+        _release(file)
         raise
 
 
-def _own(params: Parameters, images: Images) -> tuple[Parameters, Images]:
-    """What a callback may write to: the fit goes on from its own."""
-    each = {name: copied(image) for name, image in by_view(images).items()}
-    return {name: copied(value) for name, value in params.items()}, as_given(each)
+def _copies(params: Parameters, images: Mapping[str, Images]) -> tuple[Parameters, Images]:
+    """Return parameters and images that a callback may write to."""
+    each = {name: copied(image) for name, image in images.items()}
+    return {name: copied(value) for name, value in params.items()}, ungrouped(each)
 
 
-def _beginning(descent: Descent, params: Parameters, rates: Mapping[str, float]) -> State:
-    """The state before the first step."""
+def _initial_state(descent: Descent, params: Parameters, rates: Mapping[str, float]) -> State:
     memory = descent.optimiser.start({name: params[name] for name in descent.bounds.lower})
-    return State(params, memory, rates=rates, schedule=FarToNear(descent.views.stages, descent.steps))
+    return State(params, memory, rates=rates, schedule=Schedule(descent.views.stages, descent.steps))
 
 
-def _lap(descent: Descent) -> Callable[[Parameters, int, int], tuple[float, Parameters]]:
-    """What runs a lap of a race: from a start, some steps of one stage, to where they lead."""
+def _round_of(descent: Descent) -> RunRound:
+    """Return the function that fits one candidate of successive halving for some steps of one stage."""
 
     def run(start: Parameters, stage: int, steps: int) -> tuple[float, Parameters]:
-        short = replace(descent, views=descent.views.at(stage), decay="none")  # early in the fit, not a fit of its own
-        rates = measured_rates(short.views, start, descent.bounds, descent.asked, steps, descent.seed)
-        state = _beginning(short, start, rates)
+        short = replace(descent, views=descent.views.at_stage(stage), decay="none")  # early in the fit, not a whole fit
+        rates = measured_rates(short.views, start, descent.bounds, descent.requested_rates, steps, descent.seed)
+        state = _initial_state(short, start, rates)
         while state.step < steps:
-            state, *_ = short.step(state)
+            state, _ = short.step(state)
         best = short.finished(state, start).best
-        if best is None:  # pragma: no cover - a step has seen at least one value
+        if best is None:  # pragma: no cover - a step has evaluated at least one value
             return math.inf, start
-        return descent.views.value(best.params, descent.views.placing, descent.seed + best.step), best.params
+        return descent.views.value(best.params, descent.views.main_stage, descent.seed + best.step), best.params
 
     return run
 
 
-def _release(kept: CheckpointFile | None) -> None:
-    if kept is not None:
-        kept.release()
+def _release(file: CheckpointFile | None) -> None:
+    if file is not None:
+        file.release()
 
 
-def _begin(kept: CheckpointFile | None, state: State) -> None:
-    if kept is not None:
-        with keeping(state, "removing the checkpoint of an earlier fit"):
-            kept.begin()
+def _begin(file: CheckpointFile | None, state: State) -> None:
+    if file is not None:
+        with with_partial_result(state, "removing the checkpoint of an earlier fit"):
+            file.begin()
 
 
-def _save(kept: CheckpointFile | None, state: State, settings: Mapping[str, str], callback: Callback | None) -> None:
-    if kept is not None and state.best is not None:
-        with keeping(state, "writing the checkpoint"):
+def _save(file: CheckpointFile | None, state: State, settings: Mapping[str, str], callback: Callback | None) -> None:
+    if file is not None and state.best is not None:
+        with with_partial_result(state, "writing the checkpoint"):
             memory = callback.memory() if isinstance(callback, RememberingCallback) else {}
-            kept.save(state, settings, memory)
+            file.save(state, settings, memory)
 
 
 def check_fit_options(steps: object, learning_rate: object, seed: object, decay: object, starts: object = 1) -> None:
     """Raise :class:`OptionError` unless :func:`fit` takes these values."""
-    for name, value, least, most in (
-        ("steps", steps, 1, MOST_STEPS),
-        ("seed", seed, 0, MOST_SEED),
-        ("starts", starts, 1, MOST_STARTS),
+    for name, value, lowest, highest in (
+        ("steps", steps, 1, MAX_STEPS),
+        ("seed", seed, 0, MAX_SEED),
+        ("starts", starts, 1, MAX_STARTS),
     ):
         number = whole_number(value)
-        if number is None or not least <= number <= most:
-            wanted = f"{least} or more" if number is None or number < least else f"at most {most}"
-            msg = f"`{name}` must be a whole number, {wanted}, got {shown(value)}"
+        if number is None or not lowest <= number <= highest:
+            allowed = f"{lowest} or more" if number is None or number < lowest else f"at most {highest}"
+            msg = f"`{name}` must be a whole number, {allowed}, got {shown(value)}"
             raise OptionError(msg)
     if learning_rate is not None:
         check_rate("learning_rate", learning_rate)
@@ -306,10 +304,10 @@ def check_fit_options(steps: object, learning_rate: object, seed: object, decay:
         raise OptionError(msg)
 
 
-def _checkpoints(checkpoint: object, *, resume: object) -> CheckpointFile | None:
+def _checkpoint_file(checkpoint: object, *, resume: object) -> CheckpointFile | None:
     if checkpoint is None:
         if resume:
-            msg = f"`resume` must be False without a `checkpoint` to go on from, got {shown(resume)}"
+            msg = f"`resume` must be False without a `checkpoint` to continue from, got {shown(resume)}"
             raise OptionError(msg)
         return None
     if not isinstance(checkpoint, str | os.PathLike) or Path(checkpoint).is_dir():

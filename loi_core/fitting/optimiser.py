@@ -1,9 +1,9 @@
-"""What moves the parameters along a gradient: the seam between a fit and anybody's optimiser."""
+"""The interface between a fit and any optimiser."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Final, Protocol, TypeAlias, runtime_checkable
+from typing import Protocol, TypeAlias, runtime_checkable
 
 from loi_core.errors import ParameterError
 from loi_core.renderers.contract import Parameters
@@ -12,60 +12,60 @@ from loi_core.support.arrays import Array, Host
 __all__ = ["Memory", "Optimiser", "require_shapes"]
 
 Memory: TypeAlias = Mapping[str, Array]
-"""What an optimiser knows of the steps before: arrays by name, never written to, which a checkpoint keeps."""
+"""The state of an optimiser: arrays by name, never modified in place, which a checkpoint saves."""
 
 
-OTHER_MEMORY: Final = "free parameters than this fit has, or another optimiser"
-
-
-def require_shapes(stored: Mapping[str, Host], like: Mapping[str, Array], other: str = OTHER_MEMORY) -> None:
-    """Raise :class:`ParameterError` unless a checkpoint holds arrays of just the names and shapes of `like`."""
+def require_shapes(
+    stored: Mapping[str, Host],
+    like: Mapping[str, Array],
+    noun: str = "free parameters than this fit has, or another optimiser",
+) -> None:
+    """Raise :class:`ParameterError` unless a checkpoint holds arrays with the names and shapes of `like`."""
     if {name: value.shape for name, value in stored.items()} != {
         name: tuple(value.shape) for name, value in like.items()
     }:
-        msg = f"`checkpoint` holds other {other}; start without resume"
+        msg = f"`checkpoint` holds other {noun}; start without resume"
         raise ParameterError(msg)
 
 
 @runtime_checkable
 class Optimiser(Protocol):
-    """Steps as pure functions on named parameters. Whatever it remembers is handed to it, and comes back."""
+    """An optimiser as pure functions on named parameters; its memory is an argument and a result."""
 
     def start(self, params: Parameters, after: Memory | None = None) -> Memory:
-        """What there is to remember before the first step.
+        """Return the memory before the first step.
 
         Parameters
         ----------
         params : dict of arrays
-            Those that will move.
+            The free parameters.
         after : dict of arrays, optional
-            The memory of an earlier descent, from somewhere else: of what it knows of the sizes of gradients, some may
-            be kept.
+            The memory of an earlier descent from another start, whose estimates of gradient magnitudes may be kept.
         """
 
     def step(
         self, params: Parameters, gradient: Parameters, memory: Memory, rates: Mapping[str, float]
     ) -> tuple[Parameters, Memory]:
-        """One step of every parameter named in `rates`, and the memory after it; other parameters may be left out.
+        """Return the parameters named in `rates` after one step, and the memory; others may be left out.
 
         Parameters
         ----------
         params, gradient : dict of arrays
-            Matching shapes; nothing is written to.
+            Matching shapes; neither is modified.
         memory : dict of arrays
-            What the step before, or :meth:`start`, has given.
+            From the previous step, or from :meth:`start`.
         rates : dict of float
             The learning rate of each parameter in this step, in the parameter's own unit.
         """
 
     def identity(self, params: Parameters) -> str:
-        """What tells it from others, and from itself with other options: a checkpoint is resumed by the same only."""
+        """Return a text that identifies the optimiser and its options; only the same one resumes a checkpoint."""
 
     def restore(self, params: Parameters, stored: Mapping[str, Host]) -> Memory:
-        """The memory that a checkpoint holds, as :meth:`step` takes it.
+        """Return the memory that a checkpoint holds, in the form that :meth:`step` takes.
 
         Raises
         ------
         ParameterError
-            If it is none of this optimiser's with these parameters.
+            If it is not a memory of this optimiser with these parameters.
         """

@@ -1,4 +1,4 @@
-"""What may move in a fit: initial values, bounds and rates of named parameters."""
+"""The free parameters of a fit: initial values, bounds and rates."""
 
 from __future__ import annotations
 
@@ -36,22 +36,21 @@ class HasParameters(Protocol):
     """A renderer, or several."""
 
     def parameters(self) -> Parameters:
-        """All parameters, by name."""
+        """Return all parameters by name."""
 
 
 @dataclass(frozen=True)
 class Free:
-    """How one parameter may move in a fit.
+    """The options of one free parameter of a fit.
 
     Attributes
     ----------
     initial : array, optional
-        Where it starts; where the renderer has it by default. Shape of the parameter, or what fills that by NumPy's
-        rules: a number for all of it, a row for every row.
+        Initial value; the renderer's by default. Any shape that NumPy broadcasts to the shape of the parameter.
     lower, upper : array, optional
-        Bounds, inclusive, of the same kinds of shape; unbounded by default.
+        Bounds, inclusive, of such shapes; unbounded by default.
     learning_rate : float or str, optional
-        In the parameter's own unit, or in pixels that the image moves ("1.5 px"); that of the fit by default.
+        In the parameter's own unit, or in pixels that the image moves ("1.5 px"); the rate of the fit by default.
     """
 
     initial: Any = None
@@ -62,23 +61,23 @@ class Free:
 
 @dataclass(frozen=True)
 class Bounds:
-    """Bounds of all free parameters, as arrays like the parameters."""
+    """The bounds of all free parameters, as arrays like the parameters."""
 
     lower: Mapping[str, Array]
     upper: Mapping[str, Array]
 
     def clip(self, params: Parameters) -> Parameters:
-        """`params`, moved into the bounds."""
+        """Return `params`, clipped to the bounds."""
         result = dict(params)
         for name, limit in self.lower.items():
             xp = namespace(result[name])
-            # NumPy turns arrays of shape () into scalars in passing; a parameter stays an array.
+            # NumPy operations turn arrays of shape () into scalars; a parameter stays an array.
             result[name] = xp.asarray(xp.minimum(xp.maximum(result[name], limit), self.upper[name]))
         return result
 
 
 def own_parameters(renderer: HasParameters) -> Parameters:
-    """The renderer's parameters, free of whatever its framework records.
+    """Return the renderer's parameters, detached.
 
     Raises
     ------
@@ -99,56 +98,56 @@ def own_parameters(renderer: HasParameters) -> Parameters:
 
 @dataclass(frozen=True)
 class SharedParameters:
-    """The parameters of several views together; one that several have is that of the first."""
+    """The parameters of several views together; a shared parameter has the value of the first view."""
 
     renderers: Mapping[str, HasParameters]
 
     def parameters(self) -> Parameters:
-        """All parameters.
+        """Return all parameters.
 
         Raises
         ------
         RendererError
-            If one differs in shape or array library from view to view.
+            If two views have one in different shapes or array libraries.
         """
-        found: Parameters = {}
+        shared: Parameters = {}
         for name, renderer in self.renderers.items():
             for key, value in own_parameters(renderer).items():
-                known: Array = found.setdefault(key, value)
-                if tuple(known.shape) != tuple(value.shape):
-                    msg = f"{key!r} has shape {tuple(known.shape)} in one view, and {tuple(value.shape)} in {name!r}"
+                first: Array = shared.setdefault(key, value)
+                if tuple(first.shape) != tuple(value.shape):
+                    msg = f"{key!r} has shape {tuple(first.shape)} in one view, and {tuple(value.shape)} in {name!r}"
                     raise RendererError(msg)
-                if library_name(known) != library_name(value):
-                    both = f"{library_name(known)} in one view, and of {library_name(value)}"
+                if library_name(first) != library_name(value):
+                    both = f"{library_name(first)} in one view, and of {library_name(value)}"
                     msg = f"{key!r} is an array of {both} in {name!r}; views must share a library"
                     raise RendererError(msg)
-        return found
+        return shared
 
 
 def free_parameters(optimise: object, params: Parameters) -> dict[str, Free]:
-    """What `optimise` of :func:`loi_core.fit` asks for, in the order of `params`.
+    """Return the free parameters for the argument `optimise` of :func:`loi_core.fit`, in the order of `params`.
 
     Raises
     ------
     OptionError, ParameterError
-        If it is not names or a dict of Free, or names a parameter that is not there.
+        If it is not names or a dict of Free, or names a parameter that does not exist.
     """
     if optimise is None:
         optimise = list(params)
     if isinstance(optimise, str) or not isinstance(optimise, Mapping | Iterable):
         msg = f"`optimise` must be names of parameters, or a dict of Free, got {shown(optimise)}"
         raise OptionError(msg)
-    listed = list(optimise)
-    if not listed:
+    names = list(optimise)
+    if not names:
         msg = "`optimise` must name at least one parameter, got none"
         raise OptionError(msg)
-    for name in listed:
+    for name in names:
         if not isinstance(name, Hashable) or name not in params:
             msg = f"`optimise` names {name!r}, which the renderer does not have; it has {', '.join(sorted(params))}"
             raise ParameterError(msg)
-    asked = dict(optimise) if isinstance(optimise, Mapping) else {name: Free() for name in listed}
-    # In the renderer's order: that of a set differs from process to process, and a checkpoint would not be known again.
-    free = {name: asked[name] for name in params if name in asked}
+    options = dict(optimise) if isinstance(optimise, Mapping) else {name: Free() for name in names}
+    # In the renderer's order: the order of a set differs between processes, and a checkpoint must be recognised.
+    free = {name: options[name] for name in params if name in options}
     for name, entry in free.items():
         if not isinstance(entry, Free):
             msg = f"`optimise[{name!r}]` must be a Free, got {type(entry).__name__}"
@@ -159,7 +158,7 @@ def free_parameters(optimise: object, params: Parameters) -> dict[str, Free]:
 
 
 def starting_parameters(renderer: HasParameters, free: Mapping[str, Free]) -> Parameters:
-    """The renderer's parameters, with the initial values of the free ones put in.
+    """Return the renderer's parameters, with the initial values of the free ones.
 
     Raises
     ------
@@ -177,7 +176,7 @@ def starting_parameters(renderer: HasParameters, free: Mapping[str, Free]) -> Pa
 
 
 def bounds_of(params: Parameters, free: Mapping[str, Free]) -> Bounds:
-    """The bounds of the free parameters.
+    """Return the bounds of the free parameters.
 
     Raises
     ------
@@ -200,7 +199,7 @@ def bounds_of(params: Parameters, free: Mapping[str, Free]) -> Bounds:
 
 
 def fills(array: Host, shape: tuple[int, ...]) -> bool:
-    """Whether an array fills a shape by NumPy's rules, as a number does, or a row every row."""
+    """Return whether NumPy broadcasts an array to a shape."""
     try:
         return np.broadcast_shapes(array.shape, shape) == shape
     except ValueError:
@@ -208,25 +207,25 @@ def fills(array: Host, shape: tuple[int, ...]) -> bool:
 
 
 def check_rate(name: str, rate: object) -> None:
-    """Raise :class:`OptionError` unless `rate` is a finite number, more than 0, or such a number of pixels."""
+    """Raise :class:`OptionError` unless `rate` is a positive finite number, or text with a number of pixels."""
     number = pixels_of(rate) if isinstance(rate, str) else real_number(rate)
     if not 0.0 < number < math.inf:
         msg = f"`{name}` must be a finite number, more than 0, or pixels as in '1.5 px', got {shown(rate)}"
         raise OptionError(msg)
 
 
-def _like(name: str, what: str, parameter: Array, value: object) -> Array:
-    """`value` as an array like `parameter`, which it fills by NumPy's rules: a number all of it, a row every row."""
+def _like(name: str, option: str, parameter: Array, value: object) -> Array:
+    """Return `value` as an array like `parameter`, broadcast to its shape."""
     shape = tuple(parameter.shape)
     try:
         array = np.asarray(to_numpy(value))
     except ValueError:  # rows of different lengths
         array = np.asarray(None)
     if array.dtype.kind not in "fiu":
-        msg = f"`{what}` of {name!r} must be numbers, got {shown(value)}"
+        msg = f"`{option}` of {name!r} must be numbers, got {shown(value)}"
         raise ParameterError(msg)
     if not fills(array, shape):
-        msg = f"`{what}` of {name!r} must be a number or fill shape {shape}, got shape {array.shape}"
+        msg = f"`{option}` of {name!r} must be a number or fill shape {shape}, got shape {array.shape}"
         raise ParameterError(msg)
-    with np.errstate(over="ignore"):  # what the parameter's dtype cannot hold becomes infinite
+    with np.errstate(over="ignore"):  # values beyond the range of the parameter's dtype become infinite
         return from_numpy(np.broadcast_to(array.astype(np.float64), shape).copy(), parameter)

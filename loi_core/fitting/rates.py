@@ -1,4 +1,4 @@
-"""How far a step of a fit moves each parameter."""
+"""Learning rates of the free parameters, each in its own unit."""
 
 from __future__ import annotations
 
@@ -16,48 +16,50 @@ from loi_core.support.values import real_number
 
 __all__ = ["measured_rates", "named_rates"]
 
-CROSSINGS: Final = 2.0  # of the longer side by all steps, if none decayed: once with the decay
-LEAST_PIXELS: Final = 0.25  # a step
-MOST_PIXELS: Final = 1.0 / 16.0  # of the longer side, a step
+CROSSINGS: Final = 2.0  # of the longer side of the image by all steps without decay: one crossing with decay
+MIN_RATE_PX: Final = 0.25
+MAX_RATE_FRACTION: Final = 1.0 / 16.0  # of the longer side
 
 
-def named_rates(asked: Mapping[str, float | str | None]) -> dict[str, float | str]:
-    """Rates as they were asked for; those that are left to the library by name."""
-    named = {name: "auto" if rate is None else rate for name, rate in asked.items()}
-    return {name: rate if isinstance(rate, str) else real_number(rate) for name, rate in named.items()}
+def named_rates(requested: Mapping[str, float | str | None]) -> dict[str, float | str]:
+    """Return the requested rates: numbers, text in pixels, or "auto" where the library chooses."""
+    return {
+        name: "auto" if rate is None else rate if isinstance(rate, str) else real_number(rate)
+        for name, rate in requested.items()
+    }
 
 
 def measured_rates(
     views: Views,
     params: Parameters,
     bounds: Bounds,
-    asked: Mapping[str, float | str | None],
+    requested: Mapping[str, float | str | None],
     steps: int,
     seed: int,
 ) -> dict[str, float]:
-    """How far a step moves each parameter, in its own unit; where pixels were asked for, as measured at `params`."""
-    in_pixels = [name for name, rate in asked.items() if rate is None or isinstance(rate, str)]
+    """Return the rate of each parameter in its own unit; rates in pixels are converted as measured at `params`."""
+    in_pixels = [name for name, rate in requested.items() if rate is None or isinstance(rate, str)]
     units: dict[str, float] = {}
     if in_pixels:
         each = list(views.each.values())
         units, side = measure_units(
-            each, params, bounds, in_pixels, targets=[_target(view.objectives[-1]) for view in each], seed=seed
+            each, params, bounds, in_pixels, targets=[_reference_of(view.objectives[-1]) for view in each], seed=seed
         )
-        least, most = LEAST_PIXELS, side * MOST_PIXELS
-        usual = min(max(CROSSINGS * side / steps, least), max(most, least))
+        max_pixels = max(side * MAX_RATE_FRACTION, MIN_RATE_PX)
+        default_pixels = min(max(CROSSINGS * side / steps, MIN_RATE_PX), max_pixels)
     rates = {}
-    for name, rate in asked.items():
+    for name, rate in requested.items():
         if name in units:
-            pixels = usual if rate is None else pixels_of(rate)
-            # What leaves no trace has no unit, and no gradient either: any rate will do.
+            pixels = default_pixels if rate is None else pixels_of(rate)
+            # A parameter that does not change the image has no unit and no gradient: any rate will do.
             rates[name] = pixels * units[name] if math.isfinite(units[name]) else 1.0
         else:
             rates[name] = real_number(rate)
     return rates
 
 
-def _target(objective: Objective) -> Array | None:
-    """What an image is compared with, shape (H, W, C), if that is known."""
+def _reference_of(objective: Objective) -> Array | None:
+    """Return the reference image, shape (H, W, C), if it is known."""
     if isinstance(objective, ImageObjective) and objective.channel_axis == -1:
         return objective.reference
     return None

@@ -1,4 +1,4 @@
-"""How far a fit has come: its steps, its best parameters, its state between two steps, and its result."""
+"""The state of a fit between two steps, and its result."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 from loi_core.fitting.history import FitStep
 from loi_core.fitting.notebook import result_html
 from loi_core.fitting.optimiser import Memory
-from loi_core.fitting.stages import FarToNear
+from loi_core.fitting.schedule import Schedule
 from loi_core.fitting.verdict import Diagnosis
-from loi_core.fitting.views import Images, as_given
+from loi_core.fitting.views import Images, ungrouped
 from loi_core.renderers.contract import Parameters
 from loi_core.support.arrays import Array
 
@@ -19,31 +19,30 @@ __all__ = ["Best", "FitResult", "State"]
 
 @dataclass(frozen=True, repr=False)
 class FitResult:
-    """Where a fit came to.
+    """The result of a fit.
 
     Attributes
     ----------
     params : dict of arrays
         After the last step.
     best_params : dict of arrays
-        Those with the least value.
+        The parameters with the least value.
     best_value : float
-        That value.
     best_step : int
-        The step at which they were seen; equal to the number of steps if after the last.
+        The step that evaluated them; the number of steps if they were evaluated after the last.
     image : array, shape (H, W, C), or dict of arrays
-        Rendered from `best_params`; of several views, by their names.
+        Rendered from `best_params`; a dict by the names of several views.
     history : list of FitStep
         One entry for each step.
     diagnosis : Diagnosis, optional
-        What came of it and what to try; None for a fit that was cut short.
+        The verdict and advice; None for a fit that was interrupted.
     rates : dict of float
-        How far a step could move each free parameter, in its own unit.
+        Learning rate of each free parameter, in its own unit.
     agreeing : int, optional
-        Of several starts, how many of those that were left ended where the best did.
+        Of several starts, how many finalists ended where the best did.
     psnr : float, optional
-        Of `image` against the reference, in dB for a peak of 1, over all views; None for a fit that was cut short, and
-        where an objective has no reference of the image's shape.
+        Of `image` against the reference, in dB for a peak of 1, over all views; None for a fit that was interrupted,
+        and if an objective has no reference of the image's shape.
     """
 
     params: Parameters
@@ -59,21 +58,24 @@ class FitResult:
 
     def __repr__(self) -> str:
         verdict = "cut short" if self.diagnosis is None else self.diagnosis.verdict
-        where = f"best value {self.best_value:.4g} at step {self.best_step} of {len(self.history)}"
-        return f"<FitResult: {verdict}; {where}>"
+        return f"<FitResult: {verdict}; best value {self._best}>"
 
     def _repr_html_(self) -> str:
-        facts = {"best value": f"{self.best_value:.4g} at step {self.best_step} of {len(self.history)}"}
+        facts = {"best value": self._best}
         if self.psnr is not None:
             facts["PSNR"] = f"{self.psnr:.2f} dB"
         if self.agreeing is not None:
             facts["starts that agree"] = str(self.agreeing)
         return result_html("FitResult", facts, self.diagnosis, self.best_params, self.rates, self.history, self.image)
 
+    @property
+    def _best(self) -> str:
+        return f"{self.best_value:.4g} at step {self.best_step} of {len(self.history)}"
+
 
 @dataclass(frozen=True)
 class Best:
-    """The parameters with the least value of a stage, the step at which they were seen, and the images of its views."""
+    """The parameters with the least value of a stage, the step that evaluated them, and the images of their views."""
 
     params: Parameters
     value: float
@@ -81,19 +83,19 @@ class Best:
     images: Mapping[str, Array]
     stage: int = 0
     partial: bool = False
-    """Whether the value is of some views only, as not all have been rendered yet: then anything later is better."""
+    """Whether the value covers only some views because not all have been rendered; any later value is better."""
 
 
 @dataclass(frozen=True)
 class State:
-    """Everything that moves in a fit. A fit goes from one state to the next in a single assignment.
+    """The whole state of a fit. A fit moves from one state to the next in a single assignment.
 
     Attributes
     ----------
     params : dict of arrays
         After `step` steps.
     memory : dict of arrays
-        Of the optimiser, after as many.
+        Of the optimiser, after `step` steps.
     step : int
         Number of steps taken.
     best : Best or None
@@ -101,13 +103,13 @@ class State:
     log : list of FitStep
         Its first `step` entries are the history. The states of a fit share the list, so that no step copies it.
     rates : dict of float
-        Of each free parameter, in its own unit.
-    schedule : FarToNear
-        Which objective is next.
+        Learning rate of each free parameter, in its own unit.
+    schedule : Schedule
+        Chooses the objective of the next step.
     latest : dict of float
-        The value that each view had when it was last rendered in this stage.
+        The last value of each view in this stage.
     agreeing : int, optional
-        Of several starts, how many ended where the best did.
+        Of several starts, how many finalists ended where the best did.
     """
 
     params: Parameters
@@ -116,7 +118,7 @@ class State:
     best: Best | None = None
     log: list[FitStep] = field(default_factory=list)
     rates: Mapping[str, float] = field(default_factory=dict)
-    schedule: FarToNear = field(default_factory=lambda: FarToNear(1, 1))
+    schedule: Schedule = field(default_factory=lambda: Schedule(1, 1))
     latest: Mapping[str, float] = field(default_factory=dict)
     agreeing: int | None = None
 
@@ -125,32 +127,29 @@ class State:
         """One entry for each step taken."""
         return self.log[: self.step]
 
-    def seen(self, value: float, images: Mapping[str, Array], stage: int = 0, *, partial: bool = False) -> State:
-        """The same state, once the value and images of its parameters are known.
+    def evaluated(self, value: float, images: Mapping[str, Array], stage: int, *, partial: bool = False) -> State:
+        """Return the state with the value and images of its parameters, which are the best if the value is less.
 
-        Values of one stage are compared, unless they are `partial`: of some of the views only.
+        Only values of one stage are compared, and no `partial` values, which cover only some of the views.
         """
         best = self.best
         if best is not None and best.stage == stage and not best.partial and (partial or not value < best.value):
             return self
         return replace(self, best=Best(self.params, value, self.step, images, stage, partial))
 
-    def stepped(
-        self, entry: FitStep, params: Parameters, memory: Memory, latest: Mapping[str, float] | None = None
-    ) -> State:
-        """The state after one more step."""
-        self.log[self.step :] = [entry]  # past the history of this state and of all before it
-        ahead = self.schedule.copy()
-        ahead.step(entry.value)
-        latest = latest if latest and ahead.stage == self.schedule.stage else {}
-        return replace(self, params=params, memory=memory, step=self.step + 1, schedule=ahead, latest=latest)
+    def stepped(self, entry: FitStep, params: Parameters, memory: Memory, latest: Mapping[str, float]) -> State:
+        """Return the state after one more step."""
+        self.log[self.step :] = [entry]  # beyond the history of this state and of all earlier ones
+        schedule = self.schedule.after(entry.value)
+        latest = latest if schedule.stage == self.schedule.stage else {}
+        return replace(self, params=params, memory=memory, step=self.step + 1, schedule=schedule, latest=latest)
 
     def result(self) -> FitResult | None:
-        """What has been reached; None before the first value."""
+        """Return the result so far; None before the first value."""
         if self.best is None:
             return None
         best = self.best
-        image = as_given(best.images)
+        image = ungrouped(best.images)
         return FitResult(
             *(self.params, best.params, best.value, best.step, image, self.history),
             rates=self.rates,

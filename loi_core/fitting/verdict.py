@@ -1,4 +1,4 @@
-"""What came of a fit, as its result says it."""
+"""The verdict on a fit, as its result reports it."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ Verdict: TypeAlias = Literal[
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What came of a fit.
+    """The diagnosis of a fit.
 
     Attributes
     ----------
     verdict : str
-        "converged": little is left of the loss, once noise is averaged away. "stalled": it is not, and no longer
-        falls. "still falling": more steps would help. "at a bound", "no gradient", "left the frame" (the gradient was
-        there and is gone), "follows noise", "other range" (target and render differ in brightness as if one were
-        encoded): why it did not get further.
+        "converged": little is left of the loss, once noise is averaged away. "stalled": more is left, and the loss no
+        longer falls. "still falling": more steps would help. "at a bound", "no gradient", "left the frame" (the
+        gradient has vanished), "follows noise", "other range" (target and render differ in brightness as if one were
+        encoded): the reason why the fit stopped short.
     message : str
-        One line on what was seen.
+        The observation, in one line.
     advice : str
-        One line on what to try; empty if nothing needs to be.
+        A remedy, in one line; empty if none is needed.
     left : float
-        Of the loss at the start, what is left.
+        Remaining loss, as a fraction of the loss at the start.
     noise : float
-        Of the loss at the start, what a render of the result differs by from the mean of others.
+        Loss between one render of the result and the mean of several, as a fraction of the loss at the start.
     """
 
     verdict: Verdict
@@ -48,7 +48,7 @@ class Diagnosis:
 
     @property
     def ok(self) -> bool:
-        """Whether the fit has found what it was to find, as far as the loss can tell."""
+        """Whether the fit has found its target, as far as the loss shows."""
         return self.verdict == "converged"
 
     def __str__(self) -> str:

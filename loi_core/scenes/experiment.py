@@ -107,7 +107,7 @@ def run_scene(
                 seed=scene.fit.seed,
                 decay=scene.fit.decay,
                 stages=None if scene.fit.stages == "none" else "auto",
-                finish=None if scene.fit.finish == "none" else "pixels",
+                polish=None if scene.fit.polish == "none" else "pixels",
                 starts=scene.fit.starts,
                 views_per_step=scene.fit.views_per_step,
                 optimise=scene.optimise,

@@ -52,7 +52,7 @@ FREE_KEYS: Final = ("initial", "lower", "upper", "learning_rate", "truth")
 SCALE_KEYS: Final = ("preset", "sigma", "alpha", "beta", "bounds", "boundary", "p")
 OBJECTIVE_KEYS: Final = ("name", "compare", "accuracy", "nan_policy", "tone", "colours")
 TONE_KEYS: Final = ("peak", "compression")
-FIT_KEYS: Final = ("steps", "learning_rate", "decay", "seed", "stages", "finish", "starts", "views_per_step")
+FIT_KEYS: Final = ("steps", "learning_rate", "decay", "seed", "stages", "polish", "starts", "views_per_step")
 
 
 def load_scene(path: Path, *, output: Path | None = None, samples: int | None = None) -> Scene:
@@ -318,8 +318,8 @@ def _fit_options(reader: TableReader, table: Mapping[str, Any], views: Collectio
         raise reader.error("fit", str(error)) from error
     if options.stages not in ("auto", "none"):
         raise reader.error("fit", f"`stages` must be 'auto' or 'none', got {shown(options.stages)}")
-    if options.finish not in ("pixels", "none"):
-        raise reader.error("fit", f"`finish` must be 'pixels' or 'none', got {shown(options.finish)}")
+    if options.polish not in ("pixels", "none"):
+        raise reader.error("fit", f"`polish` must be 'pixels' or 'none', got {shown(options.polish)}")
     count = options.views_per_step
     if count is not None and "" in views:
         raise reader.error("fit", f"`views_per_step` must be left out of a scene without [views], got {shown(count)}")

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from loi_core.fitting.parameters import Free, SharedParameters
-from loi_core.fitting.views import Images, as_given
+from loi_core.fitting.views import Images, ungrouped
 from loi_core.io.images import FloatImage
 from loi_core.method.scales import ScaleSpace
 from loi_core.objectives import Objective
@@ -32,7 +32,7 @@ class FitOptions:
     decay: Any = "cosine"
     seed: int = 0
     stages: Any = "auto"
-    finish: Any = "none"
+    polish: Any = "none"
     starts: int = 1
     views_per_step: int | None = None
 
@@ -132,11 +132,11 @@ class Scene:
     @property
     def renderers(self) -> Images:
         """The renderer of a single view, or the renderers of several views by name."""
-        return as_given({name: view.renderer for name, view in self.views.items()})
+        return ungrouped({name: view.renderer for name, view in self.views.items()})
 
     def objective(self, name: str) -> Images:
         """Return the objective called `name` of a single view, or these objectives of several views by view."""
-        return as_given({view_name: view.objectives[name] for view_name, view in self.views.items()})
+        return ungrouped({view_name: view.objectives[name] for view_name, view in self.views.items()})
 
     def montage(self, images: Mapping[str, Host]) -> Host:
         """Return the images of all views side by side, in the order of the file."""

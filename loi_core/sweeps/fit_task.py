@@ -10,7 +10,7 @@ from typing import Any
 
 from loi_core.errors import LoiError, ParameterError
 from loi_core.fitting.parameters import bounds_of, starting_parameters
-from loi_core.fitting.race import draw_starts
+from loi_core.fitting.starts import draw_starts
 from loi_core.io.result_folder import CHECKPOINT_FILE, ResultFolder
 from loi_core.report import write_page, write_results
 from loi_core.scenes.experiment import run_scene

@@ -137,7 +137,7 @@ def test_a_non_finite_step_stops_the_fit_with_the_best_so_far(how: str, says: st
             "`learning_rate` must be a finite number, more than 0, or pixels as in '1.5 px', got -1",
         ),
         ({"seed": -1}, "`seed`"),
-        ({"resume": True}, "`resume` must be False without a `checkpoint` to go on from, got True"),
+        ({"resume": True}, "`resume` must be False without a `checkpoint` to continue from, got True"),
         ({"views_per_step": 1}, "`views_per_step` must be left out unless `renderer` is a dict of views, got 1"),
         ({"decay": "linear"}, "`decay` must be one of 'cosine', 'none', got 'linear'"),
         ({"optimise": ["colour"]}, "'colour', which the renderer does not have; it has colours, positions, radii"),

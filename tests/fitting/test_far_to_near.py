@@ -14,8 +14,8 @@ from loi_core import FarToNear, Free, LOIObjective, PixelL2, ScaleSpace, fit
 from loi_core.errors import OptionError, ParameterError
 from loi_core.fitting.loop import FitInterruptedError, FitStep
 from loi_core.fitting.parameters import bounds_of
-from loi_core.fitting.race import draw_starts
-from loi_core.fitting.stages import has_settled
+from loi_core.fitting.schedule import has_settled
+from loi_core.fitting.starts import draw_starts
 from loi_core.renderers import Disks, Warp
 from loi_core.renderers.units import measure_units
 from tests.contents import photograph
@@ -269,4 +269,4 @@ def test_a_schedule_takes_what_a_loss_of_any_library_returns(library: str) -> No
         schedule.step(returned(1.0))
     assert schedule.passed == 0.0
     schedule.step(returned(0.5))
-    assert schedule.level == 0.5
+    assert schedule.stage == 1

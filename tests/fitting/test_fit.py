@@ -253,8 +253,8 @@ def test_any_other_answer_of_a_callback_is_refused_and_leaves_the_best_so_far(an
 def test_a_step_does_not_copy_the_history() -> None:
     state = State({}, {})
     for step in range(4):
-        before, state = state, state.stepped(FitStep(step, 0.0, 0.0, 1.0, 0.0), {}, state.memory)
+        before, state = state, state.stepped(FitStep(step, 0.0, 0.0, 1.0, 0.0), {}, state.memory, {})
         assert state.log is before.log
         assert [one.step for one in before.history] == list(range(step))
-    again = before.stepped(FitStep(9, 0.0, 0.0, 1.0, 0.0), {}, before.memory)
+    again = before.stepped(FitStep(9, 0.0, 0.0, 1.0, 0.0), {}, before.memory, {})
     assert [one.step for one in again.history] == [0, 1, 2, 9]

@@ -39,4 +39,4 @@ def test_a_long_schedule_looks_back_at_a_bounded_number_of_values() -> None:
     for step in range(4000):
         schedule.step(1.0 / (1.0 + step))
     assert schedule.stage == 0
-    assert len(schedule._values) <= 2 * 512
+    assert len(schedule._schedule.values) <= 2 * 512

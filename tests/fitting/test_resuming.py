@@ -134,7 +134,7 @@ def test_ctrl_c_within_a_step_falls_before_it(tmp_path: Path) -> None:
 
 
 # The functions that hold the state, and where they are.
-STATEFUL = {"fit", "finished", "step", "_save", "seen", "stepped", "result", "history"}
+STATEFUL = {"fit", "finished", "step", "advance", "_save", "evaluated", "stepped", "result", "history"}
 HOLDERS = {Path(sys.modules[f"loi_core.fitting.{name}"].__file__ or "") for name in ("loop", "descent", "state")}
 
 

@@ -65,7 +65,7 @@ def test_what_a_renderer_makes_of_it_may_fail_and_leaves_a_result() -> None:
                 raise RuntimeError
 
     caught: Any
-    with pytest.raises(FitError, match=r"step 2: telling the renderer how far the fit has come failed") as caught:
+    with pytest.raises(FitError, match=r"step 2: announcing the step to the renderer failed") as caught:
         fit(Refuses(), PixelL2(np.ones((2, 2, 1))), steps=5, learning_rate=0.1, optimise=["pixels"])
     assert len(caught.value.result.history) == 2
 

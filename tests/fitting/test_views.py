@@ -12,7 +12,7 @@ from loi_core import FitInterruptedError, Free, LOIObjective, PixelL2, fit
 from loi_core.errors import FitError, OptionError, RendererError
 from loi_core.fitting.history import FitStep
 from loi_core.fitting.parameters import bounds_of
-from loi_core.fitting.race import PLACES, search
+from loi_core.fitting.starts import SEARCH_DRAWS, search
 from loi_core.fitting.views import Views
 from loi_core.renderers import Disks
 from tests.helpers import Host
@@ -167,7 +167,7 @@ def test_a_view_without_far_scales_does_not_keep_the_others_from_theirs() -> Non
 
 def test_views_that_do_not_divide_are_drawn_without_repeats() -> None:
     views = Views.of(VIEWS, OBJECTIVES, None, 2)
-    drawn = [views.turn(step, 0) for step in range(600)]
+    drawn = [views.names_at(step, 0) for step in range(600)]
     assert all(len(set(one)) == 2 for one in drawn)
     counts = [sum(name in one for one in drawn) for name in VIEWS]
     assert max(counts) - min(counts) < 60  # of 400 each, give or take 12
@@ -190,7 +190,7 @@ def test_a_search_passes_over_places_that_cannot_be_rendered() -> None:
     assert found is not None
     assert found[0] == np.nanmin(values)
     assert np.isnan(values).any()
-    assert 0 < len(values) < PLACES
+    assert 0 < len(values) < SEARCH_DRAWS
 
 
 def test_errors_name_the_view() -> None:
@@ -226,7 +226,7 @@ def test_values_of_other_views_are_never_taken_for_a_better_fit() -> None:
         (VIEWS, {"front": OBJECTIVES["front"]}, {}, OptionError, r"\['front', 'side', 'top'\], got \['front'\]"),
         (VIEWS, OBJECTIVES, {"views_per_step": 4}, OptionError, "whole number from 1 to 3, the views, got 4"),
         (VIEWS["front"], OBJECTIVES["front"], {"views_per_step": 1}, OptionError, "left out unless .* of views, got 1"),
-        ({1: VIEWS["front"]}, {1: OBJECTIVES["front"]}, {}, OptionError, "name its views by texts"),
+        ({1: VIEWS["front"]}, {1: OBJECTIVES["front"]}, {}, OptionError, "name its views by non-empty texts"),
         ({}, {}, {}, OptionError, "must have one for each view"),
         (VIEWS["front"], OBJECTIVES, {}, OptionError, "`objective` is a dict, so `renderer` must be one too"),
         (VIEWS, OBJECTIVES, {"stages": [OBJECTIVES["front"]]}, OptionError, "`stages` of several views must be scales"),

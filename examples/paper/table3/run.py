@@ -19,8 +19,9 @@ from loi_core.fitting.adam import Adam
 from loi_core.fitting.loop import FitStep, Free
 from loi_core.fitting.optimiser import Memory
 from loi_core.fitting.parameters import bounds_of
-from loi_core.fitting.race import can_search
-from loi_core.fitting.stages import LEAST, WINDOW, has_settled, objectives_of
+from loi_core.fitting.schedule import MIN_WINDOW, WINDOW_FRACTION, has_settled
+from loi_core.fitting.stages import far_objectives
+from loi_core.fitting.starts import can_search
 from loi_core.renderers.contract import Parameters
 
 __all__ = ["CURVE_STEPS", "Outcome", "Run", "carry_out"]
@@ -140,8 +141,8 @@ def _part(
         settles = setting.method == "loi" and not can_search(bounds_of(start, free))
         common |= {"learning_rate": f"{rate} px", "decay": "none" if settles else "cosine"}
 
-    last_stage = len(objectives_of(next(iter(objectives.values())), "auto")) - 1
-    window = max(LEAST, round(WINDOW * steps))
+    last_stage = len(far_objectives(next(iter(objectives.values())), "auto")) - 1
+    window = max(MIN_WINDOW, round(WINDOW_FRACTION * steps))
     values: list[float] = []  # of the last stage
 
     def note(step: FitStep, __: Parameters, images: Any) -> bool:

@@ -1,4 +1,4 @@
-"""What a fit has reached must not be lost to what breaks."""
+"""Errors during a fit, with the best result so far."""
 
 from __future__ import annotations
 
@@ -9,18 +9,19 @@ from loi_core.fitting.state import State
 from loi_core.support.guards import is_ctrl_c
 from loi_core.support.wording import described
 
-__all__ = ["keeping"]
+__all__ = ["with_partial_result"]
 
 
 @dataclass(frozen=True)
-class keeping:  # noqa: N801 - it reads as what it does: with keeping(state, "rendering")
-    """Whatever breaks after the first step must not take the best parameters with it.
+class with_partial_result:  # noqa: N801 - a context manager
+    """Raise any error of the block as a :class:`FitError` with the best result so far.
 
-    A class, since a generator that Ctrl-C cuts off could not tell its own end from an error.
+    Ctrl-C passes, and so do errors of the library before the first value, which say what is wrong with the call. It is
+    a class because a generator that Ctrl-C interrupts cannot distinguish its own end from an error.
     """
 
     state: State
-    what: str
+    action: str
 
     def __enter__(self) -> None:
         pass
@@ -30,9 +31,9 @@ class keeping:  # noqa: N801 - it reads as what it does: with keeping(state, "re
             return
         result = self.state.result()
         if result is None and isinstance(error, LoiError) and not isinstance(error, NonFiniteImageError):
-            return  # nothing is lost yet, and the error says what is wrong with the call
+            return
         if isinstance(error, NonFiniteImageError):
             msg = f"step {self.state.step}: the render is not finite: {described(error)}"
             raise FitDivergedError(msg, result) from error
-        msg = f"step {self.state.step}: {self.what} failed: {described(error)}"
+        msg = f"step {self.state.step}: {self.action} failed: {described(error)}"
         raise FitError(msg, result) from error

@@ -1,0 +1,180 @@
+"""Starting parameters: quasi-random draws within the bounds, a search among them, and successive halving."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from typing import Final, TypeAlias
+
+import numpy as np
+
+from loi_core.errors import OptionError
+from loi_core.fitting.parameters import Bounds
+from loi_core.renderers.contract import Parameters
+from loi_core.support.arrays import from_numpy, to_numpy
+
+__all__ = [
+    "SEARCH_DRAWS",
+    "can_search",
+    "draw_starts",
+    "free_numbers",
+    "search",
+    "successive_halving",
+    "unbounded_parameters",
+]
+
+ROUND_FRACTION: Final = 1.0 / 6.0  # of the steps of a fit, in each round of successive halving
+MAX_FINALISTS: Final = 4
+AGREEMENT: Final = 0.05  # of the range: finalists within this distance of the best agree with it
+SEARCH_DRAWS: Final = 48  # 16 are too few for an object that is out of view
+LOCAL_SEARCH_DRAWS: Final = 32
+LOCAL_RADIUS: Final = 0.15  # of the range, to either side
+MAX_SEARCH_NUMBERS: Final = 8  # in more dimensions so few draws cover next to nothing
+
+Evaluate: TypeAlias = Callable[[Parameters], float]
+"""Returns the loss of parameters."""
+
+RunRound: TypeAlias = Callable[[Parameters, int, int], tuple[float, Parameters]]
+"""Fits from a start for a stage and a number of steps; returns the last objective's value, and the parameters."""
+
+
+def draw_starts(params: Parameters, bounds: Bounds, count: int, *, first: int = 1) -> list[Parameters]:
+    """Return `params` and ``count - 1`` points that fill their bounds evenly, from point `first` of a sequence on.
+
+    The sequence is an additive recurrence on powers of the generalised golden ratio (M. Roberts, The unreasonable
+    effectiveness of quasirandom sequences, 2018): its first points are well spread for any count, in any dimension.
+
+    Raises
+    ------
+    OptionError
+        If a bound is infinite.
+    """
+    low, high = (
+        {name: np.asarray(to_numpy(limit), dtype=np.float64) for name, limit in limits.items()}
+        for limits in (bounds.lower, bounds.upper)
+    )
+    for name in low:
+        if not (np.all(np.isfinite(low[name])) and np.all(np.isfinite(high[name]))):
+            msg = f"`starts` draws within bounds, and {name!r} has none; give it `lower` and `upper`"
+            raise OptionError(msg)
+    movable = {name: low[name] < high[name] for name in low}
+    size = sum(int(np.sum(mask)) for mask in movable.values())
+    ratio = 2.0
+    for _ in range(64):
+        ratio = (1.0 + ratio) ** (1.0 / (size + 1))
+    steps = ratio ** -np.arange(1.0, size + 1.0)
+    starts = [params]
+    for index in range(first, first + count - 1):
+        point, offset = np.mod(0.5 + index * steps, 1.0), 0
+        drawn = dict(params)
+        for name, floor in low.items():
+            value, mask = floor.copy(), movable[name]
+            fractions = point[offset : offset + int(np.sum(mask))]
+            offset += fractions.size
+            value[mask] += fractions * (high[name] - floor)[mask]
+            drawn[name] = from_numpy(value, params[name])
+        starts.append(drawn)
+    return starts
+
+
+def free_numbers(bounds: Bounds) -> int:
+    """Return how many numbers may move."""
+    return sum(
+        int(np.sum(np.asarray(to_numpy(low)) < np.asarray(to_numpy(bounds.upper[name]))))
+        for name, low in bounds.lower.items()
+    )
+
+
+def unbounded_parameters(bounds: Bounds) -> list[str]:
+    """Return the free parameters with an entry that lacks a lower or an upper bound."""
+    return [
+        name
+        for name, lower in bounds.lower.items()
+        if not (np.all(np.isfinite(to_numpy(lower))) and np.all(np.isfinite(to_numpy(bounds.upper[name]))))
+    ]
+
+
+def can_search(bounds: Bounds) -> bool:
+    """Return whether the free parameters are few enough, and all bounded, for a search."""
+    return not unbounded_parameters(bounds) and free_numbers(bounds) <= MAX_SEARCH_NUMBERS
+
+
+def search(
+    evaluate: Evaluate, params: Parameters, bounds: Bounds, attempt: int, *, local: bool = False
+) -> tuple[float, Parameters] | None:
+    """Return the least loss at some points within the bounds, and its parameters; each attempt draws other points.
+
+    With `local`, every other point lies in a box around the parameters. If there are several parameters, only one of
+    them moves at three of four points, each in turn, since the others may be right.
+    """
+    best: tuple[float, Parameters] | None = None
+    for point in _local_draws(params, bounds, attempt) if local else _draws(params, bounds, SEARCH_DRAWS, attempt):
+        value = math.inf
+        with suppress(Exception):  # a renderer need not accept every point within the bounds
+            value = evaluate(point)
+        if not math.isfinite(value):
+            continue
+        if best is None or value < best[0]:
+            best = value, point
+    return best
+
+
+def _draws(params: Parameters, bounds: Bounds, count: int, attempt: int) -> list[Parameters]:
+    return draw_starts(params, bounds, count + 1, first=1 + attempt * count)[1:]
+
+
+def _local_draws(params: Parameters, bounds: Bounds, attempt: int) -> Iterator[Parameters]:
+    everywhere, nearby = (
+        _draws(params, box, LOCAL_SEARCH_DRAWS, attempt) for box in (bounds, _box_around(params, bounds))
+    )
+    names, singles = list(bounds.lower), 0
+    for index, (anywhere, near_by) in enumerate(zip(everywhere, nearby, strict=True)):
+        if len(names) > 1 and index % 8 > 1:
+            name, singles = names[singles % len(names)], singles + 1
+            yield params | {name: anywhere[name]}
+        else:
+            yield near_by if index % 2 else anywhere
+
+
+def _box_around(params: Parameters, bounds: Bounds) -> Bounds:
+    lower, upper = {}, {}
+    for name, floor in bounds.lower.items():
+        centre, low, high = (
+            np.asarray(to_numpy(value), dtype=np.float64) for value in (params[name], floor, bounds.upper[name])
+        )
+        radius = LOCAL_RADIUS * (high - low)
+        lower[name] = from_numpy(np.maximum(low, centre - radius), params[name])
+        upper[name] = from_numpy(np.minimum(high, centre + radius), params[name])
+    return Bounds(lower, upper)
+
+
+def successive_halving(
+    params: Parameters, bounds: Bounds, count: int, stages: int, steps: int, run: RunRound
+) -> tuple[Parameters, int]:
+    """Return the best of `count` starts, and how many finalists agree with it.
+
+    In every round each candidate takes a sixth of the steps, with the objectives from far to near in turn, and the half
+    with the larger values of the last objective drops out.
+    """
+    candidates = draw_starts(params, bounds, count)
+    round_steps, rounds = max(round(ROUND_FRACTION * steps), 2), 0
+    while len(candidates) > 1:
+        runs = [run(start, min(rounds, stages - 1), round_steps) for start in candidates]
+        runs.sort(key=lambda outcome: outcome[0])
+        rounds += 1
+        if len(runs) <= MAX_FINALISTS and rounds >= stages:
+            best = runs[0][1]
+            return best, sum(_agree(best, finalist, bounds) for _, finalist in runs)
+        candidates = [end for _, end in runs[: max(len(runs) // 2, 1)]]
+    return candidates[0], 1
+
+
+def _agree(best: Parameters, finalist: Parameters, bounds: Bounds) -> bool:
+    for name, floor in bounds.lower.items():
+        low, high, first, second = (
+            to_numpy(value) for value in (floor, bounds.upper[name], best[name], finalist[name])
+        )
+        if not np.all(np.abs(first - second) <= AGREEMENT * (high - low)):
+            return False
+    return True
