@@ -69,7 +69,7 @@ def cells(row: Row) -> list[str]:
         f"{', '.join(kept)}; depth {row.plan.settings['max_depth']}",
         _with_error(one.cosine, one.cosine_error, 4),
         _with_error(one.ratio, one.ratio_error, 3),
-        f"{one.noise:.2g}, {one.wanted_noise:.2g}",
+        f"{one.noise:.2g}, {one.reference_noise:.2g}",
         f"{1e3 * row.seconds:.3g}",
         *(_times(other / row.seconds) for other in (row.full_seconds, row.default_seconds, row.hand_seconds)),
         f"{row.pilot_fraction:.1%}",

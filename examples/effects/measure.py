@@ -14,7 +14,7 @@ import numpy as np
 from examples.effects.scenes import Case
 from loi_core import Free, LOIObjective, Renderer, ScaleSpace, fit
 from loi_core.effects import Comparison, EffectPlan, Schedule, compare
-from loi_core.effects.schedule import STALL
+from loi_core.effects.schedule import STALL_STEPS
 from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer
 from loi_mitsuba.effects.verify import step_draws, steps_in_turn
 
@@ -106,12 +106,12 @@ def looks_of_a_stall(steps: int) -> int:
     """How often a fit of so many steps looks at what is off if its loss stalls from the first step on."""
     schedule, looks = Schedule(), 0
     for _ in range(steps):
-        schedule = schedule.counted()
+        schedule = schedule.after_gradient()
         if schedule.is_due:
-            schedule, looks = schedule.looked(), looks + 1
-        schedule = schedule.watched(1.0)
-        if schedule.stalls:
-            schedule, looks = schedule.waited().looked(), looks + 1
+            schedule, looks = schedule.after_probe(), looks + 1
+        schedule = schedule.after_step(1.0)
+        if schedule.is_stalled:
+            schedule, looks = schedule.after_stall().after_probe(), looks + 1
     return looks
 
 
@@ -174,9 +174,9 @@ def _planning(
     plan = planned.begin(start, cotangent, optimise=list(start))
     begun = time.perf_counter()
     looked = begun
-    for step in range(STALL + 1):  # only the last of these looks
+    for step in range(STALL_STEPS + 1):  # only the last of these looks
         looked = time.perf_counter()
-        planned.at_step(step, STALL + 1, 1.0)
+        planned.at_step(step, STALL_STEPS + 1, 1.0)
     return plan, begun - begin, time.perf_counter() - looked
 
 

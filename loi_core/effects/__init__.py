@@ -1,15 +1,21 @@
-"""Which effects of light transport a scene calls for: a model that knows no renderer."""
+"""Effects of light transport that a scene requires, independent of any renderer."""
 
-from loi_core.effects.allocation import allocate, whole_samples
-from loi_core.effects.fractions import Sizes, largest_fraction, most_fraction, relative_variance, sizes_of
+from loi_core.effects.allocation import allocate, power_of_two_samples
+from loi_core.effects.fractions import (
+    GradientNorms,
+    fraction_bound,
+    largest_fraction,
+    relative_variance,
+    significant_norms,
+)
 from loi_core.effects.frozen import Evidence, Frozen
 from loi_core.effects.model import Capability, Choice, Effect, EffectPlan
 from loi_core.effects.planner import EffectPlanner
 from loi_core.effects.schedule import Schedule
-from loi_core.effects.statistics import SURE, Comparison, Draws, compare, total
+from loi_core.effects.statistics import SIGNIFICANT_ERRORS, Comparison, Draws, compare, total
 
 __all__ = [
-    "SURE",
+    "SIGNIFICANT_ERRORS",
     "Capability",
     "Choice",
     "Comparison",
@@ -19,14 +25,14 @@ __all__ = [
     "EffectPlanner",
     "Evidence",
     "Frozen",
+    "GradientNorms",
     "Schedule",
-    "Sizes",
     "allocate",
     "compare",
+    "fraction_bound",
     "largest_fraction",
-    "most_fraction",
+    "power_of_two_samples",
     "relative_variance",
-    "sizes_of",
+    "significant_norms",
     "total",
-    "whole_samples",
 ]

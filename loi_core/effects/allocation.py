@@ -1,4 +1,4 @@
-"""Neyman allocation: how many samples each part of a sum gets, so that its variance is least for the time."""
+"""Neyman allocation of samples to the terms of a sum: minimal variance for a given time."""
 
 from __future__ import annotations
 
@@ -9,28 +9,29 @@ from loi_core.errors import OptionError
 from loi_core.support.values import real_number
 from loi_core.support.wording import shown
 
-__all__ = ["allocate", "whole_samples"]
+__all__ = ["allocate", "power_of_two_samples"]
 
 
 def allocate(variances: Sequence[float], costs: Sequence[float], budget: float) -> list[float]:
-    """Split a budget of time among independent estimators so that the variance of their sum is least.
+    """Split a time budget among independent estimators so that the variance of their sum is minimal.
 
-    With n_k samples, estimator k has the variance v_k / n_k and takes the time c_k n_k. Of all n with a total time
-    of `budget`, n_k proportional to sqrt(v_k / c_k) has the least total variance, (sum_k sqrt(v_k c_k))^2 / budget.
+    With n_k samples, estimator k has variance v_k / n_k and takes the time c_k n_k. Among all n with a total time of
+    `budget`, n_k proportional to sqrt(v_k / c_k) has the least total variance, (sum_k sqrt(v_k c_k))^2 / budget.
 
     Parameters
     ----------
     variances : sequence of float
-        Of one sample of each estimator; 0 or more.
+        Variance of one sample of each estimator; 0 or more.
     costs : sequence of float
-        Seconds that one sample takes; more than 0.
+        Seconds per sample; more than 0.
     budget : float
         Seconds; more than 0.
 
     Returns
     -------
     list of float
-        Samples; 0 where the variance is 0. If all variances are 0, every estimator gets the same time.
+        Number of samples; 0 for an estimator with variance 0. If all variances are 0, every estimator gets the same
+        time.
 
     Raises
     ------
@@ -41,42 +42,47 @@ def allocate(variances: Sequence[float], costs: Sequence[float], budget: float) 
     ----------
     J. Neyman, On the two different aspects of the representative method, 1934.
     """
-    spreads = [_number("variances", value, zero=True) for value in variances]
-    prices = [_number("costs", value, zero=False) for value in costs]
-    whole = _number("budget", budget, zero=False)
-    if len(spreads) != len(prices) or not spreads:
-        msg = f"`variances` and `costs` must be as many, at least one, got {len(spreads)} and {len(prices)}"
+    checked_variances = [_number("variances", value, zero=True) for value in variances]
+    checked_costs = [_number("costs", value, zero=False) for value in costs]
+    seconds = _number("budget", budget, zero=False)
+    if len(checked_variances) != len(checked_costs) or not checked_variances:
+        msg = (
+            f"`variances` and `costs` must have the same length, at least 1, "
+            f"got {len(checked_variances)} and {len(checked_costs)}"
+        )
         raise OptionError(msg)
-    # Square roots of each factor, for products of small numbers leave the range of floats.
-    weights = [math.sqrt(spread) * math.sqrt(price) for spread, price in zip(spreads, prices, strict=True)]
-    most = max(weights)
-    parts = [weight / most for weight in weights] if most > 0.0 else [1.0] * len(weights)
-    return [whole * (part / math.fsum(parts)) / price for part, price in zip(parts, prices, strict=True)]
+    # The root of each factor, since products of small numbers underflow.
+    weights = [math.sqrt(v) * math.sqrt(c) for v, c in zip(checked_variances, checked_costs, strict=True)]
+    largest = max(weights)
+    shares = [weight / largest for weight in weights] if largest > 0.0 else [1.0] * len(weights)
+    return [seconds * (share / math.fsum(shares)) / cost for share, cost in zip(shares, checked_costs, strict=True)]
 
 
-def whole_samples(
-    samples: Sequence[float], costs: Sequence[float], budget: float, *, least: int, most: int
+def power_of_two_samples(
+    samples: Sequence[float], costs: Sequence[float], budget: float, *, minimum: int, maximum: int
 ) -> list[int]:
-    """Samples as powers of two, within a budget of time.
+    """Round numbers of samples to powers of two within a time budget.
 
-    A renderer may compile once for each number of samples that it meets, so there should be few. Each is rounded
-    down; then the one that lost most is doubled, as long as the time allows.
+    A renderer may compile once for each number of samples, so there should be few. Each number is rounded down; then
+    they are doubled within the budget, starting with the number that lost most.
 
     Parameters
     ----------
     samples : sequence of float
-        As :func:`allocate` gives them.
+        The result of :func:`allocate`.
     costs : sequence of float
-        Seconds that one sample of each takes.
+        Seconds per sample.
     budget : float
-        Seconds, which only `least` samples of each may exceed.
-    least, most : int
-        Powers of two between which the samples stay.
+        Seconds; exceeded only if `minimum` samples of each estimator already do.
+    minimum, maximum : int
+        Powers of two that bound the result.
     """
-    counts = [min(most, max(least, 2 ** math.floor(math.log2(max(1.0, min(one, most)))))) for one in samples]
+    counts = [
+        min(maximum, max(minimum, 2 ** math.floor(math.log2(max(1.0, min(number, maximum)))))) for number in samples
+    ]
     spent = math.fsum(count * cost for count, cost in zip(counts, costs, strict=True))
     for k in sorted(range(len(counts)), key=lambda k: counts[k] / max(samples[k], counts[k])):
-        if 2 * counts[k] <= most and spent + counts[k] * costs[k] <= budget:
+        if 2 * counts[k] <= maximum and spent + counts[k] * costs[k] <= budget:
             spent += counts[k] * costs[k]
             counts[k] *= 2
     return counts

@@ -1,4 +1,4 @@
-"""What part of a gradient carries how much of it: fractions of parts that were drawn apart."""
+"""Contributions of the terms of a gradient, relative to the whole gradient, from independent draws of each."""
 
 from __future__ import annotations
 
@@ -6,41 +6,44 @@ import math
 from collections.abc import Collection, Mapping
 from typing import TypeAlias
 
-from loi_core.effects.statistics import SURE, Draws
+from loi_core.effects.statistics import SIGNIFICANT_ERRORS, Draws
 
-__all__ = ["Sizes", "largest_fraction", "most_fraction", "relative_variance", "sizes_of"]
+__all__ = ["GradientNorms", "fraction_bound", "largest_fraction", "relative_variance", "significant_norms"]
 
-Sizes: TypeAlias = Mapping[str, tuple[float, float]]
-"""By parameter, the norm of its gradient and the error of that; a norm of 0 if that is not significant."""
-
-
-def sizes_of(whole: Draws, significant: Collection[str]) -> Sizes:
-    """Norms of a gradient, for :func:`most_fraction`, 0 for all but the `significant` parameters."""
-    return {name: (whole.size(name) if name in significant else 0.0, whole.error(name)) for name in whole.gradients}
+GradientNorms: TypeAlias = Mapping[str, tuple[float, float]]
+"""Norm of the gradient of each parameter and its standard error; the norm is 0 if it is not significant."""
 
 
-def most_fraction(part: Draws, sizes: Sizes, sure: float = SURE) -> float:
-    """What a part of a gradient surely does not exceed as a fraction of the whole, for any parameter.
+def significant_norms(gradient: Draws, significant: Collection[str]) -> GradientNorms:
+    """Return the norms of a gradient for :func:`fraction_bound`; 0 for parameters that are not `significant`."""
+    return {
+        name: (gradient.debiased_norm(name) if name in significant else 0.0, gradient.standard_error(name))
+        for name in gradient.gradients
+    }
 
-    To the fraction that was found, `sure` of its errors are added, which come from both. Where the whole is lost in
-    noise, no fraction is small enough but that of a part which was exactly 0 in every draw: the result is infinite.
+
+def fraction_bound(term: Draws, norms: GradientNorms, n_errors: float = SIGNIFICANT_ERRORS) -> float:
+    """Return an upper bound of a term's fraction of the whole gradient, the maximum over parameters.
+
+    The bound is the estimated fraction plus `n_errors` standard errors, which come from the term and from the whole. If
+    the whole is lost in noise, the bound is infinite, unless the term is exactly 0 in every draw.
     """
-    fractions = [0.0]
-    for name, (size, error) in sizes.items():
-        if part.zero(name):
+    bounds = [0.0]
+    for name, (norm, error) in norms.items():
+        if term.is_zero(name):
             continue
-        if size == 0.0:
+        if norm == 0.0:
             return math.inf
-        fraction = part.size(name) / size
-        fractions.append(fraction + sure * math.hypot(part.error(name), fraction * error) / size)
-    return max(fractions)
+        fraction = term.debiased_norm(name) / norm
+        bounds.append(fraction + n_errors * math.hypot(term.standard_error(name), fraction * error) / norm)
+    return max(bounds)
 
 
-def largest_fraction(part: Draws, whole: Draws, significant: Collection[str]) -> float | None:
-    """The largest fraction among the parameters `significant`; None if there is none."""
-    return max((part.norm(name) / whole.norm(name) for name in significant), default=None)
+def largest_fraction(term: Draws, whole: Draws, significant: Collection[str]) -> float | None:
+    """Return the largest fraction among the `significant` parameters; None if there are none."""
+    return max((term.norm(name) / whole.norm(name) for name in significant), default=None)
 
 
-def relative_variance(part: Draws, whole: Draws, significant: Collection[str]) -> float:
-    """Variance of a draw of a part, each parameter `significant` relative to its own gradient: units differ."""
-    return sum(part.variance(name) / whole.norm(name) ** 2 for name in significant)
+def relative_variance(term: Draws, whole: Draws, significant: Collection[str]) -> float:
+    """Return the variance of a draw of a term, each `significant` parameter relative to the squared gradient norm."""
+    return sum(term.variance(name) / whole.norm(name) ** 2 for name in significant)

@@ -100,12 +100,14 @@ class Frozen:
         frozen = [
             tuple(group)
             for group in groups
-            if not any(draws.heard(name, CLEAR_ERRORS) or evidence[name].score > MIN_SCORES[0] for name in group)
+            if not any(
+                draws.is_significant(name, CLEAR_ERRORS) or evidence[name].score > MIN_SCORES[0] for name in group
+            )
         ]
         names = [name for group in frozen for name in group]
         reasons = {
             name: f"its gradient is exactly 0 in {draws.count} draws"
-            if draws.zero(name)
+            if draws.is_zero(name)
             else f"its gradient cannot be distinguished from noise in {draws.count} draws"
             for name in names
         }

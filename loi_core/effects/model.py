@@ -1,4 +1,4 @@
-"""Effects of light transport, and the plan that says which of them are simulated, how, and why."""
+"""Effects of light transport, and the plan of the effects that a renderer simulates."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ HEADS: Final = ["effect", "", "samples", "fraction", "why"]
 
 
 class Effect(enum.StrEnum):
-    """What may make an image change with a scene's parameters. The values are what people read."""
+    """Effects that carry a change of parameters to the image. Values are for display."""
 
     CONTINUOUS = "continuous shading"
     PRIMARY = "primary visibility"
@@ -32,18 +32,17 @@ class Effect(enum.StrEnum):
 
 @dataclass(frozen=True)
 class Capability:
-    """What a renderer's adapter declares about one effect.
+    """Capability of a renderer for one effect, declared by its adapter.
 
     Attributes
     ----------
     effect : Effect
-        Which.
     switch : str
-        The setting that turns it on and off; empty if there is none.
+        Name of the setting that enables it; empty if there is none.
     cost : str
-        What it costs, in words.
+        Description of its cost.
     simulated : bool
-        Whether the renderer has its gradient at all.
+        Whether the renderer has a gradient for it.
     """
 
     effect: Effect
@@ -54,24 +53,22 @@ class Capability:
 
 @dataclass(frozen=True)
 class Choice:
-    """What a plan says about one effect.
+    """Decision of a plan about one effect.
 
     Attributes
     ----------
     effect : Effect
-        Which.
     on : bool
         Whether it is simulated.
     reason : str
-        Why, in one line.
+        Reason on one line.
     samples : int, optional
-        Samples per pixel of its part of the gradient, if it has a part of its own.
+        Samples per pixel of its term of the gradient, if it has a term.
     fraction : float, optional
-        Norm of its part over the norm of the gradient of the loss, where that is largest among the parameters; None
-        if it was not measured, or cannot be distinguished from noise.
+        Largest ratio, over the parameters, of the norm of its term to the norm of the gradient of the loss; None if it
+        was not measured or is not significant.
     variance_seconds : float, optional
-        Relative variance of its part times the seconds that a draw takes: what a pilot makes small. None if not
-        measured.
+        Relative variance of its term times the seconds per draw, which a pilot minimises. None if not measured.
     """
 
     effect: Effect
@@ -89,16 +86,16 @@ class Choice:
 
 @dataclass(frozen=True, repr=False)
 class EffectPlan:
-    """Which effects a scene calls for, and the renderer settings that follow.
+    """The effects that a scene requires, and the renderer settings that follow.
 
     Attributes
     ----------
     choices : tuple of Choice
-        One for each effect, in the order of :class:`Effect`.
+        One per effect, in the order of :class:`Effect`.
     settings : mapping
-        What the renderer is told; its adapter knows the keys.
+        Settings of the renderer; the keys are defined by its adapter.
     why : mapping of str
-        Reasons of settings that are no effect's own, by their name.
+        Reasons by setting, for settings that belong to no effect.
     substitutions : mapping of str
         Objects that the proxy scene replaces, each with the replacement and the reason in one line.
     attached : mapping of str
@@ -108,16 +105,16 @@ class EffectPlan:
     frozen : mapping of str
         Parameters that a fit does not move at present, each with the reason in one line.
     notes : tuple of str
-        What a person should know: gradients that the renderer does not have, or why everything is on.
+        Further information for the user: missing gradients of the renderer, or the reason why everything is on.
     understood : bool
-        Whether the rules know everything that they have met in the scene; if not, everything is on.
+        Whether the rules cover everything in the scene; if not, everything is on.
     measured : bool
         Whether a pilot has measured fractions.
 
     Raises
     ------
     OptionError
-        If an effect is missing or comes twice.
+        If an effect is missing or duplicate.
     """
 
     choices: tuple[Choice, ...]
@@ -132,21 +129,22 @@ class EffectPlan:
     measured: bool = False
 
     def __post_init__(self) -> None:
-        if [one.effect for one in self.choices] != list(Effect):
-            msg = f"`choices` must have each effect once, in order, got {', '.join(one.effect for one in self.choices)}"
+        effects = [choice.effect for choice in self.choices]
+        if effects != list(Effect):
+            msg = f"`choices` must have each effect once, in order, got {', '.join(effects)}"
             raise OptionError(msg)
 
     def __getitem__(self, effect: Effect) -> Choice:
-        """The choice about one effect."""
+        """Return the choice about one effect."""
         return self.choices[list(Effect).index(effect)]
 
     @property
     def on(self) -> frozenset[Effect]:
         """The effects that are simulated."""
-        return frozenset(one.effect for one in self.choices if one.on)
+        return frozenset(choice.effect for choice in self.choices if choice.on)
 
     def __repr__(self) -> str:
-        on = ", ".join(one.effect for one in self.choices if one.on)
+        on = ", ".join(choice.effect for choice in self.choices if choice.on)
         return f"<EffectPlan: {on or 'nothing'} on, {len(self.frozen)} parameters frozen>"
 
     def __str__(self) -> str:
@@ -157,17 +155,17 @@ class EffectPlan:
     def _rows(self) -> list[list[str]]:
         rows = [
             [
-                one.effect,
-                "on" if one.on else "off",
-                "" if one.samples is None else str(one.samples),
-                "" if one.fraction is None else f"{one.fraction:.2%}",
-                one.reason,
+                choice.effect,
+                "on" if choice.on else "off",
+                "" if choice.samples is None else str(choice.samples),
+                "" if choice.fraction is None else f"{choice.fraction:.2%}",
+                choice.reason,
             ]
-            for one in self.choices
+            for choice in self.choices
         ]
         rows += [[original, "replaced", "", "", reason] for original, reason in self.substitutions.items()]
         for state, reasons in (("attached", self.attached), ("blurred", self.blurred), ("frozen", self.frozen)):
-            rows += [[names, state, "", "", reason] for names, reason in _together(reasons)]
+            rows += [[names, state, "", "", reason] for names, reason in _group_by_reason(reasons)]
         return rows
 
     @property
@@ -180,33 +178,37 @@ class EffectPlan:
     def _notes(self) -> list[str]:
         return [f"Note: {note}" for note in self.notes]
 
-    def changes_from(self, other: EffectPlan) -> str:
-        """What is different from another plan, in one line; empty if nothing is."""
+    def changes_from(self, previous: EffectPlan) -> str:
+        """Return the changes since a previous plan on one line; empty if there are none."""
         changes = [
             f"{new.effect} {'on' if new.on else 'off'} ({new.reason})"
-            for new, old in zip(self.choices, other.choices, strict=True)
+            for new, old in zip(self.choices, previous.choices, strict=True)
             if new.on != old.on
         ]
-        for state, now, before in (("frozen", self.frozen, other.frozen), ("blurred", self.blurred, other.blurred)):
-            fresh = {name: reason for name, reason in now.items() if name not in before}
-            changes += [f"{names} {state} ({reason})" for names, reason in _together(fresh)]
-        for state, before, now in (
-            ("no longer attached", other.attached, self.attached),
-            ("no longer blurred", other.blurred, self.blurred),
-            ("released", other.frozen, {**self.frozen, **self.blurred}),
+        for state, current, earlier in (
+            ("frozen", self.frozen, previous.frozen),
+            ("blurred", self.blurred, previous.blurred),
         ):
-            changes += [f"{names} {state}" for names, _ in _together({name: "" for name in before if name not in now})]
-        for name in dict.fromkeys([*other.settings, *self.settings]):
-            old_value, new_value = other.settings.get(name), self.settings.get(name)
+            fresh = {name: reason for name, reason in current.items() if name not in earlier}
+            changes += [f"{names} {state} ({reason})" for names, reason in _group_by_reason(fresh)]
+        for state, earlier, current in (
+            ("no longer attached", previous.attached, self.attached),
+            ("no longer blurred", previous.blurred, self.blurred),
+            ("released", previous.frozen, {**self.frozen, **self.blurred}),
+        ):
+            dropped = {name: "" for name in earlier if name not in current}
+            changes += [f"{names} {state}" for names, _ in _group_by_reason(dropped)]
+        for name in dict.fromkeys([*previous.settings, *self.settings]):
+            old_value, new_value = previous.settings.get(name), self.settings.get(name)
             if old_value != new_value:
                 changes.append(f"{name} {old_value} -> {new_value}")
         return "; ".join(changes)
 
 
-def _together(reasons: Mapping[str, str]) -> list[tuple[str, str]]:
-    """Names, each with its reason; those of one reason together, in short, if they are many."""
+def _group_by_reason(reasons: Mapping[str, str]) -> list[tuple[str, str]]:
+    """Return pairs of names and reasons; many names with the same reason are listed in one pair."""
     names: dict[str, list[str]] = {}
     for name, reason in reasons.items():
         names.setdefault(reason, []).append(name)
-    many = {reason: listed(group) for reason, group in names.items() if len(group) > MAX_LISTED + 1}
-    return list(dict.fromkeys((many.get(reason, repr(name)), reason) for name, reason in reasons.items()))
+    lists = {reason: listed(group) for reason, group in names.items() if len(group) > MAX_LISTED + 1}
+    return list(dict.fromkeys((lists.get(reason, repr(name)), reason) for name, reason in reasons.items()))

@@ -1,4 +1,4 @@
-"""When to look again at what a plan has turned off."""
+"""Schedule of the probes that measure disabled effects again during a fit."""
 
 from __future__ import annotations
 
@@ -6,60 +6,63 @@ import math
 from dataclasses import dataclass, replace
 from typing import Final
 
-__all__ = ["Schedule"]
+__all__ = ["STALL_STEPS", "Schedule"]
 
-FIRST: Final = 20  # gradients until what is off is looked at again; then twice as many, and so on
-STALL: Final = 20  # steps in which a loss that still falls reaches a new least value
+FIRST_PROBE: Final = 20  # gradients before the first probe; each interval is twice the previous one
+STALL_STEPS: Final = 20  # a loss that still decreases reaches a new minimum within this many steps
 
 
 @dataclass(frozen=True)
 class Schedule:
-    """Counts of a fit since it was planned; never changed, only replaced.
+    """Counters since the last plan; never changed, only replaced.
 
     Attributes
     ----------
-    asked, due, wait : int
-        Gradients so far, at how many of them the next look is due, and how many lie between that look and the one
-        after it.
-    least : float
-        The least loss so far.
-    since_least, patience : int
-        Steps since it was reached, and after how many the loss has stalled.
+    gradients : int
+        Number of gradients so far.
+    next_probe, interval : int
+        Number of gradients at the next probe, and between that probe and the one after it.
+    min_loss : float
+        Least loss so far.
+    steps_since_min : int
+        Steps since the least loss.
+    patience : int
+        Steps without a new minimum after which the loss counts as stalled.
     """
 
-    asked: int = 0
-    due: int = FIRST
-    wait: int = 2 * FIRST
-    least: float = math.inf
-    since_least: int = 0
-    patience: int = STALL
+    gradients: int = 0
+    next_probe: int = FIRST_PROBE
+    interval: int = 2 * FIRST_PROBE
+    min_loss: float = math.inf
+    steps_since_min: int = 0
+    patience: int = STALL_STEPS
 
-    def counted(self) -> Schedule:
-        """With one more gradient."""
-        return replace(self, asked=self.asked + 1)
+    def after_gradient(self) -> Schedule:
+        """Return the schedule after one more gradient."""
+        return replace(self, gradients=self.gradients + 1)
 
     @property
     def is_due(self) -> bool:
-        """Whether as many gradients have gone by as a look waits for: 20, 40 more, 80 more and so on."""
-        return self.asked >= self.due
+        """Whether a probe is due: after 20 gradients, then after 40, 80, ... more."""
+        return self.gradients >= self.next_probe
 
-    def looked(self) -> Schedule:
-        """After a look, for whatever reason: the next is twice as far off."""
-        return replace(self, due=self.asked + self.wait, wait=2 * self.wait)
+    def after_probe(self) -> Schedule:
+        """Return the schedule after a probe; the interval doubles."""
+        return replace(self, next_probe=self.gradients + self.interval, interval=2 * self.interval)
 
-    def watched(self, loss: float | None) -> Schedule:
-        """With the loss of one more step; None where a fit begins, whose losses are no longer those of before."""
+    def after_step(self, loss: float | None) -> Schedule:
+        """Return the schedule after a step with this loss; None where a fit restarts and earlier losses are invalid."""
         if loss is None:
-            return replace(self, least=math.inf, since_least=0)
-        if loss < self.least:
-            return replace(self, least=loss, since_least=0)
-        return replace(self, since_least=self.since_least + 1)
+            return replace(self, min_loss=math.inf, steps_since_min=0)
+        if loss < self.min_loss:
+            return replace(self, min_loss=loss, steps_since_min=0)
+        return replace(self, steps_since_min=self.steps_since_min + 1)
 
     @property
-    def stalls(self) -> bool:
-        """Whether the loss has reached no new least value for 20 steps, then for 40 more, 80 more and so on."""
-        return self.since_least >= self.patience
+    def is_stalled(self) -> bool:
+        """Whether the loss has had no new minimum for 20 steps, then for 40, 80, ... more."""
+        return self.steps_since_min >= self.patience
 
-    def waited(self) -> Schedule:
-        """After a stall was answered: a fit that has arrived stalls for good, and looking costs."""
-        return replace(self, since_least=0, patience=2 * self.patience)
+    def after_stall(self) -> Schedule:
+        """Return the schedule after the reaction to a stall; patience doubles, since a converged fit stays stalled."""
+        return replace(self, steps_since_min=0, patience=2 * self.patience)

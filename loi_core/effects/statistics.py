@@ -1,4 +1,4 @@
-"""Gradients that are known by independent noisy draws: their norms and angles, with the noise taken out."""
+"""Statistics of gradients that are known from independent noisy draws: debiased norms and angles."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ import numpy as np
 from loi_core.errors import OptionError
 from loi_core.support.arrays import Host
 
-__all__ = ["SURE", "Comparison", "Draws", "compare", "total"]
+__all__ = ["SIGNIFICANT_ERRORS", "Comparison", "Draws", "compare", "total"]
 
 
-SURE: Final = 2.0
-"""Errors of a mean that a decision has to clear; the mean of pure noise rarely does."""
+SIGNIFICANT_ERRORS: Final = 2.0
+"""Standard errors of a mean beyond which it is significant; the mean of pure noise rarely is."""
 
 
 @dataclass(frozen=True)
@@ -26,97 +26,97 @@ class Draws:
     Attributes
     ----------
     gradients : mapping of arrays, shape (draws, size), float64
-        By parameter, each draw flattened; all have the same number of draws, 2 or more.
+        Flattened draws by parameter; every parameter has the same number of draws, 2 or more.
     seconds : float
-        That one draw took.
+        Duration of one draw.
     """
 
     gradients: Mapping[str, Host]
     seconds: float = math.nan
 
     def __post_init__(self) -> None:
-        counts = {one.shape[0] if one.ndim == 2 else 0 for one in self.gradients.values()}
+        counts = {array.shape[0] if array.ndim == 2 else 0 for array in self.gradients.values()}
         if len(counts) != 1 or min(counts) < 2:
             msg = f"`gradients` must be arrays of shape (draws, size) with the same 2 or more draws, got {counts}"
             raise OptionError(msg)
 
     @classmethod
-    def of(cls, drawn: Sequence[Mapping[str, Any]], seconds: float = math.nan) -> Draws:
-        """From gradients by parameter, one mapping a draw."""
-        names = drawn[0] if drawn else {}
-        stacked = {name: np.stack([np.asarray(one[name], np.float64).reshape(-1) for one in drawn]) for name in names}
+    def of(cls, draws: Sequence[Mapping[str, Any]], seconds: float = math.nan) -> Draws:
+        """Stack gradients by parameter, one mapping per draw."""
+        names = draws[0] if draws else {}
+        stacked = {name: np.stack([np.asarray(draw[name], np.float64).reshape(-1) for draw in draws]) for name in names}
         return cls(stacked, seconds)
 
     def grouped(self, groups: Sequence[Sequence[str]]) -> Draws:
-        """The same with parameters of one unit put together, under their names joined by commas."""
+        """Concatenate parameters of the same unit; each group is named by its parameters, joined by commas."""
         joined = {
             ", ".join(names): np.concatenate([self.gradients[name] for name in names], axis=1) for names in groups
         }
         return Draws(joined, self.seconds)
 
     def first(self, count: int) -> Draws:
-        """Only so many of the draws."""
+        """Return the first `count` draws."""
         return Draws({name: value[:count] for name, value in self.gradients.items()}, self.seconds)
 
-    def less(self, other: Draws) -> Draws:
-        """The difference from other draws, one by one; with the same seeds, most of the noise goes as well."""
-        return Draws({name: value - other.gradients[name] for name, value in self.gradients.items()})
+    def minus(self, subtrahend: Draws) -> Draws:
+        """Subtract other draws one by one; with common seeds this cancels most of the noise."""
+        return Draws({name: value - subtrahend.gradients[name] for name, value in self.gradients.items()})
 
-    def and_more(self, other: Draws) -> Draws:
-        """These draws and further ones of the same gradient; the time is that of the faster."""
-        both = {name: np.concatenate([value, other.gradients[name]]) for name, value in self.gradients.items()}
-        return Draws(both, min(self.seconds, other.seconds))
+    def extended(self, further: Draws) -> Draws:
+        """Append further draws of the same gradient; the duration is the shorter of the two."""
+        joined = {name: np.concatenate([value, further.gradients[name]]) for name, value in self.gradients.items()}
+        return Draws(joined, min(self.seconds, further.seconds))
 
     @property
     def count(self) -> int:
-        """How many draws there are."""
+        """Number of draws."""
         return int(next(iter(self.gradients.values())).shape[0])
 
-    def zero(self, name: str) -> bool:
-        """Whether every draw is exactly 0."""
+    def is_zero(self, name: str) -> bool:
+        """Return whether every draw is exactly 0."""
         return not np.any(self.gradients[name])
 
     def norm(self, name: str) -> float:
-        """Norm of the mean; the noise that is left in the mean makes it too large, if anything."""
+        """Return the norm of the mean, which residual noise biases upwards."""
         return float(np.linalg.norm(np.mean(self.gradients[name], axis=0)))
 
-    def size(self, name: str) -> float:
-        """Norm of the mean less what the noise that is left in it adds on average."""
-        return math.sqrt(max(0.0, self.norm(name) ** 2 - self.error(name) ** 2))
+    def debiased_norm(self, name: str) -> float:
+        """Return the norm of the mean without the average contribution of residual noise."""
+        return math.sqrt(max(0.0, self.norm(name) ** 2 - self.standard_error(name) ** 2))
 
-    def heard(self, name: str, sure: float = SURE) -> bool:
-        """Whether the gradient is significant: its mean exceeds so many of its errors."""
-        return self.norm(name) > sure * self.error(name)
+    def is_significant(self, name: str, n_errors: float = SIGNIFICANT_ERRORS) -> bool:
+        """Return whether the norm of the mean exceeds `n_errors` standard errors."""
+        return self.norm(name) > n_errors * self.standard_error(name)
 
     @property
     def significant(self) -> tuple[str, ...]:
-        """The parameters whose gradient can be distinguished from noise."""
-        return tuple(name for name in self.gradients if self.heard(name))
+        """Parameters whose gradient is significant."""
+        return tuple(name for name in self.gradients if self.is_significant(name))
 
     def variance(self, name: str) -> float:
-        """Variance of one draw, summed over the elements."""
+        """Return the variance of one draw, summed over the elements."""
         return float(np.sum(np.var(self.gradients[name], axis=0, ddof=1)))
 
-    def error(self, name: str) -> float:
-        """Root mean square of the distance between the mean of the draws and the true mean."""
+    def standard_error(self, name: str) -> float:
+        """Return the root-mean-square distance of the mean of the draws from the true mean."""
         return math.sqrt(self.variance(name) / self.count)
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """A gradient beside the one it should be, both known by noisy draws.
+    """Comparison of a gradient with a reference, both known from noisy draws.
 
     Attributes
     ----------
     cosine, cosine_error : float
-        Cosine of the angle between the expected gradients, each parameter scaled to norm 1 so that units do not
-        matter, and its standard error. The noise is taken out, so that chance may make it exceed 1.
+        Cosine of the angle between the expected gradients, each parameter scaled to norm 1 for independence of units,
+        and its standard error. It is debiased, and may exceed 1 by chance.
     ratio, ratio_error : float
-        Norm of the one over that of the other, likewise.
-    noise, wanted_noise : float
-        Standard deviation of a single draw over the norm, of the one and of the other.
-    silent : tuple of str
-        Parameters that are left out, for their gradient cannot be distinguished from noise.
+        Ratio of the norms, gradient to reference, likewise.
+    noise, reference_noise : float
+        Standard deviation of a single draw over the norm, of the gradient and of the reference.
+    insignificant : tuple of str
+        Parameters without a significant reference gradient, which are left out.
     """
 
     cosine: float
@@ -124,84 +124,84 @@ class Comparison:
     ratio: float
     ratio_error: float
     noise: float
-    wanted_noise: float
-    silent: tuple[str, ...] = ()
+    reference_noise: float
+    insignificant: tuple[str, ...] = ()
 
 
-def total(parts: Sequence[Draws]) -> Draws:
-    """The sum of gradients that were drawn independently; with as many draws as the one that has fewest.
+def total(terms: Sequence[Draws]) -> Draws:
+    """Return the sum of independently drawn terms, with the smallest number of draws among them.
 
-    A part that is 0 in all its draws is 0 in any, however few they are.
+    A term that is 0 in all its draws counts as 0 in any number of draws.
     """
-    names = parts[0].gradients
-    there = [one for one in parts if not all(map(one.zero, names))] or parts
-    count = min(one.count for one in there)
-    summed = {name: np.sum([one.gradients[name][:count] for one in there], axis=0) for name in names}
-    return Draws(summed, sum(one.seconds for one in parts))
+    names = terms[0].gradients
+    nonzero = [term for term in terms if not all(map(term.is_zero, names))] or terms
+    count = min(term.count for term in nonzero)
+    summed = {name: np.sum([term.gradients[name][:count] for term in nonzero], axis=0) for name in names}
+    return Draws(summed, sum(term.seconds for term in terms))
 
 
-def compare(found: Draws, wanted: Draws) -> Comparison:
-    """How far a gradient is from the one it should be.
+def compare(gradient: Draws, reference: Draws) -> Comparison:
+    """Compare a gradient with a reference.
 
-    Inner products are estimated without bias: of the two with each other from their means, whose noises are
-    independent; of one with itself from pairs of different draws. Standard errors are those of the jackknife.
+    Inner products are unbiased estimates: of the two gradients from their means, whose noise is independent; of one
+    gradient with itself from pairs of different draws. Standard errors are jackknife estimates.
 
     Parameters
     ----------
-    found, wanted : Draws
-        Independent of each other, with the same parameters.
+    gradient, reference : Draws
+        Independent draws of the same parameters.
 
     Returns
     -------
     Comparison
-        NaN throughout if no parameter has a gradient that can be distinguished from noise.
+        NaN throughout if no parameter has a significant reference gradient.
     """
-    heard = wanted.significant
-    silent = tuple(name for name in wanted.gradients if name not in heard)
-    if not heard:
-        return Comparison(math.nan, math.nan, math.nan, math.nan, math.nan, math.nan, silent)
-    scales = {name: 1.0 / wanted.norm(name) for name in heard}
-    one = np.concatenate([found.gradients[name] * scales[name] for name in heard], axis=1)
-    other = np.concatenate([wanted.gradients[name] * scales[name] for name in heard], axis=1)
-    cosine, cosine_error = _jackknife(_cosine, one, other)
-    ratio, ratio_error = _jackknife(_ratio, one, other)
-    return Comparison(cosine, cosine_error, ratio, ratio_error, _noise(one), _noise(other), silent)
+    significant = reference.significant
+    insignificant = tuple(name for name in reference.gradients if name not in significant)
+    if not significant:
+        return Comparison(math.nan, math.nan, math.nan, math.nan, math.nan, math.nan, insignificant)
+    scales = {name: 1.0 / reference.norm(name) for name in significant}
+    first = np.concatenate([gradient.gradients[name] * scales[name] for name in significant], axis=1)
+    second = np.concatenate([reference.gradients[name] * scales[name] for name in significant], axis=1)
+    cosine, cosine_error = _jackknife(_cosine, first, second)
+    ratio, ratio_error = _jackknife(_ratio, first, second)
+    return Comparison(cosine, cosine_error, ratio, ratio_error, _noise(first), _noise(second), insignificant)
 
 
-def _square(draws: Host) -> float:
-    """Squared norm of the expected draw, without bias; may be below 0 by chance."""
+def _squared_norm(draws: Host) -> float:
+    """Return an unbiased estimate of the squared norm of the mean; it may be negative by chance."""
     count = draws.shape[0]
     summed = np.sum(draws, axis=0)
     pairs = float(summed @ summed) - float(np.sum(draws * draws))
     return pairs / float(count * (count - 1))
 
 
-def _root(draws: Host) -> float:
-    square = _square(draws)
-    return math.sqrt(square) if square > 0.0 else math.nan
+def _norm(draws: Host) -> float:
+    squared = _squared_norm(draws)
+    return math.sqrt(squared) if squared > 0.0 else math.nan
 
 
-def _cosine(one: Host, other: Host) -> float:
-    return float(np.mean(one, axis=0) @ np.mean(other, axis=0)) / (_root(one) * _root(other))
+def _cosine(first: Host, second: Host) -> float:
+    return float(np.mean(first, axis=0) @ np.mean(second, axis=0)) / (_norm(first) * _norm(second))
 
 
-def _ratio(one: Host, other: Host) -> float:
-    return _root(one) / _root(other)
+def _ratio(first: Host, second: Host) -> float:
+    return _norm(first) / _norm(second)
 
 
 def _noise(draws: Host) -> float:
-    return math.sqrt(float(np.sum(np.var(draws, axis=0, ddof=1)))) / _root(draws)
+    return math.sqrt(float(np.sum(np.var(draws, axis=0, ddof=1)))) / _norm(draws)
 
 
-def _jackknife(function: Callable[[Host, Host], float], one: Host, other: Host) -> tuple[float, float]:
-    """The value of a function of two sets of draws, and its standard error; NaN where there are too few draws."""
-    whole = function(one, other)
+def _jackknife(function: Callable[[Host, Host], float], first: Host, second: Host) -> tuple[float, float]:
+    """Return a function of two sets of draws and its standard error, NaN for fewer than 3 draws."""
+    estimate = function(first, second)
     variance = 0.0
-    for index, draws in enumerate((one, other)):
+    for index, draws in enumerate((first, second)):
         count = draws.shape[0]
         if count < 3:
-            return whole, math.nan
-        without = [np.delete(draws, k, axis=0) for k in range(count)]
-        values = np.array([function(left, other) if index == 0 else function(one, left) for left in without])
+            return estimate, math.nan
+        reduced = [np.delete(draws, k, axis=0) for k in range(count)]
+        values = np.array([function(subset, second) if index == 0 else function(first, subset) for subset in reduced])
         variance += (count - 1) / count * float(np.sum((values - np.mean(values)) ** 2))
-    return whole, math.sqrt(variance)
+    return estimate, math.sqrt(variance)

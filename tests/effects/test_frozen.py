@@ -51,17 +51,17 @@ def test_a_gradient_without_noise_is_never_frozen(size: int, unit: float, seed: 
 
 
 @pytest.mark.parametrize("size", [1, 3, 50])
-@pytest.mark.parametrize("kind", ["normal", "heavy tails", "mostly 0", "louder and louder"])
-def test_noise_agrees_at_most_as_often_as_the_bound(kind: str, size: int) -> None:
+@pytest.mark.parametrize("distribution", ["normal", "heavy tails", "mostly 0", "louder and louder"])
+def test_noise_agrees_at_most_as_often_as_the_bound(distribution: str, size: int) -> None:
     """For any number of draws the probability is at most exp(-c^2 / 2), within 4 errors of 500 trials."""
     rng = np.random.default_rng(size)
     trials, count = 500, 64
     draws = rng.standard_normal((trials, count, size))
-    if kind == "heavy tails":
+    if distribution == "heavy tails":
         draws = rng.standard_t(1.5, draws.shape)
-    elif kind == "mostly 0":
+    elif distribution == "mostly 0":
         draws *= rng.random((trials, count, 1)) < 0.1
-    elif kind == "louder and louder":
+    elif distribution == "louder and louder":
         draws *= 1.1 ** np.arange(count)[:, None]
     scores = np.array([[Evidence.of(trial[:until]).score for until in (8, count)] for trial in draws])
     for limit in MIN_SCORES:
@@ -87,14 +87,14 @@ def test_an_object_is_frozen_only_if_all_its_gradients_are_noise() -> None:
     rng = np.random.default_rng(3)
     noise = rng.standard_normal((DRAWS, 2))
     signal = 1e-9 * (5.0 + rng.standard_normal((DRAWS, 1)))
-    draws = {"turn": 1e9 * noise, "place": signal, "other": noise, "away": np.zeros((DRAWS, 3))}
-    frozen = freeze(draws, ("turn", "place"), ("other",), ("away",))
-    assert frozen.groups == (("other",), ("away",))
+    draws = {"turn": 1e9 * noise, "position": signal, "noisy": noise, "away": np.zeros((DRAWS, 3))}
+    frozen = freeze(draws, ("turn", "position"), ("noisy",), ("away",))
+    assert frozen.groups == (("noisy",), ("away",))
     assert frozen.reasons == {
-        "other": "its gradient cannot be distinguished from noise in 8 draws",
+        "noisy": "its gradient cannot be distinguished from noise in 8 draws",
         "away": "its gradient is exactly 0 in 8 draws",
     }
-    assert freeze(draws, ("turn", "place"), ("other", "away")).groups == (("other", "away"),)
+    assert freeze(draws, ("turn", "position"), ("noisy", "away")).groups == (("noisy", "away"),)
 
 
 def test_a_signal_releases_all_parameters_of_its_object() -> None:
@@ -109,21 +109,21 @@ def test_a_signal_releases_all_parameters_of_its_object() -> None:
     assert not frozen.without(["far"]).groups
 
 
-def test_a_look_is_due_after_twenty_gradients_then_forty_more_then_eighty() -> None:
-    schedule, looks = Schedule(), []
+def test_probes_are_due_after_20_gradients_then_40_and_80_more() -> None:
+    schedule, probes = Schedule(), []
     for count in range(1, 301):
-        schedule = schedule.counted()
+        schedule = schedule.after_gradient()
         if schedule.is_due:
-            schedule = schedule.looked()
-            looks.append(count)
-    assert looks == [20, 60, 140, 300]
+            schedule = schedule.after_probe()
+            probes.append(count)
+    assert probes == [20, 60, 140, 300]
 
 
-def test_a_loss_stalls_after_twenty_steps_then_after_forty_more() -> None:
+def test_a_loss_is_stalled_after_20_steps_then_after_40_more() -> None:
     schedule, stalls = Schedule(), []
     for step in range(1, 121):
-        schedule = schedule.watched(1.0 / step if step <= 30 else 1.0)
-        if schedule.stalls:
-            schedule = schedule.waited()
+        schedule = schedule.after_step(1.0 / step if step <= 30 else 1.0)
+        if schedule.is_stalled:
+            schedule = schedule.after_stall()
             stalls.append(step)
     assert stalls == [50, 90]

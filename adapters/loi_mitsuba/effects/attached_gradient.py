@@ -182,7 +182,7 @@ class AttachedGradient:
         if not names:
             return frozenset()
         draws = self._draws(params, cotangent, names, seed)
-        return frozenset(name for group in self._groups(names) if all(map(draws.zero, group)) for name in group)
+        return frozenset(name for group in self._groups(names) if all(map(draws.is_zero, group)) for name in group)
 
     def preferred(
         self,
@@ -204,8 +204,8 @@ class AttachedGradient:
             return significant
         pulled = [mitsuba.vjp(params, cotangent, seed=seed + k) for k in range(DRAWS)]
         complete = Draws.of([{name: gradient[name] for name in selected} for gradient in pulled])
-        missing = complete.less(draws)
-        disagreeing = {name for name in selected if missing.heard(name, CLEAR_ERRORS)}
+        missing = complete.minus(draws)
+        disagreeing = {name for name in selected if missing.is_significant(name, CLEAR_ERRORS)}
         return frozenset(name for group in self._groups(selected) for name in group if not disagreeing & set(group))
 
     def _draws(self, params: Mapping[str, Any], cotangent: Any, names: Sequence[str], seed: int) -> Draws:

@@ -10,20 +10,20 @@ from typing import Final
 import numpy as np
 
 from loi_core.effects import (
-    SURE,
+    SIGNIFICANT_ERRORS,
     Choice,
     Draws,
     Effect,
     EffectPlan,
     Frozen,
-    Sizes,
+    GradientNorms,
     allocate,
+    fraction_bound,
     largest_fraction,
-    most_fraction,
+    power_of_two_samples,
     relative_variance,
-    sizes_of,
+    significant_norms,
     total,
-    whole_samples,
 )
 from loi_core.support.wording import listed
 from loi_mitsuba.drjit.arrays import Float32Array
@@ -51,14 +51,14 @@ class PilotResult:
     ----------
     plan : EffectPlan
         The simulated effects, and the frozen parameters.
-    sizes : Sizes
-        Sizes of the gradient, for :meth:`Pilot.grown`.
+    sizes : GradientNorms
+        Norms of the gradient, for :meth:`Pilot.grown`.
     frozen : Frozen
         The frozen parameters, with the evidence for releasing them.
     """
 
     plan: EffectPlan
-    sizes: Sizes = field(default_factory=dict)
+    sizes: GradientNorms = field(default_factory=dict)
     frozen: Frozen = field(default_factory=Frozen)
 
 
@@ -100,7 +100,7 @@ class Pilot:
         terms = {term: term_draws.grouped(self.units) for term, term_draws in draws.items()}
         whole = total(list(terms.values()))
         significant = self._significant(whole, frozen)
-        sizes = sizes_of(whole, significant)
+        sizes = significant_norms(whole, significant)
         active, reasons = self._terms_to_keep(terms, whole, significant, sizes, missing)
         settings = settings.sampled({term: 0 for term in terms if term not in active})
         edges = settings.sppp > 0 or settings.sppi > 0
@@ -117,15 +117,17 @@ class Pilot:
         terms: Mapping[str, Draws],
         whole: Draws,
         significant: tuple[str, ...],
-        sizes: Sizes,
+        sizes: GradientNorms,
         missing: float,
     ) -> tuple[dict[str, Draws], dict[Effect, str]]:
         """Turn terms off, the smallest first, while all that is off stays below the fraction; add the reasons."""
         active = dict(terms)
         reasons = {}
-        has_gradient = any(not term_draws.zero(name) for term_draws in terms.values() for name in term_draws.gradients)
-        for term, term_draws in sorted(terms.items(), key=lambda item: most_fraction(item[1], sizes)):
-            largest = most_fraction(term_draws, sizes)
+        has_gradient = any(
+            not term_draws.is_zero(name) for term_draws in terms.values() for name in term_draws.gradients
+        )
+        for term, term_draws in sorted(terms.items(), key=lambda item: fraction_bound(item[1], sizes)):
+            largest = fraction_bound(term_draws, sizes)
             measured = largest_fraction(term_draws, whole, significant)
             if (has_gradient and largest == 0.0) or (significant and missing + largest < self.fraction):
                 missing += largest
@@ -164,9 +166,9 @@ class Pilot:
             # Each term uses the seed in the same way, alone or with others, and a short path is the beginning of the
             # long path of the same seed: most of the noise cancels in the difference.
             shallow_draws = total([term_draws.first(DEEP_DRAWS) for term_draws in draws.values()])
-            longer = probe.gradients(rules, seeds).less(shallow_draws)
+            longer = probe.gradients(rules, seeds).minus(shallow_draws)
             largest = self._largest_fraction(longer, self._sizes(draws))
-            measured = self._largest_fraction(longer, self._sizes(draws), sure=0.0)
+            measured = self._largest_fraction(longer, self._sizes(draws), n_errors=0.0)
             if largest >= self.fraction and not self.fraction <= measured < math.inf:
                 # The bound may be loose because the whole gradient is noisy; too large a depth costs more than draws.
                 draws = self._draw_more(settings, draws, probe)
@@ -192,8 +194,8 @@ class Pilot:
         whole = total(list(draws.values()))
         by_unit = whole.grouped(self.units)
         frozen = Frozen.of(whole, self.objects).reasons
-        if all(by_unit.heard(name) or by_unit.zero(name) for name in by_unit.gradients) and all(
-            map(whole.zero, frozen)
+        if all(by_unit.is_significant(name) or by_unit.is_zero(name) for name in by_unit.gradients) and all(
+            map(whole.is_zero, frozen)
         ):
             return draws
         return self._draw_more(settings, draws, probe)
@@ -203,8 +205,8 @@ class Pilot:
         seeds = range(probe.seed + DRAWS, probe.seed + MAX_DRAWS)
         return {
             term: term_draws
-            if term_draws.count == MAX_DRAWS or all(map(term_draws.zero, term_draws.gradients))
-            else term_draws.and_more(probe.gradients(settings.only(term) if settings.projective else settings, seeds))
+            if term_draws.count == MAX_DRAWS or all(map(term_draws.is_zero, term_draws.gradients))
+            else term_draws.extended(probe.gradients(settings.only(term) if settings.projective else settings, seeds))
             for term, term_draws in draws.items()
         }
 
@@ -213,15 +215,15 @@ class Pilot:
         frozen_units = {", ".join(unit) for unit in self.units if frozen.reasons.keys() >= set(unit)}
         return tuple(name for name in whole.significant if name not in frozen_units)
 
-    def _sizes(self, draws: Mapping[str, Draws]) -> Sizes:
+    def _sizes(self, draws: Mapping[str, Draws]) -> GradientNorms:
         whole = total(list(draws.values()))
         by_unit = whole.grouped(self.units)
-        return sizes_of(by_unit, self._significant(by_unit, Frozen.of(whole, self.objects)))
+        return significant_norms(by_unit, self._significant(by_unit, Frozen.of(whole, self.objects)))
 
-    def _largest_fraction(self, term: Draws, sizes: Sizes, sure: float = SURE) -> float:
-        return most_fraction(term.grouped(self.units), sizes, sure)
+    def _largest_fraction(self, term: Draws, sizes: GradientNorms, n_errors: float = SIGNIFICANT_ERRORS) -> float:
+        return fraction_bound(term.grouped(self.units), sizes, n_errors)
 
-    def grown(self, rules: Settings, plan: EffectPlan, probe: GradientProbe, sizes: Sizes) -> dict[Effect, str]:
+    def grown(self, rules: Settings, plan: EffectPlan, probe: GradientProbe, sizes: GradientNorms) -> dict[Effect, str]:
         """Return the effects of the rules that a plan turned off and that carry a gradient now, with the reasons.
 
         An effect that was exactly 0 counts as soon as it is not 0. A small effect is compared with the gradient at the
@@ -237,15 +239,15 @@ class Pilot:
             if getattr(rules, term) == 0 or getattr(settings, term) > 0:
                 continue
             term_draws = probe.gradients(shallow.only(term), seeds)
-            if plan[effect].fraction == 0.0 and not all(map(term_draws.zero, term_draws.gradients)):
+            if plan[effect].fraction == 0.0 and not all(map(term_draws.is_zero, term_draws.gradients)):
                 grown[effect] = "it was exactly 0 when it was turned off, and no longer is"
             elif self._largest_fraction(term_draws, sizes) >= threshold:
                 grown[effect] = f"it may have grown to {self.fraction:.0%} of the gradient at the pilot"
         if settings.max_depth < rules.max_depth:
             deep = [probe.image(rules, seed) for seed in seeds]
             deep_draws, shallow_draws = (probe.gradients(candidate, seeds) for candidate in (rules, shallow))
-            missing = self._largest_fraction(deep_draws.less(shallow_draws), sizes, sure=1.0)
-            if missing >= threshold or not self._same_image(deep, shallow, probe, seeds, sure=1.0):
+            missing = self._largest_fraction(deep_draws.minus(shallow_draws), sizes, n_errors=1.0)
+            if missing >= threshold or not self._same_image(deep, shallow, probe, seeds, n_errors=1.0):
                 grown[Effect.BOUNCES] = (
                     "longer paths carry more of the image or the gradient than when they were turned off"
                 )
@@ -257,10 +259,10 @@ class Pilot:
         shallow: Settings,
         probe: GradientProbe,
         seeds: Sequence[int],
-        sure: float = SURE,
+        n_errors: float = SIGNIFICANT_ERRORS,
     ) -> bool:
         missing = [image - probe.image(shallow, seed) for image, seed in zip(deep, seeds, strict=True)]
-        return _is_negligible(missing, deep, IMAGE_FRACTION * self.fraction, sure)
+        return _is_negligible(missing, deep, IMAGE_FRACTION * self.fraction, n_errors)
 
     def _allocation(self, active: Mapping[str, Draws], whole: Draws, significant: Sequence[str]) -> dict[str, int]:
         """Allocate samples to the terms that stay on, in the time that equal counts would take."""
@@ -271,12 +273,14 @@ class Pilot:
         budget = sum(term_draws.seconds for term_draws in active.values())
         base = 2 ** (self.samples.bit_length() - 1)
         smallest, largest = max(1, base // MAX_SAMPLE_RATIO), base * MAX_SAMPLE_RATIO
-        counts = whole_samples(allocate(variances, costs, budget), costs, budget, least=smallest, most=largest)
+        counts = power_of_two_samples(
+            allocate(variances, costs, budget), costs, budget, minimum=smallest, maximum=largest
+        )
         return dict(zip(active, counts, strict=True))
 
 
 def _is_negligible(
-    missing: Sequence[Float32Array], whole: Sequence[Float32Array], fraction: float, sure: float
+    missing: Sequence[Float32Array], whole: Sequence[Float32Array], fraction: float, n_errors: float
 ) -> bool:
     """Return whether an image certainly misses less than a fraction of its Euclidean norm.
 
@@ -285,7 +289,7 @@ def _is_negligible(
     first, second = (image.astype(np.float64).reshape(-1) for image in missing)
     products = first * second
     error = math.sqrt(products.size) * float(np.std(products))
-    bound = math.sqrt(max(0.0, float(np.sum(products)) + sure * error))
+    bound = math.sqrt(max(0.0, float(np.sum(products)) + n_errors * error))
     return bound <= fraction * float(np.linalg.norm(np.mean([image.astype(np.float64) for image in whole], axis=0)))
 
 
@@ -309,7 +313,7 @@ def _with_fractions(
 
 def _notes(whole: Draws, frozen: Frozen, samples: int) -> tuple[str, ...]:
     """Return notes about parameters whose gradient is indistinguishable from noise."""
-    noisy = [name for name in whole.gradients if not whole.heard(name) and name not in frozen.reasons]
+    noisy = [name for name in whole.gradients if not whole.is_significant(name) and name not in frozen.reasons]
     notes = []
     if len(frozen.reasons) == len(whole.gradients):
         notes.append(

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 import numpy as np
 
-from loi_core.effects import Effect, EffectPlan, Frozen, Schedule, Sizes
+from loi_core.effects import Effect, EffectPlan, Frozen, GradientNorms, Schedule
 from loi_core.errors import ParameterError
 from loi_core.renderers.blurred import BlurredRenderer
 from loi_core.renderers.contract import Loss
@@ -85,7 +85,7 @@ class PlanState:
     renderer: MitsubaRenderer
     blurred: BlurredRenderer | None
     frozen: Frozen = field(default_factory=Frozen)
-    sizes: Sizes = field(default_factory=dict)
+    sizes: GradientNorms = field(default_factory=dict)
     schedule: Schedule = field(default_factory=Schedule)
     in_view: frozenset[str] = frozenset()
     hidden: Mapping[str, Any] = field(default_factory=dict)
@@ -183,7 +183,7 @@ class Planner:
             confirm the gradient, so that it is no evidence for releasing parameters.
         """
         probe = self._probe_at(params, np.array(cotangent, dtype=np.float32), seed)
-        self._update(probe=probe, schedule=self.state.schedule.counted())
+        self._update(probe=probe, schedule=self.state.schedule.after_gradient())
         if frozen is None:
             if not first:
                 self._update(frozen=self.state.frozen.updated(gradient))
@@ -197,9 +197,9 @@ class Planner:
         """Revisit the plan before a step if the loss has stalled."""
         if self.state.blurred is not None:
             self.state.blurred.at_step(step, steps, value)
-        self._update(schedule=self.state.schedule.watched(value))
-        if self.state.schedule.stalls:
-            self._update(schedule=self.state.schedule.waited())
+        self._update(schedule=self.state.schedule.after_step(value))
+        if self.state.schedule.is_stalled:
+            self._update(schedule=self.state.schedule.after_stall())
             self._revisit(f"before step {step}, where the loss stalls")
 
     def check_visibility(self) -> None:
@@ -230,7 +230,7 @@ class Planner:
 
     def _revisit(self, when: str) -> None:
         """Test again whether effects that are off, and parameters that are blurred or frozen, should stay so."""
-        self._update(schedule=self.state.schedule.looked())
+        self._update(schedule=self.state.schedule.after_probe())
         if self.state.probe is None:
             return
         self._unblur(self.state.probe, when)

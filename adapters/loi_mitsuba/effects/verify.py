@@ -39,13 +39,13 @@ class Verification:
     def __str__(self) -> str:
         """Summarise the comparison in two lines."""
         gradient = self.gradient
-        silent = f"; lost in noise: {', '.join(gradient.silent)}" if gradient.silent else ""
+        silent = f"; lost in noise: {', '.join(gradient.insignificant)}" if gradient.insignificant else ""
         return (
             f"step {1e3 * self.seconds:.3g} ms, everything on {1e3 * self.full_seconds:.3g} ms: "
             f"{self.full_seconds / self.seconds:.3g} times as fast\n"
             f"gradient: cosine {gradient.cosine:.4f} +- {gradient.cosine_error:.4f}, "
             f"norm ratio {gradient.ratio:.3f} +- {gradient.ratio_error:.3f}, "
-            f"noise of a draw {gradient.noise:.2g} against {gradient.wanted_noise:.2g}{silent}"
+            f"noise of a draw {gradient.noise:.2g} against {gradient.reference_noise:.2g}{silent}"
         )
 
 
