@@ -51,14 +51,14 @@ class PilotResult:
     ----------
     plan : EffectPlan
         The simulated effects, and the frozen parameters.
-    sizes : GradientNorms
+    norms : GradientNorms
         Norms of the gradient, for :meth:`Pilot.grown`.
     frozen : Frozen
         The frozen parameters, with the evidence for releasing them.
     """
 
     plan: EffectPlan
-    sizes: GradientNorms = field(default_factory=dict)
+    norms: GradientNorms = field(default_factory=dict)
     frozen: Frozen = field(default_factory=Frozen)
 
 
@@ -100,8 +100,8 @@ class Pilot:
         terms = {term: term_draws.grouped(self.units) for term, term_draws in draws.items()}
         whole = total(list(terms.values()))
         significant = self._significant(whole, frozen)
-        sizes = significant_norms(whole, significant)
-        active, reasons = self._terms_to_keep(terms, whole, significant, sizes, missing)
+        norms = significant_norms(whole, significant)
+        active, reasons = self._terms_to_keep(terms, whole, significant, norms, missing)
         settings = settings.sampled({term: 0 for term in terms if term not in active})
         edges = settings.sppp > 0 or settings.sppi > 0
         full = everything(self.traits, self.samples).integrator
@@ -110,14 +110,14 @@ class Pilot:
         planned = plan_of(self.traits, settings, {Effect.BOUNCES: depth_reason, **reasons}, notes=notes)
         choices = _with_fractions(planned, terms, whole, significant)
         planned = replace(planned, choices=choices, frozen=frozen.reasons, measured=True)
-        return PilotResult(planned, sizes, frozen)
+        return PilotResult(planned, norms, frozen)
 
     def _terms_to_keep(
         self,
         terms: Mapping[str, Draws],
         whole: Draws,
         significant: tuple[str, ...],
-        sizes: GradientNorms,
+        norms: GradientNorms,
         missing: float,
     ) -> tuple[dict[str, Draws], dict[Effect, str]]:
         """Turn terms off, the smallest first, while all that is off stays below the fraction; add the reasons."""
@@ -126,8 +126,8 @@ class Pilot:
         has_gradient = any(
             not term_draws.is_zero(name) for term_draws in terms.values() for name in term_draws.gradients
         )
-        for term, term_draws in sorted(terms.items(), key=lambda item: fraction_bound(item[1], sizes)):
-            largest = fraction_bound(term_draws, sizes)
+        for term, term_draws in sorted(terms.items(), key=lambda item: fraction_bound(item[1], norms)):
+            largest = fraction_bound(term_draws, norms)
             measured = largest_fraction(term_draws, whole, significant)
             if (has_gradient and largest == 0.0) or (significant and missing + largest < self.fraction):
                 missing += largest
@@ -167,12 +167,12 @@ class Pilot:
             # long path of the same seed: most of the noise cancels in the difference.
             shallow_draws = total([term_draws.first(DEEP_DRAWS) for term_draws in draws.values()])
             longer = probe.gradients(rules, seeds).minus(shallow_draws)
-            largest = self._largest_fraction(longer, self._sizes(draws))
-            measured = self._largest_fraction(longer, self._sizes(draws), n_errors=0.0)
+            largest = self._largest_fraction(longer, self._norms(draws))
+            measured = self._largest_fraction(longer, self._norms(draws), n_errors=0.0)
             if largest >= self.fraction and not self.fraction <= measured < math.inf:
                 # The bound may be loose because the whole gradient is noisy; too large a depth costs more than draws.
                 draws = self._draw_more(settings, draws, probe)
-                largest = self._largest_fraction(longer, self._sizes(draws))
+                largest = self._largest_fraction(longer, self._norms(draws))
             if largest == 0.0 or largest < self.fraction:
                 reason = f"longer paths surely carry under {largest:.1%} of the gradient, and hardly any of the image"
                 return settings, draws, reason, largest
@@ -215,15 +215,15 @@ class Pilot:
         frozen_units = {", ".join(unit) for unit in self.units if frozen.reasons.keys() >= set(unit)}
         return tuple(name for name in whole.significant if name not in frozen_units)
 
-    def _sizes(self, draws: Mapping[str, Draws]) -> GradientNorms:
+    def _norms(self, draws: Mapping[str, Draws]) -> GradientNorms:
         whole = total(list(draws.values()))
         by_unit = whole.grouped(self.units)
         return significant_norms(by_unit, self._significant(by_unit, Frozen.of(whole, self.objects)))
 
-    def _largest_fraction(self, term: Draws, sizes: GradientNorms, n_errors: float = SIGNIFICANT_ERRORS) -> float:
-        return fraction_bound(term.grouped(self.units), sizes, n_errors)
+    def _largest_fraction(self, term: Draws, norms: GradientNorms, n_errors: float = SIGNIFICANT_ERRORS) -> float:
+        return fraction_bound(term.grouped(self.units), norms, n_errors)
 
-    def grown(self, rules: Settings, plan: EffectPlan, probe: GradientProbe, sizes: GradientNorms) -> dict[Effect, str]:
+    def grown(self, rules: Settings, plan: EffectPlan, probe: GradientProbe, norms: GradientNorms) -> dict[Effect, str]:
         """Return the effects of the rules that a plan turned off and that carry a gradient now, with the reasons.
 
         An effect that was exactly 0 counts as soon as it is not 0. A small effect is compared with the gradient at the
@@ -241,12 +241,12 @@ class Pilot:
             term_draws = probe.gradients(shallow.only(term), seeds)
             if plan[effect].fraction == 0.0 and not all(map(term_draws.is_zero, term_draws.gradients)):
                 grown[effect] = "it was exactly 0 when it was turned off, and no longer is"
-            elif self._largest_fraction(term_draws, sizes) >= threshold:
+            elif self._largest_fraction(term_draws, norms) >= threshold:
                 grown[effect] = f"it may have grown to {self.fraction:.0%} of the gradient at the pilot"
         if settings.max_depth < rules.max_depth:
             deep = [probe.image(rules, seed) for seed in seeds]
             deep_draws, shallow_draws = (probe.gradients(candidate, seeds) for candidate in (rules, shallow))
-            missing = self._largest_fraction(deep_draws.minus(shallow_draws), sizes, n_errors=1.0)
+            missing = self._largest_fraction(deep_draws.minus(shallow_draws), norms, n_errors=1.0)
             if missing >= threshold or not self._same_image(deep, shallow, probe, seeds, n_errors=1.0):
                 grown[Effect.BOUNCES] = (
                     "longer paths carry more of the image or the gradient than when they were turned off"

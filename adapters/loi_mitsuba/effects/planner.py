@@ -60,8 +60,8 @@ class PlanState:
         Gradient of the blurred parameters.
     frozen : Frozen
         Parameters whose gradient is replaced by 0, and the evidence for releasing them.
-    sizes : dict
-        Size of the gradient at the pilot.
+    norms : dict
+        Norms of the gradient at the pilot.
     schedule : Schedule
         When the plan is revisited.
     in_view : frozenset of str
@@ -85,7 +85,7 @@ class PlanState:
     renderer: MitsubaRenderer
     blurred: BlurredRenderer | None
     frozen: Frozen = field(default_factory=Frozen)
-    sizes: GradientNorms = field(default_factory=dict)
+    norms: GradientNorms = field(default_factory=dict)
     schedule: Schedule = field(default_factory=Schedule)
     in_view: frozenset[str] = frozenset()
     hidden: Mapping[str, Any] = field(default_factory=dict)
@@ -242,14 +242,14 @@ class Planner:
         if not self.state.names:
             return
         rules = settings_of(self.state.rules)
-        grown = self.state.pilot.grown(rules, self.state.plan, self._last_probe, self.state.sizes)
+        grown = self.state.pilot.grown(rules, self.state.plan, self._last_probe, self.state.norms)
         self._release(grown, when)
 
     def _run_pilot(self, probe: GradientProbe, released: frozenset[str] = frozenset()) -> None:
         """Plan by a few gradients, and freeze parameters with noise for a gradient, except those in `released`."""
         if self.state.names:
             result = self.state.pilot.run(self.state.plan, probe)
-            self._update(sizes=result.sizes, frozen=result.frozen.without(released))
+            self._update(norms=result.norms, frozen=result.frozen.without(released))
             self._change(replace(result.plan, frozen=self.state.frozen.reasons), "by the pilot")
 
     def _attach_lights(self, probe: GradientProbe, names: Iterable[str]) -> None:

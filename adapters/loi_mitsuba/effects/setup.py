@@ -9,7 +9,6 @@ from typing import Any
 
 import mitsuba as mi
 
-from loi_core.effects import EffectPlan
 from loi_core.errors import ParameterError
 from loi_core.renderers.blurred import names_to_blur
 from loi_mitsuba.effects.attached_gradient import AttachedParameters
@@ -64,42 +63,6 @@ class PlanSetup:
     attached: AttachedParameters
 
 
-@dataclass(frozen=True)
-class _Request:
-    """The arguments of a planned renderer, checked."""
-
-    targets: Mapping[str, ParameterTarget]
-    sensor: int
-    spp: Any
-    proxy: ProxySettings
-    unsupported: Mapping[str, str]
-    attachable: Mapping[str, ParameterTarget]
-    attached_lights: bool
-    attached_glass: bool
-
-
-@dataclass(frozen=True)
-class _Analysis:
-    """An indexed scene, with the traits that its optimised parameters give it."""
-
-    index: SceneIndex
-    sensor: Any
-    attached: AttachedParameters
-    images_only: tuple[str, ...]
-    traits: Traits
-
-    @classmethod
-    def of(cls, index: SceneIndex, request: _Request) -> _Analysis:
-        sensor = find_sensor(index.scene, request.sensor)
-        attached = AttachedParameters.of(
-            index, request.attachable, sensor, lights=request.attached_lights, glass=request.attached_glass
-        )
-        excluded = {*request.unsupported, *attached.without_gradient}
-        images_only = tuple(name for name in request.targets if name in excluded)
-        targets = {name: target for name, target in request.targets.items() if name not in excluded}
-        return cls(index, sensor, attached, images_only, traits_of(index, targets, sensor))
-
-
 def prepare_renderer(
     scene: Any,
     parameters: Any,
@@ -124,17 +87,27 @@ def prepare_renderer(
     unsupported = _parameters_to_blur(index, targets, camera, blur)
     requested = {} if blur is None or blur.get("names") is None else unsupported
     attachable = {name: target for name, target in targets.items() if name not in requested}
-    request = _Request(targets, sensor, spp, proxy, unsupported, attachable, attached_lights, attached_glass)
-    analysis = _Analysis.of(index, request)
-    plan = plan_by_rules(analysis.traits, samples)
+
+    def analyse(index: SceneIndex) -> tuple[AttachedParameters, tuple[str, ...], Traits]:
+        camera = find_sensor(index.scene, sensor)
+        attached = AttachedParameters.of(index, attachable, camera, lights=attached_lights, glass=attached_glass)
+        without_gradient = {*unsupported, *attached.without_gradient}
+        differentiable = {name: target for name, target in targets.items() if name not in without_gradient}
+        images_only = tuple(name for name in targets if name in without_gradient)
+        return attached, images_only, traits_of(index, differentiable, camera)
+
+    attached, images_only, traits = analyse(index)
+    plan = plan_by_rules(traits, samples)
     bordered = with_sampled_border(scene, plan)
     if bordered is not scene:
-        analysis = _Analysis.of(index_scene(bordered, targets), request)  # its objects are new
-    renderer, proxy_scene = _renderer_with_proxy(bordered, analysis, request, plan)
+        index = index_scene(bordered, targets)  # its objects are new
+        attached, images_only, traits = analyse(index)
+    options: dict[str, Any] = {"integrator": plan, "spp": spp, "sensor": sensor, "without_gradient": images_only}
+    renderer, proxy_scene = _renderer_with_proxy(bordered, index, targets, traits, proxy, options)
     if proxy_scene is None:
-        return PlanSetup(renderer, {}, has_delta_bsdf=True, unsupported=unsupported, attached=analysis.attached)
-    substitutions = {substitution.original: substitution.reason for substitution in proxy_scene.substitutions}
-    return PlanSetup(renderer, substitutions, proxy_scene.has_delta_bsdf, unsupported, analysis.attached)
+        return PlanSetup(renderer, {}, has_delta_bsdf=True, unsupported=unsupported, attached=attached)
+    substitutions = {replaced.original: replaced.reason for replaced in proxy_scene.substitutions}
+    return PlanSetup(renderer, substitutions, proxy_scene.has_delta_bsdf, unsupported, attached)
 
 
 def _parameters_to_blur(
@@ -150,29 +123,27 @@ def _parameters_to_blur(
 
 
 def _renderer_with_proxy(
-    scene: Any, analysis: _Analysis, request: _Request, plan: EffectPlan
+    scene: Any,
+    index: SceneIndex,
+    targets: Mapping[str, ParameterTarget],
+    traits: Traits,
+    proxy: ProxySettings,
+    options: Mapping[str, Any],
 ) -> tuple[MitsubaRenderer, ProxyScene | None]:
-    """Return the renderer of a plan, and its proxy scene if it has one."""
-    index, traits = analysis.index, analysis.traits
-    options: dict[str, Any] = {
-        "integrator": plan,
-        "spp": request.spp,
-        "sensor": request.sensor,
-        "without_gradient": analysis.images_only,
-    }
-    moving = _moving_shapes(index, request.targets, traits.moving, request.proxy)
+    """Return the renderer of a scene, and its proxy scene if moving shapes need one."""
+    moving = _moving_shapes(index, targets, traits.moving, proxy)
     delta = traits.has_delta_lights or traits.delta_reflection or traits.delta_transmission
     if traits.moving and not traits.has_medium and (delta or moving.unwelded or moving.stepped):
         # A parameter of a smooth surface may not exist in the rough one that replaces it.
-        for settings in (request.proxy, replace(request.proxy, mirrors=0.0)):
+        for settings in (proxy, replace(proxy, mirrors=0.0)):
             try:
-                built = _proxy_renderer(scene, analysis, request, moving, settings, options)
+                built = _proxy_renderer(scene, index, targets, traits, moving, settings, options)
             except ParameterError:
                 continue
             if built is None:
                 break
             return built
-    return MitsubaRenderer(index.loaded, request.targets, **options), None
+    return MitsubaRenderer(index.loaded, targets, **options), None
 
 
 def _moving_shapes(
@@ -215,34 +186,35 @@ def _stepped_shapes(
 
 def _proxy_renderer(
     scene: Any,
-    analysis: _Analysis,
-    request: _Request,
+    index: SceneIndex,
+    targets: Mapping[str, ParameterTarget],
+    traits: Traits,
     moving: MovingShapes,
     settings: ProxySettings,
-    options: dict[str, Any],
+    options: Mapping[str, Any],
 ) -> tuple[ProxyGradientRenderer, ProxyScene] | None:
     """Return a renderer with a proxy, and the proxy; None if nothing is replaced."""
-    index, traits, loaded = analysis.index, analysis.traits, analysis.index.loaded
-    lights = light_targets(index, request.targets)
-    kinds = [light.class_name() for light in delta_lights(loaded.scene)]
-    unchanged = [light.light for light in lights.values() if not light.has_proxy(kinds[light.light])]
+    loaded, images_only = index.loaded, options["without_gradient"]
+    lights = light_targets(index, targets)
+    classes = [light.class_name() for light in delta_lights(loaded.scene)]
+    unchanged = [light.light for light in lights.values() if not light.has_proxy(classes[light.light])]
     proxy = build_proxy_scene(
         scene,
         settings,
         LightContext.of(loaded.scene, traits.moving.values(), unchanged),
-        Frustum(analysis.sensor).overlaps,
+        Frustum(find_sensor(loaded.scene, options["sensor"])).overlaps,
         moving,
         parse=partial(parsed_scene, float_textures=loaded.float_textures),
         unlit=traits.unlit_mirrors,
     )
     if proxy is None:
         return None
-    start = ParameterBinding(index, request.targets, analysis.images_only).start
+    start = ParameterBinding(index, targets, images_only).start
     # The gradient of a moving light comes from the proxy; all other lights have theirs in the scene itself.
-    lights_at_rest = all(light.is_intensity for name, light in lights.items() if name not in analysis.images_only)
+    lights_at_rest = all(light.is_intensity for name, light in lights.items() if name not in images_only)
     renderer = ProxyGradientRenderer(
         loaded,
-        request.targets,
+        targets,
         proxy=LoadedScene(proxy.scene, not isinstance(scene, mi.Scene), loaded.float_textures),
         moving=traits.moving,
         replaced_targets=proxy_targets(lights, proxy, index, start),
