@@ -251,7 +251,7 @@ def test_a_colour_has_no_gradient_in_an_image_of_depths() -> None:
         assert not np.any(pullback(np.ones_like(image))["floor"])
 
 
-def test_without_a_blur_unsupported_parameters_are_refused_or_have_mitsuba_s_gradient() -> None:
+def test_without_a_blur_parameters_are_refused_or_have_mitsuba_s_gradient() -> None:
     with pytest.raises(ParameterError, match=r"is missing or wrong; .* or use PlannedRenderer"):
         PlannedRenderer(lit_scene(), {"light": "lamp.position"}, blur=None, attached_lights=False)
     with pytest.raises(ParameterError, match=r"'sensor' cannot be moved: .*; or use PlannedRenderer"):

@@ -49,7 +49,7 @@ class PlanState:
     names : tuple of str
         Optimised parameters whose gradient is Mitsuba's.
     groups : tuple of tuple of str
-        The same, in groups of one unit.
+        The parameters in `names`, in groups of one unit.
     traits : Traits
     pilot : Pilot
     rules, plan : EffectPlan
@@ -67,7 +67,7 @@ class PlanState:
     in_view : frozenset of str
         Parameters whose shape has been in view.
     hidden : dict of mi.Shape
-        Shapes out of view whose parameters are blurred for want of a gradient there.
+        Shapes out of view whose parameters are blurred, because they have no gradient there.
     probe : GradientProbe or None
         Where the gradient was evaluated last.
     started : bool
@@ -246,14 +246,14 @@ class Planner:
         self._release(grown, when)
 
     def _run_pilot(self, probe: GradientProbe, released: frozenset[str] = frozenset()) -> None:
-        """Plan by a few gradients, and freeze parameters with noise for a gradient, except those in `released`."""
+        """Run the pilot, and freeze the parameters whose gradient is noise, except the `released` ones."""
         if self.state.names:
             result = self.state.pilot.run(self.state.plan, probe)
             self._update(norms=result.norms, frozen=result.frozen.without(released))
             self._change(replace(result.plan, frozen=self.state.frozen.reasons), "by the pilot")
 
     def _attach_lights(self, probe: GradientProbe, names: Iterable[str]) -> None:
-        """Use attached samples for the lights among `names` whose gradient they have with less noise."""
+        """Use attached samples for the lights among `names` whose attached gradient is preferred to Mitsuba's."""
         lights = tuple(name for name in names if name in self._setup.attached.lights)
         if not lights:
             return

@@ -16,7 +16,7 @@ __all__ = ["DIRECT_DEPTH", "EFFECTS", "everything", "integrator_for", "plan_by_r
 EFFECTS: Final = {"sppc": Effect.CONTINUOUS, "sppp": Effect.PRIMARY, "sppi": Effect.INDIRECT}
 DIRECT_DEPTH: Final = 2  # of paths from the camera over one surface to a light
 NO_MOTION: Final = "no optimised parameter moves a shape"
-EXCEPTION: Final = ", except by attached or blurred gradients"
+EXCEPTION: Final = ", apart from attached or blurred parameters"
 CAMERA_REASON: Final = "Mitsuba has no gradient for sensors"
 
 
