@@ -322,7 +322,7 @@ def _notes(whole: Draws, frozen: Frozen, samples: int) -> tuple[str, ...]:
         )
     if noisy:
         notes.append(
-            f"the gradient with respect to {listed(noisy)} cannot be distinguished from noise in {whole.count} draws of {samples} "
-            f"samples a pixel; it is not frozen, because another parameter of its object has a significant gradient"
+            f"the gradient with respect to {listed(noisy)} cannot be distinguished from noise in {whole.count} draws "
+            f"of {samples} samples a pixel; it is not frozen, because another parameter of its object is significant"
         )
     return tuple(notes)
