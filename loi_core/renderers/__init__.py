@@ -1,4 +1,4 @@
-"""Renderers on the NumPy backend, with hand-written pullbacks, and gradients by blurring for those of any backend."""
+"""NumPy renderers with hand-written pullbacks, and blurred gradients for any renderer."""
 
 from loi_core.renderers.blurred import BlurredRenderer
 from loi_core.renderers.disks import Disks

@@ -17,11 +17,11 @@ from loi_core.support.wording import shown
 
 __all__ = ["Disks"]
 
-LEAST_RADIUS = 0.1
+MIN_RADIUS_PX = 0.1
 
 
 class Disks:
-    """`n` disks over a plain background, the later ones on top.
+    """Renderer of `n` disks over a plain background, later disks on top.
 
     Parameters
     ----------
@@ -36,10 +36,10 @@ class Disks:
     background : array, shape (3,)
         Linear RGB.
     dtype : {"float64", "float32"}
-        Of parameters and images; the arithmetic inside is float64.
+        Dtype of parameters and images; internal arithmetic is float64.
     confine : bool
-        Whether :meth:`project` keeps every disk whole in the frame and apart from the others. Under another disk,
-        or outside the frame, a disk has no gradient, so it cannot get away by itself.
+        Whether :meth:`project` moves every disk into the frame and separates overlapping disks. A disk that is hidden
+        by another disk, or outside the frame, has no gradient and cannot escape by itself.
 
     Attributes
     ----------
@@ -55,11 +55,10 @@ class Disks:
 
     Notes
     -----
-    A pixel's coverage is the exact area of the disk in it, and its derivative is exact too. An approximation,
-    such as a ramp over the distance to the edge, makes the disk's total area change a little with its position
-    between pixels. Far from the target, where the pull of any loss is faint, that alone decides the direction.
-    Only pixels that a disk meets are touched, so the cost grows with the area covered, and areas are computed only
-    where an edge passes.
+    The coverage of a pixel is the exact area of the disk in it, and its derivative is exact too. With an approximation,
+    such as a ramp over the distance to the edge, the total area of a disk varies slightly with its subpixel position.
+    Far from the target, where the gradient of any loss is small, this variation alone would decide the direction. Only
+    covered pixels are visited, and areas are computed only on edges, so the cost grows with the covered area.
     """
 
     backend: ClassVar[str] = "numpy"
@@ -79,10 +78,10 @@ class Disks:
         self.size = check_size("height", height), check_size("width", width)
         centres = check_floats("positions", positions, (None, 2))
         count = centres.shape[0]
-        spread = np.full(count, radii) if np.ndim(radii) == 0 else radii
+        radii = np.full(count, radii) if np.ndim(radii) == 0 else radii
         self._scene = {
             "positions": centres,
-            "radii": check_floats("radii", spread, (count,)),
+            "radii": check_floats("radii", radii, (count,)),
             "colours": check_floats("colours", colours, (count, 3)),
         }
         self.background = check_floats("background", background, (3,))
@@ -101,20 +100,20 @@ class Disks:
         return RendererCapabilities(project=self.project)
 
     def parameters(self) -> dict[str, FloatArray]:
-        """``positions`` (n, 2), ``radii`` (n,) and ``colours`` (n, 3), of the scene's dtype."""
+        """Return ``positions`` (n, 2), ``radii`` (n,) and ``colours`` (n, 3), in the dtype of the renderer."""
         return {name: value.astype(self._dtype) for name, value in self._scene.items()}
 
     def render(self, params: dict[str, FloatArray], *, seed: int = 0) -> FloatArray:
-        """The image, shape (height, width, 3); `seed` is not needed, nothing is random."""
+        """Return the image, shape (height, width, 3); `seed` is ignored, since nothing is random."""
         return self.render_vjp(params, seed=seed)[0]
 
     def render_vjp(
         self, params: dict[str, FloatArray], *, seed: int = 0
     ) -> tuple[FloatArray, Callable[[FloatArray], dict[str, FloatArray]]]:
-        """The image and its pullback; see :class:`loi_core.Renderer`."""
+        """Return the image and its pullback; see :class:`loi_core.Renderer`."""
         scene = self.checked(params)
         positions, radii = scene["positions"], scene["radii"]
-        # Beyond 1e154 coordinates have no squares; where that matters the image is not finite, which its users check.
+        # Squares of coordinates beyond 1e154 overflow; the image is then not finite, which callers check.
         with np.errstate(over="ignore", invalid="ignore"):
             fragments = rasterize_disks(positions, radii, self.size)
             owner, pixels = fragments.owner, fragments.rows * self.size[1] + fragments.columns
@@ -123,28 +122,30 @@ class Disks:
             corners = np.arange(2.0)
             x = fragments.columns[edge, None] + corners - positions[owner[edge], :1]
             y = fragments.rows[edge, None] + corners - positions[owner[edge], 1:]
-            parts = disk_coverage(x[:, None, :], y[:, :, None], radii[owner[edge], None, None])
-        coverage[edge], *slopes = (part[:, 0, 0] for part in parts)
-        share, colours = coverage[:, None], scene["colours"][owner]
+            edge_coverage, *derivatives = disk_coverage(x[:, None, :], y[:, :, None], radii[owner[edge], None, None])
+        coverage[edge] = edge_coverage[:, 0, 0]
+        alpha, colours = coverage[:, None], scene["colours"][owner]
         image = np.broadcast_to(self.background, (self.size[0] * self.size[1], 3)).copy()
         beneath = np.empty_like(colours)
         for layer in fragments.layers:
             beneath[layer] = image[pixels[layer]]
-            image[pixels[layer]] = beneath[layer] + share[layer] * (colours[layer] - beneath[layer])
+            image[pixels[layer]] = beneath[layer] + alpha[layer] * (colours[layer] - beneath[layer])
 
         def pullback(cotangent: FloatArray) -> dict[str, FloatArray]:
-            flowing = np.array(cotangent, dtype=np.float64).reshape(-1, 3)
-            arriving = np.empty_like(colours)
+            cotangents = np.array(cotangent, dtype=np.float64).reshape(-1, 3)
+            fragment_cotangents = np.empty_like(colours)
             for layer in reversed(fragments.layers):
-                arriving[layer] = flowing[pixels[layer]]
-                flowing[pixels[layer]] = arriving[layer] * (1.0 - share[layer])
-            by_coverage = np.sum(arriving * (colours - beneath), axis=-1)[edge]
+                fragment_cotangents[layer] = cotangents[pixels[layer]]
+                cotangents[pixels[layer]] = fragment_cotangents[layer] * (1.0 - alpha[layer])
+            by_coverage = np.sum(fragment_cotangents * (colours - beneath), axis=-1)[edge]
 
             def total(weights: FloatArray, owner: IndexArray) -> FloatArray:
                 return np.bincount(owner, weights, minlength=len(radii)).astype(np.float64, copy=False)
 
-            by_x, by_y, by_radius = (total(by_coverage * slope, owner[edge]) for slope in slopes)
-            by_colour = [total(arriving[:, channel] * coverage, owner) for channel in range(3)]
+            by_x, by_y, by_radius = (
+                total(by_coverage * derivative[:, 0, 0], owner[edge]) for derivative in derivatives
+            )
+            by_colour = [total(fragment_cotangents[:, channel] * coverage, owner) for channel in range(3)]
             result = {
                 "positions": np.stack([by_x, by_y], axis=-1),
                 "radii": by_radius,
@@ -155,16 +156,16 @@ class Disks:
         return image.reshape(*self.size, 3).astype(self._dtype), pullback
 
     def checked(self, params: Mapping[str, object]) -> dict[str, FloatArray]:
-        """`params` as float64 arrays, once they are known to have the scene's names and shapes."""
+        """Return `params` as float64 arrays; raise :class:`ParameterError` for wrong names or shapes."""
         return check_parameters(params, self._scene)
 
     def project(self, params: dict[str, FloatArray]) -> dict[str, FloatArray]:
-        """`params` with radii of a tenth of a pixel or more, and the disks separated if the scene asks for it.
+        """Return `params` with radii of at least 0.1 pixels, and with the disks separated if `confine` is set.
 
-        A disk without area would have no gradient, and could never come back.
+        A disk without area has no gradient, and its radius could never grow again.
         """
         scene = self.checked(params)
-        scene["radii"] = np.maximum(scene["radii"], LEAST_RADIUS)
+        scene["radii"] = np.maximum(scene["radii"], MIN_RADIUS_PX)
         if self._confine:
             scene["positions"] = separate_disks(scene["positions"], scene["radii"], self.size)
         return {name: value.astype(self._dtype) for name, value in scene.items()}

@@ -1,4 +1,4 @@
-"""Keeping disks whole in the frame and apart from one another: where they are hidden, they have no gradient."""
+"""Packing of disks: each disk lies in the frame and overlaps no other, since hidden disks have no gradient."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from loi_core.renderers.validation import FloatArray
 
 __all__ = ["candidate_pairs", "separate_disks"]
 
-SWEEPS: Final = 10  # chains of touching disks need a few
-GOLDEN_ANGLE: Final = 2.399963
-COINCIDENT: Final = 1e-9  # pixels; nearer than this the line through two centres says nothing
+MAX_SWEEPS: Final = 10  # chains of touching disks need a few
+GOLDEN_ANGLE: Final = 2.399963  # radians
+MIN_DISTANCE_PX: Final = 1e-9  # below it the direction between two centres is undefined
 
 
 def separate_disks(positions: FloatArray, radii: FloatArray, size: tuple[int, int]) -> FloatArray:
-    """Centres moved by little that brings every disk into the frame and parts each overlapping pair.
+    """Return centres with every disk in the frame and overlapping pairs separated, by small displacements.
 
     Parameters
     ----------
@@ -30,58 +30,62 @@ def separate_disks(positions: FloatArray, radii: FloatArray, size: tuple[int, in
 
     Notes
     -----
-    The cost grows with the pairs that are near one another, not with all pairs. A disk larger than the frame is put
-    into its middle.
+    The cost grows with the number of neighbouring pairs, not with all pairs. A disk larger than the frame is centred.
     """
     frame = np.array(size[::-1], dtype=np.float64)
     margin = np.minimum(radii[:, None], 0.5 * frame)
-    positions = _within(positions, margin, frame)
-    for _ in range(SWEEPS):
+    positions = _clip_to_frame(positions, margin, frame)
+    for _ in range(MAX_SWEEPS):
         first, second = candidate_pairs(positions, radii)
-        apart = positions[first] - positions[second]
-        distance = np.hypot(apart[:, 0], apart[:, 1])
+        offset = positions[first] - positions[second]
+        distance = np.hypot(offset[:, 0], offset[:, 1])
         overlap = radii[first] + radii[second] - distance
-        met = np.flatnonzero(overlap > 0.0)
-        if not len(met):
+        overlapping = np.flatnonzero(overlap > 0.0)
+        if not len(overlapping):
             break
-        first, second, apart, distance = first[met], second[met], apart[met], distance[met, None]
-        # Two disks in exactly the same place have no direction to part in: each pair gets one of its own.
-        along = apart / np.maximum(distance, COINCIDENT)
-        direction = np.where(distance < COINCIDENT, _spare(first, second), along)
-        push = 0.5 * overlap[met, None] * direction
-        ends, pushes = np.concatenate([first, second]), np.concatenate([push, -push])
-        moved = np.stack([np.bincount(ends, pushes[:, axis], len(radii)) for axis in range(2)], axis=-1)
-        positions = _within(positions + moved, margin, frame)
+        first, second, offset, distance = (
+            first[overlapping],
+            second[overlapping],
+            offset[overlapping],
+            distance[overlapping, None],
+        )
+        # Coincident disks have no direction of separation: each pair gets a different one.
+        along = offset / np.maximum(distance, MIN_DISTANCE_PX)
+        direction = np.where(distance < MIN_DISTANCE_PX, _fallback_directions(first, second), along)
+        shift = 0.5 * overlap[overlapping, None] * direction
+        disks, shifts = np.concatenate([first, second]), np.concatenate([shift, -shift])
+        displacement = np.stack([np.bincount(disks, shifts[:, axis], len(radii)) for axis in range(2)], axis=-1)
+        positions = _clip_to_frame(positions + displacement, margin, frame)
     return positions
 
 
-def _within(positions: FloatArray, margin: FloatArray, frame: FloatArray) -> FloatArray:
-    kept: FloatArray = np.clip(positions, margin, frame - margin)
-    return kept
+def _clip_to_frame(positions: FloatArray, margin: FloatArray, frame: FloatArray) -> FloatArray:
+    clipped: FloatArray = np.clip(positions, margin, frame - margin)
+    return clipped
 
 
 def candidate_pairs(positions: FloatArray, radii: FloatArray) -> tuple[IndexArray, IndexArray]:
-    """Every pair of disks, once, that is near enough along x to overlap: indices, two arrays of one length.
+    """Return the indices of all pairs of disks that are close enough along x to overlap, each pair once.
 
     Parameters
     ----------
     positions, radii
-        As :func:`separate_disks` takes them.
+        As for :func:`separate_disks`.
     """
     order = np.argsort(positions[:, 0], kind="stable")
     columns = positions[order, 0]
     reach = radii[order] + radii.max(initial=0.0)
-    after = np.arange(1, len(order) + 1)
-    counts = np.maximum(np.searchsorted(columns, columns + reach, side="right") - after, 0)
+    next_index = np.arange(1, len(order) + 1)
+    counts = np.maximum(np.searchsorted(columns, columns + reach, side="right") - next_index, 0)
     first = np.repeat(np.arange(len(order)), counts)
     second = first + 1 + np.arange(len(first)) - np.repeat(np.cumsum(counts) - counts, counts)
     return order[first], order[second]
 
 
-def _spare(first: IndexArray, second: IndexArray) -> FloatArray:
-    """A direction of its own for each pair of disks."""
+def _fallback_directions(first: IndexArray, second: IndexArray) -> FloatArray:
+    """Return a different unit vector for each pair of disks."""
     angles = GOLDEN_ANGLE * np.stack([first, second])
     difference = np.stack([np.cos(angles[0]) - np.cos(angles[1]), np.sin(angles[0]) - np.sin(angles[1])], axis=-1)
     length: FloatArray = np.linalg.norm(difference, axis=-1, keepdims=True)
-    spread: FloatArray = difference / np.maximum(length, 1e-12)
-    return spread
+    directions: FloatArray = difference / np.maximum(length, 1e-12)
+    return directions

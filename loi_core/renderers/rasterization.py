@@ -1,7 +1,7 @@
-"""What many disks cover, as a flat list of fragments: one for each pixel and disk that meet.
+"""Rasterization of disks into a flat list of fragments, one for each pair of a pixel and a disk that intersect.
 
-So the cost grows with the pixels that are covered, not with disks times pixels; and only where an edge passes through
-a pixel is an area computed, since elsewhere it is 1 and does not change.
+The cost grows with the number of covered pixels, not with disks times pixels. Areas are computed only for pixels on an
+edge, since the coverage of interior pixels is constantly 1.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ IndexArray: TypeAlias = np.ndarray[tuple[int, ...], np.dtype[np.int64]]
 
 @dataclass(frozen=True)
 class Fragments:
-    """Fragments in the order in which they are painted: layer by layer, each of which holds a pixel at most once.
+    """Fragments in painting order: layer by layer, with each pixel at most once in a layer.
 
     Attributes
     ----------
     owner : array, shape (m,)
-        Which disk.
+        Index of the disk.
     rows, columns : array, shape (m,)
-        Which pixel.
+        Pixel.
     on_edge : array of bool, shape (m,)
-        Whether the disk's edge passes through the pixel; if not, the disk covers all of it.
+        Whether the edge of the disk intersects the pixel; otherwise the disk covers the whole pixel.
     layers : tuple of slice
-        The fragments of each layer, lowest first.
+        Fragments of each layer, bottom layer first.
     """
 
     owner: IndexArray
@@ -43,56 +43,69 @@ class Fragments:
 
 
 def rasterize_disks(positions: FloatArray, radii: FloatArray, size: tuple[int, int]) -> Fragments:
-    """The fragments of `n` disks, the later ones on top, on a canvas of `size` pixels, height and width.
+    """Rasterize disks on a canvas of `size` pixels, height and width; later disks are on top.
 
     Parameters
     ----------
     positions : array, shape (n, 2)
         Centres (x, y) in pixels.
     radii : array, shape (n,)
-        In pixels; a disk of 0 or less has no fragments.
+        In pixels; a disk with a radius of 0 or less has no fragments.
     """
     height, width = size
-    first_column, columns_of = _touched(positions[:, 0], radii, width)
-    first_row, rows_of = _touched(positions[:, 1], radii, height)
-    counts = rows_of * columns_of
+    first_column, column_counts = _pixel_range(positions[:, 0], radii, width)
+    first_row, row_counts = _pixel_range(positions[:, 1], radii, height)
+    counts = row_counts * column_counts
     owner = np.repeat(np.arange(len(radii)), counts)
-    place = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
-    across = np.maximum(columns_of[owner], 1)
-    rows, columns = first_row[owner] + place // across, first_column[owner] + place % across
+    offset = np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
+    width_of_box = np.maximum(column_counts[owner], 1)
+    rows, columns = first_row[owner] + offset // width_of_box, first_column[owner] + offset % width_of_box
     x, y = np.abs(columns + 0.5 - positions[owner, 0]), np.abs(rows + 0.5 - positions[owner, 1])
-    nearest = np.hypot(np.maximum(x - 0.5, 0.0), np.maximum(y - 0.5, 0.0))
-    kept = np.flatnonzero(nearest < radii[owner])
-    on_edge = np.hypot(x[kept] + 0.5, y[kept] + 0.5) > radii[owner[kept]]
-    owner, rows, columns = owner[kept], rows[kept], columns[kept]
+    min_distance = np.hypot(np.maximum(x - 0.5, 0.0), np.maximum(y - 0.5, 0.0))
+    covered = np.flatnonzero(min_distance < radii[owner])
+    on_edge = np.hypot(x[covered] + 0.5, y[covered] + 0.5) > radii[owner[covered]]
+    owner, rows, columns = owner[covered], rows[covered], columns[covered]
     order, layers = peel_layers(rows * width + columns)
     return Fragments(owner[order], rows[order], columns[order], on_edge[order], layers)
 
 
 def peel_layers(pixels: IndexArray) -> tuple[IndexArray, tuple[slice, ...]]:
-    """How to sort fragments, given lowest first by their `pixels`, into layers that hold a pixel at most once."""
+    """Sort fragments into layers with each pixel at most once, as in depth peeling.
+
+    Parameters
+    ----------
+    pixels : array, shape (m,)
+        Pixel index of each fragment, bottom fragments first.
+
+    Returns
+    -------
+    order : array, shape (m,)
+        Indices that sort the fragments by layer.
+    layers : tuple of slice
+        Layers of the sorted fragments, bottom layer first.
+    """
     depth = _depth(pixels)
     order = np.argsort(depth, kind="stable")
-    ends = np.cumsum(np.bincount(depth)) if len(depth) else [0]
-    layers = tuple(slice(int(start), int(stop)) for start, stop in itertools.pairwise([0, *ends]) if stop > start)
+    stops = np.cumsum(np.bincount(depth)) if len(depth) else [0]
+    layers = tuple(slice(int(start), int(stop)) for start, stop in itertools.pairwise([0, *stops]) if stop > start)
     return order, layers
 
 
-def _touched(centres: FloatArray, radii: FloatArray, size: int) -> tuple[IndexArray, IndexArray]:
-    """First pixel of an axis that each [centre - radius, centre + radius] meets, and how many."""
+def _pixel_range(centres: FloatArray, radii: FloatArray, size: int) -> tuple[IndexArray, IndexArray]:
+    """Return the first pixel and the number of pixels that intersect [centre - radius, centre + radius] on one axis."""
     reach = np.maximum(radii, 0.0)
-    low = np.floor(np.clip(centres - reach, 0.0, size)).astype(np.int64)
-    high = np.ceil(np.clip(centres + reach, 0.0, size)).astype(np.int64)
-    return low, np.where(reach > 0.0, np.maximum(high - low, 0), 0)
+    start = np.floor(np.clip(centres - reach, 0.0, size)).astype(np.int64)
+    stop = np.ceil(np.clip(centres + reach, 0.0, size)).astype(np.int64)
+    return start, np.where(reach > 0.0, np.maximum(stop - start, 0), 0)
 
 
 def _depth(pixels: IndexArray) -> IndexArray:
-    """How many entries before each of `pixels` are equal to it."""
+    """Return the number of equal entries before each entry of `pixels`."""
     order = np.argsort(pixels, kind="stable")
     ordered = pixels[order]
-    fresh = np.ones(len(pixels), dtype=bool)
-    fresh[1:] = ordered[1:] != ordered[:-1]
-    starts = np.flatnonzero(fresh)
+    is_first = np.ones(len(pixels), dtype=bool)
+    is_first[1:] = ordered[1:] != ordered[:-1]
+    starts = np.flatnonzero(is_first)
     depth = np.empty(len(pixels), dtype=np.int64)
-    depth[order] = np.arange(len(pixels)) - starts[np.cumsum(fresh) - 1]
+    depth[order] = np.arange(len(pixels)) - starts[np.cumsum(is_first) - 1]
     return depth

@@ -1,4 +1,4 @@
-"""Checks of the values that a scene hands to a NumPy renderer."""
+"""Validation of the arguments of NumPy renderers."""
 
 from __future__ import annotations
 
@@ -17,17 +17,19 @@ FloatArray: TypeAlias = np.ndarray[Any, np.dtype[np.float64]]
 
 
 def check_floats(name: str, value: object, shape: tuple[int | None, ...]) -> FloatArray:
-    """`value` as a new float64 array of `shape`, in which None stands for any length."""
+    """Return `value` as a new float64 array of `shape`, where None allows any length."""
     try:
-        given = np.asarray(value)
+        values = np.asarray(value)
     except ValueError:  # rows of different lengths
-        given = np.asarray(None)
-    if given.dtype.kind not in "fiu":
-        msg = f"`{name}` must be numbers of shape {_spell(shape)}, got {shown(value)}"
+        values = np.asarray(None)
+    if values.dtype.kind not in "fiu":
+        msg = f"`{name}` must be numbers of shape {_format_shape(shape)}, got {shown(value)}"
         raise ParameterError(msg)
-    array = given.astype(np.float64)
-    if array.ndim != len(shape) or any(want not in (None, got) for want, got in zip(shape, array.shape, strict=True)):
-        msg = f"`{name}` must have shape {_spell(shape)}, got {array.shape}"
+    array = values.astype(np.float64)
+    if array.ndim != len(shape) or any(
+        expected not in (None, actual) for expected, actual in zip(shape, array.shape, strict=True)
+    ):
+        msg = f"`{name}` must have shape {_format_shape(shape)}, got {array.shape}"
         raise ParameterError(msg)
     if not np.all(np.isfinite(array)):
         msg = f"`{name}` must be finite, got {int((~np.isfinite(array)).sum())} values that are not"
@@ -36,7 +38,7 @@ def check_floats(name: str, value: object, shape: tuple[int | None, ...]) -> Flo
 
 
 def check_dtype(value: object) -> np.dtype[Any]:
-    """The dtype of that name, float64 or float32."""
+    """Return the dtype called `value`, "float64" or "float32"."""
     if not isinstance(value, str) or value not in ("float64", "float32"):
         msg = f"`dtype` must be 'float64' or 'float32', got {shown(value)}"
         raise ParameterError(msg)
@@ -44,7 +46,7 @@ def check_dtype(value: object) -> np.dtype[Any]:
 
 
 def check_size(name: str, value: object) -> int:
-    """`value` as an int, once it is known to be a number of pixels."""
+    """Return `value` as a positive number of pixels."""
     size = whole_number(value)
     if size is None or size < 1:
         msg = f"`{name}` must be a whole number of pixels, 1 or more, got {shown(value)}"
@@ -53,7 +55,7 @@ def check_size(name: str, value: object) -> int:
 
 
 def check_image(name: str, value: object, channels: tuple[int, ...]) -> FloatArray:
-    """`value` as a new float64 image (H, W, C) whose channel count is one of `channels`."""
+    """Return `value` as a new float64 image (H, W, C) whose channel count is one of `channels`."""
     image = check_floats(name, value, (None, None, None))
     if image.shape[2] not in channels or image.size == 0:
         msg = f"`{name}` must be (H, W, {' or '.join(map(str, channels))}) and not empty, got {image.shape}"
@@ -62,13 +64,13 @@ def check_image(name: str, value: object, channels: tuple[int, ...]) -> FloatArr
 
 
 def check_parameters(params: Mapping[str, object], like: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
-    """`params` as float64 arrays, once they are known to be all of `like`'s names with the same shapes."""
+    """Return `params` as float64 arrays; raise :class:`ParameterError` unless names and shapes are those of `like`."""
     if set(params) != set(like):
         msg = f"`params` must have exactly the names {sorted(like)}, got {sorted(params)}"
         raise ParameterError(msg)
     return {name: check_floats(name, params[name], like[name].shape) for name in like}
 
 
-def _spell(shape: tuple[int | None, ...]) -> str:
+def _format_shape(shape: tuple[int | None, ...]) -> str:
     sizes = ["n" if size is None else str(size) for size in shape]
     return f"({', '.join(sizes)}{',' if len(sizes) == 1 else ''})"

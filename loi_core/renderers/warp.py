@@ -1,4 +1,4 @@
-"""A picture placed on a background by an affine map (translation, rotation, scale), and photographed."""
+"""Renderer of a picture over a background, with translation, rotation, scale and exposure."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ from loi_core.renderers.validation import FloatArray, check_dtype, check_floats,
 
 __all__ = ["Warp"]
 
-LEAST_SCALE = 0.01
+MIN_SCALE = 0.01
 
 
 class Warp:
-    """A picture over a background, moved, turned and scaled about its own centre.
+    """Renderer of a picture over a background, translated, rotated and scaled about its centre.
 
     Parameters
     ----------
     picture : array, shape (h, w, 3) or (h, w, 4)
-        Linear RGB, with a fourth channel of opacity in [0, 1] if there is one. Outside it is transparent.
+        Linear RGB, optionally with opacity in [0, 1] as fourth channel. Transparent outside.
     background : array, shape (H, W, 3)
-        Linear RGB; gives the size of the image.
+        Linear RGB; determines the size of the image.
     translation : array, shape (2,)
-        From the centre of the background to the centre of the picture, (x, y) in pixels, y down.
+        Offset from the centre of the background to the centre of the picture, (x, y) in pixels, y down.
     rotation : float
-        In degrees, clockwise as seen.
+        In degrees, clockwise on the screen.
     scale : float
-        Pixels of the background to a pixel of the picture; more than 0.
+        Pixels of the background per pixel of the picture; more than 0.
     exposure : float
-        In stops: the whole image is multiplied by ``2 ** exposure``.
+        In stops: the image is multiplied by ``2 ** exposure``.
     dtype : {"float64", "float32"}
-        Of parameters and images; the arithmetic inside is float64.
+        Dtype of parameters and images; internal arithmetic is float64.
 
     Attributes
     ----------
@@ -50,8 +50,8 @@ class Warp:
 
     Notes
     -----
-    The picture is sampled bilinearly with premultiplied opacity. Nothing prefilters it: below a scale of about
-    one half it aliases.
+    The picture is sampled bilinearly with premultiplied opacity and without a prefilter, so it aliases below a scale of
+    about one half.
     """
 
     backend: ClassVar[str] = "numpy"
@@ -74,7 +74,7 @@ class Warp:
         self.layers = np.concatenate([picture[..., :3] * opacity, opacity], axis=-1)
         self._picture = np.pad(
             self.layers, ((1, 1), (1, 1), (0, 0))
-        )  # a transparent rim for the samples that straddle it
+        )  # a transparent border for samples on the edge of the picture
         self._scene = {
             "translation": check_floats("translation", translation, (2,)),
             "rotation": check_floats("rotation", rotation, ()),
@@ -88,40 +88,40 @@ class Warp:
         return RendererCapabilities(project=self.project)
 
     def parameters(self) -> dict[str, FloatArray]:
-        """``translation`` (2,), ``rotation`` (), ``scale`` () and ``exposure`` (), of the scene's dtype."""
+        """Return ``translation`` (2,), ``rotation`` (), ``scale`` () and ``exposure`` (), in the scene's dtype."""
         return {name: value.astype(self._dtype) for name, value in self._scene.items()}
 
     def render(self, params: dict[str, FloatArray], *, seed: int = 0) -> FloatArray:
-        """The image, shape (H, W, 3); `seed` is not needed, nothing is random."""
+        """Return the image, shape (H, W, 3); `seed` is ignored, since nothing is random."""
         return self.render_vjp(params, seed=seed)[0]
 
     def render_vjp(
         self, params: dict[str, FloatArray], *, seed: int = 0
     ) -> tuple[FloatArray, Callable[[FloatArray], dict[str, FloatArray]]]:
-        """The image and its pullback; see :class:`loi_core.Renderer`."""
+        """Return the image and its pullback; see :class:`loi_core.Renderer`."""
         pose = self.checked(params)
         scale = float(pose["scale"])
         angle = np.deg2rad(float(pose["rotation"]))
         cos, sin = float(np.cos(angle)), float(np.sin(angle))
         height, width = self.background.shape[:2]
         rows, columns = self._window(pose["translation"], scale, cos, sin)
-        across = np.arange(columns.start, columns.stop) + 0.5 - 0.5 * width - pose["translation"][0]
-        down = np.arange(rows.start, rows.stop) + 0.5 - 0.5 * height - pose["translation"][1]
-        right, low = np.broadcast_arrays(across[None, :], down[:, None])
-        u = (cos * right + sin * low) / scale  # from the picture's centre, in its own pixels
-        v = (cos * low - sin * right) / scale
+        x = np.arange(columns.start, columns.stop) + 0.5 - 0.5 * width - pose["translation"][0]
+        y = np.arange(rows.start, rows.stop) + 0.5 - 0.5 * height - pose["translation"][1]
+        x, y = np.broadcast_arrays(x[None, :], y[:, None])
+        u = (cos * x + sin * y) / scale  # relative to the centre of the picture, in its pixels
+        v = (cos * y - sin * x) / scale
         colour, by_u, by_v = self._sample(u, v)
-        behind = self.background[rows, columns]
+        backdrop = self.background[rows, columns]
         gain = float(np.exp2(pose["exposure"]))
         image = gain * self.background
-        image[rows, columns] = gain * (colour[..., :3] + (1.0 - colour[..., 3:]) * behind)
+        image[rows, columns] = gain * (colour[..., :3] + (1.0 - colour[..., 3:]) * backdrop)
 
         def pullback(cotangent: FloatArray) -> dict[str, FloatArray]:
             cotangent = np.asarray(cotangent, dtype=np.float64)
-            arriving = gain * cotangent[rows, columns]
-            layered = np.concatenate([arriving, -np.sum(arriving * behind, axis=-1, keepdims=True)], axis=-1)
-            to_u = np.sum(layered * by_u, axis=-1)
-            to_v = np.sum(layered * by_v, axis=-1)
+            incoming = gain * cotangent[rows, columns]
+            layer_cotangent = np.concatenate([incoming, -np.sum(incoming * backdrop, axis=-1, keepdims=True)], axis=-1)
+            to_u = np.sum(layer_cotangent * by_u, axis=-1)
+            to_v = np.sum(layer_cotangent * by_v, axis=-1)
             result = {
                 "translation": np.array(
                     [np.sum(sin * to_v - cos * to_u) / scale, -np.sum(sin * to_u + cos * to_v) / scale]
@@ -135,7 +135,7 @@ class Warp:
         return image.astype(self._dtype), pullback
 
     def checked(self, params: Mapping[str, object]) -> dict[str, FloatArray]:
-        """`params` as float64 arrays, once they are known to be a pose that can be rendered."""
+        """Return `params` as float64 arrays; raise :class:`ParameterError` for wrong names, shapes or scales."""
         pose = check_parameters(params, self._scene)
         if pose["scale"] <= 0.0:
             msg = f"`scale` must be more than 0, got {float(pose['scale'])}"
@@ -143,13 +143,13 @@ class Warp:
         return pose
 
     def project(self, params: dict[str, FloatArray]) -> dict[str, FloatArray]:
-        """`params` with a scale of a hundredth or more: a picture without area would have no gradient."""
+        """Return `params` with a scale of at least 0.01, since a picture without area has no gradient."""
         pose = check_parameters(params, self._scene)
-        pose["scale"] = np.maximum(pose["scale"], LEAST_SCALE)
+        pose["scale"] = np.maximum(pose["scale"], MIN_SCALE)
         return {name: np.asarray(value, dtype=self._dtype) for name, value in pose.items()}
 
     def _window(self, translation: FloatArray, scale: float, cos: float, sin: float) -> tuple[slice, slice]:
-        """Rows and columns of the background that the picture, rim included, can touch."""
+        """Return the rows and columns of the background that the picture with its border can cover."""
         height, width = self.background.shape[:2]
         half_h, half_w = (0.5 * size for size in self._picture.shape[:2])
         reach_x = scale * (half_w * abs(cos) + half_h * abs(sin))
@@ -162,7 +162,7 @@ class Warp:
         return slices[0], slices[1]
 
     def _sample(self, u: FloatArray, v: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Premultiplied RGB and opacity at points of the picture, and their derivatives by u and v."""
+        """Return premultiplied RGB and opacity at points of the picture, with derivatives with respect to u and v."""
         height, width = self._picture.shape[:2]
         x = u + 0.5 * width - 0.5
         y = v + 0.5 * height - 0.5

@@ -7,7 +7,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from loi_core.renderers.packing import SWEEPS, separate_disks
+from loi_core.renderers.packing import MAX_SWEEPS, separate_disks
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 40), st.floats(0.5, 30.0))
@@ -33,7 +33,7 @@ def pair_by_pair(
     frame = np.array(size[::-1], dtype=np.float64)
     margin = np.minimum(radii[:, None], frame / 2)
     positions = np.clip(positions, margin, frame - margin)
-    for _ in range(SWEEPS):
+    for _ in range(MAX_SWEEPS):
         moved = positions.copy()
         for one in range(len(radii)):
             for other in range(one):
