@@ -1,4 +1,4 @@
-"""Gradients by blurring in parameter space, of any renderer's images (Fischer and Ritschel, CVPR 2023)."""
+"""Gradients of any renderer by blurring in parameter space (Fischer and Ritschel, CVPR 2023)."""
 
 from __future__ import annotations
 
@@ -29,67 +29,72 @@ from loi_core.support.wording import shown
 
 __all__ = ["BLUR_KEYS", "BlurredRenderer", "Sigma", "names_to_blur"]
 
-HALF: Final = 0.5  # of the steps: until then sigma is held
-USUAL: Final = "2 px"
-LAST: Final = 0.5  # of sigma, where it goes
+CONSTANT_FRACTION: Final = 0.5  # of the steps, during which sigma is constant
+DEFAULT_SIGMA: Final = "2 px"
+FINAL_RATIO: Final = 0.5  # default ratio of the final to the first sigma
 BLUR_KEYS: Final = ("sigma", "final_sigma", "names", "pairs", "together", "compare")
-"""What can be said of a blur, as in the table `blur` of a scene file."""
+"""Options of a blur, as in the table `blur` of a scene file."""
 
 Width: TypeAlias = float | str
 Compared: TypeAlias = Literal["images", "losses", "both"]
-_Judge: TypeAlias = Callable[[Array, Array], float]
+_LossDifference: TypeAlias = Callable[[Array, Array], float]
 Sigma: TypeAlias = Width | Mapping[str, Width]
-"""A standard deviation, in a parameter's own unit or in pixels ("2 px"); or such by parameter."""
+"""A standard deviation in the unit of a parameter or in pixels ("2 px"), or a dict of these by parameter."""
 
 
 class BlurredRenderer:
-    """A renderer whose pullback is that of its image blurred over its parameters; the image itself is sharp.
+    """Renderer with a sharp image and the pullback of the image blurred over the parameters.
 
-    Where a parameter has no gradient, or one that is 0 all around, its blur by a Gaussian has one: the mean of images
-    at drawn parameters, times the derivative of the Gaussian. Each draw renders an antithetic pair, at both sides.
+    If an image does not depend on a parameter differentiably, or has gradient 0 in a neighbourhood, its convolution
+    with a Gaussian over the parameters still has a gradient: the expectation of the image at random parameters times
+    the derivative of the Gaussian. Each draw renders an antithetic pair, with offsets of both signs.
 
     Parameters
     ----------
     renderer : Renderer
-        Only its images are used for what is blurred.
+        Only its images are used for the blurred parameters.
     sigma : float, str, or dict of these
-        Standard deviations of the blur, more than 0, in each parameter's own unit, or in pixels that the image moves
-        ("2 px"), for which every unit is measured where the renderer has the parameters: one for all, or by name.
+        Standard deviations of the blur, more than 0, in the unit of each parameter or in pixels of image motion
+        ("2 px"); one for all, or by name. Pixels are converted by measured units, at the renderer's own parameters.
     final_sigma : float, str, or dict of these, optional
-        Where `sigma` goes, along a line, over the second half of a fit; half of `sigma` by default.
+        Value of `sigma` at the end of a fit, reached linearly over the second half; half of `sigma` by default.
     names : names of parameters, optional
-        Those that are blurred; all by default. Others have the gradient of `renderer` itself, in the same fit.
+        The blurred parameters; all by default. The others have the gradient of `renderer` itself.
     pairs : int
-        Pairs of images of one gradient; with `together` False, for each number.
+        Pairs of images per gradient; with `together` False, per scalar.
     together : bool, optional
-        Whether all numbers are drawn at once, from Gaussians, so that a pair of images serves all. Otherwise each has
-        pairs of its own, whose offset by that number is drawn where the derivative of the Gaussian is large. One number
-        alone is drawn so by default; of several, images that serve all are worth more.
+        Whether all scalars are offset at once, with Gaussian offsets, so that each pair of images serves all of them.
+        Otherwise each scalar has its own pairs, and its offset is drawn with importance sampling of the derivative of
+        the Gaussian. The default is False for a single scalar and True for several.
     compare : {"images", "losses", "both"}
-        What of a pair is compared, where the loss is known; see below.
+        Quantity that is compared within a pair, if the loss is known; see below.
 
     Notes
     -----
-    Both images of a pair share a seed, so that most of a renderer's own noise cancels. If `renderer` has ``project``,
-    drawn parameters are made legal by it, which pulls the gradient inwards within a few sigma of a bound.
+    Both images of a pair share a seed, so that most of the renderer's own noise cancels. If `renderer` has ``project``,
+    random parameters are projected, which biases the gradient inwards within a few sigma of a bound.
 
-    With `compare` "images", the loss is linearised at the sharp image; with "losses", those of the two images of a pair
-    are compared, as in the released code of the paper. The first is more exact near the end, and where the renderer has
-    no noise of its own. The second has less noise, and looks further: of something bright that moves on by more than
-    its own size, the slope at the sharp image says nothing. "both" is their mean. A :func:`loi_core.fit` passes
-    its loss; in a loop of your own, the pullback of :meth:`render_loss_vjp` takes ``(objective.value, cotangent)``. In
-    such a loop `sigma` stays the same unless you call `at_step`.
+    With `compare` "images", the loss is linearised at the sharp image. With "losses", the losses of the two images of a
+    pair are compared, as in the released code of the paper. The first is more exact near the optimum, and for renderers
+    without noise. The second has less variance and a longer range: the slope at the sharp image carries no information
+    about a bright object that moves by more than its size. "both" is the mean. A :func:`loi_core.fit` passes its loss;
+    in your own loop, pass ``(objective.value, cotangent)`` to the pullback of :meth:`render_loss_vjp`. In your own loop
+    `sigma` is constant unless you call `at_step`.
 
-    The offsets of up to as many pairs as there are numbers are at right angles to each other, each of them still from
-    a Gaussian: pairs that look in the same direction tell less.
+    The offsets of pairs, up to as many as there are scalars, are orthogonal to each other, and each is Gaussian: pairs
+    along similar directions are redundant.
 
     Raises
     ------
     OptionError
-        If an option is not allowed; at the first gradient, if a parameter leaves no trace in the image, which then has
-        no pixels to measure.
+        If an option is not allowed; at the first gradient, if sigma is in pixels and a parameter does not change the
+        image.
     ParameterError
-        If a name is not one of the renderer's parameters.
+        If a name is not a parameter of the renderer.
+
+    References
+    ----------
+    Fischer and Ritschel, Plateau-reduced differentiable path tracing, CVPR 2023.
 
     Examples
     --------
@@ -104,7 +109,7 @@ class BlurredRenderer:
     def __init__(
         self,
         renderer: Renderer,
-        sigma: Sigma = USUAL,
+        sigma: Sigma = DEFAULT_SIGMA,
         *,
         final_sigma: Sigma | None = None,
         names: Iterable[str] | None = None,
@@ -131,17 +136,17 @@ class BlurredRenderer:
         count = sum(math.prod(start[name].shape) for name in self.names)
         self._together = count > 1 if together is None else together
         self._units: dict[str, float] | None = None
-        self._passed = 0.0
+        self._progress = 0.0
 
     @property
     def sigma(self) -> dict[str, float]:
-        """The standard deviations of the blur in this step, each in its parameter's own unit."""
-        share = max((self._passed - HALF) / (1.0 - HALF), 0.0)
-        first = self._in_own_units("sigma", self._first)
-        last = {name: LAST * one for name, one in first.items()}
+        """Standard deviations of the blur in the current step, each in the unit of its parameter."""
+        weight = max((self._progress - CONSTANT_FRACTION) / (1.0 - CONSTANT_FRACTION), 0.0)
+        first = self._in_parameter_units("sigma", self._first)
+        last = {name: FINAL_RATIO * value for name, value in first.items()}
         if self._last is not None:
-            last = self._in_own_units("final_sigma", self._last)
-        return {name: (1.0 - share) * own + share * last[name] for name, own in first.items()}
+            last = self._in_parameter_units("final_sigma", self._last)
+        return {name: (1.0 - weight) * value + weight * last[name] for name, value in first.items()}
 
     @property
     def capabilities(self) -> RendererCapabilities:
@@ -157,109 +162,111 @@ class BlurredRenderer:
 
     def at_step(self, step: int, steps: int, value: float | None) -> None:
         """Set `sigma` to its value at `step` of `steps`; :func:`loi_core.fit` calls this before every step."""
-        self._passed = min(step / max(steps - 1, 1), 1.0)
+        self._progress = min(step / max(steps - 1, 1), 1.0)
         wrapped = capabilities_of(self.renderer).at_step
         if wrapped is not None:
             wrapped(step, steps, value)
 
     def parameters(self) -> Parameters:
-        """As the renderer has them."""
+        """Return the parameters of the wrapped renderer."""
         return self.renderer.parameters()
 
     def render(self, params: Parameters, *, seed: int = 0) -> Array:
-        """The sharp image, shape (H, W, C)."""
+        """Return the sharp image, shape (H, W, C)."""
         return self.renderer.render(params, seed=seed)
 
     def render_vjp(self, params: Parameters, *, seed: int = 0) -> tuple[Array, Pullback]:
-        """The sharp image, and the pullback of its blur; which images that takes is decided by `seed`."""
+        """Return the sharp image and the pullback of its blur, whose random images are determined by `seed`."""
         image, pullback = self.render_loss_vjp(params, seed=seed)
         return image, partial(pullback, None)
 
     def render_loss_vjp(self, params: Parameters, *, seed: int = 0) -> tuple[Array, LossPullback]:
-        """The same, with a pullback that takes the loss, or None, and the cotangent; see `compare`."""
-        kept, sigma = dict(params), self.sigma
-        sharp: LossPullback | None = None
-        if set(self.names) < set(kept):
-            image, sharp = render_loss_vjp(self.renderer, params, seed=seed)
+        """Return the sharp image and a pullback that takes the loss, or None, and the cotangent; see `compare`."""
+        params, sigma = dict(params), self.sigma
+        unblurred: LossPullback | None = None
+        if set(self.names) < set(params):
+            image, unblurred = render_loss_vjp(self.renderer, params, seed=seed)
         else:
             image = self.renderer.render(params, seed=seed)
 
         def pullback(loss: Loss | None, cotangent: Array) -> Parameters:
-            pulled = {} if sharp is None else dict(sharp(loss, cotangent))
-            found = self._blurred(kept, sigma, self._judge(loss, cotangent), seed)
-            return {name: found[name] if name in found else pulled[name] for name in kept}
+            gradient = {} if unblurred is None else dict(unblurred(loss, cotangent))
+            gradient |= self._draw_gradient(params, sigma, self._loss_difference(loss, cotangent), seed)
+            return {name: gradient[name] for name in params}
 
         return image, pullback
 
     def vjp(self, params: Parameters, cotangent: Array, *, seed: int = 0, loss: Loss | None = None) -> Parameters:
-        """What the pullback of `render_vjp` gives for the parameters that are blurred, without an image.
+        """Return the gradient of the blurred parameters without rendering the sharp image.
 
-        Of the loss itself, if that is given and losses are compared.
+        `loss` is used if it is not None and losses are compared.
         """
-        return self._blurred(dict(params), self.sigma, self._judge(loss, cotangent), seed)
+        return self._draw_gradient(dict(params), self.sigma, self._loss_difference(loss, cotangent), seed)
 
-    def _in_own_units(self, option: str, widths: Mapping[str, Width]) -> dict[str, float]:
-        """Standard deviations, those in pixels by units that are measured once."""
+    def _in_parameter_units(self, option: str, widths: Mapping[str, Width]) -> dict[str, float]:
+        """Return standard deviations in the units of their parameters; pixels are converted by units measured once."""
         in_pixels = [name for name, width in widths.items() if isinstance(width, str)]
         if in_pixels and self._units is None:
             self._units, _ = measure_units([self.renderer], self.parameters(), None, self.names)
-        units, found = self._units or {}, {}
+        units, converted = self._units or {}, {}
         for name, width in widths.items():
-            found[name] = pixels_of(width) * units[name] if isinstance(width, str) else width
-            if not math.isfinite(found[name]):
+            converted[name] = pixels_of(width) * units[name] if isinstance(width, str) else width
+            if not math.isfinite(converted[name]):
                 msg = (
-                    f"`{option}` of {name!r} is in pixels, and nothing in the image changes with it to count them by; "
+                    f"`{option}` of {name!r} is in pixels, but the image does not change with the parameter; "
                     f"give it in the parameter's own unit"
                 )
                 raise OptionError(msg)
-        return found
+        return converted
 
-    def _judge(self, loss: Loss | None, cotangent: Array) -> _Judge:
-        """How much more one image costs than another, by the loss itself or by its slope."""
+    def _loss_difference(self, loss: Loss | None, cotangent: Array) -> _LossDifference:
+        """Return the function that estimates the loss of a first image minus the loss of a second image."""
 
-        def slope(first: Array, second: Array) -> float:
+        def linearised(first: Array, second: Array) -> float:
             return float(to_numpy(namespace(first).sum((first - second) * cotangent)))
 
         if loss is None or self._compare == "images":
-            return slope
+            return linearised
 
-        def change(first: Array, second: Array) -> float:
+        def exact(first: Array, second: Array) -> float:
             return float(detached(loss(first))) - float(detached(loss(second)))
 
         if self._compare == "losses":
-            return change
-        return lambda first, second: 0.5 * (slope(first, second) + change(first, second))
+            return exact
+        return lambda first, second: 0.5 * (linearised(first, second) + exact(first, second))
 
-    def _blurred(self, params: Parameters, sigma: Mapping[str, float], judge: _Judge, seed: int) -> Parameters:
-        """An unbiased draw of the gradient by what is blurred, before `project`."""
+    def _draw_gradient(
+        self, params: Parameters, sigma: Mapping[str, float], difference: _LossDifference, seed: int
+    ) -> Parameters:
+        """Return a draw of the gradient of the blurred parameters; unbiased without `project`."""
         rng = np.random.default_rng([int(seed), len(self.names)])
-        found = {name: np.zeros(params[name].shape) for name in self.names}
+        gradient = {name: np.zeros(params[name].shape) for name in self.names}
         shapes = {name: params[name].shape for name in self.names}
         if self._together:
-            for offsets in _across(rng, shapes, self._pairs):
-                change = self._change(params, sigma, offsets, judge, rng)
+            for offsets in _orthogonal_offsets(rng, shapes, self._pairs):
+                change = self._pair_difference(params, sigma, offsets, difference, rng)
                 for name in self.names:
-                    # The derivative of a Gaussian over the Gaussian, at an offset of z sigma, is z / sigma.
-                    found[name] += 0.5 * change * offsets[name] / sigma[name] / self._pairs
+                    # The logarithmic derivative of a Gaussian at an offset of z sigma is z / sigma, up to its sign.
+                    gradient[name] += 0.5 * change * offsets[name] / sigma[name] / self._pairs
         else:
             for _, name in product(range(self._pairs), self.names):
                 for index in np.ndindex(shapes[name]):
-                    offsets = {one: rng.standard_normal(shape) for one, shape in shapes.items()}
-                    # Offsets of either sign with the density of the derivative's size, z exp(-z^2 / 2) / 2.
+                    offsets = {key: rng.standard_normal(shape) for key, shape in shapes.items()}
+                    # Importance sampling of the derivative: density |z| exp(-z^2 / 2) / 2, with both signs in a pair.
                     offsets[name][index] = math.sqrt(-2.0 * math.log(1.0 - rng.random()))
-                    change = self._change(params, sigma, offsets, judge, rng)
-                    found[name][index] += change / math.sqrt(2.0 * math.pi) / sigma[name] / self._pairs
-        return {name: from_numpy(value, params[name]) for name, value in found.items()}
+                    change = self._pair_difference(params, sigma, offsets, difference, rng)
+                    gradient[name][index] += change / math.sqrt(2.0 * math.pi) / sigma[name] / self._pairs
+        return {name: from_numpy(value, params[name]) for name, value in gradient.items()}
 
-    def _change(
+    def _pair_difference(
         self,
         params: Parameters,
         sigma: Mapping[str, float],
         offsets: Mapping[str, np.ndarray[Any, Any]],
-        judge: _Judge,
+        difference: _LossDifference,
         rng: np.random.Generator,
     ) -> float:
-        """How much more the loss is on one side of a pair than on the other."""
+        """Return the difference of the loss between the two images of a pair."""
         seed = int(rng.integers(2**31))
         project = capabilities_of(self.renderer).project
         images = []
@@ -268,62 +275,63 @@ class BlurredRenderer:
             for name, offset in offsets.items():
                 moved[name] = params[name] + from_numpy(sign * sigma[name] * offset, params[name])
             images.append(self.renderer.render(moved if project is None else project(moved), seed=seed))
-        return judge(images[0], images[1])
+        return difference(images[0], images[1])
 
 
-def _across(
+def _orthogonal_offsets(
     rng: np.random.Generator, shapes: Mapping[str, tuple[int, ...]], count: int
 ) -> Iterator[dict[str, np.ndarray[Any, Any]]]:
-    """So many offsets, each from a standard Gaussian, at right angles to each other as far as there is room."""
+    """Yield `count` standard Gaussian offsets, orthogonal to each other within groups of the dimension."""
     sizes = [math.prod(shape) for shape in shapes.values()]
     total = sum(sizes)
-    for begin in range(0, count, total):
-        rows = min(total, count - begin)
+    for first in range(0, count, total):
+        rows = min(total, count - first)
         directions, triangle = np.linalg.qr(rng.standard_normal((total, rows)))
-        directions = directions * np.sign(np.diag(triangle))  # or else they would favour some
+        directions = directions * np.sign(np.diag(triangle))  # for uniformly distributed directions
         lengths = np.linalg.norm(rng.standard_normal((rows, total)), axis=1)
         for flat in (directions * lengths).T:
-            parts = np.split(flat, np.cumsum(sizes)[:-1])
-            yield {name: part.reshape(shape) for (name, shape), part in zip(shapes.items(), parts, strict=True)}
+            arrays = np.split(flat, np.cumsum(sizes)[:-1])
+            yield {name: array.reshape(shape) for (name, shape), array in zip(shapes.items(), arrays, strict=True)}
 
 
 def names_to_blur(names: object, start: Mapping[str, Any]) -> tuple[str, ...]:
-    """The parameters to blur, each once; all of `start` if none are given.
+    """Return the names of the parameters to blur, without duplicates; all names of `start` for None.
 
     Raises
     ------
-    OptionError, ParameterError
-        If they are no names, or not of `start`.
+    OptionError
+        If `names` is not a list of names.
+    ParameterError
+        If a name is not in `start`.
     """
     if names is None:
         return tuple(start)
     if isinstance(names, str) or not isinstance(names, Iterable):
         msg = f"`names` must be a list of names of parameters, got {shown(names)}"
         raise OptionError(msg)
-    found = list(names)
-    for name in found or (None,):
+    listed = list(names)
+    for name in listed or (None,):
         if not isinstance(name, str) or name not in start:
             msg = f"`names` must be of {', '.join(start)}, got {'none' if name is None else shown(name)}"
             raise ParameterError(msg)
-    return tuple(dict.fromkeys(found))
+    return tuple(dict.fromkeys(listed))
 
 
 def _by_name(option: str, value: object, names: tuple[str, ...]) -> dict[str, Width]:
-    """Standard deviations for all of `names`, numbers or texts in pixels."""
+    """Return the standard deviation of each parameter, a number or a text in pixels."""
     if isinstance(value, Mapping):
         if set(value) != set(names):
             msg = f"`{option}` must have {', '.join(map(repr, names))}, got {', '.join(map(repr, value)) or 'none'}"
             raise OptionError(msg)
-        given = {name: value[name] for name in names}
+        widths = {name: value[name] for name in names}
     else:
-        given = dict.fromkeys(names, value)
-    found: dict[str, Width] = {}
-    for name, one in given.items():
-        number = pixels_of(one) if isinstance(one, str) else real_number(one)
+        widths = dict.fromkeys(names, value)
+    checked: dict[str, Width] = {}
+    for name, width in widths.items():
+        number = pixels_of(width) if isinstance(width, str) else real_number(width)
         if not 0.0 < number < math.inf:
-            msg = (
-                f"`{option}` of {name!r} must be a finite number, more than 0, or pixels as in '2 px', got {shown(one)}"
-            )
+            expected = "a finite number, more than 0, or pixels as in '2 px'"
+            msg = f"`{option}` of {name!r} must be {expected}, got {shown(width)}"
             raise OptionError(msg)
-        found[name] = one if isinstance(one, str) else number
-    return found
+        checked[name] = width if isinstance(width, str) else number
+    return checked

@@ -70,7 +70,7 @@ class _RenderLossVjp(Protocol):
 
 @dataclass(frozen=True)
 class RendererCapabilities:
-    """What a renderer offers beyond :class:`Renderer`; None means that it does not.
+    """Optional capabilities of a renderer beyond :class:`Renderer`; None for a missing capability.
 
     A renderer returns the record from an attribute or property ``capabilities``. A wrapper forwards the record of the
     wrapped renderer with :func:`dataclasses.replace`.

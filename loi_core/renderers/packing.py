@@ -50,8 +50,8 @@ def separate_disks(positions: FloatArray, radii: FloatArray, size: tuple[int, in
             distance[overlapping, None],
         )
         # Coincident disks have no direction of separation: each pair gets a different one.
-        along = offset / np.maximum(distance, MIN_DISTANCE_PX)
-        direction = np.where(distance < MIN_DISTANCE_PX, _fallback_directions(first, second), along)
+        unit_offset = offset / np.maximum(distance, MIN_DISTANCE_PX)
+        direction = np.where(distance < MIN_DISTANCE_PX, _fallback_directions(first, second), unit_offset)
         shift = 0.5 * overlap[overlapping, None] * direction
         disks, shifts = np.concatenate([first, second]), np.concatenate([shift, -shift])
         displacement = np.stack([np.bincount(disks, shifts[:, axis], len(radii)) for axis in range(2)], axis=-1)

@@ -1,6 +1,6 @@
-"""Handles on the pose of a shape: what a parameter of a renderer may move, other than an entry of the scene.
+"""Pose parameters: translation, rotation and scale of a shape, for parameters that are not entries of a scene.
 
-Renderers of scenes with several shapes share them; each has its own transforms.
+Renderers of scenes with several shapes share them; each renderer has its own transforms.
 """
 
 from __future__ import annotations
@@ -17,21 +17,29 @@ from loi_core.renderers.validation import FloatArray
 from loi_core.support.values import real_number
 from loi_core.support.wording import shown
 
-__all__ = ["ParameterTarget", "PoseParameter", "Rotate", "Scale", "Translate", "in_application_order", "parse_targets"]
+__all__ = [
+    "ParameterTarget",
+    "PoseParameter",
+    "Rotate",
+    "Scale",
+    "Translate",
+    "in_application_order",
+    "parse_targets",
+]
 
 Vector: TypeAlias = tuple[float, float, float]
 
 
 @dataclass(frozen=True)
 class Translate:
-    """Moves a shape from where the scene has it.
+    """Translation of a shape from its position in the scene.
 
-    The parameter is an offset (x, y, z) in units of the world, shape (3,); with `axis`, the distance along it, 0-d.
+    The parameter is an offset (x, y, z) in world units, shape (3,); with `axis`, the distance along it, 0-d.
 
     Parameters
     ----------
     shape : str
-        The shape's id or readable name. An area light is moved by its shape.
+        Id or readable name of the shape. An area light moves with its shape.
     axis : sequence of 3 floats, optional
         Direction, of any length.
     """
@@ -44,26 +52,26 @@ class Translate:
             object.__setattr__(self, "axis", _direction("axis", self.axis))
 
     def initial(self) -> FloatArray:
-        """The value at which the shape is where the scene has it."""
+        """Return the value of the identity."""
         return np.zeros(3 if self.axis is None else ())
 
 
 @dataclass(frozen=True)
 class Rotate:
-    """Turns a shape about an axis; the parameter is an angle in degrees, 0-d.
+    """Rotation of a shape about an axis; the parameter is an angle in degrees, 0-d.
 
-    Without an axis it turns freely. The parameter is then two rows of three, from which a matrix of rotation follows by
-    Gram and Schmidt's process: unlike angles, they have no singularity (Zhou et al. 2019). Two rows that are parallel
-    have no such matrix. Mitsuba's shapes turn about an axis only.
+    Without an axis the rotation is free. The parameter is then two rows of three numbers, and the Gram-Schmidt process
+    makes a rotation matrix of them: unlike angles, this representation has no singularity (Zhou et al. 2019). Parallel
+    rows have no rotation matrix. Shapes of Mitsuba need an axis.
 
     Parameters
     ----------
     shape : str
-        The shape's id or readable name.
+        Id or readable name of the shape.
     axis : sequence of 3 floats, optional
         Direction, of any length.
     pivot : sequence of 3 floats, optional
-        A point on the axis; the centre of the shape's bounding box, where the scene has it, by default.
+        A point on the axis; by default the centre of the shape's bounding box in the scene.
     """
 
     shape: str
@@ -77,20 +85,20 @@ class Rotate:
             object.__setattr__(self, "pivot", _vector("pivot", self.pivot))
 
     def initial(self) -> FloatArray:
-        """The value at which the shape is as the scene has it."""
+        """Return the value of the identity."""
         return np.eye(2, 3) if self.axis is None else np.zeros(())
 
 
 @dataclass(frozen=True)
 class Scale:
-    """Scales a shape alike in all directions; the parameter is a factor, 0-d, more than 0.
+    """Uniform scaling of a shape; the parameter is a factor, 0-d, more than 0.
 
     Parameters
     ----------
     shape : str
-        The shape's id or readable name.
+        Id or readable name of the shape.
     pivot : sequence of 3 floats, optional
-        The point that stays; the centre of the shape's bounding box, where the scene has it, by default.
+        The fixed point; by default the centre of the shape's bounding box in the scene.
     """
 
     shape: str
@@ -101,53 +109,32 @@ class Scale:
             object.__setattr__(self, "pivot", _vector("pivot", self.pivot))
 
     def initial(self) -> FloatArray:
-        """The value at which the shape is as large as the scene has it."""
+        """Return the value of the identity."""
         return np.ones(())
 
 
 PoseParameter: TypeAlias = Translate | Rotate | Scale
 ParameterTarget: TypeAlias = str | PoseParameter
+"""The target of a parameter: the name of an entry of the scene, or a pose parameter."""
 
-KINDS: Final[dict[str, type[PoseParameter]]] = {kind.__name__: kind for kind in (Translate, Rotate, Scale)}
+POSE_PARAMETERS: Final[dict[str, type[PoseParameter]]] = {pose.__name__: pose for pose in (Translate, Rotate, Scale)}
 
 
-def _from_table(table: Mapping[str, Any]) -> PoseParameter:
-    """The handle that a table of a scene file spells: ``{ Rotate = "ball", axis = [0, 1, 0] }``.
-
-    Its class is a key whose value is the shape; the other keys are the class's other arguments.
+def parse_targets(parameters: object) -> dict[str, ParameterTarget]:
+    """Return targets by parameter; tables of scene files become pose parameters.
 
     Raises
     ------
     ParameterError
-        If it names no class or several, an argument that the class does not have, or lacks one that it needs.
+        If `parameters` is not a dict of targets, or a table is not a pose parameter.
     """
-    named = [key for key in table if key in KINDS]
-    if len(named) != 1:
-        msg = f"a handle has one key of {', '.join(KINDS)}, got {', '.join(map(str, table)) or 'none'}"
-        raise ParameterError(msg)
-    kind = KINDS[named[0]]
-    options = {key: value for key, value in table.items() if key != named[0]}
-    arguments = {one.name: one.default for one in fields(kind) if one.name != "shape"}
-    for key in options:
-        if key not in arguments:
-            msg = f"unknown key `{key}`; {kind.__name__} takes {', '.join(arguments)}"
-            raise ParameterError(msg)
-    for key, default in arguments.items():
-        if default is MISSING and key not in options:
-            msg = f"{kind.__name__} needs `{key}`"
-            raise ParameterError(msg)
-    return kind(table[named[0]], **options)
-
-
-def parse_targets(parameters: object) -> dict[str, ParameterTarget]:
-    """Targets by parameter; tables of scene files become handles."""
     if not isinstance(parameters, Mapping) or not parameters:
-        msg = f"`parameters` must be a dict of names and what they stand for, at least one, got {parameters!r:.80}"
+        msg = f"`parameters` must be a dict of names and their targets, at least one, got {parameters!r:.80}"
         raise ParameterError(msg)
     targets: dict[str, ParameterTarget] = {}
-    for name, given in parameters.items():
+    for name, value in parameters.items():
         try:
-            target = _from_table(given) if isinstance(given, Mapping) else given
+            target = _from_table(value) if isinstance(value, Mapping) else value
         except ParameterError as error:
             msg = f"`parameters[{name!r}]`: {error}"
             raise ParameterError(msg) from None
@@ -158,13 +145,37 @@ def parse_targets(parameters: object) -> dict[str, ParameterTarget]:
     return targets
 
 
-def in_application_order(handles: Sequence[tuple[PoseParameter, Any]]) -> list[tuple[PoseParameter, Any]]:
-    """Handles with their values, in the order in which they act on a shape.
+def in_application_order(poses: Sequence[tuple[PoseParameter, Any]]) -> list[tuple[PoseParameter, Any]]:
+    """Sort pose parameters and their values by order of application to a shape.
 
-    It is scaled first, then turned, in the order in which the handles are given, then moved, so that a turn does not
-    swing it around the place it was moved from.
+    Scaling comes first, then rotations in the given order, then translation, so that a rotation does not swing the
+    shape around its old position.
     """
-    return sorted(handles, key=lambda one: (Scale, Rotate, Translate).index(type(one[0])))
+    return sorted(poses, key=lambda pose: (Scale, Rotate, Translate).index(type(pose[0])))
+
+
+def _from_table(table: Mapping[str, Any]) -> PoseParameter:
+    """Return the pose parameter of a table of a scene file: ``{ Rotate = "ball", axis = [0, 1, 0] }``.
+
+    One key is the name of the class, with the shape as its value; the other keys are the other arguments.
+    """
+    classes = [key for key in table if key in POSE_PARAMETERS]
+    if len(classes) != 1:
+        names = ", ".join(map(str, table)) or "none"
+        msg = f"a pose parameter has one key of {', '.join(POSE_PARAMETERS)}, got {names}"
+        raise ParameterError(msg)
+    pose = POSE_PARAMETERS[classes[0]]
+    options = {key: value for key, value in table.items() if key != classes[0]}
+    arguments = {argument.name: argument.default for argument in fields(pose) if argument.name != "shape"}
+    for key in options:
+        if key not in arguments:
+            msg = f"unknown key `{key}`; {pose.__name__} takes {', '.join(arguments)}"
+            raise ParameterError(msg)
+    for key, default in arguments.items():
+        if default is MISSING and key not in options:
+            msg = f"{pose.__name__} needs `{key}`"
+            raise ParameterError(msg)
+    return pose(table[classes[0]], **options)
 
 
 def _vector(name: str, value: object) -> Vector:

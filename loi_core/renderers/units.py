@@ -1,8 +1,8 @@
-"""How far each parameter has to change for the image to move by a pixel, measured from the renderer.
+"""Measurement of units: the change of each parameter that moves the image by one pixel.
 
-A rate in pixels then serves metres, angles, scales and exposures alike. What changes intensities without moving
-anything counts as the movement that would change the image as much; or, where the image is flat yet, as a grey texture
-is, as the movement that would change the target as much.
+Learning rates in pixels then apply to metres, angles, scales and exposures alike. A parameter that changes intensities
+without motion counts as the motion that would change the image as much; or, where the image is still flat, such as a
+grey texture, as the motion that would change the target as much.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from loi_core.support.guards import wrap_errors
 
 __all__ = ["measure_units", "pixels_of"]
 
-BLUR: Final = 2.0  # pixels: edges become slopes over which a movement of a pixel is a linear change
-MOST: Final = 10  # renders for a parameter
-NEAR: Final = (0.4, 2.5)  # pixels within which the change is linear enough
-FIRST: Final = 1e-2  # of the range between the bounds, or of the size of the values, or of 1
-GROWTH: Final = 8.0
-CHANGED: Final = 0.1  # of the largest change: less is not looked at
-NOISE: Final = 3.0  # times what other seeds change
-FLAT: Final = 0.1  # of the squared slope of a target as bright: an image with less has to get its slopes yet
+BLUR_PX: Final = 2.0  # turns edges into slopes, so that the change is linear in a motion of about a pixel
+MAX_RENDERS: Final = 10  # per parameter
+LINEAR_RANGE_PX: Final = (0.4, 2.5)  # motions with a sufficiently linear change
+FIRST_STEP: Final = 1e-2  # fraction of the range between the bounds, or of the magnitude of the values, or of 1
+GROWTH: Final = 8.0  # largest factor between steps
+MIN_CHANGE: Final = 0.1  # fraction of the largest change below which a pixel is ignored
+NOISE_FACTOR: Final = 3.0  # changes within this multiple of the noise between seeds are insignificant
+FLAT_IMAGE: Final = 0.1  # fraction of the target's squared slope below which an image of equal brightness is flat
 
 
-class Renders(Protocol):
+class RendersImages(Protocol):
     """A renderer, or one view of a fit."""
 
     def render(self, params: Parameters, *, seed: int = 0) -> Array:
-        """The image, shape (H, W, C)."""
+        """Return the image, shape (H, W, C)."""
 
 
 class Limits(Protocol):
@@ -44,15 +44,15 @@ class Limits(Protocol):
 
     @property
     def lower(self) -> Mapping[str, Array]:
-        """The least values."""
+        """Lower bounds."""
 
     @property
     def upper(self) -> Mapping[str, Array]:
-        """The greatest."""
+        """Upper bounds."""
 
 
 def pixels_of(value: object) -> float:
-    """The number in a text such as "1.5 px"; NaN for anything else."""
+    """Return the number in a text such as "1.5 px"; NaN for anything else."""
     match = re.fullmatch(r"\s*([0-9.eE+-]{1,32})\s*px\s*", value) if isinstance(value, str) else None
     try:
         return float(match[1]) if match else math.nan
@@ -61,7 +61,7 @@ def pixels_of(value: object) -> float:
 
 
 def measure_units(
-    renderers: Sequence[Renders],
+    renderers: Sequence[RendersImages],
     params: Parameters,
     bounds: Limits | None,
     names: Iterable[str],
@@ -69,69 +69,71 @@ def measure_units(
     targets: Sequence[Array | None] = (),
     seed: int = 0,
 ) -> tuple[dict[str, float], int]:
-    """By how much a parameter changes when the image moves by a pixel.
+    """Measure the change of each parameter that moves the image by one pixel.
 
     Parameters
     ----------
     renderers : sequence of Renderer
-        One for each view; they render up to ten times for each parameter. The view that moves most counts.
+        One per view; each renders up to ten times per parameter. The view with the largest motion counts.
     params : dict of arrays
-        Where to measure.
+        Linearisation point.
     bounds : Bounds or None
-        Nothing outside of them is rendered; None for none.
+        Bounds that no rendered parameters exceed; None for unbounded parameters.
     names : iterable of str
-        The parameters to measure.
+        Names of the parameters to measure.
     targets : sequence of array or None
-        What each view is to show, shape (H, W, C), as far as it is known: nothing, by default.
+        Target of each view, shape (H, W, C), if known.
     seed : int
-        Of all renders but one, which tells what noise changes.
+        Seed of all renders but one, which measures the noise.
 
     Returns
     -------
     units : dict of float
-        In the parameter's own unit, for an array that of each entry if all of them change. Infinite where nothing that
-        is within the bounds changes the image. Where neither the image, nor the target, nor what the image turns into
-        has a slope, the range between the bounds counts as the side of the image.
+        In the unit of the parameter; for an array, the change of each entry if all of them change. Infinite if no value
+        within the bounds changes the image. If neither the image, nor the target, nor the changed image has a slope,
+        the range between the bounds counts as the side of the image.
     side : int
-        The longest side of an image, in pixels.
+        Longest side of an image, in pixels.
     """
-    known = [*targets, *[None] * (len(renderers) - len(targets))]
-    seen = [_Seen.of(renderer, params, target, seed) for renderer, target in zip(renderers, known, strict=True)]
-    units = {name: _unit(seen, params, bounds, name, seed) for name in names}
-    return units, max(one.side for one in seen)
+    padded_targets = [*targets, *[None] * (len(renderers) - len(targets))]
+    views = [
+        _View.of(renderer, params, target, seed) for renderer, target in zip(renderers, padded_targets, strict=True)
+    ]
+    units = {name: _unit(views, params, bounds, name, seed) for name in names}
+    return units, max(view.side for view in views)
 
 
 @dataclass(frozen=True)
-class _Seen:
-    """A view before anything has moved: its image, the squared slopes of that and of its target, and its noise."""
+class _View:
+    """A view before any motion: its image, the squared slopes of image and target, and its noise."""
 
-    renderer: Renders
+    renderer: RendersImages
     image: Host
     slope: Host
-    wanted: Host
+    target_slope: Host
     noise: float
 
     @classmethod
-    def of(cls, renderer: Renders, params: Parameters, target: Array | None, seed: int) -> _Seen:
-        image, other = (_render(renderer, params, each) for each in (seed, seed + 1))
-        noise = float(np.sqrt(np.mean((other - image) ** 2)))
-        return cls(renderer, image, _squared_slope(image), _wanted(image, target), noise)
+    def of(cls, renderer: RendersImages, params: Parameters, target: Array | None, seed: int) -> _View:
+        image, reseeded = (_render(renderer, params, image_seed) for image_seed in (seed, seed + 1))
+        noise = float(np.sqrt(np.mean((reseeded - image) ** 2)))
+        return cls(renderer, image, _squared_slope(image), _target_slope(image, target), noise)
 
-    def movement(self, params: Parameters, name: str, seed: int) -> float:
-        """How far the image has moved by `name`, in pixels; 0 if noise explains it, infinite if nothing has a slope."""
-        after = _render(self.renderer, params, seed, f"with {name!r} moved, to measure its unit,")
-        change = after - self.image
-        size = np.abs(change)
-        largest = float(size.max(initial=0.0))
-        if largest <= NOISE * self.noise or largest == 0.0 or not math.isfinite(largest):
+    def motion(self, params: Parameters, name: str, seed: int) -> float:
+        """Return the motion of the image through `name`, in pixels; 0 within the noise, infinite without any slope."""
+        moved = _render(self.renderer, params, seed, f"with {name!r} moved, to measure its unit,")
+        change = moved - self.image
+        magnitude = np.abs(change)
+        largest = float(magnitude.max(initial=0.0))
+        if largest <= NOISE_FACTOR * self.noise or largest == 0.0 or not math.isfinite(largest):
             return 0.0
-        seen = size > max(CHANGED * largest, self.noise)
-        energy = float(np.sum(change[seen] ** 2))
-        steep, wanted = (float(np.sum(slope[seen])) for slope in (self.slope, self.wanted))
-        steep = wanted if steep < FLAT * wanted else steep
-        if energy > self.side**2 * steep:  # farther than anything can move: the slopes come with the change
-            steep = float(np.sum(_squared_slope(after)[seen]))
-        return math.inf if energy > self.side**2 * steep else math.sqrt(energy / steep)
+        changed = magnitude > max(MIN_CHANGE * largest, self.noise)
+        energy = float(np.sum(change[changed] ** 2))
+        slope, target_slope = (float(np.sum(slopes[changed])) for slopes in (self.slope, self.target_slope))
+        slope = target_slope if slope < FLAT_IMAGE * target_slope else slope
+        if energy > self.side**2 * slope:  # a motion larger than the image: the change itself has brought the slopes
+            slope = float(np.sum(_squared_slope(moved)[changed]))
+        return math.inf if energy > self.side**2 * slope else math.sqrt(energy / slope)
 
     @property
     def side(self) -> int:
@@ -140,75 +142,77 @@ class _Seen:
         return max(int(height), int(width))
 
 
-def _unit(seen: Sequence[_Seen], params: Parameters, bounds: Limits | None, name: str, seed: int) -> float:
-    at = np.asarray(to_numpy(params[name]), dtype=np.float64)
-    low, high = np.full(at.shape, -math.inf), np.full(at.shape, math.inf)
+def _unit(views: Sequence[_View], params: Parameters, bounds: Limits | None, name: str, seed: int) -> float:
+    value = np.asarray(to_numpy(params[name]), dtype=np.float64)
+    lower, upper = np.full(value.shape, -math.inf), np.full(value.shape, math.inf)
     if bounds is not None:
-        low, high = (np.asarray(to_numpy(side[name]), dtype=np.float64) for side in (bounds.lower, bounds.upper))
-    room = np.maximum(high - at, at - low)
-    sign = np.where(np.random.default_rng(0).random(at.shape) < 0.5, -1.0, 1.0)
-    sign = np.where((sign > 0) & (high - at < at - low) & np.isfinite(room), -1.0, sign)
-    sign = np.where((sign < 0) & (at - low < high - at) & np.isfinite(room), 1.0, sign)
-    span = high - low
+        lower, upper = (np.asarray(to_numpy(limit[name]), dtype=np.float64) for limit in (bounds.lower, bounds.upper))
+    # Each entry moves in a random direction, or towards the farther bound.
+    is_bounded = np.isfinite(np.maximum(upper - value, value - lower))
+    sign = np.where(np.random.default_rng(0).random(value.shape) < 0.5, -1.0, 1.0)
+    sign = np.where((sign > 0) & (upper - value < value - lower) & is_bounded, -1.0, sign)
+    sign = np.where((sign < 0) & (value - lower < upper - value) & is_bounded, 1.0, sign)
+    span = upper - lower
     finite = span[np.isfinite(span)]
-    size = float(finite.max()) if finite.size else max(1.0, float(np.abs(at).max(initial=0.0)))
-    step = FIRST * size if size > 0.0 else FIRST
-    best, error = math.inf, math.inf
-    for _ in range(MOST):
-        moved = np.clip(at + step * sign, low, high)
-        change = float(np.abs(moved - at).max(initial=0.0))
+    scale = float(finite.max()) if finite.size else max(1.0, float(np.abs(value).max(initial=0.0)))
+    step = FIRST_STEP * scale if scale > 0.0 else FIRST_STEP
+    unit, min_error = math.inf, math.inf
+    for _ in range(MAX_RENDERS):
+        moved = np.clip(value + step * sign, lower, upper)
+        change = float(np.abs(moved - value).max(initial=0.0))
         if change == 0.0:
             break
-        there = params | {name: from_numpy(moved, params[name])}
-        moved_by = [one.movement(there, name, seed) for one in seen]
-        pixels = max((each for each in moved_by if math.isfinite(each)), default=0.0)
-        if pixels == 0.0 and math.inf in moved_by:
-            return size / max(one.side for one in seen)
-        off = abs(math.log(pixels)) if pixels > 0.0 else math.inf
-        if off < error:
-            best, error = change / pixels, off
-        if NEAR[0] <= pixels <= NEAR[1] or (change < 0.5 * step and pixels < 1.0):
+        moved_params = params | {name: from_numpy(moved, params[name])}
+        motions = [view.motion(moved_params, name, seed) for view in views]
+        pixels = max((motion for motion in motions if math.isfinite(motion)), default=0.0)
+        if pixels == 0.0 and math.inf in motions:
+            return scale / max(view.side for view in views)
+        error = abs(math.log(pixels)) if pixels > 0.0 else math.inf
+        if error < min_error:
+            unit, min_error = change / pixels, error
+        if LINEAR_RANGE_PX[0] <= pixels <= LINEAR_RANGE_PX[1] or (change < 0.5 * step and pixels < 1.0):
             break
         step = change * min(max(1.0 / pixels if pixels > 0.0 else GROWTH, 1.0 / GROWTH**2), GROWTH)
-    return best
+    return unit
 
 
-def _render(renderer: Renders, params: Parameters, seed: int, why: str = "to measure units") -> Host:
-    with wrap_errors(f"rendering {why}"):
+def _render(renderer: RendersImages, params: Parameters, seed: int, purpose: str = "to measure units") -> Host:
+    with wrap_errors(f"rendering {purpose}"):
         return _blurred(renderer.render(params, seed=seed))
 
 
 def _blurred(image: Array) -> Host:
-    """Planes of an image, shape (C, H, W), blurred."""
+    """Return the blurred planes of an image, shape (C, H, W)."""
     planes = np.moveaxis(np.asarray(to_numpy(image), dtype=np.float64), -1, 0)
     height, width = planes.shape[-2:]
-    blurred: Host = gaussian_blur(height, width, BLUR, "reflect", like=planes).apply(np.ascontiguousarray(planes))
+    blurred: Host = gaussian_blur(height, width, BLUR_PX, "reflect", like=planes).apply(np.ascontiguousarray(planes))
     return blurred
 
 
 def _squared_slope(image: Host) -> Host:
-    """The squared gradient of planes by position, per pixel."""
-    with np.errstate(all="ignore"):  # what overflows is infinitely steep
-        down, across = (np.gradient(image, axis=axis) if image.shape[axis] > 1 else image * 0.0 for axis in (1, 2))
-        squares: Host = down**2 + across**2
-    return squares
+    """Return the squared spatial gradient of planes at every pixel."""
+    with np.errstate(all="ignore"):  # an overflow is an infinite slope
+        by_y, by_x = (np.gradient(image, axis=axis) if image.shape[axis] > 1 else image * 0.0 for axis in (1, 2))
+        squared: Host = by_y**2 + by_x**2
+    return squared
 
 
-@np.errstate(all="ignore")  # what overflows is not finite, and looked for
-def _wanted(image: Host, target: Array | None) -> Host:
-    """The squared slope of a target that is no brighter than the image; 0 where it is not known.
+@np.errstate(all="ignore")  # the result of an overflow is not finite, which is checked
+def _target_slope(image: Host, target: Array | None) -> Host:
+    """Return the squared slope of a target, dimmed to the brightness of the image; 0 without a target.
 
-    At least as steep as it takes to become the target along the side of the image: a smooth one may be far as well.
+    The slope is at least the difference between image and target over the side of the image, since a smooth target may
+    be far away too.
     """
     if target is None or tuple(target.shape) != (*image.shape[1:], image.shape[0]):
         return np.zeros_like(image)
     pixels = np.asarray(to_numpy(target), dtype=np.float64)
-    known = np.isfinite(pixels)
-    planes = _blurred(np.where(known, pixels, np.mean(pixels, where=known) if known.any() else 0.0))
-    ours, theirs = (float(np.mean(np.abs(each))) for each in (image, planes))
-    if not math.isfinite(theirs):
+    finite = np.isfinite(pixels)
+    planes = _blurred(np.where(finite, pixels, np.mean(pixels, where=finite) if finite.any() else 0.0))
+    brightness, target_brightness = (float(np.mean(np.abs(values))) for values in (image, planes))
+    if not math.isfinite(target_brightness):
         return np.zeros_like(image)
-    dimmed = min(ours / theirs, 1.0) if theirs > 0.0 else 0.0
-    way = (dimmed * planes - image) / max(image.shape[-2:])
-    wanted: Host = np.maximum(dimmed**2 * _squared_slope(planes), way**2)
-    return wanted
+    factor = min(brightness / target_brightness, 1.0) if target_brightness > 0.0 else 0.0
+    min_slope = (factor * planes - image) / max(image.shape[-2:])
+    slope: Host = np.maximum(factor**2 * _squared_slope(planes), min_slope**2)
+    return slope

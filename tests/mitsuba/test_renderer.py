@@ -332,7 +332,7 @@ def test_the_integrator_of_the_scene_can_be_used() -> None:
 @pytest.mark.parametrize(
     ("parameters", "message"),
     [
-        ({}, "`parameters` must be a dict of names and what they stand for, at least one"),
+        ({}, "`parameters` must be a dict of names and their targets, at least one"),
         ({"a": 3}, r"`parameters\['a'\]` must be an entry's name, Translate, Rotate or Scale, got 3"),
         ({"a": "floor.reflectance.value"}, "no parameter 'floor.reflectance.value'; similar: floor.bsdf.reflectance"),
         (

@@ -70,12 +70,12 @@ def test_tables_are_equivalent_to_handles(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "says"),
     [
-        ("{ Translate =", "{ translate =", "a handle has one key of Translate, Rotate, Scale, got translate"),
+        ("{ Translate =", "{ translate =", "a pose parameter has one key of Translate, Rotate, Scale, got translate"),
         ("{ Translate =", "{ Rotate =", "Rotate needs `axis`"),
         (
             '"ball" }',
             '"ball", Scale = "ball" }',
-            "a handle has one key of Translate, Rotate, Scale, got Translate, Scale",
+            "a pose parameter has one key of Translate, Rotate, Scale, got Translate, Scale",
         ),
         ('"ball" }', '"ball", axes = [1, 0, 0] }', "unknown key `axes`; Translate takes axis"),
         ('"ball" }', '"ball", axis = [1, 0] }', "`axis` must be three finite numbers, got [1, 0]"),

@@ -330,5 +330,5 @@ def test_a_width_in_pixels_is_measured_in_each_parameters_own_unit() -> None:
 def test_what_leaves_no_trace_has_no_pixels() -> None:
     away = Disks(16, 16, [[900.0, 900.0]], 1.0, [[1.0, 1.0, 1.0]])
     blurred = BlurredRenderer(away, names=["colours"])
-    with pytest.raises(OptionError, match="`sigma` of 'colours' is in pixels, and nothing in the image changes"):
+    with pytest.raises(OptionError, match="`sigma` of 'colours' is in pixels, but the image does not change"):
         blurred.render_vjp(blurred.parameters())
