@@ -1,1 +1,1 @@
-"""Twelve small scenes that call for different effects of light transport, and what planning them is worth."""
+"""Twelve small scenes that need different effects of light transport, and the gain of planning them."""

@@ -1,4 +1,4 @@
-"""``python -m examples.effects``: print what planning effects is worth, scene by scene, as Markdown."""
+"""``python -m examples.effects``: print the gain of planned effects for each scene as Markdown."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import loi_mitsuba  # noqa: F401 - before Dr.Jit, so that it gets an LLVM that w
 # isort: split
 import mitsuba as mi
 
-from examples.effects.measure import FOUND, FULL, QUICK, Row, measure
+from examples.effects.measure import FULL, MAX_ERROR, QUICK, Row, measure
 from examples.effects.scenes import SUITE
 from loi_core.support.markdown import markdown
 
@@ -26,16 +26,16 @@ HEADS = [
     "ms a step",
     "everything on",
     "defaults",
-    "by hand",
+    "manual",
     "pilot",
-    "looks",
-    "found, left",
-    "everything on: found, left",
+    "revisions",
+    "solved, left",
+    "everything on: solved, left",
 ]
 
 
 def main() -> None:
-    """Measure the scenes that are named, all by default."""
+    """Measure the named scenes, by default all."""
     parser = argparse.ArgumentParser(prog="python -m examples.effects", description=__doc__)
     parser.add_argument("scenes", nargs="*", metavar="WORDS", help="scenes whose name has these words (default: all)")
     parser.add_argument("--quick", action="store_true", help="tiny images and few draws; its numbers mean little")
@@ -60,20 +60,20 @@ def main() -> None:
 
 
 def cells(row: Row) -> list[str]:
-    """One line of the table. Times other than the plan's own are multiples of it."""
+    """Return a row of the table, with times as multiples of the plan's time."""
     short = {"continuous shading": "shading", "primary visibility": "outlines", "indirect visibility": "shadows"}
-    kept = [f"{short[one.effect]} {one.samples}" for one in row.plan.choices if one.samples]
-    one = row.gradient
+    terms = [f"{short[choice.effect]} {choice.samples}" for choice in row.plan.choices if choice.samples]
+    gradient = row.gradient
     return [
         row.name,
-        f"{', '.join(kept)}; depth {row.plan.settings['max_depth']}",
-        _with_error(one.cosine, one.cosine_error, 4),
-        _with_error(one.ratio, one.ratio_error, 3),
-        f"{one.noise:.2g}, {one.reference_noise:.2g}",
+        f"{', '.join(terms)}; depth {row.plan.settings['max_depth']}",
+        _with_error(gradient.cosine, gradient.cosine_error, 4),
+        _with_error(gradient.ratio, gradient.ratio_error, 3),
+        f"{gradient.noise:.2g}, {gradient.reference_noise:.2g}",
         f"{1e3 * row.seconds:.3g}",
-        *(_times(other / row.seconds) for other in (row.full_seconds, row.default_seconds, row.hand_seconds)),
+        *(_times(seconds / row.seconds) for seconds in (row.full_seconds, row.default_seconds, row.manual_seconds)),
         f"{row.pilot_fraction:.1%}",
-        f"{row.looks_fraction:.1%}",
+        f"{row.revisions_fraction:.1%}",
         _ends(row.errors),
         _ends(row.full_errors),
     ]
@@ -84,8 +84,12 @@ def _with_error(value: float, error: float, digits: int) -> str:
 
 
 def _ends(errors: tuple[float, ...]) -> str:
-    """How many fits have found the truth, and what the median fit has left of the way."""
-    return f"{sum(one < FOUND for one in errors)}/{len(errors)}, {statistics.median(errors):.2g}" if errors else "-"
+    """Return the number of fits that have found the true values, and the median relative error."""
+    return (
+        f"{sum(error < MAX_ERROR for error in errors)}/{len(errors)}, {statistics.median(errors):.2g}"
+        if errors
+        else "-"
+    )
 
 
 def _times(ratio: float) -> str:

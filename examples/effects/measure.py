@@ -1,4 +1,4 @@
-"""What planning effects is worth in one scene: beside Mitsuba's defaults, everything on, and settings by hand."""
+"""Compare a plan of effects with Mitsuba's defaults, with all effects on, and with manual settings, in one scene."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ from loi_core.effects.schedule import STALL_STEPS
 from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer
 from loi_mitsuba.effects.verify import step_draws, steps_in_turn
 
-__all__ = ["FOUND", "FULL", "QUICK", "Effort", "Row", "looks_of_a_stall", "measure"]
+__all__ = ["FULL", "MAX_ERROR", "QUICK", "Effort", "Row", "measure", "revisions_in_a_stall"]
 
 
 @dataclass(frozen=True)
 class Effort:
-    """How much is measured.
+    """The extent of the measurements.
 
     Attributes
     ----------
     width, height : int
-        Of the images.
+        Size of the images.
     samples : int
-        Per pixel, of the image and of each part of the gradient.
+        Samples per pixel of the image and of each term of the gradient.
     draws : int
-        Gradients of each setting that are compared.
+        Number of gradients for each setting.
     steps : int
-        Of a fit.
+        Steps of a fit.
     fits : int
-        Fits of the plan and of everything on, with seeds 0, 1000, 2000 and so on.
+        Fits with the plan and with all effects on, with seeds 0, 1000, 2000 ...
     defaults : int
-        Steps of Mitsuba's defaults that are timed, after one that is not; 0 leaves them out, for each may take half
+        Timed steps with Mitsuba's defaults, after one that is not timed; 0 leaves them out, because each may take half
         a minute.
     """
 
@@ -53,30 +53,30 @@ class Effort:
 
 FULL: Final = Effort()
 QUICK: Final = Effort(32, 24, 8, 4, 4, 1, 0)
-FIT: Final = 300  # steps of a fit, of which a pilot may cost a fraction
-FOUND: Final = 0.05  # of the way that may be left of a fit that has found the truth
-APART: Final = 1000  # seeds of one fit and those of the next
+FIT_STEPS: Final = 300  # of the fit that the time of a pilot is compared with
+MAX_ERROR: Final = 0.05  # relative to the initial error, of a fit that has found the true values
+SEED_STRIDE: Final = 1000  # between the seeds of two fits
 
 
 @dataclass(frozen=True)
 class Row:
-    """What was measured of one scene. Seconds are of a step: image, loss and gradient; NaN if not measured.
+    """The measurements of one scene. Seconds are for a step, with image, loss and gradient; NaN if not measured.
 
     Attributes
     ----------
     name : str
-        The scene's.
+        Name of the scene.
     plan : EffectPlan
-        After the pilot.
+        The plan after the pilot.
     gradient : Comparison
-        Against everything on without guiding.
-    seconds, full_seconds, default_seconds, hand_seconds : float
-        Of the plan, everything on without guiding, Mitsuba's defaults, and the settings by hand.
-    pilot_seconds, look_seconds : float
-        Of a pilot and of a look at what it has turned off, whose kernels have been compiled.
+        Comparison with all effects on, without guiding.
+    seconds, full_seconds, default_seconds, manual_seconds : float
+        Time with the plan, with all effects on without guiding, with Mitsuba's defaults, and with manual settings.
+    pilot_seconds, revision_seconds : float
+        Time of a pilot and of a revision of the plan, with compiled kernels.
     errors, full_errors : tuple of float
-        Of each fit, the distance of its parameters from the true ones over that of the start: planned, and everything
-        on.
+        Distance of the fitted parameters from the true ones over the initial distance, for each fit with the plan and
+        with all effects on.
     """
 
     name: str
@@ -85,41 +85,41 @@ class Row:
     seconds: float
     full_seconds: float
     default_seconds: float
-    hand_seconds: float
+    manual_seconds: float
     pilot_seconds: float
-    look_seconds: float
+    revision_seconds: float
     errors: tuple[float, ...]
     full_errors: tuple[float, ...]
 
     @property
     def pilot_fraction(self) -> float:
-        """Time of the pilot over that of 300 steps."""
-        return self.pilot_seconds / (FIT * self.seconds)
+        """Time of the pilot over the time of 300 steps."""
+        return self.pilot_seconds / (FIT_STEPS * self.seconds)
 
     @property
-    def looks_fraction(self) -> float:
-        """Time of the looks of a fit whose loss stalls from the first step on, over that of 300 steps."""
-        return looks_of_a_stall(FIT) * self.look_seconds / (FIT * self.seconds)
+    def revisions_fraction(self) -> float:
+        """Time of the revisions in a fit whose loss stalls from the first step, over the time of 300 steps."""
+        return revisions_in_a_stall(FIT_STEPS) * self.revision_seconds / (FIT_STEPS * self.seconds)
 
 
-def looks_of_a_stall(steps: int) -> int:
-    """How often a fit of so many steps looks at what is off if its loss stalls from the first step on."""
-    schedule, looks = Schedule(), 0
+def revisions_in_a_stall(steps: int) -> int:
+    """Return the number of revisions in a fit whose loss stalls from the first step."""
+    schedule, revisions = Schedule(), 0
     for _ in range(steps):
         schedule = schedule.after_gradient()
         if schedule.is_due:
-            schedule, looks = schedule.after_probe(), looks + 1
+            schedule, revisions = schedule.after_probe(), revisions + 1
         schedule = schedule.after_step(1.0)
         if schedule.is_stalled:
-            schedule, looks = schedule.after_stall().after_probe(), looks + 1
-    return looks
+            schedule, revisions = schedule.after_stall().after_probe(), revisions + 1
+    return revisions
 
 
 def measure(case: Case, effort: Effort = FULL) -> Row:
-    """Measure one scene; kernels are compiled before anything is timed."""
+    """Measure one scene, after its kernels have been compiled."""
     start, truth = dict(case.start), dict(case.truth)
 
-    # Each renderer has a scene of its own: a mesh in a dict is one object, which stays where the last call has put it.
+    # Each renderer has its own scene: a mesh in a dict is an object that keeps its last position.
     def scene() -> dict[str, Any]:
         return case.scene(effort.width, effort.height)
 
@@ -129,67 +129,67 @@ def measure(case: Case, effort: Effort = FULL) -> Row:
         truth, seed=10**6
     )
     objective = LOIObjective(target, ScaleSpace.for_image(effort.height, effort.width))
-    image = planned.render(start)  # by the rules, as at the start of a fit
-    costs = [_planning(planned, objective, start, image) for _ in range(2)]
-    plan = costs[-1][0]
+    image = planned.render(start)  # with the plan by the rules, as at the start of a fit
+    timings = [_time_planning(planned, objective, start, image) for _ in range(2)]
+    plan = timings[-1][0]
 
-    def by(integrator: Any, **options: Any) -> MitsubaRenderer:
+    def render_with(integrator: Any, **options: Any) -> MitsubaRenderer:
         return MitsubaRenderer(scene(), case.parameters, integrator=integrator, spp=effort.samples, **options)
 
-    full = by(planned.everything)
+    full = render_with(planned.everything)
     groups = planned.groups
     draws = range(effort.draws)
-    others = range(effort.draws, 2 * effort.draws)
+    full_draws = range(effort.draws, 2 * effort.draws)
     with warnings.catch_warnings():
-        warnings.simplefilter(
-            "ignore", GradientWarning
-        )  # the hand knows when a shape that moves has no outline in view
-        by_hand = by(dict(case.hand), spp_grad=effort.samples)
-    found, wanted, hand = step_draws((by(plan), full, by_hand), objective, start, groups, (draws, others, draws))
+        warnings.simplefilter("ignore", GradientWarning)  # an expert knows when a moving shape has no outline in view
+        manual = render_with(dict(case.manual), spp_grad=effort.samples)
+    plan_draws, reference, manual_draws = step_draws(
+        (render_with(plan), full, manual), objective, start, groups, (draws, full_draws, draws)
+    )
     default_seconds = math.nan
     if effort.defaults:
-        default = by(dict(case.default), spp_grad=effort.samples)
+        default = render_with(dict(case.default), spp_grad=effort.samples)
         ((_, default_seconds),) = steps_in_turn((default,), objective, start, (range(effort.defaults),))
     return Row(
         name=case.name,
         plan=plan,
-        gradient=compare(found, wanted),
-        seconds=found.seconds,
-        full_seconds=wanted.seconds,
+        gradient=compare(plan_draws, reference),
+        seconds=plan_draws.seconds,
+        full_seconds=reference.seconds,
         default_seconds=default_seconds,
-        hand_seconds=hand.seconds,
-        pilot_seconds=min(pilot for _, pilot, _ in costs),
-        look_seconds=min(look for _, _, look in costs),
+        manual_seconds=manual_draws.seconds,
+        pilot_seconds=min(pilot for _, pilot, _ in timings),
+        revision_seconds=min(revision for _, _, revision in timings),
         errors=_fitted(case, PlannedRenderer(scene(), case.parameters, spp=effort.samples), objective, effort),
         full_errors=_fitted(case, full, objective, effort),
     )
 
 
-def _planning(
+def _time_planning(
     planned: PlannedRenderer, objective: LOIObjective, start: Mapping[str, Any], image: Any
 ) -> tuple[EffectPlan, float, float]:
-    """The plan, the time of its pilot, and that of one look at what it has turned off, because the loss stalls."""
+    """Return the plan, the time of its pilot, and the time of a revision because the loss stalls."""
     cotangent = objective.value_and_grad(image)[1]
     begin = time.perf_counter()
     plan = planned.begin(start, cotangent, optimise=list(start))
-    begun = time.perf_counter()
-    looked = begun
-    for step in range(STALL_STEPS + 1):  # only the last of these looks
-        looked = time.perf_counter()
+    planned_at = time.perf_counter()
+    revised_at = planned_at
+    for step in range(STALL_STEPS + 1):  # only the last step causes a revision
+        revised_at = time.perf_counter()
         planned.at_step(step, STALL_STEPS + 1, 1.0)
-    return plan, begun - begin, time.perf_counter() - looked
+    return plan, planned_at - begin, time.perf_counter() - revised_at
 
 
 def _fitted(case: Case, renderer: Renderer, objective: LOIObjective, effort: Effort) -> tuple[float, ...]:
     free = {name: Free(value) for name, value in case.start.items()}
-    first = sum(float(np.sum((case.start[name] - case.truth[name]) ** 2)) for name in free)
+    initial = sum(float(np.sum((case.start[name] - case.truth[name]) ** 2)) for name in free)
     errors = []
-    for seed in range(0, effort.fits * APART, APART):
+    for seed in range(0, effort.fits * SEED_STRIDE, SEED_STRIDE):
         if isinstance(renderer, PlannedRenderer):
             start = renderer.parameters() | dict(case.start)
             cotangent = objective.value_and_grad(renderer.render(start, seed=seed))[1]
             renderer.begin(start, cotangent, optimise=list(free), seed=seed)
-        found = fit(
+        fitted = fit(
             renderer,
             objective,
             steps=effort.steps,
@@ -197,6 +197,6 @@ def _fitted(case: Case, renderer: Renderer, objective: LOIObjective, effort: Eff
             seed=seed,
             optimise=free,
         ).best_params
-        left = sum(float(np.sum((found[name] - case.truth[name]) ** 2)) for name in free)
-        errors.append(math.sqrt(left / first))
+        remaining = sum(float(np.sum((fitted[name] - case.truth[name]) ** 2)) for name in free)
+        errors.append(math.sqrt(remaining / initial))
     return tuple(errors)

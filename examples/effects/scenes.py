@@ -1,4 +1,4 @@
-"""Small procedural scenes, each of which calls for some effects of light transport and not for others."""
+"""Small procedural scenes that need different effects of light transport."""
 
 from __future__ import annotations
 
@@ -22,24 +22,24 @@ WIDTH, HEIGHT = 96, 72
 
 @dataclass(frozen=True)
 class Case:
-    """A scene, what is optimised in it, from where, and what is true.
+    """A scene with its optimised parameters, their initial values and their true values.
 
     Attributes
     ----------
     name : str
-        What it is about.
+        Name of the scene.
     make : callable
-        Gives the dict for ``mi.load_dict`` at a width and height; Mitsuba's variant has to be set before.
+        Returns the dict for ``mi.load_dict`` at a width and height, once Mitsuba's variant is set.
     parameters : dict
         For :class:`loi_mitsuba.MitsubaRenderer`.
     start, truth : dict of arrays
-        Values at the start of a fit, and those of the target.
+        Initial values of a fit, and the values of the target.
     rate : float
         Learning rate, in units of the parameters.
-    hand : dict
-        The integrator that we would choose by hand, knowing the scene; all its samples above 0 are alike.
+    manual : dict
+        The integrator that an expert would choose; all its sample counts above 0 are equal.
     default : dict
-        Mitsuba's integrator for such a scene with nothing set: the cheaper projective one if direct light is enough.
+        Mitsuba's default integrator for such a scene: the cheaper projective one if direct light is enough.
     """
 
     name: str
@@ -48,11 +48,11 @@ class Case:
     start: Mapping[str, Any]
     truth: Mapping[str, Any]
     rate: float
-    hand: Mapping[str, Any]
+    manual: Mapping[str, Any]
     default: Mapping[str, Any]
 
     def scene(self, width: int = WIDTH, height: int = HEIGHT) -> dict[str, Any]:
-        """The dict for ``mi.load_dict``."""
+        """Return the dict for ``mi.load_dict``."""
         return self.make(width, height)
 
 
@@ -140,13 +140,13 @@ def _light(width: int, height: int) -> dict[str, Any]:
 
 
 def _environment(width: int, height: int) -> dict[str, Any]:
-    # Mitsuba has no gradient by an environment map's own rotation; a sphere around the scene that shines has.
-    around = mi.ScalarTransform4f().scale(20)
+    # Mitsuba has no gradient for the rotation of an environment map, but for the rotation of an emitting sphere.
+    enlarged = mi.ScalarTransform4f().scale(20)
     sky = {"type": "area", "radiance": bitmap(picture(16, 32, 3))}
     return {
         "type": "scene",
         "sensor": camera(width, height, [0, 2, 6], [0, 0, 0]),
-        "sky": {"type": "sphere", "flip_normals": True, "to_world": around, "emitter": sky},
+        "sky": {"type": "sphere", "flip_normals": True, "to_world": enlarged, "emitter": sky},
         "ball": ball([0, 0, 0], 1.2, bsdf=diffuse([0.8, 0.8, 0.8])),
     }
 
@@ -155,7 +155,7 @@ CAMERA: Final = [0.0, 0.0, 8.0]
 
 
 def _pose(width: int, height: int) -> dict[str, Any]:
-    # A camera that turns sees what it would see if the scene turned about it the other way.
+    # Rotating the scene about the camera equals rotating the camera the opposite way.
     boxes = [((-1.2, 0.2, 0.0), 0.5), ((0.9, -0.5, 0.6), 0.6), ((0.3, 1.1, -0.8), 0.4)]
     return {
         "type": "scene",
@@ -187,8 +187,8 @@ def _nothing(width: int, height: int) -> dict[str, Any]:
     }
 
 
-def _hand(kind: str, **more: int) -> dict[str, Any]:
-    return {"type": kind, "guiding": "none", **more}
+def _unguided(plugin: str, **settings: int) -> dict[str, Any]:
+    return {"type": plugin, "guiding": "none", **settings}
 
 
 def _plane(shape: str) -> dict[str, Any]:
@@ -227,7 +227,7 @@ SUITE: Final = (
         {"place": numbers(-1.5, 0.9, 0.0)},
         {"place": numbers(1.4, -0.8, 0.0)},
         0.1,
-        _hand("direct_projective", sppi=0),
+        _unguided("direct_projective", sppi=0),
         {"type": "direct_projective"},
     ),
     Case(
@@ -237,7 +237,7 @@ SUITE: Final = (
         _at(-1.1, 0.5),
         _at(0.8, -0.5),
         0.04,
-        _hand("direct_projective", sppc=0, sppp=0),
+        _unguided("direct_projective", sppc=0, sppp=0),
         {"type": "direct_projective"},
     ),
     Case(
@@ -247,7 +247,7 @@ SUITE: Final = (
         _at(-1.2, 0.6),
         _at(1.0, -0.6),
         0.04,
-        _hand("prb_projective", max_depth=3),
+        _unguided("prb_projective", max_depth=3),
         {"type": "prb_projective"},
     ),
     Case(
@@ -257,7 +257,7 @@ SUITE: Final = (
         {"x": numbers(-1.2)},
         {"x": numbers(1.0)},
         0.04,
-        _hand("prb_projective", max_depth=3, sppp=0),
+        _unguided("prb_projective", max_depth=3, sppp=0),
         {"type": "prb_projective"},
     ),
     Case(
@@ -277,7 +277,7 @@ SUITE: Final = (
         _at(-1.5, 0.5),
         _at(1.0, -0.5),
         0.05,
-        _hand("prb_projective", max_depth=3, sppc=0, sppp=0),
+        _unguided("prb_projective", max_depth=3, sppc=0, sppp=0),
         {"type": "prb_projective"},
     ),
     Case(
@@ -297,7 +297,7 @@ SUITE: Final = (
         {"pan": numbers(-2.5), "tilt": numbers(1.5)},
         {"pan": numbers(2.5), "tilt": numbers(-1.5)},
         0.25,
-        _hand("direct_projective"),
+        _unguided("direct_projective"),
         {"type": "direct_projective"},
     ),
     Case(
@@ -317,8 +317,8 @@ SUITE: Final = (
         {"place": numbers(0.0, 0.0, 0.0)},
         {"place": numbers(1.0, 0.0, 0.0)},
         0.05,
-        _hand("direct_projective"),
+        _unguided("direct_projective"),
         {"type": "direct_projective"},
     ),
 )
-"""The suite, in the order of its table."""
+"""All scenes, in the order of the table."""

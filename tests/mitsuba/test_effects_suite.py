@@ -8,7 +8,7 @@ from itertools import pairwise
 import pytest
 
 from examples.effects.__main__ import HEADS, cells
-from examples.effects.measure import FULL, Effort, looks_of_a_stall, measure
+from examples.effects.measure import FULL, Effort, measure, revisions_in_a_stall
 from examples.effects.scenes import SUITE, Case
 from tests.strategies import thorough
 
@@ -23,13 +23,13 @@ def test_a_row_of_the_table_is_measured() -> None:
     assert row.gradient.cosine == pytest.approx(1.0, abs=0.01)
     assert len(row.errors) == len(row.full_errors) == 2
     assert max(row.errors + row.full_errors) < 1.0  # the fits have reduced the error
-    assert min(row.seconds, row.full_seconds, row.hand_seconds, row.pilot_seconds, row.look_seconds) > 0.0
+    assert min(row.seconds, row.full_seconds, row.manual_seconds, row.pilot_seconds, row.revision_seconds) > 0.0
 
 
 def test_a_plan_is_revisited_ever_more_rarely() -> None:
-    looks = [looks_of_a_stall(10 * 2**doubling) for doubling in range(12)]
-    assert looks[0] == 0
-    assert all(later - earlier in (0, 1) for earlier, later in pairwise(looks))
+    revisions = [revisions_in_a_stall(10 * 2**doubling) for doubling in range(12)]
+    assert revisions[0] == 0
+    assert all(later - earlier in (0, 1) for earlier, later in pairwise(revisions))
 
 
 @thorough
