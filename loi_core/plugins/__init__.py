@@ -1,1 +1,1 @@
-"""What other packages may add: renderers, objectives, and backends, found by their entry points."""
+"""Plugins: renderers, objectives and measurement backends of other distributions."""

@@ -1,4 +1,4 @@
-"""The objectives that scenes compare the loss with, by name: the core's own, and those that packages announce."""
+"""Baselines by name: objectives of the core and of plugins for comparison with the loss."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from loi_core.support.wording import described
 
 __all__ = ["baseline_names", "is_objective_name", "make_baseline"]
 
-OWN: Final[dict[str, ObjectiveFactory]] = {
+BUILT_IN: Final[dict[str, ObjectiveFactory]] = {
     "pixel_l2": PixelL2,
     "gaussian_pyramid": GaussianPyramid,
     "ms_ssim": MSSSIM,
@@ -24,30 +24,30 @@ OWN: Final[dict[str, ObjectiveFactory]] = {
 
 
 def is_objective_name(name: object) -> bool:
-    """Whether an objective may have this name, which becomes that of a folder."""
+    """Return whether `name` is a valid name of an objective; folders of results have the same name."""
     return isinstance(name, str) and re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}", name) is not None
 
 
 def baseline_names() -> list[str]:
-    """The names of all baselines, the core's own first; no package is imported."""
-    return [*OWN, *(name for name in OBJECTIVES.names() if is_objective_name(name) and name not in OWN)]
+    """Return the names of all baselines, core baselines first, without importing plugins."""
+    return [*BUILT_IN, *(name for name in OBJECTIVES.names() if is_objective_name(name) and name not in BUILT_IN)]
 
 
 def make_baseline(
     name: str, target: FloatImage, *, nan_policy: NanPolicy, tone: LogTone | None, weights: FloatImage | None = None
 ) -> Objective:
-    """The baseline of this name, with `target` as its reference.
+    """Return the baseline called `name`, with `target` as its reference.
 
     Raises
     ------
     LoiError
-        If it cannot be loaded, does not take the reference or an option, or what comes is no objective.
+        If it cannot be loaded, rejects the reference or an option, or its factory does not return an objective.
     """
-    factory = OWN[name] if name in OWN else OBJECTIVES.load(name)
+    factory = BUILT_IN[name] if name in BUILT_IN else OBJECTIVES.load(name)
     try:
-        own = {} if weights is None else {"weights": weights}
-        made = factory(target, nan_policy=nan_policy, tone=tone, **own)
-        usable = isinstance(made, Objective)
+        options = {} if weights is None else {"weights": weights}
+        objective = factory(target, nan_policy=nan_policy, tone=tone, **options)
+        usable = isinstance(objective, Objective)
     except LoiError:
         raise
     except BaseException as error:  # a third party may raise anything, SystemExit too
@@ -56,6 +56,6 @@ def make_baseline(
         msg = f"{name} refused: {described(error)}"
         raise OptionError(msg) from error
     if not usable:
-        msg = f"{name} made a {type(made).__name__}, which is not an objective"
+        msg = f"{name} made a {type(objective).__name__}, which is not an objective"
         raise OptionError(msg)
-    return made
+    return objective

@@ -1,4 +1,4 @@
-"""What ``loi tradeoff`` and ``loi doctor --stability`` measure: one array library that evaluates the loss."""
+"""Measurement backends: array libraries whose evaluation ``loi tradeoff`` and ``loi doctor --stability`` measure."""
 
 from __future__ import annotations
 
@@ -14,28 +14,28 @@ from loi_core.support.arrays import Array, Host
 __all__ = ["BFLOAT16_PRODUCTS", "Evaluate", "MeasurementBackend", "NumPy", "Request"]
 
 Evaluate: TypeAlias = Callable[[], tuple[float, Host]]
-"""Computes the value, and the gradient as NumPy, of the image's shape; returns when both are there."""
+"""Returns the value, and the gradient with the shape of the image as a NumPy array, when both are computed."""
 
 BFLOAT16_PRODUCTS: Final = "bfloat16 products"
-"""Arrays of float32 whose matrix products a framework may round to bfloat16, or to TF32, told so by its own switch."""
+"""float32 arrays with matrix products in bfloat16 or TF32, which a switch of the framework allows."""
 
 
 @dataclass(frozen=True)
 class Request:
-    """A loss that is to be evaluated.
+    """A requested evaluation of the loss.
 
     Attributes
     ----------
     image, reference : array, shape (*batch, H, W, C)
-        Both NumPy.
+        NumPy arrays.
     scales : ScaleSpace
-        The scales to compare.
+        The compared scales.
     accuracy : {"exact", "balanced", "fast"} or float
         See :class:`loi_core.LOIObjective`.
     dtype : str
-        One of the backend's.
+        One of the backend's dtypes.
     nan_policy : {"raise", "mask"}
-        What happens to pixels that are not finite.
+        Treatment of pixels that are not finite.
     """
 
     image: Host
@@ -47,25 +47,25 @@ class Request:
 
 
 class MeasurementBackend(Protocol):
-    """An array library and how its users call the loss."""
+    """An array library, with the loss as its users call it."""
 
     @property
     def dtypes(self) -> tuple[str, ...]:
-        """Names of the dtypes that it computes in, or BFLOAT16_PRODUCTS; the usual one of its users first."""
+        """Names of its dtypes, or BFLOAT16_PRODUCTS; the default of the library first."""
 
     @property
     def half_dtypes(self) -> tuple[str, ...]:
-        """Names of the 16-bit dtypes that images may have; it compares those in float32."""
+        """Names of the 16-bit dtypes of images, which are compared in float32."""
 
     @property
     def compiled(self) -> bool:
-        """Whether it is compiled before it sees pixels, and so gives NaN where others raise for bad ones."""
+        """Whether it compiles without pixel values, and returns NaN where other backends raise an error."""
 
     def device(self) -> str:
-        """Where it computes: "cpu", or another name."""
+        """Return the name of its device, such as "cpu"."""
 
     def asarray(self, host: Host) -> Array:
-        """`host` as an array of the library: the same dtype, and where it can be, the same memory.
+        """Return `host` as an array of the library with the same dtype, without a copy if possible.
 
         Raises
         ------
@@ -74,31 +74,31 @@ class MeasurementBackend(Protocol):
         """
 
     def prepare(self, request: Request) -> Evaluate:
-        """The loss that is asked for, ready to be evaluated."""
+        """Return the function that evaluates the requested loss."""
 
 
 class NumPy:
-    """The core itself."""
+    """Measurement backend for NumPy."""
 
     dtypes = ("float32", "float64")
     half_dtypes = ("float16",)
     compiled = False
 
     def device(self) -> str:
-        """NumPy knows the processor only."""
+        """Return "cpu"."""
         return "cpu"
 
     def asarray(self, host: Host) -> Array:
-        """`host` itself."""
+        """Return `host`."""
         return host
 
     def prepare(self, request: Request) -> Evaluate:
         """See :class:`MeasurementBackend`."""
-        reference, given = (each.astype(request.dtype) for each in (request.reference, request.image))
+        reference, image = (array.astype(request.dtype) for array in (request.reference, request.image))
         objective = LOIObjective(reference, request.scales, request.accuracy, nan_policy=request.nan_policy)
 
         def evaluate() -> tuple[float, Host]:
-            value, gradient = objective.value_and_grad(given)
+            value, gradient = objective.value_and_grad(image)
             return float(value), gradient
 
         return evaluate

@@ -1,11 +1,9 @@
-"""Which renderers, objectives and backends are installed: three groups of entry points.
+"""Registry of installed renderers, objectives and measurement backends.
 
-They are ``loi.renderers``, ``loi.objectives`` and ``loi.backends``.
-
-A distribution announces one with an entry point whose name is what it is called by and whose object is a factory. A
-renderer's is called with the options of a scene and returns something that keeps the contract of
-:class:`loi_core.Renderer`; an objective's with the reference, ``nan_policy`` and ``tone``, as
-:class:`loi_core.PixelL2` is; a backend's is called without arguments and returns a
+They are announced by entry points in the groups ``loi.renderers``, ``loi.objectives`` and ``loi.backends``. The name of
+an entry point is the name of the plugin, and its object is a factory. The factory of a renderer takes the options of a
+scene and returns a :class:`loi_core.Renderer`. The factory of an objective takes the reference, ``nan_policy`` and
+``tone``, like :class:`loi_core.PixelL2`. The factory of a backend takes no arguments and returns a
 :class:`loi_core.plugins.measurement_backends.MeasurementBackend`. A plugin that
 cannot be loaded is reported by name and hides no other.
 ``LOI_PLUGINS=0`` leaves out the plugins of other distributions.
@@ -45,9 +43,9 @@ __all__ = [
 ]
 
 SWITCH: Final = "LOI_PLUGINS"
-"""Environment variable: 0 leaves out what other distributions announce, so that only our own is found."""
+"""Environment variable; 0 ignores the plugins of other distributions."""
 
-OWN: Final = "loi"
+OWN_DISTRIBUTION: Final = "loi"
 
 RendererFactory: TypeAlias = Callable[..., Renderer]
 ObjectiveFactory: TypeAlias = Callable[..., Objective]
@@ -62,19 +60,19 @@ class PluginInfo:
     Attributes
     ----------
     name : str
-        What scenes and commands call it.
+        Name in scenes and commands.
     package, version : str
         The distribution that announces it.
     backend : str
-        What it computes with: the factory's attribute ``backend``, or else the extra that its entry point asks for;
-        empty if neither says.
+        Its array library: the attribute ``backend`` of the factory, or else the extra of its entry point; empty
+        without either.
     target : str
         The factory, ``module:object``.
     state : {"ready", "missing", "broken", "clash"}
-        "missing" if a package is not there that an extra would install; "broken" if the factory cannot be imported
-        or called for another reason; "clash" if several distributions claim the name.
+        "missing" if a package of an extra is not installed; "broken" if the factory cannot be imported or called for
+        another reason; "clash" if several distributions use the name.
     problem : str
-        One line on what is wrong; empty if it is ready.
+        The problem on one line; empty if it is ready.
     fix : str
         The command that fixes it; empty if it is ready.
     """
@@ -91,53 +89,53 @@ class PluginInfo:
 
 @dataclass(frozen=True)
 class PluginGroup(Generic[FactoryT]):
-    """One group of entry points, and what their factories make.
+    """One group of entry points.
 
     Attributes
     ----------
     name : str
-        Of the group.
-    kind : str
-        What its factories make, for messages.
+        Name of the group.
+    plugin : str
+        Kind of its plugins, for messages.
     failure : type of LookupError
-        What is raised where one cannot be had.
+        Error for a plugin that cannot be loaded.
     """
 
     name: str
-    kind: str
+    plugin: str
     failure: type[LookupError]
 
     def available(self) -> list[PluginInfo]:
-        """Everything that is announced, sorted by name. Each factory is imported to see whether it can be."""
+        """Return all announced plugins, sorted by name. Each factory is imported to test it."""
         points, broken = _points(self.name)
         listed = [
-            _examine(point, [_origin(other)[0] for other in same])[1]
-            for same in _announced(points).values()
-            for point in same
+            _examine(point, [_origin(namesake)[0] for namesake in namesakes])[1]
+            for namesakes in _announced(points).values()
+            for point in namesakes
         ]
-        return sorted([*listed, *broken], key=lambda one: one.name) if broken else listed
+        return sorted([*listed, *broken], key=lambda info: info.name) if broken else listed
 
     def names(self) -> list[str]:
-        """All announced names, sorted; nothing is imported."""
+        """Return all announced names, sorted, without imports."""
         return list(_announced(_points(self.name)[0]))
 
     def load(self, name: str) -> FactoryT:
-        """The factory that is called `name`.
+        """Return the factory of the plugin called `name`.
 
         Raises
         ------
         LookupError
-            Of type `failure`: if no distribution, or more than one, announces it, or its factory cannot be imported;
-            with the fix.
+            Of type `failure`, with the fix: if no distribution, or more than one, announces the name, or the factory
+            cannot be imported.
         """
         announced = _announced(_points(self.name)[0])
         if name not in announced:
-            msg = f"no {self.kind} is called {name!r}; installed are {', '.join(announced) or 'none'}"
+            msg = f"no {self.plugin} is called {name!r}; installed are {', '.join(announced) or 'none'}"
             raise self.failure(msg)
         points = announced[name]
         factory, info = _examine(points[0], [_origin(point)[0] for point in points])
         if factory is None:
-            msg = f"{self.kind} {name!r} of {info.package} cannot be used: {info.problem}; {info.fix}"
+            msg = f"{self.plugin} {name!r} of {info.package} cannot be used: {info.problem}; {info.fix}"
             raise self.failure(msg)
         return cast("FactoryT", factory)
 
@@ -148,12 +146,12 @@ BACKENDS: Final = PluginGroup[BackendFactory]("loi.backends", "backend", Backend
 
 
 def available_renderers() -> list[PluginInfo]:
-    """Every announced renderer, sorted by name. Each factory is imported to see whether it can be."""
+    """Return all announced renderers, sorted by name. Each factory is imported to test it."""
     return RENDERERS.available()
 
 
 def load_renderer(name: str) -> RendererFactory:
-    """The factory of the renderer called `name`.
+    """Return the factory of the renderer called `name`.
 
     Raises
     ------
@@ -164,7 +162,7 @@ def load_renderer(name: str) -> RendererFactory:
 
 
 def _examine(point: EntryPoint, claims: list[str]) -> tuple[Callable[..., Any] | None, PluginInfo]:
-    """The factory of one entry point, or None, and what there is to say about it."""
+    """Return the factory of an entry point, or None, and its information."""
     package, version = _origin(point)
     if EntryPoint.pattern.match(point.value) is None:
         fix = _reinstall(package)
@@ -177,7 +175,7 @@ def _examine(point: EntryPoint, claims: list[str]) -> tuple[Callable[..., Any] |
         info = PluginInfo(point.name, package, version, extra, target, "clash", f"{len(claims)} claim it", fix)
         return None, info
     try:
-        with contextlib.redirect_stdout(sys.stderr):  # what a plugin prints is not part of our answer
+        with contextlib.redirect_stdout(sys.stderr):  # output of plugins must not mix with output for programs
             factory = point.load()
             problem = _unusable(factory, target)
             backend = str(getattr(factory, "backend", extra))
@@ -199,39 +197,39 @@ def _reinstall(package: str) -> str:
 
 
 def _unusable(factory: object, target: str) -> str:
-    """Why this cannot be called, which happens with options by keyword if at all; empty if it can."""
+    """Return the reason why a factory cannot be called with keyword arguments; empty if it can."""
     if not callable(factory):
         return f"{target} is a {type(factory).__name__}, not a factory that can be called"
     try:
         parameters = signature(factory).parameters.values()
-    except (TypeError, ValueError):  # compiled factories need not say what they take
+    except (TypeError, ValueError):  # compiled factories may have no signature
         return ""
-    for one in parameters:
-        if one.kind is Parameter.POSITIONAL_ONLY and one.default is Parameter.empty:
-            return f"{target} takes `{one.name}` by position only; the options of a scene come by keyword"
+    for parameter in parameters:
+        if parameter.kind is Parameter.POSITIONAL_ONLY and parameter.default is Parameter.empty:
+            return f"{target} takes `{parameter.name}` by position only; the options of a scene come by keyword"
     return ""
 
 
 def _points(group: str) -> tuple[list[EntryPoint], list[PluginInfo]]:
-    """The entry points of a group, and the distributions whose entry points cannot be read."""
+    """Return the entry points of a group, and the distributions whose entry points cannot be read."""
     try:
         points, broken = list(entry_points(group=group)), list[PluginInfo]()
-    except Exception:  # noqa: BLE001 - one distribution with damaged metadata ends the search; so they are asked one by one
+    except Exception:  # noqa: BLE001 - damaged metadata of one distribution ends the search; search them one by one
         points, broken = _points_one_by_one(group)
     if os.environ.get(SWITCH) == "0":
-        return [point for point in points if _origin(point)[0] == OWN], []
+        return [point for point in points if _origin(point)[0] == OWN_DISTRIBUTION], []
     return points, broken
 
 
 def _points_one_by_one(group: str) -> tuple[list[EntryPoint], list[PluginInfo]]:
     points: list[EntryPoint] = []
     broken: list[PluginInfo] = []
-    seen: set[str] = set()
+    visited: set[str] = set()
     for distribution in distributions():
         package = _described(distribution)[0]
-        if package in seen:  # hidden by one that is earlier on the path
+        if package in visited:  # shadowed by an earlier entry of the path
             continue
-        seen.add(package)
+        visited.add(package)
         try:
             points += [point for point in distribution.entry_points if point.group == group]
         except Exception as error:  # noqa: BLE001 - likewise
@@ -241,7 +239,7 @@ def _points_one_by_one(group: str) -> tuple[list[EntryPoint], list[PluginInfo]]:
 
 
 def _announced(points: Iterable[EntryPoint]) -> dict[str, list[EntryPoint]]:
-    """Entry points by name, sorted; the same one seen twice (an editable install on two paths) counts once."""
+    """Return entry points by name, sorted, without duplicates (such as an editable install on two paths)."""
     by_name: dict[str, dict[tuple[str, str], EntryPoint]] = defaultdict(dict)
     for point in points:
         by_name[point.name].setdefault((_origin(point)[0], point.value), point)
@@ -253,7 +251,7 @@ def _origin(point: EntryPoint) -> tuple[str, str]:
 
 
 def _described(distribution: Distribution) -> tuple[str, str]:
-    """Name and version, which damaged metadata may lack."""
+    """Return the name and the version of a distribution, whose metadata may be damaged."""
     try:
         metadata = distribution.metadata
         name, version = (metadata[key] or "" if key in metadata else "" for key in ("Name", "Version"))

@@ -21,7 +21,7 @@ from loi_core.support.charts import Chart, Line
 from loi_core.support.markdown import markdown
 from loi_core.support.processors import usable_processors
 from loi_core.support.values import finite_or_none
-from loi_core.tradeoff import HIDDEN, Noise, Row, Tradeoff
+from loi_core.tradeoff import MAX_NOISE_FRACTION, Noise, Row, Tradeoff
 
 __all__ = ["RESULT_FILE", "plain", "tradeoff_lines", "write_tradeoff"]
 
@@ -207,11 +207,13 @@ def _advice(result: Tradeoff) -> str:
     if advice.noise is not None:
         samples = None if result.noise is None else result.noise.samples
         noise = f"the renderer's own noise{'' if samples is None else f' at {samples} samples'}, {advice.noise:.1e}"
-        if advice.met:
-            return f"{setting}. Its error, {error}, is less than {HIDDEN:.0%} of {noise}, and hides under it."
+        if advice.is_allowed:
+            return (
+                f"{setting}. Its error, {error}, is less than {MAX_NOISE_FRACTION:.0%} of {noise}, and hides under it."
+            )
         return f"{setting}, the most accurate. Its error, {error}, does not hide under {noise}."
     bound = f"the bound of balanced, {advice.allowed:g}"
-    if not advice.met:
+    if not advice.is_allowed:
         return f"{setting}, the most accurate. No error is within {bound}; the error here is {error}."
     reason = (
         "nothing is random here" if result.stochastic is False else "without a renderer there is no noise to hide under"
@@ -271,4 +273,4 @@ def _points(name: str, rows: Sequence[Row], colour: int, mark: Literal["dot", "c
 
 
 def _plotted(row: Row) -> float:
-    return max(row.judged, MIN_PLOTTED_ERROR)
+    return max(row.relevant_error, MIN_PLOTTED_ERROR)

@@ -150,7 +150,7 @@ class _Process:
 @contextlib.contextmanager
 def _inherited_settings() -> Iterator[None]:
     """Settings for processes that are started inside: one thread, and no response to Ctrl-C."""
-    before = {name: os.environ.get(name) for name in ONE_THREAD}
+    environment = {name: os.environ.get(name) for name in ONE_THREAD}
     os.environ.update(ONE_THREAD)
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT}) if hasattr(signal, "pthread_sigmask") else None
     try:
@@ -158,7 +158,7 @@ def _inherited_settings() -> Iterator[None]:
     finally:
         if mask is not None:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        for name, value in before.items():
+        for name, value in environment.items():
             if value is None:
                 del os.environ[name]
             else:

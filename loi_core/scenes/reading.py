@@ -82,7 +82,7 @@ def make_scene(
 ) -> Scene:
     """Return the scene of a document, as if it were the content of the file at `path`.
 
-    Other arguments and errors are those of :func:`load_scene`.
+    Other arguments and errors: see :func:`load_scene`.
     """
     reader = TableReader(path)
     reader.check_keys("", document, SCENE_KEYS)
@@ -96,7 +96,7 @@ def make_scene(
     optimise, truth = _optimise(reader, reader.table("", document, "optimise"), views)
     folder = reader.text("", document, "output") if "output" in document else f"{path.stem}-result"
     results = path.parent / folder if output is None else output
-    reader.check_output(results, from_file=output is None, kind="scene")
+    reader.check_output(results, from_file=output is None, file_type="scene")
     return Scene(
         path=path,
         title=reader.text("", document, "title") if "title" in document else path.stem,
@@ -151,7 +151,7 @@ def _view_tables(reader: TableReader, document: Mapping[str, Any]) -> dict[str, 
 def _view(
     reader: TableReader, view: _ViewTable, document: Mapping[str, Any], samples: int | None
 ) -> tuple[SceneView, int | None]:
-    """Return a view, and the samples per pixel of its renderer if it has that option."""
+    """Return a view, and the samples per pixel of its renderer; None without that option."""
     path = reader.path.parent / reader.text(view.heading, view.table, "target")
     stored = read_stored(path)
     renderer, spp = make_renderer(

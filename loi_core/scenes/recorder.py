@@ -93,7 +93,7 @@ class Trial:
 
     @property
     def seconds(self) -> float:
-        """Duration of the fit, including planning, search and diagnosis; before a resumption only that of the steps."""
+        """Duration of the fit, including planning, search and diagnosis; before a resumption the steps only."""
         earlier = self.result.history[: self.first_step] if self.result else ()
         return self.elapsed + sum(step.seconds for step in earlier)
 

@@ -31,7 +31,7 @@ def make_renderer(
     samples: int | None,
     optimised: Iterable[str],
 ) -> tuple[Renderer, int | None]:
-    """Return the renderer of a view, and its samples per pixel if it has that option.
+    """Return the renderer of a view, and its samples per pixel; None without that option.
 
     A table `blur` goes to a renderer that takes it. Any other renderer is wrapped in a :class:`BlurredRenderer`, which
     blurs the `optimised` parameters by default.
@@ -45,7 +45,7 @@ def make_renderer(
     blur = reader.table(heading, table, "blur") if "blur" in table else None
     reader.check_keys(f"{heading}.blur", blur or {}, BLUR_KEYS)
     options = _options(reader, heading, table, declared, factory)
-    if arguments is not None and not any(one.kind is Parameter.VAR_KEYWORD for one in arguments.values()):
+    if arguments is not None and not any(argument.kind is Parameter.VAR_KEYWORD for argument in arguments.values()):
         reader.check_keys(heading, options, tuple(arguments))
     for key, size in (("height", target.shape[0]), ("width", target.shape[1])):
         if key in declared and options.setdefault(key, size) != size:
@@ -120,7 +120,7 @@ def _blurred(
 
 
 def _read_image(path: Path, factory: RendererFactory) -> FloatImage:
-    """Return an image option in the `image_encoding` of a renderer's class, or its stored values if it has none."""
+    """Return an image option in the `image_encoding` of a renderer's class, or its stored values without one."""
     encoding = getattr(factory, "image_encoding", None)
     return read_image(path) if encoding is None else read_target(path, to=encoding, alpha="ignore").image
 

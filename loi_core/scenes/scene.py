@@ -81,7 +81,7 @@ class Scene:
     optimise : dict of Free
         Free parameters.
     truth : dict of arrays
-        True values of parameters, if the file has them; used only to report errors.
+        True values of parameters that the file gives; used only to report errors.
     fit : FitOptions
         Steps, rates and seed.
     samples : int, optional

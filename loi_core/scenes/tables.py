@@ -54,7 +54,7 @@ class TableReader:
             raise self.error(heading, f"`{key}` must be a text that is not empty, got {shown(value)}")
         return value
 
-    def check_output(self, results: Path, *, from_file: bool, kind: Literal["scene", "sweep"]) -> None:
+    def check_output(self, results: Path, *, from_file: bool, file_type: Literal["scene", "sweep"]) -> None:
         """Check the output folder of a scene or sweep file.
 
         Parameters
@@ -62,7 +62,7 @@ class TableReader:
         results : Path
         from_file : bool
             Whether the file names the folder, which then must lie within the folder of the file.
-        kind : {"scene", "sweep"}
+        file_type : {"scene", "sweep"}
 
         Raises
         ------
@@ -75,8 +75,8 @@ class TableReader:
         home, output = (os.path.realpath(path) for path in (self.path.parent, results))
         if from_file and not Path(output).is_relative_to(home):
             raise self.error(
-                "", f"`output` must lie in the folder of the {kind}, got {shown(str(results))}; use --output"
+                "", f"`output` must lie in the folder of the {file_type}, got {shown(str(results))}; use --output"
             )
         if home == output:
-            contents = " and its images" if kind == "scene" else ""
-            raise self.error("", f"`output` must be a folder of its own, not that of the {kind}{contents}")
+            contents = " and its images" if file_type == "scene" else ""
+            raise self.error("", f"`output` must be a folder of its own, not that of the {file_type}{contents}")

@@ -1,4 +1,4 @@
-"""The image that a render is to match: a file as it is, made into what the renderer can be compared with."""
+"""Target images: files converted to the encoding of the renderer, with pixel weights."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ class Target:
     Attributes
     ----------
     image : array, shape (H, W, 3), float64
-        For the reference of an objective.
+        Reference of an objective.
     weights : array, shape (H, W), float64, optional
-        For its `weights`.
+        Pixel weights of an objective.
     encoding : {"linear", "sRGB"}, optional
-        Of the image; None if nobody said.
+        Encoding of the image; None if it is unknown.
     notes : tuple of str
-        What was done to the file's values, a line each.
+        Conversions of the file's values, one line each.
     """
 
     image: FloatImage
@@ -50,22 +50,22 @@ def read_target(
     alpha: str | Sequence[float] | FloatImage = BLACK,
     weights: Path | str | None = None,
 ) -> Target:
-    """Read an image file as what a renderer is to be compared with.
+    """Read an image file as a target for a renderer.
 
     Parameters
     ----------
     path : path or str
         A file of ``loi_core.io.images.read_image``.
     to : {"linear", "sRGB"}, optional
-        What the renderer makes: "linear" for radiance. Values stay as they are stored by default.
+        Encoding of the renderer's images: "linear" for radiance. Values are not converted by default.
     encoding : {"linear", "sRGB"}, optional
-        What the file holds. By default sRGB for PNG, JPEG and whole numbers, and linear for EXR and floating point.
+        Encoding of the file. By default sRGB for PNG, JPEG and integers, and linear for EXR and floating point.
     alpha : {"mask", "ignore"} or three numbers
-        What becomes of a file's opacity: the image is composited over this colour, black by default; or the opacity
-        becomes the weights; or nothing.
+        Treatment of the file's opacity: composite the image over this colour, black by default; use the opacity as
+        weights; or ignore it.
     weights : path or str, optional
-        A second file, whose mean over the channels, times its opacity, says how much each pixel counts; it multiplies
-        those of `alpha`.
+        A second file. The mean over its channels, times its opacity, gives the weight of each pixel; it multiplies the
+        weights from `alpha`.
 
     Returns
     -------
@@ -95,44 +95,44 @@ def prepare_target(
     alpha: str | Sequence[float] | FloatImage,
     weights: Path | str | None,
 ) -> Target:
-    """What :func:`read_target` does, for a file that has been read."""
-    wanted = None if to is None else check_encoding(to)
-    given = None if encoding is None else check_encoding(encoding)
-    over = _checked_alpha(alpha)
+    """Return the target of a file that has been read; arguments and errors as in :func:`read_target`."""
+    rendered = None if to is None else check_encoding(to)
+    declared = None if encoding is None else check_encoding(encoding)
+    backdrop = _checked_alpha(alpha)
     opacity = None if stored.opacity is None else np.clip(stored.opacity, 0.0, 1.0)
     if opacity is not None and np.all(opacity == 1.0):
         opacity = None
     image, notes, premultiplied = stored.colours, [], stored.premultiplied and opacity is not None
-    held: Encoding = given or ("sRGB" if stored.for_display else "linear")
-    recoded = wanted is not None and wanted != held
-    if opacity is not None and premultiplied and over != "ignore" and (recoded or over == "mask"):
+    source: Encoding = declared or ("sRGB" if stored.for_display else "linear")
+    converts = rendered is not None and rendered != source
+    if opacity is not None and premultiplied and backdrop != "ignore" and (converts or backdrop == "mask"):
         image, premultiplied = image / np.where(opacity > 0.0, opacity, 1.0)[..., None], False
-    if recoded:
-        image = decode_srgb(image) if wanted == "linear" else encode_srgb(image)
-        why = "" if given else f", as {path.suffix[1:].upper()} files usually are"
-        done = "decoded to linear light" if wanted == "linear" else "encoded as sRGB"
-        notes.append(f"{path.name} is taken as {held}{why}, and {done}, which is what the renderer makes")
-    counts: FloatImage | None = None
+    if converts:
+        image = decode_srgb(image) if rendered == "linear" else encode_srgb(image)
+        reason = "" if declared else f", as {path.suffix[1:].upper()} files usually are"
+        conversion = "decoded to linear light" if rendered == "linear" else "encoded as sRGB"
+        notes.append(f"{path.name} is taken as {source}{reason}, and {conversion} like the renderer's images")
+    pixel_weights: FloatImage | None = None
     if opacity is not None:
-        if over == "mask":
-            counts = opacity
-            notes.append(f"the opacity of {path.name} says how much each pixel counts")
-        elif over == "ignore":
+        if backdrop == "mask":
+            pixel_weights = opacity
+            notes.append(f"the opacity of {path.name} gives the weight of each pixel")
+        elif backdrop == "ignore":
             notes.append(f"the opacity of {path.name} is ignored")
         else:
-            # What is premultiplied may hold light where nothing is opaque, such as a glow.
+            # Premultiplied pixels may hold light at opacity 0, such as a glow.
             front = image if premultiplied else opacity[..., None] * image
-            image = front + (1.0 - opacity[..., None]) * np.asarray(over)
-            notes.append(f"{path.name} is composited over {_named(over)} by its opacity")
-    if opacity is None and over == "mask":
-        notes.append(f"{path.name} has no opacity that could be a mask: all of its pixels count")
+            image = front + (1.0 - opacity[..., None]) * np.asarray(backdrop)
+            notes.append(f"{path.name} is composited over {_colour_name(backdrop)} by its opacity")
+    if opacity is None and backdrop == "mask":
+        notes.append(f"{path.name} has no opacity for a mask: all of its pixels count")
     if weights is not None:
-        own = _read_weights(Path(weights), image.shape[:2])
-        counts = own if counts is None else counts * own
-    if counts is not None and not np.any(counts > 0.0):
+        file_weights = _read_weights(Path(weights), image.shape[:2])
+        pixel_weights = file_weights if pixel_weights is None else pixel_weights * file_weights
+    if pixel_weights is not None and not np.any(pixel_weights > 0.0):
         msg = f"{path}: every pixel has weight 0, so nothing would be compared"
         raise ImageFileError(msg)
-    return Target(image, counts, wanted if wanted is not None else given, tuple(notes))
+    return Target(image, pixel_weights, rendered if rendered is not None else declared, tuple(notes))
 
 
 def _checked_alpha(alpha: object) -> str | tuple[float, ...]:
@@ -146,8 +146,8 @@ def _checked_alpha(alpha: object) -> str | tuple[float, ...]:
     raise OptionError(msg)
 
 
-def _named(colour: str | tuple[float, ...]) -> str:
-    return "black" if colour == BLACK else str([float(f"{one:g}") for one in colour if not isinstance(one, str)])
+def _colour_name(colour: str | tuple[float, ...]) -> str:
+    return "black" if colour == BLACK else str([float(f"{value:g}") for value in colour if not isinstance(value, str)])
 
 
 def _read_weights(path: Path, size: tuple[int, ...]) -> FloatImage:

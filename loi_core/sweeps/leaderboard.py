@@ -82,5 +82,5 @@ def _is_measured(value: Any) -> bool:
 
 
 def _sign(rank: str) -> float:
-    """Return the factor with which smaller values of a measure are better."""
+    """Return 1 if smaller values of a measure are better, otherwise -1."""
     return -1.0 if rank == "psnr" else 1.0

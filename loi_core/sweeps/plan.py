@@ -95,7 +95,7 @@ class Sweep:
     timeout : float, optional
         Time limit of a run in seconds.
     rank : str
-        Column by which the page ranks settings.
+        Column for the ranking of settings.
     """
 
     path: Path
@@ -205,7 +205,7 @@ def _put(table: dict[str, Any], key: tuple[str, ...], value: Any) -> None:
 
 
 def _texts(value: Any) -> Iterator[str]:
-    """Yield all strings in a document, any of which may name a file."""
+    """Yield all strings in a document; any string may name a file."""
     if isinstance(value, str):
         yield value
     elif isinstance(value, Mapping | list):

@@ -57,7 +57,7 @@ def read_sweep(path: Path, *, output: Path | None = None) -> Sweep:
         axes.append(Axis(SEED, _seeds(reader, document["seeds"])))
     name = reader.text("", document, "output") if "output" in document else f"{path.stem}-result"
     results = path.parent / name if output is None else Path(os.path.abspath(output))  # noqa: PTH100 - likewise
-    reader.check_output(results, from_file=output is None, kind="sweep")
+    reader.check_output(results, from_file=output is None, file_type="sweep")
     timeout = document.get("timeout")
     try:
         check_timeout("timeout", timeout)

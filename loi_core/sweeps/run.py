@@ -91,7 +91,7 @@ def sweep(
     Returns
     -------
     SweepResult
-        Results of all runs of the file, those of earlier calls included.
+        Results of all runs of the file, runs of earlier calls included.
 
     Raises
     ------

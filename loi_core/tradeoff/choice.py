@@ -1,4 +1,4 @@
-"""Choosing among measured pairs of time and error: pure functions."""
+"""Choice among measured pairs of time and error."""
 
 from __future__ import annotations
 
@@ -8,74 +8,74 @@ from typing import Final
 
 from loi_core.objectives.loi import gradient_tolerance
 
-__all__ = ["HIDDEN", "WITHIN", "Recommendation", "pareto_set", "recommend"]
+__all__ = ["MAX_NOISE_FRACTION", "TOLERANCE", "Recommendation", "pareto_set", "recommend"]
 
-WITHIN: Final = gradient_tolerance("balanced")
-"""Largest relative gradient error that is recommended where nothing is random."""
+TOLERANCE: Final = gradient_tolerance("balanced")
+"""Largest recommended relative gradient error without noise."""
 
-HIDDEN: Final = 1.0 / 3.0
-"""An error hides under noise if it is at most this share of it: it makes the whole of both 5 % larger."""
+MAX_NOISE_FRACTION: Final = 1.0 / 3.0
+"""Largest recommended error relative to the noise: together they are 5 % larger than the noise alone."""
 
 
 @dataclass(frozen=True)
 class Recommendation:
-    """The cheapest choice with an error that is small enough.
+    """The fastest choice whose error is allowed.
 
     Attributes
     ----------
     index : int
-        Which of the points.
+        Index of the point.
     error : float
         Its relative gradient error.
     allowed : float
-        Largest error that is small enough.
+        Largest allowed error.
     noise : float or None
-        Relative noise of the renderer's gradient that `allowed` is a share of; None if nothing is random.
-    met : bool
-        False if no error is small enough; then this is the least there is.
+        Relative noise of the renderer's gradient, which determines `allowed`; None without noise.
+    is_allowed : bool
+        False if no error is allowed; the choice then has the least error.
     """
 
     index: int
     error: float
     allowed: float
     noise: float | None
-    met: bool
+    is_allowed: bool
 
 
 def pareto_set(points: Sequence[tuple[float, float]]) -> list[bool]:
-    """For each pair of time and error whether no other is better in one and at least as good in the other."""
-    marked = [False] * len(points)
-    least = float("inf")
-    best: tuple[float, float] | None = None
+    """Return whether each pair of time and error is Pareto optimal; equal points are so together."""
+    optimal = [False] * len(points)
+    min_error = float("inf")
+    last: tuple[float, float] | None = None
     for index in sorted(range(len(points)), key=lambda index: points[index]):
-        if points[index][1] < least:
-            best = points[index]
-            least = best[1]
-        marked[index] = points[index] == best  # equals of a point in the set are in it as well
-    return marked
+        if points[index][1] < min_error:
+            last = points[index]
+            min_error = last[1]
+        optimal[index] = points[index] == last
+    return optimal
 
 
 def recommend(points: Sequence[tuple[float, float]], noise: float | None) -> Recommendation | None:
-    """The fastest of some pairs of time and error whose error hides under `noise`, or is within tolerance.
+    """Return the fastest pair of time and error whose error is small against the noise, or within the tolerance.
 
     Parameters
     ----------
     points : sequence of (float, float)
         Seconds and relative gradient error.
     noise : float or None
-        Relative noise of the gradient that a renderer gives; None if it gives the same on every call.
+        Relative noise of a renderer's gradient; None for a deterministic renderer.
 
     Returns
     -------
     Recommendation or None
-        None if there are no points.
+        None without points.
     """
     if not points:
         return None
-    allowed = WITHIN if noise is None else HIDDEN * noise
-    small = [index for index, point in enumerate(points) if point[1] <= allowed]
-    if small:
-        index = min(small, key=lambda index: points[index])
+    allowed = TOLERANCE if noise is None else MAX_NOISE_FRACTION * noise
+    candidates = [index for index, point in enumerate(points) if point[1] <= allowed]
+    if candidates:
+        index = min(candidates, key=lambda index: points[index])
     else:
         index = min(range(len(points)), key=lambda index: points[index][::-1])
-    return Recommendation(index, points[index][1], allowed, noise, bool(small))
+    return Recommendation(index, points[index][1], allowed, noise, bool(candidates))

@@ -1,4 +1,4 @@
-"""How much memory a process has had at most, as the system counts it: every library's, not only NumPy's."""
+"""Peak memory of a process as the operating system counts it, for all libraries together."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ import contextlib
 import sys
 from pathlib import Path
 
-__all__ = ["peak_memory", "restart_peak"]
+__all__ = ["peak_memory", "reset_peak"]
 
 STATUS = Path("/proc/self/status")
 CLEAR = Path("/proc/self/clear_refs")
 
 
 def peak_memory() -> int | None:
-    """High-water mark of this process's resident memory, in bytes; None where the system does not tell."""
-    # On Linux not getrusage, whose mark a process inherits from the one that started it.
+    """Return the peak resident memory of this process in bytes; None if the system does not report it."""
+    # On Linux getrusage would include the peak of the parent process.
     if sys.platform == "linux":
         try:
             lines = STATUS.read_text(encoding="ascii").splitlines()
@@ -28,8 +28,8 @@ def peak_memory() -> int | None:
     return None
 
 
-def restart_peak() -> int | None:
-    """Set the high-water mark back to what is resident now where the system allows it; returns the mark."""
-    with contextlib.suppress(OSError):  # then the mark stays, and what remains below it is not seen
+def reset_peak() -> int | None:
+    """Reset the peak to the current resident memory if the system allows it; return the peak."""
+    with contextlib.suppress(OSError):
         CLEAR.write_text("5", encoding="ascii")
     return peak_memory()

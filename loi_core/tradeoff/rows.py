@@ -1,4 +1,4 @@
-"""Measuring one setting in a process of its own, so that its memory is its own and a crash ends nothing else."""
+"""Measurement of one setting in a separate process, which isolates its memory and its crashes."""
 
 from __future__ import annotations
 
@@ -19,59 +19,36 @@ import numpy as np
 from loi_core.method.scales import ScaleSpace
 from loi_core.plugins.measurement_backends import MeasurementBackend, Request
 from loi_core.support.arrays import Host
-from loi_core.tradeoff.memory import peak_memory, restart_peak
+from loi_core.tradeoff.memory import peak_memory, reset_peak
 from loi_core.tradeoff.settings import Setting
 
-__all__ = ["Row", "Sample", "measure_setting"]
+__all__ = ["Row", "measure_setting"]
 
-MOST_RUNS: Final = 100
-SMALL: Final = 16  # pixels of a side of the problem that a backend is started with
-
-
-@dataclass(frozen=True)
-class Sample:
-    """What one process has measured.
-
-    Attributes
-    ----------
-    device : str
-        Where the backend computed.
-    seconds : float
-        Median time of value and gradient.
-    runs : int
-        How many times that is the median of.
-    memory : int or None
-        Growth of the process's peak resident memory, in bytes; None where it cannot be told.
-    gradient : array, shape (H, W, C)
-    """
-
-    device: str
-    seconds: float
-    runs: int
-    memory: int | None
-    gradient: Host
+MAX_RUNS: Final = 100
+WARM_UP_SIDE_PX: Final = 16
 
 
 @dataclass(frozen=True)
 class Row:
-    """One setting, measured.
+    """The measurement of one setting.
 
     Attributes
     ----------
     setting : Setting
     device : str
+        Device of the backend.
     seconds : float
-        Median time of value and gradient; NaN if there is a problem, as everything else that was not measured.
+        Median duration of value and gradient; NaN if there is a problem, as all values that were not measured.
     runs : int
-        How many times that is the median of.
+        Number of timed runs.
     memory : int or None
-        Growth of the process's peak resident memory, in bytes; None where it cannot be told.
+        Growth of the process's peak resident memory in bytes; None if it is unknown.
     error : float
-        Relative error of the image's gradient, 2-norm, against "exact" in float64 on NumPy with all scales.
+        Relative error of the image gradient, 2-norm, against "exact" in float64 on NumPy with all scales.
     parameter_error : float or None
-        The same of the gradient of the scene's parameters, the largest of them; None without a scene.
+        Largest relative error among the gradients of the scene's parameters; None without a scene.
     problem : str
-        One line on why nothing was measured; empty if it was.
+        Reason on one line if nothing was measured; otherwise empty.
     """
 
     setting: Setting
@@ -84,86 +61,94 @@ class Row:
     problem: str = ""
 
     @property
-    def judged(self) -> float:
-        """The error to choose by: of what a fit moves, if that is known; it may be larger than the image's or less."""
+    def relevant_error(self) -> float:
+        """The error of the parameters if it is known, otherwise the error of the image gradient."""
         return self.error if self.parameter_error is None else self.parameter_error
 
 
-def measure_setting(target: str, setting: Setting, image: Host, reference: Host, seconds: float) -> Sample | str:
-    """Measure one setting.
+def measure_setting(
+    factory: str, setting: Setting, image: Host, reference: Host, seconds: float
+) -> tuple[Row, Host | None]:
+    """Measure one setting and return its row, without errors, and its gradient.
 
     Parameters
     ----------
-    target : str
-        The backend's factory, ``module:object``.
+    factory : str
+        Factory of the backend, ``module:object``.
     setting : Setting
-        What to measure; its backend's name is not used.
+        The setting; the name of its backend is not used.
     image, reference : array, shape (H, W, C)
-        What to compare.
+        The images to compare.
     seconds : float
-        How long to repeat the evaluation; once is the least.
+        Time for repeated evaluations, at least one.
 
     Returns
     -------
-    Sample or str
-        A text of one line says why it could not be measured.
+    row : Row
+    gradient : array, shape (H, W, C), or None
+        None if the row has a problem.
     """
-    context = multiprocessing.get_context("spawn")  # a fork would take over this process's memory and threads
+    context = multiprocessing.get_context("spawn")  # a fork would inherit this process's memory and threads
     receiver, sender = context.Pipe(duplex=False)
-    process = context.Process(target=_work, args=(sender, target, setting, image, reference, seconds), daemon=True)
+    process = context.Process(target=_work, args=(sender, factory, setting, image, reference, seconds), daemon=True)
     try:
         with _ignored_interrupts():
             process.start()
         sender.close()
-        sample: Sample | str = receiver.recv()
+        result: tuple[Row, Host | None] = receiver.recv()
     except EOFError:
         process.join()
-        return f"its process ended with exit code {process.exitcode}"
+        return Row(setting, problem=f"its process ended with exit code {process.exitcode}"), None
     finally:
         receiver.close()
         if process.pid is not None:
             process.kill()
             process.join()
-    return sample
+    return result
 
 
 @contextlib.contextmanager
 def _ignored_interrupts() -> Iterator[None]:
-    """A process that is started in here does not see Ctrl-C, from its very start."""
-    if threading.current_thread() is not threading.main_thread():  # only that one may change it
+    """Make processes that are started inside ignore Ctrl-C from the beginning."""
+    if threading.current_thread() is not threading.main_thread():  # only the main thread may set handlers
         yield
         return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    handler = signal.signal(signal.SIGINT, signal.SIG_IGN)
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.signal(signal.SIGINT, handler)
 
 
-def _work(sender: Connection, target: str, setting: Setting, image: Host, reference: Host, seconds: float) -> None:
+def _work(sender: Connection, factory: str, setting: Setting, image: Host, reference: Host, seconds: float) -> None:
+    result: tuple[Row, Host | None]
     try:
-        backend: MeasurementBackend = EntryPoint(setting.backend, target, "").load()()
-        sample: Sample | str = _measure(backend, setting, image, reference, seconds)
-    except (Exception, SystemExit) as error:  # noqa: BLE001 - a backend may raise anything; the others must go on
-        sample = " ".join(f"{type(error).__name__}: {error}".split())
-    sender.send(sample)
+        backend: MeasurementBackend = EntryPoint(setting.backend, factory, "").load()()
+        result = _measure(backend, setting, image, reference, seconds)
+    except (Exception, SystemExit) as error:  # noqa: BLE001 - a backend may raise anything
+        result = Row(setting, problem=" ".join(f"{type(error).__name__}: {error}".split())), None
+    sender.send(result)
 
 
-def _measure(backend: MeasurementBackend, setting: Setting, image: Host, reference: Host, seconds: float) -> Sample:
+def _measure(
+    backend: MeasurementBackend, setting: Setting, image: Host, reference: Host, seconds: float
+) -> tuple[Row, Host]:
     accuracy, dtype = setting.accuracy, setting.dtype
-    small = Request(image[:SMALL, :SMALL], reference[:SMALL, :SMALL], ScaleSpace(1.0, 2.0, 0.5), accuracy, dtype)
-    backend.prepare(small)()  # loads what a library loads on first use
-    before = restart_peak()
+    window = slice(WARM_UP_SIDE_PX), slice(WARM_UP_SIDE_PX)
+    warm_up = Request(image[window], reference[window], ScaleSpace(1.0, 2.0, 0.5), accuracy, dtype)
+    backend.prepare(warm_up)()  # imports of the library
+    initial_peak = reset_peak()
     evaluate = backend.prepare(Request(image, reference, setting.scales, accuracy, dtype))
-    _, gradient = evaluate()  # compiles, and fills caches
+    _, gradient = evaluate()  # compilation and caches
     times: list[float] = []
     start = time.perf_counter()
-    while not times or (len(times) < MOST_RUNS and time.perf_counter() - start < seconds):
+    while not times or (len(times) < MAX_RUNS and time.perf_counter() - start < seconds):
         begin = time.perf_counter()
         evaluate()
         times.append(time.perf_counter() - begin)
-    after = peak_memory()
+    peak = peak_memory()
     device = backend.device()
-    # What a GPU holds is not in a process's resident memory.
-    memory = after - before if device == "cpu" and after is not None and before is not None else None
-    return Sample(device, statistics.median(times), len(times), memory, np.array(gradient, dtype=np.float64))
+    # The resident memory of a process does not include GPU memory.
+    memory = peak - initial_peak if device == "cpu" and peak is not None and initial_peak is not None else None
+    row = Row(setting, device, statistics.median(times), len(times), memory)
+    return row, np.array(gradient, dtype=np.float64)

@@ -1,4 +1,4 @@
-"""The whole measurement: every setting on every backend, and the renderer's noise."""
+"""Measurement of all settings on all backends, and of the renderer's noise."""
 
 from __future__ import annotations
 
@@ -19,29 +19,29 @@ from loi_core.support.arrays import Host
 from loi_core.support.guards import is_ctrl_c
 from loi_core.support.wording import described
 from loi_core.tradeoff.choice import Recommendation, pareto_set, recommend
-from loi_core.tradeoff.noise import Noise, PulledBack, is_stochastic, renderer_noise
+from loi_core.tradeoff.noise import Noise, ParameterErrors, is_stochastic, renderer_noise
 from loi_core.tradeoff.rows import Row, measure_setting
 from loi_core.tradeoff.settings import Setting, settings_of
 
 __all__ = ["Missing", "Problem", "Progress", "Tradeoff", "measure"]
 
 Progress: TypeAlias = Callable[[int, str], None]
-"""Called as ``progress(total, what)`` before each of `total` measurements."""
+"""Called as ``progress(total, description)`` before each of `total` measurements."""
 
 
 @dataclass(frozen=True)
 class Problem:
-    """What is compared.
+    """The images to compare.
 
     Attributes
     ----------
     name : str
         For the report.
     image, reference : array, shape (H, W, C), float64
-        After the tone curve, if the scene has one.
+        Images after the tone curve, if the scene has one.
     scales : ScaleSpace
     scene : Scene or None
-        Where the image comes from, if it is rendered.
+        Source of a rendered image.
     """
 
     name: str
@@ -53,7 +53,7 @@ class Problem:
 
 @dataclass(frozen=True)
 class Missing:
-    """A backend that could not be measured, why, and the command that fixes it."""
+    """A backend that could not be measured, the reason, and the command that fixes it."""
 
     name: str
     problem: str
@@ -62,23 +62,23 @@ class Missing:
 
 @dataclass(frozen=True)
 class Tradeoff:
-    """What was measured.
+    """The result of a measurement.
 
     Attributes
     ----------
     problem : Problem
     rows : tuple of Row
-        In the order in which they were measured.
+        In order of measurement.
     missing : tuple of Missing
         Backends without rows.
     stochastic : bool or None
-        Whether the scene's renderer is; None without a scene, or if it was not reached.
+        Whether the renderer of the scene is stochastic; None without a scene, or if it was not tested.
     noises : tuple of Noise
-        That of the renderer at several samples per pixel; empty if nothing is random.
+        Noise of the renderer for several samples per pixel; empty for a deterministic renderer.
     interrupted : bool
-        Whether Ctrl-C ended it early.
+        Whether Ctrl-C ended the measurement.
     load : float or None
-        How many processes kept the machine busy in the minute before; None where the system does not tell.
+        Load of the machine in the minute before; None if the system does not report it.
     """
 
     problem: Problem
@@ -91,133 +91,137 @@ class Tradeoff:
 
     @property
     def noise(self) -> Noise | None:
-        """The renderer's noise at the scene's own samples per pixel."""
-        own = self.problem.scene.samples if self.problem.scene else None
-        return next((one for one in self.noises if one.samples == own), None)
+        """Noise of the renderer for the samples per pixel of the scene."""
+        samples = self.problem.scene.samples if self.problem.scene else None
+        return next((noise for noise in self.noises if noise.samples == samples), None)
 
     @property
     def pareto(self) -> tuple[bool, ...]:
-        """For each row whether no other is better in time or error and at least as good in the other."""
+        """Whether each row is Pareto optimal in time and error."""
         measured = [index for index, row in enumerate(self.rows) if not row.problem]
-        marks = pareto_set([(self.rows[index].seconds, self.rows[index].judged) for index in measured])
-        marked = {index for index, mark in zip(measured, marks, strict=True) if mark}
-        return tuple(index in marked for index in range(len(self.rows)))
+        marks = pareto_set([(self.rows[index].seconds, self.rows[index].relevant_error) for index in measured])
+        optimal = {index for index, mark in zip(measured, marks, strict=True) if mark}
+        return tuple(index in optimal for index in range(len(self.rows)))
 
     @property
     def recommendation(self) -> tuple[Row, Recommendation] | None:
-        """The cheapest row with an error that is small enough, among those that compare all scales."""
+        """The fastest row whose error is allowed, among the rows with all scales."""
         noise = self.noise.least if self.noise else None
         rows = [row for row in self.rows if not row.problem and not row.setting.change]
-        found = recommend([(row.seconds, row.judged) for row in rows], noise)
-        return None if found is None else (rows[found.index], found)
+        choice = recommend([(row.seconds, row.relevant_error) for row in rows], noise)
+        return None if choice is None else (rows[choice.index], choice)
 
 
 def measure(
     problem: Problem, backends: Sequence[str] = (), *, seconds: float = 0.5, progress: Progress | None = None
 ) -> Tradeoff:
-    """Measure all settings on all backends; Ctrl-C ends it with what is done.
+    """Measure all settings on all backends; Ctrl-C returns the measurements so far.
 
     Parameters
     ----------
     problem : Problem
-        What is compared.
+        The images to compare.
     backends : sequence of str
-        Names of those to measure; all that are installed by default.
+        Names of the backends; all installed ones by default.
     seconds : float
-        How long each setting is repeated, after it has run once.
+        Time for repetitions of each setting, after its first run.
     progress : callable, optional
         Called before each measurement.
 
     Raises
     ------
     BackendNotFoundError
-        If `backends` names one that is not there, or none can be measured.
+        If a name in `backends` is unknown, or no backend can be measured.
     OptionError
         If the images cannot be compared.
     """
-    targets, settings, missing = _plan(problem.scales, backends)
+    factories, settings, missing = _plan(problem.scales, backends)
     exact = LOIObjective(problem.reference, problem.scales).value_and_grad(problem.image)[1]
-    size = float(np.linalg.norm(exact))
-    if size == 0.0:
+    norm = float(np.linalg.norm(exact))
+    if norm == 0.0:
         msg = "`image` has no gradient of the loss, so there is no error to measure; give one that differs"
         raise OptionError(msg)
-    meter = _Meter(Tradeoff(problem, missing=missing, load=_load()), seconds, progress, len(settings))
+    meter = _Meter(Tradeoff(problem, missing=missing, load=_load_average()), seconds, progress, len(settings))
     try:
-        pulled = meter.measure_scene(exact)
+        parameter_errors = meter.measure_scene(exact)
         for setting in settings:
-            meter.tell(str(setting))
-            sample = measure_setting(targets[setting.backend], setting, problem.image, problem.reference, seconds)
-            if isinstance(sample, str):
-                row = Row(setting, problem=sample)
-            else:
-                error = float(np.linalg.norm(sample.gradient - exact)) / size
-                carried = pulled.error(sample.gradient) if pulled else None
-                row = Row(setting, sample.device, sample.seconds, sample.runs, sample.memory, error, carried)
-            meter.found = replace(meter.found, rows=(*meter.found.rows, row))
+            meter.announce(str(setting))
+            row, gradient = measure_setting(
+                factories[setting.backend], setting, problem.image, problem.reference, seconds
+            )
+            if gradient is not None:
+                row = replace(
+                    row,
+                    error=float(np.linalg.norm(gradient - exact)) / norm,
+                    parameter_error=parameter_errors.largest(gradient) if parameter_errors else None,
+                )
+            meter.result = replace(meter.result, rows=(*meter.result.rows, row))
     except KeyboardInterrupt:
-        return replace(meter.found, interrupted=True)
-    return meter.found
+        return replace(meter.result, interrupted=True)
+    return meter.result
 
 
 @dataclass
 class _Meter:
-    found: Tradeoff
+    result: Tradeoff
     seconds: float
     progress: Progress | None
     total: int
 
-    def tell(self, what: str) -> None:
+    def announce(self, description: str) -> None:
         if self.progress is not None:
-            self.progress(self.total, what)
+            self.progress(self.total, description)
 
-    def measure_scene(self, exact: Host) -> PulledBack | None:
-        """The noise of the scene's renderer, and its pullback for the errors of the rows."""
-        scene = self.found.problem.scene
+    def measure_scene(self, exact: Host) -> ParameterErrors | None:
+        """Measure the noise of the scene's renderer; return the errors of its parameters."""
+        scene = self.result.problem.scene
         if scene is None:
             return None
-        self.found = replace(self.found, stochastic=is_stochastic(scene))
-        if self.found.stochastic:
-            # If samples are independent, four times as many halve the noise.
-            own = scene.samples
-            counts = [None] if own is None else sorted({max(1, own // 4), own, 4 * own})
+        self.result = replace(self.result, stochastic=is_stochastic(scene))
+        if self.result.stochastic:
+            # With independent samples, four times as many halve the noise.
+            samples = scene.samples
+            counts = [None] if samples is None else sorted({max(1, samples // 4), samples, 4 * samples})
             self.total += len(counts)
             for count in counts:
-                self.tell("the renderer" if count is None else f"the renderer, {count} samples per pixel")
-                other = scene if count == own else load_scene(scene.path, output=scene.output, samples=count)
-                self.found = replace(self.found, noises=(*self.found.noises, renderer_noise(other, self.seconds)))
-        return PulledBack(scene, exact)
+                self.announce("the renderer" if count is None else f"the renderer, {count} samples per pixel")
+                resampled = scene if count == samples else load_scene(scene.path, output=scene.output, samples=count)
+                self.result = replace(
+                    self.result, noises=(*self.result.noises, renderer_noise(resampled, self.seconds))
+                )
+        return ParameterErrors(scene, exact)
 
 
-def _load() -> float | None:
+def _load_average() -> float | None:
     try:
         return os.getloadavg()[0]
     except (AttributeError, OSError):  # not on Windows, nor in every container
         return None
 
 
-def _plan(scales: ScaleSpace, wanted: Sequence[str]) -> tuple[dict[str, str], list[Setting], tuple[Missing, ...]]:
-    """Factories by name, what to measure, and the backends that cannot be."""
+def _plan(scales: ScaleSpace, names: Sequence[str]) -> tuple[dict[str, str], list[Setting], tuple[Missing, ...]]:
+    """Return factories by name, the settings to measure, and the backends that cannot be measured."""
     announced = {info.name: info for info in BACKENDS.available()}
-    for name in wanted:
+    for name in names:
         if name not in announced:
-            BACKENDS.load(name)  # says so
-    targets, settings, missing = {}, [], []
+            BACKENDS.load(name)  # raises the error
+    factories, settings, missing = {}, [], []
     for name, info in announced.items():
-        if wanted and name not in wanted:
+        if names and name not in names:
             continue
         try:
             dtypes = tuple(BACKENDS.load(name)().dtypes)
             settings += settings_of(name, dtypes, scales)
         except BackendNotFoundError:
             missing.append(Missing(name, info.problem, info.fix))
-        except BaseException as error:  # a plugin may raise anything, SystemExit too; the others must go on
+        except BaseException as error:  # a plugin may raise anything, SystemExit too
             if is_ctrl_c(error):
                 raise
             missing.append(Missing(name, described(error)))
         else:
-            targets[name] = info.target
-    if not targets:
-        reasons = "; ".join(f"{one.name}: {one.problem}" for one in missing)
+            factories[name] = info.target
+    if not factories:
+        reasons = "; ".join(f"{backend.name}: {backend.problem}" for backend in missing)
         msg = f"no backend can be measured: {reasons or 'none is installed'}"
         raise BackendNotFoundError(msg)
-    return targets, settings, tuple(missing)
+    return factories, settings, tuple(missing)

@@ -1,4 +1,4 @@
-"""Which settings of the loss are measured: a grid of accuracy and dtype, and one change at a time around its middle."""
+"""Measured settings of the loss: a grid of accuracy and dtype, and single changes of the scales."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ DEFAULT_ACCURACY = "balanced"
 
 @dataclass(frozen=True)
 class Setting:
-    """One way to compute the loss.
+    """One setting of the loss.
 
     Attributes
     ----------
     backend : str
         Name of the backend.
     accuracy, dtype : str
-        As the objective takes them.
+        As in :class:`loi_core.LOIObjective`.
     scales : ScaleSpace
-        What is compared.
+        The compared scales.
     change : str
-        How `scales` differ from those that were asked for; empty if they do not. With a change, it is another loss.
+        Difference of `scales` from the requested scales, which makes it another loss; empty if there is none.
     """
 
     backend: str
@@ -39,7 +39,7 @@ class Setting:
 
     @property
     def levels(self) -> int:
-        """Number of tonal levels, of all tonal scales together."""
+        """Number of tonal levels, summed over the tonal scales."""
         return sum(map(self.scales.level_count, self.scales.beta))
 
     def __str__(self) -> str:
@@ -47,20 +47,20 @@ class Setting:
 
 
 def settings_of(backend: str, dtypes: Sequence[str], scales: ScaleSpace) -> list[Setting]:
-    """What to measure on one backend, of whose dtypes the first is the usual one."""
+    """Return the settings to measure on a backend; the first of its dtypes is the default."""
     grid = [Setting(backend, accuracy, dtype, scales) for accuracy in ACCURACIES for dtype in dtypes]
-    return grid + [Setting(backend, DEFAULT_ACCURACY, dtypes[0], other, how) for other, how in _changes(scales)]
+    return grid + [Setting(backend, DEFAULT_ACCURACY, dtypes[0], changed, name) for changed, name in _changes(scales)]
 
 
 def _changes(scales: ScaleSpace) -> Iterator[tuple[ScaleSpace, str]]:
-    for factor, how in ((0.5, "half beta"), (2.0, "twice beta")):
-        with contextlib.suppress(ScaleError):  # so many, or so few, levels are not allowed
-            yield replace(scales, beta=tuple(factor * beta for beta in scales.beta)), how
+    for factor, name in ((0.5, "half beta"), (2.0, "twice beta")):
+        with contextlib.suppress(ScaleError):  # the number of levels may be out of range
+            yield replace(scales, beta=tuple(factor * beta for beta in scales.beta)), name
     for sigma in scales.sigma if len(scales.sigma) > 1 else ():
         yield replace(scales, sigma=_without(scales.sigma, sigma)), f"without sigma {sigma:g}"
     for alpha in scales.alpha if len(scales.alpha) > 1 else ():
         yield replace(scales, alpha=_without(scales.alpha, alpha)), f"without alpha {alpha:g}"
 
 
-def _without(values: tuple[float, ...], left_out: float) -> tuple[float, ...]:
-    return tuple(value for value in values if value != left_out)
+def _without(values: tuple[float, ...], omitted: float) -> tuple[float, ...]:
+    return tuple(value for value in values if value != omitted)

@@ -31,9 +31,9 @@ def run_all(function: Any, runs: Any, workers: Workers | None = None, **options:
         return sorted(pool.map_unordered(function, runs, **options), key=lambda result: str(result.run))
 
 
-@pytest.mark.parametrize("kind", EXECUTORS)
-def test_every_executor_executes_each_run_once(kind: str) -> None:
-    with EXECUTORS[kind]() as executor:
+@pytest.mark.parametrize("executor_type", EXECUTORS)
+def test_every_executor_executes_each_run_once(executor_type: str) -> None:
+    with EXECUTORS[executor_type]() as executor:
         results = run_all(tasks.double, range(7), Workers(executor))
         assert executor.submit(tasks.double, 4).result() == 8  # the executor stays open
     assert results == [RunResult(k, 2 * k) for k in range(7)]

@@ -1,4 +1,4 @@
-"""The command in a test, and what it finds announced."""
+"""The command ``loi tradeoff`` in a test, and an announced backend."""
 
 from __future__ import annotations
 

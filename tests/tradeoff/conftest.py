@@ -1,4 +1,4 @@
-"""Which plugins there are, and two images on disk."""
+"""Announced plugins, and two images on disk."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from tests.tradeoff.command import NUMPY, Plugins
 
 @pytest.fixture
 def plugins(monkeypatch: pytest.MonkeyPatch) -> Plugins:
-    """Makes these entry points the only ones."""
+    """Return a function that announces entry points and hides all others."""
 
     def announce(*points: EntryPoint) -> None:
-        monkeypatch.setattr(registry, "entry_points", lambda group: [one for one in points if one.group == group])
+        monkeypatch.setattr(registry, "entry_points", lambda group: [point for point in points if point.group == group])
 
     announce(NUMPY)
     return announce
@@ -27,7 +27,7 @@ def plugins(monkeypatch: pytest.MonkeyPatch) -> Plugins:
 
 @pytest.fixture
 def by_arrays(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Leaves Numba out, which each row, in a process of its own, would import for longer than it measures."""
+    """Compare without Numba, whose import in the process of each row takes longer than the measurement."""
     monkeypatch.setenv("LOI_COMPILED", "0")
 
 

@@ -1,4 +1,4 @@
-"""The command ``loi tradeoff``: what it measures is there, what fails is named."""
+"""The command ``loi tradeoff``: its measurements, its page and its errors."""
 
 from __future__ import annotations
 
@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from loi_core.cli import main
-from loi_core.tradeoff import WITHIN, pareto_set, rows, run
+from loi_core.tradeoff import TOLERANCE, Row, Setting, pareto_set, run
+from tests.helpers import Host
 from tests.tradeoff.command import NUMPY, Plugins, tradeoff
 
 ROW = {
@@ -37,28 +38,28 @@ ANSWER = {
 def test_two_images_are_measured_end_to_end(
     plugins: Plugins, pair: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    found = tradeoff(tmp_path / "out", capsys, *pair)
-    assert set(found) == ANSWER
-    assert (found["problem"]["height"], found["problem"]["width"]) == (12, 10)
-    assert all(set(row) == ROW for row in found["rows"])
-    grid = [(row["accuracy"], row["dtype"]) for row in found["rows"] if row["change"] is None]
+    result = tradeoff(tmp_path / "out", capsys, *pair)
+    assert set(result) == ANSWER
+    assert (result["problem"]["height"], result["problem"]["width"]) == (12, 10)
+    assert all(set(row) == ROW for row in result["rows"])
+    grid = [(row["accuracy"], row["dtype"]) for row in result["rows"] if row["change"] is None]
     assert sorted(grid) == sorted((a, d) for a in ("exact", "balanced", "fast") for d in ("float32", "float64"))
-    assert {"half beta", "twice beta"} < {row["change"] for row in found["rows"]}
-    for row in found["rows"]:
+    assert {"half beta", "twice beta"} < {row["change"] for row in result["rows"]}
+    for row in result["rows"]:
         assert row["problem"] is None
         assert row["seconds"] > 0.0
         assert row["runs"] >= 1
         assert row["parameter_error"] is None
         promised = {"exact": 1e-3 if row["dtype"] == "float32" else 1e-12, "balanced": 1e-2, "fast": 5e-2}
         assert row["error"] > 1e-3 if row["change"] else row["error"] <= promised[row["accuracy"]], row
-    points = [(row["seconds"], row["error"]) for row in found["rows"]]
-    assert [row["pareto"] for row in found["rows"]] == pareto_set(points)
-    advised = found["rows"][found["recommendation"]["index"]]
+    points = [(row["seconds"], row["error"]) for row in result["rows"]]
+    assert [row["pareto"] for row in result["rows"]] == pareto_set(points)
+    advised = result["rows"][result["recommendation"]["index"]]
     assert advised["change"] is None
-    assert found["recommendation"]["error"] == advised["error"] <= WITHIN
-    assert not found["interrupted"]
+    assert result["recommendation"]["error"] == advised["error"] <= TOLERANCE
+    assert not result["interrupted"]
     stored = json.loads((tmp_path / "out" / "tradeoff.json").read_text())
-    assert stored == {key: value for key, value in found.items() if key != "report"}
+    assert stored == {key: value for key, value in result.items() if key != "report"}
 
 
 def test_the_page_of_a_tradeoff_contains_its_images_chart_and_tables(
@@ -79,7 +80,7 @@ def test_the_page_of_a_tradeoff_contains_its_images_chart_and_tables(
 
 
 @pytest.mark.parametrize(
-    ("arguments", "says"),
+    ("arguments", "message"),
     [
         (["--image", "{a}"], "`--image` and `--reference` go together, got only `--image`"),
         (["--reference", "{a}"], "got only `--reference`"),
@@ -103,20 +104,20 @@ def test_wrong_calls_are_one_line_and_write_nothing(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
     arguments: list[str],
-    says: str,
+    message: str,
 ) -> None:
     np.save(tmp_path / "small.npy", np.zeros((6, 10, 3)))
-    places = {name: str(tmp_path / f"{name}.npy") for name in ("a", "b", "small")}
-    before = sorted(tmp_path.iterdir())
-    given = ["--output", str(tmp_path / "out"), *(one.format(**places) for one in arguments)]
-    assert main(["tradeoff", *given]) == 2
-    said = capsys.readouterr()
-    assert says in said.err.splitlines()[-1]
-    assert said.out == ""
-    assert sorted(tmp_path.iterdir()) == before
+    paths = {name: str(tmp_path / f"{name}.npy") for name in ("a", "b", "small")}
+    files = sorted(tmp_path.iterdir())
+    options = ["--output", str(tmp_path / "out"), *(argument.format(**paths) for argument in arguments)]
+    assert main(["tradeoff", *options]) == 2
+    printed = capsys.readouterr()
+    assert message in printed.err.splitlines()[-1]
+    assert printed.out == ""
+    assert sorted(tmp_path.iterdir()) == files
 
 
-def test_ctrl_c_keeps_what_is_done(
+def test_ctrl_c_keeps_the_finished_measurements(
     plugins: Plugins,
     pair: list[str],
     tmp_path: Path,
@@ -125,41 +126,43 @@ def test_ctrl_c_keeps_what_is_done(
 ) -> None:
     calls: list[str] = []
 
-    def interrupted(*arguments: Any) -> rows.Sample | str:
+    def interrupted(factory: str, setting: Setting, *_: Any) -> tuple[Row, Host]:
         calls.append("")
         if len(calls) == 3:
             raise KeyboardInterrupt
-        return rows.Sample("cpu", 1.0, 1, None, np.ones((12, 10, 3)))
+        return Row(setting, "cpu", 1.0, 1), np.ones((12, 10, 3))
 
     monkeypatch.setattr(run, "measure_setting", interrupted)
-    found = tradeoff(tmp_path / "out", capsys, *pair, code=1)
-    assert found["interrupted"]
-    assert len(found["rows"]) == 2
+    result = tradeoff(tmp_path / "out", capsys, *pair, code=1)
+    assert result["interrupted"]
+    assert len(result["rows"]) == 2
     assert (tmp_path / "out" / "report.html").is_file()
 
 
-def test_a_busy_machine_is_told(
+def test_a_busy_machine_is_reported(
     plugins: Plugins,
     pair: list[str],
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(run, "measure_setting", lambda *_: rows.Sample("cpu", 1.0, 1, None, np.ones((12, 10, 3))))
-    for load, told in ((1e3, True), (0.0, False)):
+    monkeypatch.setattr(
+        run, "measure_setting", lambda _, setting, *__: (Row(setting, "cpu", 1.0, 1), np.ones((12, 10, 3)))
+    )
+    for load, is_busy in ((1e3, True), (0.0, False)):
         monkeypatch.setattr("os.getloadavg", lambda load=load: (load, 0.0, 0.0))
         assert main(["tradeoff", *pair, "--output", str(tmp_path / "out")]) == 0
-        assert ("The machine was busy" in capsys.readouterr().out) == told
+        assert ("The machine was busy" in capsys.readouterr().out) == is_busy
 
 
-def test_why_float32_is_far_off_on_flat_images_is_told(
+def test_large_errors_of_float32_on_flat_images_are_explained(
     plugins: Plugins, by_arrays: None, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     plugins(NUMPY)
-    for place, name in ((4, "left"), (36, "right")):
+    for column, name in ((4, "left"), (36, "right")):
         flat = np.full((48, 48, 3), 0.05)
-        flat[place : place + 8, place : place + 8] = 0.9
+        flat[column : column + 8, column : column + 8] = 0.9
         np.save(tmp_path / f"{name}.npy", flat)
-    apart = ["--image", str(tmp_path / "left.npy"), "--reference", str(tmp_path / "right.npy")]
-    assert main(["tradeoff", "--seconds", "1e-3", "--output", str(tmp_path / "out"), *apart]) == 0
+    distant = ["--image", str(tmp_path / "left.npy"), "--reference", str(tmp_path / "right.npy")]
+    assert main(["tradeoff", "--seconds", "1e-3", "--output", str(tmp_path / "out"), *distant]) == 0
     assert "Large errors of float32" in capsys.readouterr().out
