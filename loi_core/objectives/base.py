@@ -51,7 +51,7 @@ class Objective(Protocol):
 class ImageObjective(abc.ABC, Generic[KeyT]):
     """Base of the objectives that compare an image with a reference of the same shape.
 
-    An objective is a :class:`~loi_core.pixels.pipeline.PixelPipeline` and a :class:`PlaneComparison`; a subclass
+    An objective is a ``PixelPipeline`` and a :class:`PlaneComparison`; a subclass
     provides the second by :meth:`compare_with`.
 
     Parameters

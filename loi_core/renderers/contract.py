@@ -73,7 +73,7 @@ class RendererCapabilities:
     """Optional capabilities of a renderer beyond :class:`Renderer`; None for a missing capability.
 
     A renderer returns the record from an attribute or property ``capabilities``. A wrapper forwards the record of the
-    wrapped renderer with :func:`dataclasses.replace`.
+    wrapped renderer with ``dataclasses.replace``.
 
     Attributes
     ----------
@@ -84,7 +84,7 @@ class RendererCapabilities:
         ``at_step(step, steps, value)`` announces that the next gradients belong to `step`, counted from 0, of `steps`.
         `value` is the loss of the previous step; None before the first step and where a fit restarts elsewhere.
     render_loss_vjp : callable, optional
-        ``render_loss_vjp(params, *, seed)`` returns the image and a :data:`LossPullback`, which may evaluate the loss
+        ``render_loss_vjp(params, *, seed)`` returns the image and a ``LossPullback``, which may evaluate the loss
         at other images. A fit calls it instead of ``render_vjp``.
     unabridged : callable, optional
         ``unabridged()`` returns a renderer of the same scene and parameters without the approximations that save time.
@@ -122,7 +122,7 @@ def capabilities_of(renderer: object) -> RendererCapabilities:
 
 
 def render_loss_vjp(renderer: Renderer, params: Parameters, *, seed: int = 0) -> tuple[Array, LossPullback]:
-    """Return the image and its :data:`LossPullback`; it ignores the loss if the renderer needs the cotangent only."""
+    """Return the image and its ``LossPullback``; it ignores the loss if the renderer needs the cotangent only."""
     capability = capabilities_of(renderer).render_loss_vjp
     if capability is not None:
         return capability(params, seed=seed)

@@ -84,7 +84,8 @@ class MeshRenderer(Painted):
     (48, 64, 3)
     """
 
-    image_encoding: ClassVar[Encoding] = "linear"  # of image options in scene files
+    image_encoding: ClassVar[Encoding] = "linear"
+    """The encoding of image options in scene files."""
 
     def __init__(
         self,
@@ -131,7 +132,7 @@ class MeshRenderer(Painted):
 
     @property
     def capabilities(self) -> RendererCapabilities:
-        """The image is linear, and a fit calls :meth:`project` after every step."""
+        """The image is linear, and a fit calls ``project`` after every step."""
         return RendererCapabilities(project=self.project, encoding="linear")
 
     def entries(self) -> dict[str, tuple[int, ...]]:

@@ -82,7 +82,8 @@ class Vector(Painted):
         Of the strokes, in pixels.
     """
 
-    image_encoding: ClassVar[Encoding] = "linear"  # of image options in scene files
+    image_encoding: ClassVar[Encoding] = "linear"
+    """The encoding of image options in scene files."""
 
     def __init__(
         self,
@@ -117,7 +118,7 @@ class Vector(Painted):
 
     @property
     def capabilities(self) -> RendererCapabilities:
-        """The encoding of the image, and :meth:`project`, which a fit calls after every step."""
+        """The encoding of the image, and ``project``, which a fit calls after every step."""
         return RendererCapabilities(project=self.project, encoding=self._encoding)
 
     def shapes(self, params: Mapping[str, object]) -> list[Shape]:
