@@ -16,7 +16,7 @@ from hypothesis import HealthCheck, Phase, given, settings
 
 from loi_core import LOIObjective
 from tests.conformance.test_backends import BACKENDS
-from tests.strategies import Problem, apart, problems
+from tests.strategies import Problem, max_differences, problems
 
 
 def main() -> int:
@@ -41,7 +41,7 @@ def main() -> int:
         image, reference = image.astype(dtype), reference.astype(dtype)
         count[dtype] += 1
         value, gradient = LOIObjective(reference, scales).value_and_grad(image)
-        loss_bound, gradient_bound = apart(image, reference, scales)
+        loss_bound, gradient_bound = max_differences(image, reference, scales)
         size = max(float(np.abs(gradient).sum()), 1e-30)
         for name, backend in BACKENDS.items():
             if name == "Dr.Jit" and dtype == "float64":

@@ -35,7 +35,7 @@ SCALES: dict[str, ScaleSpace] = {
 
 
 @contextmanager
-def by_arrays() -> Iterator[None]:
+def without_numba() -> Iterator[None]:
     """As where Numba is not installed."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("LOI_COMPILED", "0")
@@ -65,7 +65,7 @@ def relative_error(got: Host, wanted: Host) -> float:
     return float(np.linalg.norm(np.asarray(got) - np.asarray(wanted)) / np.linalg.norm(np.asarray(wanted)))
 
 
-def program_says(code: str, **environment: str) -> str:
+def program_output(code: str, **environment: str) -> str:
     """What a program prints; warnings are written after it, and anything else on standard error is a failure."""
     done = subprocess.run(
         [sys.executable, "-c", code],

@@ -15,7 +15,7 @@ from loi_core import ScaleSpace
 from loi_core.stability import allowed
 from tests.helpers import Host
 
-__all__ = ["FEWER", "SEEDS", "THOROUGH", "Problem", "apart", "problems", "thorough"]
+__all__ = ["FEWER_EXAMPLES", "SEEDS", "THOROUGH", "Problem", "max_differences", "problems", "thorough"]
 
 THOROUGH: Final = os.environ.get("HYPOTHESIS_PROFILE") == "thorough"
 """Whether this is the tier for which an hour is not too long."""
@@ -23,7 +23,7 @@ THOROUGH: Final = os.environ.get("HYPOTHESIS_PROFILE") == "thorough"
 thorough: Final = pytest.mark.skipif(not THOROUGH, reason="takes long; in the thorough tier")
 """For tests of which others, that are always run, say the most."""
 
-FEWER: Final = settings(max_examples=max(1, settings().max_examples // 8))
+FEWER_EXAMPLES: Final = settings(max_examples=max(1, settings().max_examples // 8))
 """For what takes long for each example, as where JAX compiles for each shape anew: an eighth of the tier's examples."""
 
 Problem: TypeAlias = tuple[Host, Host, ScaleSpace, str]
@@ -81,7 +81,7 @@ def problems(draw: st.DrawFn) -> Problem:
     return image, reference, scales, draw(st.sampled_from(["float64", "float32"]))
 
 
-def apart(image: Host, reference: Host, scales: ScaleSpace, shift: float = 0.0) -> tuple[float, float]:
+def max_differences(image: Host, reference: Host, scales: ScaleSpace, shift: float = 0.0) -> tuple[float, float]:
     """Largest differences of two losses, and of their gradients in the 1-norm: each may err on another side.
 
     `shift` is what libraries may differ by in intensities already, in eps.

@@ -16,7 +16,7 @@ import loi_mitsuba
 import loi_torch
 from loi_core import LOIObjective, ScaleSpace
 from tests.helpers import Host
-from tests.strategies import FEWER, SEEDS
+from tests.strategies import FEWER_EXAMPLES, SEEDS
 
 # isort: split
 import drjit as dr
@@ -34,7 +34,7 @@ def images(seed: int) -> tuple[Host, Host]:
 
 
 @given(SEEDS)
-@FEWER
+@FEWER_EXAMPLES
 def test_every_adapter_compares_the_same(seed: int) -> None:
     mi.set_variant("llvm_ad_rgb")
     image, reference = images(seed)

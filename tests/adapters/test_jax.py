@@ -20,7 +20,7 @@ from loi_core.method.tonal import accumulate
 from loi_core.pixels.nonfinite import NanPolicy
 from loi_core.support.arrays import epsilon
 from loi_core.testing import check_objective
-from tests.helpers import by_arrays, images
+from tests.helpers import images, without_numba
 from tests.strategies import thorough
 
 SCALES = ScaleSpace(1, (1, 5), 0.25)  # few: JAX compiles all that follows from them, in every test anew
@@ -32,7 +32,7 @@ Loss = Callable[[Any], Any]
 @pytest.fixture(params=["kernels", "arrays"], autouse=True)
 def way(request: pytest.FixtureRequest) -> Iterator[None]:
     """Each statement holds with Numba and without."""
-    with by_arrays() if request.param == "arrays" else nullcontext():
+    with without_numba() if request.param == "arrays" else nullcontext():
         yield
 
 

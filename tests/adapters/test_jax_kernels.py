@@ -18,8 +18,8 @@ from loi_core import LogTone, LOIObjective, ScaleSpace
 from loi_core.method import compiled
 from loi_core.pixels.nonfinite import NanPolicy
 from tests.conformance.test_backends import TONES
-from tests.helpers import by_arrays, images
-from tests.strategies import FEWER, Problem, problems, thorough
+from tests.helpers import images, without_numba
+from tests.strategies import FEWER_EXAMPLES, Problem, problems, thorough
 
 pytestmark = [
     pytest.mark.skipif(not compiled.available(), reason="needs Numba"),
@@ -42,7 +42,7 @@ def lowered(function: Any, *platforms: str) -> str:
     return text
 
 
-@FEWER
+@FEWER_EXAMPLES
 @given(problems(), st.sampled_from(TONES), st.sampled_from(["raise", "mask"]), st.sampled_from(["exact", "balanced"]))
 def test_every_transformation_gives_the_bits_of_numpy(
     problem: Problem, tone: LogTone | None, policy: NanPolicy, accuracy: str
@@ -108,7 +108,7 @@ def test_second_derivatives_are_those_of_operations_on_arrays() -> None:
         return jnp.sum(both()(x)[1] ** 2)
 
     ours = jax.jit(jax.grad(slope))(jnp.asarray(IMAGE))
-    with by_arrays():
+    with without_numba():
         theirs = jax.jit(jax.grad(lambda x: slope(x)))(jnp.asarray(IMAGE))
     assert np.any(theirs)
     np.testing.assert_array_equal(ours, theirs)

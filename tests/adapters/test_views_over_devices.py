@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from tests.environments import ROOT
-from tests.helpers import by_arrays
+from tests.helpers import without_numba
 
 SHARDED = """
 import os
@@ -67,6 +67,6 @@ print("done")
 def test_a_batch_of_views_over_devices_of_jax_has_the_loss_and_gradient_of_one_device() -> None:
     pytest.importorskip("jax")
     command = [sys.executable, "-W", "ignore", "-c", SHARDED]
-    with by_arrays():
+    with without_numba():
         done = subprocess.run(command, capture_output=True, text=True, timeout=240, cwd=ROOT)
     assert (done.returncode, done.stdout) == (0, "done\n"), done.stderr

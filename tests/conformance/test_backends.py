@@ -30,8 +30,8 @@ import loi_jax
 import loi_torch
 from loi_core import LogTone, LOIObjective, ScaleSpace
 from loi_core.support.arrays import sum_of_all
-from tests.helpers import Host, by_arrays
-from tests.strategies import FEWER, Problem, apart, problems, thorough
+from tests.helpers import Host, without_numba
+from tests.strategies import FEWER_EXAMPLES, Problem, max_differences, problems, thorough
 
 # Problems are drawn with values beyond the bounds as well.
 pytestmark = pytest.mark.filterwarnings("ignore::loi_core.objectives.RangeWarning")
@@ -43,7 +43,7 @@ Backend = Callable[[Host, Host, ScaleSpace, LogTone | None], Pair]
 
 
 def numpy_arrays(image: Host, reference: Host, scales: ScaleSpace, tone: LogTone | None) -> Pair:
-    with by_arrays():
+    with without_numba():
         value, gradient = LOIObjective(reference, scales, tone=tone).value_and_grad(image)
     return np.asarray(value), gradient
 
@@ -79,7 +79,7 @@ def jax_eager(image: Host, reference: Host, scales: ScaleSpace, tone: LogTone | 
 
 
 def jax_arrays(image: Host, reference: Host, scales: ScaleSpace, tone: LogTone | None) -> Pair:
-    with by_arrays():
+    with without_numba():
         return jax_eager(image, reference, scales, tone)
 
 
@@ -131,7 +131,7 @@ def test_every_backend_returns_the_loss_and_gradient_of_numpy(problem: Problem, 
 
 
 @thorough  # JAX compiles again for each shape; tests/stability compiles some cases
-@FEWER
+@FEWER_EXAMPLES
 @given(problems(), st.sampled_from(TONES))
 @hard_problems
 def test_jax_without_numba_returns_the_loss_and_gradient_of_numpy(problem: Problem, tone: LogTone | None) -> None:
@@ -144,11 +144,11 @@ def check(problem: Problem, tone: LogTone | None, backends: dict[str, Backend]) 
     value, gradient = LOIObjective(reference, scales, tone=tone).value_and_grad(image)
     steepness = np.ones_like(image)
     if tone is None:
-        loss_bound, gradient_bound = apart(image, reference, scales)
+        loss_bound, gradient_bound = max_differences(image, reference, scales)
     else:
         steepness = tone.pullback(image, steepness)
         shift = LOGARITHM_ERROR_EPS * max(map(abs, scales.bounds))
-        loss_bound, gradient_bound = apart(tone.apply(image), tone.apply(reference), scales, shift)
+        loss_bound, gradient_bound = max_differences(tone.apply(image), tone.apply(reference), scales, shift)
         gradient_bound += LOGARITHM_ERROR_EPS * float(np.finfo(dtype).eps) * float(np.abs(gradient / steepness).sum())
     for name, backend in backends.items():
         if name == "Dr.Jit" and dtype == "float64":
@@ -184,4 +184,4 @@ def test_the_gradient_bound_is_far_below_the_gradient(dtype: str, factor: float)
     image, reference = np.random.default_rng(0).uniform(size=(2, 12, 12, 3)).astype(dtype)
     for scales in (ScaleSpace.paper("path"), ScaleSpace.for_image(12, 12), ScaleSpace.released((1, 5), (1, 5), 8, 21)):
         gradient = LOIObjective(reference, scales).value_and_grad(image)[1]
-        assert apart(image, reference, scales)[1] < factor * float(np.abs(gradient).sum())
+        assert max_differences(image, reference, scales)[1] < factor * float(np.abs(gradient).sum())

@@ -25,7 +25,7 @@ from loi_core.stability import allowed
 from loi_core.testing import check_objective
 from tests.contents import CONTENTS, HARD
 from tests.frameworks import jax, jnp, loi_jax
-from tests.helpers import Host, by_arrays
+from tests.helpers import Host, without_numba
 from tests.strategies import SEEDS
 
 # Problems are drawn with values beyond the bounds as well.
@@ -139,7 +139,7 @@ def scales_norm(compared: Compared, planes: Host) -> float:
 def test_where_values_cannot_be_looked_at_everything_is_exact() -> None:
     reference, image = CONTENTS["photographs"]((150, 140, 1), np.random.default_rng(0))
     scales = ScaleSpace.paper("path")
-    with by_arrays():
+    with without_numba():
         compare = jax.jit(jax.grad(loi_jax.loi_loss(reference.astype(np.float32), scales, "balanced")))
         found = np.asarray(compare(jnp.asarray(image, dtype=jnp.float32)))
         wanted = LOIObjective(reference.astype(np.float32), scales).value_and_grad(image.astype(np.float32))[1]
@@ -234,7 +234,7 @@ def test_a_plan_prints_what_runs_for_every_scale() -> None:
     assert [(float(row[0]), float(row[1])) for row in rows] == [(s, a) for s in scales.sigma for a in scales.alpha]
 
 
-@pytest.mark.parametrize("way", [nullcontext, by_arrays])
+@pytest.mark.parametrize("way", [nullcontext, without_numba])
 def test_memory_at_work_stays_below_four_stacks_of_levels(way: Callable[[], AbstractContextManager[None]]) -> None:
     shape = (256, 256, 3)
     rng = np.random.default_rng(3)

@@ -23,8 +23,8 @@ from loi_core.method.compiled.levels import compare_levels
 from loi_core.method.compiled.records import GROUP, PAIRS, Plane
 from loi_core.method.gaussian import AxisBlur, AxisGrid
 from tests.contents import CONTENTS
-from tests.helpers import Host, by_arrays, program_says
-from tests.strategies import SEEDS, THOROUGH, Problem, apart, problems
+from tests.helpers import Host, program_output, without_numba
+from tests.strategies import SEEDS, THOROUGH, Problem, max_differences, problems
 
 # Problems are drawn with values beyond the bounds as well.
 pytestmark = pytest.mark.filterwarnings("ignore::loi_core.objectives.RangeWarning")
@@ -137,7 +137,7 @@ def test_inner_blurs_are_products_with_two_matrices(
 def both_ways(image: Host, reference: Host, scales: ScaleSpace, accuracy: str | float) -> list[tuple[float, Host]]:
     """Value and gradient by kernels and by arrays."""
     value, gradient = LOIObjective(reference, scales, accuracy).value_and_grad(image)
-    with by_arrays():
+    with without_numba():
         wanted, slopes = LOIObjective(reference, scales, accuracy).value_and_grad(image)
     return [(float(value), gradient), (float(wanted), slopes)]
 
@@ -147,7 +147,7 @@ def test_kernels_and_arrays_agree(problem: Problem, accuracy: str) -> None:
     image, reference, scales, dtype = problem
     image, reference = image.astype(dtype), reference.astype(dtype)
     (value, gradient), (wanted, slopes) = both_ways(image, reference, scales, accuracy)
-    loss_bound, gradient_bound = apart(image, reference, scales)
+    loss_bound, gradient_bound = max_differences(image, reference, scales)
     assert abs(value - wanted) <= loss_bound
     assert np.abs(gradient - slopes).sum() <= gradient_bound
     assert abs(float(LOIObjective(reference, scales, accuracy).value(image)) - wanted) <= loss_bound
@@ -162,7 +162,7 @@ def test_kernels_and_arrays_agree_where_blurs_pass_through_rungs(kind: str, pres
     scales = released if preset == "released" else ScaleSpace.paper("path")
     for accuracy in ("exact", 5e-2):
         (value, gradient), (wanted, slopes) = both_ways(image, reference, scales, accuracy)
-        loss_bound, gradient_bound = apart(image, reference, scales)
+        loss_bound, gradient_bound = max_differences(image, reference, scales)
         assert abs(value - wanted) <= loss_bound
         assert np.abs(gradient - slopes).sum() <= gradient_bound
 
@@ -173,7 +173,7 @@ def test_kernels_and_arrays_agree_on_every_power(p: float, dtype: str) -> None:
     reference, image = (each.astype(dtype) for each in CONTENTS["photographs"]((40, 31, 3), np.random.default_rng(2)))
     scales = ScaleSpace((0, 2), (0, 1, 6), (0.125, 0.25), p=p)
     (value, gradient), (wanted, slopes) = both_ways(image, reference, scales, "exact")
-    loss_bound, gradient_bound = apart(image, reference, scales)
+    loss_bound, gradient_bound = max_differences(image, reference, scales)
     assert abs(value - wanted) <= loss_bound
     assert np.abs(gradient - slopes).sum() <= gradient_bound
 
@@ -249,7 +249,7 @@ print(repr(float(value)), choose_backend(image) is NUMBA, rows.combine_pairs.__m
 def test_with_a_numba_whose_vectors_have_changed_all_is_still_compiled(tmp_path: Path) -> None:
     image, reference = np.random.default_rng(0).uniform(size=(2, 40, 30, 1))
     wanted = float(LOIObjective(reference, ScaleSpace.paper("path")).value(image))
-    value, compiled, module = program_says(OTHER_NUMBA, NUMBA_CACHE_DIR=str(tmp_path)).split()
+    value, compiled, module = program_output(OTHER_NUMBA, NUMBA_CACHE_DIR=str(tmp_path)).split()
     assert (compiled, module) == ("True", "plain_rows")
     assert float(value) == pytest.approx(wanted, rel=1e-12)
 

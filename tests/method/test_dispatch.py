@@ -21,7 +21,7 @@ from loi_core.method.compiled.loop_comparison import LoopComparison
 from loi_core.method.dispatch import ARRAY_API, NUMBA, choose_backend
 from loi_core.support.arrays import Array
 from tests.frameworks import array_api_strict, jax, jnp, torch
-from tests.helpers import program_says
+from tests.helpers import program_output
 
 COMPARES = """
 import sys, numpy as np
@@ -33,8 +33,8 @@ print(len({float(objective.value(image)) for _ in range(3)}), "numba" in sys.mod
 
 
 def test_a_variable_keeps_numba_out() -> None:
-    assert program_says(COMPARES, LOI_COMPILED="0") == "1 False"
-    assert program_says(COMPARES, NUMBA_DISABLE_JIT="1") == "1 True"
+    assert program_output(COMPARES, LOI_COMPILED="0") == "1 False"
+    assert program_output(COMPARES, NUMBA_DISABLE_JIT="1") == "1 True"
 
 
 def copy_what_is_compiled(to: Path) -> None:
@@ -47,12 +47,12 @@ def copy_what_is_compiled(to: Path) -> None:
 
 def test_a_cache_that_is_damaged_costs_time_and_one_warning(tmp_path: Path) -> None:
     copy_what_is_compiled(tmp_path)
-    assert program_says(COMPARES, NUMBA_CACHE_DIR=str(tmp_path)) == "1 True"
+    assert program_output(COMPARES, NUMBA_CACHE_DIR=str(tmp_path)) == "1 True"
     kept = [path for path in tmp_path.rglob("*") if path.is_file()]
     assert kept
     for path in kept:
         os.truncate(path, path.stat().st_size // 2)
-    assert program_says(COMPARES, NUMBA_CACHE_DIR=str(tmp_path)) == "1 TrueCompiledLoopsWarning"
+    assert program_output(COMPARES, NUMBA_CACHE_DIR=str(tmp_path)) == "1 TrueCompiledLoopsWarning"
 
 
 def test_kernels_that_cannot_be_compiled_leave_it_to_arrays(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -104,7 +104,7 @@ with ThreadPoolExecutor(8) as threads:
 
 
 def test_a_numba_that_cannot_be_imported_is_none_from_many_threads_at_once_too() -> None:
-    assert program_says(BROKEN) == "1"
+    assert program_output(BROKEN) == "1"
 
 
 @pytest.mark.parametrize(

@@ -15,11 +15,11 @@ pytest.importorskip("numba")
 
 from loi_core import LOIObjective, ScaleSpace
 from loi_core.method.compiled import threads
-from tests.helpers import program_says
-from tests.strategies import FEWER
+from tests.helpers import program_output
+from tests.strategies import FEWER_EXAMPLES
 
 
-@FEWER
+@FEWER_EXAMPLES
 @given(st.integers(1, 90), st.integers(1, 90), st.sampled_from(("float32", "float64")))
 @example(1, 1, "float32")
 @example(90, 90, "float64")
@@ -86,7 +86,7 @@ threading.Thread(target=compare).start()
 
 
 def test_a_thread_may_compare_after_the_main_one_has_ended() -> None:
-    assert program_says(LATE) == "True"
+    assert program_output(LATE) == "True"
 
 
 FORKED_WHILE_PREPARING = """
@@ -122,7 +122,7 @@ print(hung)
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows does not fork")
 @pytest.mark.parametrize("switch", ["1", "0"])
 def test_a_process_that_is_forked_while_another_thread_prepares_does_not_hang(switch: str) -> None:
-    assert program_says(FORKED_WHILE_PREPARING, LOI_COMPILED=switch) == "0"
+    assert program_output(FORKED_WHILE_PREPARING, LOI_COMPILED=switch) == "0"
 
 
 def test_what_fails_in_a_thread_is_raised() -> None:

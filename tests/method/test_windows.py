@@ -24,8 +24,8 @@ from loi_core.method.windows import Window, window_of
 from loi_core.support.arrays import Array
 from tests.contents import CONTENTS
 from tests.frameworks import torch
-from tests.helpers import Host, by_arrays
-from tests.strategies import apart
+from tests.helpers import Host, without_numba
+from tests.strategies import max_differences
 
 SIZES = st.integers(1, 150)
 SIDES = st.integers(1, 64)  # where every bound is derived pixel by pixel
@@ -34,7 +34,7 @@ SIDES = st.integers(1, 64)  # where every bound is derived pixel by pixel
 @contextmanager
 def everything_computed() -> Iterator[None]:
     """As where values cannot be looked at."""
-    with by_arrays(), pytest.MonkeyPatch.context() as patch:
+    with without_numba(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(arrays, "values_may_decide", lambda _: False)
         yield
 
@@ -70,7 +70,7 @@ def scales_for(shape: tuple[int, ...]) -> list[ScaleSpace]:
 
 @given(
     local_changes(), st.integers(0, 3), st.sampled_from(["exact", "balanced"]), st.sampled_from(["float64", "float32"]),
-    st.sampled_from([nullcontext, by_arrays]),
+    st.sampled_from([nullcontext, without_numba]),
 )  # fmt: skip
 def test_leaving_out_what_cannot_differ_changes_nothing(
     pair: tuple[Host, Host], which: int, accuracy: str, dtype: str, way: Callable[[], AbstractContextManager[None]]
@@ -82,7 +82,7 @@ def test_leaving_out_what_cannot_differ_changes_nothing(
         alone = LOIObjective(reference, scales, accuracy).value(image)
     with everything_computed():
         wanted, slopes = LOIObjective(reference, scales, accuracy).value_and_grad(image)
-    loss_bound, gradient_bound = apart(image, reference, scales)
+    loss_bound, gradient_bound = max_differences(image, reference, scales)
     assert abs(float(value) - float(wanted)) <= loss_bound
     assert np.abs(gradient - slopes).sum() <= gradient_bound
     assert abs(float(alone) - float(wanted)) <= loss_bound
@@ -124,7 +124,7 @@ def test_a_window_holds_all_that_is_true(data: st.DataObject, height: int, width
     assert window_of(np.zeros((2, height, width), dtype=bool)) is None
 
 
-@pytest.mark.parametrize("way", [nullcontext, by_arrays])
+@pytest.mark.parametrize("way", [nullcontext, without_numba])
 def test_equal_images_take_no_comparison(way: Callable[[], AbstractContextManager[None]]) -> None:
     image = np.random.default_rng(0).uniform(size=(30, 40, 3))
     objective = LOIObjective(image, ScaleSpace.paper("path"))
@@ -149,7 +149,7 @@ def test_a_small_difference_takes_a_small_part_of_the_work() -> None:
         return sum_of_costs(difference, slope, p)
 
     objective = LOIObjective(reference, ScaleSpace(0, 1, 0.125))
-    with by_arrays(), pytest.MonkeyPatch.context() as patch:
+    with without_numba(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(arrays, "sum_of_costs", counting)
         objective.value_and_grad(image)
     reached = 10 + 2 * 9  # pixels a side: the kernel ends after 8.6 pixels

@@ -19,7 +19,7 @@ from hypothesis import strategies as st
 from loi_core import LOIObjective, ScaleSpace
 from loi_core.renderers import Disks
 from tests.helpers import Host
-from tests.strategies import Problem, apart, problems
+from tests.strategies import Problem, max_differences, problems
 
 # Problems are drawn with values beyond the bounds as well.
 pytestmark = pytest.mark.filterwarnings("ignore::loi_core.objectives.RangeWarning")
@@ -52,7 +52,7 @@ def distance(image: Host, reference: Host, scales: ScaleSpace) -> float:
 def test_the_loss_is_symmetric_in_its_two_images(problem: Problem) -> None:
     image, reference, scales = typed(problem)
     forward, backward = distance(image, reference, scales), distance(reference, image, scales)
-    assert abs(forward - backward) <= apart(image, reference, scales)[0]
+    assert abs(forward - backward) <= max_differences(image, reference, scales)[0]
 
 
 @given(problems(), st.lists(st.sampled_from(list(TRANSFORMS)), min_size=1, max_size=3))
@@ -65,7 +65,7 @@ def test_the_gradient_is_equivariant_under_flips_transposes_and_channel_order(
     for name in names:
         moved, goal, expected = (TRANSFORMS[name](array) for array in (moved, goal, expected))
     moved_value, slopes = LOIObjective(goal, scales).value_and_grad(moved)
-    loss_bound, gradient_bound = apart(image, reference, scales)
+    loss_bound, gradient_bound = max_differences(image, reference, scales)
     assert abs(float(moved_value) - float(value)) <= loss_bound
     assert float(np.abs(slopes - expected).sum()) <= gradient_bound
 
@@ -76,7 +76,7 @@ def test_terms_sum_to_the_value_with_and_without_the_gradient(problem: Problem) 
     objective = LOIObjective(reference, scales)
     terms = objective.terms(image)
     assert list(terms) == scales.keys
-    value, bound = float(objective.value(image)), apart(image, reference, scales)[0]
+    value, bound = float(objective.value(image)), max_differences(image, reference, scales)[0]
     assert abs(sum(map(float, terms.values())) - value) <= bound
     assert abs(float(objective.value_and_grad(image)[0]) - value) <= bound
 
@@ -94,7 +94,7 @@ def test_scaling_intensities_bounds_and_beta_scales_the_loss_and_keeps_the_gradi
     brighter, goal = (np.asarray(factor * array, dtype=image.dtype) for array in (image, reference))
     scaled, slopes = LOIObjective(goal, multiplied).value_and_grad(brighter)
     # The products are rounded, which shifts an intensity by half an eps of the greater bound.
-    loss_bound, gradient_bound = apart(image, reference, scales, 0.5 * max(map(abs, scales.bounds)))
+    loss_bound, gradient_bound = max_differences(image, reference, scales, 0.5 * max(map(abs, scales.bounds)))
     assert abs(float(scaled) - factor * float(value)) <= factor * loss_bound
     assert float(np.abs(slopes - gradient).sum()) <= gradient_bound
 
@@ -126,7 +126,7 @@ def test_an_extent_of_three_image_sides_ignores_the_order_of_pixels(problem: Pro
     pixels = image.reshape(*image.shape[:-3], -1, image.shape[-1])
     shuffled = np.random.default_rng(seed).permutation(pixels, axis=-2).reshape(image.shape)
     ordered, permuted = (distance(array, reference, wide) for array in (image, shuffled))
-    assert abs(ordered - permuted) <= apart(image, reference, wide)[0]
+    assert abs(ordered - permuted) <= max_differences(image, reference, wide)[0]
 
 
 @dataclass(frozen=True)

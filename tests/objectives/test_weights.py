@@ -14,8 +14,8 @@ from loi_core import MSSSIM, GaussianPyramid, LOIObjective, PixelL2, ScaleSpace
 from loi_core.errors import ImageError, ImageTypeError, OptionError
 from loi_core.method.reference import loss_and_gradient
 from tests.frameworks import array_api_strict, loi_jax, loi_torch, torch
-from tests.helpers import Host, by_arrays, directional_difference, images, relative_error
-from tests.strategies import SEEDS, Problem, apart, problems
+from tests.helpers import Host, directional_difference, images, relative_error, without_numba
+from tests.strategies import SEEDS, Problem, max_differences, problems
 
 # Problems are drawn with values beyond the bounds as well.
 pytestmark = pytest.mark.filterwarnings("ignore::loi_core.objectives.RangeWarning")
@@ -41,11 +41,11 @@ def test_histograms_are_sums_weighted_by_pixel(problem: Problem, seed: int, has_
     if compiled:
         value, gradient = objective.value_and_grad(image)
     else:
-        with by_arrays():
+        with without_numba():
             value, gradient = objective.value_and_grad(image)
     eps = float(np.finfo(dtype).eps)
     expected, slope = loss_and_gradient(image, reference, scales, eps=eps, weights=weights)
-    loss, norm = apart(image, reference, scales)
+    loss, norm = max_differences(image, reference, scales)
     assert abs(float(value) - expected) <= loss
     assert float(np.abs(gradient - slope).sum()) <= norm
 

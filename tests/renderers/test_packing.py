@@ -11,7 +11,7 @@ from loi_core.renderers.packing import MAX_SWEEPS, separate_disks
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 40), st.floats(0.5, 30.0))
-def test_every_overlapping_pair_is_parted_by_half_its_overlap_each(seed: int, count: int, largest: float) -> None:
+def test_every_overlapping_pair_is_separated_by_half_the_overlap_each(seed: int, count: int, largest: float) -> None:
     rng = np.random.default_rng(seed)
     size = int(rng.integers(8, 64)), int(rng.integers(8, 64))
     positions = rng.uniform(-10.0, 80.0, (count, 2))
@@ -20,11 +20,11 @@ def test_every_overlapping_pair_is_parted_by_half_its_overlap_each(seed: int, co
     assert np.allclose(separate_disks(positions, radii, size), expected, rtol=0.0, atol=1e-6)
 
 
-def test_disks_in_one_place_are_parted() -> None:
+def test_coincident_disks_are_separated() -> None:
     radii = np.full(5, 3.0)
-    places = separate_disks(np.full((5, 2), 32.0), radii, (64, 64))
-    apart = np.linalg.norm(places[:, None] - places[None], axis=-1)[np.triu_indices(5, 1)]
-    assert apart.min() > 3.0
+    separated = separate_disks(np.full((5, 2), 32.0), radii, (64, 64))
+    distances = np.linalg.norm(separated[:, None] - separated[None], axis=-1)[np.triu_indices(5, 1)]
+    assert distances.min() > 3.0
 
 
 def pair_by_pair(
@@ -35,17 +35,15 @@ def pair_by_pair(
     positions = np.clip(positions, margin, frame - margin)
     for _ in range(MAX_SWEEPS):
         moved = positions.copy()
-        for one in range(len(radii)):
-            for other in range(one):
-                apart = positions[one] - positions[other]
-                distance = np.linalg.norm(apart)
-                assume(
-                    distance > 1e-6
-                )  # in a corner, say, into which both were pushed: there is no direction to part in
-                overlap = radii[one] + radii[other] - distance
+        for first in range(len(radii)):
+            for second in range(first):
+                offset = positions[first] - positions[second]
+                distance = np.linalg.norm(offset)
+                assume(distance > 1e-6)  # two disks in a corner have no direction of separation
+                overlap = radii[first] + radii[second] - distance
                 if overlap > 0.0:
-                    push = 0.5 * overlap * apart / distance
-                    moved[one] += push
-                    moved[other] -= push
+                    shift = 0.5 * overlap * offset / distance
+                    moved[first] += shift
+                    moved[second] -= shift
         positions = np.clip(moved, margin, frame - margin)
     return positions

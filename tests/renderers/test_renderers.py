@@ -1,4 +1,4 @@
-"""The renderers on NumPy keep the contract: true pullbacks, nothing changed, wrong values named."""
+"""The NumPy renderers keep the contract: exact pullbacks, unchanged arguments, checked values."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ MAKERS = st.sampled_from([disks, warp])
 
 
 @given(MAKERS, SEEDS)
-def test_pullback_equals_finite_differences(maker: Any, seed: int) -> None:
+def test_the_pullback_of_a_numpy_renderer_equals_finite_differences(maker: Any, seed: int) -> None:
     renderer = maker(seed)
     params = renderer.parameters()
     image, pullback = renderer.render_vjp(params)
@@ -49,51 +49,53 @@ def test_pullback_equals_finite_differences(maker: Any, seed: int) -> None:
     for name, start in params.items():
         direction = np.random.default_rng(seed + 2).standard_normal(start.shape)
 
-        def along(value: Host, name: str = name) -> float:
+        def product(value: Host, name: str = name) -> float:
             return float(np.sum(cotangent * renderer.render({**params, name: value})))
 
         slope = float(np.sum(gradient[name] * direction))
-        # A disk's area in a pixel is not smooth where its edge touches a grid line, nor is bilinear sampling at the
-        # centre of a texel. A small step rarely straddles one, two of different size hardly ever both do.
-        measured = [directional_difference(along, start, direction, step) for step in (1e-6, 1e-8)]
+        # A disk's area in a pixel is not smooth where its edge touches a pixel border, and bilinear sampling is not
+        # smooth at the centre of a texel. A small step rarely crosses such a point, and two steps hardly ever both do.
+        differences = [directional_difference(product, start, direction, step) for step in (1e-6, 1e-8)]
         scale = float(np.linalg.norm(cotangent))
-        assert min(abs(one - slope) for one in measured) < 1e-5 * scale * max(1.0, float(np.linalg.norm(direction)))
+        assert min(abs(difference - slope) for difference in differences) < 1e-5 * scale * max(
+            1.0, float(np.linalg.norm(direction))
+        )
 
 
 @given(MAKERS, SEEDS)
-def test_pullback_is_linear_and_can_be_called_again(maker: Any, seed: int) -> None:
+def test_the_pullback_of_a_numpy_renderer_is_linear_and_reusable(maker: Any, seed: int) -> None:
     image, pullback = maker(seed).render_vjp(maker(seed).parameters())
-    one, other = np.random.default_rng(seed).standard_normal((2, *image.shape))
-    first, second, both = pullback(one), pullback(other), pullback(2.0 * one - 3.0 * other)
-    for name in both:
+    left, right = np.random.default_rng(seed).standard_normal((2, *image.shape))
+    first, second, combined = pullback(left), pullback(right), pullback(2.0 * left - 3.0 * right)
+    for name in combined:
         scale = np.abs(first[name]).max() + np.abs(second[name]).max()
-        np.testing.assert_allclose(both[name], 2.0 * first[name] - 3.0 * second[name], atol=1e-12 * (1.0 + scale))
+        np.testing.assert_allclose(combined[name], 2.0 * first[name] - 3.0 * second[name], atol=1e-12 * (1.0 + scale))
 
 
 @given(MAKERS, SEEDS, st.sampled_from(["float32", "float64"]))
-def test_nothing_is_changed_and_dtypes_agree(maker: Any, seed: int, dtype: str) -> None:
+def test_arguments_are_not_changed_and_dtypes_agree(maker: Any, seed: int, dtype: str) -> None:
     renderer = maker(seed, dtype=dtype)
     assert isinstance(renderer, Renderer)
     params = renderer.parameters()
-    kept = {name: value.copy() for name, value in params.items()}
+    copies = {name: value.copy() for name, value in params.items()}
     image, pullback = renderer.render_vjp(params)
-    again = renderer.render(params, seed=5)
+    reseeded = renderer.render(params, seed=5)
     gradient = pullback(image)
-    np.testing.assert_array_equal(image, again)
+    np.testing.assert_array_equal(image, reseeded)
     for name, value in params.items():
-        np.testing.assert_array_equal(value, kept[name])
+        np.testing.assert_array_equal(value, copies[name])
         assert gradient[name].shape == value.shape
         assert value.dtype == gradient[name].dtype == image.dtype == np.dtype(dtype)
     assert image.shape == (20, 24, 3)
 
 
 @given(st.floats(8.0, 24.0), st.floats(8.0, 24.0), st.floats(0.05, 7.9))
-def test_a_disk_covers_exactly_its_area_wherever_it_lies(x: float, y: float, radius: float) -> None:
+def test_the_coverage_of_a_disk_sums_to_its_area_at_every_position(x: float, y: float, radius: float) -> None:
     scene = Disks(32, 32, [[x, y]], radius, [[1.0, 0.5, 0.25]])
     image, pullback = scene.render_vjp(scene.parameters())
     np.testing.assert_allclose(image.sum(axis=(0, 1)), np.pi * radius**2 * np.array([1, 0.5, 0.25]), rtol=1e-9)
     gradient = pullback(np.ones_like(image))
-    # So the total does not change as the disk moves, and grows by its circumference with the radius.
+    # The total is constant under motion, and its derivative with respect to the radius is the circumference.
     np.testing.assert_allclose(gradient["positions"], 0.0, atol=1e-9)
     np.testing.assert_allclose(gradient["radii"], 1.75 * 2.0 * np.pi * radius, rtol=1e-9)
 
@@ -105,7 +107,7 @@ def test_later_disks_cover_earlier_ones() -> None:
     assert image[4, 1].tolist() == pytest.approx([1, 0, 0], abs=1e-12)
 
 
-def test_disks_out_of_frame_leave_the_background_and_feel_nothing() -> None:
+def test_disks_outside_the_frame_have_no_coverage_and_no_gradient() -> None:
     scene = Disks(9, 9, [[-50.0, 4.0], [4.0, 1e9]], 3.0, [[1, 0, 0], [0, 1, 0]], (0.1, 0.2, 0.3))
     image, pullback = scene.render_vjp(scene.parameters())
     np.testing.assert_array_equal(image, np.broadcast_to([0.1, 0.2, 0.3], (9, 9, 3)))
@@ -113,43 +115,43 @@ def test_disks_out_of_frame_leave_the_background_and_feel_nothing() -> None:
 
 
 @given(SEEDS, st.integers(1, 9))
-def test_confined_disks_are_in_the_frame_and_apart(seed: int, count: int) -> None:
+def test_confined_disks_lie_in_the_frame_without_overlap(seed: int, count: int) -> None:
     rng = np.random.default_rng(seed)
     positions = rng.uniform(-50, 114, (count, 2)) if seed % 3 else np.full((count, 2), 32.0)
     scene = Disks(64, 64, positions, 4.0, np.ones((count, 3)), confine=True)
     moved = scene.project(scene.parameters())["positions"]
     assert np.all((moved >= 4.0) & (moved <= 60.0))
-    for _ in range(30):  # a fit projects after every step; a pile of disks in one place takes a few
+    for _ in range(30):  # a fit projects after every step; coincident disks take a few projections
         moved = scene.project({**scene.parameters(), "positions": moved})["positions"]
-    apart = np.linalg.norm(moved[:, None] - moved[None, :], axis=-1) + 1e9 * np.eye(count)
-    assert apart.min() > 8.0 - 0.1
+    distances = np.linalg.norm(moved[:, None] - moved[None, :], axis=-1) + 1e9 * np.eye(count)
+    assert distances.min() > 8.0 - 0.1
 
 
-def test_a_warp_at_rest_is_its_picture_pasted_in_the_middle() -> None:
+def test_a_warp_with_the_identity_pastes_its_picture_in_the_centre() -> None:
     rng = np.random.default_rng(3)
     picture, background = rng.uniform(0, 1, (4, 6, 3)), rng.uniform(0, 1, (10, 12, 3))
     scene = Warp(picture, background)
-    wanted = background.copy()
-    wanted[3:7, 3:9] = picture
-    np.testing.assert_allclose(scene.render(scene.parameters()), wanted, atol=1e-12)
+    expected = background.copy()
+    expected[3:7, 3:9] = picture
+    np.testing.assert_allclose(scene.render(scene.parameters()), expected, atol=1e-12)
     moved = scene.render({**scene.parameters(), "translation": np.array([3.0, -3.0])})
     np.testing.assert_allclose(moved[0:4, 6:12], picture, atol=1e-12)
-    turned = scene.render({**scene.parameters(), "rotation": np.array(180.0)})
-    np.testing.assert_allclose(turned[3:7, 3:9], picture[::-1, ::-1], atol=1e-12)
+    rotated = scene.render({**scene.parameters(), "rotation": np.array(180.0)})
+    np.testing.assert_allclose(rotated[3:7, 3:9], picture[::-1, ::-1], atol=1e-12)
     brighter = scene.render({**scene.parameters(), "exposure": np.array(1.0)})
-    np.testing.assert_allclose(brighter, 2.0 * wanted, atol=1e-12)
+    np.testing.assert_allclose(brighter, 2.0 * expected, atol=1e-12)
 
 
-def test_a_positive_rotation_turns_clockwise_as_seen() -> None:
+def test_a_positive_rotation_is_clockwise_on_the_screen() -> None:
     picture = np.zeros((5, 5, 3))
     picture[0, 2] = 1.0  # the top
     scene = Warp(picture, np.zeros((5, 5, 3)), rotation=90.0)
     image = scene.render(scene.parameters())
-    assert image[2, 4].tolist() == pytest.approx([1, 1, 1])  # has come to the right
+    assert image[2, 4].tolist() == pytest.approx([1, 1, 1])  # on the right
 
 
 @pytest.mark.parametrize(
-    ("make", "says"),
+    ("make", "message"),
     [
         (lambda: Disks(0, 5, [[1, 1]], 1, [[1, 1, 1]]), "`height` must be a whole number of pixels"),
         (lambda: Disks(5, 5, [[1, 1, 1]], 1, [[1, 1, 1]]), r"`positions` must have shape \(n, 2\), got \(1, 3\)"),
@@ -164,6 +166,6 @@ def test_a_positive_rotation_turns_clockwise_as_seen() -> None:
         (lambda: disks(1).render({**disks(1).parameters(), "radii": np.ones(3)}), r"`radii` must have shape \(5,\)"),
     ],
 )
-def test_wrong_values_are_named(make: Any, says: str) -> None:
-    with pytest.raises(ParameterError, match=says):
+def test_wrong_values_of_a_numpy_renderer_are_refused(make: Any, message: str) -> None:
+    with pytest.raises(ParameterError, match=message):
         make()

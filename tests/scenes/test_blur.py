@@ -1,4 +1,4 @@
-"""Scene files may ask for gradients by blurring, with any renderer."""
+"""Scene files can enable blurred gradients for every renderer."""
 
 from __future__ import annotations
 
@@ -35,14 +35,14 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_what_is_optimised_is_blurred_by_pixels_of_the_image(folder: Path) -> None:
+def test_optimised_parameters_are_blurred_by_two_pixels_by_default(folder: Path) -> None:
     scene = load_scene(folder / "scene.toml")
     assert isinstance(scene.renderer, BlurredRenderer)
     assert scene.renderer.names == ("positions",)
     assert scene.renderer.sigma["positions"] == pytest.approx(2.0, rel=0.5)  # a disk's position is in pixels
 
 
-def test_every_key_may_be_set(folder: Path) -> None:
+def test_every_key_of_a_blur_can_be_set(folder: Path) -> None:
     table = (
         '[renderer.blur]\nnames = ["radii"]\nsigma = { radii = 0.5 }\nfinal_sigma = "1 px"\npairs = 2\ntogether = true'
     )
@@ -53,13 +53,13 @@ def test_every_key_may_be_set(folder: Path) -> None:
     assert renderer.sigma == {"radii": 0.5}
 
 
-def test_a_blurred_fit_finds_its_target(folder: Path) -> None:
+def test_a_blurred_fit_of_a_scene_converges(folder: Path) -> None:
     assert main(["fit", str(folder / "scene.toml")]) in FINISHED
-    found = json.loads((folder / "result" / "parameters.json").read_text())
-    np.testing.assert_allclose(found["positions"], [[10.0, 6.0]], atol=0.3)
+    params = json.loads((folder / "result" / "parameters.json").read_text())
+    np.testing.assert_allclose(params["positions"], [[10.0, 6.0]], atol=0.3)
 
 
-def test_a_blurred_fit_that_was_stopped_is_resumed_to_the_bit(folder: Path) -> None:
+def test_an_interrupted_blurred_fit_is_resumed_to_the_bit(folder: Path) -> None:
     path, file = folder / "scene.toml", folder / "state.npz"
     path.write_text(SCENE.replace("steps = 60", "steps = 30"))
 
@@ -68,17 +68,17 @@ def test_a_blurred_fit_that_was_stopped_is_resumed_to_the_bit(folder: Path) -> N
             raise KeyboardInterrupt
 
     (whole,) = run_scene(load_scene(path))
-    (broken,) = run_scene(load_scene(path), checkpoint=file, progress=stop)
-    assert broken.error == "interrupted"
+    (interrupted,) = run_scene(load_scene(path), checkpoint=file, progress=stop)
+    assert interrupted.error == "interrupted"
     (resumed,) = run_scene(load_scene(path), checkpoint=file, resume=True)
     assert whole.result is not None
     assert resumed.result is not None
     np.testing.assert_array_equal(resumed.result.params["positions"], whole.result.params["positions"])
-    assert [one.value for one in resumed.result.history] == [one.value for one in whole.result.history]
+    assert [step.value for step in resumed.result.history] == [step.value for step in whole.result.history]
 
 
 @pytest.mark.parametrize(
-    ("table", "says"),
+    ("table", "message"),
     [
         ("sigm = 1", r"\[renderer.blur\] unknown key `sigm`; did you mean `sigma`\?"),
         ("sigma = 0", r"\[renderer.blur\] `sigma` of 'positions' must be a finite number, more than 0, .* got 0"),
@@ -90,9 +90,9 @@ def test_a_blurred_fit_that_was_stopped_is_resumed_to_the_bit(folder: Path) -> N
         ('together = "yes"', r"\[renderer.blur\] `together` must be true or false, got 'yes'"),
     ],
 )
-def test_an_error_names_the_key(folder: Path, table: str, says: str) -> None:
+def test_an_error_in_a_blur_names_the_key(folder: Path, table: str, message: str) -> None:
     (folder / "scene.toml").write_text(SCENE.replace("[renderer.blur]", f"[renderer.blur]\n{table}"))
-    with pytest.raises(SceneError, match=says):
+    with pytest.raises(SceneError, match=message):
         load_scene(folder / "scene.toml")
 
 

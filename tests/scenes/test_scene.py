@@ -1,4 +1,4 @@
-"""Scene files: what they may say, and one line for everything that they may not."""
+"""Scene files: their content, and a one-line error for every mistake."""
 
 from __future__ import annotations
 
@@ -63,14 +63,14 @@ def test_a_scene_becomes_objects(folder: Path) -> None:
     assert (scene.fit.steps, scene.fit.decay) == (6, "cosine")
 
 
-def test_a_row_of_bounds_is_that_of_every_row(folder: Path) -> None:
+def test_a_row_of_bounds_applies_to_every_row(folder: Path) -> None:
     (folder / "scene.toml").write_text(SCENE.replace("lower = 0", "lower = [0, 1]"))
     scene = load_scene(folder / "scene.toml")
     params = starting_parameters(scene.renderer, scene.optimise)
     assert bounds_of(params, scene.optimise).lower["positions"].tolist() == [[0.0, 1.0]]
 
 
-def test_what_a_scene_leaves_out_has_a_default(folder: Path) -> None:
+def test_missing_keys_of_a_scene_have_defaults(folder: Path) -> None:
     text = SCENE[: SCENE.index("[scales]")].replace('output = "result"\n', "")
     (folder / "scene.toml").write_text(text)
     scene = load_scene(folder / "scene.toml")
@@ -79,22 +79,22 @@ def test_what_a_scene_leaves_out_has_a_default(folder: Path) -> None:
     assert scene.objectives["loi"].scales == ScaleSpace.for_image(16, 16)  # type: ignore[attr-defined]  # a LOIObjective
 
 
-def test_presets_rivals_and_boundaries_can_be_named(folder: Path) -> None:
+def test_presets_baselines_and_boundaries_can_be_named(folder: Path) -> None:
     text = SCENE.replace("sigma = 1\nalpha = [2, 6]\nbeta = 0.125", 'preset = "path"\nboundary = "zero"')
     text = text.replace('compare = ["pixel_l2"]', 'name = "gaussian_pyramid"\ncompare = ["loi"]')
     (folder / "scene.toml").write_text(text)
     scene = load_scene(folder / "scene.toml")
-    assert [type(one) for one in scene.objectives.values()] == [GaussianPyramid, LOIObjective]
+    assert [type(objective) for objective in scene.objectives.values()] == [GaussianPyramid, LOIObjective]
     assert scene.objectives["loi"].scales == ScaleSpace.paper("path", boundary="zero")  # type: ignore[attr-defined]
 
 
-def test_an_option_that_may_be_a_path_is_relative_to_the_scene(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    got: dict[str, Any] = {}
+def test_an_option_annotated_as_a_path_is_relative_to_the_scene(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    arguments: dict[str, Any] = {}
 
     def factory(
-        mesh: str | Path, note: KnownToTypeCheckers, cache: Path | None = None, other: Path | None = None
+        mesh: str | Path, note: KnownToTypeCheckers, cache: Path | None = None, texture: Path | None = None
     ) -> Disks:
-        got.update(mesh=mesh, note=note, cache=cache, other=other)
+        arguments.update(mesh=mesh, note=note, cache=cache, texture=texture)
         return Disks(16, 16, [[10, 6]], 3.0, [[0.9, 0.2, 0.1]])
 
     options = 'mesh = "a/b.obj"\nnote = "a/b"\ncache = "/c"'
@@ -103,10 +103,10 @@ def test_an_option_that_may_be_a_path_is_relative_to_the_scene(folder: Path, mon
     )
     monkeypatch.setattr("loi_core.scenes.renderers.load_renderer", lambda name: factory)
     load_scene(folder / "scene.toml")
-    assert got == {"mesh": folder / "a/b.obj", "note": "a/b", "cache": Path("/c"), "other": None}
+    assert arguments == {"mesh": folder / "a/b.obj", "note": "a/b", "cache": Path("/c"), "texture": None}
     factory.__annotations__ = {"mesh": str | Path, "note": str, "cache": Path}  # not as text
     load_scene(folder / "scene.toml")
-    assert got == {"mesh": folder / "a/b.obj", "note": "a/b", "cache": Path("/c"), "other": None}
+    assert arguments == {"mesh": folder / "a/b.obj", "note": "a/b", "cache": Path("/c"), "texture": None}
 
 
 MISTAKES: list[tuple[str, str, str]] = [
@@ -185,20 +185,20 @@ MISTAKES: list[tuple[str, str, str]] = [
 ]
 
 
-@pytest.mark.parametrize(("old", "new", "says"), MISTAKES, ids=[f"{new or 'no ' + old}" for old, new, _ in MISTAKES])
-def test_a_wrong_scene_is_one_line_exit_2_and_nothing_written(
-    folder: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, says: str
+@pytest.mark.parametrize(("old", "new", "message"), MISTAKES, ids=[f"{new or 'no ' + old}" for old, new, _ in MISTAKES])
+def test_a_mistake_in_a_scene_is_one_line_with_exit_code_2(
+    folder: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, message: str
 ) -> None:
     assert old in SCENE
     (folder / "scene.toml").write_text(SCENE.replace(old, new, 1))
-    before = sorted(folder.rglob("*"))
+    files = sorted(folder.rglob("*"))
     assert main(["fit", str(folder / "scene.toml")]) == 2
     out, err = capsys.readouterr()
-    assert says in err
+    assert message in err
     assert err.startswith("loi: ")
     assert err.count("\n") == 1
     assert out == ""
-    assert sorted(folder.rglob("*")) == before
+    assert sorted(folder.rglob("*")) == files
 
 
 def test_a_tone_curve_is_part_of_every_objective(folder: Path) -> None:
@@ -208,10 +208,13 @@ def test_a_tone_curve_is_part_of_every_objective(folder: Path) -> None:
     scene = load_scene(folder / "scene.toml")
     assert scene.tone == LogTone(2.0, 50.0)
     assert len(scene.objectives) == 3
-    assert all(isinstance(one, ImageObjective) and one.tone == scene.tone for one in scene.objectives.values())
+    assert all(
+        isinstance(objective, ImageObjective) and objective.tone == scene.tone
+        for objective in scene.objectives.values()
+    )
 
 
-def test_colours_are_those_of_our_objective_alone(folder: Path) -> None:
+def test_the_option_colours_applies_to_loi_only(folder: Path) -> None:
     line = 'compare = ["pixel_l2"]\ncolours = "differences"'
     text = SCENE.replace('compare = ["pixel_l2"]', line)
     (folder / "scene.toml").write_text(text.replace("sigma = 1\nalpha = [2, 6]\nbeta = 0.125", ""))
@@ -221,7 +224,7 @@ def test_colours_are_those_of_our_objective_alone(folder: Path) -> None:
     assert objective.has_default_scales
 
 
-def test_objectives_of_other_packages_are_known_by_name(
+def test_objectives_of_other_packages_are_available_by_name(
     folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     points = [
@@ -235,9 +238,9 @@ def test_objectives_of_other_packages_are_known_by_name(
         "def refuse(reference, **_):\n    raise SystemExit('no licence')\nnumber = lambda reference, **_: 3.0\n"
     )
     monkeypatch.syspath_prepend(str(folder))
-    announced = importlib.metadata.entry_points
+    installed = importlib.metadata.entry_points
     monkeypatch.setattr(
-        registry, "entry_points", lambda group: points if group == registry.OBJECTIVES.name else announced(group=group)
+        registry, "entry_points", lambda group: points if group == registry.OBJECTIVES.name else installed(group=group)
     )
     path = folder / "scene.toml"
     path.write_text(SCENE.replace('["pixel_l2"]', '["mine"]'))
@@ -245,7 +248,7 @@ def test_objectives_of_other_packages_are_known_by_name(
     assert main(["fit", str(path)]) in FINISHED
     assert (folder / "result" / "compare" / "mine" / "final.png").exists()
     capsys.readouterr()
-    for name, says in (
+    for name, message in (
         (
             "absent",
             "objective 'absent' of unknown cannot be used: ModuleNotFoundError: No module named 'no_such_module'",
@@ -257,7 +260,7 @@ def test_objectives_of_other_packages_are_known_by_name(
         path.write_text(SCENE.replace('["pixel_l2"]', f'["{name}"]'))
         assert main(["fit", str(path)]) == 2
         (line,) = capsys.readouterr().err.splitlines()
-        assert says in line
+        assert message in line
 
 
 def test_a_missing_or_binary_scene_file_is_named(tmp_path: Path) -> None:
@@ -269,11 +272,11 @@ def test_a_missing_or_binary_scene_file_is_named(tmp_path: Path) -> None:
     assert isinstance(caught.value, LoiError)
 
 
-def test_fit_writes_everything_and_says_it_as_json(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_fit_writes_all_results_and_prints_json(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["fit", str(folder / "scene.toml"), "--json"]) in FINISHED
-    said: dict[str, Any] = json.loads(capsys.readouterr().out)
+    printed: dict[str, Any] = json.loads(capsys.readouterr().out)
     result = folder / "result"
-    assert Path(said["report"]) == result / "report.html"
+    assert Path(printed["report"]) == result / "report.html"
     files = {str(path.relative_to(result)) for path in result.rglob("*") if path.is_file()}
     assert files >= {
         *("parameters.json", "history.csv", "result.json", "report.html", "checkpoint.npz"),
@@ -281,7 +284,7 @@ def test_fit_writes_everything_and_says_it_as_json(folder: Path, capsys: pytest.
         *("compare/pixel_l2/final.png", "compare/pixel_l2/history.csv", "frames/000000.png"),
     }
     best = json.loads((result / "parameters.json").read_text())
-    assert best["positions"] == said["trials"][0]["parameters"]["positions"]
+    assert best["positions"] == printed["trials"][0]["parameters"]["positions"]
     assert (result / "history.csv").read_text().splitlines()[
         0
     ] == "step,value,gradient_norm,rate,seconds,psnr,stage,positions[0],positions[1]"
@@ -290,22 +293,22 @@ def test_fit_writes_everything_and_says_it_as_json(folder: Path, capsys: pytest.
     assert page.count("data:image/png;base64,") >= 8
     assert "http://" not in page
     assert "https://" not in page
-    assert said["trials"][0]["parameter_errors"]["positions"] < 8.0
+    assert printed["trials"][0]["parameter_errors"]["positions"] < 8.0
     assert not any(result.rglob(".*"))
 
 
-def test_a_report_can_be_made_again_and_only_from_results(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_report_can_be_written_again_from_results_only(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     main(["fit", str(folder / "scene.toml"), "--output", str(folder / "elsewhere")])
     page = folder / "elsewhere" / "report.html"
-    before = page.read_text()
+    content = page.read_text()
     page.unlink()
     assert main(["report", str(folder / "elsewhere")]) == 0
-    assert page.read_text() == before
+    assert page.read_text() == content
     assert main(["report", str(folder)]) == 2
     assert "no result.json there" in capsys.readouterr().err
 
 
-def test_a_fit_can_be_resumed_and_keeps_its_pictures_and_history(folder: Path) -> None:
+def test_a_resumed_fit_keeps_its_pictures_and_history(folder: Path) -> None:
     main(["fit", str(folder / "scene.toml")])
     result = folder / "result"
     whole = np.load(result / "checkpoint.npz")["params/positions"]
@@ -317,34 +320,34 @@ def test_a_fit_can_be_resumed_and_keeps_its_pictures_and_history(folder: Path) -
     assert (result / "history.csv").read_text() == history
 
 
-def test_the_quality_of_another_fit_is_not_taken_for_that_of_the_one_resumed(folder: Path) -> None:
+def test_a_resumed_fit_does_not_read_the_psnr_of_its_history_file(folder: Path) -> None:
     main(["fit", str(folder / "scene.toml")])
     history = folder / "result" / "history.csv"
     text = history.read_text()
     rows = text.splitlines()
-    foreign = rows[4].split(",")
-    foreign[5] = "99.0"
-    history.write_text("\n".join([*rows[:3], ",".join(foreign), *rows[5:]]))
+    edited = rows[4].split(",")
+    edited[5] = "99.0"
+    history.write_text("\n".join([*rows[:3], ",".join(edited), *rows[5:]]))
     main(["fit", str(folder / "scene.toml"), "--resume"])
     assert history.read_text() == text
 
 
-def test_ctrl_c_once_a_fit_is_done_keeps_it(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    calls, kept = itertools.count(), Disks.render_vjp
+def test_ctrl_c_after_a_fit_keeps_the_fit(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    calls, render_vjp = itertools.count(), Disks.render_vjp
 
     def render(self: Disks, params: Any, *, seed: int = 0) -> Any:
-        if next(calls) == 11:  # the start, six steps, the last, three for the verdict
+        if next(calls) == 11:  # the start, six steps, the last image, three for the verdict
             raise KeyboardInterrupt
-        return kept(self, params, seed=seed)
+        return render_vjp(self, params, seed=seed)
 
     monkeypatch.setattr(Disks, "render_vjp", render)
     trials = run_scene(load_scene(folder / "scene.toml"))
-    assert [(one.objective, one.error) for one in trials] == [("loi", ""), ("pixel_l2", "interrupted")]
+    assert [(trial.objective, trial.error) for trial in trials] == [("loi", ""), ("pixel_l2", "interrupted")]
     assert trials[0].result is not None
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "says"),
+    ("old", "new", "message"),
     [
         ("steps = 6", "steps = 4", "`checkpoint` was made with steps = 6, this fit has 4"),
         ("learning_rate = 1", "learning_rate = 2", "`checkpoint` was made with learning rates"),
@@ -353,24 +356,26 @@ def test_ctrl_c_once_a_fit_is_done_keeps_it(folder: Path, monkeypatch: pytest.Mo
         ("radii = [3]", "radii = [4]", "another scene: 'radii', which does not move, differs"),
     ],
 )
-def test_a_checkpoint_of_another_fit_is_refused(
-    folder: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, says: str
+def test_a_checkpoint_of_a_different_fit_is_refused(
+    folder: Path, capsys: pytest.CaptureFixture[str], old: str, new: str, message: str
 ) -> None:
     main(["fit", str(folder / "scene.toml")])
     (folder / "scene.toml").write_text(SCENE.replace(old, new))
     capsys.readouterr()
     assert main(["fit", str(folder / "scene.toml"), "--resume"]) == 2
-    assert says in capsys.readouterr().err
+    assert message in capsys.readouterr().err
 
 
-def test_a_failed_fit_says_so_and_shows_nothing_of_an_earlier_one(
+def test_a_failed_fit_reports_the_error_and_removes_earlier_results(
     folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     main(["fit", str(folder / "scene.toml")])
 
-    kept = Disks.render_vjp
-    monkeypatch.setattr(Disks, "render", lambda self, params, *, seed=0: kept(self, params)[0])
-    monkeypatch.setattr(Disks, "render_vjp", lambda self, params, *, seed=0: (kept(self, params)[0] * np.nan, None))
+    render_vjp = Disks.render_vjp
+    monkeypatch.setattr(Disks, "render", lambda self, params, *, seed=0: render_vjp(self, params)[0])
+    monkeypatch.setattr(
+        Disks, "render_vjp", lambda self, params, *, seed=0: (render_vjp(self, params)[0] * np.nan, None)
+    )
     assert main(["fit", str(folder / "scene.toml")]) == 1
     assert "step 0: the render is not finite" in capsys.readouterr().err
     result = folder / "result"
@@ -379,9 +384,15 @@ def test_a_failed_fit_says_so_and_shows_nothing_of_an_earlier_one(
     assert "not finite" in (result / "report.html").read_text()
 
 
-@pytest.mark.parametrize("arguments", [[], ["--resume", "--steps", "20"]])
-@pytest.mark.parametrize("stop", [KeyboardInterrupt(), RuntimeError("the device is gone")])
-def test_what_stops_a_fit_before_it_has_come_to_anything_loses_nothing_of_the_one_before(
+@pytest.mark.parametrize(
+    ("arguments", "stop"),
+    [
+        ([], KeyboardInterrupt()),
+        (["--resume", "--steps", "20"], KeyboardInterrupt()),
+        (["--resume", "--steps", "20"], RuntimeError("the device is gone")),
+    ],
+)
+def test_a_fit_stopped_before_its_first_step_keeps_earlier_results(
     folder: Path,
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
@@ -389,27 +400,25 @@ def test_what_stops_a_fit_before_it_has_come_to_anything_loses_nothing_of_the_on
     stop: BaseException,
 ) -> None:
     main(["fit", str(folder / "scene.toml")])
-    left = {path: path.read_bytes() for path in (folder / "result").rglob("*") if path.is_file()}
-    calls, kept = itertools.count(), Disks.render_vjp
+    contents = {path: path.read_bytes() for path in (folder / "result").rglob("*") if path.is_file()}
+    calls, render_vjp = itertools.count(), Disks.render_vjp
 
     def render(self: Disks, params: Any, *, seed: int = 0) -> Any:
         if next(calls) == 1:  # after the start: the first step, or the best of the checkpoint
             raise stop
-        return kept(self, params, seed=seed)
+        return render_vjp(self, params, seed=seed)
 
     monkeypatch.setattr(Disks, "render_vjp", render)
     assert main(["fit", str(folder / "scene.toml"), *arguments]) == 1
-    said = capsys.readouterr().err.splitlines()
+    printed = capsys.readouterr().err.splitlines()
     if isinstance(stop, KeyboardInterrupt):
-        assert said == [
+        assert printed == [
             "loi: loi (ours): interrupted; `--resume` continues the fit",
             f"loi: {folder / 'result'}: the results of an earlier fit are left as they are",
         ]
-    elif arguments:
-        assert said == ["loi: rendering the best of the checkpoint failed: RuntimeError: the device is gone"]
     else:
-        return  # a fit that fails shows nothing of an earlier one
-    assert {path: path.read_bytes() for path in (folder / "result").rglob("*") if path.is_file()} == left
+        assert printed == ["loi: rendering the best of the checkpoint failed: RuntimeError: the device is gone"]
+    assert {path: path.read_bytes() for path in (folder / "result").rglob("*") if path.is_file()} == contents
 
 
 @pytest.mark.parametrize(
@@ -417,8 +426,8 @@ def test_what_stops_a_fit_before_it_has_come_to_anything_loses_nothing_of_the_on
     [
         *("{}", "[]", "3", "[" * 100000, '{"title": "a", "scene": "b", "steps": 1, "trials": []}'),
         *(
-            f'{{"title": "a", "scene": "b", "steps": 1, "trials": [{one}]}}'
-            for one in ("3", "{}", '{"objective": "../x"}')
+            f'{{"title": "a", "scene": "b", "steps": 1, "trials": [{trial}]}}'
+            for trial in ("3", "{}", '{"objective": "../x"}')
         ),
         '{"title": "a", "scene": "b", "steps": "q", "trials": [{"objective": "loi"}]}',
     ],
@@ -431,23 +440,21 @@ def test_a_foreign_result_file_is_refused(tmp_path: Path, capsys: pytest.Capture
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "says"),
+    ("old", "new", "message"),
     [
         ("radii = [3]\n", "", "`radii` is missing; disks needs it"),
         ('name = "disks"', "name = disks", 'texts stand in quotes, name = "text"'),
     ],
 )
-def test_what_is_missing_or_unquoted_is_named(folder: Path, old: str, new: str, says: str) -> None:
+def test_a_missing_or_unquoted_value_is_named(folder: Path, old: str, new: str, message: str) -> None:
     assert old in SCENE
     (folder / "scene.toml").write_text(SCENE.replace(old, new))
     with pytest.raises(SceneError) as caught:
         load_scene(folder / "scene.toml")
-    assert says in str(caught.value)
+    assert message in str(caught.value)
 
 
-def test_the_exit_status_and_the_verdict_tell_whether_the_target_was_found(
-    folder: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_exit_status_and_verdict_report_convergence(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene = str(folder / "scene.toml")
     assert main(["fit", scene, "--steps", "1"]) == 3
     assert re.search(

@@ -1,4 +1,4 @@
-"""Targets as they are: encoded or linear, with opacity, with weights, and of any range."""
+"""Targets: encoded or linear, with opacity, with weights, and of any range."""
 
 from __future__ import annotations
 
@@ -48,17 +48,17 @@ def write_exr(path: Path, image: Host) -> None:
 
 
 @given(st.floats(-0.5, 4.0))
-def test_encoding_and_decoding_undo_each_other(value: float) -> None:
+def test_decoding_inverts_encoding(value: float) -> None:
     assert float(decode_srgb(encode_srgb(np.asarray(value)))) == pytest.approx(value, abs=1e-12)
     assert float(encode_srgb(decode_srgb(np.asarray(value)))) == pytest.approx(value, abs=1e-7)  # the knee is rounded
 
 
-def test_half_of_a_display_is_a_fifth_of_the_light() -> None:
+def test_srgb_one_half_is_linear_one_fifth() -> None:
     assert float(decode_srgb(np.asarray(0.5))) == pytest.approx(0.21404, abs=1e-5)  # IEC 61966-2-1
 
 
 @pytest.mark.parametrize(
-    ("name", "to", "encoding", "wanted"),
+    ("name", "to", "encoding", "expected"),
     [
         ("photo.png", None, None, IMAGE),
         ("photo.png", "linear", None, decode_srgb(IMAGE)),
@@ -70,12 +70,12 @@ def test_half_of_a_display_is_a_fifth_of_the_light() -> None:
         ("floats.npy", "linear", "sRGB", decode_srgb(IMAGE)),
     ],
 )
-def test_a_target_becomes_what_the_renderer_makes(
-    name: str, to: Any, encoding: Any, wanted: Host, folder: Path
+def test_a_target_is_converted_to_the_encoding_of_the_renderer(
+    name: str, to: Any, encoding: Any, expected: Host, folder: Path
 ) -> None:
     target = read_target(folder / name, to=to, encoding=encoding)
-    np.testing.assert_allclose(target.image, wanted, atol=1e-12)
-    assert bool(target.notes) == (wanted is not IMAGE)
+    np.testing.assert_allclose(target.image, expected, atol=1e-12)
+    assert bool(target.notes) == (expected is not IMAGE)
     assert target.weights is None
 
 
@@ -91,12 +91,12 @@ def test_opacity_is_composited_or_becomes_weights(name: str, error: float, folde
     mask = read_target(folder / name, alpha="mask")
     assert mask.weights is not None
     np.testing.assert_allclose(mask.weights, OPACITY, atol=error)
-    seen = OPACITY > 0.0
-    np.testing.assert_allclose(mask.image[seen], IMAGE[seen], atol=300 * error)
+    visible = OPACITY > 0.0
+    np.testing.assert_allclose(mask.image[visible], IMAGE[visible], atol=300 * error)
     assert read_target(folder / name, alpha="ignore").weights is None
 
 
-def test_light_that_nothing_covers_is_kept(folder: Path) -> None:
+def test_premultiplied_light_at_opacity_zero_is_kept(folder: Path) -> None:
     glow = np.concatenate([np.full((12, 16, 3), 0.5), np.zeros((12, 16, 1))], axis=-1)
     write_exr(folder / "glow.exr", glow)
     np.testing.assert_allclose(read_target(folder / "glow.exr", to="linear").image, 0.5)
@@ -106,17 +106,17 @@ def test_light_that_nothing_covers_is_kept(folder: Path) -> None:
     np.testing.assert_allclose(read_target(folder / "glow.exr", alpha="ignore").image, 0.5)
 
 
-def test_a_mask_that_is_none_is_said_to_be_none(folder: Path) -> None:
+def test_a_mask_without_opacity_is_reported(folder: Path) -> None:
     target = read_target(folder / "photo.png", alpha="mask")
     assert target.weights is None
     assert "has no opacity" in target.notes[0]
 
 
-def test_weights_may_be_truths_or_opacity(folder: Path) -> None:
+def test_weights_can_be_booleans_or_opacity(folder: Path) -> None:
     np.save(folder / "mask.npy", OPACITY > 0.5)
-    found = read_target(folder / "photo.png", weights=folder / "mask.npy").weights
-    assert found is not None
-    np.testing.assert_array_equal(found, OPACITY > 0.5)
+    mask = read_target(folder / "photo.png", weights=folder / "mask.npy").weights
+    assert mask is not None
+    np.testing.assert_array_equal(mask, OPACITY > 0.5)
     white = np.full((12, 16, 4), 255, np.uint8)
     white[:6, :, 3] = 0
     Image.fromarray(white).save(folder / "holes.png")
@@ -125,24 +125,24 @@ def test_weights_may_be_truths_or_opacity(folder: Path) -> None:
     np.testing.assert_array_equal(holes, white[..., 3] / 255.0)
 
 
-def test_light_is_composited_as_light(folder: Path) -> None:
+def test_compositing_is_linear_for_linear_targets(folder: Path) -> None:
     target = read_target(folder / "cut.png", to="linear", alpha=(1.0, 1.0, 1.0))
     alpha = OPACITY[..., None]
     np.testing.assert_allclose(target.image, alpha * decode_srgb(IMAGE) + 1 - alpha, atol=1e-12)
 
 
-def test_weights_of_a_file_multiply_those_of_the_opacity(folder: Path) -> None:
+def test_weights_of_a_file_multiply_the_opacity(folder: Path) -> None:
     np.save(folder / "weights.npy", 3.0 * IMAGE[..., 0])
-    alone = read_target(folder / "photo.png", weights=folder / "weights.npy")
-    both = read_target(folder / "cut.png", alpha="mask", weights=folder / "weights.npy")
-    assert alone.weights is not None
-    assert both.weights is not None
-    np.testing.assert_allclose(alone.weights, 3.0 * IMAGE[..., 0])
-    np.testing.assert_allclose(both.weights, 3.0 * IMAGE[..., 0] * OPACITY)
+    from_file = read_target(folder / "photo.png", weights=folder / "weights.npy")
+    product = read_target(folder / "cut.png", alpha="mask", weights=folder / "weights.npy")
+    assert from_file.weights is not None
+    assert product.weights is not None
+    np.testing.assert_allclose(from_file.weights, 3.0 * IMAGE[..., 0])
+    np.testing.assert_allclose(product.weights, 3.0 * IMAGE[..., 0] * OPACITY)
 
 
 @pytest.mark.parametrize(
-    ("options", "error", "says"),
+    ("options", "error", "message"),
     [
         ({"to": "gamma"}, OptionError, "`encoding` must be 'linear' or 'sRGB'"),
         ({"encoding": 3}, OptionError, "`encoding` must be 'linear' or 'sRGB'"),
@@ -153,15 +153,15 @@ def test_weights_of_a_file_multiply_those_of_the_opacity(folder: Path) -> None:
         ({"weights": "black.png"}, ImageFileError, "every pixel has weight 0"),
     ],
 )
-def test_what_no_target_can_be_is_refused(
-    options: dict[str, Any], error: type[Exception], says: str, folder: Path
+def test_invalid_options_of_a_target_are_refused(
+    options: dict[str, Any], error: type[Exception], message: str, folder: Path
 ) -> None:
     write_png(folder / "small.png", np.ones((4, 4, 3)))
     write_png(folder / "black.png", np.zeros((12, 16, 3)))
     np.save(folder / "minus.npy", np.full((12, 16), -1.0))
     if "weights" in options:
         options = {"weights": folder / options["weights"]}
-    with pytest.raises(error, match=re.escape(says)):
+    with pytest.raises(error, match=re.escape(message)):
         read_target(folder / "photo.png", **options)
 
 
@@ -177,29 +177,29 @@ def scene(tmp_path: Path) -> Path:
     return lay_out_disk(tmp_path, SCENE)
 
 
-def test_a_scene_hides_what_its_weights_hide(scene: Path) -> None:
-    hidden = np.ones((16, 16, 3))
-    hidden[:4] = 0.0
-    spoilt = read_image(scene.parent / "target.png")
-    spoilt[:4] = 0.5
-    write_png(scene.parent / "target.png", spoilt)
-    write_png(scene.parent / "mask.png", hidden)
+def test_pixels_with_weight_zero_do_not_affect_a_scene(scene: Path) -> None:
+    mask = np.ones((16, 16, 3))
+    mask[:4] = 0.0
+    modified = read_image(scene.parent / "target.png")
+    modified[:4] = 0.5
+    write_png(scene.parent / "target.png", modified)
+    write_png(scene.parent / "mask.png", mask)
     scene.write_text('weights = "mask.png"\n' + SCENE + '[objective]\ncompare = ["pixel_l2", "ms_ssim"]\n')
     loaded = load_scene(scene)
     assert loaded.first_view.target.weights is not None
     for objective in loaded.objectives.values():
-        np.testing.assert_array_equal(objective.weights, hidden[..., 0])  # type: ignore[attr-defined]
+        np.testing.assert_array_equal(objective.weights, mask[..., 0])  # type: ignore[attr-defined]
     trial = run_scene(loaded)[0]
     assert trial.result is not None
     np.testing.assert_allclose(trial.result.best_params["positions"], [[10, 6]], atol=0.05)
-    assert trial.psnr[trial.result.best_step - 1] > 30.0  # of what counts
+    assert trial.psnr[trial.result.best_step - 1] > 30.0  # over pixels with weight
 
 
-def test_a_scene_says_aloud_what_it_makes_of_its_target(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_conversions_of_a_target_are_reported(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
     scene.write_text('encoding = "sRGB"\nalpha = [1, 1, 1]\n' + SCENE)
     assert main(["fit", str(scene)]) in FINISHED
-    said = capsys.readouterr().err
-    assert "loi: target.png is taken as sRGB, and decoded to linear light" in said
+    printed = capsys.readouterr().err
+    assert "loi: target.png is taken as sRGB, and decoded to linear light" in printed
     result = json.loads((scene.parent / "scene-result" / "result.json").read_text())
     assert any("decoded to linear light" in note for note in result["notes"])
     assert "decoded to linear light" in (scene.parent / "scene-result" / "report.html").read_text()
@@ -207,16 +207,16 @@ def test_a_scene_says_aloud_what_it_makes_of_its_target(scene: Path, capsys: pyt
 
 
 @pytest.mark.parametrize(
-    ("line", "says"),
+    ("line", "message"),
     [
         ('encoding = "gamma"', "`encoding` must be 'linear' or 'sRGB', got 'gamma'"),
         ("alpha = 3", "`alpha` must be 'mask', 'ignore'"),
         ("weights = 3", "`weights` must be a text"),
     ],
 )
-def test_wrong_keys_of_a_target_are_named(line: str, says: str, scene: Path) -> None:
+def test_wrong_keys_of_a_target_are_named(line: str, message: str, scene: Path) -> None:
     scene.write_text(line + "\n" + SCENE)
-    with pytest.raises(SceneError, match=re.escape(says)):
+    with pytest.raises(SceneError, match=re.escape(message)):
         load_scene(scene)
 
 
@@ -230,18 +230,18 @@ def test_a_report_shows_light_of_any_range() -> None:
     assert "encoded as sRGB" in display.note
 
 
-def test_a_report_shows_a_picture_as_it_is() -> None:
+def test_a_report_shows_a_picture_unchanged() -> None:
     assert Display.of(IMAGE, None).note == ""
     np.testing.assert_array_equal(Display.of(IMAGE, "sRGB").show(IMAGE), IMAGE)
     np.testing.assert_allclose(Display.of(IMAGE, "linear").show(IMAGE), encode_srgb(IMAGE))
 
 
 def test_psnr_counts_pixels_by_their_weights() -> None:
-    other = IMAGE.copy()
-    other[:6] = 0.0
+    image = IMAGE.copy()
+    image[:6] = 0.0
     weights = np.ones((12, 16))
     weights[:6] = 0.0
-    assert psnr(other, IMAGE, weights) == np.inf
+    assert psnr(image, IMAGE, weights) == np.inf
     assert psnr(np.where(weights[..., None] > 0, IMAGE, np.nan), IMAGE, weights) == np.inf
-    assert psnr(other, IMAGE) < 20.0
-    assert LOIObjective(IMAGE, weights=weights).value(other) == 0.0
+    assert psnr(image, IMAGE) < 20.0
+    assert LOIObjective(IMAGE, weights=weights).value(image) == 0.0

@@ -48,10 +48,10 @@ steps = 60
 
 @pytest.fixture
 def scene(tmp_path: Path) -> Path:
-    near = Disks(16, 16, [[10, 6]], 3.0, [[0.9, 0.2, 0.1]])
-    far = Disks(20, 24, [[10, 6]], 2.0, [[0.1, 0.6, 0.9]])
-    write_png(tmp_path / "near.png", near.render(near.parameters()))
-    write_png(tmp_path / "far.png", far.render(far.parameters()))
+    first = Disks(16, 16, [[10, 6]], 3.0, [[0.9, 0.2, 0.1]])
+    second = Disks(20, 24, [[10, 6]], 2.0, [[0.1, 0.6, 0.9]])
+    write_png(tmp_path / "near.png", first.render(first.parameters()))
+    write_png(tmp_path / "far.png", second.render(second.parameters()))
     write_png(tmp_path / "mask.png", np.ones((20, 24, 3)))
     (tmp_path / "scene.toml").write_text(SCENE)
     return tmp_path / "scene.toml"
@@ -60,17 +60,17 @@ def scene(tmp_path: Path) -> Path:
 def test_each_view_has_its_own_target_weights_and_options(scene: Path) -> None:
     loaded = load_scene(scene)
     assert list(loaded.views) == ["near", "far"]
-    near, far = loaded.views.values()
-    assert near.target.image.shape == (16, 16, 3)
-    assert far.target.image.shape == (20, 24, 3)
-    assert near.target.weights is None
-    assert far.target.weights is not None
-    assert [float(view.renderer.parameters()["radii"][0]) for view in (near, far)] == [3.0, 2.0]
+    first, second = loaded.views.values()
+    assert first.target.image.shape == (16, 16, 3)
+    assert second.target.image.shape == (20, 24, 3)
+    assert first.target.weights is None
+    assert second.target.weights is not None
+    assert [float(view.renderer.parameters()["radii"][0]) for view in (first, second)] == [3.0, 2.0]
 
 
-@pytest.mark.parametrize("at_once", ["", "views_per_step = 1\n"])
-def test_a_scene_of_views_is_fitted_and_what_does_not_move_stays_each_views_own(scene: Path, at_once: str) -> None:
-    scene.write_text(SCENE + at_once)
+@pytest.mark.parametrize("fit_lines", ["", "views_per_step = 1\n"])
+def test_a_scene_of_views_is_fitted_and_fixed_parameters_belong_to_each_view(scene: Path, fit_lines: str) -> None:
+    scene.write_text(SCENE + fit_lines)
     loaded = load_scene(scene)
     trial = run_scene(loaded)[0]
     assert trial.result is not None
@@ -92,7 +92,7 @@ def test_the_command_shows_views_side_by_side(scene: Path) -> None:
     assert "views, from left to right: near, far" in (results / "report.html").read_text()
 
 
-def test_a_fit_that_is_interrupted_shows_every_view(scene: Path) -> None:
+def test_an_interrupted_fit_shows_every_view(scene: Path) -> None:
     scene.write_text(SCENE + "views_per_step = 1\n")
 
     def stop(name: str, step: int, value: float) -> None:
@@ -116,7 +116,7 @@ def test_a_scene_of_views_is_resumed(scene: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "says"),
+    ("old", "new", "message"),
     [
         ('target = "far.png"\n', "", "[views.far] `target` is missing"),
         ("[renderer]", 'target = "near.png"\n[renderer]', "`target` and [views] exclude each other"),
@@ -132,8 +132,8 @@ def test_a_scene_of_views_is_resumed(scene: Path) -> None:
         ),
     ],
 )
-def test_a_view_that_is_none_is_refused(old: str, new: str, says: str, scene: Path) -> None:
+def test_an_invalid_view_is_refused(old: str, new: str, message: str, scene: Path) -> None:
     assert old in SCENE
     scene.write_text(SCENE.replace(old, new))
-    with pytest.raises(SceneError, match=re.escape(says)):
+    with pytest.raises(SceneError, match=re.escape(message)):
         load_scene(scene)

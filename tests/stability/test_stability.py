@@ -37,7 +37,7 @@ from loi_core.support.arrays import Array, to_numpy
 from loi_jax.backend import Jax
 from loi_mitsuba.backend import Mitsuba
 from loi_torch.backend import Torch
-from tests.helpers import Host, by_arrays
+from tests.helpers import Host, without_numba
 from tests.method.precise import precise
 
 CASES = {case.name: case for case in hard_cases()}
@@ -83,7 +83,7 @@ class JaxWithoutNumba(Jax):
         evaluate = super().prepare(request)
 
         def within() -> tuple[float, Host]:
-            with by_arrays():  # the first call compiles
+            with without_numba():  # the first call compiles
                 return evaluate()
 
         return within

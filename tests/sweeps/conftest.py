@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 
 from loi_core.sweeps import sweep
-from tests.helpers import by_arrays
+from tests.helpers import without_numba
 from tests.sweeps.scenes import lay_out
 
 
 @pytest.fixture(autouse=True)
 def _arrays() -> Iterator[None]:
-    with by_arrays():
+    with without_numba():
         yield
 
 
@@ -22,7 +22,7 @@ def _arrays() -> Iterator[None]:
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The path of a sweep file whose runs are all done, by two processes."""
     path = lay_out(tmp_path_factory.mktemp("sweep"))
-    with by_arrays():
+    with without_numba():
         found = sweep(path, processes=2)
     assert found.count("done") == 8
     return path

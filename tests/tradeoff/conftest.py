@@ -26,7 +26,7 @@ def plugins(monkeypatch: pytest.MonkeyPatch) -> Plugins:
 
 
 @pytest.fixture
-def by_arrays(monkeypatch: pytest.MonkeyPatch) -> None:
+def without_numba(monkeypatch: pytest.MonkeyPatch) -> None:
     """Compare without Numba, whose import in the process of each row takes longer than the measurement."""
     monkeypatch.setenv("LOI_COMPILED", "0")
 
