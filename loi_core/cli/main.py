@@ -116,7 +116,7 @@ def _parser() -> argparse.ArgumentParser:
     )
 
     renderers = commands.add_parser("renderers", help="list the installed renderers")
-    doctor = commands.add_parser("doctor", help="check every part of the installation, with the fix for what is broken")
+    doctor = commands.add_parser("doctor", help="check every part of the installation, and print the fixes")
     doctor.add_argument(
         "--stability",
         action="store_true",

@@ -91,7 +91,7 @@ def provenance(result: Mapping[str, Any]) -> str:
     details = ""
     if isinstance(plan, str) and plan:
         listing = scrollable("Plan of the comparison", escape(plan), "pre")
-        details = f"<details><summary>What is computed for each scale</summary>{listing}</details>"
+        details = f"<details><summary>Computation of each scale</summary>{listing}</details>"
     return f'<h2>How it was made</h2><dl class="terms">{terms}</dl>{details}'
 
 

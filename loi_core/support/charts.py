@@ -108,15 +108,15 @@ def draw(chart: Chart) -> Drawing | None:
     lines = tuple(line for line in (_drawable(line, chart) for line in chart.lines) if line.x)
     if not lines:
         return None
-    across = [x for line in lines for x in line.x]
-    up = [y for line in lines for y in line.y] + [line.level for line in lines if line.level is not None]
+    xs = [x for line in lines for x in line.x]
+    ys = [y for line in lines for y in line.y] + [line.level for line in lines if line.level is not None]
     frame = _Frame(
-        _decades(across) if chart.log_x else _exact(across),
+        _decades(xs) if chart.log_x else _exact(xs),
         _Axis(0.0, 1.0, (0.0, 0.25, 0.5, 0.75, 1.0))
         if chart.stacked
-        else _decades(up)
+        else _decades(ys)
         if chart.log_y
-        else _rounded(up),
+        else _rounded(ys),
     )
     marks = _areas(lines, frame) if chart.stacked else "".join(_marks(line, frame) for line in reversed(lines))
     svg = (
@@ -124,7 +124,7 @@ def draw(chart: Chart) -> Drawing | None:
         f"{_axes(frame, chart)}{marks}"
         f'<line class="now" x1="{LEFT}" x2="{LEFT}" y1="{TOP}" y2="{HEIGHT - BOTTOM}"/></svg>'
     )
-    return Drawing(svg, lines, frame.x_axis.low, frame.x_axis.high)
+    return Drawing(svg, lines, frame.x_axis.lower, frame.x_axis.upper)
 
 
 def sparkline(
@@ -156,8 +156,10 @@ def sparkline(
 
     shade = ""
     if shaded_to is not None:
-        end = SPARK_MARGIN + (width - 2 * SPARK_MARGIN) * x_axis.fraction(shaded_to)
-        shade = f'<rect class="shade" fill="currentColor" fill-opacity=".15" width="{end:.1f}" height="{height}"/>'
+        shade_width = SPARK_MARGIN + (width - 2 * SPARK_MARGIN) * x_axis.fraction(shaded_to)
+        shade = (
+            f'<rect class="shade" fill="currentColor" fill-opacity=".15" width="{shade_width:.1f}" height="{height}"/>'
+        )
     polylines = "".join(
         f'<polyline points="{" ".join(map(position, line))}" fill="none" stroke="currentColor" stroke-width="1.5"/>'
         for line in finite
@@ -172,15 +174,15 @@ def sparkline(
 class _Axis:
     """The range of an axis and its ticks; all are logarithms if `log`."""
 
-    low: float
-    high: float
+    lower: float
+    upper: float
     ticks: tuple[float, ...]
     log: bool = False
 
     def fraction(self, value: float) -> float:
         """Return the position of a value along the axis, in [0, 1]."""
         position = math.log10(value) if self.log else value
-        return min(max((position - self.low) / (self.high - self.low), 0.0), 1.0)
+        return min(max((position - self.lower) / (self.upper - self.lower), 0.0), 1.0)
 
     def label(self, tick: float) -> str:
         if not self.log:
@@ -190,29 +192,31 @@ class _Axis:
 
 def _decades(values: Sequence[float]) -> _Axis:
     """Return a logarithmic axis of whole decades."""
-    high = max(math.log10(max(values)), -300.0)
-    low = math.floor(max(min(math.log10(value) for value in values), high - MAX_DECADES))
-    high = max(math.ceil(high), low + 1)
-    return _Axis(low, high, tuple(range(low, high + 1, max(1, math.ceil((high - low) / TICK_COUNT)))), log=True)
+    upper = max(math.log10(max(values)), -300.0)
+    lower = math.floor(max(min(math.log10(value) for value in values), upper - MAX_DECADES))
+    upper = max(math.ceil(upper), lower + 1)
+    return _Axis(
+        lower, upper, tuple(range(lower, upper + 1, max(1, math.ceil((upper - lower) / TICK_COUNT)))), log=True
+    )
 
 
 def _exact(values: Sequence[float]) -> _Axis:
-    """Return an axis from the least to the greatest value, at least 1 long from a whole number, ticks within it."""
-    low, high = min(values), max(values)
-    if high <= low:
-        high = low + 1.0
-    step = _round_step((high - low) / TICK_COUNT)
-    return _Axis(low, high, tuple(k * step for k in range(math.ceil(low / step), math.floor(high / step) + 1)))
+    """Return an axis from the smallest to the largest value, of length 1 if they are equal; ticks lie within it."""
+    lower, upper = min(values), max(values)
+    if upper <= lower:
+        upper = lower + 1.0
+    step = _round_step((upper - lower) / TICK_COUNT)
+    return _Axis(lower, upper, tuple(k * step for k in range(math.ceil(lower / step), math.floor(upper / step) + 1)))
 
 
 def _rounded(values: Sequence[float]) -> _Axis:
     """Return an axis whose ends are ticks."""
-    low, high = min(values), max(values)
-    if high - low <= 1e-9 * max(abs(low), abs(high)):
-        margin = 0.5 * max(abs(low), abs(high)) or 1.0
-        low, high = low - margin, high + margin
-    step = _round_step((high - low) / TICK_COUNT)
-    first, last = math.floor(low / step), math.ceil(high / step)
+    lower, upper = min(values), max(values)
+    if upper - lower <= 1e-9 * max(abs(lower), abs(upper)):
+        margin = 0.5 * max(abs(lower), abs(upper)) or 1.0
+        lower, upper = lower - margin, upper + margin
+    step = _round_step((upper - lower) / TICK_COUNT)
+    first, last = math.floor(lower / step), math.ceil(upper / step)
     return _Axis(first * step, last * step, tuple(k * step for k in range(first, last + 1)))
 
 
@@ -240,7 +244,7 @@ class _Frame:
         return HEIGHT - BOTTOM - (HEIGHT - TOP - BOTTOM) * fraction
 
     def points(self, x: Sequence[float], y: Sequence[float]) -> list[str]:
-        return [f"{self.x(across):.1f},{self.y(up):.1f}" for across, up in zip(x, y, strict=True)]
+        return [f"{self.x(x_value):.1f},{self.y(y_value):.1f}" for x_value, y_value in zip(x, y, strict=True)]
 
 
 def _drawable(line: Line, chart: Chart) -> Line:
@@ -266,12 +270,12 @@ def _axes(frame: _Frame, chart: Chart) -> str:
     elements = []
     y_axis, x_axis = frame.y_axis, frame.x_axis
     for tick in y_axis.ticks:
-        y = frame.height((tick - y_axis.low) / (y_axis.high - y_axis.low))
+        y = frame.height((tick - y_axis.lower) / (y_axis.upper - y_axis.lower))
         label = f"{tick:.0%}" if chart.stacked else y_axis.label(tick)
         elements.append(f'<path class="grid" d="M{LEFT} {y:.1f}H{WIDTH - RIGHT}"/>')
         elements.append(f'<text x="{LEFT - 6}" y="{y + 4:.1f}" text-anchor="end">{escape(label)}</text>')
     for tick in x_axis.ticks:
-        x = LEFT + (WIDTH - LEFT - RIGHT) * (tick - x_axis.low) / (x_axis.high - x_axis.low)
+        x = LEFT + (WIDTH - LEFT - RIGHT) * (tick - x_axis.lower) / (x_axis.upper - x_axis.lower)
         elements.append(f'<text x="{x:.1f}" y="{HEIGHT - 18}" text-anchor="middle">{x_axis.label(tick)}</text>')
     middle = (LEFT + WIDTH - RIGHT) / 2
     elements.append(f'<text x="{middle:.0f}" y="{HEIGHT - 2}" text-anchor="middle">{escape(chart.x_label)}</text>')
@@ -311,7 +315,7 @@ def _areas(lines: Sequence[Line], frame: _Frame) -> str:
     elements = []
     base = [0.0] * len(lines[0].x)
     for line in lines:
-        top = [low + value for low, value in zip(base, line.y, strict=True)]
+        top = [height + value for height, value in zip(base, line.y, strict=True)]
         outline = [*frame.points(line.x, top), *reversed(frame.points(line.x, base))]
         elements.append(f'<polygon class="area c{line.colour % COLOUR_COUNT}" points="{" ".join(outline)}"/>')
         base = top

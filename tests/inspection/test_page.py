@@ -43,11 +43,11 @@ class Opened:
         shapes = self.page.eval_on_selector_all(".ours[d]", "paths => paths.map(path => path.getAttribute('d'))")
         return self.page.inner_text("#place"), shapes
 
-    def position(self, across: float, down: float) -> tuple[float, float]:
+    def position(self, x: float, y: float) -> tuple[float, float]:
         """Return a point of the image, given in fractions of it, in pixels of the window."""
         box = self.page.locator("#backdrop").bounding_box()
         assert box
-        return box["x"] + across * box["width"], box["y"] + down * box["height"]
+        return box["x"] + x * box["width"], box["y"] + y * box["height"]
 
 
 def test_the_page_loads_without_errors_and_without_requests(browser: Browser, written: Path) -> None:

@@ -33,9 +33,9 @@ def test_charts_of_any_numbers_stay_within_their_frame(log_x: bool, log_y: bool)
         drawing = draw(Chart("a", [Line("b", x, y, 0, level)], log_x=log_x, log_y=log_y))
         for points in re.findall(r'points="([^"]*)"', drawing.svg if drawing else ""):
             for point in points.split():
-                across, down = map(float, point.split(","))
-                assert 50.0 <= across <= 420.0
-                assert 0.0 <= down <= 250.0
+                x_px, y_px = map(float, point.split(","))
+                assert 50.0 <= x_px <= 420.0
+                assert 0.0 <= y_px <= 250.0
 
 
 def test_a_chart_without_a_finite_point_is_not_drawn() -> None:
