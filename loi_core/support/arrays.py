@@ -16,8 +16,8 @@ __all__ = [
     "Array",
     "Host",
     "Namespace",
+    "arrays_equal",
     "as_floating",
-    "bitwise_equal",
     "copied",
     "detached",
     "device",
@@ -226,6 +226,6 @@ def _check_has_values(name: str, tensor: Array) -> None:
         raise ImageTypeError(msg)
 
 
-def bitwise_equal(first: Host, second: Host) -> bool:
+def arrays_equal(first: Host, second: Host) -> bool:
     """Return whether two arrays are equal, NaN equal to NaN."""
     return first.shape == second.shape and bool(np.array_equal(first, second, equal_nan=first.dtype.kind == "f"))

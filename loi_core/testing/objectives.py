@@ -10,7 +10,7 @@ import numpy as np
 
 from loi_core.errors import ImageTypeError
 from loi_core.objectives.base import ImageObjective, Objective
-from loi_core.support.arrays import Array, Host, as_floating, bitwise_equal, epsilon, library_name, to_numpy
+from loi_core.support.arrays import Array, Host, arrays_equal, as_floating, epsilon, library_name, to_numpy
 from loi_core.testing.checks import Check, measure_slopes, run_checks, slope_tolerance
 
 __all__ = ["OBJECTIVE_CHECKS", "ObjectiveSubject", "check_objective"]
@@ -211,7 +211,7 @@ def _check_no_memory(check: _Check, subject: ObjectiveSubject) -> None:
     if float(objective.value(subject.asarray(0.5 * (image + reference)))) == first:
         check.fail("two different images gave the same value to the bit")
     second, gradient = objective.value_and_grad(subject.asarray(image))
-    if float(second) != first or not bitwise_equal(to_numpy(gradient), slopes):
+    if float(second) != first or not arrays_equal(to_numpy(gradient), slopes):
         check.fail("after another image, the first one gave another value or gradient")
 
 
@@ -220,7 +220,7 @@ def _check_no_mutation(check: _Check, subject: ObjectiveSubject) -> None:
     image_copy, reference_copy = subject.asarray(image.copy()), subject.asarray(reference.copy())
     subject.make(reference_copy).value_and_grad(image_copy)
     for name, copy, original in (("image", image_copy, image), ("reference", reference_copy, reference)):
-        if not bitwise_equal(to_numpy(copy), original):
+        if not arrays_equal(to_numpy(copy), original):
             check.fail(f"the {name} was written to")
 
 

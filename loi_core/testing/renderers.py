@@ -14,8 +14,8 @@ from loi_core.renderers.contract import Parameters, Pullback, Renderer
 from loi_core.support.arrays import (
     Array,
     Host,
+    arrays_equal,
     as_floating,
-    bitwise_equal,
     epsilon,
     from_numpy,
     library_name,
@@ -146,7 +146,7 @@ def _check_determinism(check: _Check, subject: RendererSubject) -> None:
     renderer, params = subject.renderer, subject.renderer.parameters()
     first = to_numpy(renderer.render(params, seed=subject.seed)).copy()
     second = to_numpy(renderer.render(params, seed=subject.seed))
-    if not bitwise_equal(first, second):
+    if not arrays_equal(first, second):
         check.fail(f"two renders with seed {subject.seed} differ by up to {float(np.abs(first - second).max()):.3g}")
 
 
@@ -156,12 +156,12 @@ def _check_no_memory(check: _Check, subject: RendererSubject) -> None:
     image = to_numpy(renderer.render(params, seed=subject.seed))
     first = image.copy()
     moved_image = to_numpy(renderer.render(moved, seed=subject.seed)).copy()
-    if not bitwise_equal(image, first):
+    if not arrays_equal(image, first):
         check.fail("rendering other parameters wrote to an image that had been returned")
-    if bitwise_equal(first, moved_image):
+    if arrays_equal(first, moved_image):
         check.fail("a small change of all parameters left the image the same to the bit")
     repeated = to_numpy(renderer.render(params, seed=subject.seed))
-    if not bitwise_equal(first, repeated):
+    if not arrays_equal(first, repeated):
         worst = float(np.abs(first - repeated).max())
         check.fail(f"after a render of other parameters, the image at the first ones is off by up to {worst:.3g}")
 
@@ -178,11 +178,11 @@ def _check_no_mutation(check: _Check, subject: RendererSubject) -> None:
     if list(params) != list(params_copy):
         check.fail(f"the names in the dict of parameters became {', '.join(params)}")
     for name, value in params.items():
-        if not bitwise_equal(to_numpy(value), params_copy[name]):
+        if not arrays_equal(to_numpy(value), params_copy[name]):
             check.fail(f"parameter {name!r} was written to")
-    if not bitwise_equal(to_numpy(cotangent), cotangent_copy):
+    if not arrays_equal(to_numpy(cotangent), cotangent_copy):
         check.fail("the pullback wrote to its cotangent")
-    if not bitwise_equal(to_numpy(image), image_copy):
+    if not arrays_equal(to_numpy(image), image_copy):
         check.fail("the pullback wrote to the image")
 
 
