@@ -1,4 +1,4 @@
-"""A headless Chromium for tests of pages; they are skipped where there is none."""
+"""A headless Chromium for tests of pages, which are skipped without it."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NAMES = ("chromium", "chromium-browser", "google-chrome")
 
 @contextmanager
 def chromium() -> Iterator[Browser]:
-    """Start the browser of this machine, or else the one that Playwright has installed."""
+    """Start the browser of this machine, or else the browser that Playwright has installed."""
     api = pytest.importorskip("playwright.sync_api")
     executable = next(filter(None, map(shutil.which, NAMES)), None)
     with api.sync_playwright() as playwright:

@@ -19,20 +19,20 @@ from tests.environments import build_wheel, fresh_python
 if TYPE_CHECKING:
     from playwright.sync_api import Browser
 
-os.environ["MPLBACKEND"] = "agg"  # Matplotlib, where it is installed, opens no window
+os.environ["MPLBACKEND"] = "agg"  # Matplotlib opens no window
 
-collect_ignore = ["typing/wrong_uses.py"]  # read by type checkers, and never run
+collect_ignore = ["typing/wrong_uses.py"]  # for type checkers, never run
 
 if "JAX_COMPILATION_CACHE_DIR" not in os.environ:
-    # What JAX has compiled once it keeps for all workers, and for the programs that tests start, until this run ends.
+    # The compilation cache of JAX is shared by all workers and by programs that tests start, until this run ends.
     os.environ["JAX_COMPILATION_CACHE_DIR"] = tempfile.mkdtemp(prefix="loi-jax-")
     os.environ["JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS"] = "0"
     os.environ["JAX_PERSISTENT_CACHE_MIN_ENTRY_SIZE_BYTES"] = "-1"
     _OWNER = os.getpid()
 
     @atexit.register
-    def _remove_what_jax_kept() -> None:
-        if os.getpid() == _OWNER:  # not a child that was forked
+    def _remove_jax_cache() -> None:
+        if os.getpid() == _OWNER:  # not a forked child
             shutil.rmtree(os.environ["JAX_COMPILATION_CACHE_DIR"], ignore_errors=True)
 
 
@@ -49,18 +49,18 @@ settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
 
 @pytest.fixture(scope="session")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The distribution as a user gets it."""
+    """Return the wheel that users install."""
     return build_wheel(tmp_path_factory.mktemp("dist"))
 
 
-@pytest.fixture(scope="module")  # not longer: while it is open, nothing else can run an event loop
+@pytest.fixture(scope="module")  # not "session": while it is open, no other event loop can run
 def browser() -> Iterator[Browser]:
-    """A headless Chromium; tests are skipped where there is none."""
-    with chromium() as one:
-        yield one
+    """Return a headless Chromium; tests are skipped without one."""
+    with chromium() as started:
+        yield started
 
 
 @pytest.fixture(scope="session")
 def fresh(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The Python of an environment that has nothing but the wheel and what it requires."""
+    """Return the Python of an environment with only the wheel and its requirements."""
     return fresh_python(tmp_path_factory.mktemp("fresh"), wheel)

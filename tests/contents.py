@@ -1,4 +1,4 @@
-"""Pairs of images of the kinds that are compared: what an accuracy must hold on."""
+"""Pairs of images of many kinds for tests of accuracy."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ from tests.helpers import Host
 Pair = tuple[Host, Host]
 
 
-def disks(shape: tuple[int, int, int], rng: np.random.Generator, count: int = 4, share: float = 0.1) -> Host:
-    """Anti-aliased disks of random colour on black."""
+def disks(shape: tuple[int, int, int], rng: np.random.Generator, count: int = 4, radius: float = 0.1) -> Host:
+    """Return anti-aliased disks of random colour on black."""
     height, width, channels = shape
     image = np.zeros(shape)
     rows, columns = np.mgrid[:height, :width]
     for _ in range(count):
-        away = np.hypot(rows - rng.uniform(0, height), columns - rng.uniform(0, width))
-        cover = np.clip(share * min(height, width) + 0.5 - away, 0.0, 1.0)[..., None]
+        distance = np.hypot(rows - rng.uniform(0, height), columns - rng.uniform(0, width))
+        cover = np.clip(radius * min(height, width) + 0.5 - distance, 0.0, 1.0)[..., None]
         image = image * (1.0 - cover) + cover * rng.uniform(size=channels)
     return image
 
 
 def photograph(shape: tuple[int, int, int], rng: np.random.Generator) -> Host:
-    """What photographs share: a spectrum that falls as 1 / frequency, and edges."""
+    """Return an image with the statistics of photographs: a spectrum of 1 / frequency, and edges."""
     height, width, channels = shape
     frequency = np.hypot(np.fft.fftfreq(height)[:, None], np.fft.fftfreq(width)[None, :])
     frequency[0, 0] = 1.0
@@ -51,18 +51,18 @@ def _step(shape: tuple[int, int, int], rng: np.random.Generator) -> Pair:
 
 
 def _noisy(shape: tuple[int, int, int], rng: np.random.Generator) -> Pair:
-    one, other = disks(shape, rng), disks(shape, rng)
+    first, second = disks(shape, rng), disks(shape, rng)
     return (
-        np.clip(one + 0.05 * rng.standard_normal(shape), 0, 1),
-        np.clip(other + 0.05 * rng.standard_normal(shape), 0, 1),
+        np.clip(first + 0.05 * rng.standard_normal(shape), 0, 1),
+        np.clip(second + 0.05 * rng.standard_normal(shape), 0, 1),
     )
 
 
 def _sparse(shape: tuple[int, int, int], rng: np.random.Generator) -> Pair:
-    one, other = (rng.uniform(size=(*shape[:2], 1)) < 0.004 for _ in range(2))
+    first, second = (rng.uniform(size=(*shape[:2], 1)) < 0.004 for _ in range(2))
     ones = np.ones(shape)
     ones[0, 0] = 0.0  # never all equal
-    return one * ones, other * np.ones(shape) + 0.0 * ones
+    return first * ones, second * np.ones(shape) + 0.0 * ones
 
 
 def _photographs(shape: tuple[int, int, int], rng: np.random.Generator) -> Pair:
@@ -87,7 +87,7 @@ CONTENTS: Final[dict[str, Callable[[tuple[int, int, int], np.random.Generator], 
 
 
 def _waves(shape: tuple[int, int, int], rng: np.random.Generator) -> Pair:
-    """Sines of one period, along an axis or not, one of them moved along."""
+    """Two sines of one period and different phase, along an axis or oblique."""
     rows, columns = np.mgrid[: shape[0], : shape[1]]
     angle = rng.choice([0.0, rng.uniform(0.0, np.pi)])
     phase = 2.0 * np.pi * rng.uniform(2.0, 20.0) * (columns * np.cos(angle) + rows * np.sin(angle)) / shape[1]
@@ -95,22 +95,22 @@ def _waves(shape: tuple[int, int, int], rng: np.random.Generator) -> Pair:
 
 
 def _checkerboards(shape: tuple[int, int, int], rng: np.random.Generator) -> Pair:
-    """One moved along, or against grey."""
+    """A checkerboard, and the same board shifted, or grey."""
     rows, columns = np.mgrid[: shape[0], : shape[1]]
-    side = int(rng.integers(1, 17))
-    board = (columns // side + rows // side) % 2 * rng.uniform(0.1, 1.0)
+    square = int(rng.integers(1, 17))
+    board = (columns // square + rows // square) % 2 * rng.uniform(0.1, 1.0)
     if rng.random() < 0.3:
         return _grey(board, shape), np.full(shape, rng.uniform())
-    return _grey(board, shape), _grey(np.roll(board, int(rng.integers(1, side + 1)), axis=1), shape)
+    return _grey(board, shape), _grey(np.roll(board, int(rng.integers(1, square + 1)), axis=1), shape)
 
 
 def _stripes(shape: tuple[int, int, int], rng: np.random.Generator) -> Pair:
-    """Upright or level, one moved along."""
+    """Vertical or horizontal stripes, one image shifted."""
     period = int(rng.integers(2, 40))
     width, moved = (int(rng.integers(1, period)) for _ in range(2))
     axis = int(rng.integers(2))
-    along = np.mgrid[: shape[0], : shape[1]][axis]
-    return _grey(along % period < width, shape), _grey((along + moved) % period < width, shape)
+    position = np.mgrid[: shape[0], : shape[1]][axis]
+    return _grey(position % period < width, shape), _grey((position + moved) % period < width, shape)
 
 
 def _zone_plates(shape: tuple[int, int, int], rng: np.random.Generator) -> Pair:
@@ -128,24 +128,26 @@ def _one_pixel(shape: tuple[int, int, int], rng: np.random.Generator) -> Pair:
 
 
 def _disk_nearly_there(shape: tuple[int, int, int], rng: np.random.Generator) -> Pair:
-    """What every fit ends with: less than a pixel is missing."""
+    """The end of every fit: a disk less than a pixel off."""
     rows, columns = np.mgrid[: shape[0], : shape[1]]
     centre = np.array([shape[0] // 2, shape[1] // 2]) if rng.random() < 0.5 else rng.uniform(0.3, 0.7, 2) * shape[:2]
     radius, angle = rng.uniform(0.05, 0.4) * min(shape[:2]), rng.choice([0.0, rng.uniform(0.0, 2.0 * np.pi)])
     moved = centre + 10.0 ** rng.uniform(-3.0, 0.0) * np.array([np.sin(angle), np.cos(angle)])
-    one, other = (np.clip(0.5 + radius - np.hypot(rows - y, columns - x), 0.0, 1.0) for y, x in (centre, moved))
-    return _grey(one, shape), _grey(other, shape)
+    image, reference = (np.clip(0.5 + radius - np.hypot(rows - y, columns - x), 0.0, 1.0) for y, x in (centre, moved))
+    return _grey(image, shape), _grey(reference, shape)
 
 
 def _box_nearly_there(shape: tuple[int, int, int], rng: np.random.Generator) -> Pair:
-    """The same with edges along the axes."""
+    """The end of a fit with edges along the axes."""
     rows, columns = np.mgrid[: shape[0], : shape[1]]
     top, bottom = rng.uniform(0.0, 0.4) * shape[0], rng.uniform(0.6, 1.0) * shape[0]
     left, right = rng.uniform(0.0, 0.4) * shape[1], rng.uniform(0.6, 1.0) * shape[1]
     moved = 10.0 ** rng.uniform(-3.0, 0.0)
     level = np.clip(rows - top, 0.0, 1.0) * np.clip(bottom - rows, 0.0, 1.0)
-    one, other = (np.clip(columns - left - by, 0, 1) * np.clip(right + by - columns, 0, 1) for by in (0.0, moved))
-    return _grey(level * one, shape), _grey(level * other, shape)
+    image, reference = (
+        np.clip(columns - left - shift, 0, 1) * np.clip(right + shift - columns, 0, 1) for shift in (0.0, moved)
+    )
+    return _grey(level * image, shape), _grey(level * reference, shape)
 
 
 def _photograph_nearly_there(shape: tuple[int, int, int], rng: np.random.Generator) -> Pair:
@@ -162,8 +164,8 @@ def _nearly_equal(shape: tuple[int, int, int], rng: np.random.Generator) -> Pair
 
 def _ramps(shape: tuple[int, int, int], rng: np.random.Generator) -> Pair:
     rows, columns = np.mgrid[: shape[0], : shape[1]]
-    other = rows / shape[0] if rng.random() < 0.5 else columns / shape[1] * rng.uniform(0.2, 1.0)
-    return _grey(columns / shape[1] * rng.uniform(0.2, 1.0), shape), _grey(other, shape)
+    reference = rows / shape[0] if rng.random() < 0.5 else columns / shape[1] * rng.uniform(0.2, 1.0)
+    return _grey(columns / shape[1] * rng.uniform(0.2, 1.0), shape), _grey(reference, shape)
 
 
 def _grey(plane: Host, shape: tuple[int, int, int]) -> Host:
@@ -182,4 +184,4 @@ HARD: Final[dict[str, Callable[[tuple[int, int, int], np.random.Generator], Pair
     "nearly equal": _nearly_equal,
     "ramps": _ramps,
 }
-"""Pairs whose histograms, once blurred, change sign more often than the blur's width says, or nearly everywhere."""
+"""Pairs whose blurred histogram differences change sign more often than the width of the blur suggests."""

@@ -1,4 +1,4 @@
-"""Building the wheel, and empty environments to install it into."""
+"""The wheel, and empty environments for it."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from typing import Final
 ROOT: Final = Path(__file__).parents[1]
 
 TEST_PACKAGES: Final = ("hypothesis", "mpmath", "psutil", "pytest", "scipy")
-"""What the tests of the core import beside the core."""
+"""Packages that the tests of the core import."""
 
 
 def run(*arguments: str | Path, cwd: Path | None = None, **environment: str) -> str:
-    """The standard output of a command that has to succeed; its standard error is in the failure."""
-    # What importing loi_mitsuba in this process has chosen must not be chosen for another environment.
+    """Run a command that must succeed and return its standard output; a failure shows its standard error."""
+    # The LLVM that an import of loi_mitsuba has chosen is not valid for another environment.
     inherited = {name: value for name, value in os.environ.items() if name != "DRJIT_LIBLLVM_PATH"}
-    done = subprocess.run(
+    process = subprocess.run(
         list(map(str, arguments)), capture_output=True, text=True, cwd=cwd, env={**inherited, **environment}
     )
-    assert done.returncode == 0, f"{arguments} ended with {done.returncode}:\n{done.stdout}\n{done.stderr}"
-    return done.stdout
+    assert process.returncode == 0, f"{arguments} ended with {process.returncode}:\n{process.stdout}\n{process.stderr}"
+    return process.stdout
 
 
 def build_wheel(folder: Path, source: Path = ROOT) -> Path:
@@ -37,21 +37,21 @@ def build_sdist(folder: Path) -> Path:
 
 
 def fresh_python(folder: Path, wheel: Path) -> Path:
-    """The Python of an empty environment into which the wheel alone, with what it requires, was installed."""
+    """Return the Python of an environment with only the wheel and its requirements."""
     run(sys.executable, "-m", "venv", folder)
     python = folder / "bin" / "python"
-    # Of all that is installed little is imported: what is, Python compiles then.
+    # Few of the installed modules are imported; Python compiles them at import.
     quick = ("-q", "--no-compile", "--disable-pip-version-check")
     run(python, "-m", "pip", "install", *quick, "-c", ROOT / "constraints.txt", wheel)
     return python
 
 
 def copied_python(python: Path, folder: Path) -> Path:
-    """The Python of a copy of an environment, which takes a fraction of the time of one more."""
+    """Return the Python of a copy of an environment, which is faster than a new environment."""
     shutil.copytree(python.parents[1], folder, symlinks=True, dirs_exist_ok=True)
     for script in (folder / "bin").iterdir():
         content = b"" if script.is_symlink() else script.read_bytes()
-        if content.startswith(b"#!"):  # and the path of the Python that runs it
+        if content.startswith(b"#!"):  # followed by the path of its Python
             script.write_bytes(content.replace(os.fsencode(python.parents[1]), os.fsencode(folder)))
     return folder / "bin" / "python"
 
@@ -71,7 +71,7 @@ def python_with_versions(
     python = folder / "bin" / "python"
     install = sys.executable, "-m", "uv", "pip", "install", "--quiet", "--python", python, "--only-binary", ":all:"
     # The strategy applies to requirements named directly, so the wheel is installed apart from its requirements.
-    chosen = [part for extra in extras for part in ("--extra", extra)]
+    chosen = [argument for extra in extras for argument in ("--extra", extra)]
     run(*install, "--resolution", RESOLUTIONS[resolution], "--requirements", ROOT / "pyproject.toml", *chosen)
     run(*install, "--no-deps", wheel)
     frozen = folder / "frozen.txt"
@@ -80,27 +80,27 @@ def python_with_versions(
     return python
 
 
-def run_copied_tests(python: Path, folder: Path, *names: str, before: str = "") -> str:
-    """Run tests from a folder where the sources are not, so that what is tested is what is installed.
+def run_copied_tests(python: Path, folder: Path, *names: str, setup: str = "") -> str:
+    """Run tests from a folder without the sources, so that they test the installed packages.
 
     Parameters
     ----------
     python : Path
-        Of the environment.
+        Python of the environment.
     folder : Path
-        Where the tests are copied to.
+        Destination of the copied tests.
     names : str
         Files or folders of `tests`.
-    before : str
+    setup : str
         Code that runs first.
     """
-    passed_over = shutil.ignore_patterns("__pycache__")
+    ignored = shutil.ignore_patterns("__pycache__")
     for name in ("tests", "benchmarks"):  # some tests run a benchmark
-        shutil.copytree(ROOT / name, folder / name, ignore=passed_over, dirs_exist_ok=True)
+        shutil.copytree(ROOT / name, folder / name, ignore=ignored, dirs_exist_ok=True)
     (folder / "pytest.ini").write_text("[pytest]\npythonpath = .\naddopts = --import-mode=importlib\n")
     arguments = ["-q", "-p", "no:cacheprovider", "--hypothesis-seed=0", *(f"tests/{name}" for name in names)]
     code = (
-        f"{before}\nimport sys, pytest, loi_core\n"
+        f"{setup}\nimport sys, pytest, loi_core\n"
         f"assert 'site-packages' in loi_core.__file__, loi_core.__file__\n"
         f"sys.exit(pytest.main({arguments!r}))"
     )

@@ -1,6 +1,7 @@
-"""The frameworks that tests compare the core with, imported when they are first used, and set up alike everywhere.
+"""Frameworks for comparison with the core, imported at first use and configured alike everywhere.
 
-A test that uses one that is not installed is skipped. Names here stand for modules: ``torch.zeros(3)`` imports torch.
+Tests of a framework that is not installed are skipped. Names are placeholders of modules: ``torch.zeros(3)`` imports
+torch.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ __all__ = [
 
 @functools.cache
 def load(name: str) -> ModuleType:
-    """Import a framework, in float64 and on one thread: the tests run in several processes already."""
+    """Import a framework, with float64 and one thread, since tests run in several processes."""
     module = importlib.import_module(name)
     if name == "jax":
         module.config.update("jax_enable_x64", True)
@@ -39,20 +40,20 @@ def load(name: str) -> ModuleType:
 
 
 def load_installed(*names: str) -> None:
-    """Import those frameworks of a list that are installed, where each has to be set up before the tests begin."""
+    """Import the installed frameworks of a list, for modules that need them configured before the tests begin."""
     for name in names:
         if importlib.util.find_spec(name) is not None:
             load(name)
 
 
 class _Framework:
-    """A module that is imported when something of it is asked for."""
+    """A module that is imported when an attribute is used."""
 
     def __init__(self, name: str, package: str) -> None:
         self._name, self._package = name, package
 
     def __getattr__(self, name: str) -> Any:
-        if name.startswith(("_", "pytest")):  # what pytest asks of everything in a module
+        if name.startswith(("_", "pytest")):  # pytest inspects every object of a module
             raise AttributeError(name)
         pytest.importorskip(self._package)
         load(self._package)

@@ -1,4 +1,4 @@
-"""What several tests share: scales worth trying, random images, and finite differences."""
+"""Shared by several tests: typical scales, random images, and finite differences."""
 
 from __future__ import annotations
 
@@ -36,38 +36,38 @@ SCALES: dict[str, ScaleSpace] = {
 
 @contextmanager
 def without_numba() -> Iterator[None]:
-    """As where Numba is not installed."""
+    """Compare as if Numba were not installed."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("LOI_COMPILED", "0")
         yield
 
 
-def images(shape: tuple[int, ...], seed: int, low: float = 0.02, high: float = 0.98) -> tuple[Host, Host]:
-    """Two random images strictly inside the default bounds, where nothing is clipped and no tie is expected."""
+def images(shape: tuple[int, ...], seed: int, minimum: float = 0.02, maximum: float = 0.98) -> tuple[Host, Host]:
+    """Return two random images strictly inside the default bounds, without clipping and without ties."""
     rng = np.random.default_rng(seed)
-    first, second = rng.uniform(low, high, (2, *shape))
+    first, second = rng.uniform(minimum, maximum, (2, *shape))
     return first, second
 
 
 def directional_difference(function: Callable[[Host], Any], at: Host, direction: Host, step: float) -> float:
-    """Central difference of fourth order of `function` along `direction`.
+    """Return the central difference of fourth order of `function` along `direction`.
 
     Its error is step^4 times a fifth derivative plus rounding over step, so in float64 a step near 1e-4 leaves
     about 1e-11 on a smooth function of size 1.
     """
-    near = float(function(at + step * direction)) - float(function(at - step * direction))
-    far = float(function(at + 2 * step * direction)) - float(function(at - 2 * step * direction))
-    return (8.0 * near - far) / (12.0 * step)
+    inner = float(function(at + step * direction)) - float(function(at - step * direction))
+    outer = float(function(at + 2 * step * direction)) - float(function(at - 2 * step * direction))
+    return (8.0 * inner - outer) / (12.0 * step)
 
 
-def relative_error(got: Host, wanted: Host) -> float:
-    """Euclidean norm of the difference over that of what was wanted."""
-    return float(np.linalg.norm(np.asarray(got) - np.asarray(wanted)) / np.linalg.norm(np.asarray(wanted)))
+def relative_error(actual: Host, expected: Host) -> float:
+    """Return the Euclidean norm of the difference over the norm of the expected array."""
+    return float(np.linalg.norm(np.asarray(actual) - np.asarray(expected)) / np.linalg.norm(np.asarray(expected)))
 
 
 def program_output(code: str, **environment: str) -> str:
-    """What a program prints; warnings are written after it, and anything else on standard error is a failure."""
-    done = subprocess.run(
+    """Return the output of a program, followed by the name of each warning about compiled loops."""
+    process = subprocess.run(
         [sys.executable, "-c", code],
         capture_output=True,
         text=True,
@@ -75,4 +75,4 @@ def program_output(code: str, **environment: str) -> str:
         check=True,
         env={**os.environ, "PYTHONWARNINGS": "always::RuntimeWarning", **environment},
     )
-    return done.stdout.strip() + "".join(re.findall("CompiledLoopsWarning", done.stderr))
+    return process.stdout.strip() + "".join(re.findall("CompiledLoopsWarning", process.stderr))

@@ -1,4 +1,4 @@
-"""One disk on 16 x 16 pixels, which many tests fit from a scene file: its renderer, where it starts, and its target."""
+"""A scene file with one disk on 16 x 16 pixels: its renderer, its start, and its target."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ beta = 0.125
 
 
 def lay_out_disk(folder: Path, scene: str) -> Path:
-    """Write the target, ``target.png``, and a scene file beside it; the path of that."""
+    """Write the target, ``target.png``, and a scene file beside it; return the path of the scene file."""
     disk = Disks(16, 16, [[10, 6]], 3.0, [[0.9, 0.2, 0.1]])
     write_png(folder / "target.png", disk.render(disk.parameters()))
     path = folder / "scene.toml"

@@ -1,4 +1,4 @@
-"""The public names and their arguments: ``python -m tests.public_names > tests/data/public_names.txt``."""
+"""Public names and their arguments: ``python -m tests.public_names > tests/data/public_names.txt``."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PACKAGES: Final = (
 
 
 def lines() -> Iterator[str]:
-    """Functions and classes with their arguments, public methods of classes below them, other names with their type."""
+    """Yield functions and classes with their arguments, public methods of classes, and other names with their types."""
     for package in PACKAGES:
         module = importlib.import_module(package)
         for name in sorted(module.__all__):
@@ -36,31 +36,32 @@ def _described(name: str, thing: Any) -> Iterator[str]:
         return
     yield f"{name}{_arguments(thing)}"
     if inspect.isclass(thing):
-        for method, what in sorted(vars(thing).items()):
+        for method, attribute in sorted(vars(thing).items()):
             if not method.startswith("_"):
                 bound = getattr(thing, method)
                 yield f"    .{method}{_arguments(bound) if callable(bound) else ''}" + (
-                    " (property)" if isinstance(what, property) else ""
+                    " (property)" if isinstance(attribute, property) else ""
                 )
 
 
 def _arguments(thing: Any) -> str:
     if inspect.isclass(thing) and issubclass(thing, Exception) and "__init__" not in vars(thing):
-        return "(...)"  # that of the built-in one, which differs from one Python to the next
+        return "(...)"  # the signature of built-in exceptions depends on the version of Python
     try:
         parameters = inspect.signature(thing).parameters.values()
     except (TypeError, ValueError):
         return "(...)"
-    parts = []
+    arguments = []
     star = False
-    for one in parameters:
-        if one.kind is one.KEYWORD_ONLY and not star:
-            parts.append("*")
-        star = star or one.kind in (one.KEYWORD_ONLY, one.VAR_POSITIONAL)
-        prefix = "*" if one.kind is one.VAR_POSITIONAL else "**" if one.kind is one.VAR_KEYWORD else ""
-        default = "" if one.default is one.empty else "=..."
-        parts.append(f"{prefix}{one.name}{default}")
-    return f"({', '.join(parts)})"
+    for parameter in parameters:
+        passing = parameter.kind
+        if passing is parameter.KEYWORD_ONLY and not star:
+            arguments.append("*")
+        star = star or passing in (parameter.KEYWORD_ONLY, parameter.VAR_POSITIONAL)
+        prefix = "*" if passing is parameter.VAR_POSITIONAL else "**" if passing is parameter.VAR_KEYWORD else ""
+        default = "" if parameter.default is parameter.empty else "=..."
+        arguments.append(f"{prefix}{parameter.name}{default}")
+    return f"({', '.join(arguments)})"
 
 
 if __name__ == "__main__":

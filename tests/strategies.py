@@ -1,4 +1,4 @@
-"""What hypothesis draws in several modules, and how far results may be apart."""
+"""Strategies of hypothesis for several modules, and bounds of differences."""
 
 from __future__ import annotations
 
@@ -18,27 +18,27 @@ from tests.helpers import Host
 __all__ = ["FEWER_EXAMPLES", "SEEDS", "THOROUGH", "Problem", "max_differences", "problems", "thorough"]
 
 THOROUGH: Final = os.environ.get("HYPOTHESIS_PROFILE") == "thorough"
-"""Whether this is the tier for which an hour is not too long."""
+"""Whether the thorough tier runs, which takes an hour."""
 
 thorough: Final = pytest.mark.skipif(not THOROUGH, reason="takes long; in the thorough tier")
-"""For tests of which others, that are always run, say the most."""
+"""Marks tests that shorter tests mostly cover."""
 
 FEWER_EXAMPLES: Final = settings(max_examples=max(1, settings().max_examples // 8))
-"""For what takes long for each example, as where JAX compiles for each shape anew: an eighth of the tier's examples."""
+"""An eighth of the examples, for slow ones, such as a compilation by JAX for each shape."""
 
 Problem: TypeAlias = tuple[Host, Host, ScaleSpace, str]
 """Image, reference, scales and dtype."""
 
 SEEDS: Final = st.integers(0, 2**31)
-"""For random generators."""
+"""Seeds of random generators."""
 
-KINDS: Final = ("flat", "ramp", "step", "noise", "hdr", "saturated")
+CONTENT_KINDS: Final = ("flat", "ramp", "step", "noise", "hdr", "saturated")
 
 
 @st.composite
 def contents(draw: st.DrawFn, shape: tuple[int, ...]) -> Host:
-    """An image of one of the kinds that renderers make."""
-    kind = draw(st.sampled_from(KINDS))
+    """Draw an image of a kind that renderers produce."""
+    content = draw(st.sampled_from(CONTENT_KINDS))
     rng = np.random.default_rng(draw(SEEDS))
     rows, columns = np.linspace(0, 1, shape[-3])[:, None, None], np.linspace(0, 1, shape[-2])[None, :, None]
     makers: dict[str, Callable[[], Host]] = {
@@ -49,25 +49,25 @@ def contents(draw: st.DrawFn, shape: tuple[int, ...]) -> Host:
         "hdr": lambda: rng.exponential(size=shape) * 10.0 ** rng.integers(-2, 5),
         "saturated": lambda: rng.integers(0, 2, size=shape),
     }
-    return np.array(makers[kind](), dtype=np.float64)
+    return np.array(makers[content](), dtype=np.float64)
 
 
 @st.composite
 def problems(draw: st.DrawFn) -> Problem:
-    """Two images of one shape, scales, and a dtype."""
+    """Draw two images of one shape, scales, and a dtype."""
     batch = draw(st.sampled_from([(), (), (1,), (2,), (2, 1)]))
     size = st.integers(1, 14)
     shape = (*batch, draw(size), draw(size), draw(st.integers(1, 4)))
     scale = st.sampled_from([0.0, 0.3, 1.0, 2.5, 5.0, 15.0, 100.0])
-    some = st.lists(scale, min_size=1, max_size=3, unique=True)
+    scale_lists = st.lists(scale, min_size=1, max_size=3, unique=True)
     presets = [ScaleSpace.paper("vector"), ScaleSpace.paper("path"), ScaleSpace.for_image(*shape[-3:-1])]
     scales = draw(
         st.one_of(
             st.sampled_from([*presets, ScaleSpace.released((1, 5), (1, 5), 8, 21)]),
             st.builds(
                 ScaleSpace,
-                some,
-                some,
+                scale_lists,
+                scale_lists,
                 st.sampled_from([0.05, 0.125, 0.4]),
                 boundary=st.sampled_from(["reflect", "zero"]),
                 bounds=st.sampled_from([(0.0, 1.0), (-0.5, 2.0)]),
@@ -75,16 +75,16 @@ def problems(draw: st.DrawFn) -> Problem:
         )
     )
     image, reference = draw(contents(shape)), draw(contents(shape))
-    if draw(st.booleans()):  # equal in some rows, where backends that look at values compute nothing
+    if draw(st.booleans()):  # equal in some rows, which backends that read values skip
         image[..., draw(st.integers(0, shape[-3] - 1)) :, :, :] = 0.5
         reference = np.where(image == 0.5, image, reference)
     return image, reference, scales, draw(st.sampled_from(["float64", "float32"]))
 
 
 def max_differences(image: Host, reference: Host, scales: ScaleSpace, shift: float = 0.0) -> tuple[float, float]:
-    """Largest differences of two losses, and of their gradients in the 1-norm: each may err on another side.
+    """Return the largest differences of two losses, and of their gradients in the 1-norm, with errors of opposite sign.
 
-    `shift` is what libraries may differ by in intensities already, in eps.
+    `shift` is the difference of intensities between libraries, in eps.
     """
     bound = allowed(image, reference, scales, float(np.finfo(image.dtype).eps), shift=shift)
     return 2.0 * bound.loss, 2.0 * bound.norm

@@ -1,4 +1,4 @@
-"""The distribution: what is in the wheel, and what importing it loads."""
+"""The distribution: the content of the wheel, and the modules that an import loads."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ PACKAGES = {"loi_core", "loi_torch", "loi_jax", "loi_mitsuba"}
 FRAMEWORKS = ("torch", "jax", "mitsuba", "drjit", "numba", "matplotlib", "PIL", "scipy")
 
 
-def test_the_wheel_holds_the_four_packages_and_nothing_else(wheel: Path) -> None:
+def test_the_wheel_has_exactly_the_four_packages(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
     assert {name.split("/")[0] for name in names if ".dist-info/" not in name} == PACKAGES
     sources = {
@@ -35,7 +35,7 @@ def test_the_wheel_holds_the_four_packages_and_nothing_else(wheel: Path) -> None
     assert any(name.endswith("licenses/LICENSE") for name in names)
 
 
-def test_the_description_on_pypi_has_absolute_links_alone(wheel: Path) -> None:
+def test_the_description_on_pypi_has_only_absolute_links(wheel: Path) -> None:
     archive = zipfile.ZipFile(wheel)
     description = archive.read(next(name for name in archive.namelist() if name.endswith("METADATA"))).decode()
     links = re.findall(r"\]\(([^)]+)\)", re.sub(r"```.*?```", "", description, flags=re.DOTALL))
@@ -43,17 +43,17 @@ def test_the_description_on_pypi_has_absolute_links_alone(wheel: Path) -> None:
     assert [link for link in links if not link.startswith("https://")] == []
 
 
-def test_the_sdist_builds_the_same_wheel_by_itself(wheel: Path, tmp_path: Path) -> None:
+def test_the_sdist_builds_the_same_wheel(wheel: Path, tmp_path: Path) -> None:
     with tarfile.open(build_sdist(tmp_path)) as sdist:
         sdist.extractall(tmp_path, filter="data")
     (unpacked,) = (path for path in tmp_path.iterdir() if path.is_dir())
     assert {"CITATION.cff", "README.md", "LICENSE", "constraints.txt", "tests"} <= {
-        one.name for one in unpacked.iterdir()
+        path.name for path in unpacked.iterdir()
     }
-    again = build_wheel(tmp_path / "again", unpacked)
-    one, other = (zipfile.ZipFile(path) for path in (wheel, again))
-    assert sorted(one.namelist()) == sorted(other.namelist())
-    assert all(one.read(name) == other.read(name) for name in one.namelist())
+    rebuilt = build_wheel(tmp_path / "rebuilt", unpacked)
+    first, second = (zipfile.ZipFile(path) for path in (wheel, rebuilt))
+    assert sorted(first.namelist()) == sorted(second.namelist())
+    assert all(first.read(name) == second.read(name) for name in first.namelist())
 
 
 def test_the_wheel_works_in_an_empty_environment(fresh: Path, tmp_path: Path) -> None:
@@ -65,7 +65,7 @@ def test_the_wheel_works_in_an_empty_environment(fresh: Path, tmp_path: Path) ->
     )
     run(fresh, "-c", code, LOI_COMPILED="0")
     listed = json.loads(run(fresh.parent / "loi", "renderers", "--json"))
-    assert {one["name"]: one["state"] for one in listed} == {
+    assert {renderer["name"]: renderer["state"] for renderer in listed} == {
         "disks": "ready",
         "disks-jax": "missing",
         "disks-torch": "missing",
@@ -76,7 +76,7 @@ def test_the_wheel_works_in_an_empty_environment(fresh: Path, tmp_path: Path) ->
         "warp": "ready",
         "warp-torch": "missing",
     }
-    fixes = {one["name"]: one["fix"] for one in listed if one["state"] == "missing"}
+    fixes = {renderer["name"]: renderer["fix"] for renderer in listed if renderer["state"] == "missing"}
     assert fixes == {
         "disks-jax": "pip install 'loi[jax]'",
         "disks-torch": "pip install 'loi[torch]'",
@@ -87,9 +87,9 @@ def test_the_wheel_works_in_an_empty_environment(fresh: Path, tmp_path: Path) ->
         "warp-torch": "pip install 'loi[torch]'",
     }
     doctor = json.loads(run(fresh.parent / "loi", "doctor", "--json", LOI_COMPILED="0"))
-    states = {one["name"]: one["state"] for one in doctor}
+    states = {check["name"]: check["state"] for check in doctor}
     assert states["torch"] == states["jax"] == states["mitsuba"] == "missing"
-    assert states["numba"] == "note"  # it is there, and switched off
+    assert states["numba"] == "note"  # installed, and disabled
     installed = run(fresh, "-m", "pip", "list", "--format=freeze", "--disable-pip-version-check")
     assert not re.search(r"^(torch|jax|mitsuba|scipy|matplotlib)==", installed, re.MULTILINE)
 
@@ -115,25 +115,25 @@ def test_the_base_install_fits_a_bundled_scene_and_draws_its_report(fresh: Path,
 
 
 @thorough
-def test_the_wheel_measures_what_accuracy_costs_in_an_empty_environment(fresh: Path, tmp_path: Path) -> None:
+def test_the_wheel_measures_the_cost_of_accuracy_in_an_empty_environment(fresh: Path, tmp_path: Path) -> None:
     code = "import numpy as np; np.save('a.npy', np.eye(12)); np.save('b.npy', np.eye(12)[::-1])"
     run(fresh, "-c", code, cwd=tmp_path)
     images = ("--image", "a.npy", "--reference", "b.npy")
-    found = json.loads(
+    result = json.loads(
         run(fresh.parent / "loi", "tradeoff", *images, "--seconds", "1e-3", "--json", cwd=tmp_path, LOI_COMPILED="0")
     )
-    assert {row["backend"] for row in found["rows"] if row["problem"] is None} == {"numpy"}
-    assert {one["name"]: one["fix"] for one in found["missing"]} == {
+    assert {row["backend"] for row in result["rows"] if row["problem"] is None} == {"numpy"}
+    assert {backend["name"]: backend["fix"] for backend in result["missing"]} == {
         "jax": "pip install 'loi[jax]'",
         "mitsuba": "pip install 'loi[mitsuba]'",
         "torch": "pip install 'loi[torch]'",
     }
 
 
-def test_numba_comes_along_and_is_used(fresh: Path) -> None:
+def test_numba_is_installed_with_the_wheel_and_used(fresh: Path) -> None:
     code = (
         "import numpy as np, loi_core as loi\n"
-        "print(loi.LOIObjective(np.zeros((8, 8, 3))).plan())\n"  # which compiles nothing yet
+        "print(loi.LOIObjective(np.zeros((8, 8, 3))).plan())\n"  # compiles nothing
     )
     assert "in loops compiled by Numba" in run(fresh, "-c", code)
 
@@ -147,9 +147,9 @@ NUMBA = {"darwin": ("arm64",), "linux": ("x86_64", "aarch64"), "win32": ("AMD64"
 
 
 @pytest.mark.parametrize("system", NUMBA)
-def test_numba_is_required_where_it_has_wheels_and_nowhere_else(system: str) -> None:
-    wanted = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
-    (numba,) = (Requirement(one) for one in wanted if one.startswith("numba"))
+def test_numba_is_required_on_exactly_the_systems_with_wheels(system: str) -> None:
+    requirements = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["dependencies"]
+    (numba,) = (Requirement(text) for text in requirements if text.startswith("numba"))
     assert numba.marker is not None
     for machines, python, expected in (
         (NUMBA[system], "3.11", True),
@@ -158,11 +158,11 @@ def test_numba_is_required_where_it_has_wheels_and_nowhere_else(system: str) -> 
         (NO_NUMBA[system], "3.12", False),
     ):
         for machine in machines:
-            place = {"sys_platform": system, "platform_machine": machine, "python_version": python}
-            assert numba.marker.evaluate(place) == expected
+            environment = {"sys_platform": system, "platform_machine": machine, "python_version": python}
+            assert numba.marker.evaluate(environment) == expected
 
 
-ALONE = """
+HIDE_PACKAGES = """
 import importlib.abc, sys
 class Absent(importlib.abc.MetaPathFinder):
     def find_spec(self, name, path, target=None):
@@ -173,15 +173,15 @@ sys.meta_path.insert(0, Absent())
 ABSENT = {"torch", "jax", "jaxlib", "mitsuba", "drjit", "numba", "llvmlite", "kornia", "array_api_strict"}
 
 
-def test_the_core_passes_its_tests_with_numpy_alone_where_only_the_wheel_is(fresh: Path, tmp_path: Path) -> None:
+def test_the_installed_core_passes_its_tests_with_numpy_alone(fresh: Path, tmp_path: Path) -> None:
     pins = "-c", ROOT / "constraints.txt"
     run(fresh, "-m", "pip", "install", "-q", "--no-compile", "--disable-pip-version-check", *pins, *TEST_PACKAGES)
-    without = ALONE.format(absent=ABSENT)
-    some = ("pixels", "objectives/test_loss.py", "objectives/test_gradient.py")
-    said = run_copied_tests(
-        fresh, tmp_path, *(("method", "objectives", "pixels", "renderers") if THOROUGH else some), before=without
+    setup = HIDE_PACKAGES.format(absent=ABSENT)
+    quick = ("pixels", "objectives/test_loss.py", "objectives/test_gradient.py")
+    output = run_copied_tests(
+        fresh, tmp_path, *(("method", "objectives", "pixels", "renderers") if THOROUGH else quick), setup=setup
     )
-    assert re.search(r"[1-9]\d+ passed", said)
+    assert re.search(r"[1-9]\d+ passed", output)
 
 
 def test_importing_the_core_loads_no_framework() -> None:
@@ -194,8 +194,9 @@ def test_every_pinned_version_is_exact_and_every_requirement_is_pinned() -> None
     assert all(re.fullmatch(r"[A-Za-z0-9._-]+==[0-9][0-9A-Za-z.]*", line) for line in lines)
     pinned = {re.sub(r"[-_.]+", "-", line.split("==")[0]).lower() for line in lines}
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    wanted = [*project["dependencies"], *(one for extra in project["optional-dependencies"].values() for one in extra)]
-    names = {re.split(r"[<>=\[; ]", one)[0] for one in wanted} - {"loi", "mitsuba"}
+    extras = project["optional-dependencies"].values()
+    requirements = [*project["dependencies"], *(requirement for extra in extras for requirement in extra)]
+    names = {re.split(r"[<>=\[; ]", requirement)[0] for requirement in requirements} - {"loi", "mitsuba"}
     assert {re.sub(r"[-_.]+", "-", name).lower() for name in names} <= pinned
 
 
@@ -207,6 +208,6 @@ def test_the_citation_names_this_version_and_the_paper() -> None:
     assert cited["version"] == __version__
     assert cited["license"] == project["license"]
     paper = cited["preferred-citation"]
-    assert [one["family-names"] for one in paper["authors"]] == ["Mehta", "Chandraker", "Ramamoorthi"]
+    assert [author["family-names"] for author in paper["authors"]] == ["Mehta", "Chandraker", "Ramamoorthi"]
     assert paper["title"] == "Locally Orderless Images for Optimization in Differentiable Rendering"
     assert paper["year"] == 2025

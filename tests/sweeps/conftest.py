@@ -1,4 +1,4 @@
-"""A sweep that is done, and arrays instead of loops that would have to be compiled first."""
+"""A finished sweep, and array code instead of loops that need compilation."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ def _arrays() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def finished(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The path of a sweep file whose runs are all done, by two processes."""
+    """Return the path of a sweep file whose runs were executed by two processes."""
     path = lay_out(tmp_path_factory.mktemp("sweep"))
     with without_numba():
-        found = sweep(path, processes=2)
-    assert found.count("done") == 8
+        result = sweep(path, processes=2)
+    assert result.count("done") == 8
     return path

@@ -1,4 +1,4 @@
-"""What the tests of sweeps share: a small scene, and the outcome of its fits."""
+"""Shared by the tests of sweeps: a small scene, and the results of its fits."""
 
 from __future__ import annotations
 
@@ -31,27 +31,27 @@ TIMES = ("seconds",)  # differ between two executions of the same run
 
 
 def lay_out(folder: Path, sweep: str = SWEEP) -> Path:
-    """Write a scene, its target and a sweep; the path of the last."""
+    """Write a scene, its target and a sweep; return the path of the sweep file."""
     lay_out_disk(folder, SCENE)
     (folder / "sweep.toml").write_text(sweep)
     return folder / "sweep.toml"
 
 
 def records(output: Path) -> dict[str, dict[str, Any]]:
-    """What is on record, by the name of the run."""
+    """Return the records of finished runs by name."""
     return {path.stem: json.loads(path.read_text()) for path in (output / "records").glob("*.json")}
 
 
 def outcome(record: Mapping[str, Any], folder: Path) -> dict[str, Any]:
-    """All that came of a run but times: its numbers, its parameters and its last image."""
+    """Return the result of a run without times: its numbers, its parameters and its final image."""
     return {name: value for name, value in record.items() if name not in ("run", *TIMES)} | {
         name: (folder / name).read_bytes() for name in ("parameters.json", "final.png")
     }
 
 
 def outcome_here(path: Path, name: str, output: Path) -> dict[str, Any]:
-    """That of a run of a sweep file, carried out in this process."""
+    """Execute a run of a sweep file in this process and return its result."""
     plan = read_sweep(path)
-    run = next(one for one in plan.runs if one.name == name)
+    run = next(candidate for candidate in plan.runs if candidate.name == name)
     task = FitTask(name, run.scene, run.document, run.start, output / name)
     return outcome(run_fit(task), output / name)

@@ -1,4 +1,4 @@
-"""A sweep on a cluster of Dask: real processes, one of which is killed half way, and a fit without an end."""
+"""A sweep on a Dask cluster of real processes, with a killed worker and a fit that hangs."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from loi_core.sweeps import sweep
 from tests.environments import ROOT
 from tests.sweeps.scenes import lay_out, outcome, outcome_here, records
 
-LIMIT = 10  # seconds: a fit takes one, and its process some to begin, more on a busy machine
+LIMIT = 10  # seconds; a fit takes one, and the start of its process a few
 ENDLESS = 2**31 - 1
 SWEEP = f"""\
 scene = "scene.toml"
@@ -31,7 +31,7 @@ fit.steps = [{ENDLESS}, 51, 52, 53, 54, 55]
 
 
 class Cluster:
-    """A scheduler and workers, each a process of its own with one thread."""
+    """A scheduler and workers, each in a separate process with one thread."""
 
     def __init__(self, folder: Path) -> None:
         self._file = folder / "scheduler.json"
@@ -65,14 +65,14 @@ class Cluster:
 
 @pytest.fixture
 def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
-    made = Cluster(tmp_path_factory.mktemp("cluster"))
-    yield made
-    made.close()
+    started = Cluster(tmp_path_factory.mktemp("cluster"))
+    yield started
+    started.close()
 
 
-def wait_until(is_so: Callable[[], object]) -> None:
+def wait_until(condition: Callable[[], object]) -> None:
     for _ in range(6000):
-        if is_so():
+        if condition():
             return
         time.sleep(0.01)
     msg = "not within a minute"
@@ -96,7 +96,7 @@ def test_every_fit_is_recorded_once_though_a_worker_is_killed_and_a_fit_hangs(
     orphans: list[psutil.Process] = []
 
     def midway(ended: int, _: int, __: str) -> None:
-        if not victims:  # the first worker has begun with the fit without an end, and this one gets the others
+        if not victims:  # the first worker executes the fit that hangs, and this worker the others
             victims.append(cluster.add_worker())
         if ended == 2 and not orphans:
             wait_until(lambda: begun(output) - set(records(output)))
@@ -106,23 +106,25 @@ def test_every_fit_is_recorded_once_though_a_worker_is_killed_and_a_fit_hangs(
 
     executor = DaskExecutor(cluster.address)
     try:
-        found = sweep(path, executor=executor, progress=midway)
+        result = sweep(path, executor=executor, progress=midway)
     finally:
         executor.shutdown(cancel_futures=True)
 
-    assert (found.count("done"), found.count("failed")) == (5, 1)
-    assert set(written) == {row["run"] for row in found.rows}
+    assert (result.count("done"), result.count("failed")) == (5, 1)
+    assert set(written) == {row["run"] for row in result.rows}
     assert set(written.values()) == {1}
-    (failed,) = (row for row in found.rows if row["status"] == "failed")
+    (failed,) = (row for row in result.rows if row["status"] == "failed")
     assert failed["fit.steps"] == ENDLESS
     assert failed["cause"] == f"no result after {LIMIT} s; its process was killed"
     assert orphans
-    wait_until(lambda: not any(one.is_running() and one.status() != psutil.STATUS_ZOMBIE for one in orphans))
+    wait_until(
+        lambda: not any(process.is_running() and process.status() != psutil.STATUS_ZOMBIE for process in orphans)
+    )
     for name, record in records(output).items():
         if name != failed["run"]:
             assert outcome(record, output / "runs" / name) == outcome_here(path, name, tmp_path / "here")
 
 
 def begun(output: Path) -> set[str]:
-    """The runs that have got as far as a checkpoint, but for the one without an end."""
+    """Return the runs that have written a checkpoint, except the fit that hangs."""
     return {path.parent.name for path in output.glob("runs/*/checkpoint.npz") if str(ENDLESS) not in path.parent.name}

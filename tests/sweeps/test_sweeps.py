@@ -1,4 +1,4 @@
-"""Sweeps: every run once, whatever happens to some of them, and one table of all."""
+"""Sweeps: every run once, whatever happens to some runs, and one table of all runs."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from tests.sweeps.scenes import SCENE, SWEEP, lay_out, outcome, outcome_here, re
 
 @pytest.fixture
 def done(finished: Path, tmp_path: Path) -> Path:
-    """A copy of the finished sweep, to be changed."""
+    """Return a copy of the finished sweep, for changes."""
     shutil.copytree(finished.parent, tmp_path, dirs_exist_ok=True)
     return tmp_path / finished.name
 
@@ -42,22 +42,22 @@ def no_process(*_: Any, **__: Any) -> None:
     raise AssertionError(msg)
 
 
-def test_every_run_comes_out_as_in_one_process_to_the_bit(finished: Path, tmp_path: Path) -> None:
+def test_every_run_equals_its_execution_in_one_process_to_the_bit(finished: Path, tmp_path: Path) -> None:
     output = finished.parent / "sweep-result"
-    found = records(output)
-    assert len(found) == 8
-    for name, record in found.items():
+    finished_runs = records(output)
+    assert len(finished_runs) == 8
+    for name, record in finished_runs.items():
         assert outcome(record, output / "runs" / name) == outcome_here(finished, name, tmp_path)
 
 
-def test_runs_that_are_done_leave_no_checkpoint(finished: Path) -> None:
+def test_finished_runs_leave_no_checkpoint(finished: Path) -> None:
     for folder in (finished.parent / "sweep-result" / "runs").iterdir():
         left = {path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file()}
         assert not any("checkpoint" in name for name in left)
         assert "loi-fit.json" in left
 
 
-def test_a_sweep_varies_what_it_says_and_leaves_the_rest(finished: Path) -> None:
+def test_a_sweep_varies_exactly_the_listed_keys(finished: Path) -> None:
     runs = read_sweep(finished).runs
     assert list(runs[0].varied) == ["objective.name", "optimise.positions.learning_rate", "start"]
     assert [tuple(run.varied.values()) for run in runs] == [
@@ -73,29 +73,29 @@ def test_a_sweep_varies_what_it_says_and_leaves_the_rest(finished: Path) -> None
     assert runs[1].document["fit"] == {"steps": 30, "learning_rate": 1}
 
 
-def test_what_is_done_is_not_done_again(done: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    before = {path: path.stat().st_mtime_ns for path in done.parent.glob("sweep-result/r*/**/*")}
+def test_finished_runs_are_not_executed_again(done: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    modified = {path: path.stat().st_mtime_ns for path in done.parent.glob("sweep-result/r*/**/*")}
     monkeypatch.setattr(processes, "_Process", no_process)
     assert sweep(done).count("done") == 8
-    assert {path: path.stat().st_mtime_ns for path in done.parent.glob("sweep-result/r*/**/*")} == before
+    assert {path: path.stat().st_mtime_ns for path in done.parent.glob("sweep-result/r*/**/*")} == modified
 
 
-def test_a_run_is_another_one_once_anything_that_it_depends_on_changes(done: Path) -> None:
-    def left() -> int:
+def test_a_change_of_any_dependency_makes_a_new_run(done: Path) -> None:
+    def unfinished() -> int:
         plan, folder = read_sweep(done), SweepFolder(done.parent / "sweep-result")
         return sum(folder.read(run) is None for run in plan.runs)
 
-    assert left() == 0
+    assert unfinished() == 0
     done.write_text(SWEEP.replace("starts = 2", "starts = 3\ntimeout = 50"))
-    assert left() == 4  # those of the third start; a limit of time is not what a run depends on
+    assert unfinished() == 4  # the runs of the third start; runs do not depend on the time limit
     done.write_text(SWEEP.replace("[1, 2.5]", "[1, 2.25]"))
-    assert left() == 4
+    assert unfinished() == 4
     done.write_text(SWEEP)
     (done.parent / "scene.toml").write_text(SCENE.replace("sigma = 1", "sigma = 1.5"))
-    assert left() == 8
+    assert unfinished() == 8
     (done.parent / "scene.toml").write_text(SCENE)
     write_png(done.parent / "target.png", 0.5 * read_image(done.parent / "target.png"))
-    assert left() == 8
+    assert unfinished() == 8
 
 
 def test_seeds_are_far_apart_and_starts_lie_within_the_bounds(tmp_path: Path) -> None:
@@ -103,12 +103,12 @@ def test_seeds_are_far_apart_and_starts_lie_within_the_bounds(tmp_path: Path) ->
     runs = read_sweep(path).runs
     assert [(run.varied["fit.seed"], run.start) for run in runs] == [(k, j) for j in (0, 1, 2) for k in (0, 10**6)]
     assert [run.document["fit"]["seed"] for run in runs[:2]] == [0, 10**6]
-    found = sweep(path, processes=2)
+    result = sweep(path, processes=2)
     starts = {
-        row["start"]: read_image(tmp_path / "sweep-result" / "runs" / row["run"] / "initial.png") for row in found.rows
+        row["start"]: read_image(tmp_path / "sweep-result" / "runs" / row["run"] / "initial.png") for row in result.rows
     }
     assert len({image.tobytes() for image in starts.values()}) == 3
-    by_seed = [sorted(row["psnr"] for row in found.rows if row["fit.seed"] == seed) for seed in (0, 10**6)]
+    by_seed = [sorted(row["psnr"] for row in result.rows if row["fit.seed"] == seed) for seed in (0, 10**6)]
     assert by_seed[0] == by_seed[1]  # nothing is random in this renderer
 
 
@@ -120,14 +120,14 @@ def test_the_table_has_a_row_for_each_run_in_csv_and_in_parquet(finished: Path) 
         rows = list(csv.DictReader(stream))
     assert len(rows) == 8
     assert {row["status"] for row in rows} == {"done"}
-    found = records(folder)
+    finished_runs = records(folder)
     table = parquet.read_table(folder / "sweep.parquet").to_pylist()
-    for row, other in zip(rows, table, strict=True):
-        record = found[row["run"]]
-        assert float(row["psnr"]) == other["psnr"] == record["psnr"]
-        assert float(row["error.positions"]) == other["error.positions"] == record["errors"]["positions"]
-        assert row["objective.name"] == other["objective.name"] == record["objective"]
-        assert float(row["optimise.positions.learning_rate"]) == other["optimise.positions.learning_rate"]
+    for row, typed_row in zip(rows, table, strict=True):
+        record = finished_runs[row["run"]]
+        assert float(row["psnr"]) == typed_row["psnr"] == record["psnr"]
+        assert float(row["error.positions"]) == typed_row["error.positions"] == record["errors"]["positions"]
+        assert row["objective.name"] == typed_row["objective.name"] == record["objective"]
+        assert float(row["optimise.positions.learning_rate"]) == typed_row["optimise.positions.learning_rate"]
 
 
 def test_without_pyarrow_the_table_is_csv(done: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -137,33 +137,33 @@ def test_without_pyarrow_the_table_is_csv(done: Path, monkeypatch: pytest.Monkey
     assert not (done.parent / "sweep-result" / "sweep.parquet").exists()
 
 
-def test_the_page_ranks_settings_by_their_mean_and_needs_no_other_file(finished: Path) -> None:
-    found = sweep(finished)
-    means = [one.mean for one in found.standings]
+def test_the_page_ranks_settings_by_their_mean_and_is_self_contained(finished: Path) -> None:
+    result = sweep(finished)
+    means = [standing.mean for standing in result.standings]
     assert means == sorted(means, reverse=True)
-    for one in found.standings:
+    for standing in result.standings:
         scores = [
-            row["psnr"] for row in found.rows if all(str(row[key]) == value for key, value in one.setting.items())
+            row["psnr"] for row in result.rows if all(str(row[key]) == value for key, value in standing.setting.items())
         ]
-        assert one.mean == pytest.approx(np.mean(scores))
-        assert one.worst == min(scores)
-        assert one.best is not None
-        assert one.best["psnr"] == max(scores)
-    page = found.page.read_text()
-    assert page.count("data:image/png;base64,") == 3 * len(found.standings) == 12
+        assert standing.mean == pytest.approx(np.mean(scores))
+        assert standing.worst == min(scores)
+        assert standing.best is not None
+        assert standing.best["psnr"] == max(scores)
+    page = result.page.read_text()
+    assert page.count("data:image/png;base64,") == 3 * len(result.standings) == 12
     assert "color-scheme: light dark" in page
     assert re.findall(r'src="(?!data:)|<link|<script|https?:', page) == []
     for link in re.findall(r'href="([^"]+)"', page):
-        assert (found.page.parent / link).exists()
+        assert (result.page.parent / link).exists()
 
 
-def test_a_rank_of_errors_is_lowest_first(done: Path) -> None:
+def test_a_ranking_by_errors_starts_with_the_lowest(done: Path) -> None:
     done.write_text(f'rank = "error.positions"\n{SWEEP}')
-    means = [one.mean for one in sweep(done).standings]
+    means = [standing.mean for standing in sweep(done).standings]
     assert means == sorted(means)
 
 
-def test_what_failed_is_listed_with_its_cause_and_done_again_only_when_asked(
+def test_failed_runs_are_listed_with_their_cause_and_retried_on_request(
     done: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = done.parent / "sweep-result"
@@ -171,14 +171,14 @@ def test_what_failed_is_listed_with_its_cause_and_done_again_only_when_asked(
     (folder / "records" / f"{name}.json").unlink()
     shutil.rmtree(folder / "runs" / name)
     (folder / "runs" / name).mkdir()
-    stranger = folder / "runs" / name / "thesis.tex"
-    stranger.write_text("x")
+    foreign_file = folder / "runs" / name / "thesis.tex"
+    foreign_file.write_text("x")
     assert main(["sweep", str(done), "--processes", "1"]) == 1
-    said = capsys.readouterr()
-    assert f"loi: {name} failed: OptionError: `output` must be a new or empty folder" in said.err
-    assert "7 runs done, 1 failed; `--retry-failed`" in said.out
+    printed = capsys.readouterr()
+    assert f"loi: {name} failed: OptionError: `output` must be a new or empty folder" in printed.err
+    assert "7 runs done, 1 failed; `--retry-failed`" in printed.out
     assert "thesis.tex" in (folder / "leaderboard.html").read_text()
-    stranger.unlink()
+    foreign_file.unlink()
     with monkeypatch.context() as patch:
         patch.setattr(processes, "_Process", no_process)
         assert main(["sweep", str(done)]) == 1
@@ -186,11 +186,11 @@ def test_what_failed_is_listed_with_its_cause_and_done_again_only_when_asked(
     assert "8 runs done, 0 failed" in capsys.readouterr().out
 
 
-def test_ctrl_c_keeps_what_has_ended_and_the_same_call_goes_on(tmp_path: Path) -> None:
+def test_ctrl_c_keeps_finished_runs_and_the_same_call_continues(tmp_path: Path) -> None:
     path = lay_out(tmp_path)
     # A test run in the background may ignore Ctrl-C, and its children would too.
-    heeds = "signal.signal(signal.SIGINT, signal.default_int_handler)"
-    command = f"import runpy, signal; {heeds}; runpy.run_module('loi_core', run_name='__main__')"
+    set_handler = "signal.signal(signal.SIGINT, signal.default_int_handler)"
+    command = f"import runpy, signal; {set_handler}; runpy.run_module('loi_core', run_name='__main__')"
     program = subprocess.Popen(
         [sys.executable, "-c", command, "sweep", str(path), "--processes", "1"],
         cwd=ROOT,
@@ -201,19 +201,19 @@ def test_ctrl_c_keeps_what_has_ended_and_the_same_call_goes_on(tmp_path: Path) -
     while not records(tmp_path / "sweep-result") and program.poll() is None:
         time.sleep(0.02)
     program.send_signal(signal.SIGINT)
-    _, said = program.communicate(timeout=60)
-    kept = records(tmp_path / "sweep-result")
+    _, errors = program.communicate(timeout=60)
+    finished_runs = records(tmp_path / "sweep-result")
     assert program.returncode == 1
-    assert said == f"loi: interrupted; {len(kept)} of 8 runs are finished, the same call continues\n"
-    assert 1 <= len(kept) < 8
+    assert errors == f"loi: interrupted; {len(finished_runs)} of 8 runs are finished, the same call continues\n"
+    assert 1 <= len(finished_runs) < 8
     with (tmp_path / "sweep-result" / "sweep.csv").open(newline="") as stream:
-        assert [row["status"] for row in csv.DictReader(stream)].count("missing") == 8 - len(kept)
-    ended: list[int] = []
-    assert sweep(path, processes=2, progress=lambda *counts: ended.append(counts[1])).count("done") == 8
-    assert set(ended) == {8 - len(kept)}
+        assert [row["status"] for row in csv.DictReader(stream)].count("missing") == 8 - len(finished_runs)
+    totals: list[int] = []
+    assert sweep(path, processes=2, progress=lambda *counts: totals.append(counts[1])).count("done") == 8
+    assert set(totals) == {8 - len(finished_runs)}
 
 
-def test_an_interrupt_right_after_a_record_is_written_counts_that_run(
+def test_an_interrupt_after_a_record_was_written_counts_its_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = lay_out(tmp_path)
@@ -230,7 +230,7 @@ def test_an_interrupt_right_after_a_record_is_written_counts_that_run(
         assert [row["status"] for row in csv.DictReader(stream)].count("missing") == 7
 
 
-def test_two_sweeps_do_not_work_in_one_folder(done: Path) -> None:
+def test_a_second_sweep_in_the_same_folder_is_refused(done: Path) -> None:
     with (
         SweepFolder(done.parent / "sweep-result").locked(),
         pytest.raises(InUseError, match=r"sweep-result is in use by another fit"),
@@ -240,7 +240,7 @@ def test_two_sweeps_do_not_work_in_one_folder(done: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("change", "says"),
+    ("change", "message"),
     [
         ('scenes = "scene.toml"', "unknown key `scenes`; did you mean `scene`?"),
         ("seeds = 2", "`scene` is missing"),
@@ -274,16 +274,16 @@ def test_two_sweeps_do_not_work_in_one_folder(done: Path) -> None:
         ('scene = "scene.toml"\n[vary]\nfit.steps = [1, -3]', "`steps` must be a whole number, 1 or more, got -3"),
     ],
 )
-def test_a_wrong_sweep_is_one_line_and_nothing_is_written(tmp_path: Path, change: str, says: str) -> None:
+def test_a_mistake_in_a_sweep_is_one_line_and_nothing_is_written(tmp_path: Path, change: str, message: str) -> None:
     path = lay_out(tmp_path, f"{change}\n")
-    before = sorted(tmp_path.rglob("*"))
-    with pytest.raises(LoiError, match=says) as caught:
+    files = sorted(tmp_path.rglob("*"))
+    with pytest.raises(LoiError, match=message) as caught:
         sweep(path, processes=1)
     assert "\n" not in str(caught.value)
-    assert sorted(tmp_path.rglob("*")) == before
+    assert sorted(tmp_path.rglob("*")) == files
 
 
-def test_a_folder_that_somebody_keeps_files_in_is_refused(tmp_path: Path) -> None:
+def test_a_folder_with_other_files_is_refused(tmp_path: Path) -> None:
     path = lay_out(tmp_path)
     (tmp_path / "sweep-result").mkdir()
     (tmp_path / "sweep-result" / "thesis.tex").touch()
@@ -292,14 +292,14 @@ def test_a_folder_that_somebody_keeps_files_in_is_refused(tmp_path: Path) -> Non
 
 
 def test_several_scenes_are_compared_as_settings(tmp_path: Path) -> None:
-    path = lay_out(tmp_path, 'scene = ["scene.toml", "other.toml"]\n')
-    (tmp_path / "other.toml").write_text(SCENE.replace("steps = 30", "steps = 3"))
-    found = sweep(path, processes=2)
-    assert [one.setting for one in found.standings] == [{"scene": "scene.toml"}, {"scene": "other.toml"}]
-    assert [row["steps"] for row in found.rows] == [30, 3]
+    path = lay_out(tmp_path, 'scene = ["scene.toml", "short.toml"]\n')
+    (tmp_path / "short.toml").write_text(SCENE.replace("steps = 30", "steps = 3"))
+    result = sweep(path, processes=2)
+    assert [standing.setting for standing in result.standings] == [{"scene": "scene.toml"}, {"scene": "short.toml"}]
+    assert [row["steps"] for row in result.rows] == [30, 3]
 
 
-def test_dask_that_is_missing_or_does_not_answer_is_told_in_one_line(
+def test_a_missing_or_unreachable_dask_is_reported_on_one_line(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     path = lay_out(tmp_path)
@@ -312,20 +312,20 @@ def test_dask_that_is_missing_or_does_not_answer_is_told_in_one_line(
         DaskExecutor("tcp://127.0.0.1:1")
 
 
-def test_many_seeds_are_checked_by_few_processes_and_a_wrong_one_is_found(
+def test_many_seeds_are_checked_by_few_tasks_and_a_wrong_seed_is_detected(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = lay_out(tmp_path, 'scene = "scene.toml"\nseeds = 300\n')
-    begun: list[Any] = []
+    submitted: list[Any] = []
 
     class Counted(ThreadPoolExecutor):
         def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Any:
-            begun.append(args)
+            submitted.append(args)
             return super().submit(lambda: RunResult(args[2], "" if args[1] is scene_error else {"cause": ""}))
 
     with Counted(1) as executor:
         assert sweep(path, executor=executor).count("done") == 300
-    assert 300 <= len(begun) < 320
+    assert 300 <= len(submitted) < 320
     path.write_text('scene = "scene.toml"\nseeds = [1, 2, 3, 4611686018427387904123]\n')
     with pytest.raises(SceneError, match="`seed` must be"):
         sweep(path, output=tmp_path / "another", processes=1)

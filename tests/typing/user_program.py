@@ -1,6 +1,6 @@
-"""A program as a user writes it, with all kinds of public names; it has to be clean under strict type checkers.
+"""A program of a user with all kinds of public names, which strict type checkers must accept.
 
-It is checked as it is, against what is installed, and run. ``assert_type`` says what a name must come out as.
+It is checked against the installed packages, and run. ``assert_type`` states the expected type of a value.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Image = npt.NDArray[np.float64]
 
 
 class Brightness:
-    """A renderer of one's own: a grey image that is as bright as its parameter says."""
+    """A user-defined renderer: a grey image with its brightness as parameter."""
 
     def __init__(self, height: int, width: int) -> None:
         self.height, self.width = height, width
@@ -38,7 +38,7 @@ class Brightness:
 
 
 class Quartic:
-    """An objective of one's own."""
+    """A user-defined objective."""
 
     def value(self, image: Image) -> Image:
         return np.asarray(np.mean((image - 0.6) ** 4), np.float64)
@@ -48,7 +48,7 @@ class Quartic:
 
 
 def compare(image: Image, reference: Image) -> dict[str, float]:
-    """By every objective, as in a loop of one's own."""
+    """Evaluate every objective, as in a user's own loop."""
     scales = loi.ScaleSpace.for_image(*reference.shape[:2])
     assert_type(scales, loi.ScaleSpace)
     assert_type(scales.sigma, tuple[float, ...])
@@ -60,32 +60,32 @@ def compare(image: Image, reference: Image) -> dict[str, float]:
         loi.GaussianPyramid(reference),
         loi.MSSSIM(reference, levels=1),
     ]
-    found: dict[str, float] = {}
+    values: dict[str, float] = {}
     for objective in objectives:
         value, gradient = objective.value_and_grad(image)
         assert gradient.shape == image.shape
-        found[repr(objective)] = float(value)
+        values[repr(objective)] = float(value)
     objective = loi.LOIObjective(reference, scales)
     plan = objective.plan()
     assert_type(plan.error, float)
     assert_type(plan.is_sampled, bool)
     for (alpha, beta, sigma), term in objective.terms(image).items():
         assert_type((alpha, beta, sigma), tuple[float, float, float])
-        found[f"{alpha} {beta} {sigma}"] = float(term)
-    return found
+        values[f"{alpha} {beta} {sigma}"] = float(term)
+    return values
 
 
 def recover(start: Image, target: Image) -> float:
-    """By the library's loop, and what comes of it."""
+    """Fit a disk with the loop of the library and return the best value."""
     renderer = Disks(24, 32, target, 5.0, [[0.9, 0.4, 0.1]])
     reference = renderer.render(renderer.parameters())
-    seen: list[float] = []
+    watched: list[float] = []
 
     def watch(step: loi.FitStep, params: loi.Parameters, image: Any) -> bool:
         assert_type(step.value, float)
         assert_type(step.stage, int)
-        seen.append(step.value)
-        return len(seen) == 8
+        watched.append(step.value)
+        return len(watched) == 8
 
     free = {"positions": loi.Free(start, 0.0, 32.0, learning_rate="1.5 px")}
     result = loi.fit(renderer, loi.LOIObjective(reference), steps=10, optimise=free, callback=watch)
@@ -98,12 +98,12 @@ def recover(start: Image, target: Image) -> float:
         assert_type(result.diagnosis.ok, bool)
         assert_type(result.diagnosis.advice, str)
     assert_type(len(result.history), int)
-    assert seen == [one.value for one in result.history]
+    assert watched == [step.value for step in result.history]
     return result.best_value
 
 
 def several_views() -> loi.FitResult:
-    """With a renderer and an objective of one's own, and the errors that a fit may raise."""
+    """Fit a user-defined renderer with a user-defined objective, and handle errors."""
     views: dict[str, loi.Renderer] = {"left": Brightness(4, 4), "right": Brightness(4, 6)}
     objectives: dict[str, loi.Objective] = {"left": Quartic(), "right": Quartic()}
     try:
@@ -116,7 +116,7 @@ def several_views() -> loi.FitResult:
 
 
 def own_loop(image: Image, reference: Image) -> int:
-    """From far to near by hand."""
+    """Descend from far to near in a user's own loop."""
     schedule = loi.FarToNear(2, steps=6)
     stages: Sequence[loi.Objective] = [loi.GaussianPyramid(reference), loi.PixelL2(reference)]
     for _ in range(6):
@@ -128,7 +128,7 @@ def own_loop(image: Image, reference: Image) -> int:
 
 
 def from_file(path: Path) -> tuple[int, ...]:
-    """A photograph as a reference."""
+    """Use a photograph as the reference."""
     target = loi.read_target(path, to="linear")
     assert_type(target, loi.Target)
     objective = loi.LOIObjective(target.image, weights=target.weights)
@@ -136,13 +136,13 @@ def from_file(path: Path) -> tuple[int, ...]:
 
 
 def main() -> None:
-    """What it finds."""
+    """Run the program."""
     rng = np.random.default_rng(0)
     image, reference = rng.random((24, 32, 3)), rng.random((24, 32, 3))
     print(len(compare(image, reference)))
     print(recover(np.array([[20.0, 6.0]]), np.array([[8.0, 16.0]])))
     print(several_views().best_value, own_loop(image, reference))
-    print([one.name for one in loi.available_renderers()], loi.__version__)
+    print([info.name for info in loi.available_renderers()], loi.__version__)
     renderer: loi.Renderer = loi.load_renderer("disks")(8, 8, [[4.0, 4.0]], 2.0, [[1.0, 1.0, 1.0]])
     print(sorted(renderer.parameters()))
 

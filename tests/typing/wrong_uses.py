@@ -1,4 +1,4 @@
-"""Uses that a type checker has to report, each on a line that ends in ``# wrong``, and on no other."""
+"""Wrong uses, which a type checker must report on exactly the lines that end in ``# wrong``."""
 
 from __future__ import annotations
 
