@@ -18,8 +18,7 @@ from tests.environments import RESOLUTIONS, build_wheel, python_with_versions, r
 
 TESTS: Final = {
     "": ("method", "pixels", "objectives", "renderers", "io", "fitting", "cli/test_completion.py"),
-    "dask": ("sweeps/test_dask.py",),
-    "parquet": ("sweeps/test_sweeps.py",),
+    "dask": ("sweeps",),
     "jax": ("adapters/test_jax.py",),
     "mitsuba": ("mitsuba/test_renderer.py",),
     "torch": ("adapters/test_torch.py",),
@@ -49,7 +48,7 @@ def main() -> None:
     """Parse the command line and run the tests."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("resolution", choices=RESOLUTIONS)
-    parser.add_argument("extras", nargs="*", metavar="EXTRA", help="dask, parquet, jax, mitsuba or torch")
+    parser.add_argument("extras", nargs="*", metavar="EXTRA", help="dask, jax, mitsuba or torch")
     parser.add_argument("--python", default=sys.executable, help="interpreter of the environments")
     options = parser.parse_args()
     if unknown := set(options.extras) - set(TESTS):

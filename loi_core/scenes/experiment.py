@@ -78,7 +78,7 @@ def run_scene(
 
     A fit that fails, or is interrupted by Ctrl-C, returns its partial result with the cause in ``Trial.error``. After
     Ctrl-C, or if a checkpoint cannot be written, the remaining objectives are skipped. Only the first objective has a
-    checkpoint, which contains the record of the trial without the frames that `write_frame` has written.
+    checkpoint, which contains the record of the trial without its frames.
 
     Raises
     ------

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
@@ -26,7 +27,6 @@ FRAMES: Final = 24  # images of the descent in a report
 FRAMES_OF_LARGE_IMAGES: Final = 8
 LARGE_IMAGE_PIXELS: Final = 2**18
 VIEW: Final = "view/"  # prefix of view images in a checkpoint
-FRAME: Final = "frame/"  # prefix of frames that are not on disk yet, followed by their steps
 TERMS: Final = "terms"  # rows of step, alpha, beta, sigma and the scale's contribution to the value
 
 Progress: TypeAlias = Callable[[str, int, float], None]
@@ -54,7 +54,7 @@ class Trial:
     psnr : dict of float
         PSNR in dB by step, over the views that the step rendered.
     frames : list of (int, array)
-        Steps and images of the descent, the views side by side.
+        Steps and images of the descent since the start or the resumption, the views side by side.
     terms : dict of dict of float
         Contribution of each scale (alpha, beta, sigma) to the value, for the steps in `frames`; empty for an objective
         without scales.
@@ -136,7 +136,6 @@ class Recorder:
     write_frame: FrameWriter | None
     watch: Watch | None
     latest: dict[str, Host]
-    _unwritten: dict[int, Host] = field(default_factory=dict)
     _called: bool = False
     _frame_steps: set[int] = field(init=False)
 
@@ -151,7 +150,7 @@ class Recorder:
         self.latest |= rendered
         step_psnr = self.trial.psnr[step.step] = scene_psnr(self.scene, rendered)
         if step.step in self._frame_steps:
-            self._add_frame(step.step, self._picture())
+            self._add_frame(step.step)
             self.trial.terms[step.step] = scale_terms(self.scene, self.trial.objective, self.latest)
         if self.watch is not None:
             self.watch(self.trial.objective, step, step_psnr, self._picture)
@@ -159,14 +158,12 @@ class Recorder:
             self.progress(self.trial.objective, step.step, step.value)
 
     def memory(self) -> dict[str, Host]:
-        """Return the state for a checkpoint: PSNR and terms by step, view images, and frames that are not on disk."""
-        self._write_frames()
+        """Return the state for a checkpoint: PSNR and terms by step, and the latest image of each view."""
         values = np.array(sorted(self.trial.psnr.items()), dtype=np.float64).reshape(-1, 2)
         rows = [(step, *key, value) for step, terms in self.trial.terms.items() for key, value in terms.items()]
         skips_views = self.scene.fit.views_per_step is not None
         views = {f"{VIEW}{name}": image for name, image in self.latest.items()} if skips_views else {}
-        frames = {f"{FRAME}{step}": frame for step, frame in self._unwritten.items()}
-        return {"psnr": values, TERMS: np.array(rows, dtype=np.float64).reshape(-1, 5), **views, **frames}
+        return {"psnr": values, TERMS: np.array(rows, dtype=np.float64).reshape(-1, 5), **views}
 
     def restore(self, memory: Mapping[str, Host], /) -> None:
         """Restore the state that :meth:`memory` saved; entries of a wrong shape are ignored."""
@@ -182,27 +179,13 @@ class Recorder:
             saved = memory.get(f"{VIEW}{name}", image)
             if saved.shape == image.shape:
                 self.latest[name] = saved
-        shape = self.scene.montage(self.latest).shape
-        for name, frame in memory.items():
-            index = name.removeprefix(FRAME)
-            if name.startswith(FRAME) and index.isascii() and index.isdecimal() and frame.shape == shape:
-                self._add_frame(int(index), frame)
 
     def _picture(self) -> Host:
         return self.scene.montage(self.latest).copy()
 
-    def _add_frame(self, step: int, frame: Host) -> None:
+    def _add_frame(self, step: int) -> None:
+        frame = self._picture()
         self.trial.frames.append((step, frame))
-        self._unwritten[step] = frame
-        self._write_frames()
-
-    def _write_frames(self) -> None:
-        """Write pending frames; a frame that cannot be written stays pending, since it must not end a fit."""
-        if self.write_frame is None:
-            return
-        for step, frame in list(self._unwritten.items()):
-            try:
+        if self.write_frame is not None:
+            with contextlib.suppress(WriteError):  # a frame must not end a fit
                 self.write_frame(step, frame)
-            except WriteError:
-                return
-            del self._unwritten[step]

@@ -13,6 +13,7 @@ from loi_core.fitting.parameters import bounds_of, starting_parameters
 from loi_core.fitting.starts import draw_starts
 from loi_core.io.result_folder import CHECKPOINT_FILE, ResultFolder
 from loi_core.report import write_page, write_results
+from loi_core.report.output import frame_writer
 from loi_core.scenes.experiment import run_scene
 from loi_core.scenes.reading import make_scene
 from loi_core.scenes.recorder import Trial
@@ -64,7 +65,7 @@ def run_fit(task: FitTask) -> dict[str, Any]:
     scene = _make_scene(task)
     folder = ResultFolder(scene.output)
     folder.claim()
-    trials = _run(scene)
+    trials = _run(scene, folder)
     entry = write_results(scene, trials)["trials"][0]
     write_page(scene.output)
     if not entry["error"]:  # checkpoints would take nine tenths of the space of a sweep
@@ -98,10 +99,10 @@ def _make_scene(task: FitTask) -> Scene:
     )
 
 
-def _run(scene: Scene) -> list[Trial]:
-    checkpoint = scene.output / CHECKPOINT_FILE
+def _run(scene: Scene, folder: ResultFolder) -> list[Trial]:
+    checkpoint, write_frame = scene.output / CHECKPOINT_FILE, frame_writer(scene, folder)
     try:
-        return run_scene(scene, checkpoint=checkpoint, resume=True)
+        return run_scene(scene, checkpoint=checkpoint, resume=True, write_frame=write_frame)
     except ParameterError:  # the checkpoint is damaged, or something outside the sweep has changed since
-        ResultFolder(scene.output).remove([CHECKPOINT_FILE])
-        return run_scene(scene, checkpoint=checkpoint)
+        folder.remove([CHECKPOINT_FILE])
+        return run_scene(scene, checkpoint=checkpoint, write_frame=write_frame)
