@@ -70,7 +70,7 @@ def _per_pixel(corners: Array) -> Array:
 
 
 def _quadrant(x: Array, y: Array, radius: Array) -> tuple[Array, Array, Array, Array]:
-    """Return the area of a disk at the origin left of `x` and above `y`, and its derivatives by x, y and radius."""
+    """Return the area of a disk at the origin left of `x` and above `y`, and its derivatives in x, y and radius."""
     xp = namespace(x)
     x = xp.minimum(xp.maximum(x, -radius), radius)
     y = xp.minimum(xp.maximum(y, -radius), radius)
