@@ -40,8 +40,8 @@ def test_a_plugin_that_raises_anything_is_listed_as_broken(tmp_path: Path, monke
     values |= {"no value": "not a module!!", "nothing": ""}
     points = [EntryPoint(name, value, registry.RENDERERS.name) for name, value in values.items()]
     monkeypatch.setattr(registry, "entry_points", lambda group: points)
-    listed = {one.name: one for one in registry.available_renderers()}
-    assert {name: one.state for name, one in listed.items()} == dict.fromkeys(values, "broken")
+    listed = {info.name: info for info in registry.available_renderers()}
+    assert {name: info.state for name, info in listed.items()} == dict.fromkeys(values, "broken")
     assert listed["own"].problem == "Own"
     assert listed["mute"].problem == "Mute: its message cannot be printed"
     assert listed["no value"].problem == "'not a module!!' is not a module and an object in it"
@@ -56,7 +56,7 @@ def test_output_of_a_plugin_goes_to_standard_error(
     monkeypatch.setattr(registry, "entry_points", lambda group: points)
     assert main(["renderers", "--json"]) == 0
     out, err = capsys.readouterr()
-    assert [one["state"] for one in json.loads(out)] == ["ready"]
+    assert [renderer["state"] for renderer in json.loads(out)] == ["ready"]
     assert err == "hello\n"
 
 
@@ -68,7 +68,7 @@ def test_a_package_with_damaged_metadata_does_not_hide_the_others(
     (tmp_path / "damaged-1.0.dist-info" / "entry_points.txt").write_bytes(content)
     (tmp_path / "damaged-1.0.dist-info" / "METADATA").write_text("Metadata-Version: 2.1\nName: damaged\nVersion: 1.0\n")
     monkeypatch.syspath_prepend(str(tmp_path))
-    states = {one.name: one.state for one in registry.available_renderers()}
+    states = {info.name: info.state for info in registry.available_renderers()}
     assert states["damaged"] == "broken"
     assert states["disks"] == "ready"
     assert registry.load_renderer("disks") is Disks
@@ -92,7 +92,7 @@ class Late(Empty):
 
 
 @pytest.mark.parametrize(
-    ("made", "error", "says"),
+    ("make", "error", "message"),
     [
         (lambda: None, SceneError, "foreign made a NoneType, which is not a renderer"),
         (lambda: sys.exit(0), SceneError, "foreign refused: SystemExit: 0"),
@@ -101,11 +101,11 @@ class Late(Empty):
     ],
 )
 def test_a_broken_renderer_plugin_fails_with_one_line(
-    made: Any, error: type[Exception], says: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    make: Any, error: type[Exception], message: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     lay_out(tmp_path)
     document = {**SCENE, "renderer": {"name": "foreign"}, "optimise": {"positions": {}}}
     (tmp_path / "scene.toml").write_text(to_toml(document))
-    monkeypatch.setattr("loi_core.scenes.renderers.load_renderer", lambda name: lambda: made())
-    with pytest.raises(error, match=says):
+    monkeypatch.setattr("loi_core.scenes.renderers.load_renderer", lambda name: lambda: make())
+    with pytest.raises(error, match=message):
         Start.of(load_scene(tmp_path / "scene.toml"))
