@@ -47,7 +47,7 @@ class OptaxOptimiser:
         self._transformation = transformation
         self._update = jax.jit(transformation.update)
 
-    def start(self, params: Parameters, after: Memory | None = None) -> Memory:  # noqa: ARG002  # the state starts afresh
+    def start(self, params: Parameters, previous: Memory | None = None) -> Memory:  # noqa: ARG002  # the state starts afresh
         """See :class:`loi_core.Optimiser`."""
         return _flat(self._transformation.init(_live(params)))
 

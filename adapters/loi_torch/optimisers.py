@@ -59,7 +59,7 @@ class TorchOptimiser:
         self._kind, self._options = optimiser_class, options
         self._make([torch.zeros(2, 2)], [1.0])
 
-    def start(self, params: Parameters, after: Memory | None = None) -> Memory:  # noqa: ARG002  # the state starts empty
+    def start(self, params: Parameters, previous: Memory | None = None) -> Memory:  # noqa: ARG002  # the state starts empty
         """See :class:`loi_core.Optimiser`."""
         return {}
 

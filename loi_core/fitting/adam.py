@@ -29,11 +29,11 @@ class Adam:
     ``count``.
     """
 
-    def start(self, params: Parameters, after: Memory | None = None) -> Memory:
+    def start(self, params: Parameters, previous: Memory | None = None) -> Memory:
         """See :class:`Optimiser`. After another descent, the second moments and the count are kept."""
         first = {FIRST + name: namespace(value).zeros_like(_at_least_float32(value)) for name, value in params.items()}
-        if after is not None:
-            return {**after, **first}
+        if previous is not None:
+            return {**previous, **first}
         second = {SECOND + name: first[FIRST + name] for name in params}
         return {**first, **second, COUNT: np.zeros(())}
 
@@ -42,7 +42,7 @@ class Adam:
     ) -> tuple[Parameters, Memory]:
         """See :class:`Optimiser`."""
         count = int(memory[COUNT]) + 1
-        moved, after = dict(params), dict(memory)
+        moved, updated = dict(params), dict(memory)
         for name, rate in rates.items():
             slope = _at_least_float32(gradient[name])
             first = FIRST_DECAY * memory[FIRST + name] + (1.0 - FIRST_DECAY) * slope
@@ -52,9 +52,9 @@ class Adam:
             value: Array = params[name]
             stepped = _at_least_float32(value) - rate * mean / (deviation + EPSILON)
             moved[name] = namespace(value).astype(stepped, value.dtype)
-            after[FIRST + name], after[SECOND + name] = first, second
-        after[COUNT] = np.asarray(float(count))
-        return moved, after
+            updated[FIRST + name], updated[SECOND + name] = first, second
+        updated[COUNT] = np.asarray(float(count))
+        return moved, updated
 
     def identity(self, params: Parameters) -> str:  # noqa: ARG002  # the same for all parameters
         """See :class:`Optimiser`."""
@@ -77,6 +77,6 @@ class Adam:
 
 
 def _at_least_float32(array: Array) -> Array:
-    """Return `array` in float32 at least: in 16 bits squares of small gradients underflow to 0, and so does epsilon."""
+    """Return `array` in float32 at least: squares of small gradients, and epsilon, underflow in 16 bits."""
     xp = namespace(array)
     return xp.astype(array, xp.float32) if xp.finfo(array.dtype).bits < 32 else array

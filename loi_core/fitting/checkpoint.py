@@ -1,4 +1,4 @@
-"""Checkpoints: the state of a fit in one file, from which a stopped fit continues as if it had never stopped."""
+"""Checkpoints: the state of a fit in one file, so that a stopped fit continues as if it had never stopped."""
 
 from __future__ import annotations
 
@@ -84,14 +84,14 @@ class CheckpointFile:
         self._owned = False  # whether the file at the path was written or loaded by this fit
 
     def acquire(self, *, resume: bool) -> None:
-        """Lock the path and remove what killed fits have left half written.
+        """Lock the path and remove unfinished files of killed fits.
 
         Raises
         ------
         InUseError
-            If another fit has it.
+            If another fit uses it.
         OptionError
-            If a file lies there that is not a checkpoint, and the fit would overwrite it.
+            If the fit would overwrite a file that is not a checkpoint.
         WriteError
             If nothing can be written there.
         """
@@ -239,7 +239,7 @@ def settings_of(
     `rates` are the requested ones, in a parameter's own unit or as text in pixels. The start counts only if it was
     given: the renderer's own may be where an earlier fit has left the scene.
     """
-    given = {
+    initial = {
         name: np.asarray(to_numpy(entry.initial)).tolist() for name, entry in free.items() if entry.initial is not None
     }
     limits = {name: [to_numpy(limit[name]).tolist() for limit in (bounds.lower, bounds.upper)] for name in rates}
@@ -248,11 +248,11 @@ def settings_of(
         "seed": str(seed),
         "decay": decay,
         "learning rates": json.dumps(dict(rates)),
-        "start": _digest(given),
+        "start": _digest(initial),
         "starts": str(starts),
         "bounds": _digest(limits),
         "stages": f"{views.stages}, the last of them a polish" if views.polish else str(views.stages),
-        "views": json.dumps([*views.each, views.at_once]),
+        "views": json.dumps([*views.by_name, views.at_once]),
         "optimiser": optimiser,
     }
 
@@ -264,12 +264,12 @@ def _digest(value: object) -> str:
 def resume(
     saved: Checkpoint, fresh: State, views: Views, optimiser: Optimiser, free: Iterable[str], seed: int
 ) -> State:
-    """Return the saved state, with arrays of the same library, dtype and device as those of `fresh`.
+    """Return the saved state, with arrays of the library, dtype and device of `fresh`.
 
     Raises
     ------
     ParameterError
-        If a fit with other parameters, or with another objective, reference or scene, has saved it.
+        If the checkpoint belongs to other parameters, or to another objective, reference or scene.
     """
 
     def live(stored: Mapping[str, Host]) -> Parameters:
@@ -289,8 +289,8 @@ def resume(
         images = views.render(best, seed + best_step)
     with np.errstate(all="ignore"):  # a damaged value may overflow; it then differs from the saved one
         value = mean(views.values(images, stage))
-    # Loosely, since libraries may sum in another order from one run to the next. If a step renders only some views, its
-    # value includes views at other parameters.
+    # With a tolerance, since libraries may change the order of summation between runs. If a step renders only some
+    # views, its value includes views at other parameters.
     if views.all_at_once and not math.isclose(value, best_value, rel_tol=1e-4, abs_tol=1e-12):
         msg = (
             f"`checkpoint` was made with another objective, reference or scene: its best value is "

@@ -99,7 +99,7 @@ class Descent:
         started = time.perf_counter()
         stage, rate = state.schedule.stage, self._rate(state.schedule, state.step)
         evaluation = self.evaluate(state)
-        partial = len(evaluation.latest) < len(self.views.each)
+        partial = len(evaluation.latest) < len(self.views.by_name)
         state = state.evaluated(evaluation.value, evaluation.images, stage, partial=partial)
         params, memory = self.update(state, evaluation.gradient, rate)
         entry = FitStep(
@@ -123,7 +123,7 @@ class Descent:
         total: Parameters = {}
         for name in names:
             where = f" of view {name!r}" if name else ""
-            images[name], values[name], gradient = self._evaluate_view(self.views.each[name], state, where)
+            images[name], values[name], gradient = self._evaluate_view(self.views.by_name[name], state, where)
             for key, slope in gradient.items():
                 total[key] = slope if key not in total else total[key] + slope
         if len(names) > 1:
@@ -142,7 +142,7 @@ class Descent:
         return self._legal({**state.params, **free}, state), memory
 
     def advance(self, state: State, stage: int) -> State:
-        """Return the state with what the schedule requires after a step of `stage`: a restart, or other rates."""
+        """Return the state after the changes of stage that a step of `stage` causes: a restart, or other rates."""
         schedule, main_stage = state.schedule, self.views.main_stage
         if schedule.stuck:
             return self._restarted(state)
@@ -188,7 +188,7 @@ class Descent:
             value = mean(self.views.values(images, stage))
             noise = {}
             for name, image in self.views.render(state.params, self.seed + 1).items():
-                objective = self.views.each[name].objectives[stage]
+                objective = self.views.by_name[name].objectives[stage]
                 if isinstance(objective, LOIObjective) and not np.array_equal(to_numpy(image), to_numpy(images[name])):
                     noise[name] = float(detached(objective.with_reference(image).value(images[name])))
                 else:
@@ -254,8 +254,7 @@ class Descent:
     def _legal(self, moved: Parameters, state: State) -> Parameters:
         """Return the free parameters projected by the renderer and within their bounds; the others as they were.
 
-        A renderer knows neither the bounds nor which parameters are free: it may move two disks apart of which one is
-        fixed.
+        A renderer knows neither the bounds nor the free parameters: to separate two disks it may move a fixed one.
         """
         moved = self.bounds.clip(moved)
         with with_partial_result(state, "the projection"):

@@ -73,7 +73,7 @@ class FitEvidence:
 
     Attributes
     ----------
-    start, end : float
+    start_value, end_value : float
         The objective at the start and at the best parameters, there of the mean of several renders if they are random.
     noise : float
         The objective between one of these renders and their mean; 0 if nothing is random.
@@ -93,8 +93,8 @@ class FitEvidence:
         Of the render at the start, in dB.
     """
 
-    start: float
-    end: float
+    start_value: float
+    end_value: float
     noise: float
     history: Sequence[FitStep]
     params: Parameters
@@ -112,17 +112,17 @@ def diagnose_fit(views: Views, start: Parameters, bounds: Bounds, result: FitRes
         views, stage = views.unabridged(), views.main_stage
         images = views.render(start, seed)
         start_value = mean(views.values(images, stage))
-        ends, noises = {}, {}
-        for name, view in views.each.items():
+        end_values, noises = {}, {}
+        for name, view in views.by_name.items():
             end_seed = seed + result.best_step
-            ends[name], noises[name] = _end_and_noise(view, view.objectives[stage], result.best_params, end_seed)
+            end_values[name], noises[name] = _end_and_noise(view, view.objectives[stage], result.best_params, end_seed)
         visible: dict[str, bool] = {}
         if all(step.gradient_norm == 0.0 for step in result.history):
-            units, _ = measure_units(list(views.each.values()), start, bounds, bounds.lower, seed=seed)
+            units, _ = measure_units(list(views.by_name.values()), start, bounds, bounds.lower, seed=seed)
             visible = {name: math.isfinite(unit) for name, unit in units.items()}
         pairs = [
             (to_numpy(images[name]), to_numpy(view.objectives[-1].reference))
-            for name, view in views.each.items()
+            for name, view in views.by_name.items()
             if isinstance(view.objectives[-1], ImageObjective)
         ]
     except Exception:  # noqa: BLE001 - the fit is done, whatever a renderer does afterwards
@@ -130,7 +130,7 @@ def diagnose_fit(views: Views, start: Parameters, bounds: Bounds, result: FitRes
     return diagnose(
         FitEvidence(
             start_value,
-            mean(ends),
+            mean(end_values),
             mean(noises),
             result.history,
             result.best_params,
@@ -148,8 +148,10 @@ def _unmoved(start: Parameters, best: Parameters, bounds: Bounds) -> list[str]:
     """Return the free parameters that no step has moved; none if all are unmoved, since the start may be the best."""
     unmoved = []
     for name, lower in bounds.lower.items():
-        before, after, low, high = (to_numpy(value) for value in (start[name], best[name], lower, bounds.upper[name]))
-        if np.array_equal(before, after) and np.all((low < before) & (before < high)):
+        initial, final, lowest, highest = (
+            to_numpy(value) for value in (start[name], best[name], lower, bounds.upper[name])
+        )
+        if np.array_equal(initial, final) and np.all((lowest < initial) & (initial < highest)):
             unmoved.append(name)
     return unmoved if len(unmoved) < len(bounds.lower) else []
 
@@ -158,7 +160,7 @@ def psnr_of(views: Views, images: Images) -> float | None:
     """Return the PSNR of images against the references of the last objectives in dB, over counted pixels; or None."""
     errors = []
     for name, image in by_view(images).items():
-        objective = views.each[name].objectives[-1]
+        objective = views.by_name[name].objectives[-1]
         if not isinstance(objective, ImageObjective):
             return None
         pixels, reference = (to_numpy(array) for array in (image, objective.reference))
@@ -190,7 +192,10 @@ def _end_and_noise(view: View, objective: Objective, params: Parameters, seed: i
 
 def diagnose(evidence: FitEvidence) -> Diagnosis:
     """Return the verdict on a fit."""
-    left, noise = (value / evidence.start if evidence.start > 0.0 else 0.0 for value in (evidence.end, evidence.noise))
+    left, noise = (
+        value / evidence.start_value if evidence.start_value > 0.0 else 0.0
+        for value in (evidence.end_value, evidence.noise)
+    )
     norms = [step.gradient_norm for step in evidence.history]
     summary = f"{left:.0%} of the loss at the start is left"
     if evidence.unmoved:
@@ -204,13 +209,13 @@ def diagnose(evidence: FitEvidence) -> Diagnosis:
     if no_gradient and hidden:
         message = clause(hidden, "leaves no trace in the image", "leave no trace in the image")
         return verdict("no gradient", message, "check that they are in view")
-    if evidence.start == 0.0 and evidence.psnr is not None and evidence.psnr < VISIBLE_DB:
+    if evidence.start_value == 0.0 and evidence.psnr is not None and evidence.psnr < VISIBLE_DB:
         return verdict(
             "no gradient",
             f"start and target differ ({evidence.psnr:.1f} dB), and the loss does not see it",
             "it may compare too little: look at its scales and their bounds, and at `colours`",
         )
-    if evidence.start == 0.0:
+    if evidence.start_value == 0.0:
         return verdict("converged", "the start is the target, as far as the loss sees")
     if no_gradient:
         return verdict(
@@ -273,8 +278,8 @@ def _at_bounds(params: Parameters, bounds: Bounds) -> list[str]:
     """Return the parameters with an entry at a bound, unless both bounds are equal."""
     names = []
     for name, lower in bounds.lower.items():
-        value, low, high = (np.asarray(to_numpy(array)) for array in (params[name], lower, bounds.upper[name]))
-        if np.any(((value == low) | (value == high)) & (low < high)):
+        value, lowest, highest = (np.asarray(to_numpy(array)) for array in (params[name], lower, bounds.upper[name]))
+        if np.any(((value == lowest) | (value == highest)) & (lowest < highest)):
             names.append(name)
     return names
 
@@ -296,8 +301,8 @@ def _range_mismatch(image: Host, reference: Host) -> tuple[str, str] | None:
         # Encoding, since decoding makes all small numbers smaller, whatever they are.
         encoded = encode_srgb(linear)
         pixels = float(np.mean(np.abs(encoded - other_image))), float(np.mean(np.abs(linear - other_image)))
-        low, high, goal = (np.quantile(array, levels) for array in (linear, encoded, other_image))
-        values = float(np.mean(np.abs(high - goal))), float(np.mean(np.abs(low - goal)))
+        linear_levels, encoded_levels, goal = (np.quantile(array, levels) for array in (linear, encoded, other_image))
+        values = float(np.mean(np.abs(encoded_levels - goal))), float(np.mean(np.abs(linear_levels - goal)))
         if (
             values[1] > MIN_RANGE_DIFFERENCE
             and values[0] < MAX_QUANTILE_RATIO * values[1]

@@ -120,8 +120,8 @@ def fit(
         times, if the free parameters are few and bounded.
     polish : "pixels", optional
         "pixels" compares pixels once the loss of `objective` no longer falls, at the latest for the last two fifths of
-        the steps, for the last digits of a target that the renderer can reproduce exactly. `best_value` is then that of
-        the pixels. The default, None, suits photographs.
+        the steps, for the last digits of a target that the renderer can reproduce exactly. `best_value` then compares
+        pixels. The default, None, suits photographs.
     starts : int
         Number of starts: the parameters' own, and points within their bounds, which must be finite. Successive halving
         chooses among them, which takes about the time of `starts` thirds of a fit.
@@ -241,8 +241,8 @@ def fit(
 
 def _copies(params: Parameters, images: Mapping[str, Images]) -> tuple[Parameters, Images]:
     """Return parameters and images that a callback may write to."""
-    each = {name: copied(image) for name, image in images.items()}
-    return {name: copied(value) for name, value in params.items()}, ungrouped(each)
+    copies = {name: copied(image) for name, image in images.items()}
+    return {name: copied(value) for name, value in params.items()}, ungrouped(copies)
 
 
 def _initial_state(descent: Descent, params: Parameters, rates: Mapping[str, float]) -> State:

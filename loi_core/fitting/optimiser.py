@@ -32,14 +32,14 @@ def require_shapes(
 class Optimiser(Protocol):
     """An optimiser as pure functions on named parameters; its memory is an argument and a result."""
 
-    def start(self, params: Parameters, after: Memory | None = None) -> Memory:
+    def start(self, params: Parameters, previous: Memory | None = None) -> Memory:
         """Return the memory before the first step.
 
         Parameters
         ----------
         params : dict of arrays
             The free parameters.
-        after : dict of arrays, optional
+        previous : dict of arrays, optional
             The memory of an earlier descent from another start, whose estimates of gradient magnitudes may be kept.
         """
 

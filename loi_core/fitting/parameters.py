@@ -118,8 +118,8 @@ class SharedParameters:
                     msg = f"{key!r} has shape {tuple(first.shape)} in one view, and {tuple(value.shape)} in {name!r}"
                     raise RendererError(msg)
                 if library_name(first) != library_name(value):
-                    both = f"{library_name(first)} in one view, and of {library_name(value)}"
-                    msg = f"{key!r} is an array of {both} in {name!r}; views must share a library"
+                    libraries = f"{library_name(first)} in one view, and of {library_name(value)}"
+                    msg = f"{key!r} is an array of {libraries} in {name!r}; views must share a library"
                     raise RendererError(msg)
         return shared
 
@@ -185,16 +185,16 @@ def bounds_of(params: Parameters, free: Mapping[str, Free]) -> Bounds:
     """
     lower, upper = {}, {}
     for name, entry in free.items():
-        low = _like(name, "lower", params[name], -math.inf if entry.lower is None else entry.lower)
-        high = _like(name, "upper", params[name], math.inf if entry.upper is None else entry.upper)
-        floor, ceiling, start = to_numpy(low), to_numpy(high), to_numpy(params[name])
+        lower_bound = _like(name, "lower", params[name], -math.inf if entry.lower is None else entry.lower)
+        upper_bound = _like(name, "upper", params[name], math.inf if entry.upper is None else entry.upper)
+        floor, ceiling, start = to_numpy(lower_bound), to_numpy(upper_bound), to_numpy(params[name])
         if not np.all(floor <= ceiling):
             msg = f"`lower` of {name!r} must not exceed `upper`, got {floor.tolist()} and {ceiling.tolist()}"
             raise ParameterError(msg)
         if not np.all((floor <= start) & (start <= ceiling)):
             msg = f"`initial` of {name!r} must lie within its bounds, got {start.tolist()!r:.80}"
             raise ParameterError(msg)
-        lower[name], upper[name] = low, high
+        lower[name], upper[name] = lower_bound, upper_bound
     return Bounds(lower, upper)
 
 

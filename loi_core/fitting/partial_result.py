@@ -16,8 +16,8 @@ __all__ = ["with_partial_result"]
 class with_partial_result:  # noqa: N801 - a context manager
     """Raise any error of the block as a :class:`FitError` with the best result so far.
 
-    Ctrl-C passes, and so do errors of the library before the first value, which say what is wrong with the call. It is
-    a class because a generator that Ctrl-C interrupts cannot distinguish its own end from an error.
+    Ctrl-C passes unchanged. Errors of the library before the first value pass too, since they name the wrong argument.
+    This is a class because a generator that Ctrl-C interrupts cannot distinguish its own end from an error.
     """
 
     state: State

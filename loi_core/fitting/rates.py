@@ -41,12 +41,17 @@ def measured_rates(
     in_pixels = [name for name, rate in requested.items() if rate is None or isinstance(rate, str)]
     units: dict[str, float] = {}
     if in_pixels:
-        each = list(views.each.values())
-        units, side = measure_units(
-            each, params, bounds, in_pixels, targets=[_reference_of(view.objectives[-1]) for view in each], seed=seed
+        all_views = list(views.by_name.values())
+        units, image_side = measure_units(
+            all_views,
+            params,
+            bounds,
+            in_pixels,
+            targets=[_reference_of(view.objectives[-1]) for view in all_views],
+            seed=seed,
         )
-        max_pixels = max(side * MAX_RATE_FRACTION, MIN_RATE_PX)
-        default_pixels = min(max(CROSSINGS * side / steps, MIN_RATE_PX), max_pixels)
+        max_pixels = max(image_side * MAX_RATE_FRACTION, MIN_RATE_PX)
+        default_pixels = min(max(CROSSINGS * image_side / steps, MIN_RATE_PX), max_pixels)
     rates = {}
     for name, rate in requested.items():
         if name in units:

@@ -109,7 +109,7 @@ class Schedule:
     first_value: float | None = None
 
     def after(self, value: float) -> Schedule:
-        """Return the schedule after a step in which the loss of this stage had this value."""
+        """Return the schedule after one more step; `value` is the loss of this stage in that step."""
         window = min(max(MIN_WINDOW, round(WINDOW_FRACTION * self.steps)), MAX_WINDOW)
         values = (*self.values[1 - 2 * window :], value)
         first = values[0] if self.stage == 0 and self.first_value is None else self.first_value
@@ -122,12 +122,12 @@ class Schedule:
         return replace(taken, stuck=stuck)
 
     def restart(self) -> Schedule:
-        """Return the schedule at the start of the stage in which it was stuck."""
+        """Return the schedule with the stuck stage restarted."""
         start = self.step if self.stage == self._main else self.stage_start
         return replace(self, stuck=False, restarts=self.restarts - 1, values=(), stage_start=start)
 
     def proceed(self) -> Schedule:
-        """Return the schedule after a stage in which it was stuck: the next stage, or the rest of the main stage."""
+        """Return the schedule with the stuck stage left: the next stage, or the rest of the main stage."""
         if self.stage == self._main:
             return replace(self, stuck=False, restarts=self.restarts - 1, values=())
         return self._next_stage()
@@ -159,7 +159,7 @@ class Schedule:
 
     @property
     def _deadline(self) -> float:
-        """The step at which this stage ends at the latest."""
+        """The last step of this stage, if it does not settle earlier."""
         if self.stage < self._main:
             return FAR_FRACTION * self.steps * (self.stage + 1) / self._main
         return self.steps if self.stage == self.stages - 1 else MAIN_FRACTION * self.steps

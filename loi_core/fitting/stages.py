@@ -38,10 +38,10 @@ def far_objectives(objective: Objective, stages: object) -> tuple[Objective, ...
             return (objective,)
         height, width = objective.size
         scales = objective.scales
-        far = ScaleSpace.far_to_near(
+        far_scales = ScaleSpace.far_to_near(
             height, width, beta=scales.beta[0], bounds=scales.bounds, boundary=scales.boundary
         )[:-1]
-        return (*map(objective.with_scales, far), objective)
+        return (*map(objective.with_scales, far_scales), objective)
     if isinstance(stages, str) or not isinstance(stages, Sequence):
         msg = f"`stages` must be 'auto', None, or a sequence of ScaleSpace or objectives, got {shown(stages)}"
         raise OptionError(msg)

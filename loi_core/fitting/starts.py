@@ -50,15 +50,15 @@ def draw_starts(params: Parameters, bounds: Bounds, count: int, *, first: int = 
     OptionError
         If a bound is infinite.
     """
-    low, high = (
+    lowest, highest = (
         {name: np.asarray(to_numpy(limit), dtype=np.float64) for name, limit in limits.items()}
         for limits in (bounds.lower, bounds.upper)
     )
-    for name in low:
-        if not (np.all(np.isfinite(low[name])) and np.all(np.isfinite(high[name]))):
+    for name in lowest:
+        if not (np.all(np.isfinite(lowest[name])) and np.all(np.isfinite(highest[name]))):
             msg = f"`starts` draws within bounds, and {name!r} has none; give it `lower` and `upper`"
             raise OptionError(msg)
-    movable = {name: low[name] < high[name] for name in low}
+    movable = {name: lowest[name] < highest[name] for name in lowest}
     size = sum(int(np.sum(mask)) for mask in movable.values())
     ratio = 2.0
     for _ in range(64):
@@ -67,22 +67,22 @@ def draw_starts(params: Parameters, bounds: Bounds, count: int, *, first: int = 
     starts = [params]
     for index in range(first, first + count - 1):
         point, offset = np.mod(0.5 + index * steps, 1.0), 0
-        drawn = dict(params)
-        for name, floor in low.items():
+        start = dict(params)
+        for name, floor in lowest.items():
             value, mask = floor.copy(), movable[name]
             fractions = point[offset : offset + int(np.sum(mask))]
             offset += fractions.size
-            value[mask] += fractions * (high[name] - floor)[mask]
-            drawn[name] = from_numpy(value, params[name])
-        starts.append(drawn)
+            value[mask] += fractions * (highest[name] - floor)[mask]
+            start[name] = from_numpy(value, params[name])
+        starts.append(start)
     return starts
 
 
 def free_numbers(bounds: Bounds) -> int:
     """Return how many numbers may move."""
     return sum(
-        int(np.sum(np.asarray(to_numpy(low)) < np.asarray(to_numpy(bounds.upper[name]))))
-        for name, low in bounds.lower.items()
+        int(np.sum(np.asarray(to_numpy(lowest)) < np.asarray(to_numpy(bounds.upper[name]))))
+        for name, lowest in bounds.lower.items()
     )
 
 
@@ -140,12 +140,12 @@ def _local_draws(params: Parameters, bounds: Bounds, attempt: int) -> Iterator[P
 def _box_around(params: Parameters, bounds: Bounds) -> Bounds:
     lower, upper = {}, {}
     for name, floor in bounds.lower.items():
-        centre, low, high = (
+        centre, lowest, highest = (
             np.asarray(to_numpy(value), dtype=np.float64) for value in (params[name], floor, bounds.upper[name])
         )
-        radius = LOCAL_RADIUS * (high - low)
-        lower[name] = from_numpy(np.maximum(low, centre - radius), params[name])
-        upper[name] = from_numpy(np.minimum(high, centre + radius), params[name])
+        radius = LOCAL_RADIUS * (highest - lowest)
+        lower[name] = from_numpy(np.maximum(lowest, centre - radius), params[name])
+        upper[name] = from_numpy(np.minimum(highest, centre + radius), params[name])
     return Bounds(lower, upper)
 
 
@@ -166,15 +166,15 @@ def successive_halving(
         if len(runs) <= MAX_FINALISTS and rounds >= stages:
             best = runs[0][1]
             return best, sum(_agree(best, finalist, bounds) for _, finalist in runs)
-        candidates = [end for _, end in runs[: max(len(runs) // 2, 1)]]
+        candidates = [params for _, params in runs[: max(len(runs) // 2, 1)]]
     return candidates[0], 1
 
 
 def _agree(best: Parameters, finalist: Parameters, bounds: Bounds) -> bool:
     for name, floor in bounds.lower.items():
-        low, high, first, second = (
+        lowest, highest, first, second = (
             to_numpy(value) for value in (floor, bounds.upper[name], best[name], finalist[name])
         )
-        if not np.all(np.abs(first - second) <= AGREEMENT * (high - low)):
+        if not np.all(np.abs(first - second) <= AGREEMENT * (highest - lowest)):
             return False
     return True

@@ -24,9 +24,9 @@ Images: TypeAlias = Any
 """An image, shape (H, W, C), or a dict of images by the names of several views."""
 
 
-def ungrouped(each: Mapping[str, Any]) -> Any:
+def ungrouped(values: Mapping[str, Any]) -> Any:
     """Return a dict by view as the caller sees it: the only entry if the view has no name."""
-    return each[""] if "" in each else dict(each)
+    return values[""] if "" in values else dict(values)
 
 
 def by_view(values: Any) -> dict[str, Any]:
@@ -78,7 +78,7 @@ class Views:
 
     Attributes
     ----------
-    each : dict of View
+    by_name : dict of View
     single : bool
         Whether there is only one, without a name.
     at_once : int
@@ -87,7 +87,7 @@ class Views:
         Whether the last objective only polishes the result of the main stage.
     """
 
-    each: Mapping[str, View]
+    by_name: Mapping[str, View]
     single: bool
     at_once: int
     polish: bool = False
@@ -150,7 +150,7 @@ class Views:
     @property
     def stages(self) -> int:
         """Number of objectives of each view, from far to near."""
-        return len(next(iter(self.each.values())).objectives)
+        return len(next(iter(self.by_name.values())).objectives)
 
     @property
     def main_stage(self) -> int:
@@ -160,27 +160,27 @@ class Views:
     @property
     def all_at_once(self) -> bool:
         """Whether every step renders all views."""
-        return self.at_once == len(self.each)
+        return self.at_once == len(self.by_name)
 
     def parameters(self) -> Parameters:
         """Return all parameters; a shared parameter has the value of the first view."""
-        return SharedParameters({name: view.renderer for name, view in self.each.items()}).parameters()
+        return SharedParameters({name: view.renderer for name, view in self.by_name.items()}).parameters()
 
     def with_free(self, names: Iterable[str]) -> Views:
         """Return the views with these free parameters: each of several views keeps its own values of all others."""
         if self.single:
             return self
         free = set(names)
-        each = {}
-        for name, view in self.each.items():
+        changed = {}
+        for name, view in self.by_name.items():
             params = own_parameters(view.renderer)
-            each[name] = replace(view, fixed={key: value for key, value in params.items() if key not in free})
-        return replace(self, each=each)
+            changed[name] = replace(view, fixed={key: value for key, value in params.items() if key not in free})
+        return replace(self, by_name=changed)
 
     def project(self, params: Parameters) -> Parameters | None:
         """Return the legal parameters nearest to these, by each renderer in turn; None if no renderer projects."""
         legal, projects = dict(params), False
-        for view in self.each.values():
+        for view in self.by_name.values():
             project = capabilities_of(view.renderer).project
             if project is not None:
                 projected, projects = project(view.select(legal)), True
@@ -191,21 +191,21 @@ class Views:
         return legal if projects else None
 
     def names_at(self, step: int, seed: int) -> tuple[str, ...]:
-        """Return the views of a step: all, or some in a random order in which all come about equally often."""
-        names = tuple(self.each)
+        """Return the views of a step: all, or some in a random order, each about equally often."""
+        names = tuple(self.by_name)
         if self.all_at_once:
             return names
         if len(names) % self.at_once:
-            drawn = np.random.default_rng([seed, step]).permutation(len(names))[: self.at_once]
-        else:  # in rounds, each of which has all of them
+            indices = np.random.default_rng([seed, step]).permutation(len(names))[: self.at_once]
+        else:  # in rounds of all views
             position = step * self.at_once
             order = np.random.default_rng([seed, position // len(names)]).permutation(len(names))
-            drawn = order[position % len(names) :][: self.at_once]
-        return tuple(names[index] for index in drawn)
+            indices = order[position % len(names) :][: self.at_once]
+        return tuple(names[index] for index in indices)
 
     def at_step(self, step: int, steps: int, value: float | None) -> None:
         """Announce a step to the renderers that depend on it, once to each renderer."""
-        renderers = {id(view.renderer): view.renderer for view in self.each.values()}
+        renderers = {id(view.renderer): view.renderer for view in self.by_name.values()}
         for renderer in renderers.values():
             at_step = capabilities_of(renderer).at_step
             if at_step is not None:
@@ -213,11 +213,13 @@ class Views:
 
     def render(self, params: Parameters, seed: int) -> dict[str, Array]:
         """Return the images of all views."""
-        return {name: view.render(params, seed=seed) for name, view in self.each.items()}
+        return {name: view.render(params, seed=seed) for name, view in self.by_name.items()}
 
     def values(self, images: Mapping[str, Array], stage: int) -> dict[str, float]:
         """Return the values of the objectives of a stage for images."""
-        return {name: float(detached(self.each[name].objectives[stage].value(image))) for name, image in images.items()}
+        return {
+            name: float(detached(self.by_name[name].objectives[stage].value(image))) for name, image in images.items()
+        }
 
     def value(self, params: Parameters, stage: int, seed: int) -> float:
         """Return the mean over all views of the objectives of a stage."""
@@ -225,16 +227,16 @@ class Views:
 
     def at_stage(self, stage: int) -> Views:
         """Return the views with the objectives of one stage, all rendered in every step."""
-        each = {name: replace(view, objectives=(view.objectives[stage],)) for name, view in self.each.items()}
-        return replace(self, each=each, at_once=len(each), polish=False)
+        changed = {name: replace(view, objectives=(view.objectives[stage],)) for name, view in self.by_name.items()}
+        return replace(self, by_name=changed, at_once=len(changed), polish=False)
 
     def unabridged(self) -> Views:
         """Return the views with renderers without the approximations that save time."""
-        each = {}
-        for name, view in self.each.items():
+        changed = {}
+        for name, view in self.by_name.items():
             unabridged = capabilities_of(view.renderer).unabridged
-            each[name] = view if unabridged is None else replace(view, renderer=unabridged())
-        return replace(self, each=each)
+            changed[name] = view if unabridged is None else replace(view, renderer=unabridged())
+        return replace(self, by_name=changed)
 
 
 def mean(values: Mapping[str, float]) -> float:

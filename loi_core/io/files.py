@@ -1,4 +1,4 @@
-"""Files that are written whole or not at all."""
+"""Files that are written whole or not at all, and reads of bounded size."""
 
 from __future__ import annotations
 
@@ -28,19 +28,19 @@ __all__ = [
 
 
 TEMPORARY: Final = ".loi-unfinished-"
-"""What the name of a file begins with while it is written."""
+"""Prefix of the name of a file that is being written."""
 
 
 @contextlib.contextmanager
 def atomic_path(path: Path) -> Iterator[Path]:
-    """A temporary path beside `path` to write to; it becomes `path` only if the block ends without an error.
+    """Yield a temporary path beside `path`, which replaces `path` if the block ends without an error.
 
-    The temporary name keeps the suffix, from which libraries tell the format.
+    The temporary name keeps the suffix, because libraries choose the format by it.
 
     Raises
     ------
     WriteError
-        If the file system refuses any of it; `path` is as it was.
+        If the file system refuses the write; `path` is unchanged.
     """
     temporary: Path | None = None
     try:
@@ -51,7 +51,7 @@ def atomic_path(path: Path) -> Iterator[Path]:
         yield temporary
         umask = os.umask(0)
         os.umask(umask)
-        temporary.chmod(0o666 & ~umask)  # mkstemp makes files private; these are meant to be shared
+        temporary.chmod(0o666 & ~umask)  # mkstemp makes files private
         temporary.replace(path)
     except OSError as error:
         if isinstance(error, LoiError):
@@ -59,64 +59,64 @@ def atomic_path(path: Path) -> Iterator[Path]:
         raise unwritable(path, error) from error
     finally:
         if temporary is not None:
-            with contextlib.suppress(OSError):  # it is there no more, or nothing can be removed here any more
+            with contextlib.suppress(OSError):  # it has been renamed, or the file system is read-only by now
                 temporary.unlink()
 
 
 def unwritable(path: Path, error: OSError) -> WriteError:
-    """The error that says which file could not be written, and why: what the system says does not always name it."""
-    refused = WriteError(f"{path} could not be written: {error.strerror or described(error)}")
-    refused.errno = error.errno
-    return refused
+    """Return the error for a file that could not be written; messages of the system do not always name the file."""
+    write_error = WriteError(f"{path} could not be written: {error.strerror or described(error)}")
+    write_error.errno = error.errno
+    return write_error
 
 
 def remove_temporaries(path: Path) -> None:
-    """Remove what :func:`atomic_path` has left of `path` in processes that were killed while they wrote."""
-    ours = re.escape(f"{TEMPORARY}{path.stem}-")
-    name = re.compile(rf"{ours}[a-z0-9_]{{8}}{re.escape(path.suffix)}")  # as mkstemp names them
+    """Remove temporary files that killed processes have left of `path`."""
+    prefix = re.escape(f"{TEMPORARY}{path.stem}-")
+    pattern = re.compile(rf"{prefix}[a-z0-9_]{{8}}{re.escape(path.suffix)}")  # as mkstemp names them
     with contextlib.suppress(OSError):
-        for each in path.parent.iterdir():
-            if name.fullmatch(each.name) and stat.S_ISREG(each.lstat().st_mode):
-                each.unlink()
+        for file in path.parent.iterdir():
+            if pattern.fullmatch(file.name) and stat.S_ISREG(file.lstat().st_mode):
+                file.unlink()
 
 
-def check_writable(name: str, folder: Path) -> None:
-    """Raise :class:`OptionError` unless files can be put into `folder`, or it can be made."""
-    place = folder.absolute()
+def check_writable(option: str, folder: Path) -> None:
+    """Raise :class:`OptionError` unless files can be written to `folder`, or it can be created."""
+    existing = folder.absolute()
     try:
-        while not _is_there(place):
-            place = place.parent
+        while not _exists(existing):
+            existing = existing.parent
     except (OSError, ValueError) as error:  # a name too long, a loop of links, a null character
-        msg = f"`{name}` must lead to a folder that can be written to, got {shown(str(folder))} ({described(error)})"
+        msg = f"`{option}` must lead to a folder that can be written to, got {shown(str(folder))} ({described(error)})"
         raise OptionError(msg) from None
-    if not place.is_dir() or not os.access(place, os.W_OK | os.X_OK):
-        why = "cannot be written to" if place.is_dir() else "is not a folder"
-        msg = f"`{name}` must lead to a folder that can be written to, but {place} {why}"
+    if not existing.is_dir() or not os.access(existing, os.W_OK | os.X_OK):
+        reason = "cannot be written to" if existing.is_dir() else "is not a folder"
+        msg = f"`{option}` must lead to a folder that can be written to, but {existing} {reason}"
         raise OptionError(msg)
 
 
-def _is_there(place: Path) -> bool:
+def _exists(path: Path) -> bool:
     try:
-        place.lstat()  # a link that leads nowhere is there, although nothing can be put into it
+        path.lstat()  # a broken link exists, although nothing can be written into it
     except (FileNotFoundError, NotADirectoryError):
         return False
     return True
 
 
 def open_regular(path: Path) -> BinaryIO:
-    """Open a regular file to read; OSError for anything else: a pipe would be waited for, and a device has no end."""
+    """Open a regular file for reading; OSError for anything else, since a pipe would block and a device has no end."""
     if not stat.S_ISREG(path.stat().st_mode):
         msg = "not a regular file"
         raise OSError(msg)
     return path.open("rb")
 
 
-def read_bytes(path: Path, most: int) -> bytes:
-    """What is in a regular file; OSError if it is missing, not one, or of more than `most` bytes."""
+def read_bytes(path: Path, max_bytes: int) -> bytes:
+    """Return the content of a regular file; OSError if it is missing, not regular, or larger than `max_bytes`."""
     with open_regular(path) as stream:
-        content = stream.read(most + 1)
-    if len(content) > most:
-        msg = f"larger than {most} bytes"
+        content = stream.read(max_bytes + 1)
+    if len(content) > max_bytes:
+        msg = f"larger than {max_bytes} bytes"
         raise OSError(msg)
     return content
 
@@ -128,5 +128,5 @@ def write_bytes(path: Path, content: bytes) -> None:
 
 
 def write_text(path: Path, content: str) -> None:
-    """Write `content` to `path` as UTF-8, whole or not at all; what has none, as in some file names, becomes `?`."""
+    """Write `content` to `path` as UTF-8, whole or not at all; lone surrogates, as in some file names, become `?`."""
     write_bytes(path, content.encode("utf-8", errors="replace"))

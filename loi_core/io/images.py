@@ -1,4 +1,4 @@
-"""Reading and writing images: PNG, JPEG, EXR and NPY, as floating-point arrays (H, W, 3)."""
+"""Read and write images: PNG, JPEG, EXR and NPY, as floating-point arrays (H, W, 3)."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ FloatImage: TypeAlias = np.ndarray[Any, np.dtype[np.float64]]
 
 IMAGE_SUFFIXES: Final = (".png", ".jpg", ".jpeg", ".exr", ".npy")
 PNG_SIGNATURE: Final = b"\x89PNG\r\n\x1a\n"
-MAX_PIXELS: Final = 64 * 1024 * 1024  # beyond this a file is taken for damage or an attack, not for a target
-MAX_SIDE: Final = 65535  # of a JPEG it can be no more; a line of millions of pixels takes decoders minutes
-MAX_PIXELS_PER_BYTE: Final = 8300  # deflate makes 1032 bytes of one, and a byte may hold eight pixels
-FEW_PIXELS: Final = 2**20  # which may be packed as tightly as they like
+MAX_PIXELS: Final = 64 * 1024 * 1024  # a larger image is taken for damage or an attack
+MAX_SIDE: Final = 65535  # the limit of JPEG; decoders take minutes for a line of millions of pixels
+MAX_PIXELS_PER_BYTE: Final = 8300  # deflate expands a byte to at most 1032, each of up to eight pixels
+MIN_CHECKED_PIXELS: Final = 2**20  # smaller images may be compressed further
 
 
 @dataclass(frozen=True)
 class StoredImage:
-    """An image as its file has it.
+    """An image with the values of its file.
 
     Attributes
     ----------
     colours : array, shape (H, W, 3), float64
     opacity : array, shape (H, W), float64, optional
     for_display : bool
-        Whether files of this kind hold values for a display: whole numbers do, PNG, JPEG and integer NPY.
+        Whether files of this kind hold display values: PNG, JPEG and integer NPY do.
     premultiplied : bool
-        Whether colours have been multiplied by the opacity: in EXR.
+        Whether colours are multiplied by the opacity, as in EXR.
     """
 
     colours: FloatImage
@@ -48,15 +48,15 @@ class StoredImage:
 
 
 def read_image(path: Path | str) -> FloatImage:
-    """An image file as RGB.
+    """Read an image file as RGB.
 
     Parameters
     ----------
     path : path or str
-        PNG and JPEG come out in [0, 1], turned as their EXIF orientation says; nothing is linearised. PNGs of
-        16 bits must be grey. EXR and floating-point NPY come out as stored; an NPY must be (H, W), (H, W, 1),
-        (H, W, 3) or (H, W, 4), and is divided by its greatest value if it is uint8 or uint16. Opacity is kept
-        only by NPY and PNG, as a fourth channel; grey becomes three equal channels.
+        PNG and JPEG are scaled to [0, 1] and rotated by their EXIF orientation; nothing is linearised. PNGs of 16 bits
+        must be grey. EXR and floating-point NPY keep their values; an NPY must have shape (H, W), (H, W, 1), (H, W, 3)
+        or (H, W, 4), and is divided by the maximum of its dtype if it is uint8 or uint16. Opacity is a fourth channel,
+        from NPY and PNG only; grey becomes three equal channels.
 
     Returns
     -------
@@ -66,14 +66,14 @@ def read_image(path: Path | str) -> FloatImage:
     ------
     ImageFileError
         If the file is missing, damaged, of another kind, larger than 64 megapixels, longer than 65535 pixels, or too
-        small for as many pixels as it claims. Nothing in it is executed.
+        small for the pixels that it claims. Nothing in it is executed.
     """
     image, suffix = _read(Path(path))
     return image[..., :3] if suffix == ".exr" else image
 
 
 def read_stored(path: Path | str) -> StoredImage:
-    """An image file, with what is known of its values. Files and errors as in :func:`read_image`."""
+    """Read an image file with the meaning of its values. Files and errors as in :func:`read_image`."""
     image, suffix = _read(Path(path))
     whole = suffix in (".png", ".jpg", ".jpeg") or (suffix == ".npy" and _holds_integers(Path(path)))
     opacity = image[..., 3] if image.shape[2] == 4 else None
@@ -85,7 +85,7 @@ def _holds_integers(path: Path) -> bool:
 
 
 def _read(path: Path) -> tuple[FloatImage, str]:
-    """Colours, and opacity if there is one, shape (H, W, 3 or 4), and the kind of file."""
+    """Return colours, with opacity if there is one, shape (H, W, 3 or 4), and the suffix of the file."""
     suffix = path.suffix.lower()
     if suffix not in IMAGE_SUFFIXES:
         msg = f"{path}: images must end in {', '.join(IMAGE_SUFFIXES)}"
@@ -96,11 +96,11 @@ def _read(path: Path) -> tuple[FloatImage, str]:
             msg = f"{path}: {'not a regular file' if path.exists() else 'no such image file'}"
             raise ImageFileError(msg)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # decoders warn of damage that they pass over
+            warnings.simplefilter("ignore")  # decoders warn of damage that they skip
             image = readers.get(suffix, _read_pillow)(path)
     except ImageFileError:
         raise
-    except Exception as error:  # decoders raise what they like on damaged files; all of it means the same here
+    except Exception as error:  # decoders raise any exception for a damaged file
         msg = f"{path}: not a readable {suffix[1:].upper()} image ({described(error)})"
         raise ImageFileError(msg) from error
     return _as_colour(path, image), suffix
@@ -112,7 +112,7 @@ def write_png(path: Path, image: np.ndarray[Any, Any]) -> None:
 
 
 def png_bytes(image: np.ndarray[Any, Any]) -> bytes:
-    """What :func:`write_png` writes of an image."""
+    """Return an image as the bytes of an 8-bit PNG."""
     from PIL import Image
 
     clipped = np.clip(np.nan_to_num(np.asarray(image, dtype=np.float64)), 0.0, 1.0)
@@ -129,7 +129,7 @@ def _check_size(path: Path, height: int, width: int) -> None:
         msg = f"{path}: an image of {width} x {height} pixels is longer than the {MAX_SIDE} that are read"
         raise ImageFileError(msg)
     packed = height * width / max(1, path.stat().st_size)
-    if height * width > FEW_PIXELS and packed > MAX_PIXELS_PER_BYTE:
+    if height * width > MIN_CHECKED_PIXELS and packed > MAX_PIXELS_PER_BYTE:
         msg = f"{path}: {width} x {height} pixels are more than a file of {path.stat().st_size} bytes can hold"
         raise ImageFileError(msg)
 
@@ -144,7 +144,7 @@ def _read_pillow(path: Path) -> np.ndarray[Any, Any]:
         raise ImageFileError(msg)
     with Image.open(path, formats=["PNG", "JPEG"]) as stored:
         _check_size(path, stored.height, stored.width)
-        picture = ImageOps.exif_transpose(stored)  # as every viewer shows it
+        picture = ImageOps.exif_transpose(stored)  # as viewers show it
         if picture.mode.startswith("I"):  # 16-bit grey
             return _scaled(picture, 65535.0)
         has_opacity = picture.mode in ("RGBA", "LA", "PA") or "transparency" in picture.info
@@ -171,10 +171,10 @@ def _open_npy(path: Path) -> np.ndarray[Any, Any]:
     return values
 
 
-def _scaled(pixels: Any, greatest: float) -> np.ndarray[Any, Any]:
-    """`pixels` as a new array, divided by `greatest`; the division takes no second array, which may be of gigabytes."""
+def _scaled(pixels: Any, maximum: float) -> np.ndarray[Any, Any]:
+    """Return `pixels` as a new array, divided in place by `maximum`, since a second array may take gigabytes."""
     image = np.array(pixels, dtype=np.float64)
-    image /= greatest
+    image /= maximum
     return image
 
 

@@ -39,12 +39,12 @@ FRAME_NAME: Final = re.compile(r"[0-9]{6,}\.png")
 def check_owned(option: str, folder: Path, marker: str) -> None:
     """Raise :class:`OptionError` unless a folder is writable, and is new, empty, or holds the marker file."""
     check_writable(option, folder)
-    held = sorted(each.name for each in folder.iterdir()) if folder.is_dir() else []
-    strange = [name for name in held if not name.startswith((TEMPORARY, LOCK))]
-    if strange and marker not in strange:
+    names = sorted(path.name for path in folder.iterdir()) if folder.is_dir() else []
+    foreign = [name for name in names if not name.startswith((TEMPORARY, LOCK))]
+    if foreign and marker not in foreign:
         msg = (
             f"`{option}` must be a new or empty folder, or one with the file {marker}, which `loi` has written; "
-            f"{shown(str(folder))} holds {shown(strange[0])} and no {marker}"
+            f"{shown(str(folder))} holds {shown(foreign[0])} and no {marker}"
         )
         raise OptionError(printable(msg))
 
@@ -82,7 +82,7 @@ class ResultFolder:
         return sorted(f"{folder}/{path.name}" for path in (self.path / folder).glob("*.png"))
 
     def remove(self, names: Iterable[str]) -> None:
-        """Remove those of these files that exist."""
+        """Remove these files if they exist."""
         for name in names:
             path = self.path / name
             try:
@@ -91,5 +91,5 @@ class ResultFolder:
                 raise unwritable(path, error) from error
 
     def remove_unfinished(self) -> None:
-        """Remove what killed fits have left half written; no other process may be writing here."""
+        """Remove unfinished files of killed fits; no other process may be writing here."""
         self.remove(str(path.relative_to(self.path)) for path in self.path.rglob(f"{TEMPORARY}*"))
