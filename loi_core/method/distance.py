@@ -1,9 +1,9 @@
 """The distance between two stacks of cumulative histograms, and its derivative.
 
-At a tie the derivative of |x| is ours to choose, since array libraries disagree there (0 in torch, +1 in JAX).
-The rule: a difference that the rounding of the CDFs alone could have made is a tie. It adds nothing to the distance,
-and its derivative is 0. Without that, converged regions would send full-size gradients of random sign, and equal images
-would have no distance of exactly 0 where a compiler rounds one of them otherwise than the other.
+At a tie, array libraries disagree on the derivative of |x| (0 in torch, +1 in JAX), so this module defines it: a
+difference within the rounding error of the CDFs is a tie, adds nothing to the distance, and has the derivative 0.
+Without this rule, converged regions would have full-size gradients of random sign, and equal images would have a
+distance other than 0 where a compiler rounds them differently.
 """
 
 from __future__ import annotations
@@ -19,34 +19,34 @@ TIE_ROUNDINGS: Final = 16.0
 
 
 def tie_threshold(difference: Array, total: float) -> float:
-    """Largest |difference| that counts as a tie.
+    """Return the largest |difference| that counts as a tie.
 
     Parameters
     ----------
     difference : array
         Only its dtype is used.
     total : float
-        The value that the CDFs reach at the last level (1 if they are normalised).
+        Value of the CDFs at the last level (1 if they are normalised).
 
     Returns
     -------
     float
-        ``16 * eps * total``. A CDF near its total is off by a rounding for each of the roughly eight levels that carry
-        a pixel's mass, and blurring, whose rows sum to at most 1, averages that. Twice as much leaves less between a
-        tie and what is none: on checkerboards, whose histograms blur to equal ones, two ways to compute the same
-        gradient are at most 3 % apart in float32, where they are 13 % apart with 8 roundings.
+        ``16 * eps * total``. A CDF near its total has a rounding error for each of the roughly eight levels that carry
+        a pixel's mass, and blurs, whose rows sum to at most 1, average these errors. Twice that bound separates ties
+        more reliably: on checkerboards, whose histograms blur to equal ones, two computations of the same gradient
+        differ by at most 3 % in float32, and by 13 % with 8 roundings.
     """
     return TIE_ROUNDINGS * epsilon(difference) * total
 
 
 def cost_slope(difference: Array, p: float, tie: float, weight: float = 1.0) -> Array:
-    """`weight` times the derivative of ``|difference| ** (1 / p)`` (eq. 5), with 0 wherever ``|difference| <= tie``.
+    """Return `weight` times the derivative of ``|difference| ** (1 / p)`` (eq. 5), 0 where ``|difference| <= tie``.
 
     For p > 1 the slope of the cost is infinite at 0; the tie keeps it finite.
     """
     xp = namespace(difference)
-    # What is left beyond the ties, made so large that clipping leaves its sign: comparisons, and `sign` where a library
-    # sees to NaN by itself, take two to four times the passes over memory.
+    # Scale the excess over ties until clipping leaves its sign: comparisons, and `sign` in libraries that propagate
+    # NaN, take two to four times the passes over memory.
     slope = xp.clip(difference, -tie, tie)
     slope -= difference
     slope *= -_larger_than_any(difference)
@@ -60,14 +60,14 @@ def cost_slope(difference: Array, p: float, tie: float, weight: float = 1.0) -> 
 
 
 def sum_of_costs(difference: Array, slope: Array, p: float) -> Array:
-    """The sum of ``|difference| ** (1 / p)`` where that is no tie, from its :func:`cost_slope` and with its weight.
+    """Return the weighted sum of ``|difference| ** (1 / p)`` outside of ties, from its :func:`cost_slope`.
 
-    A power is its derivative times its base, over the exponent; so ties need to be found only once.
+    A power is its derivative times its base over the exponent, so ties are detected only once.
     """
     total = sum_of_all(difference * slope)
     return total if p == 1.0 else total * p
 
 
 def _larger_than_any(difference: Array) -> float:
-    """What makes a difference of CDFs that is not 0 exceed 1: such differences are 0 or above eps**2."""
+    """Return a factor that raises every nonzero difference of CDFs above 1; these differences exceed eps**2."""
     return math.pow(epsilon(difference), -3.0)

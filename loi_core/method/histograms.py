@@ -1,4 +1,4 @@
-"""Isophotes and local histograms of an image, for pictures and for people who build on them."""
+"""Isophotes and local histograms of an image."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ __all__ = ["inner_images", "isophotes", "local_histograms"]
 
 
 def inner_images(image: Array, scales: ScaleSpace, *, channel_axis: int | None = -1) -> dict[float, Array]:
-    """The image at every inner scale (eq. 1), clipped to the bounds: ``{sigma: array like image}``.
+    """Return the image at every inner scale (eq. 1), clipped to the bounds: ``{sigma: array like image}``.
 
     Parameters
     ----------
     image : array, shape (*batch, H, W, C)
         Real floating point and finite.
     scales : ScaleSpace
-        Gives sigma, bounds and boundary.
+        Provides sigma, bounds and boundary.
     channel_axis : int or None
-        Where the channels are; None for images without channels.
+        Axis of the channels; None for images without channels.
     """
     layout = _checked(image, channel_axis)
     clipped = clip(layout.to_planes(widened(image)), *scales.bounds)
@@ -33,18 +33,18 @@ def inner_images(image: Array, scales: ScaleSpace, *, channel_axis: int | None =
 
 
 def isophotes(image: Array, scales: ScaleSpace, *, sigma: float, beta: float, channel_axis: int | None = -1) -> Array:
-    """Soft isophotes of an image (eq. 3): how likely each pixel has each intensity.
+    """Return the soft isophotes of an image (eq. 3): the density of each intensity at each pixel.
 
     Parameters
     ----------
     image : array, shape (*batch, H, W, C)
         Real floating point and finite.
     scales : ScaleSpace
-        Gives bounds, levels and boundary; `sigma` and `beta` must be among its scales.
+        Provides bounds, levels and boundary; `sigma` and `beta` must be among its scales.
     sigma, beta : float
         Inner scale in pixels, tonal scale in units of intensity.
     channel_axis : int or None
-        Where the channels are; None for images without channels.
+        Axis of the channels; None for images without channels.
 
     Returns
     -------
@@ -58,9 +58,9 @@ def isophotes(image: Array, scales: ScaleSpace, *, sigma: float, beta: float, ch
 def local_histograms(
     image: Array, scales: ScaleSpace, *, sigma: float, beta: float, alpha: float, channel_axis: int | None = -1
 ) -> Array:
-    """Local histograms of an image (eq. 4): its isophotes, averaged over a neighbourhood of `alpha` pixels.
+    """Return the local histograms of an image (eq. 4): isophotes averaged over a neighbourhood of `alpha` pixels.
 
-    Parameters and shape of the result are those of :func:`isophotes`; `alpha` must be one of the scales, or 0.
+    Parameters and result as in :func:`isophotes`; `alpha` must be one of the scales, or 0.
 
     Raises
     ------
@@ -68,13 +68,13 @@ def local_histograms(
         If a scale is not one of `scales`.
     """
     layout = _checked(image, channel_axis)
-    for name, value, among in (
+    for name, value, allowed in (
         ("sigma", sigma, scales.sigma),
         ("beta", beta, scales.beta),
         ("alpha", alpha, (0.0, *scales.alpha)),
     ):
-        if value not in among:
-            msg = f"`{name}` must be one of {among}, got {shown(value)}"
+        if value not in allowed:
+            msg = f"`{name}` must be one of {allowed}, got {shown(value)}"
             raise ScaleError(msg)
     planes = _inner(clip(layout.to_planes(widened(image)), *scales.bounds), scales, sigma)
     levels = from_numpy(scales.levels(beta), planes)

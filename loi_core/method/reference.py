@@ -1,9 +1,9 @@
 """The whole method on one page: loss and gradient by brute force, in float64 on NumPy. Start reading here.
 
-Dense matrices, every level, every pixel. Nothing here is fast; everything that is fast is measured against it. Only the
+Dense matrices, every level, every pixel. Tests compare all fast implementations with this one. Only the
 kernel (:mod:`loi_core.method.gaussian`) and the scales (:mod:`loi_core.method.scales`) are shared with the rest.
 
-Equation numbers are those of the paper, *Locally Orderless Images for Optimization in Differentiable Rendering*.
+Equation numbers refer to the paper, *Locally Orderless Images for Optimization in Differentiable Rendering*.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ def loss_and_gradient(
     eps: float = DOUBLE,
     weights: Host | None = None,
 ) -> tuple[float, Host]:
-    """The loss of an image, and its gradient by the image.
+    """Return the loss of an image and its gradient with respect to the image.
 
     Parameters
     ----------
@@ -46,11 +46,11 @@ def loss_and_gradient(
     scales : ScaleSpace
         The scales to compare.
     channel_axis : int or None
-        Where the channels are.
+        Axis of the channels.
     eps : float
-        Machine epsilon of the dtype whose tie rule holds; the arithmetic is float64 whatever it is.
+        Machine epsilon for the tie rule; the arithmetic is float64 for any value.
     weights : array, shape (H, W), optional
-        How much each pixel counts, in [0, 1]. Pixels of weight 0 are masked.
+        Weights of pixels in [0, 1]. Pixels of weight 0 are masked.
 
     Returns
     -------
@@ -61,76 +61,76 @@ def loss_and_gradient(
     planes = Planes.of(image, reference, channel_axis, None if weights is None else weights > 0.0)
     w = np.ones(planes.image.shape[-2:]) if weights is None else weights
     value, gradient = 0.0, np.zeros_like(planes.image)
-    for group in planes.equal():
-        one, slopes = _plane(planes.image[group[0]], planes.reference[group[0]], w, scales, eps)
-        value += one * len(group) / len(planes.image)
+    for group in planes.equal_planes():
+        plane_value, slopes = _plane(planes.image[group[0]], planes.reference[group[0]], w, scales, eps)
+        value += plane_value * len(group) / len(planes.image)
         gradient[group] = slopes / len(planes.image)
-    return value, planes.layout.to_image(np.where(planes.seen, gradient, 0.0))
+    return value, planes.layout.to_image(np.where(planes.valid, gradient, 0.0))
 
 
 def _plane(image: Host, reference: Host, w: Host, scales: ScaleSpace, eps: float) -> tuple[float, Host]:
-    """One channel of one image, shape (H, W). Names of variables are those of the paper."""
-    I, I_gt = (clip(each, *scales.bounds) - scales.padding for each in (image, reference))
+    """Evaluate one channel of one image, shape (H, W), in the paper's notation."""
+    I, I_gt = (clip(plane, *scales.bounds) - scales.padding for plane in (image, reference))
     value, gradient = 0.0, np.zeros(image.shape)
     for sigma in scales.sigma:
         G = dense_blur(image.shape, sigma, scales.boundary, scales.inner_taps)
         J, J_gt = G.apply(I), G.apply(I_gt)  # eq. 1: the image at inner scale sigma
         for beta in scales.beta:
-            # Eq. 3: each pixel becomes a histogram P(k) = N(k; J, beta^2) over levels k, and that its running sum.
+            # Eq. 3: each pixel becomes a histogram P(k) = N(k; J, beta^2) over levels k, accumulated over k.
             cdf, dcdf_dJ = _cdf_and_slope(J, scales, beta)  # shape (L, H, W) both
             cdf_gt, _ = _cdf_and_slope(J_gt, scales, beta)
             weight = scales.scale_weight * scales.level_weight(beta) / image.size  # of one level at one pixel
             tie = TIE_ROUNDINGS * eps * scales.mass(beta) / scales.spacing(beta)
             for alpha in scales.alpha:
-                # Eq. 4: histograms are averaged over a neighbourhood, H = A_alpha * P. A acts on pixels, the running
-                # sum on levels, so it does not matter which comes first: A is applied to the difference of the CDFs.
+                # Eq. 4: histograms are averaged over a neighbourhood, H = A_alpha * P. A acts on pixels and
+                # accumulation on levels, so they commute: A is applied to the difference of the CDFs.
                 A = dense_blur(image.shape, alpha, scales.boundary, scales.extent_taps)
-                # A pixel adds to the histograms around it by its weight, which is 1 in the paper.
+                # A pixel contributes to the histograms around it with its weight, 1 in the paper.
                 F = A.apply(w * (cdf - cdf_gt))
                 # Eq. 5: E(alpha, beta, sigma), the mean over pixels of the sum over levels of |F|^(1/p) dk.
                 value += weight * float(np.sum(cost(np.abs(F), scales.p, tie)))
-                # The chain rule, backwards. A blur is a matrix; its adjoint is the transposed matrix.
+                # The chain rule in reverse. A blur is a matrix; its adjoint is the transposed matrix.
                 dE_dF = weight * np.sign(F) * slope_of_cost(np.abs(F), scales.p, tie)  # eq. 5
                 dE_dcdf = w * A.adjoint(dE_dF)  # eq. 4
                 dE_dJ = np.sum(dE_dcdf * dcdf_dJ, axis=0)  # eq. 3
                 gradient += G.adjoint(dE_dJ)  # eq. 1
-    # A pixel beyond the bounds is clipped; a slope that points back inside is kept.
+    # A pixel beyond the bounds is clipped; a gradient that points back inside is kept.
     return value, clip_pullback(image, gradient, *scales.bounds)
 
 
 def _cdf_and_slope(intensity: Host, scales: ScaleSpace, beta: float) -> tuple[Host, Host]:
-    """Eq. 3, accumulated over levels, and its derivative by the intensity; both of shape (L, H, W)."""
+    """Return eq. 3, accumulated over levels, and its derivative by the intensity; both of shape (L, H, W)."""
     spacing, count = scales.spacing(beta), scales.level_count(beta)
     first, steps = scales.levels(beta)[0] - scales.padding, np.arange(count)[:, None, None]
-    # In whole steps, since levels in units of intensity have a rounding each, which add up where there are thousands.
+    # In integer steps, because the rounding errors of thousands of levels in units of intensity would accumulate.
     offsets = (steps - (intensity - first) / spacing) * (spacing / beta)  # (k - J) / beta
     histogram = np.exp(-0.5 * offsets**2) / (math.sqrt(2.0 * math.pi) * beta) * scales.mass(beta)
     return np.cumsum(histogram, axis=0), np.cumsum(histogram * offsets / beta, axis=0)
 
 
 def cost(magnitude: Host, p: float, tie: float) -> Host:
-    """``magnitude ** (1 / p)`` of eq. 5, 0 where the magnitude is at most `tie`: below, there is only rounding."""
+    """Return ``magnitude ** (1 / p)`` of eq. 5, 0 where the magnitude is at most `tie`, the rounding error."""
     return np.where(magnitude > tie, magnitude if p == 1.0 else magnitude ** (1.0 / p), 0.0)
 
 
 def slope_of_cost(magnitude: Host, p: float, tie: float) -> Host:
-    """The derivative of :func:`cost`, 0 where the magnitude is at most `tie`."""
+    """Return the derivative of :func:`cost`, 0 where the magnitude is at most `tie`."""
     if p == 1.0:
         return np.where(magnitude > tie, 1.0, 0.0)
-    beyond = np.maximum(magnitude, tie)
-    return np.where(magnitude > tie, beyond ** (1.0 / p - 1.0) / p, 0.0)
+    at_least_tie = np.maximum(magnitude, tie)
+    return np.where(magnitude > tie, at_least_tie ** (1.0 / p - 1.0) / p, 0.0)
 
 
 def dense_blur(shape: tuple[int, ...], scale: float, boundary: Boundary, taps: int | None) -> Blur:
-    """Eq. 2 as matrices: a Gaussian blur along rows and columns of planes of this shape; nothing if `scale` is 0."""
+    """Return eq. 2 as matrices: a Gaussian blur along rows and columns of planes; the identity if `scale` is 0."""
     if scale == 0.0:
-        return _Same()
+        return _Identity()
     rows, columns = (_matrix(size, scale, boundary, taps) for size in shape)
     return DenseBlur(rows, columns)
 
 
-class _Same:
-    """The blur that changes nothing."""
+class _Identity:
+    """The blur of scale 0."""
 
     def apply(self, planes: Host) -> Host:
         return planes
@@ -151,32 +151,32 @@ class Planes:
     Attributes
     ----------
     layout : Layout
-        Of the image.
+        Layout of the image.
     image, reference : array
         Where a pixel of either is not finite, both hold the reference, or 0.
-    seen : array of bool
-        Where both are finite.
+    valid : array of bool
+        True where both are finite and unmasked.
     """
 
     layout: Layout
     image: Host
     reference: Host
-    seen: Host
+    valid: Host
 
     @classmethod
-    def of(cls, image: Host, reference: Host, channel_axis: int | None = -1, shown: Host | None = None) -> Planes:
-        """The planes of an image and of a reference whose batch axes fit; `shown`, shape (H, W), is a mask."""
+    def of(cls, image: Host, reference: Host, channel_axis: int | None = -1, mask: Host | None = None) -> Planes:
+        """Return the planes of an image and of a reference with matching batch axes; `mask` has shape (H, W)."""
         layout = Layout.of("image", image.shape, channel_axis)
-        theirs = Layout.of("reference", reference.shape, channel_axis)
-        wanted = layout.broadcast_planes("image", reference.astype(np.float64), theirs)
+        reference_layout = Layout.of("reference", reference.shape, channel_axis)
+        target = layout.broadcast_planes("image", reference.astype(np.float64), reference_layout)
         planes = layout.to_planes(image.astype(np.float64))
-        finite = np.isfinite(wanted)
-        wanted = np.where(finite, wanted, 0.0)
-        seen = np.isfinite(planes) & finite & (True if shown is None else shown)
-        return cls(layout, np.where(seen, planes, wanted), wanted, seen)
+        finite = np.isfinite(target)
+        target = np.where(finite, target, 0.0)
+        valid = np.isfinite(planes) & finite & (True if mask is None else mask)
+        return cls(layout, np.where(valid, planes, target), target, valid)
 
-    def equal(self) -> list[list[int]]:
-        """Which planes are the same in both images, and so need to be looked at only once."""
+    def equal_planes(self) -> list[list[int]]:
+        """Return groups of planes that are equal in both images, each evaluated only once."""
         groups: dict[tuple[bytes, bytes], list[int]] = {}
         for index in range(len(self.image)):
             groups.setdefault((self.image[index].tobytes(), self.reference[index].tobytes()), []).append(index)

@@ -1,4 +1,4 @@
-"""The scale space of a locally orderless image: which sigma, beta and alpha are compared, and on which levels."""
+"""The scale space of a locally orderless image: sigma, beta and alpha, and the tonal levels."""
 
 from __future__ import annotations
 
@@ -26,61 +26,60 @@ PAPER_PRESETS: Final[dict[str, dict[str, tuple[float, ...]]]] = {
     "raster": {"sigma": (0, 5), "alpha": (1, 5, 15, 45), "beta": (0.03125,)},
 }
 
-MAX_LEVELS: Final = 2**16  # more than 16 bits hold; a finer beta is a slip, and would ask for terabytes
-RELEASED_TAILS: Final = 4.0  # the released code spreads its levels over [-4 beta, 1 + 4 beta]
+MAX_LEVELS: Final = 2**16  # as many as 16 bits distinguish; a finer beta would require terabytes
+RELEASED_TAILS: Final = 4.0  # the released levels cover [-4 beta, 1 + 4 beta]
 
+DEFAULT_BETAS_IN_BOUNDS: Final = 8.0
+FAR_SIGMA_FRACTION: Final = 0.125  # inner scale of the far stage, as a fraction of the longer side
 
-LEVELS: Final = 8.0  # tonal scales in the bounds, unless they are given
-FAR_BLUR: Final = 0.125  # of the longer side: the inner scale from which a fit begins
-
-REACH: Final = 6.07
-"""How far a small object alone is felt, in units of what blurs it: there, the slope of the loss is 1 % of its steepest.
+REACH_SCALES: Final = 6.07
+"""Distance at which the slope of the loss of a single small object is 1 % of its maximum, in units of the total blur.
 
 Two Gaussians of a scale s a distance d apart differ by 2 erf(d / (sqrt(8) s)), whose slope falls as
 exp(-d**2 / (8 s**2)); s**2 is the sum of the squares of alpha and sigma.
 """
 
-WHOLE: Final = 0.97
-"""An extent of so many sides tells places apart by less than 1 %: exp(-(pi WHOLE)**2 / 2), see docs/mathematics.md."""
+WHOLE_IMAGE_SIDES: Final = 0.97
+"""Extent, in sides, whose sensitivity to position is below 1 %: exp(-(pi x)**2 / 2), see docs/mathematics.md."""
 
 BOUNDARIES: Final[dict[str, str]] = {
-    "reflect": "boundary reflect: the image is mirrored at its border, so that nothing is lost there",
-    "zero": "boundary zero: black lies around the image, and the loss may fall as objects leave the frame",
+    "reflect": "boundary reflect: the image is mirrored at its border, which conserves mass",
+    "zero": "boundary zero: the image is surrounded by black, and the loss may fall as objects leave the frame",
 }
 
 
 @dataclass(frozen=True, init=False)
 class ScaleSpace:
-    """The scales at which two images are compared, and the rules that go with them.
+    """The scales of a comparison of two images, with bounds, boundary and normalisation.
 
     Parameters
     ----------
     sigma : float or sequence of float
-        Inner scales: standard deviations, in pixels, of the blur of the image (eq. 1). 0 leaves it as it is.
+        Inner scales: standard deviations, in pixels, of the blur of the image (eq. 1); 0 for no blur.
     alpha : float or sequence of float
         Extent scales: standard deviations, in pixels, of the neighbourhood of a histogram (eq. 4).
         0 compares pixel by pixel.
     beta : float or sequence of float
         Tonal scales: standard deviations, in units of intensity, of the uncertainty of a pixel (eq. 3).
     bounds : (float, float)
-        Least and greatest intensity that is told apart. Values outside count as the bound itself; their
-        gradient is kept where it points back inside.
+        Smallest and largest distinguished intensity. Values outside count as the bound; their gradient is kept where
+        it points back inside.
     boundary : {"reflect", "zero"}
-        What lies outside the image. "reflect" mirrors at the edge of the border pixels and conserves mass;
-        "zero" is black, or the bound nearest to it; it loses mass at the border, and objects leave the frame.
+        Extension beyond the image. "reflect" mirrors at the edge of the border pixels and conserves mass; "zero" is
+        black, or the bound nearest to it; it loses mass at the border, and objects leave the frame.
     p : float
         Order of the distance between two cumulative histograms, ``|difference| ** (1 / p)`` (eq. 5).
     tails : float
-        How far, in units of beta, the levels reach beyond `bounds`, so that a saturated pixel keeps its mass.
+        Extent of the levels beyond `bounds`, in units of beta, so that a saturated pixel keeps its mass.
     convention : {"paper", "released"}
-        How histograms are normalised; see :meth:`released`, which is how to ask for the second.
+        Normalisation of histograms; :meth:`released` selects the second.
     kernel_size : int, optional
-        Taps of the extent kernels; only with, and needed by, the released convention.
+        Taps of the extent kernels; required by the released convention, and not allowed otherwise.
 
     Raises
     ------
     ScaleError
-        If a value is not allowed. The message names the argument, what came and what is allowed.
+        If a value is not allowed; the message names the argument, its value and the allowed values.
     """
 
     sigma: tuple[float, ...]
@@ -106,18 +105,18 @@ class ScaleSpace:
         convention: Convention = "paper",
         kernel_size: int | None = None,
     ) -> None:
-        def put(name: str, value: object) -> None:
+        def set_field(name: str, value: object) -> None:
             object.__setattr__(self, name, value)
 
-        put("sigma", _scales("sigma", sigma, zero=True))
-        put("alpha", _scales("alpha", alpha, zero=True))
-        put("beta", _scales("beta", beta, zero=False))
-        put("bounds", _bounds(bounds))
-        put("boundary", _choice("boundary", boundary, get_args(Boundary)))
-        put("p", _number("p", p, zero=False))
-        put("tails", _number("tails", tails, zero=True))
-        put("convention", _choice("convention", convention, get_args(Convention)))
-        put("kernel_size", _kernel_size(kernel_size, convention))
+        set_field("sigma", _scales("sigma", sigma, zero=True))
+        set_field("alpha", _scales("alpha", alpha, zero=True))
+        set_field("beta", _scales("beta", beta, zero=False))
+        set_field("bounds", _bounds(bounds))
+        set_field("boundary", _choice("boundary", boundary, get_args(Boundary)))
+        set_field("p", _number("p", p, zero=False))
+        set_field("tails", _number("tails", tails, zero=True))
+        set_field("convention", _choice("convention", convention, get_args(Convention)))
+        set_field("kernel_size", _kernel_size(kernel_size, convention))
         if convention == "released" and len(self.beta) != 1:
             msg = f"`beta` must be one value under the released convention, got {shown(beta)}"
             raise ScaleError(msg)
@@ -131,7 +130,7 @@ class ScaleSpace:
 
     @classmethod
     def paper(cls, preset: Preset, *, boundary: Boundary = "reflect") -> ScaleSpace:
-        """The scales that the paper used for vector graphics, path tracing or rasterization.
+        """Return the scales that the paper used for vector graphics, path tracing or rasterization.
 
         Parameters
         ----------
@@ -151,19 +150,18 @@ class ScaleSpace:
         bounds: tuple[float, float] = (0.0, 1.0),
         boundary: Boundary = "reflect",
     ) -> ScaleSpace:
-        """Scales that reach across an image of this size: one fine image, seen through wide neighbourhoods.
+        """Return scales that reach across an image of this size: a fine image compared in wide neighbourhoods.
 
         The inner scale is 1 pixel. The widest extent is 0.35 of the longer side (45 pixels at 128), the others a
-        third and a ninth of it. Wide inner scales would average appearance away, and narrow extents would hold
-        objects fast in places that only nearly fit; neither is needed to reach far. The tonal scale is an eighth of
-        the bounds.
+        third and a ninth of it. Wide inner scales would average appearance away, and narrow extents would trap objects
+        in positions that match only partly; a long reach needs neither. The tonal scale is an eighth of the bounds.
         """
         _check_size(height, width)
         widest = 0.35 * max(height, width)
-        extents = [round(widest / share, 2) for share in (9, 3, 1)]
+        extents = [round(widest / divisor, 2) for divisor in (9, 3, 1)]
         if beta is None:
             low, high = _bounds(bounds)
-            beta = (high - low) / LEVELS
+            beta = (high - low) / DEFAULT_BETAS_IN_BOUNDS
         return cls(1.0, [extent for extent in extents if extent > 1.0] or 1.0, beta, bounds, boundary)
 
     @classmethod
@@ -176,22 +174,22 @@ class ScaleSpace:
         bounds: tuple[float, float] = (0.0, 1.0),
         boundary: Boundary = "reflect",
     ) -> tuple[ScaleSpace, ...]:
-        """Scales for the stages of a fit on images of this size, from those that reach far to those of `for_image`.
+        """Return the scales of the stages of a fit on images of this size, ending with the scales of `for_image`.
 
-        Textures hold objects fast where they happen to fit, the more the narrower the scales. An inner scale of an
-        eighth of the longer side averages them away, and what is left is seen from far.
+        Textures trap objects where they match by chance, and narrow scales most of all. An inner scale of an eighth of
+        the longer side averages textures away and keeps the shapes, which reach far.
         """
-        near = cls.for_image(height, width, beta=beta, bounds=bounds, boundary=boundary)
-        blur = round(FAR_BLUR * max(height, width), 2)
-        if blur <= near.sigma[0]:
-            return (near,)
-        return cls((*near.sigma, blur), near.alpha[-2:], near.beta, bounds, boundary), near
+        last = cls.for_image(height, width, beta=beta, bounds=bounds, boundary=boundary)
+        blur = round(FAR_SIGMA_FRACTION * max(height, width), 2)
+        if blur <= last.sigma[0]:
+            return (last,)
+        return cls((*last.sigma, blur), last.alpha[-2:], last.beta, bounds, boundary), last
 
     @classmethod
     def released(
         cls, sigma: float | Iterable[float], alpha: float | Iterable[float], bins: int, kernel_size: int
     ) -> ScaleSpace:
-        """The conventions of the code that the paper's authors released, to reproduce their numbers.
+        """Return the conventions of the code that the paper's authors released, to reproduce their numbers.
 
         `bins` levels at the centres of equal bins over [-4 beta, 1 + 4 beta] with beta = 1 / `bins`; black
         outside the image, and values limited to [0, 1]; extent kernels of `kernel_size` taps and inner kernels
@@ -212,7 +210,7 @@ class ScaleSpace:
         )
 
     def describe(self, height: int, width: int) -> str:
-        """Which scales these are, what each of them does to images of this size, and why: lines to print.
+        """Describe the effect of each scale on images of this size, in lines to print.
 
         Parameters
         ----------
@@ -222,7 +220,7 @@ class ScaleSpace:
         Returns
         -------
         str
-            A line for where the scales come from, one for every sigma, beta and alpha, and one for every rule.
+            A line for the origin of the scales, one for every sigma, beta and alpha, and one for every rule.
 
         Raises
         ------
@@ -232,24 +230,24 @@ class ScaleSpace:
         Examples
         --------
         >>> print(ScaleSpace.for_image(96, 128).describe(96, 128).splitlines()[0])
-        ScaleSpace.for_image(96, 128): a fine image, seen through wide neighbourhoods
+        ScaleSpace.for_image(96, 128): a fine image, compared in wide neighbourhoods
         """
         _check_size(height, width)
-        ours, source = self._source(height, width)
+        is_default, source = self._source(height, width)
         low, high = self.bounds
-        lines = [source, *(_told_sigma(sigma) for sigma in self.sigma)]
-        if ours:
-            lines[-1] += "; a wider blur would average appearance away, and extents see to the reach"
+        lines = [source, *(_sigma_line(sigma) for sigma in self.sigma)]
+        if is_default:
+            lines[-1] += "; a wider blur would average appearance away, and the extents provide the reach"
         for beta in self.beta:
             levels = self.levels(beta)
-            eighth = ", an eighth of the bounds" if math.isclose(beta * LEVELS, high - low) else ""
+            eighth = ", an eighth of the bounds" if math.isclose(beta * DEFAULT_BETAS_IN_BOUNDS, high - low) else ""
             lines.append(
-                f"beta {beta:g}{eighth}: intensities that differ by about as much are told apart; {len(levels)} levels "
+                f"beta {beta:g}{eighth}: distinguishes intensities that differ by about as much; {len(levels)} levels "
                 f"from {levels[0]:g} to {levels[-1]:g}, and time grows with their number"
             )
-        lines += [self._told_alpha(alpha, max(height, width)) for alpha in self.alpha]
+        lines += [self._alpha_line(alpha, max(height, width)) for alpha in self.alpha]
         lines.append(
-            f"bounds {low:g} to {high:g}: what lies beyond counts as the bound; of its gradient, what points back stays"
+            f"bounds {low:g} to {high:g}: a value beyond counts as the bound, and keeps a gradient that points back"
         )
         lines.append(BOUNDARIES[self.boundary])
         if self.p != 1.0:
@@ -263,33 +261,33 @@ class ScaleSpace:
             )
         return "\n".join(lines)
 
-    def _told_alpha(self, alpha: float, longer: int) -> str:
+    def _alpha_line(self, alpha: float, longer: int) -> str:
         if alpha == 0.0:
-            return "alpha 0 px: pixel by pixel, so that only what overlaps once it is blurred is felt"
-        reached = REACH * math.hypot(alpha, max(self.sigma))
+            return "alpha 0 px: pixel by pixel, so only objects that overlap after the blur have a gradient"
+        reach = REACH_SCALES * math.hypot(alpha, max(self.sigma))
         if self.extent_taps is not None and self.inner_taps is not None:
-            # Two neighbourhoods that are cut have nothing in common beyond the sum of their radii.
-            reached = min(reached, self.extent_taps + self.inner_taps - 2.0)
-        if alpha >= WHOLE * longer:
-            felt = "the histogram is nearly the same everywhere, and hardly tells places apart"
-        elif reached >= longer:
-            felt = "a small object alone is felt from everywhere in the image"
+            # Truncated neighbourhoods share no pixel beyond the sum of their radii.
+            reach = min(reach, self.extent_taps + self.inner_taps - 2.0)
+        if alpha >= WHOLE_IMAGE_SIDES * longer:
+            effect = "the histogram is nearly equal everywhere, and hardly depends on position"
+        elif reach >= longer:
+            effect = "a single small object has a gradient everywhere in the image"
         else:
-            felt = f"a small object alone is felt from up to about {reached:.0f} px away"
-        return f"alpha {alpha:g} px, {alpha / longer:.2g} of the longer side: {felt}"
+            effect = f"a single small object has a gradient up to about {reach:.0f} px away"
+        return f"alpha {alpha:g} px, {alpha / longer:.2g} of the longer side: {effect}"
 
     def _source(self, height: int, width: int) -> tuple[bool, str]:
-        """Whether these are the scales of `for_image`, and what to call them."""
+        """Return whether these are the scales of `for_image`, and their name."""
         if self == ScaleSpace.for_image(height, width, beta=self.beta[0], bounds=self.bounds, boundary=self.boundary):
-            return True, f"ScaleSpace.for_image({height}, {width}): a fine image, seen through wide neighbourhoods"
+            return True, f"ScaleSpace.for_image({height}, {width}): a fine image, compared in wide neighbourhoods"
         for preset, scales in PAPER_PRESETS.items():
             if self == ScaleSpace(scales["sigma"], scales["alpha"], scales["beta"], self.bounds, self.boundary):
-                return False, f"ScaleSpace.paper({preset!r}): what the paper used, whatever the size of the image"
+                return False, f"ScaleSpace.paper({preset!r}): the paper's scales, for any size of image"
         return False, f"scales of your own, for {width} x {height} pixels"
 
     @property
     def padding(self) -> float:
-        """The intensity within the bounds that is nearest to 0: what lies outside the image under the boundary "zero".
+        """Intensity within the bounds nearest to 0, which surrounds the image under the boundary "zero".
 
         Images are compared relative to it under either boundary, so that bounds far from 0 cost no accuracy.
         """
@@ -297,47 +295,47 @@ class ScaleSpace:
 
     @property
     def inner_taps(self) -> int | None:
-        """Taps of the inner kernels; None for as many as matter in float64."""
+        """Taps of the inner kernels; None for kernels exact to float64."""
         return None if self.kernel_size is None else _odd(max(3, int(4 * max(self.sigma))))
 
     @property
     def extent_taps(self) -> int | None:
-        """Taps of the extent kernels; None for as many as matter in float64."""
+        """Taps of the extent kernels; None for kernels exact to float64."""
         return None if self.kernel_size is None else _odd(self.kernel_size)
 
     @property
     def keys(self) -> list[tuple[float, float, float]]:
-        """Every ``(alpha, beta, sigma)`` that is compared, in the order in which it is evaluated."""
+        """Every compared ``(alpha, beta, sigma)``, in order of evaluation."""
         return [(a, b, s) for s in self.sigma for b in self.beta for a in self.alpha]
 
     def level_count(self, beta: float) -> int:
-        """Number of tonal levels at `beta`."""
+        """Return the number of tonal levels at `beta`."""
         low, high = self.bounds
         if self.convention == "released":
             return round((high - low) / beta)
-        # The small slack keeps 1 / 0.1 + 8 from becoming 18.000000000000004 and so 20 levels.
+        # The slack keeps 1 / 0.1 + 8 from becoming 18.000000000000004 and thus 20 levels.
         return math.ceil((high - low) / beta + 2 * self.tails - 1e-9) + 1
 
     def spacing(self, beta: float) -> float:
-        """Distance between two levels, in units of intensity."""
+        """Return the distance between two levels, in units of intensity."""
         if self.convention == "released":
             low, high = self.bounds
             return (high - low + 2 * self.tails * beta) / self.level_count(beta)
         return beta
 
     def levels(self, beta: float) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
-        """The intensities k_i at which histograms are sampled: float64, shape (L,), increasing."""
+        """Return the intensities k_i of the tonal levels: float64, shape (L,), increasing."""
         low, high = self.bounds
         count = self.level_count(beta)
         steps = np.arange(count, dtype=np.float64) - (count - 1) / 2
         return 0.5 * (low + high) + self.spacing(beta) * steps
 
     def mass(self, beta: float) -> float:
-        """What a density is multiplied by before it is accumulated: the spacing, or 1 as released."""
+        """Return the factor of a density before accumulation: the spacing, or 1 as released."""
         return 1.0 if self.convention == "released" else self.spacing(beta)
 
     def level_weight(self, beta: float) -> float:
-        """Weight of one level in the distance of two histograms."""
+        """Return the weight of one level in the distance of two histograms."""
         return 1.0 / self.level_count(beta) if self.convention == "released" else self.spacing(beta)
 
     @property
@@ -353,12 +351,12 @@ def _check_size(height: int, width: int) -> None:
             raise ScaleError(msg)
 
 
-def _told_sigma(sigma: float) -> str:
+def _sigma_line(sigma: float) -> str:
     if sigma == 0.0:
-        return "sigma 0 px: pixels as they are"
+        return "sigma 0 px: no blur"
     if sigma <= 1.0:
-        return f"sigma {sigma:g} px: the image stays as fine as its pixels, and edges between them get a slope"
-    return f"sigma {sigma:g} px: what is narrower than about {2.0 * sigma:g} px is averaged away"
+        return f"sigma {sigma:g} px: keeps the resolution of the pixels, and gives edges between them a slope"
+    return f"sigma {sigma:g} px: averages away features narrower than about {2.0 * sigma:g} px"
 
 
 def _odd(taps: int) -> int:

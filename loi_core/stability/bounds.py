@@ -91,13 +91,13 @@ def allowed(
     planes = Planes.of(image, reference, channel_axis)
     loss, gradient = 0.0, np.zeros_like(planes.image)
     count = len(planes.image)
-    for group in planes.equal():
+    for group in planes.equal_planes():
         plane = _Plane(planes.image[group[0]], planes.reference[group[0]], scales, eps, count, shift)
         plane_loss, slopes = plane.bounds()
         loss += plane_loss * len(group) / count
         gradient[group] = slopes / count
     factor = 1.0 + DOUBLE / eps
-    return Allowed(factor * loss, factor * planes.layout.to_image(np.where(planes.seen, gradient, 0.0)))
+    return Allowed(factor * loss, factor * planes.layout.to_image(np.where(planes.valid, gradient, 0.0)))
 
 
 @dataclass(frozen=True)

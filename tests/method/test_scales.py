@@ -1,4 +1,4 @@
-"""A ScaleSpace says what is compared, and names every value that it does not take."""
+"""A ScaleSpace describes the compared scales and rejects invalid values by name."""
 
 from __future__ import annotations
 
@@ -101,21 +101,22 @@ def test_for_image_divides_other_bounds_into_eight_as_well() -> None:
     assert (wide.bounds, wide.beta) == ((-1.0, 3.0), (0.5,))
     assert wide.alpha == ScaleSpace.for_image(64, 48).alpha
     assert all(
-        (one.bounds, one.beta) == (wide.bounds, wide.beta) for one in ScaleSpace.far_to_near(64, 48, bounds=wide.bounds)
+        (scales.bounds, scales.beta) == (wide.bounds, wide.beta)
+        for scales in ScaleSpace.far_to_near(64, 48, bounds=wide.bounds)
     )
     with pytest.raises(ScaleError, match="`bounds`"):
         ScaleSpace.for_image(64, 48, bounds=(1.0, 0.0))
 
 
-def test_scales_say_where_they_come_from_and_why() -> None:
-    said = ScaleSpace.for_image(480, 640).describe(480, 640).splitlines()
-    assert said[0].startswith("ScaleSpace.for_image(480, 640): ")
-    assert [line.split()[0] for line in said[1:]] == ["sigma", "beta", *["alpha"] * 3, "bounds", "boundary"]
-    assert "an eighth of the bounds" in said[2]
-    assert "17 levels from -0.5 to 1.5" in said[2]
-    assert said[5].startswith("alpha 224 px, 0.35 of the longer side: ")
-    assert said[5].endswith("from everywhere in the image")
-    assert said[3].endswith("from up to about 151 px away")
+def test_the_description_of_scales_names_their_origin_and_effect() -> None:
+    lines = ScaleSpace.for_image(480, 640).describe(480, 640).splitlines()
+    assert lines[0].startswith("ScaleSpace.for_image(480, 640): ")
+    assert [line.split()[0] for line in lines[1:]] == ["sigma", "beta", *["alpha"] * 3, "bounds", "boundary"]
+    assert "an eighth of the bounds" in lines[2]
+    assert "17 levels from -0.5 to 1.5" in lines[2]
+    assert lines[5].startswith("alpha 224 px, 0.35 of the longer side: ")
+    assert lines[5].endswith("has a gradient everywhere in the image")
+    assert lines[3].endswith("has a gradient up to about 151 px away")
     assert ScaleSpace.for_image(480, 640).describe(64, 64).startswith("scales of your own, for 64 x 64 pixels")
     assert ScaleSpace.for_image(9, 9, beta=0.3, boundary="zero").describe(9, 9).startswith("ScaleSpace.for_image(9, 9)")
     assert ScaleSpace.paper("path").describe(64, 64).startswith("ScaleSpace.paper('path')")
@@ -123,22 +124,22 @@ def test_scales_say_where_they_come_from_and_why() -> None:
 
 def test_every_scale_and_every_unusual_rule_has_its_line() -> None:
     scales = ScaleSpace((0, 30), (0, 7), (0.1, 0.3), bounds=(-1.0, 2.0), boundary="zero", p=2.0)
-    said = scales.describe(40, 40).splitlines()
+    lines = scales.describe(40, 40).splitlines()
     for start in ("sigma 0 px", "sigma 30 px", "beta 0.1:", "beta 0.3:", "alpha 0 px", "alpha 7 px", "bounds -1 to 2"):
-        assert sum(line.startswith(start) for line in said) == 1
-    assert "hardly tells places apart" in ScaleSpace.paper("path").describe(40, 40).splitlines()[-3]
-    assert "boundary zero: black" in said[-2]
-    assert said[-1].startswith("p 2: ")
+        assert sum(line.startswith(start) for line in lines) == 1
+    assert "hardly depends on position" in ScaleSpace.paper("path").describe(40, 40).splitlines()[-3]
+    assert lines[-2].startswith("boundary zero: ")
+    assert lines[-1].startswith("p 2: ")
     released = ScaleSpace.released((1, 5), 15, 8, 61).describe(400, 400)
     assert released.splitlines()[-1].startswith("released: ")
-    assert "from up to about 80 px away" in released
+    assert "has a gradient up to about 80 px away" in released
     with pytest.raises(ScaleError, match=r"^`width` must be a whole number"):
         scales.describe(4, 0)
 
 
 def test_describing_scales_changes_neither_their_repr_nor_their_equality() -> None:
     scales = ScaleSpace.for_image(48, 64)
-    before = repr(scales), hash(scales)
+    identity = repr(scales), hash(scales)
     scales.describe(48, 64)
-    assert (repr(scales), hash(scales)) == before
+    assert (repr(scales), hash(scales)) == identity
     assert scales == ScaleSpace.for_image(48, 64)
