@@ -15,7 +15,7 @@ from loi_core.method.plan import InnerPlan
 from loi_core.method.planner import make_plan
 from loi_core.method.reference import DOUBLE, cost
 from loi_core.method.scales import ScaleSpace
-from loi_core.method.tonal import in_levels, level_weights
+from loi_core.method.tonal import level_weights, to_level_units
 from loi_core.pixels.bounds import above_padding, clip
 
 __all__ = ["histograms_at", "loss_maps"]
@@ -87,7 +87,7 @@ def histograms_at(
 
 def _weights_by_level(plane: FloatImage, scales: ScaleSpace, beta: float) -> Iterator[FloatImage]:
     """Yield the weight of each pixel in every level, one level at a time to save memory."""
-    positions, width, mass = in_levels(plane, scales, beta)
+    positions, width, mass = to_level_units(plane, scales, beta)
     for level in range(scales.level_count(beta)):
         yield level_weights(positions, np.array([float(level)]), width, mass)[0]
 

@@ -1,10 +1,10 @@
-"""An image and a reference at one inner scale: their cumulative histograms, compared at every extent (eqs. 3 to 5).
+"""Comparison of planes with a reference by whole-array operations of any library (eqs. 3 to 5).
 
-Only what can differ is computed, where operations run one by one on the host and so may depend on values; see
-:mod:`loi_core.method.scope`.
+Where operations run eagerly on the host, values may be read, and only the pixels and levels that can differ are
+computed (:mod:`loi_core.method.support`).
 
-Two things keep the accuracy where bounds are far from 0, or levels many: intensities are those above the padding, and
-their histograms are made in units of the distance of two levels (:func:`loi_core.method.tonal.level_positions`).
+Two measures keep the accuracy where bounds are far from 0 or levels many: intensities count from the padding, and
+histograms are computed in units of the spacing of two levels (:func:`loi_core.method.tonal.level_positions`).
 """
 
 from __future__ import annotations
@@ -16,13 +16,13 @@ from typing import Final
 import numpy as np
 
 from loi_core.method.blurs import GaussianBlur
-from loi_core.method.comparison import Compared, Terms
+from loi_core.method.comparison import ComparisonResult, Terms
 from loi_core.method.distance import cost_slope, sum_of_costs, tie_threshold
 from loi_core.method.plan import InnerPlan, Plan, TonalPlan
-from loi_core.method.sampling_error import Misplaced, Tally, misplaced
+from loi_core.method.sampling_error import SignErrors, SignErrorSums, sign_error_sums
 from loi_core.method.scales import ScaleSpace
-from loi_core.method.scope import Route, Scope, find_scope, levels_among
-from loi_core.method.tonal import accumulate, in_levels, level_weights, weights_and_slopes
+from loi_core.method.support import Dependency, Supports, active_levels, find_dependency
+from loi_core.method.tonal import accumulate, level_weights, to_level_units, weights_and_slopes
 from loi_core.method.windows import Window
 from loi_core.pixels.bounds import above_padding
 from loi_core.support.arrays import (
@@ -38,28 +38,28 @@ from loi_core.support.arrays import (
 
 __all__ = ["ArrayComparison"]
 
-CHUNK_ON_HOST: Final = 2**19  # elements: 2 MiB in float32, a few of which lie in the caches of a core
-CHUNK: Final = 2**24  # elements: where operations are fused or run on an accelerator, large ones are better
+MAX_HOST_ELEMENTS: Final = 2**19  # 2 MiB in float32: a few such arrays fit the caches of a core
+MAX_ELEMENTS: Final = 2**24  # larger arrays are faster where operations are fused or run on an accelerator
 
 
 @dataclass(frozen=True)
 class _Levels:
     """Some levels of one tonal scale, the first few only accumulated, and the reference's CDF at the others."""
 
-    values: Array  # shape (L,), counted from the first of all
-    host: tuple[float, ...]  # where they are, in units of intensity
+    values: Array  # shape (L,), counted from the first level of the scale
+    intensities: tuple[float, ...]  # above the padding
     skipped: int
     cdf: Array  # shape (L - skipped, N, h, w)
 
-    def within(self, scope: Scope, scales: ScaleSpace, beta: float, eps: float) -> _Levels | None:
-        """Only those that are in a scope; None if none are left."""
-        among = levels_among(self.host, self.skipped, scope, scales, beta, eps)
-        if among.stop <= among.start:
+    def within(self, dependency: Dependency, scales: ScaleSpace, beta: float, eps: float) -> _Levels | None:
+        """Return the active levels; None if there are none."""
+        active = active_levels(self.intensities, self.skipped, dependency, scales, beta, eps)
+        if active.stop <= active.start:
             return None
-        first, stop = among.first, max(among.first, among.stop)
+        first, stop = active.first, max(active.first, active.stop)
         cdf = self.cdf[first - self.skipped : stop - self.skipped, ...]
-        kept = slice(among.start, among.stop)
-        return _Levels(self.values[kept], self.host[kept], min(first, among.stop) - among.start, cdf)
+        levels = slice(active.start, active.stop)
+        return _Levels(self.values[levels], self.intensities[levels], min(first, active.stop) - active.start, cdf)
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class _Extent:
 
     @property
     def cells(self) -> int:
-        """Samples of a plane that are compared."""
+        """Number of samples of a plane that are compared."""
         return self.blur.blur.target.cells
 
 
@@ -82,11 +82,11 @@ class _InnerComparison:
     plan: InnerPlan
     blur: GaussianBlur
     intensity: Array  # the reference's, above the padding; shape (N, h, w)
-    weights: Array | None  # of its pixels, shape (N, h, w)
+    weights: Array | None  # shape (N, h, w)
     pyramid: tuple[GaussianBlur, ...]
     extents: tuple[_Extent, ...]
-    planes: int  # how many planes are handled together
-    levels: dict[float, list[_Levels]]  # by tonal scale, those that are handled together
+    planes_at_once: int
+    levels: dict[float, list[_Levels]]  # by tonal scale, in groups that are handled at once
 
     @classmethod
     def of(
@@ -97,22 +97,19 @@ class _InnerComparison:
         reference: Array,
         weights: Array | None,
     ) -> _InnerComparison:
-        """Everything that depends on the reference alone: planes within the bounds, and weights, shape (N, H, W)."""
+        """Prepare a comparison with a reference: planes within the bounds, and weights, shape (N, H, W)."""
         blur = GaussianBlur(plan.blur, reference)
         intensity = blur.apply(above_padding(reference, scales.padding))
-        most, planes = _chunk(max(each.last for each in tonal), reference.shape[0], plan.finest, reference)
-        levels = {each.beta: _split(scales, each, most, intensity) for each in tonal}
+        max_levels, planes = _chunk(max(each.last for each in tonal), reference.shape[0], plan.finest, reference)
+        levels = {each.beta: _split(scales, each, max_levels, intensity) for each in tonal}
         pyramid = tuple(GaussianBlur(step, reference) for step in plan.pyramid)
         extents = tuple(
             _Extent(extent.alpha, extent.start, GaussianBlur(extent.blur, reference)) for extent in plan.extents
         )
         return cls(scales, plan, blur, intensity, weights, pyramid, extents, planes, levels)
 
-    def compare(self, clipped: Array, *, gradient: bool) -> Compared:
-        """Compare planes within the bounds, shape (N, H, W).
-
-        Where a plan has samplings, values must be at hand (:func:`loi_core.support.arrays.values_may_decide`).
-        """
+    def compare(self, clipped: Array, *, gradient: bool) -> ComparisonResult:
+        """See :class:`loi_core.method.comparison.Comparison`."""
         xp = namespace(clipped)
         intensity = self.blur.apply(above_padding(clipped, self.scales.padding))
         terms = {
@@ -121,47 +118,49 @@ class _InnerComparison:
             for beta in self.levels
         }
         count, pixels = clipped.shape[0], clipped.shape[-2] * clipped.shape[-1]
-        tallies = {beta: Tally(count, pixels, np.zeros((len(self.extents), 2))) for beta in self.levels}
+        sums = {beta: SignErrorSums(count, pixels, np.zeros((len(self.extents), 2))) for beta in self.levels}
         cotangents = []
-        for start in range(0, intensity.shape[0], self.planes):
-            part = slice(start, min(start + self.planes, intensity.shape[0]))
-            cotangents.append(self._compare(intensity[part, ...], part, terms, tallies, gradient=gradient))
+        for start in range(0, count, self.planes_at_once):
+            chunk = slice(start, min(start + self.planes_at_once, count))
+            cotangents.append(self._compare(intensity[chunk, ...], chunk, terms, sums, gradient=gradient))
         if not gradient:
-            return Compared(terms, None)
+            return ComparisonResult(terms, None)
         cotangent = self.blur.adjoint(cotangents[0] if len(cotangents) == 1 else xp.concat(cotangents, axis=0))
-        return Compared(terms, cotangent, tuple(self._misplaced(tallies)))
+        return ComparisonResult(terms, cotangent, tuple(self._sign_errors(sums)))
 
-    def _misplaced(self, tallies: dict[float, Tally]) -> Iterator[Misplaced]:
-        for beta, tally in tallies.items():
+    def _sign_errors(self, sums_by_beta: dict[float, SignErrorSums]) -> Iterator[SignErrors]:
+        for beta, sums in sums_by_beta.items():
             for index, extent in enumerate(self.extents):
-                if self.plan.extents[index].is_sampled and tally.compared:
-                    yield Misplaced.of(tally, index, extent.cells, scales=self.scales, beta=beta)
+                if self.plan.extents[index].is_sampled and sums.compared_levels:
+                    yield SignErrors.of(sums, index, extent.cells, scales=self.scales, beta=beta)
 
     def _compare(
-        self, intensity: Array, part: slice, terms: Terms, tallies: dict[float, Tally], *, gradient: bool
+        self, intensity: Array, chunk: slice, terms: Terms, sums: dict[float, SignErrorSums], *, gradient: bool
     ) -> Array | None:
-        """Add the terms of some planes, shape (N, h, w); their cotangent by `intensity`.
+        """Add the terms of some planes, shape (N, h, w); return the cotangent of `intensity`.
 
-        A few levels at a time, so that what is at work stays small and near.
+        Handles a few levels at a time, so that the working set stays in the caches.
         """
         xp = namespace(intensity)
         if values_may_decide(intensity):
-            scope = find_scope(intensity, self.intensity[part, ...], self.plan, self.scales, gradient=gradient)
+            dependency = find_dependency(
+                intensity, self.intensity[chunk, ...], self.plan, self.scales, gradient=gradient
+            )
         else:
-            scope = Scope.everything(self.plan)
-        if scope is None:
+            dependency = Dependency.everything(self.plan)
+        if dependency is None:
             return xp.zeros_like(intensity) if gradient else None
-        differing, support = scope.route.support[0], scope.support
-        seen = support.crop(intensity)
-        cotangent = xp.zeros_like(seen) if gradient else None
+        differing, window = dependency.supports.differences[0], dependency.window
+        image = window.crop(intensity)
+        cotangent = xp.zeros_like(image) if gradient else None
         for beta, groups in self.levels.items():
-            tallies[beta].active += intensity.shape[0]
-            positions, width, mass = in_levels(seen, self.scales, beta)
+            sums[beta].active_planes += intensity.shape[0]
+            positions, width, mass = to_level_units(image, self.scales, beta)
             tie = tie_threshold(intensity, mass)
             per_intensity = 1.0 / self.scales.spacing(beta)
             cdf_sum = slope_sum = None
             for group in groups:
-                levels = group.within(scope, self.scales, beta, epsilon(intensity))
+                levels = group.within(dependency, self.scales, beta, epsilon(intensity))
                 if levels is None:
                     continue
                 slope: Array = None
@@ -175,122 +174,125 @@ class _InnerComparison:
                 del weights
                 if levels.skipped == levels.values.shape[0]:
                     continue
-                difference = differing.crop(cdf[levels.skipped :, ...], support)
-                difference -= differing.crop(levels.cdf[:, part, ...])
+                difference = differing.crop(cdf[levels.skipped :, ...], window)
+                difference -= differing.crop(levels.cdf[:, chunk, ...])
                 if self.weights is not None:
-                    difference *= differing.crop(self.weights[part, ...])
-                tallies[beta].compared += difference.shape[0] * difference.shape[1]
+                    difference *= differing.crop(self.weights[chunk, ...])
+                sums[beta].compared_levels += difference.shape[0] * difference.shape[1]
                 pulled = self._compare_levels(
-                    difference, scope.route, beta, tie, terms, tallies[beta], gradient=gradient
+                    difference, dependency.supports, beta, tie, terms, sums[beta], gradient=gradient
                 )
                 if gradient:
                     pulled *= slope[levels.skipped :, ...]
                     if self.weights is not None:
-                        pulled *= support.crop(self.weights[part, ...])
+                        pulled *= window.crop(self.weights[chunk, ...])
                     cotangent += xp.sum(pulled, axis=0) * per_intensity
-        return support.paste(cotangent, *intensity.shape[-2:]) if gradient else None
+        return window.paste(cotangent, *intensity.shape[-2:]) if gradient else None
 
     def _compare_levels(
-        self, difference: Array, route: Route, beta: float, tie: float, terms: Terms, tally: Tally, *, gradient: bool
+        self,
+        difference: Array,
+        supports: Supports,
+        beta: float,
+        tie: float,
+        terms: Terms,
+        sums: SignErrorSums,
+        *,
+        gradient: bool,
     ) -> Array | None:
-        """Add the terms of a difference of CDFs, shape (L, N, h, w); the cotangent by it.
+        """Add the terms of a difference of CDFs, shape (L, N, h, w); return its cotangent.
 
         Blurring and accumulating commute, so the difference is blurred once instead of each histogram.
         """
         scales = self.scales
         differences = [difference]
-        for step, window in zip(self.pyramid, route.support, strict=False):
+        for step, window in zip(self.pyramid, supports.differences, strict=False):
             differences.append(step.apply(differences[-1], window))
-        pulled: list[Array | None] = [None] * len(differences)
+        cotangents: list[Array | None] = [None] * len(differences)
 
-        def pull(index: int, part: Array, window: Window) -> None:
-            total, wanted = pulled[index], route.pulled[index]
-            pulled[index] = _plus(total, wanted, part, window)
+        def add(level: int, planes: Array, window: Window) -> None:
+            cotangents[level] = _plus(cotangents[level], supports.cotangents[level], planes, window)
 
         for index, extent in enumerate(self.extents):
-            window, plan = route.support[extent.start], self.plan.extents[index]
-            blurred = extent.blur.apply(differences[extent.start], window)
-            reached = plan.blur.reached(window)
+            support, plan = supports.differences[extent.start], self.plan.extents[index]
+            blurred = extent.blur.apply(differences[extent.start], support)
+            compared = plan.blur.support_of(support)
             if gradient and plan.is_sampled:
-                tally.sums[index] += misplaced(to_numpy(blurred), plan.blur.target, reached, tie)
+                sums.by_extent[index] += sign_error_sums(to_numpy(blurred), plan.blur.target, compared, tie)
             weight = scales.scale_weight * scales.level_weight(beta) / (self.intensity.shape[0] * extent.cells)
             slope = cost_slope(blurred, scales.p, tie, weight)
             terms[extent.alpha, beta, self.plan.sigma] += sum_of_costs(blurred, slope, scales.p)
             if gradient:
-                back = extent.blur.adjoint(slope, reached)
-                pull(extent.start, back, extent.blur.blur.reached_back(reached))
+                pulled = extent.blur.adjoint(slope, compared)
+                add(extent.start, pulled, plan.blur.adjoint_support_of(compared))
         if not gradient:
             return None
-        for index in range(len(self.pyramid), 0, -1):
-            part, wanted = pulled[index], route.pulled[index]
-            if part is not None:
-                step = self.pyramid[index - 1]
-                pull(index - 1, step.adjoint(part, wanted), step.blur.reached_back(wanted))
-        if pulled[0] is None:
-            shape = *difference.shape[:-2], *route.pulled[0].shape
-            return namespace(difference).zeros(shape, dtype=difference.dtype, device=device(difference))
-        return pulled[0]
+        for level in range(len(self.pyramid), 0, -1):
+            cotangent, window = cotangents[level], supports.cotangents[level]
+            if cotangent is not None:
+                step = self.pyramid[level - 1]
+                add(level - 1, step.adjoint(cotangent, window), step.blur.adjoint_support_of(window))
+        return cotangents[0]
 
 
 @dataclass(frozen=True)
 class ArrayComparison:
-    """By operations on whole arrays, of any library."""
+    """Comparison by whole-array operations, for arrays of any library."""
 
     inner: tuple[_InnerComparison, ...]
 
     @classmethod
     def of(cls, scales: ScaleSpace, plan: Plan, reference: Array, weights: Array | None = None) -> ArrayComparison:
-        """Everything that depends on the reference alone: planes within the bounds, and weights, shape (N, H, W)."""
+        """Prepare a comparison with a reference: planes within the bounds, and weights, shape (N, H, W)."""
         return cls(tuple(_InnerComparison.of(scales, inner, plan.tonal, reference, weights) for inner in plan.inner))
 
-    def compare(self, clipped: Array, *, gradient: bool) -> Compared:
-        """Compare planes within the bounds, shape (N, H, W)."""
+    def compare(self, clipped: Array, *, gradient: bool) -> ComparisonResult:
+        """See :class:`loi_core.method.comparison.Comparison`."""
         terms: Terms = {}
         total: Array = None
-        parts: tuple[Misplaced, ...] = ()
+        sign_errors: tuple[SignErrors, ...] = ()
         for inner in self.inner:
-            compared = inner.compare(clipped, gradient=gradient)
-            terms |= compared.terms
-            parts += compared.misplaced
+            result = inner.compare(clipped, gradient=gradient)
+            terms |= result.terms
+            sign_errors += result.sign_errors
             if total is None:
-                total = compared.cotangent
+                total = result.cotangent
             elif gradient:
-                total += compared.cotangent
-        return Compared(terms, total, parts)
+                total += result.cotangent
+        return ComparisonResult(terms, total, sign_errors)
 
 
-def _plus(total: Array | None, wanted: Window, part: Array, window: Window) -> Array:
-    """A sum of planes in `wanted`: `total`, if there is one yet, and `part`, which lies in `window`."""
+def _plus(total: Array | None, support: Window, planes: Array, window: Window) -> Array:
+    """Add planes inside `window` to a sum inside `support`, which contains it; None is a sum of 0."""
     if total is None:
-        return part if window == wanted else window.paste(part, *wanted.shape, wanted)
-    if window == wanted:
-        total += part
+        return planes if window == support else window.paste(planes, *support.shape, support)
+    if window == support:
+        total += planes
     else:
-        inside = window.crop(total, wanted)  # a view: windows are for libraries that have them
-        inside += part
+        inside = window.crop(total, support)  # a view: windows are used only with libraries that have views
+        inside += planes
     return total
 
 
-def _split(scales: ScaleSpace, plan: TonalPlan, most: int, intensity: Array) -> list[_Levels]:
-    """The levels of one tonal scale, at most so many together, and the CDF of the reference's `intensity` there."""
-    host = [float(level) - scales.padding for level in scales.levels(plan.beta)[: plan.last]]
+def _split(scales: ScaleSpace, plan: TonalPlan, max_levels: int, intensity: Array) -> list[_Levels]:
+    """Return the levels of one tonal scale, at most `max_levels` in a group, and the CDF of the reference there."""
+    intensities = [float(level) - scales.padding for level in scales.levels(plan.beta)[: plan.last]]
     values = from_numpy(np.arange(plan.last, dtype=np.float64), intensity)
-    positions, width, mass = in_levels(intensity, scales, plan.beta)
+    positions, width, mass = to_level_units(intensity, scales, plan.beta)
     running = None
-    parts = []
-    for start in range(0, plan.last, most):
-        stop = min(start + most, plan.last)
+    groups = []
+    for start in range(0, plan.last, max_levels):
+        stop = min(start + max_levels, plan.last)
         skipped = min(max(plan.first, start), stop) - start
-        part = values[start:stop]
-        cdf, running = accumulate(level_weights(positions, part, width, mass), running)
-        kept = namespace(cdf).asarray(cdf[skipped:, ...], copy=True)
-        parts.append(_Levels(part, tuple(host[start:stop]), skipped, kept))
-    return parts
+        cdf, running = accumulate(level_weights(positions, values[start:stop], width, mass), running)
+        compared = namespace(cdf).asarray(cdf[skipped:, ...], copy=True)
+        groups.append(_Levels(values[start:stop], tuple(intensities[start:stop]), skipped, compared))
+    return groups
 
 
 def _chunk(levels: int, planes: int, cells: int, like: Array) -> tuple[int, int]:
-    """How many levels of how many planes to handle together, so that they fit the cache, or at least the memory."""
-    elements = CHUNK_ON_HOST if runs_eagerly_on_host(like) else CHUNK
+    """Return how many levels, and planes, to handle at once, so that they fit the cache, or at least the memory."""
+    elements = MAX_HOST_ELEMENTS if runs_eagerly_on_host(like) else MAX_ELEMENTS
     if levels * cells <= elements:
         return levels, max(1, min(planes, elements // (levels * cells)))
     return max(1, elements // cells), 1

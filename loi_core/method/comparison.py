@@ -1,14 +1,14 @@
-"""What comparing planes with a reference takes and gives, whichever way it is done."""
+"""The interface that the array comparison and the compiled comparison share."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Protocol, TypeAlias
 
-from loi_core.method.sampling_error import Misplaced
+from loi_core.method.sampling_error import SignErrors
 from loi_core.support.arrays import Array
 
-__all__ = ["Compared", "Comparison", "ScaleKey", "Terms"]
+__all__ = ["Comparison", "ComparisonResult", "ScaleKey", "Terms"]
 
 ScaleKey: TypeAlias = tuple[float, float, float]
 """(alpha, beta, sigma)."""
@@ -17,34 +17,33 @@ Terms: TypeAlias = dict[ScaleKey, Array]
 
 
 @dataclass(frozen=True)
-class Compared:
-    """What comes of comparing some planes.
+class ComparisonResult:
+    """The result of comparing planes with a reference.
 
     Attributes
     ----------
     terms : dict
-        What each scale costs.
+        The cost of each scale.
     cotangent : array, shape (N, H, W), optional
-        The gradient by the planes, if it was asked for.
-    misplaced : tuple of Misplaced
-        What samplings misplaced on the way to it: :func:`loi_core.method.sampling_error.error_of` estimates its error
-        from it.
+        The gradient with respect to the planes, if requested.
+    sign_errors : tuple of SignErrors
+        Statistics from which :func:`loi_core.method.sampling_error.estimated_error` estimates the gradient's error.
     """
 
     terms: Terms
     cotangent: Array | None
-    misplaced: tuple[Misplaced, ...] = ()
+    sign_errors: tuple[SignErrors, ...] = ()
 
 
 class Comparison(Protocol):
-    """A way to compare planes with a reference at all scales.
+    """A comparison of planes with a reference at all scales.
 
-    Two do: :class:`loi_core.method.array_comparison.ArrayComparison`, and
+    Implemented by :class:`loi_core.method.array_comparison.ArrayComparison` and
     :class:`loi_core.method.compiled.loop_comparison.LoopComparison`.
     """
 
-    def compare(self, clipped: Array, *, gradient: bool) -> Compared:
+    def compare(self, clipped: Array, *, gradient: bool) -> ComparisonResult:
         """Compare planes within the bounds, shape (N, H, W).
 
-        Where a plan has samplings, values must be at hand (:func:`loi_core.support.arrays.values_may_decide`).
+        A plan with samplings needs readable values (:func:`loi_core.support.arrays.values_may_decide`).
         """

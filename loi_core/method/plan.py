@@ -1,4 +1,4 @@
-"""What is computed for each scale, and where: the plan that :mod:`loi_core.method.planner` makes."""
+"""Plans: the samplings and blurs of each scale, chosen by :mod:`loi_core.method.planner`."""
 
 from __future__ import annotations
 
@@ -6,25 +6,25 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from loi_core.method.blurs import PlaneBlur, PlaneGrid
+from loi_core.method.plane_blurs import PlaneBlur, PlaneGrid
 
 __all__ = ["ExtentPlan", "InnerPlan", "Plan", "TonalPlan"]
 
-HEADS: Final = ["sigma", "alpha", "isophotes on", "blurred on", "compared on", "operations a pixel", "error"]
+COLUMN_NAMES: Final = ["sigma", "alpha", "isophotes on", "blurred on", "compared on", "operations a pixel", "error"]
 
 
 @dataclass(frozen=True)
 class ExtentPlan:
-    """One extent: which pyramid level it starts from, what is left to blur, and the sampling that is compared.
+    """One extent: the pyramid level it starts from, the remaining blur, and the sampling that is compared.
 
     Attributes
     ----------
     alpha : float
         The extent scale, in pixels.
     start : int
-        0 for the sampling of the inner scale, k for the k-th level of its pyramid.
+        Pyramid level; 0 is the sampling of the inner scale.
     blur : PlaneBlur
-        From there to where histograms are compared.
+        From there to the sampling on which histograms are compared.
     error : float
         Estimated relative error of this scale's gradient.
     """
@@ -36,13 +36,13 @@ class ExtentPlan:
 
     @property
     def is_sampled(self) -> bool:
-        """Whether signs are taken for more than one pixel each, where histograms may differ from pixel to pixel."""
+        """Whether one sign is taken for several pixels, whose histograms may differ."""
         return self.error > 0.0
 
 
 @dataclass(frozen=True)
 class InnerPlan:
-    """One inner scale: its sampling, its pyramid, and its extents."""
+    """One inner scale: its blur, its pyramid, and its extents."""
 
     sigma: float
     blur: PlaneBlur
@@ -51,23 +51,23 @@ class InnerPlan:
 
     @property
     def grid(self) -> PlaneGrid:
-        """Where isophotes are computed."""
+        """Sampling on which isophotes are computed."""
         return self.blur.target
 
     @property
     def finest(self) -> int:
-        """Samples of the finest sampling that an extent starts from or is compared on."""
+        """Number of samples of the finest sampling that an extent starts from or is compared on."""
         return max(self.grid.cells, *(extent.blur.target.cells for extent in self.extents))
 
     @property
     def work(self) -> float:
-        """Multiplications and additions for one level of one channel, there and back."""
+        """Multiplications and additions for one tonal level of one channel, with the gradient."""
         return 2.0 * (sum(step.work for step in self.pyramid) + sum(extent.blur.work for extent in self.extents))
 
 
 @dataclass(frozen=True)
 class TonalPlan:
-    """One tonal scale: which of its levels are compared; those below are accumulated only."""
+    """One tonal scale: its levels `first` to `last` are compared, lower levels are only accumulated."""
 
     beta: float
     count: int
@@ -77,14 +77,14 @@ class TonalPlan:
 
 @dataclass(frozen=True, repr=False)
 class Plan:
-    """What an objective computes for images of one size, for each scale; ``print`` shows it.
+    """The operations of an objective on images of one size, for each scale; ``print`` shows them.
 
     Attributes
     ----------
     height, width : int
         Size of the images, in pixels.
     tolerance : float
-        Relative error of the gradient that was asked for.
+        Requested relative error of the gradient.
     eps : float
         Machine epsilon that "exact" refers to.
     inner : tuple of InnerPlan
@@ -92,7 +92,7 @@ class Plan:
     tonal : tuple of TonalPlan
         One for each beta.
     compiled : bool
-        Whether arrays of NumPy, and of torch and JAX on the processor, are compared in compiled loops.
+        Whether arrays of NumPy, and of torch and JAX on the CPU, are compared by compiled loops.
     """
 
     height: int
@@ -105,12 +105,12 @@ class Plan:
 
     @property
     def is_sampled(self) -> bool:
-        """Whether something is computed on samples, so that the gradient is not exact."""
+        """Whether any extent is sampled, so that the gradient is not exact."""
         return any(extent.is_sampled for inner in self.inner for extent in inner.extents)
 
     @property
     def work(self) -> float:
-        """Multiplications and additions of the blurs for one channel: all levels and scales, there and back."""
+        """Multiplications and additions of the blurs for one channel: all levels and scales, with the gradient."""
         levels = sum(tonal.last - tonal.first for tonal in self.tonal)
         return levels * sum(inner.work for inner in self.inner)
 
@@ -126,10 +126,10 @@ class Plan:
 
     def __str__(self) -> str:
         line = "{:>7} {:>7}  {:>12}  {:>11}  {:>11}  {:>18}  {:>7}"
-        return "\n".join([self._head, *(line.format(*cells) for cells in [HEADS, *self._rows]), *self._foot])
+        return "\n".join([self._header, *(line.format(*cells) for cells in [COLUMN_NAMES, *self._rows]), *self._footer])
 
     @property
-    def _head(self) -> str:
+    def _header(self) -> str:
         levels = ", ".join(
             f"{tonal.last - tonal.first} of {tonal.count} levels at beta {tonal.beta:g}" for tonal in self.tonal
         )
@@ -137,22 +137,22 @@ class Plan:
 
     @property
     def _rows(self) -> list[list[str]]:
-        """What is done for each pair of scales, as `HEADS` name it."""
+        """The cells of each pair of scales, in the order of `COLUMN_NAMES`."""
         pixels, rows = self.height * self.width, []
         for inner in self.inner:
             grids = [inner.grid, *(step.target for step in inner.pyramid)]
             steps = [0.0, *(step.work for step in inner.pyramid)]
-            paid = 0
+            counted = 0  # pyramid steps whose work an earlier extent contains
             for extent in inner.extents:
-                work = extent.blur.work + sum(steps[paid + 1 : extent.start + 1])
-                paid = max(paid, extent.start)
-                where = str(inner.grid), str(grids[extent.start]), str(extent.blur.target)
+                work = extent.blur.work + sum(steps[counted + 1 : extent.start + 1])
+                counted = max(counted, extent.start)
+                samplings = str(inner.grid), str(grids[extent.start]), str(extent.blur.target)
                 cost = f"{2.0 * work / pixels:.1f}", f"{extent.error:.1e}"
-                rows.append([f"{inner.sigma:g}", f"{extent.alpha:g}", *where, *cost])
+                rows.append([f"{inner.sigma:g}", f"{extent.alpha:g}", *samplings, *cost])
         return rows
 
     @property
-    def _foot(self) -> list[str]:
+    def _footer(self) -> list[str]:
         cost = f"per channel {self.work / 1e6:.3g} million operations for the blurs; estimated error {self.error:.1e}"
         return (
             [cost, "NumPy, and torch and JAX on the processor: in loops compiled by Numba"] if self.compiled else [cost]

@@ -1,16 +1,15 @@
-"""What is computed for each scale, and where: decided from sizes alone, before any array is seen.
+"""Choose the samplings and blurs of each scale from sizes alone, before any array is known.
 
-Two things make it cheap, and none costs accuracy beyond what was asked for:
+Two measures save work, with no more error than the tolerance allows:
 
-* A wide blur passes through coarser samplings, the *levels of a pyramid*, where the rest of it is cheap. Wider extents
+* A wide blur passes through coarser samplings, the *pyramid levels*, where the remaining blur is cheap. Wider extents
   start from the pyramid levels of narrower ones. This is exact to rounding
   (:func:`loi_core.method.gaussian.coarsest_spacing`).
-* What a wide extent has blurred changes slowly, so its mean over pixels may be taken over a coarser *sampling*.
-  There lies the error: where the difference of two histograms changes sign, the line between is only found to within
-  a cell.
+* A wide extent's blurred differences change slowly, so their mean over pixels may be taken over a coarser *sampling*.
+  This has an error: where the difference of two histograms changes sign, the zero line is known only to within a cell.
 
-Levels at the far tails, which no intensity within the bounds moves by more than a fraction of the tolerance, are left
-out of the comparison.
+Tonal levels at the far tails, which change no intensity within the bounds by more than a fraction of the tolerance,
+are not compared.
 """
 
 from __future__ import annotations
@@ -21,53 +20,61 @@ from typing import Final
 
 import numpy as np
 
-from loi_core.method.blurs import PlaneBlur, PlaneGrid
-from loi_core.method.gaussian import FLAT, AxisBlur, AxisGrid, as_slow_as, coarsest_spacing, pyramid_variance, reach
+from loi_core.method.gaussian import (
+    MIN_FLAT_SCALE,
+    AxisBlur,
+    AxisGrid,
+    coarsest_spacing,
+    equivalent_scale,
+    pyramid_variance,
+    truncation,
+)
 from loi_core.method.plan import ExtentPlan, InnerPlan, Plan, TonalPlan
+from loi_core.method.plane_blurs import PlaneBlur, PlaneGrid
 from loi_core.method.scales import ScaleSpace
 from loi_core.method.tonal import soft_cdf_and_slope
 
 __all__ = ["make_plan"]
 
-QUADRATURE: Final = 0.1
-"""Relative gradient error of one extent sampled at spacing s: QUADRATURE (s / l)**1.5, with l how slowly it changes.
+QUADRATURE_ERROR: Final = 0.1
+"""Relative gradient error of one extent sampled at spacing s: QUADRATURE_ERROR (s / l)**1.5, l the correlation length.
 
-The power is that of lines that cross cells of side s, each misplaced by a fraction of s; the constant is measured
+The power follows from lines that cross cells of side s, each misplaced by a fraction of s; the constant is measured
 (docs/results/accuracy.md).
 """
 
-FRACTION: Final = (0.05, 1.1, 0.6)
-"""How much error each of n scales may have, in units of the tolerance: min(a n**b, c).
+ERROR_SHARES: Final = (0.05, 1.1, 0.6)
+"""(a, b, c): error allowed for each of n scales, in units of the tolerance: min(a n**b, c).
 
-Measured: so much leaves the error of ordinary images at a third of the tolerance or less, and its estimate
-(:mod:`loi_core.method.sampling_error`) below what would have them compared at every pixel. Errors of scales average
-out, and the more of them there are, the smaller the part of each in the gradient.
+Measured: this leaves the error of ordinary images at a third of the tolerance or less, and its estimate
+(:mod:`loi_core.method.sampling_error`) below the one that has them compared at every pixel. Errors of scales average
+out, and the more scales there are, the smaller each one's contribution to the gradient.
 """
 
-WORTHWHILE: Final = 4.0 / 3.0
-"""Spacings below this save less than they cost."""
+MIN_SPACING_PX: Final = 4.0 / 3.0
+"""Smaller spacings save less than they cost."""
 
-SMALLEST: Final = 96
-"""A sampling keeps at least this many cells along the shorter side for a tolerance of BALANCED, twice for half that.
+MIN_CELLS: Final = 96
+"""Cells along the shorter side that a sampling keeps for the tolerance BALANCED_TOLERANCE, twice for half of it.
 
-Differences of much blurred images change sign along straight lines; beside an axis, a line is misplaced as a whole, by
-up to half a cell.
+Differences of strongly blurred images change sign along straight lines; a line along an axis is misplaced as a whole,
+by up to half a cell.
 """
 
-BALANCED: Final = 1e-2
+BALANCED_TOLERANCE: Final = 1e-2
 
-NEGLIGIBLE: Final = 0.1
-"""A level is left out if it makes less than this fraction of the tolerance in the gradient of every intensity."""
+NEGLIGIBLE_FRACTION: Final = 0.1
+"""A level is not compared if it contributes less than this fraction of the tolerance to every intensity's gradient."""
 
-NEAR: Final = 16
-"""How many beta away from a bound an intensity is moved by levels at or beyond it, with a margin."""
+BOUND_MARGIN_BETAS: Final = 16
+"""Distance from a bound, in betas, at which levels at or beyond the bound still change an intensity, with a margin."""
 
-SETTLED: Final = 20  # steps to a fixed point, each of which at least halves the distance to it on a scale of logarithms
+MAX_ITERATIONS: Final = 20  # of a fixed point; each at least halves the logarithmic distance to it
 
-RESOLVED: Final = 0.3
-"""Largest spacing in units of how slowly what is sampled changes.
+MAX_RELATIVE_SPACING: Final = 0.3
+"""Largest spacing in units of the correlation length.
 
-A Gaussian leaves less than a tie, 2e-15, of waves that are shorter than 2.6 such spacings. So signs that are not ties
+A Gaussian leaves less than a tie, 2e-15, of waves that are shorter than 2.6 such spacings, so signs that are not ties
 do not change twice between two samples.
 """
 
@@ -75,7 +82,7 @@ do not change twice between two samples.
 def make_plan(
     scales: ScaleSpace, height: int, width: int, *, tolerance: float, eps: float, weighted: bool = False
 ) -> Plan:
-    """The cheapest plan known that keeps a tolerance.
+    """Return the cheapest known plan within a tolerance.
 
     Parameters
     ----------
@@ -88,31 +95,47 @@ def make_plan(
     eps : float
         Machine epsilon of the dtype to compute in.
     weighted : bool
-        Whether pixels count by weights, which may change from one to the next however smooth isophotes are.
+        Whether pixels have weights, which may change from one pixel to the next however smooth the isophotes are.
     """
     if scales.p != 1.0:
-        # |F| ** (1 / p) is steepest at 0, just where samplings err.
+        # |F| ** (1 / p) is steepest at 0, exactly where samplings err.
         tolerance = 0.0
     planner = _Planner(scales, PlaneGrid.pixels(height, width), tolerance, eps, weighted)
-    inner = tuple(planner.inner(sigma) for sigma in scales.sigma)
-    return Plan(height, width, tolerance, eps, inner, tuple(_levels(scales, beta, tolerance) for beta in scales.beta))
+    inner = tuple(planner.plan_inner(sigma) for sigma in scales.sigma)
+    return Plan(
+        height, width, tolerance, eps, inner, tuple(_plan_tonal(scales, beta, tolerance) for beta in scales.beta)
+    )
 
 
-def _levels(scales: ScaleSpace, beta: float, tolerance: float) -> TonalPlan:
+def _plan_tonal(scales: ScaleSpace, beta: float, tolerance: float) -> TonalPlan:
     levels = scales.levels(beta)
     everything = TonalPlan(beta, len(levels), 0, len(levels))
     if tolerance == 0.0:
         return everything
-    # Levels beyond a bound move the intensities next to it most; to look at all intensities could take gigabytes.
+    # Levels beyond a bound change the intensities next to it most; testing all intensities could take gigabytes.
     low, high = scales.bounds
-    near = np.linspace(0.0, min(high - low, NEAR * beta), 4 * NEAR + 1)
-    slopes = np.abs(soft_cdf_and_slope(np.concat([low + near, high - near]), levels, beta, scales.mass(beta))[1])
+    margin = np.linspace(0.0, min(high - low, BOUND_MARGIN_BETAS * beta), 4 * BOUND_MARGIN_BETAS + 1)
+    intensities = np.concat([low + margin, high - margin])
+    slopes = np.abs(soft_cdf_and_slope(intensities, levels, beta, scales.mass(beta))[1])
     total = np.sum(slopes, axis=0)
-    moved = np.max(slopes / np.where(total > 0.0, total, 1.0), axis=1)
-    (kept,) = np.nonzero(moved >= NEGLIGIBLE * tolerance)
-    if len(kept) == 0:
+    influence = np.max(slopes / np.where(total > 0.0, total, 1.0), axis=1)
+    (compared,) = np.nonzero(influence >= NEGLIGIBLE_FRACTION * tolerance)
+    if len(compared) == 0:
         return everything
-    return TonalPlan(beta, len(levels), int(kept[0]), int(kept[-1]) + 1)
+    return TonalPlan(beta, len(levels), int(compared[0]), int(compared[-1]) + 1)
+
+
+@dataclass(frozen=True)
+class _Route:
+    """A way to an extent: its pyramid level, the new step to that level if any, and the remaining blur."""
+
+    level: int
+    step: PlaneBlur | None
+    blur: PlaneBlur
+
+    @property
+    def work(self) -> float:
+        return self.blur.work + (self.step.work if self.step else 0.0)
 
 
 @dataclass(frozen=True)
@@ -123,124 +146,123 @@ class _Planner:
     eps: float
     weighted: bool
 
-    def inner(self, sigma: float) -> InnerPlan:
+    def plan_inner(self, sigma: float) -> InnerPlan:
         grid = self._inner_grid(sigma)
-        blur = self._blur(self.pixels, grid, sigma, self._felt(self.scales.inner_taps, sigma))
+        blur = self._blur(self.pixels, grid, sigma, self._effective_taps(self.scales.inner_taps, sigma))
         pyramid: list[PlaneBlur] = []
         variances = [0.0]
         extents = {}
         for alpha in sorted(self.scales.alpha):
-            target, error = self._target(grid, sigma, alpha)
-            taps = self._felt(self._taps, alpha)
+            target, error = self._comparison_grid(grid, sigma, alpha)
+            taps = self._effective_taps(self._taps, alpha)
             grids = [grid, *(step.target for step in pyramid)]
-            ways: list[tuple[int, PlaneBlur | None, PlaneBlur]] = [
-                (index, None, self._blur(grids[index], target, self._rest(alpha, variances[index]), taps))
-                for index in range(len(grids))
-                if index == 0 or self._may_leave(grids[index], alpha)
+            routes = [
+                _Route(level, None, self._blur(grids[level], target, math.sqrt(alpha**2 - variances[level]), taps))
+                for level in range(len(grids))
+                if level == 0 or self._can_leave(grids[level], alpha)
             ]
-            ways += [
-                (len(pyramid) + 1, step, self._blur(step.target, target, self._rest(alpha, variance), None))
+            routes += [
+                _Route(len(grids), step, self._blur(step.target, target, math.sqrt(alpha**2 - variance), None))
                 for step, variance in self._new_pyramid_levels(grids[-1], variances[-1], alpha)
             ]
-            index, step, rest = min(ways, key=lambda way: way[2].work + (way[1].work if way[1] else 0.0))
-            if step is not None:
-                pyramid.append(step)
-                variances.append(variances[-1] + step.rows.scale**2)
-            extents[alpha] = ExtentPlan(alpha, index, rest, error)
+            route = min(routes, key=lambda route: route.work)
+            if route.step is not None:
+                pyramid.append(route.step)
+                variances.append(variances[-1] + route.step.rows.scale**2)
+            extents[alpha] = ExtentPlan(alpha, route.level, route.blur, error)
         return InnerPlan(sigma, blur, tuple(pyramid), tuple(extents[alpha] for alpha in self.scales.alpha))
 
     @property
     def _taps(self) -> int | None:
         return self.scales.extent_taps
 
-    def _felt(self, taps: int | None, scale: float) -> int | None:
-        """Where a kernel is cut; None where that is beyond what rounding leaves of it, so that it is a Gaussian."""
-        return None if taps is None or taps // 2 >= reach(self.eps) * scale else taps
+    def _effective_taps(self, taps: int | None, scale: float) -> int | None:
+        """Return the length of a truncated kernel; None if rounding leaves nothing beyond it, so it is a Gaussian."""
+        return None if taps is None or taps // 2 >= truncation(self.eps) * scale else taps
 
     @property
-    def _cascades(self) -> bool:
-        # A cut kernel is no Gaussian; and without reflection, a pyramid level would lose what it blurs beyond the edge.
+    def _has_pyramid(self) -> bool:
+        # A truncated kernel is not Gaussian; and without reflection, a level would lose its blur beyond the border.
         return self.scales.boundary == "reflect" and self._taps is None
 
     @property
-    def _ratio(self) -> float:
-        """Largest spacing of a sampling in units of how slowly what is sampled changes."""
-        fraction, power, most = FRACTION
+    def _relative_spacing(self) -> float:
+        """Largest allowed spacing of a sampling in units of the correlation length."""
+        factor, power, most = ERROR_SHARES
         terms = len(self.scales.sigma) * len(self.scales.alpha)
-        allowed = self.tolerance * min(fraction * math.pow(terms, power), most)
-        return min(math.pow(allowed / QUADRATURE, 2.0 / 3.0), RESOLVED)
+        allowed = self.tolerance * min(factor * math.pow(terms, power), most)
+        return min(math.pow(allowed / QUADRATURE_ERROR, 2.0 / 3.0), MAX_RELATIVE_SPACING)
 
     def _inner_grid(self, sigma: float) -> PlaneGrid:
-        # Not on samples, though a blurred image changes slowly: its isophotes may cancel to next to nothing further on,
-        # and what is left is then what a sampling has made of them.
-        if self._is_flat(sigma) and self._taps is None and not self.weighted:
+        # The pixels, although a blurred image changes slowly: its isophotes may nearly cancel in an extent, and the
+        # remainder would be an artefact of the sampling.
+        if self._is_constant(sigma) and self._taps is None and not self.weighted:
             return self._sampled(self.pixels, math.inf)
         return self.pixels
 
-    def _target(self, grid: PlaneGrid, sigma: float, alpha: float) -> tuple[PlaneGrid, float]:
-        """Where an extent is compared, and the error of doing so."""
-        if grid.cells == 1 or (self._is_flat(alpha) and self._taps is None):
+    def _comparison_grid(self, grid: PlaneGrid, sigma: float, alpha: float) -> tuple[PlaneGrid, float]:
+        """Return the sampling on which an extent is compared, and its error."""
+        if grid.cells == 1 or (self._is_constant(alpha) and self._taps is None):
             return self._sampled(grid, math.inf), 0.0
-        slowness = self._slowness(sigma, alpha)
-        spacing = self._limited(self._ratio * slowness)
+        length = self._correlation_length(sigma, alpha)
+        spacing = self._limited(self._relative_spacing * length)
         if alpha == 0.0:
             target = grid
-        elif self.tolerance == 0.0 or spacing < WORTHWHILE:
+        elif self.tolerance == 0.0 or spacing < MIN_SPACING_PX:
             target = self.pixels
         else:
             target = self._sampled(self.pixels, spacing)
         if target.cells == self.pixels.cells:
             return target, 0.0
         coarsest = max(target.rows.spacing, target.columns.spacing)
-        return target, QUADRATURE * math.pow(coarsest / slowness, 1.5)
+        return target, QUADRATURE_ERROR * math.pow(coarsest / length, 1.5)
 
-    def _slowness(self, sigma: float, alpha: float) -> float:
-        """The distance over which what is compared changes, at the spacing that is to be allowed there."""
+    def _correlation_length(self, sigma: float, alpha: float) -> float:
+        """Return the distance over which blurred differences change, at the spacing that is allowed there."""
         # Isophotes of a blurred image change about twice as fast as the image.
         smooth = 0.0 if self.weighted else sigma / 2.0
-        slowness = math.hypot(alpha, smooth)
-        taps = self._felt(self._taps, alpha)
+        length = math.hypot(alpha, smooth)
+        taps = self._effective_taps(self._taps, alpha)
         if taps is None or alpha == 0.0 or self.tolerance == 0.0:
-            return slowness
-        # The less far one looks, here to the edge of a cell, the faster a cut kernel changes in relation.
-        for _ in range(SETTLED):
-            slowness = math.hypot(as_slow_as(alpha, taps, 0.5 * self._ratio * slowness), smooth)
-        return slowness
+            return length
+        # At shorter distances, here to the edge of a cell, a truncated kernel changes relatively faster.
+        for _ in range(MAX_ITERATIONS):
+            length = math.hypot(equivalent_scale(alpha, taps, 0.5 * self._relative_spacing * length), smooth)
+        return length
 
     def _limited(self, spacing: float) -> float:
+        """Return a spacing that keeps enough cells along the shorter side."""
         shorter = min(self.pixels.rows.size, self.pixels.columns.size)
-        looser = self.tolerance / BALANCED
-        return min(spacing, shorter / SMALLEST * min(looser, math.pow(looser, 2.0 / 3.0)))
+        looser = self.tolerance / BALANCED_TOLERANCE
+        return min(spacing, shorter / MIN_CELLS * min(looser, math.pow(looser, 2.0 / 3.0)))
 
-    def _is_flat(self, scale: float) -> bool:
+    def _is_constant(self, scale: float) -> bool:
+        """Return whether a blur of this scale leaves only the mean of the plane."""
         longer = max(self.pixels.rows.size, self.pixels.columns.size)
-        return self.scales.boundary == "reflect" and scale >= FLAT * longer
+        return self.scales.boundary == "reflect" and scale >= MIN_FLAT_SCALE * longer
 
     def _new_pyramid_levels(self, grid: PlaneGrid, variance: float, alpha: float) -> list[tuple[PlaneBlur, float]]:
-        """Pyramid levels below `grid` from which `alpha` can be reached, with the variance that they then hold."""
-        if alpha == 0.0 or not self._cascades:
+        """Return steps from `grid` to coarser levels from which `alpha` is reached, with the variance up to there."""
+        if alpha == 0.0 or not self._has_pyramid:
             return []
-        found = []
+        steps = []
         spacing = coarsest_spacing(alpha, self.eps)
         for _ in range(3):
             coarser = self._sampled(self.pixels, spacing)
-            reached = pyramid_variance(spacing, self.eps)
-            if 4 * coarser.cells <= grid.cells and spacing >= 2.0 and variance < reached < alpha**2:
-                found.append((self._blur(grid, coarser, math.sqrt(reached - variance), None), reached))
+            total = pyramid_variance(spacing, self.eps)
+            if 4 * coarser.cells <= grid.cells and spacing >= 2.0 and variance < total < alpha**2:
+                steps.append((self._blur(grid, coarser, math.sqrt(total - variance), None), total))
             spacing /= math.sqrt(2.0)
-        return found
+        return steps
 
-    def _may_leave(self, grid: PlaneGrid, alpha: float) -> bool:
+    def _can_leave(self, grid: PlaneGrid, alpha: float) -> bool:
+        """Return whether `alpha` can be reached from a pyramid level."""
         spacing = max(grid.rows.spacing, grid.columns.spacing)
         return pyramid_variance(spacing, self.eps) < alpha**2 and spacing <= coarsest_spacing(alpha, self.eps)
 
     @staticmethod
-    def _rest(alpha: float, variance: float) -> float:
-        return math.sqrt(alpha**2 - variance)
-
-    @staticmethod
     def _sampled(grid: PlaneGrid, spacing: float) -> PlaneGrid:
-        """`grid`, or the coarser sampling of the same plane whose spacing is at most this."""
+        """Return `grid`, or the coarser sampling of the same plane with at most this spacing."""
         rows, columns = (
             AxisGrid(axis.size, min(axis.cells, max(1, math.ceil(axis.size / spacing - 1e-9))))
             for axis in (grid.rows, grid.columns)
@@ -248,7 +270,7 @@ class _Planner:
         return PlaneGrid(rows, columns)
 
     def _blur(self, source: PlaneGrid, target: PlaneGrid, scale: float, taps: int | None) -> PlaneBlur:
-        cut = reach(self.eps)
-        rows = AxisBlur(source.rows, target.rows, scale, self.scales.boundary, taps, cut)
-        columns = AxisBlur(source.columns, target.columns, scale, self.scales.boundary, taps, cut)
+        truncate = truncation(self.eps)
+        rows = AxisBlur(source.rows, target.rows, scale, self.scales.boundary, taps, truncate)
+        columns = AxisBlur(source.columns, target.columns, scale, self.scales.boundary, taps, truncate)
         return PlaneBlur(rows, columns)

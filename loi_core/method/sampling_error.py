@@ -1,14 +1,14 @@
-"""How far a gradient that was found on samplings may be from the exact one, measured from the images themselves.
+"""Estimates of the error of a gradient that was computed on samplings, measured from the images themselves.
 
 An extent that is compared on a sampling takes the sign of a difference F of two histograms for all of a cell. Where F
-changes its sign between two samples, some pixels of the cell get the wrong one. Between the two samples F is nearly a
-straight line, so its zero, and with it the pixels that change sides, are known; their fraction of the cell is the
-*misplacement* of that sample. What matters is how misplacements add up, since the extent's blur averages them on the
-way back: lines that cross the sampling at every angle cancel, edges of stripes all err the same way. So they are added
-up in blocks of `BLOCK` by `BLOCK` samples, about as many as an extent averages.
+changes its sign between two samples, some pixels of the cell get the wrong sign. F is nearly linear between two
+samples, so its zero is known, and so are the pixels with the wrong sign. Their fraction of the cell, signed, is the
+*sign error* of that sample. The extent's blur averages sign errors on the way back: lines that cross the sampling at
+every angle cancel, edges of stripes all err the same way. So sign errors are summed in blocks of `BLOCK_SIDE` by
+`BLOCK_SIDE` samples, about as many as an extent averages.
 
-The sizes of images say nothing about this. Wide blurs of periodic images, or of images that differ by less than a
-pixel's motion, change sign much more often than the width of the blur suggests.
+Sizes alone do not bound the error. Wide blurs of periodic images, or of images that differ by less than a pixel's
+motion, change sign much more often than the width of the blur suggests.
 """
 
 from __future__ import annotations
@@ -16,144 +16,145 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, Final, TypeAlias
+from typing import Final
 
 import numpy as np
 
-from loi_core.method.blurs import PlaneGrid
+from loi_core.method.plane_blurs import PlaneGrid
 from loi_core.method.scales import ScaleSpace
 from loi_core.method.windows import Window
+from loi_core.support.arrays import Host
 
-__all__ = ["BLOCK", "Misplaced", "Tally", "error_of", "is_within", "misplaced"]
+__all__ = ["BLOCK_SIDE", "SignErrorSums", "SignErrors", "estimated_error", "is_within", "sign_error_sums"]
 
-Numbers: TypeAlias = np.ndarray[Any, Any]
+BLOCK_SIDE: Final = 16
 
-BLOCK: Final = 16
+CHANCE_FACTOR: Final = 2.0
+"""Block sums of unrelated sign errors have about this many times the square of independent ones."""
 
-UNRELATED: Final = 2.0
-"""Sums of unrelated misplacements have about this many times the square that independent ones would have."""
+CONFIDENT_FRACTION: Final = 0.5
+"""Fraction of the tolerance up to which an estimated error is accepted, for a tolerance up to `TIGHT_TOLERANCE`.
 
-CONFIDENT: Final = 0.5
-"""Share of the tolerance up to which an estimated error is believed to be within it, for a tolerance up to `CLOSE`.
-
-Over images of some twenty kinds, the error was at most 1.4 times what is estimated there, and 2.2 times for a tolerance
-of 5e-2, whose samplings are coarser, and lines between two samples less straight (docs/results/accuracy.md).
+Over images of some twenty kinds, the error was at most 1.4 times the estimate there, and 2.2 times for a tolerance of
+5e-2, whose samplings are coarser and lines between two samples less straight (docs/results/accuracy.md).
 """
 
-CLOSE: Final = 1e-2
-LOOSENING: Final = 0.2
-"""With what power of the tolerance, beyond `CLOSE`, that fraction falls."""
+TIGHT_TOLERANCE: Final = 1e-2
+FRACTION_EXPONENT: Final = 0.2
+"""Power of the tolerance, beyond `TIGHT_TOLERANCE`, with which that fraction decreases."""
 
 
 @dataclass(frozen=True)
-class Misplaced:
-    """How far the signs of one extent are misplaced, at one inner and one tonal scale.
+class SignErrors:
+    """Sign errors of one extent, at one inner and one tonal scale.
 
     Attributes
     ----------
-    together : float
-        Mean square, over samples, levels and planes, of the mean misplacement in a block.
-    apart : float
-        What that would be if misplacements were independent.
-    weight : float
-        Norm of the gradient of this scale where all signs agree, which is the most it can have.
+    mean_square : float
+        Mean square, over samples, levels and planes, of the mean sign error in a block.
+    independent_mean_square : float
+        The same if all sign errors were independent.
+    max_norm : float
+        Norm of this scale's gradient where all signs agree, its largest possible value.
     """
 
-    together: float
-    apart: float
-    weight: float
+    mean_square: float
+    independent_mean_square: float
+    max_norm: float
 
     @classmethod
-    def of(cls, tally: Tally, extent: int, cells: int, *, scales: ScaleSpace, beta: float) -> Misplaced:
-        """What was tallied of an extent that is compared on so many samples, at one tonal scale."""
-        seen = cells * tally.compared * tally.planes / tally.active  # planes that equal the reference are not misplaced
-        together, apart = (total / seen for total in tally.sums[extent])
-        # All levels together move with an intensity as the mass does, over their distance.
-        most = scales.scale_weight * scales.level_weight(beta) * scales.mass(beta) / scales.spacing(beta) ** 2
-        return cls(together, apart, most / math.sqrt(tally.planes * tally.pixels))
+    def of(cls, sums: SignErrorSums, extent: int, cells: int, *, scales: ScaleSpace, beta: float) -> SignErrors:
+        """Return the sign errors of an extent that is compared on `cells` samples, at one tonal scale."""
+        # Planes that equal the reference have no sign errors.
+        samples = cells * sums.compared_levels * sums.planes / sums.active_planes
+        mean_square, independent = (total / samples for total in sums.by_extent[extent])
+        # All levels together change with an intensity as the mass does, over their spacing.
+        slope = scales.scale_weight * scales.level_weight(beta) * scales.mass(beta) / scales.spacing(beta) ** 2
+        return cls(mean_square, independent, slope / math.sqrt(sums.planes * sums.pixels))
 
 
 @dataclass
-class Tally:
-    """What :func:`misplaced` gives in all, at one inner and one tonal scale.
+class SignErrorSums:
+    """Totals of :func:`sign_error_sums`, at one inner and one tonal scale.
 
     Attributes
     ----------
     planes, pixels : int
-        How many planes there are, and pixels of each.
-    sums : array, shape (E, 2)
-        The two sums, by extent.
-    active : int
-        How many planes were compared at all.
-    compared : int
-        How many levels of them.
+        Number of planes, and of pixels in each.
+    by_extent : array, shape (E, 2)
+        The two sums of each extent.
+    active_planes : int
+        Number of planes that were compared at all.
+    compared_levels : int
+        Number of levels that were compared, over these planes.
     """
 
     planes: int
     pixels: int
-    sums: Numbers
-    active: int = 0
-    compared: int = 0
+    by_extent: Host
+    active_planes: int = 0
+    compared_levels: int = 0
 
 
-def misplaced(differences: Numbers, grid: PlaneGrid, window: Window, tie: float) -> tuple[float, float]:
-    """The sums over blocks that :class:`Misplaced` holds the means of.
+def sign_error_sums(differences: Host, grid: PlaneGrid, window: Window, tie: float) -> tuple[float, float]:
+    """Return the sums over blocks whose means are in :class:`SignErrors`.
 
     Parameters
     ----------
     differences : array, shape (..., h, w)
-        F on a part of a sampling.
+        F in a window of a sampling.
     grid : PlaneGrid
         The sampling.
     window : Window
-        Which part of it; F is 0 elsewhere.
+        The window; F is 0 elsewhere.
     tie : float
-        Largest magnitude that has no sign.
+        Largest magnitude without a sign.
     """
     planes = differences.reshape(-1, *differences.shape[-2:])
-    down = _sums(np.swapaxes(planes, -1, -2), grid.rows.spacing, window.transposed, tie)
-    across = _sums(planes, grid.columns.spacing, window, tie)
-    return down[0] + across[0], down[1] + across[1]
+    vertical = _axis_sums(np.swapaxes(planes, -1, -2), grid.rows.spacing, window.transposed, tie)
+    horizontal = _axis_sums(planes, grid.columns.spacing, window, tie)
+    return vertical[0] + horizontal[0], vertical[1] + horizontal[1]
 
 
-def _sums(planes: Numbers, spacing: float, window: Window, tie: float) -> tuple[float, float]:
-    """Square sums over blocks of what samples are misplaced by along the last axis, over the samples of a block."""
+def _axis_sums(planes: Host, spacing: float, window: Window, tie: float) -> tuple[float, float]:
+    """Return the sum of the squared block sums of sign errors along the last axis, and of their squares, per sample."""
     signs = (planes > tie).astype(np.int8) - (planes < -tie).astype(np.int8)
     plane, row, column = np.nonzero(signs[..., :-1] != signs[..., 1:])
     if not len(plane):
         return 0.0, 0.0
-    here, there = (planes[plane, row, column + step].astype(np.float64) for step in (0, 1))
-    sign, other = (signs[plane, row, column + step].astype(np.float64) for step in (0, 1))
-    # Between opposite signs the line passes 0; between a sign and a tie, the threshold.
-    opposite = sign * other < 0.0
-    zero, rise = np.where(opposite, 0.0, tie), np.where(opposite, here - there, np.abs(here) - np.abs(there))
-    passed = (np.where(opposite, here, np.abs(here)) - zero) / rise
+    sample, neighbour = (planes[plane, row, column + step].astype(np.float64) for step in (0, 1))
+    sign, next_sign = (signs[plane, row, column + step].astype(np.float64) for step in (0, 1))
+    # Between opposite signs the line crosses 0; between a sign and a tie, the threshold.
+    opposite = sign * next_sign < 0.0
+    zero = np.where(opposite, 0.0, tie)
+    rise = np.where(opposite, sample - neighbour, np.abs(sample) - np.abs(neighbour))
+    crossing = (np.where(opposite, sample, np.abs(sample)) - zero) / rise
     position = (window.columns.start + column + 0.5) * spacing - 0.5
-    # Pixels lie on whole numbers; those up to the line take the sign from here.
-    fraction = (np.floor(position + passed * spacing) + 0.5 - position) / spacing
-    moved = (sign - other) * (fraction - 0.5)
-    across, down = (window.columns.start + column) // BLOCK, (window.rows.start + row) // BLOCK
-    block = (plane * (down.max() + 1) + down) * (across.max() + 1) + across
-    total, squares = (np.bincount(block, weights) for weights in (moved, moved**2))
-    samples = float(BLOCK**2)
+    # Pixels lie on integers; those up to the crossing take the sample's sign.
+    fraction = (np.floor(position + crossing * spacing) + 0.5 - position) / spacing
+    errors = (sign - next_sign) * (fraction - 0.5)
+    block_column, block_row = (window.columns.start + column) // BLOCK_SIDE, (window.rows.start + row) // BLOCK_SIDE
+    block = (plane * (block_row.max() + 1) + block_row) * (block_column.max() + 1) + block_column
+    total, squares = (np.bincount(block, weights) for weights in (errors, errors**2))
+    samples = float(BLOCK_SIDE**2)
     return float(np.sum(total**2)) / samples, float(np.sum(squares)) / samples
 
 
-def error_of(parts: Iterable[Misplaced]) -> float:
-    """The estimated error, 2-norm, of a gradient that several extents compared on samplings add to.
+def estimated_error(sign_errors: Iterable[SignErrors]) -> float:
+    """Return the estimated error, 2-norm, of a gradient to which several extents contribute from samplings.
 
-    Unrelated misplacements of several extents add up as squares; what is alike within a block, beyond what chance does,
-    is taken to be alike at all extents.
+    Unrelated sign errors of several extents add up as squares. The excess over chance within a block is assumed to be
+    the same at all extents, so it adds up linearly.
     """
-    unrelated = alike = 0.0
-    for part in parts:
-        chance = min(part.together, UNRELATED * part.apart)
-        unrelated += part.weight**2 * chance
-        alike += part.weight * math.sqrt(part.together - chance)
-    return math.hypot(math.sqrt(unrelated), alike)
+    unrelated = related = 0.0
+    for errors in sign_errors:
+        chance = min(errors.mean_square, CHANCE_FACTOR * errors.independent_mean_square)
+        unrelated += errors.max_norm**2 * chance
+        related += errors.max_norm * math.sqrt(errors.mean_square - chance)
+    return math.hypot(math.sqrt(unrelated), related)
 
 
 def is_within(error: float, tolerance: float, norm: float) -> bool:
-    """Whether an estimated error is surely within a tolerance, relative to the gradient's 2-norm."""
-    fraction = CONFIDENT * math.pow(min(1.0, CLOSE / tolerance), LOOSENING)
+    """Return whether an estimated error is safely within a tolerance, relative to the gradient's 2-norm."""
+    fraction = CONFIDENT_FRACTION * math.pow(min(1.0, TIGHT_TOLERANCE / tolerance), FRACTION_EXPONENT)
     return error <= fraction * tolerance * norm

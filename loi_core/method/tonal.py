@@ -1,9 +1,9 @@
-"""The tonal scale: every intensity as a soft histogram, and its cumulative sum.
+"""The tonal scale: soft histograms of intensities, and their cumulative sums.
 
-Shapes: `intensity` is (...); a stack of levels is put in front of it, (L, ...).
+Shapes: `intensity` is (...); a stack of levels has one axis more, (L, ...).
 
-What a function has made itself, it changes in place (``a *= b``): that saves a pass over memory where arrays can be
-written to, and means ``a = a * b`` where they cannot.
+Functions change their own intermediate arrays in place (``a *= b``), which saves a pass over memory; where arrays are
+immutable it means ``a = a * b``.
 """
 
 from __future__ import annotations
@@ -16,21 +16,21 @@ from loi_core.support.arrays import Array, namespace, runs_eagerly_on_host
 
 __all__ = [
     "accumulate",
-    "in_levels",
     "isophote_density",
     "level_positions",
     "level_weights",
     "soft_cdf_and_slope",
+    "to_level_units",
     "weights_and_slopes",
 ]
 
 
 ROOT_TWO: Final = math.sqrt(2.0)
-UNROLLED: Final = 64  # levels that are added one by one where each addition has to be compiled
+MAX_UNROLLED_LEVELS: Final = 64  # levels that are added one by one where each addition is compiled
 
 
 def isophote_density(intensity: Array, levels: Array, beta: float) -> Array:
-    """Densities N(k_i; intensity, beta^2) of eq. 3.
+    """Return the densities N(k_i; intensity, beta^2) of eq. 3.
 
     Parameters
     ----------
@@ -49,23 +49,26 @@ def isophote_density(intensity: Array, levels: Array, beta: float) -> Array:
 
 
 def level_positions(intensity: Array, first: float, spacing: float, count: int) -> Array:
-    """Intensities in units of the distance of two levels, from the level `first` on: 2.5 is between the 3rd and 4th.
+    """Return intensities in units of the spacing of two levels: 2.5 is between the 3rd and 4th level.
 
-    Levels are whole numbers then, which every dtype holds exactly. In units of intensity each level has a rounding of
-    its own; where beta is small beside the levels these no longer cancel in the slope far above an intensity, and a
-    thousand such levels outweigh the few that matter.
+    Levels are integers in these units, which every dtype holds exactly. In units of intensity each level is rounded; if
+    beta is much smaller than the levels, these errors do not cancel in the slope far above an intensity, and a thousand
+    such levels outweigh the few that matter.
 
-    All intensities lie among the `count` levels. They are clipped to them so that no compiler makes one operation, with
-    one rounding, of this product and of the subtraction from a level that follows: an image would be rounded otherwise
-    than a reference that was prepared outside of what is compiled, by more than ties allow for.
+    All intensities lie among the `count` levels. Clipping to them keeps a compiler from fusing this product with the
+    subtraction from a level that follows. A fused image would differ from a reference that was prepared without the
+    compiler, by more than a tie.
     """
     positions = intensity - first
     positions *= 1.0 / spacing
     return namespace(positions).clip(positions, -1.0, float(count))
 
 
-def in_levels(intensity: Array, scales: ScaleSpace, beta: float) -> tuple[Array, float, float]:
-    """Intensities above the padding, tonal scale and mass of a level, in units of the distance of two levels."""
+def to_level_units(intensity: Array, scales: ScaleSpace, beta: float) -> tuple[Array, float, float]:
+    """Return intensities, tonal scale and mass of a level in units of the spacing of two levels.
+
+    The intensities are given relative to the padding.
+    """
     spacing = scales.spacing(beta)
     first = float(scales.levels(beta)[0]) - scales.padding
     positions = level_positions(intensity, first, spacing, scales.level_count(beta))
@@ -73,25 +76,25 @@ def in_levels(intensity: Array, scales: ScaleSpace, beta: float) -> tuple[Array,
 
 
 def soft_cdf_and_slope(intensity: Array, levels: Array, beta: float, mass: float) -> tuple[Array, Array]:
-    """Cumulative soft histogram, ``cumsum_i N(k_i; intensity, beta^2) * mass``, and its derivative by the intensity.
+    """Return the cumulative soft histogram, ``cumsum_i N(k_i; intensity, beta^2) * mass``, and its derivative.
 
-    Both of shape (L, ...).
+    Both have shape (L, ...); the derivative is with respect to the intensity.
 
-    The slope is summed from the bottom like the CDF itself. Far above the intensity its terms cancel there, once,
-    to (nearly) 0; pulling a cotangent back through the cumulative sum instead would leave that cancellation to
-    the rounding of large sums of signs.
+    The slope is summed from the bottom like the CDF. Far above the intensity its terms cancel once, to nearly 0.
+    Pulling a cotangent back through the cumulative sum instead would leave that cancellation to the rounding of large
+    sums of signs.
     """
     weights, slopes = weights_and_slopes(intensity, levels, beta, mass)
     return accumulate(weights)[0], accumulate(slopes)[0]
 
 
 def level_weights(intensity: Array, levels: Array, beta: float, mass: float) -> Array:
-    """What every level adds to the CDF, shape (L, ...): its density times `mass`."""
+    """Return the weight of every level in the CDF, shape (L, ...): its density times `mass`."""
     return _density(_offsets(intensity, levels, beta), beta, mass)
 
 
 def weights_and_slopes(intensity: Array, levels: Array, beta: float, mass: float) -> tuple[Array, Array]:
-    """What every level adds to the CDF and to its slope, both of shape (L, ...)."""
+    """Return the summands of every level in the CDF and in its slope, both of shape (L, ...)."""
     offsets = _offsets(intensity, levels, beta)
     weights = _density(offsets, beta, mass)
     offsets *= weights
@@ -100,11 +103,11 @@ def weights_and_slopes(intensity: Array, levels: Array, beta: float, mass: float
 
 
 def accumulate(stack: Array, start: Array | None = None) -> tuple[Array, Array]:
-    """The running sums along the first axis, after `start`, and the last of them, from which the next stack goes on.
+    """Return the cumulative sums along the first axis, starting from `start`, and the last of them.
 
-    Not the library's own cumulative sum, which along the first axis is several times slower on every one of them.
+    Every library's own cumulative sum is several times slower along the first axis.
     """
-    if stack.shape[0] > UNROLLED and not runs_eagerly_on_host(stack):
+    if stack.shape[0] > MAX_UNROLLED_LEVELS and not runs_eagerly_on_host(stack):
         running = _accumulate_blocks(stack)
         running = running if start is None else running + start
         return running, running[-1, ...]
@@ -117,23 +120,23 @@ def accumulate(stack: Array, start: Array | None = None) -> tuple[Array, Array]:
 
 
 def _accumulate_blocks(stack: Array) -> Array:
-    """The running sums along the first axis, in blocks side by side: a thousand additions take a compiler minutes.
+    """Return the cumulative sums along the first axis, in blocks: compiling a thousand additions takes minutes.
 
-    Nor is the library's own cumulative sum an answer here: where a CDF has reached its total, the next sums must all be
-    the same, and sums that are made in another order for each level are not.
+    The library's own cumulative sum is not an alternative: where a CDF has reached its total, the next sums must all be
+    equal, and they are not if the order of summation differs between levels.
     """
     xp = namespace(stack)
     count, *rest = stack.shape
-    blocks = -(-count // UNROLLED)
-    padding = xp.broadcast_to(xp.zeros_like(stack[:1, ...]), (blocks * UNROLLED - count, *rest))
-    side_by_side = xp.reshape(xp.concat([stack, padding], axis=0), (blocks, UNROLLED, *rest))
-    inside, totals = accumulate(xp.moveaxis(side_by_side, 1, 0))
+    blocks = -(-count // MAX_UNROLLED_LEVELS)
+    padding = xp.broadcast_to(xp.zeros_like(stack[:1, ...]), (blocks * MAX_UNROLLED_LEVELS - count, *rest))
+    side_by_side = xp.reshape(xp.concat([stack, padding], axis=0), (blocks, MAX_UNROLLED_LEVELS, *rest))
+    within_blocks, totals = accumulate(xp.moveaxis(side_by_side, 1, 0))
     before = xp.concat([xp.zeros_like(totals[:1, ...]), accumulate(totals)[0][:-1, ...]], axis=0)
-    return xp.reshape(xp.moveaxis(inside + before, 0, 1), (blocks * UNROLLED, *rest))[:count, ...]
+    return xp.reshape(xp.moveaxis(within_blocks + before, 0, 1), (blocks * MAX_UNROLLED_LEVELS, *rest))[:count, ...]
 
 
 def _offsets(intensity: Array, levels: Array, beta: float) -> Array:
-    """How far each level is from the intensity, in units of beta times the root of 2."""
+    """Return the distance of each level from the intensity, in units of sqrt(2) beta."""
     offsets = namespace(intensity).reshape(levels, (-1, *(1,) * intensity.ndim)) - intensity
     offsets *= 1.0 / (ROOT_TWO * beta)
     return offsets

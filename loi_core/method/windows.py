@@ -1,4 +1,4 @@
-"""Rectangles of a plane outside which a stack of planes is 0, so that only what lies inside is stored and computed."""
+"""Windows of a plane, outside which a stack of planes is 0, so that only the part inside is stored and computed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ __all__ = ["Window", "window_of"]
 
 @dataclass(frozen=True)
 class Window:
-    """Some rows and columns of a sampled plane.
+    """A rectangle of samples of a plane.
 
     Attributes
     ----------
@@ -26,7 +26,7 @@ class Window:
 
     @classmethod
     def whole(cls, height: int, width: int) -> Window:
-        """All of a plane."""
+        """Return the window of a whole plane."""
         return cls(range(height), range(width))
 
     @property
@@ -41,42 +41,42 @@ class Window:
 
     @property
     def transposed(self) -> Window:
-        """The same of the transposed plane."""
+        """The same window of the transposed plane."""
         return Window(self.columns, self.rows)
 
     def __or__(self, other: Window) -> Window:
-        """The smallest window that holds both."""
+        """Return the smallest window that contains both."""
         return Window(_hull(self.rows, other.rows), _hull(self.columns, other.columns))
 
     def crop(self, planes: Array, within: Window | None = None) -> Array:
-        """The part of `planes` inside, a view where the library has views.
+        """Return the part of `planes` inside the window, a view where the library has views.
 
         Parameters
         ----------
         planes : array, shape (..., H, W)
-            All of the plane, or what lies in `within`.
+            Whole planes, or their part inside `within`.
         within : Window, optional
-            A window that holds this one.
+            A window that contains this one.
         """
         top, left = (within.rows.start, within.columns.start) if within else (0, 0)
         rows = slice(self.rows.start - top, self.rows.stop - top)
         return planes[..., rows, self.columns.start - left : self.columns.stop - left]
 
-    def paste(self, part: Array, height: int, width: int, within: Window | None = None) -> Array:
-        """Planes of `height` by `width` samples, those of `within` if given, that are `part` inside and 0 elsewhere."""
+    def paste(self, inside: Array, height: int, width: int, within: Window | None = None) -> Array:
+        """Return planes of `height` by `width` samples, those of `within` if passed, that are 0 outside the window."""
         if self.shape == (height, width):
-            return part
-        xp = namespace(part)
-        planes = xp.zeros((*part.shape[:-2], height, width), dtype=part.dtype, device=device(part))
-        inside = self.crop(planes, within)
-        inside += part
+            return inside
+        xp = namespace(inside)
+        planes = xp.zeros((*inside.shape[:-2], height, width), dtype=inside.dtype, device=device(inside))
+        target = self.crop(planes, within)
+        target += inside
         return planes
 
 
 def window_of(mask: Array) -> Window | None:
-    """The smallest window outside which `mask`, booleans of shape (N, H, W), is False; None if it is False everywhere.
+    """Return the smallest window outside which `mask`, booleans of shape (N, H, W), is False; None if there is none.
 
-    Looks at values, so it is for arrays that are computed as they are written down, on the host.
+    Reads values, so the array must be computed eagerly on the host.
     """
     xp = namespace(mask)
     plane = xp.any(mask, axis=0)
@@ -86,5 +86,5 @@ def window_of(mask: Array) -> Window | None:
     return Window(range(int(rows[0]), int(rows[-1]) + 1), range(int(columns[0]), int(columns[-1]) + 1))
 
 
-def _hull(one: range, other: range) -> range:
-    return range(min(one.start, other.start), max(one.stop, other.stop))
+def _hull(first: range, second: range) -> range:
+    return range(min(first.start, second.start), max(first.stop, second.stop))

@@ -11,7 +11,7 @@ from loi_core.method.comparison import Comparison, ScaleKey
 from loi_core.method.compiled import available
 from loi_core.method.plan import Plan
 from loi_core.method.planner import make_plan
-from loi_core.method.sampling_error import error_of
+from loi_core.method.sampling_error import estimated_error
 from loi_core.method.scales import Boundary, ScaleSpace
 from loi_core.objectives.base import ImageObjective
 from loi_core.objectives.evaluation import Evaluation, PlaneComparison, ReferencePlanes
@@ -242,7 +242,7 @@ class _ScaleComparison(PlaneComparison[ScaleKey]):
     def compare(self, planes: Array, *, gradient: bool) -> Evaluation[ScaleKey]:
         """See :class:`PlaneComparison`."""
         compared = self.choose(planes).compare(planes, gradient=gradient)
-        return Evaluation(compared.terms, compared.cotangent, error_of(compared.misplaced))
+        return Evaluation(compared.terms, compared.cotangent, estimated_error(compared.sign_errors))
 
     def compare_exactly(self, planes: Array) -> Evaluation[ScaleKey]:
         """See :class:`PlaneComparison`."""

@@ -26,7 +26,7 @@ import numpy as np
 
 from loi_core.method.blurs import Blur
 from loi_core.method.distance import TIE_ROUNDINGS
-from loi_core.method.gaussian import reach
+from loi_core.method.gaussian import truncation
 from loi_core.method.reference import DOUBLE, Planes, cost, dense_blur, slope_of_cost
 from loi_core.method.scales import ScaleSpace
 from loi_core.pixels.bounds import clip
@@ -140,7 +140,7 @@ class _Plane:
         """Return the error of a blur in units of eps times the blurred magnitudes."""
         if scale == 0.0:
             return 0.0
-        kernel = 2.0 * reach(self.eps) * scale + 1.0 if taps is None else float(taps)
+        kernel = 2.0 * truncation(self.eps) * scale + 1.0 if taps is None else float(taps)
         return pyramid + math.fsum(0.5 * min(size, kernel) + 2.0 for size in self.image.shape)
 
     def _blurred(self, inner: Blur, plane: Host, roundings: float) -> tuple[Host, Host]:

@@ -1,4 +1,4 @@
-"""A scene that is fitted quickly, and the simplest renderer, for the tests of fits."""
+"""What the tests of fits share: a scene that is soon fitted, and a renderer that is none."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The loss and its gradient in forty digits: for the cases in which float64 itself is in doubt."""
+"""The loss and its gradient in forty digits, for cases in which float64 is not accurate enough."""
 
 from __future__ import annotations
 
@@ -12,34 +12,34 @@ from loi_core.method.distance import TIE_ROUNDINGS
 from tests.helpers import Host
 
 DIGITS = 40
-REACH = 14  # standard deviations: beyond, a Gaussian is below 1e-42 of its peak
+TRUNCATION = 14  # standard deviations beyond which a Gaussian is below 1e-42 of its peak
 
 exp = np.frompyfunc(mpmath.exp, 1, 1)
 
 
 def precise(image: Host, reference: Host, scales: ScaleSpace) -> tuple[float, Host]:
-    """Value and gradient by the image, shape (H, W), with the boundary "reflect" and the paper's convention.
+    """Return the value and its gradient, shape (H, W), with the boundary "reflect" and the paper's convention.
 
-    A pixel beyond the bounds keeps the gradient that points back inside. Ties are those of float64.
+    A pixel beyond the bounds keeps a gradient that points back inside. The tie threshold is float64's.
     """
     with mpmath.workdps(DIGITS):
         low, high = scales.bounds
-        planes, wanted = (_exact(np.clip(each, low, high)) for each in (image, reference))
+        planes, expected = (_exact(np.clip(pixels, low, high)) for pixels in (image, reference))
         value, gradient = mpmath.mpf(0), 0 * planes
         for sigma in scales.sigma:
-            down, across = (_matrix(size, sigma) for size in image.shape)
-            ours, theirs = (down @ each @ across.T for each in (planes, wanted))
+            vertical, horizontal = (_matrix(size, sigma) for size in image.shape)
+            blurred, reference_blurred = (vertical @ pixels @ horizontal.T for pixels in (planes, expected))
             for beta in scales.beta:
-                cdf, slope = _cdf_and_slope(ours, scales, beta)
-                difference = cdf - _cdf_and_slope(theirs, scales, beta)[0]
+                cdf, slope = _cdf_and_slope(blurred, scales, beta)
+                difference = cdf - _cdf_and_slope(reference_blurred, scales, beta)[0]
                 weight = mpmath.mpf(beta) / image.size
                 for alpha in scales.alpha:
                     rows, columns = (_matrix(size, alpha) for size in image.shape)
-                    mean = np.stack([rows @ one @ columns.T for one in difference])
+                    mean = np.stack([rows @ level @ columns.T for level in difference])
                     cost, derivative = _cost(mean, scales.p)
                     value += weight * np.sum(cost)
-                    pulled = np.stack([rows.T @ one @ columns for one in derivative])
-                    gradient = gradient + weight * (down.T @ np.sum(pulled * slope, axis=0) @ across)
+                    pulled = np.stack([rows.T @ level @ columns for level in derivative])
+                    gradient = gradient + weight * (vertical.T @ np.sum(pulled * slope, axis=0) @ horizontal)
     slopes = gradient.astype(np.float64)
     outwards = ((image < low) & (slopes > 0.0)) | ((image > high) & (slopes < 0.0))
     return float(value), np.where(outwards, 0.0, slopes)
@@ -51,19 +51,19 @@ def _exact(values: Host) -> Host:
 
 
 def _matrix(size: int, scale: float) -> Host:
-    """A Gaussian on a mirrored axis, normalised by its sum over an axis without end."""
+    """Return a Gaussian on a mirrored axis, normalised by its sum over an infinite axis."""
     if scale == 0.0:
         return _exact(np.eye(size))
-    reach = int(REACH * scale) + 1
+    radius = int(TRUNCATION * scale) + 1
     entries: list[Any] = [
-        mpmath.exp(-(mpmath.mpf(step) ** 2) / (2 * mpmath.mpf(scale) ** 2)) for step in range(reach + 1)
+        mpmath.exp(-(mpmath.mpf(step) ** 2) / (2 * mpmath.mpf(scale) ** 2)) for step in range(radius + 1)
     ]
     total = entries[0] + 2 * sum(entries[1:])
     matrix = _exact(np.zeros((size, size)))
-    for here in range(size):
-        for away in range(-reach, reach + 1):
-            there = (here + away) % (2 * size)
-            matrix[here, min(there, 2 * size - 1 - there)] += entries[abs(away)] / total
+    for row in range(size):
+        for step in range(-radius, radius + 1):
+            column = (row + step) % (2 * size)
+            matrix[row, min(column, 2 * size - 1 - column)] += entries[abs(step)] / total
     return matrix
 
 

@@ -1,4 +1,4 @@
-"""Blurs are exact: they equal an independent implementation, conserve what they should, and have true adjoints."""
+"""Blurs equal an independent implementation, conserve mass, and have exact adjoints."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ BOUNDARIES = st.sampled_from(["reflect", "zero"])
 def test_blur_equals_scipy(height: int, width: int, scale: float, boundary: Boundary) -> None:
     image = np.random.default_rng(height).uniform(0, 1, (height, width))
     mode = {"reflect": "reflect", "zero": "constant"}[boundary]
-    wanted = ndimage.gaussian_filter(image, scale, mode=mode, truncate=9.0)  # type: ignore[arg-type]  # a plain str
+    expected = ndimage.gaussian_filter(image, scale, mode=mode, truncate=9.0)  # type: ignore[arg-type]  # a plain str
     np.testing.assert_allclose(
-        gaussian_blur(height, width, scale, boundary, like=image).apply(image), wanted, rtol=0, atol=1e-13
+        gaussian_blur(height, width, scale, boundary, like=image).apply(image), expected, rtol=0, atol=1e-13
     )
 
 
@@ -54,14 +54,14 @@ def test_adjoint_is_the_transpose(height: int, width: int, scale: float, boundar
 
 @given(SIZES, st.floats(0.3, 3e4 if THOROUGH else 3e3), BOUNDARIES)
 def test_kernels_of_any_length_fold_to_the_same_matrix(size: int, scale: float, boundary: Boundary) -> None:
-    # The short cuts for kernels wider than the axis must meet the plain sum where both can be had.
+    # The series for kernels wider than the axis must equal the direct sum where both exist.
     taps = 2 * int(np.ceil(9.0 * scale)) + 1
     direct = blur_matrix(size, scale, boundary, taps)
-    rounding = taps * np.finfo(np.float64).eps  # of the plain sum over all taps
+    rounding = taps * np.finfo(np.float64).eps  # of the direct sum over all taps
     np.testing.assert_allclose(blur_matrix(size, scale, boundary), direct, rtol=0, atol=rounding)
 
 
-def test_an_extent_far_beyond_the_image_is_its_mean() -> None:
+def test_a_blur_much_wider_than_the_axis_takes_the_mean() -> None:
     np.testing.assert_allclose(blur_matrix(7, 1e9, "reflect"), 1.0 / 7.0, rtol=1e-13)
 
 
@@ -70,5 +70,5 @@ def test_scale_zero_is_the_identity() -> None:
 
 
 @pytest.mark.parametrize("scale", [1e-300, 1e-8, 1e-3])
-def test_tiny_scales_are_the_identity_too(scale: float) -> None:
+def test_tiny_scales_give_the_identity(scale: float) -> None:
     np.testing.assert_array_equal(blur_matrix(4, scale, "reflect"), np.eye(4))

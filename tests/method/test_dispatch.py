@@ -1,4 +1,4 @@
-"""Which way images are compared, and what happens where Numba is missing, broken, or not wanted."""
+"""Choice of the backend, also where Numba is missing, broken or disabled."""
 
 from __future__ import annotations
 
@@ -32,30 +32,30 @@ print(len({float(objective.value(image)) for _ in range(3)}), "numba" in sys.mod
 """
 
 
-def test_a_variable_keeps_numba_out() -> None:
+def test_an_environment_variable_disables_numba() -> None:
     assert program_output(COMPARES, LOI_COMPILED="0") == "1 False"
     assert program_output(COMPARES, NUMBA_DISABLE_JIT="1") == "1 True"
 
 
-def copy_what_is_compiled(to: Path) -> None:
-    """Into a cache of its own, as what this process has compiled already need not be compiled again to be damaged."""
+def copy_compiled_kernels(target: Path) -> None:
+    """Copy this process's cache of kernels, so that a test can damage the copy."""
     LOIObjective(np.zeros((4, 4, 1), np.float32)).value(np.ones((4, 4, 1), np.float32))
     folder = Path(compiled.__file__).parent
-    within = to / _CacheLocator.get_suitable_cache_subpath(str(folder / "levels.py"))
-    shutil.copytree(folder / "__pycache__", within, ignore=shutil.ignore_patterns("*.pyc"))
+    subfolder = target / _CacheLocator.get_suitable_cache_subpath(str(folder / "levels.py"))
+    shutil.copytree(folder / "__pycache__", subfolder, ignore=shutil.ignore_patterns("*.pyc"))
 
 
-def test_a_cache_that_is_damaged_costs_time_and_one_warning(tmp_path: Path) -> None:
-    copy_what_is_compiled(tmp_path)
+def test_a_damaged_cache_of_kernels_gives_one_warning(tmp_path: Path) -> None:
+    copy_compiled_kernels(tmp_path)
     assert program_output(COMPARES, NUMBA_CACHE_DIR=str(tmp_path)) == "1 True"
-    kept = [path for path in tmp_path.rglob("*") if path.is_file()]
-    assert kept
-    for path in kept:
+    files = [path for path in tmp_path.rglob("*") if path.is_file()]
+    assert files
+    for path in files:
         os.truncate(path, path.stat().st_size // 2)
     assert program_output(COMPARES, NUMBA_CACHE_DIR=str(tmp_path)) == "1 TrueCompiledLoopsWarning"
 
 
-def test_kernels_that_cannot_be_compiled_leave_it_to_arrays(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_array_operations_replace_kernels_that_cannot_be_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
     def full(*_: object, **__: object) -> None:
         message = "no space left on device"
         raise OSError(message)
@@ -70,7 +70,7 @@ def test_kernels_that_cannot_be_compiled_leave_it_to_arrays(monkeypatch: pytest.
     assert float(LOIObjective(reference).value(image)) == pytest.approx(value, rel=1e-12)  # without another warning
 
 
-def test_an_error_of_ours_is_no_failure_of_numba(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_error_of_the_comparison_does_not_disable_numba(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object, **__: object) -> None:
         message = "a mistake"
         raise ZeroDivisionError(message)
@@ -103,35 +103,35 @@ with ThreadPoolExecutor(8) as threads:
 """
 
 
-def test_a_numba_that_cannot_be_imported_is_none_from_many_threads_at_once_too() -> None:
+def test_many_threads_compare_without_a_numba_that_cannot_be_imported() -> None:
     assert program_output(BROKEN) == "1"
 
 
 @pytest.mark.parametrize(
-    ("planes", "wanted"),
+    ("planes", "uses_numba"),
     [
         (lambda: np.zeros((1, 2, 2), np.float32), True),
         (lambda: torch.zeros((1, 2, 2), dtype=torch.float64), True),
-        (lambda: torch.zeros((1, 2, 2), requires_grad=True), False),  # torch differentiates what follows
+        (lambda: torch.zeros((1, 2, 2), requires_grad=True), False),  # torch records operations
         (lambda: jnp.zeros((1, 2, 2), jnp.float32), True),
         (lambda: jnp.zeros((1, 2, 2), jnp.bfloat16), False),
         (lambda: array_api_strict.zeros((1, 2, 2)), False),
         (lambda: np.zeros((1, 2, 2), np.longdouble), False),
     ],
 )
-def test_kernels_are_for_host_arrays_that_no_framework_differentiates(
-    planes: Callable[[], Array], wanted: bool
+def test_kernels_compare_host_arrays_that_no_framework_differentiates(
+    planes: Callable[[], Array], uses_numba: bool
 ) -> None:
-    assert (choose_backend(planes()) is NUMBA) is wanted
+    assert (choose_backend(planes()) is NUMBA) is uses_numba
 
 
-def test_what_jax_traces_has_no_values_to_compare() -> None:
-    served = []
-    jax.jit(lambda planes: served.append(choose_backend(planes)))(jnp.zeros((1, 2, 2), jnp.float32))
-    assert served == [ARRAY_API]
+def test_arrays_that_jax_traces_are_compared_by_array_operations() -> None:
+    backends = []
+    jax.jit(lambda planes: backends.append(choose_backend(planes)))(jnp.zeros((1, 2, 2), jnp.float32))
+    assert backends == [ARRAY_API]
 
 
-def test_without_numba_arrays_do_it_and_the_plan_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_plan_mentions_numba_only_where_kernels_run(monkeypatch: pytest.MonkeyPatch) -> None:
     objective = LOIObjective(np.zeros((4, 4, 3)))
     assert "Numba" in str(objective.plan())
     monkeypatch.setenv("LOI_COMPILED", "0")

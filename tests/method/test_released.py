@@ -11,7 +11,7 @@ import pytest
 from loi_core import LOIObjective, ScaleSpace
 from tests.helpers import relative_error
 
-# Loss and gradient were made by running that code in float32; see the design of the convention in ScaleSpace.released.
+# Loss and gradient are results of that code in float32; see ScaleSpace.released.
 STORED = np.load(Path(__file__).parents[1] / "data" / "released_loss.npz", allow_pickle=False)
 
 
@@ -31,7 +31,7 @@ def test_released_levels_are_the_centres_of_equal_bins() -> None:
     np.testing.assert_allclose(scales.levels(0.125), 0.5 * (edges[1:] + edges[:-1]), atol=1e-15)
 
 
-def test_released_kernels_are_cut_at_an_odd_number_of_taps() -> None:
+def test_released_kernels_are_truncated_at_an_odd_number_of_taps() -> None:
     scales = ScaleSpace.released((1, 5), 1, 8, 30)
     assert scales.inner_taps == 21
     assert scales.extent_taps == 31
@@ -39,14 +39,14 @@ def test_released_kernels_are_cut_at_an_odd_number_of_taps() -> None:
 
 
 @pytest.mark.parametrize("accuracy", ["exact", "balanced"])
-def test_taps_that_add_nothing_cost_nothing(accuracy: str) -> None:
+def test_taps_beyond_the_gaussian_change_neither_work_nor_result(accuracy: str) -> None:
     rng = np.random.default_rng(0)
     image, reference = rng.uniform(size=(2, 48, 64, 1))
-    found = []
+    results = []
     for taps in (101, 1001):  # a Gaussian ends after 8.6 of its widths, here 43 pixels
         objective = LOIObjective(reference, ScaleSpace.released((1, 5), (1, 5), 8, taps), accuracy)
-        found.append((objective.plan().work, *objective.value_and_grad(image)))
-    (work, value, gradient), (other_work, other, slopes) = found
-    assert work == other_work
-    assert float(value) == float(other)
-    np.testing.assert_array_equal(gradient, slopes)
+        results.append((objective.plan().work, *objective.value_and_grad(image)))
+    (work, value, gradient), (more_work, long_value, long_gradient) = results
+    assert work == more_work
+    assert float(value) == float(long_value)
+    np.testing.assert_array_equal(gradient, long_gradient)

@@ -1,4 +1,4 @@
-"""Compiled loops from any thread, on any number of them, and in processes that are forked."""
+"""Compiled loops in any number of threads, for many callers, and in forked processes."""
 
 from __future__ import annotations
 
@@ -23,30 +23,30 @@ from tests.strategies import FEWER_EXAMPLES
 @given(st.integers(1, 90), st.integers(1, 90), st.sampled_from(("float32", "float64")))
 @example(1, 1, "float32")
 @example(90, 90, "float64")
-def test_threads_change_no_bit(height: int, width: int, dtype: str) -> None:
+def test_the_number_of_threads_changes_no_bit(height: int, width: int, dtype: str) -> None:
     rng = np.random.default_rng(0)
     image, reference = rng.uniform(size=(2, height, width, 3)).astype(dtype)
     objective = LOIObjective(reference, ScaleSpace.paper("path"), "balanced")
-    found = []
+    results = []
     for count in (1, 2, 5):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(threads, "thread_count", lambda count=count: count)
-            found.append(objective.value_and_grad(image))
-    for value, gradient in found[1:]:
-        assert value == found[0][0]
-        np.testing.assert_array_equal(gradient, found[0][1])
+            results.append(objective.value_and_grad(image))
+    for value, gradient in results[1:]:
+        assert value == results[0][0]
+        np.testing.assert_array_equal(gradient, results[0][1])
 
 
-def test_many_callers_at_once_get_what_one_gets() -> None:
+def test_concurrent_callers_get_the_same_result_as_one_caller() -> None:
     rng = np.random.default_rng(0)
     images, reference = rng.uniform(size=(6, 80, 70, 3)), rng.uniform(size=(80, 70, 3))
     objective = LOIObjective(reference, ScaleSpace.paper("path"))
-    alone = [objective.value_and_grad(image) for image in images]
+    expected = [objective.value_and_grad(image) for image in images]
     with ThreadPoolExecutor(8) as callers:
-        together = list(callers.map(objective.value_and_grad, np.concat([images] * 4)))
-    for (value, gradient), (wanted, slopes) in zip(together, alone * 4, strict=True):
-        assert value == wanted
-        np.testing.assert_array_equal(gradient, slopes)
+        results = list(callers.map(objective.value_and_grad, np.concat([images] * 4)))
+    for (value, gradient), (expected_value, expected_gradient) in zip(results, expected * 4, strict=True):
+        assert value == expected_value
+        np.testing.assert_array_equal(gradient, expected_gradient)
 
 
 FORKS = """
@@ -66,11 +66,11 @@ print(os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]))
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows does not fork")
-def test_a_forked_process_starts_threads_of_its_own() -> None:
-    done = subprocess.run(
+def test_a_forked_process_starts_its_own_threads() -> None:
+    process = subprocess.run(
         [sys.executable, "-W", "ignore", "-c", FORKS], capture_output=True, text=True, timeout=120, check=True
     )
-    assert done.stdout.strip() == "0"
+    assert process.stdout.strip() == "0"
 
 
 LATE = """
@@ -85,7 +85,7 @@ threading.Thread(target=compare).start()
 """
 
 
-def test_a_thread_may_compare_after_the_main_one_has_ended() -> None:
+def test_a_thread_may_compare_after_the_main_thread_has_ended() -> None:
     assert program_output(LATE) == "True"
 
 
@@ -121,11 +121,11 @@ print(hung)
 
 @pytest.mark.skipif(sys.platform == "win32", reason="Windows does not fork")
 @pytest.mark.parametrize("switch", ["1", "0"])
-def test_a_process_that_is_forked_while_another_thread_prepares_does_not_hang(switch: str) -> None:
+def test_a_process_forked_while_a_thread_prepares_does_not_hang(switch: str) -> None:
     assert program_output(FORKED_WHILE_PREPARING, LOI_COMPILED=switch) == "0"
 
 
-def test_what_fails_in_a_thread_is_raised() -> None:
+def test_an_error_in_a_thread_is_raised_in_the_caller() -> None:
     def fail(_: object) -> None:
         msg = "no"
         raise ArithmeticError(msg)

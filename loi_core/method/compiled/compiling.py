@@ -1,4 +1,4 @@
-"""Numba's compiler, with the settings of all kernels."""
+"""Numba's compiler with the settings of all kernels."""
 
 from __future__ import annotations
 
@@ -13,26 +13,26 @@ F = TypeVar("F", bound=Callable[..., Any])
 
 
 def compiled(function: F) -> F:
-    """`function`, compiled when it is first called and then kept on disk; other threads run meanwhile.
+    """Compile a function at its first call and cache it on disk; calls release the interpreter's lock.
 
-    Products may be fused with sums; nothing else is rounded otherwise than written.
+    Products may be fused with sums; all other operations are rounded as written.
     """
     return _compiled(function, {"contract"})
 
 
 def compiled_sums(function: F) -> F:
-    """The same, with sums in any order, so that they are made in vectors."""
+    """Compile like :func:`compiled`, with sums in any order, so that they can be vectorised."""
     return _compiled(function, {"contract", "reassoc", "nsz"})
 
 
 def compiled_as_written(function: F) -> F:
-    """The same, with every operation rounded as IEEE 754 has it: what is equal or opposite on paper stays so."""
+    """Compile like :func:`compiled`, with every operation rounded as in IEEE 754, so that exact identities hold."""
     return _compiled(function, set())
 
 
-def _compiled(function: F, fast: set[str]) -> F:
-    options: dict[str, Any] = {"nogil": True, "fastmath": fast, "error_model": "numpy"}
+def _compiled(function: F, fastmath: set[str]) -> F:
+    options: dict[str, Any] = {"nogil": True, "fastmath": fastmath, "error_model": "numpy"}
     try:
         return cast("F", numba.njit(cache=True, **options)(function))
-    except RuntimeError:  # nowhere to keep it: every process compiles anew
+    except RuntimeError:  # no writable cache folder: every process compiles
         return cast("F", numba.njit(**options)(function))

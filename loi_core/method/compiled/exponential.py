@@ -1,4 +1,4 @@
-"""exp without branches and within two roundings: compilers make vectors of it, where they call a library for others."""
+"""A branch-free exp within two roundings, which LLVM vectorises; for other versions it calls a library."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from numba.extending import overload
 
 __all__ = ["exponential"]
 
-# exp(x) = 2**n exp(r) with r = x - n log 2, |r| <= log(2) / 2. Here log 2 is the sum of two numbers, the first of which
-# has so few bits that n times it is exact.
+# exp(x) = 2**n exp(r) with r = x - n log 2, |r| <= log(2) / 2. Here log 2 is the sum of two numbers; the first has so
+# few bits that its product with n is exact.
 SINGLE_HIGH: Final = np.float32(355 / 512)
 SINGLE_LOW: Final = np.float32(math.log(2.0) - 355 / 512)
 DOUBLE_HIGH: Final = 2977044472 / 2**32
 DOUBLE_LOW: Final = -4.2009150726810846e-11
 
-# Adding this, and taking it off again, rounds to a whole number, which is in the last bits meanwhile.
+# Adding and subtracting this rounds to an integer, which is in the last bits in between.
 SINGLE_ROUNDING: Final = np.float32(1.5 * 2**23)
 DOUBLE_ROUNDING: Final = 1.5 * 2**52
 
 SINGLE_LOG2_E: Final = np.float32(1.0 / math.log(2.0))
 DOUBLE_LOG2_E: Final = 1.0 / math.log(2.0)
 
-# Terms of the series of exp(r), up to one that is below half a rounding.
+# Coefficients of the series of exp(r), up to a term below half a rounding.
 S7, S6, S5, S4, S3 = (np.float32(1.0 / math.factorial(order)) for order in (7, 6, 5, 4, 3))
 D13, D12, D11, D10, D9, D8, D7, D6, D5, D4, D3 = (1.0 / math.factorial(order) for order in range(13, 2, -1))
 HALF: Final = np.float32(0.5)
@@ -33,7 +33,7 @@ ONE: Final = np.float32(1.0)
 
 
 def exponential(x: Any) -> Any:
-    """exp(x) for x, of float32 or float64, from the logarithm of its smallest normal number to 0."""
+    """Return exp(x) for a float32 or float64 x from the logarithm of the smallest normal number to 0."""
     return np.exp(x)
 
 

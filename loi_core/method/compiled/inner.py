@@ -7,91 +7,90 @@ from typing import Any
 
 import numpy as np
 
-from loi_core.method.blurs import PlaneBlur
-from loi_core.method.compiled.arena import Arena
-from loi_core.method.compiled.bands import Bands, Numbers, band_back, band_forth
+from loi_core.method.compiled.bands import BandTable, adjoint_band, forward_band
 from loi_core.method.compiled.blurs import blur_window
 from loi_core.method.compiled.compiling import compiled
-from loi_core.method.compiled.program import Places, blur_pass, turned_shape
-from loi_core.method.compiled.records import GROUP, SIDE, STRIP, Floats, Operators, Plane, Table, padded
 from loi_core.method.compiled.rows import transpose
+from loi_core.method.compiled.schedule import Allocator, pass_row, transposed_shape
+from loi_core.method.compiled.tables import (
+    GROUP_ROWS,
+    SQUARE_SIDE,
+    STRIP_ROWS,
+    Floats,
+    Operators,
+    Plane,
+    Table,
+    row_stride,
+)
+from loi_core.method.compiled.workspace import Workspace
+from loi_core.method.plane_blurs import PlaneBlur
 from loi_core.method.windows import Window
 
 __all__ = ["InnerBlur"]
 
-FORTH = 0, 1  # bands of rows and of columns
-BACK = 2, 3
+FORWARD = 0, 1  # bands of rows and of columns
+ADJOINT = 2, 3
 
 
 @dataclass(frozen=True)
 class InnerBlur:
-    """A blur and its transpose, for planes of one size and dtype."""
+    """A blur and its adjoint, for planes of one size and dtype."""
 
     blur: PlaneBlur
-    bands: Bands
-    places: Table  # offsets in the arena: of a plane, of what is made of it, of what lies between, of a strip
-    elements: int
+    bands: BandTable
+    offsets: Table  # of the source, the transposed result, the rows between the two bands, and a strip
+    elements: int  # of the workspace
 
     @classmethod
     def of(cls, blur: PlaneBlur, dtype: np.dtype[Any]) -> InnerBlur:
-        """The bands of a blur, and how many elements its arena has."""
-        rows, columns = blur.rows, blur.columns
-        bands = (
-            band_forth(rows, dtype), band_forth(columns, dtype), band_back(rows, dtype), band_back(columns, dtype)
-        )  # fmt: skip
-        place, pairs = Places(), [(bands[first], bands[after]) for first, after in (FORTH, BACK)]
-        source = place.plane(
-            *((first.height, after.columns) for first, after in pairs),
-            *((first.rows + SIDE, after.rows) for first, after in pairs),
+        """Prepare a blur for planes of one dtype."""
+        bands = [band(axis, dtype) for band in (forward_band, adjoint_band) for axis in (blur.rows, blur.columns)]
+        allocator, pairs = Allocator(), [(bands[first], bands[second]) for first, second in (FORWARD, ADJOINT)]
+        source = allocator.plane(
+            *((first.height, second.columns) for first, second in pairs),
+            *((first.rows + SQUARE_SIDE, second.rows) for first, second in pairs),
         )
-        target = place.plane(*((GROUP * len(after.starts), first.rows) for first, after in pairs))
-        turned = place.plane(*(turned_shape(bands, pair) for pair in (FORTH, BACK)))
-        strip = place.plane((STRIP, max(band.columns for band in bands)))
-        return cls(blur, Bands.of(bands), np.asarray((source, target, turned, strip), np.int64), place.elements)
+        target = allocator.plane(*((GROUP_ROWS * len(second.starts), first.rows) for first, second in pairs))
+        transposed = allocator.plane(*(transposed_shape(bands, pair) for pair in (FORWARD, ADJOINT)))
+        strip = allocator.plane((STRIP_ROWS, max(band.columns for band in bands)))
+        offsets = np.asarray((source, target, transposed, strip), np.int64)
+        return cls(blur, BandTable.of(bands), offsets, allocator.elements)
 
-    def apply(self, plane: Numbers, arena: Arena) -> Numbers:
-        """The blurred plane, shape (h, w)."""
-        return self._between(plane, FORTH, arena)
+    def apply(self, plane: Floats, workspace: Workspace) -> Floats:
+        """Return the blurred plane, shape (h, w)."""
+        return self._multiply(plane, FORWARD, workspace)
 
-    def adjoint(self, plane: Numbers, arena: Arena) -> Numbers:
-        """The transpose of :meth:`apply`: shape (h, w) to shape (H, W)."""
-        return self._between(plane, BACK, arena)
+    def adjoint(self, plane: Floats, workspace: Workspace) -> Floats:
+        """Apply the transpose of :meth:`apply`: shape (h, w) to shape (H, W)."""
+        return self._multiply(plane, ADJOINT, workspace)
 
-    def _between(self, plane: Numbers, pair: tuple[int, int], arena: Arena) -> Numbers:
+    def _multiply(self, plane: Floats, pair: tuple[int, int], workspace: Workspace) -> Floats:
         if self.blur.is_identity:
             return plane
-        shape = tuple(self.bands.each[band].rows for band in pair)
-        way = blur_pass(self.bands.each, pair, Window.whole(*plane.shape), Window.whole(*shape))
-        made = np.empty(shape, plane.dtype)
-        strides = np.asarray([padded(plane.shape[1]), padded(shape[0]), padded(shape[1])], np.int64)
-        operators = Operators(self.bands.weights, self.bands.starts, self.bands.table, arena.of(self.elements))
-        _blur_plane(plane, np.asarray(way, np.int64), *operators, self.places, strides, made)
-        return made
+        shape = tuple(self.bands.bands[band].rows for band in pair)
+        row = pass_row(self.bands.bands, pair, Window.whole(*plane.shape), Window.whole(*shape))
+        result = np.empty(shape, plane.dtype)
+        strides = np.asarray([row_stride(size) for size in (plane.shape[1], shape[0], shape[1])], np.int64)
+        operators = self.bands.weights, self.bands.starts, self.bands.table, workspace.of_size(self.elements)
+        _blur_plane(plane, np.asarray(row, np.int64), operators, self.offsets, strides, result)
+        return result
 
 
 @compiled
 def _blur_plane(
-    plane: Floats,
-    way: Table,
-    weights: Floats,
-    starts: Table,
-    bands: Table,
-    arena: Floats,
-    places: Table,
-    strides: Table,
-    made: Floats,
+    plane: Floats, row: Table, operator_arrays: tuple[Any, ...], offsets: Table, strides: Table, result: Floats
 ) -> None:
-    """Blur a plane by way of an arena, where there is room beside it."""
-    operators = Operators(weights, starts, bands, arena)
-    source, target = Plane(places[0], strides[0]), Plane(places[1], strides[1])
+    """Copy a plane to the workspace, blur it, and copy the transposed result back."""
+    operators = Operators(*operator_arrays)
+    workspace = operators.workspace
+    source, target = Plane(offsets[0], strides[0]), Plane(offsets[1], strides[1])
     for y in range(plane.shape[0]):
-        at = source.at + y * source.stride
-        arena[at : at + plane.shape[1]] = plane[y]
-    blur_window(way, operators, source, target, places[2], places[3], False)
-    # What is made lies transposed. It is turned to where the plane was, which is needed no more.
-    rows, columns = made.shape
-    upright = Plane(source.at, strides[2])
-    transpose(arena, target, rows, (columns + GROUP - 1) // GROUP, upright)
+        start = source.offset + y * source.stride
+        workspace[start : start + plane.shape[1]] = plane[y]
+    blur_window(row, operators, source, target, offsets[2], offsets[3], False)
+    rows, columns = result.shape
+    upright = Plane(source.offset, strides[2])  # the source is needed no more
+    transpose(workspace, target, rows, (columns + GROUP_ROWS - 1) // GROUP_ROWS, upright)
     for y in range(rows):
-        at = upright.at + y * upright.stride
-        made[y] = arena[at : at + columns]
+        start = upright.offset + y * upright.stride
+        result[y] = workspace[start : start + columns]

@@ -1,7 +1,7 @@
-"""The loss at one inner scale of one plane, level by level, compiled by Numba: each plane stays in a core's cache.
+"""Compare the tonal levels of one plane at one inner scale, compiled by Numba: each plane stays in a core's cache.
 
-Planes lie in one arena, each at an offset, with a stride from row to row. All else are indices into tables;
-:mod:`loi_core.method.compiled.records` says what they mean.
+These kernels interpret a :class:`~loi_core.method.compiled.schedule.Schedule`; the columns of its tables are in
+:mod:`loi_core.method.compiled.tables`. All planes lie in one workspace, each at an offset, with a stride.
 """
 
 from __future__ import annotations
@@ -9,285 +9,262 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from loi_core.method.compiled.blurs import blur_rows, blur_window, clear_window, combine_turned, turn_combined
+from loi_core.method.compiled.blurs import blur_rows, blur_window, clear_window, combine_first, combine_second
 from loi_core.method.compiled.compiling import compiled, compiled_sums
 from loi_core.method.compiled.exponential import exponential
-from loi_core.method.compiled.misplacement import sum_misplaced, take_sums
-from loi_core.method.compiled.records import (
-    GROUP,
+from loi_core.method.compiled.sign_errors import add_sign_errors, reduce_block_sums
+from loi_core.method.compiled.tables import (
+    GROUP_ROWS,
     BandColumn,
+    BlurColumn,
     Box,
-    EdgeColumn,
     Floats,
-    NodeColumn,
+    Offset,
     Operators,
     PassColumn,
     Plane,
+    PyramidColumn,
     Results,
     Table,
     Tables,
-    Tonal,
+    TonalScale,
 )
 
-__all__ = ["compare_levels", "sum_of_powers", "sum_of_sizes"]
+__all__ = ["compare_levels"]
 
-# Numba knows plain numbers only.
-SOURCE, TARGET, FORTH, BACK = map(int, EdgeColumn)
-DIFFERENCES, PULLED, NODE_STRIDE, NODE_TOP, NODE_BOTTOM, NODE_LEFT, NODE_RIGHT = map(int, NodeColumn)
-BAND, FIRST, LAST, TOP, BOTTOM, LEFT, RIGHT, GROUPS, STRIDE, BAND_AFTER, FIRST_AFTER, LAST_AFTER = map(int, PassColumn)
-STARTS, BAND_TAPS = map(int, (BandColumn.STARTS, BandColumn.TAPS))
+# Numba does not know enums, only plain integers.
+SOURCE, TARGET, FORWARD, ADJOINT = map(int, BlurColumn)
+DIFFERENCE, COTANGENT, PLANE_STRIDE, PLANE_TOP, PLANE_BOTTOM, PLANE_LEFT, PLANE_RIGHT = map(int, PyramidColumn)
+BAND, FIRST, LAST, TOP, BOTTOM, LEFT, RIGHT, GROUPS, STRIDE, SECOND_BAND, SECOND_FIRST, SECOND_LAST = map(
+    int, PassColumn
+)
+SLOPE, TRANSPOSED, STRIP, COMPARED, RETURNED = map(int, Offset)
+STARTS, TAPS = map(int, (BandColumn.STARTS, BandColumn.TAPS))
 
 
 @compiled
 def compare_levels(
-    image: Floats,
-    reference: Floats,
-    shares: Floats,
-    levels: Table,
-    numbers: Floats,
-    extents: Floats,
-    weights: Floats,
-    starts: Table,
-    bands: Table,
-    arena: Floats,
-    nodes: Table,
-    edges: Table,
-    places: Table,
-    spacings: Floats,
-    costs: Floats,
-    doubts: Floats,
-    cotangent: Floats,
-    sums: Floats,
+    planes: tuple[Floats, Floats, Floats],
+    levels: tuple[int, int, int],
+    tonal_scale: tuple[Floats, Floats],
+    operators: tuple[Any, ...],
+    tables: tuple[Any, ...],
+    results: tuple[Any, ...],
 ) -> None:
-    """Add the costs of some levels of one plane to the results, and their slope by the image.
+    """Add the costs of some tonal levels of one plane to the results, and their gradient with respect to the image.
 
-    Only arrays pass from Python to here: Numba takes longer to look at named tuples than a small image to compare.
+    Structs arrive as plain tuples: Numba unpacks named tuples three times more slowly.
 
     Parameters
     ----------
-    image, reference : array, shape (h, w)
-        Intensities in units of the distance of two levels.
-    shares : array, shape (h, w) or (0, 0)
-        How much each pixel counts; empty if all count alike.
-    levels : array, shape (3,)
-        The level that accumulation starts from, the first that is compared, and where to stop.
-    numbers, extents
-        The fields of :class:`~loi_core.method.compiled.records.Tonal`, but the last, which is `extents`.
-    weights, starts, bands, arena
-        Those of :class:`~loi_core.method.compiled.records.Operators`; the arena holds finite numbers.
-    nodes, edges, places, spacings
-        Those of :class:`~loi_core.method.compiled.records.Tables`.
-    costs, doubts, cotangent, sums
-        Those of :class:`~loi_core.method.compiled.records.Results`.
+    planes : tuple of array
+        The image and the reference, shape (h, w), in units of the spacing of two levels; and the weights of pixels,
+        shape (h, w), or (0, 0) without weights.
+    levels : tuple of int
+        The first level to accumulate, the first to compare, and the end.
+    tonal_scale : tuple of array
+        The scalar fields of :class:`~loi_core.method.compiled.tables.TonalScale`, shape (5,), and its extent weights.
+    operators, tables, results : tuple
+        The fields of :class:`~loi_core.method.compiled.tables.Operators`, `Tables` and `Results`.
     """
-    _compare(
-        image,
-        reference,
-        shares,
-        levels,
-        Tonal(numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], extents),
-        Operators(weights, starts, bands, arena),
-        Tables(nodes, edges, places, spacings),
-        Results(costs, doubts, cotangent, sums),
-    )
+    numbers, extent_weights = tonal_scale
+    tonal = TonalScale(numbers[0], numbers[1], numbers[2], numbers[3], numbers[4], extent_weights)
+    _compare(planes, levels, tonal, Operators(*operators), Tables(*tables), Results(*results))
 
 
 @compiled
 def _compare(
-    image: Floats,
-    reference: Floats,
-    shares: Floats,
-    levels: Table,
-    tonal: Tonal,
+    planes: tuple[Floats, Floats, Floats],
+    levels: tuple[int, int, int],
+    tonal: TonalScale,
     operators: Operators,
     tables: Tables,
     results: Results,
 ) -> None:
-    nodes, edges, places, cotangent = tables.nodes, tables.edges, tables.places, results.cotangent
-    arena = operators.arena
-    steps = nodes.shape[0] - 1
+    pyramid, blurs, offsets, cotangent = tables.pyramid, tables.blurs, tables.offsets, results.cotangent
+    workspace = operators.workspace
+    steps = pyramid.shape[0] - 1
     start, first, stop = levels
-    home = nodes[0]
-    difference, slope, turned, strip = _difference(home), Plane(places[0], home[NODE_STRIDE]), places[1], places[2]
-    clear_window(arena, difference, _box(home))
-    clear_window(arena, slope, _box(home))
+    base = pyramid[0]
+    slope = Plane(offsets[SLOPE], base[PLANE_STRIDE])
+    transposed, strip = offsets[TRANSPOSED], offsets[STRIP]
+    clear_window(workspace, _difference(base), _cotangent_box(base))
+    clear_window(workspace, slope, _cotangent_box(base))
     gradient = cotangent.size > 0
     if gradient:
-        clear_window(arena, _pulled(home), _box(home))
+        clear_window(workspace, _cotangent(base), _cotangent_box(base))
     for level in range(start, stop):
-        _accumulate(
-            image, reference, shares, image.dtype.type(level), tonal, arena, difference, slope, home, cotangent,
-            gradient and level > first,
-        )  # fmt: skip
+        position = planes[0].dtype.type(level)
+        _accumulate(planes, position, tonal, workspace, slope, base, cotangent, gradient and level > first)
         if level < first:
             continue
         for index in range(steps):
-            edge = edges[index]
-            source, target = _difference(nodes[edge[SOURCE]]), _difference(nodes[edge[TARGET]])
-            blur_window(edge[FORTH:BACK], operators, source, target, turned, strip, False)
+            blur = blurs[index]
+            source, target = _difference(pyramid[blur[SOURCE]]), _difference(pyramid[blur[TARGET]])
+            blur_window(blur[FORWARD:ADJOINT], operators, source, target, transposed, strip, False)
         if gradient:
-            for node in nodes[1:]:
-                clear_window(arena, _pulled(node), _box(node))
-        for index in range(steps, edges.shape[0]):
-            edge = edges[index]
-            extent = edge[TARGET]
+            for coarse in pyramid[1:]:
+                clear_window(workspace, _cotangent(coarse), _cotangent_box(coarse))
+        for index in range(steps, blurs.shape[0]):
+            blur = blurs[index]
+            extent = blur[TARGET]
             results.costs[extent] += _compare_extent(
-                edge, operators, places, nodes[edge[SOURCE]], tonal, tonal.weights[extent], tables.spacings[extent],
-                results.sums, results.doubts[extent], gradient,
+                blur, operators, offsets, pyramid[blur[SOURCE]], tonal, tonal.extent_weights[extent],
+                tables.spacings[extent], results.block_sums, results.sign_errors[extent], gradient,
             )  # fmt: skip
         if gradient:
             for index in range(steps - 1, -1, -1):
-                edge = edges[index]
-                source, target = _pulled(nodes[edge[SOURCE]]), _pulled(nodes[edge[TARGET]])
-                blur_window(edge[BACK:], operators, target, source, turned, strip, True)
+                blur = blurs[index]
+                source, target = _cotangent(pyramid[blur[SOURCE]]), _cotangent(pyramid[blur[TARGET]])
+                blur_window(blur[ADJOINT:], operators, target, source, transposed, strip, True)
     if gradient:
-        _pull(arena, home, slope, cotangent)
+        _pull_back(workspace, base, slope, cotangent)
 
 
 @compiled
-def _difference(node: Table) -> Plane:
-    """Where the difference of the CDFs lies on a sampling."""
-    return Plane(node[DIFFERENCES], node[NODE_STRIDE])
+def _difference(level: Table) -> Plane:
+    """Return the plane of a pyramid level's difference of CDFs."""
+    return Plane(level[DIFFERENCE], level[PLANE_STRIDE])
 
 
 @compiled
-def _pulled(node: Table) -> Plane:
-    """Where what is pulled back to a sampling lies."""
-    return Plane(node[PULLED], node[NODE_STRIDE])
+def _cotangent(level: Table) -> Plane:
+    """Return the plane of a pyramid level's cotangent."""
+    return Plane(level[COTANGENT], level[PLANE_STRIDE])
 
 
 @compiled
-def _box(node: Table) -> Box:
-    """Outside of which what is pulled back is 0."""
-    return Box(node[NODE_TOP], node[NODE_BOTTOM], node[NODE_LEFT], node[NODE_RIGHT])
+def _cotangent_box(level: Table) -> Box:
+    """Return the window outside which a pyramid level's cotangent is 0."""
+    return Box(level[PLANE_TOP], level[PLANE_BOTTOM], level[PLANE_LEFT], level[PLANE_RIGHT])
 
 
 @compiled
 def _accumulate(
-    image: Floats,
-    reference: Floats,
-    shares: Floats,
-    level: Any,
-    tonal: Tonal,
-    arena: Floats,
-    differences: Plane,
+    planes: tuple[Floats, Floats, Floats],
+    position: Any,
+    tonal: TonalScale,
+    workspace: Floats,
     slope: Plane,
-    node: Table,
+    base: Table,
     cotangent: Floats,
-    pulls: bool,
+    pulls_back: bool,
 ) -> None:
-    """Add what a level adds to the difference of the CDFs, and to the slope of the image's.
+    """Add one tonal level to the difference of the CDFs, and to the slope of the image's CDF.
 
-    What the level before pulled back is taken first, row by row, as its slope is about to change.
+    The cotangent of the level before is pulled back first, row by row, because its slope is about to change.
     """
-    scale, peak, least = tonal.scale, tonal.peak, tonal.least
-    left, right = node[NODE_LEFT], node[NODE_RIGHT]
-    for y in range(node[NODE_TOP], node[NODE_BOTTOM]):
-        at = y * slope.stride + left
-        difference = arena[differences.at + at : differences.at + at + right - left]
-        slopes = arena[slope.at + at : slope.at + at + right - left]
-        ours, theirs = image[y, left:right], reference[y, left:right]
-        if pulls:
-            _pull_row(arena[node[PULLED] + at : node[PULLED] + at + right - left], slopes, cotangent[y, left:right])
-        if shares.size > 0:
-            share = shares[y, left:right]
+    image, reference, weights = planes
+    inverse_width, log_peak, min_log = tonal.inverse_width, tonal.log_peak, tonal.min_log
+    left, right = base[PLANE_LEFT], base[PLANE_RIGHT]
+    for y in range(base[PLANE_TOP], base[PLANE_BOTTOM]):
+        begin, end = y * slope.stride + left, y * slope.stride + right
+        difference = workspace[base[DIFFERENCE] + begin : base[DIFFERENCE] + end]
+        slopes = workspace[slope.offset + begin : slope.offset + end]
+        image_row, reference_row = image[y, left:right], reference[y, left:right]
+        if pulls_back:
+            _pull_back_row(workspace[base[COTANGENT] + begin : base[COTANGENT] + end], slopes, cotangent[y, left:right])
+        if weights.size > 0:
+            weights_row = weights[y, left:right]
             for x in range(right - left):
-                offset = (level - ours[x]) * scale
-                weight = exponential(max(peak - offset * offset, least)) * share[x]
-                other = (level - theirs[x]) * scale
-                difference[x] += weight - exponential(max(peak - other * other, least)) * share[x]
-                slopes[x] += offset * weight
+                offset = (position - image_row[x]) * inverse_width
+                density = exponential(max(log_peak - offset * offset, min_log)) * weights_row[x]
+                other = (position - reference_row[x]) * inverse_width
+                difference[x] += density - exponential(max(log_peak - other * other, min_log)) * weights_row[x]
+                slopes[x] += offset * density
             continue
         for x in range(right - left):
-            offset = (level - ours[x]) * scale
-            weight = exponential(max(peak - offset * offset, least))
-            other = (level - theirs[x]) * scale
-            difference[x] += weight - exponential(max(peak - other * other, least))
-            slopes[x] += offset * weight
+            offset = (position - image_row[x]) * inverse_width
+            density = exponential(max(log_peak - offset * offset, min_log))
+            other = (position - reference_row[x]) * inverse_width
+            difference[x] += density - exponential(max(log_peak - other * other, min_log))
+            slopes[x] += offset * density
 
 
 @compiled
 def _compare_extent(
-    edge: Table,
+    blur: Table,
     operators: Operators,
-    places: Table,
-    node: Table,
-    tonal: Tonal,
+    offsets: Table,
+    level: Table,
+    tonal: TonalScale,
     weight: Any,
     spacings: Floats,
-    sums: Floats,
-    doubt: Floats,
+    block_sums: Floats,
+    sign_errors: Floats,
     gradient: bool,
 ) -> float:
-    """The cost of one extent; its slope is added to what is pulled back to its node.
+    """Return the cost of one extent; add its gradient to the cotangent of its pyramid level.
 
-    Some rows at a time go all the way there, and as far back as they can without the others: they stay in a near cache.
+    Some rows at a time go all the way there, and back as far as they can without the other rows: they stay in a near
+    cache.
     """
-    forth, back, arena, starts = edge[FORTH:BACK], edge[BACK:], operators.arena, operators.starts
-    turned, strip, compared, returned = places[1], places[2], places[3], places[4]
-    after = operators.bands[back[BAND_AFTER]]
-    total, done = 0.0, back[FIRST_AFTER]
-    for first in range(forth[FIRST], forth[LAST], forth[GROUPS]):
-        last = min(first + forth[GROUPS], forth[LAST])
-        begin, end = GROUP * first, GROUP * last
-        here = Plane(compared - begin, forth[STRIDE])
-        blur_rows(forth, first, last, operators, _difference(node), here, turned, strip, False)
-        left, right = max(begin, back[LEFT]), min(end, back[RIGHT])
-        box = Box(back[TOP], back[BOTTOM], left, right)
+    forward, adjoint, workspace, starts = blur[FORWARD:ADJOINT], blur[ADJOINT:], operators.workspace, operators.starts
+    transposed, strip, returned = offsets[TRANSPOSED], offsets[STRIP], offsets[RETURNED]
+    second_band = operators.bands[adjoint[SECOND_BAND]]
+    total, done = 0.0, adjoint[SECOND_FIRST]
+    for first in range(forward[FIRST], forward[LAST], forward[GROUPS]):
+        last = min(first + forward[GROUPS], forward[LAST])
+        begin, end = GROUP_ROWS * first, GROUP_ROWS * last
+        compared = Plane(offsets[COMPARED] - begin, forward[STRIDE])
+        blur_rows(forward, first, last, operators, _difference(level), compared, transposed, strip, False)
+        left, right = max(begin, adjoint[LEFT]), min(end, adjoint[RIGHT])
+        box = Box(adjoint[TOP], adjoint[BOTTOM], left, right)
         if gradient and spacings[0] > 0:
-            sum_misplaced(arena, here, box, back[LEFT], back[RIGHT], spacings, tonal.tie, sums)
-        total += _cost(arena, here, box, tonal.tie, tonal.power, weight)
+            add_sign_errors(
+                workspace, compared, box, adjoint[LEFT], adjoint[RIGHT], spacings, tonal.tie, block_sums
+            )  # fmt: skip
+        total += _cost(workspace, compared, box, tonal.tie, tonal.power, weight)
         if gradient:
-            turn_combined(back, back[FIRST], back[LAST], left, right, operators, here, returned, strip)
+            combine_first(adjoint, adjoint[FIRST], adjoint[LAST], left, right, operators, compared, returned, strip)
             ready = done
-            while ready < back[LAST_AFTER] and (
-                right == back[RIGHT] or starts[after[STARTS] + ready] + after[BAND_TAPS] <= right
+            while ready < adjoint[SECOND_LAST] and (
+                right == adjoint[RIGHT] or starts[second_band[STARTS] + ready] + second_band[TAPS] <= right
             ):
                 ready += 1
             if ready > done:
-                top, bottom = GROUP * back[FIRST], GROUP * back[LAST]
-                combine_turned(back, done, ready, top, bottom, operators, returned, _pulled(node), True)
+                top, bottom = GROUP_ROWS * adjoint[FIRST], GROUP_ROWS * adjoint[LAST]
+                combine_second(adjoint, done, ready, top, bottom, operators, returned, _cotangent(level), True)
             done = ready
     if gradient and spacings[0] > 0:
-        take_sums(sums, back[BOTTOM] - back[TOP], doubt)
+        reduce_block_sums(block_sums, adjoint[BOTTOM] - adjoint[TOP], sign_errors)
     return total
 
 
 @compiled
-def _cost(arena: Floats, plane: Plane, box: Box, tie: Any, power: Any, weight: Any) -> float:
-    """The sum of a power of all magnitudes beyond the tie, times `weight`; its slopes replace the differences."""
+def _cost(workspace: Floats, plane: Plane, box: Box, tie: Any, power: Any, weight: Any) -> float:
+    """Return `weight` times the sum of a power of magnitudes beyond the tie; replace differences by its gradient."""
     total = 0.0
     for y in range(box.top, box.bottom):
-        at = plane.at + y * plane.stride
-        row = arena[at + box.left : at + box.right]
-        total += sum_of_sizes(row, tie, weight) if power == 1 else sum_of_powers(row, tie, power, weight)
+        start = plane.offset + y * plane.stride
+        row = workspace[start + box.left : start + box.right]
+        total += _sum_magnitudes(row, tie, weight) if power == 1 else _sum_powers(row, tie, power, weight)
     cost: float = total * weight
     return cost
 
 
 @compiled_sums
-def sum_of_sizes(row: Floats, tie: Any, weight: Any) -> Any:
-    """The sum of all magnitudes beyond the tie; `weight` with their signs replaces them.
+def _sum_magnitudes(row: Floats, tie: Any, weight: Any) -> Any:
+    """Return the sum of the magnitudes beyond the tie; replace each difference by `weight` with its sign.
 
-    It is what :func:`sum_of_powers` does for a power of 1, on its own since one loop for both makes all slower by a
-    tenth.
+    This is :func:`_sum_powers` for a power of 1; one loop for both would make all powers slower by a tenth.
     """
-    nothing = weight - weight
-    total = nothing
+    zero = weight - weight
+    total = zero
     for x in range(row.size):
         difference = row[x]
         magnitude = abs(difference)
         counts = magnitude > tie
-        total += magnitude if counts else nothing
-        row[x] = (weight if difference > nothing else -weight) if counts else nothing
+        total += magnitude if counts else zero
+        row[x] = (weight if difference > zero else -weight) if counts else zero
     return total
 
 
 @compiled_sums
-def sum_of_powers(row: Floats, tie: Any, power: Any, weight: Any) -> Any:
-    """The sum of a power of all magnitudes beyond the tie; its slopes, times `weight`, replace the differences."""
-    nothing = weight - weight
-    total = nothing
+def _sum_powers(row: Floats, tie: Any, power: Any, weight: Any) -> Any:
+    """Return the sum of a power of the magnitudes beyond the tie; replace differences by `weight` times its slope."""
+    zero = weight - weight
+    total = zero
     for x in range(row.size):
         difference = row[x]
         magnitude = abs(difference)
@@ -299,25 +276,25 @@ def sum_of_powers(row: Floats, tie: Any, power: Any, weight: Any) -> Any:
             slope = power * size
         else:
             slope = power * size ** (power - row.dtype.type(1))
-        total += size * slope if counts else nothing
+        total += size * slope if counts else zero
         slope *= weight
-        row[x] = (slope if difference > nothing else -slope) if counts else nothing
+        row[x] = (slope if difference > zero else -slope) if counts else zero
     return total / power
 
 
 @compiled
-def _pull(arena: Floats, node: Table, slope: Plane, cotangent: Floats) -> None:
-    """Add what is pulled back through the tonal scale to the cotangent."""
-    left, right = node[NODE_LEFT], node[NODE_RIGHT]
-    for y in range(node[NODE_TOP], node[NODE_BOTTOM]):
-        at = y * slope.stride + left
-        pulled = arena[node[PULLED] + at : node[PULLED] + at + right - left]
-        _pull_row(pulled, arena[slope.at + at : slope.at + at + right - left], cotangent[y, left:right])
+def _pull_back(workspace: Floats, base: Table, slope: Plane, cotangent: Floats) -> None:
+    """Pull the cotangent of the base level back through the tonal scale."""
+    left, right = base[PLANE_LEFT], base[PLANE_RIGHT]
+    for y in range(base[PLANE_TOP], base[PLANE_BOTTOM]):
+        begin, end = y * slope.stride + left, y * slope.stride + right
+        row = workspace[base[COTANGENT] + begin : base[COTANGENT] + end]
+        _pull_back_row(row, workspace[slope.offset + begin : slope.offset + end], cotangent[y, left:right])
 
 
 @compiled
-def _pull_row(pulled: Floats, slopes: Floats, row: Floats) -> None:
-    """Add a row of it to a row of the cotangent, and make room for the next level's."""
-    for x in range(row.size):
-        row[x] += pulled[x] * slopes[x]
+def _pull_back_row(pulled: Floats, slopes: Floats, cotangent: Floats) -> None:
+    """Add a row of cotangents times slopes to the image's cotangent, and clear it for the next level."""
+    for x in range(cotangent.size):
+        cotangent[x] += pulled[x] * slopes[x]
         pulled[x] = 0

@@ -1,7 +1,7 @@
-"""A few threads that share the tasks of a call. Kernels run without the interpreter's lock, so they run side by side.
+"""A pool of threads that share the tasks of a call; kernels release the interpreter's lock, so they run in parallel.
 
-The threads are ours and the tasks independent, so any number of callers may share them, and a caller does what they
-leave to it: none waits for a thread that another keeps busy.
+Any number of callers may share the pool. A caller runs tasks itself, so it never waits for a thread that another caller
+keeps busy.
 """
 
 from __future__ import annotations
@@ -19,18 +19,18 @@ if TYPE_CHECKING:
 
 __all__ = ["run_all", "thread_count"]
 
-Local = TypeVar("Local")
+State = TypeVar("State")
 
 
 def thread_count() -> int:
-    """How many threads a call uses: as many as there are cores, or fewer if OMP_NUM_THREADS says so."""
+    """Return how many threads a call uses: one per core, or fewer if OMP_NUM_THREADS is smaller."""
     cores = usable_processors()
-    asked = os.environ.get("OMP_NUM_THREADS", "")
-    return max(1, min(cores, int(asked))) if asked.isdecimal() else cores
+    requested = os.environ.get("OMP_NUM_THREADS", "")
+    return max(1, min(cores, int(requested))) if requested.isdecimal() else cores
 
 
 class _Pool:
-    """Threads that are started when they are first needed, once in every process."""
+    """Threads that start when they are first needed, once per process."""
 
     def __init__(self) -> None:
         self._lock = ForkSafeLock()
@@ -39,12 +39,12 @@ class _Pool:
             os.register_at_fork(after_in_child=self._forget)
 
     def start(self, work: Callable[[], None], count: int) -> list[Future[None]]:
-        """Have as many threads do `work` as there are; none where the interpreter is ending, and lets none begin."""
+        """Run `work` in `count` threads; in none while the interpreter shuts down, which lets no thread start."""
         started: list[Future[None]] = []
         try:
             executor = self._started()
             for _ in range(count):
-                started.append(executor.submit(work))  # noqa: PERF401  # the first may start, and the next not
+                started.append(executor.submit(work))  # noqa: PERF401  # a later one may fail
         except RuntimeError:
             pass
         return started
@@ -52,45 +52,47 @@ class _Pool:
     def _started(self) -> ThreadPoolExecutor:
         with self._lock:
             if self._executor is None:
-                from concurrent.futures import ThreadPoolExecutor  # fails as well, where the interpreter is ending
+                from concurrent.futures import ThreadPoolExecutor  # fails too during shutdown
 
                 self._executor = ThreadPoolExecutor(max(1, thread_count() - 1), thread_name_prefix="loi")
             return self._executor
 
     def _forget(self) -> None:
-        """A forked process has no threads but one."""
+        """Drop the pool in a forked process, which has only one thread."""
         self._executor = None
 
 
 _POOL: Final = _Pool()
 
 
-def run_all(tasks: Sequence[Callable[[Local], None]], local: Callable[[], Local], *, most: int | None = None) -> None:
-    """Run all tasks, in any order, some at the same time.
+def run_all(
+    tasks: Sequence[Callable[[State], None]], make_state: Callable[[], State], *, max_threads: int | None = None
+) -> None:
+    """Run all tasks, in any order, in parallel.
 
     Parameters
     ----------
     tasks : sequence of callables
-        Each is called once, with what `local` made for its thread.
-    local : callable
-        Makes what a thread needs to itself.
-    most : int, optional
-        How many threads at the most; :func:`thread_count` of them by default.
+        Each is called once, with its thread's state.
+    make_state : callable
+        Makes the state of a thread.
+    max_threads : int, optional
+        Largest number of threads; :func:`thread_count` by default.
     """
-    waiting = iter(tasks)
+    remaining = iter(tasks)
     lock = threading.Lock()
 
     def work() -> None:
-        mine: Local | None = None
+        state: State | None = None
         while True:
             with lock:
-                task = next(waiting, None)
+                task = next(remaining, None)
             if task is None:
                 return
-            mine = local() if mine is None else mine
-            task(mine)
+            state = make_state() if state is None else state
+            task(state)
 
-    helpers = min(most or thread_count(), len(tasks)) - 1
+    helpers = min(max_threads or thread_count(), len(tasks)) - 1
     futures = _POOL.start(work, helpers)
     try:
         work()
