@@ -30,17 +30,17 @@ def read_exr(path: Path, max_pixels: int) -> np.ndarray[Any, Any]:
     import OpenEXR  # here, since few programs read EXR
 
     with OpenEXR.File(str(path), header_only=True) as file:
-        channels = [_check_part(path, part.header, max_pixels) for part in file.parts]
+        channels = [_check_part(path, image.header, max_pixels) for image in file.parts]
         bytes_decoded = sum(size for _, size in channels)
     if bytes_decoded > BYTES_PER_PIXEL * max_pixels:
         msg = f"{path}: its channels take more than the {BYTES_PER_PIXEL * max_pixels} bytes that are read"
         raise ImageFileError(msg)
     with OpenEXR.File(str(path), separate_channels=True) as file:
-        parts = [{name: channel.pixels for name, channel in part.channels.items()} for part in file.parts]
-    if [sorted(part) for part in parts] != [names for names, _ in channels]:
+        decoded = [{name: channel.pixels for name, channel in image.channels.items()} for image in file.parts]
+    if [sorted(pixels) for pixels in decoded] != [names for names, _ in channels]:
         msg = f"{path}: not a readable EXR image, its pixels are damaged"
         raise ImageFileError(msg)
-    for pixels in parts:
+    for pixels in decoded:
         for layout in COLOURS:
             if pixels.keys() >= set(layout):
                 return np.stack([pixels[name] for name in layout], axis=-1) if len(layout) > 1 else pixels[layout[0]]

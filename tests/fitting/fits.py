@@ -1,4 +1,4 @@
-"""What the tests of fits share: a scene that is soon fitted, and a renderer that is none."""
+"""A scene that is fitted quickly, and the simplest renderer, for the tests of fits."""
 
 from __future__ import annotations
 

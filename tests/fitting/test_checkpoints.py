@@ -20,10 +20,10 @@ from tests.helpers import Host
 from tests.strategies import THOROUGH
 
 
-def test_a_kill_takes_a_hundredth_of_a_long_fit_and_checkpoints_write_at_most_200_histories() -> None:
-    kept = [step for step in range(1, 200_001) if is_due(step)]
-    assert all(later - one <= max(25, one / 100) for one, later in pairwise(kept))
-    assert sum(kept) <= 200 * 200_000
+def test_checkpoints_are_a_hundredth_of_a_fit_apart_and_write_at_most_200_histories() -> None:
+    due_steps = [step for step in range(1, 200_001) if is_due(step)]
+    assert all(later - earlier <= max(25, earlier / 100) for earlier, later in pairwise(due_steps))
+    assert sum(due_steps) <= 200 * 200_000
 
 
 STEPS = 30
@@ -31,7 +31,7 @@ STEPS = 30
 
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Any]:
-    """The folder of a whole fit, and its result."""
+    """Return the folder of an uninterrupted fit, and its result."""
     folder = tmp_path_factory.mktemp("whole")
     return folder, run(steps=STEPS, checkpoint=folder / "state.npz")
 
@@ -50,14 +50,10 @@ def resumed(folder: Path) -> Any:
     return run(steps=STEPS, checkpoint=folder / "state.npz", resume=True)
 
 
-def same(one: Any, other: Any) -> None:
-    np.testing.assert_array_equal(one.params["positions"], other.params["positions"])
-    np.testing.assert_array_equal(one.image, other.image)
-    assert [step.value for step in one.history] == [step.value for step in other.history]
-
-
-def damaged(content: bytes, place: int, bit: int, *, torn: bool) -> bytes:
-    return content[:place] if torn else content[:place] + bytes([content[place] ^ (1 << bit)]) + content[place + 1 :]
+def assert_equal_fits(first: Any, second: Any) -> None:
+    np.testing.assert_array_equal(first.params["positions"], second.params["positions"])
+    np.testing.assert_array_equal(first.image, second.image)
+    assert [step.value for step in first.history] == [step.value for step in second.history]
 
 
 def test_a_damaged_checkpoint_is_refused_or_holds_the_same_values(whole: tuple[Path, Any], tmp_path: Path) -> None:
@@ -84,14 +80,14 @@ def test_a_damaged_checkpoint_is_refused_or_holds_the_same_values(whole: tuple[P
 def test_a_torn_checkpoint_stops_the_resumed_fit_and_stays(whole: tuple[Path, Any], tmp_path: Path) -> None:
     file = tmp_path / "state.npz"
     file.write_bytes((whole[0] / "state.npz").read_bytes()[:-1000])
-    before = file.read_bytes()
+    content = file.read_bytes()
     with pytest.raises(CheckpointError, match=r"state\.npz is not a checkpoint .*it is torn") as caught:
         resumed(tmp_path)
     assert "\n" not in str(caught.value)
     assert caught.value.path == str(file)
     assert str(pickle.loads(pickle.dumps(caught.value))) == str(caught.value)  # noqa: S301 - our own
     assert [path.name for path in tmp_path.iterdir()] == ["state.npz"]
-    assert file.read_bytes() == before
+    assert file.read_bytes() == content
 
 
 def test_a_checkpoint_of_another_fit_is_refused(whole: tuple[Path, Any], tmp_path: Path) -> None:
@@ -100,28 +96,26 @@ def test_a_checkpoint_of_another_fit_is_refused(whole: tuple[Path, Any], tmp_pat
         run(steps=STEPS, checkpoint=tmp_path / "state.npz", resume=True, seed=1)
 
 
-def test_a_fit_that_begins_anew_leaves_nothing_of_an_earlier_one_to_resume(
-    whole: tuple[Path, Any], tmp_path: Path
-) -> None:
+def test_a_fit_without_resume_removes_the_checkpoint_of_an_earlier_fit(whole: tuple[Path, Any], tmp_path: Path) -> None:
     shutil.copytree(whole[0], tmp_path, dirs_exist_ok=True)
-    there: list[list[str]] = []
+    files: list[list[str]] = []
 
     def note(step: FitStep, params: Any, image: Any) -> None:
-        there.append(sorted(path.name for path in tmp_path.glob("state*")))
+        files.append(sorted(path.name for path in tmp_path.glob("state*")))
 
     run(steps=2, checkpoint=tmp_path / "state.npz", callback=note)
-    assert there == [[], []]
+    assert files == [[], []]
 
 
 def test_a_fit_that_is_resumed_at_its_end_keeps_the_checkpoint(whole: tuple[Path, Any], tmp_path: Path) -> None:
     shutil.copytree(whole[0], tmp_path, dirs_exist_ok=True)
-    same(resumed(tmp_path), whole[1])
+    assert_equal_fits(resumed(tmp_path), whole[1])
     assert [path.name for path in tmp_path.iterdir()] == ["state.npz"]
-    same(resumed(tmp_path), whole[1])
+    assert_equal_fits(resumed(tmp_path), whole[1])
 
 
 class Diary:
-    """A callback that remembers."""
+    """A callback that remembers the steps that it has handled."""
 
     def __init__(self, stop: int = -1) -> None:
         self.seen: list[int] = []
@@ -141,15 +135,15 @@ class Diary:
 
 
 @pytest.mark.parametrize("stop", [0, 1, 25, 28])
-def test_a_callback_that_was_cut_off_sees_its_step_again_and_remembers_the_others(stop: int, tmp_path: Path) -> None:
+def test_an_interrupted_callback_receives_its_step_again_and_remembers_the_others(stop: int, tmp_path: Path) -> None:
     with pytest.raises(FitInterruptedError):
         run(steps=STEPS, checkpoint=tmp_path / "state.npz", callback=Diary(stop))
-    again = Diary()
-    run(steps=STEPS, checkpoint=tmp_path / "state.npz", resume=True, callback=again)
-    assert again.seen == list(range(STEPS))
+    diary = Diary()
+    run(steps=STEPS, checkpoint=tmp_path / "state.npz", resume=True, callback=diary)
+    assert diary.seen == list(range(STEPS))
 
 
-def test_a_checkpoint_is_one_fits_alone(tmp_path: Path) -> None:
+def test_a_checkpoint_is_used_by_one_fit_at_a_time(tmp_path: Path) -> None:
     file = tmp_path / "state.npz"
 
     def another(step: FitStep, params: Any, image: Any) -> None:
@@ -162,7 +156,7 @@ def test_a_checkpoint_is_one_fits_alone(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("failing", ["mkstemp", "fsync", "replace"])
-def test_a_checkpoint_that_cannot_be_written_leaves_the_last_one(
+def test_a_failed_write_leaves_the_last_checkpoint(
     failing: str, whole: tuple[Path, Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def refuse(*_: object, **__: object) -> None:
@@ -180,4 +174,4 @@ def test_a_checkpoint_that_cannot_be_written_leaves_the_last_one(
     assert no.value.__cause__.errno == 28
     assert len(no.value.result.history) == STEPS  # type: ignore[attr-defined]
     monkeypatch.undo()
-    same(resumed(tmp_path), whole[1])
+    assert_equal_fits(resumed(tmp_path), whole[1])

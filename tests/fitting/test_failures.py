@@ -1,4 +1,4 @@
-"""What breaks a fit is told in one line, and leaves what was found so far."""
+"""An error during a fit is one line and keeps the best result so far."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tests.fitting.fits import Bowl, bad_pullback, run
         ({"pixels": np.zeros(3)}, r"the value of 'pixels' must be an array of shape \(2, 2, 1\), got shape \(3,\)"),
     ],
 )
-def test_a_projection_that_is_none_is_told_so(legal: Any, says: str) -> None:
+def test_a_projection_without_a_valid_array_is_refused(legal: Any, says: str) -> None:
     class Bad(Bowl):
         @property
         def capabilities(self) -> RendererCapabilities:
@@ -44,7 +44,7 @@ def test_a_projection_that_is_none_is_told_so(legal: Any, says: str) -> None:
         ({"pixels": np.zeros((2, 2, 1), int)}, "the gradient of 'pixels' must be floating-point, got int64"),
     ],
 )
-def test_a_renderer_that_breaks_the_contract_is_told_how(gradient: Any, says: str) -> None:
+def test_a_pullback_that_breaks_the_contract_is_refused(gradient: Any, says: str) -> None:
     with pytest.raises(RendererError, match=says):
         fit(bad_pullback(gradient), PixelL2(np.ones((2, 2, 1))), steps=3, learning_rate=1, optimise=["pixels"])
 
@@ -59,7 +59,7 @@ def test_parameters_that_cannot_be_optimised_are_refused(params: Any) -> None:
         fit(Bad(), PixelL2(np.ones((2, 2, 1))), steps=3, learning_rate=1)
 
 
-def test_a_renderer_that_fails_later_leaves_the_best_so_far() -> None:
+def test_a_renderer_that_fails_later_leaves_a_result() -> None:
     class Failing(Bowl):
         calls = 0
 
@@ -77,7 +77,7 @@ def test_a_renderer_that_fails_later_leaves_the_best_so_far() -> None:
 
 
 @pytest.mark.parametrize("broken", ["render", "value"])
-def test_what_fails_after_the_last_step_leaves_the_best_of_all(broken: str, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failure_after_the_last_step_keeps_the_best_result(broken: str, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: object, **__: object) -> None:
         message = "out of memory"
         raise RuntimeError(message)

@@ -1,4 +1,4 @@
-"""A fit goes from far to near by itself, at rates in pixels, and says what came of it."""
+"""A fit uses scales from far to near, rates in pixels, and reports a verdict."""
 
 from __future__ import annotations
 
@@ -37,33 +37,33 @@ def target_of(renderer: Warp, goal: np.ndarray[Any, Any]) -> np.ndarray[Any, Any
     return renderer.render(renderer.parameters() | {"translation": goal})
 
 
-def test_textures_are_no_obstacle_with_nothing_given_but_bounds() -> None:
+def test_a_textured_patch_is_found_with_bounds_alone() -> None:
     renderer, goal, free = scene()
     result = fit(renderer, LOIObjective(target_of(renderer, goal)), steps=160, optimise={"translation": free})
     assert np.hypot(*(result.best_params["translation"] - goal)) < 0.1
-    assert [one.stage for one in result.history] == sorted(one.stage for one in result.history)
+    assert [entry.stage for entry in result.history] == sorted(entry.stage for entry in result.history)
     assert result.diagnosis is not None
     assert result.diagnosis.ok
 
 
-def test_scales_that_were_chosen_are_obeyed() -> None:
+def test_given_scales_and_stages_replace_the_defaults() -> None:
     renderer, goal, free = scene()
     objective = LOIObjective(target_of(renderer, goal), ScaleSpace(1, 5, 0.125))
     result = fit(renderer, objective, steps=5, optimise={"translation": free})
-    assert {one.stage for one in result.history} == {0}
+    assert {entry.stage for entry in result.history} == {0}
     chosen = fit(renderer, objective, steps=5, optimise={"translation": free}, stages=[ScaleSpace(1, 22, 0.125)])
     assert chosen.history[0].value != result.history[0].value
 
 
 @pytest.mark.parametrize("stages", ["far", [3], 7])
-def test_stages_that_are_none_are_refused(stages: Any) -> None:
+def test_invalid_stages_are_refused(stages: Any) -> None:
     renderer, goal, free = scene()
     with pytest.raises(OptionError, match="`stages` must"):
         fit(renderer, LOIObjective(target_of(renderer, goal)), optimise={"translation": free}, stages=stages)
 
 
 @given(st.floats(1e-9, 1e9), st.floats(0.0, 0.2), SEEDS)
-def test_noise_about_a_level_has_settled_and_a_steady_fall_has_not(size: float, noise: float, seed: int) -> None:
+def test_noise_around_a_level_has_settled_and_a_steady_fall_has_not(size: float, noise: float, seed: int) -> None:
     rng = np.random.default_rng(seed)
     falling = size * (1.0 - 0.02 * np.arange(40.0))
     assert not has_settled([*falling], 12)
@@ -73,31 +73,31 @@ def test_noise_about_a_level_has_settled_and_a_steady_fall_has_not(size: float, 
     assert any(has_settled(level[: 40 + 20 * index], 12) for index in range(5))
 
 
-def test_a_schedule_leaves_the_last_stage_time_whatever_the_values_do() -> None:
+def test_a_schedule_leaves_time_for_the_last_stage_for_any_values() -> None:
     schedule = FarToNear(stages=3, steps=100)
-    seen = []
+    stages = []
     for step in range(100):
-        seen.append(schedule.stage)
+        stages.append(schedule.stage)
         schedule.step(1.0 / (1.0 + step))
-    assert seen == sorted(seen)
-    assert seen.count(2) >= 40
+    assert stages == sorted(stages)
+    assert stages.count(2) >= 40
     assert schedule.passed == pytest.approx(1.0, abs=0.05)
 
 
 @pytest.mark.parametrize(("stages", "steps"), [(0, 5), (2, 0), (1.5, 5)])
-def test_a_schedule_of_nothing_is_refused(stages: Any, steps: Any) -> None:
+def test_a_schedule_without_stages_or_steps_is_refused(stages: Any, steps: Any) -> None:
     with pytest.raises(OptionError, match="must be a whole number, 1 or more"):
         FarToNear(stages, steps)
 
 
 @pytest.mark.parametrize("metres", [1e-3, 1.0, 250.0])
-def test_a_unit_is_what_moves_the_image_by_a_pixel_whatever_it_is_called(metres: float) -> None:
+def test_a_measured_unit_moves_the_image_by_a_pixel_in_any_scale_of_the_parameter(metres: float) -> None:
     class Elsewhere(Disks):
         """Positions in other units than pixels."""
 
         def parameters(self) -> Any:
-            own = super().parameters()
-            return own | {"positions": own["positions"] / metres}
+            params = super().parameters()
+            return params | {"positions": params["positions"] / metres}
 
         def render(self, params: Any, *, seed: int = 0) -> Any:
             return super().render(dict(params) | {"positions": params["positions"] * metres}, seed=seed)
@@ -105,13 +105,13 @@ def test_a_unit_is_what_moves_the_image_by_a_pixel_whatever_it_is_called(metres:
     renderer = Elsewhere(HEIGHT, WIDTH, [[20.0, 20.0]], 6.0, [[0.9, 0.4, 0.2]])
     params = renderer.parameters()
     bounds = bounds_of(params, {"positions": Free(lower=0.0, upper=60.0 / metres)})
-    units, side = measure_units([renderer], params, bounds, ["positions"])
+    units, longer_side = measure_units([renderer], params, bounds, ["positions"])
     # Both coordinates move, so the disk goes the root of 2 as far; blurred, its edge is not quite a line.
     assert units["positions"] * metres * np.sqrt(2.0) == pytest.approx(1.0, rel=0.35)
-    assert side == WIDTH
+    assert longer_side == WIDTH
 
 
-def test_what_leaves_no_trace_has_no_unit_and_says_so() -> None:
+def test_a_parameter_without_effect_has_no_unit_and_is_reported() -> None:
     class Moody:
         """A parameter that nothing depends on."""
 
@@ -136,7 +136,7 @@ def test_what_leaves_no_trace_has_no_unit_and_says_so() -> None:
     assert same.diagnosis.verdict == "no gradient"  # the images are alike because nothing in them can differ
 
 
-def test_a_target_that_is_encoded_is_recognised() -> None:
+def test_an_encoded_target_is_recognised() -> None:
     renderer, goal, free = scene()
     dark = Warp(0.5 * renderer.layers, 0.3 * renderer.background)
     target = target_of(dark, goal) ** (1.0 / 2.2)
@@ -145,7 +145,7 @@ def test_a_target_that_is_encoded_is_recognised() -> None:
     assert result.diagnosis.verdict == "other range"
 
 
-def test_pixels_that_do_not_overlap_stall_and_the_verdict_says_it() -> None:
+def test_pixels_without_overlap_stall_and_the_verdict_reports_this() -> None:
     renderer = Disks(HEIGHT, WIDTH, [[12.0, 12.0]], 5.0, [[0.9, 0.4, 0.2]])
     target = renderer.render({**renderer.parameters(), "positions": np.array([[50.0, 36.0]])})
     result = fit(renderer, PixelL2(target), steps=20, optimise={"positions": Free(None, 6.0, 42.0)})
@@ -156,19 +156,19 @@ def test_pixels_that_do_not_overlap_stall_and_the_verdict_says_it() -> None:
 
 
 @pytest.mark.parametrize("steps", [2, 5, 12])
-def test_a_fit_too_short_to_come_back_ends_no_worse_than_it_began(steps: int) -> None:
+def test_a_short_fit_ends_no_worse_than_it_began(steps: int) -> None:
     renderer, goal, free = scene()
     objective = LOIObjective(target_of(renderer, goal))
-    near = Free(goal + 0.2, free.lower, free.upper)
-    result = fit(renderer, objective, steps=steps, optimise={"translation": near})
-    start = renderer.render(renderer.parameters() | {"translation": near.initial})
+    start_near_goal = Free(goal + 0.2, free.lower, free.upper)
+    result = fit(renderer, objective, steps=steps, optimise={"translation": start_near_goal})
+    start = renderer.render(renderer.parameters() | {"translation": start_near_goal.initial})
     assert result.best_value <= float(objective.value(start))
     assert result.best_value == pytest.approx(float(objective.value(result.image)), rel=1e-12)
     assert result.diagnosis is not None
     assert result.diagnosis.left <= 1.0
 
 
-def test_what_stalls_without_bounds_is_told_of_them() -> None:
+def test_a_stalled_fit_without_bounds_is_advised_to_set_them() -> None:
     renderer = Disks(HEIGHT, WIDTH, [[12.0, 12.0]], 5.0, [[0.9, 0.4, 0.2]])
     target = renderer.render({**renderer.parameters(), "positions": np.array([[50.0, 36.0]])})
     result = fit(renderer, PixelL2(target), steps=20, optimise={"positions": Free()})
@@ -176,23 +176,23 @@ def test_what_stalls_without_bounds_is_told_of_them() -> None:
     assert "give 'positions' bounds" in result.diagnosis.advice
 
 
-def test_starts_fill_their_bounds_and_leave_alone_what_does_not_move() -> None:
+def test_starts_fill_their_bounds_and_keep_fixed_numbers() -> None:
     params = {"at": np.array([[1.0, 2.0], [3.0, 4.0]]), "still": np.zeros(3)}
-    low, high = params["at"].copy(), params["at"].copy()
-    low[1], high[1] = -1.0, 5.0
-    starts = draw_starts(params, bounds_of(params, {"at": Free(None, low, high)}), 65)
-    places = np.array([one["at"][1] for one in starts[1:]])
+    lowest, highest = params["at"].copy(), params["at"].copy()
+    lowest[1], highest[1] = -1.0, 5.0
+    starts = draw_starts(params, bounds_of(params, {"at": Free(None, lowest, highest)}), 65)
+    points = np.array([start["at"][1] for start in starts[1:]])
     assert starts[0] is params
-    assert all(np.array_equal(one["at"][0], [1.0, 2.0]) for one in starts)
-    assert places.min() < -0.8
-    assert places.max() > 4.8
-    counts = np.histogram2d(places[:, 0], places[:, 1], bins=4, range=[[-1, 5], [-1, 5]])[0]
-    assert counts.min() >= 2  # of 64 places in 16 boxes
+    assert all(np.array_equal(start["at"][0], [1.0, 2.0]) for start in starts)
+    assert points.min() < -0.8
+    assert points.max() > 4.8
+    counts = np.histogram2d(points[:, 0], points[:, 1], bins=4, range=[[-1, 5], [-1, 5]])[0]
+    assert counts.min() >= 2  # of 64 points in 16 boxes
     with pytest.raises(OptionError, match="`starts` draws within bounds, and 'at' has none"):
         draw_starts(params, bounds_of(params, {"at": Free()}), 2)
 
 
-def test_several_starts_find_what_one_does_not() -> None:
+def test_several_starts_find_a_disk_that_one_start_misses() -> None:
     renderer = Disks(HEIGHT, WIDTH, [[12.0, 12.0]], 5.0, [[0.9, 0.4, 0.2]])
     goal = np.array([[50.0, 36.0]])
     target = renderer.render({**renderer.parameters(), "positions": goal})
@@ -220,15 +220,17 @@ def test_stages_and_searches_are_resumed_to_the_bit(stop: int, tmp_path: Path) -
     with pytest.raises(FitInterruptedError):
         go(checkpoint=file, callback=interrupt)
     resumed = go(checkpoint=file, resume=True)
-    assert [(one.stage, one.value) for one in resumed.history] == [(one.stage, one.value) for one in whole.history]
+    assert [(entry.stage, entry.value) for entry in resumed.history] == [
+        (entry.stage, entry.value) for entry in whole.history
+    ]
     np.testing.assert_array_equal(resumed.best_params["translation"], whole.best_params["translation"])
     assert all(
-        np.array_equal(one.params["translation"], other.params["translation"])
-        for one, other in zip(resumed.history, whole.history, strict=True)
+        np.array_equal(first.params["translation"], second.params["translation"])
+        for first, second in zip(resumed.history, whole.history, strict=True)
     )
 
 
-def test_a_run_may_be_lengthened_and_not_cut_below_what_is_done(tmp_path: Path) -> None:
+def test_a_resumed_fit_may_take_more_steps_but_not_fewer_than_are_done(tmp_path: Path) -> None:
     renderer, goal, free = scene()
     objective, file = LOIObjective(target_of(renderer, goal)), tmp_path / "state.npz"
     options: dict[str, Any] = {"optimise": {"translation": free}, "checkpoint": file}
@@ -239,7 +241,7 @@ def test_a_run_may_be_lengthened_and_not_cut_below_what_is_done(tmp_path: Path) 
         fit(renderer, objective, steps=25, resume=True, **options)
 
 
-def test_noise_in_a_target_is_not_taken_for_its_encoding() -> None:
+def test_noise_in_a_target_is_not_mistaken_for_an_encoding() -> None:
     renderer, goal, free = scene()
     rng = np.random.default_rng(0)
     dark = Warp(renderer.layers, 0.0 * renderer.background)
@@ -250,7 +252,7 @@ def test_noise_in_a_target_is_not_taken_for_its_encoding() -> None:
 
 
 @pytest.mark.parametrize("library", ["python", "numpy", "torch", "jax", "drjit"])
-def test_a_schedule_takes_what_a_loss_of_any_library_returns(library: str) -> None:
+def test_a_schedule_takes_the_loss_values_of_any_library(library: str) -> None:
     def returned(value: float) -> Any:
         if library == "torch":
             return (torch.tensor([value], requires_grad=True) * 1.0).sum()

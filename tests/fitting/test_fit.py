@@ -1,4 +1,4 @@
-"""A fit descends, keeps bounds and the best iterate, can stop and go on, and fails without losing anything."""
+"""A fit minimises the objective, keeps bounds and remembers the best iterate."""
 
 from __future__ import annotations
 
@@ -21,19 +21,21 @@ from tests.helpers import Host
 def test_a_disk_is_found_from_a_start_without_overlap_where_pixels_fail() -> None:
     result = run()
     assert np.abs(result.best_params["positions"] - TARGET).max() < 0.05
-    lost = fit(SCENE, PixelL2(REFERENCE), steps=60, learning_rate=1.5, optimise={"positions": Free(START, 0.0, 32.0)})
-    assert np.abs(lost.best_params["positions"] - TARGET).max() > 5.0
+    from_pixels = fit(
+        SCENE, PixelL2(REFERENCE), steps=60, learning_rate=1.5, optimise={"positions": Free(START, 0.0, 32.0)}
+    )
+    assert np.abs(from_pixels.best_params["positions"] - TARGET).max() > 5.0
 
 
-def test_only_what_is_asked_for_moves() -> None:
+def test_only_the_free_parameters_move() -> None:
     result = run(steps=3)
     for name in ("radii", "colours"):
         np.testing.assert_array_equal(result.params[name], SCENE.parameters()[name])
 
 
-def test_the_best_iterate_is_the_least_of_the_history_and_its_image_fits() -> None:
+def test_the_best_value_is_the_minimum_of_the_history_and_belongs_to_the_image() -> None:
     result = run(steps=25, decay="none")
-    values = [one.value for one in result.history]
+    values = [entry.value for entry in result.history]
     assert len(values) == 25
     assert result.best_value <= min(values)
     np.testing.assert_array_equal(result.image, SCENE.render(result.best_params))
@@ -61,13 +63,13 @@ def test_a_fit_needs_nothing_but_the_array_api() -> None:
 def test_the_same_seed_gives_the_same_fit() -> None:
     first, second = run(steps=10, seed=3), run(steps=10, seed=3)
     np.testing.assert_array_equal(first.params["positions"], second.params["positions"])
-    assert [one.value for one in first.history] == [one.value for one in second.history]
+    assert [entry.value for entry in first.history] == [entry.value for entry in second.history]
 
 
 def test_the_rate_decays_like_half_a_cosine_and_is_the_parameters_own() -> None:
-    rates = [one.rate for one in run(steps=9).history]
+    rates = [entry.rate for entry in run(steps=9).history]
     np.testing.assert_allclose(rates, 1e-3 + (1 - 1e-3) * 0.5 * (1 + np.cos(np.pi * np.arange(9) / 8)))
-    assert [one.rate for one in run(steps=3, decay="none").history] == [1.0] * 3
+    assert [entry.rate for entry in run(steps=3, decay="none").history] == [1.0] * 3
     target = PixelL2(np.full((2, 2, 1), 100.0))
     for rate in (0.25, 2.0):  # the first step of Adam is the rate itself
         result = fit(Bowl(), target, steps=1, learning_rate=9.0, optimise={"pixels": Free(learning_rate=rate)})
@@ -80,8 +82,8 @@ def test_the_parameters_after_the_last_step_count() -> None:
     np.testing.assert_array_equal(result.best_params["pixels"], result.params["pixels"])
 
 
-def test_a_renderer_that_knows_what_is_legal_is_asked_after_every_step() -> None:
-    class Whole(Bowl):
+def test_a_renderer_with_a_projection_projects_after_every_step() -> None:
+    class Rounding(Bowl):
         @property
         def capabilities(self) -> RendererCapabilities:
             return RendererCapabilities(project=self.project)
@@ -89,11 +91,11 @@ def test_a_renderer_that_knows_what_is_legal_is_asked_after_every_step() -> None
         def project(self, params: dict[str, Any]) -> dict[str, Any]:
             return {name: np.round(value) for name, value in params.items()}
 
-    result = fit(Whole(), PixelL2(np.full((2, 2, 1), 100.0)), steps=5, learning_rate=1.4, decay="none")
+    result = fit(Rounding(), PixelL2(np.full((2, 2, 1), 100.0)), steps=5, learning_rate=1.4, decay="none")
     assert result.params["pixels"].tolist() == np.full((2, 2, 1), 5.0).tolist()
 
 
-def test_a_projection_moves_only_what_is_free_and_within_its_bounds(tmp_path: Path) -> None:
+def test_a_projection_moves_only_free_parameters_within_their_bounds(tmp_path: Path) -> None:
     overlapping: Any = 32, 32, [[10.0, 16.0], [13.0, 16.0]], 4.0, [[0.9, 0.6, 0.1], [0.1, 0.6, 0.9]]
     scene = Disks(*overlapping, confine=True)
     assert np.abs(scene.project(scene.parameters())["positions"] - overlapping[2]).max() > 1.0
@@ -132,7 +134,7 @@ def test_parameters_keep_their_dtype_and_shape() -> None:
     ],
     ids=["numpy", "torch", "jax"],
 )
-def test_parameters_of_16_bits_are_fitted_and_resumed(make: Any, tmp_path: Path) -> None:
+def test_parameters_of_16_bits_are_fitted_and_resumed_with_adam(make: Any, tmp_path: Path) -> None:
     make([0.0])  # skips here, and not within a fit, where the framework is not installed
 
     class Half(Bowl):
@@ -154,10 +156,12 @@ def test_parameters_of_16_bits_are_fitted_and_resumed(make: Any, tmp_path: Path)
 
     whole, file = go(), tmp_path / "state.npz"
     assert whole.best_params["level"].dtype == make([0.0]).dtype
-    assert [float(one) for one in whole.best_params["level"]] == pytest.approx([1.0, 0.0], abs=0.05)
+    assert [float(number) for number in whole.best_params["level"]] == pytest.approx([1.0, 0.0], abs=0.05)
     with pytest.raises(FitInterruptedError):
         go(checkpoint=file, callback=stop)
-    assert [one.value for one in go(checkpoint=file, resume=True).history] == [one.value for one in whole.history]
+    assert [entry.value for entry in go(checkpoint=file, resume=True).history] == [
+        entry.value for entry in whole.history
+    ]
 
 
 def test_a_torch_renderer_leaves_no_graph_behind() -> None:
@@ -181,7 +185,7 @@ def test_a_torch_renderer_leaves_no_graph_behind() -> None:
     assert float(result.best_params["level"]) == pytest.approx(1.0, abs=0.05)
 
 
-def test_numbers_of_numpy_are_taken_for_what_they_are() -> None:
+def test_options_may_be_numbers_of_numpy() -> None:
     seeds: list[int] = []
 
     class Single(Bowl):
@@ -200,7 +204,7 @@ def test_numbers_of_numpy_are_taken_for_what_they_are() -> None:
 
 
 @pytest.mark.parametrize("size", [1e-30, 1e30])
-def test_the_norm_of_a_gradient_in_float32_is_right_where_its_square_is_not(size: float) -> None:
+def test_the_gradient_norm_in_float32_is_right_if_its_square_overflows(size: float) -> None:
     class Steep(Bowl):
         def parameters(self) -> dict[str, Any]:
             return {"pixels": np.zeros((2, 2, 1), dtype=np.float32)}
@@ -225,25 +229,25 @@ def test_each_step_renders_with_its_own_seed() -> None:
     assert seeds == [10, 11, 12, 13]
 
 
-def test_a_callback_sees_every_step_and_can_end_the_fit() -> None:
-    seen: list[int] = []
+def test_a_callback_receives_every_step_and_can_end_the_fit() -> None:
+    steps_handled: list[int] = []
 
     def watch(step: FitStep, params: dict[str, Host], image: Host) -> bool:
-        seen.append(step.step)
+        steps_handled.append(step.step)
         np.testing.assert_array_equal(image, SCENE.render(params))
         return step.step == 4
 
     assert len(run(steps=10, callback=watch).history) == 5
-    assert seen == [0, 1, 2, 3, 4]
+    assert steps_handled == [0, 1, 2, 3, 4]
 
 
 @pytest.mark.parametrize(("answer", "steps"), [(np.True_, 1), (np.False_, 3), (None, 3)])
-def test_an_answer_of_a_callback_may_be_a_bool_of_numpy(answer: Any, steps: int) -> None:
+def test_a_callback_may_return_a_bool_of_numpy(answer: Any, steps: int) -> None:
     assert len(run(steps=3, callback=lambda *_: answer).history) == steps
 
 
 @pytest.mark.parametrize("answer", [np.ones(2), np.ones(()), 1, "yes"])
-def test_any_other_answer_of_a_callback_is_refused_and_leaves_the_best_so_far(answer: Any) -> None:
+def test_any_other_return_value_of_a_callback_is_refused_with_a_result(answer: Any) -> None:
     with pytest.raises(FitError, match=r"step 1: .*`callback` must return True .*, got [^\n]+$") as caught:
         run(steps=3, callback=lambda *_: answer)
     result: Any = caught.value.result
@@ -253,8 +257,8 @@ def test_any_other_answer_of_a_callback_is_refused_and_leaves_the_best_so_far(an
 def test_a_step_does_not_copy_the_history() -> None:
     state = State({}, {})
     for step in range(4):
-        before, state = state, state.stepped(FitStep(step, 0.0, 0.0, 1.0, 0.0), {}, state.memory, {})
-        assert state.log is before.log
-        assert [one.step for one in before.history] == list(range(step))
-    again = before.stepped(FitStep(9, 0.0, 0.0, 1.0, 0.0), {}, before.memory, {})
-    assert [one.step for one in again.history] == [0, 1, 2, 9]
+        earlier, state = state, state.stepped(FitStep(step, 0.0, 0.0, 1.0, 0.0), {}, state.memory, {})
+        assert state.log is earlier.log
+        assert [entry.step for entry in earlier.history] == list(range(step))
+    rewritten = earlier.stepped(FitStep(9, 0.0, 0.0, 1.0, 0.0), {}, earlier.memory, {})
+    assert [entry.step for entry in rewritten.history] == [0, 1, 2, 9]

@@ -1,4 +1,4 @@
-"""The seam between a fit and anybody's optimiser."""
+"""A fit uses any optimiser that keeps the protocol."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ def torch_optimiser(name: str, **options: Any) -> Any:
 
 def optax_optimiser(name: str, *arguments: float) -> Any:
     pytest.importorskip("optax")
-    made = getattr(load("optax"), name)(*arguments)
-    return loi_jax.OptaxOptimiser(made)
+    transformation = getattr(load("optax"), name)(*arguments)
+    return loi_jax.OptaxOptimiser(transformation)
 
 
-OTHERS = {
+OPTIMISERS = {
     "torch Adam": lambda: torch_optimiser("Adam"),
     "torch NAdam": lambda: torch_optimiser("NAdam"),
     "torch ASGD": lambda: torch_optimiser("ASGD", t0=3.0),
@@ -49,9 +49,9 @@ def bowl(optimiser: Any, **options: Any) -> Any:
     return fit(Bowl(), PixelL2(GOAL), optimiser=optimiser, **arguments)
 
 
-@pytest.mark.parametrize("name", OTHERS)
-def test_a_fit_goes_by_the_optimiser_that_it_is_given(name: str) -> None:
-    optimiser = OTHERS[name]()
+@pytest.mark.parametrize("name", OPTIMISERS)
+def test_a_fit_uses_the_given_optimiser(name: str) -> None:
+    optimiser = OPTIMISERS[name]()
     assert isinstance(optimiser, Optimiser)
     result = bowl(optimiser, name=name)
     assert result.best_value < 0.1 * result.history[0].value
@@ -59,25 +59,25 @@ def test_a_fit_goes_by_the_optimiser_that_it_is_given(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", ["torch Adam", "optax adam"])
-def test_adam_is_adam_whoever_computes_it(name: str) -> None:
-    ours, theirs = run(steps=20), run(steps=20, optimiser=OTHERS[name]())
-    # Theirs adds 1e-8 to the root of the squares, ours next to nothing: gradients here are of 1e-4 and more.
-    np.testing.assert_allclose(theirs.params["positions"], ours.params["positions"], rtol=0, atol=0.02)
+def test_adam_of_torch_and_optax_gives_the_same_fit(name: str) -> None:
+    own_adam, wrapped_adam = run(steps=20), run(steps=20, optimiser=OPTIMISERS[name]())
+    # The wrapped Adam adds 1e-8 to the root of the squares, the core next to nothing; gradients here exceed 1e-4.
+    np.testing.assert_allclose(wrapped_adam.params["positions"], own_adam.params["positions"], rtol=0, atol=0.02)
 
 
-@pytest.mark.parametrize("name", OTHERS)
-def test_a_fit_that_is_resumed_ends_as_if_it_had_not_stopped(name: str, tmp_path: Path) -> None:
-    whole, file = bowl(OTHERS[name](), name=name), tmp_path / "state.npz"
+@pytest.mark.parametrize("name", OPTIMISERS)
+def test_a_resumed_fit_equals_an_uninterrupted_one_for_any_optimiser(name: str, tmp_path: Path) -> None:
+    whole, file = bowl(OPTIMISERS[name](), name=name), tmp_path / "state.npz"
 
     def stop(step: FitStep, params: Any, image: Any) -> None:
         if step.step == 30:
             raise KeyboardInterrupt
 
     with pytest.raises(FitInterruptedError):
-        bowl(OTHERS[name](), name=name, checkpoint=file, callback=stop)
-    again = bowl(OTHERS[name](), name=name, checkpoint=file, resume=True)
-    assert [one.value for one in again.history] == [one.value for one in whole.history]
-    np.testing.assert_array_equal(again.params["pixels"], whole.params["pixels"])
+        bowl(OPTIMISERS[name](), name=name, checkpoint=file, callback=stop)
+    resumed = bowl(OPTIMISERS[name](), name=name, checkpoint=file, resume=True)
+    assert [entry.value for entry in resumed.history] == [entry.value for entry in whole.history]
+    np.testing.assert_array_equal(resumed.params["pixels"], whole.params["pixels"])
 
 
 @pytest.mark.parametrize("name", ["lbfgs", "polyak_sgd"])
@@ -94,29 +94,29 @@ def test_a_checkpoint_holds_random_keys(tmp_path: Path) -> None:
 
     whole, file = bowl(noisy(), steps=30, decay="none"), tmp_path / "state.npz"
     bowl(noisy(), steps=15, checkpoint=file, decay="none")
-    again = bowl(noisy(), steps=30, checkpoint=file, decay="none", resume=True)
-    np.testing.assert_array_equal(again.params["pixels"], whole.params["pixels"])
+    resumed = bowl(noisy(), steps=30, checkpoint=file, decay="none", resume=True)
+    np.testing.assert_array_equal(resumed.params["pixels"], whole.params["pixels"])
 
 
 @pytest.mark.parametrize(
-    ("one", "other"),
+    ("first", "second"),
     [
-        (Adam, OTHERS["torch Adam"]),
-        (OTHERS["torch Adam"], OTHERS["torch NAdam"]),
-        (OTHERS["torch Adam"], lambda: torch_optimiser("Adam", amsgrad=True)),
-        (OTHERS["optax adam"], Adam),
-        (OTHERS["optax adam"], lambda: optax_optimiser("adamax", 1.0)),
-        (OTHERS["optax adam"], lambda: optax_optimiser("adam", 1.0, 0.8)),
+        (Adam, OPTIMISERS["torch Adam"]),
+        (OPTIMISERS["torch Adam"], OPTIMISERS["torch NAdam"]),
+        (OPTIMISERS["torch Adam"], lambda: torch_optimiser("Adam", amsgrad=True)),
+        (OPTIMISERS["optax adam"], Adam),
+        (OPTIMISERS["optax adam"], lambda: optax_optimiser("adamax", 1.0)),
+        (OPTIMISERS["optax adam"], lambda: optax_optimiser("adam", 1.0, 0.8)),
     ],
 )
-def test_a_checkpoint_of_another_optimiser_is_refused(one: Any, other: Any, tmp_path: Path) -> None:
-    bowl(one(), steps=3, checkpoint=tmp_path / "state.npz")
+def test_a_checkpoint_of_another_optimiser_is_refused(first: Any, second: Any, tmp_path: Path) -> None:
+    bowl(first(), steps=3, checkpoint=tmp_path / "state.npz")
     with pytest.raises(ParameterError, match="`checkpoint` was made with optimiser ="):
-        bowl(other(), steps=6, checkpoint=tmp_path / "state.npz", resume=True)
+        bowl(second(), steps=6, checkpoint=tmp_path / "state.npz", resume=True)
 
 
 class Named:
-    """Its image is its parameters, which may have any names, in any array library."""
+    """A renderer whose image is its parameters, with any names and in any array library."""
 
     def __init__(self, *names: str, zeros: Any = np.zeros, stack: Any = np.stack, copy: Any = np.copy) -> None:
         self.start = {name: zeros((2,)) for name in names}
@@ -134,40 +134,42 @@ class Named:
 
 
 @pytest.mark.parametrize("name", ["Adam", "torch Adam", "optax adam"])
-def test_no_name_of_a_parameter_is_taken_for_another(name: str) -> None:
+def test_parameter_names_with_slashes_do_not_collide(name: str) -> None:
     goal = np.array([[0.3, 0.7], [0.2, 0.5]])[..., None]
-    ends = []
+    results = []
     for names in (("b/c", "b"), ("b", "b/c")):
-        result = fit(Named(*names), PixelL2(goal), steps=20, learning_rate=0.05, optimiser=OTHERS[name]())
-        ends.append([result.params[key].tolist() for key in ("b", "b/c")])
-    assert ends[0] == ends[1]
+        result = fit(Named(*names), PixelL2(goal), steps=20, learning_rate=0.05, optimiser=OPTIMISERS[name]())
+        results.append([result.params[key].tolist() for key in ("b", "b/c")])
+    assert results[0] == results[1]
 
 
-# NumPy, by which JAX takes the tensors of others, has no bfloat16.
+# JAX converts tensors of other libraries through NumPy, which has no bfloat16.
 @pytest.mark.parametrize(
     ("dtype", "name"), [("float16", "torch Adam"), ("float16", "optax adam"), ("bfloat16", "torch Adam")]
 )
-def test_parameters_of_16_bits_are_fitted_and_resumed(dtype: str, name: str, tmp_path: Path) -> None:
+def test_parameters_of_16_bits_are_fitted_and_resumed_with_wrapped_optimisers(
+    dtype: str, name: str, tmp_path: Path
+) -> None:
     goal, file = np.array([[0.3, 0.7]])[..., None], tmp_path / "state.npz"
 
     def go(steps: int, **options: Any) -> Any:
         zeros = functools.partial(torch.zeros, dtype=getattr(torch, dtype))
         renderer = Named("b", zeros=zeros, stack=torch.stack, copy=torch.clone)
-        arguments: dict[str, Any] = {"learning_rate": 0.05, "decay": "none", "optimiser": OTHERS[name]()}
+        arguments: dict[str, Any] = {"learning_rate": 0.05, "decay": "none", "optimiser": OPTIMISERS[name]()}
         return fit(renderer, PixelL2(goal), steps=steps, **arguments, **options)
 
     whole = go(40)
     assert whole.best_value < 0.01 * whole.history[0].value
     go(20, checkpoint=file)
-    again = go(40, checkpoint=file, resume=True)
-    assert [one.value for one in again.history] == [one.value for one in whole.history]
+    resumed = go(40, checkpoint=file, resume=True)
+    assert [entry.value for entry in resumed.history] == [entry.value for entry in whole.history]
 
 
-def test_an_optimiser_may_leave_out_what_does_not_move() -> None:
+def test_an_optimiser_may_leave_out_fixed_parameters() -> None:
     class Moved(Adam):
         def step(self, params: Any, gradient: Any, memory: Any, rates: Any) -> Any:
-            moved, after = super().step(params, gradient, memory, rates)
-            return {name: moved[name] for name in rates}, after
+            moved, updated = super().step(params, gradient, memory, rates)
+            return {name: moved[name] for name in rates}, updated
 
     goal = PixelL2(np.ones((2, 2, 1)))
     result = fit(Named("b", "c"), goal, steps=3, learning_rate=0.1, optimise=["b"], optimiser=Moved())
@@ -175,7 +177,7 @@ def test_an_optimiser_may_leave_out_what_does_not_move() -> None:
     assert np.all(result.params["b"] > 0.0)
 
 
-def test_an_optimiser_that_breaks_loses_nothing() -> None:
+def test_an_error_of_the_optimiser_keeps_the_result() -> None:
     class Broken(Adam):
         def step(self, params: Any, gradient: Any, memory: Any, rates: Any) -> Any:
             if memory["count"] == 3:
@@ -200,6 +202,6 @@ def test_an_optimiser_that_breaks_loses_nothing() -> None:
         (lambda: bowl(Adam), "`optimiser` must be an Optimiser"),
     ],
 )
-def test_what_is_no_optimiser_is_refused(make: Any, says: str) -> None:
+def test_invalid_optimisers_are_refused(make: Any, says: str) -> None:
     with pytest.raises(OptionError, match=says):
         make()

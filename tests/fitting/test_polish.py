@@ -20,7 +20,7 @@ SIZE = 24
 
 
 class Picture:
-    """All pixels are free: what nothing has to travel for."""
+    """A renderer whose pixels are all free."""
 
     def parameters(self) -> dict[str, Any]:
         return {"pixels": np.full((SIZE, SIZE, 3), 0.5)}
@@ -33,10 +33,10 @@ class Picture:
 
 
 def stages_of(result: Any) -> list[int]:
-    return [one.stage for one in result.history]
+    return [entry.stage for entry in result.history]
 
 
-def test_a_texture_ends_nearer_with_a_polish() -> None:
+def test_a_polish_raises_the_psnr_of_a_texture() -> None:
     target = photograph((SIZE, SIZE, 3), np.random.default_rng(5))
     options: dict[str, Any] = {"steps": 300, "optimise": {"pixels": Free(None, 0.0, 1.0, learning_rate=0.02)}}
     alone, polished = (fit(Picture(), LOIObjective(target), polish=polish, **options) for polish in (None, "pixels"))
@@ -45,7 +45,7 @@ def test_a_texture_ends_nearer_with_a_polish() -> None:
     assert polished.psnr > alone.psnr + 10.0
 
 
-def test_pixels_come_last_and_are_compared_as_the_objective_is() -> None:
+def test_pixels_are_compared_in_the_last_stage() -> None:
     result = run(120, polish="pixels")
     stages = stages_of(result)
     assert stages == sorted(stages)
@@ -55,7 +55,7 @@ def test_pixels_come_last_and_are_compared_as_the_objective_is() -> None:
     np.testing.assert_allclose(result.best_params["positions"], TARGET, atol=0.01)
 
 
-def test_weights_tone_and_policy_are_those_of_the_objective() -> None:
+def test_a_polish_uses_the_weights_tone_and_policy_of_the_objective() -> None:
     weights = np.ones(REFERENCE.shape[:2])
     weights[:8] = 0.0
     holed = REFERENCE.copy()
@@ -73,7 +73,7 @@ def test_weights_tone_and_policy_are_those_of_the_objective() -> None:
     assert result.best_value == pytest.approx(float(PixelL2(holed, **options).value(result.image)), abs=1e-15)
 
 
-def test_the_verdict_and_the_search_are_about_the_objective_and_not_about_its_polish() -> None:
+def test_the_verdict_judges_the_objective_and_not_its_polish() -> None:
     renderer, goal, free = scene()
     objective = LOIObjective(target_of(renderer, goal))
     result = fit(renderer, objective, steps=160, optimise={"translation": free}, polish="pixels")
@@ -121,7 +121,7 @@ def test_a_polish_is_never_stuck_and_its_rate_decays_alone() -> None:
 
 
 @pytest.mark.parametrize("polish", ["pixel", 1, PixelL2(REFERENCE)])
-def test_a_polish_that_is_none_is_refused(polish: Any) -> None:
+def test_an_invalid_polish_is_refused(polish: Any) -> None:
     with pytest.raises(OptionError, match="`polish` must be 'pixels' or None"):
         run(polish=polish)
 
@@ -138,7 +138,7 @@ def test_a_polish_needs_a_reference() -> None:
         fit(Bowl(), Sum(), polish="pixels")
 
 
-def test_a_texture_that_has_no_polish_is_told_of_it() -> None:
+def test_a_fit_of_a_texture_is_advised_to_polish() -> None:
     target = photograph((SIZE, SIZE, 3), np.random.default_rng(8))
     free = {"pixels": Free(None, 0.0, 1.0)}
     for steps in (4, 60):  # too few, and enough

@@ -1,4 +1,4 @@
-"""A fit goes on where it stopped, wherever that was."""
+"""A resumed fit equals an uninterrupted one, wherever it was stopped."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ def test_a_checkpoint_that_cannot_be_written_leaves_the_result(
     assert len(caught.value.result.history) == (3 if interrupted else 4)
 
 
-def test_a_fit_that_was_stopped_goes_on_as_if_it_had_not_been(tmp_path: Path) -> None:
+def test_a_resumed_fit_equals_an_uninterrupted_one(tmp_path: Path) -> None:
     whole = run(steps=40)
     file = tmp_path / "state.npz"
 
@@ -56,11 +56,11 @@ def test_a_fit_that_was_stopped_goes_on_as_if_it_had_not_been(tmp_path: Path) ->
     resumed = run(steps=40, checkpoint=file, resume=True)
     np.testing.assert_array_equal(resumed.params["positions"], whole.params["positions"])
     np.testing.assert_array_equal(resumed.best_params["positions"], whole.best_params["positions"])
-    assert [one.value for one in resumed.history] == [one.value for one in whole.history]
+    assert [entry.value for entry in resumed.history] == [entry.value for entry in whole.history]
     assert [path.name for path in tmp_path.iterdir()] == ["state.npz"]
 
 
-def test_a_checkpoint_that_does_not_fit_is_refused(tmp_path: Path) -> None:
+def test_a_checkpoint_of_other_settings_is_refused(tmp_path: Path) -> None:
     file = tmp_path / "state.npz"
     file.write_bytes(b"not a checkpoint")
     with pytest.raises(ParameterError, match="is not a checkpoint of a fit"):
@@ -85,33 +85,33 @@ def test_a_checkpoint_of_another_start_is_refused(tmp_path: Path) -> None:
         run(steps=3, optimise={"positions": Free(np.add(START, 1.0), *bounds)}, checkpoint=file, resume=True)
 
 
-def test_the_order_of_names_is_nothing_to_a_checkpoint(tmp_path: Path) -> None:
+def test_a_checkpoint_does_not_depend_on_the_order_of_names(tmp_path: Path) -> None:
     for names in (["positions", "radii"], ["radii", "positions"]):
         run(steps=3, optimise=names, checkpoint=tmp_path / "state.npz", resume=True)
 
 
-def test_a_fit_removes_what_killed_ones_have_left_of_its_checkpoint(tmp_path: Path) -> None:
-    left = tmp_path / ".loi-unfinished-state-a1b2c3d4.npz"
-    left.write_bytes(b"half of a checkpoint")
+def test_a_fit_removes_unfinished_checkpoints_of_killed_fits(tmp_path: Path) -> None:
+    unfinished = tmp_path / ".loi-unfinished-state-a1b2c3d4.npz"
+    unfinished.write_bytes(b"half of a checkpoint")
     run(steps=2, checkpoint=tmp_path / "state.npz")
     assert [path.name for path in tmp_path.iterdir()] == ["state.npz"]
 
 
-def test_ctrl_c_while_a_fit_is_resumed_leaves_its_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_while_resuming_leaves_the_checkpoint(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def interrupt(*_: object, **__: object) -> None:
         raise KeyboardInterrupt
 
     file = tmp_path / "state.npz"
     run(steps=3, checkpoint=file)
-    before = file.read_bytes()
+    content = file.read_bytes()
     monkeypatch.setattr(Disks, "render", interrupt)
     with pytest.raises(FitInterruptedError) as caught:
         run(steps=3, checkpoint=file, resume=True)
     assert caught.value.result is None
-    assert file.read_bytes() == before
+    assert file.read_bytes() == content
 
 
-def test_ctrl_c_within_a_step_falls_before_it(tmp_path: Path) -> None:
+def test_ctrl_c_within_a_step_discards_that_step(tmp_path: Path) -> None:
     class Interrupted(Disks):
         calls = 0
 
@@ -133,39 +133,39 @@ def test_ctrl_c_within_a_step_falls_before_it(tmp_path: Path) -> None:
     np.testing.assert_array_equal(resumed.params["positions"], whole.params["positions"])
 
 
-# The functions that hold the state, and where they are.
+# The functions that hold the state, and their modules.
 STATEFUL = {"fit", "finished", "step", "advance", "_save", "evaluated", "stepped", "result", "history"}
 HOLDERS = {Path(sys.modules[f"loi_core.fitting.{name}"].__file__ or "") for name in ("loop", "descent", "state")}
 
 
 def interrupted_after(count: int) -> Any:
-    """A trace function that raises KeyboardInterrupt after so many instructions of the loop and of its state."""
-    left = count
+    """Return a trace function that raises KeyboardInterrupt after `count` instructions of the loop and its state."""
+    remaining = count
 
     def trace(frame: FrameType, event: str, _: object) -> Any:
-        nonlocal left
+        nonlocal remaining
         code = frame.f_code
         if code.co_name not in STATEFUL or Path(code.co_filename) not in HOLDERS:
             return None
         frame.f_trace_opcodes = True
         # Python handles no signal between the last value of a function and its return.
         if event == "opcode" and dis.opname[code.co_code[frame.f_lasti]] != "RETURN_VALUE":
-            left -= 1
-            if left == 0:
+            remaining -= 1
+            if remaining == 0:
                 raise KeyboardInterrupt
         return trace
 
     return trace
 
 
-def test_ctrl_c_at_any_instruction_leaves_the_state_after_whole_steps(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_at_any_instruction_leaves_the_state_between_steps(monkeypatch: pytest.MonkeyPatch) -> None:
     saved: list[State] = []
     monkeypatch.setattr("loi_core.fitting.checkpoint.INTERVAL", 1)
     monkeypatch.setattr("loi_core.fitting.checkpoint.save_checkpoint", lambda path, state, *_: saved.append(state))
 
     def go(trace: Any) -> Any:
-        """The result, or the KeyboardInterrupt."""
-        before = sys.gettrace()
+        """Return the result, or the KeyboardInterrupt."""
+        trace_before = sys.gettrace()
         saved.clear()
         free: Any = {"optimise": ["pixels"], "checkpoint": "x"}
         try:
@@ -174,30 +174,30 @@ def test_ctrl_c_at_any_instruction_leaves_the_state_after_whole_steps(monkeypatc
         except KeyboardInterrupt as stop:
             return stop
         finally:
-            sys.settrace(before)
+            sys.settrace(trace_before)
 
     whole = go(sys.gettrace())
-    after = {state.step: state for state in saved}
-    params = [Bowl().parameters()["pixels"], after[1].params["pixels"], after[2].params["pixels"]]
-    kept: set[tuple[int, int]] = set()
+    states = {state.step: state for state in saved}
+    params = [Bowl().parameters()["pixels"], states[1].params["pixels"], states[2].params["pixels"]]
+    observed: set[tuple[int, int]] = set()
     for count in itertools.count(1):
-        end = go(interrupted_after(count))
-        if not isinstance(end, KeyboardInterrupt):
+        outcome = go(interrupted_after(count))
+        if not isinstance(outcome, KeyboardInterrupt):
             break
-        result = getattr(end, "result", None)
+        result = getattr(outcome, "result", None)
         assert (result is None) == (not saved)
         if result is None:
             continue
         last = saved[-1]
         assert last.best is not None
-        kept.add((last.step, last.best.step))
-        assert [one.value for one in result.history] == [one.value for one in whole.history[: last.step]]
-        assert [one.value for one in last.history] == [one.value for one in result.history]
+        observed.add((last.step, last.best.step))
+        assert [entry.value for entry in result.history] == [entry.value for entry in whole.history[: last.step]]
+        assert [entry.value for entry in last.history] == [entry.value for entry in result.history]
         np.testing.assert_array_equal(result.params["pixels"], params[last.step])
         np.testing.assert_array_equal(last.params["pixels"], params[last.step])
         np.testing.assert_array_equal(last.best.params["pixels"], params[last.best.step])
         np.testing.assert_array_equal(result.image, params[result.best_step])
         assert last.memory["count"] == last.step
         for name, value in last.memory.items():
-            np.testing.assert_array_equal(value, after[last.step].memory[name])
-    assert kept == {(1, 0), (2, 1), (2, 2)}
+            np.testing.assert_array_equal(value, states[last.step].memory[name])
+    assert observed == {(1, 0), (2, 1), (2, 2)}

@@ -1,4 +1,4 @@
-"""A fit tells a renderer that asks for it how far it has come."""
+"""A fit announces its steps to renderers that depend on them."""
 
 from __future__ import annotations
 
@@ -19,47 +19,47 @@ FREE = {"positions": Free(START, 0.0, 32.0)}
 
 
 @dataclass
-class Told(Bowl):
-    """Keeps what it is told."""
+class Recording(Bowl):
+    """A renderer that records the announced steps."""
 
     xp: Any = np
     start: Any = field(default_factory=lambda: np.zeros((2, 2, 1)))
-    said: list[tuple[int, int, float | None]] = field(default_factory=list)
+    calls: list[tuple[int, int, float | None]] = field(default_factory=list)
 
     @property
     def capabilities(self) -> RendererCapabilities:
         return RendererCapabilities(at_step=self.at_step)
 
     def at_step(self, step: int, steps: int, value: float | None) -> None:
-        self.said.append((step, steps, value))
+        self.calls.append((step, steps, value))
 
 
-def test_a_renderer_is_told_the_step_and_the_loss_before_it() -> None:
-    renderer = Told()
-    found = fit(renderer, PixelL2(np.ones((2, 2, 1))), steps=3, learning_rate=0.1, optimise=["pixels"])
-    values = [one.value for one in found.history]
-    assert renderer.said == [(0, 3, None), (1, 3, values[0]), (2, 3, values[1])]
+def test_a_renderer_receives_the_step_and_the_previous_loss() -> None:
+    renderer = Recording()
+    result = fit(renderer, PixelL2(np.ones((2, 2, 1))), steps=3, learning_rate=0.1, optimise=["pixels"])
+    values = [entry.value for entry in result.history]
+    assert renderer.calls == [(0, 3, None), (1, 3, values[0]), (2, 3, values[1])]
 
 
-def test_a_renderer_of_several_views_is_told_once() -> None:
-    renderer, objective = Told(), PixelL2(np.ones((2, 2, 1)))
-    views = {"one": renderer, "other": renderer, "still": Bowl()}
+def test_a_renderer_of_several_views_receives_each_step_once() -> None:
+    renderer, objective = Recording(), PixelL2(np.ones((2, 2, 1)))
+    views = {"first": renderer, "second": renderer, "fixed": Bowl()}
     fit(views, dict.fromkeys(views, objective), steps=2, learning_rate=0.1, optimise=["pixels"], views_per_step=1)
-    assert [step for step, *_ in renderer.said] == [0, 1]
+    assert [step for step, *_ in renderer.calls] == [0, 1]
 
 
-def test_the_laps_of_a_race_are_early_steps_of_the_fit() -> None:
-    renderer, objective = Told(), PixelL2(np.ones((2, 2, 1)))
+def test_rounds_of_successive_halving_are_early_steps_of_the_fit() -> None:
+    renderer, objective = Recording(), PixelL2(np.ones((2, 2, 1)))
     fit(renderer, objective, steps=24, optimise={"pixels": Free(None, -1.0, 2.0)}, starts=2, learning_rate=0.1)
-    laps, rest = renderer.said[:-24], renderer.said[-24:]
-    assert laps
-    assert max(step for step, *_ in laps) < 4
-    assert {steps for _, steps, _ in renderer.said} == {24}
-    assert [step for step, *_ in rest] == list(range(24))
+    rounds, fit_calls = renderer.calls[:-24], renderer.calls[-24:]
+    assert rounds
+    assert max(step for step, *_ in rounds) < 4
+    assert {steps for _, steps, _ in renderer.calls} == {24}
+    assert [step for step, *_ in fit_calls] == list(range(24))
 
 
-def test_what_a_renderer_makes_of_it_may_fail_and_leaves_a_result() -> None:
-    class Refuses(Told):
+def test_an_error_of_at_step_keeps_the_result() -> None:
+    class Refuses(Recording):
         def at_step(self, step: int, steps: int, value: float | None) -> None:
             if step == 2:
                 raise RuntimeError
@@ -71,8 +71,8 @@ def test_what_a_renderer_makes_of_it_may_fail_and_leaves_a_result() -> None:
 
 
 @pytest.mark.parametrize("last", [3, 14, 18])
-def test_a_blurred_fit_that_was_stopped_goes_on_as_if_it_had_not_been(last: int, tmp_path: Path) -> None:
-    """Before sigma falls, as it begins to, and while it does."""
+def test_a_resumed_blurred_fit_equals_an_uninterrupted_one(last: int, tmp_path: Path) -> None:
+    """Stop before sigma decreases, when it begins to, and while it decreases."""
     file = tmp_path / "state.npz"
     objective = LOIObjective(REFERENCE, SCALES)
 
@@ -89,5 +89,5 @@ def test_a_blurred_fit_that_was_stopped_goes_on_as_if_it_had_not_been(last: int,
         go(checkpoint=file, callback=stop)
     resumed = go(checkpoint=file, resume=True)
     np.testing.assert_array_equal(resumed.params["positions"], whole.params["positions"])
-    assert [one.value for one in resumed.history] == [one.value for one in whole.history]
-    assert [one.gradient_norm for one in resumed.history] == [one.gradient_norm for one in whole.history]
+    assert [entry.value for entry in resumed.history] == [entry.value for entry in whole.history]
+    assert [entry.gradient_norm for entry in resumed.history] == [entry.gradient_norm for entry in whole.history]

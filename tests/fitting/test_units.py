@@ -1,4 +1,4 @@
-"""Rates in pixels serve what has no edges yet: a grey texture, one colour, an image that is dark."""
+"""Rates in pixels suit images without edges: a grey texture, a uniform colour, a black image."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ SIZE = 32
 BOUNDED = Free(None, 0.0, 1.0)
 
 
-class Shown:
-    """An image that is its parameter, which may be smaller: a texel, a row, or one colour."""
+class Texture:
+    """A renderer whose image is its parameter, broadcast from a texel, a row, or a colour."""
 
     def __init__(self, start: Any) -> None:
         self.start = np.asarray(start, dtype=np.float64)
@@ -35,8 +35,8 @@ class Shown:
         return self.render(params), lambda gradient: {"texels": np.sum(gradient, axis=axes, keepdims=True)}
 
 
-def grey(*shape: int) -> Shown:
-    return Shown(np.full(shape, 0.5))
+def grey(*shape: int) -> Texture:
+    return Texture(np.full(shape, 0.5))
 
 
 @pytest.mark.parametrize("free", [BOUNDED, Free()], ids=["bounded", "unbounded"])
@@ -50,21 +50,21 @@ def test_a_grey_texture_is_found_at_the_default_rate(free: Free, steps: int) -> 
     assert result.psnr > 20.0
 
 
-def test_one_colour_is_found_at_the_default_rate() -> None:
+def test_a_uniform_colour_is_found_at_the_default_rate() -> None:
     target = np.broadcast_to([0.9, 0.2, 0.4], (SIZE, SIZE, 3)).copy()
     result = fit(grey(1, 1, 3), LOIObjective(target), steps=100, optimise={"texels": BOUNDED})
     np.testing.assert_allclose(result.best_params["texels"].ravel(), [0.9, 0.2, 0.4], atol=0.02)
 
 
-def test_what_is_black_everywhere_has_a_rate() -> None:
+def test_a_black_texture_has_a_rate() -> None:
     target = photograph((SIZE, SIZE, 3), np.random.default_rng(4))
-    result = fit(Shown(np.zeros((SIZE, SIZE, 3))), PixelL2(target), steps=100, optimise={"texels": BOUNDED})
+    result = fit(Texture(np.zeros((SIZE, SIZE, 3))), PixelL2(target), steps=100, optimise={"texels": BOUNDED})
     assert result.psnr is not None
     assert result.psnr > 30.0
 
 
 @pytest.mark.parametrize("brightness", [1e-3, 1.0, 1e3])
-def test_how_bright_a_target_is_has_no_part_in_how_far_an_object_moves(brightness: float) -> None:
+def test_the_unit_of_a_position_does_not_depend_on_the_brightness_of_the_target(brightness: float) -> None:
     disk = Disks(48, 64, [[20.0, 20.0]], 6.0, [[0.9, 0.4, 0.2]])
     params = disk.parameters()
     bounds = bounds_of(params, {"positions": Free(lower=0.0, upper=64.0)})
@@ -74,9 +74,9 @@ def test_how_bright_a_target_is_has_no_part_in_how_far_an_object_moves(brightnes
     assert units == alone
 
 
-def test_one_flat_view_says_nothing_beside_one_that_is_not() -> None:
-    class Lit:
-        """A picture, as bright as its parameter says."""
+def test_a_flat_view_does_not_change_the_unit_from_another_view() -> None:
+    class Exposed:
+        """A picture multiplied by its parameter."""
 
         def __init__(self, picture: Any) -> None:
             self.picture = picture
@@ -84,28 +84,28 @@ def test_one_flat_view_says_nothing_beside_one_that_is_not() -> None:
         def render(self, params: Any, *, seed: int = 0) -> Any:
             return self.picture * params["exposure"]
 
-    picture = Lit(photograph((SIZE, SIZE, 3), np.random.default_rng(6)))
-    plain = Lit(np.full((SIZE, SIZE, 3), 0.5))
+    picture = Exposed(photograph((SIZE, SIZE, 3), np.random.default_rng(6)))
+    plain = Exposed(np.full((SIZE, SIZE, 3), 0.5))
     params = {"exposure": np.asarray(1.0)}
-    alone, both, flat = (
+    alone, with_flat_view, flat = (
         measure_units(views, params, None, ["exposure"])[0] for views in ([picture], [picture, plain], [plain])
     )
-    assert both == alone
+    assert with_flat_view == alone
     assert flat == {"exposure": 1.0 / SIZE}
 
 
-def test_pixels_of_a_target_that_are_not_finite_are_passed_over() -> None:
+def test_non_finite_pixels_of_a_target_are_ignored() -> None:
     target = photograph((SIZE, SIZE, 3), np.random.default_rng(7))
     holed = target.copy()
     holed[4:9, 4:9] = np.nan
     renderer = grey(SIZE, SIZE, 3)
     params = renderer.parameters()
     whole, _ = measure_units([renderer], params, None, ["texels"], targets=[target])
-    other, _ = measure_units([renderer], params, None, ["texels"], targets=[holed])
-    assert other["texels"] == pytest.approx(whole["texels"], rel=0.3)
+    masked, _ = measure_units([renderer], params, None, ["texels"], targets=[holed])
+    assert masked["texels"] == pytest.approx(whole["texels"], rel=0.3)
 
 
-def test_a_renderer_that_refuses_a_value_is_told_with_the_parameter_that_has_it() -> None:
+def test_an_error_while_measuring_a_unit_names_the_parameter() -> None:
     class Strict(Disks):
         def render(self, params: Any, *, seed: int = 0) -> Any:
             if np.max(params["radii"]) > 6.0:

@@ -32,7 +32,7 @@ class BrokenPromiseError(AssertionError):
     """A promise does not hold."""
 
 
-class TimeoutError_(BaseException):  # noqa: N801 - not an Exception, so that no reader takes it for damage
+class TimeLimitError(BaseException):  # not an Exception, so that no reader takes it for damage
     """The time for an input is over."""
 
 
@@ -67,13 +67,13 @@ class Marked:
         return (open, (self.marker, "w"))
 
 
-def check(kind: Kind, seed: int, root: Path) -> str:
+def check(inputs: Kind, seed: int, root: Path) -> str:
     """Run one input; return the kind of answer, or raise BrokenPromiseError with the seed that repeats it."""
     folder = root / "input"
     folder.mkdir()
     try:
-        call = kind.make(random.Random(f"{kind.name} {seed}"), folder)  # noqa: S311 - nothing is secret
-        before = _files(folder)
+        call = inputs.make(random.Random(f"{inputs.name} {seed}"), folder)  # noqa: S311 - nothing is secret
+        files_before = _files(folder)
         with _time_limit(), warnings.catch_warnings():
             warnings.simplefilter("error")
             try:
@@ -82,15 +82,15 @@ def check(kind: Kind, seed: int, root: Path) -> str:
                 message, answer = str(error), type(error).__name__
                 if not message.strip() or "Traceback" in message or len(message) > 20_000:
                     _fail(f"the error is {message[:200]!r}")
-        after = _files(folder)
+        files_after = _files(folder)
         if (folder / MARKER).exists():
             _fail("a file was executed")
-        if not kind.writes and after != before:
-            _fail(f"files were created or removed: {sorted(after ^ before)}")
-        if any(Path(name).name.startswith(".") for name in after - before):
-            _fail(f"temporary files were left: {sorted(after - before)}")
+        if not inputs.writes and files_after != files_before:
+            _fail(f"files were created or removed: {sorted(files_after ^ files_before)}")
+        if any(Path(name).name.startswith(".") for name in files_after - files_before):
+            _fail(f"temporary files were left: {sorted(files_after - files_before)}")
     except Exception as error:
-        error.add_note(f"kind {kind.name!r}, seed {seed}")
+        error.add_note(f"kind {inputs.name!r}, seed {seed}")
         raise
     finally:
         shutil.rmtree(folder, ignore_errors=True)
@@ -108,14 +108,14 @@ def _files(folder: Path) -> set[str]:
 @contextlib.contextmanager
 def _time_limit() -> Iterator[None]:
     def stop(_: int, __: FrameType | None) -> None:
-        raise TimeoutError_
+        raise TimeLimitError
 
-    before = signal.signal(signal.SIGALRM, stop)
+    handler = signal.signal(signal.SIGALRM, stop)
     signal.setitimer(signal.ITIMER_REAL, MAX_SECONDS)
     try:
         yield
-    except TimeoutError_:
+    except TimeLimitError:
         _fail(f"the call takes more than {MAX_SECONDS} s")
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
+        signal.signal(signal.SIGALRM, handler)

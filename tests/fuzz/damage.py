@@ -20,17 +20,17 @@ def damaged(rng: random.Random, content: bytes, max_faults: int = 4) -> bytes:
         # Headers are short and decide most: half of all faults are there.
         start = rng.randrange(1 + (min(len(content), 64) if rng.random() < 0.5 else len(content)))
         size = rng.choice((1, 4, 32, 256))
-        before, piece, after = content[:start], content[start : start + size], content[start + size :]
+        head, piece, tail = content[:start], content[start : start + size], content[start + size :]
         extreme = rng.choice(EXTREMES)
         content = rng.choice(
             (
-                before,
-                before + bytes(byte ^ (1 << rng.randrange(8)) for byte in piece[:2]) + piece[2:] + after,
-                before + extreme + content[start + len(extreme) :],
-                before + after,
-                before + piece * rng.choice((2, 50)) + after,
-                before + rng.randbytes(size) + piece + after,
-                before + rng.randbytes(len(piece)) + after,
+                head,
+                head + bytes(byte ^ (1 << rng.randrange(8)) for byte in piece[:2]) + piece[2:] + tail,
+                head + extreme + content[start + len(extreme) :],
+                head + tail,
+                head + piece * rng.choice((2, 50)) + tail,
+                head + rng.randbytes(size) + piece + tail,
+                head + rng.randbytes(len(piece)) + tail,
             )
         )
     return content

@@ -28,7 +28,7 @@ COMPRESSIONS = (
     *(OpenEXR.DWAA_COMPRESSION, OpenEXR.DWAB_COMPRESSION),
 )
 DTYPES = ("<f8", ">f8", "<f4", ">f2", "|u1", "<u2", "<i8", "|b1", "<c16", "<U3", "|O", "|S0", "|V0", "<M8[s]")
-SIDES = (0, 1, 2, 3, 4, 7, -1, 2**31, 2**62, 2**63, 10**30, 8192, 65537, True, "'a'", 1.5, "1" * 5000)
+LENGTHS = (0, 1, 2, 3, 4, 7, -1, 2**31, 2**62, 2**63, 10**30, 8192, 65537, True, "'a'", 1.5, "1" * 5000)
 
 
 def reading(path: Path, content: bytes) -> Call:
@@ -67,9 +67,9 @@ def pngs(rng: random.Random, folder: Path) -> Call:
     return reading(folder / "image.png", content[:8] + b"".join(png_chunk(*chunk) for chunk in chunks))
 
 
-def png_chunk(kind: bytes, data: bytes) -> bytes:
+def png_chunk(name: bytes, data: bytes) -> bytes:
     """Return a chunk of a PNG with its checksum."""
-    return struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data))
+    return struct.pack(">I", len(data)) + name + data + struct.pack(">I", zlib.crc32(name + data))
 
 
 def jpegs(rng: random.Random, folder: Path) -> Call:
@@ -82,7 +82,7 @@ def jpegs(rng: random.Random, folder: Path) -> Call:
 
 @functools.cache
 def whole_exr(number: int) -> bytes:
-    """Return one of many EXR files: every compression, several sets of channels, in scan lines or tiles, in parts."""
+    """Return an EXR file of any compression and channels, in scan lines or tiles, with one or two parts."""
     rng = random.Random(number)  # noqa: S311 - nothing is secret
     header = {"compression": COMPRESSIONS[number % len(COMPRESSIONS)], "type": OpenEXR.scanlineimage}
     if rng.random() < 0.4:
@@ -92,10 +92,12 @@ def whole_exr(number: int) -> bytes:
         name: noise.random((*size, *depth)).astype(rng.choice((np.float32, np.float16)))
         for name, depth in rng.choice(([("RGB", (3,))], [("RGBA", (4,))], [("Y", ())], [("RGB", (3,)), ("Z", ())]))
     }
-    parts = [OpenEXR.Part(dict(header), dict(channels), name) for name in ("first", "second")[: rng.choice((1, 1, 2))]]
+    exr_parts = [
+        OpenEXR.Part(dict(header), dict(channels), name) for name in ("first", "second")[: rng.choice((1, 1, 2))]
+    ]
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "whole.exr"
-        with OpenEXR.File(parts) as file:
+        with OpenEXR.File(exr_parts) as file:
             file.write(str(path))
         return path.read_bytes()
 
@@ -121,7 +123,7 @@ def npys(rng: random.Random, folder: Path) -> Call:
         np.save(stream, np.array([[Marked(folder)]], dtype=object), allow_pickle=True)
         return reading(folder / "image.npy", rng.choice((stream.getvalue(), pickle.dumps(Marked(folder)))))
     if rng.random() < 0.4:
-        shape = ", ".join(str(rng.choice(SIDES)) for _ in range(rng.randint(0, 5)))
+        shape = ", ".join(str(rng.choice(LENGTHS)) for _ in range(rng.randint(0, 5)))
         header = f"{{'descr': '{rng.choice(DTYPES)}', 'fortran_order': {rng.random() < 0.5}, 'shape': ({shape},)}}"
         length = struct.pack("<H", rng.choice((len(header), len(header), 65535, 0)) % 65536)
         content = b"\x93NUMPY\x01\x00" + length + header.encode() + bytes(rng.choice((0, 8, 480, 4096)))
@@ -136,13 +138,13 @@ def npys(rng: random.Random, folder: Path) -> Call:
 def bombs(rng: random.Random, folder: Path) -> Call:
     """Small files that claim to be huge."""
     height, width = (rng.choice((5, 5, 9000, 13000, 50000, 65500, 2**20, 2**31 - 1)) for _ in range(2))
-    kind = rng.choice(("png", "jpeg", "exr"))
-    if kind == "png":
+    suffix = rng.choice(("png", "jpeg", "exr"))
+    if suffix == "png":
         header = struct.pack(">IIBBBBB", width, height, 8, rng.choice((0, 2, 6)), 0, 0, rng.choice((0, 1)))
         chunks = [(b"IHDR", header), (b"IDAT", zlib.compress(bytes(2**20))), (b"IEND", b"")]
         content = b"\x89PNG\r\n\x1a\n" + b"".join(png_chunk(*chunk) for chunk in chunks)
         return reading(folder / "image.png", content)
-    if kind == "jpeg":
+    if suffix == "jpeg":
         stream = io.BytesIO()
         Image.fromarray(_pixels(rng, 3)).save(stream, format="JPEG", progressive=True)
         changed = bytearray(stream.getvalue())

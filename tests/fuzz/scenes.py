@@ -1,4 +1,4 @@
-"""Scene files: damaged ones, and ones in which any key has any value."""
+"""Damaged scene files, and scene files with any value for any key."""
 
 from __future__ import annotations
 
@@ -111,7 +111,7 @@ def damaged_scenes(rng: random.Random, folder: Path) -> Call:
 
 
 def values(rng: random.Random, folder: Path) -> Call:
-    """Scenes in which some keys have other values, or tables other keys."""
+    """Scenes with other values for some keys, or other keys in some tables."""
     lay_out(folder)
     document = copy.deepcopy(SCENE)
     if rng.random() < 0.3:

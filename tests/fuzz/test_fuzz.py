@@ -23,9 +23,9 @@ KINDS = (
 )
 
 
-@pytest.mark.parametrize("kind", KINDS, ids=lambda kind: kind.name)
-def test_every_input_ends_in_an_answer_or_one_of_our_errors(kind: Kind, tmp_path: Path) -> None:
+@pytest.mark.parametrize("inputs", KINDS, ids=lambda inputs: inputs.name)
+def test_every_input_ends_in_an_answer_or_one_of_our_errors(inputs: Kind, tmp_path: Path) -> None:
     assert settings.default is not None
-    count = settings.default.max_examples * kind.weight // 2
-    answers = {check(kind, seed, tmp_path) for seed in range(count)}
+    count = settings.default.max_examples * inputs.weight // 2
+    answers = {check(inputs, seed, tmp_path) for seed in range(count)}
     assert not all(answer.endswith("Error") for answer in answers)  # some inputs are good

@@ -81,7 +81,7 @@ def test_an_npy_of_elements_without_size_does_not_end_the_process(dtype: str, tm
 
 def test_warnings_of_decoders_are_not_shown_beside_our_error(tmp_path: Path) -> None:
     header = b"\x00\x00\x32\xc8\x00\x00\x23\x28\x08\x02\x00\x00\x00"  # 13000 x 9000
-    chunks = b"".join(png_chunk(kind, data) for kind, data in ((b"IHDR", header), (b"IDAT", b""), (b"IEND", b"")))
+    chunks = b"".join(png_chunk(name, data) for name, data in ((b"IHDR", header), (b"IDAT", b""), (b"IEND", b"")))
     (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n" + chunks)
     with warnings.catch_warnings():
         warnings.simplefilter("error")

@@ -1,4 +1,4 @@
-"""Image files come in as documented, go out whole, and are refused in one line when they are not images."""
+"""Image files are read as documented, written whole, and refused in one line if they are damaged."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ from loi_core.io.images import read_image, write_png
 RGB = np.random.default_rng(0).integers(0, 256, (5, 7, 3), dtype=np.uint8)
 
 
-def test_png_comes_back_as_it_went_out(tmp_path: Path) -> None:
+def test_a_png_is_read_as_it_was_written(tmp_path: Path) -> None:
     write_png(tmp_path / "a.png", RGB / 255.0)
     np.testing.assert_array_equal(read_image(tmp_path / "a.png"), RGB / 255.0)
 
 
-def test_what_cannot_be_shown_is_clipped_on_writing(tmp_path: Path) -> None:
+def test_values_beyond_the_display_range_are_clipped_on_writing(tmp_path: Path) -> None:
     image = np.array([[[-1.0, 2.0, np.nan]]])
     write_png(tmp_path / "a.png", image)
     assert read_image(tmp_path / "a.png").tolist() == [[[0.0, 1.0, 0.0]]]
 
 
-def test_grey_opacity_and_sixteen_bits_are_understood(tmp_path: Path) -> None:
+def test_grey_opacity_and_sixteen_bits_are_read(tmp_path: Path) -> None:
     Image.fromarray(RGB[..., 0]).save(tmp_path / "grey.png")
     np.testing.assert_array_equal(read_image(tmp_path / "grey.png"), np.repeat(RGB[..., :1] / 255.0, 3, axis=2))
     Image.fromarray(np.concatenate([RGB, RGB[..., :1]], axis=-1)).save(tmp_path / "rgba.png")
@@ -39,14 +39,14 @@ def test_grey_opacity_and_sixteen_bits_are_understood(tmp_path: Path) -> None:
     np.testing.assert_allclose(read_image(tmp_path / "deep.png")[..., 0], RGB[..., 0] / 255.0)
 
 
-def test_sixteen_bits_in_colour_are_refused_rather_than_cut(tmp_path: Path) -> None:
+def test_colours_of_sixteen_bits_are_refused_rather_than_cut_to_eight(tmp_path: Path) -> None:
     header = struct.pack(">IIBBBBB", 1, 1, 16, 2, 0, 0, 0)
     (tmp_path / "deep.png").write_bytes(png(header, bytes(7)))
     with pytest.raises(ImageFileError, match="PNGs of 16 bits are read only in grey"):
         read_image(tmp_path / "deep.png")
 
 
-def test_jpeg_is_turned_as_every_viewer_shows_it(tmp_path: Path) -> None:
+def test_a_jpeg_is_rotated_by_its_exif_orientation(tmp_path: Path) -> None:
     picture = Image.fromarray(np.zeros((8, 16, 3), dtype=np.uint8))
     exif = picture.getexif()
     exif[0x0112] = 6
@@ -62,7 +62,7 @@ def test_integers_of_unknown_scale_are_refused(tmp_path: Path) -> None:
         read_image(tmp_path / "i64.npy")
 
 
-def test_an_exr_without_colour_says_what_it_has(tmp_path: Path) -> None:
+def test_an_exr_without_colours_is_refused_with_its_channels(tmp_path: Path) -> None:
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     with OpenEXR.File(header, {"depth": np.zeros((4, 4), dtype=np.float32)}) as file:
         file.write(str(tmp_path / "d.exr"))
@@ -70,7 +70,7 @@ def test_an_exr_without_colour_says_what_it_has(tmp_path: Path) -> None:
         read_image(tmp_path / "d.exr")
 
 
-def test_jpeg_is_read_within_its_compression(tmp_path: Path) -> None:
+def test_a_jpeg_is_read_within_the_error_of_its_compression(tmp_path: Path) -> None:
     Image.fromarray(np.full((16, 16, 3), 100, dtype=np.uint8)).save(tmp_path / "a.jpg", quality=95)
     np.testing.assert_allclose(read_image(tmp_path / "a.jpg"), 100 / 255.0, atol=2 / 255)
 
@@ -91,8 +91,8 @@ def test_exr_and_npy_keep_their_values(tmp_path: Path) -> None:
 def png(header: bytes, data: bytes) -> bytes:
     """A PNG with this header chunk and these uncompressed rows."""
 
-    def chunk(kind: bytes, content: bytes) -> bytes:
-        return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+    def chunk(name: bytes, content: bytes) -> bytes:
+        return struct.pack(">I", len(content)) + name + content + struct.pack(">I", zlib.crc32(name + content))
 
     signature = b"\x89PNG\r\n\x1a\n"
     return signature + chunk(b"IHDR", header) + chunk(b"IDAT", zlib.compress(data)) + chunk(b"IEND", b"")
@@ -171,7 +171,7 @@ def test_files_are_written_whole_or_not_at_all(tmp_path: Path) -> None:
         (8193, 8192, "more than the 67108864"),
     ],
 )
-def test_what_an_image_claims_is_bounded_before_memory_is_taken(
+def test_the_claimed_size_of_an_image_is_checked_before_allocation(
     width: int, height: int, says: str, tmp_path: Path
 ) -> None:
     (tmp_path / "a.png").write_bytes(png(struct.pack(">IIBBBBB", width, height, 8, 2, 0, 0, 0), b""))
@@ -180,11 +180,11 @@ def test_what_an_image_claims_is_bounded_before_memory_is_taken(
 
 
 @pytest.mark.parametrize("mode", ["RGB", "L", "1", "P"])
-def test_a_flat_image_is_no_bomb(mode: str, tmp_path: Path) -> None:
+def test_a_large_flat_image_is_read(mode: str, tmp_path: Path) -> None:
     Image.new(mode, (1500, 1500)).save(tmp_path / "a.png", optimize=True)
     assert read_image(tmp_path / "a.png").shape == (1500, 1500, 3)
 
 
-def test_a_path_may_be_a_text(tmp_path: Path) -> None:
+def test_a_path_may_be_a_string(tmp_path: Path) -> None:
     np.save(tmp_path / "image.npy", np.zeros((2, 3, 3)))
     assert read_image(str(tmp_path / "image.npy")).shape == (2, 3, 3)

@@ -1,4 +1,4 @@
-"""A fit changes the files that a fit has written, and no others."""
+"""A fit writes only to folders that are empty or that a fit has marked."""
 
 from __future__ import annotations
 
@@ -52,25 +52,25 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def assets(folder: Path) -> Path:
-    """A folder that somebody keeps pictures in, under names that a fit has for its own."""
+    """Return a folder with pictures that have the names of a fit's files."""
     for name in ("frames/000000.png", "frames/000001.png", "effects/shadows.png", "final.png", "note.txt"):
         (folder / name).parent.mkdir(parents=True, exist_ok=True)
         (folder / name).write_bytes(b"mine")
     return folder
 
 
-def test_a_folder_that_somebody_keeps_files_in_is_refused_and_stays_as_it_is(
+def test_a_foreign_folder_is_refused_and_unchanged(
     scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    mine = assets(tmp_path / "assets")
-    before = contents(mine)
-    assert main(["fit", str(scene), "--output", str(mine)]) == 2
+    foreign = assets(tmp_path / "assets")
+    content = contents(foreign)
+    assert main(["fit", str(scene), "--output", str(foreign)]) == 2
     assert "new or empty folder" in capsys.readouterr().err
-    assert contents(mine) == before
+    assert contents(foreign) == content
 
 
 @pytest.mark.parametrize("output", ["../x", "a/../../x", "/x", "linked"])
-def test_the_output_that_a_scene_names_lies_in_its_folder(
+def test_the_output_of_a_scene_lies_in_its_folder(
     output: str, scene: Path, tmp_path_factory: pytest.TempPathFactory, capsys: pytest.CaptureFixture[str]
 ) -> None:
     (scene.parent / "linked").symlink_to(tmp_path_factory.mktemp("outside"), target_is_directory=True)
@@ -79,16 +79,16 @@ def test_the_output_that_a_scene_names_lies_in_its_folder(
     assert "must lie in the folder of the scene" in capsys.readouterr().err
 
 
-def test_a_fit_that_was_killed_before_its_first_result_can_go_on(scene: Path) -> None:
+def test_a_fit_killed_before_its_first_result_can_be_resumed(scene: Path) -> None:
     result = scene.parent / "result"
     assert main(["fit", str(scene)]) in FINISHED
-    kept = (result / "checkpoint.npz").read_bytes()
+    checkpoint = (result / "checkpoint.npz").read_bytes()
     for path in sorted(result.rglob("*"), reverse=True):
         path.rmdir() if path.is_dir() else path.unlink()
     left = result / ".loi-unfinished-checkpoint-a1b2c3d4.npz"
     left.write_bytes(b"half")
     ResultFolder(result).claim()
-    (result / "checkpoint.npz").write_bytes(kept)
+    (result / "checkpoint.npz").write_bytes(checkpoint)
     assert main(["fit", str(scene), "--resume"]) in FINISHED
     assert not left.exists()
 
@@ -104,16 +104,16 @@ def test_the_folder_is_marked_before_the_checkpoint_is_written(scene: Path, monk
 
 
 def test_a_folder_that_only_holds_a_foreign_checkpoint_is_refused(scene: Path, tmp_path: Path) -> None:
-    mine = tmp_path / "models"
-    mine.mkdir()
-    (mine / "checkpoint.npz").write_bytes(b"mine")
-    (mine / ".checkpoint-20251122.npz").write_bytes(b"mine")
-    before = contents(mine)
-    assert main(["fit", str(scene), "--output", str(mine)]) == 2
-    assert contents(mine) == before
+    foreign = tmp_path / "models"
+    foreign.mkdir()
+    (foreign / "checkpoint.npz").write_bytes(b"mine")
+    (foreign / ".checkpoint-20251122.npz").write_bytes(b"mine")
+    content = contents(foreign)
+    assert main(["fit", str(scene), "--output", str(foreign)]) == 2
+    assert contents(foreign) == content
 
 
-def test_a_report_that_somebody_wrote_is_not_replaced(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_foreign_report_is_not_replaced(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["fit", str(scene)]) in FINISHED
     result = scene.parent / "result"
     (result / MARKER_FILE).unlink()
@@ -132,13 +132,13 @@ def test_only_temporaries_of_the_file_itself_are_removed(tmp_path: Path) -> None
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(names[1:])
 
 
-def test_a_terminal_obeys_no_title_and_no_path(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_control_characters_in_titles_and_paths_are_escaped(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
     folder = scene.parent / "out\x1b[2J"
     assert main(["fit", str(scene), "--output", str(folder)]) in FINISHED
     assert main(["report", str(folder)]) == 0
-    said = capsys.readouterr()
-    assert all(one.isprintable() or one == "\n" for one in said.out)
-    assert "\\x1b[31m red \\u202e title" in said.out
+    printed = capsys.readouterr()
+    assert all(letter.isprintable() or letter == "\n" for letter in printed.out)
+    assert "\\x1b[31m red \\u202e title" in printed.out
 
 
 def secret_page(folder: Path) -> str:
@@ -146,16 +146,16 @@ def secret_page(folder: Path) -> str:
     return (folder / "report.html").read_text() if (folder / "report.html").exists() else ""
 
 
-def test_a_report_shows_nothing_of_other_folders(
+def test_a_report_shows_no_files_of_other_folders(
     scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     write_png(tmp_path / "secret.png", np.full((2, 2, 3), 0.123))
     hidden = (tmp_path / "secret.png").read_bytes()
     assert main(["fit", str(scene)]) in FINISHED
     result = scene.parent / "result"
-    told = json.loads((result / "result.json").read_text())
-    told |= {"plan": "p", "effects": {"../../secret": True, "/etc/x": True, "..": True}}
-    (result / "result.json").write_text(json.dumps(told))
+    summary = json.loads((result / "result.json").read_text())
+    summary |= {"plan": "p", "effects": {"../../secret": True, "/etc/x": True, "..": True}}
+    (result / "result.json").write_text(json.dumps(summary))
     assert base64.b64encode(hidden).decode() not in secret_page(result)
     (result / "final.png").unlink()
     (result / "final.png").symlink_to(tmp_path / "secret.png")
@@ -166,7 +166,7 @@ def test_a_report_shows_nothing_of_other_folders(
     assert not (result / "report.html").exists()
 
 
-def test_a_report_is_not_made_of_gigabytes(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_report_refuses_pictures_of_gigabytes(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["fit", str(scene)]) in FINISHED
     picture = scene.parent / "result" / "target.png"
     os.truncate(picture, 3 * 2**30)  # sparse: it takes no room

@@ -179,9 +179,9 @@ def starve(fits: Fits, how: str, moments: int) -> Outcome:
 
 if __name__ == "__main__":
     sys.modules["loi_core.fitting.checkpoint"].INTERVAL = 5  # type: ignore[attr-defined]  # many in a short fit
-    place, scene_name, action, *options = sys.argv[1:]
+    folder_name, scene_name, action, *options = sys.argv[1:]
     stdout, sys.stdout = sys.stdout, sys.stderr
-    stopped_fits = Fits(Path(place), scene_name)
+    stopped_fits = Fits(Path(folder_name), scene_name)
     if action == "kill":
         outcome = kill(stopped_fits, int(options[0]))
     else:

@@ -51,7 +51,7 @@ def fit_killed_and_whole(scene: Path, name: str) -> tuple[Any, Any]:
     killed.communicate()
     assert killed.returncode == -signal.SIGKILL
     with np.load(folder / "killed" / "checkpoint.npz") as stored:
-        before = stored["history"][:, 1].tolist()
+        saved_values = stored["history"][:, 1].tolist()
     for output, options in (("killed", ["--resume"]), ("whole", [])):
         fit = start(scene, folder / output, *options)
         message = fit.communicate(timeout=300)[1]
@@ -60,6 +60,6 @@ def fit_killed_and_whole(scene: Path, name: str) -> tuple[Any, Any]:
             rows = list(csv.DictReader(stream))
         assert [int(row["step"]) for row in rows] == list(range(len(rows)))
         if options:
-            assert [float(row["value"]) for row in rows[: len(before)]] == before
+            assert [float(row["value"]) for row in rows[: len(saved_values)]] == saved_values
         values.append(json.loads((folder / output / "parameters.json").read_text())[name])
     return values[0], values[1]

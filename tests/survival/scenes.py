@@ -1,4 +1,4 @@
-"""Scenes that are fitted in a tenth of a second, and the folders that they lie in."""
+"""Scenes that are fitted in a tenth of a second."""
 
 from __future__ import annotations
 
