@@ -1,4 +1,4 @@
-"""What the gallery shows: a fit's start, target and result side by side, and its steps as a film. No part of `loi`."""
+"""Pictures of the gallery: a fit's start, target and result side by side, and its steps as a film."""
 
 from __future__ import annotations
 
@@ -15,10 +15,10 @@ from PIL import Image
 
 __all__ = ["Clip", "Film"]
 
-FRAMES = 30
-TIME, PAUSE = 100, 1500  # milliseconds of a frame, and of the last
-WIDTH = 300  # of an image in a film, in pixels
-GAP = 6
+MAX_FRAMES = 30
+FRAME_MS, LAST_FRAME_MS = 100, 1500
+WIDTH_PX = 300  # of an image in a film
+GAP_PX = 6
 
 
 class Film:
@@ -27,29 +27,29 @@ class Film:
     Parameters
     ----------
     target : array, shape (H, W, C) or (views, H, W, C)
-        Of any library. Views are put side by side.
+        An array of any library. Views are drawn side by side.
     linear : bool
-        Whether the values are linear light, as those of path tracers, and need encoding for a display.
+        Whether the values are linear light, as from a path tracer, and need encoding for a display.
     """
 
     def __init__(self, target: Any, *, linear: bool = False) -> None:
         self._linear = linear
-        self.target = self._shown(target)
+        self.target = self._as_bytes(target)
         self.frames: list[Any] = []
 
     def keep(self, image: Any) -> None:
-        """One more step."""
-        self.frames.append(self._shown(image))
+        """Add the image of a step."""
+        self.frames.append(self._as_bytes(image))
 
     def __call__(self, _step: Any, _params: Any, image: Any) -> None:
-        """What `fit` calls."""
+        """Add the image of a step of `fit`."""
         self.keep(image)
 
-    def show(self, **more: Any) -> None:
-        """A figure of the first image, the target and the last image; and of `more`, by its name, before the last."""
+    def show(self, **extra_images: Any) -> None:
+        """Draw the first image, the target, `extra_images` by their names, and the last image."""
         pictures = {"start": self.frames[0], "photograph": self.target}
-        pictures |= {name.replace("_", " "): self._shown(image) for name, image in more.items()}
-        pictures["found"] = self.frames[-1]
+        pictures |= {name.replace("_", " "): self._as_bytes(image) for name, image in extra_images.items()}
+        pictures["result"] = self.frames[-1]
         height, width = self.target.shape[:2]
         if width > 2 * height:
             figure, axes = plt.subplots(len(pictures), 1, figsize=(6.0, 6.4 * len(pictures) * height / width))
@@ -59,27 +59,27 @@ class Film:
         for axis, (title, picture) in zip(axes, pictures.items(), strict=True):
             axis.imshow(picture, interpolation="nearest")
             axis.set(xticks=[], yticks=[], title=title)
-        if plt.get_backend().lower() != "agg":  # which has no windows
+        if plt.get_backend().lower() != "agg":  # a backend without windows
             plt.show()
 
     def play(self) -> Clip:
-        """The steps, beside the target."""
-        chosen = np.unique(np.linspace(0, len(self.frames) - 1, FRAMES).astype(int))
+        """Return an animation of the steps beside the target."""
+        chosen = np.unique(np.linspace(0, len(self.frames) - 1, MAX_FRAMES).astype(int))
         height, width = self.target.shape[:2]
-        size = (WIDTH, round(WIDTH * height / width))
+        size = (WIDTH_PX, round(WIDTH_PX * height / width))
         pages = []
         for index in chosen:
-            page = Image.new("RGB", (2 * WIDTH + GAP, size[1]), "white")
-            for left, picture in ((0, self.frames[index]), (WIDTH + GAP, self.target)):
+            page = Image.new("RGB", (2 * WIDTH_PX + GAP_PX, size[1]), "white")
+            for left, picture in ((0, self.frames[index]), (WIDTH_PX + GAP_PX, self.target)):
                 page.paste(Image.fromarray(picture).resize(size, Image.Resampling.BICUBIC), (left, 0))
             pages.append(page)
-        times = [TIME] * (len(pages) - 1) + [PAUSE]
+        times = [FRAME_MS] * (len(pages) - 1) + [LAST_FRAME_MS]
         stream, last = io.BytesIO(), io.BytesIO()
         pages[0].save(stream, "WEBP", save_all=True, append_images=pages[1:], duration=times, loop=0, quality=75)
         pages[-1].save(last, "WEBP", quality=75)
         return Clip(stream.getvalue(), last.getvalue(), pages[0].size)
 
-    def _shown(self, image: Any) -> Any:
+    def _as_bytes(self, image: Any) -> Any:
         values = np.asarray(image.detach() if hasattr(image, "detach") else image, dtype=np.float64)
         if values.ndim == 4:
             values = np.concatenate(list(values), axis=1)
@@ -89,7 +89,7 @@ class Film:
 
 @dataclass(frozen=True)
 class Clip:
-    """An animated WebP, its last frame, and its size in pixels. Notebooks and the gallery show it."""
+    """An animated WebP, its last frame, and its size in pixels, for notebooks and the gallery."""
 
     moving: bytes
     still: bytes
@@ -100,14 +100,14 @@ class Clip:
         Path(path).write_bytes(self.moving)
 
     def _repr_html_(self) -> str:
-        # Who has asked for less motion sees the last frame; anybody can stop it by folding it away.
+        # A browser with reduced motion shows the last frame; the reader can fold the animation away.
         moving, still = (
-            f"data:image/webp;base64,{base64.b64encode(one).decode()}" for one in (self.moving, self.still)
+            f"data:image/webp;base64,{base64.b64encode(data).decode()}" for data in (self.moving, self.still)
         )
-        says = html.escape("Left, the image of each step; right, the photograph.")
+        caption = html.escape("Left, the image of each step; right, the photograph.")
         return (
             f"<details open><summary>The fit, step by step</summary><picture>"
             f'<source media="(prefers-reduced-motion: reduce)" srcset="{still}">'
-            f'<img src="{moving}" alt="{says}" width="{self.size[0]}" height="{self.size[1]}" '
+            f'<img src="{moving}" alt="{caption}" width="{self.size[0]}" height="{self.size[1]}" '
             f'style="max-width: 100%; height: auto"></picture></details>'
         )

@@ -3,7 +3,7 @@ JAX: one ball, three cameras
 ============================
 
 ``loi_loss`` compares whole batches, so several photographs are one loss, and ``jax.jit``, ``jax.grad`` and ``jax.vmap``
-work through it. Here a ball in space is found from three sides, with an optimiser of optax.
+work through it. Here three views locate a ball in space, with an optimiser of optax.
 """
 
 import jax
@@ -19,15 +19,15 @@ angles = jnp.radians(jnp.array([-60.0, 0.0, 60.0]))
 y, x = jnp.arange(size)[:, None] + 0.5, jnp.arange(size) + 0.5
 
 
-def render(place: jax.Array, angle: jax.Array) -> jax.Array:
+def render(position: jax.Array, angle: jax.Array) -> jax.Array:
     """A soft ball of radius 0.5 from a camera 6 units away, at an angle about the upright axis, (size, size, 3)."""
-    right = place[0] * jnp.cos(angle) - place[2] * jnp.sin(angle)
-    depth = 6.0 - place[0] * jnp.sin(angle) - place[2] * jnp.cos(angle)
+    right = position[0] * jnp.cos(angle) - position[2] * jnp.sin(angle)
+    depth = 6.0 - position[0] * jnp.sin(angle) - position[2] * jnp.cos(angle)
     focal = 1.4 * size / depth
-    dx, dy = x - size / 2 - focal * right, y - size / 2 + focal * place[1]
-    away = jnp.sqrt(dx**2 + dy**2 + 1e-6)
-    shade = 0.6 + 0.4 * jnp.exp(-((away / (0.5 * focal)) ** 2))
-    inside = jax.nn.sigmoid(2.0 * (0.5 * focal - away)) * shade
+    dx, dy = x - size / 2 - focal * right, y - size / 2 + focal * position[1]
+    distance = jnp.sqrt(dx**2 + dy**2 + 1e-6)
+    shade = 0.6 + 0.4 * jnp.exp(-((distance / (0.5 * focal)) ** 2))
+    inside = jax.nn.sigmoid(2.0 * (0.5 * focal - distance)) * shade
     return inside[..., None] * jnp.array([1.0, 0.55, 0.1])
 
 
@@ -36,17 +36,17 @@ truth, start = jnp.array([1.3, -0.8, 0.6]), jnp.array([-1.2, 0.9, -0.7])
 photographs = render_all(truth, angles)
 
 # %%
-# Nothing else changes: the loss is a function of the batch.
+# The loss is a function of the batch.
 
 loss = loi_loss(photographs, ScaleSpace.for_image(size, size))
-gradient = jax.jit(jax.grad(lambda place: loss(render_all(place, angles))))
+gradient = jax.jit(jax.grad(lambda position: loss(render_all(position, angles))))
 optimizer = optax.adam(optax.cosine_decay_schedule(0.08, steps))
-place, state = start, optimizer.init(start)
+position, state = start, optimizer.init(start)
 film = Film(photographs)
 for _ in range(steps):
-    updates, state = optimizer.update(gradient(place), state)
-    place = optax.apply_updates(place, updates)
-    film.keep(render_all(place, angles))
+    updates, state = optimizer.update(gradient(position), state)
+    position = optax.apply_updates(position, updates)
+    film.keep(render_all(position, angles))
 
 # %%
 film.show()
@@ -55,6 +55,6 @@ film.show()
 film.play()
 
 # %%
-before, after = (float(jnp.linalg.norm(one - truth)) for one in (start, place))
-print(f"off by {before:.2f} units at the start, {after:.4f} at the end; a pixel is 0.08")
-assert after < 0.08
+start_error, final_error = (float(jnp.linalg.norm(params - truth)) for params in (start, position))
+print(f"off by {start_error:.2f} units at the start, {final_error:.4f} at the end; a pixel is 0.08")
+assert final_error < 0.08

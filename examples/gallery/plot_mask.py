@@ -1,9 +1,9 @@
 """
-Weights: a photograph with something in the way
-===============================================
+Weights: a photograph with an occluder
+======================================
 
-A passer-by stands in the photograph, and the renderer cannot make one. ``weights`` say how much each pixel counts, in
-every loss of ``loi_core``; here those of the passer-by count nothing.
+A passer-by, whom the renderer cannot draw, stands in the photograph. ``weights`` are the weights of the pixels, in
+every loss of ``loi_core``; here the pixels of the passer-by have weight 0.
 """
 
 import numpy as np
@@ -23,18 +23,18 @@ person = (np.abs(x - 40) < 7) & (y > 16)
 photograph[person] = [0.9, 0.7, 0.2]
 
 # %%
-# Without weights, the ball is drawn to the passer-by, who is nearly of its colour.
+# Without weights, the ball moves to the passer-by, whose colour is similar.
 
 free = {"positions": Free(lower=0.0, upper=[[width, height]])}
 unaware = fit(renderer, LOIObjective(photograph), steps=100, optimise=free)
 print(unaware.diagnosis)
 
 # %%
-# The mask need not be exact: leave out a little more than is in the way.
+# The mask need not be exact: it may cover a little more than the occluder.
 
-counts = 1.0 - ((np.abs(x - 40) < 9) & (y > 14))
+weights = 1.0 - ((np.abs(x - 40) < 9) & (y > 14))
 film = Film(photograph)
-result = fit(renderer, LOIObjective(photograph, weights=counts), steps=100, optimise=free, callback=film)
+result = fit(renderer, LOIObjective(photograph, weights=weights), steps=100, optimise=free, callback=film)
 print(result.diagnosis)
 
 # %%
@@ -45,8 +45,10 @@ film.play()
 
 # %%
 start = renderer.parameters()
-before, without, after = (
-    float(np.linalg.norm(one["positions"] - truth)) for one in (start, unaware.best_params, result.best_params)
+start_error, unmasked_error, final_error = (
+    float(np.linalg.norm(params["positions"] - truth)) for params in (start, unaware.best_params, result.best_params)
 )
-print(f"off by {before:.1f} px at the start, {without:.1f} px at the end without weights, {after:.3f} px with them")
-assert after < 0.2
+print(
+    f"error: {start_error:.1f} px at the start, {unmasked_error:.1f} px without weights, {final_error:.3f} px with them"
+)
+assert final_error < 0.2

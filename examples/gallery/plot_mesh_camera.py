@@ -1,9 +1,9 @@
 """
-Torch: where was the camera?
-============================
+Torch: the pose of a camera
+===========================
 
-Nothing in the scene moves; the camera does. Every entry of a scene can be a parameter by its name, also the camera's
-place and what it looks at: ``MeshRenderer.entries()`` lists them.
+The scene is fixed and the camera moves. Every entry of a scene can be a parameter by its name, such as the camera's
+position and target: ``MeshRenderer.entries()`` lists them.
 """
 
 import torch
@@ -30,7 +30,7 @@ start = {"eye": [-2.0, 1.5, 8.5], "aim": [2.6, 0.2, 0.0]}
 photograph = renderer.render({name: torch.tensor(value, dtype=torch.float64) for name, value in truth.items()})
 
 # %%
-# What the camera looks at is told by a point; along the line of sight that has no effect, so one number is held.
+# The target of the camera is a point, which has no effect along the line of sight, so one of its coordinates is fixed.
 
 objective = LOIObjective(photograph, ScaleSpace.for_image(height, width))
 free = {
@@ -48,7 +48,9 @@ film.show()
 film.play()
 
 # %%
-found = {name: value.tolist() for name, value in result.best_params.items()}
-before, after = (float(torch.dist(torch.tensor(one["eye"]), torch.tensor(truth["eye"]))) for one in (start, found))
-print(f"the camera is off by {before:.2f} units at the start, {after:.3f} at the end")
-assert after < 0.2
+solution = {name: value.tolist() for name, value in result.best_params.items()}
+start_error, final_error = (
+    float(torch.dist(torch.tensor(params["eye"]), torch.tensor(truth["eye"]))) for params in (start, solution)
+)
+print(f"the camera is off by {start_error:.2f} units at the start, {final_error:.3f} at the end")
+assert final_error < 0.2

@@ -2,8 +2,8 @@
 Torch: the pose of a mesh
 =========================
 
-With torch alone, ``loi_torch.mesh`` draws meshes with gradients by whatever moves them. Here a painted box is moved and
-turned at once: three numbers for its place, and an angle about its upright axis.
+With torch alone, ``loi_torch.mesh`` draws meshes with gradients with respect to their poses. Here a painted box moves
+and rotates at once: three numbers for its position, and an angle about its vertical axis.
 """
 
 from typing import Any
@@ -44,9 +44,11 @@ film.show()
 film.play()
 
 # %%
-found = {name: value.tolist() for name, value in result.best_params.items()}
-before, after = (float(np.linalg.norm(np.subtract(one["place"], truth["place"]))) for one in (start, found))
-print(f"off by {before:.2f} units at the start, {after:.4f} at the end; a pixel is 0.1")
-print(f"turned by {found['turn']:.2f} degrees, and in truth by {truth['turn']}")
-assert after < 0.1
-assert abs(found["turn"] - truth["turn"]) < 2.0
+solution = {name: value.tolist() for name, value in result.best_params.items()}
+start_error, final_error = (
+    float(np.linalg.norm(np.subtract(params["place"], truth["place"]))) for params in (start, solution)
+)
+print(f"off by {start_error:.2f} units at the start, {final_error:.4f} at the end; a pixel is 0.1")
+print(f"turned by {solution['turn']:.2f} degrees, and in truth by {truth['turn']}")
+assert final_error < 0.1
+assert abs(solution["turn"] - truth["turn"]) < 2.0

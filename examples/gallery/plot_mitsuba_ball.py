@@ -2,11 +2,11 @@
 Mitsuba: a ball on a floor
 ==========================
 
-``MitsubaRenderer`` makes a Mitsuba scene into named parameters and an image. Name what may move, give bounds, and
-``fit`` finds it: here a ball, by its outline, its shading and the shadow that it casts.
+``MitsubaRenderer`` turns a Mitsuba scene into named parameters and an image. Name the free parameters, give bounds, and
+``fit`` estimates them: here a ball, by its outline, its shading and its shadow.
 """
 
-import loi_mitsuba  # before mitsuba: it finds an LLVM that works
+import loi_mitsuba  # before mitsuba, to choose an LLVM
 
 # isort: split
 import mitsuba as mi
@@ -45,7 +45,7 @@ scene = {
 }
 
 # %%
-# The ball rolls on the floor, so it moves along two axes. The photograph has more samples, and so less noise.
+# The ball rolls on the floor, so it moves along two axes. The photograph has more samples and less noise.
 
 moves = {"x": loi_mitsuba.Translate("ball", [1, 0, 0]), "z": loi_mitsuba.Translate("ball", [0, 0, 1])}
 truth, start = {"x": 1.8, "z": 0.9}, {"x": -1.8, "z": -0.9}
@@ -67,7 +67,9 @@ film.show()
 film.play()
 
 # %%
-found = {name: float(value) for name, value in result.best_params.items()}
-before, after = (float(np.hypot(one["x"] - truth["x"], one["z"] - truth["z"])) for one in (start, found))
-print(f"off by {before:.2f} units at the start, {after:.3f} at the end; a pixel is about 0.13")
-assert after < 0.13
+solution = {name: float(value) for name, value in result.best_params.items()}
+start_error, final_error = (
+    float(np.hypot(params["x"] - truth["x"], params["z"] - truth["z"])) for params in (start, solution)
+)
+print(f"off by {start_error:.2f} units at the start, {final_error:.3f} at the end; a pixel is about 0.13")
+assert final_error < 0.13

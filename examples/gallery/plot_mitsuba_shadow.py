@@ -39,10 +39,10 @@ scene = {
 moves = {"x": loi_mitsuba.Translate("ball", [1, 0, 0]), "z": loi_mitsuba.Translate("ball", [0, 0, 1])}
 truth, start = {"x": 0.9, "z": -0.6}, {"x": -1.1, "z": 0.5}
 renderer = loi_mitsuba.PlannedRenderer(scene, moves, spp=32)
-photograph = renderer.unabridged.render({name: np.float32(one) for name, one in truth.items()}, seed=1000)
+photograph = renderer.unabridged.render({name: np.float32(value) for name, value in truth.items()}, seed=1000)
 
 # %%
-# ``loi_core.fit`` is the same as ever. The plan says what is simulated, and why.
+# The plan lists the simulated effects and the reason for each.
 
 objective = LOIObjective(photograph, ScaleSpace.for_image(height, width))
 free = {name: Free(value, -2.0, 2.0) for name, value in start.items()}
@@ -58,7 +58,9 @@ film.show()
 film.play()
 
 # %%
-found = {name: float(value) for name, value in result.best_params.items()}
-before, after = (float(np.hypot(one["x"] - truth["x"], one["z"] - truth["z"])) for one in (start, found))
-print(f"off by {before:.2f} units at the start, {after:.3f} at the end; a pixel of the shadow is about 0.08")
-assert after < 0.08
+solution = {name: float(value) for name, value in result.best_params.items()}
+start_error, final_error = (
+    float(np.hypot(params["x"] - truth["x"], params["z"] - truth["z"])) for params in (start, solution)
+)
+print(f"off by {start_error:.2f} units at the start, {final_error:.3f} at the end; a pixel of the shadow is about 0.08")
+assert final_error < 0.08

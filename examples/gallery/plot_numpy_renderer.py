@@ -2,8 +2,9 @@
 NumPy: a renderer of your own
 =============================
 
-A renderer is three methods: its parameters, its image, and a pullback, which carries the derivative of a loss by the
-image back to the parameters. Here it is a moon in the evening sky, with derivatives on paper.
+A renderer has three methods: its parameters, its image, and a pullback from the gradient of a loss with respect to the
+image to the gradient with respect to the parameters. This one draws a moon in the evening sky, with derivatives in
+closed form.
 """
 
 from typing import Any
@@ -23,33 +24,32 @@ pale = np.array([1.0, 0.95, 0.8])
 
 
 class Moon:
-    """A disk with a soft edge: where it is, in pixels, and its radius."""
+    """A disk with a soft edge: its position and its radius in pixels."""
 
     def parameters(self) -> dict[str, Any]:
-        """Where it starts."""
+        """Return the start."""
         return {"place": np.array([18.0, 54.0]), "radius": np.array(5.0)}
 
     def render(self, params: dict[str, Any], *, seed: int = 0) -> Any:
-        """The image, (height, width, 3)."""
+        """Return the image, (height, width, 3)."""
         return self.render_vjp(params)[0]
 
     def render_vjp(self, params: dict[str, Any], *, seed: int = 0) -> tuple[Any, Any]:
-        """The image, and its pullback."""
+        """Return the image and its pullback."""
         dx, dy = x - params["place"][0], y - params["place"][1]
-        away = np.hypot(dx, dy) + 1e-9
-        cover = 1.0 / (1.0 + np.exp(np.clip(4.0 * (away - params["radius"]), -50.0, 50.0)))
+        distance = np.hypot(dx, dy) + 1e-9
+        cover = 1.0 / (1.0 + np.exp(np.clip(4.0 * (distance - params["radius"]), -50.0, 50.0)))
 
         def pullback(cotangent: Any) -> dict[str, Any]:
             outwards = 4.0 * cover * (1.0 - cover) * np.sum(cotangent * (pale - sky), axis=-1)
-            place = [np.sum(outwards * dx / away), np.sum(outwards * dy / away)]
-            return {"place": np.array(place), "radius": np.sum(outwards)}
+            position = [np.sum(outwards * dx / distance), np.sum(outwards * dy / distance)]
+            return {"place": np.array(position), "radius": np.sum(outwards)}
 
         return sky + cover[..., None] * (pale - sky), pullback
 
 
 # %%
-# With bounds, that is all that ``fit`` needs. It measures by itself how far to move each parameter, goes from far to
-# near, and says what came of it.
+# ``fit`` needs only bounds. It measures the unit of each parameter, goes from far to near, and ends with a verdict.
 
 renderer = Moon()
 truth = {"place": np.array([84.0, 17.0]), "radius": np.array(9.0)}
@@ -67,6 +67,8 @@ film.play()
 
 # %%
 start = renderer.parameters()
-before, after = (float(np.linalg.norm(one["place"] - truth["place"])) for one in (start, result.best_params))
-print(f"off by {before:.1f} px at the start, {after:.3f} px at the end")
-assert after < 0.1
+start_error, final_error = (
+    float(np.linalg.norm(params["place"] - truth["place"])) for params in (start, result.best_params)
+)
+print(f"off by {start_error:.1f} px at the start, {final_error:.3f} px at the end")
+assert final_error < 0.1

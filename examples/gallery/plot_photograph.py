@@ -1,9 +1,9 @@
 """
-NumPy: a photograph in a darker, noisy one
-==========================================
+NumPy: a portrait in a darker, noisy photograph
+===============================================
 
-A portrait lies somewhere on a wall: moved, turned, smaller. The photograph of it is darker than the picture, and noisy.
-``Warp`` puts a picture on a background, and has gradients by place, turn, scale and exposure.
+A portrait hangs on a wall, shifted, rotated and scaled. The photograph is darker than the portrait, and noisy.
+``Warp`` draws a picture over a background, with gradients with respect to translation, rotation, scale and exposure.
 """
 
 from typing import Any
@@ -19,8 +19,8 @@ from pictures import Film
 height, width = 72, 108
 with Image.open(cbook.get_sample_data("grace_hopper.jpg", asfileobj=False)) as stored:  # public domain
     portrait = np.asarray(stored.convert("RGB").resize((30, 36), Image.Resampling.LANCZOS)) / 255.0
-down, across = np.mgrid[:height, :width] / [[[height]], [[width]]]
-wall = np.stack([0.33 + 0.15 * across, 0.36 - 0.12 * down, 0.27 + 0.06 * (across + down)], axis=-1)
+down, x_axis = np.mgrid[:height, :width] / [[[height]], [[width]]]
+wall = np.stack([0.33 + 0.15 * x_axis, 0.36 - 0.12 * down, 0.27 + 0.06 * (x_axis + down)], axis=-1)
 
 renderer = Warp(portrait, wall)
 truth: dict[str, Any] = {"translation": [30.0, -12.0], "rotation": -24.0, "scale": 0.9, "exposure": -0.4}
@@ -45,9 +45,9 @@ film.show()
 film.play()
 
 # %%
-before = float(np.linalg.norm(np.subtract(free["translation"].initial, truth["translation"])))
-after = float(np.linalg.norm(result.best_params["translation"] - truth["translation"]))
-print(f"off by {before:.1f} px at the start, {after:.3f} px at the end")
+start_error = float(np.linalg.norm(np.subtract(free["translation"].initial, truth["translation"])))
+final_error = float(np.linalg.norm(result.best_params["translation"] - truth["translation"]))
+print(f"off by {start_error:.1f} px at the start, {final_error:.3f} px at the end")
 for name in ("rotation", "scale", "exposure"):
     print(f"{name}: {float(result.best_params[name]):.3f}, and in truth {truth[name]}")
-assert after < 0.3
+assert final_error < 0.3

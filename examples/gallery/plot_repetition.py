@@ -1,9 +1,9 @@
 """
-Where the defaults stall: a pattern that repeats
-================================================
+Where the defaults stall: a periodic pattern
+============================================
 
-A checkered tile lies on a checkered floor. Wherever its squares fit those below, the loss has a hollow. A fit without
-bounds falls into the next one, and its verdict says so.
+A checkered tile lies on a checkered floor. The loss has a local minimum wherever the squares match. A fit without
+bounds ends in the nearest minimum, and its verdict reports it.
 """
 
 import numpy as np
@@ -26,9 +26,9 @@ alone = fit(renderer, LOIObjective(photograph), steps=100, optimise={"translatio
 print(alone.diagnosis)
 
 # %%
-# Say where the tile can be. A fit that stalls with most of its loss left then looks for a better start within these
-# bounds, and goes on from there: in the film, the tile jumps. ``starts=8``, as the verdict says, would begin at eight
-# places at once; it helps where that search does not.
+# Give bounds of the tile. A fit that stalls with most of its loss left then searches a better start within these bounds
+# and continues from it: in the film, the tile jumps. ``starts=8``, as the verdict suggests, would begin at eight
+# points at once; it helps where the search fails.
 
 film = Film(photograph)
 free = {"translation": Free(start, [-40.0, -22.0], [40.0, 22.0])}
@@ -42,11 +42,11 @@ film.show(without_bounds=alone.image)
 film.play()
 
 # %%
-before, stuck, after = (
-    float(np.linalg.norm(one - truth))
-    for one in (start, alone.best_params["translation"], result.best_params["translation"])
+start_error, stuck, final_error = (
+    float(np.linalg.norm(params - truth))
+    for params in (start, alone.best_params["translation"], result.best_params["translation"])
 )
-print(f"off by {before:.1f} px at the start, {stuck:.1f} px at the end without bounds, {after:.3f} px with them")
+print(f"error: {start_error:.1f} px at the start, {stuck:.1f} px without bounds, {final_error:.3f} px with them")
 assert alone.diagnosis is not None
 assert not alone.diagnosis.ok
-assert after < 0.5
+assert final_error < 0.5

@@ -2,8 +2,8 @@
 Vector graphics: an SVG logo
 ============================
 
-``Vector`` paints SVG with gradients by every number in it, and ``write_svg`` writes what was found. Here the shapes of
-a logo are found in its picture; none begins in its own place.
+``Vector`` paints SVG with gradients with respect to all its numbers, and ``write_svg`` writes the result. Here a fit
+moves the shapes of a logo to their places in a picture.
 """
 
 import tempfile
@@ -30,7 +30,7 @@ truth = renderer.parameters()
 picture = renderer.render(truth)
 
 # %%
-# Colours, sizes and outlines stay; places and turns are free.
+# Positions and rotations are free; colours, sizes and outlines are fixed.
 
 free = {
     "positions": Free([[16.0, 48.0], [50.0, 44.0], [16.0, 18.0]], 0.0, float(size), learning_rate=1.5),
@@ -39,7 +39,7 @@ free = {
 film = Film(picture)
 result = fit(renderer, LOIObjective(picture, ScaleSpace.for_image(size, size)), steps=150, optimise=free, callback=film)
 print(result.diagnosis)
-write_svg(folder / "found.svg", renderer.shapes(result.best_params), size, size)
+write_svg(folder / "result.svg", renderer.shapes(result.best_params), size, size)
 
 # %%
 film.show()
@@ -48,8 +48,8 @@ film.show()
 film.play()
 
 # %%
-wanted = truth["positions"].numpy()
-before = float(np.linalg.norm(np.asarray(free["positions"].initial) - wanted, axis=1).max())
-after = float(np.linalg.norm(result.best_params["positions"].numpy() - wanted, axis=1).max())
-print(f"the worst shape is off by {before:.1f} px at the start, {after:.3f} px at the end")
-assert after < 0.3
+target_positions = truth["positions"].numpy()
+start_error = float(np.linalg.norm(np.asarray(free["positions"].initial) - target_positions, axis=1).max())
+final_error = float(np.linalg.norm(result.best_params["positions"].numpy() - target_positions, axis=1).max())
+print(f"the worst shape is off by {start_error:.1f} px at the start, {final_error:.3f} px at the end")
+assert final_error < 0.3

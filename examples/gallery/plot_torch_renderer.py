@@ -2,8 +2,8 @@
 Torch: a soft renderer of your own
 ==================================
 
-Anything that torch differentiates can be fitted: ``LOILoss`` stands where your loss was. Three lanterns on a dark wall
-hang elsewhere than in their photograph.
+``LOILoss`` replaces the loss of any differentiable torch renderer. Three lanterns on a dark wall start away from their
+positions in the photograph.
 """
 
 import torch
@@ -18,12 +18,12 @@ colours = torch.tensor([[0.95, 0.05, 0.05], [0.05, 0.85, 0.05], [0.05, 0.05, 1.0
 radii = torch.tensor([7.0, 9.0, 11.0])
 
 
-def render(places: torch.Tensor) -> torch.Tensor:
-    """Three soft disks, (height, width, 3); ``places`` are in pixels, (3, 2)."""
+def render(positions: torch.Tensor) -> torch.Tensor:
+    """Return three soft disks, (height, width, 3), at positions (3, 2) in pixels."""
     image = torch.full((height, width, 3), 0.05)
-    for place, radius, colour in zip(places, radii, colours, strict=True):
-        away = torch.hypot(x - place[0], y - place[1])
-        image = torch.lerp(image, colour, torch.sigmoid(2.0 * (radius - away))[..., None])
+    for position, radius, colour in zip(positions, radii, colours, strict=True):
+        distance = torch.hypot(x - position[0], y - position[1])
+        image = torch.lerp(image, colour, torch.sigmoid(2.0 * (radius - distance))[..., None])
     return image
 
 
@@ -32,17 +32,17 @@ start = torch.tensor([[48.0, 30.0], [14.0, 50.0], [80.0, 46.0]])
 photograph = render(truth)
 
 # %%
-# The wide scales come first; ``FarToNear`` says when they have done their part.
+# The wide scales come first; ``FarToNear`` decides when to advance.
 
 steps = 200
-places = start.clone().requires_grad_()
-optimizer = torch.optim.Adam([places], lr=1.0)
+positions = start.clone().requires_grad_()
+optimizer = torch.optim.Adam([positions], lr=1.0)
 losses = [LOILoss(photograph, scales) for scales in ScaleSpace.far_to_near(height, width)]
 schedule = FarToNear(len(losses), steps)
 film = Film(photograph)
 for _ in range(steps):
     optimizer.zero_grad()
-    image = render(places)
+    image = render(positions)
     loss = losses[schedule.stage](image)
     loss.backward()
     optimizer.param_groups[0]["lr"] = 1.0 - 0.98 * schedule.passed
@@ -57,6 +57,8 @@ film.show()
 film.play()
 
 # %%
-before, after = (float(torch.linalg.vector_norm(one - truth, dim=1).max()) for one in (start, places.detach()))
-print(f"the worst is off by {before:.1f} px at the start, {after:.3f} px at the end")
-assert after < 0.2
+start_error, final_error = (
+    float(torch.linalg.vector_norm(params - truth, dim=1).max()) for params in (start, positions.detach())
+)
+print(f"the worst is off by {start_error:.1f} px at the start, {final_error:.3f} px at the end")
+assert final_error < 0.2

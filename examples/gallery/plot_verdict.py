@@ -2,8 +2,8 @@
 Bounds, many starts, and the verdict
 ====================================
 
-A fit ends with a verdict: whether the target was found and, if not, what to try. Here a picture lies elsewhere, nearly
-half a turn from where it belongs. Without bounds there is nowhere to search, and the fit stalls.
+A fit ends with a verdict: whether it converged and, if not, a remedy. Here a picture starts nearly half a turn away
+from its target. Without bounds there is no region to search, and the fit stalls.
 """
 
 from typing import Any
@@ -26,22 +26,22 @@ objective = LOIObjective(photograph)
 start: dict[str, Any] = {"translation": [-28.0, 12.0], "rotation": 0.0}
 
 # %%
-# The picture gets stuck, and the verdict says so.
+# The picture gets stuck, and the verdict reports it.
 
-alone = fit(renderer, objective, steps=100, optimise={name: Free(one) for name, one in start.items()})
+alone = fit(renderer, objective, steps=100, optimise={name: Free(value) for name, value in start.items()})
 print(alone.diagnosis)
 
 # %%
-# With bounds it is found from this start already. ``starts=8`` begins at eight places within them, which race: the
-# worse half drops out again and again. ``agreeing`` says how many of those that were left ended in the same place.
-# The film has the start, and then what the winner of the race did.
+# With bounds the fit succeeds from this start. ``starts=8`` begins at eight points within them and drops the worse half
+# repeatedly. ``agreeing`` counts the remaining starts that ended at the same parameters. The film shows the start,
+# then the steps of the winner.
 
 free = {
     "translation": Free(start["translation"], [-40.0, -24.0], [40.0, 24.0]),
     "rotation": Free(start["rotation"], -180.0, 180.0),
 }
 film = Film(photograph)
-film.keep(renderer.render(renderer.parameters() | {name: np.asarray(one) for name, one in start.items()}))
+film.keep(renderer.render(renderer.parameters() | {name: np.asarray(value) for name, value in start.items()}))
 result = fit(renderer, objective, steps=100, optimise=free, starts=8, callback=film)
 print(result.diagnosis)
 print("agreeing:", result.agreeing)
@@ -53,13 +53,13 @@ film.show(without_bounds=alone.image)
 film.play()
 
 # %%
-before, stuck, after = (
-    float(np.linalg.norm(np.subtract(one["translation"], truth["translation"])))
-    for one in (start, alone.best_params, result.best_params)
+start_error, stuck, final_error = (
+    float(np.linalg.norm(np.subtract(params["translation"], truth["translation"])))
+    for params in (start, alone.best_params, result.best_params)
 )
 print(
-    f"off by {before:.1f} px at the start, {stuck:.1f} px without bounds, {after:.3f} px with eight starts within them"
+    f"error: {start_error:.1f} px at the start, {stuck:.1f} px without bounds, {final_error:.3f} px with eight starts"
 )
 assert alone.diagnosis is not None
 assert not alone.diagnosis.ok
-assert after < 0.3
+assert final_error < 0.3
