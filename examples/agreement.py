@@ -1,7 +1,7 @@
-"""How far the backends are apart: ``python -m examples.agreement [EXAMPLES]``, from the root of the repository.
+"""Measure the differences between backends: ``python -m examples.agreement [EXAMPLES]``, from the root.
 
 Draws the problems of ``tests/conformance/test_backends.py`` and prints, for each backend and dtype, the worst
-difference from NumPy in loss and gradient, and that as a share of the bound which the tests assert.
+difference from NumPy in loss and gradient, and its fraction of the bound that the tests assert.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from tests.strategies import Problem, max_differences, problems
 
 
 def main() -> int:
-    """Print the table; 1 if a bound is not kept."""
+    """Print the table; return 1 if a bound is exceeded."""
     parser = argparse.ArgumentParser(prog="python -m examples.agreement", description=__doc__)
     parser.add_argument("examples", type=int, nargs="?", default=300, help="problems to draw (default: 300; minutes)")
     examples = parser.parse_args().examples
@@ -46,13 +46,13 @@ def main() -> int:
         for name, backend in BACKENDS.items():
             if name == "Dr.Jit" and dtype == "float64":
                 continue
-            other, slopes = backend(image, reference, scales, None)
-            loss, slope = abs(float(other) - float(value)), float(np.abs(slopes - gradient).sum())
-            shares = _share(loss, loss_bound), _share(slope, gradient_bound)
-            found = (loss / max(abs(float(value)), 1e-30), shares[0], slope / size, shares[1])
+            backend_value, slopes = backend(image, reference, scales, None)
+            loss, slope = abs(float(backend_value) - float(value)), float(np.abs(slopes - gradient).sum())
+            fractions = _fraction(loss, loss_bound), _fraction(slope, gradient_bound)
+            errors = (loss / max(abs(float(value)), 1e-30), fractions[0], slope / size, fractions[1])
             if float(value) == 0.0:
-                found = (0.0, found[1], 0.0, found[3])
-            worst[name, dtype] = [max(pair) for pair in zip(worst[name, dtype], found, strict=True)]
+                errors = (0.0, errors[1], 0.0, errors[3])
+            worst[name, dtype] = [max(pair) for pair in zip(worst[name, dtype], errors, strict=True)]
 
     measure()
     print(f"{sum(count.values())} problems: {', '.join(f'{number} in {dtype}' for dtype, number in count.items())}\n")
@@ -63,11 +63,11 @@ def main() -> int:
     return int(any(max(row[1], row[3]) > 1.0 for row in worst.values()))
 
 
-def _share(found: float, bound: float) -> float:
-    """A difference as a share of its bound, which is 0 where nothing may differ, as for equal images."""
-    if found == 0.0:
+def _fraction(difference: float, bound: float) -> float:
+    """Return a difference as a fraction of its bound, which is 0 where nothing may differ, as for equal images."""
+    if difference == 0.0:
         return 0.0
-    return found / bound if bound else float("inf")
+    return difference / bound if bound else float("inf")
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""Which objective takes images of which library and dtype, found by trying: ``python -m examples.capabilities``.
+"""Measure the libraries and dtypes that each objective supports: ``python -m examples.capabilities``.
 
-"yes": it keeps every rule of the conformance kit there. "float32": images of 16 bits, which it compares in float32.
+"yes": the objective keeps every rule of the conformance kit. "float32": it compares images of 16 bits in float32.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ LIBRARIES: Final[dict[str, Callable[[Host], Any]]] = {"NumPy": lambda host: host
 
 
 def capability(objective: str, library: str, dtype: str) -> str:
-    """What an objective does with images of a library and dtype, from trying it."""
+    """Return the support of an objective for images of a library and dtype, by trying it."""
     make, asarray = OBJECTIVES[objective], LIBRARIES[library]
     if dtype in ("float64", "float32"):
         check_objective(make, asarray=asarray, shape=SHAPE, dtype=dtype)
@@ -58,7 +58,7 @@ def capability(objective: str, library: str, dtype: str) -> str:
 
 
 def table() -> list[str]:
-    """Objectives by libraries and dtypes, in Markdown."""
+    """Return the table of objectives by libraries and dtypes, in Markdown."""
     rows = [
         [objective, library, *(capability(objective, library, dtype) for dtype in DTYPES)]
         for objective in OBJECTIVES

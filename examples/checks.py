@@ -1,4 +1,4 @@
-"""Prints the measured error beside every tolerance that the loss promises: ``python -m examples.checks``.
+"""Print the measured error beside every tolerance that the loss promises: ``python -m examples.checks``.
 
 Run it from the root of the repository, with the development extras installed.
 """
@@ -32,18 +32,18 @@ SPACES: Final = {
 }
 
 
-def relative(got: Any, wanted: Any) -> float:
-    """Norm of the difference over that of what was wanted."""
-    return float(np.linalg.norm(np.asarray(got) - wanted) / np.linalg.norm(wanted))
+def relative(actual: Any, expected: Any) -> float:
+    """Return the relative error in the 2-norm."""
+    return float(np.linalg.norm(np.asarray(actual) - expected) / np.linalg.norm(expected))
 
 
 def gradient_errors(image: Any, reference: Any, scales: ScaleSpace) -> dict[str, float]:
-    """Errors of the analytic gradient against differences, torch, JAX and array_api_strict."""
+    """Return the errors of the analytic gradient against differences, torch, JAX and array_api_strict."""
     objective = LOIObjective(reference, scales)
     _, gradient = objective.value_and_grad(image)
     direction = np.random.default_rng(1).standard_normal(SHAPE)
-    near = objective.value(image + 1e-7 * direction) - objective.value(image - 1e-7 * direction)
-    far = objective.value(image + 2e-7 * direction) - objective.value(image - 2e-7 * direction)
+    inner_difference = objective.value(image + 1e-7 * direction) - objective.value(image - 1e-7 * direction)
+    outer_difference = objective.value(image + 2e-7 * direction) - objective.value(image - 2e-7 * direction)
     slope = float(np.sum(gradient * direction))
     leaf = torch.tensor(image, requires_grad=True)
     LOIObjective(torch.tensor(reference), scales).value(leaf).backward()
@@ -55,7 +55,8 @@ def gradient_errors(image: Any, reference: Any, scales: ScaleSpace) -> dict[str,
     jaxed = jax.jit(forward)(jnp.moveaxis(jnp.asarray(image), -1, 0))
     strict = LOIObjective(array_api_strict.asarray(reference), scales)
     return {
-        "central differences": abs((8 * near - far) / 12e-7 - slope) / float(np.linalg.norm(gradient)),
+        "central differences": abs((8 * inner_difference - outer_difference) / 12e-7 - slope)
+        / float(np.linalg.norm(gradient)),
         "torch autograd": relative(leaf.grad, gradient),
         "JAX grad": relative(jnp.moveaxis(jaxed, 0, -1), gradient),
         "array_api_strict": relative(strict.value_and_grad(array_api_strict.asarray(image))[1], gradient),
@@ -63,7 +64,7 @@ def gradient_errors(image: Any, reference: Any, scales: ScaleSpace) -> dict[str,
 
 
 def rows() -> list[tuple[str, float, float]]:
-    """Name, measured value and tolerance of every check."""
+    """Return the name, measured value and tolerance of every check."""
     image, reference = np.random.default_rng(3).uniform(0.02, 0.98, (2, *SHAPE))
     bounds = {"central differences": 1e-6, "torch autograd": 1e-10, "JAX grad": 1e-10, "array_api_strict": 1e-12}
     worst = dict.fromkeys(bounds, 0.0)
@@ -77,8 +78,8 @@ def rows() -> list[tuple[str, float, float]]:
         scales = ScaleSpace.released(config["sigma"], config["alpha"], config["nb"], config["ks"])
         objective = LOIObjective(stored[f"{case}_reference"].astype(np.float64), scales)
         value, gradient = objective.value_and_grad(stored[f"{case}_image"].astype(np.float64))
-        wanted = float(stored[f"{case}_loss"])
-        table.append((f"released loss, case {case}", abs(float(value) / wanted - 1.0), 1e-5))
+        expected = float(stored[f"{case}_loss"])
+        table.append((f"released loss, case {case}", abs(float(value) / expected - 1.0), 1e-5))
         table.append((f"released gradient, case {case}", relative(gradient, stored[f"{case}_grad"]), 1e-3))
     flat = LOIObjective(reference[..., :1], ScaleSpace(0, 1e6, 1e-3)).value(image[..., :1])
     distance = stats.wasserstein_distance(image[..., 0].ravel(), reference[..., 0].ravel())
@@ -87,7 +88,7 @@ def rows() -> list[tuple[str, float, float]]:
 
 
 def main() -> int:
-    """Print the table; 1 if a tolerance is not kept."""
+    """Print the table; return 1 if a tolerance is exceeded."""
     jax.config.update("jax_enable_x64", True)  # type: ignore[no-untyped-call]  # untyped in JAX
     table = rows()
     print("| check | measured | tolerance |\n| --- | --- | --- |")

@@ -1,7 +1,7 @@
-"""Which numbers are the same to the last bit: ``python -m examples.determinism``, from the root of the repository.
+"""Measure bitwise reproducibility: ``python -m examples.determinism``, from the root of the repository.
 
 Each backend computes the loss and its gradient, renders with their pullbacks, and a short fit, in a new process for
-each of several settings that should not matter. The table says what is equal to the bit, and how far apart the rest is.
+each of several settings that should not matter. The table shows equality to the bit, or the difference.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from loi_core.renderers import Disks, Warp
 from loi_core.renderers.contract import Renderer
 from loi_core.support.arrays import from_numpy, to_numpy
 
-__all__ = ["BACKENDS", "Results", "apart", "computed"]
+__all__ = ["BACKENDS", "Results", "computed", "difference_in_eps"]
 
 Host = np.ndarray[Any, Any]
 Results = dict[str, Host]
@@ -31,18 +31,18 @@ Results = dict[str, Host]
 HEIGHT, WIDTH, STEPS = 96, 128, 5
 SCALES: Final = ScaleSpace((1, 5), (0, 5, 45), (0.125,))  # blurs by shifts, by matrices and through coarser samplings
 
-# What is compared: two processes, with what is changed in each. Unchanged are one thread and hash seed 0.
-FOUR: Final = {"THREADS": "4"}
+# Changes of the environment of two compared processes; the default has one thread and hash seed 0.
+FOUR_THREADS: Final = {"THREADS": "4"}
 SETTINGS: Final[dict[str, tuple[dict[str, str], dict[str, str]]]] = {
     "1 thread, twice": ({}, {"PYTHONHASHSEED": "12345"}),
     "1 and 2 threads": ({}, {"THREADS": "2"}),
-    "1 and 4 threads": ({}, FOUR),
-    "4 threads, twice": (FOUR, {**FOUR, "PYTHONHASHSEED": "12345"}),
+    "1 and 4 threads": ({}, FOUR_THREADS),
+    "4 threads, twice": (FOUR_THREADS, {**FOUR_THREADS, "PYTHONHASHSEED": "12345"}),
 }
 
 
 def pictures(dtype: str) -> tuple[Host, Host]:
-    """Two images that differ everywhere: noise over disks."""
+    """Return two images that differ everywhere: noise over disks."""
     rng = np.random.default_rng(5)
     scene = disks()
     noise = rng.uniform(0.0, 0.2, (2, HEIGHT, WIDTH, 3))
@@ -51,7 +51,7 @@ def pictures(dtype: str) -> tuple[Host, Host]:
 
 
 def disks(make: Callable[..., Any] = Disks, **options: Any) -> Any:
-    """Twelve disks that overlap."""
+    """Return twelve overlapping disks."""
     rng = np.random.default_rng(6)
     return make(
         HEIGHT,
@@ -64,31 +64,31 @@ def disks(make: Callable[..., Any] = Disks, **options: Any) -> Any:
 
 
 def warp(make: Callable[..., Any] = Warp, **options: Any) -> Any:
-    """A turned picture."""
+    """Return a rotated picture."""
     rng = np.random.default_rng(7)
     picture, background = rng.uniform(0, 1, (40, 50, 4)), rng.uniform(0, 1, (HEIGHT, WIDTH, 3))
     return make(picture, background, (7.0, -3.0), 31.0, 1.3, 0.2, **options)
 
 
 def rendered(name: str, renderer: Renderer) -> Results:
-    """The image, and the pullback of noise."""
+    """Return the image and the pullback of noise."""
     image, pullback = renderer.render_vjp(renderer.parameters(), seed=3)
     cotangent = np.random.default_rng(8).standard_normal(tuple(image.shape))
     gradient = pullback(from_numpy(cotangent, image))
-    slopes = np.concatenate([to_numpy(gradient[one]).ravel() for one in sorted(gradient)])
+    slopes = np.concatenate([to_numpy(gradient[key]).ravel() for key in sorted(gradient)])
     return {f"{name}: image": to_numpy(image), f"{name}: gradient": slopes}
 
 
 def fitted(name: str, renderer: Renderer, free: str, rate: float) -> Results:
-    """Where a fit of a few steps has come to, and its values on the way."""
+    """Return the parameters and values of a fit of a few steps."""
     start = renderer.parameters()
     target = to_numpy(renderer.render(start, seed=100))
     moved = {free: _moved(to_numpy(start[free]))}
     objective = LOIObjective(target, SCALES)
     result = fit(renderer, objective, steps=STEPS, learning_rate=rate, optimise=moved, seed=4)
-    reached = to_numpy(result.params[free]).ravel()
-    values = np.array([one.value for one in result.history], dtype=reached.dtype)
-    return {f"{name}: fit": np.concatenate([reached, values])}
+    parameters = to_numpy(result.params[free]).ravel()
+    values = np.array([step.value for step in result.history], dtype=parameters.dtype)
+    return {f"{name}: fit": np.concatenate([parameters, values])}
 
 
 def _moved(start: Host) -> Any:
@@ -96,18 +96,18 @@ def _moved(start: Host) -> Any:
 
 
 def on_numpy() -> Results:
-    """The core alone."""
-    found: Results = {}
+    """Compute on NumPy."""
+    results: Results = {}
     for dtype in ("float32", "float64"):
         image, reference = pictures(dtype)
         value, gradient = LOIObjective(reference, SCALES).value_and_grad(image)
-        found |= {f"loss, {dtype}": np.asarray(value), f"loss gradient, {dtype}": gradient}
-    found |= rendered("disks", disks()) | rendered("warp", warp())
-    return found | fitted("disks", disks(), "positions", 0.5)
+        results |= {f"loss, {dtype}": np.asarray(value), f"loss gradient, {dtype}": gradient}
+    results |= rendered("disks", disks()) | rendered("warp", warp())
+    return results | fitted("disks", disks(), "positions", 0.5)
 
 
 def on_torch() -> Results:
-    """PyTorch, through its own differentiation."""
+    """Compute on PyTorch through autograd."""
     import torch
 
     import loi_torch
@@ -115,37 +115,37 @@ def on_torch() -> Results:
     from loi_torch.renderers import Warp as TorchWarp
 
     torch.set_num_threads(_threads())
-    found: Results = {}
+    results: Results = {}
     for dtype in ("float32", "float64"):
         image, reference = pictures(dtype)
         leaf = torch.tensor(image, requires_grad=True)
         value = loi_torch.LOILoss(reference, SCALES)(leaf)
         value.backward()
         assert leaf.grad is not None
-        found |= {f"loss, {dtype}": value.detach().numpy(), f"loss gradient, {dtype}": leaf.grad.numpy()}
-    found |= rendered("disks", disks(TorchDisks)) | rendered("warp", warp(TorchWarp))
-    return found | fitted("disks", disks(TorchDisks), "positions", 0.5)
+        results |= {f"loss, {dtype}": value.detach().numpy(), f"loss gradient, {dtype}": leaf.grad.numpy()}
+    results |= rendered("disks", disks(TorchDisks)) | rendered("warp", warp(TorchWarp))
+    return results | fitted("disks", disks(TorchDisks), "positions", 0.5)
 
 
 def on_jax() -> Results:
-    """JAX, compiled."""
+    """Compute on JAX under jit."""
     import jax
 
     jax.config.update("jax_enable_x64", True)  # type: ignore[no-untyped-call]  # untyped in JAX
     import loi_jax
     from loi_jax.renderers import Disks as JaxDisks
 
-    found: Results = {}
+    results: Results = {}
     for dtype in ("float32", "float64"):
         image, reference = pictures(dtype)
         value, gradient = jax.jit(jax.value_and_grad(loi_jax.loi_loss(reference, SCALES)))(jax.numpy.asarray(image))
-        found |= {f"loss, {dtype}": np.asarray(value), f"loss gradient, {dtype}": np.asarray(gradient)}
-    found |= rendered("disks", disks(JaxDisks))
-    return found | fitted("disks", disks(JaxDisks), "positions", 0.5)
+        results |= {f"loss, {dtype}": np.asarray(value), f"loss gradient, {dtype}": np.asarray(gradient)}
+    results |= rendered("disks", disks(JaxDisks))
+    return results | fitted("disks", disks(JaxDisks), "positions", 0.5)
 
 
 def on_mitsuba() -> Results:
-    """Dr.Jit, and a small scene of Mitsuba's."""
+    """Compute on Dr.Jit, with a small scene of Mitsuba."""
     import loi_mitsuba  # before Dr.Jit, so that it gets an LLVM that works
 
     # isort: split
@@ -160,9 +160,9 @@ def on_mitsuba() -> Results:
     dr.enable_grad(tensor)
     value = loi_mitsuba.LOILoss(reference, SCALES)(tensor)
     dr.backward(value)
-    found = {"loss, float32": np.array(value), "loss gradient, float32": np.array(dr.grad(tensor))}
+    results = {"loss, float32": np.array(value), "loss gradient, float32": np.array(dr.grad(tensor))}
     renderer = loi_mitsuba.MitsubaRenderer(_ball(mi), {"place": loi_mitsuba.Translate("ball")}, spp=8)
-    return found | rendered("scene", renderer) | fitted("scene", renderer, "place", 0.05)
+    return results | rendered("scene", renderer) | fitted("scene", renderer, "place", 0.05)
 
 
 def _ball(mi: Any) -> dict[str, Any]:
@@ -190,13 +190,13 @@ def _threads() -> int:
 
 
 def computed(backend: str, folder: Path, **changes: str) -> Results:
-    """What a backend computes in a new process with these changes of its environment."""
-    # What another process has compiled would be run here as well, and be the same for that reason alone.
+    """Return the results of a backend in a new process with these changes of its environment."""
+    # A shared compilation cache would make results equal for that reason alone.
     variables = {"THREADS": "1", "PYTHONHASHSEED": "0", "JAX_ENABLE_COMPILATION_CACHE": "false", **changes}
     threads = variables["THREADS"]
     variables |= dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NPROC"), threads)
     variables["XLA_FLAGS"] = f"--xla_cpu_multi_thread_eigen={'false' if threads == '1' else 'true'}"
-    path = folder / "found.npz"
+    path = folder / "results.npz"
     subprocess.run(
         [sys.executable, "-m", "examples.determinism", "--row", backend, str(path)],
         check=True,
@@ -207,22 +207,22 @@ def computed(backend: str, folder: Path, **changes: str) -> Results:
         return {name: stored[name] for name in stored.files}
 
 
-def apart(first: Host, second: Host) -> float:
-    """The greatest difference, in units of the rounding (eps) of the greatest value; 0 if all bits are equal."""
+def difference_in_eps(first: Host, second: Host) -> float:
+    """Return the largest difference, in units of the rounding (eps) of the largest value; 0 if all bits are equal."""
     if first.tobytes() == second.tobytes():
         return 0.0
     unit = float(np.finfo(first.dtype).eps) * max(float(np.abs(first).max()), sys.float_info.min)
     distance = float(np.abs(first.astype(np.float64) - second.astype(np.float64)).max()) / unit
-    return max(distance, sys.float_info.min)  # zeros of another sign are apart by nothing, but not equal
+    return max(distance, sys.float_info.min)  # zeros of different sign differ by 0 but are not equal
 
 
 def shown(distance: float) -> str:
-    """A cell of the table."""
+    """Return a cell of the table."""
     return "equal" if distance == 0.0 else f"{distance:.2g} eps"
 
 
 def main(arguments: list[str]) -> int:
-    """Print the table, or compute for one row of it."""
+    """Print the table, or compute one row into a file."""
     parser = argparse.ArgumentParser(prog="python -m examples.determinism", description=__doc__)
     parser.add_argument("--row", nargs=2, metavar=("BACKEND", "FILE"), help="compute one row's numbers into a file")
     row = parser.parse_args(arguments).row
@@ -236,13 +236,13 @@ def main(arguments: list[str]) -> int:
             if importlib.util.find_spec(module) is None:
                 continue
             runs: dict[tuple[tuple[str, str], ...], Results] = {}
-            for changes in (one for pair in SETTINGS.values() for one in pair):
+            for changes in (changes for pair in SETTINGS.values() for changes in pair):
                 key = tuple(sorted(changes.items()))
                 if key not in runs:
                     runs[key] = computed(backend, Path(folder), **changes)
-            pairs = [tuple(runs[tuple(sorted(one.items()))] for one in pair) for pair in SETTINGS.values()]
+            pairs = [tuple(runs[tuple(sorted(changes.items()))] for changes in pair) for pair in SETTINGS.values()]
             for name in runs[()]:
-                cells = (shown(apart(first[name], second[name])) for first, second in pairs)
+                cells = (shown(difference_in_eps(first[name], second[name])) for first, second in pairs)
                 print(f"| {backend} | {name} | {' | '.join(cells)} |", flush=True)
     return 0
 

@@ -30,54 +30,56 @@ STARTS: Final = (  # of ring, leaf and brick, at full size
     ((24.0, 66.0), (74.0, 26.0), (24.0, 24.0)),
     ((30.0, 70.0), (64.0, 66.0), (34.0, 26.0)),
 )
-TURN: Final = np.array([0.0, 25.0, -25.0])
-SHRINK: Final = 0.85
+START_ROTATIONS_DEGREES: Final = np.array([0.0, 25.0, -25.0])
+START_SIZE_FACTOR: Final = 0.85
 RATES: Final = {"sizes": 0.1, "rotations": 2.5, "widths": 0.1}
 
 Host: TypeAlias = np.ndarray[Any, Any]
 
 
 def search(
-    renderer: Vector, objective: ImageObjective[Any], place: Sequence[Sequence[float]], size: int, steps: int
+    renderer: Vector, objective: ImageObjective[Any], start_positions: Sequence[Sequence[float]], size: int, steps: int
 ) -> FitResult:
-    """Fit places, sizes, turns and the stroke's width, from elsewhere, smaller, turned and with a thinner stroke."""
+    """Fit positions, sizes, rotations and the stroke's width, from a smaller, rotated and displaced logo."""
     truth = {name: value.numpy() for name, value in renderer.parameters().items()}
-    start = {name: SHRINK * truth[name] for name in ("sizes", "widths")} | {"rotations": truth["rotations"] + TURN}
+    start = {name: START_SIZE_FACTOR * truth[name] for name in ("sizes", "widths")} | {
+        "rotations": truth["rotations"] + START_ROTATIONS_DEGREES
+    }
     free = {name: Free(initial=value, learning_rate=RATES[name]) for name, value in start.items()}
     scale = size / FULL
-    free["positions"] = Free(scale * np.array(place), 0.0, float(size), 2.0 * scale)
+    free["positions"] = Free(scale * np.array(start_positions), 0.0, float(size), 2.0 * scale)
     return fit(renderer, objective, steps=steps, learning_rate=1.0, optimise=free)
 
 
 def worst(renderer: Vector, params: Mapping[str, Any]) -> float:
-    """By how many pixels the marks of the shape that is worst off miss those of the same shape in the logo."""
+    """Return the largest distance in pixels between marks of a fitted shape and of its counterpart in the logo."""
     true = renderer.shapes(renderer.parameters())
-    return max(_apart(_marks(a), _marks(b)) for a, b in zip(renderer.shapes(params), true, strict=True))
+    return max(_hausdorff(_marks(a), _marks(b)) for a, b in zip(renderer.shapes(params), true, strict=True))
 
 
 def _marks(shape: Shape) -> Host:
-    """Points that move with all that is fitted: control points, corners, or both edges of a ring."""
+    """Return points that move with all fitted numbers: control points, corners, or both edges of a ring."""
     if isinstance(shape, Curves):
-        return np.concatenate([np.asarray(one.points) for one in shape.outlines])
+        return np.concatenate([np.asarray(outline.points) for outline in shape.outlines])
     if isinstance(shape, Circle):
         reach = np.array([shape.radius - 0.5 * shape.paint.width, shape.radius + 0.5 * shape.paint.width])
-        return np.concatenate([np.asarray(shape.centre) + reach[:, None] * np.array(way) for way in np.eye(2)])
+        return np.concatenate([np.asarray(shape.centre) + reach[:, None] * np.array(axis) for axis in np.eye(2)])
     assert isinstance(shape, Rectangle)
     angle = np.deg2rad(shape.rotation)
-    turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+    rotation = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
     signs = np.array([[1, 1], [1, -1], [-1, 1], [-1, -1]])
-    corners: Host = np.asarray(shape.centre) + (0.5 * signs * np.asarray(shape.sides)) @ turn
+    corners: Host = np.asarray(shape.centre) + (0.5 * signs * np.asarray(shape.sides)) @ rotation
     return corners
 
 
-def _apart(points: Host, others: Host) -> float:
-    """The largest distance from a point of one set to the nearest of the other, either way."""
-    distances = np.linalg.norm(points[:, None] - others[None], axis=-1)
+def _hausdorff(first: Host, second: Host) -> float:
+    """Return the Hausdorff distance of two sets of points."""
+    distances = np.linalg.norm(first[:, None] - second[None], axis=-1)
     return float(max(distances.min(axis=0).max(), distances.min(axis=1).max()))
 
 
 def plot(pictures: Mapping[str, Host], path: Path) -> None:
-    """The pictures in a row."""
+    """Draw pictures in a row."""
     figure = new_figure(2.2 * len(pictures), 2.5)
     axes = figure.subplots(1, len(pictures))
     for axis, (title, picture) in zip(axes, pictures.items(), strict=True):
@@ -89,7 +91,7 @@ def plot(pictures: Mapping[str, Host], path: Path) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Print how far off each fit ends, and write the plot of the last start."""
+    """Print the error of each fit, and write the plot of the last start."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--quick", action="store_true", help="one start, half the size, for a test")
     parser.add_argument("--output", type=Path, default=PLOT, help="where to write the plot")
@@ -105,13 +107,15 @@ def main(arguments: Sequence[str] | None = None) -> None:
     }
     print("| start | " + " | ".join(f"{name}, px off" for name in objectives) + " |")
     print("| --- |" + " --- |" * len(objectives))
-    for number, place in enumerate(starts, start=1):
-        results = {name: search(renderer, one, place, size, STEPS) for name, one in objectives.items()}
-        off = {name: worst(renderer, result.best_params) for name, result in results.items()}
-        print(f"| {number} | " + " | ".join(f"{one:.3f}" for one in off.values()) + " |")
+    for number, start_positions in enumerate(starts, start=1):
+        results = {
+            name: search(renderer, objective, start_positions, size, STEPS) for name, objective in objectives.items()
+        }
+        errors = {name: worst(renderer, result.best_params) for name, result in results.items()}
+        print(f"| {number} | " + " | ".join(f"{error:.3f}" for error in errors.values()) + " |")
     start = search(renderer, objectives["loi"], starts[-1], size, 1).best_params
     pictures = {"start": renderer.render(start).numpy(), "target": target}
-    pictures |= {f"{name}: {off[name]:.3f} px off": np.asarray(one.image) for name, one in results.items()}
+    pictures |= {f"{name}: {errors[name]:.3f} px off": np.asarray(result.image) for name, result in results.items()}
     plot(pictures, options.output)
 
 

@@ -1,10 +1,10 @@
-"""An adapter of somebody else's renderer: DEODR, a compiled mesh rasterizer with an adjoint of its own.
+"""An adapter for DEODR, a compiled mesh rasterizer with its own adjoint.
 
-DEODR (https://github.com/martinResearch/DEODR) draws triangles with NumPy arrays in and out and knows the derivative of
-its image by the vertices in the image plane and by their colours. The adapter adds what lies between those and the
-parameters of a rigid pose, and keeps the contract of :class:`loi_core.Renderer`.
+DEODR (https://github.com/martinResearch/DEODR) draws triangles from and to NumPy arrays, with the derivative of its
+image by the vertices in the image plane and by their colours. The adapter differentiates from there to the parameters
+of a rigid pose, and keeps the contract of :class:`loi_core.Renderer`.
 
-It needs ``pip install DEODR trimesh``; DEODR imports trimesh without saying that it requires it.
+It needs ``pip install DEODR trimesh``; DEODR imports trimesh without requiring it.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from loi_core.renderers.validation import FloatArray, check_floats, check_parame
 
 __all__ = ["DeodrMesh", "sphere"]
 
-EDGE_WIDTH: Final = 1.0  # pixels over which DEODR blends an outline into what is behind it
+EDGE_WIDTH_PX: Final = 1.0  # width of the blend of an outline into the background
 NEAREST: Final = 1e-2  # world units; DEODR clips nothing, so a vertex at the camera would land anywhere
 FARTHEST: Final = 32000.0  # pixels; DEODR counts them in 16 bits and writes outside the image when they overflow
 
@@ -114,8 +114,8 @@ class DeodrMesh:
     ) -> tuple[FloatArray, Callable[[FloatArray], dict[str, FloatArray]]]:
         """The image and its pullback; see :class:`loi_core.Renderer`."""
         pose = check_parameters(params, self._pose)
-        turn = _rotation_matrix(pose["rotation"])
-        points = self._vertices @ turn.T + pose["translation"]
+        rotation_matrix = _rotation_matrix(pose["rotation"])
+        points = self._vertices @ rotation_matrix.T + pose["translation"]
         depths = points[:, 2]
         if np.any(depths < NEAREST):
             msg = f"`translation` must keep all vertices at z >= {NEAREST}, got one at z = {depths.min():.6g}"
@@ -127,7 +127,7 @@ class DeodrMesh:
             raise ParameterError(msg)
         scene = self._scene(corners, depths, pose["colours"])
         with _reported():
-            image, _ = scene.render(EDGE_WIDTH)
+            image, _ = scene.render(EDGE_WIDTH_PX)
 
         def pullback(cotangent: FloatArray) -> dict[str, FloatArray]:
             arriving = np.array(cotangent, dtype=np.float64, order="C")  # DEODR works in the array that it is given
@@ -140,7 +140,7 @@ class DeodrMesh:
             by_slope = self._focal * scene.ij_b / depths[:, None]
             by_point = np.column_stack([by_slope, -np.sum(by_slope * slopes, axis=1)])
             # A small turn d after R moves R v by R (d x v), so its gradient is v x (R^T g).
-            by_turn = np.sum(np.cross(self._vertices, by_point @ turn), axis=0)
+            by_turn = np.sum(np.cross(self._vertices, by_point @ rotation_matrix), axis=0)
             return {
                 "translation": by_point.sum(axis=0),
                 "rotation": _right_jacobian(pose["rotation"]).T @ by_turn,
@@ -221,7 +221,7 @@ def _rotation_matrix(vector: FloatArray) -> FloatArray:
 
 
 def _right_jacobian(vector: FloatArray) -> FloatArray:
-    """The matrix J (3, 3) for which R(vector + d) is R(vector) R(J d) up to terms of second order in d."""
+    """Return the matrix J (3, 3) with R(vector + d) = R(vector) R(J d) up to second order in d."""
     angle, cross = float(np.linalg.norm(vector)), _cross_matrix(vector)
     # (a - sin a) / a^3 cancels at small angles; three terms of its series are exact in float64 below this one.
     squared = angle * angle
@@ -234,7 +234,7 @@ def _right_jacobian(vector: FloatArray) -> FloatArray:
 
 
 def sphere(subdivisions: int = 3) -> tuple[FloatArray, np.ndarray[Any, np.dtype[np.int64]], FloatArray]:
-    """A unit sphere whose colour tells the direction, for :class:`DeodrMesh`.
+    """Return a unit sphere with colours by direction, for :class:`DeodrMesh`.
 
     Parameters
     ----------

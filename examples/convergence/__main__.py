@@ -1,8 +1,8 @@
-"""Fit every scene of the suite from several random starts with nothing given but the bounds, and print what came of it.
+"""Fit every scene of the suite from several random starts, with bounds alone, and print the results.
 
-``python -m examples.convergence [--kind warp] [--seeds 3] [--before] [--by-hand]``; ``--before`` adds the fit that
-there was before stages: the objective alone, at the same rates. ``--by-hand`` adds what somebody who knows the scenes
-would do: the widest extent alone first, at twice the rate, in three quarters of the steps, and no search.
+``python -m examples.convergence [--kind warp] [--seeds 3] [--single-stage] [--manual]``; ``--single-stage`` adds fits
+of the objective alone, at the same rates. ``--manual`` adds an expert's schedule: the widest extent alone first, at
+twice the rate, in three quarters of the steps, without a search.
 """
 
 from __future__ import annotations
@@ -16,65 +16,65 @@ from examples.convergence.case import Case, within
 from loi_core import LOIObjective, ScaleSpace, fit
 from loi_core.support.markdown import markdown
 
-HEADS = ("scene", "found", "worst error", "right verdicts", "verdicts", "seconds")
+HEADS = ("scene", "solved", "worst error", "right verdicts", "verdicts", "seconds")
 
 
-def cases(kind: str) -> Iterable[Case]:
-    """The scenes whose name begins so; Mitsuba's are imported only if they are asked for."""
+def cases(prefix: str) -> Iterable[Case]:
+    """Yield the scenes whose name begins with `prefix`; Mitsuba is imported only on request."""
     from examples.convergence.flat import VECTORS, WARPS
 
-    yield from (case for case in (*WARPS, *VECTORS) if case.name.startswith(kind))
-    if not kind or kind.startswith("M"):
+    yield from (case for case in (*WARPS, *VECTORS) if case.name.startswith(prefix))
+    if not prefix or prefix.startswith("M"):
         from examples.convergence.solid import SOLIDS
 
         yield from SOLIDS
 
 
 def settings(height: int, width: int) -> dict[str, dict[str, Any]]:
-    """What is compared, by what its rows are called; the first is the default."""
+    """Return the compared settings by the suffix of their rows; the first is the default."""
     widest = max(ScaleSpace.for_image(height, width).alpha)
-    by_hand = {"stages": [ScaleSpace(1.0, widest, 0.125)], "steps": 150, "learning_rate": f"{width / 50:g} px"}
-    return {"": {}, ", before": {"stages": None}, ", by hand": by_hand}
+    manual = {"stages": [ScaleSpace(1.0, widest, 0.125)], "steps": 150, "learning_rate": f"{width / 50:g} px"}
+    return {"": {}, ", single stage": {"stages": None}, ", manual": manual}
 
 
-def row(case: Case, seeds: Sequence[int], way: str = "") -> list[str]:
-    """What came of one scene: found of how many, the worst error in units of what is allowed, and the verdicts."""
-    found = right = 0
+def row(case: Case, seeds: Sequence[int], setting: str = "") -> list[str]:
+    """Fit one scene; return the solved starts, the worst error in tolerances, and the verdicts."""
+    solved = correct_verdicts = 0
     worst, verdicts, started = 0.0, [], time.perf_counter()
     for seed in seeds:
         trial = case.make(seed)
-        options = settings(*trial.target.shape[:2])[way]
+        options = settings(*trial.target.shape[:2])[setting]
         result = fit(trial.renderer, LOIObjective(trial.target), optimise=trial.free, seed=1000 * seed, **options)
-        there, error = within(trial, result.best_params)
+        is_solved, error = within(trial, result.best_params)
         diagnosis = result.diagnosis
-        found, worst = found + there, max(worst, error)
-        right += diagnosis is not None and diagnosis.ok == there
+        solved, worst = solved + is_solved, max(worst, error)
+        correct_verdicts += diagnosis is not None and diagnosis.ok == is_solved
         verdicts.append("none" if diagnosis is None else f"{diagnosis.verdict} ({diagnosis.left:.0%})")
     count, seconds = len(seeds), (time.perf_counter() - started) / len(seeds)
     return [
-        case.name + way,
-        f"{found} of {count}",
+        case.name + setting,
+        f"{solved} of {count}",
         f"{worst:.2g}",
-        f"{right} of {count}",
+        f"{correct_verdicts} of {count}",
         ", ".join(verdicts),
         f"{seconds:.1f}",
     ]
 
 
 def main() -> None:
-    """Print the table, a row as soon as it is there."""
+    """Print the table row by row."""
     parser = argparse.ArgumentParser(prog="python -m examples.convergence", description=__doc__)
     parser.add_argument("--kind", default="", help="warp, vector, SVG or Mitsuba")
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--first", type=int, default=0, help="the first seed")
-    parser.add_argument("--before", action="store_true")
-    parser.add_argument("--by-hand", action="store_true")
+    parser.add_argument("--single-stage", action="store_true")
+    parser.add_argument("--manual", action="store_true")
     options = parser.parse_args()
-    asked = {"": True, ", before": options.before, ", by hand": options.by_hand}
+    requested = {"": True, ", single stage": options.single_stage, ", manual": options.manual}
     rows = []
     for case in cases(options.kind):
-        for way in (way for way, wanted in asked.items() if wanted):
-            rows.append(row(case, range(options.first, options.first + options.seeds), way))
+        for setting in (name for name, is_requested in requested.items() if is_requested):
+            rows.append(row(case, range(options.first, options.first + options.seeds), setting))
             print(" | ".join(rows[-1]), flush=True)
     print("\n" + "\n".join(markdown(HEADS, rows)))
 

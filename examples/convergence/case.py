@@ -1,4 +1,4 @@
-"""A scene of the suite: what may move, from where, and where it is to end."""
+"""A scene of the suite: its free parameters, starts and goals."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ __all__ = ["Case", "Trial", "photograph", "within"]
 
 @dataclass(frozen=True)
 class Trial:
-    """One scene with one random start and goal.
+    """A scene with a random start and goal.
 
     Attributes
     ----------
@@ -28,7 +28,7 @@ class Trial:
         Starts and bounds; no rates.
     goal : dict of arrays
     allowed : dict of float
-        How far each parameter may be off, in its own unit: about a pixel.
+        Tolerance of each parameter in its unit, about a pixel.
     """
 
     renderer: Renderer
@@ -40,14 +40,14 @@ class Trial:
 
 @dataclass(frozen=True)
 class Case:
-    """One scene by name, and what makes it for a seed."""
+    """A named scene and its constructor for a seed."""
 
     name: str
     make: Callable[[int], Trial]
 
 
 def within(trial: Trial, params: Mapping[str, Any]) -> tuple[bool, float]:
-    """Whether parameters are those of the goal, and the largest error in units of what is allowed."""
+    """Return whether parameters are within their tolerances of the goal, and the largest error in tolerances."""
     errors = [
         float(np.max(np.abs(np.asarray(params[name], dtype=np.float64) - goal))) / trial.allowed[name]
         for name, goal in trial.goal.items()
@@ -56,12 +56,17 @@ def within(trial: Trial, params: Mapping[str, Any]) -> tuple[bool, float]:
 
 
 def photograph(height: int, width: int, rng: np.random.Generator) -> Host:
-    """A random part of the portrait that Matplotlib ships, shape (height, width, 3), as it is stored."""
-    with cbook.get_sample_data("grace_hopper.jpg") as file, Image.open(file) as stored:  # type: ignore[union-attr]  # a file, as it is not asked for as an array
+    """Return a random crop of Matplotlib's portrait, shape (height, width, 3), sRGB."""
+    with cbook.get_sample_data("grace_hopper.jpg") as file, Image.open(file) as stored:  # type: ignore[union-attr]  # returns a file by default
         whole = stored.convert("RGB")
     scale = rng.uniform(max(height / whole.height, width / whole.width), 1.0)
-    wide, high = min(round(width / scale), whole.width), min(round(height / scale), whole.height)
-    left, top = (int(rng.integers(0, room - part + 1)) for room, part in zip(whole.size, (wide, high), strict=True))
-    part = whole.crop((left, top, left + wide, top + high)).resize((width, height), Image.Resampling.LANCZOS)
-    picture: Host = np.asarray(part, dtype=np.float64) / 255.0
+    crop_width, crop_height = min(round(width / scale), whole.width), min(round(height / scale), whole.height)
+    left, top = (
+        int(rng.integers(0, available - length + 1))
+        for available, length in zip(whole.size, (crop_width, crop_height), strict=True)
+    )
+    crop = whole.crop((left, top, left + crop_width, top + crop_height)).resize(
+        (width, height), Image.Resampling.LANCZOS
+    )
+    picture: Host = np.asarray(crop, dtype=np.float64) / 255.0
     return picture

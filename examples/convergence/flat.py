@@ -20,22 +20,22 @@ from loi_torch.vector import Circle, Ellipse, Paint, Rectangle, Shape, Vector, p
 __all__ = ["VECTORS", "WARPS"]
 
 HEIGHT, WIDTH = 96, 128
-MARGIN: Final = 14.0
-FAR: Final = 25.0  # pixels at least from start to goal
+MARGIN_PX: Final = 14.0
+MIN_DISTANCE_PX: Final = 25.0  # from start to goal
 
 POSES: Final = (("rotation", 0.0, 60.0, 3.0), ("scale", 1.0, 0.35, 0.03), ("exposure", 0.0, 0.6, 0.1))
-"""Name, start, how far the bounds are from it, and what is allowed."""
+"""Name, start, distance of the bounds, and tolerance."""
 
 Random = np.random.Generator
 
 
 def plain(rng: Random) -> Host:
-    """One grey."""
+    """Return one grey."""
     return np.full((HEIGHT, WIDTH, 3), rng.uniform(0.3, 0.6))
 
 
 def wood(rng: Random) -> Host:
-    """Low contrast, two frequencies."""
+    """Return wood of low contrast with two frequencies."""
     y, x = np.mgrid[:HEIGHT, :WIDTH]
     grain = 0.45 + 0.075 * np.sin(x / 6 + 2 * np.sin(y / 25) + rng.uniform(0, 6)) + 0.045 * np.sin(y / 3)
     floor: Host = np.clip(grain[..., None] * np.array([1.0, 0.75, 0.5]), 0.0, 1.0)
@@ -43,62 +43,62 @@ def wood(rng: Random) -> Host:
 
 
 def checkers(rng: Random) -> Host:
-    """Squares of twelve pixels."""
+    """Return squares of twelve pixels."""
     y, x = np.mgrid[:HEIGHT, :WIDTH]
     a, b = rng.integers(0, 12, 2)
     return np.repeat(np.where(((x + a) // 12 + (y + b) // 12) % 2 == 0, 0.25, 0.75)[..., None], 3, axis=-1)
 
 
 def noise(rng: Random) -> Host:
-    """Every pixel for itself."""
+    """Return independent noise."""
     return np.clip(0.5 + 0.15 * rng.standard_normal((HEIGHT, WIDTH, 3)), 0.0, 1.0)
 
 
 def picture(rng: Random) -> Host:
-    """Part of a photograph."""
+    """Return a crop of a photograph."""
     return photograph(HEIGHT, WIDTH, rng)
 
 
 def ball(rng: Random) -> Host:
-    """A shaded disk with an edge of one pixel, and its opacity."""
+    """Return a shaded disk with an edge of one pixel, and its opacity."""
     y, x = np.mgrid[-10:11, -10:11]
-    away = np.hypot(x, y)
-    shade = 0.25 + 0.75 * np.sqrt(np.clip(1.0 - (away / 9.0) ** 2, 0.0, 1.0))
+    distance = np.hypot(x, y)
+    shade = 0.25 + 0.75 * np.sqrt(np.clip(1.0 - (distance / 9.0) ** 2, 0.0, 1.0))
     colour = rng.uniform(0.1, 1.0, 3)
-    return np.concatenate([shade[..., None] * colour, np.clip(9.5 - away, 0.0, 1.0)[..., None]], axis=-1)
+    return np.concatenate([shade[..., None] * colour, np.clip(9.5 - distance, 0.0, 1.0)[..., None]], axis=-1)
 
 
 def patch(rng: Random) -> Host:
-    """A square of a photograph."""
+    """Return a square crop of a photograph."""
     return photograph(24, 24, rng)
 
 
-def _places(rng: Random) -> tuple[Host, Host]:
-    """A start and a goal, far from each other and from the border; from the image's corner."""
+def _start_and_goal(rng: Random) -> tuple[Host, Host]:
+    """Return a start and a goal, far from each other and from the border, in pixels from the image's corner."""
     size = np.array([WIDTH, HEIGHT])
     while True:
-        start, goal = rng.uniform(MARGIN, size - MARGIN), rng.uniform(MARGIN, size - MARGIN)
-        if float(np.hypot(*(start - goal))) >= FAR:
+        start, goal = rng.uniform(MARGIN_PX, size - MARGIN_PX), rng.uniform(MARGIN_PX, size - MARGIN_PX)
+        if float(np.hypot(*(start - goal))) >= MIN_DISTANCE_PX:
             return start, goal
 
 
 def _warp(background: Callable[[Random], Host], front: Callable[[Random], Host], pose: str, seed: int) -> Trial:
     rng = np.random.default_rng(seed)
     renderer = Warp(front(rng), background(rng))
-    start, goal = (place - np.array([WIDTH, HEIGHT]) / 2 for place in _places(rng))
-    low = np.array([MARGIN - WIDTH / 2, MARGIN - HEIGHT / 2])
-    free, wanted, allowed = {"translation": Free(start, low, -low)}, {"translation": goal}, {"translation": 1.0}
-    for name, first, span, off in POSES:
+    start, goal = (position - np.array([WIDTH, HEIGHT]) / 2 for position in _start_and_goal(rng))
+    lower = np.array([MARGIN_PX - WIDTH / 2, MARGIN_PX - HEIGHT / 2])
+    free, goals, allowed = {"translation": Free(start, lower, -lower)}, {"translation": goal}, {"translation": 1.0}
+    for name, first, span, tolerance in POSES:
         if name in pose:
-            wanted[name] = np.asarray(first + rng.uniform(-0.7, 0.7) * span)
-            free[name], allowed[name] = Free(first, first - span, first + span), off
-    return Trial(renderer, renderer.render(renderer.parameters() | wanted), free, wanted, allowed)
+            goals[name] = np.asarray(first + rng.uniform(-0.7, 0.7) * span)
+            free[name], allowed[name] = Free(first, first - span, first + span), tolerance
+    return Trial(renderer, renderer.render(renderer.parameters() | goals), free, goals, allowed)
 
 
 def _vector(shape: str, as_svg: bool, seed: int) -> Trial:  # noqa: FBT001  # by functools.partial
     rng = np.random.default_rng([seed, as_svg])
     size = np.array([WIDTH, HEIGHT])
-    start, goal = _places(rng)
+    start, goal = _start_and_goal(rng)
     paint = Paint(fill=(*rng.uniform(0.0, 1.0, 3), 1.0))
     angles, radii = np.arange(10) * np.pi / 5, np.where(np.arange(10) % 2, 4.0, 9.0)
     star = start + np.stack([radii * np.cos(angles), radii * np.sin(angles)], axis=-1)
@@ -109,22 +109,28 @@ def _vector(shape: str, as_svg: bool, seed: int) -> Trial:  # noqa: FBT001  # by
         "star": lambda: polygon(star, paint),
         "ring": lambda: Circle(start, 9.0, Paint(stroke=(*rng.uniform(0.0, 1.0, 3), 1.0), width=5.0)),
     }
-    drawn, behind = shapes[shape](), decode_srgb(photograph(HEIGHT, WIDTH, rng))
+    drawn_shape, background = shapes[shape](), decode_srgb(photograph(HEIGHT, WIDTH, rng))
     if as_svg:
         with tempfile.TemporaryDirectory() as folder:
             file = Path(folder) / "shape.svg"
-            write_svg(file, [drawn], HEIGHT, WIDTH)
-            renderer = Vector(HEIGHT, WIDTH, svg=file, background=behind, encoding="sRGB")
+            write_svg(file, [drawn_shape], HEIGHT, WIDTH)
+            renderer = Vector(HEIGHT, WIDTH, svg=file, background=background, encoding="sRGB")
     else:
-        renderer = Vector(HEIGHT, WIDTH, [drawn], behind, encoding="sRGB")
-    own = to_numpy(renderer.parameters()["positions"]).copy()
-    wanted, low, high = own.copy(), own.copy(), own.copy()
-    wanted[-1] = goal
-    low[-1], high[-1] = MARGIN, size - MARGIN
-    own[-1] = np.clip(own[-1], low[-1], high[-1])
+        renderer = Vector(HEIGHT, WIDTH, [drawn_shape], background, encoding="sRGB")
+    start_positions = to_numpy(renderer.parameters()["positions"]).copy()
+    goal_positions, lower, upper = start_positions.copy(), start_positions.copy(), start_positions.copy()
+    goal_positions[-1] = goal
+    lower[-1], upper[-1] = MARGIN_PX, size - MARGIN_PX
+    start_positions[-1] = np.clip(start_positions[-1], lower[-1], upper[-1])
     params = renderer.parameters()
-    target = to_numpy(renderer.render(params | {"positions": from_numpy(wanted, params["positions"])}))
-    return Trial(renderer, target, {"positions": Free(own, low, high)}, {"positions": wanted}, {"positions": 1.0})
+    target = to_numpy(renderer.render(params | {"positions": from_numpy(goal_positions, params["positions"])}))
+    return Trial(
+        renderer,
+        target,
+        {"positions": Free(start_positions, lower, upper)},
+        {"positions": goal_positions},
+        {"positions": 1.0},
+    )
 
 
 WARPS: Final = tuple(

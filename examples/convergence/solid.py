@@ -15,13 +15,13 @@ from loi_core.support.arrays import Host, to_numpy
 __all__ = ["SOLIDS"]
 
 SAMPLES: Final = 16
-CLEAN: Final = 256  # samples of a target
-FAR: Final = 2.0  # of a floor of 8 by 8
+TARGET_SAMPLES: Final = 256
+MIN_DISTANCE: Final = 2.0  # on a floor of 8 by 8
 
 
-def _floor(kind: str) -> Host:
+def _floor(pattern: str) -> Host:
     y, x = np.mgrid[:256, :256] / 256
-    if kind == "wood":
+    if pattern == "wood":
         grain = 0.45 + 0.06 * np.sin(60 * x + 3 * np.sin(8 * y)) + 0.03 * np.sin(200 * y + 5 * x)
         wood: Host = (grain[..., None] * np.array([1.0, 0.75, 0.5])).astype(np.float32)
         return wood
@@ -29,7 +29,7 @@ def _floor(kind: str) -> Host:
         "plain": np.full_like(x, 0.5),
         "checkered": np.where((np.floor(10 * x) + np.floor(10 * y)) % 2 == 0, 0.25, 0.65),
         "noisy": np.clip(0.45 + 0.15 * np.random.default_rng(3).standard_normal(x.shape), 0.0, 1.0),
-    }[kind]
+    }[pattern]
     return np.repeat(value[..., None], 3, axis=-1).astype(np.float32)
 
 
@@ -40,7 +40,7 @@ def _scene(floor: str, things: str) -> dict[str, Any]:
         mi.set_variant("llvm_ad_rgb")
     at = mi.ScalarTransform4f
     colours = [0.8, 0.1, 0.1], [0.1, 0.2, 0.7]
-    red, blue = ({"type": "diffuse", "reflectance": {"type": "rgb", "value": one}} for one in colours)
+    red, blue = ({"type": "diffuse", "reflectance": {"type": "rgb", "value": colour}} for colour in colours)
     light = {"type": "area", "radiance": {"type": "rgb", "value": 50.0}}
     texture: dict[str, Any] = {"type": "bitmap", "bitmap": mi.Bitmap(_floor(floor)), "raw": True}
     scene: dict[str, Any] = {
@@ -77,16 +77,16 @@ def _solid(floor: str, things: str, seed: int) -> Trial:
             continue
         handles[thing] = loi_mitsuba.Translate(thing)
         while True:
-            start, end = rng.uniform(-2.2, 2.2, (2, 2))
-            if np.hypot(*(start - end)) >= FAR:
+            start, goal_xy = rng.uniform(-2.2, 2.2, (2, 2))
+            if np.hypot(*(start - goal_xy)) >= MIN_DISTANCE:
                 break
         free[thing] = Free([*start, height], [-2.6, -2.6, height], [2.6, 2.6, height])
-        goal[thing], allowed[thing] = np.array([*end, height]), 0.06 if thing != "lamp" else 0.3
+        goal[thing], allowed[thing] = np.array([*goal_xy, height]), 0.06 if thing != "lamp" else 0.3
     if "turned" in things:
         handles["turn"] = loi_mitsuba.Rotate("box", (0, 0, 1))
         free["turn"], goal["turn"], allowed["turn"] = Free(0.0, -60.0, 60.0), np.asarray(rng.uniform(-40, 40)), 4.0
     scene = _scene(floor, things)
-    clean = loi_mitsuba.MitsubaRenderer(scene, handles, spp=CLEAN)
+    clean = loi_mitsuba.MitsubaRenderer(scene, handles, spp=TARGET_SAMPLES)
     single = {name: np.asarray(value, np.float32) for name, value in goal.items()}
     target = to_numpy(clean.render(clean.parameters() | single, seed=10**6 + seed))
     return Trial(loi_mitsuba.MitsubaRenderer(scene, handles, spp=SAMPLES), target, free, goal, allowed)

@@ -26,4 +26,4 @@ for step in range(200):
     rate = 1.0 - step / 200  # pixels a step, along the gradient: its length says little far from the target
     centre = centre - rate * slope / jnp.maximum(jnp.linalg.norm(slope), 1e-12)
 
-print(*(round(one, 1) for one in centre.tolist()))
+print(*(round(coordinate, 1) for coordinate in centre.tolist()))

@@ -18,8 +18,8 @@ y, x = jnp.meshgrid(jnp.arange(height) + 0.5, jnp.arange(width) + 0.5, indexing=
 
 def render(centre: jax.Array, angle: jax.Array) -> jax.Array:
     """A soft ball of radius 8 on black from one of the sides, which go round it, (height, width, 3)."""
-    across = width / 2 + centre[0] * jnp.cos(angle) + centre[2] * jnp.sin(angle)
-    inside = jax.nn.sigmoid((64 - (x - across) ** 2 - (y - centre[1]) ** 2) / 8)
+    sharding = width / 2 + centre[0] * jnp.cos(angle) + centre[2] * jnp.sin(angle)
+    inside = jax.nn.sigmoid((64 - (x - sharding) ** 2 - (y - centre[1]) ** 2) / 8)
     return inside[..., None] * jnp.array([1.0, 0.6, 0.1])
 
 
@@ -34,4 +34,4 @@ for step in range(200):
     rate = 1.0 - step / 200  # pixels a step, along the gradient: its length says little far from the target
     centre = centre - rate * slope / jnp.maximum(jnp.linalg.norm(slope), 1e-12)
 
-print(*(round(one, 1) for one in centre.tolist()))
+print(*(round(coordinate, 1) for coordinate in centre.tolist()))

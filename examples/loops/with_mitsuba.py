@@ -26,9 +26,9 @@ params = mi.traverse(scene)
 shape = mi.Transform4f(params["ball.to_world"])
 
 
-def move(place: mi.Point3f) -> None:
+def move(position: mi.Point3f) -> None:
     """Put the ball there."""
-    params["ball.to_world"] = mi.Transform4f().translate(place) @ shape
+    params["ball.to_world"] = mi.Transform4f().translate(position) @ shape
     params.update()
 
 
@@ -38,9 +38,9 @@ optimizer = mi.ad.Adam(lr=0.05)
 optimizer["place"] = mi.Point3f(-1.5, 1.0, 0.0)
 
 loss = loi_mitsuba.LOILoss(photograph, ScaleSpace.for_image(height, width, beta=0.25))
-for step in range(300):  # it arrives after 80 to 150, as noise has it, overshoots, and settles
+for step in range(300):  # arrives after 80 to 150 steps, depending on the noise, overshoots, and settles
     move(optimizer["place"])
     dr.backward(loss(mi.render(scene, params, seed=step, spp=16)))
     optimizer.step()
 
-print(*(round(float(one[0]), 1) for one in list(optimizer["place"])[:2]))
+print(*(round(float(coordinate[0]), 1) for coordinate in list(optimizer["place"])[:2]))

@@ -25,4 +25,4 @@ for _ in range(200):
     loss(render(centre)).backward()
     optimizer.step()
 
-print(*(round(one, 1) for one in centre.tolist()))
+print(*(round(coordinate, 1) for coordinate in centre.tolist()))

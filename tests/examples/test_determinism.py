@@ -1,4 +1,4 @@
-"""The same numbers in every process: to the last bit with the same number of threads, and how near with another."""
+"""Results are equal to the bit in every process with the same number of threads, and nearly equal with another."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
-from examples.determinism import BACKENDS, Results, apart, computed
+from examples.determinism import BACKENDS, Results, computed, difference_in_eps
 from tests.objectives.test_properties import ROUNDINGS
 
-# JAX takes half a minute to compile all of it, twice.
+# JAX takes half a minute to compile everything, twice.
 QUICK = [name for name in BACKENDS if name != "JAX"]
 
 
@@ -22,8 +22,8 @@ def backends() -> list[str]:
 
 def different(first: Results, second: Results) -> dict[str, float]:
     assert first.keys() == second.keys()
-    found = {name: apart(value, second[name]) for name, value in first.items()}
-    return {name: distance for name, distance in found.items() if distance > 0.0}
+    differences = {name: difference_in_eps(value, second[name]) for name, value in first.items()}
+    return {name: distance for name, distance in differences.items() if distance > 0.0}
 
 
 @pytest.mark.parametrize("backend", backends())
@@ -33,12 +33,12 @@ def test_the_same_seed_gives_the_same_bits_in_another_process(backend: str, tmp_
     assert different(first, computed(backend, tmp_path, PYTHONHASHSEED="12345")) == {}
 
 
-def test_another_number_of_threads_changes_the_core_by_roundings_at_the_most(tmp_path: Path) -> None:
+def test_another_number_of_threads_changes_the_core_by_rounding_at_most(tmp_path: Path) -> None:
     changed = different(computed("NumPy", tmp_path), computed("NumPy", tmp_path, THREADS="4"))
     assert max(changed.values(), default=0.0) <= ROUNDINGS
 
 
-def test_equal_means_equal_in_every_bit() -> None:
-    assert apart(np.zeros(2), np.array([0.0, -0.0])) > 0.0
-    assert apart(np.ones(2), np.array([1.0, 1.0 + 2**-52])) == pytest.approx(1.0)
-    assert apart(np.array([np.nan, 1.0]), np.array([np.nan, 1.0])) == 0.0
+def test_difference_in_eps_is_0_only_for_equal_bits() -> None:
+    assert difference_in_eps(np.zeros(2), np.array([0.0, -0.0])) > 0.0
+    assert difference_in_eps(np.ones(2), np.array([1.0, 1.0 + 2**-52])) == pytest.approx(1.0)
+    assert difference_in_eps(np.array([np.nan, 1.0]), np.array([np.nan, 1.0])) == 0.0
