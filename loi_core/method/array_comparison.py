@@ -100,8 +100,8 @@ class _InnerComparison:
         """Prepare a comparison with a reference: planes within the bounds, and weights, shape (N, H, W)."""
         blur = GaussianBlur(plan.blur, reference)
         intensity = blur.apply(above_padding(reference, scales.padding))
-        max_levels, planes = _chunk(max(each.last for each in tonal), reference.shape[0], plan.finest, reference)
-        levels = {each.beta: _split(scales, each, max_levels, intensity) for each in tonal}
+        max_levels, planes = _chunk(max(scale.last for scale in tonal), reference.shape[0], plan.finest, reference)
+        levels = {scale.beta: _split(scales, scale, max_levels, intensity) for scale in tonal}
         pyramid = tuple(GaussianBlur(step, reference) for step in plan.pyramid)
         extents = tuple(
             _Extent(extent.alpha, extent.start, GaussianBlur(extent.blur, reference)) for extent in plan.extents

@@ -1,9 +1,9 @@
 """One-dimensional Gaussian blurs between samplings of one axis, as matrices in float64.
 
-A blur of a finite axis is linear, so it is a matrix: its rows can hold any boundary rule, and its transpose is the
-exact adjoint. Neither inputs nor outputs need lie on the pixels. A Gaussian after a Gaussian is a Gaussian, so a wide
-blur may pass through coarser samplings and still be exact to rounding (:func:`coarsest_spacing`). Two-dimensional
-Gaussians are products of two of these.
+A blur of a finite axis is a linear map. Its matrix can hold any boundary rule, and the transpose is the exact adjoint.
+Neither inputs nor outputs need lie on the pixels. A Gaussian after a Gaussian is a Gaussian, so a wide blur may pass
+through coarser samplings and still be exact to rounding (:func:`coarsest_spacing`). Two-dimensional Gaussians are
+products of two of these.
 """
 
 from __future__ import annotations
@@ -89,7 +89,7 @@ class AxisBlur:
         Standard deviation in pixels; 0 is the identity and needs `target` to be `source`.
     boundary : {"reflect", "zero"}
         "reflect" mirrors about the edge of the first and last pixel (half-sample symmetric), any number of times:
-        rows sum to 1, and so do columns if the samplings are equal. "zero" pads with zeros.
+        rows sum to 1, and columns too if the samplings are equal. "zero" pads with zeros.
     taps : int, optional
         Odd length at which the kernel is truncated before it is normalised; needs `source` to be the pixels.
     truncate : float
@@ -133,9 +133,9 @@ class AxisBlur:
         if self.taps is None:
             return self._weights(targets, sources)
         # A truncated kernel may end in a step; its values between two pixels are interpolated.
-        low, high = np.floor(targets), np.ceil(targets)
-        fraction = targets - low
-        return (1.0 - fraction) * self._weights(low, sources) + fraction * self._weights(high, sources)
+        left, right = np.floor(targets), np.ceil(targets)
+        fraction = targets - left
+        return (1.0 - fraction) * self._weights(left, sources) + fraction * self._weights(right, sources)
 
     def columns_of(self, rows: range) -> range:
         """Return the columns outside which these rows of the matrix are 0."""
@@ -153,13 +153,13 @@ class AxisBlur:
         radius = self.radius + (1.0 if self.taps is not None else 0.0)
         if math.isinf(radius):
             return range(target.cells)
-        low = float(grid.positions[indices.start]) - radius
-        high = float(grid.positions[indices.stop - 1]) + radius
+        left = float(grid.positions[indices.start]) - radius
+        right = float(grid.positions[indices.stop - 1]) + radius
         if self.boundary == "reflect":
             # Samples beyond an edge are mirrored.
-            low, high = min(low, 2 * grid.size - 1 - high), max(high, -1 - low)
-        first = math.ceil((low + 0.5) / target.spacing - 0.5 - 1e-9)
-        last = math.floor((high + 0.5) / target.spacing - 0.5 + 1e-9)
+            left, right = min(left, 2 * grid.size - 1 - right), max(right, -1 - left)
+        first = math.ceil((left + 0.5) / target.spacing - 0.5 - 1e-9)
+        last = math.floor((right + 0.5) / target.spacing - 0.5 + 1e-9)
         return range(min(max(first, 0), target.cells - 1), min(max(last + 1, 1), target.cells))
 
     def _weights(self, targets: Matrix, sources: Matrix) -> Matrix:
@@ -173,8 +173,8 @@ class AxisBlur:
             period = 2 * self.source.size
             mirrored = targets + sources + 1.0
             weights = weights + self._gaussian(mirrored)
-            for turn in range(1, math.ceil((self.radius + 1.0) / period) + 1):
-                for shift in (-turn * period, turn * period):
+            for multiple in range(1, math.ceil((self.radius + 1.0) / period) + 1):
+                for shift in (-multiple * period, multiple * period):
                     weights = weights + self._gaussian(targets - sources + shift) + self._gaussian(mirrored + shift)
         with np.errstate(under="ignore"):
             result: Matrix = weights / self._total(targets)

@@ -177,7 +177,7 @@ class _Planner:
         return self.scales.extent_taps
 
     def _effective_taps(self, taps: int | None, scale: float) -> int | None:
-        """Return the length of a truncated kernel; None if rounding leaves nothing beyond it, so it is a Gaussian."""
+        """Return the length of a truncated kernel; None if rounding leaves nothing beyond it."""
         return None if taps is None or taps // 2 >= truncation(self.eps) * scale else taps
 
     @property
@@ -188,9 +188,9 @@ class _Planner:
     @property
     def _relative_spacing(self) -> float:
         """Largest allowed spacing of a sampling in units of the correlation length."""
-        factor, power, most = ERROR_SHARES
+        factor, power, max_share = ERROR_SHARES
         terms = len(self.scales.sigma) * len(self.scales.alpha)
-        allowed = self.tolerance * min(factor * math.pow(terms, power), most)
+        allowed = self.tolerance * min(factor * math.pow(terms, power), max_share)
         return min(math.pow(allowed / QUADRATURE_ERROR, 2.0 / 3.0), MAX_RELATIVE_SPACING)
 
     def _inner_grid(self, sigma: float) -> PlaneGrid:
@@ -218,7 +218,7 @@ class _Planner:
         return target, QUADRATURE_ERROR * math.pow(coarsest / length, 1.5)
 
     def _correlation_length(self, sigma: float, alpha: float) -> float:
-        """Return the distance over which blurred differences change, at the spacing that is allowed there."""
+        """Return the correlation length of blurred differences at the allowed spacing."""
         # Isophotes of a blurred image change about twice as fast as the image.
         smooth = 0.0 if self.weighted else sigma / 2.0
         length = math.hypot(alpha, smooth)
@@ -242,7 +242,7 @@ class _Planner:
         return self.scales.boundary == "reflect" and scale >= MIN_FLAT_SCALE * longer
 
     def _new_pyramid_levels(self, grid: PlaneGrid, variance: float, alpha: float) -> list[tuple[PlaneBlur, float]]:
-        """Return steps from `grid` to coarser levels from which `alpha` is reached, with the variance up to there."""
+        """Return candidate steps from `grid` to coarser levels for `alpha`, with the variance up to each level."""
         if alpha == 0.0 or not self._has_pyramid:
             return []
         steps = []

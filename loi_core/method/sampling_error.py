@@ -2,7 +2,7 @@
 
 An extent that is compared on a sampling takes the sign of a difference F of two histograms for all of a cell. Where F
 changes its sign between two samples, some pixels of the cell get the wrong sign. F is nearly linear between two
-samples, so its zero is known, and so are the pixels with the wrong sign. Their fraction of the cell, signed, is the
+samples, so its zero and the pixels with the wrong sign are known. Their fraction of the cell, signed, is the
 *sign error* of that sample. The extent's blur averages sign errors on the way back: lines that cross the sampling at
 every angle cancel, edges of stripes all err the same way. So sign errors are summed in blocks of `BLOCK_SIDE` by
 `BLOCK_SIDE` samples, about as many as an extent averages.
@@ -141,7 +141,7 @@ def _axis_sums(planes: Host, spacing: float, window: Window, tie: float) -> tupl
 
 
 def estimated_error(sign_errors: Iterable[SignErrors]) -> float:
-    """Return the estimated error, 2-norm, of a gradient to which several extents contribute from samplings.
+    """Return the estimated error, 2-norm, of a gradient that sums the sampled contributions of several extents.
 
     Unrelated sign errors of several extents add up as squares. The excess over chance within a block is assumed to be
     the same at all extents, so it adds up linearly.

@@ -1,7 +1,7 @@
 """Supports: the pixels and levels where two images can differ at one inner scale, so that only these are computed.
 
-* Where the blurred image equals the blurred reference, so do the isophotes. The difference of the two stacks of CDFs is
-  0 outside a window, its blurs are 0 outside a larger window, and so is the cotangent that is pulled back.
+* Where the blurred image equals the blurred reference, the isophotes are equal. The difference of the two stacks of
+  CDFs is 0 outside a window; its blurs, and the cotangent that is pulled back, are 0 outside a larger window.
 * Levels far enough below or above all intensities are ties (:func:`loi_core.method.distance.tie_threshold`).
 """
 
@@ -104,7 +104,10 @@ def find_dependency(
 
 
 def differing_window(intensity: Array, reference: Array) -> Window | None:
-    """Return the smallest window outside which planes, shape (N, h, w), are equal; the whole if that saves little."""
+    """Return the smallest window outside which planes, shape (N, h, w), are equal.
+
+    It is the whole plane if cropping saves little, and None if the planes are equal.
+    """
     differing = window_of(intensity != reference)
     if differing is None:
         return None

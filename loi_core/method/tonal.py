@@ -126,13 +126,13 @@ def _accumulate_blocks(stack: Array) -> Array:
     equal, and they are not if the order of summation differs between levels.
     """
     xp = namespace(stack)
-    count, *rest = stack.shape
+    count, *shape = stack.shape
     blocks = -(-count // MAX_UNROLLED_LEVELS)
-    padding = xp.broadcast_to(xp.zeros_like(stack[:1, ...]), (blocks * MAX_UNROLLED_LEVELS - count, *rest))
-    side_by_side = xp.reshape(xp.concat([stack, padding], axis=0), (blocks, MAX_UNROLLED_LEVELS, *rest))
+    padding = xp.broadcast_to(xp.zeros_like(stack[:1, ...]), (blocks * MAX_UNROLLED_LEVELS - count, *shape))
+    side_by_side = xp.reshape(xp.concat([stack, padding], axis=0), (blocks, MAX_UNROLLED_LEVELS, *shape))
     within_blocks, totals = accumulate(xp.moveaxis(side_by_side, 1, 0))
-    before = xp.concat([xp.zeros_like(totals[:1, ...]), accumulate(totals)[0][:-1, ...]], axis=0)
-    return xp.reshape(xp.moveaxis(within_blocks + before, 0, 1), (blocks * MAX_UNROLLED_LEVELS, *rest))[:count, ...]
+    preceding = xp.concat([xp.zeros_like(totals[:1, ...]), accumulate(totals)[0][:-1, ...]], axis=0)
+    return xp.reshape(xp.moveaxis(within_blocks + preceding, 0, 1), (blocks * MAX_UNROLLED_LEVELS, *shape))[:count, ...]
 
 
 def _offsets(intensity: Array, levels: Array, beta: float) -> Array:

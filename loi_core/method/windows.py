@@ -44,31 +44,31 @@ class Window:
         """The same window of the transposed plane."""
         return Window(self.columns, self.rows)
 
-    def __or__(self, other: Window) -> Window:
+    def __or__(self, window: Window) -> Window:
         """Return the smallest window that contains both."""
-        return Window(_hull(self.rows, other.rows), _hull(self.columns, other.columns))
+        return Window(_hull(self.rows, window.rows), _hull(self.columns, window.columns))
 
-    def crop(self, planes: Array, within: Window | None = None) -> Array:
+    def crop(self, planes: Array, frame: Window | None = None) -> Array:
         """Return the part of `planes` inside the window, a view where the library has views.
 
         Parameters
         ----------
         planes : array, shape (..., H, W)
-            Whole planes, or their part inside `within`.
-        within : Window, optional
+            Whole planes, or their part inside `frame`.
+        frame : Window, optional
             A window that contains this one.
         """
-        top, left = (within.rows.start, within.columns.start) if within else (0, 0)
+        top, left = (frame.rows.start, frame.columns.start) if frame else (0, 0)
         rows = slice(self.rows.start - top, self.rows.stop - top)
         return planes[..., rows, self.columns.start - left : self.columns.stop - left]
 
-    def paste(self, inside: Array, height: int, width: int, within: Window | None = None) -> Array:
-        """Return planes of `height` by `width` samples, those of `within` if passed, that are 0 outside the window."""
+    def paste(self, inside: Array, height: int, width: int, frame: Window | None = None) -> Array:
+        """Return planes of `height` by `width` samples, 0 outside the window; `frame` places them like :meth:`crop`."""
         if self.shape == (height, width):
             return inside
         xp = namespace(inside)
         planes = xp.zeros((*inside.shape[:-2], height, width), dtype=inside.dtype, device=device(inside))
-        target = self.crop(planes, within)
+        target = self.crop(planes, frame)
         target += inside
         return planes
 

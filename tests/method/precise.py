@@ -1,4 +1,4 @@
-"""The loss and its gradient in forty digits, for cases in which float64 is not accurate enough."""
+"""The loss and its gradient in forty digits, for cases where float64 is not accurate enough."""
 
 from __future__ import annotations
 

@@ -52,9 +52,9 @@ def relative_error(gradient: Host, exact: Host) -> float:
 
 @given(KINDS, PRESETS, st.sampled_from(["reflect", "zero"]), st.integers(1, 40), st.integers(1, 40), SEEDS)
 def test_the_exact_loss_equals_the_reference_implementation(
-    kind: str, preset: str, boundary: str, height: int, width: int, seed: int
+    content: str, preset: str, boundary: str, height: int, width: int, seed: int
 ) -> None:
-    image, reference = CONTENTS[kind]((height, width, 2), np.random.default_rng(seed))
+    image, reference = CONTENTS[content]((height, width, 2), np.random.default_rng(seed))
     scales = scales_of(preset, height, width)
     if preset not in ("released", "for image"):
         scales = ScaleSpace.paper(preset, boundary=boundary)  # type: ignore[arg-type]  # literals
@@ -75,9 +75,9 @@ def test_the_exact_loss_equals_the_reference_implementation(
 @example("a disk nearly there", "path", ("balanced", 1e-2), 128, 128, 1)
 @example("a box nearly there", "raster", ("balanced", 1e-2), 128, 128, 2)
 def test_the_error_of_the_gradient_is_within_every_accuracy(
-    kind: str, preset: str, accuracy: tuple[str | float, float], height: int, width: int, seed: int
+    content: str, preset: str, accuracy: tuple[str | float, float], height: int, width: int, seed: int
 ) -> None:
-    image, reference = (CONTENTS | HARD)[kind]((height, width, 1), np.random.default_rng(seed))
+    image, reference = (CONTENTS | HARD)[content]((height, width, 1), np.random.default_rng(seed))
     scales = scales_of(preset, height, width)
     exact = LOIObjective(reference, scales).value_and_grad(image)[1]
     gradient = LOIObjective(reference, scales, accuracy[0]).value_and_grad(image)[1]
@@ -90,10 +90,10 @@ def test_the_error_of_the_gradient_is_within_every_accuracy(
 )  # fmt: skip
 @example("waves", 1e-2, 300.0, 1.0, 128, 0)
 def test_the_error_of_a_single_scale_of_any_width_is_within_the_tolerance(
-    kind: str, tolerance: float, alpha: float, sigma: float, size: int, seed: int
+    content: str, tolerance: float, alpha: float, sigma: float, size: int, seed: int
 ) -> None:
     # Where a wide blur leaves almost nothing of a difference, no other scale hides its error.
-    image, reference = HARD[kind]((size, size, 1), np.random.default_rng(seed))
+    image, reference = HARD[content]((size, size, 1), np.random.default_rng(seed))
     scales = ScaleSpace(sigma, alpha, 0.125)
     exact = LOIObjective(reference, scales).value_and_grad(image)[1]
     gradient = LOIObjective(reference, scales, tolerance).value_and_grad(image)[1]
@@ -103,11 +103,11 @@ def test_the_error_of_a_single_scale_of_any_width_is_within_the_tolerance(
 @pytest.mark.parametrize("policy", ["mask", "tone"])
 @given(st.sampled_from(sorted(CONTENTS)), st.sampled_from(["path", "for image"]), st.sampled_from([1e-2, 5e-2]), SEEDS)
 def test_the_error_of_masked_and_toned_gradients_is_within_the_tolerance(
-    policy: str, kind: str, preset: str, rtol: float, seed: int
+    policy: str, content: str, preset: str, rtol: float, seed: int
 ) -> None:
     # A mask removes pixels, and a tone curve weights them, after the comparison.
     rng = np.random.default_rng(seed)
-    image, reference = CONTENTS[kind]((160, 130, 1), rng)
+    image, reference = CONTENTS[content]((160, 130, 1), rng)
     options: dict[str, Any] = {"tone": LogTone(peak=1.0, compression=1000.0)}
     if policy == "mask":
         options = {"nan_policy": "mask"}
@@ -119,9 +119,9 @@ def test_the_error_of_masked_and_toned_gradients_is_within_the_tolerance(
 
 
 @given(st.sampled_from(sorted(CONTENTS | HARD)), st.sampled_from(["float32", "float64"]), SEEDS)
-def test_kernels_and_arrays_estimate_the_same_error(kind: str, dtype: str, seed: int) -> None:
+def test_kernels_and_arrays_estimate_the_same_error(content: str, dtype: str, seed: int) -> None:
     pytest.importorskip("numba")
-    reference, image = (CONTENTS | HARD)[kind]((150, 140, 1), np.random.default_rng(seed))
+    reference, image = (CONTENTS | HARD)[content]((150, 140, 1), np.random.default_rng(seed))
     reference, image = reference.astype(dtype), image.astype(dtype)
     scales = ScaleSpace.paper("path")
     plan = LOIObjective(reference, scales, "balanced").plan()

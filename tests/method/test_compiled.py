@@ -156,9 +156,9 @@ def test_kernels_and_arrays_agree(problem: Problem, accuracy: str) -> None:
 
 @pytest.mark.parametrize("dtype", DTYPES)
 @pytest.mark.parametrize("preset", ["path", "released"])
-@pytest.mark.parametrize("kind", KINDS)
-def test_kernels_and_arrays_agree_where_blurs_pass_through_pyramids(kind: str, preset: str, dtype: str) -> None:
-    reference, image = (planes.astype(dtype) for planes in CONTENTS[kind]((48, 63, 1), np.random.default_rng(1)))
+@pytest.mark.parametrize("content", KINDS)
+def test_kernels_and_arrays_agree_where_blurs_pass_through_pyramids(content: str, preset: str, dtype: str) -> None:
+    reference, image = (planes.astype(dtype) for planes in CONTENTS[content]((48, 63, 1), np.random.default_rng(1)))
     released = ScaleSpace.released((1, 5), (1, 5, 15), 8, 61)
     scales = released if preset == "released" else ScaleSpace.paper("path")
     for accuracy in ("exact", 5e-2):

@@ -153,8 +153,8 @@ def test_the_work_is_proportional_to_the_pixels_that_differ() -> None:
     with without_numba(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(arrays, "sum_of_costs", counting)
         objective.value_and_grad(image)
-    side = 10 + 2 * 9  # pixels: the kernel ends after 8.6 pixels
-    assert 0 < sum(blurred) <= 17 * side**2
+    size = 10 + 2 * 9  # pixels: the kernel ends after 8.6 pixels
+    assert 0 < sum(blurred) <= 17 * size**2
 
 
 def test_the_schedule_of_the_loops_compares_only_pixels_that_can_differ() -> None:

@@ -1,7 +1,7 @@
 """The loss on the CPU, in loops compiled by Numba.
 
 Whole-array operations pass over memory hundreds of times. Here each level of each plane stays in a core's cache from
-its isophotes to its gradient, and cores work on different levels. Values and gradients equal those of
+its isophotes to its gradient, and cores work on different levels. Values and gradients equal the results of
 :mod:`loi_core.method.array_comparison` up to rounding, and are the same to the last bit with any number of threads.
 
 Importing this package does not import Numba; the first comparison does.

@@ -29,7 +29,7 @@ class SymmetricGroups:
     ----------
     groups : range
     kernel : array, shape (P,)
-        Weights at the distances `nearest`, `nearest` + 1 and so on, on either side; P is a multiple of PAIRS_PER_STEP.
+        Weights at the distances `nearest`, `nearest` + 1, ..., on either side; P is a multiple of PAIRS_PER_STEP.
         Distances below 0 are padding, with weights of 0. Distance 0 is met twice, so its weight is halved.
     nearest : int
     centre : int
@@ -119,9 +119,9 @@ class Band:
                 _group(support.start, matrix[row : row + GROUP_ROWS], dtype) for row in range(0, len(chunk), GROUP_ROWS)
             ]
         starts = np.asarray([start for start, _ in groups], np.int64)
-        ends = np.asarray([start + len(weights) for start, weights in groups], np.int64)
+        stops = np.asarray([start + len(weights) for start, weights in groups], np.int64)
         starts = np.minimum.accumulate(starts[::-1])[::-1]
-        taps = -(-int(np.max(ends - starts)) // TAPS_PER_STEP) * TAPS_PER_STEP
+        taps = -(-int(np.max(stops - starts)) // TAPS_PER_STEP) * TAPS_PER_STEP
         # Near the end of the axis a group would often reach beyond it by a column or two.
         starts = np.minimum(starts, max(columns - taps, 0))
         table = np.zeros((len(groups), taps, GROUP_ROWS), dtype)

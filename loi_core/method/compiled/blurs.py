@@ -111,8 +111,8 @@ def combine_second(
     padding = (top - bottom) % COLUMN_MULTIPLE
     if padding:  # the last vector also adds these columns to the target, which holds other results there
         begin = operators.starts[band[STARTS] + first]
-        end = operators.starts[band[STARTS] + last - 1] + band[TAPS]
-        clear_window(operators.workspace, source, Box(begin, end, bottom, bottom + padding))
+        stop = operators.starts[band[STARTS] + last - 1] + band[TAPS]
+        clear_window(operators.workspace, source, Box(begin, stop, bottom, bottom + padding))
     rows = Plane(target.offset + GROUP_ROWS * first * target.stride, target.stride)
     _combine(band, first, last - first, operators, source, rows, top, bottom, add)
 
@@ -194,6 +194,6 @@ def clear_window(workspace: Floats, plane: Plane, box: Box) -> None:
 def _clear_margins(band: Table, first: int, last: int, operators: Operators, plane: Plane, box: Box) -> None:
     """Set the rows above and below a window to zero, as far as the groups `first` to `last` of a band read."""
     begin = operators.starts[band[STARTS] + first]
-    end = operators.starts[band[STARTS] + last - 1] + band[TAPS]
-    clear_window(operators.workspace, plane, Box(begin, min(box.top, end), box.left, box.right))
-    clear_window(operators.workspace, plane, Box(max(box.bottom, begin), end, box.left, box.right))
+    stop = operators.starts[band[STARTS] + last - 1] + band[TAPS]
+    clear_window(operators.workspace, plane, Box(begin, min(box.top, stop), box.left, box.right))
+    clear_window(operators.workspace, plane, Box(max(box.bottom, begin), stop, box.left, box.right))

@@ -29,7 +29,7 @@ DOUBLE_LOG2_E: Final = 1.0 / math.log(2.0)
 S7, S6, S5, S4, S3 = (np.float32(1.0 / math.factorial(order)) for order in (7, 6, 5, 4, 3))
 D13, D12, D11, D10, D9, D8, D7, D6, D5, D4, D3 = (1.0 / math.factorial(order) for order in range(13, 2, -1))
 HALF: Final = np.float32(0.5)
-ONE: Final = np.float32(1.0)
+UNIT: Final = np.float32(1.0)
 
 
 def exponential(x: Any) -> Any:
@@ -47,7 +47,7 @@ def _single(x: Any) -> Any:
     whole = shifted - SINGLE_ROUNDING
     r = (x - whole * SINGLE_HIGH) - whole * SINGLE_LOW
     p = (((S7 * r + S6) * r + S5) * r + S4) * r + S3
-    p = ((p * r + HALF) * r + ONE) * r + ONE
+    p = ((p * r + HALF) * r + UNIT) * r + UNIT
     return p * np.int32((np.float32(shifted).view(np.int32) + np.int32(127)) << np.int32(23)).view(np.float32)
 
 

@@ -61,7 +61,7 @@ def compare_levels(
         The image and the reference, shape (h, w), in units of the spacing of two levels; and the weights of pixels,
         shape (h, w), or (0, 0) without weights.
     levels : tuple of int
-        The first level to accumulate, the first to compare, and the end.
+        The first level to accumulate, the first to compare, and the end (exclusive).
     tonal_scale : tuple of array
         The scalar fields of :class:`~loi_core.method.compiled.tables.TonalScale`, shape (5,), and its extent weights.
     operators, tables, results : tuple
@@ -158,26 +158,29 @@ def _accumulate(
     inverse_width, log_peak, min_log = tonal.inverse_width, tonal.log_peak, tonal.min_log
     left, right = base[PLANE_LEFT], base[PLANE_RIGHT]
     for y in range(base[PLANE_TOP], base[PLANE_BOTTOM]):
-        begin, end = y * slope.stride + left, y * slope.stride + right
-        difference = workspace[base[DIFFERENCE] + begin : base[DIFFERENCE] + end]
-        slopes = workspace[slope.offset + begin : slope.offset + end]
+        begin, stop = y * slope.stride + left, y * slope.stride + right
+        difference = workspace[base[DIFFERENCE] + begin : base[DIFFERENCE] + stop]
+        slopes = workspace[slope.offset + begin : slope.offset + stop]
         image_row, reference_row = image[y, left:right], reference[y, left:right]
         if pulls_back:
-            _pull_back_row(workspace[base[COTANGENT] + begin : base[COTANGENT] + end], slopes, cotangent[y, left:right])
+            _pull_back_row(
+                workspace[base[COTANGENT] + begin : base[COTANGENT] + stop], slopes, cotangent[y, left:right]
+            )
         if weights.size > 0:
             weights_row = weights[y, left:right]
             for x in range(right - left):
                 offset = (position - image_row[x]) * inverse_width
                 density = exponential(max(log_peak - offset * offset, min_log)) * weights_row[x]
-                other = (position - reference_row[x]) * inverse_width
-                difference[x] += density - exponential(max(log_peak - other * other, min_log)) * weights_row[x]
+                reference_offset = (position - reference_row[x]) * inverse_width
+                reference_density = exponential(max(log_peak - reference_offset * reference_offset, min_log))
+                difference[x] += density - reference_density * weights_row[x]
                 slopes[x] += offset * density
             continue
         for x in range(right - left):
             offset = (position - image_row[x]) * inverse_width
             density = exponential(max(log_peak - offset * offset, min_log))
-            other = (position - reference_row[x]) * inverse_width
-            difference[x] += density - exponential(max(log_peak - other * other, min_log))
+            reference_offset = (position - reference_row[x]) * inverse_width
+            difference[x] += density - exponential(max(log_peak - reference_offset * reference_offset, min_log))
             slopes[x] += offset * density
 
 
@@ -205,10 +208,10 @@ def _compare_extent(
     total, done = 0.0, adjoint[SECOND_FIRST]
     for first in range(forward[FIRST], forward[LAST], forward[GROUPS]):
         last = min(first + forward[GROUPS], forward[LAST])
-        begin, end = GROUP_ROWS * first, GROUP_ROWS * last
+        begin, stop = GROUP_ROWS * first, GROUP_ROWS * last
         compared = Plane(offsets[COMPARED] - begin, forward[STRIDE])
         blur_rows(forward, first, last, operators, _difference(level), compared, transposed, strip, False)
-        left, right = max(begin, adjoint[LEFT]), min(end, adjoint[RIGHT])
+        left, right = max(begin, adjoint[LEFT]), min(stop, adjoint[RIGHT])
         box = Box(adjoint[TOP], adjoint[BOTTOM], left, right)
         if gradient and spacings[0] > 0:
             add_sign_errors(
@@ -287,9 +290,9 @@ def _pull_back(workspace: Floats, base: Table, slope: Plane, cotangent: Floats) 
     """Pull the cotangent of the base level back through the tonal scale."""
     left, right = base[PLANE_LEFT], base[PLANE_RIGHT]
     for y in range(base[PLANE_TOP], base[PLANE_BOTTOM]):
-        begin, end = y * slope.stride + left, y * slope.stride + right
-        row = workspace[base[COTANGENT] + begin : base[COTANGENT] + end]
-        _pull_back_row(row, workspace[slope.offset + begin : slope.offset + end], cotangent[y, left:right])
+        begin, stop = y * slope.stride + left, y * slope.stride + right
+        row = workspace[base[COTANGENT] + begin : base[COTANGENT] + stop]
+        _pull_back_row(row, workspace[slope.offset + begin : slope.offset + stop], cotangent[y, left:right])
 
 
 @compiled

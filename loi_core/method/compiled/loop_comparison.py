@@ -83,7 +83,9 @@ class LoopComparison:
 
         indices = itertools.product(range(count), range(len(self.inner)))
         max_threads = None if len(self.inner) * clipped.size >= MIN_SHARED_SAMPLES else 1
-        run_all([functools.partial(prepare, *each) for each in indices], workspace, max_threads=max_threads)
+        run_all(
+            [functools.partial(prepare, plane, index) for plane, index in indices], workspace, max_threads=max_threads
+        )
         # Inner scales in order: the last, widest blurs have the smallest windows, so that threads end together.
         tasks = [task for index in range(len(self.inner)) for plane in by_plane for task in plane[index]]
         samples = sum(task.compared_levels * task.image.size for task in tasks)
@@ -150,7 +152,7 @@ class _InnerComparison:
         """Prepare a comparison with a reference: planes within the bounds, and weights, shape (N, H, W)."""
         blur, workspace = InnerBlur.of(plan.blur, reference.dtype), Workspace(reference.dtype)
         intensity = np.stack([blur.apply(plane, workspace) for plane in above_padding(reference, scales.padding)])
-        tonal_scales = tuple(_TonalScale.of(scales, plan, each, intensity) for each in tonal)
+        tonal_scales = tuple(_TonalScale.of(scales, plan, scale, intensity) for scale in tonal)
         return cls(scales, plan, tonal_scales, blur, intensity, weights, Scheduler.of(plan, reference.dtype))
 
     def tasks(

@@ -1,4 +1,4 @@
-"""Schedules: tables that say which blurs a comparison runs, on which windows, and where its planes lie.
+"""Schedules: tables of the blurs of a comparison, their windows, and the offsets of its planes.
 
 The kernels of :mod:`loi_core.method.compiled.levels` are an interpreter of these int64 tables, so that no window is
 compiled into them. The columns are described in :mod:`loi_core.method.compiled.tables`; ``print`` shows a schedule.
@@ -54,9 +54,9 @@ class Schedule:
         lines = [f"workspace of {self.elements} elements; {offsets}"]
         lines += [f"level {index}: {_named(PyramidColumn, row)}" for index, row in enumerate(self.pyramid)]
         for index, row in enumerate(self.blurs):
-            kind = "level" if index + 1 < len(self.pyramid) else "extent"
+            target = "level" if index + 1 < len(self.pyramid) else "extent"
             lines += [
-                f"level {row[BlurColumn.SOURCE]} to {kind} {row[BlurColumn.TARGET]}:",
+                f"level {row[BlurColumn.SOURCE]} to {target} {row[BlurColumn.TARGET]}:",
                 f"  forward: {_named(PassColumn, row[BlurColumn.FORWARD :])}",
                 f"  adjoint: {_named(PassColumn, row[BlurColumn.ADJOINT :])}",
             ]
@@ -68,7 +68,7 @@ def _named(columns: type[IntEnum], row: Table) -> str:
 
 
 @dataclass(frozen=True)
-class _Blur:
+class _Link:
     """A blur from a pyramid level to the next level, or to an extent: two bands each way, in order of application."""
 
     source: int
@@ -88,7 +88,7 @@ class Scheduler:
 
     plan: InnerPlan
     bands: BandTable
-    blurs: tuple[_Blur, ...]
+    blurs: tuple[_Link, ...]
     spacings: Floats  # shape (E, 2): see `loi_core.method.compiled.tables.Tables`
     block_sums_size: int  # the largest of all extents
     supports: Cache[Window, Supports] = field(default_factory=lambda: Cache(MAX_CACHED_SCHEDULES))
@@ -103,11 +103,11 @@ class Scheduler:
             bands.append(band)
             return len(bands) - 1
 
-        def with_bands(source: int, target: int, blur: PlaneBlur) -> _Blur:
+        def with_bands(source: int, target: int, blur: PlaneBlur) -> _Link:
             first, second = (blur.columns, blur.rows) if source % 2 else (blur.rows, blur.columns)
             forward = index_of(forward_band(first, dtype)), index_of(forward_band(second, dtype))
             adjoint = index_of(adjoint_band(second, dtype)), index_of(adjoint_band(first, dtype))
-            return _Blur(source, target, blur, forward, adjoint)
+            return _Link(source, target, blur, forward, adjoint)
 
         blurs = [with_bands(index, index + 1, step) for index, step in enumerate(plan.pyramid)]
         blurs += [with_bands(extent.start, index, extent.blur) for index, extent in enumerate(plan.extents)]
@@ -150,39 +150,39 @@ class Scheduler:
             row[:] = allocator.plane(shape), allocator.plane(shape), row_stride(shape[1]), *_edges(window)
         slope = allocator.plane(self._level_shape(0))
         blurs = np.zeros((len(self.blurs), BlurColumn.ADJOINT + len(PassColumn)), np.int64)
-        for index, (row, each) in enumerate(zip(blurs, self.blurs, strict=True)):
-            support = supports.differences[each.source]
-            target = cotangent = each.blur.support_of(support)
+        for index, (row, link) in enumerate(zip(blurs, self.blurs, strict=True)):
+            support = supports.differences[link.source]
+            target = cotangent = link.blur.support_of(support)
             if index < self._steps:
-                cotangent = supports.cotangents[each.target]
-            returned = each.blur.adjoint_support_of(cotangent)
+                cotangent = supports.cotangents[link.target]
+            returned = link.blur.adjoint_support_of(cotangent)
             support, target, cotangent, returned = (
-                _oriented(window, each.source) for window in (support, target, cotangent, returned)
+                _oriented(window, link.source) for window in (support, target, cotangent, returned)
             )
-            row[: BlurColumn.FORWARD] = each.source, each.target
-            row[BlurColumn.FORWARD : BlurColumn.ADJOINT] = pass_row(bands, each.forward, support, target)
-            row[BlurColumn.ADJOINT :] = pass_row(bands, each.adjoint, cotangent.transposed, returned.transposed)
+            row[: BlurColumn.FORWARD] = link.source, link.target
+            row[BlurColumn.FORWARD : BlurColumn.ADJOINT] = pass_row(bands, link.forward, support, target)
+            row[BlurColumn.ADJOINT :] = pass_row(bands, link.adjoint, cotangent.transposed, returned.transposed)
             if index >= self._steps:  # an extent compares a few rows at a time, but keeps all that they return
-                row[BlurColumn.ADJOINT + PassColumn.STRIDE] = row_stride(bands[each.adjoint[0]].rows)
-        passes = [pair for each in self.blurs for pair in (each.forward, each.adjoint)]
+                row[BlurColumn.ADJOINT + PassColumn.STRIDE] = row_stride(bands[link.adjoint[0]].rows)
+        passes = [pair for link in self.blurs for pair in (link.forward, link.adjoint)]
         transposed = allocator.plane(*(transposed_shape(bands, pair) for pair in passes))
         strip = allocator.plane((STRIP_ROWS, max(band.columns for band in bands)))
         extents = self.blurs[self._steps :]
         compared = allocator.plane(
-            *((bands[each.adjoint[0]].height, _rows_at_once(bands, each.forward)) for each in extents)
+            *((bands[link.adjoint[0]].height, _rows_at_once(bands, link.forward)) for link in extents)
         )
         returned_rows = allocator.plane(
-            *((bands[each.adjoint[1]].height + SQUARE_SIDE, bands[each.adjoint[0]].rows) for each in extents)
+            *((bands[link.adjoint[1]].height + SQUARE_SIDE, bands[link.adjoint[0]].rows) for link in extents)
         )
         offsets = np.asarray((slope, transposed, strip, compared, returned_rows), np.int64)
         return Schedule(pyramid, blurs, offsets, allocator.elements)
 
     def _level_shape(self, level: int) -> tuple[int, int]:
         """Return the rows to allocate for a pyramid level's planes, and their columns."""
-        bands, leaving = self.bands.bands, [each for each in self.blurs if each.source == level]
-        arriving = [bands[each.adjoint[0]] for each in self.blurs[: self._steps] if each.target == level]
-        rows = max(band.height for band in [*(bands[each.forward[0]] for each in leaving), *arriving])
-        (columns,) = {bands[each.forward[1]].columns for each in leaving}
+        bands, leaving = self.bands.bands, [link for link in self.blurs if link.source == level]
+        arriving = [bands[link.adjoint[0]] for link in self.blurs[: self._steps] if link.target == level]
+        rows = max(band.height for band in [*(bands[link.forward[0]] for link in leaving), *arriving])
+        (columns,) = {bands[link.forward[1]].columns for link in leaving}
         return rows, columns
 
 
@@ -203,8 +203,8 @@ def _rows_at_once(bands: Sequence[Band], pair: tuple[int, int]) -> int:
     """Return how many rows pass through both bands together: at most MAX_CHUNK_BYTES, in full vectors."""
     first, second = (bands[band] for band in pair)
     row_bytes: int = max(second.rows, second.columns) * second.weights.dtype.itemsize
-    most = -(-first.rows // COLUMN_MULTIPLE)
-    return COLUMN_MULTIPLE * max(1, min(MAX_CHUNK_BYTES // row_bytes // COLUMN_MULTIPLE, most))
+    all_rows = -(-first.rows // COLUMN_MULTIPLE)
+    return COLUMN_MULTIPLE * max(1, min(MAX_CHUNK_BYTES // row_bytes // COLUMN_MULTIPLE, all_rows))
 
 
 class Allocator:

@@ -40,30 +40,30 @@ def add_sign_errors(
             )
         block_sums[y - top] = workspace[row + right - 1]
         for block in range(left // BLOCK_SIDE, (right - 1) // BLOCK_SIDE + 1):
-            begin, end = max(left, block * BLOCK_SIDE), min(right, (block + 1) * BLOCK_SIDE)
+            begin, stop = max(left, block * BLOCK_SIDE), min(right, (block + 1) * BLOCK_SIDE)
             sums = row_sums + 4 * (block - first_block)
-            stop = min(end, right - 1)
+            last_column = min(stop, right - 1)
             if _count_sign_changes(
-                workspace[row + begin : row + stop], workspace[row + begin + 1 : row + stop + 1], tie
+                workspace[row + begin : row + last_column], workspace[row + begin + 1 : row + last_column + 1], tie
             ):
-                for x in range(begin, stop):
+                for x in range(begin, last_column):
                     _add_sign_error(workspace[row + x], workspace[row + x + 1], x, spacings[1], tie, block_sums, sums)
             below = row + plane.stride
             if y + 1 < bottom and _count_sign_changes(
-                workspace[row + begin : row + end], workspace[below + begin : below + end], tie
+                workspace[row + begin : row + stop], workspace[below + begin : below + stop], tie
             ):
-                for x in range(begin, end):
+                for x in range(begin, stop):
                     _add_sign_error(workspace[row + x], workspace[below + x], y, spacings[0], tie, block_sums, sums + 2)
 
 
 @compiled_sums
 def _count_sign_changes(samples: Floats, neighbours: Floats, tie: Any) -> Any:
     """Count the samples whose sign differs from their neighbour's."""
-    one, zero = tie / tie, tie - tie
+    unit, zero = tie / tie, tie - tie
     total = zero
     for x in range(samples.size):
         first, second = samples[x], neighbours[x]
-        total += one if ((first > tie) != (second > tie)) or ((first < -tie) != (second < -tie)) else zero
+        total += unit if ((first > tie) != (second > tie)) or ((first < -tie) != (second < -tie)) else zero
     return total
 
 

@@ -183,8 +183,8 @@ def _add_product(typing: Any, total: Any, weight: Any, first: Any, second: Any) 
 
 # A square is transposed in three stages, which mix rows 1, 2 and 4 apart. The masks give the low and high half of a
 # mixed pair (a, b): numbers below SQUARE_SIDE are of a, the others of b. Each moves within as few lanes as it can.
-_LOW: Final = (0, 8, 1, 9, 4, 12, 5, 13), (0, 1, 8, 9, 4, 5, 12, 13), (0, 1, 2, 3, 8, 9, 10, 11)
-_HIGH: Final = (2, 10, 3, 11, 6, 14, 7, 15), (2, 3, 10, 11, 6, 7, 14, 15), (4, 5, 6, 7, 12, 13, 14, 15)
+_LOW_MASKS: Final = (0, 8, 1, 9, 4, 12, 5, 13), (0, 1, 8, 9, 4, 5, 12, 13), (0, 1, 2, 3, 8, 9, 10, 11)
+_HIGH_MASKS: Final = (2, 10, 3, 11, 6, 14, 7, 15), (2, 3, 10, 11, 6, 7, 14, 15), (4, 5, 6, 7, 12, 13, 14, 15)
 _COLUMN_ORDER: Final = (0, 2, 1, 3, 4, 6, 5, 7)
 
 
@@ -194,13 +194,13 @@ def _transposed(typing: Any, rows: Any) -> Any:
 
     def generate(context: Any, builder: Any, signature: Any, args: Sequence[Any]) -> Any:
         vectors = cgutils.unpack_tuple(builder, args[0], SQUARE_SIDE)
-        for stage, (low, high) in enumerate(zip(_LOW, _HIGH, strict=True)):
+        for stage, (low_mask, high_mask) in enumerate(zip(_LOW_MASKS, _HIGH_MASKS, strict=True)):
             distance = 2**stage
             for index in range(SQUARE_SIDE):
                 if not index & distance:
                     pair = vectors[index], vectors[index + distance]
-                    vectors[index] = builder.shuffle_vector(*pair, _mask(low))
-                    vectors[index + distance] = builder.shuffle_vector(*pair, _mask(high))
+                    vectors[index] = builder.shuffle_vector(*pair, _mask(low_mask))
+                    vectors[index + distance] = builder.shuffle_vector(*pair, _mask(high_mask))
         return context.make_tuple(builder, signature.return_type, [vectors[index] for index in _COLUMN_ORDER])
 
     return rows(rows), generate
