@@ -262,7 +262,9 @@ def test_peak_memory_is_below_four_stacks_of_levels(backend: Callable[[], Abstra
 def test_caches_of_operators_are_bounded() -> None:
     pytest.importorskip("numba")
     for size in range(40, 60):
-        LOIObjective(np.zeros((size, size, 1)), ScaleSpace.paper("path")).value(np.zeros((size, size, 1)))
+        for backend in (nullcontext, without_numba):
+            with backend():
+                LOIObjective(np.zeros((size, size, 1)), ScaleSpace.paper("path")).value(np.zeros((size, size, 1)))
     from loi_core.method.compiled import bands
 
     sizes = _CACHE.elements, bands._CACHE.elements
