@@ -13,9 +13,9 @@ from loi_core.renderers.rasterization import IndexArray
 from loi_core.renderers.validation import FloatArray
 from loi_core.support.arrays import to_numpy
 from loi_torch.painted import Tensors
-from loi_torch.vector.table import Table
+from loi_torch.vector.table import ShapeParameters
 
-__all__ = ["TOLERANCE", "Ring", "Rings", "ring_points", "spread"]
+__all__ = ["TOLERANCE", "Ring", "Rings", "ragged_arange", "ring_points"]
 
 TOLERANCE: Final = 0.01  # pixels between a chord and its curve
 MOST_CHORDS: Final = 4096  # of one curve
@@ -52,13 +52,13 @@ class Rings:
     rings: list[Ring]
 
 
-def spread(counts: IndexArray) -> tuple[IndexArray, IndexArray]:
+def ragged_arange(counts: IndexArray) -> tuple[IndexArray, IndexArray]:
     """For each of ``sum(counts)`` items, whose it is, and which of that owner's it is."""
     owner = np.repeat(np.arange(len(counts)), counts)
     return owner, np.arange(len(owner)) - np.repeat(np.cumsum(counts) - counts, counts)
 
 
-def ring_points(table: Table, scene: Tensors) -> Rings:
+def ring_points(table: ShapeParameters, scene: Tensors) -> Rings:
     """The outlines of the shapes of `table` with the parameters `scene`, differentiable by these."""
     sizes = scene["sizes"]
     host: dict[str, FloatArray] = {name: to_numpy(value) for name, value in scene.items()}
@@ -84,7 +84,7 @@ def ring_points(table: Table, scene: Tensors) -> Rings:
     return Rings(points, everywhere, np.concatenate(corner), rings)
 
 
-def _reach(table: Table, host: dict[str, FloatArray]) -> FloatArray:
+def _reach(table: ShapeParameters, host: dict[str, FloatArray]) -> FloatArray:
     """How far from its outline a shape is painted."""
     reach = np.zeros(len(host["sizes"]))
     for layer in table.layers:
@@ -110,11 +110,11 @@ def _closed_rings(shapes: IndexArray, counts: IndexArray) -> list[Ring]:
     ]
 
 
-def _ellipses(table: Table, scene: Tensors, host: dict[str, FloatArray], reach: FloatArray) -> _Made:
+def _ellipses(table: ShapeParameters, scene: Tensors, host: dict[str, FloatArray], reach: FloatArray) -> _Made:
     shapes = table.ellipses
     radius = np.abs(host["sizes"][shapes]).max(axis=1, initial=0.0) + reach[shapes]
     counts = np.maximum(_chords(radius, 2.0 * np.pi), 8)
-    which, place = spread(counts)
+    which, place = ragged_arange(counts)
     angle = 2.0 * np.pi * place / counts[which]
     # The polygon is as large as the ellipse, so that its area does not depend on how many sides it has.
     step = 2.0 * np.pi / counts
@@ -125,7 +125,7 @@ def _ellipses(table: Table, scene: Tensors, host: dict[str, FloatArray], reach: 
     return local, owner, np.zeros(len(owner), dtype=bool), _closed_rings(shapes, counts)
 
 
-def _rectangles(table: Table, scene: Tensors, host: dict[str, FloatArray], reach: FloatArray) -> _Made:
+def _rectangles(table: ShapeParameters, scene: Tensors, host: dict[str, FloatArray], reach: FloatArray) -> _Made:
     shapes = table.rectangles
     device = _device(scene)
     if not len(shapes):
@@ -135,7 +135,7 @@ def _rectangles(table: Table, scene: Tensors, host: dict[str, FloatArray], reach
     # A sharp corner has two points as well, so that it can become round.
     a_corner = np.where(radius > 0.0, _chords(radius + reach[shapes], 0.5 * np.pi), 1) + 1
     counts = 4 * a_corner
-    which, place = spread(counts)
+    which, place = ragged_arange(counts)
     quarter, step = np.divmod(place, a_corner[which])
     angle = 0.5 * np.pi * (quarter + step / (a_corner[which] - 1))
     signs = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])[quarter]
@@ -148,7 +148,7 @@ def _rectangles(table: Table, scene: Tensors, host: dict[str, FloatArray], reach
     return local, shapes[which], np.ones(len(which), dtype=bool), _closed_rings(shapes, counts)
 
 
-def _paths(table: Table, scene: Tensors, host: dict[str, FloatArray], _: FloatArray) -> _Made:
+def _paths(table: ShapeParameters, scene: Tensors, host: dict[str, FloatArray], _: FloatArray) -> _Made:
     device = _device(scene)
     controls: list[list[int]] = []
     degrees: list[int] = []
@@ -173,7 +173,7 @@ def _paths(table: Table, scene: Tensors, host: dict[str, FloatArray], _: FloatAr
     counts = np.clip(np.ceil(np.where(np.isfinite(wanted), wanted, 1.0)), 1, MOST_CHORDS).astype(np.int64)
     samples = counts.copy()
     samples[np.array(ends) - 1] += ~closed  # the end of an open outline
-    which, place = spread(samples)
+    which, place = ragged_arange(samples)
     time = place / counts[which]
     weights = torch.as_tensor(_bernstein(degree[which], time), device=device)
     scaled = torch.zeros((len(which), 2), dtype=torch.float64, device=device)

@@ -11,17 +11,17 @@ from loi_torch.vector.coverage import Painting
 __all__ = ["bilinear", "composite"]
 
 
-def bilinear(corners: Tensor, across: Tensor, down: Tensor) -> Tensor:
-    """Colours between those of four corners.
+def bilinear(corners: Tensor, u: Tensor, v: Tensor) -> Tensor:
+    """Interpolate the colours of four corners.
 
     Parameters
     ----------
     corners : tensor, shape (4, 4)
         Left top, right top, left bottom, right bottom.
     across, down : tensor, shape (m,)
-        Place in the box; 0 is left or top, 1 is right or bottom, and beyond it the colour is that of the rim.
+        Position in the box; 0 is left or top, 1 is right or bottom; beyond the box, the colour of its rim.
     """
-    u, v = torch.clamp(across, 0.0, 1.0)[:, None], torch.clamp(down, 0.0, 1.0)[:, None]
+    u, v = torch.clamp(u, 0.0, 1.0)[:, None], torch.clamp(v, 0.0, 1.0)[:, None]
     top = corners[0] + u * (corners[1] - corners[0])
     bottom = corners[2] + u * (corners[3] - corners[2])
     return top + v * (bottom - top)

@@ -19,12 +19,12 @@ from loi_core.support.arrays import to_numpy
 from loi_core.support.wording import shown
 from loi_torch.painted import Painted, Tensors
 from loi_torch.vector.coverage import Edges, Painting, check_near, cover
-from loi_torch.vector.outlines import Ring, Rings, ring_points, spread
+from loi_torch.vector.outlines import Ring, Rings, ragged_arange, ring_points
 from loi_torch.vector.paint import bilinear, composite
 from loi_torch.vector.shapes import Shape
 from loi_torch.vector.strokes import stroke_points
 from loi_torch.vector.svg_reading import read_svg
-from loi_torch.vector.table import Layer, Table
+from loi_torch.vector.table import Layer, ShapeParameters
 
 __all__ = ["Vector"]
 
@@ -39,13 +39,14 @@ class Vector(Painted):
     shapes : sequence of Shape
         Circles, ellipses, rectangles and paths; or give `svg`.
     background : array, shape (3,) or (height, width, 3), optional
-        Linear RGB; that of `svg` if it has one, otherwise white.
+        Linear RGB; by default the background of `svg`, otherwise white.
     svg : Path, optional
         An SVG file to read the shapes from; its view box is fitted into the image.
     encoding : {"linear", "sRGB"}
-        Of the image, and what shapes are mixed in: light as a camera does, or "sRGB" as browsers do, where they overlap
-        in part or are not opaque. Either way the brightness of a shape does not change as it moves between pixels. A
-        target that is a PNG is decoded for "linear" in scene files, and elsewhere by :func:`loi_core.read_target`.
+        Encoding of the image and of the mixing of shapes: linear light as a camera, or "sRGB" as browsers, where they
+        overlap in part or are not opaque. Either way the brightness of a shape does not change as it moves between
+        pixels. A target that is a PNG is decoded for "linear" in scene files, and elsewhere by
+        :func:`loi_core.read_target`.
     dtype : {"float64", "float32"}
         Of parameters and images; the arithmetic inside is float64.
     device : str
@@ -109,12 +110,12 @@ class Vector(Painted):
                 raise ParameterError(msg)
             drawing = read_svg(pathlib.Path(svg), *self._size)
             shapes, own = drawing.shapes, drawing.background
-        behind = own if background is None else background
-        self.background = check_floats("background", behind, (*self._size, 3) if np.ndim(behind) == 3 else (3,))
-        self._table = Table(shapes or [], dtype)
+        backdrop = own if background is None else background
+        self.background = check_floats("background", backdrop, (*self._size, 3) if np.ndim(backdrop) == 3 else (3,))
+        self._table = ShapeParameters(shapes or [], dtype)
         super().__init__(self._table, dtype, device)
-        behind = self.background if self.background.ndim == 1 else self.background.reshape(-1, 3)
-        self._behind = self._encoded(torch.as_tensor(behind, device=self._device))
+        backdrop = self.background if self.background.ndim == 1 else self.background.reshape(-1, 3)
+        self._behind = self._encoded(torch.as_tensor(backdrop, device=self._device))
 
     @property
     def capabilities(self) -> RendererCapabilities:
@@ -136,7 +137,7 @@ class Vector(Painted):
         return image.reshape(*self._size, 3)
 
     def _encoded(self, colours: Tensor) -> Tensor:
-        """Linear RGB, and opacity if there is one, as the image has them: shape (..., 3) or (..., 4)."""
+        """Return linear RGB, with an optional opacity, in the image's encoding: shape (..., 3) or (..., 4)."""
         if self._encoding == "linear":
             return colours
         return torch.cat([encode_srgb(colours[..., :3]), colours[..., 3:]], dim=-1)
@@ -162,7 +163,7 @@ class Vector(Painted):
             beyond = np.append(beyond, ends + len(points))
             first = np.append(first, np.append(0, ends[:-1])[: len(ends)] + len(points))
             points = torch.cat([points, beside])
-        ring_of, place = spread(beyond - first)
+        ring_of, place = ragged_arange(beyond - first)
         following = np.where(place + 1 < (beyond - first)[ring_of], place + 1, 0)
         evenodd = np.array([one.kind != "stroke" and one.paint.rule == "evenodd" for one in layers])
         return points, Edges(first[ring_of] + place, first[ring_of] + following, layer[ring_of], evenodd)
@@ -184,13 +185,13 @@ class Vector(Painted):
     def _blend(self, layer: Layer, pixels: IndexArray, rings: Rings, scene: Tensors) -> Tensor:
         """Colours of a bilinear fill at the centres of pixels."""
         own = torch.cat([rings.local[one.first : one.beyond] for one in rings.rings if one.shape == layer.shape])
-        low, high = own.amin(dim=0), own.amax(dim=0)
+        lower, upper = own.amin(dim=0), own.amax(dim=0)
         row, column = np.divmod(pixels, self._size[1])
         centres = torch.as_tensor(np.stack([column + 0.5, row + 0.5], axis=1), device=self._device)
         x, y = (centres - scene["positions"][layer.shape]).unbind(dim=1)
         angle = torch.deg2rad(scene["rotations"][layer.shape])
         cos, sin = torch.cos(angle), torch.sin(angle)
         local = torch.stack([cos * x + sin * y, cos * y - sin * x], dim=1)
-        span = high - low
-        across, down = ((local - low) / torch.where(span > 0.0, span, torch.ones_like(span))).unbind(dim=1)
+        span = upper - lower
+        across, down = ((local - lower) / torch.where(span > 0.0, span, torch.ones_like(span))).unbind(dim=1)
         return bilinear(scene["blends"][layer.row], across, down)

@@ -23,7 +23,7 @@ Numbers: TypeAlias = Sequence[float] | Sequence[Sequence[float]] | FloatArray
 
 @dataclass(frozen=True)
 class Paint:
-    """How a shape is filled and stroked.
+    """Fill and stroke of a shape.
 
     Attributes
     ----------
@@ -33,11 +33,11 @@ class Paint:
     stroke : array, shape (4,), optional
         Linear RGB and opacity. The stroke lies over the fill, half of its width inside the outline.
     width : float
-        Of the stroke, in pixels.
+        Width of the stroke in pixels.
     cap, join : str
         Ends and corners of the stroke, as in SVG. A miter longer than 4 times the width becomes a bevel.
     rule : {"nonzero", "evenodd"}
-        What is inside an outline that winds around it more than once.
+        Fill rule for an outline that winds around a point more than once.
     """
 
     fill: Numbers | None = None

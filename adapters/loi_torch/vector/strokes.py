@@ -15,35 +15,35 @@ from torch import Tensor
 from loi_core.renderers.rasterization import IndexArray
 from loi_core.renderers.validation import FloatArray
 from loi_core.support.arrays import to_numpy
-from loi_torch.vector.outlines import TOLERANCE, Ring, Rings, spread
+from loi_torch.vector.outlines import TOLERANCE, Ring, Rings, ragged_arange
 from loi_torch.vector.shapes import Paint
 
 __all__ = ["stroke_points"]
 
-COINCIDENT: Final = 1e-9  # pixels; points closer than this have no direction between them
-LONGEST_MITER: Final = 4.0  # times the width; the default of SVG
+COINCIDENT_PX: Final = 1e-9  # points closer than this define no direction
+MAX_MITER_WIDTHS: Final = 4.0  # the default of SVG
 MITER, BEVEL, PIVOT, SQUARE, ROUND = range(5)
 
 
 def stroke_points(
     rings: Rings, strokes: list[tuple[Paint, list[Ring]]], widths: Tensor
 ) -> tuple[Tensor, IndexArray, IndexArray]:
-    """The outlines of strokes, differentiable by points and widths.
+    """Return the outlines of strokes, differentiable by points and widths.
 
     Parameters
     ----------
     rings : Rings
         All outlines.
     strokes : list of (Paint, list of Ring)
-        For each stroke its style, and what is stroked.
+        For each stroke its style and its outlines.
     widths : tensor, shape (n,), float64
-        Of the strokes, in pixels.
+        Widths of the strokes in pixels.
 
     Returns
     -------
     points : tensor, shape (k, 2)
     stroke : array, shape (r,)
-        Of each ring, which stroke it bounds; a stroke of no length has none.
+        Index of the stroke that each ring bounds; a stroke without length has no ring.
     ends : array, shape (r,)
         Past the last point of each ring.
     """
@@ -51,10 +51,10 @@ def stroke_points(
     turns, styles, numbers, ends = [], [], [], []
     for index, (paint, stroked) in enumerate(strokes):
         for ring in stroked:
-            for way, is_end in _ways(ring, host):
-                turns.append(np.stack([np.roll(way, 1), way, np.roll(way, -1)]))
+            for directed_ring, is_end in _ways(ring, host):
+                turns.append(np.stack([np.roll(directed_ring, 1), directed_ring, np.roll(directed_ring, -1)]))
                 styles.append((index, paint))
-                numbers.append(len(way))
+                numbers.append(len(directed_ring))
                 ends.append(is_end)
     device = rings.points.device
     if not turns:
@@ -63,18 +63,18 @@ def stroke_points(
             np.zeros(0, dtype=np.int64),
             np.zeros(0, dtype=np.int64),
         )
-    before, at, after = np.concatenate(turns, axis=1)
+    previous, at, following = np.concatenate(turns, axis=1)
     ring_of = np.repeat(np.arange(len(numbers)), numbers)
     strokes_of_rings = np.array([index for index, _ in styles])
     stroke_of = strokes_of_rings[ring_of]
     half_host = 0.5 * np.abs(to_numpy(widths))[stroke_of]
     end = np.concatenate(ends)
-    mode, counts = _modes(host, before, at, after, half_host, end, rings.corner[at], styles, ring_of)
-    corner, place = spread(counts)
+    mode, counts = _modes(host, previous, at, following, half_host, end, rings.corner[at], styles, ring_of)
+    corner, place = ragged_arange(counts)
     fraction = torch.as_tensor(place / np.maximum(counts[corner] - 1, 1), device=device)
 
-    where = [torch.as_tensor(one, device=device) for one in (before, at, after)]
-    first, middle, last = (rings.points.index_select(0, one) for one in where)
+    where = [torch.as_tensor(indices, device=device) for indices in (previous, at, following)]
+    first, middle, last = (rings.points.index_select(0, indices) for indices in where)
     into, out = _unit(middle - first), _unit(last - middle)
     dot = torch.sum(into * out, dim=1)
     cross = into[:, 0] * out[:, 1] - into[:, 1] * out[:, 0]
@@ -85,15 +85,15 @@ def stroke_points(
     longer = 1.0 / torch.where(mitered, 1.0 + dot, torch.ones_like(dot))
 
     expand = torch.as_tensor(corner, device=device)
-    kind = modes[expand]
+    join_mode = modes[expand]
     swing = angle.index_select(0, expand) * fraction
-    early, late, half_way = (fraction < 0.25), (fraction > 0.75), kind == PIVOT
+    early, late, half_way = (fraction < 0.25), (fraction > 0.75), join_mode == PIVOT
     stay = torch.where(early, 1.0, torch.where(late | half_way, 0.0, 0.5)).to(dot)
     come = torch.where(late, 1.0, torch.where(early | half_way, 0.0, 0.5)).to(dot)
     miter = longer.index_select(0, expand)
-    by_into = torch.where(kind == ROUND, torch.cos(swing), torch.where(kind == MITER, miter, stay))
-    by_out = torch.where(kind == ROUND, torch.zeros_like(swing), torch.where(kind == MITER, miter, come))
-    forward = torch.where(kind == ROUND, torch.sin(swing), (kind == SQUARE).to(dot))
+    by_into = torch.where(join_mode == ROUND, torch.cos(swing), torch.where(join_mode == MITER, miter, stay))
+    by_out = torch.where(join_mode == ROUND, torch.zeros_like(swing), torch.where(join_mode == MITER, miter, come))
+    forward = torch.where(join_mode == ROUND, torch.sin(swing), (join_mode == SQUARE).to(dot))
     into, out = into.index_select(0, expand), out.index_select(0, expand)
     offset = by_into[:, None] * _beside(into) + by_out[:, None] * _beside(out) + forward[:, None] * into
     half = 0.5 * torch.abs(widths).index_select(0, torch.as_tensor(stroke_of[corner], device=device))
@@ -102,12 +102,12 @@ def stroke_points(
 
 
 def _ways(ring: Ring, host: FloatArray) -> list[tuple[IndexArray, np.ndarray[tuple[int, ...], np.dtype[np.bool_]]]]:
-    """The directed rings along `ring` without points that repeat the one before, and which points are ends."""
+    """Return the directed rings along `ring` without repeated points, and the mask of end points."""
     index = np.arange(ring.first, ring.beyond)
-    apart = np.linalg.norm(host[index] - host[np.roll(index, 1)], axis=1) > COINCIDENT
+    is_distinct = np.linalg.norm(host[index] - host[np.roll(index, 1)], axis=1) > COINCIDENT_PX
     if not ring.closed:
-        apart[:1] = True
-    index = index[apart]
+        is_distinct[:1] = True
+    index = index[is_distinct]
     if len(index) < 2:
         return []
     if ring.closed:
@@ -121,17 +121,17 @@ def _ways(ring: Ring, host: FloatArray) -> list[tuple[IndexArray, np.ndarray[tup
 
 def _modes(
     host: FloatArray,
-    before: IndexArray,
+    previous: IndexArray,
     at: IndexArray,
-    after: IndexArray,
+    following: IndexArray,
     half: FloatArray,
     end: np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
     is_corner: np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
     styles: list[tuple[int, Paint]],
     ring_of: IndexArray,
 ) -> tuple[IndexArray, IndexArray]:
-    """How each point is gone around, and with how many points."""
-    into, out = host[at] - host[before], host[after] - host[at]
+    """Return the join of each point and its number of points."""
+    into, out = host[at] - host[previous], host[following] - host[at]
     lengths = np.linalg.norm(into, axis=1), np.linalg.norm(out, axis=1)
     into, out = into / lengths[0][:, None], out / lengths[1][:, None]
     dot = np.sum(into * out, axis=1)
@@ -139,9 +139,9 @@ def _modes(
     caps = np.array([{"butt": BEVEL, "square": SQUARE, "round": ROUND}[paint.cap] for _, paint in styles])[ring_of]
     joins = np.array([{"miter": MITER, "bevel": BEVEL, "round": ROUND}[paint.join] for _, paint in styles])[ring_of]
     outer = np.where(is_corner, joins, MITER)
-    sharp = LONGEST_MITER**2 * (1.0 + dot) < 2.0
+    sharp = MAX_MITER_WIDTHS**2 * (1.0 + dot) < 2.0
     outer = np.where((outer == MITER) & sharp, np.where(is_corner, BEVEL, ROUND), outer)
-    # On the inner side edges are cut off where they meet, unless they are too short for that.
+    # On the inner side edges end where they meet, unless they are too short.
     fits = half * np.abs(cross) <= 0.5 * np.minimum(*lengths) * (1.0 + dot)
     inner = np.where(fits & ~sharp, MITER, PIVOT)
     mode = np.where(end, caps, np.where(cross >= 0.0, outer, inner))
@@ -157,5 +157,5 @@ def _unit(vectors: Tensor) -> Tensor:
 
 
 def _beside(direction: Tensor) -> Tensor:
-    """`direction` turned by a right angle, to the side that is painted."""
+    """Return `direction` rotated by a right angle to the painted side."""
     return torch.stack([direction[:, 1], -direction[:, 0]], dim=1)

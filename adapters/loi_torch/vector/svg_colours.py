@@ -1,4 +1,4 @@
-"""Colours of SVG, which are sRGB, and the linear RGB that shapes are mixed in."""
+"""Conversion between SVG's sRGB colours and linear RGB."""
 
 from __future__ import annotations
 
@@ -25,25 +25,25 @@ DIGITS: Final = re.compile(r"#(?:[0-9a-f]{3,4}|[0-9a-f]{6}|[0-9a-f]{8})")
 
 
 def read_colour(text: str) -> FloatArray | None:
-    """Linear RGB and opacity, shape (4,); None if it is no colour.
+    """Return linear RGB and opacity, shape (4,); None if it is no colour.
 
-    Known are ``#rgb``, ``#rrggbb`` and ``rgb(...)``, each also with an opacity, and the names of CSS.
+    Supports ``#rgb``, ``#rrggbb`` and ``rgb(...)``, each also with an opacity, and the names of CSS.
     """
     text = text.lower()
     if text in ImageColor.colormap:
-        values = [part / 255.0 for part in ImageColor.getrgb(text)]
+        values = [byte / 255.0 for byte in ImageColor.getrgb(text)]
     elif DIGITS.fullmatch(text):
         length = 1 if len(text) < 6 else 2
-        parts = [text[at : at + length] * (3 - length) for at in range(1, len(text), length)]
-        values = [int(part, 16) / 255.0 for part in parts]
+        digits = [text[at : at + length] * (3 - length) for at in range(1, len(text), length)]
+        values = [int(pair, 16) / 255.0 for pair in digits]
     else:
         commas, spaces = COMMAS.fullmatch(text), SPACES.fullmatch(text)
         match = commas or spaces
         if match is None or (commas and len(set(commas.groups()[1:6:2])) > 1):  # percent for all, or for none
             return None
         values = [
-            float(number) / (100.0 if percent else most)
-            for number, percent, most in zip(
+            float(number) / (100.0 if percent else maximum)
+            for number, percent, maximum in zip(
                 match.groups()[::2], match.groups()[1::2], (255.0,) * 3 + (1.0,), strict=True
             )
             if number is not None
@@ -53,6 +53,6 @@ def read_colour(text: str) -> FloatArray | None:
 
 
 def spell_colour(colour: FloatArray) -> str:
-    """Linear RGB as ``rgb(...)`` with more digits than a byte has, so that reading it gives the same colour."""
+    """Return linear RGB as ``rgb(...)`` with more digits than a byte has, so that reading it gives the same colour."""
     encoded = 100.0 * encode_srgb(np.clip(np.asarray(colour, dtype=np.float64)[:3], 0.0, 1.0))
-    return f"rgb({', '.join(f'{one:.10f}%' for one in encoded)})"
+    return f"rgb({', '.join(f'{channel:.10f}%' for channel in encoded)})"

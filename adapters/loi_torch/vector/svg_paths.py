@@ -14,25 +14,25 @@ from loi_torch.vector.shapes import Outline
 
 __all__ = ["Commands", "has_dot", "moved", "path_outlines", "without_arcs"]
 
-ARC: Final = math.tau / 10  # radians that one cubic stands for, at the most
+MAX_CUBIC_ARC_RADIANS: Final = math.tau / 10
 
 
-class Commands(svg.Path):  # type: ignore[misc]  # which has no types
-    """The path that commands draw, with what the library does in another way than SVG.
+class Commands(svg.Path):  # type: ignore[misc]  # untyped
+    """The path drawn by commands, where svgelements deviates from SVG.
 
-    Smooth curves go on from a curve of their own kind alone. Arcs with a radius of 0 are lines, and radii that are too
-    small for their ends are made larger here, since the squares of small ones would be 0.
+    A smooth curve continues only a curve of the same degree. Arcs with a radius of 0 are lines, and too small radii are
+    enlarged here, because the squares of small radii underflow.
     """
 
     def smooth_cubic(self, *points: Any, relative: bool = False, **_: Any) -> None:
-        """Append a cubic curve that goes on from a cubic curve, or else begins with its start as control point."""
+        """Append a cubic curve that continues a cubic curve; otherwise its start is the control point."""
         if isinstance(self[-1], svg.CubicBezier):
             super().smooth_cubic(*points, relative=relative)
         else:
             self.cubic(self._here(), *points, relative=relative)
 
     def smooth_quad(self, *points: Any, relative: bool = False, **_: Any) -> None:
-        """Append a quadratic curve that goes on from a quadratic curve, or else is a line."""
+        """Append a quadratic curve that continues a quadratic curve; otherwise a line."""
         if isinstance(self[-1], svg.QuadraticBezier):
             super().smooth_quad(*points, relative=relative)
         else:
@@ -45,14 +45,14 @@ class Commands(svg.Path):  # type: ignore[misc]  # which has no types
         if rx == 0.0 or ry == 0.0:
             self.line(end, relative=relative)
             return
-        if not isinstance(end, str):  # which stands for where the path began
-            x, y = (0.5 * (one - other) for one, other in zip(self._here(), end, strict=True))
+        if not isinstance(end, str):  # "z": the start of the path
+            x, y = (0.5 * (origin - target) for origin, target in zip(self._here(), end, strict=True))
             cos, sin = math.cos(math.radians(rotation)), math.sin(math.radians(rotation))
             largest = max(rx, ry)
-            across, down = rx / largest, ry / largest
-            least = math.hypot((cos * x + sin * y) / across, (cos * y - sin * x) / down)
-            if least > largest:
-                rx, ry = least * across, least * down
+            unit_rx, unit_ry = rx / largest, ry / largest
+            scale = math.hypot((cos * x + sin * y) / unit_rx, (cos * y - sin * x) / unit_ry)
+            if scale > largest:
+                rx, ry = scale * unit_rx, scale * unit_ry
         super().arc(rx, ry, rotation, *flags, end, relative=relative)
 
     def _here(self) -> tuple[float, float]:
@@ -61,26 +61,23 @@ class Commands(svg.Path):  # type: ignore[misc]  # which has no types
 
 
 def moved(point: FloatArray, matrix: FloatArray) -> FloatArray:
-    """`point`, shape (2,), under the affine `matrix`, shape (3, 3)."""
-    with np.errstate(over="ignore", invalid="ignore"):  # what is not finite is refused where it is put into a shape
+    """Return `point`, shape (2,), under the affine `matrix`, shape (3, 3)."""
+    with np.errstate(over="ignore", invalid="ignore"):  # shapes reject non-finite points
         result: FloatArray = matrix[:2, :2] @ point + matrix[:2, 2]
     return result
 
 
 def without_arcs(path: Iterable[Any]) -> Iterator[Any]:
-    """The segments of a path that svgelements has parsed, with cubics for its arcs.
-
-    The library does so in place, and then takes time that grows with the square of how many there are.
-    """
+    """Yield the segments of a path with cubics for its arcs; svgelements takes quadratic time for that."""
     for segment in path:
         if isinstance(segment, svg.Arc):
-            yield from segment.as_cubic_curves(math.ceil(abs(segment.sweep) / ARC))
+            yield from segment.as_cubic_curves(math.ceil(abs(segment.sweep) / MAX_CUBIC_ARC_RADIANS))
         else:
             yield segment
 
 
 def path_outlines(path: Iterable[Any], matrix: FloatArray) -> list[Outline]:
-    """The parts of a path of moves, lines and curves, under the affine `matrix`, shape (3, 3)."""
+    """Return the outlines of a path of moves, lines and curves under the affine `matrix`, shape (3, 3)."""
     outlines: list[Outline] = []
     points: list[FloatArray] = []
     degrees: list[int] = []
@@ -89,7 +86,7 @@ def path_outlines(path: Iterable[Any], matrix: FloatArray) -> list[Outline]:
         if closed and degrees:
             # A line that is alone stays, since an outline needs more than one point.
             if len(points) > 2 and np.allclose(points[-1], points[0], rtol=0.0, atol=1e-9):
-                points.pop()  # it came back by itself
+                points.pop()  # already closed
             else:
                 degrees.append(1)
         if degrees:
@@ -107,29 +104,31 @@ def path_outlines(path: Iterable[Any], matrix: FloatArray) -> list[Outline]:
         if not points:
             points = [_point(segment.start, matrix)]
         inner = {svg.CubicBezier: ("control1", "control2"), svg.QuadraticBezier: ("control",)}.get(type(segment), ())
-        points += [_point(getattr(segment, one), matrix) for one in (*inner, "end")]
+        points += [_point(getattr(segment, name), matrix) for name in (*inner, "end")]
         degrees.append(len(inner) + 1)
     finish(closed=False)
     return outlines
 
 
-def has_dot(path: Iterable[Any], near: float) -> bool:
-    """Whether a part of a path of moves, lines and curves stays as `near`, so that of its stroke only caps are seen."""
-    drawn, first = False, None
+def has_dot(path: Iterable[Any], tolerance: float) -> bool:
+    """Return whether a part of a path stays within `tolerance`, so that only the caps of its stroke are visible."""
+    is_drawn, first = False, None
     for segment in path:
         if isinstance(segment, svg.Move):
-            if drawn and first is not None:
+            if is_drawn and first is not None:
                 return True
-            drawn, first = False, segment.end
+            is_drawn, first = False, segment.end
         elif first is not None:
-            drawn = True
-            if any(math.hypot(one.x - first.x, one.y - first.y) > near for one in segment if one is not None):
-                first = None  # it goes somewhere
+            is_drawn = True
+            if any(
+                math.hypot(point.x - first.x, point.y - first.y) > tolerance for point in segment if point is not None
+            ):
+                first = None  # it leaves its start
         if isinstance(segment, svg.Close):
-            if drawn and first is not None:
+            if is_drawn and first is not None:
                 return True
-            drawn, first = False, segment.end
-    return drawn and first is not None
+            is_drawn, first = False, segment.end
+    return is_drawn and first is not None
 
 
 def _point(point: Any, matrix: FloatArray) -> FloatArray:

@@ -1,4 +1,4 @@
-"""Reading SVG: a subset that is stated, and for what is beyond it an error that names it."""
+"""Reading of a documented subset of SVG; anything else is an error that names it."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from loi_core.errors import SvgError
 from loi_core.io.files import read_bytes
 from loi_core.renderers.validation import FloatArray
 from loi_core.support.wording import described, shown
-from loi_torch.vector.coverage import FARTHEST
+from loi_torch.vector.coverage import MAX_COORDINATE_PX
 from loi_torch.vector.shapes import Path, Shape
 from loi_torch.vector.svg_colours import CORNERS, NAMESPACE
-from loi_torch.vector.svg_shapes import GEOMETRY, MOST_POINTS, element_shape
+from loi_torch.vector.svg_shapes import GEOMETRY, MAX_POINTS, element_shape
 from loi_torch.vector.svg_transforms import read_transform
 from loi_torch.vector.svg_values import Values
 
 __all__ = ["Drawing", "read_svg"]
 
-MOST_BYTES: Final = 8 * 1024 * 1024
-MOST_DEPTH: Final = 64
+MAX_FILE_BYTES: Final = 8 * 1024 * 1024
+MAX_DEPTH: Final = 64
 
 SILENT: Final = ("title", "desc", "metadata")
 INHERITED: Final = {
@@ -41,7 +41,7 @@ INHERITED: Final = {
     "stroke-miterlimit": "4",
 }
 HARMLESS: Final = {
-    # Allowed with these values alone, which are what is done anyway; any other would change the picture.
+    # Allowed with these default values only; others would change the picture.
     "stroke-dasharray": ("none",),
     "display": ("inline", "block"),
     "visibility": ("visible",),
@@ -64,7 +64,7 @@ IMPORTANT: Final = re.compile(r"!\s*important", re.IGNORECASE)
 
 @dataclass(frozen=True)
 class Drawing:
-    """What an SVG file shows.
+    """Contents of an SVG file.
 
     Attributes
     ----------
@@ -80,7 +80,7 @@ class Drawing:
 
 @dataclass(frozen=True)
 class _State:
-    """What an element hands to those in it."""
+    """State that an element passes to its children."""
 
     tag: str
     matrix: FloatArray
@@ -109,7 +109,7 @@ def read_svg(path: pathlib.Path, height: int, width: int) -> Drawing:
     rectangles that are skewed become paths. Elements that SVG does not show are left out.
     """
     try:
-        content = read_bytes(path, MOST_BYTES)
+        content = read_bytes(path, MAX_FILE_BYTES)
     except (OSError, ValueError) as error:
         msg = f"{path}: cannot be read ({described(error)})"
         raise SvgError(msg) from None
@@ -130,7 +130,7 @@ def read_svg(path: pathlib.Path, height: int, width: int) -> Drawing:
 
 
 class _Reader:
-    """Follows the elements of a document, and collects shapes."""
+    """Collects shapes from the elements of a document."""
 
     def __init__(self, values: Values, height: int, width: int) -> None:
         self.drawing = Drawing([], np.ones(3))
@@ -138,7 +138,7 @@ class _Reader:
         self._size = height, width
         self._states: list[_State] = []
         self._silent = 0
-        self._points_left = MOST_POINTS
+        self._points_left = MAX_POINTS
 
     def document_type(self, *_: object) -> NoReturn:
         self._values.fail("has a document type declaration (<!DOCTYPE>), which is not read; delete it")
@@ -157,8 +157,8 @@ class _Reader:
         if self._silent or (self._states and (tag in SILENT or not known)):
             self._silent += 1
             return
-        if len(self._states) >= MOST_DEPTH:
-            self._values.fail(f"elements lie more than {MOST_DEPTH} deep")
+        if len(self._states) >= MAX_DEPTH:
+            self._values.fail(f"elements lie more than {MAX_DEPTH} deep")
         if (tag == "svg") == bool(self._states) or (tag not in ("svg", "g", *GEOMETRY)):
             names = f"svg (once, outermost), g, {', '.join(GEOMETRY)}"
             self._values.fail(f"<{tag[:40]}> is not supported here; known are {names}")
@@ -175,8 +175,8 @@ class _Reader:
             matrix = self._root(own)
         else:
             matrix = above.matrix @ read_transform(self._values, tag, own.get("transform", ""))
-        if not np.all(np.abs(matrix) <= FARTHEST):
-            self._values.fail(f"<{tag}>: all transforms together must stay within {FARTHEST:g}")
+        if not np.all(np.abs(matrix) <= MAX_COORDINATE_PX):
+            self._values.fail(f"<{tag}>: all transforms together must stay within {MAX_COORDINATE_PX:g}")
         state = _State(tag, matrix, style)
         self._states.append(state)
         opacity = self._values.share(tag, "opacity", own.get("opacity", "1"))
@@ -230,7 +230,7 @@ class _Reader:
 
 
 def _attributes(attributes: Mapping[str, str]) -> dict[str, str]:
-    """Own attributes, those of ``style`` included, where what is important comes first."""
+    """Return attributes and declarations of ``style``, where important ones take precedence."""
     plain = {key.replace(" ", ":"): value.strip() for key, value in attributes.items()}
     styled, important = {}, {}
     for part in COMMENT.sub(" ", plain.pop("style", "")).split(";"):
@@ -245,6 +245,6 @@ def _attributes(attributes: Mapping[str, str]) -> dict[str, str]:
 
 
 def _changes(key: str, value: str) -> bool:
-    """Whether an attribute changes what is inherited; the colour of a colour is the one that is inherited."""
+    """Return whether an attribute changes the inherited style; ``currentColor`` of a colour is inherited."""
     same = ("inherit", "currentcolor") if key == "color" else ("inherit",)
     return key in INHERITED and value.lower() not in same

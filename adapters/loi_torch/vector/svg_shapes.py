@@ -19,9 +19,9 @@ from loi_torch.vector.svg_colours import CORNERS
 from loi_torch.vector.svg_paths import Commands, has_dot, moved, path_outlines, without_arcs
 from loi_torch.vector.svg_values import Values
 
-__all__ = ["GEOMETRY", "MOST_POINTS", "element_shape"]
+__all__ = ["GEOMETRY", "MAX_POINTS", "element_shape"]
 
-MOST_POINTS: Final = 200_000  # of all paths of a file
+MAX_POINTS: Final = 200_000  # of all paths of a file
 
 GEOMETRY: Final[dict[str, tuple[str, ...]]] = {
     "path": ("d",),
@@ -32,13 +32,13 @@ GEOMETRY: Final[dict[str, tuple[str, ...]]] = {
     "polyline": ("points",),
     "polygon": ("points",),
 }
-COMMANDS: Final = re.compile(  # without going back over what has matched, which would take time without end
+COMMANDS: Final = re.compile(  # possessive, to avoid exponential backtracking
     r"\s*+(?:[Mm](?>[MmZzLlHhVvCcSsQqTtAa, \t\n\r\f]|[+-]?(?:[0-9]++(?:\.[0-9]++)?|\.[0-9]++)(?:[eE][+-]?[0-9]++)?)*+)?"
 )
 LETTERS: Final = re.compile(r"[A-DF-Za-df-z]")  # each begins a segment; an e is part of a number
 CLOSINGS: Final = re.compile(r"[zZ](?:[\s,]*+[zZ])++")
 UNMOVED: Final = re.compile(r"[zZ][\s,]*+(?![MmZz\s,]|\Z)")
-MOST_UNMOVED: Final = 1000  # for each, the library goes back to the last move
+MAX_UNMOVED_PARTS: Final = 1000  # for each, the library goes back to the last move
 NEAR: Final = 1e-9  # pixels; strokes take points that are closer together for one
 WITHOUT_JOINS: Final = ("circle", "ellipse", "line")
 SIZES: Final = ("width", "height", "r", "rx", "ry")
@@ -54,22 +54,22 @@ def element_shape(
     opacity: float,
     most_points: int,
 ) -> Shape | None:
-    """The shape that an element shows, in pixels, or None if it shows nothing.
+    """Return the shape of an element in pixels, or None if it draws nothing.
 
     Parameters
     ----------
     values : Values
-        Of the file.
+        Reader of the file's values.
     tag : str
-        One of those in ``GEOMETRY``.
+        A key of ``GEOMETRY``.
     own, style : mapping of str
-        The element's own attributes, and its style with what it inherits.
+        The element's attributes, and its style with inherited properties.
     matrix : array, shape (3, 3)
-        From the element to pixels.
+        Transform from the element to pixels.
     opacity : float
-        The element's own.
+        The element's opacity.
     most_points : int
-        How many of ``MOST_POINTS`` are left for this element.
+        Remaining points of ``MAX_POINTS``.
 
     Raises
     ------
@@ -133,7 +133,7 @@ def _extents(tag: str) -> tuple[str, ...]:
 
 
 def _numbers(values: Values, tag: str, own: Mapping[str, str]) -> dict[str, float]:
-    """What an element that is no path and has no points says, and what SVG takes for what it does not say."""
+    """Return the numbers of an element without points, with SVG's defaults."""
     if tag in ("path", "polyline", "polygon"):
         return {}
     given = {key: values.number(tag, key, own[key]) for key in GEOMETRY[tag] if own.get(key, "auto") != "auto"}
@@ -141,7 +141,7 @@ def _numbers(values: Values, tag: str, own: Mapping[str, str]) -> dict[str, floa
         if given.get(key, 0.0) < 0.0:
             values.fail(f"<{tag}>: `{key}` must be 0 or more, got {shown(given[key])}")
     number = {key: given.get(key, 0.0) for key in GEOMETRY[tag]}
-    if "rx" in number:  # of which one stands for both
+    if "rx" in number:  # one radius sets both
         number["rx"], number["ry"] = given.get("rx", number["ry"]), given.get("ry", number["rx"])
     if tag == "rect":
         number["rx"], number["ry"] = (
@@ -202,7 +202,7 @@ def _general(
     except Exception as error:  # noqa: BLE001 - the library raises whatever its arithmetic does
         values.fail(f"<{tag}>: {GEOMETRY[tag][0]!r} cannot be read ({described(error)})")
     if 4 * len(segments) > most_points:
-        values.fail(f"more than {MOST_POINTS} points")
+        values.fail(f"more than {MAX_POINTS} points")
     scale = max(float(np.abs(matrix[:2, :2]).max()), NEAR)
     if paint.stroke is not None and paint.cap != "butt" and has_dot(segments, NEAR / scale):
         values.fail(f"<{tag}>: a part without length, of which a {paint.cap} cap makes a dot, is not supported")
@@ -212,13 +212,13 @@ def _general(
 
 def _commands(values: Values, commands: str, most_points: int) -> Iterable[Any]:
     """The segments of a path."""
-    if not COMMANDS.fullmatch(commands):  # the library would leave out what it does not know
+    if not COMMANDS.fullmatch(commands):  # the library would skip unknown characters
         values.fail(f"<path>: `d` must be commands and numbers, begun with M, got {shown(commands)}")
     if len(LETTERS.findall(commands)) > most_points:
-        values.fail(f"more than {MOST_POINTS} points")
+        values.fail(f"more than {MAX_POINTS} points")
     commands = CLOSINGS.sub("Z", commands)
-    if len(UNMOVED.findall(commands)) > MOST_UNMOVED:
-        values.fail(f"<path>: more than {MOST_UNMOVED} closed parts that go on without a move")
+    if len(UNMOVED.findall(commands)) > MAX_UNMOVED_PARTS:
+        values.fail(f"<path>: more than {MAX_UNMOVED_PARTS} closed parts that go on without a move")
     path: Iterable[Any] = Commands(commands)
     return path
 
@@ -231,5 +231,5 @@ def _corners(values: Values, tag: str, text: str) -> Iterable[Any]:
     points = list(zip(numbers[::2], numbers[1::2], strict=True))
     if not points:
         return []
-    lines = [svg.Line(one, other) for one, other in itertools.pairwise(points)]
+    lines = [svg.Line(start, end) for start, end in itertools.pairwise(points)]
     return [svg.Move(None, points[0]), *lines, *([svg.Close(points[-1], points[0])] if tag == "polygon" else [])]

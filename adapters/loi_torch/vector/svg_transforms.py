@@ -11,15 +11,15 @@ import numpy as np
 
 from loi_core.renderers.validation import FloatArray
 from loi_core.support.wording import shown
-from loi_torch.vector.coverage import FARTHEST
-from loi_torch.vector.svg_values import ONE, PIXELS, Values
+from loi_torch.vector.coverage import MAX_COORDINATE_PX
+from loi_torch.vector.svg_values import NUMBER_PATTERN, PIXELS, Values
 
 __all__ = ["read_transform"]
 
-# None of these goes back over what has matched, which would take time that grows with the square.
+# Possessive quantifiers, to avoid quadratic backtracking.
 FUNCTION: Final = re.compile(r"([A-Za-z]++)\s*+\(([^()]*+)\)\s*+")
 NEXT: Final = re.compile(r",?\s*+(?=[A-Za-z])")
-VALUE: Final = re.compile(rf"({ONE})([a-z]*+)\s*+")
+VALUE: Final = re.compile(rf"({NUMBER_PATTERN})([a-z]*+)\s*+")
 COMMA: Final = re.compile(r"(?:,\s*+)?(?=[-+.0-9])")
 
 PLAIN: Final = {"": 1.0}
@@ -37,9 +37,9 @@ ANGLE: Final = {  # in radians
 _Matrix = tuple[float, float, float, float, float, float]
 
 
-def _times(one: _Matrix, other: _Matrix) -> _Matrix:
-    a, b, c, d, e, f = one
-    g, h, i, j, k, m = other
+def _times(first: _Matrix, second: _Matrix) -> _Matrix:
+    a, b, c, d, e, f = first
+    g, h, i, j, k, m = second
     return a * g + c * h, b * g + d * h, a * i + c * j, b * i + d * j, a * k + c * m + e, b * k + d * m + f
 
 
@@ -60,9 +60,9 @@ def _skewed(x: float, y: float = 0.0) -> _Matrix:
     return 1.0, math.tan(y), math.tan(x), 1.0, 0.0, 0.0
 
 
-# For each function how many arguments it may have, in which units, and what it does.
+# Allowed numbers of arguments, their units, and the matrix of each function.
 FUNCTIONS: Final[dict[str, tuple[tuple[int, ...], tuple[dict[str, float], ...], Callable[..., _Matrix]]]] = {
-    "matrix": ((6,), (PLAIN,) * 4 + (LENGTH,) * 2, lambda *parts: parts),
+    "matrix": ((6,), (PLAIN,) * 4 + (LENGTH,) * 2, lambda *entries: entries),
     "translate": ((1, 2), (LENGTH,) * 2, _translated),
     "translateX": ((1,), (LENGTH,), _translated),
     "translateY": ((1,), (LENGTH,), lambda y: _translated(0.0, y)),
@@ -77,12 +77,12 @@ FUNCTIONS: Final[dict[str, tuple[tuple[int, ...], tuple[dict[str, float], ...], 
 
 
 def read_transform(values: Values, tag: str, text: str) -> FloatArray:
-    """What a ``transform`` does, shape (3, 3).
+    """Return the matrix of a ``transform``, shape (3, 3).
 
     Raises
     ------
     SvgError
-        If it is not a list of functions that are known, each with as many arguments as it takes, or goes too far.
+        If it is no list of supported functions with the right number of arguments, or exceeds the limit.
     """
     a, b, c, d, e, f = _product(values, tag, text.strip())
     return np.array([[a, c, e], [b, d, f], [0.0, 0.0, 1.0]])
@@ -95,12 +95,12 @@ def _product(values: Values, tag: str, text: str) -> _Matrix:
     at = 0
     while at < len(text):
         function = FUNCTION.match(text, at)
-        made = None if function is None else _made(function[1], function[2].strip())
-        if function is None or made is None:
+        matrix = None if function is None else _matrix_of(function[1], function[2].strip())
+        if function is None or matrix is None:
             values.fail(f"<{tag}>: `transform` = {shown(text)} cannot be read")
-        result = _times(result, made)
-        if not all(abs(one) <= FARTHEST for one in result):
-            values.fail(f"<{tag}>: `transform` must stay within {FARTHEST:g}, got {shown(text)}")
+        result = _times(result, matrix)
+        if not all(abs(entry) <= MAX_COORDINATE_PX for entry in result):
+            values.fail(f"<{tag}>: `transform` must stay within {MAX_COORDINATE_PX:g}, got {shown(text)}")
         at = function.end()
         following = NEXT.match(text, at)
         if following is None and at < len(text):
@@ -109,7 +109,7 @@ def _product(values: Values, tag: str, text: str) -> _Matrix:
     return result
 
 
-def _made(name: str, text: str) -> _Matrix | None:
+def _matrix_of(name: str, text: str) -> _Matrix | None:
     if name not in FUNCTIONS:
         return None
     counts, units, make = FUNCTIONS[name]
@@ -125,6 +125,6 @@ def _made(name: str, text: str) -> _Matrix | None:
         if following is None and at < len(text):
             return None
         at = following.end() if following else at
-    if len(arguments) not in counts or not all(math.isfinite(one) for one in arguments):
+    if len(arguments) not in counts or not all(math.isfinite(argument) for argument in arguments):
         return None
     return make(*arguments)

@@ -1,4 +1,4 @@
-"""What attributes of SVG say: numbers and colours."""
+"""Values of SVG attributes: numbers, lengths and colours."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from typing import Final, NoReturn
 from loi_core.errors import SvgError
 from loi_core.renderers.validation import FloatArray
 from loi_core.support.wording import printable, shown
-from loi_torch.vector.coverage import FARTHEST
+from loi_torch.vector.coverage import MAX_COORDINATE_PX
 from loi_torch.vector.svg_colours import read_colour
 
-__all__ = ["ONE", "PIXELS", "Values"]
+__all__ = ["NUMBER_PATTERN", "PIXELS", "Values"]
 
 DIGITS: Final = r"[+-]?(?:[0-9]+\.?[0-9]*|\.[0-9]+)(?:[eE][+-]?[0-9]+)?"
 NUMBER: Final = re.compile(rf"\s*({DIGITS})(?:px)?\s*")
@@ -26,9 +26,9 @@ PIXELS: Final = {  # of each unit
     "pt": 96.0 / 72.0,
     "pc": 16.0,
 }
-# A list without going back over what has matched, which would take time that grows with the square.
-ONE: Final = r"[+-]?(?:[0-9]++(?:\.[0-9]++)?|\.[0-9]++)(?:[eE][+-]?[0-9]++)?"
-LIST: Final = re.compile(rf"\s*+(?:{ONE}\s*+(?:,\s*+(?=[-+.0-9]))?)*+")
+# Possessive quantifiers, to avoid quadratic backtracking.
+NUMBER_PATTERN: Final = r"[+-]?(?:[0-9]++(?:\.[0-9]++)?|\.[0-9]++)(?:[eE][+-]?[0-9]++)?"
+LIST: Final = re.compile(rf"\s*+(?:{NUMBER_PATTERN}\s*+(?:,\s*+(?=[-+.0-9]))?)*+")
 
 
 @dataclass(frozen=True)
@@ -42,33 +42,37 @@ class Values:
         raise SvgError(printable(f"{self.path}: {message}"))
 
     def number(self, tag: str, key: str, text: str, *, percent: bool = False) -> float:
-        """A number, alone or in px; with `percent` also a share, 50% being 0.5."""
+        """Return a number, alone or in px; with `percent` also a percentage, 0.5 for 50%."""
         share = percent and text.endswith("%")
         match = NUMBER.fullmatch(text[:-1] if share else text)
-        if match is None or abs(float(match[1])) > FARTHEST:
-            self.fail(f"<{tag}>: `{key}` must be a number up to {FARTHEST:g}, alone or in px, got {shown(text)}")
+        if match is None or abs(float(match[1])) > MAX_COORDINATE_PX:
+            self.fail(
+                f"<{tag}>: `{key}` must be a number up to {MAX_COORDINATE_PX:g}, alone or in px, got {shown(text)}"
+            )
         return float(match[1]) * (0.01 if share else 1.0)
 
     def share(self, tag: str, key: str, text: str) -> float:
-        """A share such as an opacity, a number or in percent; what is beyond [0, 1] is 0 or 1."""
+        """Return a fraction such as an opacity, a number or a percentage, clipped to [0, 1]."""
         return min(max(self.number(tag, key, text, percent=True), 0.0), 1.0)
 
     def length(self, tag: str, key: str, text: str) -> float:
-        """A length in pixels, of which an inch has 96."""
+        """Return a length in pixels, at 96 per inch."""
         match = LENGTH.fullmatch(text)
-        if match is None or not abs(result := float(match[1]) * PIXELS[match[2] or "px"]) <= FARTHEST:
+        if match is None or not abs(result := float(match[1]) * PIXELS[match[2] or "px"]) <= MAX_COORDINATE_PX:
             units = ", ".join(PIXELS)
-            self.fail(f"<{tag}>: `{key}` must be a number up to {FARTHEST:g}, alone or in {units}, got {shown(text)}")
+            self.fail(
+                f"<{tag}>: `{key}` must be a number up to {MAX_COORDINATE_PX:g}, alone or in {units}, got {shown(text)}"
+            )
         return result
 
     def numbers(self, tag: str, key: str, text: str) -> list[float]:
-        """Numbers that are apart by spaces, a comma, or where the next one cannot belong to the one before."""
+        """Return numbers separated by spaces, commas, or signs."""
         if LIST.fullmatch(text) is None:
             self.fail(f"<{tag}>: `{key}` must be numbers, got {shown(text)}")
-        return [self.number(tag, key, one) for one in re.findall(ONE, text)]
+        return [self.number(tag, key, number) for number in re.findall(NUMBER_PATTERN, text)]
 
     def colour(self, tag: str, key: str, text: str) -> FloatArray:
-        """A colour as linear RGB and opacity, shape (4,)."""
+        """Return a colour as linear RGB and opacity, shape (4,)."""
         colour = read_colour(text)
         if colour is None:
             self.fail(f"<{tag}>: `{key}` must be none, #rgb, #rrggbb, rgb(...) or a name, got {shown(text)}")

@@ -1,4 +1,4 @@
-"""Shapes as arrays: the parameters of a vector picture, one row a shape, and back to shapes."""
+"""Shapes as arrays of parameters, one row per shape, and back."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from loi_core.renderers.validation import FloatArray, check_dtype, check_paramet
 from loi_core.support.wording import shown
 from loi_torch.vector.shapes import Circle, Ellipse, Outline, Paint, Path, Rectangle, Shape
 
-__all__ = ["Layer", "Part", "Table"]
+__all__ = ["Layer", "Part", "ShapeParameters"]
 
-LEAST_SIZE: Final = 0.1  # pixels; without area a shape has no gradient, and could never come back
-LEAST_SCALE: Final = 0.01  # of a path
+MIN_SIZE_PX: Final = 0.1  # a shape without area has no gradient and could never grow again
+MIN_PATH_SCALE: Final = 0.01
 
 
 @dataclass(frozen=True)
@@ -40,8 +40,8 @@ class Part:
     closed: bool
 
 
-class Table:
-    """The parameters of shapes, as the renderer has them on the host; see :class:`loi_torch.vector.Vector`."""
+class ShapeParameters:
+    """The parameters of shapes on the host; see :class:`loi_torch.vector.Vector`."""
 
     def __init__(self, shapes: Sequence[Shape], dtype: str) -> None:
         self._dtype = check_dtype(dtype)
@@ -49,12 +49,12 @@ class Table:
         self.layers: list[Layer] = []
         self.parts: list[Part] = []
         self.circles, self.ellipses, self.rectangles = (
-            np.flatnonzero([isinstance(one, kind) for one in shapes]).astype(np.int64)
-            for kind in (Circle, (Circle, Ellipse), Rectangle)
+            np.flatnonzero([isinstance(shape, shape_class) for shape in shapes]).astype(np.int64)
+            for shape_class in (Circle, (Circle, Ellipse), Rectangle)
         )
-        self.paths = np.flatnonzero([isinstance(one, Path) for one in shapes]).astype(np.int64)
+        self.paths = np.flatnonzero([isinstance(shape, Path) for shape in shapes]).astype(np.int64)
         rows: dict[str, list[Any]] = {name: [] for name in ("fills", "blends", "strokes", "widths", "points")}
-        place: dict[str, list[Any]] = {"positions": [], "sizes": [], "rotations": [], "roundings": []}
+        poses: dict[str, list[Any]] = {"positions": [], "sizes": [], "rotations": [], "roundings": []}
         for index, shape in enumerate(shapes):
             self._add_paint(index, shape.paint, rows)
             rotation = 0.0
@@ -64,45 +64,45 @@ class Table:
                 centre, size, rotation = np.asarray(shape.centre), np.asarray(shape.radii), shape.rotation
             elif isinstance(shape, Rectangle):
                 centre, size, rotation = np.asarray(shape.centre), 0.5 * np.asarray(shape.sides), shape.rotation
-                place["roundings"].append(shape.rounding)
+                poses["roundings"].append(shape.rounding)
             else:
                 centre, size = self._add_path(index, shape, rows["points"]), np.ones(2)
-            place["positions"].append(centre)
-            place["sizes"].append(size)
-            place["rotations"].append(rotation)
-        everything = place | rows
+            poses["positions"].append(centre)
+            poses["sizes"].append(size)
+            poses["rotations"].append(rotation)
+        everything = poses | rows
         self._scene = {name: np.array(value, dtype=np.float64) for name, value in everything.items() if value}
 
     def parameters(self) -> dict[str, FloatArray]:
-        """All parameters, of the scene's dtype."""
+        """Return all parameters in the scene's dtype."""
         return {name: value.astype(self._dtype) for name, value in self._scene.items()}
 
     def checked(self, params: Mapping[str, object]) -> dict[str, FloatArray]:
-        """`params` as float64 arrays, once they are known to have the scene's names and shapes."""
+        """Return `params` as float64 arrays; raise an error if names or shapes differ from the scene."""
         return check_parameters(params, self._scene)
 
     def project(self, params: dict[str, FloatArray]) -> dict[str, FloatArray]:
-        """`params` with areas and widths that are positive, circles round, and colours in [0, 1]."""
+        """Return `params` with positive areas and widths, round circles, and colours in [0, 1]."""
         scene = self.checked(params)
         sizes = scene["sizes"]
         sizes[self.circles] = np.mean(sizes[self.circles], axis=1, keepdims=True)
-        least = np.full((len(sizes), 1), LEAST_SIZE)
-        least[self.paths] = LEAST_SCALE
-        scene["sizes"] = np.maximum(sizes, least)
+        min_sizes = np.full((len(sizes), 1), MIN_SIZE_PX)
+        min_sizes[self.paths] = MIN_PATH_SCALE
+        scene["sizes"] = np.maximum(sizes, min_sizes)
         if "roundings" in scene:
-            most = scene["sizes"][self.rectangles].min(axis=1)
-            scene["roundings"] = np.clip(scene["roundings"], 0.0, most)
+            max_roundings = scene["sizes"][self.rectangles].min(axis=1)
+            scene["roundings"] = np.clip(scene["roundings"], 0.0, max_roundings)
         if "widths" in scene:
-            scene["widths"] = np.maximum(scene["widths"], LEAST_SIZE)
+            scene["widths"] = np.maximum(scene["widths"], MIN_SIZE_PX)
         for name in ("fills", "blends", "strokes"):
             if name in scene:
                 scene[name] = np.clip(scene[name], 0.0, 1.0)
         return {name: value.astype(self._dtype) for name, value in scene.items()}
 
     def shapes(self, params: Mapping[str, object]) -> list[Shape]:
-        """The shapes that have these parameters."""
+        """Return the shapes with these parameters."""
         scene = self.checked(params)
-        paints = [one.paint for one in self._shapes]
+        paints = [shape.paint for shape in self._shapes]
         for layer in self.layers:
             name = {"fill": "fills", "blend": "blends", "stroke": "strokes"}[layer.kind]
             colour = scene[name][layer.row]
@@ -118,12 +118,14 @@ class Table:
         old = self._shapes[index]
         if isinstance(old, Path):
             angle = np.deg2rad(rotation)
-            turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
+            rotation_matrix = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
             outlines = []
-            for part in self.parts:
-                if part.shape == index:
-                    local = scene["points"][part.first : part.first + part.count] * size
-                    outlines.append(Outline(local @ turn + centre, part.degrees, part.closed))
+            for path_outline in self.parts:
+                if path_outline.shape == index:
+                    local = scene["points"][path_outline.first : path_outline.first + path_outline.count] * size
+                    outlines.append(
+                        Outline(local @ rotation_matrix + centre, path_outline.degrees, path_outline.closed)
+                    )
             return Path(tuple(outlines), paint)
         size = np.abs(size)
         if isinstance(old, Rectangle):
@@ -146,8 +148,8 @@ class Table:
 
     def _add_path(self, index: int, path: Path, points: list[Any]) -> FloatArray:
         """Append the path's points, relative to the centre of their bounding box, which is returned."""
-        every = np.concatenate([np.asarray(one.points, dtype=np.float64) for one in path.outlines])
-        centre: FloatArray = 0.5 * (every.min(axis=0) + every.max(axis=0))
+        all_points = np.concatenate([np.asarray(outline.points, dtype=np.float64) for outline in path.outlines])
+        centre: FloatArray = 0.5 * (all_points.min(axis=0) + all_points.max(axis=0))
         for outline in path.outlines:
             self.parts.append(Part(index, len(points), len(outline.points), outline.degrees, outline.closed))
             points.extend(np.asarray(outline.points, dtype=np.float64) - centre)
@@ -158,8 +160,8 @@ def _checked_shapes(shapes: Sequence[Shape]) -> list[Shape]:
     if not isinstance(shapes, Sequence) or isinstance(shapes, str) or not shapes:
         msg = f"`shapes` must be a list of at least one shape, got {shown(shapes)}"
         raise ParameterError(msg)
-    for one in shapes:
-        if not isinstance(one, Circle | Ellipse | Rectangle | Path):
-            msg = f"`shapes` must be Circle, Ellipse, Rectangle or Path, got {shown(one)}"
+    for shape in shapes:
+        if not isinstance(shape, Circle | Ellipse | Rectangle | Path):
+            msg = f"`shapes` must be Circle, Ellipse, Rectangle or Path, got {shown(shape)}"
             raise ParameterError(msg)
     return list(shapes)
