@@ -21,6 +21,7 @@ lint: .venv/.developed
 	.venv/bin/mypy
 	.venv/bin/lint-imports --no-logo
 	.venv/bin/codespell
+	.venv/bin/python -m tests.prose
 
 docs: .venv/.documented
 	.venv/bin/python -m sphinx -b html -W --keep-going -n -d docs/_build/doctrees docs docs/_build/html

@@ -51,8 +51,8 @@ class PixelSettings:
         """Return planes, shape (N, H, W), or their differences of colours around the middle of the bounds."""
         if self.colours == "channels":
             return planes
-        low, high = (0.0, 1.0) if self.bounds is None else self.bounds
-        return differences(planes, 0.5 * (low + high))
+        lower, upper = (0.0, 1.0) if self.bounds is None else self.bounds
+        return differences(planes, 0.5 * (lower + upper))
 
     def clip(self, planes: Array) -> Array:
         """Return planes, shape (N, H, W), limited to the bounds."""

@@ -52,7 +52,7 @@ def test_value_and_gradient_are_those_of_the_core(loss: Loss, wrap: Any) -> None
 
 
 @pytest.mark.parametrize("wrap", [lambda f: f, jax.jit], ids=["eager", "jit"])
-def test_vmap_is_a_loop(loss: Loss, wrap: Any) -> None:
+def test_vmap_of_the_jax_objective_is_a_loop(loss: Loss, wrap: Any) -> None:
     batch = jnp.asarray(np.stack([IMAGE, 0.5 * IMAGE, REFERENCE]))
     values = wrap(jax.vmap(loss))(batch)
     np.testing.assert_allclose(values, [float(loss(one)) for one in batch], rtol=1e-12, atol=1e-15)
@@ -60,7 +60,7 @@ def test_vmap_is_a_loop(loss: Loss, wrap: Any) -> None:
     np.testing.assert_allclose(gradients, jnp.stack([jax.grad(loss)(one) for one in batch]), rtol=1e-10, atol=1e-16)
 
 
-def test_it_is_traced_once_for_each_shape_and_dtype(loss: Loss) -> None:
+def test_jax_traces_the_objective_once_for_each_shape_and_dtype(loss: Loss) -> None:
     traces = 0
 
     @jax.jit
@@ -103,7 +103,7 @@ def test_nothing_leaks_from_an_objective_that_is_traced_itself(policy: NanPolicy
 
 
 @pytest.mark.parametrize("dtype", [jnp.float32, jnp.float16, jnp.bfloat16])
-def test_low_precision_is_compared_in_float32(loss: Loss, dtype: Any) -> None:
+def test_jax_compares_low_precision_in_float32(loss: Loss, dtype: Any) -> None:
     image = jnp.asarray(IMAGE, dtype=dtype)
     value, gradient = jax.jit(jax.value_and_grad(loss))(image)
     assert value.dtype == jnp.float32
@@ -124,7 +124,7 @@ def test_a_gradient_is_scaled_before_it_is_rounded_to_16_bits(loss: Loss, dtype:
         assert np.all(np.abs(np.asarray(found.astype(jnp.float32)) - wanted) <= bound)
 
 
-def test_it_works_with_64_bits_off() -> None:
+def test_the_objective_works_with_64_bits_off() -> None:
     with jax.enable_x64(False):
         image = jnp.asarray(IMAGE)
         assert image.dtype == jnp.float32
@@ -197,7 +197,7 @@ def test_products_keep_the_precision_of_their_dtype_on_accelerators(platform: st
     assert all("precision = [HIGHEST, HIGHEST]" in line for line in products)
 
 
-def test_it_can_be_pickled_and_copied(loss: Loss) -> None:
+def test_the_objective_can_be_pickled_and_copied(loss: Loss) -> None:
     image = jnp.asarray(IMAGE)
     pickled = pickle.loads(pickle.dumps(loss))  # noqa: S301  # of our own making
     for other in (pickled, copy.deepcopy(loss)):

@@ -286,7 +286,7 @@ def test_a_reference_that_has_not_changed_is_prepared_once() -> None:
     assert loss._objective is prepared
 
 
-def test_it_may_be_made_and_called_in_inference_mode() -> None:
+def test_objectives_may_be_made_and_called_in_inference_mode() -> None:
     with torch.inference_mode():
         assert float(LOILoss(torch.tensor(REFERENCE), SCALES)(torch.tensor(IMAGE))) == float(VALUE)
     loss = LOILoss(REFERENCE, SCALES)

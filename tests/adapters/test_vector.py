@@ -51,11 +51,11 @@ def scene(seed: int = 0, **more: Any) -> Vector:
         for seed, dtype, encoding, rtol in ((0, "float64", "linear", 1e-5), (1, "float32", "sRGB", 2e-2))
     ]
 )
-def test_the_contract_is_kept(check: Any, subject: Any) -> None:
+def test_the_vector_renderer_keeps_the_contract(check: Any, subject: Any) -> None:
     check(subject)
 
 
-def test_it_is_a_renderer_that_scenes_can_name() -> None:
+def test_scenes_can_name_the_vector_renderer() -> None:
     assert scene().capabilities.project is not None
     assert "vector-torch" in {one.name for one in available_renderers()}
 
@@ -258,6 +258,6 @@ def test_projection_gives_legal_parameters_and_leaves_its_argument() -> None:
         (lambda: painted_area(Circle([0, 0], 1e5, WHITE), size=16384), "more than the 134217728 that are painted"),
     ],
 )
-def test_wrong_values_are_named(make: Any, says: str) -> None:
+def test_errors_of_the_vector_renderer_name_wrong_values(make: Any, says: str) -> None:
     with pytest.raises((OptionError, ParameterError), match=says):
         make()

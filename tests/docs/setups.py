@@ -38,12 +38,5 @@ from loi_core.renderers import Disks
 renderer = Disks(height, width, [[5.0, 9.0]], 3.0, [[1.0, 0.5, 0.2]])
 objective, free = LOIObjective(photograph), {"positions": Free([[9.0, 5.0]], 0.0, 24.0)}
 """,
-    "large": _IMAGES
-    + """
-photograph = photograph.astype(np.float32)
-image = 0.5 * photograph
-np.save("photograph.npy", photograph)
-np.save("render.npy", image)
-""",
 }
 """Code to run before the blocks of a page, by the name of the page."""

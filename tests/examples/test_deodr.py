@@ -114,7 +114,7 @@ def test_a_quarter_turn_about_x_takes_y_to_z() -> None:
     np.testing.assert_allclose(facing, [0.5, 0.0, 0.5], atol=0.05)
 
 
-def test_it_is_found_from_a_start_without_overlap_where_pixels_fail() -> None:
+def test_local_histograms_find_a_mesh_without_overlap_and_pixels_do_not() -> None:
     truth, start = np.array([1.5, 1.2, 8.0]), np.array([-1.5, -1.3, 9.0])
     scene = DeodrMesh(64, 64, VERTICES, FACES, COLOURS, translation=truth)
     reference = scene.render(scene.parameters())
@@ -149,7 +149,7 @@ def test_it_is_found_from_a_start_without_overlap_where_pixels_fail() -> None:
         (ImageError, lambda: cotangent_of_shape(48, 56, 1), r"`cotangent` must have the image's shape \(48, 56, 3\)"),
     ],
 )
-def test_wrong_values_are_named(kind: type[LoiError], make: Any, says: str) -> None:
+def test_errors_of_the_deodr_adapter_name_wrong_values(kind: type[LoiError], make: Any, says: str) -> None:
     with pytest.raises(kind, match=says):
         make()
 
@@ -164,5 +164,5 @@ def cotangent_of_shape(*shape: int) -> dict[str, Host]:
     return scene.render_vjp(scene.parameters())[1](np.ones(shape))
 
 
-def test_it_passes_the_conformance_kit() -> None:
+def test_the_deodr_adapter_passes_the_conformance_kit() -> None:
     check_renderer(mesh(3))

@@ -81,7 +81,10 @@ def test_the_gallery_has_a_program_for_every_framework_and_titles_that_sphinx_ga
         assert not empty, name
 
 
-def test_the_notebook_runs_from_end_to_end_and_finds_the_portrait(tmp_path: Path) -> None:
+def test_the_notebook_runs_from_end_to_end_and_finds_the_portrait(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("MPLBACKEND", raising=False)  # the kernel picks its inline backend
     nbclient, nbformat = pytest.importorskip("nbclient"), pytest.importorskip("nbformat")
     pytest.importorskip("ipykernel")
     path = ROOT / "examples" / "first_steps.ipynb"

@@ -150,7 +150,7 @@ def test_twice_the_levels_halve_the_distance_between_them() -> None:
     assert float(twice.value(image)) == pytest.approx(2.0 * float(once.value(image)), rel=1e-3)
 
 
-def test_the_gradient_of_both_orders_reaches_what_is_hidden_and_is_exact_where_nothing_overlaps() -> None:
+def test_the_gradient_of_both_orders_reaches_hidden_shapes_and_is_exact_without_overlap() -> None:
     places = [[5.0, 5.0], [5.0, 5.0], [11.0, 11.0]]
     disks = Disks(16, 16, places, [1.5, 4.0, 2.0], [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
     both = BothOrders(disks)

@@ -39,7 +39,7 @@ def test_the_teapot_is_closed_but_for_the_gap_under_its_lid() -> None:
     assert float(mesh.vertices.abs().max()) == pytest.approx(1.0)
 
 
-def test_the_quick_tier_runs_and_is_not_done_twice(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_quick_tier_of_table_3_runs_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     for _ in range(2):
         main(["--quick", "--out", str(tmp_path)])
         assert "loi (ours)" in capsys.readouterr().out
@@ -49,7 +49,7 @@ def test_the_quick_tier_runs_and_is_not_done_twice(tmp_path: Path, capsys: pytes
     assert (tmp_path / "ours-convergence.png").exists()
 
 
-def test_wrong_words_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_table_3_refuses_wrong_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["--columns", "Kitten", "--out", str(tmp_path)])
     assert "--columns must be of 'Translation'" in capsys.readouterr().err

@@ -92,7 +92,7 @@ def test_the_gradient_of_blurred_pixels_is_that_of_their_value() -> None:
 
 
 @pytest.mark.parametrize("command", [kaleidoscope, orb])
-def test_the_quick_tier_runs_and_is_not_done_twice(
+def test_the_quick_tier_of_the_variational_method_runs_once(
     command: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     name = command.__name__.rpartition(".")[2]
@@ -121,7 +121,7 @@ def test_a_csv_keeps_the_runs_that_are_not_done_anew(tmp_path: Path) -> None:
     assert kept_lines(head + new, before) == head + new + other
 
 
-def test_wrong_words_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_variational_method_refuses_wrong_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match="2"):
         orb.main(["--steps", "0", "--out", str(tmp_path)])
     assert "must be 1 or more" in capsys.readouterr().err

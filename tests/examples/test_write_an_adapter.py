@@ -53,7 +53,7 @@ def shell(fresh: Path, tmp_path_factory: pytest.TempPathFactory) -> Shell:
     return shell
 
 
-def test_it_is_listed_as_ready(shell: Shell) -> None:
+def test_the_example_adapter_is_listed_as_ready(shell: Shell) -> None:
     assert re.search(r"^blob +- +ready +loi-blob 0\.1\.0 ", shell("loi renderers"), re.MULTILINE)
     listed = {one["name"]: one for one in json.loads(shell("loi renderers --json"))}
     assert listed["blob"] == {
@@ -69,7 +69,7 @@ def test_it_is_listed_as_ready(shell: Shell) -> None:
     assert listed["disks"]["state"] == listed["warp"]["state"] == "ready"
 
 
-def test_it_is_fitted_from_python_and_from_a_scene_file(shell: Shell) -> None:
+def test_the_example_adapter_is_fitted_from_python_and_from_a_scene_file(shell: Shell) -> None:
     found = [float(word) for word in shell("python find.py").split()]
     np.testing.assert_allclose(found, TRUTH, atol=0.05)
     shell("loi fit scene.toml")
@@ -78,7 +78,7 @@ def test_it_is_fitted_from_python_and_from_a_scene_file(shell: Shell) -> None:
     assert (shell.folder / "scene-result" / "report.html").exists()
 
 
-def test_it_passes_the_conformance_kit(shell: Shell) -> None:
+def test_the_example_adapter_passes_the_conformance_kit(shell: Shell) -> None:
     shell("python check.py")
 
 

@@ -149,7 +149,7 @@ def interrupted_after(count: int) -> Any:
             return None
         frame.f_trace_opcodes = True
         # Python handles no signal between the last value of a function and its return.
-        if event == "opcode" and dis.opname[code.co_code[frame.f_lasti]] != "RETURN_VALUE":
+        if event == "opcode" and dis.opname[code.co_code[frame.f_lasti]] not in {"RETURN_VALUE", "RETURN_CONST"}:
             remaining -= 1
             if remaining == 0:
                 raise KeyboardInterrupt
