@@ -26,8 +26,6 @@ MAX_VAGUE_PERCENT: Final = 2.0
 MIN_HITS: Final = 2  # a folder of a few words may hold one such construction
 MAX_TEST_NAME_CHARACTERS: Final = 88
 UNFINISHED_FOLDERS: Final = (
-    "adapters/loi_torch/vector",
-    "docs/results",
     "examples/paper",
     "tests/adapters",
     "tests/examples",

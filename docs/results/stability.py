@@ -19,9 +19,9 @@ from loi_core import LOIObjective
 from loi_core.plugins.registry import BACKENDS
 from loi_core.stability import HardCase, StabilityRow, hard_cases, stability_rows
 
-HERE: Final = Path(__file__).parent
-PAGE: Final = HERE / "stability.md"
-PICTURES: Final = HERE / "images" / "stability"
+FOLDER: Final = Path(__file__).parent
+PAGE: Final = FOLDER / "stability.md"
+PICTURES: Final = FOLDER / "images" / "stability"
 ZOOM: Final = 6
 GAP: Final = 4
 BETWEEN: Final = re.compile(r"(<!-- cases: begin -->\n).*?(<!-- cases: end -->)", re.DOTALL)
@@ -43,39 +43,39 @@ def main(names: list[str]) -> None:
     for row in stability_rows(hard_cases(), backends, progress):
         rows.setdefault(row.case, []).append(row)
     bar.close()
-    parts = [_counts(rows)]
+    sections = [_counts(rows)]
     for case in hard_cases():
-        parts.append(f"### {case.name[0].upper()}{case.name[1:]}\n")
+        sections.append(f"### {case.name[0].upper()}{case.name[1:]}\n")
         if strip := _draw(case):
-            parts.append(f"![{case.name}: image, reference, gradient](images/stability/{strip})\n")
-        parts.append(f"*Danger:* {case.danger}.\n\n*Answer:* {case.answer}.\n")
-        parts.append(_table(rows[case.name]))
+            sections.append(f"![{case.name}: image, reference, gradient](images/stability/{strip})\n")
+        sections.append(f"*Danger:* {case.danger}.\n\n*Answer:* {case.answer}.\n")
+        sections.append(_table(rows[case.name]))
     page = PAGE.read_text()
     if not BETWEEN.search(page):
         msg = f"{PAGE} has no place for the cases"
         raise ValueError(msg)
-    PAGE.write_text(BETWEEN.sub(lambda found: found[1] + "\n" + "\n".join(parts) + "\n" + found[2], page))
+    PAGE.write_text(BETWEEN.sub(lambda found: found[1] + "\n" + "\n".join(sections) + "\n" + found[2], page))
 
 
 def _counts(rows: dict[str, list[StabilityRow]]) -> str:
     everything = [row for some in rows.values() for row in some]
     verdicts = {
         verdict: sum(row.verdict == verdict for row in everything)
-        for verdict in ("ok", "loose", "refused", "not held", "FAILED")
+        for verdict in ("ok", "loose", "refused", "unsupported", "FAILED")
     }
-    said = ", ".join(f"{count} {verdict}" for verdict, count in verdicts.items())
+    counts = ", ".join(f"{count} {verdict}" for verdict, count in verdicts.items())
     answered = [row for row in everything if row.verdict in ("ok", "loose")]
     names = ", ".join(dict.fromkeys(row.backend for row in everything))
     worst = max((row.gradient_error / row.gradient_bound for row in answered if row.gradient_bound > 0.0), default=0.0)
     loss = max((row.loss_error / row.loss_bound for row in answered if row.loss_bound > 0.0), default=0.0)
     return (
-        f"{len(rows)} cases, {len(everything)} rows on {names}: {said}.\n"
+        f"{len(rows)} cases, {len(everything)} rows on {names}: {counts}.\n"
         f"The worst error is {loss:.2f} of its bound for a loss, and {worst:.2f} for a gradient.\n"
     )
 
 
 def _table(rows: list[StabilityRow]) -> str:
-    refusals = [row for row in rows if row.verdict in ("refused", "not held")]
+    refusals = [row for row in rows if row.verdict in ("refused", "unsupported")]
     answers = [row for row in rows if row not in refusals]
     lines = []
     if answers:
@@ -94,7 +94,9 @@ def _table(rows: list[StabilityRow]) -> str:
             )
             verdict = row.verdict if row.verdict != "FAILED" else f"FAILED: {row.detail}"
             lines.append(
-                f"| {row.backend} | {row.dtype} | " + " | ".join(f"{one:.1e}" for one in numbers) + f" | {verdict} |"
+                f"| {row.backend} | {row.dtype} | "
+                + " | ".join(f"{number:.1e}" for number in numbers)
+                + f" | {verdict} |"
             )
         lines.append("")
     texts: dict[tuple[str, str], list[str]] = {}
@@ -115,17 +117,17 @@ def _draw(case: HardCase) -> str:
     _, gradient = LOIObjective(reference, case.scales, nan_policy="mask").value_and_grad(image)
     strip = [_shown(image, case), _shown(reference, case), _signed(gradient)]
     gap = np.full((strip[0].shape[0] * ZOOM, GAP, 3), 255, np.uint8)
-    parts = [part for each in strip for part in (np.kron(each, np.ones((ZOOM, ZOOM, 1), np.uint8)), gap)][:-1]
+    tiles = [tile for panel in strip for tile in (np.kron(panel, np.ones((ZOOM, ZOOM, 1), np.uint8)), gap)][:-1]
     PICTURES.mkdir(parents=True, exist_ok=True)
     name = re.sub(r"[^a-z0-9]+", "-", case.name.lower()).strip("-") + ".png"
-    Image.fromarray(np.concatenate(parts, axis=1)).save(PICTURES / name, optimize=True)
+    Image.fromarray(np.concatenate(tiles, axis=1)).save(PICTURES / name, optimize=True)
     return name
 
 
 def _shown(image: Host, case: HardCase) -> Host:
     """Within the bounds; what is not finite is magenta."""
-    low, high = case.scales.bounds
-    colours = _three(np.clip((np.nan_to_num(image) - low) / (high - low), 0.0, 1.0))
+    lower, upper = case.scales.bounds
+    colours = _three(np.clip((np.nan_to_num(image) - lower) / (upper - lower), 0.0, 1.0))
     bad = ~np.all(np.isfinite(image), axis=-1)
     colours[bad] = (1.0, 0.0, 1.0)
     return np.asarray(np.round(255.0 * colours), dtype=np.uint8)
@@ -133,8 +135,8 @@ def _shown(image: Host, case: HardCase) -> Host:
 
 def _signed(gradient: Host) -> Host:
     """Grey is 0; brighter wants to be brighter."""
-    most = float(np.abs(gradient).max())
-    return np.asarray(np.round(127.5 - 127.5 * _three(gradient) / (most or 1.0)), dtype=np.uint8)
+    largest = float(np.abs(gradient).max())
+    return np.asarray(np.round(127.5 - 127.5 * _three(gradient) / (largest or 1.0)), dtype=np.uint8)
 
 
 def _three(image: Host) -> Host:

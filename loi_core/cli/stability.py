@@ -18,7 +18,7 @@ from loi_core.support.values import finite_or_none
 
 __all__ = ["examine_stability", "summary_lines"]
 
-VERDICTS: Final = ("ok", "loose", "refused", "not held", "FAILED")
+VERDICTS: Final = ("ok", "loose", "refused", "unsupported", "FAILED")
 HEADS: Final = ("backend and dtype", *VERDICTS, "loss error / bound", "gradient error / bound")
 
 

@@ -20,7 +20,7 @@ __all__ = ["Progress", "StabilityRow", "stability_rows"]
 LOOSE_FRACTION: Final = 0.1
 """Fraction of the gradient from which on a bound says little about the gradient, and the row is "loose"."""
 
-Verdict: TypeAlias = Literal["ok", "loose", "refused", "not held", "FAILED"]
+Verdict: TypeAlias = Literal["ok", "loose", "refused", "unsupported", "FAILED"]
 
 Progress: TypeAlias = Callable[[int, str], None]
 """Called as ``progress(total, name)`` before each of `total` trials."""
@@ -33,9 +33,9 @@ class StabilityRow:
     Attributes
     ----------
     case, backend, dtype : str
-    verdict : {"ok", "loose", "refused", "not held", "FAILED"}
+    verdict : {"ok", "loose", "refused", "unsupported", "FAILED"}
         "loose": all rules are kept, but the bound on the gradient is not small beside the gradient; "refused": the
-        error that the case must raise; "not held": the backend has no such arrays.
+        error that the case must raise; "unsupported": the backend has no such arrays.
     loss : float
         NaN, like all numbers, if there is none.
     loss_error, loss_bound : float
@@ -64,7 +64,7 @@ class StabilityRow:
         name, backend, dtype = trial.case.name, trial.backend, trial.dtype
         answer, expected = trial.answer, trial.expected
         if trial.unsupported:
-            return cls(name, backend, dtype, "not held", detail=trial.unsupported)
+            return cls(name, backend, dtype, "unsupported", detail=trial.unsupported)
         findings = {check.name: check.finding(trial) for check in STABILITY_CHECKS}
         broken = "; ".join(f"{check}: {finding}" for check, finding in findings.items() if finding)
         if expected is None or not isinstance(answer, Answer):

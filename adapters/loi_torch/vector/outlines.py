@@ -67,20 +67,20 @@ def ring_points(table: ShapeParameters, scene: Tensors) -> Rings:
     corner, rings = [], []
     owners: list[IndexArray] = []
     done = 0
-    for kind in (_ellipses, _rectangles, _paths):
-        made, owner, corners, own = kind(table, scene, host, reach)
-        local.append(made)
+    for sample in (_ellipses, _rectangles, _paths):
+        points_of_kind, owner, corners, rings_of_kind = sample(table, scene, host, reach)
+        local.append(points_of_kind)
         owners.append(owner)
         corner.append(corners)
-        rings += [Ring(one.shape, one.first + done, one.beyond + done, one.closed) for one in own]
+        rings += [Ring(ring.shape, ring.first + done, ring.beyond + done, ring.closed) for ring in rings_of_kind]
         done += len(owner)
     everywhere = torch.cat(local)
     shape = torch.as_tensor(np.concatenate(owners), device=sizes.device)
     angle = torch.deg2rad(scene["rotations"])
     cos, sin = torch.cos(angle).index_select(0, shape), torch.sin(angle).index_select(0, shape)
     x, y = everywhere.unbind(dim=1)
-    turned = torch.stack([cos * x - sin * y, sin * x + cos * y], dim=1)
-    points = turned + scene["positions"].index_select(0, shape)
+    rotated = torch.stack([cos * x - sin * y, sin * x + cos * y], dim=1)
+    points = rotated + scene["positions"].index_select(0, shape)
     return Rings(points, everywhere, np.concatenate(corner), rings)
 
 
@@ -99,105 +99,109 @@ def _chords(radius: FloatArray, angle: float) -> IndexArray:
     return np.clip(np.ceil(angle / step), 2, MOST_CHORDS).astype(np.int64)
 
 
-_Made = tuple[Tensor, IndexArray, np.ndarray[Any, np.dtype[np.bool_]], list[Ring]]
+SampledOutlines = tuple[Tensor, IndexArray, np.ndarray[Any, np.dtype[np.bool_]], list[Ring]]
 
 
 def _closed_rings(shapes: IndexArray, counts: IndexArray) -> list[Ring]:
-    ends = np.cumsum(counts)
+    stops = np.cumsum(counts)
     return [
-        Ring(int(shape), int(end - count), int(end), closed=True)
-        for shape, count, end in zip(shapes, counts, ends, strict=True)
+        Ring(int(shape), int(stop - count), int(stop), closed=True)
+        for shape, count, stop in zip(shapes, counts, stops, strict=True)
     ]
 
 
-def _ellipses(table: ShapeParameters, scene: Tensors, host: dict[str, FloatArray], reach: FloatArray) -> _Made:
+def _ellipses(
+    table: ShapeParameters, scene: Tensors, host: dict[str, FloatArray], reach: FloatArray
+) -> SampledOutlines:
     shapes = table.ellipses
     radius = np.abs(host["sizes"][shapes]).max(axis=1, initial=0.0) + reach[shapes]
     counts = np.maximum(_chords(radius, 2.0 * np.pi), 8)
-    which, place = ragged_arange(counts)
-    angle = 2.0 * np.pi * place / counts[which]
+    row, index = ragged_arange(counts)
+    angle = 2.0 * np.pi * index / counts[row]
     # The polygon is as large as the ellipse, so that its area does not depend on how many sides it has.
     step = 2.0 * np.pi / counts
-    grown = np.sqrt(step / np.sin(step))[which]
-    owner = shapes[which]
+    grown = np.sqrt(step / np.sin(step))[row]
+    owner = shapes[row]
     unit = torch.as_tensor(np.stack([grown * np.cos(angle), grown * np.sin(angle)], axis=1), device=_device(scene))
     local = unit * scene["sizes"].index_select(0, torch.as_tensor(owner, device=_device(scene)))
     return local, owner, np.zeros(len(owner), dtype=bool), _closed_rings(shapes, counts)
 
 
-def _rectangles(table: ShapeParameters, scene: Tensors, host: dict[str, FloatArray], reach: FloatArray) -> _Made:
+def _rectangles(
+    table: ShapeParameters, scene: Tensors, host: dict[str, FloatArray], reach: FloatArray
+) -> SampledOutlines:
     shapes = table.rectangles
     device = _device(scene)
     if not len(shapes):
         return torch.zeros((0, 2), dtype=torch.float64, device=device), shapes, np.zeros(0, dtype=bool), []
-    most = np.abs(host["sizes"][shapes]).min(axis=1)
-    radius = np.clip(host["roundings"], 0.0, most)
+    max_radius = np.abs(host["sizes"][shapes]).min(axis=1)
+    radius = np.clip(host["roundings"], 0.0, max_radius)
     # A sharp corner has two points as well, so that it can become round.
     a_corner = np.where(radius > 0.0, _chords(radius + reach[shapes], 0.5 * np.pi), 1) + 1
     counts = 4 * a_corner
-    which, place = ragged_arange(counts)
-    quarter, step = np.divmod(place, a_corner[which])
-    angle = 0.5 * np.pi * (quarter + step / (a_corner[which] - 1))
+    row, index = ragged_arange(counts)
+    quarter, step = np.divmod(index, a_corner[row])
+    angle = 0.5 * np.pi * (quarter + step / (a_corner[row] - 1))
     signs = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])[quarter]
     arc = np.stack([np.cos(angle), np.sin(angle)], axis=1) - signs
     sizes = torch.abs(scene["sizes"].index_select(0, torch.as_tensor(shapes, device=device)))
     rounding = torch.minimum(torch.clamp(scene["roundings"], min=0.0), sizes.amin(dim=1))
-    rows = torch.as_tensor(which, device=device)
+    rows = torch.as_tensor(row, device=device)
     local = torch.as_tensor(signs, device=device) * sizes.index_select(0, rows)
     local = local + torch.as_tensor(arc, device=device) * rounding.index_select(0, rows)[:, None]
-    return local, shapes[which], np.ones(len(which), dtype=bool), _closed_rings(shapes, counts)
+    return local, shapes[row], np.ones(len(row), dtype=bool), _closed_rings(shapes, counts)
 
 
-def _paths(table: ShapeParameters, scene: Tensors, host: dict[str, FloatArray], _: FloatArray) -> _Made:
+def _paths(table: ShapeParameters, scene: Tensors, host: dict[str, FloatArray], _: FloatArray) -> SampledOutlines:
     device = _device(scene)
     controls: list[list[int]] = []
     degrees: list[int] = []
-    shapes, ends = [], []
-    for part in table.parts:
+    shapes, stops = [], []
+    for outline in table.parts:
         at = 0
-        for each in part.degrees:
-            controls.append([part.first + (at + min(one, each)) % part.count for one in range(4)])
-            at += each
-        degrees += part.degrees
-        shapes += [part.shape] * len(part.degrees)
-        ends.append(len(degrees))
+        for segment_degree in outline.degrees:
+            controls.append([outline.first + (at + min(number, segment_degree)) % outline.count for number in range(4)])
+            at += segment_degree
+        degrees += outline.degrees
+        shapes += [outline.shape] * len(outline.degrees)
+        stops.append(len(degrees))
     if not degrees:
         return torch.zeros((0, 2), dtype=torch.float64, device=device), table.paths, np.zeros(0, dtype=bool), []
     control, degree, shape = np.array(controls), np.array(degrees), np.array(shapes)
-    closed = np.array([part.closed for part in table.parts])
-    places = host["points"][control] * host["sizes"][shape][:, None, :]
+    closed = np.array([outline.closed for outline in table.parts])
+    control_points = host["points"][control] * host["sizes"][shape][:, None, :]
     with np.errstate(over="ignore", invalid="ignore"):  # points so far away are refused, but by the caller
-        bend = np.abs(np.diff(places, n=2, axis=1))  # of a line or a quadratic curve only the first counts
+        bend = np.abs(np.diff(control_points, n=2, axis=1))  # of a line or a quadratic curve only the first counts
         bend = np.hypot(bend[..., 0], bend[..., 1]) * np.stack([degree >= 2, degree == 3], axis=1)
-        wanted = np.sqrt(degree * (degree - 1) * bend.max(axis=1) / (8.0 * TOLERANCE))
-    counts = np.clip(np.ceil(np.where(np.isfinite(wanted), wanted, 1.0)), 1, MOST_CHORDS).astype(np.int64)
+        chord_count = np.sqrt(degree * (degree - 1) * bend.max(axis=1) / (8.0 * TOLERANCE))
+    counts = np.clip(np.ceil(np.where(np.isfinite(chord_count), chord_count, 1.0)), 1, MOST_CHORDS).astype(np.int64)
     samples = counts.copy()
-    samples[np.array(ends) - 1] += ~closed  # the end of an open outline
-    which, place = ragged_arange(samples)
-    time = place / counts[which]
-    weights = torch.as_tensor(_bernstein(degree[which], time), device=device)
-    scaled = torch.zeros((len(which), 2), dtype=torch.float64, device=device)
-    for one in range(4):
-        index = torch.as_tensor(control[which, one], device=device)
-        scaled = scaled + weights[:, one, None] * scene["points"].index_select(0, index)
-    owner = shape[which]
+    samples[np.array(stops) - 1] += ~closed  # the end of an open outline
+    row, index = ragged_arange(samples)
+    time = index / counts[row]
+    weights = torch.as_tensor(_bernstein(degree[row], time), device=device)
+    scaled = torch.zeros((len(row), 2), dtype=torch.float64, device=device)
+    for number in range(4):
+        control_row = torch.as_tensor(control[row, number], device=device)
+        scaled = scaled + weights[:, number, None] * scene["points"].index_select(0, control_row)
+    owner = shape[row]
     local = scaled * scene["sizes"].index_select(0, torch.as_tensor(owner, device=device))
-    stops = np.cumsum(samples)[np.array(ends) - 1]
+    stops = np.cumsum(samples)[np.array(stops) - 1]
     rings = [
-        Ring(part.shape, int(first), int(stop), part.closed)
-        for part, first, stop in zip(table.parts, [0, *stops[:-1]], stops, strict=True)
+        Ring(outline.shape, int(first), int(stop), outline.closed)
+        for outline, first, stop in zip(table.parts, [0, *stops[:-1]], stops, strict=True)
     ]
-    corner = (place == 0) | (place == counts[which])
+    corner = (index == 0) | (index == counts[row])
     return local, owner, corner, rings
 
 
 def _bernstein(degree: IndexArray, time: FloatArray) -> FloatArray:
     """Weights of the control points of curves at `time`, shape (m, 4); those past the degree are 0."""
-    rest = 1.0 - time
+    remainder = 1.0 - time
     none = np.zeros_like(time)
-    line = [rest, time, none, none]
-    quadratic = [rest**2, 2.0 * rest * time, time**2, none]
-    cubic = [rest**3, 3.0 * rest**2 * time, 3.0 * rest * time**2, time**3]
+    line = [remainder, time, none, none]
+    quadratic = [remainder**2, 2.0 * remainder * time, time**2, none]
+    cubic = [remainder**3, 3.0 * remainder**2 * time, 3.0 * remainder * time**2, time**3]
     kinds = np.array([line, quadratic, cubic])
     return np.ascontiguousarray(kinds[degree - 1, :, np.arange(len(time))])
 

@@ -103,14 +103,14 @@ class Vector(Painted):
             msg = "`shapes` and `svg` exclude each other; give one of them"
             raise ParameterError(msg)
         self._encoding = check_encoding(encoding)
-        own: FloatArray = np.ones(3)
+        paper: FloatArray = np.ones(3)
         if svg is not None:
             if not isinstance(svg, str | pathlib.Path):
                 msg = f"`svg` must be the path of an SVG file, got {shown(svg)}"
                 raise ParameterError(msg)
             drawing = read_svg(pathlib.Path(svg), *self._size)
-            shapes, own = drawing.shapes, drawing.background
-        backdrop = own if background is None else background
+            shapes, paper = drawing.shapes, drawing.background
+        backdrop = paper if background is None else background
         self.background = check_floats("background", backdrop, (*self._size, 3) if np.ndim(backdrop) == 3 else (3,))
         self._table = ShapeParameters(shapes or [], dtype)
         super().__init__(self._table, dtype, device)
@@ -149,30 +149,30 @@ class Vector(Painted):
         for ring in rings.rings:
             of_shape.setdefault(ring.shape, []).append(ring)
         filled, strokes = [], []
-        for index, one in enumerate(layers):
-            if one.kind == "stroke":
-                strokes.append((index, one, of_shape[one.shape]))
+        for index, painted in enumerate(layers):
+            if painted.kind == "stroke":
+                strokes.append((index, painted, of_shape[painted.shape]))
             else:
-                filled += [(index, ring.first, ring.beyond) for ring in of_shape[one.shape]]
+                filled += [(index, ring.first, ring.beyond) for ring in of_shape[painted.shape]]
         layer, first, beyond = np.array(filled, dtype=np.int64).reshape(-1, 3).T
         points = rings.points
         if strokes:
-            styles = [(one.paint, own) for _, one, own in strokes]
-            beside, stroke, ends = stroke_points(rings, styles, scene["widths"])
+            styles = [(painted.paint, shape_rings) for _, painted, shape_rings in strokes]
+            stroke_outline, stroke, stroke_stops = stroke_points(rings, styles, scene["widths"])
             layer = np.append(layer, np.array([index for index, _, _ in strokes])[stroke])
-            beyond = np.append(beyond, ends + len(points))
-            first = np.append(first, np.append(0, ends[:-1])[: len(ends)] + len(points))
-            points = torch.cat([points, beside])
-        ring_of, place = ragged_arange(beyond - first)
-        following = np.where(place + 1 < (beyond - first)[ring_of], place + 1, 0)
-        evenodd = np.array([one.kind != "stroke" and one.paint.rule == "evenodd" for one in layers])
-        return points, Edges(first[ring_of] + place, first[ring_of] + following, layer[ring_of], evenodd)
+            beyond = np.append(beyond, stroke_stops + len(points))
+            first = np.append(first, np.append(0, stroke_stops[:-1])[: len(stroke_stops)] + len(points))
+            points = torch.cat([points, stroke_outline])
+        ring_of, index_in_ring = ragged_arange(beyond - first)
+        following = np.where(index_in_ring + 1 < (beyond - first)[ring_of], index_in_ring + 1, 0)
+        evenodd = np.array([painted.kind != "stroke" and painted.paint.rule == "evenodd" for painted in layers])
+        return points, Edges(first[ring_of] + index_in_ring, first[ring_of] + following, layer[ring_of], evenodd)
 
     def _colours(self, painting: Painting, rings: Rings, scene: Tensors) -> Tensor:
         """Linear RGB and opacity of every fragment."""
         tables = [scene[name] for name in ("fills", "strokes") if name in scene]
         first = {"fill": 0, "stroke": len(scene["fills"]) if "fills" in scene else 0, "blend": 0}
-        rows = np.array([first[one.kind] + one.row if one.kind != "blend" else 0 for one in self._table.layers])
+        rows = np.array([first[layer.kind] + layer.row if layer.kind != "blend" else 0 for layer in self._table.layers])
         plain = torch.cat([*tables, torch.zeros((1, 4), dtype=torch.float64, device=self._device)])
         colours = plain.index_select(0, torch.as_tensor(rows[painting.layer], device=self._device))
         for index, layer in enumerate(self._table.layers):
@@ -184,8 +184,10 @@ class Vector(Painted):
 
     def _blend(self, layer: Layer, pixels: IndexArray, rings: Rings, scene: Tensors) -> Tensor:
         """Colours of a bilinear fill at the centres of pixels."""
-        own = torch.cat([rings.local[one.first : one.beyond] for one in rings.rings if one.shape == layer.shape])
-        lower, upper = own.amin(dim=0), own.amax(dim=0)
+        outline = torch.cat(
+            [rings.local[ring.first : ring.beyond] for ring in rings.rings if ring.shape == layer.shape]
+        )
+        lower, upper = outline.amin(dim=0), outline.amax(dim=0)
         row, column = np.divmod(pixels, self._size[1])
         centres = torch.as_tensor(np.stack([column + 0.5, row + 0.5], axis=1), device=self._device)
         x, y = (centres - scene["positions"][layer.shape]).unbind(dim=1)
@@ -193,5 +195,5 @@ class Vector(Painted):
         cos, sin = torch.cos(angle), torch.sin(angle)
         local = torch.stack([cos * x + sin * y, cos * y - sin * x], dim=1)
         span = upper - lower
-        across, down = ((local - lower) / torch.where(span > 0.0, span, torch.ones_like(span))).unbind(dim=1)
-        return bilinear(scene["blends"][layer.row], across, down)
+        u, v = ((local - lower) / torch.where(span > 0.0, span, torch.ones_like(span))).unbind(dim=1)
+        return bilinear(scene["blends"][layer.row], u, v)

@@ -151,10 +151,10 @@ class _Reader:
 
     def start(self, name: str, attributes: dict[str, str]) -> None:
         space, _, tag = name.rpartition(" ")
-        known = space in ("", NAMESPACE)
-        if self._silent and known and tag == "style":
+        in_svg_namespace = space in ("", NAMESPACE)
+        if self._silent and in_svg_namespace and tag == "style":
             self._values.fail("<style> is not supported here, since it also holds outside of what is not shown")
-        if self._silent or (self._states and (tag in SILENT or not known)):
+        if self._silent or (self._states and (tag in SILENT or not in_svg_namespace)):
             self._silent += 1
             return
         if len(self._states) >= MAX_DEPTH:
@@ -165,62 +165,64 @@ class _Reader:
         above = self._states[-1] if self._states else _State("", np.eye(3), INHERITED)
         if above.tag in GEOMETRY:
             self._values.fail(f"<{tag}> in a <{above.tag}> is not supported; SVG does not show it")
-        own = _attributes(attributes)
-        if tag != "svg" and own.get("display", "").lower() == "none":
+        element = _attributes(attributes)
+        if tag != "svg" and element.get("display", "").lower() == "none":
             self._silent += 1
             return
-        self._check(tag, own)
-        style = {**above.style, **{key: value for key, value in own.items() if _changes(key, value)}}
+        self._check(tag, element)
+        style = {**above.style, **{key: value for key, value in element.items() if _changes(key, value)}}
         if tag == "svg":
-            matrix = self._root(own)
+            matrix = self._root(element)
         else:
-            matrix = above.matrix @ read_transform(self._values, tag, own.get("transform", ""))
+            matrix = above.matrix @ read_transform(self._values, tag, element.get("transform", ""))
         if not np.all(np.abs(matrix) <= MAX_COORDINATE_PX):
             self._values.fail(f"<{tag}>: all transforms together must stay within {MAX_COORDINATE_PX:g}")
         state = _State(tag, matrix, style)
         self._states.append(state)
-        opacity = self._values.share(tag, "opacity", own.get("opacity", "1"))
+        opacity = self._values.share(tag, "opacity", element.get("opacity", "1"))
         if tag in GEOMETRY:
-            self._shape(tag, own, state, opacity)
+            self._shape(tag, element, state, opacity)
         elif opacity != 1.0:
             self._values.fail(f"<{tag}> with an `opacity` is not supported; give it to each shape")
 
-    def _check(self, tag: str, own: Mapping[str, str]) -> None:
+    def _check(self, tag: str, element: Mapping[str, str]) -> None:
         """Refuse attributes that are not supported."""
         allowed = {*INHERITED, *GEOMETRY.get(tag, ()), "opacity", "transform"}
         if tag == "svg":
             allowed |= {"width", "height", "viewBox", "background-color", "x", "y"}
-        for key, value in own.items():
+        for key, value in element.items():
             if key in allowed or key == CORNERS or UNSEEN.fullmatch(key) or value in HARMLESS.get(key, ()):
                 continue
             self._values.fail(f"<{tag}>: `{key[:40]}` = {shown(value)} is not supported")
 
-    def _root(self, own: Mapping[str, str]) -> FloatArray:
+    def _root(self, element: Mapping[str, str]) -> FloatArray:
         height, width = self._size
-        background = own.get("background-color", "transparent")
+        background = element.get("background-color", "transparent")
         if background.lower() != "transparent":
             colour = self._values.colour("svg", "background-color", background)
             if colour[3] != 1.0:
                 self._values.fail(f"<svg>: `background-color` must be opaque, got {shown(background)}")
             self.drawing.background[:] = colour[:3]
-        if "transform" in own:
+        if "transform" in element:
             self._values.fail("<svg>: `transform` is not supported here; give it to a <g>")
-        if "viewBox" in own:
-            box = [self._values.number("svg", "viewBox", one) for one in own["viewBox"].replace(",", " ").split()]
+        if "viewBox" in element:
+            box = [self._values.number("svg", "viewBox", one) for one in element["viewBox"].replace(",", " ").split()]
             allowed = "`viewBox` must be four numbers, the last two more than 0"
         else:
-            sides = [own.get(key, str(most)) for key, most in (("width", width), ("height", height))]
-            box = [0.0, 0.0, *(self._values.length("svg", "width or height", one) for one in sides)]
+            lengths = [
+                element.get(key, str(canvas_size)) for key, canvas_size in (("width", width), ("height", height))
+            ]
+            box = [0.0, 0.0, *(self._values.length("svg", "width or height", one) for one in lengths)]
             allowed = "`width` and `height` must be more than 0"
         if len(box) != 4 or min(box[2:]) <= 0.0:
-            self._values.fail(f"<svg>: {allowed}, got {shown(own.get('viewBox', box[2:]))}")
+            self._values.fail(f"<svg>: {allowed}, got {shown(element.get('viewBox', box[2:]))}")
         scale = min(width / box[2], height / box[3])
         left, top = 0.5 * (width - scale * box[2]), 0.5 * (height - scale * box[3])
         return np.array([[scale, 0.0, left - scale * box[0]], [0.0, scale, top - scale * box[1]], [0.0, 0.0, 1.0]])
 
-    def _shape(self, tag: str, own: Mapping[str, str], state: _State, opacity: float) -> None:
+    def _shape(self, tag: str, element: Mapping[str, str], state: _State, opacity: float) -> None:
         shape = element_shape(
-            self._values, tag, own, state.style, state.matrix, opacity=opacity, most_points=self._points_left
+            self._values, tag, element, state.style, state.matrix, opacity=opacity, most_points=self._points_left
         )
         if shape is None:
             return
@@ -233,11 +235,11 @@ def _attributes(attributes: Mapping[str, str]) -> dict[str, str]:
     """Return attributes and declarations of ``style``, where important ones take precedence."""
     plain = {key.replace(" ", ":"): value.strip() for key, value in attributes.items()}
     styled, important = {}, {}
-    for part in COMMENT.sub(" ", plain.pop("style", "")).split(";"):
-        key, colon, value = part.partition(":")
+    for declaration in COMMENT.sub(" ", plain.pop("style", "")).split(";"):
+        key, colon, value = declaration.partition(":")
         if colon:
-            text, mark, rest = value.rpartition("!")
-            if mark and IMPORTANT.fullmatch(mark + rest.strip()):
+            text, mark, suffix = value.rpartition("!")
+            if mark and IMPORTANT.fullmatch(mark + suffix.strip()):
                 important[key.strip()] = text.strip()
             else:
                 styled[key.strip()] = value.strip()

@@ -39,7 +39,7 @@ LETTERS: Final = re.compile(r"[A-DF-Za-df-z]")  # each begins a segment; an e is
 CLOSINGS: Final = re.compile(r"[zZ](?:[\s,]*+[zZ])++")
 UNMOVED: Final = re.compile(r"[zZ][\s,]*+(?![MmZz\s,]|\Z)")
 MAX_UNMOVED_PARTS: Final = 1000  # for each, the library goes back to the last move
-NEAR: Final = 1e-9  # pixels; strokes take points that are closer together for one
+COINCIDENCE_DISTANCE_PX: Final = 1e-9  # a stroke treats points closer together as a single point
 WITHOUT_JOINS: Final = ("circle", "ellipse", "line")
 SIZES: Final = ("width", "height", "r", "rx", "ry")
 
@@ -47,7 +47,7 @@ SIZES: Final = ("width", "height", "r", "rx", "ry")
 def element_shape(
     values: Values,
     tag: str,
-    own: Mapping[str, str],
+    element: Mapping[str, str],
     style: Mapping[str, str],
     matrix: FloatArray,
     *,
@@ -77,14 +77,18 @@ def element_shape(
         If an attribute has a value that cannot be read or is not supported, or a path has more points.
     """
     try:
-        paint = _paint(values, tag, own, style, matrix, opacity)
+        paint = _paint(values, tag, element, style, matrix, opacity)
         if paint is None:
             return None
-        number = _numbers(values, tag, own)
+        number = _numbers(values, tag, element)
         if any(number.get(key, 1.0) == 0.0 for key in _extents(tag)):
             return None
-        plain = _plain(tag, own, number, matrix, paint)
-        return plain if plain is not None else _general(values, tag, own, number, matrix, paint, most_points)
+        simple_shape = _plain(tag, element, number, matrix, paint)
+        return (
+            simple_shape
+            if simple_shape is not None
+            else _general(values, tag, element, number, matrix, paint, most_points)
+        )
     except SvgError:
         raise
     except LoiError as error:
@@ -92,18 +96,18 @@ def element_shape(
 
 
 def _paint(
-    values: Values, tag: str, own: Mapping[str, str], style: Mapping[str, str], matrix: FloatArray, opacity: float
+    values: Values, tag: str, element: Mapping[str, str], style: Mapping[str, str], matrix: FloatArray, opacity: float
 ) -> Paint | None:
     colours: dict[str, FloatArray | None] = {}
     for key in ("fill", "stroke"):
         text = style["color"] if style[key].lower() == "currentcolor" else style[key]
         share = opacity * values.share(tag, f"{key}-opacity", style[f"{key}-opacity"])
-        plain = None if text.lower() in ("none", "transparent") else values.colour(tag, key, text)
-        colours[key] = None if plain is None else plain * [1.0, 1.0, 1.0, share]
+        colour = None if text.lower() in ("none", "transparent") else values.colour(tag, key, text)
+        colours[key] = None if colour is None else colour * [1.0, 1.0, 1.0, share]
     if tag == "line":  # without an inside
         colours["fill"] = None
-    if CORNERS in own:
-        corners = [values.number(tag, CORNERS, one) for one in own[CORNERS].split()]
+    if CORNERS in element:
+        corners = [values.number(tag, CORNERS, text) for text in element[CORNERS].split()]
         if len(corners) != 16:
             values.fail(f"<{tag}>: `{CORNERS}` must be 16 numbers, got {len(corners)}")
         colours["fill"] = np.reshape(corners, (4, 4))
@@ -132,44 +136,46 @@ def _extents(tag: str) -> tuple[str, ...]:
     return {"rect": ("width", "height"), "circle": ("r",), "ellipse": ("rx", "ry")}.get(tag, ())
 
 
-def _numbers(values: Values, tag: str, own: Mapping[str, str]) -> dict[str, float]:
+def _numbers(values: Values, tag: str, element: Mapping[str, str]) -> dict[str, float]:
     """Return the numbers of an element without points, with SVG's defaults."""
     if tag in ("path", "polyline", "polygon"):
         return {}
-    given = {key: values.number(tag, key, own[key]) for key in GEOMETRY[tag] if own.get(key, "auto") != "auto"}
+    explicit_numbers = {
+        key: values.number(tag, key, element[key]) for key in GEOMETRY[tag] if element.get(key, "auto") != "auto"
+    }
     for key in SIZES:
-        if given.get(key, 0.0) < 0.0:
-            values.fail(f"<{tag}>: `{key}` must be 0 or more, got {shown(given[key])}")
-    number = {key: given.get(key, 0.0) for key in GEOMETRY[tag]}
+        if explicit_numbers.get(key, 0.0) < 0.0:
+            values.fail(f"<{tag}>: `{key}` must be 0 or more, got {shown(explicit_numbers[key])}")
+    number = {key: explicit_numbers.get(key, 0.0) for key in GEOMETRY[tag]}
     if "rx" in number:  # one radius sets both
-        number["rx"], number["ry"] = given.get("rx", number["ry"]), given.get("ry", number["rx"])
+        number["rx"], number["ry"] = explicit_numbers.get("rx", number["ry"]), explicit_numbers.get("ry", number["rx"])
     if tag == "rect":
         number["rx"], number["ry"] = (
-            min(number[f"r{one}"], 0.5 * number[side]) for one, side in (("x", "width"), ("y", "height"))
+            min(number[f"r{axis}"], 0.5 * number[extent]) for axis, extent in (("x", "width"), ("y", "height"))
         )
     return number
 
 
 def _plain(
-    tag: str, own: Mapping[str, str], number: Mapping[str, float], matrix: FloatArray, paint: Paint
+    tag: str, element: Mapping[str, str], number: Mapping[str, float], matrix: FloatArray, paint: Paint
 ) -> Shape | None:
     """The element as a circle, ellipse or rectangle, if it is one that is at most scaled, turned and moved."""
     if tag not in ("circle", "ellipse", "rect"):
         return None
-    across, down = matrix[:2, :2].T
-    scale = np.array([np.linalg.norm(across), np.linalg.norm(down)])
-    rotation = float(np.rad2deg(np.arctan2(across[1], across[0])))
-    if abs(across @ down) > 1e-9 * scale.prod() or (CORNERS in own and np.linalg.det([across, down]) < 0.0):
+    x_axis, y_axis = matrix[:2, :2].T
+    scale = np.array([np.linalg.norm(x_axis), np.linalg.norm(y_axis)])
+    rotation = float(np.rad2deg(np.arctan2(x_axis[1], x_axis[0])))
+    if abs(x_axis @ y_axis) > 1e-9 * scale.prod() or (CORNERS in element and np.linalg.det([x_axis, y_axis]) < 0.0):
         return None
     even = abs(scale[0] - scale[1]) <= 1e-9 * scale.max()
     if tag == "rect":
-        sides = np.array([number["width"], number["height"]])
+        extents = np.array([number["width"], number["height"]])
         rx, ry = number["rx"], number["ry"]
         if rx * ry > 0.0 and (rx != ry or not even):
             return None
-        middle = np.array([number["x"], number["y"]]) + 0.5 * sides
+        middle = np.array([number["x"], number["y"]]) + 0.5 * extents
         rounding = scale[0] * rx if rx * ry > 0.0 else 0.0
-        return Rectangle(moved(middle, matrix), scale * sides, paint, float(rounding), rotation)
+        return Rectangle(moved(middle, matrix), scale * extents, paint, float(rounding), rotation)
     centre = moved(np.array([number["cx"], number["cy"]]), matrix)
     if tag == "circle" and even:
         return Circle(centre, float(scale[0] * number["r"]), paint)
@@ -180,19 +186,19 @@ def _plain(
 def _general(
     values: Values,
     tag: str,
-    own: Mapping[str, str],
+    element: Mapping[str, str],
     number: Mapping[str, float],
     matrix: FloatArray,
     paint: Paint,
     most_points: int,
 ) -> Path | None:
-    if CORNERS in own and tag != "path":
+    if CORNERS in element and tag != "path":
         values.fail(f"<{tag}>: `{CORNERS}` under a skew or a reflection is not supported")
     try:
         if tag == "path":
-            path = _commands(values, own.get("d", ""), most_points)
+            path = _commands(values, element.get("d", ""), most_points)
         elif tag in ("polyline", "polygon"):
-            path = _corners(values, tag, own.get("points", ""))
+            path = _corners(values, tag, element.get("points", ""))
         else:
             kinds = {"rect": svg.Rect, "circle": svg.Circle, "ellipse": svg.Ellipse, "line": svg.SimpleLine}
             path = svg.Path(kinds[tag](dict(number)))
@@ -203,8 +209,8 @@ def _general(
         values.fail(f"<{tag}>: {GEOMETRY[tag][0]!r} cannot be read ({described(error)})")
     if 4 * len(segments) > most_points:
         values.fail(f"more than {MAX_POINTS} points")
-    scale = max(float(np.abs(matrix[:2, :2]).max()), NEAR)
-    if paint.stroke is not None and paint.cap != "butt" and has_dot(segments, NEAR / scale):
+    scale = max(float(np.abs(matrix[:2, :2]).max()), COINCIDENCE_DISTANCE_PX)
+    if paint.stroke is not None and paint.cap != "butt" and has_dot(segments, COINCIDENCE_DISTANCE_PX / scale):
         values.fail(f"<{tag}>: a part without length, of which a {paint.cap} cap makes a dot, is not supported")
     outlines = tuple(path_outlines(segments, matrix))
     return Path(outlines, replace(paint)) if outlines else None
