@@ -1,15 +1,20 @@
-"""The folder that a fit writes its results to; a marker file shows that a fit owns it."""
+"""The folder that a fit writes its results to.
+
+A marker file shows that a fit owns the folder, and lists the files that fits have written. Only listed files are ever
+removed, and nothing is written or removed through a link.
+"""
 
 from __future__ import annotations
 
 import json
 import re
+import stat
 from collections.abc import Iterable
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Final
 
 from loi_core.errors import OptionError
-from loi_core.io.files import TEMPORARY, check_writable, unwritable, write_text
+from loi_core.io.files import TEMPORARY, check_writable, read_bytes, unwritable, write_text
 from loi_core.io.lock import LOCK
 from loi_core.support.wording import printable, shown
 
@@ -34,6 +39,7 @@ SCALES_FILE: Final = "scales.csv"
 RESULT_FILE: Final = "result.json"
 PAGE_FILE: Final = "report.html"
 FRAME_NAME: Final = re.compile(r"[0-9]{6,}\.png")
+MAX_MARKER_BYTES: Final = 2**24
 
 
 def check_owned(option: str, folder: Path, marker: str) -> None:
@@ -60,36 +66,88 @@ class ResultFolder:
     Raises
     ------
     OptionError
-        If it cannot be written to, or holds files and no marker of a fit.
+        If it cannot be written to, holds files and no marker of a fit, or has a link in place of a folder of results.
     """
 
     def __init__(self, path: Path) -> None:
         self.path = path
         check_owned("output", path, MARKER_FILE)
+        self._listed = self._read_marker()
+        for name in sorted(self._listed):
+            self._check_no_link(name)
 
     def claim(self) -> None:
         """Write the marker file, before any result."""
         if not (self.path / MARKER_FILE).exists():
-            write_text(self.path / MARKER_FILE, json.dumps({"made by": "loi fit, which owns this folder"}) + "\n")
+            self._write_marker()
 
     def file(self, name: str) -> Path:
-        """Return the path of a result, in a folder with the marker."""
-        self.claim()
+        """List a result in the marker file, and return its path.
+
+        Raises
+        ------
+        OptionError
+            If a folder on the way to it is a link or a file.
+        """
+        if name not in self._listed:
+            self._check_no_link(name)
+            self._listed = self._read_marker() | {name}
+            self._write_marker()
         return self.path / name
 
     def pictures(self, folder: str) -> list[str]:
-        """Return the names of the PNG files in a folder of this one, sorted, relative to this folder."""
-        return sorted(f"{folder}/{path.name}" for path in (self.path / folder).glob("*.png"))
+        """Return the names of the listed files in a folder of this one, sorted, relative to this folder."""
+        return sorted(name for name in self._read_marker() if name.startswith(f"{folder}/"))
 
     def remove(self, names: Iterable[str]) -> None:
-        """Remove these files if they exist."""
-        for name in names:
+        """Remove those of these files that are listed; files that a user has added stay."""
+        self._listed = self._read_marker()
+        removed = set(names) & self._listed
+        for name in removed:
             path = self.path / name
             try:
                 path.unlink(missing_ok=True)
             except OSError as error:
                 raise unwritable(path, error) from error
+        if removed:
+            self._listed -= removed
+            self._write_marker()
 
     def remove_unfinished(self) -> None:
         """Remove unfinished files of killed fits; no other process may be writing here."""
         self.remove(str(path.relative_to(self.path)) for path in self.path.rglob(f"{TEMPORARY}*"))
+
+    def _read_marker(self) -> set[str]:
+        return _listed_files(self.path / MARKER_FILE)
+
+    def _write_marker(self) -> None:
+        content = {"made by": "loi fit, which owns the files listed here", "files": sorted(self._listed)}
+        write_text(self.path / MARKER_FILE, json.dumps(content, indent=1) + "\n")
+
+    def _check_no_link(self, name: str) -> None:
+        """Raise :class:`OptionError` if a folder on the way to a result is a link or a file."""
+        for parent in PurePosixPath(name).parents[:-1]:
+            try:
+                mode = (self.path / parent).lstat().st_mode
+            except FileNotFoundError:
+                continue
+            if not stat.S_ISDIR(mode):
+                kind = "a link" if stat.S_ISLNK(mode) else "a file"
+                msg = f"`output`: {self.path / parent} is {kind}; results need a folder there"
+                raise OptionError(printable(msg))
+
+
+def _listed_files(marker: Path) -> set[str]:
+    """Return the files that a marker lists; none if it cannot be read, so that nothing is removed."""
+    try:
+        files = json.loads(read_bytes(marker, MAX_MARKER_BYTES))["files"]
+    except (OSError, ValueError, KeyError, TypeError, RecursionError):
+        return set()
+    return {name for name in files if isinstance(name, str) and _is_inside(name)} if isinstance(files, list) else set()
+
+
+def _is_inside(name: str) -> bool:
+    path = PurePosixPath(name)
+    return (
+        bool(path.parts) and not path.is_absolute() and ".." not in path.parts and "\\" not in name and "\0" not in name
+    )

@@ -202,7 +202,7 @@ def _pixel_weights(scene: Scene) -> Host:
 def _write_frames(folder: ResultFolder, scene: Scene, trial: Trial, display: Display) -> None:
     frames = {frame_file(step): frame for step, frame in trial.frames}
     for name, frame in frames.items():
-        write_png(folder.path / name, display.show(frame))
+        write_png(folder.file(name), display.show(frame))
     done = len(trial.result.history) if trial.result else 0
     # A resumed fit keeps the frames of its first part; frames of a run with other steps must go.
     expected = {frame_file(step) for step in frame_steps(scene) if step < done}
@@ -216,7 +216,7 @@ def _write_effects(folder: ResultFolder, trial: Trial) -> None:
     if pictures:
         largest = robust_maximum(np.sum(list(pictures.values()), axis=0))
         for name, image in pictures.items():
-            write_png(folder.path / name, signed_to_grey(image, largest))
+            write_png(folder.file(name), signed_to_grey(image, largest))
 
 
 def _numbers(steps: Sequence[FitStep]) -> Iterator[tuple[str, Host, int]]:

@@ -59,7 +59,7 @@ def write_gradients(folder: ResultFolder, scene: Scene, trial: Trial) -> list[di
                 pictures[gradient_file(moment, sigma, alpha, beta)] = pull
     folder.remove(set(folder.pictures(GRADIENTS_FOLDER)) - set(pictures))
     for name, pull in pictures.items():
-        write_png(folder.path / name, signed_to_grey(pull))
+        write_png(folder.file(name), signed_to_grey(pull))
     return list(entries.values())
 
 

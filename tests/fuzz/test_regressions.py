@@ -117,6 +117,8 @@ def test_pipes_are_refused_at_once(folder: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "says"),
     [
+        (f"target{'.a' * 20000} = 1\n" + TEXT, "keys may have at most 32 parts"),
+        (f"fit = {{ {chr(34) + '=' + chr(34) + '.'}{'a . ' * 40}a = 1 }}\n", "keys may have at most 32 parts"),
         (TEXT.replace('"sigma" = 1', f"sigma = 0x{'f' * 9000}"), "`sigma` must be a finite number, 0 or more, got a"),
         (TEXT.replace('"steps" = 2', "steps = 1" + "0" * 400), "`steps` must be a whole number, at most 2147483647"),
         (TEXT.replace('"steps" = 2', f"seed = {2**64}"), "`seed` must be a whole number, at most 9223372036854775807"),
@@ -124,12 +126,18 @@ def test_pipes_are_refused_at_once(folder: Path) -> None:
         (TEXT.replace('"initial" = [[2, 3], [4, 4]]', "initial = 1e300"), "`initial` of 'positions' must be finite"),
         ("a" * (9 * 2**20), "larger than 8388608 bytes"),
     ],
-    ids=["hexadecimal", "steps", "seed", "size", "overflow", "large file"],
+    ids=["long key", "long key in quotes", "hexadecimal", "steps", "seed", "size", "overflow", "large file"],
 )
 def test_scene_files_with_huge_values_are_refused(folder: Path, content: str, says: str) -> None:
     (folder / "scene.toml").write_text(content)
     with pytest.raises(SceneError, match=says):
         load_scene(folder / "scene.toml")
+
+
+def test_strings_and_comments_with_many_dots_are_no_long_keys(folder: Path) -> None:
+    dots = "a.b." * 40
+    (folder / "scene.toml").write_text(f'title = """{dots}\n= \'" ] {dots}""" # {dots} = [\n{TEXT}')
+    assert load_scene(folder / "scene.toml").title.startswith(dots)
 
 
 def test_whole_numbers_beyond_64_bits_are_numbers(folder: Path) -> None:

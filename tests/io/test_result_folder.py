@@ -69,6 +69,49 @@ def test_a_foreign_folder_is_refused_and_unchanged(
     assert contents(foreign) == content
 
 
+def test_files_that_a_user_adds_to_a_folder_of_results_stay(scene: Path) -> None:
+    assert main(["fit", str(scene)]) in FINISHED
+    names = ("frames/000777.png", "frames/mine.png", "gradients/mine.png", "effects/mine.png", "note.txt")
+    for name in names:
+        (scene.parent / "result" / name).parent.mkdir(exist_ok=True)
+        (scene.parent / "result" / name).write_bytes(b"mine")
+    assert main(["fit", str(scene)]) in FINISHED
+    assert all((scene.parent / "result" / name).read_bytes() == b"mine" for name in names)
+
+
+def test_the_marker_lists_every_picture_of_a_fit(scene: Path) -> None:
+    assert main(["fit", str(scene)]) in FINISHED
+    result = scene.parent / "result"
+    listed = set(json.loads((result / MARKER_FILE).read_text())["files"])
+    assert {name for name in contents(result) if name.endswith(".png")} <= listed
+
+
+@pytest.mark.parametrize("listed", ["../outside.png", "/outside.png", "frames/../../outside.png", 3])
+def test_a_marker_that_lists_files_outside_removes_nothing(listed: object, tmp_path: Path) -> None:
+    outside = tmp_path / "outside.png"
+    outside.write_bytes(b"mine")
+    (tmp_path / "result" / "frames").mkdir(parents=True)
+    (tmp_path / "result" / MARKER_FILE).write_text(json.dumps({"files": [listed]}))
+    folder = ResultFolder(tmp_path / "result")
+    folder.remove([str(listed)])
+    assert folder.pictures("frames") == []
+    assert outside.read_bytes() == b"mine"
+
+
+@pytest.mark.parametrize("name", ["frames", "compare"])
+def test_a_fit_writes_and_removes_nothing_through_a_link(
+    name: str, scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(["fit", str(scene)]) in FINISHED
+    inside, outside = scene.parent / "result" / name, tmp_path / "elsewhere"
+    inside.rename(outside)
+    inside.symlink_to(outside, target_is_directory=True)
+    content = contents(outside)
+    assert main(["fit", str(scene)]) == 2
+    assert "is a link" in capsys.readouterr().err
+    assert contents(outside) == content
+
+
 @pytest.mark.parametrize("output", ["../x", "a/../../x", "/x", "linked"])
 def test_the_output_of_a_scene_lies_in_its_folder(
     output: str, scene: Path, tmp_path_factory: pytest.TempPathFactory, capsys: pytest.CaptureFixture[str]
