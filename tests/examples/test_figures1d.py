@@ -14,9 +14,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.ndimage import gaussian_filter1d
 
-from examples.paper.figures.landscapes import FOUND, Landscape, descend, landscape
+from examples.paper.figures.landscapes import REACHED_DISTANCE_PX, Landscape, descend, landscape
 from examples.paper.figures.measure1d import Basin
-from examples.paper.figures.signals import Line, Movers
+from examples.paper.figures.signals import Line, MovingObjects
 from examples.paper.lib.methods import METHODS, SIGMAS, SigmaSpace
 from examples.paper.lib.problems import PROBLEMS, SUPPORT, TONAL, TWO
 from loi_core.testing import check_objective
@@ -33,28 +33,28 @@ def test_intervals_cover_their_exact_area(left: float, gap: float, radii: tuple[
     assert signal.sum() == pytest.approx(2.0 * (0.7 * radii[0] + 0.2 * radii[1]), rel=1e-12)
 
 
-@pytest.mark.parametrize("movers", [TONAL[0].movers, TONAL[3].movers, TWO.movers, SUPPORT[1].movers])
-def test_slopes_are_the_derivatives_of_the_images(movers: Movers) -> None:
+@pytest.mark.parametrize("objects", [TONAL[0].objects, TONAL[3].objects, TWO.objects, SUPPORT[1].objects])
+def test_slopes_are_the_derivatives_of_the_images(objects: MovingObjects) -> None:
     rng = np.random.default_rng(0)
-    low, high = movers.bounds
+    low, high = objects.bounds
     places = rng.uniform(low + 0.1, high - 0.1, (6, len(low)))
-    weights = np.asarray(rng.standard_normal(movers.images(places).shape))
+    weights = np.asarray(rng.standard_normal(objects.images(places).shape))
     step = 1e-6  # images are linear between the borders of pixels, which so short a step meets with odds of 1e-5
     for number, unit in enumerate(np.eye(len(low))):
-        change = (movers.images(places + step * unit) - movers.images(places - step * unit)) / (2.0 * step)
+        change = (objects.images(places + step * unit) - objects.images(places - step * unit)) / (2.0 * step)
         wanted = np.sum(change * weights, axis=(1, 2))
-        assert movers.slopes(places, weights)[:, number] == pytest.approx(wanted, rel=1e-4, abs=1e-5)
+        assert objects.vjp(places, weights)[:, number] == pytest.approx(wanted, rel=1e-4, abs=1e-5)
 
 
 def test_objects_touch_the_frame_at_the_bounds() -> None:
     for problem in (*PROBLEMS, TWO):
-        low, high = problem.movers.bounds
+        low, high = problem.objects.bounds
         for place in (low, high):
-            image = problem.movers.images(place[None])[0]
-            whole = problem.movers.images(0.5 * (low + high)[None])[0]
+            image = problem.objects.images(place[None])[0]
+            whole = problem.objects.images(0.5 * (low + high)[None])[0]
             assert np.all((low <= problem.target) & (problem.target <= high))
-            if problem.movers.follows.count(None) == 0 and problem is not TWO:  # nothing can hide behind another
-                background = problem.movers.background
+            if None not in problem.objects.parameter_indices and problem is not TWO:  # no object can hide another
+                background = problem.objects.background
                 assert np.sum(image - background) == pytest.approx(np.sum(whole - background), rel=1e-9)
 
 
@@ -73,7 +73,7 @@ def test_matching_in_the_inner_scale_space_is_what_scipy_computes_and_an_objecti
 def test_one_row_and_many_equal_rows_are_one_signal(name: str) -> None:
     # So methods that cannot do with one row are compared with the others on the same problem.
     problem = SUPPORT[0]
-    images = problem.movers.images(np.array([[20.3], [60.8]]))
+    images = problem.objects.images(np.array([[20.3], [60.8]]))
     method = BY_NAME[name]
     single, tall = (method.against(np.repeat(problem.reference(), rows, axis=0)) for rows in (1, 12))
     assert tall.values(np.repeat(images, 12, axis=1)) == pytest.approx(single.values(images), rel=1e-9)
@@ -86,7 +86,7 @@ def test_one_row_and_many_equal_rows_are_one_signal(name: str) -> None:
 @pytest.mark.parametrize("method", METHODS, ids=lambda one: one.name)
 def test_gradients_are_those_of_each_image_alone(method: Any) -> None:
     problem = SUPPORT[0]
-    images = problem.movers.images(np.array([[40.2], [60.1], [75.9]]))
+    images = problem.objects.images(np.array([[40.2], [60.1], [75.9]]))
     comparison = method.against(problem.reference())
     together = comparison.gradients(images)
     for image, gradient in zip(images, together, strict=True):
@@ -101,9 +101,9 @@ def made_landscape(slopes: Any, minima: dict[int, float], target: float = 5.0) -
 def test_descent_ends_at_minima_at_plateaus_and_at_bounds() -> None:
     slopes = np.array([1.0, 1.0, -1.0, -2.0, -1.0, 3.0, 1.0, 0.0, 0.0, -1.0, -1.0])
     found = made_landscape(slopes, {4: 5.02}).descents
-    assert found.ends.tolist() == [0.5, 0.5, 5.02, 5.02, 5.02, 5.02, 5.02, 7.5, 8.5, 10.5, 10.5]
-    assert found.share(FOUND) == 5 / 11
-    assert found.basin(FOUND) == (-3.0, 2.0)
+    assert found.endpoints.tolist() == [0.5, 0.5, 5.02, 5.02, 5.02, 5.02, 5.02, 7.5, 8.5, 10.5, 10.5]
+    assert found.share(REACHED_DISTANCE_PX) == 5 / 11
+    assert found.basin(REACHED_DISTANCE_PX) == (-3.0, 2.0)
     assert found.offset == pytest.approx(0.02)
     assert found.basin(0.01) == (0.0, 0.0)
 
@@ -113,15 +113,15 @@ def test_what_starts_between_two_starts_ends_between_their_ends(signs: list[floa
     slopes = np.array(signs)
     changes = np.flatnonzero((slopes[:-1] < 0) & (slopes[1:] > 0))
     found = made_landscape(slopes, {int(index): float(index) + 1.0 for index in changes}).descents
-    assert np.all(np.diff(found.ends) >= 0.0)
-    assert np.all((found.ends - found.starts) * -slopes >= 0.0)
+    assert np.all(np.diff(found.endpoints) >= 0.0)
+    assert np.all((found.endpoints - found.starts) * -slopes >= 0.0)
 
 
 def test_the_basin_of_pixels_is_as_wide_as_the_overlap() -> None:
     problem = SUPPORT[0]
-    found = landscape(problem.movers, BY_NAME["pixel L2"].against(problem.reference()), 67.3, 0.1).descents
-    left, right = found.basin(FOUND)
-    overlap = 2.0 * problem.movers.radii[0]
+    found = landscape(problem.objects, BY_NAME["pixel L2"].against(problem.reference()), 67.3, 0.1).descents
+    left, right = found.basin(REACHED_DISTANCE_PX)
+    overlap = 2.0 * problem.objects.radii[0]
     assert -left == pytest.approx(overlap, abs=1.0)  # to a pixel, which an edge covers in part
     assert right == pytest.approx(overlap, abs=1.0)
     assert abs(found.offset) < 0.01
@@ -131,9 +131,9 @@ def test_small_steps_end_where_the_landscape_says() -> None:
     problem = SUPPORT[0]
     comparison = BY_NAME["pixel L2"].against(problem.reference())
     starts = np.array([[57.3], [62.8], [70.3], [77.8]])
-    ends = descend(problem.movers, comparison, starts, 200)
-    assert np.all(np.abs(ends - 67.3) <= FOUND)
-    beyond = descend(problem.movers, comparison, np.array([[30.3]]), 200)
+    ends = descend(problem.objects, comparison, starts, 200)
+    assert np.all(np.abs(ends - 67.3) <= REACHED_DISTANCE_PX)
+    beyond = descend(problem.objects, comparison, np.array([[30.3]]), 200)
     assert abs(float(beyond[0, 0]) - 67.3) > 20.0
 
 
@@ -165,7 +165,7 @@ def test_quick_figures_are_drawn_and_show_what_the_paper_says(tmp_path: Path) ->
 def test_the_numbers_in_the_documentation_can_be_had_again(problem: Any, name: str) -> None:
     with (ROOT / "docs" / "results" / "figures-1d.csv").open() as stream:
         (row,) = [one for one in csv.DictReader(stream) if (one["problem"], one["method"]) == (problem.name, name)]
-    found = landscape(problem.movers, BY_NAME[name].against(problem.reference()), problem.target[0], problem.spacing)
+    found = landscape(problem.objects, BY_NAME[name].against(problem.reference()), problem.target[0], problem.spacing)
     basin = Basin.of(problem, name, 0, found.descents)
     assert basin.found == pytest.approx(float(row["found"]), abs=0.01)
     documented = (ROOT / "docs" / "results" / "figures-1d.md").read_text()

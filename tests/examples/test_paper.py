@@ -211,10 +211,10 @@ def test_protocols_differ_only_in_their_settings_and_name_every_method() -> None
 
 def test_means_come_with_their_interval() -> None:
     mean = Mean.of([1.0, 2.0, 3.0, 4.0])
-    assert (mean.value, mean.least, mean.count) == (2.5, 1.0, 4)
+    assert (mean.value, mean.minimum, mean.count) == (2.5, 1.0, 4)
     # Half of an interval of 95 % for four values: 3.182446 standard errors (any table of Student's t).
-    assert mean.half == pytest.approx(3.182446 * np.std([1, 2, 3, 4], ddof=1) / 2.0, rel=1e-6)
-    assert np.isnan(Mean.of([1.0]).half)
+    assert mean.half_width == pytest.approx(3.182446 * np.std([1, 2, 3, 4], ddof=1) / 2.0, rel=1e-6)
+    assert np.isnan(Mean.of([1.0]).half_width)
 
 
 def test_structure_is_1_for_equal_images_and_less_for_others() -> None:

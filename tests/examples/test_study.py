@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from examples.paper.lib.study import Part, Study, add_options, carry_out_and_report
+from examples.paper.lib.study import Study, Subtable, add_options, carry_out_and_report
 
 
 @dataclass(frozen=True)
@@ -58,8 +58,8 @@ STUDY = Study(
     carry_out=carry_out,
     target=lambda _: np.full((4, 4, 3), 0.5),
     measures=("psnr", "mae"),
-    beside=lambda _: "mae",
-    apart=5,
+    second_measure=lambda _: "mae",
+    curve_steps=5,
     columns=COLUMNS,
     paper={"ours": ((30.0, 0.1), (31.0, 0.2))},
 )
@@ -70,7 +70,7 @@ def reported(folder: Path, out: str, *, seeds: int, report: bool = False, column
     parser = argparse.ArgumentParser()
     add_options(parser, "table9", ("ours",), "none", processes=1)
     words = ["--out", str(folder / out), "--docs", str(folder / "docs"), *(["--report"] if report else [])]
-    part = Part(
+    part = Subtable(
         {"ours": [OneFit(Setting("ours", "loi"), at, seed) for at in columns for seed in range(seeds)]}, columns
     )
     carry_out_and_report(parser, parser.parse_args(words), STUDY, {"ours": part})
@@ -123,7 +123,7 @@ def test_a_table_of_which_nothing_is_known_stays_as_it_is(docs: Path) -> None:
     parser = argparse.ArgumentParser()
     add_options(parser, "table9", ("ours",), "none", processes=1)
     words = ["--out", str(docs / "out"), "--docs", str(docs / "docs"), "--report"]
-    search = Part({"ours": [OneFit(Setting("ours", "loi"), COLUMNS[0], 100)]}, rates=(1.0,))
+    search = Subtable({"ours": [OneFit(Setting("ours", "loi"), COLUMNS[0], 100)]}, rates=(1.0,))
     carry_out_and_report(parser, parser.parse_args(words), STUDY, {"ours": search})
     assert "by hand" in page.read_text()
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from examples.paper.figures import teaser
-from examples.paper.lib.known import key_of
+from examples.paper.lib.results import key_of
 from examples.paper.table2 import main
 from examples.paper.table2.command import PARTS, part_of
 from examples.paper.table2.problem import COLUMNS, Column, Problem

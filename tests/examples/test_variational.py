@@ -13,10 +13,10 @@ import pytest
 from examples.paper.variational import kaleidoscope, mug, orb, orb_scene
 from examples.paper.variational.objectives import BlurredL2, objective
 from examples.paper.variational.photograph import Photograph
-from examples.paper.variational.problem import AT_TRUTH, Problem, as_arrays
+from examples.paper.variational.problem import TRUTH_SEED, Problem, as_arrays
 from examples.paper.variational.run import blurred, image_at, problem_of
 from examples.paper.variational.settings import Method, Setting, Size
-from examples.paper.variational.tables import kept_lines
+from examples.paper.variational.tables import merged_csv
 from loi_core.errors import RendererError
 from loi_core.pixels.psnr import psnr
 from tests.strategies import thorough
@@ -33,9 +33,9 @@ def test_starts_fill_the_range_and_the_truth_is_found(problem: Problem) -> None:
     starts = [problem.start(seed) for seed in range(200)]
     for name in problem.truth:
         values = [start[name] for start in starts]
-        assert problem.low[name] <= min(values) < problem.low[name] + 0.1 * problem.span(name)
-        assert problem.high[name] >= max(values) > problem.high[name] - 0.1 * problem.span(name)
-    assert problem.is_found(problem.start(AT_TRUTH))
+        assert problem.lower[name] <= min(values) < problem.lower[name] + 0.1 * problem.span(name)
+        assert problem.upper[name] >= max(values) > problem.upper[name] - 0.1 * problem.span(name)
+    assert problem.is_found(problem.start(TRUTH_SEED))
     assert not any(problem.is_found(start) for start in starts)
 
 
@@ -54,12 +54,12 @@ def test_the_orb_has_a_photograph_and_no_render_of_its_model() -> None:
 
 def test_a_photograph_is_dark_at_its_corners_blurred_and_noisy() -> None:
     light = np.full((32, 32, 3), 0.25)
-    flat = Photograph(reading=0.0, full=1e12).of(light, seed=0)
+    flat = Photograph(read_noise=0.0, full_well=1e12).of(light, seed=0)
     assert flat[0, 0, 0] < flat[8, 8, 0]
     noisy = [Photograph().of(light, seed=seed) for seed in (0, 1)]
     assert 0.002 < float(np.std(noisy[0] - noisy[1])) < 0.05
     light[:, 16:] = 0.75
-    edge = Photograph(vignetting=0.0, reading=0.0, full=1e12).of(light, seed=0)[8, :, 0]
+    edge = Photograph(vignetting=0.0, read_noise=0.0, full_well=1e12).of(light, seed=0)[8, :, 0]
     assert np.unique(edge).size > 3
 
 
@@ -78,7 +78,7 @@ def test_near_the_truth_the_gradient_leads_to_it(method: Method) -> None:
 
 def test_images_have_no_gradient_of_their_own(problem: Problem) -> None:
     with pytest.raises(RendererError, match="images only"):
-        problem.images.render_vjp(problem.at_truth())
+        problem.images.render_vjp(problem.true_parameters())
 
 
 def test_the_gradient_of_blurred_pixels_is_that_of_their_value() -> None:
@@ -116,9 +116,9 @@ def test_a_csv_keeps_the_runs_that_are_not_done_anew(tmp_path: Path) -> None:
         "sigma,0.02,0.1,0.4,100,4,120,1,False,18.0,0.5\n",
     )
     new = old.replace("20.0", "21.0")
-    assert kept_lines(head + new, before) == head + new
+    assert merged_csv(head + new, before) == head + new
     before.write_text(head + old + other, encoding="utf-8")
-    assert kept_lines(head + new, before) == head + new + other
+    assert merged_csv(head + new, before) == head + new + other
 
 
 def test_the_variational_method_refuses_wrong_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,4 +1,4 @@
-"""The pictures of the one-dimensional figures."""
+"""Draw the one-dimensional figures."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from examples.paper.figures.landscapes import NEAR, Landscape
+from examples.paper.figures.landscapes import NEAR_DISTANCE_PX, Landscape
 from examples.paper.figures.measure1d import blurred
 from examples.paper.figures.signals import Host
 from examples.paper.lib.methods import METHODS, SIGMAS, sigma_method
@@ -20,23 +20,23 @@ from loi_core.report.plots import new_figure
 
 __all__ = ["draw_landscapes", "draw_support", "draw_two"]
 
-REFERENCE, START, CHANGE, ERROR, OURS = "#334155", "#c2410c", "#ea9a3e", "#3f9b32", "#c2410c"
-DRAWN: Final = 120  # values of the error in a picture
-PIXELS_AN_INCH: Final = 72
+REFERENCE, START, CHANGE, ERROR, LOI = "#334155", "#c2410c", "#ea9a3e", "#3f9b32", "#c2410c"
+ERROR_SAMPLES: Final = 120  # of a plotted curve
+DOTS_PER_INCH: Final = 72
 
 
 def draw_support(problem: Problem, path: Path) -> None:
-    """Signals, derivatives and landscapes at growing inner scales."""
+    """Draw signals, derivatives and errors at growing inner scales."""
     sigmas = (0.0, *SIGMAS[1:])
     figure = new_figure(2.9 * len(sigmas), 6.0)
     rows = figure.subplots(3, len(sigmas), squeeze=False)
     for sigma, signals, gradients, errors in zip(sigmas, *rows, strict=True):
-        here, change, wanted = blurred(problem, sigma)
-        signals.plot(here, color=START, label="start")
-        signals.plot(wanted, ":", color=REFERENCE, label="target")
+        signal, change, target = blurred(problem, sigma)
+        signals.plot(signal, color=START, label="start")
+        signals.plot(target, ":", color=REFERENCE, label="target")
         signals.set(title=f"sigma = {sigma:g}", ylim=(-0.05, 1.15))
         gradients.plot(change / np.abs(change).max(), color=CHANGE, label="dI/dtheta")
-        product = 2.0 * (here - wanted) * change
+        product = 2.0 * (signal - target) * change
         gradients.plot(product / max(np.abs(product).max(), 1e-30), color=ERROR, label="dE/dI dI/dtheta")
         comparison = sigma_method(sigma).against(problem.reference())
         _error(errors, problem, comparison.values)
@@ -49,48 +49,52 @@ def draw_support(problem: Problem, path: Path) -> None:
     _save(figure, path)
 
 
-def draw_landscapes(problem: Problem, landscapes: Mapping[str, Landscape], within: float, path: Path) -> None:
-    """Signals and local histograms; error and slope of every method, its basin shaded."""
+def draw_landscapes(problem: Problem, landscapes: Mapping[str, Landscape], distance: float, path: Path) -> None:
+    """Draw signals and local histograms, then the error and the slope of every method with its basin shaded.
+
+    A descent belongs to the basin if it ends within `distance` pixels of the target.
+    """
     figure = new_figure(1.6 * len(METHODS), 5.6)
-    top, below = figure.subfigures(2, 1, height_ratios=[1.0, 1.9], squeeze=False)[:, 0]
-    _signals(top.subplots(1, 3), problem)
-    rows = below.subplots(2, len(METHODS), squeeze=False)
+    signal_figure, method_figure = figure.subfigures(2, 1, height_ratios=[1.0, 1.9], squeeze=False)[:, 0]
+    _signals(signal_figure.subplots(1, 3), problem)
+    rows = method_figure.subplots(2, len(METHODS), squeeze=False)
     for method, errors, slopes in zip(METHODS, *rows, strict=True):
-        found = landscapes[method.name]
+        landscape = landscapes[method.name]
         _error(errors, problem, method.against(problem.reference()).values)
-        errors.set_title(method.name, fontsize=9, color=OURS if method.name.startswith("loi") else "black")
-        slopes.plot(found.places, found.slopes / np.abs(found.slopes).max(), color=ERROR, linewidth=0.7)
+        errors.set_title(method.name, fontsize=9, color=LOI if method.name.startswith("loi") else "black")
+        slopes.plot(landscape.positions, landscape.slopes / np.abs(landscape.slopes).max(), color=ERROR, linewidth=0.7)
         slopes.axhline(0.0, color="black", linewidth=0.4)
         slopes.set(xlabel="theta, pixels", ylim=(-1.1, 1.1))
-        left, right = found.descents.basin(within)
+        left, right = landscape.descents.basin(distance)
         for axes in (errors, slopes):
             if left < right:
-                axes.axvspan(found.target + left, found.target + right, color="#16a34a", alpha=0.15, linewidth=0)
-            axes.axvline(found.target, color=REFERENCE, linestyle=":", linewidth=0.8)
+                span = landscape.target + left, landscape.target + right
+                axes.axvspan(*span, color="#16a34a", alpha=0.15, linewidth=0)
+            axes.axvline(landscape.target, color=REFERENCE, linestyle=":", linewidth=0.8)
     rows[0, 0].set_ylabel("error")
     rows[1, 0].set_ylabel("slope, scaled")
     _save(figure, path)
 
 
 def draw_two(problem: Problem, descents: Mapping[str, tuple[Host, Host]], path: Path) -> None:
-    """Where descent starts and ends, in the plane of two parameters."""
+    """Draw descents from their starts to their endpoints in the plane of two parameters."""
     figure = new_figure(1.6 * len(descents), 2.1)
-    for axes, (name, (starts, ends)) in zip(figure.subplots(1, len(descents)), descents.items(), strict=True):
-        found = np.all(np.abs(ends - problem.target) <= NEAR, axis=1)
-        for (x, y), (to_x, to_y), good in zip(starts, ends, found, strict=True):
-            axes.plot([x, to_x], [y, to_y], color="#16a34a" if good else "#cbd5e1", linewidth=0.7)
+    for axes, (name, (starts, endpoints)) in zip(figure.subplots(1, len(descents)), descents.items(), strict=True):
+        is_near = np.all(np.abs(endpoints - problem.target) <= NEAR_DISTANCE_PX, axis=1)
+        for start, endpoint, succeeds in zip(starts, endpoints, is_near, strict=True):
+            axes.plot(*zip(start, endpoint, strict=True), color="#16a34a" if succeeds else "#cbd5e1", linewidth=0.7)
         axes.plot(*starts.T, ".", color="#64748b", markersize=3)
         axes.plot(*problem.target, "+", color=START, markersize=10)
-        axes.set_title(name, fontsize=9, color=OURS if name.startswith("loi") else "black")
-        axes.set(xlabel="bright one", xticks=[], yticks=[])
-    figure.axes[0].set_ylabel("dim one")
+        axes.set_title(name, fontsize=9, color=LOI if name.startswith("loi") else "black")
+        axes.set(xlabel="bright interval", xticks=[], yticks=[])
+    figure.axes[0].set_ylabel("dim interval")
     _save(figure, path)
 
 
 def _signals(axes: Sequence[Axes], problem: Problem) -> None:
-    """Start and reference, the reference as an image, and its local histograms along the axis."""
+    """Draw start and reference, the reference as an image, and its local histograms along the axis."""
     reference = problem.reference()
-    start = problem.movers.images(np.array([problem.start]))[0]
+    start = problem.objects.images(np.array([problem.start]))[0]
     middle = reference.shape[0] // 2
     axes[0].plot(reference[middle], color=REFERENCE, linewidth=0.9, label="reference")
     axes[0].plot(start[middle], ":", color=START, label="start")
@@ -111,9 +115,9 @@ def _signals(axes: Sequence[Axes], problem: Problem) -> None:
 
 
 def _error(axes: Axes, problem: Problem, values: Any) -> None:
-    low, high = (float(one[0]) for one in problem.movers.bounds)
-    places = np.linspace(low, high, DRAWN)
-    axes.plot(places, values(problem.movers.images(places[:, None])), color=REFERENCE, linewidth=0.9)
+    lower, upper = (float(bound[0]) for bound in problem.objects.bounds)
+    positions = np.linspace(lower, upper, ERROR_SAMPLES)
+    axes.plot(positions, values(problem.objects.images(positions[:, None])), color=REFERENCE, linewidth=0.9)
     axes.set(yticks=[])
 
 
@@ -121,4 +125,4 @@ def _save(figure: Figure, path: Path) -> None:
     for axes in figure.axes:
         axes.tick_params(labelsize=7)
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=PIXELS_AN_INCH)
+    figure.savefig(path, dpi=DOTS_PER_INCH)

@@ -1,4 +1,4 @@
-"""What the one-dimensional figures measure: basins of every method, and the support of the gradient by sigma."""
+"""Measurements of the one-dimensional figures: the basin of every method, and the gradient's support by inner scale."""
 
 from __future__ import annotations
 
@@ -8,7 +8,14 @@ from typing import Final
 
 import numpy as np
 
-from examples.paper.figures.landscapes import FOUND, NEAR, Descents, Landscape, descend, landscape
+from examples.paper.figures.landscapes import (
+    NEAR_DISTANCE_PX,
+    REACHED_DISTANCE_PX,
+    Descents,
+    Landscape,
+    descend,
+    landscape,
+)
 from examples.paper.figures.signals import Host
 from examples.paper.lib.methods import METHODS, SIGMAS, sigma_method
 from examples.paper.lib.problems import Problem
@@ -17,25 +24,26 @@ from loi_core.method.blurs import gaussian_blur
 __all__ = ["FINISHED", "Basin", "Support", "blurred", "measure", "measure_two", "supports"]
 
 FINISHED: Final = "loi, then pixel L2"
-SUPPORTED: Final = 0.01  # of the greatest change: pixels that change by less carry no gradient
+MIN_CHANGE_SHARE: Final = 0.01  # of the greatest change: pixels with less change carry no gradient
 
 
 @dataclass(frozen=True)
 class Basin:
-    """How well one method finds the target of one problem, against one reference.
+    """Basin of attraction of one method for the target of one problem, against one reference.
 
     Attributes
     ----------
     problem, method : str
     seed : int
-        Of the reference's noise.
+        Seed of the noise on the reference.
     found, near : float
-        Share of all starts from which descent ends within 0.1 and 0.5 pixels of the target.
+        Share of all starts whose descent ends within 0.1 and 0.5 pixels of the target.
     left, right : float
-        How far to both sides of the target starts reach that end within 0.1 pixels, in pixels; NaN if there are
+        Width of the basin to either side of the target, in pixels, for descents that end within 0.1 pixels; NaN for
         several parameters.
     offset : float
-        From the target to where descent from next to it ends, in pixels; likewise.
+        Signed distance from the target to the endpoint of descent from next to it, in pixels; NaN for several
+        parameters.
     """
 
     problem: str
@@ -49,45 +57,50 @@ class Basin:
 
     @classmethod
     def of(cls, problem: Problem, method: str, seed: int, descents: Descents) -> Basin:
-        """What these descents show."""
-        left, right = descents.basin(FOUND)
-        return cls(
-            problem.name, method, seed, descents.share(FOUND), descents.share(NEAR), -left, right, descents.offset
-        )
+        """Return the basin that descents show."""
+        left, right = descents.basin(REACHED_DISTANCE_PX)
+        reached_share, near_share = descents.share(REACHED_DISTANCE_PX), descents.share(NEAR_DISTANCE_PX)
+        return cls(problem.name, method, seed, reached_share, near_share, -left, right, descents.offset)
 
 
 def measure(problem: Problem) -> Iterator[tuple[Basin, Landscape]]:
-    """Every method on a problem of one parameter; the last is one of ours with pixel L2 after it, on its landscape."""
+    """Yield the basin and the landscape of every method on a problem of one parameter.
+
+    The last basin belongs to ``loi`` followed by pixel L2, with the landscape of ``loi``.
+    """
     for seed in range(problem.seeds):
-        found: dict[str, Landscape] = {}
+        landscapes: dict[str, Landscape] = {}
         for method in METHODS:
             comparison = method.against(problem.reference(seed))
-            found[method.name] = landscape(problem.movers, comparison, problem.target[0], problem.spacing)
-            yield Basin.of(problem, method.name, seed, found[method.name].descents), found[method.name]
-        ours, pixels = found["loi, for_image"], found["pixel L2"]
-        yield Basin.of(problem, FINISHED, seed, ours.descents.followed_by(pixels.descents)), ours
+            method_landscape = landscape(problem.objects, comparison, problem.target[0], problem.spacing)
+            landscapes[method.name] = method_landscape
+            yield Basin.of(problem, method.name, seed, method_landscape.descents), method_landscape
+        loi, pixels = landscapes["loi, for_image"], landscapes["pixel L2"]
+        yield Basin.of(problem, FINISHED, seed, loi.descents.followed_by(pixels.descents)), loi
 
 
 def measure_two(problem: Problem, count: int, steps: int) -> dict[str, tuple[Host, Host]]:
-    """Starts and ends of every method on a problem of several parameters, from the same `count` random starts."""
-    low, high = problem.movers.bounds
-    starts = np.random.default_rng(0).uniform(low, high, (count, len(low)))
+    """Return starts and endpoints of every method on a problem of several parameters, from `count` random starts."""
+    lower, upper = problem.objects.bounds
+    starts = np.random.default_rng(0).uniform(lower, upper, (count, len(lower)))
     reference = problem.reference()
-    return {one.name: (starts, descend(problem.movers, one.against(reference), starts, steps)) for one in METHODS}
+    return {
+        method.name: (starts, descend(problem.objects, method.against(reference), starts, steps)) for method in METHODS
+    }
 
 
 @dataclass(frozen=True)
 class Support:
-    """What one inner scale does to the gradient.
+    """Support of the gradient at one inner scale.
 
     Attributes
     ----------
     sigma : float
-        In pixels.
+        Inner scale, in pixels.
     pixels : float
         Share of pixels that change with the parameter at the problem's start, by 1 % of the greatest change or more.
     basins : tuple of Basin
-        Of matching at this scale alone, by problem.
+        Basin of matching at this scale alone, for each problem.
     """
 
     sigma: float
@@ -96,27 +109,27 @@ class Support:
 
 
 def supports(problems: Sequence[Problem]) -> Iterator[Support]:
-    """The inner scales of the paper, and none at all."""
+    """Yield the support without a blur, then at every inner scale of the paper."""
     for sigma in (0.0, *SIGMAS):
         basins = []
         for problem in problems:
             comparison = sigma_method(sigma).against(problem.reference())
-            found = landscape(problem.movers, comparison, problem.target[0], problem.spacing)
-            basins.append(Basin.of(problem, f"sigma {sigma:g}", 0, found.descents))
+            sigma_landscape = landscape(problem.objects, comparison, problem.target[0], problem.spacing)
+            basins.append(Basin.of(problem, f"sigma {sigma:g}", 0, sigma_landscape.descents))
         change = np.abs(blurred(problems[0], sigma)[1])
-        yield Support(sigma, float(np.mean(change >= SUPPORTED * change.max())), tuple(basins))
+        yield Support(sigma, float(np.mean(change >= MIN_CHANGE_SHARE * change.max())), tuple(basins))
 
 
 def blurred(problem: Problem, sigma: float) -> tuple[Host, Host, Host]:
-    """The blurred signal at a problem's start, its derivative by the parameter, and the blurred reference.
+    """Return the blurred signal at a problem's start, its derivative by the parameter, and the blurred reference.
 
-    Each has shape (W,): of a picture, the middle row. The derivative is a central difference.
+    Each has shape (W,), the middle row of a picture. The derivative is a central difference.
     """
     step = 1e-4
-    places = np.array([problem.start, [problem.start[0] + step], [problem.start[0] - step]])
-    images = problem.movers.images(places)
+    params = np.array([problem.start, [problem.start[0] + step], [problem.start[0] - step]])
+    images = problem.objects.images(params)
     height, width = images.shape[1:]
     blur = gaussian_blur(height, width, sigma, "reflect", like=images)
-    start, ahead, behind = blur.apply(images)[:, height // 2]
-    wanted = blur.apply(problem.reference()[None])[0, height // 2]
-    return start, (ahead - behind) / (2.0 * step), wanted
+    start, forward, backward = blur.apply(images)[:, height // 2]
+    reference = blur.apply(problem.reference()[None])[0, height // 2]
+    return start, (forward - backward) / (2.0 * step), reference

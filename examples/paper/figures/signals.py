@@ -10,27 +10,27 @@ import numpy as np
 
 from loi_core.renderers import Disks
 
-__all__ = ["DiskRow", "Host", "Line", "Movers"]
+__all__ = ["DiskRow", "Host", "Line", "MovingObjects"]
 
 Host: TypeAlias = np.ndarray[Any, np.dtype[np.float64]]
 
 
 @dataclass(frozen=True)
-class Movers(abc.ABC):
-    """Objects painted over one another, each whole in the frame; every pixel is covered by exact area.
+class MovingObjects(abc.ABC):
+    """Objects painted over one another, each entirely inside the frame, with exact pixel coverage.
 
     Attributes
     ----------
     width : int
-        Number of pixels along the axis; pixel i reaches from i to i + 1.
+        Number of pixels along the axis; pixel i extends from i to i + 1.
     radii : tuple of float
         Half the lengths of the objects, in pixels.
     intensities : tuple of float
-        Of the objects; a later one hides an earlier one.
+        Intensities of the objects, in the order of painting.
     anchors : tuple of float
-        Centres of the objects, in pixels, when the parameter that they follow is 0.
-    follows : tuple of int or None
-        Number of the parameter that moves each object; None for those that stay.
+        Centres of the objects where their parameter is 0, in pixels.
+    parameter_indices : tuple of int or None
+        Index of the parameter that moves each object; None for a fixed object.
     background : float
     """
 
@@ -38,81 +38,82 @@ class Movers(abc.ABC):
     radii: tuple[float, ...]
     intensities: tuple[float, ...]
     anchors: tuple[float, ...] = (0.0,)
-    follows: tuple[int | None, ...] = (0,)
+    parameter_indices: tuple[int | None, ...] = (0,)
     background: float = 0.0
 
     @property
     def bounds(self) -> tuple[Host, Host]:
-        """Least and greatest parameters at which all that moves is whole, each (P,), in pixels."""
-        lows, highs = [], []
-        for number in range(len(self._ways)):
-            reach = zip(self.radii, self.anchors, self.follows, strict=True)
-            own = [(radius - at, self.width - radius - at) for radius, at, parameter in reach if parameter == number]
-            lows.append(max(low for low, _ in own))
-            highs.append(min(high for _, high in own))
-        return np.array(lows), np.array(highs)
+        """Lower and upper bounds of the parameters, each (P,), in pixels, between which moving objects are entire."""
+        lower, upper = [], []
+        for parameter in range(len(self._jacobian)):
+            objects = zip(self.radii, self.anchors, self.parameter_indices, strict=True)
+            moved = [(radius, anchor) for radius, anchor, index in objects if index == parameter]
+            lower.append(max(radius - anchor for radius, anchor in moved))
+            upper.append(min(self.width - radius - anchor for radius, anchor in moved))
+        return np.array(lower), np.array(upper)
 
     @abc.abstractmethod
-    def images(self, places: Host) -> Host:
-        """Images, shape (N, H, width), for parameters of shape (N, P), in pixels."""
+    def images(self, params: Host) -> Host:
+        """Return images, shape (N, H, width), for parameters of shape (N, P), in pixels."""
 
     @abc.abstractmethod
-    def slopes(self, places: Host, gradients: Host) -> Host:
-        """Derivatives by the parameters, shape (N, P), of what has these `gradients` by the images, (N, H, width).
+    def vjp(self, params: Host, cotangents: Host) -> Host:
+        """Return derivatives with respect to the parameters, shape (N, P), for image gradients of shape (N, H, width).
 
-        Where an edge meets the border of a pixel the derivative jumps; there it is that of the way to the right.
+        Where an edge meets a pixel border the derivative jumps; the result is the derivative to the right.
         """
 
     @property
-    def _ways(self) -> Host:
-        """How each object moves with each parameter, 0 or 1, shape (P, objects)."""
-        count = 1 + max(one for one in self.follows if one is not None)
-        return np.array([[float(one == number) for one in self.follows] for number in range(count)])
+    def _jacobian(self) -> Host:
+        """Derivative of every centre with respect to every parameter, 0 or 1, shape (P, objects)."""
+        count = 1 + max(index for index in self.parameter_indices if index is not None)
+        return np.array([[float(index == parameter) for index in self.parameter_indices] for parameter in range(count)])
 
-    def _centres(self, places: Host) -> Host:
-        """Of all objects, shape (N, objects)."""
-        return np.asarray(self.anchors + places @ self._ways)
+    def _centres(self, params: Host) -> Host:
+        """Return the centres of all objects, shape (N, objects)."""
+        return np.asarray(self.anchors + params @ self._jacobian)
 
 
-class Line(Movers):
-    """Intervals on one row of pixels: disks of the paper's figures, cut along their middle."""
+class Line(MovingObjects):
+    """Intervals on one row of pixels: the disks of the paper's figures, cut along their middle."""
 
-    def images(self, places: Host) -> Host:
-        """Of one row each, H = 1."""
-        return self.changes(places)[0][:, None, :]
+    def images(self, params: Host) -> Host:
+        """Return images of one row, H = 1."""
+        return self.signals(params)[0][:, None, :]
 
-    def slopes(self, places: Host, gradients: Host) -> Host:
-        """See :class:`Movers`."""
-        return np.asarray(np.einsum("nhw,nwp->np", gradients, self.changes(places)[1]))
+    def vjp(self, params: Host, cotangents: Host) -> Host:
+        """See :class:`MovingObjects`."""
+        return np.asarray(np.einsum("nhw,nwp->np", cotangents, self.signals(params)[1]))
 
-    def changes(self, places: Host) -> tuple[Host, Host]:
-        """Signals, shape (N, width), and their derivatives by the parameters, shape (N, width, P), one over pixels."""
-        signals = np.full((len(places), self.width), self.background)
-        changes = np.zeros((*signals.shape, len(self.radii)))
-        centres = self._centres(places)
+    def signals(self, params: Host) -> tuple[Host, Host]:
+        """Return signals, shape (N, width), and their derivatives with respect to the parameters, (N, width, P)."""
+        signals = np.full((len(params), self.width), self.background)
+        derivatives = np.zeros((*signals.shape, len(self.radii)))
+        centres = self._centres(params)
         for index, (radius, intensity) in enumerate(zip(self.radii, self.intensities, strict=True)):
-            cover, change = _coverage(self.width, centres[:, index], radius)
-            changes *= (1.0 - cover)[:, :, None]
-            changes[:, :, index] = change * (intensity - signals)
-            signals = signals + cover * (intensity - signals)
-        return signals, changes @ self._ways.T
+            coverage, coverage_derivative = _coverage(self.width, centres[:, index], radius)
+            derivatives *= (1.0 - coverage)[:, :, None]
+            derivatives[:, :, index] = coverage_derivative * (intensity - signals)
+            signals = signals + coverage * (intensity - signals)
+        return signals, derivatives @ self._jacobian.T
 
 
-class DiskRow(Movers):
+class DiskRow(MovingObjects):
     """Disks whose centres are in the middle row of a square picture."""
 
-    def images(self, places: Host) -> Host:
-        """Square, H = width."""
-        return np.stack([self._render(one)[0][..., 0] for one in self._centres(places)])
+    def images(self, params: Host) -> Host:
+        """Return square images, H = width."""
+        return np.stack([self._render(centres)[0][..., 0] for centres in self._centres(params)])
 
-    def slopes(self, places: Host, gradients: Host) -> Host:
-        """See :class:`Movers`."""
-        unused = np.zeros((*gradients.shape[1:], 2))
-        found = []
-        for one, gradient in zip(self._centres(places), gradients, strict=True):
-            by_position = self._render(one)[1](np.concatenate([gradient[..., None], unused], axis=-1))["positions"]
-            found.append(self._ways @ by_position[:, 0])
-        return np.stack(found)
+    def vjp(self, params: Host, cotangents: Host) -> Host:
+        """See :class:`MovingObjects`."""
+        unused_channels = np.zeros((*cotangents.shape[1:], 2))
+        derivatives = []
+        for centres, cotangent in zip(self._centres(params), cotangents, strict=True):
+            pullback = self._render(centres)[1]
+            by_position = pullback(np.concatenate([cotangent[..., None], unused_channels], axis=-1))["positions"]
+            derivatives.append(self._jacobian @ by_position[:, 0])
+        return np.stack(derivatives)
 
     def _render(self, centres: Host) -> tuple[Host, Any]:
         middle = np.full(len(centres), 0.5 * self.width)
@@ -123,9 +124,9 @@ class DiskRow(Movers):
 
 
 def _coverage(width: int, centres: Host, radius: float) -> tuple[Host, Host]:
-    """How much of every pixel an interval covers, shape (N, width), and the derivative of that by its centre."""
+    """Return the share of every pixel that an interval covers, shape (N, width), and its derivative by the centre."""
     left = np.arange(width, dtype=np.float64)
-    start, end = (centres - radius)[:, None], (centres + radius)[:, None]
-    cover = np.clip(np.minimum(left + 1.0, end) - np.maximum(left, start), 0.0, 1.0)
-    inside_start, inside_end = (np.floor(edge) == left for edge in (start, end))
-    return cover, inside_end.astype(np.float64) - inside_start.astype(np.float64)
+    first_edge, last_edge = (centres - radius)[:, None], (centres + radius)[:, None]
+    coverage = np.clip(np.minimum(left + 1.0, last_edge) - np.maximum(left, first_edge), 0.0, 1.0)
+    has_first_edge, has_last_edge = (np.floor(edge) == left for edge in (first_edge, last_edge))
+    return coverage, has_last_edge.astype(np.float64) - has_first_edge.astype(np.float64)

@@ -100,8 +100,8 @@ def unpickled_arrays(content: bytes) -> Any:
     return _ArraysOnly(io.BytesIO(content)).load()
 
 
-def _empty_array(kind: type[Host], shape: tuple[int, ...], code: bytes) -> Host:
-    return np.ndarray.__new__(kind, shape, code.decode("ascii"))
+def _empty_array(array_type: type[Host], shape: tuple[int, ...], code: bytes) -> Host:
+    return np.ndarray.__new__(array_type, shape, code.decode("ascii"))
 
 
 class _ArraysOnly(pickle.Unpickler):

@@ -1,4 +1,4 @@
-"""Means over seeds, and how sure one can be of them."""
+"""Means over seeds with their confidence intervals."""
 
 from __future__ import annotations
 
@@ -14,27 +14,29 @@ __all__ = ["Mean"]
 
 @dataclass(frozen=True)
 class Mean:
-    """A mean with the half width of its 95 % confidence interval, and the least value.
+    """Mean of a sample, the half width of its 95 % confidence interval, and its minimum.
 
     Attributes
     ----------
-    value, half, least : float
-        `half` is NaN for a single value.
+    value : float
+    half_width : float
+        NaN for a single value.
+    minimum : float
     count : int
-        How many values.
+        Size of the sample.
     """
 
     value: float
-    half: float
-    least: float
+    half_width: float
+    minimum: float
     count: int
 
     @classmethod
     def of(cls, values: Sequence[float]) -> Mean:
-        """Of one value or more; the interval is Student's."""
+        """Return the mean of one or more values, with Student's interval."""
         count = len(values)
         value = float(np.mean(values))
         if count == 1:
             return cls(value, math.nan, min(values), 1)
-        half = float(stats.t.ppf(0.975, count - 1)) * float(np.std(values, ddof=1)) / math.sqrt(count)
-        return cls(value, half, min(values), count)
+        half_width = float(stats.t.ppf(0.975, count - 1)) * float(np.std(values, ddof=1)) / math.sqrt(count)
+        return cls(value, half_width, min(values), count)

@@ -1,4 +1,4 @@
-"""The objectives of the one-dimensional figures, and the slopes that each has on many signals at once."""
+"""Objectives of the one-dimensional figures, and their values and gradients for batches of signals."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ from loi_core.support.arrays import Array, sum_of_all
 __all__ = ["METHODS", "SIGMAS", "Comparison", "Method", "SigmaSpace", "sigma_method"]
 
 SIGMAS: Final = ScaleSpace.paper("vector").sigma
-BATCH: Final = 64  # images that are compared at once
+BATCH_SIZE: Final = 64  # images of one comparison
 
 
 class SigmaSpace(ImageObjective[float]):
-    """Matching in the inner scale space alone: mean squared differences of the images at every sigma, summed."""
+    """Sum over inner scales of the mean squared difference of the blurred images, without histograms."""
 
     def __init__(self, reference: Array, sigmas: tuple[float, ...] = SIGMAS) -> None:
         super().__init__(reference)
@@ -38,7 +38,7 @@ class SigmaSpace(ImageObjective[float]):
 
 @dataclass(frozen=True, eq=False)
 class _SigmaComparison(PlaneComparison[float]):
-    """By sigma, its blur and the blurred reference."""
+    """Comparison with the blur and the blurred reference of every sigma."""
 
     blurred: dict[float, tuple[Blur, Array]]
 
@@ -56,58 +56,58 @@ class _SigmaComparison(PlaneComparison[float]):
 
 @dataclass(frozen=True)
 class Method:
-    """One way of comparing images.
+    """A method of comparing images.
 
     Attributes
     ----------
     name : str
     make : callable
-        From a reference, shape (H, W, 1), to an objective.
-    least_rows : int or None
-        What is shown to it of a signal, an image of one row: as many equal rows, or for None a square of them. Under
-        reflection equal rows change nothing; pyramids, windows and networks cannot do with one.
+        Return the objective for a reference of shape (H, W, 1).
+    signal_rows : int or None
+        Number of equal rows that represent a signal, an image of one row; None for a square image. Under reflection
+        equal rows change nothing, but pyramids, windows and networks need more than one.
     dtype : str
-        That it computes in.
+        Precision of the computation.
     """
 
     name: str
     make: Callable[[Host], ImageObjective[Any]]
-    least_rows: int | None = 1
+    signal_rows: int | None = 1
     dtype: str = "float64"
 
     def against(self, reference: Host) -> Comparison:
-        """The method, ready to compare images with one of shape (H, W)."""
+        """Return the comparison of images with a reference of shape (H, W)."""
         height, width = reference.shape
-        rows = (self.least_rows or width) if height == 1 else 1
+        rows = (self.signal_rows or width) if height == 1 else 1
         return Comparison(self.make(_repeated(reference[None], rows, self.dtype)[0]), rows, self.dtype)
 
 
 @dataclass(frozen=True)
 class Comparison:
-    """An objective on grey images, each row of which it sees `rows` times."""
+    """An objective of grey images, with every row of an image repeated `rows` times."""
 
     objective: ImageObjective[Any]
     rows: int
     dtype: str
 
     def values(self, images: Host) -> Host:
-        """The objective of every image, shape (N,); `images` has shape (N, H, W)."""
-        return np.array([float(self.objective.value(one)) for one in _repeated(images, self.rows, self.dtype)])
+        """Return the objective of every image, shape (N,), for `images` of shape (N, H, W)."""
+        return np.array([float(self.objective.value(image)) for image in _repeated(images, self.rows, self.dtype)])
 
     def gradients(self, images: Host) -> Host:
-        """The gradient of every image's objective by that image, shape (N, H, W)."""
-        found = np.zeros(images.shape)
-        for start in range(0, len(images), BATCH):
-            batch = images[start : start + BATCH]
+        """Return the gradient of the objective with respect to every image, shape (N, H, W)."""
+        gradients = np.zeros(images.shape)
+        for start in range(0, len(images), BATCH_SIZE):
+            batch = images[start : start + BATCH_SIZE]
             gradient = self.objective.value_and_grad(_repeated(batch, self.rows, self.dtype))[1].astype(np.float64)
-            # A batch is averaged, so each image's own gradient comes divided by their number.
+            # The objective averages over a batch, which divides the gradient of each image by the size of the batch.
             summed = gradient.reshape(*batch.shape[:2], self.rows, -1).sum(axis=2)
-            found[start : start + BATCH] = summed * len(batch)
-        return found
+            gradients[start : start + BATCH_SIZE] = summed * len(batch)
+        return gradients
 
 
 def _repeated(images: Host, rows: int, dtype: str) -> Host:
-    """Images, shape (N, H, W), with every row repeated, shape (N, H * rows, W, 1)."""
+    """Repeat every row of images of shape (N, H, W); return shape (N, H * rows, W, 1)."""
     return np.repeat(images, rows, axis=1)[..., None].astype(dtype)
 
 
@@ -117,15 +117,15 @@ def _for_image(reference: Host) -> LOIObjective:
 
 
 def sigma_method(sigma: float) -> Method:
-    """Matching at one inner scale alone."""
+    """Return the method that matches images at a single inner scale."""
     return Method(f"sigma {sigma:g}", lambda reference: SigmaSpace(reference, (sigma,)))
 
 
 METHODS: Final = (
     Method("pixel L2", PixelL2),
-    Method("Gaussian pyramid", GaussianPyramid, least_rows=None),
-    Method("MS-SSIM", MSSSIM, least_rows=None),
-    Method("LPIPS", lpips, least_rows=32, dtype="float32"),
+    Method("Gaussian pyramid", GaussianPyramid, signal_rows=None),
+    Method("MS-SSIM", MSSSIM, signal_rows=None),
+    Method("LPIPS", lpips, signal_rows=32, dtype="float32"),
     Method("sigma only", SigmaSpace),
     sigma_method(15.0),
     sigma_method(45.0),

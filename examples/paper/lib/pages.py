@@ -1,4 +1,4 @@
-"""Tables in pages that people write: each between two marks, so that a command can put a new one there."""
+"""Generated tables in handwritten pages: each table lies between two marks, so that a command can replace it."""
 
 from __future__ import annotations
 
@@ -11,24 +11,24 @@ __all__ = ["fill", "filled"]
 
 
 def fill(page: Path, tables: Mapping[str, Sequence[str]]) -> None:
-    """Put the tables into a page that is there; errors as :func:`filled`."""
+    """Replace tables in an existing page; raise the errors of :func:`filled`."""
     write_text(page, filled(page.read_text(encoding="utf-8"), tables))
 
 
 def filled(page: str, tables: Mapping[str, Sequence[str]]) -> str:
-    """`page`, with the lines of each table between ``<!-- NAME -->`` and ``<!-- end -->``.
+    """Return `page` with the lines of each table between ``<!-- NAME -->`` and ``<!-- end -->``.
 
     Raises
     ------
     ValueError
-        If the page has no such place for a table.
+        If the page lacks the marks of a table.
     """
     for name, table in tables.items():
-        start, end = f"<!-- {name} -->\n", "<!-- end -->"
-        before, mark, after = page.partition(start)
-        old, closing, rest = after.partition(end)
-        if not (mark and closing) or "<!--" in old:
-            msg = f"the page must have a place for the table {name!r}, from {start.strip()} to {end}"
+        opening_mark, closing_mark = f"<!-- {name} -->\n", "<!-- end -->"
+        head, opening, tail = page.partition(opening_mark)
+        old_table, closing, tail = tail.partition(closing_mark)
+        if not (opening and closing) or "<!--" in old_table:
+            msg = f"the page must have a place for the table {name!r}, from {opening_mark.strip()} to {closing_mark}"
             raise ValueError(msg)
-        page = before + start + "\n".join(["", *table, "", end]) + rest
+        page = head + opening_mark + "\n".join(["", *table, "", closing_mark]) + tail
     return page

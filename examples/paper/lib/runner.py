@@ -1,4 +1,4 @@
-"""Carrying out many runs, side by side, each once."""
+"""Carry out many runs in parallel, each once."""
 
 from __future__ import annotations
 
@@ -13,27 +13,29 @@ from loi_core.runs import Workers
 
 __all__ = ["carry_out_all"]
 
-Made = TypeVar("Made", bound=Run)
+RunType = TypeVar("RunType", bound=Run)
 
 
-def _wanted(number: int, total: int) -> str:
-    return "runs" if number == total else f"{total - number} of {total} runs were done before; others"
+def _description(pending: int, total: int) -> str:
+    return "runs" if pending == total else f"{pending} remaining of {total} runs"
 
 
-def carry_out_all(runs: Sequence[Made], carry_out: Callable[[Made], Any], folder: Path, processes: int) -> None:
-    """Carry out those runs that are not in the folder yet; each is kept as it ends, so that Ctrl-C loses little.
+def carry_out_all(runs: Sequence[RunType], carry_out: Callable[[RunType], Any], folder: Path, processes: int) -> None:
+    """Carry out the runs without a record in the folder, and store each as it ends.
+
+    Ctrl-C loses unfinished runs only.
 
     Raises
     ------
     RuntimeError
-        For the first that fails: the others would, as a rule, fail as well. What had ended is kept.
+        For the first run that fails, because the cause usually affects all of them. Finished runs stay stored.
     """
-    wanted = [run for run in dict.fromkeys(runs) if not is_done(folder, run)]
-    with tqdm(total=len(wanted), desc=_wanted(len(wanted), len(runs))) as bar:
-        if not wanted:
+    pending = [run for run in dict.fromkeys(runs) if not is_done(folder, run)]
+    with tqdm(total=len(pending), desc=_description(len(pending), len(runs))) as bar:
+        if not pending:
             return
         with Workers(processes=processes) as workers:
-            for result in workers.map_unordered(carry_out, wanted):
+            for result in workers.map_unordered(carry_out, pending):
                 if result.cause:
                     msg = f"{result.run!r}: {result.cause}\n{result.details}"
                     raise RuntimeError(msg)

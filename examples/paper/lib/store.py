@@ -1,4 +1,4 @@
-"""Outcomes in a folder: a file and a picture for each run, so that nothing is done twice."""
+"""A folder of outcomes: a record and a picture for each run, so that a finished run is not repeated."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ __all__ = ["Run", "is_done", "keep", "load", "picture_path", "slug"]
 
 
 class Run(Protocol):
-    """One fit of a table. Its ``repr`` has all that it depends on: a change of any of it makes it another run."""
+    """One fit of a table. Its ``repr`` contains every setting that its outcome depends on, and identifies the run."""
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """What it is filed under: its setting, its method and its column, as names."""
+        """Names of the folders that hold the record: setting, method and column."""
 
     @property
     def seed(self) -> int:
-        """Of its start."""
+        """Seed of the start."""
 
 
 def keep(folder: Path, run: Run, outcome: Any) -> None:
-    """Write the picture, then the record, each whole or not at all: a record says that the run is done.
+    """Write the picture, then the record, each atomically: a record marks the run as done.
 
     `outcome` is a dataclass of numbers and an ``image``.
     """
@@ -37,17 +37,17 @@ def keep(folder: Path, run: Run, outcome: Any) -> None:
 
 
 def is_done(folder: Path, run: Run) -> bool:
-    """Whether this very run, with these settings, is in the folder."""
+    """Return whether the folder has a record of this run with exactly these settings."""
     return load(folder, run) is not None
 
 
 def load(folder: Path, run: Run) -> dict[str, Any] | None:
-    """The numbers of a run, or None if it is not in the folder or was another."""
+    """Return the numbers of a run, or None if the folder has no record with its settings."""
     return read_record(_record_path(folder, run), repr(run))
 
 
 def picture_path(folder: Path, run: Run) -> Path:
-    """Where the final image is."""
+    """Return the path of the final image."""
     return _record_path(folder, run).with_suffix(".png")
 
 
@@ -56,5 +56,5 @@ def _record_path(folder: Path, run: Run) -> Path:
 
 
 def slug(name: str) -> str:
-    """`name` as a file's: small letters, digits and dashes."""
+    """Return `name` as a file name of small letters, digits and dashes."""
     return re.sub(r"[^a-z0-9]+", "-", name.lower()).strip("-")

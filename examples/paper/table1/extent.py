@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from examples.paper.lib.study import Part
+from examples.paper.lib.study import Subtable
 from examples.paper.table1.ablations import ABLATIONS
 from examples.paper.table1.problem import COLUMNS, HARDER, Column
 from examples.paper.table1.remedies import CHECKED, REMEDIES
@@ -49,9 +49,9 @@ class Extent:
     steps: int | None = None
 
     @property
-    def tables(self) -> dict[str, Part[Run]]:
+    def tables(self) -> dict[str, Subtable[Run]]:
         """What stands in each table, by its name: one for each part, but for the remedies one for each column."""
-        found: dict[str, Part[Run]] = {}
+        found: dict[str, Subtable[Run]] = {}
         for name in self.parts:
             if name == "remedies":
                 found |= {f"remedies: {column.name}": self._remedies(column) for column in self.harder}
@@ -64,17 +64,17 @@ class Extent:
         """All runs of all tables, each once."""
         return list(dict.fromkeys(run for part in self.tables.values() for run in part.runs))
 
-    def _remedies(self, column: Column) -> Part[Run]:
+    def _remedies(self, column: Column) -> Subtable[Run]:
         starts = {one: self.seeds if (column, one) in CHECKED else self.few for one in REMEDIES[column]}
-        return Part(
+        return Subtable(
             {one.name: [self._run(one, column, seed) for seed in range(count)] for one, count in starts.items()},
             (column,),
             converges=False,
         )
 
-    def _whole(self, name: str) -> Part[Run]:
+    def _whole(self, name: str) -> Subtable[Run]:
         if name == "tuning":
-            return Part({LABELS[method]: tuning_runs(method) for method in self.methods}, rates=RATES)
+            return Subtable({LABELS[method]: tuning_runs(method) for method in self.methods}, rates=RATES)
         if name == "ablations":
             settings, columns, seeds = {one.name: one for one in ABLATIONS}, self.ablated, self.few
         else:
@@ -84,7 +84,7 @@ class Extent:
             name: [self._run(setting, column, seed) for column in columns for seed in range(seeds)]
             for name, setting in settings.items()
         }
-        return Part(rows, columns, converges=name != "ablations")
+        return Subtable(rows, columns, converges=name != "ablations")
 
     def _run(self, setting: Setting, column: Column, seed: int) -> Run:
         return Run(setting if self.steps is None else setting.limited(self.steps), column, seed)

@@ -52,7 +52,7 @@ def main(words: Sequence[str] | None = None) -> None:
     for setting, count in tqdm([(one, count) for one in SETTINGS for count in counts]):
         column = replace(RANDOM, disks=count)
         found = Mean.of(np.concatenate([cosines(setting, column, seed) for seed in range(seen // count)]).tolist())
-        rows[setting.name].append(f"{found.value:.2f} ± {found.half:.2f}")
+        rows[setting.name].append(f"{found.value:.2f} ± {found.half_width:.2f}")
     table = markdown(["disks", *map(str, counts)], [[name, *cells] for name, cells in rows.items()])
     print("\n".join(table))
     if options.docs:

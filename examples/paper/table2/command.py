@@ -9,10 +9,10 @@ from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
-from examples.paper.lib.known import Known
 from examples.paper.lib.pictures import animation, moments
+from examples.paper.lib.results import Results
 from examples.paper.lib.store import load, slug
-from examples.paper.lib.study import Part, Study, add_options, carry_out_and_report
+from examples.paper.lib.study import Study, Subtable, add_options, carry_out_and_report
 from examples.paper.table2.cost import cost_of
 from examples.paper.table2.problem import COLUMNS, Column, Problem
 from examples.paper.table2.published import PAPER
@@ -63,13 +63,13 @@ def main(words: Sequence[str] | None = None) -> None:
     study = replace(STUDY, carry_out=partial(carry_out, variant=options.variant))
     if "savings" in options.parts and not (options.quick or options.report):
         saved = {"savings": savings(columns)}  # measured anew on every call: a time is of this machine, now
-        study = replace(study, others=lambda known, parts: _costs(known, parts) | saved)
+        study = replace(study, extra_tables=lambda results, parts: _costs(results, parts) | saved)
     carry_out_and_report(parser, options, study, {"ours": _quick()} if options.quick else parts)
 
 
 def part_of(
     name: str, methods: Sequence[Method] = tuple(LABELS), columns: Sequence[Column] = COLUMNS, seeds: int = 3
-) -> Part[Run]:
+) -> Subtable[Run]:
     """The runs of a part that has runs, which is all but "savings"."""
     if name == "tuning":
         searched = [column for column in columns if column.name == SEARCHED]
@@ -77,7 +77,7 @@ def part_of(
             LABELS[method]: [Run(ours(method, rate), column, TUNED) for rate in RATES for column in searched]
             for method in methods
         }
-        return Part(rows, rates=RATES)
+        return Subtable(rows, rates=RATES)
     settings = PROTOCOLS["published" if name == "published" else "ours"]
     if name == "noise":
         methods = [method for method in methods if method in NOISY_METHODS]
@@ -88,26 +88,26 @@ def part_of(
         ]
         for method in methods
     }
-    return Part(rows, columns)
+    return Subtable(rows, columns)
 
 
 def _in_column(setting: Setting, column: Column) -> Setting:
     return many(setting) if setting.name == "ours" and column.crowded else setting
 
 
-def _quick() -> Part[Run]:
+def _quick() -> Subtable[Run]:
     column = replace(COLUMNS[4], width=32, samples=4)
     methods: tuple[Method, ...] = ("prdpt", "loi")
     few = {method: replace(PROTOCOLS["ours"][method], steps=8) for method in methods}
-    return Part({LABELS[method]: [Run(setting, column, 0)] for method, setting in few.items()}, (column,))
+    return Subtable({LABELS[method]: [Run(setting, column, 0)] for method, setting in few.items()}, (column,))
 
 
-def _costs(known: Known, parts: Mapping[str, Part[Run]]) -> dict[str, list[str]]:
+def _costs(results: Results, parts: Mapping[str, Subtable[Run]]) -> dict[str, list[str]]:
     wanted = {name: part for name, part in parts.items() if name in PROTOCOLS}
-    return {f"cost, {name}": cost_of(known, part) for name, part in wanted.items()}
+    return {f"cost, {name}": cost_of(results, part) for name, part in wanted.items()}
 
 
-def _animate(parts: Mapping[str, Part[Run]], runs: Path, folder: Path) -> None:
+def _animate(parts: Mapping[str, Subtable[Run]], runs: Path, folder: Path) -> None:
     """Our first fit of each column, as it converges."""
     part = parts.get("ours")
     for run in part.rows.get(LABELS["loi"], ()) if part else ():
@@ -132,12 +132,12 @@ STUDY: Final = Study(
     carry_out=carry_out,
     target=_target,
     measures=("psnr", "mae", "step", "near"),
-    beside=lambda _: "mae",
-    apart=CURVE_STEPS,
+    second_measure=lambda _: "mae",
+    curve_steps=CURVE_STEPS,
     columns=COLUMNS,
     paper=PAPER,
     title=_title,
     animate=_animate,
-    others=_costs,
-    further=(*NOISY, ANYWHERE),
+    extra_tables=_costs,
+    unpublished_columns=(*NOISY, ANYWHERE),
 )

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
-from examples.paper.lib.study import Part, Study, add_options, carry_out_and_report
+from examples.paper.lib.study import Study, Subtable, add_options, carry_out_and_report
 from examples.paper.table3.problem import COLUMNS, Column, FloatArray, Problem
 from examples.paper.table3.published import PAPER
 from examples.paper.table3.run import CURVE_STEPS, Run, carry_out
@@ -36,13 +36,13 @@ def main(words: Sequence[str] | None = None) -> None:
     carry_out_and_report(parser, options, STUDY, {"ours": _quick()} if options.quick else parts)
 
 
-def _part(name: str, methods: Sequence[Method], columns: tuple[Column, ...], seeds: int) -> Part[Run]:
+def _part(name: str, methods: Sequence[Method], columns: tuple[Column, ...], seeds: int) -> Subtable[Run]:
     if name == "tuning":
         rows = {
             LABELS[method]: [Run(ours(method, rate), column, TUNED) for rate in RATES for column in columns]
             for method in methods
         }
-        return Part(rows, rates=RATES)
+        return Subtable(rows, rates=RATES)
     settings = PROTOCOLS["published" if name == "published" else "ours"]
     rows = {
         LABELS[method]: [
@@ -50,14 +50,14 @@ def _part(name: str, methods: Sequence[Method], columns: tuple[Column, ...], see
         ]
         for method in methods
     }
-    return Part(rows, columns)
+    return Subtable(rows, columns)
 
 
-def _quick() -> Part[Run]:
+def _quick() -> Subtable[Run]:
     column = replace(COLUMNS[3], side=32)
     methods: tuple[Method, ...] = ("rgbxy_finetune", "loi")
     few = {method: replace(PROTOCOLS["ours"][method], steps=40, grid=16) for method in methods}
-    return Part({LABELS[method]: [Run(setting, column, 0)] for method, setting in few.items()}, (column,))
+    return Subtable({LABELS[method]: [Run(setting, column, 0)] for method, setting in few.items()}, (column,))
 
 
 def _target(run: Run) -> FloatArray:
@@ -69,8 +69,8 @@ STUDY: Final = Study(
     carry_out=carry_out,
     target=_target,
     measures=("psnr", "ssim", "mae"),
-    beside=lambda column: str(column.error).lower(),
-    apart=CURVE_STEPS,
+    second_measure=lambda column: str(column.error).lower(),
+    curve_steps=CURVE_STEPS,
     columns=COLUMNS,
     paper=PAPER,
     title=lambda column: f"{column.name}, {column.error}",

@@ -1,1 +1,1 @@
-"""The paper's variational experiments: a kaleidoscope, and a glass orb on a table, from images alone."""
+"""The paper's variational experiments: a kaleidoscope, a glass orb on a table, and a mug, from images alone."""

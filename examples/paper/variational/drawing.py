@@ -1,4 +1,4 @@
-"""A figure as the paper has it, and a fit as it converges."""
+"""Draw the paper's figure of a scene, and the animation of a fit."""
 
 from __future__ import annotations
 
@@ -16,23 +16,23 @@ __all__ = ["animate", "figure"]
 
 
 def figure(path: Path, folder: Path, rows: Mapping[str, Sequence[Run]], number: int) -> None:
-    """One start: where it begins, where each method ends, and the target, side by side."""
-    runs = {name: own[number] for name, own in rows.items() if number < len(own)}
-    done = {name: record for name, run in runs.items() if (record := load(folder, run)) is not None}
-    if not done:
+    """Draw the image at start `number`, the final image of each method, and the target, side by side."""
+    runs = {name: row[number] for name, row in rows.items() if number < len(row)}
+    records = {name: record for name, run in runs.items() if (record := load(folder, run)) is not None}
+    if not records:
         return
     first = next(iter(runs.values()))
     problem = problem_of(first.scene, first.size)
     pictures = {"start": shown_as(image_at(problem, problem.start(first.seed)))}
-    for name, record in done.items():
-        with Image.open(picture_path(folder, runs[name])) as end:
-            pictures[f"{name}, {record['psnr']:.1f} dB"] = end.convert("RGB")
+    for name, record in records.items():
+        with Image.open(picture_path(folder, runs[name])) as picture:
+            pictures[f"{name}, {record['psnr']:.1f} dB"] = picture.convert("RGB")
     pictures["target"] = shown_as(problem.target)
     write_bytes(path, row_of(pictures))
 
 
 def animate(path: Path, folder: Path, run: Run) -> None:
-    """A fit, step by step, beside its target: a WebP."""
+    """Write an animated WebP of a fit beside its target."""
     record = load(folder, run)
     if record is None:
         return

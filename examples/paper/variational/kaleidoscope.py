@@ -1,6 +1,6 @@
 """``python -m examples.paper kaleidoscope``: the mirrors' angles and the beads' positions, from one image.
 
-All methods have gradients by blurring over the parameters (Fischer and Ritschel, CVPR 2023), each at the best of a
+All methods differentiate a blur over the parameters (Fischer and Ritschel, CVPR 2023), each with the best settings of a
 small search.
 """
 

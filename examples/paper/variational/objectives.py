@@ -1,11 +1,11 @@
-"""The objective of each method."""
+"""Objectives of the methods."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 from examples.paper.variational.problem import FloatArray
-from examples.paper.variational.settings import INNER, PAPER_SCALES, Method
+from examples.paper.variational.settings import INNER_SCALES, PAPER_SCALES, Method
 from loi_core import LOIObjective
 from loi_core.method.blurs import Blur, gaussian_blur
 from loi_core.objectives import Evaluation, ImageObjective, Objective, PixelL2, PlaneComparison, ReferencePlanes
@@ -15,16 +15,16 @@ __all__ = ["BlurredL2", "objective"]
 
 
 class BlurredL2(ImageObjective[float]):
-    """Sum over inner scales of the mean squared difference of the blurred images: the method without histograms.
+    """Sum over inner scales of the mean squared difference of the blurred images, without histograms.
 
-    Parameters are those of :class:`ImageObjective`, except `weights`.
+    Takes all parameters of :class:`ImageObjective` except `weights`.
     """
 
     def compare_with(self, reference: ReferencePlanes) -> PlaneComparison[float]:
         """See :class:`ImageObjective`."""
         planes = reference.planes
         height, width = planes.shape[-2:]
-        blurs = tuple(gaussian_blur(height, width, sigma, "reflect", like=planes) for sigma in INNER)
+        blurs = tuple(gaussian_blur(height, width, sigma, "reflect", like=planes) for sigma in INNER_SCALES)
         return _BlurredComparison(blurs, tuple(blur.apply(planes) for blur in blurs))
 
 
@@ -35,7 +35,7 @@ class _BlurredComparison(PlaneComparison[float]):
 
     def compare(self, planes: Array, *, gradient: bool) -> Evaluation[float]:
         terms, slope = {}, None
-        for sigma, blur, reference in zip(INNER, self.blurs, self.references, strict=True):
+        for sigma, blur, reference in zip(INNER_SCALES, self.blurs, self.references, strict=True):
             difference = blur.apply(planes) - reference
             weight = 1.0 / difference.size
             terms[sigma] = sum_of_all(difference * difference) * weight
@@ -46,7 +46,7 @@ class _BlurredComparison(PlaneComparison[float]):
 
 
 def objective(method: Method, target: FloatArray) -> Objective:
-    """The objective of a method."""
+    """Return the objective of a method."""
     if method == "pixels":
         return PixelL2(target)
     if method == "sigma":

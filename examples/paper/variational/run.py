@@ -1,4 +1,4 @@
-"""One fit, and what it came to."""
+"""One fit of a scene and its outcome."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from loi_core.renderers import BlurredRenderer
 
 __all__ = ["Outcome", "Run", "blurred", "carry_out", "image_at", "problem_of"]
 
-POINTS: Final = 50  # of a path that are kept
+PATH_POINTS: Final = 50  # stored points of a path, about
 
 
 @dataclass(frozen=True)
 class Run:
-    """One fit of a table: of which scene, how, how large, and from which start."""
+    """One fit of a table: its scene, setting, size and the seed of its start."""
 
     scene: Name
     setting: Setting
@@ -31,28 +31,28 @@ class Run:
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """What it is filed under."""
+        """Names of the folders that hold the record."""
         return self.scene, self.setting.method, f"rate {self.setting.rate:g} sigma {self.setting.sigma:g}"
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run came to.
+    """Outcome of a run.
 
     Attributes
     ----------
     psnr : float
-        Of a render at many samples, beside the target: dB, of values as displays want them.
+        PSNR of a render at many samples against the target, in dB, for display-referred values.
     errors : tuple of float
         Mean absolute error of each group of parameters, in its unit.
     found : bool
-        Whether every number is as near as it has to be.
+        Whether every parameter is within its tolerance.
     seconds : float
-        Of a step; what else the machine did is in it.
+        Wall-clock seconds per step, including any other load of the machine.
     path : dict of tuples
-        The parameters on the way, and at the end.
+        Parameters during the fit and at its end.
     image : array, shape (side, side, 3)
-        At the end.
+        Image at the end.
     """
 
     psnr: float
@@ -64,55 +64,55 @@ class Outcome:
 
 
 def problem_of(scene: Name, size: Size) -> Problem:
-    """The scene at a size; made once."""
-    made = {"kaleidoscope": kaleidoscope_scene.problem, "orb": orb_scene.problem}[scene]
-    return made(size.side, size.samples)
+    """Return the problem of a scene at a size, cached."""
+    build = {"kaleidoscope": kaleidoscope_scene.problem, "orb": orb_scene.problem}[scene]
+    return build(size.side, size.samples)
 
 
 def blurred(problem: Problem, setting: Setting) -> BlurredRenderer:
-    """The images, blurred over the parameters."""
+    """Return the renderer of images blurred over the parameters."""
     sigma = {name: setting.sigma * problem.span(name) for name in problem.truth}
-    last = {name: setting.final * one for name, one in sigma.items()}
-    return BlurredRenderer(problem.images, sigma, final_sigma=last, pairs=PAIRS)
+    final_sigma = {name: setting.final * value for name, value in sigma.items()}
+    return BlurredRenderer(problem.images, sigma, final_sigma=final_sigma, pairs=PAIRS)
 
 
 def image_at(problem: Problem, params: Mapping[str, float], seed: int = 0) -> FloatArray:
-    """What is seen with these parameters, at many samples."""
-    return problem.close.render(as_arrays(params), seed=seed)
+    """Return the image for parameters at many samples."""
+    return problem.reference_images.render(as_arrays(params), seed=seed)
 
 
 def carry_out(run: Run) -> Outcome:
-    """Fit, and measure the last iterate."""
+    """Fit the scene, and measure the last iterate."""
     problem, setting, steps = problem_of(run.scene, run.size), run.setting, run.size.steps
     renderer = blurred(problem, setting)
     start = problem.start(run.seed)
     free = {
-        name: Free(value, problem.low[name], problem.high[name], learning_rate=setting.rate * problem.span(name))
+        name: Free(value, problem.lower[name], problem.upper[name], learning_rate=setting.rate * problem.span(name))
         for name, value in start.items()
     }
-    way: list[dict[str, float]] = []
+    iterates: list[dict[str, float]] = []
 
-    def note(_: Any, params: Any, __: Any) -> None:
-        way.append({name: round(float(params[name]), 4) for name in start})
+    def record(_: Any, iterate: Any, __: Any) -> None:
+        iterates.append({name: round(float(iterate[name]), 4) for name in start})
 
-    began = time.perf_counter()
+    started = time.perf_counter()
     result = fit(
         renderer,
         objective(setting.method, problem.target),
         steps=steps,
         seed=10**4 * (run.seed + 1),
         optimise=free,
-        callback=note,
+        callback=record,
     )
-    seconds = (time.perf_counter() - began) / steps
-    found = {name: float(result.params[name]) for name in start}
-    kept = [*way[:: max(1, steps // POINTS)], found]
-    image = image_at(problem, found)
+    seconds = (time.perf_counter() - started) / steps
+    params = {name: float(result.params[name]) for name in start}
+    path = [*iterates[:: max(1, steps // PATH_POINTS)], params]
+    image = image_at(problem, params)
     return Outcome(
         psnr(image, problem.target),
-        tuple(mean for mean, _ in problem.errors(found)),
-        problem.is_found(found),
+        tuple(mean for mean, _ in problem.errors(params)),
+        problem.is_found(params),
         seconds,
-        {name: tuple(round(one[name], 4) for one in kept) for name in start},
+        {name: tuple(round(point[name], 4) for point in path) for name in start},
         image,
     )

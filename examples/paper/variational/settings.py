@@ -1,4 +1,4 @@
-"""How a fit is done: by which loss, at which rate, with which blur of the parameters."""
+"""Settings of the fits: the loss, the learning rate, and the blur over the parameters."""
 
 from __future__ import annotations
 
@@ -7,7 +7,19 @@ from typing import Final, Literal
 
 from loi_core import ScaleSpace
 
-__all__ = ["CHOSEN", "INNER", "LABELS", "PAIRS", "PAPER_SCALES", "RATES", "SIGMAS", "Method", "Name", "Setting", "Size"]
+__all__ = [
+    "CHOSEN",
+    "INNER_SCALES",
+    "LABELS",
+    "PAIRS",
+    "PAPER_SCALES",
+    "RATES",
+    "SIGMAS",
+    "Method",
+    "Name",
+    "Setting",
+    "Size",
+]
 
 Method = Literal["pixels", "sigma", "paper", "default"]
 Name = Literal["kaleidoscope", "orb"]
@@ -19,41 +31,41 @@ LABELS: Final[dict[Method, str]] = {
     "default": "loi, our scales",
 }
 PAPER_SCALES: Final = ScaleSpace.paper("path")
-INNER: Final = PAPER_SCALES.sigma
-PAIRS: Final = 4  # of images a step
-LAST: Final = 0.4  # what is left of the blur of the parameters at the end
+INNER_SCALES: Final = PAPER_SCALES.sigma
+PAIRS: Final = 4  # of images per step
+FINAL_SIGMA_SHARE: Final = 0.4  # of the blur over the parameters
 
 
 @dataclass(frozen=True)
 class Setting:
-    """One way to fit.
+    """Settings of a fit.
 
     Attributes
     ----------
     method : str
-        Which objective.
+        Name of the objective.
     rate, sigma : float
-        Adam's rate and the standard deviation of the blur, as shares of each parameter's range.
+        Learning rate of Adam and standard deviation of the blur, as shares of each parameter's range.
     final : float
-        Share of `sigma` with which the fit ends; it falls over the second half.
+        Share of `sigma` at the end of the fit, which the blur approaches over the second half.
     """
 
     method: Method
     rate: float
     sigma: float
-    final: float = LAST
+    final: float = FINAL_SIGMA_SHARE
 
 
 @dataclass(frozen=True)
 class Size:
-    """How large a fit is: pixels along a side, samples a pixel, steps."""
+    """Size of a fit: pixels along a side of the image, samples per pixel, steps."""
 
     side: int
     samples: int
     steps: int
 
 
-# Shares of the range that are searched over; those chosen are the best of each method, on a start that no table has.
+# Shares of the range in the search, and the best of each method, for a start that no table contains.
 RATES: Final[dict[Name, tuple[float, ...]]] = {"kaleidoscope": (0.02, 0.04), "orb": (0.01, 0.03)}
 SIGMAS: Final[dict[Name, tuple[float, ...]]] = {"kaleidoscope": (0.05, 0.1), "orb": (0.05, 0.15)}
 CHOSEN: Final[dict[Name, dict[Method, tuple[float, float]]]] = {

@@ -1,4 +1,4 @@
-"""What the runs came to, as Markdown and CSV."""
+"""Results of the runs as Markdown and CSV."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ from examples.paper.lib.store import load
 from examples.paper.variational.run import Run
 from loi_core.support.markdown import markdown
 
-__all__ = ["csv_of", "kept_lines", "search_table", "starts_table", "summary"]
+__all__ = ["csv_of", "merged_csv", "search_table", "starts_table", "summary"]
 
-FEW: Final = 4  # runs, of which an interval says nothing
-COLUMNS: Final = ("method", "rate", "sigma", "final", "side", "samples", "steps", "seed")  # that tell runs apart
+MIN_INTERVAL_RUNS: Final = 4  # an interval of fewer runs is not meaningful
+COLUMNS: Final = ("method", "rate", "sigma", "final", "side", "samples", "steps", "seed")  # identify a run
 
 
 def csv_of(folder: Path, runs: Sequence[Run], groups: Sequence[str]) -> str:
-    """A line for each run that is done; `groups` name its errors."""
+    """Return a CSV with a line for each finished run; `groups` are the labels of its errors."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow([*COLUMNS, "found", "psnr", *groups, "seconds"])
@@ -29,28 +29,29 @@ def csv_of(folder: Path, runs: Sequence[Run], groups: Sequence[str]) -> str:
         record = load(folder, run)
         if record is not None:
             setting, size = run.setting, run.size
-            how = [setting.method, setting.rate, setting.sigma, setting.final, size.side, size.samples, size.steps]
+            settings = [setting.method, setting.rate, setting.sigma, setting.final, size.side, size.samples, size.steps]
             errors = [f"{error:.4f}" for error in record["errors"]]
-            found = [run.seed, record["found"], f"{record['psnr']:.3f}"]
-            writer.writerow([*how, *found, *errors, f"{record['seconds']:.3f}"])
+            cells = [*settings, run.seed, record["found"], f"{record['psnr']:.3f}", *errors]
+            writer.writerow([*cells, f"{record['seconds']:.3f}"])
     return stream.getvalue()
 
 
-def kept_lines(numbers: str, before: Path) -> str:
-    """A CSV of :func:`csv_of`, and the lines of the one `before`, if there is one, of runs that it has not."""
-    if not before.is_file():
+def merged_csv(numbers: str, path: Path) -> str:
+    """Return a CSV of :func:`csv_of` with the lines of the file at `path`, if it exists, for all further runs."""
+    if not path.is_file():
         return numbers
-    known = {_run_of(line) for line in numbers.splitlines()}
-    others = [line for line in before.read_text(encoding="utf-8").splitlines() if _run_of(line) not in known]
-    return numbers + "".join(f"{line}\n" for line in others)
+    runs = {_run_of(line) for line in numbers.splitlines()}
+    further_lines = [line for line in path.read_text(encoding="utf-8").splitlines() if _run_of(line) not in runs]
+    return numbers + "".join(f"{line}\n" for line in further_lines)
 
 
 def _run_of(line: str) -> tuple[str, ...]:
+    """Return the cells that identify the run of a line."""
     return tuple(line.split(",")[: len(COLUMNS)])
 
 
 def summary(folder: Path, rows: Mapping[str, Sequence[Run]], groups: Sequence[str]) -> list[str]:
-    """A line for each method: how many starts it finds, and means over all of them."""
+    """Return a table of the successful starts of each method, and of its means over all starts."""
     table = []
     for name, runs in rows.items():
         records = [record for run in runs if (record := load(folder, run)) is not None]
@@ -62,19 +63,19 @@ def summary(folder: Path, rows: Mapping[str, Sequence[Run]], groups: Sequence[st
             " / ".join(f"{fold([record['errors'][k] for record in records]):.3f}" for fold in (fmean, median))
             for k in range(len(groups))
         ]
-        spread = "" if psnr.count < FEW else f" ± {psnr.half:.1f}"
-        found = f"{sum(record['found'] for record in records)} of {len(records)}"
-        how = [f"{setting.rate:g}", f"{setting.sigma:g}"]
+        spread = "" if psnr.count < MIN_INTERVAL_RUNS else f" ± {psnr.half_width:.1f}"
+        successes = f"{sum(record['found'] for record in records)} of {len(records)}"
+        settings = [f"{setting.rate:g}", f"{setting.sigma:g}"]
         seconds = f"{fmean([record['seconds'] for record in records]):.2f}"
-        table.append([name, *how, found, f"{psnr.value:.2f}{spread}", *errors, seconds])
+        table.append([name, *settings, successes, f"{psnr.value:.2f}{spread}", *errors, seconds])
     if not table:
         return ["None of these runs is done yet."]
-    named = [f"MAE, {group}: mean / median" for group in groups]
-    return markdown(["method", "rate", "sigma", "found", "PSNR", *named, "seconds a step"], table)
+    error_headings = [f"MAE, {group}: mean / median" for group in groups]
+    return markdown(["method", "rate", "sigma", "found", "PSNR", *error_headings, "seconds a step"], table)
 
 
 def starts_table(folder: Path, rows: Mapping[str, Sequence[Run]]) -> list[str]:
-    """PSNR of every start, in bold where it is found."""
+    """Return a table of the PSNR of every start, in bold where the fit succeeds."""
     table = []
     for name, runs in rows.items():
         cells = []
@@ -88,11 +89,11 @@ def starts_table(folder: Path, rows: Mapping[str, Sequence[Run]]) -> list[str]:
 
 
 def search_table(folder: Path, rows: Mapping[str, Sequence[Run]]) -> list[str]:
-    """PSNR on the search's start for every rate and sigma; the best of each method in bold."""
-    table, heads = [], []
+    """Return a table of the PSNR of the search for every rate and sigma, the best of each method in bold."""
+    table, headings = [], []
     for name, runs in rows.items():
         records = [load(folder, run) for run in runs]
-        heads = [f"{run.setting.rate:g} / {run.setting.sigma:g}" for run in runs]
+        headings = [f"{run.setting.rate:g} / {run.setting.sigma:g}" for run in runs]
         best = max((record["psnr"] for record in records if record is not None), default=None)
         cells = ["" if record is None else f"{record['psnr']:.2f}" for record in records]
         table.append(
@@ -104,4 +105,4 @@ def search_table(folder: Path, rows: Mapping[str, Sequence[Run]]) -> list[str]:
                 ),
             ]
         )
-    return markdown(["rate / sigma", *heads], table)
+    return markdown(["rate / sigma", *headings], table)

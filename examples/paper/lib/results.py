@@ -1,4 +1,4 @@
-"""What is known of the runs of a table: records in a folder, and figures that the table has had before."""
+"""Results of a table's runs: stored records, and the figures of earlier runs that only the CSV still holds."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ from typing import Any, Final, Protocol, TypeAlias
 
 from examples.paper.lib.store import Run, load
 
-__all__ = ["KEY", "Fit", "Known", "key_of", "read_figures"]
+__all__ = ["KEY", "Fit", "Results", "key_of", "read_figures"]
 
 KEY: Final = ("setting", "method", "rate", "steps", "column", "seed")
-"""The columns of a CSV that tell a run from the others of its table."""
+"""Columns of a CSV that identify a run within its table."""
 
 Key: TypeAlias = tuple[str, ...]
 
@@ -34,33 +34,33 @@ class _Column(Protocol):
 
 
 class Fit(Run, Protocol):
-    """One run of a table: a setting's fit of a column, from one of its starts."""
+    """One run of a table: a fit with one setting, of one column, from one start."""
 
     @property
     def setting(self) -> _Setting:
-        """How it is done."""
+        """Objective and optimiser settings."""
 
     @property
     def column(self) -> _Column:
-        """Of what."""
+        """Column of the table: the problem to solve."""
 
     @property
     def steps(self) -> int:
-        """Of the whole fit."""
+        """Number of steps of the whole fit."""
 
 
 @dataclass(frozen=True)
-class Known:
-    """Where runs are looked up.
+class Results:
+    """Results of runs: the records of a folder, then the figures of a CSV.
 
     Attributes
     ----------
     folder : Path
-        Of records; see :func:`examples.paper.lib.store.keep`.
+        Folder of the records, see :func:`examples.paper.lib.store.keep`.
     figures : dict
-        Of runs that are not in the folder, by their keys.
+        Figures from the CSV by the key of their run; a record in the folder takes precedence.
     columns : tuple
-        Those that the figures are of. Others may share a name with one of them.
+        Columns that the figures belong to: a different column may have the same name.
     """
 
     folder: Path
@@ -68,12 +68,12 @@ class Known:
     columns: tuple[Any, ...] = ()
 
     def of(self, run: Fit) -> Mapping[str, Any] | None:
-        """The record of a run, or the figures that are left of it; None if neither is there."""
+        """Return the record of a run, else its figures, else None."""
         record = load(self.folder, run)
         return record if record is not None else self._figures(run)
 
     def has_figures_only(self, runs: Sequence[Fit]) -> bool:
-        """Whether the pictures of some runs are gone."""
+        """Return whether a run has figures but no record, and therefore no picture."""
         return any(load(self.folder, run) is None and self._figures(run) is not None for run in runs)
 
     def _figures(self, run: Fit) -> Mapping[str, float] | None:
@@ -81,13 +81,13 @@ class Known:
 
 
 def key_of(run: Fit) -> Key:
-    """What stands in the columns `KEY` of a CSV for a run."""
+    """Return the values of a run in the CSV columns `KEY`."""
     setting = run.setting
     return tuple(map(str, (setting.name, setting.method, setting.rate, run.steps, run.column.name, run.seed)))
 
 
 def read_figures(path: Path) -> dict[Key, dict[str, float]]:
-    """What a CSV says of its runs; nothing if there is none."""
+    """Return the figures of every run in a CSV by its key; an empty dictionary if there is no such file."""
     if not path.is_file():
         return {}
     rows = csv.DictReader(io.StringIO(path.read_text(encoding="utf-8")))
