@@ -56,8 +56,8 @@ def test_a_run_is_done_only_with_its_very_settings(tmp_path: Path) -> None:
     run = Run(replace(OURS["pixel_l2"], steps=FEW), SMALL, 0)
     keep(tmp_path, run, carry_out(run))
     assert is_done(tmp_path, run)
-    assert not is_done(tmp_path, replace(run, setting=replace(run.setting, rate=0.5)))
-    assert not is_done(tmp_path, replace(run, column=replace(run.column, noise=0.1)))
+    assert not is_done(tmp_path, Run(replace(run.setting, rate=0.5), SMALL, 0))
+    assert not is_done(tmp_path, Run(run.setting, replace(SMALL, noise=0.1), 0))
     next(tmp_path.glob("**/*.json")).write_text("{ cut sho")
     assert not is_done(tmp_path, run)
 

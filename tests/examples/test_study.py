@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from examples.paper.lib.results import Fit
 from examples.paper.lib.study import Study, Subtable, add_options, carry_out_and_report
 
 
@@ -19,6 +20,7 @@ class Setting:
     name: str
     method: str
     rate: float = 1.0
+    steps: int = 10
 
 
 @dataclass(frozen=True)
@@ -27,13 +29,7 @@ class Column:
     width: int = 4
 
 
-@dataclass(frozen=True)
-class OneFit:
-    setting: Setting
-    column: Column
-    seed: int
-    steps: int = 10
-
+class OneFit(Fit[Setting, Column]):
     @property
     def parts(self) -> tuple[str, ...]:
         return self.setting.name, self.setting.method, f"{self.column.name} {self.column.width}"

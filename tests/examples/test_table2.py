@@ -115,7 +115,7 @@ def test_the_quick_tier_runs_and_is_not_done_twice(tmp_path: Path, capsys: pytes
 def test_wrong_words_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["--columns", "Caustics", "--out", str(tmp_path)])
-    assert "--columns must be of 'Shadow'" in capsys.readouterr().err
+    assert "--columns must be among 'Shadow'" in capsys.readouterr().err
 
 
 @thorough

@@ -52,4 +52,4 @@ def test_the_quick_tier_of_table_3_runs_once(tmp_path: Path, capsys: pytest.Capt
 def test_table_3_refuses_wrong_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["--columns", "Kitten", "--out", str(tmp_path)])
-    assert "--columns must be of 'Translation'" in capsys.readouterr().err
+    assert "--columns must be among 'Translation'" in capsys.readouterr().err

@@ -7,11 +7,11 @@ import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, Final, Protocol, TypeAlias
+from typing import Any, Final, Generic, Protocol, TypeAlias, TypeVar
 
-from examples.paper.lib.store import Run, load
+from examples.paper.lib.store import load
 
-__all__ = ["KEY", "Fit", "Results", "key_of", "read_figures"]
+__all__ = ["KEY", "AnyFit", "ColumnType", "Fit", "Results", "key_of", "read_figures"]
 
 KEY: Final = ("setting", "method", "rate", "steps", "column", "seed")
 """Columns of a CSV that identify a run within its table."""
@@ -26,6 +26,8 @@ class _Setting(Protocol):
     def method(self) -> str: ...
     @property
     def rate(self) -> float: ...
+    @property
+    def steps(self) -> int: ...
 
 
 class _Column(Protocol):
@@ -33,20 +35,30 @@ class _Column(Protocol):
     def name(self) -> str: ...
 
 
-class Fit(Run, Protocol):
-    """One run of a table: a fit with one setting, of one column, from one start."""
+SettingType = TypeVar("SettingType", bound=_Setting)
+ColumnType = TypeVar("ColumnType", bound=_Column)
+
+
+@dataclass(frozen=True)
+class Fit(Generic[SettingType, ColumnType]):
+    """One run of a table: a fit with one setting, of one column, from the start of one seed."""
+
+    setting: SettingType
+    column: ColumnType
+    seed: int
 
     @property
-    def setting(self) -> _Setting:
-        """Objective and optimiser settings."""
-
-    @property
-    def column(self) -> _Column:
-        """Column of the table: the problem to solve."""
+    def parts(self) -> tuple[str, ...]:
+        """Names of the folders that hold the record: setting with its rate, method and column."""
+        return f"{self.setting.name} {self.setting.rate:g}", self.setting.method, self.column.name
 
     @property
     def steps(self) -> int:
         """Number of steps of the whole fit."""
+        return self.setting.steps
+
+
+AnyFit: TypeAlias = Fit[Any, Any]
 
 
 @dataclass(frozen=True)
@@ -67,20 +79,20 @@ class Results:
     figures: Mapping[Key, Mapping[str, float]] = field(default_factory=dict)
     columns: tuple[Any, ...] = ()
 
-    def of(self, run: Fit) -> Mapping[str, Any] | None:
+    def of(self, run: AnyFit) -> Mapping[str, Any] | None:
         """Return the record of a run, else its figures, else None."""
         record = load(self.folder, run)
         return record if record is not None else self._figures(run)
 
-    def has_figures_only(self, runs: Sequence[Fit]) -> bool:
+    def has_figures_only(self, runs: Sequence[AnyFit]) -> bool:
         """Return whether a run has figures but no record, and therefore no picture."""
         return any(load(self.folder, run) is None and self._figures(run) is not None for run in runs)
 
-    def _figures(self, run: Fit) -> Mapping[str, float] | None:
+    def _figures(self, run: AnyFit) -> Mapping[str, float] | None:
         return self.figures.get(key_of(run)) if run.column in self.columns else None
 
 
-def key_of(run: Fit) -> Key:
+def key_of(run: AnyFit) -> Key:
     """Return the values of a run in the CSV columns `KEY`."""
     setting = run.setting
     return tuple(map(str, (setting.name, setting.method, setting.rate, run.steps, run.column.name, run.seed)))

@@ -15,16 +15,16 @@ import numpy as np
 from examples.paper.lib.means import Mean
 from examples.paper.lib.pages import fill
 from examples.paper.lib.pictures import contact_sheet, convergence_plot
-from examples.paper.lib.results import KEY, Fit, Results, key_of, read_figures
+from examples.paper.lib.results import KEY, AnyFit, ColumnType, Results, key_of, read_figures
 from examples.paper.lib.runner import carry_out_all
 from examples.paper.lib.store import slug
 from loi_core.errors import OptionError
 from loi_core.io.files import check_writable, write_text
 from loi_core.support.markdown import markdown
 
-__all__ = ["Study", "Subtable", "add_options", "carry_out_and_report", "check_out"]
+__all__ = ["Study", "Subtable", "add_options", "carry_out_and_report", "check_out", "selected_columns"]
 
-RunType = TypeVar("RunType", bound=Fit)
+RunType = TypeVar("RunType", bound=AnyFit)
 HEADER_LINES: Final = 2  # of a table without rows
 
 
@@ -199,6 +199,16 @@ def add_options(
     parser.add_argument("--docs", type=Path, help=f"folder with {name}.md; update its tables, numbers and pictures")
 
 
+def selected_columns(
+    parser: argparse.ArgumentParser, options: argparse.Namespace, columns: Sequence[ColumnType]
+) -> tuple[ColumnType, ...]:
+    """Return the columns that ``--columns`` names, all by default; exit with a message if an option is wrong."""
+    by_name = {column.name: column for column in columns}
+    if not by_name.keys() >= set(options.columns or ()) or options.seeds < 1:
+        parser.error(f"--columns must be among {', '.join(map(repr, by_name))}; --seeds must be 1 or more")
+    return tuple(column for name, column in by_name.items() if options.columns is None or name in options.columns)
+
+
 def carry_out_and_report(
     parser: argparse.ArgumentParser,
     options: argparse.Namespace,
@@ -242,7 +252,7 @@ def check_out(parser: argparse.ArgumentParser, folder: Path) -> None:
         parser.error(str(error))
 
 
-def _mean(results: Results, runs: Sequence[Fit]) -> float | None:
+def _mean(results: Results, runs: Sequence[AnyFit]) -> float | None:
     """Return the mean PSNR; None without runs, or if a run has no result."""
     values = [record["psnr"] for run in runs if (record := results.of(run)) is not None]
     return float(np.mean(values)) if values and len(values) == len(runs) else None

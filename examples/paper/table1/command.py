@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Sequence
 from typing import Final
 
-from examples.paper.lib.study import Study, add_options, carry_out_and_report
+from examples.paper.lib.study import Study, add_options, carry_out_and_report, selected_columns
 from examples.paper.table1.extent import ABLATED, FEW, PARTS, SEEDS, Extent
 from examples.paper.table1.problem import COLUMNS, HARDER, Column, Image, Problem
 from examples.paper.table1.published import PAPER
@@ -28,14 +28,9 @@ def main(words: Sequence[str] | None = None) -> None:
     if options.quick:
         extent = Extent(("ours",), ("pixel_l2", "loi"), (Column("4", 4, side=64),), (), (), 1, steps=60)
     else:
-        every = (*COLUMNS, *HARDER)
-        wanted = options.columns or [column.name for column in every]
-        unknown = set(wanted) - {column.name for column in every}
-        if unknown or options.seeds < 1:
-            names = ", ".join(repr(column.name) for column in every)
-            parser.error(f"--columns must be of {names}; --seeds 1 or more")
+        selected = selected_columns(parser, options, (*COLUMNS, *HARDER))
         columns, harder, ablated = (
-            tuple(one for one in some if one.name in wanted) for some in (COLUMNS, HARDER, ABLATED)
+            tuple(column for column in group if column in selected) for group in (COLUMNS, HARDER, ABLATED)
         )
         few = min(options.seeds, FEW)
         extent = Extent(tuple(options.parts), methods, columns, harder, ablated, options.seeds, few)

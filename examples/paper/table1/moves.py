@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-
 import numpy as np
 
 from examples.paper.table1.problem import RADIUS, FloatArray
-from loi_core.renderers import Disks
-from loi_core.renderers.contract import RendererCapabilities
+from examples.paper.table1.renderers import DisksWrapper
 from loi_core.renderers.packing import candidate_pairs
 
 __all__ = ["ReleasedMoves"]
@@ -17,39 +14,15 @@ ROUNDS = 50
 PUSH = 0.5  # pixels in a round, for each disk that is touched
 
 
-class ReleasedMoves:
+class ReleasedMoves(DisksWrapper):
     """`disks`, kept two radii from the frame and pushed apart by half a pixel for each disk that they touch.
 
     Disks in exactly the same place are not pushed. After the pushes a centre may be anywhere in the frame.
     """
 
-    backend = "numpy"
-
-    def __init__(self, disks: Disks) -> None:
-        self._disks = disks
-
-    @property
-    def capabilities(self) -> RendererCapabilities:
-        """A fit calls :meth:`project` after every step."""
-        return RendererCapabilities(project=self.project)
-
-    def parameters(self) -> dict[str, FloatArray]:
-        """See :class:`Disks`."""
-        return self._disks.parameters()
-
-    def render(self, params: dict[str, FloatArray], *, seed: int = 0) -> FloatArray:
-        """See :class:`Disks`."""
-        return self._disks.render(params, seed=seed)
-
-    def render_vjp(
-        self, params: dict[str, FloatArray], *, seed: int = 0
-    ) -> tuple[FloatArray, Callable[[FloatArray], dict[str, FloatArray]]]:
-        """See :class:`Disks`."""
-        return self._disks.render_vjp(params, seed=seed)
-
     def project(self, params: dict[str, FloatArray]) -> dict[str, FloatArray]:
         """What the released code does before each render."""
-        height, width = self._disks.size
+        height, width = self.disks.size
         frame = np.array([width, height], dtype=np.float64)
         places = np.clip(params["positions"].astype(np.float64), 2.0 * RADIUS, frame - 2.0 * RADIUS)
         radii = np.full(len(places), RADIUS)

@@ -11,34 +11,42 @@ from examples.paper.table1.problem import FloatArray, Image
 from loi_core.renderers import Disks
 from loi_core.renderers.contract import RendererCapabilities
 
-__all__ = ["BothOrders", "Noisy"]
+__all__ = ["BothOrders", "DisksWrapper", "Noisy"]
 
 Pullback: TypeAlias = Callable[[FloatArray], dict[str, FloatArray]]
 
 
-class _Wrapped:
-    """`disks`, but for the render."""
+class DisksWrapper:
+    """Base of renderers that change one method of :class:`Disks`, and delegate the others."""
 
     backend = "numpy"
 
     def __init__(self, disks: Disks) -> None:
-        self._disks = disks
+        self.disks = disks
 
     @property
     def capabilities(self) -> RendererCapabilities:
-        """A fit calls :meth:`project` after every step."""
+        """Declare that a fit calls :meth:`project` after every step."""
         return RendererCapabilities(project=self.project)
 
     def parameters(self) -> dict[str, FloatArray]:
-        """See :class:`Disks`."""
-        return self._disks.parameters()
+        """Return the start of a fit; see :class:`Disks`."""
+        return self.disks.parameters()
+
+    def render(self, params: dict[str, FloatArray], *, seed: int = 0) -> Image:
+        """Return the image; see :class:`Disks`."""
+        return self.disks.render(params, seed=seed)
+
+    def render_vjp(self, params: dict[str, FloatArray], *, seed: int = 0) -> tuple[Image, Pullback]:
+        """Return the image and its pullback; see :class:`Disks`."""
+        return self.disks.render_vjp(params, seed=seed)
 
     def project(self, params: dict[str, FloatArray]) -> dict[str, FloatArray]:
-        """See :class:`Disks`."""
-        return self._disks.project(params)
+        """Return the parameters that a fit continues with; see :class:`Disks`."""
+        return self.disks.project(params)
 
 
-class Noisy(_Wrapped):
+class Noisy(DisksWrapper):
     """`disks` with Gaussian noise of this standard deviation, other noise for every seed."""
 
     def __init__(self, disks: Disks, noise: float) -> None:
@@ -51,25 +59,21 @@ class Noisy(_Wrapped):
 
     def render_vjp(self, params: dict[str, FloatArray], *, seed: int = 0) -> tuple[Image, Pullback]:
         """The image with noise, which does not depend on the parameters."""
-        image, pullback = self._disks.render_vjp(params, seed=seed)
+        image, pullback = self.disks.render_vjp(params, seed=seed)
         noise = self._noise * np.random.default_rng(seed).standard_normal(image.shape)
         return (image + noise).astype(image.dtype), pullback
 
 
-class BothOrders(_Wrapped):
+class BothOrders(DisksWrapper):
     """`disks`, with the mean of the gradients of both orders of painting: in one of them what is hidden lies on top.
 
     Where no two disks overlap that is the exact gradient; elsewhere it is that of no image.
     """
 
-    def render(self, params: dict[str, FloatArray], *, seed: int = 0) -> Image:
-        """See :class:`Disks`."""
-        return self._disks.render(params, seed=seed)
-
     def render_vjp(self, params: dict[str, FloatArray], *, seed: int = 0) -> tuple[Image, Pullback]:
         """The image in its own order, and the pullback of both."""
-        image, own = self._disks.render_vjp(params, seed=seed)
-        opposite = self._disks.render_vjp({name: value[::-1] for name, value in params.items()}, seed=seed)[1]
+        image, own = self.disks.render_vjp(params, seed=seed)
+        opposite = self.disks.render_vjp({name: value[::-1] for name, value in params.items()}, seed=seed)[1]
 
         def pullback(cotangent: FloatArray) -> dict[str, FloatArray]:
             turned = opposite(cotangent)

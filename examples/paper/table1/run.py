@@ -8,6 +8,7 @@ from typing import Final
 
 import numpy as np
 
+from examples.paper.lib.results import Fit
 from examples.paper.table1.moves import ReleasedMoves
 from examples.paper.table1.objectives import objective
 from examples.paper.table1.problem import RADIUS, Column, Image, Problem
@@ -27,22 +28,17 @@ UNIT: Final = 128  # side of the image whose pixels a rate is in
 FOUND: Final = 0.5  # pixels from its place at which a disk counts as found
 
 
-@dataclass(frozen=True)
-class Run:
-    """One fit of the table: how, of what, and from which start."""
-
-    setting: Setting
-    column: Column
-    seed: int
+class Run(Fit[Setting, Column]):
+    """One fit of the table."""
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """What it is filed under."""
+        """Names of the folders that hold the record: setting, method and column."""
         return self.setting.name, self.setting.method, self.column.name
 
     @property
     def steps(self) -> int:
-        """Of all fits that it takes."""
+        """Number of steps of all stages."""
         return sum(stage.steps for stage in self.setting.stages)
 
 

@@ -12,7 +12,7 @@ from typing import Any, Final
 from examples.paper.lib.pictures import animation, moments
 from examples.paper.lib.results import Results
 from examples.paper.lib.store import load, slug
-from examples.paper.lib.study import Study, Subtable, add_options, carry_out_and_report
+from examples.paper.lib.study import Study, Subtable, add_options, carry_out_and_report, selected_columns
 from examples.paper.table2.cost import cost_of
 from examples.paper.table2.problem import COLUMNS, Column, Problem
 from examples.paper.table2.published import PAPER
@@ -53,11 +53,8 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--seeds", type=int, default=3, help="starts (default: 3)")
     parser.add_argument("--variant", choices=VARIANTS, default=VARIANT, help=f"Mitsuba's (default: {VARIANT})")
     options = parser.parse_args(words)
-    names = [column.name for column in COLUMNS]
-    if set(options.columns or names) - set(names) or options.seeds < 1:
-        parser.error(f"--columns must be of {', '.join(map(repr, names))}; --seeds 1 or more")
     methods = tuple(method for method in LABELS if method in options.methods)
-    columns = tuple(column for column in COLUMNS if column.name in (options.columns or names))
+    columns = selected_columns(parser, options, COLUMNS)
     mi.set_variant(options.variant)
     parts = {name: part_of(name, methods, columns, options.seeds) for name in options.parts if name != "savings"}
     study = replace(STUDY, carry_out=partial(carry_out, variant=options.variant))

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 
 from examples.paper.lib.lpips import lpips
+from examples.paper.lib.results import Fit
 from examples.paper.table2.problem import Column, Problem, images_of, numbers
 from examples.paper.table2.scenes import FloatArray
 from examples.paper.table2.settings import (
@@ -51,25 +52,14 @@ PAIRS: Final = 5  # of images for a gradient from images alone: ten renders
 VARIANT: Final = "llvm_ad_rgb"  # of Mitsuba, by default
 
 
-@dataclass(frozen=True)
-class Run:
-    """One fit of the table: how, of what, and from which start."""
-
-    setting: Setting
-    column: Column
-    seed: int
+class Run(Fit[Setting, Column]):
+    """One fit of the table."""
 
     @property
     def parts(self) -> tuple[str, ...]:
-        """What it is filed under."""
-        setting = self.setting
-        size = f"{self.column.width} {self.column.samples}"
-        return f"{setting.name} {setting.rate:g}", setting.method, f"{self.column.name} {size}"
-
-    @property
-    def steps(self) -> int:
-        """Of the fit."""
-        return self.setting.steps
+        """Names of the folders that hold the record: setting, method, and column with its width and samples."""
+        setting, method, column = super().parts
+        return setting, method, f"{column} {self.column.width} {self.column.samples}"
 
 
 @dataclass(frozen=True)

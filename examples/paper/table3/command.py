@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
-from examples.paper.lib.study import Study, Subtable, add_options, carry_out_and_report
+from examples.paper.lib.study import Study, Subtable, add_options, carry_out_and_report, selected_columns
 from examples.paper.table3.problem import COLUMNS, Column, FloatArray, Problem
 from examples.paper.table3.published import PAPER
 from examples.paper.table3.run import CURVE_STEPS, Run, carry_out
@@ -27,11 +27,8 @@ def main(words: Sequence[str] | None = None) -> None:
     parser.add_argument("--methods", nargs="+", choices=list(LABELS), default=list(LABELS), help="default: all")
     parser.add_argument("--seeds", type=int, default=SEEDS, help=f"starts (default: {SEEDS}; the paper has 1 of some)")
     options = parser.parse_args(words)
-    names = [column.name for column in COLUMNS]
-    if set(options.columns or names) - set(names) or options.seeds < 1:
-        parser.error(f"--columns must be of {', '.join(map(repr, names))}; --seeds 1 or more")
     methods = tuple(method for method in LABELS if method in options.methods)
-    columns = tuple(column for column in COLUMNS if column.name in (options.columns or names))
+    columns = selected_columns(parser, options, COLUMNS)
     parts = {name: _part(name, methods, columns, options.seeds) for name in options.parts}
     carry_out_and_report(parser, options, STUDY, {"ours": _quick()} if options.quick else parts)
 

@@ -10,6 +10,7 @@ from typing import Any, Final
 import numpy as np
 import torch
 
+from examples.paper.lib.results import Fit
 from examples.paper.table1.run import structure
 from examples.paper.table3.objectives import objective
 from examples.paper.table3.problem import Column, FloatArray, Problem, image_of
@@ -30,23 +31,8 @@ CURVE_STEPS: Final = 10  # between two points of a convergence curve
 STEP_DECAY: Final = 0.999
 
 
-@dataclass(frozen=True)
-class Run:
-    """One fit of the table: how, of what, and from which start."""
-
-    setting: Setting
-    column: Column
-    seed: int
-
-    @property
-    def parts(self) -> tuple[str, ...]:
-        """What it is filed under."""
-        return f"{self.setting.name} {self.setting.rate:g}", self.setting.method, self.column.name
-
-    @property
-    def steps(self) -> int:
-        """Of the fit."""
-        return self.setting.steps
+class Run(Fit[Setting, Column]):
+    """One fit of the table."""
 
 
 @dataclass(frozen=True)
