@@ -16,7 +16,7 @@ from examples.paper.lib.runner import carry_out_all
 from examples.paper.lib.store import is_done, keep, load, picture_path
 from examples.paper.table1 import guidance
 from examples.paper.table1.command import main
-from examples.paper.table1.extent import PARTS, Extent
+from examples.paper.table1.extent import SUBTABLES, Extent
 from examples.paper.table1.moves import ReleasedMoves
 from examples.paper.table1.objectives import Sums, objective
 from examples.paper.table1.problem import COLUMNS, HARDER, RADIUS, Column, Problem
@@ -89,7 +89,7 @@ def test_what_is_told_of_a_run_has_only_those_later_fields_that_are_used() -> No
 
 
 def test_no_two_runs_share_a_file(tmp_path: Path) -> None:
-    runs = Extent(PARTS, tuple(LABELS)).runs
+    runs = Extent(SUBTABLES, tuple(LABELS)).runs
     assert len({picture_path(tmp_path, run) for run in runs}) == len(runs) > 1000
 
 

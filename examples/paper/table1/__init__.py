@@ -1,4 +1,4 @@
-"""Table 1 of the paper: the places of disks of known colour, found from an image."""
+"""Table 1 of the paper: the positions of disks of known colour, fitted to an image."""
 
 from examples.paper.table1.command import main
 

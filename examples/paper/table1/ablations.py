@@ -1,4 +1,4 @@
-"""Ours with one thing changed: what each part is for."""
+"""Ablations: our setting with one change each."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from loi_core import ScaleSpace
 
 __all__ = ["ABLATIONS", "WIDTHS"]
 
-# Of a square image of 128 pixels.
+# Standard deviations in pixels, for a square image of 128 pixels.
 WIDTHS: Final = (1, 5, 15, 45)
 _SCALES: Final[dict[str, ScaleSpace | Literal["for_image", "every"]]] = {
     "every scale": "every",
@@ -28,23 +28,24 @@ _SCALES: Final[dict[str, ScaleSpace | Literal["for_image", "every"]]] = {
     "p 1/2 (squares)": ScaleSpace(WIDTHS, WIDTHS, 0.125, p=0.5),
     "p 2 (roots)": ScaleSpace(WIDTHS, WIDTHS, 0.125, p=2.0),
 }
-# Taps for all of the widest extent that matters; the inner kernels get half as many, two standard deviations a side.
+# 361 taps cover four standard deviations of the widest extent on either side. The inner kernels have half as many taps,
+# two standard deviations on either side.
 _RELEASED_LEVELS: Final = ScaleSpace(WIDTHS, WIDTHS, 0.125, convention="released", kernel_size=361)
-_OURS: Final = OURS["loi"]
-# Narrow extents hold a disk where it covers a little of its colour, so wide ones go first, at the full rate: as long
-# as a disk takes to cross the image once and a half. No longer: only narrow ones tell neighbours apart.
-_WIDE: Final = replace(_OURS, name="wide extents", scales="wide", steps=50, decay="none")
-# Whether it is the wide extents that help, or the full rate of those steps and the fresh start after them.
-_EVERY: Final = replace(_OURS, steps=50, decay="none")
+_LOI: Final = OURS["loi"]
+# Narrow extents trap a disk that overlaps its target colour a little, so wide extents come first, at the full rate, for
+# as long as a disk needs to cross the image one and a half times. Only narrow extents distinguish neighbouring disks.
+_WIDE_STAGE: Final = replace(_LOI, name="wide extents", scales="wide", steps=50, decay="none")
+# The control of the stage above: the full rate and the restart of Adam, without the wide extents.
+_EVERY_SCALE_STAGE: Final = replace(_LOI, steps=50, decay="none")
 ABLATIONS: Final = (
-    *(replace(_OURS, name=name, scales=scales) for name, scales in _SCALES.items()),
-    replace(_OURS, name="wide extents first", steps=450, before=_WIDE),
-    replace(_OURS, name="every scale first", steps=450, before=_EVERY),
-    replace(_OURS, name="9 levels, none beyond the range", scales=ScaleSpace(WIDTHS, WIDTHS, 0.125, tails=0.0)),
-    replace(_OURS, name="8 levels, 2 beta apart (as released)", scales=_RELEASED_LEVELS),
-    replace(_OURS, name="35 levels, beta/2 apart", levels="twice"),
-    replace(_OURS, name="exact", accuracy="exact"),
-    replace(_OURS, name="constant rate", decay="none"),
-    replace(_OURS, name="constant rate, last iterate", decay="none", kept="last"),
-    replace(_OURS, name="parted as released", moves="released"),
+    *(replace(_LOI, name=name, scales=scales) for name, scales in _SCALES.items()),
+    replace(_LOI, name="wide extents first", steps=450, before=_WIDE_STAGE),
+    replace(_LOI, name="every scale first", steps=450, before=_EVERY_SCALE_STAGE),
+    replace(_LOI, name="9 levels, none beyond the range", scales=ScaleSpace(WIDTHS, WIDTHS, 0.125, tails=0.0)),
+    replace(_LOI, name="8 levels, 2 beta apart (as released)", scales=_RELEASED_LEVELS),
+    replace(_LOI, name="35 levels, beta/2 apart", levels="twice"),
+    replace(_LOI, name="exact", accuracy="exact"),
+    replace(_LOI, name="constant rate", decay="none"),
+    replace(_LOI, name="constant rate, last iterate", decay="none", kept="last"),
+    replace(_LOI, name="parted as released", moves="released"),
 )

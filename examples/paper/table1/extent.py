@@ -1,4 +1,4 @@
-"""How much of the table is wanted: its parts, their rows and columns, and the runs of each."""
+"""The extent of Table 1 to carry out: its subtables, their rows and columns, and the runs of each."""
 
 from __future__ import annotations
 
@@ -13,76 +13,78 @@ from examples.paper.table1.run import Run
 from examples.paper.table1.settings import LABELS, PROTOCOLS, Method, Setting
 from examples.paper.table1.tuning import RATES, tuning_runs
 
-__all__ = ["ABLATED", "FEW", "PARTS", "SEEDS", "Extent"]
+__all__ = ["ABLATED", "ABLATION_SEEDS", "SEEDS", "SUBTABLES", "Extent"]
 
 SEEDS: Final = 10
-FEW: Final = 3
+ABLATION_SEEDS: Final = 3
 ABLATED: Final = (COLUMNS[3], COLUMNS[4], HARDER[2])
-PARTS: Final = ("tuning", "ours", "published", "harder", "remedies", "ablations")
+SUBTABLES: Final = ("tuning", "ours", "published", "harder", "remedies", "ablations")
 
 
 @dataclass(frozen=True)
 class Extent:
-    """How much of the table is wanted.
+    """Extent of the table to carry out.
 
     Attributes
     ----------
-    parts : tuple of str
-        Of `PARTS`.
+    names : tuple of str
+        Subtables, among `SUBTABLES`.
     methods : tuple of str
-        In the order of the table.
+        Methods, in the order of the table.
     columns, harder, ablated : tuple of Column
-        Of the table, of the harder ones, and of the ablations.
-    seeds, few : int
-        How many starts; the second of ablations, and of remedies but those in `CHECKED`.
+        Columns of the paper's table, the harder columns, and the columns of the ablations.
+    seeds : int
+        Number of starts.
+    ablation_seeds : int
+        Number of starts for ablations, and for remedies outside `CHECKED`.
     steps : int, optional
-        Of every fit, instead of each setting's own; not of the search.
+        Steps of every fit, in place of the steps of its setting; the search keeps its own.
     """
 
-    parts: tuple[str, ...]
+    names: tuple[str, ...]
     methods: tuple[Method, ...]
     columns: tuple[Column, ...] = COLUMNS
     harder: tuple[Column, ...] = HARDER
     ablated: tuple[Column, ...] = ABLATED
     seeds: int = SEEDS
-    few: int = FEW
+    ablation_seeds: int = ABLATION_SEEDS
     steps: int | None = None
 
     @property
     def tables(self) -> dict[str, Subtable[Run]]:
-        """What stands in each table, by its name: one for each part, but for the remedies one for each column."""
-        found: dict[str, Subtable[Run]] = {}
-        for name in self.parts:
+        """Subtables by name; the remedies have one subtable for each column."""
+        tables: dict[str, Subtable[Run]] = {}
+        for name in self.names:
             if name == "remedies":
-                found |= {f"remedies: {column.name}": self._remedies(column) for column in self.harder}
+                tables |= {f"remedies: {column.name}": self._remedies(column) for column in self.harder}
             else:
-                found[name] = self._whole(name)
-        return found
+                tables[name] = self._subtable(name)
+        return tables
 
     @property
     def runs(self) -> list[Run]:
-        """All runs of all tables, each once."""
-        return list(dict.fromkeys(run for part in self.tables.values() for run in part.runs))
+        """All runs of all subtables, without duplicates."""
+        return list(dict.fromkeys(run for subtable in self.tables.values() for run in subtable.runs))
 
     def _remedies(self, column: Column) -> Subtable[Run]:
-        starts = {one: self.seeds if (column, one) in CHECKED else self.few for one in REMEDIES[column]}
-        return Subtable(
-            {one.name: [self._run(one, column, seed) for seed in range(count)] for one, count in starts.items()},
-            (column,),
-            converges=False,
-        )
+        rows = {}
+        for setting in REMEDIES[column]:
+            seeds = self.seeds if (column, setting) in CHECKED else self.ablation_seeds
+            rows[setting.name] = [self._run(setting, column, seed) for seed in range(seeds)]
+        return Subtable(rows, (column,), converges=False)
 
-    def _whole(self, name: str) -> Subtable[Run]:
+    def _subtable(self, name: str) -> Subtable[Run]:
         if name == "tuning":
             return Subtable({LABELS[method]: tuning_runs(method) for method in self.methods}, rates=RATES)
         if name == "ablations":
-            settings, columns, seeds = {one.name: one for one in ABLATIONS}, self.ablated, self.few
+            settings = {setting.name: setting for setting in ABLATIONS}
+            columns, seeds = self.ablated, self.ablation_seeds
         else:
             protocol, columns = ("ours", self.harder) if name == "harder" else (name, self.columns)
             settings, seeds = {LABELS[method]: PROTOCOLS[protocol][method] for method in self.methods}, self.seeds
         rows = {
-            name: [self._run(setting, column, seed) for column in columns for seed in range(seeds)]
-            for name, setting in settings.items()
+            row: [self._run(setting, column, seed) for column in columns for seed in range(seeds)]
+            for row, setting in settings.items()
         }
         return Subtable(rows, columns, converges=name != "ablations")
 

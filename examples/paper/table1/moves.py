@@ -1,4 +1,4 @@
-"""Parting disks as the released code does, to reproduce its protocol."""
+"""The separation of overlapping disks in the released code, to reproduce its protocol."""
 
 from __future__ import annotations
 
@@ -10,31 +10,31 @@ from loi_core.renderers.packing import candidate_pairs
 
 __all__ = ["ReleasedMoves"]
 
-ROUNDS = 50
-PUSH = 0.5  # pixels in a round, for each disk that is touched
+MAX_ROUNDS = 50
+PUSH_PX = 0.5  # in a round, for each overlapping disk
 
 
 class ReleasedMoves(DisksWrapper):
-    """`disks`, kept two radii from the frame and pushed apart by half a pixel for each disk that they touch.
+    """Disks clipped to two radii inside the frame, then pushed half a pixel away from every disk that they overlap.
 
-    Disks in exactly the same place are not pushed. After the pushes a centre may be anywhere in the frame.
+    Concentric disks are not pushed apart. After the pushes a centre may be anywhere in the frame.
     """
 
     def project(self, params: dict[str, FloatArray]) -> dict[str, FloatArray]:
-        """What the released code does before each render."""
+        """Return the parameters with separated disks, as the released code renders them."""
         height, width = self.disks.size
         frame = np.array([width, height], dtype=np.float64)
-        places = np.clip(params["positions"].astype(np.float64), 2.0 * RADIUS, frame - 2.0 * RADIUS)
-        radii = np.full(len(places), RADIUS)
-        for _ in range(ROUNDS):
-            first, second = candidate_pairs(places, radii)
-            apart = places[first] - places[second]
-            distance = np.hypot(apart[:, 0], apart[:, 1])
-            touching = np.flatnonzero((distance < 2.0 * RADIUS) & (distance > 0.0))
-            if not len(touching):
+        positions = np.clip(params["positions"].astype(np.float64), 2.0 * RADIUS, frame - 2.0 * RADIUS)
+        radii = np.full(len(positions), RADIUS)
+        for _ in range(MAX_ROUNDS):
+            first, second = candidate_pairs(positions, radii)
+            offset = positions[first] - positions[second]
+            distance = np.hypot(offset[:, 0], offset[:, 1])
+            overlapping = np.flatnonzero((distance < 2.0 * RADIUS) & (distance > 0.0))
+            if not len(overlapping):
                 break
-            push = PUSH * apart[touching] / distance[touching, None]
-            np.add.at(places, first[touching], push)
-            np.subtract.at(places, second[touching], push)
-            places = np.clip(places, 0.0, frame)
-        return params | {"positions": places.astype(params["positions"].dtype)}
+            push = PUSH_PX * offset[overlapping] / distance[overlapping, None]
+            np.add.at(positions, first[overlapping], push)
+            np.subtract.at(positions, second[overlapping], push)
+            positions = np.clip(positions, 0.0, frame)
+        return params | {"positions": positions.astype(params["positions"].dtype)}

@@ -1,4 +1,4 @@
-"""What is to be found: disks on a grid, from a random start."""
+"""The problem to solve: move disks from random positions to a grid."""
 
 from __future__ import annotations
 
@@ -16,11 +16,13 @@ FloatArray: TypeAlias = np.ndarray[Any, np.dtype[np.float64]]
 Image: TypeAlias = np.ndarray[Any, Any]  # float32
 Colours = Literal["primaries", "random"]
 
-RADIUS: Final = 16.0 / 7.0  # of every disk, pixels: 3 on the 168 pixels of the released code, 128 here
-FRINGE: Final = 1 / 8  # of the side, between the frame and the outermost centres of the grid
-SPREAD: Final = 1 / 8  # of the side: standard deviation of the start about the middle
-PRIMARIES: Final = ((0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))  # taken in turn, over black
-DIMMEST: Final = 0.2  # a random colour's brightest channel is at least this
+RADIUS: Final = (
+    16.0 / 7.0
+)  # pixels, of every disk: 3 in the 168 pixels of the released code, whose images have 128 here
+FRINGE: Final = 1 / 8  # fraction of the side between the frame and the outermost centres of the grid
+SPREAD: Final = 1 / 8  # standard deviation of the start about the centre, as a fraction of the side
+PRIMARIES: Final = ((0.0, 1.0, 0.0), (1.0, 0.0, 0.0), (0.0, 0.0, 1.0))  # in turn, over black
+MIN_BRIGHTEST_CHANNEL: Final = 0.2  # of a random colour
 
 
 @dataclass(frozen=True)
@@ -30,17 +32,16 @@ class Column:
     Attributes
     ----------
     name : str
-        What it is called.
     disks : int
-        How many.
+        Number of disks.
     side : int
-        Of the square image, in pixels.
+        Side of the square image, in pixels.
     colours : {"primaries", "random"}
-        Green, red and blue in turn, or one of its own for each disk. Either way they are known.
+        Green, red and blue in turn, or a random colour for each disk. A fit knows all colours.
     noise : float
         Standard deviation of the Gaussian noise on the target.
     parted : bool
-        Whether disks that overlap are pushed apart after each step.
+        Whether each step ends with pushes that separate overlapping disks.
     """
 
     name: str
@@ -62,20 +63,19 @@ HARDER: Final = (
 
 @dataclass(frozen=True)
 class Problem:
-    """One start, with its target.
+    """One start and its target.
 
     Attributes
     ----------
     column : Column
-        Of the table.
     goal, start : array, shape (n, 2)
-        Centres (x, y) in pixels: the target's grid, and where the fit begins.
+        Centres (x, y) in pixels: the grid of the target, and the start of the fit.
     colours : array, shape (n, 3)
         Linear RGB.
     target : array, shape (side, side, 3), float32
-        Without noise: what the result is measured against.
+        Image without noise, for the measures of the result.
     reference : array, shape (side, side, 3), float32
-        What the fit sees.
+        Image with noise, for the objective of the fit.
     """
 
     column: Column
@@ -87,7 +87,7 @@ class Problem:
 
     @classmethod
     def of(cls, column: Column, seed: int) -> Problem:
-        """The problem of a column and seed; the grid is the same for every seed."""
+        """Return the problem of a column and seed; all seeds share the grid."""
         rng = np.random.default_rng([seed, column.disks])
         start = rng.normal(0.5 * column.side, SPREAD * column.side, (column.disks, 2))
         colours = _colours(column, rng)
@@ -97,7 +97,7 @@ class Problem:
         return cls(column, goal, start, colours, target, (target + noise).astype(np.float32))
 
     def disks(self, *, confine: bool) -> Disks:
-        """The renderer, at the start; with `confine` it keeps disks in the frame and, as it goes, apart."""
+        """Return the renderer at the start; `confine` keeps disks in the frame and, between steps, apart."""
         return _disks(self.column, self.start, self.colours, confine=confine)
 
 
@@ -110,17 +110,17 @@ def _parameters(column: Column, positions: FloatArray, colours: FloatArray) -> d
 
 
 def _grid(column: Column) -> FloatArray:
-    """The first `disks` places of the smallest square grid that holds them, column by column."""
-    across = math.isqrt(column.disks - 1) + 1
-    line = np.linspace(FRINGE * column.side, (1.0 - FRINGE) * column.side, across)
-    places: FloatArray = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
-    return places[: column.disks]
+    """Return the first `disks` points of the smallest square grid with enough points, column by column."""
+    points_per_side = math.isqrt(column.disks - 1) + 1
+    line = np.linspace(FRINGE * column.side, (1.0 - FRINGE) * column.side, points_per_side)
+    points: FloatArray = np.stack(np.meshgrid(line, line, indexing="ij"), axis=-1).reshape(-1, 2)
+    return points[: column.disks]
 
 
 def _colours(column: Column, rng: np.random.Generator) -> FloatArray:
     if column.colours == "primaries":
         return np.array(PRIMARIES)[np.arange(column.disks) % len(PRIMARIES)]
-    drawn: FloatArray = rng.uniform(size=(column.disks, 3))
-    brightest = drawn.max(axis=-1, keepdims=True)
-    colours: FloatArray = drawn / brightest * np.maximum(brightest, DIMMEST)
+    uniform: FloatArray = rng.uniform(size=(column.disks, 3))
+    brightest = uniform.max(axis=-1, keepdims=True)
+    colours: FloatArray = uniform / brightest * np.maximum(brightest, MIN_BRIGHTEST_CHANNEL)
     return colours

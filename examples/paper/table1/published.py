@@ -1,4 +1,4 @@
-"""The paper's Table 1, for comparison: PSNR in dB and SSIM for 4, 16, 32, 64 and 256 disks."""
+"""Published figures of Table 1: PSNR in dB and SSIM for 4, 16, 32, 64 and 256 disks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Disks as some remedies see them: with noise, or with a gradient for what is hidden."""
+"""Disks for some remedies: with noise, or with a gradient for hidden disks."""
 
 from __future__ import annotations
 
@@ -47,36 +47,38 @@ class DisksWrapper:
 
 
 class Noisy(DisksWrapper):
-    """`disks` with Gaussian noise of this standard deviation, other noise for every seed."""
+    """Disks with Gaussian noise of standard deviation `noise`, drawn anew for every seed."""
 
     def __init__(self, disks: Disks, noise: float) -> None:
         super().__init__(disks)
         self._noise = noise
 
     def render(self, params: dict[str, FloatArray], *, seed: int = 0) -> Image:
-        """The image with noise."""
+        """Return the image with noise."""
         return self.render_vjp(params, seed=seed)[0]
 
     def render_vjp(self, params: dict[str, FloatArray], *, seed: int = 0) -> tuple[Image, Pullback]:
-        """The image with noise, which does not depend on the parameters."""
+        """Return the image with noise, and the pullback of the image: the noise is constant in the parameters."""
         image, pullback = self.disks.render_vjp(params, seed=seed)
         noise = self._noise * np.random.default_rng(seed).standard_normal(image.shape)
         return (image + noise).astype(image.dtype), pullback
 
 
 class BothOrders(DisksWrapper):
-    """`disks`, with the mean of the gradients of both orders of painting: in one of them what is hidden lies on top.
+    """Disks with the mean gradient of both painting orders: a disk that one order hides is on top in the other.
 
-    Where no two disks overlap that is the exact gradient; elsewhere it is that of no image.
+    The mean is exact where no two disks overlap; elsewhere it is the gradient of no image.
     """
 
     def render_vjp(self, params: dict[str, FloatArray], *, seed: int = 0) -> tuple[Image, Pullback]:
-        """The image in its own order, and the pullback of both."""
-        image, own = self.disks.render_vjp(params, seed=seed)
-        opposite = self.disks.render_vjp({name: value[::-1] for name, value in params.items()}, seed=seed)[1]
+        """Return the image in the order of the disks, and the mean of both pullbacks."""
+        image, forward_pullback = self.disks.render_vjp(params, seed=seed)
+        reversed_params = {name: value[::-1] for name, value in params.items()}
+        reversed_pullback = self.disks.render_vjp(reversed_params, seed=seed)[1]
 
         def pullback(cotangent: FloatArray) -> dict[str, FloatArray]:
-            turned = opposite(cotangent)
-            return {name: 0.5 * (value + turned[name][::-1]) for name, value in own(cotangent).items()}
+            reversed_gradients = reversed_pullback(cotangent)
+            gradients = forward_pullback(cotangent)
+            return {name: 0.5 * (value + reversed_gradients[name][::-1]) for name, value in gradients.items()}
 
         return image, pullback

@@ -1,4 +1,4 @@
-"""One fit, and what it came to."""
+"""One fit of Table 1, and its outcome."""
 
 from __future__ import annotations
 
@@ -24,8 +24,8 @@ from loi_core.renderers.contract import Parameters
 __all__ = ["Outcome", "Run", "carry_out", "structure"]
 
 CURVE_STEPS: Final = 5  # between two points of a convergence curve
-UNIT: Final = 128  # side of the image whose pixels a rate is in
-FOUND: Final = 0.5  # pixels from its place at which a disk counts as found
+RATE_SIDE: Final = 128  # pixels; settings state rates for an image of this side
+MAX_FOUND_DISTANCE: Final = 0.5  # pixels between the target and a disk that counts as found
 
 
 class Run(Fit[Setting, Column]):
@@ -44,20 +44,20 @@ class Run(Fit[Setting, Column]):
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run came to.
+    """Outcome of a run; its fields are the keys of the record.
 
     Attributes
     ----------
     psnr, ssim : float
-        Of the final image against the target without noise; dB for a peak of 1, over RGB.
+        PSNR in dB for a peak of 1, and SSIM, of the final image against the target without noise, over RGB.
     found : float
-        Share of the target's disks with a disk of the same colour within half a pixel.
+        Fraction of the target's disks with a disk of the same colour within `MAX_FOUND_DISTANCE`.
     seconds : float
-        Of the fit; what else the machine did is in it.
+        Wall-clock time of the fit, including the load of the machine.
     curve : tuple of float
-        PSNR after every fifth step.
+        PSNR in dB after every fifth step.
     image : array, shape (side, side, 3)
-        Final.
+        Final image.
     """
 
     psnr: float
@@ -69,54 +69,55 @@ class Outcome:
 
 
 def carry_out(run: Run) -> Outcome:
-    """Fit, and measure the iterate that counts."""
+    """Fit, and measure the chosen iterate."""
     problem = Problem.of(run.column, run.seed)
     disks = problem.disks(confine=run.column.parted and run.setting.moves == "ours")
-    low = 0.0 if _released(run.setting, run.column) else RADIUS
-    params = disks.parameters() | {"positions": np.asarray(np.clip(problem.start, low, run.column.side - low))}
+    margin = 0.0 if _released(run.setting, run.column) else RADIUS
+    params = disks.parameters() | {"positions": np.asarray(np.clip(problem.start, margin, run.column.side - margin))}
     params = _renderer(run.setting, run.column, disks).project(params)
     curve: list[float] = []
     done = 0
     started = time.perf_counter()
     for stage in run.setting.stages:
-        result, seen = _stage(stage, problem, disks, params["positions"], done)
-        params = result.best_params if stage.kept == "best" else seen[-1]
-        curve += [round(psnr(disks.render(one), problem.target), 3) for one in seen[-done % CURVE_STEPS :: CURVE_STEPS]]
+        result, iterates = _fit_stage(stage, problem, disks, params["positions"], done)
+        params = result.best_params if stage.kept == "best" else iterates[-1]
+        images = [disks.render(iterate) for iterate in iterates[-done % CURVE_STEPS :: CURVE_STEPS]]
+        curve += [round(psnr(image, problem.target), 3) for image in images]
         done += stage.steps
     seconds = time.perf_counter() - started
     image = disks.render(params)
     return Outcome(
         psnr(image, problem.target),
         structure(image, problem.target),
-        _found(problem, params["positions"]),
+        _found_fraction(problem, params["positions"]),
         seconds,
         tuple(curve),
         image,
     )
 
 
-def _stage(
+def _fit_stage(
     stage: Setting, problem: Problem, disks: Disks, start: Image, done: int
 ) -> tuple[FitResult, list[Parameters]]:
-    """One fit from `start`, after as many steps as are done; with the parameters that each of its own steps saw."""
-    low = 0.0 if _released(stage, problem.column) else RADIUS
-    seen: list[Parameters] = []
+    """Fit one stage from `start`, after `done` steps; return the result and the parameters of every step."""
+    margin = 0.0 if _released(stage, problem.column) else RADIUS
+    iterates: list[Parameters] = []
 
-    def note(_: FitStep, params: Parameters, __: Image) -> None:
-        seen.append(params)
+    def record(_: FitStep, params: Parameters, __: Image) -> None:
+        iterates.append(params)
 
     result = fit(
         _renderer(stage, problem.column, disks),
         objective(stage, problem.reference),
         steps=stage.steps,
-        learning_rate=stage.rate * problem.column.side / UNIT,
+        learning_rate=stage.rate * problem.column.side / RATE_SIDE,
         seed=done,
         decay=stage.decay,
-        stages=None,  # the settings say what comes before what
-        optimise={"positions": Free(start, low, problem.column.side - low)},
-        callback=note,
+        stages=None,  # a setting lists its stages itself
+        optimise={"positions": Free(start, margin, problem.column.side - margin)},
+        callback=record,
     )
-    return result, seen
+    return result, iterates
 
 
 def _released(setting: Setting, column: Column) -> bool:
@@ -132,12 +133,13 @@ def _renderer(setting: Setting, column: Column, disks: Disks) -> Disks | Release
 
 
 def structure(image: Image, target: Image) -> float:
-    """SSIM with Gaussian windows (Wang et al. 2004), 1 for equal images."""
-    wide = np.asarray(target, dtype=np.float64)
-    return 1.0 - float(MSSSIM(wide, levels=1).value(np.asarray(image, dtype=np.float64)))
+    """Return SSIM with Gaussian windows (Wang et al. 2004), 1 for equal images."""
+    reference = np.asarray(target, dtype=np.float64)
+    return 1.0 - float(MSSSIM(reference, levels=1).value(np.asarray(image, dtype=np.float64)))
 
 
-def _found(problem: Problem, places: Image) -> float:
-    distance = np.linalg.norm(problem.goal[:, None, :] - np.asarray(places, dtype=np.float64)[None, :, :], axis=-1)
-    same = np.all(problem.colours[:, None, :] == problem.colours[None, :, :], axis=-1)
-    return float(np.mean(np.min(np.where(same, distance, np.inf), axis=1) < FOUND))
+def _found_fraction(problem: Problem, positions: Image) -> float:
+    offsets = problem.goal[:, None, :] - np.asarray(positions, dtype=np.float64)[None, :, :]
+    distances = np.linalg.norm(offsets, axis=-1)
+    same_colour = np.all(problem.colours[:, None, :] == problem.colours[None, :, :], axis=-1)
+    return float(np.mean(np.min(np.where(same_colour, distances, np.inf), axis=1) < MAX_FOUND_DISTANCE))

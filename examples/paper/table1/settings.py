@@ -1,4 +1,4 @@
-"""How a fit is done: the two protocols, and each baseline's settings."""
+"""Settings of a fit: both protocols, for every method."""
 
 from __future__ import annotations
 
@@ -22,45 +22,46 @@ LABELS: Final[dict[Method, str]] = {
 }
 
 
-# Of fields that came later: told only where they are not at their default, so that what was done before stays done.
-LATER: Final = {"later": True}
+# Marks fields younger than the first records. `repr` omits such a field at its default, so that old records match.
+ADDED_LATER: Final = {"added later": True}
 
 
 @dataclass(frozen=True)
 class Setting:
-    """One way to fit.
+    """Objective and optimiser settings of a fit. Their names and values identify stored runs.
 
     Attributes
     ----------
     name : str
-        Of the protocol or ablation.
+        Protocol or ablation.
     method : str
-        Which objective.
+        Objective.
     rate : float
-        Adam's, pixels a step in an image of 128; in proportion to the side in others.
+        Learning rate of Adam, in pixels per step for a side of 128 pixels; it scales with the side.
     scales : ScaleSpace, "for_image", "every" or "wide", optional
-        Of our objective: these, ``ScaleSpace.for_image``, every scale from a pixel to a third of the side, inner and
-        extent alike, or those without the extent of a pixel; but for the first with bounds that hold the reference.
+        Scales of the LOI objective. "for_image" is ``ScaleSpace.for_image``. "every" has inner and outer scales from a
+        pixel to a third of the side, and "wide" the same without the outer scale of a pixel. Named scales have bounds
+        that contain the reference.
     accuracy : str
-        Of our objective.
+        Accuracy of the LOI objective.
     steps : int
-        Of the fit.
+        Steps of this stage.
     decay : {"cosine", "none"}
-        Of the rate.
+        Decay of the rate.
     kept : {"best", "last"}
-        Which iterate counts: the one with the least loss, or the last.
+        The resulting iterate: the iterate with the smallest loss, or the last.
     moves : {"ours", "released"}
-        Who parts disks and keeps them in the frame.
+        The rule that separates disks and confines them to the frame.
     before : Setting, optional
-        A fit that goes before this one, which then starts from the iterate that counts there.
+        Preceding stage, whose resulting iterate is the start of this stage.
     noise : float
-        Standard deviation of Gaussian noise on every render of the fit, none of it on the image that counts.
+        Standard deviation of Gaussian noise on every render of the fit, but not on the measured image.
     channels : {"rgb", "sums"}
-        What our objective compares: red, green and blue, or all their 13 sums and differences.
+        Channels of the LOI objective: red, green and blue, or their 13 sums and differences.
     levels : {"once", "twice"}
-        Of our objective: the levels of its scales, or with as many others halfway between them.
+        Tonal levels of the LOI objective: the levels of its scales, or also the levels halfway between.
     both_orders : bool
-        Whether half of the gradient is that of the disks painted in the opposite order, where what is hidden shows.
+        Whether to average the gradient with the gradient of the opposite painting order, which shows hidden disks.
     """
 
     name: str
@@ -72,28 +73,33 @@ class Setting:
     decay: Decay = "cosine"
     kept: Literal["best", "last"] = "best"
     moves: Literal["ours", "released"] = "ours"
-    before: Setting | None = field(default=None, metadata=LATER)
-    noise: float = field(default=0.0, metadata=LATER)
-    channels: Literal["rgb", "sums"] = field(default="rgb", metadata=LATER)
-    levels: Literal["once", "twice"] = field(default="once", metadata=LATER)
-    both_orders: bool = field(default=False, metadata=LATER)
+    before: Setting | None = field(default=None, metadata=ADDED_LATER)
+    noise: float = field(default=0.0, metadata=ADDED_LATER)
+    channels: Literal["rgb", "sums"] = field(default="rgb", metadata=ADDED_LATER)
+    levels: Literal["once", "twice"] = field(default="once", metadata=ADDED_LATER)
+    both_orders: bool = field(default=False, metadata=ADDED_LATER)
 
     def __repr__(self) -> str:
-        values = {one.name: getattr(self, one.name) for one in fields(self)}
-        told = [one.name for one in fields(self) if "later" not in one.metadata or values[one.name] != one.default]
-        return f"Setting({', '.join(f'{name}={values[name]!r}' for name in told)})"
+        values = [(attribute, getattr(self, attribute.name)) for attribute in fields(self)]
+        shown = (
+            f"{attribute.name}={value!r}"
+            for attribute, value in values
+            if attribute.metadata != ADDED_LATER or value != attribute.default
+        )
+        return f"Setting({', '.join(shown)})"
 
     @property
     def stages(self) -> tuple[Setting, ...]:
-        """The fits that it takes, in their order; itself is the last."""
+        """All stages in their order; this setting is the last."""
         return (*(self.before.stages if self.before else ()), self)
 
     def limited(self, steps: int) -> Setting:
-        """The same with this many steps in each of its fits."""
+        """Return the setting with `steps` steps in every stage."""
         return replace(self, steps=steps, before=self.before.limited(steps) if self.before else None)
 
 
-# Adam at 0.1 quarters of the side, 500 steps, the last iterate, black outside: config.py and multi_shape.py.
+# Adam at 0.1 quarters of the side, 500 steps, the last iterate, black outside the image, as in config.py and
+# multi_shape.py of the released code.
 _PUBLISHED: Final = Setting("published", "loi", rate=3.2, decay="none", kept="last", moves="released")
 PUBLISHED: Final = {
     method: replace(
@@ -104,8 +110,8 @@ PUBLISHED: Final = {
     for method in LABELS
 }
 
-# The best of the search of `tuning`, on seeds of its own; for ours, which finds everything with all rates from 2 to 16
-# there, one within that range: at its end a start that needs more steps may not come all the way.
+# The best rates of the search in `tuning`, on other seeds. There the LOI objective finds every disk at all rates from 2
+# to 16. Its rate is well inside that range, because at either end a start that needs more steps may not arrive.
 RATES: Final[dict[Method, float]] = {
     "loi": 4.0,
     "gaussian_pyramid": 8.0,

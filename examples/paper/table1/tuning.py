@@ -1,4 +1,4 @@
-"""The search for each method's learning rate, on seeds that the table does not use."""
+"""Search for the learning rate of each method, on seeds outside the table."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ __all__ = ["RATES", "tuning_runs"]
 
 RATES: Final = (0.25, 0.5, 1.0, 2.0, 4.0, 8.0, 16.0)
 SEEDS: Final = (100, 101)
-SEEN: Final = (COLUMNS[1], COLUMNS[3], COLUMNS[4])  # 16, 64 and 256 disks
+SEARCH_COLUMNS: Final = (COLUMNS[1], COLUMNS[3], COLUMNS[4])  # 16, 64 and 256 disks
 
 
 def tuning_runs(method: Method) -> list[Run]:
-    """Every rate for a method."""
+    """Return the runs of a method at every rate."""
     return [
         Run(replace(OURS[method], name=f"rate {rate:g}", rate=rate), column, seed)
         for rate in RATES
-        for column in SEEN
+        for column in SEARCH_COLUMNS
         for seed in SEEDS
     ]
