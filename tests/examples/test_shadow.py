@@ -17,7 +17,7 @@ def test_what_throws_a_shadow_is_found_with_the_scene_as_it_is(capsys: pytest.Ca
     outcome = json.loads(line)
     assert outcome["found"]
     assert outcome["start"] == list(shadow.START)
-    assert outcome["mae"] < shadow.FOUND
+    assert outcome["mae"] < shadow.MAX_FOUND_ERROR
 
 
 def test_options_are_checked(capsys: pytest.CaptureFixture[str]) -> None:

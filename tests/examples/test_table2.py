@@ -11,7 +11,7 @@ import pytest
 from examples.paper.figures import teaser
 from examples.paper.lib.results import key_of
 from examples.paper.table2 import main
-from examples.paper.table2.command import PARTS, part_of
+from examples.paper.table2.command import SUBTABLES, subtable_of
 from examples.paper.table2.problem import COLUMNS, Column, Problem
 from examples.paper.table2.scenes import SCENES
 from tests.strategies import thorough
@@ -39,7 +39,7 @@ def test_every_start_is_within_its_bounds_and_away_from_the_truth(column: Column
 
 
 def test_no_two_runs_share_a_line_of_the_numbers() -> None:
-    runs = {run for name in PARTS if name != "savings" for run in part_of(name).runs}
+    runs = {run for name in SUBTABLES if name != "savings" for run in subtable_of(name).runs}
     assert len({key_of(run) for run in runs}) == len(runs)
 
 

@@ -1,4 +1,4 @@
-"""The paper's Table 2: shadows, caustics, 65 primitives and a highlight, found through a path tracer."""
+"""Table 2 of the paper: shadows, caustics, 65 primitives and a highlight, fitted through a path tracer."""
 
 from examples.paper.table2.command import main
 

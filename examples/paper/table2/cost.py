@@ -1,4 +1,4 @@
-"""What a step costs, and how long it takes to come near."""
+"""Time per step, and time until a fit stays near its target."""
 
 from __future__ import annotations
 
@@ -9,20 +9,19 @@ import numpy as np
 
 from examples.paper.lib.results import Results
 from examples.paper.lib.study import Subtable
-from examples.paper.table2.problem import Column
 from examples.paper.table2.run import Run
 from loi_core.support.markdown import markdown
 
 __all__ = ["cost_of"]
 
 
-def cost_of(results: Results, part: Subtable[Run]) -> list[str]:
-    """Seconds a step, and until a run is near its target for good: medians over the starts that come so near."""
+def cost_of(results: Results, subtable: Subtable[Run]) -> list[str]:
+    """Return a table of median seconds per step, and until a run stays near its target, over the runs that arrive."""
     rows = [
-        [name, *(_cell(results, [run for run in runs if run.column == column]) for column in part.columns)]
-        for name, runs in part.rows.items()
+        [name, *(_cell(results, [run for run in runs if run.column == column]) for column in subtable.columns)]
+        for name, runs in subtable.rows.items()
     ]
-    return markdown(["seconds a step / to an error of 0.05", *map(_title, part.columns)], rows)
+    return markdown(["seconds a step / to an error of 0.05", *(column.name for column in subtable.columns)], rows)
 
 
 def _cell(results: Results, runs: Sequence[Run]) -> str:
@@ -30,10 +29,6 @@ def _cell(results: Results, runs: Sequence[Run]) -> str:
     if not records:
         return ""
     step = np.median([record["step"] for record in records])
-    near = [record["near"] for record in records if math.isfinite(record["near"])]
-    arrived = f"{np.median(near):.0f}" if near else "never"
-    return f"{step:.2f} / {arrived}, {len(near)} of {len(records)}"
-
-
-def _title(column: Column) -> str:
-    return column.name
+    arrivals = [record["near"] for record in records if math.isfinite(record["near"])]
+    arrival = f"{np.median(arrivals):.0f}" if arrivals else "never"
+    return f"{step:.2f} / {arrival}, {len(arrivals)} of {len(records)}"

@@ -1,4 +1,4 @@
-"""What is to be found in each column, and how well it was."""
+"""The problem of each column, and the error of a solution."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from loi_mitsuba import MitsubaRenderer
 
 __all__ = ["COLUMNS", "Column", "Problem", "images_of", "numbers"]
 
-REFERENCE: Final = 1024  # samples a pixel of the images that are compared at the end
+REFERENCE_SAMPLES: Final = 1024  # per pixel, of the target and of the final image
 TARGET_SEED: Final = 10**6
 
 
@@ -28,17 +28,17 @@ class Column:
     ----------
     name : str
     seeds : int
-        How many starts the table has.
+        Number of starts in the table.
     width : int
-        Of the image, in pixels; its height is three quarters of it.
+        Width of the image, in pixels; the height is three quarters of the width.
     samples : int
-        Per pixel and step, of the image and of each part of its gradient.
+        Samples per pixel and step, for the image and for each term of its gradient.
     alike : tuple of str
-        Things that nothing tells apart, so that any of them may be at the place of any other.
+        Indistinguishable objects, which may exchange positions.
     scene : str
-        Of :data:`SCENES`; that of the column's name by default.
+        Name in :data:`SCENES`; the name of the column by default.
     crowded : bool
-        Whether many things of many colours move, which throw shadows on each other.
+        Whether many objects of many colours move, and cast shadows on each other.
     """
 
     name: str
@@ -50,12 +50,12 @@ class Column:
     crowded: bool = False
 
     def at(self, seed: int) -> Built:
-        """The scene for a seed."""
+        """Return the scene for a seed."""
         return SCENES[self.scene or self.name](self.width, self.height, seed)
 
     @property
     def height(self) -> int:
-        """Of the image, in pixels."""
+        """Height of the image, in pixels."""
         return 3 * self.width // 4
 
 
@@ -70,14 +70,14 @@ COLUMNS: Final = (
 
 @dataclass(frozen=True)
 class Problem:
-    """One start, with its target.
+    """One start and its target.
 
     Attributes
     ----------
     column : Column
     built : Built
     target : array, shape (H, W, 3)
-        Linear RGB, float32, without visible noise.
+        Image in linear RGB, float32, without visible noise.
     """
 
     column: Column
@@ -86,43 +86,43 @@ class Problem:
 
     @classmethod
     def of(cls, column: Column, seed: int) -> Problem:
-        """The problem of a column and seed."""
+        """Return the problem of a column and seed."""
         built = column.at(seed)
         return cls(column, built, _target(column))
 
-    def picture(self, found: Mapping[str, Any], samples: int = REFERENCE) -> Any:
-        """The image at some parameters, by default with the very samples of the target: what differs is not noise."""
-        return images_of(self.built, samples).render(numbers(found), seed=TARGET_SEED)
+    def picture(self, values: Mapping[str, Any], samples: int = REFERENCE_SAMPLES) -> Any:
+        """Return the image at some parameters, by default with the samples of the target, so that noise cancels."""
+        return images_of(self.built, samples).render(numbers(values), seed=TARGET_SEED)
 
-    def error(self, found: Mapping[str, Any]) -> float:
-        """Mean absolute error of all parameters, units of the scene; what is alike in whichever order is best."""
+    def error(self, values: Mapping[str, Any]) -> float:
+        """Return the mean absolute error of all parameters, in world units, for the best order of equal objects."""
         truth = self.built.truth
-        alike = self.column.alike
-        orders = [dict(zip(alike, order, strict=True)) for order in permutations(alike)]
+        names = self.column.alike
+        orders = [dict(zip(names, order, strict=True)) for order in permutations(names)]
         return min(
-            float(np.mean([abs(float(found[name]) - truth[_renamed(name, order)]) for name in truth]))
+            float(np.mean([abs(float(values[name]) - truth[_renamed(name, order)]) for name in truth]))
             for order in orders
         )
 
 
 @lru_cache
 def _target(column: Column) -> Any:
-    built = column.at(0)  # whose truth all seeds share
-    return images_of(built, REFERENCE).render(numbers(built.truth), seed=TARGET_SEED)
+    built = column.at(0)  # all seeds share the truth
+    return images_of(built, REFERENCE_SAMPLES).render(numbers(built.truth), seed=TARGET_SEED)
 
 
 def images_of(built: Built, samples: int) -> MitsubaRenderer:
-    """The scene with all its light, for images only."""
+    """Return a renderer of the scene with all light paths, without gradients."""
     return MitsubaRenderer(
         built.scene, built.parameters, spp=samples, integrator="scene", without_gradient=tuple(built.parameters)
     )
 
 
 def numbers(values: Mapping[str, Any]) -> Parameters:
-    """As parameters of Mitsuba."""
+    """Return values as float32 parameters of Mitsuba."""
     return {name: np.array(value, dtype=np.float32) for name, value in values.items()}
 
 
 def _renamed(name: str, order: Mapping[str, str]) -> str:
-    thing, letter = name.rsplit("_", 1)
-    return f"{order.get(thing, thing)}_{letter}"
+    shape, axis = name.rsplit("_", 1)
+    return f"{order.get(shape, shape)}_{axis}"

@@ -1,4 +1,4 @@
-"""One fit, and what it came to."""
+"""One fit of Table 2, and its outcome."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from examples.paper.table2.settings import (
     FINISH_RATE,
     FINISH_SAMPLES,
     PAPER_SCALES,
-    UNIT,
+    RATE_WIDTH,
     Setting,
 )
 from loi_core import Free, LOIObjective, fit
@@ -46,10 +46,10 @@ import mitsuba as mi
 
 __all__ = ["CURVE_STEPS", "Outcome", "Run", "carry_out", "objective", "renderer"]
 
-CURVE_STEPS: Final = 5  # between two points of a curve
-NEAR: Final = 0.05  # units of the scene, mean over the parameters
-PAIRS: Final = 5  # of images for a gradient from images alone: ten renders
-VARIANT: Final = "llvm_ad_rgb"  # of Mitsuba, by default
+CURVE_STEPS: Final = 5  # between two points of a convergence curve
+ARRIVAL_ERROR: Final = 0.05  # world units, mean over the parameters
+IMAGE_PAIRS: Final = 5  # for a gradient from images alone: ten renders
+VARIANT: Final = "llvm_ad_rgb"  # default variant of Mitsuba
 
 
 class Run(Fit[Setting, Column]):
@@ -64,30 +64,30 @@ class Run(Fit[Setting, Column]):
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run came to.
+    """Outcome of a run; its fields are the keys of the record.
 
     Attributes
     ----------
     psnr : float
-        Of a converged image at the last parameters, clipped to 0 to 1, linear RGB; dB.
+        PSNR in dB of a converged image at the last parameters, in linear RGB clipped to the range from 0 to 1.
     mae : float
-        Mean absolute error of the parameters, units of the scene.
+        Mean absolute error of the parameters, in world units.
     verdict : str
-        What the fit says of itself.
+        Verdict of the diagnosis of the fit.
     setup, seconds : float
-        Until the first step is done, and of the whole fit; what else the machine did is in both.
+        Wall-clock time of the first step with its set-up, and of the whole fit, including the load of the machine.
     step : float
-        Seconds that each step takes but the first.
+        Seconds per step after the first.
     near : float
-        Seconds until the mean error is below `NEAR` and stays there; infinite if it never is.
+        Seconds until the mean error stays below `ARRIVAL_ERROR`; infinite if it does not.
     curve : tuple of float
-        PSNR of every fifth step's own image, with its noise.
+        PSNR in dB of the noisy image of every fifth step.
     errors, clock : tuple of float
-        MAE before every fifth step, and the seconds that had passed.
+        MAE before every fifth step, and the elapsed seconds.
     path : dict of tuple of float
-        The parameters before every fifth step, and at the end.
+        Parameters before every fifth step, and at the end.
     image : array, shape (H, W, 3)
-        At the end, as a display wants it.
+        Final image, display-referred.
     """
 
     psnr: float
@@ -104,8 +104,8 @@ class Outcome:
     image: FloatArray
 
 
-class _Finishing:
-    """A renderer as it is: what those of a finish change one thing of."""
+class _RendererWrapper:
+    """Base of renderers for the last steps, which change one method of a renderer and delegate the others."""
 
     def __init__(self, renderer: Renderer) -> None:
         self._renderer = renderer
@@ -137,15 +137,15 @@ class _Finishing:
             wrapped(step, steps, value)
 
 
-class _Sharpest(_Finishing):
-    """A renderer whose blur over parameters, if it has any, is as narrow as at the end of a fit, in every step."""
+class _NarrowestBlur(_RendererWrapper):
+    """Renderer whose blur over parameters, if any, has its final width in every step."""
 
-    def at_step(self, step: int, steps: int, value: float | None) -> None:  # noqa: ARG002  # it is always the last
+    def at_step(self, step: int, steps: int, value: float | None) -> None:  # noqa: ARG002  # every step is as the last
         super().at_step(steps - 1, steps, value)
 
 
-class _Exact(_Finishing):
-    """A renderer with images that have all light and more samples than its own, and the gradient that it has anyway."""
+class _ExactImages(_RendererWrapper):
+    """Renderer whose images have all light paths and more samples, with unchanged gradients."""
 
     def __init__(self, renderer: Renderer, problem: Problem) -> None:
         super().__init__(renderer)
@@ -162,103 +162,105 @@ class _Exact(_Finishing):
 def carry_out(run: Run, variant: str = VARIANT) -> Outcome:
     """Fit, and measure the last iterate."""
     mi.set_variant(variant)
-    dr.set_thread_count(1)  # runs go side by side
+    dr.set_thread_count(1)  # runs share the cores
     setting = run.setting
     problem = Problem.of(run.column, run.seed)
     curve: list[float] = []
     errors: list[float] = []
     clock: list[float] = []
-    way: list[dict[str, float]] = []
+    path: list[dict[str, float]] = []
 
-    def note(_: Any, params: Parameters, image: Any) -> None:
-        clock.append(time.perf_counter() - began)
+    def record(_: Any, params: Parameters, image: Any) -> None:
+        clock.append(time.perf_counter() - started)
         errors.append(problem.error(params))
-        way.append({name: round(float(value), 4) for name, value in params.items()})
-        curve.append(psnr(_seen(image), _seen(problem.target)))
+        path.append({name: round(float(value), 4) for name, value in params.items()})
+        curve.append(psnr(_clipped(image), _clipped(problem.target)))
 
-    reach = problem.built.reach
-    rate: float | str = setting.rate if setting.name == "published" else f"{setting.rate * run.column.width / UNIT} px"
-    free = {name: Free(value, -reach, reach) for name, value in numbers(problem.built.start).items()}
+    bound = problem.built.reach
+    rate: float | str = (
+        setting.rate if setting.name == "published" else f"{setting.rate * run.column.width / RATE_WIDTH} px"
+    )
+    free = {name: Free(value, -bound, bound) for name, value in numbers(problem.built.start).items()}
     options: dict[str, Any] = {} if setting.staged else {"stages": None}
     options |= {"decay": "none"} if setting.name == "published" else {}
-    began = time.perf_counter()
-    last = round(run.steps * setting.finish)
-    gradient = renderer(setting, problem)
+    started = time.perf_counter()
+    finish_steps = round(run.steps * setting.finish)
+    gradient_renderer = renderer(setting, problem)
     result = fit(
-        gradient,
+        gradient_renderer,
         objective(setting, problem.target),
-        steps=run.steps - last,
+        steps=run.steps - finish_steps,
         learning_rate=rate,
         seed=10**4 * run.seed,
         optimise=free,
-        callback=note,
+        callback=record,
         **options,
     )
-    if last:
+    if finish_steps:
         result = fit(
-            _Exact(gradient, problem) if setting.exact else _Sharpest(gradient),
+            _ExactImages(gradient_renderer, problem) if setting.exact else _NarrowestBlur(gradient_renderer),
             PixelL2(problem.target),
-            steps=last,
-            learning_rate=f"{FINISH_RATE * setting.rate * run.column.width / UNIT} px",
+            steps=finish_steps,
+            learning_rate=f"{FINISH_RATE * setting.rate * run.column.width / RATE_WIDTH} px",
             seed=10**4 * run.seed + run.steps,
-            optimise={name: Free(value, -reach, reach) for name, value in result.params.items()},
-            optimiser=_calmer() if setting.exact else None,
-            callback=note,
+            optimise={name: Free(value, -bound, bound) for name, value in result.params.items()},
+            optimiser=_finish_adam() if setting.exact else None,
+            callback=record,
         )
-    seconds = time.perf_counter() - began
+    seconds = time.perf_counter() - started
     image = problem.picture(result.params)
-    kept = [*way[::CURVE_STEPS], {name: float(value) for name, value in result.params.items()}]
+    recorded_path = [*path[::CURVE_STEPS], {name: float(value) for name, value in result.params.items()}]
     return Outcome(
-        psnr(_seen(image), _seen(problem.target)),
+        psnr(_clipped(image), _clipped(problem.target)),
         problem.error(result.params),
         result.diagnosis.verdict if result.diagnosis else "",
         clock[0],
         seconds,
         (seconds - clock[0]) / (run.steps - 1),
         _arrival(errors, clock),
-        tuple(round(one, 3) for one in curve[::CURVE_STEPS]),
-        tuple(round(one, 5) for one in errors[::CURVE_STEPS]),
-        tuple(round(one, 2) for one in clock[::CURVE_STEPS]),
-        {name: tuple(one[name] for one in kept) for name in problem.built.truth},
-        _seen(image) ** (1.0 / 2.2),
+        tuple(round(decibels, 3) for decibels in curve[::CURVE_STEPS]),
+        tuple(round(error, 5) for error in errors[::CURVE_STEPS]),
+        tuple(round(elapsed, 2) for elapsed in clock[::CURVE_STEPS]),
+        {name: tuple(params[name] for params in recorded_path) for name in problem.built.truth},
+        _clipped(image) ** (1.0 / 2.2),
     )
 
 
 def renderer(setting: Setting, problem: Problem) -> Renderer:
-    """What gives images and their gradient to a setting."""
+    """Return the renderer of a setting, with its gradient."""
     built, samples = problem.built, problem.column.samples
     if not setting.blurred:
         return PlannedRenderer(built.scene, built.parameters, spp=samples)
-    return BlurredRenderer(images_of(built, samples), setting.sigma, final_sigma=setting.final_sigma, pairs=PAIRS)
+    return BlurredRenderer(images_of(built, samples), setting.sigma, final_sigma=setting.final_sigma, pairs=IMAGE_PAIRS)
 
 
-def _calmer() -> TorchOptimiser:
-    """Adam with less momentum than usual, and a floor that suits losses that are means over pixels."""
+def _finish_adam() -> TorchOptimiser:
+    """Return Adam with less momentum than usual, and an `eps` small enough for losses that are means over pixels."""
     return TorchOptimiser(torch.optim.Adam, betas=(FINISH_MOMENTUM, 0.999), eps=1e-15)
 
 
 def objective(setting: Setting, target: Any) -> Objective:
-    """The objective of a setting."""
-    kind = setting.compares
-    if kind == "loi":
+    """Return the objective of a setting."""
+    name = setting.compares
+    if name == "loi":
         scales = PAPER_SCALES if setting.name == "published" else None
         return LOIObjective(target, scales, accuracy="balanced", colours=setting.colours)
-    if kind == "gaussian_pyramid":
+    if name == "gaussian_pyramid":
         return GaussianPyramid(target)
-    if kind == "ms_ssim":
+    if name == "ms_ssim":
         return MSSSIM(target)
-    if kind == "pixel_l2":
+    if name == "pixel_l2":
         return PixelL2(target)
     return lpips(np.clip(target, 0.0, 1.0), "alex")
 
 
 def _arrival(errors: Sequence[float], clock: Sequence[float]) -> float:
-    """When the error was below the bound and stayed there."""
-    far = [step for step, error in enumerate(errors) if error >= NEAR]
-    first = far[-1] + 1 if far else 0
+    """Return the seconds until the error stays below `ARRIVAL_ERROR`, else infinity."""
+    large_steps = [step for step, error in enumerate(errors) if error >= ARRIVAL_ERROR]
+    first = large_steps[-1] + 1 if large_steps else 0
     return clock[first] if first < len(clock) else math.inf
 
 
-def _seen(image: Any) -> FloatArray:
+def _clipped(image: Any) -> FloatArray:
     clipped: FloatArray = np.clip(np.asarray(image, dtype=np.float64), 0.0, 1.0)
     return clipped

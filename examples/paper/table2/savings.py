@@ -1,4 +1,4 @@
-"""What the plan saves in each scene: one step of it, beside one with every effect that Mitsuba has."""
+"""Time per step with the planned effects and with all effects of Mitsuba, in each scene."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from loi_mitsuba import PlannedRenderer
 
 __all__ = ["savings"]
 
-TURNS: Final = 5
+REPETITIONS: Final = 5
 
 
 def savings(columns: Sequence[Column]) -> list[str]:
-    """Seconds of a step with everything on and by the plan, in turns, after a step of each; what the plan has on."""
+    """Return a table of seconds per step with all effects and with the planned effects, measured in turns."""
     rows = []
     for column in columns:
         problem = Problem.of(column, 0)
@@ -30,10 +30,11 @@ def savings(columns: Sequence[Column]) -> list[str]:
         start = numbers(built.start)
         planned = PlannedRenderer(built.scene, built.parameters, spp=column.samples)
         step = partial(_step, objective, start)
-        step(planned, 0)  # the pilot
-        plain, whole = _in_turns(partial(step, planned), partial(step, planned.unabridged))
-        on = ", ".join(sorted(effect.value for effect in planned.plan.on)) or "nothing"
-        rows.append([column.name, f"{whole:.2f}", f"{plain:.2f}", f"{whole / plain:.1f}x", on])
+        step(planned, 0)  # makes the plan
+        plan_seconds, full_seconds = _timed_in_turns(partial(step, planned), partial(step, planned.unabridged))
+        effects = ", ".join(sorted(effect.value for effect in planned.plan.on)) or "nothing"
+        ratio = full_seconds / plan_seconds
+        rows.append([column.name, f"{full_seconds:.2f}", f"{plan_seconds:.2f}", f"{ratio:.1f}x", effects])
     return markdown(["", "everything on, s", "plan, s", "saved", "on"], rows)
 
 
@@ -42,11 +43,11 @@ def _step(objective: LOIObjective, params: Parameters, renderer: Renderer, seed:
     pullback(objective.value_and_grad(image)[1])
 
 
-def _in_turns(first: Callable[[int], None], second: Callable[[int], None]) -> tuple[float, float]:
+def _timed_in_turns(first: Callable[[int], None], second: Callable[[int], None]) -> tuple[float, float]:
     times: tuple[list[float], list[float]] = ([], [])
-    for turn in range(TURNS + 1):
-        for one, call in zip(times, (first, second), strict=True):
-            began = time.perf_counter()
-            call(turn + 1)
-            one.append(time.perf_counter() - began)
+    for repetition in range(REPETITIONS + 1):
+        for call_times, call in zip(times, (first, second), strict=True):
+            started = time.perf_counter()
+            call(repetition + 1)
+            call_times.append(time.perf_counter() - started)
     return float(np.median(times[0][1:])), float(np.median(times[1][1:]))

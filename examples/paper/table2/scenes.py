@@ -1,4 +1,4 @@
-"""The five scenes: what is there, what of it is unknown, and between which bounds."""
+"""The five scenes, with their unknown parameters and bounds."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-import loi_mitsuba  # noqa: F401 - before Dr.Jit, so that it gets an LLVM that works
+import loi_mitsuba  # noqa: F401 - before Dr.Jit, for an LLVM that works
 
 # isort: split
 import mitsuba as mi
@@ -21,12 +21,12 @@ __all__ = ["SCENES", "Built", "FloatArray"]
 
 FloatArray = np.ndarray[Any, np.dtype[np.float64]]
 
-REACH: Final = 5.0  # of everything that moves on a floor
-ASTRAY: Final = 2.0  # what is to be sorted is at most this far along either axis from where it belongs
-SHOWN: Final = np.array([[-4.6, -3.2], [4.6, 3.2]])  # of the floor, from one corner to the other
-ROWS, LINE = 5, 13  # of primitives, when sorted
-LADDER: Final = 0.0012  # half of what a box is taller than the one before: tops in one plane would flicker
-SHADOW: Final = tuple(map(float, TRUTH.values()))  # where the sphere is
+REACH: Final = 5.0  # bound of every position on a floor
+MAX_OFFSET: Final = 2.0  # world units between the start and the target of a primitive, along either axis
+VISIBLE_FLOOR: Final = np.array([[-4.6, -3.2], [4.6, 3.2]])  # two opposite corners
+SORT_ROWS, SORT_COLUMNS = 5, 13  # of the sorted primitives
+HEIGHT_STEP: Final = 0.0012  # half height that each box adds to the last: tops in one plane would flicker
+SHADOW_TRUTH: Final = tuple(map(float, TRUTH.values()))
 
 
 @dataclass(frozen=True)
@@ -36,13 +36,13 @@ class Built:
     Attributes
     ----------
     scene : dict
-        For ``mi.load_dict``.
+        Description for ``mi.load_dict``.
     parameters : dict of Translate
-        Each along one axis.
+        Translations, each along one axis.
     truth, start : dict of float
-        World units, as the bounds.
+        Parameters in world units.
     reach : float
-        Bounds are this on either side of 0.
+        Bound of the magnitude of every parameter, in world units.
     """
 
     scene: dict[str, Any]
@@ -53,33 +53,39 @@ class Built:
 
 
 def shadow(width: int, height: int, seed: int) -> Built:
-    """A sphere out of view throws its shadow on a plane with lines, under a point light; starts within 2.5.
+    """Return a sphere out of view that casts its shadow on a plane with lines, under a point light.
 
-    :mod:`examples.paper.table2.shadow` says whose scene it is. The first start is the published one.
+    :mod:`examples.paper.table2.shadow` names the source of the scene. The first start is the published start; the
+    others are within 2.5 of the origin.
     """
     start = np.array(START) if seed == 0 else np.random.default_rng(seed).uniform(-2.5, 2.5, 2)
     return _shadow(width, height, 1.0, start)
 
 
 def shadow_mini(width: int, height: int, seed: int) -> Built:
-    """The same with a third of the radius; the start is at least three units from the truth."""
+    """Return the scene of :func:`shadow` with a third of the radius, and a start more than 3 units from the truth."""
     rng = np.random.default_rng(seed)
     while True:
         start = rng.uniform(-2.5, 2.5, 2)
-        if np.hypot(*(start - SHADOW)) > 3.0:
+        if np.hypot(*(start - SHADOW_TRUTH)) > 3.0:
             return _shadow(width, height, 1.0 / 3.0, start)
 
 
 def _shadow(width: int, height: int, radius: float, start: FloatArray) -> Built:
     return _moving(
-        shadow_scene(width, height, radius), {"ball": SHADOW}, {"ball": start}, ((0, 1, 0), (0, 0, 1)), "yz", reach=3.0
+        shadow_scene(width, height, radius),
+        {"ball": SHADOW_TRUTH},
+        {"ball": start},
+        ((0, 1, 0), (0, 0, 1)),
+        "yz",
+        reach=3.0,
     )
 
 
 def caustics(width: int, height: int, seed: int) -> Built:
-    """Two glass spheres throw the light of two lamps, which are out of view, on a floor.
+    """Return two glass spheres that focus the light of two emitters out of view on a floor.
 
-    The unit is such that spheres within the bounds are in view; starts are anywhere within 4.
+    The camera sees a sphere at every position within the bounds. Starts are uniform within 4 of the origin.
     """
     truth = {"ball_1": (-2.6, -0.9), "ball_2": (2.5, 1.3), "lamp_1": (-3.5, -3.0), "lamp_2": (3.0, 2.0)}
     scene: dict[str, Any] = {
@@ -97,15 +103,17 @@ def caustics(width: int, height: int, seed: int) -> Built:
 
 
 def sort(width: int, height: int, seed: int) -> Built:
-    """65 primitives of 65 colours on a floor, by row and hue; each starts within 2 of its place, along either axis."""
+    """Return 65 primitives of 65 colours on a floor, sorted by row and hue; each starts near its target."""
     rng = np.random.default_rng(seed)
-    return _primitives(width, height, lambda place: np.clip(place + rng.uniform(-ASTRAY, ASTRAY, 2), *SHOWN))
+    return _primitives(
+        width, height, lambda target: np.clip(target + rng.uniform(-MAX_OFFSET, MAX_OFFSET, 2), *VISIBLE_FLOOR)
+    )
 
 
 def scattered(width: int, height: int, seed: int) -> Built:
-    """The same, anywhere at the start."""
+    """Return the scene of :func:`sort` with starts anywhere on the visible floor."""
     rng = np.random.default_rng(seed)
-    return _primitives(width, height, lambda _: rng.uniform(*SHOWN))
+    return _primitives(width, height, lambda _: rng.uniform(*VISIBLE_FLOOR))
 
 
 def _primitives(width: int, height: int, start: Callable[[FloatArray], FloatArray]) -> Built:
@@ -118,34 +126,34 @@ def _primitives(width: int, height: int, start: Callable[[FloatArray], FloatArra
         "lamp": lamp([4, 14, 6], 1.0, 40.0),
     }
     truth: dict[str, tuple[float, float]] = {}
-    for row in range(ROWS):
-        for place in range(LINE):
-            name = f"one_{row}_{place}"
-            bsdf = diffuse(_tint(place / LINE, row))
-            if (row + place) % 2:
+    for row in range(SORT_ROWS):
+        for column in range(SORT_COLUMNS):
+            name = f"one_{row}_{column}"
+            bsdf = diffuse(_tint(column / SORT_COLUMNS, row))
+            if (row + column) % 2:
                 scene[name] = ball([0, 0.27, 0], 0.27, bsdf=bsdf)
             else:
-                tall = 0.24 + LADDER * (len(truth) - ROWS * LINE // 2)
-                up = mi.ScalarTransform4f().translate([0, tall, 0]).scale([0.24, tall, 0.24])
+                half_height = 0.24 + HEIGHT_STEP * (len(truth) - SORT_ROWS * SORT_COLUMNS // 2)
+                up = mi.ScalarTransform4f().translate([0, half_height, 0]).scale([0.24, half_height, 0.24])
                 scene[name] = {"type": "cube", "to_world": up, "bsdf": bsdf}
-            truth[name] = (0.72 * (place - (LINE - 1) / 2), 1.3 * (row - (ROWS - 1) / 2))
-    return _on_floor(scene, truth, {name: start(np.array(place)) for name, place in truth.items()})
+            truth[name] = (0.72 * (column - (SORT_COLUMNS - 1) / 2), 1.3 * (row - (SORT_ROWS - 1) / 2))
+    return _on_floor(scene, truth, {name: start(np.array(target)) for name, target in truth.items()})
 
 
 def _tint(hue: float, row: int) -> list[float]:
-    """A colour of a row: hues go round, rows from pale to dark."""
-    wheel = np.clip(np.abs((6.0 * hue + np.array([0.0, 4.0, 2.0])) % 6.0 - 3.0) - 1.0, 0.0, 1.0)
-    pale, dark = ((0.55, 1.0), (0.25, 1.0), (0.05, 0.9), (0.05, 0.5), (0.02, 0.22))[row]
-    return [float(value) for value in dark * (pale + (1.0 - pale) * wheel)]
+    """Return the linear RGB colour of a hue in [0, 1) and a row, from pale to dark."""
+    pure = np.clip(np.abs((6.0 * hue + np.array([0.0, 4.0, 2.0])) % 6.0 - 3.0) - 1.0, 0.0, 1.0)
+    white, brightness = ((0.55, 1.0), (0.25, 1.0), (0.05, 0.9), (0.05, 0.5), (0.02, 0.22))[row]
+    return [float(value) for value in brightness * (white + (1.0 - white) * pure)]
 
 
 def envlight(width: int, height: int, seed: int) -> Built:
-    """A shining ball in busy surroundings shows a distant lamp as one small highlight."""
+    """Return a glossy ball in a detailed environment, which reflects a distant emitter as one small highlight."""
     return _highlight(width, height, seed, {"type": "envmap", "bitmap": mi.Bitmap(_surroundings())})
 
 
 def teaser(width: int, height: int, seed: int) -> Built:
-    """The same ball and lamp before a grey sky: the paper's first figure, and no column of the table."""
+    """Return the ball and emitter of :func:`envlight` in a grey environment, for the paper's first figure."""
     return _highlight(width, height, seed, {"type": "constant", "radiance": colour([0.25] * 3)})
 
 
@@ -163,7 +171,7 @@ def _highlight(width: int, height: int, seed: int, sky: dict[str, Any]) -> Built
 
 
 def _surroundings() -> Any:
-    """Noise of every size and 60 small bright spots, 128 by 256 texels, linear RGB."""
+    """Return an environment of noise at five scales and 60 small bright spots: 128 by 256 texels, linear RGB."""
     rng = np.random.default_rng(7)
     total = np.zeros((128, 256, 3))
     for cells in (4, 8, 16, 32, 64):
@@ -193,14 +201,19 @@ def _moving(
     letters: str,
     reach: float = REACH,
 ) -> Built:
-    handles = {
+    parameters = {
         f"{name}_{letter}": Translate(name, axis) for name in truth for letter, axis in zip(letters, axes, strict=True)
     }
-    flat = [
-        {f"{name}_{letter}": float(one) for name in some for letter, one in zip(letters, some[name], strict=True)}
-        for some in (truth, start)
-    ]
-    return Built(scene, handles, flat[0], flat[1], reach)
+    return Built(scene, parameters, _by_axis(truth, letters), _by_axis(start, letters), reach)
+
+
+def _by_axis(positions: Mapping[str, Any], letters: str) -> dict[str, float]:
+    """Return every coordinate of some positions by the name of its parameter."""
+    return {
+        f"{name}_{letter}": float(coordinate)
+        for name, position in positions.items()
+        for letter, coordinate in zip(letters, position, strict=True)
+    }
 
 
 SCENES: Final[Mapping[str, Callable[[int, int, int], Built]]] = {

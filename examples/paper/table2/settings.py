@@ -1,4 +1,4 @@
-"""How a fit is done: the published protocol, and ours, whose rates are in pixels."""
+"""Settings of a fit: the published protocol, and our protocol, whose rates are in pixels."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ __all__ = [
     "PAPER_SCALES",
     "PROTOCOLS",
     "RATES",
-    "UNIT",
+    "RATE_WIDTH",
     "Method",
     "Setting",
-    "many",
+    "for_many_objects",
     "ours",
 ]
 
@@ -35,44 +35,45 @@ LABELS: Final[dict[Method, str]] = {
     "loi": "loi (ours)",
 }
 PAPER_SCALES: Final = ScaleSpace((1.0, 5.0), (1.0, 5.0, 15.0, 45.0), 0.125)
-UNIT: Final = 256  # width of the image whose pixels a rate is in
+RATE_WIDTH: Final = 256  # pixels; settings state rates for an image of this width
 
-# Wide scales see how bright an image is as well as where things are: light that a plan leaves out moves their minimum.
+# The final quarter of the steps compares pixels. Wide scales respond to brightness as well as to position: the light that
+# a plan omits displaces their minimum.
 FINISH: Final = 0.25
 FINISH_RATE: Final = 0.1
-# Of a finish that is exact: how many times the samples its images have, and how much a step keeps of those before. With
-# the 0.9 of Adam, so short a finish would end while it still swings.
+# An exact finish has eight times the samples, and less momentum than Adam's default of 0.9: with the default, so short a
+# finish would end while it still oscillates.
 FINISH_SAMPLES: Final = 8
 FINISH_MOMENTUM: Final = 0.5
 
 
 @dataclass(frozen=True)
 class Setting:
-    """One way to fit.
+    """Objective and optimiser settings of a fit. Their names and values identify stored runs.
 
     Attributes
     ----------
     name : {"published", "ours"}
-        The protocol. "published": Adam at 0.01 units of the scene, and the paper's scales. "ours": rates in pixels,
-        which fall along a cosine, and the library's own scales and stages. Both have the same bounds.
+        Protocol. "published": Adam at 0.01 world units, and the paper's scales. "ours": rates in pixels with a cosine
+        decay, and the library's default scales and stages. Both have the same bounds.
     method : str
-        Which objective; those with ``prdpt`` take their gradient from ten images at drawn parameters, and all others
-        Mitsuba's, by a plan.
+        Objective. Methods with ``prdpt`` estimate their gradient from ten images at random parameters; all others use
+        the planned gradients of Mitsuba.
     rate : float
-        Adam's, in units of the protocol.
+        Learning rate of Adam, in units of the protocol.
     steps : int
-        Of the fit.
+        Number of steps.
     finish : float
-        Share of the steps, at the end, that compare pixels, at :data:`FINISH_RATE` of the rate.
+        Final fraction of the steps, which compares pixels, at :data:`FINISH_RATE` of the rate.
     exact : bool
-        Whether images leave no light out and have more samples in these steps, which have less momentum.
+        Whether the images of the finish have all light paths and more samples, and its steps less momentum.
     colours : {"channels", "differences"}
-        What of the colours our loss compares.
+        Channels of the LOI objective.
     staged : bool
-        Whether our loss begins with scales that reach far, as by default.
+        Whether the LOI objective begins with wide scales, as by default.
     sigma, final_sigma : float
-        Of the blur over parameters, in units of the scene: held for half of the steps before those of the finish,
-        which has the last one.
+        Standard deviation of the blur over parameters, in world units. It is constant for half of the steps before the
+        finish, whose blur is `final_sigma`.
     """
 
     name: Literal["published", "ours"]
@@ -88,35 +89,36 @@ class Setting:
 
     @property
     def blurred(self) -> bool:
-        """Whether its gradient is that of images blurred over their parameters."""
+        """Whether the fit differentiates images blurred over their parameters."""
         return self.method in ("prdpt", "loi_prdpt")
 
     @property
     def compares(self) -> str:
-        """The objective."""
+        """Name of the objective."""
         return {"prdpt": "pixel_l2", "loi_prdpt": "loi"}.get(self.method, self.method)
 
 
 def ours(method: Method, rate: float) -> Setting:
-    """The setting of our protocol at a rate in pixels."""
+    """Return the setting of our protocol at a rate in pixels."""
     finish = FINISH if method in ("loi", "loi_prdpt") else 0.0
     return Setting("ours", method, rate, finish=finish, exact=method == "loi")
 
 
-def many(setting: Setting) -> Setting:
-    """The setting where many things move, each in the shadows of others.
+def for_many_objects(setting: Setting) -> Setting:
+    """Return a setting for scenes where many objects move in the shadows of others.
 
-    It takes longer. Our loss does not see shadows there, nor does it begin with an image so blurred that things which
-    crowd are one. What it ends with is far more than an exact finish is about.
+    It has twice the steps. The LOI objective then compares differences of colours, which ignore shadows, and starts
+    without the widest scales, whose blur merges neighbouring objects. The remaining error is far larger than the
+    error that an exact finish removes.
     """
     longer = replace(setting, steps=200, exact=False)
     return replace(longer, colours="differences", staged=False) if setting.compares == "loi" else longer
 
 
-# Steps are not published; 400 are those of PRDPT's own example, and at this rate what the farthest start needs.
+# The number of steps is not published. PRDPT's example has 400, which the farthest start needs at this rate.
 PUBLISHED: Final = {method: Setting("published", method, 0.01, steps=400, staged=False) for method in LABELS}
 
-# Pixels that the image moves by a step; those of the second table are the best of a search over these, for each method.
+# Pixels that the image moves per step: candidates of the search for the best rate of each method.
 RATES: Final = (1.0, 3.0, 9.0)
 CHOSEN: Final = dict.fromkeys(LABELS, 3.0) | {"ms_ssim": 9.0}
 PROTOCOLS: Final = {"ours": {method: ours(method, CHOSEN[method]) for method in LABELS}, "published": PUBLISHED}
