@@ -16,7 +16,7 @@ from examples.paper.table3.teapot import teapot
 @pytest.mark.parametrize("column", COLUMNS, ids=lambda column: column.name)
 def test_every_scene_has_its_views_and_starts_elsewhere(column: Column) -> None:
     problem = Problem.of(column, 3)
-    assert len(problem.views) == len(problem.places) == len(problem.targets) == column.views
+    assert len(problem.views) == len(problem.matching_views) == len(problem.targets) == column.views
     assert {name: np.shape(value) for name, value in problem.start.items()} == {
         name: np.shape(value) for name, value in problem.goal.items()
     }

@@ -37,12 +37,12 @@ LABELS: Final[dict[Method, str]] = {
 PAPER_SCALES: Final = ScaleSpace((1.0, 5.0), (1.0, 5.0, 15.0, 45.0), 0.125)
 RATE_WIDTH: Final = 256  # pixels; settings state rates for an image of this width
 
-# The final quarter of the steps compares pixels. Wide scales respond to brightness as well as to position: the light that
-# a plan omits displaces their minimum.
+# The final quarter of the steps compares pixels. Wide scales respond to brightness as well as to position: the light
+# that a plan omits displaces their minimum.
 FINISH: Final = 0.25
 FINISH_RATE: Final = 0.1
-# An exact finish has eight times the samples, and less momentum than Adam's default of 0.9: with the default, so short a
-# finish would end while it still oscillates.
+# An exact finish has eight times the samples, and less momentum than Adam's default of 0.9: with the default, so short
+# a finish would end while it still oscillates.
 FINISH_SAMPLES: Final = 8
 FINISH_MOMENTUM: Final = 0.5
 

@@ -1,4 +1,4 @@
-"""The paper's Table 3: poses, shapes, cameras, materials and light, found through a rasterizer of meshes."""
+"""Table 3 of the paper: poses, shapes, cameras, materials and light, fitted through a mesh rasteriser."""
 
 from examples.paper.table3.command import main
 

@@ -1,4 +1,4 @@
-"""``python -m examples.paper table3``: the runs, then tables, contact sheets and convergence plots."""
+"""``python -m examples.paper table3``: run Table 3, and write its tables, contact sheets and convergence plots."""
 
 from __future__ import annotations
 
@@ -15,28 +15,30 @@ from examples.paper.table3.settings import LABELS, PROTOCOLS, RATES, Method, our
 
 __all__ = ["main"]
 
-PARTS: Final = ("tuning", "ours", "published")
+SUBTABLES: Final = ("tuning", "ours", "published")
 SEEDS: Final = 10
-TUNED: Final = 100  # the seed of the search, which no table has
+TUNING_SEED: Final = 100  # no other subtable has this seed
 
 
-def main(words: Sequence[str] | None = None) -> None:
-    """Carry out what is missing and write everything anew."""
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Carry out the missing runs, and write all tables and pictures."""
     parser = argparse.ArgumentParser(prog="python -m examples.paper table3", description=__doc__)
-    add_options(parser, "table3", PARTS, "two methods, one start, one small column, few steps")
-    parser.add_argument("--methods", nargs="+", choices=list(LABELS), default=list(LABELS), help="default: all")
-    parser.add_argument("--seeds", type=int, default=SEEDS, help=f"starts (default: {SEEDS}; the paper has 1 of some)")
-    options = parser.parse_args(words)
+    add_options(parser, "table3", SUBTABLES, "two methods, one start, one small column, few steps")
+    parser.add_argument(
+        "--methods", nargs="+", choices=list(LABELS), default=list(LABELS), help="methods (default: all)"
+    )
+    parser.add_argument("--seeds", type=int, default=SEEDS, help=f"number of starts (default: {SEEDS})")
+    options = parser.parse_args(arguments)
     methods = tuple(method for method in LABELS if method in options.methods)
     columns = selected_columns(parser, options, COLUMNS)
-    parts = {name: _part(name, methods, columns, options.seeds) for name in options.parts}
-    carry_out_and_report(parser, options, STUDY, {"ours": _quick()} if options.quick else parts)
+    subtables = {name: _subtable(name, methods, columns, options.seeds) for name in options.parts}
+    carry_out_and_report(parser, options, STUDY, {"ours": _quick()} if options.quick else subtables)
 
 
-def _part(name: str, methods: Sequence[Method], columns: tuple[Column, ...], seeds: int) -> Subtable[Run]:
+def _subtable(name: str, methods: Sequence[Method], columns: tuple[Column, ...], seeds: int) -> Subtable[Run]:
     if name == "tuning":
         rows = {
-            LABELS[method]: [Run(ours(method, rate), column, TUNED) for rate in RATES for column in columns]
+            LABELS[method]: [Run(ours(method, rate), column, TUNING_SEED) for rate in RATES for column in columns]
             for method in methods
         }
         return Subtable(rows, rates=RATES)
@@ -53,8 +55,8 @@ def _part(name: str, methods: Sequence[Method], columns: tuple[Column, ...], see
 def _quick() -> Subtable[Run]:
     column = replace(COLUMNS[3], side=32)
     methods: tuple[Method, ...] = ("rgbxy_finetune", "loi")
-    few = {method: replace(PROTOCOLS["ours"][method], steps=40, grid=16) for method in methods}
-    return Subtable({LABELS[method]: [Run(setting, column, 0)] for method, setting in few.items()}, (column,))
+    settings = {method: replace(PROTOCOLS["ours"][method], steps=40, grid=16) for method in methods}
+    return Subtable({LABELS[method]: [Run(setting, column, 0)] for method, setting in settings.items()}, (column,))
 
 
 def _target(run: Run) -> FloatArray:

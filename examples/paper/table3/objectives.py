@@ -13,17 +13,17 @@ from loi_torch.rgbxy import RGBXY
 
 __all__ = ["objective"]
 
-INTERVAL = 6  # visits of a view between two matchings
+MATCHING_INTERVAL = 6  # evaluations of a view between two matchings
 
 
 def objective(setting: Setting, target: FloatArray) -> Objective:
-    """The objective of a setting, for one view."""
+    """Return the objective of a setting, for one view."""
     target_image = torch.as_tensor(target, dtype=torch.float32)
     if setting.method == "loi":
         scales = PAPER_SCALES if setting.name == "published" else None
         return LOIObjective(target_image, scales, accuracy="balanced")
     if setting.method in ("rgbxy", "rgbxy_finetune"):
-        return RGBXY(target_image, grid=setting.grid, interval=INTERVAL)
+        return RGBXY(target_image, grid=setting.grid, interval=MATCHING_INTERVAL)
     if setting.method == "gaussian_pyramid":
         return GaussianPyramid(target_image)
     if setting.method == "ms_ssim":

@@ -1,4 +1,4 @@
-"""The paper's Table 3, for comparison: PSNR in dB, with MAE, or SSIM in the last three columns."""
+"""Published figures of Table 3: PSNR in dB, and MAE, or SSIM in the last three columns."""
 
 from __future__ import annotations
 

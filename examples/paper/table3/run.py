@@ -1,4 +1,4 @@
-"""One fit, and what it came to."""
+"""One fit of Table 3, and its outcome."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from loi_core.renderers.contract import Parameters
 __all__ = ["CURVE_STEPS", "Outcome", "Run", "carry_out"]
 
 CURVE_STEPS: Final = 10  # between two points of a convergence curve
-STEP_DECAY: Final = 0.999
+STEP_DECAY: Final = 0.999  # factor of the rate in each step of the published protocol
 
 
 class Run(Fit[Setting, Column]):
@@ -37,20 +37,20 @@ class Run(Fit[Setting, Column]):
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a run came to.
+    """Outcome of a run; its fields are the keys of the record.
 
     Attributes
     ----------
     psnr, ssim : float
-        Of all views at the last parameters, drawn with smooth outlines; dB for a peak of 1.
+        PSNR in dB for a peak of 1, and SSIM, of all views at the last parameters with anti-aliased outlines.
     mae : float
-        Mean absolute error of the parameters, in world units, radians and shares of 1.
+        Mean absolute error of the parameters, in world units, radians and fractions of 1.
     seconds : float
-        Of the fit; what else the machine did is in it.
+        Wall-clock time of the fit, including the load of the machine.
     curve : tuple of float
-        PSNR of the view that is seen in every tenth step.
+        PSNR in dB of the rendered view of every tenth step.
     image : array, shape (side, side, 3)
-        The first view at the end.
+        Final image of the first view.
     """
 
     psnr: float
@@ -61,8 +61,8 @@ class Outcome:
     image: FloatArray
 
 
-class _Decaying(Adam):
-    """Adam whose rate falls with every step, those of a fit before this one included."""
+class _DecayingAdam(Adam):
+    """Adam whose rate decays with every step, including the `done` steps of an earlier fit."""
 
     def __init__(self, done: int) -> None:
         self._done = done
@@ -70,8 +70,8 @@ class _Decaying(Adam):
     def step(
         self, params: Parameters, gradient: Parameters, memory: Memory, rates: Mapping[str, float]
     ) -> tuple[Parameters, Memory]:
-        share = STEP_DECAY ** (self._done + int(memory["count"]))
-        return super().step(params, gradient, memory, {name: share * rate for name, rate in rates.items()})
+        factor = STEP_DECAY ** (self._done + int(memory["count"]))
+        return super().step(params, gradient, memory, {name: factor * rate for name, rate in rates.items()})
 
     def identity(self, params: Parameters) -> str:  # noqa: ARG002  # as in Adam
         return f"Adam with a rate that falls, after {self._done} steps"
@@ -84,61 +84,62 @@ def carry_out(run: Run) -> Outcome:
     problem = Problem.of(run.column, run.seed)
     params = {name: torch.as_tensor(value, dtype=torch.float32) for name, value in problem.start.items()}
     curve: list[float] = []
-    first = setting.steps - round(setting.steps * setting.finish)
+    main_steps = setting.steps - round(setting.steps * setting.finish)
     started = time.perf_counter()
-    params, done = _part(setting, problem, params, first, 0, curve)
+    params, done = _fit_stage(setting, problem, params, main_steps, 0, curve)
     if setting.finish:
-        last = replace(setting, method="pixel_l2")
-        params, _ = _part(last, problem, params, setting.steps - done, done, curve)
+        finish = replace(setting, method="pixel_l2")
+        params, _ = _fit_stage(finish, problem, params, setting.steps - done, done, curve)
     seconds = time.perf_counter() - started
-    found = {name: value.numpy() for name, value in params.items()}
-    images = {name: image_of(view, found) for name, view in problem.views.items()}
-    error = np.mean([np.mean((images[name] - wanted) ** 2) for name, wanted in problem.targets.items()])
-    ssim = np.mean([structure(images[name], wanted) for name, wanted in problem.targets.items()])
+    result = {name: value.numpy() for name, value in params.items()}
+    images = {name: image_of(view, result) for name, view in problem.views.items()}
+    error = np.mean([np.mean((images[name] - target) ** 2) for name, target in problem.targets.items()])
+    ssim = np.mean([structure(images[name], target) for name, target in problem.targets.items()])
     return Outcome(
         _decibels(float(error)),
         float(ssim),
-        _parameter_error(problem, found),
+        _parameter_error(problem, result),
         seconds,
-        tuple(round(one, 3) for one in curve[::CURVE_STEPS]),
+        tuple(round(decibels, 3) for decibels in curve[::CURVE_STEPS]),
         next(iter(images.values())),
     )
 
 
-def _part(
+def _fit_stage(
     setting: Setting, problem: Problem, start: Parameters, steps: int, done: int, curve: list[float]
 ) -> tuple[Parameters, int]:
-    """The parameters after some steps of one objective, and how many there were.
+    """Minimise the objective of a setting; return the parameters and the number of steps.
 
-    Ours ends once its loss no longer falls, as a stage of :func:`loi_core.fit` does, unless the fit may search.
+    By our protocol a fit with the LOI objective ends when its loss settles, as a stage of :func:`loi_core.fit` does,
+    unless the fit can search for a start.
     """
-    matching = setting.method in ("rgbxy", "rgbxy_finetune")
-    views = problem.places if matching else problem.views
+    matches_pixels = setting.method in ("rgbxy", "rgbxy_finetune")
+    views = problem.matching_views if matches_pixels else problem.views
     objectives = {name: objective(setting, target) for name, target in problem.targets.items()}
-    common: dict[str, Any] = {"steps": steps, "seed": done, "views_per_step": 1}
+    options: dict[str, Any] = {"steps": steps, "seed": done, "views_per_step": 1}
     settles = False
     if setting.name == "published":
         rates = {name: setting.rate * problem.unit(name) for name in start}
-        common |= {"decay": "none", "stages": None, "optimiser": _Decaying(done)}
+        options |= {"decay": "none", "stages": None, "optimiser": _DecayingAdam(done)}
         free = {name: Free(value, learning_rate=rates[name]) for name, value in start.items()}
     else:
         rate = setting.rate if done == 0 else FINISH_RATE * setting.rate
         free = {name: Free(value, *problem.bounds(name)) for name, value in start.items()}
         settles = setting.method == "loi" and not can_search(bounds_of(start, free))
-        common |= {"learning_rate": f"{rate} px", "decay": "none" if settles else "cosine"}
+        options |= {"learning_rate": f"{rate} px", "decay": "none" if settles else "cosine"}
 
     last_stage = len(far_objectives(next(iter(objectives.values())), "auto")) - 1
     window = max(MIN_WINDOW, round(WINDOW_FRACTION * steps))
-    values: list[float] = []  # of the last stage
+    values: list[float] = []  # loss of every step of the last stage
 
-    def note(step: FitStep, __: Parameters, images: Any) -> bool:
+    def record(step: FitStep, __: Parameters, images: Any) -> bool:
         name, image = next(iter(images.items()))
         curve.append(_decibels(float(np.mean((image.numpy()[..., :3] - problem.targets[name]) ** 2))))
         if step.stage == last_stage:
             values.append(step.value)
         return settles and has_settled(values, window)
 
-    result = fit(views, objectives, optimise=free, callback=note, **common)
+    result = fit(views, objectives, optimise=free, callback=record, **options)
     return result.params, len(result.history)
 
 
@@ -146,13 +147,13 @@ def _decibels(error: float) -> float:
     return -10.0 * float(np.log10(max(error, 1e-15)))
 
 
-def _parameter_error(problem: Problem, found: Mapping[str, Any]) -> float:
-    """Mean absolute error of all numbers, each in its unit; angles as near as a turn allows."""
-    off = []
-    for name, value in found.items():
+def _parameter_error(problem: Problem, result: Mapping[str, Any]) -> float:
+    """Return the mean absolute error of all numbers in units of the protocol; angles modulo a full turn."""
+    errors = []
+    for name, value in result.items():
         unit = problem.unit(name)
         difference = (np.asarray(value, dtype=np.float64) - problem.goal[name]) / unit
         if unit != 1.0:
             difference = np.abs((difference + np.pi) % (2.0 * np.pi) - np.pi)
-        off.append(np.abs(difference).ravel())
-    return float(np.mean(np.concatenate(off)))
+        errors.append(np.abs(difference).ravel())
+    return float(np.mean(np.concatenate(errors)))

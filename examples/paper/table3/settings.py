@@ -1,4 +1,4 @@
-"""How a fit is done: the published protocol, and ours, whose rates are in pixels."""
+"""Settings of a fit: the published protocol, and our protocol, whose rates are in pixels."""
 
 from __future__ import annotations
 
@@ -25,25 +25,25 @@ PAPER_SCALES: Final = ScaleSpace((0.0, 5.0), (1.0, 5.0, 15.0, 45.0), 1.0 / 32.0)
 
 @dataclass(frozen=True)
 class Setting:
-    """One way to fit.
+    """Objective and optimiser settings of a fit. Their names and values identify stored runs.
 
     Attributes
     ----------
     name : {"published", "ours"}
-        The protocol. "published": Adam at 0.02 world units, radians or shares of 1, times 0.999 with every step, and
-        the paper's scales. "ours": rates in pixels, which fall along a cosine, bounds, and the library's own scales
+        Protocol. "published": Adam at 0.02 world units, radians or fractions of 1, multiplied by 0.999 in every step,
+        and the paper's scales. "ours": rates in pixels with a cosine decay, bounds, and the library's default scales
         and stages.
     method : str
-        Which objective.
+        Objective.
     rate : float
-        Adam's, in units of the protocol.
+        Learning rate of Adam, in units of the protocol.
     steps : int
-        Of the fit; each renders one view, drawn at random.
+        Number of steps; each renders one random view.
     finish : float
-        Share of the steps, at the end, that compare pixels; more for ours, if it settles before and has too many
-        parameters to search for a start.
+        Final fraction of the steps, which compares pixels. The LOI objective of our protocol hands over sooner if it
+        settles, and if there are too many parameters to search for a start.
     grid : int
-        Points along each side that RGBXY matches.
+        Points that RGBXY matches along each side of the image.
     """
 
     name: Literal["published", "ours"]
@@ -59,19 +59,19 @@ def _finish(method: Method) -> float:
 
 
 def ours(method: Method, rate: float) -> Setting:
-    """The setting of our protocol at a rate in pixels."""
+    """Return the setting of our protocol at a rate in pixels."""
     return Setting("ours", method, rate, finish=0.5 if method == "loi" else _finish(method))
 
 
 PUBLISHED: Final = {method: Setting("published", method, 0.02, finish=_finish(method)) for method in LABELS}
 
-# Of the rate of our protocol, for what compares pixels at the end. On the search's start of Shape, Material and Env.
-# map it is as good as a third of it in the mean, and better in Material, where pixels alone are the rival.
+# Fraction of the rate for the final steps on pixels. From the start of the search in Shape, Material and Env. map, a
+# fraction of 1/3 is as good on average; 2/3 is better in Material, where the strongest rival is pixel L2.
 FINISH_RATE: Final = 2.0 / 3.0
 
-# Pixels that the image moves by a step; those of the second table are the best of a search over these, for each method.
+# Pixels that the image moves per step: candidates of the search, and the best candidate of each method.
 RATES: Final = (0.15, 0.5, 1.5)
-CHOSEN: Final[dict[Method, float]] = {
+BEST_RATES: Final[dict[Method, float]] = {
     "pixel_l2": 0.5,
     "gaussian_pyramid": 0.5,
     "ms_ssim": 1.5,
@@ -80,4 +80,4 @@ CHOSEN: Final[dict[Method, float]] = {
     "rgbxy_finetune": 0.5,
     "loi": 1.5,
 }
-PROTOCOLS: Final = {"published": PUBLISHED, "ours": {method: ours(method, CHOSEN[method]) for method in LABELS}}
+PROTOCOLS: Final = {"published": PUBLISHED, "ours": {method: ours(method, BEST_RATES[method]) for method in LABELS}}
