@@ -1,4 +1,4 @@
-"""The benchmark of speed runs, and reports rows that it could not measure."""
+"""Tests of the speed benchmark: its rows, and the peers that it cannot measure."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The table of what works where is what trying finds."""
+"""Test of the table of capabilities by backend."""
 
 from __future__ import annotations
 
@@ -10,5 +10,5 @@ from tests.strategies import THOROUGH
 
 
 @pytest.mark.skipif(not THOROUGH, reason="half a minute; in the thorough tier")
-def test_the_table_of_the_docs_is_what_trying_finds() -> None:
+def test_the_documented_capabilities_equal_measured_capabilities() -> None:
     assert "\n".join(table()) in (ROOT / "docs" / "results" / "backends.md").read_text()

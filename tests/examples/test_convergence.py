@@ -1,4 +1,4 @@
-"""The suite of scenes that nobody tuned, in its quick tier: one of each kind."""
+"""Tests of the convergence suite in its quick tier: two warps and a vector scene."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tests.strategies import thorough
 @pytest.mark.parametrize(
     "case", [pytest.param(WARPS[1], marks=thorough), WARPS[9], VECTORS[0]], ids=lambda case: str(case.name)
 )
-def test_scenes_are_found_from_far_with_every_default(case: object) -> None:
-    _, found, _, right, verdicts, _ = row(case, [1])  # type: ignore[arg-type]  # of pytest
-    assert found == "1 of 1", verdicts
-    assert right == "1 of 1", verdicts
+def test_untuned_scenes_converge_from_distant_starts_with_default_settings(case: object) -> None:
+    _, converged, _, correct, verdicts, _ = row(case, [1])  # type: ignore[arg-type]  # pytest passes objects
+    assert converged == "1 of 1", verdicts
+    assert correct == "1 of 1", verdicts

@@ -1,4 +1,4 @@
-"""Results are equal to the bit in every process with the same number of threads, and nearly equal with another."""
+"""Tests of determinism: equal bits in every process with as many threads, and rounding errors with more threads."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hypothesis import settings
 from examples.determinism import BACKENDS, Results, computed, difference_in_eps
 from tests.objectives.test_properties import ROUNDINGS
 
-# JAX takes half a minute to compile everything, twice.
+# JAX takes half a minute to compile, in each of the two processes.
 QUICK = [name for name in BACKENDS if name != "JAX"]
 
 
@@ -33,7 +33,7 @@ def test_the_same_seed_gives_the_same_bits_in_another_process(backend: str, tmp_
     assert different(first, computed(backend, tmp_path, PYTHONHASHSEED="12345")) == {}
 
 
-def test_another_number_of_threads_changes_the_core_by_rounding_at_most(tmp_path: Path) -> None:
+def test_the_number_of_threads_changes_results_of_the_core_by_rounding_at_most(tmp_path: Path) -> None:
     changed = different(computed("NumPy", tmp_path), computed("NumPy", tmp_path, THREADS="4"))
     assert max(changed.values(), default=0.0) <= ROUNDINGS
 

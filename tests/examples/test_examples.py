@@ -1,4 +1,4 @@
-"""What the documentation prints can be printed again."""
+"""Tests of the examples in the README and the documentation: they run and reproduce the documented output."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tests.strategies import thorough
 ROOT = Path(__file__).parents[2]
 
 
-def test_every_promised_tolerance_is_kept() -> None:
+def test_every_documented_tolerance_holds() -> None:
     done = subprocess.run([sys.executable, "-m", "examples.checks"], capture_output=True, text=True, cwd=ROOT)
     assert done.returncode == 0, done.stdout + done.stderr
     rows = [line.split(" | ")[0].removeprefix("| ") for line in done.stdout.splitlines()[2:]]
@@ -41,13 +41,13 @@ def test_noise_changes_the_gradient_as_documented(tmp_path: Path) -> None:
     assert len(tables) == 3
     assert len(rows) == 3 * 7
     assert all(f"{row[0]} | " in documented for row in rows)
-    # Far apart, at a tenth of the range: the loss still points to the goal for every seed, pixels know nothing of it.
+    # From far, with noise of a tenth of the range, the loss points to the goal for every seed, unlike pixel L2.
     shares = {row[0].removeprefix("| "): row[1].split(", ")[-1] for row in rows[:7]}
-    assert all(shares[f"loi, {one}"] == "100%" for one in ("vector", "path", "for_image"))
+    assert all(shares[f"loi, {preset}"] == "100%" for preset in ("vector", "path", "for_image"))
     assert shares["pixel L2"] != "100%"
 
 
-def test_a_logo_is_found_in_its_picture_where_pixels_do_not_find_it(tmp_path: Path) -> None:
+def test_the_logo_example_fits_a_position_where_pixels_fail(tmp_path: Path) -> None:
     plot = tmp_path / "logo.png"
     done = subprocess.run(
         [sys.executable, "-m", "examples.logo", "--quick", "--output", str(plot)],
@@ -57,9 +57,9 @@ def test_a_logo_is_found_in_its_picture_where_pixels_do_not_find_it(tmp_path: Pa
         check=True,
     )
     assert plot.stat().st_size > 5_000
-    ours, pixels = (float(one) for one in done.stdout.splitlines()[-1].strip("| ").split(" | ")[1:])
-    assert ours < 0.5  # pixels of 48; the full example ends nearer, and prints by how much
-    assert pixels > 10.0
+    loi_error, pixel_error = (float(cell) for cell in done.stdout.splitlines()[-1].strip("| ").split(" | ")[1:])
+    assert loi_error < 0.5  # pixels of 48; the full example ends closer, and prints its error
+    assert pixel_error > 10.0
 
 
 SETUPS = {
@@ -110,7 +110,7 @@ SETUPS = {
 def test_the_snippets_of_the_readme_are_six_lines_and_run(name: str) -> None:
     text = (ROOT / "README.md").read_text()
     snippets = [block.split("```")[0] for block in text.split("```python\n")[1:]]
-    (snippet,) = [one for one in snippets if name in one and "loi_torch.mesh" not in one]
+    (snippet,) = [snippet for snippet in snippets if name in snippet and "loi_torch.mesh" not in snippet]
     assert len([line for line in snippet.splitlines() if line and "import" not in line]) <= 6
     assert "range(200)" in snippet
     start = "import numpy as np\nheight, width = 12, 16\nphotograph = np.full((height, width, 3), 0.7)\n"
@@ -124,9 +124,9 @@ def test_the_snippets_of_the_readme_are_six_lines_and_run(name: str) -> None:
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_the_loop_of_the_readme_that_begins_from_far_finds_a_spot_on_stripes() -> None:
+def test_the_far_to_near_loop_of_the_readme_fits_a_spot_on_stripes() -> None:
     snippets = [block.split("```")[0] for block in (ROOT / "README.md").read_text().split("```python\n")[1:]]
-    (snippet,) = [one for one in snippets if "FarToNear(" in one]
+    (snippet,) = [snippet for snippet in snippets if "FarToNear(" in snippet]
     start = """
         import torch
         from loi_core import FarToNear, ScaleSpace
@@ -147,9 +147,9 @@ def test_the_loop_of_the_readme_that_begins_from_far_finds_a_spot_on_stripes() -
     subprocess.run([sys.executable, "-W", "error", "-c", code], check=True)
 
 
-def test_the_readme_finds_a_mesh_in_under_twenty_lines(tmp_path: Path) -> None:
+def test_the_readme_fits_a_mesh_in_under_twenty_lines(tmp_path: Path) -> None:
     snippets = [block.split("```")[0] for block in (ROOT / "README.md").read_text().split("```python\n")[1:]]
-    (snippet,) = [one for one in snippets if "loi_torch.mesh" in one]
+    (snippet,) = [snippet for snippet in snippets if "loi_torch.mesh" in snippet]
     assert len(snippet.splitlines()) < 20
     trimesh.creation.box().export(tmp_path / "crate.glb")
     start = "import numpy as np\nheight, width = 12, 16\nphotograph = np.full((height, width, 3), 0.1)\n"
@@ -158,10 +158,12 @@ def test_the_readme_finds_a_mesh_in_under_twenty_lines(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "place", "near"),
+    ("name", "target", "tolerance"),
     [
         ("numpy", (75.0, 45.0), 0.5),
-        pytest.param("torch", (75.0, 45.0), 0.5, marks=thorough),  # as the guide's, which always runs
+        pytest.param(
+            "torch", (75.0, 45.0), 0.5, marks=thorough
+        ),  # the same loop as in the guide, whose test always runs
         pytest.param("mesh", (2.0, -0.8, 0.0), 0.05, marks=thorough),  # scene units; a pixel is 0.09
         pytest.param("tensorboard", (75.0, 45.0), 0.5, marks=thorough),
         pytest.param("torch_distributed", (15.0, 45.0, -10.0), 0.5, marks=thorough),
@@ -170,11 +172,11 @@ def test_the_readme_finds_a_mesh_in_under_twenty_lines(tmp_path: Path) -> None:
         pytest.param("mitsuba", (1.5, -1.0), 0.1, marks=thorough),  # scene units; a pixel is 0.12
     ],
 )
-def test_the_loops_of_the_readme_find_a_place_that_they_do_not_overlap_at_first(
-    name: str, place: tuple[float, ...], near: float
+def test_the_loops_of_the_readme_converge_from_starts_without_overlap(
+    name: str, target: tuple[float, ...], tolerance: float
 ) -> None:
     ranks = ("torch.distributed.run", "--standalone", "--nproc-per-node", "2", "-m") if "distributed" in name else ()
     command = [sys.executable, "-m", *ranks, f"examples.loops.with_{name}"]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=True)
-    found = [float(one) for one in done.stdout.split()]
-    assert found == pytest.approx(place, abs=near)
+    result = [float(word) for word in done.stdout.split()]
+    assert result == pytest.approx(target, abs=tolerance)

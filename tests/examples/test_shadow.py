@@ -1,4 +1,4 @@
-"""The paper's first scene, small: a shadow under a point light leads a fit to what throws it."""
+"""Tests of the paper's first scene at a small size: a fit recovers a sphere from its shadow under a point light."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from tests.strategies import thorough
 
 
 @thorough
-def test_what_throws_a_shadow_is_found_with_the_scene_as_it_is(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_fit_recovers_a_sphere_from_its_shadow_under_a_point_light(capsys: pytest.CaptureFixture[str]) -> None:
     shadow.main(["--quick", "--json"])
     (line,) = capsys.readouterr().out.strip().splitlines()
     outcome = json.loads(line)
@@ -20,7 +20,7 @@ def test_what_throws_a_shadow_is_found_with_the_scene_as_it_is(capsys: pytest.Ca
     assert outcome["mae"] < shadow.MAX_FOUND_ERROR
 
 
-def test_options_are_checked(capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_shadow_experiment_refuses_a_count_of_0(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match="2"):
         shadow.main(["--starts", "0"])
     assert "must be 1 or more" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""A table of the paper may grow in parts: what it says of runs whose files are gone stays."""
+"""Tests of the studies of the paper: a table can grow over several calls, and keeps figures of deleted records."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ class Column:
     width: int = 4
 
 
-class OneFit(Fit[Setting, Column]):
+class Run(Fit[Setting, Column]):
     @property
     def parts(self) -> tuple[str, ...]:
         return self.setting.name, self.setting.method, f"{self.column.name} {self.column.width}"
@@ -44,7 +44,7 @@ class Outcome:
     curve: list[float]
 
 
-def carry_out(run: OneFit) -> Outcome:
+def carry_out(run: Run) -> Outcome:
     return Outcome(np.full((4, 4, 3), 0.5), 20.0 + run.seed, 0.25, 1.5, [10.0, 20.0 + run.seed])
 
 
@@ -62,14 +62,13 @@ STUDY = Study(
 
 
 def reported(folder: Path, out: str, *, seeds: int, report: bool = False, columns: Any = COLUMNS) -> list[str]:
-    """The cells of our row after a call."""
+    """Report a table, and return the cells of its row in the documentation."""
     parser = argparse.ArgumentParser()
     add_options(parser, "table9", ("ours",), "none", processes=1)
-    words = ["--out", str(folder / out), "--docs", str(folder / "docs"), *(["--report"] if report else [])]
-    part = Subtable(
-        {"ours": [OneFit(Setting("ours", "loi"), at, seed) for at in columns for seed in range(seeds)]}, columns
-    )
-    carry_out_and_report(parser, parser.parse_args(words), STUDY, {"ours": part})
+    arguments = ["--out", str(folder / out), "--docs", str(folder / "docs"), *(["--report"] if report else [])]
+    runs = [Run(Setting("ours", "loi"), column, seed) for column in columns for seed in range(seeds)]
+    subtable = Subtable({"ours": runs}, columns)
+    carry_out_and_report(parser, parser.parse_args(arguments), STUDY, {"ours": subtable})
     (row,) = [line for line in (folder / "docs" / "table9.md").read_text().splitlines() if line.startswith("| ours")]
     return [cell.strip() for cell in row.strip("|").split("|")][1:]
 
@@ -81,19 +80,19 @@ def docs(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_figures_of_runs_whose_files_are_gone_stay_and_so_do_their_pictures(docs: Path) -> None:
+def test_figures_and_pictures_of_runs_without_records_are_kept(docs: Path) -> None:
     first = reported(docs, "out", seeds=1)
     assert first == ["20.00 / 0.250", "20.00 / 0.250"]
     sheet = docs / "docs" / "images" / "table9" / "ours-shadow.png"
-    drawn = sheet.read_bytes()
+    picture = sheet.read_bytes()
     rows = (docs / "docs" / "table9.csv").read_text()
     assert reported(docs, "elsewhere", seeds=3, report=True) == ["20.00 / 0.250, 1 of 3 seeds"] * 2
     assert (docs / "docs" / "table9.csv").read_text() == rows
-    assert sheet.read_bytes() == drawn
-    assert not (docs / "elsewhere" / "runs").exists()  # and are not taken for runs that are done
+    assert sheet.read_bytes() == picture
+    assert not (docs / "elsewhere" / "runs").exists()  # figures do not count as finished runs
 
 
-def test_new_runs_stand_beside_them_and_replace_them(docs: Path) -> None:
+def test_new_runs_extend_and_replace_figures_of_runs_without_records(docs: Path) -> None:
     reported(docs, "out", seeds=1)
     numbers = docs / "docs" / "table9.csv"
     numbers.write_text(numbers.read_text().replace("20.0000", "10.0000"))
@@ -106,24 +105,24 @@ def test_new_runs_stand_beside_them_and_replace_them(docs: Path) -> None:
     assert len(rows) == 4
 
 
-def test_a_call_for_a_part_of_a_table_loses_nothing_of_the_rest(docs: Path) -> None:
+def test_a_report_of_fewer_columns_keeps_all_other_rows_of_the_csv(docs: Path) -> None:
     reported(docs, "out", seeds=2)
-    before = set((docs / "docs" / "table9.csv").read_text().splitlines())
+    expected = set((docs / "docs" / "table9.csv").read_text().splitlines())
     reported(docs, "elsewhere", seeds=1, report=True, columns=COLUMNS[:1])
-    assert set((docs / "docs" / "table9.csv").read_text().splitlines()) == before
+    assert set((docs / "docs" / "table9.csv").read_text().splitlines()) == expected
 
 
-def test_a_table_of_which_nothing_is_known_stays_as_it_is(docs: Path) -> None:
+def test_a_table_without_results_keeps_its_documented_lines(docs: Path) -> None:
     page = docs / "docs" / "table9.md"
-    page.write_text("<!-- ours -->\nby hand\n<!-- end -->\n")
+    page.write_text("<!-- ours -->\nwritten earlier\n<!-- end -->\n")
     parser = argparse.ArgumentParser()
     add_options(parser, "table9", ("ours",), "none", processes=1)
-    words = ["--out", str(docs / "out"), "--docs", str(docs / "docs"), "--report"]
-    search = Subtable({"ours": [OneFit(Setting("ours", "loi"), COLUMNS[0], 100)]}, rates=(1.0,))
-    carry_out_and_report(parser, parser.parse_args(words), STUDY, {"ours": search})
-    assert "by hand" in page.read_text()
+    arguments = ["--out", str(docs / "out"), "--docs", str(docs / "docs"), "--report"]
+    search = Subtable({"ours": [Run(Setting("ours", "loi"), COLUMNS[0], 100)]}, rates=(1.0,))
+    carry_out_and_report(parser, parser.parse_args(arguments), STUDY, {"ours": search})
+    assert "written earlier" in page.read_text()
 
 
-def test_figures_are_not_taken_for_those_of_a_column_of_the_same_name(docs: Path) -> None:
+def test_figures_apply_only_to_their_own_column_despite_equal_names(docs: Path) -> None:
     reported(docs, "out", seeds=1)
     assert reported(docs, "elsewhere", seeds=1, report=True, columns=(Column("Shadow", 8),)) == [""]

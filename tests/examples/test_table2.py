@@ -1,4 +1,4 @@
-"""Table 2: its scenes are what they say, its errors count what is alike once, and its quick tier runs end to end."""
+"""Tests of Table 2 of the paper: its scenes, its error for interchangeable objects, and its quick tier."""
 
 from __future__ import annotations
 
@@ -22,71 +22,71 @@ import mitsuba as mi
 
 @pytest.fixture(autouse=True)
 def variant() -> None:
-    """The scenes are made of Mitsuba's own transforms, which need one."""
+    """Set a variant, which the transforms of Mitsuba need."""
     mi.set_variant("llvm_ad_rgb")
 
 
 @pytest.mark.parametrize("column", COLUMNS, ids=lambda column: column.name)
-def test_every_start_is_within_its_bounds_and_away_from_the_truth(column: Column) -> None:
+def test_every_start_is_within_its_bounds_and_at_a_distance_from_the_truth(column: Column) -> None:
     starts = []
     for seed in range(4):
         built = SCENES[column.name](16, 12, seed)
         assert set(built.parameters) == set(built.truth) == set(built.start)
-        assert all(abs(value) <= built.reach for some in (built.truth, built.start) for value in some.values())
+        assert all(abs(value) <= built.reach for values in (built.truth, built.start) for value in values.values())
         assert np.mean([abs(built.truth[name] - built.start[name]) for name in built.truth]) > 0.3
         starts.append(tuple(built.start.values()))
     assert len(set(starts)) == len(starts)
 
 
-def test_no_two_runs_share_a_line_of_the_numbers() -> None:
+def test_no_two_runs_of_table_2_share_a_line_of_the_csv() -> None:
     runs = {run for name in SUBTABLES if name != "savings" for run in subtable_of(name).runs}
     assert len({key_of(run) for run in runs}) == len(runs)
 
 
-def test_sort_has_65_colours_and_130_parameters() -> None:
+def test_the_sort_scene_has_65_colours_and_130_parameters() -> None:
     built = SCENES["Sort"](16, 12, 0)
     assert len(built.parameters) == 130
     tints = {
-        tuple(one["bsdf"]["bsdf"]["reflectance"]["value"])
-        for name, one in built.scene.items()
+        tuple(shape["bsdf"]["bsdf"]["reflectance"]["value"])
+        for name, shape in built.scene.items()
         if name.startswith("one_")
     }
     assert len(tints) == 65
 
 
-def test_no_two_boxes_have_their_tops_in_one_plane() -> None:
-    """Where such tops overlap it is chance which is seen, and no gradient says how that changes."""
+def test_no_two_boxes_of_the_sort_scene_have_coplanar_tops() -> None:
+    """Where coplanar tops overlap, rounding decides which is visible, and no gradient describes the change."""
     scene = SCENES["Sort"](16, 12, 0).scene
-    boxes = [one for one in scene.values() if isinstance(one, dict) and one["type"] == "cube"]
+    boxes = [shape for shape in scene.values() if isinstance(shape, dict) and shape["type"] == "cube"]
     tops = sorted((np.array(box["to_world"].matrix) @ [0.0, 1.0, 0.0, 1.0])[1] for box in boxes)
     assert len(tops) > 30
     assert np.min(np.diff(tops)) > 1e-3
 
 
-def test_what_is_to_be_sorted_starts_near_its_place_in_one_scene_and_anywhere_in_the_other() -> None:
-    """Near, yet so that most of them do not overlap with where they belong: a shape is half a unit wide."""
+def test_primitives_start_near_their_targets_in_one_sort_scene_and_anywhere_in_the_other() -> None:
+    """Primitives are half a unit wide, and most starts are too far from the target to overlap."""
     errors = {}
     for name in ("Sort", "Sort, anywhere"):
         built = SCENES[name](16, 12, 0)
-        errors[name] = np.array([abs(built.start[one] - built.truth[one]) for one in built.truth]).reshape(-1, 2)
+        errors[name] = np.array([abs(built.start[key] - built.truth[key]) for key in built.truth]).reshape(-1, 2)
     assert np.max(errors["Sort"]) <= 2.0 < np.max(errors["Sort, anywhere"])
     assert np.mean(np.max(errors["Sort"], axis=1) > 0.5) > 0.9
 
 
-def test_a_glass_ball_has_its_middle_in_view_wherever_its_bounds_let_it_go() -> None:
-    """What leaves the view leaves no gradient, and cannot come back."""
+def test_the_centre_of_a_glass_ball_is_in_view_at_all_corners_of_its_bounds() -> None:
+    """A ball out of view has no gradient, and cannot return."""
     built = SCENES["Caustics and Lights"](64, 48, 0)
     sensor = built.scene["sensor"]
     to_camera = np.linalg.inv(np.array(sensor["to_world"].matrix, dtype=np.float64))
-    half = np.tan(np.radians(sensor["fov"] / 2.0)) * np.array([1.0, 48 / 64])
+    half_extent = np.tan(np.radians(sensor["fov"] / 2.0)) * np.array([1.0, 48 / 64])
     height = np.array(built.scene["ball_1"]["to_world"].matrix)[1, 3]
     for x in (-built.reach, built.reach):
         for z in (-built.reach, built.reach):
-            place = to_camera @ np.array([x, height, z, 1.0])
-            assert np.all(np.abs(place[:2]) < half * place[2])
+            centre = to_camera @ np.array([x, height, z, 1.0])
+            assert np.all(np.abs(centre[:2]) < half_extent * centre[2])
 
 
-def test_glass_balls_may_change_places_and_lamps_may_not() -> None:
+def test_glass_balls_are_interchangeable_and_lamps_are_not() -> None:
     problem = Problem(COLUMNS[2], SCENES["Caustics and Lights"](16, 12, 0), None)
     truth = dict(problem.built.truth)
 
@@ -100,7 +100,9 @@ def test_glass_balls_may_change_places_and_lamps_may_not() -> None:
     assert problem.error(exchanged("lamp_1", "lamp_2")) > 1.0
 
 
-def test_the_quick_tier_runs_and_is_not_done_twice(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_quick_tier_of_table_2_does_not_repeat_finished_runs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     for _ in range(2):
         main(["--quick", "--out", str(tmp_path)])
         printed = capsys.readouterr().out
@@ -112,7 +114,7 @@ def test_the_quick_tier_runs_and_is_not_done_twice(tmp_path: Path, capsys: pytes
     assert (tmp_path / "ours-convergence.png").exists()
 
 
-def test_wrong_words_are_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_table_2_refuses_an_unknown_column(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["--columns", "Caustics", "--out", str(tmp_path)])
     assert "--columns must be among 'Shadow'" in capsys.readouterr().err

@@ -1,4 +1,4 @@
-"""Table 3: its scenes are what they say, and its quick tier runs end to end."""
+"""Tests of Table 3 of the paper: its scenes, the teapot, and its quick tier."""
 
 from __future__ import annotations
 
@@ -14,24 +14,25 @@ from examples.paper.table3.teapot import teapot
 
 
 @pytest.mark.parametrize("column", COLUMNS, ids=lambda column: column.name)
-def test_every_scene_has_its_views_and_starts_elsewhere(column: Column) -> None:
+def test_every_scene_of_table_3_has_its_views_and_a_start_unlike_the_target(column: Column) -> None:
     problem = Problem.of(column, 3)
     assert len(problem.views) == len(problem.matching_views) == len(problem.targets) == column.views
     assert {name: np.shape(value) for name, value in problem.start.items()} == {
         name: np.shape(value) for name, value in problem.goal.items()
     }
     name, view = next(iter(problem.views.items()))
-    there = image_of(view, problem.goal)
-    np.testing.assert_array_equal(there, problem.targets[name])
-    assert float(np.mean((image_of(view, problem.start) - there) ** 2)) > 1e-4
-    for one in problem.start:
-        low, high = problem.bounds(one)
-        assert low is None or bool(np.all(low <= problem.start[one]))
-        assert low is None or bool(np.all(low <= problem.goal[one]))
-        assert high is None or bool(np.all(problem.goal[one] <= high))
+    target = image_of(view, problem.goal)
+    np.testing.assert_array_equal(target, problem.targets[name])
+    assert float(np.mean((image_of(view, problem.start) - target) ** 2)) > 1e-4
+    for parameter, start in problem.start.items():
+        lower, upper = problem.bounds(parameter)
+        assert lower is None or bool(np.all(lower <= start))
+        assert lower is None or bool(np.all(lower <= problem.goal[parameter]))
+        assert upper is None or bool(np.all(problem.goal[parameter] <= upper))
 
 
-def test_the_teapot_is_closed_but_for_the_gap_under_its_lid() -> None:
+def test_the_teapot_encloses_a_volume_and_has_the_requested_radius() -> None:
+    # The surface is closed except for the gap under its lid.
     mesh = teapot()
     corners = mesh.vertices.numpy()[mesh.faces]
     volume = float(np.einsum("ij,ij->", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))) / 6.0
@@ -39,7 +40,9 @@ def test_the_teapot_is_closed_but_for_the_gap_under_its_lid() -> None:
     assert float(mesh.vertices.abs().max()) == pytest.approx(1.0)
 
 
-def test_the_quick_tier_of_table_3_runs_once(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_quick_tier_of_table_3_does_not_repeat_finished_runs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     for _ in range(2):
         main(["--quick", "--out", str(tmp_path)])
         assert "loi (ours)" in capsys.readouterr().out
@@ -49,7 +52,7 @@ def test_the_quick_tier_of_table_3_runs_once(tmp_path: Path, capsys: pytest.Capt
     assert (tmp_path / "ours-convergence.png").exists()
 
 
-def test_table_3_refuses_wrong_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_table_3_refuses_an_unknown_column(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["--columns", "Kitten", "--out", str(tmp_path)])
     assert "--columns must be among 'Translation'" in capsys.readouterr().err

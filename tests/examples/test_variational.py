@@ -1,4 +1,4 @@
-"""The kaleidoscope and the orb: targets are made as they say, gradients point home, and the quick tier runs."""
+"""Tests of the kaleidoscope and the orb: targets, directions of gradients, and the quick tier."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from loi_core.errors import RendererError
 from loi_core.pixels.psnr import psnr
 from tests.strategies import thorough
 
-SIDE, SAMPLES = 40, 4
+IMAGE_SIDE, SAMPLES = 40, 4
 
 
 @pytest.fixture(params=["kaleidoscope", "orb"])
 def problem(request: pytest.FixtureRequest) -> Problem:
-    return problem_of(request.param, Size(SIDE, SAMPLES, 1))
+    return problem_of(request.param, Size(IMAGE_SIDE, SAMPLES, 1))
 
 
-def test_starts_fill_the_range_and_the_truth_is_found(problem: Problem) -> None:
+def test_random_starts_fill_the_range_and_only_the_truth_counts_as_found(problem: Problem) -> None:
     starts = [problem.start(seed) for seed in range(200)]
     for name in problem.truth:
         values = [start[name] for start in starts]
@@ -39,17 +39,20 @@ def test_starts_fill_the_range_and_the_truth_is_found(problem: Problem) -> None:
     assert not any(problem.is_found(start) for start in starts)
 
 
-def test_the_target_is_like_the_model_at_the_truth_and_unlike_it_elsewhere(problem: Problem) -> None:
-    there = psnr(image_at(problem, problem.truth), problem.target)
-    elsewhere = [psnr(image_at(problem, problem.start(seed)), problem.target) for seed in range(3)]
-    assert there > max(elsewhere) + 3.0
+def test_the_target_resembles_the_model_at_the_truth_more_than_at_random_starts(problem: Problem) -> None:
+    truth_psnr = psnr(image_at(problem, problem.truth), problem.target)
+    start_psnrs = [psnr(image_at(problem, problem.start(seed)), problem.target) for seed in range(3)]
+    assert truth_psnr > max(start_psnrs) + 3.0
 
 
-def test_the_orb_has_a_photograph_and_no_render_of_its_model() -> None:
-    problem = orb_scene.problem(SIDE, SAMPLES)
+def test_the_target_of_the_orb_is_a_photograph_rather_than_a_render_of_the_model() -> None:
+    problem = orb_scene.problem(IMAGE_SIDE, SAMPLES)
     np.testing.assert_allclose(255.0 * problem.target, np.rint(255.0 * problem.target), atol=1e-4)
-    one, other = (np.mean([image_at(problem, problem.truth, seed=seed) for seed in range(k, k + 8)], 0) for k in (0, 8))
-    assert psnr(one, problem.target) < psnr(one, other) - 5.0
+    first, second = (
+        np.mean([image_at(problem, problem.truth, seed=seed) for seed in range(start, start + 8)], 0)
+        for start in (0, 8)
+    )
+    assert psnr(first, problem.target) < psnr(first, second) - 5.0
 
 
 def test_a_photograph_is_dark_at_its_corners_blurred_and_noisy() -> None:
@@ -64,24 +67,24 @@ def test_a_photograph_is_dark_at_its_corners_blurred_and_noisy() -> None:
 
 
 @pytest.mark.parametrize("method", ["sigma", "paper"])
-def test_near_the_truth_the_gradient_leads_to_it(method: Method) -> None:
-    problem = orb_scene.problem(SIDE, SAMPLES)
+def test_near_the_truth_the_gradient_points_towards_the_truth(method: Method) -> None:
+    problem = orb_scene.problem(IMAGE_SIDE, SAMPLES)
     renderer = blurred(problem, Setting(method, 0.01, 0.05))
     compared = objective(method, problem.target)
     slopes = []
     for sign in (1.0, -1.0):
         params: dict[str, Any] = as_arrays(dict(problem.truth, x=problem.truth["x"] + 0.7 * sign * orb_scene.RADIUS))
-        drawn = [renderer.render_vjp(params, seed=seed) for seed in range(5)]
-        slopes.append(np.mean([float(pullback(compared.value_and_grad(image)[1])["x"]) for image, pullback in drawn]))
+        renders = [renderer.render_vjp(params, seed=seed) for seed in range(5)]
+        slopes.append(np.mean([float(pullback(compared.value_and_grad(image)[1])["x"]) for image, pullback in renders]))
     assert slopes[0] > 0.0 > slopes[1]
 
 
-def test_images_have_no_gradient_of_their_own(problem: Problem) -> None:
+def test_the_images_of_a_variational_problem_refuse_a_gradient(problem: Problem) -> None:
     with pytest.raises(RendererError, match="images only"):
         problem.images.render_vjp(problem.true_parameters())
 
 
-def test_the_gradient_of_blurred_pixels_is_that_of_their_value() -> None:
+def test_the_gradient_of_blurred_pixels_equals_central_differences() -> None:
     rng = np.random.default_rng(0)
     image, reference, direction = rng.random((3, 24, 20, 3))
     compared = BlurredL2(reference)
@@ -92,7 +95,7 @@ def test_the_gradient_of_blurred_pixels_is_that_of_their_value() -> None:
 
 
 @pytest.mark.parametrize("command", [kaleidoscope, orb])
-def test_the_quick_tier_of_the_variational_method_runs_once(
+def test_the_quick_tier_of_the_variational_method_runs_end_to_end_and_reports_again(
     command: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     name = command.__name__.rpartition(".")[2]
@@ -108,32 +111,32 @@ def test_the_quick_tier_of_the_variational_method_runs_once(
         assert (tmp_path / file).exists()
 
 
-def test_a_csv_keeps_the_runs_that_are_not_done_anew(tmp_path: Path) -> None:
-    before = tmp_path / "orb.csv"
-    head, old, other = (
+def test_a_merged_csv_keeps_rows_of_other_runs_and_replaces_repeated_runs(tmp_path: Path) -> None:
+    path = tmp_path / "orb.csv"
+    header, old_row, other_row = (
         "method,rate,sigma,final,side,samples,steps,seed,found,psnr,seconds\n",
         "pixels,0.02,0.1,0.4,100,4,120,1,True,20.0,0.5\n",
         "sigma,0.02,0.1,0.4,100,4,120,1,False,18.0,0.5\n",
     )
-    new = old.replace("20.0", "21.0")
-    assert merged_csv(head + new, before) == head + new
-    before.write_text(head + old + other, encoding="utf-8")
-    assert merged_csv(head + new, before) == head + new + other
+    new_row = old_row.replace("20.0", "21.0")
+    assert merged_csv(header + new_row, path) == header + new_row
+    path.write_text(header + old_row + other_row, encoding="utf-8")
+    assert merged_csv(header + new_row, path) == header + new_row + other_row
 
 
-def test_the_variational_method_refuses_wrong_words(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_variational_method_refuses_0_steps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit, match="2"):
         orb.main(["--steps", "0", "--out", str(tmp_path)])
     assert "must be 1 or more" in capsys.readouterr().err
 
 
 @thorough
-def test_a_handle_out_of_sight_is_found_by_looking_at_other_angles(
+def test_gradients_from_images_at_other_angles_recover_a_hidden_handle(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     mug.main(["--quick", "--json", "--out", str(tmp_path)])
-    found = {one["method"]: one for one in map(json.loads, capsys.readouterr().out.splitlines())}
-    assert found["loi"]["verdict"] == "no gradient"
-    assert found["loi"]["end"] == found["loi"]["start"]
-    assert found["loi + PRDPT"]["found"]
+    outcomes = {line["method"]: line for line in map(json.loads, capsys.readouterr().out.splitlines())}
+    assert outcomes["loi"]["verdict"] == "no gradient"
+    assert outcomes["loi"]["end"] == outcomes["loi"]["start"]
+    assert outcomes["loi + PRDPT"]["found"]
     assert (tmp_path / "mug.png").exists()
