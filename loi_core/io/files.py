@@ -18,6 +18,7 @@ __all__ = [
     "TEMPORARY",
     "atomic_path",
     "check_writable",
+    "finished_name",
     "open_regular",
     "read_bytes",
     "remove_temporaries",
@@ -29,6 +30,11 @@ __all__ = [
 
 TEMPORARY: Final = ".loi-unfinished-"
 """Prefix of the name of a file that is being written."""
+
+TEMPORARY_NAME: Final = re.compile(
+    rf"{re.escape(TEMPORARY)}(?P<stem>.+)-[a-z0-9_]{{8}}(?P<suffix>(?:\.[^.]*)?)", re.DOTALL
+)
+"""Names that `tempfile.mkstemp` makes in :func:`atomic_path`."""
 
 
 @contextlib.contextmanager
@@ -70,13 +76,17 @@ def unwritable(path: Path, error: OSError) -> WriteError:
     return write_error
 
 
+def finished_name(name: str) -> str | None:
+    """Return the name of the file that a temporary file of this name becomes; None for every other file."""
+    match = TEMPORARY_NAME.fullmatch(name)
+    return f"{match['stem']}{match['suffix']}" if match else None
+
+
 def remove_temporaries(path: Path) -> None:
     """Remove temporary files that killed processes have left of `path`."""
-    prefix = re.escape(f"{TEMPORARY}{path.stem}-")
-    pattern = re.compile(rf"{prefix}[a-z0-9_]{{8}}{re.escape(path.suffix)}")  # as mkstemp names them
     with contextlib.suppress(OSError):
         for file in path.parent.iterdir():
-            if pattern.fullmatch(file.name) and stat.S_ISREG(file.lstat().st_mode):
+            if finished_name(file.name) == path.name and stat.S_ISREG(file.lstat().st_mode):
                 file.unlink()
 
 

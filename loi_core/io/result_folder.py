@@ -6,6 +6,7 @@ removed, and nothing is written or removed through a link.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import re
 import stat
@@ -14,7 +15,7 @@ from pathlib import Path, PurePosixPath
 from typing import Final
 
 from loi_core.errors import OptionError
-from loi_core.io.files import TEMPORARY, check_writable, read_bytes, unwritable, write_text
+from loi_core.io.files import TEMPORARY, check_writable, finished_name, read_bytes, unwritable, write_text
 from loi_core.io.lock import LOCK
 from loi_core.support.wording import printable, shown
 
@@ -114,8 +115,14 @@ class ResultFolder:
             self._write_marker()
 
     def remove_unfinished(self) -> None:
-        """Remove unfinished files of killed fits; no other process may be writing here."""
-        self.remove(str(path.relative_to(self.path)) for path in self.path.rglob(f"{TEMPORARY}*"))
+        """Remove unfinished copies of listed files, left by killed fits; no other process may be writing here."""
+        written = {PurePosixPath(name) for name in self._read_marker() | {MARKER_FILE}}
+        for folder in {path.parent for path in written}:
+            complete = {path.name for path in written if path.parent == folder}
+            with contextlib.suppress(OSError):  # the folder has not been made yet
+                for file in (self.path / folder).iterdir():
+                    if finished_name(file.name) in complete and stat.S_ISREG(file.lstat().st_mode):
+                        file.unlink()
 
     def _read_marker(self) -> set[str]:
         return _listed_files(self.path / MARKER_FILE)

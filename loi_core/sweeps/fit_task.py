@@ -100,7 +100,7 @@ def _make_scene(task: FitTask) -> Scene:
 
 
 def _run(scene: Scene, folder: ResultFolder) -> list[Trial]:
-    checkpoint, write_frame = scene.output / CHECKPOINT_FILE, frame_writer(scene, folder)
+    checkpoint, write_frame = folder.file(CHECKPOINT_FILE), frame_writer(scene, folder)
     try:
         return run_scene(scene, checkpoint=checkpoint, resume=True, write_frame=write_frame)
     except ParameterError:  # the checkpoint is damaged, or something outside the sweep has changed since

@@ -86,6 +86,17 @@ def test_the_marker_lists_every_picture_of_a_fit(scene: Path) -> None:
     assert {name for name in contents(result) if name.endswith(".png")} <= listed
 
 
+def test_unfinished_copies_of_listed_files_are_removed_and_others_stay(tmp_path: Path) -> None:
+    folder = ResultFolder(tmp_path / "result")
+    folder.file("frames/000001.png")
+    mine = ["mine.png", "frames/.loi-unfinished-000002-abcdefgh.png", "frames/.loi-unfinished-000001.png"]
+    for name in (*mine, ".loi-unfinished-loi-fit-abcdefgh.json", "frames/.loi-unfinished-000001-ab_def12.png"):
+        (folder.path / name).parent.mkdir(exist_ok=True)
+        (folder.path / name).write_bytes(b"half")
+    folder.remove_unfinished()
+    assert set(contents(folder.path)) == {MARKER_FILE, *mine}
+
+
 @pytest.mark.parametrize("listed", ["../outside.png", "/outside.png", "frames/../../outside.png", 3])
 def test_a_marker_that_lists_files_outside_removes_nothing(listed: object, tmp_path: Path) -> None:
     outside = tmp_path / "outside.png"
