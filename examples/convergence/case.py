@@ -13,7 +13,7 @@ from PIL import Image
 from loi_core import Free, Renderer
 from loi_core.support.arrays import Host
 
-__all__ = ["Case", "Trial", "photograph", "within"]
+__all__ = ["Case", "Trial", "photograph", "random_crop", "within"]
 
 
 @dataclass(frozen=True)
@@ -59,6 +59,11 @@ def photograph(height: int, width: int, rng: np.random.Generator) -> Host:
     """Return a random crop of Matplotlib's portrait, shape (height, width, 3), sRGB."""
     with cbook.get_sample_data("grace_hopper.jpg") as file, Image.open(file) as stored:  # type: ignore[union-attr]  # returns a file by default
         whole = stored.convert("RGB")
+    return random_crop(whole, height, width, rng)
+
+
+def random_crop(whole: Image.Image, height: int, width: int, rng: np.random.Generator) -> Host:
+    """Return a crop of a picture at a random place and scale, shape (height, width, 3), sRGB."""
     scale = rng.uniform(max(height / whole.height, width / whole.width), 1.0)
     crop_width, crop_height = min(round(width / scale), whole.width), min(round(height / scale), whole.height)
     left, top = (
