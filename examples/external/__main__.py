@@ -19,6 +19,7 @@ from examples.external.methods import METHODS
 from examples.external.pasted import PASTED, POSES
 from examples.external.problem import Method, Problem, problem_of_case
 from examples.external.running import HEADS, Summary, summary, verdict_line
+from examples.external.solid import SOLIDS
 from loi_core.support.markdown import markdown
 
 QUICK_METHODS: Final = ("loi", "loi, matched", "pixel L2", "Gaussian pyramid", "CMA-ES")
@@ -30,7 +31,7 @@ Named = TypeVar("Named", Problem, Method)
 def problems() -> tuple[Problem, ...]:
     """Return all problems."""
     darker = next(case for case in WARPS if case.name.endswith("darker"))
-    return (*DISKS, *PASTED, *POSES, problem_of_case(darker))
+    return (*DISKS, *PASTED, *POSES, problem_of_case(darker), *SOLIDS)
 
 
 def selected(problem: str, method: str, *, quick: bool) -> Iterator[tuple[Problem, Method]]:
