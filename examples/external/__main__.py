@@ -18,7 +18,9 @@ from examples.external.disks import DISKS
 from examples.external.methods import METHODS
 from examples.external.pasted import PASTED, POSES
 from examples.external.problem import Method, Problem, problem_of_case
+from examples.external.registration import REGISTRATIONS
 from examples.external.running import HEADS, Summary, summary, verdict_line
+from examples.external.shapes import SHAPES
 from examples.external.solid import SOLIDS
 from loi_core.support.markdown import markdown
 
@@ -31,7 +33,7 @@ Named = TypeVar("Named", Problem, Method)
 def problems() -> tuple[Problem, ...]:
     """Return all problems."""
     darker = next(case for case in WARPS if case.name.endswith("darker"))
-    return (*DISKS, *PASTED, *POSES, problem_of_case(darker), *SOLIDS)
+    return (*DISKS, *PASTED, *POSES, problem_of_case(darker), *REGISTRATIONS, *SHAPES, *SOLIDS)
 
 
 def selected(problem: str, method: str, *, quick: bool) -> Iterator[tuple[Problem, Method]]:

@@ -12,6 +12,7 @@ import numpy as np
 
 from examples.external.problem import Answer, Method, Task, needs
 from loi_core import MSSSIM, Free, GaussianPyramid, ImageObjective, LOIObjective, Objective, PixelL2, fit
+from loi_core.fitting.loop import Decay
 from loi_core.fitting.parameters import Bounds, bounds_of, starting_parameters
 from loi_core.objectives import Evaluation, PlaneComparison, ReferencePlanes
 from loi_core.renderers.contract import Parameters
@@ -20,8 +21,8 @@ from loi_core.support.arrays import Array, Host, detached, from_numpy, namespace
 __all__ = ["L1DSSIM", "METHODS", "descend"]
 
 DSSIM_SHARE: Final = 0.2  # of the loss of 3D Gaussian splatting (Kerbl et al. 2023)
-RESERVED_RENDERS: Final = 10  # of a fit, for its verdict and its last image
-UNIT_RENDERS: Final = 6  # per free parameter, to measure its rate
+RESERVED_RENDERS: Final = 5  # of a fit, for its verdict and its last image
+UNIT_RENDERS: Final = 2  # per free parameter, to measure its rate
 RESTARTS: Final = 4
 CMA_SIGMA: Final = 0.25  # of the range between the bounds
 
@@ -59,7 +60,14 @@ class _Blend(PlaneComparison[str]):
         return Evaluation(terms, factor * xp.sign(difference) + DSSIM_SHARE * structure.gradient)
 
 
-def descend(objective: Objective, task: Task, steps: int, *, free: Mapping[str, Free] | None = None) -> Answer:
+def descend(
+    objective: Objective,
+    task: Task,
+    steps: int,
+    *,
+    free: Mapping[str, Free] | None = None,
+    decay: Decay = "cosine",
+) -> Answer:
     """Return the result of a fit of `steps` steps, which ends early when the budget is spent."""
     result = fit(
         task.renderer,
@@ -68,6 +76,7 @@ def descend(objective: Objective, task: Task, steps: int, *, free: Mapping[str, 
         seed=1000 * task.seed,
         callback=lambda *_: task.spent(),
         optimise=task.start.free if free is None else free,
+        decay=decay,
     )
     diagnosis = result.diagnosis
     if diagnosis is None or not isinstance(objective, LOIObjective):
