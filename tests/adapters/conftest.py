@@ -1,4 +1,4 @@
-"""Settings for the tests of this folder, which use the frameworks."""
+"""Load the frameworks for the tests of this folder."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Differences of colours are compared in the same way by the losses of all adapters."""
+"""Tests of colour differences in the losses of all adapters."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tests.strategies import FEWER_EXAMPLES, SEEDS
 import drjit as dr
 import mitsuba as mi
 
-# What lies beyond the bounds is met here, and is no point of these tests.
+# The images have intensities outside the bounds, and the core warns of them.
 pytestmark = pytest.mark.filterwarnings("ignore::loi_core.objectives.RangeWarning")
 
 SCALES = ScaleSpace((0, 1), (1, 5), 0.125)
@@ -35,29 +35,31 @@ def images(seed: int) -> tuple[Host, Host]:
 
 @given(SEEDS)
 @FEWER_EXAMPLES
-def test_every_adapter_compares_the_same(seed: int) -> None:
+def test_losses_of_colour_differences_are_equal_in_every_adapter(seed: int) -> None:
     mi.set_variant("llvm_ad_rgb")
     image, reference = images(seed)
     value, gradient = LOIObjective(reference, SCALES, colours="differences").value_and_grad(image)
 
     leaf: Any = torch.tensor(image, requires_grad=True)
-    by_torch = loi_torch.loi_loss(reference, SCALES, colours="differences")(leaf)
-    by_torch.backward()
-    by_jax = jax.value_and_grad(loi_jax.loi_loss(reference, SCALES, colours="differences"))(jnp.asarray(image))
+    torch_loss = loi_torch.loi_loss(reference, SCALES, colours="differences")(leaf)
+    torch_loss.backward()
+    jax_loss, jax_gradient = jax.value_and_grad(loi_jax.loi_loss(reference, SCALES, colours="differences"))(
+        jnp.asarray(image)
+    )
     tensor = mi.TensorXf(image)
     dr.enable_grad(tensor)
-    by_mitsuba = loi_mitsuba.LOILoss(reference, SCALES, colours="differences")(tensor)
-    dr.backward(by_mitsuba)
+    mitsuba_loss = loi_mitsuba.LOILoss(reference, SCALES, colours="differences")(tensor)
+    dr.backward(mitsuba_loss)
 
-    for other, slopes in (
-        (float(by_torch.detach()), leaf.grad.numpy()),
-        (float(by_jax[0]), np.asarray(by_jax[1])),
-        (float(by_mitsuba.numpy()[0]), dr.grad(tensor).numpy()),
+    for adapter_value, slopes in (
+        (float(torch_loss.detach()), leaf.grad.numpy()),
+        (float(jax_loss), np.asarray(jax_gradient)),
+        (float(mitsuba_loss.numpy()[0]), dr.grad(tensor).numpy()),
     ):
-        assert other == pytest.approx(float(value), rel=1e-5)
+        assert adapter_value == pytest.approx(float(value), rel=1e-5)
         np.testing.assert_allclose(slopes, gradient, atol=1e-4 * float(np.abs(gradient).max()))
 
 
-def test_the_module_of_torch_tells_of_them() -> None:
+def test_the_torch_module_prints_its_colours_option() -> None:
     assert "colours='differences'" in repr(loi_torch.LOILoss(images(0)[1], SCALES, colours="differences"))
     assert "colours" not in repr(loi_torch.LOILoss(images(0)[1], SCALES))

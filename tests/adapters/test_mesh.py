@@ -1,4 +1,4 @@
-"""Meshes on torch: areas are exact, gradients agree with the image, and degenerate triangles are finite."""
+"""Tests of meshes on torch: exact areas, gradients equal to differences of the image, and degenerate triangles."""
 
 from __future__ import annotations
 
@@ -49,14 +49,14 @@ LIT = [Light()]
 
 
 def flat_mesh(points: Any, depth: float = 0.0, **options: Any) -> Mesh:
-    """One or several triangles, three points each, in pixels of `FRONT`."""
+    """Return a mesh of separate triangles, three points each, in pixels of `FRONT`."""
     points = np.reshape(points, (-1, 2))
     corners = np.column_stack([points[:, 0], -points[:, 1], np.full(len(points), depth)])
     return Mesh(corners, np.arange(len(points)).reshape(-1, 3), **{"colours": (1.0, 1.0, 1.0), **options})
 
 
 def clipped_area(triangle: Host, row: int, column: int) -> float:
-    """The area of a triangle within a pixel, by clipping the polygon at the pixel's sides (Sutherland and Hodgman)."""
+    """Return the area of a triangle within a pixel, clipped at the pixel's sides (Sutherland and Hodgman)."""
     points = list(triangle)
     for axis, limit, sign in ((0, column, 1), (0, column + 1, -1), (1, row, 1), (1, row + 1, -1)):
         clipped = []
@@ -76,7 +76,7 @@ def clipped_area(triangle: Host, row: int, column: int) -> float:
 
 
 def intersecting_meshes(offsets: Any) -> list[Mesh]:
-    """A sphere and a rotated box with a colour for each side, which intersect; `offsets` has shape (6,)."""
+    """Return a sphere and a rotated box of six colours, which intersect; `offsets` has shape (6,)."""
     colours = np.array([[1, 0.2, 0.1], [0.1, 0.9, 0.2], [0.2, 0.3, 1], [1, 1, 0.1], [0.1, 1, 1], [1, 0.2, 1]])
     ball = sphere(0.7, subdivisions=2, colours=(0.9, 0.6, 0.3), material=Material(specular=0.0))
     cube = box((1.2, 1.2, 1.2), colours=np.repeat(colours, 2, axis=0), per="triangle")
@@ -93,7 +93,7 @@ OFFSETS = torch.tensor([0.3, 0.1, 0.1, -0.25, 0.05, -0.1], dtype=torch.float64)
 def gradient_and_differences(
     render: Callable[[Tensor], Tensor], start: Tensor, weights: Tensor, step: float
 ) -> tuple[Host, Host]:
-    """The gradient of a weighted sum over the image, and its central differences."""
+    """Return the gradient of a weighted sum over the image, and its central differences."""
     leaf = start.clone().requires_grad_()
     (render(leaf) * weights).sum().backward()  # type: ignore[no-untyped-call]  # untyped in torch
     assert leaf.grad is not None
@@ -104,9 +104,9 @@ def gradient_and_differences(
     return leaf.grad.numpy(), np.array(differences)
 
 
-def smooth_weights(side: int, seed: int = 0) -> Tensor:
+def smooth_weights(size: int, seed: int = 0) -> Tensor:
     coarse = torch.from_numpy(np.random.default_rng(seed).normal(size=(1, 3, 6, 6)))
-    return torch.nn.functional.interpolate(coarse, (side, side), mode="bicubic")[0].movedim(0, 2)
+    return torch.nn.functional.interpolate(coarse, (size, size), mode="bicubic")[0].movedim(0, 2)
 
 
 # Coverage.
@@ -140,7 +140,7 @@ def test_the_brightness_of_a_shape_does_not_depend_on_its_position_between_pixel
 
 
 @pytest.mark.parametrize("shift", [0.0, 0.5, 0.25])
-def test_edges_along_borders_and_through_centres_of_pixels_are_exact_too(shift: float) -> None:
+def test_edges_along_borders_and_through_centres_of_pixels_cover_exact_areas(shift: float) -> None:
     square = np.array([[8, 8], [16, 8], [16, 16], [8, 8], [16, 16], [8, 16]]) + shift
     image = draw([flat_mesh(square)], FRONT, SIZE, SIZE)[..., 0].numpy()
     line = np.clip(np.minimum(np.arange(SIZE) + 1, 16 + shift) - np.maximum(np.arange(SIZE), 8 + shift), 0.0, 1.0)
@@ -196,7 +196,7 @@ def test_an_image_is_the_mean_of_a_fine_image_up_to_shading_within_pixels() -> N
 
 
 def ball_and_box(camera: Camera, dtype: str, parameters: dict[str, Any]) -> MeshRenderer:
-    """A ball that a box partly occludes."""
+    """Return a renderer of a ball that a box partly occludes."""
     meshes = {"ball": sphere(subdivisions=2, colours=(0.9, 0.4, 0.2)), "box": box((1, 1, 1), (1.0, 0.0, 1.9))}
     return MeshRenderer(24, 32, meshes, camera, parameters, dtype=dtype)
 
@@ -244,8 +244,8 @@ def test_gradients_equal_differences_where_outlines_cross_and_meshes_intersect(s
 def test_gradients_equal_differences_of_a_fine_image_up_to_shading_within_pixels(
     lights: list[Light], first_mesh: int, tolerance: float
 ) -> None:
-    def render(leaf: Tensor, side: int) -> Tensor:
-        return draw(intersecting_meshes(leaf)[first_mesh:], VIEW, side, side, lights=lights)
+    def render(leaf: Tensor, size: int) -> Tensor:
+        return draw(intersecting_meshes(leaf)[first_mesh:], VIEW, size, size, lights=lights)
 
     weights = smooth_weights(48)
     gradient, _ = gradient_and_differences(lambda leaf: render(leaf, 48), OFFSETS, weights, 1e-6)
@@ -393,11 +393,11 @@ def test_an_empty_scene_shows_the_background() -> None:
 
 
 def test_a_mesh_of_a_million_triangles_has_finite_gradients() -> None:
-    side = 708
-    y, x = np.mgrid[:side, :side] / (side - 1.0) * 2.0 - 1.0
+    count = 708  # vertices along each side of the grid
+    y, x = np.mgrid[:count, :count] / (count - 1.0) * 2.0 - 1.0
     hills = np.stack([x, y, 0.1 * np.sin(3.0 * x) * np.sin(4.0 * y)], axis=-1).reshape(-1, 3)
-    a = (np.arange(side * (side - 1)).reshape(side - 1, side)[:, :-1]).ravel()
-    faces = np.concatenate([np.stack([a, a + 1, a + side], 1), np.stack([a + 1, a + side + 1, a + side], 1)])
+    a = (np.arange(count * (count - 1)).reshape(count - 1, count)[:, :-1]).ravel()
+    faces = np.concatenate([np.stack([a, a + 1, a + count], 1), np.stack([a + 1, a + count + 1, a + count], 1)])
     assert len(faces) > 999_000
     corners = torch.from_numpy(hills).requires_grad_()
     image = draw([Mesh(corners, faces)], Camera((0.3, -3.0, 2.0)), 64, 64)
@@ -407,15 +407,15 @@ def test_a_mesh_of_a_million_triangles_has_finite_gradients() -> None:
     assert 0.1 < float(image.detach().mean()) < 0.5
 
 
-# Topology, and values that are refused.
+# Topology and wrong values.
 
 
 def unwelded(mesh: Mesh) -> Mesh:
-    """The mesh with separate vertices for each triangle, as in an STL file."""
+    """Return the mesh with separate vertices for each triangle, as in an STL file."""
     return Mesh(mesh.vertices[mesh.faces.ravel()], np.arange(mesh.faces.size).reshape(-1, 3), colours=mesh.colours)
 
 
-def test_vertices_that_coincide_at_first_stay_together() -> None:
+def test_unwelded_vertices_have_the_image_and_gradients_of_welded_vertices() -> None:
     whole = sphere(subdivisions=1, colours=(0.8, 0.5, 0.2))
     split = unwelded(whole)
     shift = torch.from_numpy(0.1 * np.random.default_rng(0).standard_normal(tuple(whole.vertices.shape)))
@@ -432,7 +432,7 @@ def test_vertices_that_coincide_at_first_stay_together() -> None:
     split_gradient, whole_gradient = vertex_gradient(split), vertex_gradient(whole)
     sums = torch.zeros_like(whole_gradient).index_add(0, torch.as_tensor(whole.faces.ravel()).long(), split_gradient)
     torch.testing.assert_close(sums, whole_gradient, atol=1e-10, rtol=0.0)
-    for vertex in range(len(whole_gradient)):  # its copies have equal gradients, so that a fit keeps them together
+    for vertex in range(len(whole_gradient)):  # equal gradients keep the copies of a vertex together in a fit
         copies = split_gradient[whole.faces.ravel() == vertex]
         torch.testing.assert_close(copies, copies[:1].expand_as(copies), atol=1e-12, rtol=1e-12)
 

@@ -1,4 +1,4 @@
-"""Meshes from files and in scene files: formats keep colours and textures, and no other file is opened."""
+"""Tests of meshes from files and in scene files: formats, colours, textures, and files that are not opened."""
 
 from __future__ import annotations
 
@@ -129,7 +129,7 @@ def test_missing_and_special_mesh_files_are_refused(tmp_path: Path) -> None:
 
 
 def test_reading_a_mesh_opens_no_other_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The materials that an OBJ names, and the data that a glTF names, are not opened."""
+    """An OBJ names a file of materials, and a glTF names a file of data."""
     opened: list[str] = []
     path_open = Path.open
 
@@ -169,7 +169,7 @@ steps = 60
 
 
 def scene_renderer(folder: Path, **options: Any) -> MeshRenderer:
-    """The renderer of the scene file."""
+    """Return the renderer that the scene file describes."""
     return MeshRenderer(
         48,
         64,
@@ -214,7 +214,7 @@ def test_the_background_of_a_scene_file_is_decoded_as_the_target(option: str, tm
     assert result["trials"][0]["psnr_initial"] > 50.0  # the start is the truth, up to 8 bits
 
 
-def test_a_missing_mesh_of_a_scene_file_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_fit_of_a_scene_file_reports_a_missing_mesh(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / "scene.toml").write_text(SCENE)
     write_png(tmp_path / "photo.png", np.zeros((8, 8, 3)))
     assert main(["fit", str(tmp_path / "scene.toml")]) != 0

@@ -1,4 +1,4 @@
-"""Torch distances as objectives: the contract, dtypes, batches, and errors."""
+"""Tests of torch distances as objectives: the contract, dtypes, batches, and errors."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ EPS32 = float(np.finfo(np.float32).eps)
 
 
 class LearnedDistance(torch.nn.Module):
-    """A float32 network, as learned distances are."""
+    """A float32 network, like a learned distance."""
 
     def __init__(self) -> None:
         super().__init__()

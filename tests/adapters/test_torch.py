@@ -1,4 +1,4 @@
-"""The torch module hands the core's gradient to autograd, unchanged, wherever torch may carry it."""
+"""Tests of the torch loss: the gradient of the core under autograd, torch.func, compilation and low precision."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def leaf(image: Any = IMAGE, **options: Any) -> torch.Tensor:
     return torch.tensor(image, requires_grad=True, **options)
 
 
-def test_backward_gives_the_gradient_of_the_core() -> None:
+def test_torch_backward_gives_the_gradient_of_the_core() -> None:
     image = leaf()
     value: Any = LOILoss(REFERENCE, SCALES)(image)
     assert value.shape == ()
@@ -38,14 +38,14 @@ def test_backward_gives_the_gradient_of_the_core() -> None:
     np.testing.assert_allclose(image.grad, 3.0 * GRADIENT, rtol=1e-12, atol=1e-18)
 
 
-def test_channels_may_come_first() -> None:
+def test_the_torch_module_accepts_images_with_channels_first() -> None:
     image = leaf(np.moveaxis(IMAGE, -1, -3).copy())
     LOILoss(np.moveaxis(REFERENCE, -1, -3), SCALES, channel_axis=-3)(image).backward()
     assert image.grad is not None
     np.testing.assert_allclose(image.grad, np.moveaxis(GRADIENT, -1, -3), rtol=1e-12, atol=1e-18)
 
 
-def test_the_function_equals_the_module() -> None:
+def test_the_torch_function_has_the_gradient_of_the_module() -> None:
     image = leaf()
     value: Any = loi_loss(torch.tensor(REFERENCE), SCALES)(image)
     value.backward()
@@ -53,30 +53,30 @@ def test_the_function_equals_the_module() -> None:
     np.testing.assert_allclose(image.grad, GRADIENT, rtol=1e-12, atol=1e-18)
 
 
-def test_functional_gradients_work() -> None:
+def test_torch_func_grad_gives_the_gradient_of_the_core() -> None:
     gradient = torch.func.grad(LOILoss(REFERENCE, SCALES))(torch.tensor(IMAGE))
     np.testing.assert_allclose(gradient, GRADIENT, rtol=1e-12, atol=1e-18)
 
 
 @pytest.mark.parametrize("axis", [0, -1])
-def test_vmap_is_a_loop(axis: int) -> None:
+def test_torch_vmap_equals_a_loop_over_images(axis: int) -> None:
     loss = LOILoss(REFERENCE[0], SCALES)
     pairs = [LOIObjective(REFERENCE[0], SCALES).value_and_grad(image) for image in IMAGE]
     values, gradients = map(np.stack, zip(*pairs, strict=True))
     stack = torch.tensor(IMAGE).movedim(0, axis)
-    each = torch.func.vmap(loss, in_dims=axis)
-    np.testing.assert_allclose(each(stack), values, rtol=1e-13)
-    alone = torch.func.vmap(torch.func.grad(loss), in_dims=axis)(stack)
-    whole = torch.func.grad(lambda images: each(images).sum())(stack)
+    mapped = torch.func.vmap(loss, in_dims=axis)
+    np.testing.assert_allclose(mapped(stack), values, rtol=1e-13)
+    vmap_of_grad = torch.func.vmap(torch.func.grad(loss), in_dims=axis)(stack)
+    grad_of_vmap = torch.func.grad(lambda batch: mapped(batch).sum())(stack)
     recorded = stack.clone().requires_grad_()
-    each(recorded).sum().backward()
+    mapped(recorded).sum().backward()
     assert recorded.grad is not None
-    for gradient in (alone, whole.movedim(axis, 0), recorded.grad.movedim(axis, 0)):
+    for gradient in (vmap_of_grad, grad_of_vmap.movedim(axis, 0), recorded.grad.movedim(axis, 0)):
         np.testing.assert_allclose(gradient, gradients, rtol=1e-12, atol=1e-18)
 
 
-@pytest.mark.filterwarnings("ignore:The .grad attribute of a Tensor that is not a leaf")  # of torch's own compiler
-def test_compiled_code_may_call_it() -> None:
+@pytest.mark.filterwarnings("ignore:The .grad attribute of a Tensor that is not a leaf")  # raised by torch.compile
+def test_torch_compile_accepts_the_module_and_the_function() -> None:
     module = LOILoss(REFERENCE, SCALES)
     for loss in (module, loi_loss(REFERENCE, SCALES)):
         compiled = torch.compile(lambda image, loss=loss: 2.0 * loss(1.0 * image), backend="aot_eager")
@@ -87,14 +87,14 @@ def test_compiled_code_may_call_it() -> None:
         assert compiled(torch.tensor(IMAGE)).item() == pytest.approx(2.0 * float(VALUE), rel=1e-14)
 
 
-@pytest.mark.filterwarnings("ignore:The .grad attribute of a Tensor that is not a leaf")  # of torch's own compiler
-def test_compiled_code_may_mask() -> None:
+@pytest.mark.filterwarnings("ignore:The .grad attribute of a Tensor that is not a leaf")  # raised by torch.compile
+def test_torch_compile_accepts_the_mask_policy() -> None:
     loss = LOILoss(REFERENCE, SCALES, nan_policy="mask")
     compiled = torch.compile(lambda image: loss(1.0 * image), backend="aot_eager")
-    found = []
-    for bad in (torch.nan, torch.inf, -torch.inf):
+    results = []
+    for bad_value in (torch.nan, torch.inf, -torch.inf):
         image = torch.tensor(IMAGE)
-        image[0, 3:5, 4, :2] = bad
+        image[0, 3:5, 4, :2] = bad_value
         image.requires_grad_()
         value = compiled(image)
         value.backward()
@@ -102,64 +102,64 @@ def test_compiled_code_may_mask() -> None:
         assert value.isfinite()
         assert image.grad.isfinite().all()
         assert not image.grad[0, 3:5, 4, :2].any()
-        found.append((value.item(), image.grad))
-    for other, gradient in found[1:]:
-        assert other == found[0][0]
-        assert torch.equal(gradient, found[0][1])
+        results.append((value.item(), image.grad))
+    for masked_value, gradient in results[1:]:
+        assert masked_value == results[0][0]
+        assert torch.equal(gradient, results[0][1])
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float16, torch.bfloat16])
 @pytest.mark.parametrize("autocast", [False, True])
-def test_low_precision_is_compared_in_float32(dtype: torch.dtype, autocast: bool) -> None:
+def test_the_torch_loss_of_a_low_precision_image_is_float32(dtype: torch.dtype, autocast: bool) -> None:
     image = leaf(dtype=dtype)
     with torch.autocast("cpu", dtype=torch.bfloat16, enabled=autocast):
         value = LOILoss(REFERENCE, SCALES)(image)
     value.backward()
-    wanted, gradient = LOIObjective(REFERENCE, SCALES).value_and_grad(image.detach().float().numpy())
+    expected, gradient = LOIObjective(REFERENCE, SCALES).value_and_grad(image.detach().float().numpy())
     assert value.dtype == torch.float32
-    assert value.item() == pytest.approx(float(wanted), rel=1e-5)
+    assert value.item() == pytest.approx(float(expected), rel=1e-5)
     assert image.grad is not None
     assert image.grad.dtype == dtype
-    # Either gradient is as close to the plain sum as float32 allows, and then rounded to the image's dtype: by half of
-    # its epsilon, and in float16 by half of 6e-8, its least step.
+    # Each gradient is within the float32 bound of the plain sum. Rounding to the image's dtype adds half of its
+    # epsilon, and in float16 at least half of 6e-8, the smallest subnormal number.
     bound = allowed(image.detach().float().numpy(), REFERENCE, SCALES, torch.finfo(torch.float32).eps).gradient
     rounding = 0.5 * torch.finfo(dtype).eps * (np.abs(gradient) + bound) + (3e-8 if dtype == torch.float16 else 0.0)
     assert np.all(np.abs(image.grad.float().numpy() - gradient) <= 2.0 * bound + rounding)
 
 
 @pytest.mark.parametrize(
-    ("bad", "says"),
+    ("convert", "message"),
     [
         (lambda image: image.to_sparse(), "must be a dense tensor, got the layout torch.sparse_coo"),
         (lambda image: image.to("meta"), "must hold values, got a tensor on the device 'meta'"),
     ],
 )
-def test_tensors_without_a_value_for_each_pixel_are_refused(bad: Callable[[Any], Any], says: str) -> None:
-    given = bad(torch.tensor(IMAGE))
-    with pytest.raises(ImageTypeError, match=f"`image` {says}"):
-        LOILoss(REFERENCE, SCALES)(given)
-    with pytest.raises(ImageTypeError, match=f"`reference` {says}"):
-        LOILoss(given, SCALES)
+def test_the_torch_loss_refuses_sparse_and_meta_tensors(convert: Callable[[Any], Any], message: str) -> None:
+    tensor = convert(torch.tensor(IMAGE))
+    with pytest.raises(ImageTypeError, match=f"`image` {message}"):
+        LOILoss(REFERENCE, SCALES)(tensor)
+    with pytest.raises(ImageTypeError, match=f"`reference` {message}"):
+        LOILoss(tensor, SCALES)
 
 
-def test_moving_loading_and_copying_are_followed() -> None:
-    image, other = torch.tensor(IMAGE), images(IMAGE.shape, seed=9)[0]
+def test_the_torch_loss_follows_moves_loads_and_copies_of_its_reference() -> None:
+    image, new_reference = torch.tensor(IMAGE), images(IMAGE.shape, seed=9)[0]
     loss = LOILoss(REFERENCE, SCALES)
     assert loss(image).item() == pytest.approx(float(VALUE))
-    loss.load_state_dict(LOILoss(other, SCALES).state_dict())
-    wanted = float(LOIObjective(other, SCALES).value(IMAGE))
-    assert loss(image).item() == pytest.approx(wanted)
-    assert copy.deepcopy(loss)(image).item() == pytest.approx(wanted)
+    loss.load_state_dict(LOILoss(new_reference, SCALES).state_dict())
+    expected = float(LOIObjective(new_reference, SCALES).value(IMAGE))
+    assert loss(image).item() == pytest.approx(expected)
+    assert copy.deepcopy(loss)(image).item() == pytest.approx(expected)
     stream = io.BytesIO()
     torch.save(loss, stream)
     stream.seek(0)
-    assert torch.load(stream, weights_only=False)(image).item() == pytest.approx(wanted)
+    assert torch.load(stream, weights_only=False)(image).item() == pytest.approx(expected)
     assert loss.to(torch.float32)(image.float()).dtype == torch.float32
     assert [name for name, _ in loss.named_buffers()] == ["reference"]
     assert "sigma=(1.0, 5.0)" in repr(loss)
 
 
-def test_what_is_prepared_outside_autograd_serves_inside() -> None:
+def test_a_torch_loss_called_under_no_grad_can_be_differentiated_later() -> None:
     loss = LOILoss(REFERENCE, SCALES)
     with torch.no_grad():
         assert not loss(leaf()).requires_grad
@@ -168,19 +168,19 @@ def test_what_is_prepared_outside_autograd_serves_inside() -> None:
     assert image.grad is not None
 
 
-def test_second_derivatives_are_refused_rather_than_zero() -> None:
+def test_the_torch_loss_refuses_second_derivatives() -> None:
     image, loss = leaf(), LOILoss(REFERENCE, SCALES)
     gradient: Any
     (gradient,) = torch.autograd.grad(loss(image), image, create_graph=True)
     with pytest.raises(DerivativeError, match="second derivatives"):
         gradient.sum().backward()
     with pytest.raises(DerivativeError, match="second derivatives"):
-        torch.func.grad(lambda given: torch.func.grad(loss)(given).sum())(torch.tensor(IMAGE))
+        torch.func.grad(lambda x: torch.func.grad(loss)(x).sum())(torch.tensor(IMAGE))
     with pytest.raises(DerivativeError, match="second derivatives"):
         torch.func.jacrev(torch.func.jacrev(LOILoss(np.zeros((2, 2)), channel_axis=None)))(torch.ones(2, 2).double())
 
 
-def test_what_the_loss_is_multiplied_by_may_be_differentiated_in_the_gradient() -> None:
+def test_the_gradient_of_a_weighted_loss_is_differentiable_wrt_the_weight() -> None:
     image, weight = leaf(), torch.tensor(2.0, dtype=torch.float64, requires_grad=True)
     gradient: Any
     (gradient,) = torch.autograd.grad(weight * LOILoss(REFERENCE, SCALES)(image), image, create_graph=True)
@@ -188,8 +188,8 @@ def test_what_the_loss_is_multiplied_by_may_be_differentiated_in_the_gradient() 
     assert slope.item() == pytest.approx(4.0 * np.sum(GRADIENT**2), rel=1e-12)
 
 
-@pytest.mark.filterwarnings("ignore:`torch.jit.script` is deprecated:DeprecationWarning")  # which torch itself uses
-def test_forward_mode_is_refused_rather_than_zero() -> None:
+@pytest.mark.filterwarnings("ignore:`torch.jit.script` is deprecated:DeprecationWarning")  # called by torch itself
+def test_the_torch_loss_refuses_forward_mode() -> None:
     image = torch.tensor(IMAGE)
     module = LOILoss(REFERENCE, SCALES)
     with forward_ad.dual_level():
@@ -203,29 +203,29 @@ def test_forward_mode_is_refused_rather_than_zero() -> None:
             torch.func.jvp(transformed, (image,), (torch.ones_like(image),))
 
 
-def test_the_value_of_the_core_has_derivatives_in_both_modes() -> None:
+def test_the_value_of_the_core_has_torch_derivatives_in_both_modes() -> None:
     objective, image = LOIObjective(REFERENCE, SCALES), leaf()
     objective.value(image).backward()
     assert image.grad is not None
     np.testing.assert_allclose(image.grad, GRADIENT, rtol=1e-9, atol=1e-15)
-    along = np.random.default_rng(2).standard_normal(IMAGE.shape)
-    both: Any = torch.func.jvp(objective.value, (torch.tensor(IMAGE),), (torch.tensor(along),))
-    value, slope = both
+    tangent = np.random.default_rng(2).standard_normal(IMAGE.shape)
+    value_and_slope: Any = torch.func.jvp(objective.value, (torch.tensor(IMAGE),), (torch.tensor(tangent),))
+    value, slope = value_and_slope
     assert value.item() == pytest.approx(float(VALUE), rel=1e-13)
-    assert slope.item() == pytest.approx(np.sum(GRADIENT * along), rel=1e-9)
+    assert slope.item() == pytest.approx(np.sum(GRADIENT * tangent), rel=1e-9)
 
 
-def test_errors_are_those_of_the_core() -> None:
+def test_the_torch_loss_raises_the_errors_of_the_core() -> None:
     loss = LOILoss(REFERENCE, SCALES)
     with pytest.raises(ImageTypeError, match="`image` must be a torch tensor, got ndarray"):
         loss(IMAGE)
     with pytest.raises(ImageError, match="does not fit"):
         loss(torch.zeros(2, 5, 5, 3))
-    bad = torch.tensor(IMAGE)
-    bad[0, 1, 2, 0] = torch.nan
+    image = torch.tensor(IMAGE)
+    image[0, 1, 2, 0] = torch.nan
     with pytest.raises(NonFiniteImageError, match=r"1 non-finite value of .*= \(0, 1, 2, 0\)"):
-        loss(bad)
-    assert LOILoss(REFERENCE, SCALES, nan_policy="mask")(bad).isfinite()
+        loss(image)
+    assert LOILoss(REFERENCE, SCALES, nan_policy="mask")(image).isfinite()
 
 
 @pytest.mark.parametrize("dtype", ["float64", "float32"])
@@ -239,14 +239,14 @@ def test_the_objective_conforms_on_torch_arrays(dtype: str) -> None:
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
-def test_a_gpu_gives_the_same_gradient() -> None:
+def test_the_torch_gradient_is_equal_on_a_gpu() -> None:
     image = torch.tensor(IMAGE, device="cuda", requires_grad=True)
     LOILoss(REFERENCE, SCALES).to("cuda")(image).backward()
     assert image.grad is not None
     np.testing.assert_allclose(image.grad.cpu(), GRADIENT, rtol=1e-9, atol=1e-16)
 
 
-def test_gradients_of_the_core_lie_in_one_piece() -> None:
+def test_torch_gradients_of_the_core_are_contiguous() -> None:
     image, reference = torch.rand(2, 9, 7, 3), torch.rand(9, 7, 3)
     _, gradient = LOIObjective(reference).value_and_grad(image)
     assert gradient.view(-1).shape == (2 * 9 * 7 * 3,)
@@ -254,29 +254,30 @@ def test_gradients_of_the_core_lie_in_one_piece() -> None:
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64, torch.bfloat16])
 @pytest.mark.parametrize("policy", ["raise", "mask"])
-def test_a_new_reference_is_seen_however_it_came(dtype: torch.dtype, policy: Any) -> None:
-    others = [torch.tensor(np.random.default_rng(k).uniform(0.1, 0.9, REFERENCE.shape)).to(dtype) for k in range(4)]
+def test_the_torch_loss_uses_a_new_reference_however_it_is_set(dtype: torch.dtype, policy: Any) -> None:
+    rngs = [np.random.default_rng(seed) for seed in range(4)]
+    references = [torch.tensor(rng.uniform(0.1, 0.9, REFERENCE.shape)).to(dtype) for rng in rngs]
     image = torch.tensor(IMAGE).to(dtype)
-    loss = LOILoss(others[0], SCALES, nan_policy=policy)
-    wanted = [float(LOILoss(other, SCALES)(image)) for other in others]
+    loss = LOILoss(references[0], SCALES, nan_policy=policy)
+    values = [float(LOILoss(reference, SCALES)(image)) for reference in references]
 
-    def assign(other: torch.Tensor) -> None:
-        loss.reference = other.clone()
+    def assign(reference: torch.Tensor) -> None:
+        loss.reference = reference.clone()
 
-    ways: list[Callable[[torch.Tensor], object]] = [
+    setters: list[Callable[[torch.Tensor], object]] = [
         assign,
-        lambda other: loss.reference.copy_(other),
-        lambda other: loss.reference.data.copy_(other),
-        lambda other: loss.load_state_dict({"reference": other}),
-        lambda other: loss.load_state_dict({"reference": other.clone()}, assign=True),
+        lambda reference: loss.reference.copy_(reference),
+        lambda reference: loss.reference.data.copy_(reference),
+        lambda reference: loss.load_state_dict({"reference": reference}),
+        lambda reference: loss.load_state_dict({"reference": reference.clone()}, assign=True),
     ]
-    for way in ways:
-        for other, value in zip([*others, *others], [*wanted, *wanted], strict=True):
-            way(other)
+    for set_reference in setters:
+        for reference, value in zip([*references, *references], [*values, *values], strict=True):
+            set_reference(reference)
             assert float(loss(image)) == value
 
 
-def test_a_reference_that_has_not_changed_is_prepared_once() -> None:
+def test_the_torch_loss_prepares_an_unchanged_reference_once() -> None:
     masked = torch.tensor(REFERENCE)
     masked[0, 0, 0, 0] = torch.nan
     loss = LOILoss(masked, SCALES, nan_policy="mask")
@@ -286,7 +287,7 @@ def test_a_reference_that_has_not_changed_is_prepared_once() -> None:
     assert loss._objective is prepared
 
 
-def test_objectives_may_be_made_and_called_in_inference_mode() -> None:
+def test_the_torch_loss_can_be_created_and_called_in_inference_mode() -> None:
     with torch.inference_mode():
         assert float(LOILoss(torch.tensor(REFERENCE), SCALES)(torch.tensor(IMAGE))) == float(VALUE)
     loss = LOILoss(REFERENCE, SCALES)
@@ -297,7 +298,7 @@ def test_objectives_may_be_made_and_called_in_inference_mode() -> None:
     assert image.grad is not None
 
 
-def test_a_module_is_printed_with_its_reference_scales_accuracy_and_dtype() -> None:
+def test_the_torch_module_prints_its_reference_shape_scales_accuracy_and_dtype() -> None:
     loss = LOILoss(REFERENCE.astype(np.float32), SCALES, "balanced", nan_policy="mask", weights=np.ones((17, 23)))
     assert str(loss) == (
         "LOILoss((2, 17, 23, 3), sigma=(1.0, 5.0), alpha=(1.0, 5.0, 15.0, 45.0), beta=(0.125,), accuracy='balanced', "

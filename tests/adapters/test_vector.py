@@ -1,4 +1,4 @@
-"""Vector graphics on torch: areas are exact, gradients are true, and nothing degenerate is a NaN."""
+"""Tests of vector graphics on torch: exact areas, gradients equal to central differences, and degenerate shapes."""
 
 from __future__ import annotations
 
@@ -18,31 +18,33 @@ from loi_torch.vector import Circle, Ellipse, Outline, Paint, Path, Rectangle, S
 from tests.helpers import Host
 from tests.strategies import SEEDS
 
-RED, SEE_THROUGH = (0.9, 0.2, 0.1, 1.0), (0.1, 0.3, 0.8, 0.6)
+RED, TRANSLUCENT_BLUE = (0.9, 0.2, 0.1, 1.0), (0.1, 0.3, 0.8, 0.6)
 WHITE, BLACK = Paint(fill=(1.0, 1.0, 1.0, 1.0)), (0.0, 0.0, 0.0)
 
 
-def scene(seed: int = 0, **more: Any) -> Vector:
-    """Every kind of shape, fill, cap and join, with overlaps and one shape that leaves the frame."""
+def scene(seed: int = 0, **options: Any) -> Vector:
+    """Return a renderer of every kind of shape and fill, with overlaps and a shape partly outside the frame."""
     rng = np.random.default_rng(seed)
-    one, two, three = rng.uniform(4.0, 28.0, (3, 2))
+    circle_centre, rectangle_centre, triangle_centre = rng.uniform(4.0, 28.0, (3, 2))
     curve = np.array([[2, 20], [6, 8], [12, 30], [17, 20], [21, 12], [27, 24]]) + rng.uniform(-1.5, 1.5, (6, 2))
     leaf = np.array([[4, 15], [6, 6], [14, 2], [20, 5], [22, 14]]) + rng.uniform(-1.0, 1.0, (5, 2))
     shapes: list[Shape] = [
-        Circle(one, rng.uniform(3, 6), Paint(RED, SEE_THROUGH, 2.3)),
-        Ellipse([31.0, 9.0], rng.uniform(2, 7, 2), Paint(SEE_THROUGH), rng.uniform(-180, 180)),
+        Circle(circle_centre, rng.uniform(3, 6), Paint(RED, TRANSLUCENT_BLUE, 2.3)),
+        Ellipse([31.0, 9.0], rng.uniform(2, 7, 2), Paint(TRANSLUCENT_BLUE), rng.uniform(-180, 180)),
         Rectangle(
-            two,
+            rectangle_centre,
             rng.uniform(6, 14, 2),
             Paint(rng.uniform(0, 1, (4, 4)), (0, 0, 0, 1), 1.2),
             1.7,
             rng.uniform(-180, 180),
         ),
-        polygon(three + np.array([[-4, -4], [6, -1], [1, 6]]), Paint(SEE_THROUGH, RED, 1.1, join="round")),
+        polygon(
+            triangle_centre + np.array([[-4, -4], [6, -1], [1, 6]]), Paint(TRANSLUCENT_BLUE, RED, 1.1, join="round")
+        ),
         Path((Outline(curve, (3, 2), closed=False),), Paint(None, RED, 2.1, "round", "round")),
         Path((Outline(leaf, (2, 3)),), Paint(rng.uniform(0, 1, (4, 4)), rule="evenodd")),
     ]
-    return Vector(32, 32, shapes, (0.2, 0.3, 0.4), **more)
+    return Vector(32, 32, shapes, (0.2, 0.3, 0.4), **options)
 
 
 @parametrize_with_checks(
@@ -51,18 +53,18 @@ def scene(seed: int = 0, **more: Any) -> Vector:
         for seed, dtype, encoding, rtol in ((0, "float64", "linear", 1e-5), (1, "float32", "sRGB", 2e-2))
     ]
 )
-def test_the_vector_renderer_keeps_the_contract(check: Any, subject: Any) -> None:
+def test_the_vector_renderer_passes_the_conformance_kit(check: Any, subject: Any) -> None:
     check(subject)
 
 
-def test_scenes_can_name_the_vector_renderer() -> None:
+def test_scene_files_can_name_the_vector_renderer() -> None:
     assert scene().capabilities.project is not None
-    assert "vector-torch" in {one.name for one in available_renderers()}
+    assert "vector-torch" in {info.name for info in available_renderers()}
 
 
 @given(seed=SEEDS)
-def test_gradients_are_central_differences(seed: int) -> None:
-    """By every parameter along a random direction; the step is within the same pixels almost surely."""
+def test_vector_gradients_equal_central_differences(seed: int) -> None:
+    """Each parameter moves along a random direction, almost surely without an edge that enters another pixel."""
     renderer = scene(seed)
     rng = np.random.default_rng(seed)
     params = renderer.parameters()
@@ -71,17 +73,18 @@ def test_gradients_are_central_differences(seed: int) -> None:
     for name, value in params.items():
         direction = torch.as_tensor(rng.standard_normal(value.shape))
         step = 1e-7
-        ahead, behind = (
+        upper, lower = (
             float(torch.sum(weights * renderer.render({**params, name: value + sign * step * direction})))
             for sign in (1.0, -1.0)
         )
-        claimed = float(torch.sum(gradient[name] * direction))
-        size = float(torch.linalg.vector_norm(gradient[name]) * torch.linalg.vector_norm(direction))
-        # Rounding of the sum over the step, and a kink that the step may cross: a pixel that an edge just enters.
-        assert abs((ahead - behind) / (2.0 * step) - claimed) <= 1e-3 * size + 1e-5, name
+        slope = float(torch.sum(gradient[name] * direction))
+        scale = float(torch.linalg.vector_norm(gradient[name]) * torch.linalg.vector_norm(direction))
+        # The tolerance covers rounding of the sum, and a kink within the step, where an edge enters another pixel.
+        assert abs((upper - lower) / (2.0 * step) - slope) <= 1e-3 * scale + 1e-5, name
 
 
 def painted_area(shape: Any, shift: Any = (0.0, 0.0), size: int = 40) -> float:
+    """Return the sum over the red channel of a shape on black, in pixels for a white shape."""
     renderer = Vector(size, size, [shape], BLACK)
     params = renderer.parameters()
     params["positions"] = params["positions"] + torch.as_tensor(np.asarray(shift, dtype=np.float64))
@@ -110,57 +113,61 @@ AREAS = {
 
 
 @pytest.mark.parametrize("name", AREAS)
-def test_areas_are_those_of_geometry(name: str) -> None:
+def test_painted_areas_of_shapes_equal_geometric_areas(name: str) -> None:
     shape, area = AREAS[name]
-    # A polygon's area is exact; that of curves is off by at most the tolerance of 0.01 px times the outline's length.
-    outline = 0.0 if name in ("rectangle", "triangle", "line", "square line", "frame") else 100.0
-    assert painted_area(shape) == pytest.approx(area, rel=1e-12, abs=0.01 * outline)
+    # A polygon's area is exact. A curve's area has an error up to the tolerance of 0.01 px times the outline's length.
+    length = 0.0 if name in ("rectangle", "triangle", "line", "square line", "frame") else 100.0
+    assert painted_area(shape) == pytest.approx(area, rel=1e-12, abs=0.01 * length)
 
 
 @given(seed=SEEDS, name=st.sampled_from(sorted(AREAS)))
-def test_area_does_not_wobble_between_pixels(seed: int, name: str) -> None:
+def test_painted_areas_do_not_depend_on_positions_between_pixels(seed: int, name: str) -> None:
     shift = np.random.default_rng(seed).uniform(-3.0, 3.0, 2)
     assert painted_area(AREAS[name][0], shift) == pytest.approx(painted_area(AREAS[name][0]), rel=1e-9)
 
 
 @given(seed=SEEDS)
-def test_coverage_is_that_of_many_samples(seed: int) -> None:
+def test_coverage_of_a_rectangle_equals_the_mean_of_many_samples(seed: int) -> None:
     rng = np.random.default_rng(seed)
     centre, sides, angle = rng.uniform(0.0, 16.0, 2), rng.uniform(1.0, 14.0, 2), rng.uniform(-180.0, 180.0)
     image = Vector(16, 16, [Rectangle(centre, sides, WHITE, 0.0, angle)], BLACK)
     fine = (np.arange(16 * 32) + 0.5) / 32
     x, y = fine[None, :] - centre[0], fine[:, None] - centre[1]
     cos, sin = np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle))
-    inside = (np.abs(cos * x + sin * y) < 0.5 * sides[0]) & (np.abs(cos * y - sin * x) < 0.5 * sides[1])
-    sampled = inside.reshape(16, 32, 16, 32).mean(axis=(1, 3))
-    # A line through a grid of 32 x 32 samples misjudges at most about a row of them, and a pixel may hold two lines.
+    is_inside = (np.abs(cos * x + sin * y) < 0.5 * sides[0]) & (np.abs(cos * y - sin * x) < 0.5 * sides[1])
+    sampled = is_inside.reshape(16, 32, 16, 32).mean(axis=(1, 3))
+    # An edge misclassifies at most about one row of the 32 x 32 samples, and a pixel may contain two edges.
     np.testing.assert_allclose(image.render(image.parameters())[..., 0], sampled, rtol=0, atol=2.0 / 32)
 
 
 @given(seed=SEEDS)
-def test_disks_are_those_of_the_core(seed: int) -> None:
+def test_circles_of_the_vector_renderer_equal_disks_of_the_core(seed: int) -> None:
     rng = np.random.default_rng(seed)
     positions, radii, colours = rng.uniform(-2, 26, (6, 2)), rng.uniform(0.5, 7, 6), rng.uniform(0, 1, (6, 3))
     disks = Disks(20, 24, positions, radii, colours, (0.2, 0.3, 0.4))
-    circles = [Circle(at, r, Paint((*one, 1.0))) for at, r, one in zip(positions, radii, colours, strict=True)]
-    ours = Vector(20, 24, circles, (0.2, 0.3, 0.4))
-    # Chords are within 0.01 px of the circle, and at most sqrt(2) of a chord lies in a pixel, of a few disks.
+    circles = [
+        Circle(centre, radius, Paint((*colour, 1.0)))
+        for centre, radius, colour in zip(positions, radii, colours, strict=True)
+    ]
+    renderer = Vector(20, 24, circles, (0.2, 0.3, 0.4))
+    # Chords are within 0.01 px of a circle, cross a pixel along at most sqrt(2) px, and few disks share a pixel.
     expected = disks.render(disks.parameters())
-    np.testing.assert_allclose(ours.render(ours.parameters()), expected, rtol=0, atol=0.03)
+    np.testing.assert_allclose(renderer.render(renderer.parameters()), expected, rtol=0, atol=0.03)
 
 
 @pytest.mark.parametrize("encoding", ["linear", "sRGB"])
-def test_a_shape_is_as_bright_wherever_it_lies_between_pixels(encoding: str) -> None:
-    """Or a fit from far away would see the wobble before it sees the target."""
+def test_the_brightness_of_a_rectangle_is_constant_at_positions_between_pixels(encoding: str) -> None:
+    """A fit from far away would otherwise follow the variation of the brightness instead of the target."""
     renderer = Vector(24, 32, [Rectangle([12.0, 10.0], [9.0, 4.0], Paint((0.9, 0.2, 0.05, 0.7)))], encoding=encoding)
-    at = renderer.parameters()
+    params = renderer.parameters()
     sums = [
-        float(renderer.render(at | {"positions": at["positions"] + float(by)}).sum()) for by in np.linspace(0.0, 1.0, 9)
+        float(renderer.render(params | {"positions": params["positions"] + float(shift)}).sum())
+        for shift in np.linspace(0.0, 1.0, 9)
     ]
     assert np.ptp(sums) < 1e-9 * np.mean(sums)
 
 
-def test_the_later_shape_lies_on_top_and_lets_through_what_its_opacity_says() -> None:
+def test_later_shapes_are_composited_over_earlier_shapes_by_their_opacity() -> None:
     under = Rectangle([4.0, 4.0], [4.0, 4.0], Paint((1.0, 0.0, 0.0, 1.0)))
     over = Rectangle([4.0, 4.0], [2.0, 2.0], Paint((0.0, 1.0, 0.0, 0.25)))
     image = Vector(8, 8, [under, over], BLACK)
@@ -169,11 +176,11 @@ def test_the_later_shape_lies_on_top_and_lets_through_what_its_opacity_says() ->
     np.testing.assert_allclose(swapped.render(swapped.parameters())[4, 4], [1.0, 0.0, 0.0], atol=1e-12)
 
 
-def test_a_hole_is_where_the_other_outline_turns_back_or_the_rule_says_so() -> None:
+def test_opposite_orientation_or_the_evenodd_rule_makes_a_hole() -> None:
     square = np.array([[1.0, 1.0], [9.0, 1.0], [9.0, 9.0], [1.0, 9.0]])
     inner = np.array([[3.0, 3.0], [7.0, 3.0], [7.0, 7.0], [3.0, 7.0]])
     for hole, rule, area in ((inner, "nonzero", 64.0), (inner[::-1], "nonzero", 48.0), (inner, "evenodd", 48.0)):
-        outlines = tuple(Outline(one, (1, 1, 1, 1)) for one in (square, hole))
+        outlines = tuple(Outline(points, (1, 1, 1, 1)) for points in (square, hole))
         shape = Path(outlines, Paint((1, 1, 1, 1), rule=rule))  # type: ignore[arg-type]  # literals of a loop
         assert painted_area(shape) == pytest.approx(area, rel=1e-12)
 
@@ -192,18 +199,18 @@ DEGENERATE: dict[str, Any] = {
     "no sides": Rectangle([8.0, 8.0], [0.0, 0.0], Paint(np.ones((4, 4)), RED, 1.0), 0.0),
     "no width": Circle([8.0, 8.0], 3.0, Paint(None, RED, 0.0)),
     "one point": polygon([[8.0, 8.0]] * 3, Paint(np.ones((4, 4)), RED, 1.0, "round", "round")),
-    "twice the same": polygon([[3.0, 3.0], [3.0, 3.0], [9.0, 4.0], [9.0, 4.0]], Paint(RED, RED, 1.0, join="round")),
-    "there and back": polygon([[3.0, 3.0], [9.0, 4.0], [3.0, 3.0]], Paint(None, RED, 2.0), closed=False),
+    "repeated points": polygon([[3.0, 3.0], [3.0, 3.0], [9.0, 4.0], [9.0, 4.0]], Paint(RED, RED, 1.0, join="round")),
+    "a line back to its start": polygon([[3.0, 3.0], [9.0, 4.0], [3.0, 3.0]], Paint(None, RED, 2.0), closed=False),
     "a cusp": Path((Outline([[3, 3], [13, 13], [3, 13], [13, 3]], (3,), closed=False),), Paint(None, RED, 4.0)),
     "a stroke wider than the shape": Circle([8.0, 8.0], 1.0, Paint(None, RED, 5.0)),
     "on the grid": Rectangle([8.0, 8.0], [4.0, 4.0], Paint(RED)),
     "out of frame": Circle([-50.0, 8.0], 3.0, Paint(RED, RED, 1.0)),
-    "all around": Circle([8.0, 8.0], 1e6, Paint(RED, RED, 1.0)),
+    "around the frame": Circle([8.0, 8.0], 1e6, Paint(RED, RED, 1.0)),
 }
 
 
 @pytest.mark.parametrize("name", DEGENERATE)
-def test_no_shape_gives_a_nan(name: str) -> None:
+def test_images_and_gradients_of_degenerate_shapes_are_finite(name: str) -> None:
     renderer = Vector(16, 16, [DEGENERATE[name]])
     image, pullback = renderer.render_vjp(renderer.parameters())
     assert torch.isfinite(image).all()
@@ -217,29 +224,29 @@ def test_a_stroke_wider_than_its_circle_is_a_disk() -> None:
     )
 
 
-def test_an_edge_on_the_line_between_pixels_feels_the_pixels_that_it_moves_into() -> None:
+def test_an_edge_between_pixels_has_a_gradient_from_the_pixels_that_it_enters() -> None:
     renderer = Vector(8, 8, [Rectangle([4.0, 4.0], [4.0, 4.0], WHITE)], BLACK)
     weights = torch.zeros((8, 8, 3), dtype=torch.float64)
-    weights[2:6, 6, 0] = 1.0  # just right of it
-    by = renderer.render_vjp(renderer.parameters())[1](weights)
-    assert float(by["positions"][0, 0]) == pytest.approx(4.0)
+    weights[2:6, 6, 0] = 1.0  # pixels to the right of the edge
+    gradient = renderer.render_vjp(renderer.parameters())[1](weights)
+    assert float(gradient["positions"][0, 0]) == pytest.approx(4.0)
 
 
-def test_projection_gives_legal_parameters_and_leaves_its_argument() -> None:
+def test_vector_projection_gives_legal_parameters_and_leaves_its_argument_unchanged() -> None:
     renderer = scene()
     wild = {name: 9.0 * torch.randn(value.shape, dtype=value.dtype) for name, value in renderer.parameters().items()}
-    kept: dict[str, Host] = {name: value.numpy().copy() for name, value in wild.items()}
+    copies: dict[str, Host] = {name: value.numpy().copy() for name, value in wild.items()}
     legal = renderer.project(wild)
     assert (legal["sizes"] > 0.0).all()
     assert (legal["widths"] > 0.0).all()
     assert float(legal["sizes"][0, 0]) == float(legal["sizes"][0, 1])
     assert all(((legal[name] >= 0.0) & (legal[name] <= 1.0)).all() for name in ("fills", "blends", "strokes"))
-    for name, value in kept.items():
+    for name, value in copies.items():
         np.testing.assert_array_equal(wild[name], value)
 
 
 @pytest.mark.parametrize(
-    ("make", "says"),
+    ("make", "message"),
     [
         (lambda: Vector(8, 8), "`shapes` and `svg` exclude each other"),
         (lambda: Vector(8, 8, svg=cast("Any", 3)), "`svg` must be the path of an SVG file, got 3"),
@@ -258,6 +265,6 @@ def test_projection_gives_legal_parameters_and_leaves_its_argument() -> None:
         (lambda: painted_area(Circle([0, 0], 1e5, WHITE), size=16384), "more than the 134217728 that are painted"),
     ],
 )
-def test_errors_of_the_vector_renderer_name_wrong_values(make: Any, says: str) -> None:
-    with pytest.raises((OptionError, ParameterError), match=says):
+def test_errors_of_the_vector_renderer_name_wrong_values(make: Any, message: str) -> None:
+    with pytest.raises((OptionError, ParameterError), match=message):
         make()

@@ -1,4 +1,4 @@
-"""SVG is read and written without loss, and what is not supported is named in one line."""
+"""Tests of SVG files: lossless writing and reading, equivalent spellings, and errors of one line."""
 
 from __future__ import annotations
 
@@ -37,6 +37,7 @@ PAINTS = FILLED | STROKED
 
 @st.composite
 def outlines(draw: Any) -> Outline:
+    """Draw an outline of one to four curves."""
     degrees = tuple(draw(st.lists(st.integers(1, 3), min_size=1, max_size=4)))
     closed = draw(st.booleans()) and sum(degrees) > 1
     count = sum(degrees) + (not closed)
@@ -48,62 +49,65 @@ SHAPES = st.one_of(
     st.builds(Circle, POINTS, SIZES, PAINTS),
     st.builds(Ellipse, POINTS, st.tuples(SIZES, SIZES), PAINTS, st.floats(-179.0, 179.0)),
     st.builds(
-        lambda centre, sides, paint, share, angle: Rectangle(centre, sides, paint, share * 0.5 * min(sides), angle),
+        lambda centre, size, paint, rounding, angle: Rectangle(centre, size, paint, rounding * 0.5 * min(size), angle),
         POINTS,
         st.tuples(SIZES, SIZES),
         PAINTS,
         st.floats(0.0, 1.0),
         st.floats(-179.0, 179.0),
     ),
-    st.builds(lambda parts, paint: Path(tuple(parts), paint), st.lists(outlines(), min_size=1, max_size=3), PAINTS),
+    st.builds(
+        lambda subpaths, paint: Path(tuple(subpaths), paint), st.lists(outlines(), min_size=1, max_size=3), PAINTS
+    ),
 )
 
 
 def numbers(shape: Any) -> np.ndarray[Any, Any]:
-    """All numbers of a shape."""
+    """Return all numbers of a shape in one array."""
     paint = shape.paint
-    parts = [one for one in (paint.fill, paint.stroke) if one is not None]
-    parts += [paint.width] if paint.stroke is not None else []
+    values = [colour for colour in (paint.fill, paint.stroke) if colour is not None]
+    values += [paint.width] if paint.stroke is not None else []
     if isinstance(shape, Path):
-        parts += [one.points for one in shape.outlines]
+        values += [outline.points for outline in shape.outlines]
     else:
-        parts += [getattr(shape, key) for key in shape.__dataclass_fields__ if key != "paint"]
-    return np.concatenate([np.ravel(np.asarray(one, dtype=np.float64)) for one in parts])
+        values += [getattr(shape, key) for key in shape.__dataclass_fields__ if key != "paint"]
+    return np.concatenate([np.ravel(np.asarray(value, dtype=np.float64)) for value in values])
 
 
 @given(shapes=st.lists(SHAPES, min_size=1, max_size=4), background=st.tuples(*[st.floats(0.0, 1.0)] * 3))
-def test_what_was_written_is_read_again(shapes: Any, background: Any, tmp_path_factory: Any) -> None:
+def test_written_shapes_are_equal_when_read(shapes: Any, background: Any, tmp_path_factory: Any) -> None:
     file = tmp_path_factory.mktemp("svg") / "shapes.svg"
     write_svg(file, shapes, 60, 80, background)
-    again = read_svg(file, 60, 80)
-    assert [type(one) for one in again.shapes] == [type(one) for one in shapes]
-    np.testing.assert_allclose(again.background, background, rtol=0, atol=1e-10)
-    for got, wanted in zip(again.shapes, shapes, strict=True):
-        if isinstance(wanted, Path):
-            assert isinstance(got, Path)
-            assert [(one.degrees, one.closed) for one in got.outlines] == [
-                (one.degrees, one.closed) for one in wanted.outlines
+    graphic = read_svg(file, 60, 80)
+    assert [type(shape) for shape in graphic.shapes] == [type(shape) for shape in shapes]
+    np.testing.assert_allclose(graphic.background, background, rtol=0, atol=1e-10)
+    for actual, expected in zip(graphic.shapes, shapes, strict=True):
+        if isinstance(expected, Path):
+            assert isinstance(actual, Path)
+            assert [(outline.degrees, outline.closed) for outline in actual.outlines] == [
+                (outline.degrees, outline.closed) for outline in expected.outlines
             ]
-        if wanted.paint.stroke is not None:
-            assert (got.paint.cap, got.paint.join) == (wanted.paint.cap, wanted.paint.join)
-        assert got.paint.rule == wanted.paint.rule or wanted.paint.fill is None
-        np.testing.assert_allclose(numbers(got), numbers(wanted), rtol=1e-9, atol=1e-9)
+        if expected.paint.stroke is not None:
+            assert (actual.paint.cap, actual.paint.join) == (expected.paint.cap, expected.paint.join)
+        assert actual.paint.rule == expected.paint.rule or expected.paint.fill is None
+        np.testing.assert_allclose(numbers(actual), numbers(expected), rtol=1e-9, atol=1e-9)
 
 
 def drawing(tmp_path: File, body: str, root: str = 'viewBox="0 0 16 16"') -> File:
+    """Write an SVG file with a body, and return its path."""
     file = tmp_path / "drawing.svg"
     file.write_text(f'<svg xmlns="http://www.w3.org/2000/svg" {root}>{body}</svg>')
     return file
 
 
 def image(file: File, size: int = 16) -> np.ndarray[Any, Any]:
-    made = Vector(size, size, svg=file)
-    picture: np.ndarray[Any, Any] = made.render(made.parameters()).numpy()
-    return picture
+    renderer = Vector(size, size, svg=file)
+    pixels: np.ndarray[Any, Any] = renderer.render(renderer.parameters()).numpy()
+    return pixels
 
 
 @pytest.mark.parametrize(
-    ("one", "other"),
+    ("body", "equivalent_body"),
     [
         ('<rect x="3" y="4" width="8" height="5"/>', '<path d="M3 4h8v5h-8z"/>'),
         ('<rect x="3" y="4" width="8" height="5"/>', '<polygon points="3,4 11,4 11,9 3,9"/>'),
@@ -123,21 +127,21 @@ def image(file: File, size: int = 16) -> np.ndarray[Any, Any]:
         ('<line x1="2" y1="3" x2="9" y2="4" stroke="blue"/>', '<path d="M2 3L9 4" fill="none" stroke="rgb(0,0,255)"/>'),
     ],
 )
-def test_two_ways_to_draw_the_same(tmp_path: File, one: str, other: str) -> None:
-    first = image(drawing(tmp_path, one))
-    assert np.ptp(first) > 0.4
-    # Arcs become cubic curves, which are off by 3e-4 of the radius, and chords by 0.01 px.
-    np.testing.assert_allclose(first, image(drawing(tmp_path, other)), rtol=0, atol=0.02)
+def test_equivalent_svg_elements_have_equal_images(tmp_path: File, body: str, equivalent_body: str) -> None:
+    expected = image(drawing(tmp_path, body))
+    assert np.ptp(expected) > 0.4
+    # Cubic curves have an error of 3e-4 of an arc's radius, and chords an error of 0.01 px.
+    np.testing.assert_allclose(expected, image(drawing(tmp_path, equivalent_body)), rtol=0, atol=0.02)
 
 
-def test_the_view_box_is_fitted_into_the_image_and_centred(tmp_path: File) -> None:
+def test_the_svg_view_box_is_fitted_into_the_image_and_centred(tmp_path: File) -> None:
     file = drawing(tmp_path, '<circle cx="15" cy="10" r="5"/>', 'viewBox="10 5 10 5"')
     (circle,) = read_svg(file, 40, 40).shapes
     assert isinstance(circle, Circle)
     np.testing.assert_allclose([*circle.centre, circle.radius], [20.0, 30.0, 20.0])
 
 
-def test_a_scene_file_names_its_svg_beside_it(tmp_path: File) -> None:
+def test_a_scene_file_names_an_svg_relative_to_its_folder(tmp_path: File) -> None:
     np.save(tmp_path / "target.npy", image(drawing(tmp_path, '<circle cx="7" cy="8" r="4"/>')))
     scene = tmp_path / "scene.toml"
     scene.write_text(
@@ -151,7 +155,7 @@ CIRCLE = '<circle cx="7" cy="8" r="4"/>'
 
 
 @pytest.mark.parametrize(
-    ("content", "says"),
+    ("content", "message"),
     [
         ("<svg", "not well-formed XML"),
         ("<svg></svg>", "there is no shape in it"),
@@ -196,23 +200,23 @@ CIRCLE = '<circle cx="7" cy="8" r="4"/>'
         ("<svg>" + " " * 2**23 + "</svg>", "larger than 8388608 bytes"),
     ],
 )
-def test_what_is_not_supported_is_named(tmp_path: File, content: str, says: str) -> None:
+def test_unsupported_svg_content_is_named_in_one_line(tmp_path: File, content: str, message: str) -> None:
     file = tmp_path / "bad.svg"
     file.write_text(content)
     with pytest.raises(SvgError) as caught:
         read_svg(file, 8, 8)
-    assert says in str(caught.value)
+    assert message in str(caught.value)
     assert len(str(caught.value).splitlines()) == 1
     assert str(caught.value).startswith(str(file))
 
 
-def test_a_missing_file_is_named(tmp_path: File) -> None:
+def test_a_missing_svg_file_is_named_in_the_error(tmp_path: File) -> None:
     with pytest.raises(SvgError, match=r"none\.svg: cannot be read"):
         Vector(8, 8, svg=tmp_path / "none.svg")
 
 
-def test_time_grows_with_the_number_of_arcs_and_not_with_its_square(tmp_path: File) -> None:
-    # Twenty seconds, and a hundred million calls, if each arc is replaced in the path that holds all.
+def test_the_time_to_read_arcs_is_linear_in_their_number(tmp_path: File) -> None:
+    # Replacing each arc in the whole path would take twenty seconds and a hundred million calls.
     arcs = "".join(f"A5 5 0 0 1 {number % 90} {number % 70}" for number in range(8000))
     path = f'<path d="M0 0{arcs}" stroke="red" fill="none"/>'
     (tmp_path / "a.svg").write_text(f'<svg xmlns="http://www.w3.org/2000/svg" width="96" height="96">{path}</svg>')
@@ -230,34 +234,40 @@ def test_time_grows_with_the_number_of_arcs_and_not_with_its_square(tmp_path: Fi
     assert calls < 8000 * 2000
 
 
-@pytest.mark.parametrize(("path", "says"), [("M0 0L1 1" + "Z" * 100000, ""), ("M0 0" + "L1 1Z" * 5000, "closed parts")])
-def test_closings_are_counted_where_the_library_goes_back_for_each(path: str, says: str, tmp_path: File) -> None:
+@pytest.mark.parametrize(
+    ("path", "message"), [("M0 0L1 1" + "Z" * 100000, ""), ("M0 0" + "L1 1Z" * 5000, "closed parts")]
+)
+def test_repeated_closings_are_merged_and_many_closed_subpaths_are_refused(
+    path: str, message: str, tmp_path: File
+) -> None:
     (tmp_path / "a.svg").write_text(
         f'<svg xmlns="http://www.w3.org/2000/svg" width="9" height="9"><path d="{path}"/></svg>'
     )
-    if says:
-        with pytest.raises(SvgError, match=says):
+    if message:
+        with pytest.raises(SvgError, match=message):
             read_svg(tmp_path / "a.svg", 9, 9)
     else:
         assert len(read_svg(tmp_path / "a.svg", 9, 9).shapes) == 1
 
 
-def white(tmp_path: File, body: str, root: str = 'viewBox="0 0 96 96"') -> float:
-    """How many of 96 x 96 pixels are white, on black, to within what rounding leaves of the ground."""
-    ground = '<rect width="96" height="96"/>'
-    return round(float(image(drawing(tmp_path, ground + body, root), 96).mean(axis=-1).sum()), 8)
+def white_pixels(tmp_path: File, body: str, root: str = 'viewBox="0 0 96 96"') -> float:
+    """Return the white area on a black background of 96 x 96 pixels, rounded to 8 digits."""
+    background = '<rect width="96" height="96"/>'
+    return round(float(image(drawing(tmp_path, background + body, root), 96).mean(axis=-1).sum()), 8)
 
 
 def refusal(tmp_path: File, body: str) -> str:
+    """Return the message of the error that reading an SVG file with a body raises."""
     with pytest.raises(SvgError) as caught:
         read_svg(drawing(tmp_path, body), 96, 96)
     return str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("smooth", "spelt"),
+    ("smooth", "explicit"),
     [
-        # The control point comes from the curve before if that is of the same kind; else it is where the curve begins.
+        # S and T reflect the control point of a preceding curve of the same degree. After another segment, their
+        # control point is the start of the curve.
         ("M10 50Q20 10 40 40S80 90 86 50", "M10 50Q20 10 40 40C40 40 80 90 86 50"),
         ("M10 50T40 20S60 60 86 50", "M10 50L40 20C40 20 60 60 86 50"),
         ("M10 50C20 10 40 10 48 50T86 50", "M10 50C20 10 40 10 48 50L86 50"),
@@ -272,29 +282,29 @@ def refusal(tmp_path: File, body: str) -> str:
         ("M10 50C20 10 40 10 48 50T60 50T86 60", "M10 50C20 10 40 10 48 50L60 50Q72 50 86 60"),
     ],
 )
-def test_smooth_curves_go_on_from_curves_of_their_kind(tmp_path: File, smooth: str, spelt: str) -> None:
-    bodies = [f'<path d="{one}V90H10z" fill="white"/>' for one in (smooth, spelt)]
-    # A line and the curve that stands for it have other chords, so it is areas that are the same.
-    assert white(tmp_path, bodies[0]) == pytest.approx(white(tmp_path, bodies[1]), abs=1e-7)
+def test_smooth_curves_continue_preceding_curves_of_their_degree(tmp_path: File, smooth: str, explicit: str) -> None:
+    bodies = [f'<path d="{path}V90H10z" fill="white"/>' for path in (smooth, explicit)]
+    # A straight curve and a line have different chords, so the test compares areas.
+    assert white_pixels(tmp_path, bodies[0]) == pytest.approx(white_pixels(tmp_path, bodies[1]), abs=1e-7)
 
 
 @pytest.mark.parametrize("radii", ["0 0", "0 7", "7 0", "-0 5"])
 def test_arcs_with_a_radius_of_zero_are_lines(tmp_path: File, radii: str) -> None:
     path = f"M20 20h40v40A{radii} 30 0 1 20 60a{radii} 0 1 0 0 -40z"
-    assert white(tmp_path, f'<path d="{path}" fill="white"/>') == pytest.approx(1600.0)
+    assert white_pixels(tmp_path, f'<path d="{path}" fill="white"/>') == pytest.approx(1600.0)
 
 
 @pytest.mark.parametrize("radius", ["20", "5", "1e-6", "1e-200", "-1e-9"])
-def test_arcs_that_are_too_small_for_their_ends_are_made_larger(tmp_path: File, radius: str) -> None:
-    area = white(tmp_path, f'<path d="M20 40A{radius} {radius} 0 0 1 60 40z" fill="white"/>')
-    assert area == pytest.approx(200.0 * np.pi, rel=2e-3)  # chords within 0.01 px of it
+def test_arcs_with_radii_too_small_for_their_ends_become_half_circles(tmp_path: File, radius: str) -> None:
+    area = white_pixels(tmp_path, f'<path d="M20 40A{radius} {radius} 0 0 1 60 40z" fill="white"/>')
+    assert area == pytest.approx(200.0 * np.pi, rel=2e-3)  # chords are within 0.01 px of the arc
 
 
 @pytest.mark.parametrize("scale", [1e-9, 0.5, 2.0])
-def test_arcs_made_larger_keep_how_long_they_are(tmp_path: File, scale: float) -> None:
+def test_enlarged_arcs_keep_the_aspect_ratio_of_their_radii(tmp_path: File, scale: float) -> None:
     radii = f"{3.0 * scale} {2.0 * scale}"
-    bodies = [f'<path d="M20 40A{one} 30 0 1 60 50z" fill="white"/>' for one in (radii, "3 2")]
-    assert white(tmp_path, bodies[0]) == pytest.approx(white(tmp_path, bodies[1]), abs=1e-6)
+    bodies = [f'<path d="M20 40A{pair} 30 0 1 60 50z" fill="white"/>' for pair in (radii, "3 2")]
+    assert white_pixels(tmp_path, bodies[0]) == pytest.approx(white_pixels(tmp_path, bodies[1]), abs=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -304,20 +314,20 @@ def test_arcs_made_larger_keep_how_long_they_are(tmp_path: File, scale: float) -
         *(("M9 9h9M48 48h0", 9), ("M48 48v0M9 9h9", 9), ("M9 9h9l-9 0zl0 0", 18)),
     ],
 )
-def test_dots_are_refused_where_a_cap_would_show_them(tmp_path: File, path: str, length: int) -> None:
+def test_subpaths_without_length_are_refused_with_round_and_square_caps(tmp_path: File, path: str, length: int) -> None:
     stroke = 'fill="none" stroke="white" stroke-width="12"'
     for cap in ("round", "square"):
-        says = refusal(tmp_path, f'<path d="{path}" {stroke} stroke-linecap="{cap}"/>')
-        assert f"<path>: a part without length, of which a {cap} cap makes a dot, is not supported" in says
-    if length < 18:  # there and back lies on itself
-        assert white(tmp_path, f'<path d="{path}" {stroke}/>') == pytest.approx(12.0 * length)
-    assert white(tmp_path, f'<path d="{path}" fill="white" stroke-linecap="round"/>') == 0.0
+        message = refusal(tmp_path, f'<path d="{path}" {stroke} stroke-linecap="{cap}"/>')
+        assert f"<path>: a part without length, of which a {cap} cap makes a dot, is not supported" in message
+    if length < 18:  # the stroke of the longest path overlaps itself
+        assert white_pixels(tmp_path, f'<path d="{path}" {stroke}/>') == pytest.approx(12.0 * length)
+    assert white_pixels(tmp_path, f'<path d="{path}" fill="white" stroke-linecap="round"/>') == 0.0
 
 
-def test_what_only_moves_is_no_dot(tmp_path: File) -> None:
+def test_moves_without_a_line_draw_no_dot(tmp_path: File) -> None:
     stroke = 'stroke="white" stroke-width="4" stroke-linecap="square"'
     for path in ("M48 48", "M9 9M48 48", "M48 48M20 20h9M5 5"):
-        assert white(tmp_path, f'<path d="{path}" {stroke}/>') == pytest.approx(52.0 * ("h9" in path))
+        assert white_pixels(tmp_path, f'<path d="{path}" {stroke}/>') == pytest.approx(52.0 * ("h9" in path))
 
 
 @pytest.mark.parametrize(
@@ -325,29 +335,33 @@ def test_what_only_moves_is_no_dot(tmp_path: File) -> None:
     ['rect width="0" height="9"', 'rect width="9"', 'circle r="0"', "circle", 'ellipse rx="0" ry="9"', "ellipse"],
 )
 @pytest.mark.parametrize("transform", ["", 'transform="translate(9 9) rotate(8)"'])
-def test_shapes_without_extent_are_not_shown(tmp_path: File, shape: str, transform: str) -> None:
-    assert white(tmp_path, f'<{shape} {transform} fill="red" stroke="white" stroke-width="8"/>') == 0.0
+def test_shapes_without_extent_draw_nothing(tmp_path: File, shape: str, transform: str) -> None:
+    assert white_pixels(tmp_path, f'<{shape} {transform} fill="red" stroke="white" stroke-width="8"/>') == 0.0
 
 
 @pytest.mark.parametrize("radii", ['rx="20"', 'ry="20"', 'rx="auto" ry="20"', 'rx="20" ry="auto"', 'rx="20" ry="20"'])
 @pytest.mark.parametrize("transform", ["", 'transform="translate(9 -5) skewX(10)"'])
-def test_one_radius_of_an_ellipse_stands_for_both(tmp_path: File, radii: str, transform: str) -> None:
-    area = white(tmp_path, f'<ellipse cx="48" cy="50" {radii} {transform} fill="white"/>')
+def test_an_ellipse_with_a_single_radius_is_a_circle(tmp_path: File, radii: str, transform: str) -> None:
+    area = white_pixels(tmp_path, f'<ellipse cx="48" cy="50" {radii} {transform} fill="white"/>')
     assert area == pytest.approx(400.0 * np.pi, rel=1e-3)
 
 
 @given(values=st.tuples(*[st.floats(-2.0, 3.0)] * 2), alpha=st.floats(-1.0, 2.0))
-def test_each_opacity_is_a_share_before_they_are_multiplied(values: Any, alpha: float, tmp_path_factory: Any) -> None:
-    whole, own = values
+def test_opacities_are_clipped_to_0_and_1_before_their_product(
+    values: Any, alpha: float, tmp_path_factory: Any
+) -> None:
+    opacity, paint_opacity = values
     for key in ("fill", "stroke"):
-        painted = f'{key}="rgb(255 255 255 / {alpha})" {key}-opacity="{own}" opacity="{whole}"'
+        painted = f'{key}="rgb(255 255 255 / {alpha})" {key}-opacity="{paint_opacity}" opacity="{opacity}"'
         body = f'<g fill="none"><path d="M0 0h9v9" {painted}/></g>'
         (shape,) = read_svg(drawing(tmp_path_factory.mktemp("svg"), body), 16, 16).shapes
-        assert getattr(shape.paint, key)[3] == pytest.approx(np.prod(np.clip([whole, own, alpha], 0.0, 1.0)))
+        assert getattr(shape.paint, key)[3] == pytest.approx(
+            np.prod(np.clip([opacity, paint_opacity, alpha], 0.0, 1.0))
+        )
 
 
 @pytest.mark.parametrize(
-    ("one", "other"),
+    ("transform", "equivalent_transform"),
     [
         ("translate(9px, 4px)", "translate(9 4)"),
         ("translate(1in)", "translate(96)"),
@@ -365,10 +379,12 @@ def test_each_opacity_is_a_share_before_they_are_multiplied(values: Any, alpha: 
         ("none", ""),
     ],
 )
-def test_two_ways_to_spell_a_transform(tmp_path: File, one: str, other: str) -> None:
+def test_equivalent_svg_transforms_move_points_equally(
+    tmp_path: File, transform: str, equivalent_transform: str
+) -> None:
     paths = []
-    for transform in (one, other):
-        (path,) = read_svg(drawing(tmp_path, f'<path d="M0 0h9v9z" transform="{transform}"/>'), 16, 16).shapes
+    for text in (transform, equivalent_transform):
+        (path,) = read_svg(drawing(tmp_path, f'<path d="M0 0h9v9z" transform="{text}"/>'), 16, 16).shapes
         assert isinstance(path, Path)
         paths.append(path.outlines[0].points)
     np.testing.assert_allclose(paths[0], paths[1], rtol=0.0, atol=1e-12)
@@ -393,15 +409,15 @@ def test_two_ways_to_spell_a_transform(tmp_path: File, one: str, other: str) -> 
         ),
     ],
 )
-def test_what_is_no_transform_is_refused(tmp_path: File, transform: str) -> None:
-    for how in (f'transform="{transform}"', f'style="fill: red; transform: {transform}"'):
-        assert "<rect>: `transform` = " in refusal(tmp_path, f'<rect width="9" height="9" {how}/>')
+def test_invalid_svg_transforms_are_refused(tmp_path: File, transform: str) -> None:
+    for attribute in (f'transform="{transform}"', f'style="fill: red; transform: {transform}"'):
+        assert "<rect>: `transform` = " in refusal(tmp_path, f'<rect width="9" height="9" {attribute}/>')
 
 
 @pytest.mark.parametrize(
     "text", ["10-10 80,20 50 60", "10,-10,80,20,50,60", "1e1-10+80 20.0 50 6e1", " 10-10\n80 20 50,60"]
 )
-def test_points_are_read_as_svg_says(tmp_path: File, text: str) -> None:
+def test_svg_points_are_read_with_any_separators(tmp_path: File, text: str) -> None:
     for tag, closed in (("polygon", True), ("polyline", False)):
         (path,) = read_svg(drawing(tmp_path, f'<{tag} points="{text}"/>', 'width="9" height="9"'), 9, 9).shapes
         assert isinstance(path, Path)
@@ -410,7 +426,7 @@ def test_points_are_read_as_svg_says(tmp_path: File, text: str) -> None:
 
 
 @pytest.mark.parametrize(
-    ("text", "says"),
+    ("colour", "equivalent_colour"),
     [
         ("#f00", "rgb(255,0,0)"),
         ("Red", "#ff0000"),
@@ -425,15 +441,16 @@ def test_points_are_read_as_svg_says(tmp_path: File, text: str) -> None:
         ("CURRENTCOLOR", "#123456"),
     ],
 )
-def test_two_ways_to_spell_a_colour(tmp_path: File, text: str, says: str) -> None:
-    bodies = [f'<g color="#123456"><circle r="9" color="inherit" fill="{one}"/></g>' for one in (text, says)]
-    one, other = (read_svg(drawing(tmp_path, body), 16, 16).shapes[0].paint.fill for body in bodies)
-    np.testing.assert_allclose(np.array(one), np.array(other), rtol=0.0, atol=1e-15)
+def test_equivalent_svg_colours_give_equal_paints(tmp_path: File, colour: str, equivalent_colour: str) -> None:
+    texts = (colour, equivalent_colour)
+    bodies = [f'<g color="#123456"><circle r="9" color="inherit" fill="{text}"/></g>' for text in texts]
+    fill, equivalent_fill = (read_svg(drawing(tmp_path, body), 16, 16).shapes[0].paint.fill for body in bodies)
+    np.testing.assert_allclose(np.array(fill), np.array(equivalent_fill), rtol=0.0, atol=1e-15)
 
 
-def test_the_current_colour_is_that_of_the_element_that_is_painted(tmp_path: File) -> None:
+def test_current_color_is_the_colour_of_the_painted_element(tmp_path: File) -> None:
     body = '<g color="red" fill="currentColor"><circle r="9" color="white"/><circle r="9"/></g><circle r="9"/>'
-    fills = [one.paint.fill for one in read_svg(drawing(tmp_path, body), 16, 16).shapes]
+    fills = [shape.paint.fill for shape in read_svg(drawing(tmp_path, body), 16, 16).shapes]
     np.testing.assert_array_equal(np.array(fills), [[1, 1, 1, 1], [1, 0, 0, 1], [0, 0, 0, 1]])
 
 
@@ -445,21 +462,21 @@ def test_the_current_colour_is_that_of_the_element_that_is_painted(tmp_path: Fil
         "rgb(50%,1,2)",
     ],
 )
-def test_what_is_no_colour_is_refused(tmp_path: File, text: str) -> None:
+def test_invalid_svg_colours_are_refused(tmp_path: File, text: str) -> None:
     for key in ("fill", "stroke"):
-        says = refusal(tmp_path, f'<g fill="white"><rect width="9" height="9" {key}="{text}"/></g>')
-        assert f"<rect>: `{key}` must be none, #rgb, #rrggbb, rgb(...) or a name, got '{text}'" in says
+        message = refusal(tmp_path, f'<g fill="white"><rect width="9" height="9" {key}="{text}"/></g>')
+        assert f"<rect>: `{key}` must be none, #rgb, #rrggbb, rgb(...) or a name, got '{text}'" in message
     assert "`fill` must be" in refusal(tmp_path, f'<circle r="9" color="{text}" fill="currentColor"/>')
 
 
 @pytest.mark.parametrize("text", ["none", "NONE", "Transparent", "transparent"])
-def test_no_paint_is_no_paint_in_any_case(tmp_path: File, text: str) -> None:
+def test_none_and_transparent_paints_draw_nothing_in_upper_or_lower_case(tmp_path: File, text: str) -> None:
     body = f'<g fill="white" stroke="white"><rect width="50" height="50" fill="{text}" stroke="{text}"/></g>'
-    assert white(tmp_path, body) == 0.0
+    assert white_pixels(tmp_path, body) == 0.0
 
 
 @pytest.mark.parametrize(
-    "harmless",
+    "attributes",
     [
         *(
             'style="-inkscape-stroke:none;-inkscape-font-specification:Sans"',
@@ -482,35 +499,40 @@ def test_no_paint_is_no_paint_in_any_case(tmp_path: File, text: str) -> None:
         *('style="/* a */ /* b */"', 'fill="rgba(255, 255, 255, 1)"', 'opacity="7.0"', 'display="inline"'),
     ],
 )
-def test_what_tools_write_and_changes_nothing_is_let_through(tmp_path: File, harmless: str) -> None:
-    given = "" if "fill=" in harmless else 'fill="white"'
-    assert white(tmp_path, f'<path d="M3 3h50v50h-50z" {given} {harmless}/>') == pytest.approx(2500.0)
-    assert white(tmp_path, f'<g {given} {harmless}><path d="M3 3h50v50h-50z"/></g>') == pytest.approx(2500.0)
+def test_svg_attributes_without_effect_are_accepted(tmp_path: File, attributes: str) -> None:
+    fill = "" if "fill=" in attributes else 'fill="white"'
+    assert white_pixels(tmp_path, f'<path d="M3 3h50v50h-50z" {fill} {attributes}/>') == pytest.approx(2500.0)
+    assert white_pixels(tmp_path, f'<g {fill} {attributes}><path d="M3 3h50v50h-50z"/></g>') == pytest.approx(2500.0)
 
 
-def test_what_is_not_displayed_is_not_read(tmp_path: File) -> None:
+def test_svg_elements_that_are_not_displayed_are_not_read(tmp_path: File) -> None:
     hidden = '<text>a</text><rect width="9" height="9" fill="url(#a)"/><g display="inline"><circle r="9"/></g>'
-    for how in ('display="none"', 'style="display: none"', 'display="inline" style="display:none" filter="url(#b)"'):
-        body = f'<g {how}>{hidden}</g><rect width="50" height="50" {how}/><rect width="3" height="3" fill="white"/>'
-        assert white(tmp_path, body) == pytest.approx(9.0)
+    for attributes in (
+        'display="none"',
+        'style="display: none"',
+        'display="inline" style="display:none" filter="url(#b)"',
+    ):
+        undisplayed = f'<g {attributes}>{hidden}</g><rect width="50" height="50" {attributes}/>'
+        assert white_pixels(tmp_path, undisplayed + '<rect width="3" height="3" fill="white"/>') == pytest.approx(9.0)
 
 
-def test_a_limit_of_miters_is_refused_only_where_there_are_miters(tmp_path: File) -> None:
+def test_a_miter_limit_is_refused_only_for_strokes_with_miters(tmp_path: File) -> None:
     stroke = 'stroke="white" stroke-width="4" stroke-miterlimit="10" fill="none"'
     path = 'path d="M10 80L48 20L86 80"'
     assert "<path>: `stroke-miterlimit` = '10' is not supported" in refusal(tmp_path, f"<{path} {stroke}/>")
     assert "`stroke-miterlimit` = '10'" in refusal(tmp_path, f"<g {stroke}><{path}/></g>")
     assert "`stroke-miterlimit` = '1'" in refusal(tmp_path, f'<rect width="9" height="9" {stroke.replace("10", "1")}/>')
-    for body in (
+    for element in (
         *(f'{path} stroke-linejoin="round"', f'{path} stroke-linejoin="bevel"', 'circle cx="48" cy="48" r="9"'),
         *('line x2="50" y2="50"', 'ellipse cx="48" cy="48" rx="9"', 'rect x="9" y="9" width="30" height="20"'),
     ):
-        with_it, without = (white(tmp_path, f"<{body} {one}/>") for one in (stroke, stroke.replace('"10"', '"4.0"')))
-        assert with_it == without > 0.0
+        strokes = (stroke, stroke.replace('"10"', '"4.0"'))  # 4 is the default
+        area, default_area = (white_pixels(tmp_path, f"<{element} {attributes}/>") for attributes in strokes)
+        assert area == default_area > 0.0
 
 
 @pytest.mark.parametrize("size", ["25.4mm", "2.54cm", "1in", "72pt", "6pc", "96px", "96"])
-def test_an_inch_has_96_pixels_where_there_is_no_view_box(tmp_path: File, size: str) -> None:
+def test_an_inch_has_96_svg_pixels_without_a_view_box(tmp_path: File, size: str) -> None:
     body = '<rect x="30" y="10" width="60" height="50"/>'
     (rectangle,) = read_svg(drawing(tmp_path, body, f'width="{size}" height="{size}"'), 48, 48).shapes
     assert isinstance(rectangle, Rectangle)
@@ -528,7 +550,7 @@ def test_an_inch_has_96_pixels_where_there_is_no_view_box(tmp_path: File, size: 
         ("M10 10C10 90 90 90 90 10z", (3, 1)),
     ],
 )
-def test_an_outline_that_comes_back_is_closed_without_a_line(
+def test_a_closed_curve_that_returns_to_its_start_has_no_closing_line(
     tmp_path: File, path: str, degrees: tuple[int, ...] | None
 ) -> None:
     (shape,) = read_svg(drawing(tmp_path, f'<path d="{path}"/>'), 16, 16).shapes
@@ -552,9 +574,9 @@ def test_an_outline_that_comes_back_is_closed_without_a_line(
         f"<path d='M0 0{'1' * 400_000}!'/>",
     ],
 )
-def test_time_grows_with_what_is_written_and_not_with_its_square(tmp_path: File, body: str) -> None:
-    # A minute each, and longer, if what has matched is matched again from each of its characters.
-    begun = time.process_time()
+def test_the_time_to_read_an_svg_is_linear_in_its_length(tmp_path: File, body: str) -> None:
+    # A regular expression that starts again at every character would take a minute or more for each body.
+    start = time.process_time()
     with contextlib.suppress(SvgError):
         read_svg(drawing(tmp_path, body), 16, 16)
-    assert time.process_time() - begun < 10.0
+    assert time.process_time() - start < 10.0

@@ -1,4 +1,4 @@
-"""Views over devices of JAX have the same mean and gradient as on one device."""
+"""Test of views on several JAX devices: their mean loss and gradient equal the results of one device."""
 
 from __future__ import annotations
 
@@ -22,49 +22,49 @@ scales = ScaleSpace(1, 3, 0.25)
 views, devices = 6, 4
 rng = np.random.default_rng(0)
 photographs, patterns = rng.uniform(size=(2, views, 16, 12, 3))
-place = jnp.array([0.3, -0.2, 0.1])
-render = jax.vmap(lambda place, pattern: jax.nn.sigmoid(pattern + place), (None, 0))
-def total(loss, factor=1.0):
-    return jax.jit(jax.value_and_grad(lambda place, patterns: factor * loss(render(place, patterns))))
-step = total(loi_jax.loi_loss(photographs, scales))
-wanted = step(place, patterns)
-assert wanted[0].devices() == {jax.devices()[0]}
-images = np.asarray(render(place, patterns))
-each = [LOIObjective(photograph, scales).value(image) for photograph, image in zip(photographs, images)]
-np.testing.assert_allclose(wanted[0], np.mean(each), rtol=1e-11)
-def agrees(found):
-    for ours, theirs in zip(found, wanted, strict=True):
-        np.testing.assert_allclose(ours, theirs, rtol=1e-11)
-def spread(patterns, devices, kind=AxisType.Auto):
+offset = jnp.array([0.3, -0.2, 0.1])
+render = jax.vmap(lambda offset, pattern: jax.nn.sigmoid(pattern + offset), (None, 0))
+def compiled(loss, factor=1.0):
+    return jax.jit(jax.value_and_grad(lambda offset, patterns: factor * loss(render(offset, patterns))))
+step = compiled(loi_jax.loi_loss(photographs, scales))
+expected = step(offset, patterns)
+assert expected[0].devices() == {jax.devices()[0]}
+images = np.asarray(render(offset, patterns))
+values = [LOIObjective(photograph, scales).value(image) for photograph, image in zip(photographs, images)]
+np.testing.assert_allclose(expected[0], np.mean(values), rtol=1e-11)
+def check(results):
+    for result, number in zip(results, expected, strict=True):
+        np.testing.assert_allclose(result, number, rtol=1e-11)
+def sharded(patterns, devices, kind=AxisType.Auto):
     mesh = jax.make_mesh((devices,), ("views",), axis_types=(kind,), devices=jax.devices()[:devices])
-    made = jax.device_put(patterns, NamedSharding(mesh, PartitionSpec("views")))
-    assert len(made.devices()) == devices
-    return made
+    shards = jax.device_put(patterns, NamedSharding(mesh, PartitionSpec("views")))
+    assert len(shards.devices()) == devices
+    return shards
 for kind in (AxisType.Auto, AxisType.Explicit):
-    agrees(step(place, spread(patterns, 3, kind)))
-text = step.lower(place, spread(patterns, 3)).compile().as_text()
+    check(step(offset, sharded(patterns, 3, kind)))
+text = step.lower(offset, sharded(patterns, 3)).compile().as_text()
 assert "all-reduce" in text and "all-gather" not in text and "callback" not in text
-# Views that count nothing make up a number that the devices divide.
+# Views of weight 0 pad the batch to a multiple of the number of devices.
 extra = -views % devices
-photographs, patterns = (np.concatenate([each, each[:extra]]) for each in (photographs, patterns))
-counts = np.ones((views + extra, 16, 12))
-counts[views:] = 0.0
-padded = total(loi_jax.loi_loss(photographs, scales, weights=counts), (views + extra) / views)
-agrees(padded(place, spread(patterns, devices)))
-# Or each device has views, and a program, of its own: as many as there are.
+photographs, patterns = (np.concatenate([array, array[:extra]]) for array in (photographs, patterns))
+weights = np.ones((views + extra, 16, 12))
+weights[views:] = 0.0
+padded = compiled(loi_jax.loi_loss(photographs, scales, weights=weights), (views + extra) / views)
+check(padded(offset, sharded(patterns, devices)))
+# Each of two devices has a separate program for its views, and their weighted results are added.
 value, slope = 0.0, 0.0
-for here, own in zip(jax.devices(), (slice(0, 4), slice(4, 6))):
-    share = total(loi_jax.loi_loss(photographs[own], scales), (own.stop - own.start) / views)
-    part, push = share(*jax.device_put((place, patterns[own]), here))
-    assert push.devices() == {here}
-    part, push = jax.device_put((part, push), jax.devices()[0])
-    value, slope = value + part, slope + push
-agrees((value, slope))
+for device, subset in zip(jax.devices(), (slice(0, 4), slice(4, 6))):
+    partial = compiled(loi_jax.loi_loss(photographs[subset], scales), (subset.stop - subset.start) / views)
+    results = partial(*jax.device_put((offset, patterns[subset]), device))
+    assert results[1].devices() == {device}
+    partial_value, partial_slope = jax.device_put(results, jax.devices()[0])
+    value, slope = value + partial_value, slope + partial_slope
+check((value, slope))
 print("done")
 """
 
 
-def test_a_batch_of_views_over_devices_of_jax_has_the_loss_and_gradient_of_one_device() -> None:
+def test_views_on_several_jax_devices_have_the_loss_and_gradient_of_one_device() -> None:
     pytest.importorskip("jax")
     command = [sys.executable, "-W", "ignore", "-c", SHARDED]
     with without_numba():
