@@ -22,6 +22,7 @@ from examples.external.registration import REGISTRATIONS
 from examples.external.running import HEADS, Summary, summary, verdict_line
 from examples.external.shapes import SHAPES
 from examples.external.solid import SOLIDS
+from examples.external.xray import XRAYS
 from loi_core.support.markdown import markdown
 
 QUICK_METHODS: Final = ("loi", "loi, matched", "pixel L2", "Gaussian pyramid", "CMA-ES")
@@ -33,7 +34,7 @@ Named = TypeVar("Named", Problem, Method)
 def problems() -> tuple[Problem, ...]:
     """Return all problems."""
     darker = next(case for case in WARPS if case.name.endswith("darker"))
-    return (*DISKS, *PASTED, *POSES, problem_of_case(darker), *REGISTRATIONS, *SHAPES, *SOLIDS)
+    return (*DISKS, *PASTED, *POSES, problem_of_case(darker), *REGISTRATIONS, *SHAPES, *XRAYS, *SOLIDS)
 
 
 def selected(problem: str, method: str, *, quick: bool) -> Iterator[tuple[Problem, Method]]:

@@ -15,7 +15,7 @@ __all__ = ["CountedRenderer", "Tally"]
 
 @dataclass
 class Tally:
-    """Number of images so far, and the number at which the goal was first reached."""
+    """Number of images so far, and its value when the parameters first reached the goal."""
 
     reaches: Callable[[Parameters], bool]
     renders: int = 0

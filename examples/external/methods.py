@@ -142,7 +142,7 @@ def _cma_es(task: Task) -> Answer:
     box, objective = _Box.of(task), PixelL2(task.start.target)
     limits = np.tile([0.0, 1.0], (box.start.size, 1))
     search = CMA(mean=box.start, sigma=CMA_SIGMA, bounds=limits, seed=task.seed)
-    best, least = box.start, np.inf
+    best, lowest_value = box.start, np.inf
     while not task.spent():
         evaluated = []
         for _ in range(search.population_size):
@@ -151,8 +151,8 @@ def _cma_es(task: Task) -> Answer:
             point = search.ask()
             value = _value(objective, task, box.params(point))
             evaluated.append((point, value))
-            if value < least:
-                best, least = point, value
+            if value < lowest_value:
+                best, lowest_value = point, value
         search.tell(evaluated)
     return Answer(box.params(best))
 

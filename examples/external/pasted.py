@@ -76,7 +76,7 @@ def _spoiled(scene: _Scene) -> Host:
 
 
 def _hand(scene: _Scene) -> Host:
-    """Return a photograph in which a foreign patch covers a corner of the picture."""
+    """Return a photograph with a foreign patch over a corner of the picture."""
     image, centre = scene.photograph(), scene.goal["translation"] + 0.5 * np.array([WIDTH_PX, HEIGHT_PX])
     column, row = np.rint(centre).astype(int)
     colour = scene.rng.uniform(0.2, 0.9, 3)
@@ -111,9 +111,9 @@ def _half_a_pixel_off(photographed: Callable[[_Scene], Host], seed: int) -> Star
     picture, ground = _contents(seed, rng)
     half = 0.5 * np.array([WIDTH_PX, HEIGHT_PX]) - MARGIN_PX
     goal, angle = rng.uniform(-0.5 * half, 0.5 * half), rng.uniform(0.0, 2.0 * np.pi)
-    turn, size = np.asarray(rng.uniform(-MAX_TURN, MAX_TURN)), np.asarray(np.exp(rng.uniform(*np.log(SIZES))))
+    rotation, size = np.asarray(rng.uniform(-MAX_TURN, MAX_TURN)), np.asarray(np.exp(rng.uniform(*np.log(SIZES))))
     start = goal + HALF_PIXEL_PX * np.array([np.cos(angle), np.sin(angle)])
-    pose = {"translation": goal, "rotation": turn, "scale": size}
+    pose = {"translation": goal, "rotation": rotation, "scale": size}
     return _start(_Scene(picture, ground, pose, rng), pose | {"translation": start}, half, photographed)
 
 

@@ -118,7 +118,7 @@ class Problem:
     renders : int
         Budget of images for every method.
     starts : int
-        Number of starts, with the seeds 0, 1, and so on.
+        Number of starts; their seeds count from 0.
     source, licence : str
         Author of the test, and the licence of the files and numbers that it needs.
     missing : callable

@@ -26,7 +26,7 @@ KORNIA_RATE: Final = 0.01  # half a side per level of the pyramid; the default o
 
 
 def _make(share: float, seed: int) -> Start:
-    """Return two crops of a photograph; the renderer moves the first onto the second, which fills what it uncovers."""
+    """Return two crops of a photograph; the renderer moves the first over the second."""
     rng = np.random.default_rng(seed)
     whole = image_of(NAMES[seed % len(NAMES)])
     factor = SHORTER_SIDE_PX / min(whole.size)
@@ -34,9 +34,9 @@ def _make(share: float, seed: int) -> Start:
     pixels = np.asarray(whole, dtype=np.float64) / 255.0
     angle = rng.uniform(0.0, 2.0 * np.pi)
     shift = np.rint(share * SIDE_PX * np.array([np.cos(angle), np.sin(angle)])).astype(int)
-    low = np.maximum(-shift, 0)
-    high = np.array(whole.size) - SIDE_PX - np.maximum(shift, 0)
-    first = rng.integers(low, high + 1)
+    first_corner = np.maximum(-shift, 0)
+    last_corner = np.array(whole.size) - SIDE_PX - np.maximum(shift, 0)
+    first = rng.integers(first_corner, last_corner + 1)
     moving, target = (_crop(pixels, corner) for corner in (first, first + shift))
     bound = np.full(2, BOUND * SIDE_PX)
     free = {"translation": Free(np.zeros(2), -bound, bound)}
@@ -82,8 +82,8 @@ def _sift(task: Task) -> Answer:
     if not len(matches):
         return Answer({"translation": np.zeros(2)})
     shifts = (points[1][matches[:, 1]] - points[0][matches[:, 0]])[:, ::-1]
-    near = np.hypot(*np.moveaxis(shifts[:, None] - shifts[None, :], -1, 0)) <= AGREEMENT_PX
-    return Answer({"translation": shifts[near[np.argmax(near.sum(axis=1))]].mean(axis=0)})
+    agreeing = np.hypot(*np.moveaxis(shifts[:, None] - shifts[None, :], -1, 0)) <= AGREEMENT_PX
+    return Answer({"translation": shifts[agreeing[np.argmax(agreeing.sum(axis=1))]].mean(axis=0)})
 
 
 def _kornia(loss: str, rate: float | None, task: Task) -> Answer:

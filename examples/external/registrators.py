@@ -54,8 +54,8 @@ def register(moving: Host, target: Host, loss: str, rate: float | None) -> tuple
     rate : float, optional
         Learning rate in halves of the side; kornia's default if None.
     """
-    kind = _Counting if loss == "L1" else _OverCoveredPart
-    registrator = kind("translation") if rate is None else kind("translation", lr=rate)
+    registrator_class = _Counting if loss == "L1" else _OverCoveredPart
+    registrator = registrator_class("translation") if rate is None else registrator_class("translation", lr=rate)
     source, destination = (
         torch.from_numpy(np.moveaxis(image, -1, 0)[None].astype(np.float32)) for image in (moving, target)
     )

@@ -35,10 +35,10 @@ class _Frame:
     half: tuple[float, float]
     colour: tuple[float, ...]
 
-    def shape(self, kind: str) -> Shape:
-        """Return the shape of a kind."""
+    def shape(self, shape_name: str) -> Shape:
+        """Return the circle or rectangle."""
         paint = Paint(fill=self.colour)
-        if kind == "circle":
+        if shape_name == "circle":
             return Circle(self.centre, self.half[0], paint)
         return Rectangle(self.centre, (2.0 * self.half[0], 2.0 * self.half[1]), paint)
 
@@ -54,18 +54,18 @@ STARTS: Final = {
 """Goals and starts of diffvg's ``single_circle.py`` and ``single_rect.py``."""
 
 
-def _make(kind: str, seed: int) -> Start:
+def _make(shape_name: str, seed: int) -> Start:
     """Return the start of the authors for seed 0, and a random one for the other seeds."""
-    first, goal = STARTS[kind], GOALS[kind]
+    first, goal = STARTS[shape_name], GOALS[shape_name]
     if seed:
         rng = np.random.default_rng(seed)
         half = rng.uniform(*SIZES_PX, 2)
         centre = rng.uniform(MARGIN_PX, SIDE_PX - MARGIN_PX, 2)
         colour = (*rng.uniform(0.0, 1.0, 3).tolist(), 1.0)
-        first = _Frame((centre[0], centre[1]), (half[0], half[0] if kind == "circle" else half[1]), colour)
-    renderer = Vector(SIDE_PX, SIDE_PX, [first.shape(kind)], (0.0, 0.0, 0.0))
+        first = _Frame((centre[0], centre[1]), (half[0], half[0] if shape_name == "circle" else half[1]), colour)
+    renderer = Vector(SIDE_PX, SIDE_PX, [first.shape(shape_name)], (0.0, 0.0, 0.0))
     params = renderer.parameters()
-    solved = Vector(SIDE_PX, SIDE_PX, [goal.shape(kind)], (0.0, 0.0, 0.0))
+    solved = Vector(SIDE_PX, SIDE_PX, [goal.shape(shape_name)], (0.0, 0.0, 0.0))
     target = to_numpy(solved.render(solved.parameters()))
     free = {
         "positions": Free(to_numpy(params["positions"]), 0.0, float(SIDE_PX)),
@@ -92,8 +92,8 @@ def _authors_loop(task: Task) -> Answer:
 
 SHAPES: Final = tuple(
     Problem(
-        f"diffvg's {kind}",
-        partial(_make, kind),
+        f"diffvg's {shape_name}",
+        partial(_make, shape_name),
         "px",
         1.0,
         steps=AUTHORS_STEPS,
@@ -103,5 +103,5 @@ SHAPES: Final = tuple(
         licence="Apache-2.0; numbers alone are taken",
         methods=(Method("diffvg's loop", _authors_loop),),
     )
-    for kind in GOALS
+    for shape_name in GOALS
 )
