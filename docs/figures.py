@@ -91,14 +91,14 @@ def show_mesh() -> None:
         192,
         {"teapot": teapot(1.2, colours=(0.9, 0.45, 0.2)), "floor": floor},
         Camera((0.0, 2.5, 7.0), fov=35.0),
-        {"place": Translate("teapot"), "turn": Rotate("teapot", (0, 1, 0))},
+        {"position": Translate("teapot"), "angle": Rotate("teapot", (0, 1, 0))},
         lights={"sun": Light(direction=(-1, -2, -2))},
         background=(0.55, 0.7, 0.9),
     )
-    truth = {"place": torch.tensor([2.0, 0.0, 0.6]), "turn": torch.tensor(40.0)}
+    truth = {"position": torch.tensor([2.0, 0.0, 0.6]), "angle": torch.tensor(40.0)}
     target = renderer.render({name: value.double() for name, value in truth.items()})
-    free = {"place": Free((-2.2, 0.0, -1.0), (-3.0, 0.0, -3.0), (3.0, 0.0, 2.0)), "turn": Free(0.0, -90.0, 90.0)}
-    start = renderer.render({"place": torch.tensor([-2.2, 0.0, -1.0]).double(), "turn": torch.tensor(0.0).double()})
+    free = {"position": Free((-2.2, 0.0, -1.0), (-3.0, 0.0, -3.0), (3.0, 0.0, 2.0)), "angle": Free(0.0, -90.0, 90.0)}
+    start = renderer.render({"position": torch.tensor([-2.2, 0.0, -1.0]).double(), "angle": torch.tensor(0.0).double()})
     result = fit(renderer, LOIObjective(target), steps=200, optimise=free)
     print(result.params, result.diagnosis)
     figure = new_figure(11.0, 2.3)
@@ -117,3 +117,4 @@ def _picture(axis: Any, image: Any, cmap: str = "gray", vmax: float = 1.0) -> No
 if __name__ == "__main__":
     show_demo(Path(sys.argv[1]))
     show_scales(Path(sys.argv[1]))
+    show_mesh()
