@@ -28,13 +28,11 @@ PHOTOGRAPHS: Final = {"x 1": (1.0, 0.0), "x 0.97": (0.97, 0.0), "x 0.9": (0.9, 0
 def disks_at(distances: tuple[float, float], gain: float, offset: float, seed: int) -> Start:
     """Return a start with every disk at a distance in this range, in pixels, from its goal."""
     rng = np.random.default_rng(seed)
-    while True:
-        goals = _apart(rng.uniform(_margins(), _frame() - _margins()))
-        angles, lengths = rng.uniform(0.0, 2.0 * np.pi, 3), rng.uniform(*distances, 3)
-        if goals is None:
-            continue
+    lengths = rng.uniform(*distances, 3)
+    while True:  # the distances stay, as redrawn ones would be shorter
+        goals, angles = rng.uniform(_margins(), _frame() - _margins()), rng.uniform(0.0, 2.0 * np.pi, 3)
         starts = goals + lengths[:, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)
-        if np.all((starts >= _margins()) & (starts <= _frame() - _margins())) and _apart(starts) is not None:
+        if _apart(goals) and np.all((starts >= _margins()) & (starts <= _frame() - _margins())):
             break
     renderer = Disks(HEIGHT_PX, WIDTH_PX, starts, RADII_PX, COLOURS, GROUND)
     target = gain * renderer.render(renderer.parameters() | {"positions": goals}) + offset
@@ -50,13 +48,13 @@ def _margins() -> Host:
     return np.array(RADII_PX)[:, None] * np.ones(2)
 
 
-def _apart(centres: Host) -> Host | None:
-    """Return the centres if no two disks touch."""
-    for first in range(3):
-        for second in range(first):
-            if np.hypot(*(centres[first] - centres[second])) <= RADII_PX[first] + RADII_PX[second]:
-                return None
-    return centres
+def _apart(centres: Host) -> bool:
+    """Return whether no two disks touch."""
+    return all(
+        np.hypot(*(centres[first] - centres[second])) > RADII_PX[first] + RADII_PX[second]
+        for first in range(3)
+        for second in range(first)
+    )
 
 
 def _distance(goals: Host, params: Mapping[str, Any]) -> float:

@@ -1,0 +1,60 @@
+"""Draw the share of solved starts against their distance: ``python -m examples.external.curves``.
+
+Three disks start at one distance from their goals, against a photograph as bright as the render and a darker one.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+from examples.external.disks import DISKS, PHOTOGRAPHS, disks_at
+from examples.external.methods import METHODS
+from examples.external.problem import Method
+from examples.external.running import summary
+from loi_core.io.files import write_bytes
+from loi_core.report.plots import new_figure, png_of
+
+DISTANCES_PX: Final = (4.0, 8.0, 12.0, 16.0, 22.0, 30.0, 40.0)
+PANELS: Final = ("x 1", "x 0.9")
+METHOD_NAMES: Final = ("loi", "loi, matched", "pixel L2", "Gaussian pyramid", "MS-SSIM", "random search", "CMA-ES")
+
+
+def solved_shares(method: Method, photograph: str, starts: int) -> list[float]:
+    """Return the share of solved starts at every distance."""
+    gain, offset = PHOTOGRAPHS[photograph]
+    shares = []
+    for distance in DISTANCES_PX:
+        problem = replace(DISKS[0], make=partial(disks_at, (distance, distance), gain, offset))
+        shares.append(summary(problem, method, range(starts)).solved / starts)
+        print(f"{method.name}, {photograph}, {distance:g} px: {shares[-1]:.0%}", flush=True)
+    return shares
+
+
+def main() -> None:
+    """Draw the figure."""
+    parser = argparse.ArgumentParser(prog="python -m examples.external.curves", description=__doc__)
+    parser.add_argument("--starts", type=int, default=8, help="number of starts at each distance")
+    parser.add_argument("--output", type=Path, default=Path("docs/results/images/external-disks.png"))
+    options = parser.parse_args()
+    methods = [method for method in METHODS if method.name in METHOD_NAMES and not method.missing()]
+    figure = new_figure(8.0, 3.2)
+    axes = figure.subplots(1, len(PANELS), sharey=True)
+    for panel, photograph in zip(axes, PANELS, strict=True):
+        for method in methods:
+            shares = solved_shares(method, photograph, options.starts)
+            width = 2.4 if method.name.startswith("loi") else 1.1
+            panel.plot(DISTANCES_PX, shares, marker="o", markersize=3.0, lw=width, label=method.name)
+        panel.set(title=f"photograph {photograph}", xlabel="distance of every disk in pixels", ylim=(-0.05, 1.05))
+        panel.spines[["top", "right"]].set_visible(False)
+    axes[0].set_ylabel("share of solved starts")
+    axes[-1].legend(frameon=False, fontsize=7)
+    write_bytes(options.output, png_of(figure))
+    print(options.output)
+
+
+if __name__ == "__main__":
+    main()
