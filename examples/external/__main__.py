@@ -19,7 +19,7 @@ from examples.external.methods import METHODS
 from examples.external.pasted import PASTED, POSES
 from examples.external.problem import Method, Problem, problem_of_case
 from examples.external.registration import REGISTRATIONS
-from examples.external.running import HEADS, Summary, summary, verdict_line
+from examples.external.running import HEADS, Summary, solved_by_problem, summary, verdict_line
 from examples.external.shapes import SHAPES
 from examples.external.solid import SOLIDS
 from examples.external.xray import XRAYS
@@ -90,6 +90,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
         print(json.dumps([record(entry) for entry in summaries], indent=1))
     else:
         print("\n" + "\n".join(markdown(HEADS, [entry.row() for entry in summaries])))
+        print("\n" + "\n".join(markdown(*solved_by_problem(summaries))))
         print("\n" + verdict_line(summaries))
 
 

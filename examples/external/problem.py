@@ -64,7 +64,12 @@ class Start:
     @property
     def distance(self) -> float:
         """The error of the start."""
-        return self.error({name: np.asarray(free.initial, dtype=np.float64) for name, free in self.free.items()})
+        return self.error(self.first)
+
+    @property
+    def first(self) -> dict[str, Host]:
+        """The initial values of the free parameters."""
+        return {name: np.asarray(free.initial, dtype=np.float64) for name, free in self.free.items()}
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,9 @@ import numpy as np
 
 from examples.external.counting import CountedRenderer, Tally
 from examples.external.problem import Answer, Method, Problem, Task
+from loi_core import LoiError
 
-__all__ = ["HEADS", "Outcome", "Summary", "run", "summary"]
+__all__ = ["HEADS", "Outcome", "Summary", "run", "solved_by_problem", "summary", "verdict_line"]
 
 HEADS: Final = ("problem", "method", "solved", "median error", "renders", "true verdicts", "seconds")
 
@@ -58,7 +59,11 @@ def run(problem: Problem, method: Method, seed: int) -> Outcome:
     tally = Tally(lambda params: start.error(params) <= problem.tolerance)
     renderer = CountedRenderer(start.renderer, tally)
     started = time.perf_counter()
-    answer: Answer = method.minimise(Task(problem, start, renderer, lambda: tally.renders >= problem.renders, seed))
+    task = Task(problem, start, renderer, lambda: tally.renders >= problem.renders, seed)
+    try:
+        answer = method.minimise(task)
+    except LoiError as error_of_fit:
+        answer = Answer(start.first, f"failed: {error_of_fit}")
     seconds = time.perf_counter() - started
     error = start.error(answer.params)
     return Outcome(
@@ -140,6 +145,17 @@ def summary(problem: Problem, method: Method, seeds: Iterable[int]) -> Summary:
         return Summary(problem.name, method.name, problem.unit, skipped=missing)
     outcomes = tuple(run(problem, method, seed) for seed in seeds)
     return Summary(problem.name, method.name, problem.unit, outcomes)
+
+
+def solved_by_problem(summaries: Sequence[Summary]) -> tuple[list[str], list[list[str]]]:
+    """Return the heads and rows of a table with a column of solved starts for each method."""
+    problems, methods = (
+        list(dict.fromkeys(getattr(entry, name) for entry in summaries)) for name in ("problem", "method")
+    )
+    cells = {(entry.problem, entry.method): entry.row()[2] for entry in summaries if entry.outcomes}
+    methods = [name for name in methods if any((problem, name) in cells for problem in problems)]
+    rows = [[problem, *(cells.get((problem, name), "") for name in methods)] for problem in problems]
+    return ["problem", *methods], rows
 
 
 def verdict_line(summaries: Sequence[Summary]) -> str:

@@ -11,8 +11,9 @@ import pytest
 from examples.external.__main__ import main, problems
 from examples.external.disks import DISKS
 from examples.external.methods import L1DSSIM, METHODS
-from examples.external.problem import Method, Problem, needs
-from examples.external.running import HEADS, Summary, run, summary
+from examples.external.problem import Answer, Method, Problem, Task, needs
+from examples.external.running import HEADS, Summary, run, solved_by_problem, summary
+from loi_core import FitError
 from loi_core.testing import check_objective
 from tests.helpers import Host
 
@@ -66,6 +67,28 @@ def test_the_number_of_renders_of_95_percent_counts_unsolved_starts_as_infinite(
     assert Summary("", "", outcomes=tuple(reached)).renders_of_95_percent == 19.0
     assert Summary("", "", outcomes=(*reached[:19], lost)).renders_of_95_percent == 19.0
     assert Summary("", "", outcomes=(*reached[:18], lost, lost)).renders_of_95_percent is None
+
+
+def test_the_table_by_problem_has_a_column_for_every_method_that_ran() -> None:
+    outcome = replace(run(short(DISKS[0]), METHODS[2], 0), solved=True)
+    summaries = [
+        Summary("disks", "loi", outcomes=(outcome,)),
+        Summary("disks", "kornia", skipped="needs kornia"),
+        Summary("shapes", "pixel L2", outcomes=(outcome, outcome)),
+    ]
+    heads, rows = solved_by_problem(summaries)
+    assert heads == ["problem", "loi", "pixel L2"]
+    assert rows == [["disks", "1 of 1", ""], ["shapes", "", "2 of 2"]]
+
+
+def test_a_fit_that_fails_is_an_unsolved_start_with_its_message() -> None:
+    def fail(_: Task) -> Answer:
+        msg = "the loss is not finite"
+        raise FitError(msg)
+
+    outcome = run(DISKS[0], Method("failing", fail), 0)
+    assert (outcome.verdict, outcome.solved) == ("failed: the loss is not finite", False)
+    assert outcome.error == outcome.distance
 
 
 def test_the_command_prints_json(capsys: pytest.CaptureFixture[str]) -> None:
