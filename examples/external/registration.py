@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, Literal
 
 import numpy as np
 
@@ -22,7 +22,9 @@ BOUND: Final = 0.7  # of the side
 SHIFTS: Final = (0.1, 0.25, 0.4, 0.5)  # of the side
 AGREEMENT_PX: Final = 2.0  # between matches of one shift
 SUBPIXELS: Final = 20
-KORNIA_RATE: Final = 0.01  # half a side per level of the pyramid; the default of 0.001 moves a twentieth
+
+Loss = Literal["L1", "loi"]
+Settings = Literal["default", "tuned"]
 
 
 def _make(share: float, seed: int) -> Start:
@@ -86,18 +88,18 @@ def _sift(task: Task) -> Answer:
     return Answer({"translation": shifts[agreeing[np.argmax(agreeing.sum(axis=1))]].mean(axis=0)})
 
 
-def _kornia(loss: str, rate: float | None, task: Task) -> Answer:
+def _kornia(loss: Loss, settings: Settings, task: Task) -> Answer:
     from examples.external.registrators import register
 
     assert task.start.moving is not None
-    translation, images = register(task.start.moving, task.start.target, loss, rate)
+    translation, images = register(task.start.moving, task.start.target, loss, settings)
     return Answer({"translation": translation}, renders=images)
 
 
 METHODS: Final = (
-    Method("kornia", partial(_kornia, "L1", None), needs("kornia")),
-    Method("kornia, higher rate", partial(_kornia, "L1", KORNIA_RATE), needs("kornia")),
-    Method("kornia, higher rate, loi", partial(_kornia, "loi", KORNIA_RATE), needs("kornia")),
+    Method("kornia", partial(_kornia, "L1", "default"), needs("kornia")),
+    Method("kornia, tuned", partial(_kornia, "L1", "tuned"), needs("kornia")),
+    Method("kornia, tuned, loi", partial(_kornia, "loi", "tuned"), needs("kornia")),
     Method("phase correlation", _phase_correlation, needs("skimage")),
     Method("SIFT", _sift, needs("skimage")),
 )
@@ -109,7 +111,7 @@ REGISTRATIONS: Final = tuple(
         "px",
         1.0,
         steps=200,
-        renders=400,
+        renders=400,  # kornia's are 1000 at most, most of them small
         starts=12,
         source="kornia, ImageRegistrator; photographs of scikit-image",
         licence="see skimage.data; no file is copied",

@@ -7,6 +7,7 @@ import torch
 from kornia.geometry import ImageRegistrator
 from torch import Tensor
 
+from examples.external.registration import Loss, Settings
 from loi_core.support.arrays import Host
 from loi_torch import LOILoss
 
@@ -14,6 +15,7 @@ __all__ = ["register"]
 
 COVERED = 0.9  # kornia's threshold for a pixel that both images cover
 MIN_COVERAGE = 0.01
+TUNED_RATE = 0.01  # of half the side
 
 
 class _Counting(ImageRegistrator):
@@ -43,7 +45,7 @@ class _OverCoveredPart(_Counting):
         return loss
 
 
-def register(moving: Host, target: Host, loss: str, rate: float | None) -> tuple[Host, int]:
+def register(moving: Host, target: Host, loss: Loss, settings: Settings) -> tuple[Host, int]:
     """Return the translation, in pixels, that moves an image onto a target, and the number of warped images.
 
     Parameters
@@ -51,11 +53,14 @@ def register(moving: Host, target: Host, loss: str, rate: float | None) -> tuple
     moving, target : array, shape (H, W, 3)
     loss : {"L1", "loi"}
         "L1" is kornia's default.
-    rate : float, optional
-        Learning rate in halves of the side; kornia's default if None.
+    settings : {"default", "tuned"}
+        "tuned" moves by up to half of the side on each level of the pyramid, a tenth of it by default, and does not
+        stop early.
     """
     registrator_class = _Counting if loss == "L1" else _OverCoveredPart
-    registrator = registrator_class("translation") if rate is None else registrator_class("translation", lr=rate)
+    registrator = registrator_class("translation")
+    if settings == "tuned":
+        registrator.lr, registrator.tolerance = TUNED_RATE, 0.0
     source, destination = (
         torch.from_numpy(np.moveaxis(image, -1, 0)[None].astype(np.float32)) for image in (moving, target)
     )
