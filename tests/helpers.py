@@ -29,6 +29,8 @@ SCALES: dict[str, ScaleSpace] = {
     "no blur at all": ScaleSpace(0, 0, 0.1),
     "wider than the image": ScaleSpace((0, 60), (0, 500), 0.1),
     "two tonal scales": ScaleSpace(1, 3, (0.05, 0.2), bounds=(-0.5, 2.0)),
+    "centred": ScaleSpace((1, 4), (2, 9), 0.125, centred=True),
+    "centred squares": ScaleSpace((0, 2), (2, 9), 0.125, p=0.5, centred=True),
     "squared distance": ScaleSpace((1, 4), (2, 9), 0.125, p=0.5),
     "released": ScaleSpace.released((1, 5), (1, 5, 15), 8, 61),
 }

@@ -71,6 +71,7 @@ def problems(draw: st.DrawFn) -> Problem:
                 st.sampled_from([0.05, 0.125, 0.4]),
                 boundary=st.sampled_from(["reflect", "zero"]),
                 bounds=st.sampled_from([(0.0, 1.0), (-0.5, 2.0)]),
+                centred=st.booleans(),
             ),
         )
     )

@@ -13,6 +13,7 @@ from loi_core import LogTone, LOIObjective, ScaleSpace
 from loi_core.errors import DerivativeError, ImageTypeError, NonFiniteImageError
 from loi_core.method.dispatch import numba_supports
 from loi_core.pixels.colours import Colours
+from loi_core.pixels.exposure import Exposure
 from loi_core.pixels.nonfinite import NanPolicy
 from loi_core.support.arrays import as_floating, is_traced
 from loi_jax.primitive import Host, evaluate
@@ -31,6 +32,7 @@ def loi_loss(
     nan_policy: NanPolicy = "raise",
     tone: LogTone | None = None,
     weights: Any = None,
+    exposure: Exposure = "given",
     colours: Colours = "channels",
 ) -> Callable[[jax.Array], jax.Array]:
     """Return the locally orderless image loss against a reference, as a function of the image.
@@ -41,7 +43,7 @@ def loi_loss(
         Image to match; a concrete array of JAX or NumPy, not a tracer.
     scales : ScaleSpace, optional
         The scales to compare; ``ScaleSpace.for_image(H, W)`` by default, with half its beta for colour differences.
-    accuracy, channel_axis, nan_policy, tone, weights, colours
+    accuracy, channel_axis, nan_policy, tone, weights, exposure, colours
         See :class:`loi_core.LOIObjective`.
 
     Returns
@@ -73,6 +75,7 @@ def loi_loss(
         nan_policy=nan_policy,
         tone=tone,
         weights=weights,
+        exposure=exposure,
         colours=colours,
     )
     return _Loss(objective)

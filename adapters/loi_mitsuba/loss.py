@@ -13,6 +13,7 @@ import numpy as np
 from loi_core import LogTone, LOIObjective, ScaleSpace
 from loi_core.errors import ImageTypeError, LoiError, OptionError
 from loi_core.pixels.colours import Colours
+from loi_core.pixels.exposure import Exposure
 from loi_core.pixels.nonfinite import NanPolicy
 from loi_core.support.arrays import Array, namespace
 from loi_core.support.installed import how_to_install
@@ -59,6 +60,8 @@ class LOILoss:
         A tone curve for images of high dynamic range, as ``mi.render`` gives them; see :class:`loi_core.LOIObjective`.
     weights : mi.TensorXf or array, shape (H, W), optional
         Weights of the pixels; a mask has weights of 0 and 1. See :class:`loi_core.LOIObjective`.
+    exposure : {"given", "matched", "regressed"}
+        Treatment of a photograph's exposure; see :class:`loi_core.LOIObjective`.
     colours : {"channels", "differences"}
         Which colour features are compared; see :class:`loi_core.LOIObjective`.
     backend : {"torch", "numpy", "jax"}, optional
@@ -96,6 +99,7 @@ class LOILoss:
         nan_policy: NanPolicy = "raise",
         tone: LogTone | None = None,
         weights: Tensor | Array | None = None,
+        exposure: Exposure = "given",
         colours: Colours = "channels",
         backend: Backend | None = None,
     ) -> None:
@@ -109,6 +113,7 @@ class LOILoss:
             nan_policy=nan_policy,
             tone=tone,
             weights=weights,
+            exposure=exposure,
             colours=colours,
         )
 

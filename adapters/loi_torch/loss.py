@@ -14,6 +14,7 @@ from loi_core import LogTone, LOIObjective, ScaleSpace
 from loi_core.errors import DerivativeError, ImageTypeError
 from loi_core.objectives.facts import unusual_settings
 from loi_core.pixels.colours import Colours
+from loi_core.pixels.exposure import Exposure
 from loi_core.pixels.nonfinite import NanPolicy
 from loi_core.support.arrays import as_floating
 
@@ -24,6 +25,7 @@ DEFAULT_OPTIONS: Final[dict[str, Any]] = {
     "channel_axis": -1,
     "nan_policy": "raise",
     "tone": None,
+    "exposure": "given",
     "colours": "channels",
 }
 
@@ -57,6 +59,8 @@ class LOILoss(torch.nn.Module):
     weights : Tensor or NumPy array, shape (H, W), optional
         Weight of each pixel; a mask has weights 0 and 1. See :class:`loi_core.LOIObjective`. Kept in the buffer
         ``weights``.
+    exposure : {"given", "matched", "regressed"}
+        Treatment of a photograph's exposure; see :class:`loi_core.LOIObjective`.
     colours : {"channels", "differences"}
         Compared quantity; see :class:`loi_core.LOIObjective`.
 
@@ -80,6 +84,7 @@ class LOILoss(torch.nn.Module):
         nan_policy: NanPolicy = "raise",
         tone: LogTone | None = None,
         weights: Any = None,
+        exposure: Exposure = "given",
         colours: Colours = "channels",
     ) -> None:
         super().__init__()
@@ -92,6 +97,7 @@ class LOILoss(torch.nn.Module):
             nan_policy=nan_policy,
             tone=tone,
             weights=weights,
+            exposure=exposure,
             colours=colours,
         )
         self._options: dict[str, Any] = {
@@ -100,6 +106,7 @@ class LOILoss(torch.nn.Module):
             "channel_axis": channel_axis,
             "nan_policy": nan_policy,
             "tone": tone,
+            "exposure": exposure,
             "colours": colours,
         }
         self.register_buffer("reference", torch.as_tensor(objective.reference))
@@ -168,6 +175,7 @@ def loi_loss(
     nan_policy: NanPolicy = "raise",
     tone: LogTone | None = None,
     weights: Any = None,
+    exposure: Exposure = "given",
     colours: Colours = "channels",
 ) -> LOILoss:
     """Return the locally orderless image loss against a reference, as ``loi_jax.loi_loss`` does.
@@ -182,6 +190,7 @@ def loi_loss(
         nan_policy=nan_policy,
         tone=tone,
         weights=weights,
+        exposure=exposure,
         colours=colours,
     )
 

@@ -10,7 +10,6 @@ from loi_core.io.images import FloatImage
 from loi_core.method.blurs import blur_about, gaussian_blur
 from loi_core.method.scales import ScaleSpace
 from loi_core.method.tonal import isophote_density
-from loi_core.pixels.bounds import clip
 from loi_core.pixels.display import robust_maximum
 from loi_core.support.arrays import Host
 
@@ -53,7 +52,7 @@ def loss_colours(loss: FloatImage) -> FloatImage:
 
 def inner_image(image: FloatImage, scales: ScaleSpace, sigma: float) -> FloatImage:
     """Return an image, shape (H, W, C), at an inner scale (eq. 1)."""
-    planes = np.moveaxis(clip(image, *scales.bounds), -1, 0)
+    planes = np.moveaxis(scales.intensity_range.apply(image), -1, 0)
     height, width = image.shape[:2]
     blur = gaussian_blur(height, width, sigma, scales.boundary, like=image, taps=scales.inner_taps)
     return np.moveaxis(blur_about(blur, planes, scales.padding), 0, -1)

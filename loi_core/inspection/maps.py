@@ -16,7 +16,7 @@ from loi_core.method.planner import make_plan
 from loi_core.method.reference import DOUBLE, cost
 from loi_core.method.scales import ScaleSpace
 from loi_core.method.tonal import level_weights, to_level_units
-from loi_core.pixels.bounds import above_padding, clip
+from loi_core.pixels.bounds import above_padding
 
 __all__ = ["histograms_at", "loss_maps"]
 
@@ -41,7 +41,7 @@ def loss_maps(image: FloatImage, reference: FloatImage, scales: ScaleSpace) -> d
         blur = GaussianBlur(inner.blur, image)
         for channel in range(channels):
             first, second = (
-                blur.apply(above_padding(clip(array[..., channel], *scales.bounds), scales.padding))
+                blur.apply(above_padding(scales.intensity_range.apply(array[..., channel]), scales.padding))
                 for array in (image, reference)
             )
             for beta in scales.beta:
@@ -78,7 +78,7 @@ def histograms_at(
     horizontal = np.stack([_blur_matrix(width, alpha, scales)[list(columns)].T for alpha in scales.alpha])
     histograms = np.empty((len(scales.alpha), channels, scales.level_count(beta), len(rows), len(columns)))
     for channel in range(channels):
-        plane = inner.apply(above_padding(clip(image[..., channel], *scales.bounds), scales.padding))
+        plane = inner.apply(above_padding(scales.intensity_range.apply(image[..., channel]), scales.padding))
         for level, weights in enumerate(_weights_by_level(plane, scales, beta)):
             strips = (vertical @ weights).reshape(len(scales.alpha), len(rows), width)
             histograms[:, channel, level] = strips @ horizontal

@@ -13,7 +13,7 @@ import numpy as np
 from loi_core.errors import OptionError, ScaleError
 from loi_core.io.images import FloatImage
 from loi_core.method.scales import Preset, ScaleSpace
-from loi_core.pixels.bounds import RangeWarning, warn_if_clipped
+from loi_core.pixels.bounds import RangeWarning, warn_if_out_of_range
 from loi_core.pixels.nonfinite import require_finite
 from loi_core.scenes.target import read_target
 
@@ -177,5 +177,5 @@ def _range_warnings(reference: FloatImage, scales: ScaleSpace) -> list[str]:
     """Return the warnings of an objective about values beyond the bounds."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", RangeWarning)
-        warn_if_clipped(reference, None, scales.bounds)
+        warn_if_out_of_range(reference, None, scales.bounds)
     return [f"{warning.message}" for warning in caught]

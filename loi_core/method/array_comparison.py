@@ -108,16 +108,16 @@ class _InnerComparison:
         )
         return cls(scales, plan, blur, intensity, weights, pyramid, extents, planes, levels)
 
-    def compare(self, clipped: Array, *, gradient: bool) -> ComparisonResult:
+    def compare(self, compressed: Array, *, gradient: bool) -> ComparisonResult:
         """See :class:`loi_core.method.comparison.Comparison`."""
-        xp = namespace(clipped)
-        intensity = self.blur.apply(above_padding(clipped, self.scales.padding))
+        xp = namespace(compressed)
+        intensity = self.blur.apply(above_padding(compressed, self.scales.padding))
         terms = {
-            (extent.alpha, beta, self.plan.sigma): xp.zeros((), dtype=clipped.dtype, device=device(clipped))
+            (extent.alpha, beta, self.plan.sigma): xp.zeros((), dtype=compressed.dtype, device=device(compressed))
             for extent in self.extents
             for beta in self.levels
         }
-        count, pixels = clipped.shape[0], clipped.shape[-2] * clipped.shape[-1]
+        count, pixels = compressed.shape[0], compressed.shape[-2] * compressed.shape[-1]
         sums = {beta: SignErrorSums(count, pixels, np.zeros((len(self.extents), 2))) for beta in self.levels}
         cotangents = []
         for start in range(0, count, self.planes_at_once):
@@ -176,16 +176,21 @@ class _InnerComparison:
                     continue
                 difference = differing.crop(cdf[levels.skipped :, ...], window)
                 difference -= differing.crop(levels.cdf[:, chunk, ...])
-                if self.weights is not None:
-                    difference *= differing.crop(self.weights[chunk, ...])
+                pixel_weights = None if self.weights is None else self.weights[chunk, ...]
+                if self.scales.centred:
+                    difference -= _means(difference, pixel_weights)
+                if pixel_weights is not None:
+                    difference *= differing.crop(pixel_weights)
                 sums[beta].compared_levels += difference.shape[0] * difference.shape[1]
                 pulled = self._compare_levels(
                     difference, dependency.supports, beta, tie, terms, sums[beta], gradient=gradient
                 )
                 if gradient:
+                    if self.scales.centred:
+                        pulled -= _means(pulled, pixel_weights)
                     pulled *= slope[levels.skipped :, ...]
-                    if self.weights is not None:
-                        pulled *= window.crop(self.weights[chunk, ...])
+                    if pixel_weights is not None:
+                        pulled *= window.crop(pixel_weights)
                     cotangent += xp.sum(pulled, axis=0) * per_intensity
         return window.paste(cotangent, *intensity.shape[-2:]) if gradient else None
 
@@ -246,13 +251,13 @@ class ArrayComparison:
         """Prepare a comparison with a reference: planes within the bounds, and weights, shape (N, H, W)."""
         return cls(tuple(_InnerComparison.of(scales, inner, plan.tonal, reference, weights) for inner in plan.inner))
 
-    def compare(self, clipped: Array, *, gradient: bool) -> ComparisonResult:
+    def compare(self, compressed: Array, *, gradient: bool) -> ComparisonResult:
         """See :class:`loi_core.method.comparison.Comparison`."""
         terms: Terms = {}
         total: Array = None
         sign_errors: tuple[SignErrors, ...] = ()
         for inner in self.inner:
-            result = inner.compare(clipped, gradient=gradient)
+            result = inner.compare(compressed, gradient=gradient)
             terms |= result.terms
             sign_errors += result.sign_errors
             if total is None:
@@ -272,6 +277,15 @@ def _plus(total: Array | None, support: Window, planes: Array, window: Window) -
         inside = window.crop(total, support)  # a view: windows are used only with libraries that have views
         inside += planes
     return total
+
+
+def _means(stack: Array, weights: Array | None) -> Array:
+    """Return the means over pixels, shape (L, N, 1, 1), of whole planes, shape (L, N, h, w)."""
+    xp = namespace(stack)
+    if weights is None:
+        return xp.mean(stack, axis=(-2, -1), keepdims=True)
+    total = xp.sum(weights, axis=(-2, -1), keepdims=True)
+    return xp.sum(stack * weights, axis=(-2, -1), keepdims=True) / xp.where(total > 0.0, total, xp.ones_like(total))
 
 
 def _split(scales: ScaleSpace, plan: TonalPlan, max_levels: int, intensity: Array) -> list[_Levels]:

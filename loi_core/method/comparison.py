@@ -42,7 +42,7 @@ class Comparison(Protocol):
     :class:`loi_core.method.compiled.loop_comparison.LoopComparison`.
     """
 
-    def compare(self, clipped: Array, *, gradient: bool) -> ComparisonResult:
+    def compare(self, compressed: Array, *, gradient: bool) -> ComparisonResult:
         """Compare planes within the bounds, shape (N, H, W).
 
         A plan with samplings needs readable values (:func:`loi_core.support.arrays.values_may_decide`).

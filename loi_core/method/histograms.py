@@ -6,7 +6,6 @@ from loi_core.errors import ScaleError
 from loi_core.method.blurs import blur_about, gaussian_blur
 from loi_core.method.scales import ScaleSpace
 from loi_core.method.tonal import isophote_density
-from loi_core.pixels.bounds import clip
 from loi_core.pixels.layout import Layout, check_channel_axis
 from loi_core.pixels.nonfinite import require_finite
 from loi_core.support.arrays import Array, as_floating, from_numpy, namespace, narrowed, widened
@@ -16,7 +15,9 @@ __all__ = ["inner_images", "isophotes", "local_histograms"]
 
 
 def inner_images(image: Array, scales: ScaleSpace, *, channel_axis: int | None = -1) -> dict[float, Array]:
-    """Return the image at every inner scale (eq. 1), clipped to the bounds: ``{sigma: array like image}``.
+    """Return the image at every inner scale (eq. 1): ``{sigma: array like image}``.
+
+    Intensities beyond the bounds are compressed first.
 
     Parameters
     ----------
@@ -28,8 +29,8 @@ def inner_images(image: Array, scales: ScaleSpace, *, channel_axis: int | None =
         Axis of the channels; None for images without channels.
     """
     layout = _checked(image, channel_axis)
-    clipped = clip(layout.to_planes(widened(image)), *scales.bounds)
-    return {sigma: narrowed(layout.to_image(_inner(clipped, scales, sigma)), image) for sigma in scales.sigma}
+    compressed = scales.intensity_range.apply(layout.to_planes(widened(image)))
+    return {sigma: narrowed(layout.to_image(_inner(compressed, scales, sigma)), image) for sigma in scales.sigma}
 
 
 def isophotes(image: Array, scales: ScaleSpace, *, sigma: float, beta: float, channel_axis: int | None = -1) -> Array:
@@ -76,7 +77,7 @@ def local_histograms(
         if value not in allowed:
             msg = f"`{name}` must be one of {allowed}, got {shown(value)}"
             raise ScaleError(msg)
-    planes = _inner(clip(layout.to_planes(widened(image)), *scales.bounds), scales, sigma)
+    planes = _inner(scales.intensity_range.apply(layout.to_planes(widened(image))), scales, sigma)
     levels = from_numpy(scales.levels(beta), planes)
     extent = gaussian_blur(layout.height, layout.width, alpha, scales.boundary, like=planes, taps=scales.extent_taps)
     densities = extent.apply(isophote_density(planes, levels, beta))
@@ -92,7 +93,7 @@ def _checked(image: Array, channel_axis: int | None) -> Layout:
     return layout
 
 
-def _inner(clipped: Array, scales: ScaleSpace, sigma: float) -> Array:
-    height, width = clipped.shape[-2:]
-    blur = gaussian_blur(height, width, sigma, scales.boundary, like=clipped, taps=scales.inner_taps)
-    return blur_about(blur, clipped, scales.padding)
+def _inner(compressed: Array, scales: ScaleSpace, sigma: float) -> Array:
+    height, width = compressed.shape[-2:]
+    blur = gaussian_blur(height, width, sigma, scales.boundary, like=compressed, taps=scales.inner_taps)
+    return blur_about(blur, compressed, scales.padding)

@@ -19,7 +19,6 @@ from loi_core.method.blurs import Blur, DenseBlur
 from loi_core.method.distance import TIE_ROUNDINGS
 from loi_core.method.gaussian import Matrix, blur_matrix
 from loi_core.method.scales import Boundary, ScaleSpace
-from loi_core.pixels.bounds import clip, clip_pullback
 from loi_core.pixels.layout import Layout
 from loi_core.support.arrays import Host
 
@@ -70,7 +69,7 @@ def loss_and_gradient(
 
 def _plane(image: Host, reference: Host, w: Host, scales: ScaleSpace, eps: float) -> tuple[float, Host]:
     """Evaluate one channel of one image, shape (H, W), in the paper's notation."""
-    I, I_gt = (clip(plane, *scales.bounds) - scales.padding for plane in (image, reference))
+    I, I_gt = (scales.intensity_range.apply(plane) - scales.padding for plane in (image, reference))
     value, gradient = 0.0, np.zeros(image.shape)
     for sigma in scales.sigma:
         G = dense_blur(image.shape, sigma, scales.boundary, scales.inner_taps)
@@ -86,16 +85,27 @@ def _plane(image: Host, reference: Host, w: Host, scales: ScaleSpace, eps: float
                 # accumulation on levels, so they commute: A is applied to the difference of the CDFs.
                 A = dense_blur(image.shape, alpha, scales.boundary, scales.extent_taps)
                 # A pixel contributes to the histograms around it with its weight, 1 in the paper.
-                F = A.apply(w * (cdf - cdf_gt))
+                F = A.apply(w * _centred(cdf - cdf_gt, w, scales))
                 # Eq. 5: E(alpha, beta, sigma), the mean over pixels of the sum over levels of |F|^(1/p) dk.
                 value += weight * float(np.sum(cost(np.abs(F), scales.p, tie)))
                 # The chain rule in reverse. A blur is a matrix; its adjoint is the transposed matrix.
                 dE_dF = weight * np.sign(F) * slope_of_cost(np.abs(F), scales.p, tie)  # eq. 5
-                dE_dcdf = w * A.adjoint(dE_dF)  # eq. 4
+                dE_dcdf = w * _centred(A.adjoint(dE_dF), w, scales)  # eq. 4
                 dE_dJ = np.sum(dE_dcdf * dcdf_dJ, axis=0)  # eq. 3
                 gradient += G.adjoint(dE_dJ)  # eq. 1
-    # A pixel beyond the bounds is clipped; a gradient that points back inside is kept.
-    return value, clip_pullback(image, gradient, *scales.bounds)
+    slopes: Host = scales.intensity_range.pullback(image, gradient)  # intensities beyond the bounds are compressed
+    return value, slopes
+
+
+def _centred(stack: Host, w: Host, scales: ScaleSpace) -> Host:
+    """Return a stack, shape (L, H, W), less its weighted mean over pixels if the scales are centred.
+
+    The map x -> w * _centred(x) is symmetric, so the chain rule in reverse applies it again.
+    """
+    if not scales.centred:
+        return stack
+    centred: Host = stack - np.sum(w * stack, axis=(1, 2), keepdims=True) / (np.sum(w) or 1.0)
+    return centred
 
 
 def _cdf_and_slope(intensity: Host, scales: ScaleSpace, beta: float) -> tuple[Host, Host]:

@@ -10,6 +10,7 @@ from typing import Final, Literal, get_args
 import numpy as np
 
 from loi_core.errors import ScaleError
+from loi_core.pixels.bounds import IntensityRange
 from loi_core.support.values import real_number, whole_number
 from loi_core.support.wording import shown
 
@@ -30,6 +31,9 @@ MAX_LEVELS: Final = 2**16  # as many as 16 bits distinguish; a finer beta would 
 RELEASED_TAILS: Final = 4.0  # the released levels cover [-4 beta, 1 + 4 beta]
 
 DEFAULT_BETAS_IN_BOUNDS: Final = 8.0
+LOGARITHM_BETAS: Final = 0.25
+"""Scale of the logarithm that compresses intensities beyond the bounds, in betas."""
+
 FAR_SIGMA_FRACTION: Final = 0.125  # inner scale of the far stage, as a fraction of the longer side
 
 REACH_SCALES: Final = 6.07
@@ -62,8 +66,7 @@ class ScaleSpace:
     beta : float or sequence of float
         Tonal scales: standard deviations, in units of intensity, of the uncertainty of a pixel (eq. 3).
     bounds : (float, float)
-        Smallest and largest distinguished intensity. Values outside count as the bound; their gradient is kept where
-        it points back inside.
+        Smallest and largest intensity that is compared as it is; :attr:`intensity_range` compresses values beyond.
     boundary : {"reflect", "zero"}
         Extension beyond the image. "reflect" mirrors at the edge of the border pixels and conserves mass; "zero" is
         black, or the bound nearest to it; it loses mass at the border, and objects leave the frame.
@@ -75,6 +78,10 @@ class ScaleSpace:
         Normalisation of histograms; :meth:`released` selects the second.
     kernel_size : int, optional
         Taps of the extent kernels; required by the released convention, and not allowed otherwise.
+    centred : bool
+        Whether the mean over the image is subtracted from each level's difference of histograms before it is blurred,
+        so that local histograms are compared without the difference of the global ones. A difference of exposure then
+        hardly changes the gradient, and two images that differ by a constant are equal.
 
     Raises
     ------
@@ -91,6 +98,7 @@ class ScaleSpace:
     tails: float
     convention: Convention
     kernel_size: int | None
+    centred: bool
 
     def __init__(
         self,
@@ -104,6 +112,7 @@ class ScaleSpace:
         tails: float = 4.0,
         convention: Convention = "paper",
         kernel_size: int | None = None,
+        centred: bool = False,
     ) -> None:
         def set_field(name: str, value: object) -> None:
             object.__setattr__(self, name, value)
@@ -117,6 +126,7 @@ class ScaleSpace:
         set_field("tails", _number("tails", tails, zero=True))
         set_field("convention", _choice("convention", convention, get_args(Convention)))
         set_field("kernel_size", _kernel_size(kernel_size, convention))
+        set_field("centred", _flag("centred", centred))
         if convention == "released" and len(self.beta) != 1:
             msg = f"`beta` must be one value under the released convention, got {shown(beta)}"
             raise ScaleError(msg)
@@ -246,10 +256,10 @@ class ScaleSpace:
                 f"from {levels[0]:g} to {levels[-1]:g}, and time grows with their number"
             )
         lines += [self._alpha_line(alpha, max(height, width)) for alpha in self.alpha]
-        lines.append(
-            f"bounds {low:g} to {high:g}: a value beyond counts as the bound, and keeps a gradient that points back"
-        )
+        lines.append(f"bounds {low:g} to {high:g}: intensities beyond them count by their logarithm")
         lines.append(BOUNDARIES[self.boundary])
+        if self.centred:
+            lines.append("centred: histograms are compared without the difference of their means over the image")
         if self.p != 1.0:
             lines.append(
                 f"p {self.p:g}: the difference of two cumulative histograms counts to the power {1 / self.p:g}"
@@ -292,6 +302,19 @@ class ScaleSpace:
         Images are compared relative to it under either boundary, so that bounds far from 0 cost no accuracy.
         """
         return min(max(0.0, self.bounds[0]), self.bounds[1])
+
+    @property
+    def intensity_range(self) -> IntensityRange:
+        """The map of intensities before they are compared: linear between the bounds, logarithmic beyond.
+
+        The logarithm begins at a quarter of the smallest beta and ends at the outermost tonal level: with four tails,
+        2.2 million betas beyond a bound. The released convention clips.
+        """
+        low, high = self.bounds
+        if self.convention == "released" or self.tails == 0.0:
+            return IntensityRange(low, high)
+        beta = min(self.beta)
+        return IntensityRange(low, high, LOGARITHM_BETAS * beta, self.tails * beta)
 
     @property
     def inner_taps(self) -> int | None:
@@ -401,6 +424,13 @@ def _choice(name: str, value: object, allowed: tuple[str, ...]) -> str:
         msg = f"`{name}` must be one of {', '.join(map(repr, allowed))}, got {shown(value)}"
         raise ScaleError(msg)
     return value
+
+
+def _flag(name: str, value: object) -> bool:
+    if not isinstance(value, bool | np.bool_):
+        msg = f"`{name}` must be True or False, got {shown(value)}"
+        raise ScaleError(msg)
+    return bool(value)
 
 
 def _kernel_size(kernel_size: object, convention: str) -> int | None:

@@ -97,22 +97,22 @@ def find_dependency(
     intensity: Array, reference: Array, plan: InnerPlan, scales: ScaleSpace, *, gradient: bool
 ) -> Dependency | None:
     """Return the dependency of a comparison of planes, shape (N, h, w); None if they are equal. Reads values."""
-    differing = differing_window(intensity, reference)
+    differing = differing_window(intensity, reference, scales)
     if differing is None:
         return None
     return dependency_of(Supports.of(differing, plan), intensity, reference, scales, gradient=gradient)
 
 
-def differing_window(intensity: Array, reference: Array) -> Window | None:
-    """Return the smallest window outside which planes, shape (N, h, w), are equal.
+def differing_window(intensity: Array, reference: Array, scales: ScaleSpace) -> Window | None:
+    """Return the smallest window outside which the difference of CDFs of planes, shape (N, h, w), is 0.
 
-    It is the whole plane if cropping saves little, and None if the planes are equal.
+    It is the whole plane if cropping saves little or the difference is centred, and None if the planes are equal.
     """
     differing = window_of(intensity != reference)
     if differing is None:
         return None
     whole = Window.whole(*intensity.shape[-2:])
-    return whole if differing.cells > MAX_CROPPED_FRACTION * whole.cells else differing
+    return whole if scales.centred or differing.cells > MAX_CROPPED_FRACTION * whole.cells else differing
 
 
 def dependency_of(

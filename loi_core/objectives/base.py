@@ -10,6 +10,7 @@ from loi_core.errors import ImageError, ImageTypeError, OptionError
 from loi_core.method.dispatch import ARRAY_API, Backend, choose_backend
 from loi_core.objectives.evaluation import PlaneComparison, PreparedObjective, ReferencePlanes
 from loi_core.objectives.facts import facts_of_options, facts_of_reference, objective_html, summary_line
+from loi_core.pixels.exposure import Exposure, check_exposure
 from loi_core.pixels.layout import Layout, check_channel_axis
 from loi_core.pixels.nonfinite import NanPolicy, check_nan_policy, require_finite
 from loi_core.pixels.pipeline import PixelPipeline, PixelSettings
@@ -73,6 +74,10 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
         Weight of each pixel, 0 or more; a mask is weights of 0 and 1. The contribution of a pixel to every comparison
         is multiplied by its weight, and the mean is still over all pixels. Pixels of weight 0 are treated as equal to
         the reference, whatever they hold, so that blurs see no edge there.
+    exposure : {"given", "matched", "regressed"}
+        "matched" gives each channel of the image the mean and deviation of the reference before they are compared, at
+        every evaluation, and "regressed" the gain and offset of least absolute differences, for images that are nearly
+        aligned. The gradient holds gain and offset. The brightness of the whole image has no effect then.
 
     Notes
     -----
@@ -94,6 +99,7 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
         nan_policy: NanPolicy = "raise",
         tone: LogTone | None = None,
         weights: Array | None = None,
+        exposure: Exposure = "given",
     ) -> None:
         axis, policy, tone = check_channel_axis(channel_axis), check_nan_policy(nan_policy), check_tone(tone)
         reference = detached(as_floating("reference", reference))
@@ -102,7 +108,7 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
         if pixel_weights is not None and not self.takes_weights and not pixel_weights.is_mask:
             msg = f"`weights` of {type(self).__name__} must be a mask: 0 and one positive value, no other weights"
             raise OptionError(msg)
-        self._settings = PixelSettings(axis, policy, tone, pixel_weights)
+        self._settings = PixelSettings(axis, policy, tone, pixel_weights, check_exposure(exposure))
         if policy == "raise":
             require_finite("reference", self.visible(reference), axis)
         self._reference = namespace(reference).asarray(reference, copy=True)
@@ -122,7 +128,7 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
         """Return the facts that ``repr`` shows; subclasses add their own."""
         weights = None if self.weights is None else self.weights.shape
         return facts_of_reference(self._reference.shape, self._reference.dtype) | facts_of_options(
-            self.channel_axis, self.nan_policy, self.tone, weights
+            self.channel_axis, self.nan_policy, self.tone, weights, self.exposure
         )
 
     @property
@@ -144,6 +150,11 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
     def tone(self) -> LogTone | None:
         """The tone curve that image and reference pass."""
         return self._settings.tone
+
+    @property
+    def exposure(self) -> Exposure:
+        """Treatment of the exposure of the reference relative to the image."""
+        return self._settings.exposure
 
     @property
     def weights(self) -> Host | None:

@@ -27,6 +27,7 @@ DEFAULTS: Final[Mapping[str, Any]] = {
     "tails": 4.0,
     "convention": "paper",
     "kernel_size": None,
+    "centred": False,
 }
 
 
@@ -47,12 +48,13 @@ def unusual_settings(scales: ScaleSpace) -> dict[str, Any]:
 
 
 def facts_of_options(
-    channel_axis: int | None, nan_policy: str, tone: object, weights: tuple[int, ...] | None
+    channel_axis: int | None, nan_policy: str, tone: object, weights: tuple[int, ...] | None, exposure: str
 ) -> dict[str, str]:
     """Return the options of every objective that differ from the defaults, and the shape of the weights."""
     facts = {} if channel_axis == -1 else {"channel_axis": str(channel_axis)}
     facts |= {} if nan_policy == "raise" else {"nan_policy": nan_policy}
     facts |= {} if tone is None else {"tone": str(tone)}
+    facts |= {} if exposure == "given" else {"exposure": exposure}
     return facts | ({} if weights is None else {"weights": "x".join(map(str, weights))})
 
 

@@ -17,6 +17,7 @@ from loi_core.objectives.base import ImageObjective
 from loi_core.objectives.evaluation import Evaluation, PlaneComparison, ReferencePlanes
 from loi_core.objectives.facts import facts_of_scales
 from loi_core.pixels.colours import Colours, check_colours
+from loi_core.pixels.exposure import Exposure
 from loi_core.pixels.nonfinite import NanPolicy
 from loi_core.pixels.tone_curve import LogTone
 from loi_core.support.arrays import Array, epsilon, values_may_decide, widened
@@ -99,6 +100,8 @@ class LOIObjective(ImageObjective[ScaleKey]):
         A tone curve for images of high dynamic range. The scales' `bounds` and beta refer to its output.
     weights : array, shape (H, W) or that of the reference without channels, optional
         Weight of each pixel, 0 or more, also in the histograms of its neighbours; see :class:`ImageObjective`.
+    exposure : {"given", "matched", "regressed"}
+        Treatment of a photograph's exposure; see :class:`ImageObjective`.
     colours : {"channels", "differences"}
         "differences" compares half of red - green, green - blue and blue - red, around the middle of the bounds. White
         light on a grey surface, and shadows there, change none of them, which helps in scenes where objects of many
@@ -128,9 +131,17 @@ class LOIObjective(ImageObjective[ScaleKey]):
         nan_policy: NanPolicy = "raise",
         tone: LogTone | None = None,
         weights: Array | None = None,
+        exposure: Exposure = "given",
         colours: Colours = "channels",
     ) -> None:
-        super().__init__(reference, channel_axis=channel_axis, nan_policy=nan_policy, tone=tone, weights=weights)
+        super().__init__(
+            reference,
+            channel_axis=channel_axis,
+            nan_policy=nan_policy,
+            tone=tone,
+            weights=weights,
+            exposure=exposure,
+        )
         layout = self._reference_layout
         colours = check_colours(colours, None if layout.channel_axis is None else layout.planes_shape[-3])
         if scales is None:
@@ -140,7 +151,7 @@ class LOIObjective(ImageObjective[ScaleKey]):
             raise ScaleError(msg)
         self._scales = scales
         self._tolerance = gradient_tolerance(accuracy)
-        self._settings = replace(self._settings, colours=colours, bounds=scales.bounds)
+        self._settings = replace(self._settings, colours=colours, intensity_range=scales.intensity_range)
 
     def _facts(self) -> dict[str, str]:
         facts = super()._facts()
@@ -166,13 +177,17 @@ class LOIObjective(ImageObjective[ScaleKey]):
 
     def with_scales(self, scales: ScaleSpace) -> LOIObjective:
         """Return the same objective at other scales."""
-        return self._like(self._reference, scales)
+        return self._like(self._reference, scales, self.exposure)
 
     def with_reference(self, reference: Array) -> LOIObjective:
         """Return the same objective with another reference."""
-        return self._like(reference, self._scales)
+        return self._like(reference, self._scales, self.exposure)
 
-    def _like(self, reference: Array, scales: ScaleSpace) -> LOIObjective:
+    def with_exposure(self, exposure: Exposure) -> LOIObjective:
+        """Return the same objective with another treatment of the exposure."""
+        return self._like(self._reference, self._scales, exposure)
+
+    def _like(self, reference: Array, scales: ScaleSpace, exposure: Exposure) -> LOIObjective:
         return LOIObjective(
             reference,
             scales,
@@ -181,6 +196,7 @@ class LOIObjective(ImageObjective[ScaleKey]):
             nan_policy=self.nan_policy,
             tone=self.tone,
             weights=self.weights,
+            exposure=exposure,
             colours=self.colours,
         )
 

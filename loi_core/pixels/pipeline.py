@@ -1,7 +1,7 @@
 """The pixel pipeline: an image becomes the planes that are compared, and their cotangent becomes the image's gradient.
 
-The steps, in order: layout, masking of pixels, tone curve, differences of colours, clipping to the bounds. Each step
-has a pullback beside it; :meth:`PixelPipeline.pullback` applies them in reverse.
+The steps, in order: layout, masking of pixels, exposure, tone curve, differences of colours, range of
+intensities. Each step has a pullback beside it; :meth:`PixelPipeline.pullback` applies them in reverse.
 """
 
 from __future__ import annotations
@@ -10,8 +10,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from loi_core.pixels.bounds import clip, clip_pullback, warn_if_clipped
+from loi_core.pixels.bounds import IntensityRange, warn_if_out_of_range
 from loi_core.pixels.colours import LARGEST_FACTOR, Colours, differences, differences_pullback
+from loi_core.pixels.exposure import Exposure, LinearExposure, estimate_exposure
 from loi_core.pixels.layout import Layout
 from loi_core.pixels.nonfinite import NanPolicy, require_finite
 from loi_core.pixels.tone_curve import LogTone
@@ -31,17 +32,19 @@ class PixelSettings:
     nan_policy : {"raise", "mask"}
     tone : LogTone, optional
     weights : PixelWeights, optional
+    exposure : {"given", "matched", "regressed"}
     colours : {"channels", "differences"}
-    bounds : tuple of float, optional
-        Interval to clip to; None does not clip.
+    intensity_range : IntensityRange, optional
+        The map of intensities to the range that is compared; None leaves them.
     """
 
     channel_axis: int | None
     nan_policy: NanPolicy
     tone: LogTone | None
     weights: PixelWeights | None
+    exposure: Exposure = "given"
     colours: Colours = "channels"
-    bounds: tuple[float, float] | None = None
+    intensity_range: IntensityRange | None = None
 
     def apply_tone(self, planes: Array) -> Array:
         """Return planes, shape (N, H, W), after the tone curve."""
@@ -51,12 +54,12 @@ class PixelSettings:
         """Return planes, shape (N, H, W), or their differences of colours around the middle of the bounds."""
         if self.colours == "channels":
             return planes
-        lower, upper = (0.0, 1.0) if self.bounds is None else self.bounds
-        return differences(planes, 0.5 * (lower + upper))
+        limits = self.intensity_range or IntensityRange(0.0, 1.0)
+        return differences(planes, 0.5 * (limits.low + limits.high))
 
-    def clip(self, planes: Array) -> Array:
-        """Return planes, shape (N, H, W), limited to the bounds."""
-        return planes if self.bounds is None else clip(planes, *self.bounds)
+    def compress(self, planes: Array) -> Array:
+        """Return planes, shape (N, H, W), mapped to the range of intensities."""
+        return planes if self.intensity_range is None else self.intensity_range.apply(planes)
 
 
 @dataclass(frozen=True)
@@ -67,17 +70,21 @@ class PixelPass:
     ----------
     planes : array, shape (N, H, W)
         The planes to compare.
-    unclipped : array, shape (N, H, W)
-        The same before clipping.
-    masked : array, shape (N, H, W)
-        The image's planes, 0 in pixels that are not visible, before the tone curve.
+    uncompressed : array, shape (N, H, W)
+        The same before the map to the range of intensities.
+    exposed : array, shape (N, H, W)
+        The image's planes under the exposure of the reference, before the tone curve; 0 in pixels that are not visible
+        if no exposure is estimated.
+    exposure : LinearExposure, optional
+        The estimated exposure; None if none is estimated.
     visible : array of bool, shape (N, H, W), optional
         The pixels that are compared; None if all are.
     """
 
     planes: Array
-    unclipped: Array
-    masked: Array
+    uncompressed: Array
+    exposed: Array
+    exposure: LinearExposure | None
     visible: Array | None
 
 
@@ -92,8 +99,10 @@ class PixelPipeline:
         Of the images.
     reference : array, shape (N, H, W)
         The reference's planes, ready to compare.
+    masked_reference : array, shape (N, H, W)
+        The reference's planes before the tone curve, finite.
     toned_reference : array, shape (N, H, W)
-        The same before colours and clipping; replaces pixels of the image that are not visible.
+        The same before colours and the range of intensities; replaces pixels of the image that are not visible.
     visible : array of bool, shape (N, H, W), optional
         The pixels of the reference that are compared; None if all are.
     weights : array, shape (N, H, W), optional
@@ -103,6 +112,7 @@ class PixelPipeline:
     settings: PixelSettings
     layout: Layout
     reference: Array
+    masked_reference: Array
     toned_reference: Array
     visible: Array | None
     weights: Array | None
@@ -121,10 +131,11 @@ class PixelPipeline:
             # An invisible pixel keeps its reference value unless the value is not finite.
             reference = xp.where(xp.isfinite(reference), reference, xp.zeros_like(reference))
         toned = settings.apply_tone(reference)
-        unclipped = settings.apply_colours(toned)
-        if settings.bounds is not None:
-            warn_if_clipped(unclipped, weights, settings.bounds)
-        return cls(settings, layout, settings.clip(unclipped), toned, visible, weights)
+        uncompressed = settings.apply_colours(toned)
+        limits = settings.intensity_range
+        if limits is not None:
+            warn_if_out_of_range(uncompressed, weights, (limits.low, limits.high))
+        return cls(settings, layout, settings.compress(uncompressed), reference, toned, visible, weights)
 
     @property
     def largest_weight(self) -> float:
@@ -149,24 +160,39 @@ class PixelPipeline:
         if settings.nan_policy == "raise" and check_finite:
             masked = image if visible is None else self.layout.to_image(planes)
             require_finite("image", masked, settings.channel_axis)
+        exposure = self.estimate_exposure(planes, visible)
+        if exposure is not None:
+            planes = exposure.apply(planes)
         toned = settings.apply_tone(planes)
         if visible is not None:
             toned = xp.where(visible, toned, self.toned_reference)
-        unclipped = settings.apply_colours(toned)
-        return PixelPass(settings.clip(unclipped), unclipped, planes, visible)
+        uncompressed = settings.apply_colours(toned)
+        return PixelPass(settings.compress(uncompressed), uncompressed, planes, exposure, visible)
+
+    def estimate_exposure(self, planes: Array, visible: Array | None) -> LinearExposure | None:
+        """Return the exposure of the reference relative to masked planes, shape (N, H, W); None if it is given."""
+        if self.settings.exposure == "given":
+            return None
+        weights = self.weights
+        if visible is not None:
+            seen = namespace(planes).astype(visible, planes.dtype)
+            weights = seen if weights is None else seen * weights
+        return estimate_exposure(planes, self.masked_reference, weights, self.settings.exposure)
 
     def pullback(self, pixels: PixelPass, cotangent: Array) -> Array:
         """Return the gradient with respect to the image, from the cotangent of ``pixels.planes``, shape (N, H, W)."""
         settings = self.settings
-        if settings.bounds is not None:
-            cotangent = clip_pullback(pixels.unclipped, cotangent, *settings.bounds)
+        if settings.intensity_range is not None:
+            cotangent = settings.intensity_range.pullback(pixels.uncompressed, cotangent)
         if settings.colours == "differences":
             cotangent = differences_pullback(cotangent)
         if settings.tone is not None:
-            cotangent = settings.tone.pullback(pixels.masked, cotangent)
+            cotangent = settings.tone.pullback(pixels.exposed, cotangent)
         if pixels.visible is not None:
             xp = namespace(cotangent)
             cotangent = xp.where(pixels.visible, cotangent, xp.zeros_like(cotangent))
+        if pixels.exposure is not None:
+            cotangent = pixels.exposure.pullback(cotangent)
         return self.layout.to_image(cotangent)
 
     def pullback_error(self, pixels: PixelPass, error: float) -> float:
@@ -175,6 +201,8 @@ class PixelPipeline:
         if settings.colours == "differences":
             error *= LARGEST_FACTOR
         if settings.tone is not None:
-            slopes = settings.tone.pullback(pixels.masked, namespace(pixels.masked).ones_like(pixels.masked))
+            slopes = settings.tone.pullback(pixels.exposed, namespace(pixels.exposed).ones_like(pixels.exposed))
             error *= float(np.max(to_numpy(slopes)))
+        if pixels.exposure is not None:
+            error *= float(np.max(to_numpy(pixels.exposure.gain)))
         return error

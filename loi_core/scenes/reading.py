@@ -50,7 +50,7 @@ VIEW_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 MAX_VIEWS: Final = 256
 FREE_KEYS: Final = ("initial", "lower", "upper", "learning_rate", "truth")
 SCALE_KEYS: Final = ("preset", "sigma", "alpha", "beta", "bounds", "boundary", "p")
-OBJECTIVE_KEYS: Final = ("name", "compare", "accuracy", "nan_policy", "tone", "colours")
+OBJECTIVE_KEYS: Final = ("name", "compare", "accuracy", "nan_policy", "tone", "exposure", "colours")
 TONE_KEYS: Final = ("peak", "compression")
 FIT_KEYS: Final = ("steps", "learning_rate", "decay", "seed", "stages", "polish", "starts", "views_per_step")
 
@@ -284,8 +284,9 @@ def _objectives(
         available = (LOI, *baseline_names())
         if name not in available:
             raise reader.error("objective", f"objectives are {', '.join(available)}, got {shown(name)}")
-    if "colours" in table and LOI not in names:
-        raise reader.error("objective", f"`colours` is an option of {LOI}, got {', '.join(names)}")
+    for option in ("exposure", "colours"):
+        if option in table and LOI not in names:
+            raise reader.error("objective", f"`{option}` is an option of {LOI}, got {', '.join(names)}")
     policy, tone = table.get("nan_policy", "raise"), _tone(reader, table)
     objectives: dict[str, Objective] = {}
     try:
@@ -298,6 +299,7 @@ def _objectives(
                     nan_policy=policy,
                     tone=tone,
                     weights=target.weights,
+                    exposure=table.get("exposure", "given"),
                     colours=table.get("colours", "channels"),
                 )
             else:

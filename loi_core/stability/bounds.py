@@ -29,7 +29,6 @@ from loi_core.method.distance import TIE_ROUNDINGS
 from loi_core.method.gaussian import truncation
 from loi_core.method.reference import DOUBLE, Planes, cost, dense_blur, slope_of_cost
 from loi_core.method.scales import ScaleSpace
-from loi_core.pixels.bounds import clip
 from loi_core.support.arrays import Host
 
 __all__ = ["Allowed", "allowed"]
@@ -39,6 +38,9 @@ PYRAMID_ROUNDINGS: Final = 32.0
 
 BLOCK_LENGTH: Final = 32
 """Largest number of entries that a library adds in sequence along one axis before it adds the sums (`sum_of_all`)."""
+
+MEAN_ROUNDINGS: Final = float(BLOCK_LENGTH)
+"""Roundings of a mean over pixels: half of a block's length along each axis."""
 
 POWER_ROUNDINGS: Final = 4.0
 """Roundings of a power: its logarithm, its exponential and their product."""
@@ -122,13 +124,15 @@ class _Plane:
     def bounds(self) -> tuple[float, Host]:
         """Return the errors of the value and of the gradient at each pixel."""
         scales, eps, shape = self.scales, self.eps, self.image.shape
-        clipped, reference = (clip(plane, *scales.bounds) - scales.padding for plane in (self.image, self.reference))
+        compressed, reference = (
+            scales.intensity_range.apply(plane) - scales.padding for plane in (self.image, self.reference)
+        )
         loss, gradient = 0.0, np.zeros(shape)
         for sigma in scales.sigma:
             inner = dense_blur(shape, sigma, scales.boundary, scales.inner_taps)
             roundings = self._blur_roundings(sigma, scales.inner_taps, pyramid=0.0)
-            intensity, target = (self._blurred(inner, plane, roundings) for plane in (clipped, reference))
-            differs = inner.apply(np.where(clipped == reference, 0.0, 1.0)) > 0.0
+            intensity, target = (self._blurred(inner, plane, roundings) for plane in (compressed, reference))
+            differs = inner.apply(np.where(compressed == reference, 0.0, 1.0)) > 0.0
             for beta in scales.beta:
                 histogram, expected = self._histogram(*intensity, beta), self._histogram(*target, beta)
                 error, slope, slope_error = self._compared(histogram, expected, differs, beta)
@@ -183,6 +187,9 @@ class _Plane:
         difference = histogram.cdf - expected.cdf
         size = np.abs(difference)
         difference_error = np.where(differs, histogram.cdf_error + expected.cdf_error + eps * size, 0.0)
+        if scales.centred:
+            difference, difference_error = self._centred(difference, difference_error)
+            size = np.abs(difference)
         loss, pulled, pulled_error = 0.0, np.zeros_like(size), np.zeros_like(size)
         for alpha in scales.alpha:
             extent = dense_blur(self.image.shape, alpha, scales.boundary, scales.extent_taps)
@@ -196,10 +203,18 @@ class _Plane:
             slope_error = _slope_error(np.abs(mean), mean_error, scales.p, tie) + POWER_ROUNDINGS * eps * np.abs(slope)
             pulled += extent.adjoint(slope)
             pulled_error += extent.adjoint(slope_error) + eps * (roundings + 2.0) * extent.adjoint(np.abs(slope))
+        if scales.centred:
+            pulled, pulled_error = self._centred(pulled, pulled_error)
         slopes, slopes_error = histogram.slope, histogram.slope_error
         sum_error = eps * (0.5 * len(size) + 3.0) * np.abs(pulled * slopes)
         error = pulled_error * (np.abs(slopes) + slopes_error) + np.abs(pulled) * slopes_error + sum_error
         return weight * loss, weight * np.sum(pulled * slopes, axis=0), weight * np.sum(error, axis=0)
+
+    def _centred(self, stack: Host, error: Host) -> tuple[Host, Host]:
+        """Return a stack, shape (L, H, W), less its means over pixels, and its error."""
+        centred = stack - np.mean(stack, axis=(1, 2), keepdims=True)
+        mean_error = np.mean(error + MEAN_ROUNDINGS * self.eps * np.abs(stack), axis=(1, 2), keepdims=True)
+        return centred, error + mean_error + self.eps * np.abs(centred)
 
     def _cost_error(self, size: Host, size_error: Host, tie: float) -> float:
         """Return the error of the sum of costs: of each cost, and of their addition."""

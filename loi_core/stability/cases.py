@@ -106,16 +106,23 @@ def _range_cases() -> list[HardCase]:
 
     offset_scales = ScaleSpace((0.0, 1.0), (1.0, 4.0), 0.125, bounds=(1000.0, 1001.0))
     radiance_scales = ScaleSpace((0.0, 1.0), (1.0, 4.0), 1250.0, bounds=(0.0, 1e4))
-    clipped = "a clipped value keeps the gradient that points back inside"
     return [
         HardCase(
-            "just inside the bounds", "one rounding clips it", "the whole gradient is kept", partial(near_bounds, -1.0)
+            "just inside the bounds",
+            "one rounding takes it beyond",
+            "the whole gradient is kept",
+            partial(near_bounds, -1.0),
         ),
-        HardCase("just beyond the bounds", "a clipped value has no derivative", clipped, partial(near_bounds, 1.0)),
+        HardCase(
+            "just beyond the bounds",
+            "a clipped value has no derivative",
+            "values beyond a bound are compressed, with the slope 1 at the bound",
+            partial(near_bounds, 1.0),
+        ),
         HardCase(
             "far beyond the bounds",
             "no level is near the values",
-            "they count as the bound, with the same rule",
+            "they count by their logarithm",
             lambda: (ramp(SHAPE, -3.0, 4.0), disk(0.5, 0.5)),
             half=True,
         ),
@@ -136,14 +143,14 @@ def _range_cases() -> list[HardCase]:
         HardCase(
             "fireflies of 1e4",
             "an outlier outweighs all other pixels",
-            "intensities are clipped before any blur",
+            "intensities are compressed before any blur",
             partial(pair_with_outliers, 1e4, count=5),
             half=True,
         ),
         HardCase(
             "fireflies of 1e30",
             "squares overflow in float32",
-            "intensities are clipped before any computation",
+            "every distance beyond 2 million betas counts alike",
             partial(pair_with_outliers, 1e30, count=5),
         ),
         HardCase(

@@ -98,14 +98,6 @@ def _check_fixed_pixels(check: _Check, _: Trial, expected: Expected, answer: Ans
         check.fail(f"{moving} of {int(fixed.sum())} pixels that cannot change the loss have a gradient")
 
 
-def _check_inwards(check: _Check, trial: Trial, expected: Expected, answer: Answer) -> None:
-    low, high = trial.case.scales.bounds
-    outwards = ((expected.image < low) & (answer.gradient > 0.0)) | ((expected.image > high) & (answer.gradient < 0.0))
-    count = int(np.count_nonzero(outwards))
-    if count:
-        check.fail(f"{count} pixels beyond the bounds are driven further out")
-
-
 def _check_batch(check: _Check, trial: Trial, expected: Expected, answer: Answer) -> None:
     for outcome in (*trial.members, *trial.replaced):
         if isinstance(outcome, Exception):
@@ -136,7 +128,6 @@ STABILITY_CHECKS: Final[tuple[_Check, ...]] = (
     Check(
         "still", "pixels that cannot change the loss have a gradient of exactly 0", _if_answered(_check_fixed_pixels)
     ),
-    Check("inwards", "a pixel beyond the bounds is never driven further out", _if_answered(_check_inwards)),
     Check("apart", "images of a batch do not affect each other", _if_answered(_check_batch)),
     Check("untouched", "the caller's image is not written to", _check_unmodified),
 )

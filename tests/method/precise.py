@@ -20,11 +20,10 @@ exp = np.frompyfunc(mpmath.exp, 1, 1)
 def precise(image: Host, reference: Host, scales: ScaleSpace) -> tuple[float, Host]:
     """Return the value and its gradient, shape (H, W), with the boundary "reflect" and the paper's convention.
 
-    A pixel beyond the bounds keeps a gradient that points back inside. The tie threshold is float64's.
+    Intensities beyond the bounds are compressed in float64. The tie threshold is float64's.
     """
     with mpmath.workdps(DIGITS):
-        low, high = scales.bounds
-        planes, expected = (_exact(np.clip(pixels, low, high)) for pixels in (image, reference))
+        planes, expected = (_exact(scales.intensity_range.apply(pixels)) for pixels in (image, reference))
         value, gradient = mpmath.mpf(0), 0 * planes
         for sigma in scales.sigma:
             vertical, horizontal = (_matrix(size, sigma) for size in image.shape)
@@ -40,9 +39,7 @@ def precise(image: Host, reference: Host, scales: ScaleSpace) -> tuple[float, Ho
                     value += weight * np.sum(cost)
                     pulled = np.stack([rows.T @ level @ columns for level in derivative])
                     gradient = gradient + weight * (vertical.T @ np.sum(pulled * slope, axis=0) @ horizontal)
-    slopes = gradient.astype(np.float64)
-    outwards = ((image < low) & (slopes > 0.0)) | ((image > high) & (slopes < 0.0))
-    return float(value), np.where(outwards, 0.0, slopes)
+    return float(value), scales.intensity_range.pullback(image, gradient.astype(np.float64))
 
 
 def _exact(values: Host) -> Host:

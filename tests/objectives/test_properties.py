@@ -90,7 +90,9 @@ def test_scaling_intensities_bounds_and_beta_scales_the_loss_and_keeps_the_gradi
     value, gradient = LOIObjective(reference, scales).value_and_grad(image)
     low, high = scales.bounds
     beta = [factor * beta for beta in scales.beta]
-    multiplied = ScaleSpace(scales.sigma, scales.alpha, beta, (factor * low, factor * high), scales.boundary)
+    multiplied = ScaleSpace(
+        scales.sigma, scales.alpha, beta, (factor * low, factor * high), scales.boundary, centred=scales.centred
+    )
     brighter, goal = (np.asarray(factor * array, dtype=image.dtype) for array in (image, reference))
     scaled, slopes = LOIObjective(goal, multiplied).value_and_grad(brighter)
     # The products are rounded, which shifts an intensity by half an eps of the greater bound.

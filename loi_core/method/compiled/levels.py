@@ -38,7 +38,7 @@ DIFFERENCE, COTANGENT, PLANE_STRIDE, PLANE_TOP, PLANE_BOTTOM, PLANE_LEFT, PLANE_
 BAND, FIRST, LAST, TOP, BOTTOM, LEFT, RIGHT, GROUPS, STRIDE, SECOND_BAND, SECOND_FIRST, SECOND_LAST = map(
     int, PassColumn
 )
-SLOPE, TRANSPOSED, STRIP, COMPARED, RETURNED = map(int, Offset)
+SLOPE, TRANSPOSED, STRIP, COMPARED, RETURNED, ACCUMULATED = map(int, Offset)
 STARTS, TAPS = map(int, (BandColumn.STARTS, BandColumn.TAPS))
 
 
@@ -88,6 +88,9 @@ def _compare(
     base = pyramid[0]
     slope = Plane(offsets[SLOPE], base[PLANE_STRIDE])
     transposed, strip = offsets[TRANSPOSED], offsets[STRIP]
+    accumulated = Plane(offsets[ACCUMULATED], base[PLANE_STRIDE])
+    centred = accumulated.offset != base[DIFFERENCE]
+    clear_window(workspace, accumulated, _cotangent_box(base))
     clear_window(workspace, _difference(base), _cotangent_box(base))
     clear_window(workspace, slope, _cotangent_box(base))
     gradient = cotangent.size > 0
@@ -95,9 +98,11 @@ def _compare(
         clear_window(workspace, _cotangent(base), _cotangent_box(base))
     for level in range(start, stop):
         position = planes[0].dtype.type(level)
-        _accumulate(planes, position, tonal, workspace, slope, base, cotangent, gradient and level > first)
+        _accumulate(planes, position, tonal, workspace, accumulated, slope, base, cotangent, gradient and level > first)
         if level < first:
             continue
+        if centred:
+            _centre_difference(workspace, accumulated, _difference(base), _cotangent_box(base), planes[2])
         for index in range(steps):
             blur = blurs[index]
             source, target = _difference(pyramid[blur[SOURCE]]), _difference(pyramid[blur[TARGET]])
@@ -117,6 +122,8 @@ def _compare(
                 blur = blurs[index]
                 source, target = _cotangent(pyramid[blur[SOURCE]]), _cotangent(pyramid[blur[TARGET]])
                 blur_window(blur[ADJOINT:], operators, target, source, transposed, strip, True)
+            if centred:
+                _centre_cotangent(workspace, _cotangent(base), _cotangent_box(base), planes[2])
     if gradient:
         _pull_back(workspace, base, slope, cotangent)
 
@@ -145,6 +152,7 @@ def _accumulate(
     position: Any,
     tonal: TonalScale,
     workspace: Floats,
+    accumulated: Plane,
     slope: Plane,
     base: Table,
     cotangent: Floats,
@@ -159,7 +167,7 @@ def _accumulate(
     left, right = base[PLANE_LEFT], base[PLANE_RIGHT]
     for y in range(base[PLANE_TOP], base[PLANE_BOTTOM]):
         begin, stop = y * slope.stride + left, y * slope.stride + right
-        difference = workspace[base[DIFFERENCE] + begin : base[DIFFERENCE] + stop]
+        difference = workspace[accumulated.offset + begin : accumulated.offset + stop]
         slopes = workspace[slope.offset + begin : slope.offset + stop]
         image_row, reference_row = image[y, left:right], reference[y, left:right]
         if pulls_back:
@@ -182,6 +190,67 @@ def _accumulate(
             reference_offset = (position - reference_row[x]) * inverse_width
             difference[x] += density - exponential(max(log_peak - reference_offset * reference_offset, min_log))
             slopes[x] += offset * density
+
+
+@compiled
+def _centre_difference(workspace: Floats, source: Plane, target: Plane, box: Box, weights: Floats) -> None:
+    """Write a weighted plane less its mean, times the weights, to another plane."""
+    total, mass = 0.0, 0.0
+    for y in range(box.top, box.bottom):
+        start = source.offset + y * source.stride
+        total += _sum(workspace[start + box.left : start + box.right])
+        mass += _sum(weights[y, box.left : box.right]) if weights.size > 0 else box.right - box.left
+    mean = workspace.dtype.type(total / mass if mass > 0 else 0.0)
+    for y in range(box.top, box.bottom):
+        start, stop = y * source.stride + box.left, y * source.stride + box.right
+        row, centred_row = workspace[source.offset + start : source.offset + stop], workspace[target.offset + start :]
+        if weights.size > 0:
+            weights_row = weights[y, box.left : box.right]
+            for x in range(row.size):
+                centred_row[x] = row[x] - mean * weights_row[x]
+        else:
+            for x in range(row.size):
+                centred_row[x] = row[x] - mean
+
+
+@compiled
+def _centre_cotangent(workspace: Floats, plane: Plane, box: Box, weights: Floats) -> None:
+    """Subtract the weighted mean from a plane."""
+    total, mass = 0.0, 0.0
+    for y in range(box.top, box.bottom):
+        start = plane.offset + y * plane.stride
+        row = workspace[start + box.left : start + box.right]
+        if weights.size > 0:
+            weights_row = weights[y, box.left : box.right]
+            total += _sum_of_products(row, weights_row)
+            mass += _sum(weights_row)
+        else:
+            total += _sum(row)
+            mass += row.size
+    mean = workspace.dtype.type(total / mass if mass > 0 else 0.0)
+    for y in range(box.top, box.bottom):
+        start = plane.offset + y * plane.stride
+        row = workspace[start + box.left : start + box.right]
+        for x in range(row.size):
+            row[x] -= mean
+
+
+@compiled_sums
+def _sum(row: Floats) -> float:
+    """Return the sum of a row in float64."""
+    total = 0.0
+    for x in range(row.size):
+        total += row[x]
+    return total
+
+
+@compiled_sums
+def _sum_of_products(row: Floats, weights: Floats) -> float:
+    """Return the sum of the products of two rows in float64."""
+    total = 0.0
+    for x in range(row.size):
+        total += row[x] * weights[x]
+    return total
 
 
 @compiled

@@ -62,12 +62,12 @@ class LoopComparison:
             weights = np.zeros((reference.shape[0], 0, 0), reference.dtype)
         return cls(tuple(_InnerComparison.of(scales, inner, plan.tonal, reference, weights) for inner in plan.inner))
 
-    def compare(self, clipped: Floats, *, gradient: bool) -> ComparisonResult:
+    def compare(self, compressed: Floats, *, gradient: bool) -> ComparisonResult:
         """Compare planes within the bounds, shape (N, H, W)."""
-        scales, count = self.inner[0].scales, clipped.shape[0]
+        scales, count = self.inner[0].scales, compressed.shape[0]
         max_groups = -(-MIN_TASKS // (count * len(self.inner)))
-        intensity = above_padding(clipped, scales.padding)
-        workspace = _workspace_per_thread(clipped.dtype)
+        intensity = above_padding(compressed, scales.padding)
+        workspace = _workspace_per_thread(compressed.dtype)
         by_plane: list[list[list[_Task]]] = [[[] for _ in self.inner] for _ in range(count)]
 
         def prepare(plane: int, index: int, workspace: Workspace) -> None:
@@ -82,7 +82,7 @@ class LoopComparison:
                     total[plane] += inner.blur.adjoint(cotangent, workspace)
 
         indices = itertools.product(range(count), range(len(self.inner)))
-        max_threads = None if len(self.inner) * clipped.size >= MIN_SHARED_SAMPLES else 1
+        max_threads = None if len(self.inner) * compressed.size >= MIN_SHARED_SAMPLES else 1
         run_all(
             [functools.partial(prepare, plane, index) for plane, index in indices], workspace, max_threads=max_threads
         )
@@ -94,13 +94,13 @@ class LoopComparison:
         for task in tasks:
             for extent, cost in zip(task.scheduler.plan.extents, task.costs, strict=True):
                 costs[extent.alpha, task.beta, task.scheduler.plan.sigma] += float(cost)
-        terms = {key: np.asarray(cost, clipped.dtype) for key, cost in costs.items()}
+        terms = {key: np.asarray(cost, compressed.dtype) for key, cost in costs.items()}
         if not gradient:
             return ComparisonResult(terms, None)
-        total = np.zeros_like(clipped)
+        total = np.zeros_like(compressed)
         run_all([functools.partial(pull_back, plane) for plane in range(count)], workspace, max_threads=max_threads)
         errors = (
-            inner.sign_errors([plane[index] for plane in by_plane], clipped[0].size)
+            inner.sign_errors([plane[index] for plane in by_plane], compressed[0].size)
             for index, inner in enumerate(self.inner)
         )
         return ComparisonResult(terms, total, tuple(itertools.chain.from_iterable(errors)))
@@ -153,14 +153,15 @@ class _InnerComparison:
         blur, workspace = InnerBlur.of(plan.blur, reference.dtype), Workspace(reference.dtype)
         intensity = np.stack([blur.apply(plane, workspace) for plane in above_padding(reference, scales.padding)])
         tonal_scales = tuple(_TonalScale.of(scales, plan, scale, intensity) for scale in tonal)
-        return cls(scales, plan, tonal_scales, blur, intensity, weights, Scheduler.of(plan, reference.dtype))
+        scheduler = Scheduler.of(plan, reference.dtype, centred=scales.centred)
+        return cls(scales, plan, tonal_scales, blur, intensity, weights, scheduler)
 
     def tasks(
         self, intensity: Floats, plane: int, max_groups: int, workspace: Workspace, *, gradient: bool
     ) -> list[_Task]:
         """Return the tasks of one plane of an image, whose intensities above the padding have shape (H, W)."""
         image, reference = self.blur.apply(intensity, workspace), self.intensity[plane]
-        differing = differing_window(image[None], reference[None])
+        differing = differing_window(image[None], reference[None], self.scales)
         if differing is None:
             return []
         supports = self.scheduler.supports_of(differing)

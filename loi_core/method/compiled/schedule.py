@@ -91,11 +91,12 @@ class Scheduler:
     blurs: tuple[_Link, ...]
     spacings: Floats  # shape (E, 2): see `loi_core.method.compiled.tables.Tables`
     block_sums_size: int  # the largest of all extents
+    centred: bool = False
     supports: Cache[Window, Supports] = field(default_factory=lambda: Cache(MAX_CACHED_SCHEDULES))
     schedules: Cache[tuple[Window, Window], Schedule] = field(default_factory=lambda: Cache(MAX_CACHED_SCHEDULES))
 
     @classmethod
-    def of(cls, plan: InnerPlan, dtype: np.dtype[Any]) -> Scheduler:
+    def of(cls, plan: InnerPlan, dtype: np.dtype[Any], *, centred: bool = False) -> Scheduler:
         """Return the scheduler of a plan, for arrays of one dtype."""
         bands: list[Band] = []
 
@@ -117,7 +118,7 @@ class Scheduler:
             for extent, grid in zip(plan.extents, grids, strict=True)
         ]
         sums = max(block_sums_size(grid.rows.cells, grid.columns.cells) for grid in grids)
-        return cls(plan, BandTable.of(bands), tuple(blurs), np.asarray(spacings), sums)
+        return cls(plan, BandTable.of(bands), tuple(blurs), np.asarray(spacings), sums, centred)
 
     def supports_of(self, differing: Window) -> Supports:
         """Return the supports of a difference that is 0 outside a window."""
@@ -174,7 +175,9 @@ class Scheduler:
         returned_rows = allocator.plane(
             *((bands[link.adjoint[1]].height + SQUARE_SIDE, bands[link.adjoint[0]].rows) for link in extents)
         )
-        offsets = np.asarray((slope, transposed, strip, compared, returned_rows), np.int64)
+        difference = int(pyramid[0, PyramidColumn.DIFFERENCE])
+        accumulated = allocator.plane(self._level_shape(0)) if self.centred else difference
+        offsets = np.asarray((slope, transposed, strip, compared, returned_rows, accumulated), np.int64)
         return Schedule(pyramid, blurs, offsets, allocator.elements)
 
     def _level_shape(self, level: int) -> tuple[int, int]:

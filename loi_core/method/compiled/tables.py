@@ -118,6 +118,7 @@ class Offset(IntEnum):
     STRIP = 2  # rows that are transposed next
     COMPARED = 3  # differences at an extent, some rows at a time
     RETURNED = 4  # rows between the two bands of an extent's adjoint
+    ACCUMULATED = 5  # the difference of CDFs before it is centred; that of pyramid level 0 if it is not centred
 
 
 class Plane(NamedTuple):
@@ -150,7 +151,7 @@ class Tables(NamedTuple):
 
     pyramid: Any  # (P, 7): see PyramidColumn
     blurs: Any  # (M, 2 + 2 * 12): see BlurColumn; steps of the pyramid first, then the extents
-    offsets: Any  # (5,): see Offset
+    offsets: Any  # (6,): see Offset
     spacings: Any  # (E, 2), float64: spacing of the samples of each extent along both axes; 0 if not sampled
 
 
