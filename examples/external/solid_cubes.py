@@ -9,7 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from examples.external.problem import Problem, Start, needs
-from examples.external.solid_turns import host, parameters_like, random_rows, turn_between
+from examples.external.solid_turns import host, matrix_of, parameters_like, random_rows, turn_between
 from loi_core import Free
 from loi_core.support.arrays import Host, to_numpy
 from loi_torch.mesh import Camera, Light, Mesh, MeshRenderer, Rotate, box
@@ -19,6 +19,7 @@ __all__ = ["CUBES"]
 SIDE_PX: Final = 256
 HALF_TANGENT: Final = 0.4  # of the field of view of nvdiffrast's example
 DISTANCE: Final = 3.5  # from the camera to the centre of a cube of side 1
+MIN_COSINE: Final = 0.1  # between a side's normal and the direction to the camera
 PAINTS: Final = (
     (0.95, 0.95, 0.95),
     (0.9, 0.85, 0.1),
@@ -43,9 +44,12 @@ def painted_cube(seed: int) -> Start:
     ``samples/torch/pose.py``, whose licence is not commercial; its code and its file are not used.
     """
     rng = np.random.default_rng(seed)
+    goal = random_rows(rng)
+    while _seen_sides(goal) < 2:  # a square of one colour has four solutions
+        goal = random_rows(rng)
     cube = box(colours=np.repeat(PAINTS, 2, axis=0))
     camera = Camera((0.0, 0.0, DISTANCE), fov=2.0 * np.degrees(np.arctan(HALF_TANGENT)))
-    return _turned({"cube": cube}, SIDE_PX, camera, {}, random_rows(rng), random_rows(rng))
+    return _turned({"cube": cube}, SIDE_PX, camera, {}, random_rows(rng), goal)
 
 
 def cube_of_stickers(degrees: float, seed: int) -> Start:
@@ -61,6 +65,18 @@ def cube_of_stickers(degrees: float, seed: int) -> Start:
     camera = Camera(STICKERS_DISTANCE * np.array([0.75, 0.5, -0.433]), fov=STICKERS_FOV)
     lights = {"lamp": Light(position=(0.0, 2.0, -2.0), colour=0.8), "sky": Light(colour=0.3)}
     return _turned({"cube": _stickers(rng)}, STICKERS_SIDE_PX, camera, lights, start, goal)
+
+
+def _seen_sides(rows: Host) -> int:
+    """Return how many sides of a cube of side 1 the camera sees at an angle that is not too flat."""
+    axes = matrix_of(rows).T  # of the sides, in the world
+    to_camera = np.array([0.0, 0.0, DISTANCE])
+    cosines = [
+        normal @ (to_camera - 0.5 * normal) / np.linalg.norm(to_camera - 0.5 * normal)
+        for axis in axes
+        for normal in (axis, -axis)
+    ]
+    return int(np.sum(np.array(cosines) > MIN_COSINE))
 
 
 def _stickers(rng: np.random.Generator) -> Mesh:

@@ -10,7 +10,7 @@ import numpy as np
 from loi_core.renderers.contract import Parameters
 from loi_core.support.arrays import Host, from_numpy, to_numpy
 
-__all__ = ["direction_at_angle", "host", "parameters_like", "random_rows", "turn_between"]
+__all__ = ["direction_at_angle", "host", "matrix_of", "parameters_like", "random_rows", "turn_between"]
 
 Random = np.random.Generator
 
@@ -24,7 +24,7 @@ def random_rows(rng: Random) -> Host:
 
 def turn_between(rows: Host, other: Host) -> float:
     """Return the angle in degrees of the rotation between two orientations, given by two rows each."""
-    trace = float(np.sum(_matrix(rows) * _matrix(other)))
+    trace = float(np.sum(matrix_of(rows) * matrix_of(other)))
     return float(np.degrees(np.arccos(np.clip(0.5 * (trace - 1.0), -1.0, 1.0))))
 
 
@@ -49,7 +49,8 @@ def host(value: Any) -> Host:
     return np.asarray(to_numpy(value), dtype=np.float64)
 
 
-def _matrix(rows: Host) -> Host:
+def matrix_of(rows: Host) -> Host:
+    """Return the rotation matrix of two rows."""
     first = _unit(rows[0])
     second = _unit(rows[1] - (rows[1] @ first) * first)
     return np.stack([first, second, np.cross(first, second)])
