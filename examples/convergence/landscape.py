@@ -61,7 +61,7 @@ def main() -> None:
         trial = suite[name].make(seed)
         images = images_along_line(trial)
         height, width = trial.target.shape[:2]
-        far_objective, near_objective = (
+        far_objective, _, near_objective = (
             LOIObjective(trial.target, scales) for scales in ScaleSpace.far_to_near(height, width)
         )
         terms = [near_objective.terms(image) for image in images]

@@ -251,7 +251,7 @@ def settings_of(
         "start": _digest(initial),
         "starts": str(starts),
         "bounds": _digest(limits),
-        "stages": f"{views.stages}, the last of them a polish" if views.polish else str(views.stages),
+        "stages": f"{views.stages}, the last of them to finish" if views.finishes else str(views.stages),
         "views": json.dumps([*views.by_name, views.at_once]),
         "optimiser": optimiser,
     }

@@ -30,7 +30,7 @@ __all__ = ["MAX_RESTARTS", "Decay", "Descent", "Evaluation"]
 Decay: TypeAlias = Literal["cosine", "none"]
 
 FINAL_RATE: Final = 1e-3  # end of the cosine decay, as a fraction of the learning rate
-POLISH_RATE: Final = 2.0 / 3.0  # fraction of the learning rate: the polish has less far to go
+FINISH_RATE: Final = 0.5  # fraction of the learning rate: the last stage has less far to go
 MAX_RESTARTS: Final = 3
 NOISE_FLOOR: Final = 0.025  # fraction of the initial value that the main stage may leave without being stuck
 MIN_IMPROVEMENT: Final = 0.9  # a restart must start below this fraction of the settled value
@@ -143,32 +143,33 @@ class Descent:
 
     def advance(self, state: State, stage: int) -> State:
         """Return the state after the changes of stage that a step of `stage` causes: a restart, or other rates."""
-        schedule, main_stage = state.schedule, self.views.main_stage
-        if schedule.stuck:
-            return self._restarted(state)
-        if stage < main_stage == schedule.stage:
+        main_stage, was_stuck = self.views.main_stage, state.schedule.stuck
+        if was_stuck:
+            state = self._restarted(state)
+        schedule = state.schedule
+        if stage < main_stage == schedule.stage and not was_stuck:
             return replace(state, rates=self._higher_rates(state, "measuring rates anew"))
-        if self.views.polish and stage == main_stage < schedule.stage:
+        if self.views.finishes and stage == main_stage < schedule.stage:
             # A descent of its own: gradients of pixels have another size, which Adam would take 1000 steps to learn.
             memory = self.optimiser.start({name: state.params[name] for name in self.bounds.lower})
-            rates = self._higher_rates(state, "measuring rates for the polish")
-            return replace(state, memory=memory, rates={name: POLISH_RATE * rate for name, rate in rates.items()})
+            rates = self._higher_rates(state, "measuring rates for the last stage")
+            return replace(state, memory=memory, rates={name: FINISH_RATE * rate for name, rate in rates.items()})
         return state
 
     def finished(self, state: State, start: Parameters) -> State:
         """Return the state once the last parameters, and the best if steps render only some views, are evaluated.
 
-        The start is the best if no later value of the last loss, which never saw the start, is less.
+        All are compared by the last loss, which a short fit may never have used.
         """
-        stage = state.schedule.stage
+        stage = self.views.stages - 1
         with with_partial_result(state, "measuring the last step"):
             try:
                 images = self.views.render(state.params, self.seed + state.step)
                 value = mean(self.views.values(images, stage))
-                if state.best is not None and not self.views.all_at_once:
+                if state.best is not None and not (self.views.all_at_once and state.best.stage == stage):
                     best_images = self.views.render(state.best.params, self.seed + state.best.step)
-                    best_value = mean(self.views.values(best_images, state.best.stage))
-                    best = replace(state.best, value=best_value, images=best_images, partial=False)
+                    best_value = mean(self.views.values(best_images, stage))
+                    best = replace(state.best, value=best_value, images=best_images, stage=stage, partial=False)
                     state = replace(state, best=best)
             except LoiError:
                 return state  # the renderer refuses the last parameters; the best iterate remains

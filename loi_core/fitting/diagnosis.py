@@ -88,7 +88,7 @@ class FitEvidence:
     pairs : list of (array, array)
         The render at the start and the target, shape (H, W, C), of each view.
     polish : bool
-        Whether the fit had a polish.
+        Whether the last stage compared pixels.
     psnr : float, optional
         Of the render at the start, in dB.
     """
@@ -109,13 +109,15 @@ class FitEvidence:
 def diagnose_fit(views: Views, start: Parameters, bounds: Bounds, result: FitResult, seed: int) -> Diagnosis | None:
     """Return the diagnosis of a fit from its start; None if a renderer or an objective fails meanwhile."""
     try:
-        views, stage = views.unabridged(), views.main_stage
+        views = views.unabridged()
         images = views.render(start, seed)
-        start_value = mean(views.values(images, stage))
+        start_value = mean(
+            {name: float(detached(view.requested.value(images[name]))) for name, view in views.by_name.items()}
+        )
         end_values, noises = {}, {}
         for name, view in views.by_name.items():
             end_seed = seed + result.best_step
-            end_values[name], noises[name] = _end_and_noise(view, view.objectives[stage], result.best_params, end_seed)
+            end_values[name], noises[name] = _end_and_noise(view, view.requested, result.best_params, end_seed)
         visible: dict[str, bool] = {}
         if all(step.gradient_norm == 0.0 for step in result.history):
             units, _ = measure_units(list(views.by_name.values()), start, bounds, bounds.lower, seed=seed)
@@ -138,7 +140,7 @@ def diagnose_fit(views: Views, start: Parameters, bounds: Bounds, result: FitRes
             visible,
             _unmoved(start, result.best_params, bounds),
             pairs,
-            views.polish,
+            views.polishes,
             psnr_of(views, ungrouped(images)),
         )
     )
@@ -310,6 +312,9 @@ def _range_mismatch(image: Host, reference: Host) -> tuple[str, str] | None:
         ):
             exposure = float(np.sum(render * target) / np.sum(render * render))
             if np.mean(np.abs(exposure * render - target)) < pixels[0]:
-                return f"the target is {exposure:.2g} times as bright as the render", "match the exposure, or fit it"
+                return (
+                    f"the target is {exposure:.2g} times as bright as the render",
+                    'exposure="matched", or fit the exposure',
+                )
             return message, "compare linear with linear: read_target(file, to='linear')"
     return None

@@ -16,6 +16,7 @@ from loi_core.fitting.checkpoint import CheckpointFile, is_due, settings_of
 from loi_core.fitting.checkpoint import resume as resume_state
 from loi_core.fitting.descent import MAX_RESTARTS, Decay, Descent
 from loi_core.fitting.diagnosis import diagnose_fit, psnr_of
+from loi_core.fitting.exposure import exposure_is_free, require_visible
 from loi_core.fitting.history import FitStep
 from loi_core.fitting.optimiser import Optimiser
 from loi_core.fitting.parameters import (
@@ -116,8 +117,10 @@ def fit(
     stages : "auto", None, or a sequence of ScaleSpace or Objective
         The stages before `objective`, from far to near; each lasts until its loss no longer falls. "auto" uses
         :meth:`ScaleSpace.far_to_near` if the objective is a :class:`LOIObjective` with default scales, and nothing
-        otherwise; a stage that is stuck at a high loss then restarts from a better point within the bounds, up to three
-        times, if the free parameters are few and bounded.
+        otherwise. The far stage matches the exposure, and all but the last are centred, unless a free parameter is a
+        brightness; ``exposure="matched"`` of the objective regresses the exposure in the last stage. A stage that is
+        stuck at a high loss then restarts from a better point within the bounds, up to three times, if the free
+        parameters are few and bounded.
     polish : "pixels", optional
         "pixels" compares pixels once the loss of `objective` no longer falls, at the latest for the last two fifths of
         the steps, for the last digits of a target that the renderer can reproduce exactly. `best_value` then compares
@@ -176,6 +179,9 @@ def fit(
     views = views.with_free(free)
     params = starting_parameters(views, free)
     bounds = bounds_of(params, free)
+    require_visible(views, params, bounds, seed)
+    if stages == "auto" and views.finishes and exposure_is_free(views, params, bounds, seed):
+        views = Views.of(renderer, objective, stages, views_per_step, polish, exposure_is_free=True).with_free(free)
     requested = {
         name: learning_rate if entry.learning_rate is None else entry.learning_rate for name, entry in free.items()
     }
@@ -201,7 +207,7 @@ def fit(
             state = replace(state, rates=measured_rates(views, state.params, bounds, requested, steps, seed))
             if stages == "auto" and views.main_stage > 0 and can_search(bounds):
                 noise_floor = descent.noise_floor(state)
-                schedule = Schedule(views.stages, steps, MAX_RESTARTS, noise_floor, polish=views.polish)
+                schedule = Schedule(views.stages, steps, MAX_RESTARTS, noise_floor, finishes=views.finishes)
                 state = replace(state, schedule=schedule)
         while state.step < steps:
             state, evaluation = descent.step(state)
@@ -247,7 +253,8 @@ def _copies(params: Parameters, images: Mapping[str, Images]) -> tuple[Parameter
 
 def _initial_state(descent: Descent, params: Parameters, rates: Mapping[str, float]) -> State:
     memory = descent.optimiser.start({name: params[name] for name in descent.bounds.lower})
-    return State(params, memory, rates=rates, schedule=Schedule(descent.views.stages, descent.steps))
+    views = descent.views
+    return State(params, memory, rates=rates, schedule=Schedule(views.stages, descent.steps, finishes=views.finishes))
 
 
 def _round_of(descent: Descent) -> RunRound:

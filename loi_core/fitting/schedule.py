@@ -25,8 +25,8 @@ __all__ = ["MIN_WINDOW", "WINDOW_FRACTION", "FarToNear", "Schedule", "has_settle
 FAR_FRACTION: Final = 0.6
 """Fraction of the steps that all stages before the main stage may take together; the rest lets the fit converge."""
 
-MAIN_FRACTION: Final = 0.8
-"""Fraction of the steps that all stages before the polish may take together."""
+MAIN_FRACTION: Final = 0.7
+"""Fraction of the steps that all stages before the finish may take together."""
 
 WINDOW_FRACTION: Final = 0.08
 """Number of values that show whether a loss has settled, as a fraction of the steps."""
@@ -43,7 +43,7 @@ STUCK_FRACTION: Final = 0.3
 """Fraction of its first value at which the first stage is stuck if it settles there."""
 
 MAX_RESTART_PROGRESS: Final = 0.5
-"""Progress of the main stage beyond which no time is left for a restart."""
+"""Progress of the main stage beyond which no time is left for a restart, unless a stage follows."""
 
 
 def has_settled(values: Sequence[float], window: int) -> bool:
@@ -74,20 +74,20 @@ class Schedule:
     Attributes
     ----------
     stages : int
-        Number of losses, 1 or more. The main stage is the last, or the last but one before a polish.
+        Number of losses, 1 or more. The main stage is the last, or the last but one before a finish.
     steps : int
         Number of steps of the whole loop.
     restarts : int
         Number of times that a stage may still be stuck.
     noise_floor : float
         Value of the main loss at or below which the main stage is not stuck.
-    polish : bool
-        Whether the last loss only polishes the result of the main stage; the polish is never stuck.
+    finishes : bool
+        Whether the last loss only finishes the result of the main stage; it is never stuck.
     stage : int
         Index of the loss that the next step uses.
     stuck : bool
-        Whether the first stage or the main stage has settled at a high value. :meth:`restart` or :meth:`proceed`
-        continues.
+        Whether the first stage or the main stage has settled, or has ended, at a high value. :meth:`restart` or
+        :meth:`proceed` continues.
     step, stage_start : int
         Number of steps taken, in total and when this stage started.
     values : tuple of float
@@ -100,7 +100,7 @@ class Schedule:
     steps: int
     restarts: int = 0
     noise_floor: float = math.inf
-    polish: bool = False
+    finishes: bool = False
     stage: int = 0
     stuck: bool = False
     step: int = 0
@@ -115,20 +115,21 @@ class Schedule:
         first = values[0] if self.stage == 0 and self.first_value is None else self.first_value
         taken = replace(self, step=self.step + 1, values=values, first_value=first)
         is_last = self.stage == self.stages - 1
-        settled = (not is_last or self.restarts > 0) and has_settled(values, window)
-        stuck = settled and self.restarts > 0 and taken._is_high()
-        if not is_last and not stuck and (settled or taken.step >= self._deadline):
-            return taken._next_stage()
-        return replace(taken, stuck=stuck)
+        settled = (not is_last or self.restarts > 0) and (value == 0.0 or has_settled(values, window))
+        ends = settled or taken._is_over
+        stuck = ends and self.restarts > 0 and taken._is_high()
+        return taken._next_stage() if ends and not is_last and not stuck else replace(taken, stuck=stuck)
 
     def restart(self) -> Schedule:
-        """Return the schedule with the stuck stage restarted."""
+        """Return the schedule with the stuck stage restarted; with the next stage if this one has no steps left."""
+        if self._is_over:
+            return replace(self._next_stage(), restarts=self.restarts - 1)
         start = self.step if self.stage == self._main else self.stage_start
         return replace(self, stuck=False, restarts=self.restarts - 1, values=(), stage_start=start)
 
     def proceed(self) -> Schedule:
         """Return the schedule with the stuck stage left: the next stage, or the rest of the main stage."""
-        if self.stage == self._main:
+        if self.stage == self._main and not self._is_over:
             return replace(self, stuck=False, restarts=self.restarts - 1, values=())
         return self._next_stage()
 
@@ -155,7 +156,7 @@ class Schedule:
 
     @property
     def _main(self) -> int:
-        return max(self.stages - 1 - self.polish, 0)
+        return max(self.stages - 1 - self.finishes, 0)
 
     @property
     def _deadline(self) -> float:
@@ -165,13 +166,19 @@ class Schedule:
         return self.steps if self.stage == self.stages - 1 else MAIN_FRACTION * self.steps
 
     @property
+    def _is_over(self) -> bool:
+        """Whether a stage follows and this one has no steps left."""
+        return self.stage < self.stages - 1 and self.step >= self._deadline
+
+    @property
     def _progress(self) -> float:
         """The progress of this stage, from 0 to 1 if it lasts until its deadline."""
         return (self.step - self.stage_start) / max(self._deadline - self.stage_start - 1, 1)
 
     def _is_high(self) -> bool:
         if self.stage == self._main:
-            return self._progress < MAX_RESTART_PROGRESS and self.level > self.noise_floor
+            has_time = self.finishes or self._progress < MAX_RESTART_PROGRESS
+            return has_time and self.level > self.noise_floor
         return self.stage == 0 and self.level > STUCK_FRACTION * (self.first_value or 0.0)
 
     def _next_stage(self) -> Schedule:

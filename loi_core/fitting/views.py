@@ -10,9 +10,9 @@ import numpy as np
 
 from loi_core.errors import OptionError
 from loi_core.fitting.parameters import SharedParameters, own_parameters
-from loi_core.fitting.stages import far_objectives, polish_objectives
+from loi_core.fitting.stages import StagedObjectives, staged_objectives
 from loi_core.method.scales import ScaleSpace
-from loi_core.objectives import Objective
+from loi_core.objectives import Objective, PixelL2
 from loi_core.renderers.contract import LossPullback, Parameters, Renderer, capabilities_of, render_loss_vjp
 from loi_core.support.arrays import Array, detached
 from loi_core.support.values import whole_number
@@ -45,6 +45,8 @@ class View:
         From far to near, one for each stage.
     names : tuple of str
         Names of its parameters.
+    requested : Objective
+        The objective that the caller passed.
     fixed : dict of arrays
         Parameters that do not move and keep this view's own values.
     """
@@ -52,6 +54,7 @@ class View:
     renderer: Renderer
     objectives: tuple[Objective, ...]
     names: tuple[str, ...]
+    requested: Objective
     fixed: Parameters = field(default_factory=dict)
 
     def select(self, params: Parameters) -> Parameters:
@@ -83,18 +86,27 @@ class Views:
         Whether there is only one, without a name.
     at_once : int
         Number of views that a step renders.
-    polish : bool
-        Whether the last objective only polishes the result of the main stage.
+    finishes : bool
+        Whether the last objective only finishes the result of the main stage.
     """
 
     by_name: Mapping[str, View]
     single: bool
     at_once: int
-    polish: bool = False
+    finishes: bool = False
 
     @classmethod
-    def of(cls, renderer: object, objective: object, stages: object, at_once: object, polish: object = None) -> Views:
-        """Return the views for arguments of :func:`loi_core.fit`.
+    def of(
+        cls,
+        renderer: object,
+        objective: object,
+        stages: object,
+        at_once: object,
+        polish: object = None,
+        *,
+        exposure_is_free: bool = False,
+    ) -> Views:
+        """Return the views for arguments of :func:`loi_core.fit`; see :func:`staged_objectives` for `exposure_is_free`.
 
         Raises
         ------
@@ -127,15 +139,21 @@ class Views:
             if foreign is not None:
                 msg = f"`stages` of several views must be scales, as an objective has one image, got {shown(foreign)}"
                 raise OptionError(msg)
+        staged = {
+            name: staged_objectives(objectives[name], stages, polish, exposure_is_free=exposure_is_free)
+            for name in renderers
+        }
+        far_stages = max(len(entry.far) for entry in staged.values())
+        finishes = any(entry.finish is not None for entry in staged.values())
         views = {
-            name: View(entry, far_objectives(objectives[name], stages), tuple(own_parameters(entry)))
+            name: View(
+                entry,
+                _aligned(staged[name], far_stages, finishes=finishes),
+                tuple(own_parameters(entry)),
+                objectives[name],
+            )
             for name, entry in renderers.items()
         }
-        count = max(len(view.objectives) for view in views.values())
-        for name, view in views.items():  # a view without far scales has its objective in all stages
-            repeated = view.objectives[:1] * (count - len(view.objectives))
-            last = polish_objectives(objectives[name], polish)
-            views[name] = replace(view, objectives=repeated + view.objectives + last)
         if single and at_once is not None:
             msg = f"`views_per_step` must be left out unless `renderer` is a dict of views, got {shown(at_once)}"
             raise OptionError(msg)
@@ -143,7 +161,7 @@ class Views:
         if rendered is None or not 1 <= rendered <= len(views):
             msg = f"`views_per_step` must be a whole number from 1 to {len(views)}, the views, got {shown(at_once)}"
             raise OptionError(msg)
-        grouped = cls(views, single, rendered, polish is not None)
+        grouped = cls(views, single, rendered, finishes)
         grouped.parameters()
         return grouped
 
@@ -154,8 +172,13 @@ class Views:
 
     @property
     def main_stage(self) -> int:
-        """Index of the stage with the requested objectives: the last, or the last but one before a polish."""
-        return self.stages - 1 - self.polish
+        """Index of the main stage: the last, or the last but one."""
+        return self.stages - 1 - self.finishes
+
+    @property
+    def polishes(self) -> bool:
+        """Whether the last objectives compare pixels."""
+        return all(isinstance(view.objectives[-1], PixelL2) for view in self.by_name.values())
 
     @property
     def all_at_once(self) -> bool:
@@ -228,7 +251,7 @@ class Views:
     def at_stage(self, stage: int) -> Views:
         """Return the views with the objectives of one stage, all rendered in every step."""
         changed = {name: replace(view, objectives=(view.objectives[stage],)) for name, view in self.by_name.items()}
-        return replace(self, by_name=changed, at_once=len(changed), polish=False)
+        return replace(self, by_name=changed, at_once=len(changed), finishes=False)
 
     def unabridged(self) -> Views:
         """Return the views with renderers without the approximations that save time."""
@@ -237,6 +260,14 @@ class Views:
             unabridged = capabilities_of(view.renderer).unabridged
             changed[name] = view if unabridged is None else replace(view, renderer=unabridged())
         return replace(self, by_name=changed)
+
+
+def _aligned(staged: StagedObjectives, far_stages: int, *, finishes: bool) -> tuple[Objective, ...]:
+    """Return the objectives of one view for the stages of all; a view with fewer stages keeps one for longer."""
+    far = (*staged.far, staged.main)
+    missing = far[:1] * (far_stages - len(staged.far))
+    finish = (staged.main if staged.finish is None else staged.finish,)
+    return missing + far + (finish if finishes else ())
 
 
 def mean(values: Mapping[str, float]) -> float:

@@ -187,13 +187,16 @@ class ScaleSpace:
         """Return the scales of the stages of a fit on images of this size, ending with the scales of `for_image`.
 
         Textures trap objects where they match by chance, and narrow scales most of all. An inner scale of an eighth of
-        the longer side averages textures away and keeps the shapes, which reach far.
+        the longer side averages textures away and keeps the shapes, which reach far. All stages but the last are
+        centred: a photograph hardly ever has the exposure of its render, which outweighs the pull of distant objects.
         """
         last = cls.for_image(height, width, beta=beta, bounds=bounds, boundary=boundary)
         blur = round(FAR_SIGMA_FRACTION * max(height, width), 2)
+        near = cls(last.sigma, last.alpha, last.beta, bounds, boundary, centred=True)
         if blur <= last.sigma[0]:
-            return (last,)
-        return cls((*last.sigma, blur), last.alpha[-2:], last.beta, bounds, boundary), last
+            return near, last
+        far = cls((*last.sigma, blur), last.alpha[-2:], last.beta, bounds, boundary, centred=True)
+        return far, near, last
 
     @classmethod
     def released(

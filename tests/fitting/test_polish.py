@@ -104,7 +104,7 @@ def test_a_polish_is_resumed_to_the_bit(stop: int, tmp_path: Path) -> None:
 
 
 def test_a_polish_is_never_stuck_and_its_rate_decays_alone() -> None:
-    schedule = Schedule(stages=3, steps=100, restarts=2, noise_floor=0.1, polish=True)
+    schedule = Schedule(stages=3, steps=100, restarts=2, noise_floor=0.1, finishes=True)
     progress = []
     for _ in range(100):
         progress.append((schedule.stage, schedule.passed))

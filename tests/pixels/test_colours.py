@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from loi_core import LOIObjective, ScaleSpace
 from loi_core.errors import OptionError
-from loi_core.fitting.stages import far_objectives
+from loi_core.fitting.stages import staged_objectives
 from loi_core.pixels.colours import LARGEST_FACTOR, differences, differences_pullback
 from loi_core.testing import check_objective
 from tests.frameworks import array_api_strict, jnp, torch
@@ -136,10 +136,10 @@ def test_default_scales_of_differences_have_half_the_beta_and_a_far_stage() -> N
     reference = np.zeros((48, 64, 3))
     objective = LOIObjective(reference, colours="differences")
     assert objective.scales == replace(LOIObjective(reference).scales, beta=(0.0625,))
-    first, last = far_objectives(objective, "auto")
-    assert isinstance(first, LOIObjective)
-    assert (first.colours, first.scales.beta) == ("differences", objective.scales.beta)
-    assert last is objective
+    staged = staged_objectives(objective, "auto", None)
+    assert isinstance(staged.far[0], LOIObjective)
+    assert (staged.far[0].colours, staged.far[0].scales.beta) == ("differences", objective.scales.beta)
+    assert staged.finish is objective
 
 
 @pytest.mark.parametrize(

@@ -21,7 +21,7 @@ from loi_core.fitting.loop import FitStep, Free
 from loi_core.fitting.optimiser import Memory
 from loi_core.fitting.parameters import bounds_of
 from loi_core.fitting.schedule import MIN_WINDOW, WINDOW_FRACTION, has_settled
-from loi_core.fitting.stages import far_objectives
+from loi_core.fitting.stages import staged_objectives
 from loi_core.fitting.starts import can_search
 from loi_core.renderers.contract import Parameters
 
@@ -128,7 +128,8 @@ def _fit_stage(
         settles = setting.method == "loi" and not can_search(bounds_of(start, free))
         options |= {"learning_rate": f"{rate} px", "decay": "none" if settles else "cosine"}
 
-    last_stage = len(far_objectives(next(iter(objectives.values())), "auto")) - 1
+    staged = staged_objectives(next(iter(objectives.values())), "auto", None)
+    last_stage = len(staged.far) + (staged.finish is not None)
     window = max(MIN_WINDOW, round(WINDOW_FRACTION * steps))
     values: list[float] = []  # loss of every step of the last stage
 

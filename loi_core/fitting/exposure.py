@@ -1,0 +1,96 @@
+"""Whether a free parameter changes the image as another exposure would, and the exposure that a fit ends with."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+
+from loi_core.errors import OptionError
+from loi_core.fitting.parameters import Bounds
+from loi_core.fitting.views import View, Views
+from loi_core.objectives import ImageObjective
+from loi_core.renderers.contract import Parameters
+from loi_core.support.arrays import Host, from_numpy, to_numpy
+from loi_core.support.wording import listed
+
+__all__ = ["exposure_is_free", "require_visible"]
+
+FIRST_STEP: Final = 1e-2  # fraction of the range between the bounds, or of the magnitude of the values, or of 1
+FREE_SHARE: Final = 0.5
+"""Share of a parameter's change of the image that is a gain and an offset, from which on the parameter is a brightness.
+
+A motion has a share near 0, the size of an object at most a fifth, and an exposure, a background, or the colour of the
+only object on a plain ground a share near 1.
+"""
+
+HIDDEN_SHARE: Final = 0.98
+"""The same share from which on a matched exposure hides a parameter."""
+
+
+def exposure_is_free(views: Views, params: Parameters, bounds: Bounds, seed: int) -> bool:
+    """Return whether any free parameter changes an image mostly as another exposure would."""
+    return any(share > FREE_SHARE for share in _shares(views, params, bounds, seed).values())
+
+
+def require_visible(views: Views, params: Parameters, bounds: Bounds, seed: int) -> None:
+    """Raise :class:`OptionError` if all objectives estimate an exposure that hides all free parameters."""
+    objectives = [view.objectives[-1] for view in views.by_name.values()]
+    if any(not isinstance(entry, ImageObjective) or entry.exposure == "given" for entry in objectives):
+        return
+    shares = _shares(views, params, bounds, seed)
+    if shares and all(share > HIDDEN_SHARE for share in shares.values()):
+        msg = (
+            f"`exposure` of the objective must be 'given' to fit {listed(list(shares))}: the brightness of a whole "
+            f"image has no effect under an exposure that is estimated"
+        )
+        raise OptionError(msg)
+
+
+def _shares(views: Views, params: Parameters, bounds: Bounds, seed: int) -> dict[str, float]:
+    """Return the share of each free parameter's change of the image that is a gain and an offset of each channel.
+
+    All entries of a parameter change alike. With several views, the largest share counts.
+    """
+    shares = dict.fromkeys(bounds.lower, 0.0)
+    for view in views.by_name.values():
+        image = _planes(view, params, seed)
+        for name in shares:
+            if name in view.names:
+                moved = params | {name: from_numpy(_moved(params, bounds, name), params[name])}
+                shares[name] = max(shares[name], _explained(_planes(view, moved, seed) - image, image))
+    return shares
+
+
+def _planes(view: View, params: Parameters, seed: int) -> Host:
+    """Return the channels of an image as rows, shape (C, H W)."""
+    image = np.asarray(to_numpy(view.render(params, seed=seed)), dtype=np.float64)
+    return image.reshape(-1, image.shape[-1]).T
+
+
+def _moved(params: Parameters, bounds: Bounds, name: str) -> Host:
+    """Return a parameter with all entries changed by the same small step, away from the nearer bound."""
+    value, lower, upper = (
+        np.asarray(to_numpy(array), dtype=np.float64)
+        for array in (params[name], bounds.lower[name], bounds.upper[name])
+    )
+    span = (upper - lower)[np.isfinite(upper - lower)]
+    scale = float(span.max()) if span.size else max(1.0, float(np.abs(value).max(initial=0.0)))
+    step = FIRST_STEP * (scale or 1.0)
+    moved: Host = np.clip(np.where(upper - value >= step, value + step, value - step), lower, upper)
+    return moved
+
+
+def _explained(change: Host, image: Host) -> float:
+    """Return the share of the squared change of planes, shape (C, P), that a gain and an offset of each explain."""
+    energy = float(np.sum(change**2))
+    if energy == 0.0 or not math.isfinite(energy):
+        return 0.0
+    centred = image - np.mean(image, axis=1, keepdims=True)
+    variance = np.sum(centred**2, axis=1)
+    offset = np.mean(change, axis=1) ** 2 * change.shape[1]
+    gain = np.where(
+        variance > 0.0, np.sum(change * centred, axis=1) ** 2 / np.where(variance > 0.0, variance, 1.0), 0.0
+    )
+    return float(np.sum(offset + gain)) / energy

@@ -1,0 +1,90 @@
+"""Fits to photographs whose exposure is not the render's."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from loi_core import Free, LOIObjective, fit
+from loi_core.errors import OptionError
+from loi_core.fitting.exposure import exposure_is_free
+from loi_core.fitting.parameters import bounds_of
+from loi_core.fitting.stages import staged_objectives
+from loi_core.fitting.views import Views
+from loi_core.objectives import PixelL2
+from loi_core.renderers import Disks, Warp
+from tests.helpers import Host
+
+GOAL = np.array([[52.0, 20.0], [20.0, 50.0]])
+START = np.array([[24.0, 40.0], [58.0, 30.0]])
+DISKS = Disks(64, 80, START, radii=[7.0, 6.0], colours=[[0.9, 0.6, 0.2], [0.2, 0.7, 0.9]], background=[0.35] * 3)
+PLACES = {"positions": Free(START, 0.0, [80.0, 64.0])}
+TARGET: Host = DISKS.render({**DISKS.parameters(), "positions": GOAL})
+
+
+@pytest.mark.parametrize(("gain", "offset"), [(0.97, 0.0), (0.9, 0.0), (0.7, 0.2)])
+def test_a_fit_finds_disks_in_a_photograph_of_another_exposure(gain: float, offset: float) -> None:
+    objective = LOIObjective(gain * TARGET + offset, exposure="matched")
+    result = fit(DISKS, objective, steps=120, optimise=PLACES)
+    np.testing.assert_allclose(result.best_params["positions"], GOAL, atol=0.1)
+
+
+def test_a_fit_by_default_finds_disks_in_a_photograph_that_is_three_per_cent_darker() -> None:
+    result = fit(DISKS, LOIObjective(0.97 * TARGET), steps=120, optimise=PLACES)
+    np.testing.assert_allclose(result.best_params["positions"], GOAL, atol=1.0)
+
+
+def test_the_automatic_stages_end_with_the_requested_objective() -> None:
+    objective = LOIObjective(TARGET)
+    staged = staged_objectives(objective, "auto", None)
+    assert staged.finish is objective
+    assert isinstance(staged.main, LOIObjective)
+    assert staged.main.scales == replace(objective.scales, centred=True)
+    assert [entry.exposure for entry in staged.far if isinstance(entry, LOIObjective)] == ["matched"]
+
+
+def test_a_matched_exposure_is_regressed_in_the_main_stage_and_in_a_polish() -> None:
+    staged = staged_objectives(LOIObjective(TARGET, exposure="matched"), "auto", "pixels")
+    assert isinstance(staged.main, LOIObjective)
+    assert isinstance(staged.finish, PixelL2)
+    assert (staged.main.exposure, staged.finish.exposure) == ("regressed", "regressed")
+
+
+def picture() -> Warp:
+    rows, columns = np.mgrid[:40, :40] / 40.0
+    image = np.stack([0.5 + 0.4 * np.sin(9.0 * rows), 0.3 + 0.5 * columns, 0.6 - 0.4 * rows], axis=-1)
+    return Warp(image, np.full((40, 40, 3), 0.3), scale=0.5)
+
+
+@pytest.mark.parametrize(
+    ("name", "is_free"), [("exposure", True), ("translation", False), ("rotation", False), ("scale", False)]
+)
+def test_only_a_brightness_is_taken_for_an_exposure(name: str, is_free: bool) -> None:
+    warp = picture()
+    views = Views.of(warp, LOIObjective(warp.render(warp.parameters())), "auto", None)
+    params = warp.parameters()
+    assert exposure_is_free(views, params, bounds_of(params, {name: Free()}), 0) == is_free
+
+
+def test_a_uniform_colour_is_compared_from_the_first_step() -> None:
+    disks = Disks(24, 24, [[12.0, 12.0]], radii=5.0, colours=[[0.5] * 3], background=[0.2] * 3)
+    objective = LOIObjective(disks.render({**disks.parameters(), "colours": np.array([[0.9, 0.3, 0.4]])}))
+    result = fit(disks, objective, steps=60, optimise={"colours": Free(None, 0.0, 1.0)})
+    np.testing.assert_allclose(result.best_params["colours"], [[0.9, 0.3, 0.4]], atol=0.02)
+
+
+def test_a_brightness_alone_is_refused_under_a_matched_exposure() -> None:
+    warp = picture()
+    objective = LOIObjective(0.8 * warp.render(warp.parameters()), exposure="matched")
+    with pytest.raises(OptionError, match="`exposure` of the objective must be 'given' to fit 'exposure'"):
+        fit(warp, objective, steps=5, optimise={"exposure": Free(None, -2.0, 2.0)})
+
+
+@pytest.mark.parametrize("exposure", ["given", "matched"])
+def test_a_start_at_the_truth_stays_there(exposure: Any) -> None:
+    free = {"positions": Free(GOAL, 0.0, [80.0, 64.0])}
+    result = fit(DISKS, LOIObjective(TARGET, exposure=exposure), steps=30, optimise=free)
+    np.testing.assert_allclose(result.best_params["positions"], GOAL, atol=0.05)
