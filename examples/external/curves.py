@@ -18,7 +18,7 @@ from examples.external.running import summary
 from loi_core.io.files import write_bytes
 from loi_core.report.plots import new_figure, png_of
 
-DISTANCES_PX: Final = (4.0, 8.0, 12.0, 16.0, 22.0, 30.0, 40.0)
+DISTANCES_PX: Final = (8.0, 16.0, 24.0, 32.0, 40.0)
 PANELS: Final = ("x 1", "x 0.9")
 METHOD_NAMES: Final = ("loi", "loi, matched", "pixel L2", "Gaussian pyramid", "MS-SSIM", "random search", "CMA-ES")
 
