@@ -6,6 +6,7 @@ Three disks start at one distance from their goals, against a photograph as brig
 from __future__ import annotations
 
 import argparse
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -34,6 +35,22 @@ def solved_shares(method: Method, photograph: str, starts: int) -> list[float]:
     return shares
 
 
+def drawn(shares: Mapping[tuple[str, str], Sequence[float]]) -> bytes:
+    """Return the figure of the shares by photograph and method as a PNG."""
+    figure = new_figure(8.5, 3.0)
+    axes = figure.subplots(1, len(PANELS), sharey=True)
+    for panel, photograph in zip(axes, PANELS, strict=True):
+        for (photograph_of_curve, name), values in shares.items():
+            if photograph_of_curve == photograph:
+                width = 2.4 if name.startswith("loi") else 1.1
+                panel.plot(DISTANCES_PX, values, marker="o", markersize=3.0, lw=width, label=name)
+        panel.set(title=f"photograph {photograph}", xlabel="distance of every disk in pixels", ylim=(-0.05, 1.05))
+        panel.spines[["top", "right"]].set_visible(False)
+    axes[0].set_ylabel("share of solved starts")
+    figure.legend(*axes[0].get_legend_handles_labels(), loc="outside right center", frameon=False, fontsize=8)
+    return png_of(figure)
+
+
 def main() -> None:
     """Draw the figure."""
     parser = argparse.ArgumentParser(prog="python -m examples.external.curves", description=__doc__)
@@ -41,18 +58,12 @@ def main() -> None:
     parser.add_argument("--output", type=Path, default=Path("docs/results/images/external-disks.png"))
     options = parser.parse_args()
     methods = [method for method in METHODS if method.name in METHOD_NAMES and not method.missing()]
-    figure = new_figure(8.0, 3.2)
-    axes = figure.subplots(1, len(PANELS), sharey=True)
-    for panel, photograph in zip(axes, PANELS, strict=True):
-        for method in methods:
-            shares = solved_shares(method, photograph, options.starts)
-            width = 2.4 if method.name.startswith("loi") else 1.1
-            panel.plot(DISTANCES_PX, shares, marker="o", markersize=3.0, lw=width, label=method.name)
-        panel.set(title=f"photograph {photograph}", xlabel="distance of every disk in pixels", ylim=(-0.05, 1.05))
-        panel.spines[["top", "right"]].set_visible(False)
-    axes[0].set_ylabel("share of solved starts")
-    axes[-1].legend(frameon=False, fontsize=7)
-    write_bytes(options.output, png_of(figure))
+    shares = {
+        (photograph, method.name): solved_shares(method, photograph, options.starts)
+        for photograph in PANELS
+        for method in methods
+    }
+    write_bytes(options.output, drawn(shares))
     print(options.output)
 
 
