@@ -17,13 +17,14 @@ from loi_core.fitting.verdict import Diagnosis, Verdict
 from loi_core.fitting.views import Images, View, Views, by_view, mean, ungrouped
 from loi_core.objectives import ImageObjective, LOIObjective, Objective
 from loi_core.pixels.encoding import encode_srgb
+from loi_core.pixels.exposure import LinearExposure
 from loi_core.pixels.psnr import psnr
 from loi_core.renderers.contract import Parameters
 from loi_core.renderers.units import measure_units
 from loi_core.support.arrays import Host, detached, from_numpy, to_numpy
 from loi_core.support.wording import clause, listed
 
-__all__ = ["FitEvidence", "diagnose", "diagnose_fit", "psnr_of"]
+__all__ = ["FitEvidence", "diagnose", "diagnose_fit", "exposures_of", "psnr_of"]
 
 CONVERGED_FRACTION: Final = 0.02
 """Fraction of the initial loss that a converged fit leaves at most, beside the noise."""
@@ -91,6 +92,11 @@ class FitEvidence:
         Whether the last stage compared pixels.
     psnr : float, optional
         Of the render at the start, in dB.
+    exposed : tuple of float, optional
+        The objective at the start and at the end once the exposure of the target is regressed; None where the objective
+        does so itself, or cannot.
+    exposures : sequence of LinearExposure
+        The exposure of the target relative to the last render of each view, with gain and offset of shape (C,).
     """
 
     start_value: float
@@ -104,6 +110,8 @@ class FitEvidence:
     pairs: Sequence[tuple[Host, Host]] = ()
     polish: bool = False
     psnr: float | None = None
+    exposed: tuple[float, float] | None = None
+    exposures: Sequence[LinearExposure] = ()
 
 
 def diagnose_fit(views: Views, start: Parameters, bounds: Bounds, result: FitResult, seed: int) -> Diagnosis | None:
@@ -122,6 +130,7 @@ def diagnose_fit(views: Views, start: Parameters, bounds: Bounds, result: FitRes
         if all(step.gradient_norm == 0.0 for step in result.history):
             units, _ = measure_units(list(views.by_name.values()), start, bounds, bounds.lower, seed=seed)
             visible = {name: math.isfinite(unit) for name, unit in units.items()}
+        exposed = _values_under_exposure(views, images, by_view(result.image))
         pairs = [
             (to_numpy(images[name]), to_numpy(view.objectives[-1].reference))
             for name, view in views.by_name.items()
@@ -142,6 +151,8 @@ def diagnose_fit(views: Views, start: Parameters, bounds: Bounds, result: FitRes
             pairs,
             views.polishes,
             psnr_of(views, ungrouped(images)),
+            exposed,
+            list(exposures_of(views, result.image).values()),
         )
     )
 
@@ -177,6 +188,33 @@ def psnr_of(views: Views, images: Images) -> float | None:
     if math.isnan(error):  # pixels that are not finite are masked
         return None
     return math.inf if error == 0.0 else -10.0 * math.log10(error)
+
+
+def exposures_of(views: Views, images: Images) -> dict[str, LinearExposure]:
+    """Return the exposure of each view's reference relative to its image, with gain and offset of shape (C,)."""
+    exposures = {}
+    for name, image in by_view(images).items():
+        objective = views.by_name[name].requested
+        if not isinstance(objective, ImageObjective) or tuple(image.shape) != tuple(objective.reference.shape):
+            continue
+        exposure = objective.exposure_of(to_numpy(image))
+        exposures[name] = LinearExposure(exposure.gain.reshape(-1), exposure.offset.reshape(-1))
+    return exposures
+
+
+def _values_under_exposure(
+    views: Views, first: Mapping[str, Images], last: Mapping[str, Images]
+) -> tuple[float, float] | None:
+    """Return the objective of the first and last images once the exposure is regressed."""
+    values = {}
+    for name, view in views.by_name.items():
+        objective = view.requested
+        if not isinstance(objective, LOIObjective) or objective.exposure != "given":
+            return None
+        regressed = objective.with_exposure("regressed")
+        values[name] = tuple(float(detached(regressed.value(images[name]))) for images in (first, last))
+    start, end = (mean({name: pair[index] for name, pair in values.items()}) for index in (0, 1))
+    return start, end
 
 
 def _end_and_noise(view: View, objective: Objective, params: Parameters, seed: int) -> tuple[float, float]:
@@ -228,6 +266,13 @@ def diagnose(evidence: FitEvidence) -> Diagnosis:
         )
     if left <= CONVERGED_FRACTION + CONVERGED_NOISE * noise:
         return verdict("converged", summary, POLISH_ADVICE if _wants_polish(evidence) else "")
+    if evidence.exposed is not None and evidence.exposures and evidence.exposed[0] > 0.0:
+        exposed_left = evidence.exposed[1] / evidence.exposed[0]
+        if exposed_left <= CONVERGED_FRACTION + CONVERGED_NOISE * noise:
+            message = (
+                f"{exposed_left:.0%} of the loss at the start is left, but for the exposure: {_described(evidence)}"
+            )
+            return verdict("converged", message, 'exposure="matched" of the objective comes nearer')
     if noise > MAX_NOISE * (1.0 + left):
         return verdict("follows noise", f"{summary}, and noise makes {noise:.0%} of it", "raise the samples")
     ranges = [mismatch for pair in evidence.pairs if (mismatch := _range_mismatch(*pair))]
@@ -247,6 +292,15 @@ def diagnose(evidence: FitEvidence) -> Diagnosis:
         advice = _or_polish("give it more steps, or a higher learning_rate", evidence)
         return verdict("still falling", f"{summary}, and it fell in nearly every step", advice)
     return verdict("stalled", f"{summary} and no longer falls", _advice_if_stalled(evidence))
+
+
+def _described(evidence: FitEvidence) -> str:
+    """Describe the exposure of the target, the mean over channels and views."""
+    gain, offset = (
+        float(np.mean([np.mean(part) for part in parts]))
+        for parts in zip(*((entry.gain, entry.offset) for entry in evidence.exposures), strict=True)
+    )
+    return f"the target is about {gain:.2f} times the render {'-' if offset < 0.0 else '+'} {abs(offset):.2f}"
 
 
 def _falls(values: Sequence[float]) -> bool:

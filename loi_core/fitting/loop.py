@@ -15,7 +15,7 @@ from loi_core.fitting.callbacks import Callback, RememberingCallback, ends_the_f
 from loi_core.fitting.checkpoint import CheckpointFile, is_due, settings_of
 from loi_core.fitting.checkpoint import resume as resume_state
 from loi_core.fitting.descent import MAX_RESTARTS, Decay, Descent
-from loi_core.fitting.diagnosis import diagnose_fit, psnr_of
+from loi_core.fitting.diagnosis import diagnose_fit, exposures_of, psnr_of
 from loi_core.fitting.exposure import exposure_is_free, require_visible
 from loi_core.fitting.history import FitStep
 from loi_core.fitting.optimiser import Optimiser
@@ -228,7 +228,9 @@ def fit(
             msg = "the fit has no value"
             raise FitError(msg)
         diagnosis = diagnose_fit(views, params, bounds, result, seed)
-        result = replace(result, diagnosis=diagnosis, psnr=psnr_of(views, result.image))
+        exposures = exposures_of(views, result.image)
+        exposure = ungrouped(exposures) if len(exposures) == len(views.by_name) else None
+        result = replace(result, diagnosis=diagnosis, psnr=psnr_of(views, result.image), exposure=exposure)
         _release(file)  # here, since Ctrl-C in a `finally` would lose the result
         return result
     except KeyboardInterrupt:

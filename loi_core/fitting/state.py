@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 from loi_core.fitting.history import FitStep
 from loi_core.fitting.notebook import result_html
@@ -43,6 +44,9 @@ class FitResult:
     psnr : float, optional
         Of `image` against the reference, in dB for a peak of 1, over all views; None for a fit that was interrupted,
         and if an objective has no reference of the image's shape.
+    exposure : LinearExposure, or dict of LinearExposure, optional
+        Gain and offset of each channel, shape (C,), by which the reference differs from `image`; a dict by the names of
+        several views; None as for `psnr`.
     """
 
     params: Parameters
@@ -55,6 +59,7 @@ class FitResult:
     rates: Mapping[str, float] = field(default_factory=dict)
     agreeing: int | None = None
     psnr: float | None = None
+    exposure: Any = None
 
     def __repr__(self) -> str:
         verdict = "cut short" if self.diagnosis is None else self.diagnosis.verdict

@@ -7,6 +7,7 @@ from loi_core.objectives.msssim import MSSSIM
 from loi_core.objectives.pixel import PixelL2
 from loi_core.objectives.pyramid import GaussianPyramid
 from loi_core.pixels.bounds import RangeWarning
+from loi_core.pixels.exposure import LinearExposure
 
 __all__ = [
     "MSSSIM",
@@ -14,6 +15,7 @@ __all__ = [
     "GaussianPyramid",
     "ImageObjective",
     "LOIObjective",
+    "LinearExposure",
     "Objective",
     "PixelL2",
     "PlaneComparison",

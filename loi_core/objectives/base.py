@@ -10,7 +10,7 @@ from loi_core.errors import ImageError, ImageTypeError, OptionError
 from loi_core.method.dispatch import ARRAY_API, Backend, choose_backend
 from loi_core.objectives.evaluation import PlaneComparison, PreparedObjective, ReferencePlanes
 from loi_core.objectives.facts import facts_of_options, facts_of_reference, objective_html, summary_line
-from loi_core.pixels.exposure import Exposure, check_exposure
+from loi_core.pixels.exposure import Exposure, LinearExposure, check_exposure
 from loi_core.pixels.layout import Layout, check_channel_axis
 from loi_core.pixels.nonfinite import NanPolicy, check_nan_policy, require_finite
 from loi_core.pixels.pipeline import PixelPipeline, PixelSettings
@@ -194,6 +194,16 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
         """Return the terms of the value, which sum to it. Errors as in :meth:`value`."""
         terms, _ = self._evaluate(image, gradient=False)
         return {key: narrowed(term, image) for key, term in terms.items()}
+
+    def exposure_of(self, image: Array) -> LinearExposure:
+        """Return the exposure of the reference relative to an image that is nearly aligned.
+
+        Gain and offset of each channel, of shape (N, 1, 1), by the regression of ``exposure="regressed"`` whatever the
+        objective's own exposure is. Errors as in :meth:`value`.
+        """
+        image = widened(as_floating("image", image))
+        pipeline = self._prepare(image, image.shape, ARRAY_API).pipeline
+        return pipeline.exposure_of(image)
 
     def prepare(self, shape: tuple[int, ...], like: Array) -> None:
         """Prepare the reference for images of `shape` and arrays like `like`, for :meth:`evaluate_unchecked`."""

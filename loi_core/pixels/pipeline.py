@@ -169,6 +169,15 @@ class PixelPipeline:
         uncompressed = settings.apply_colours(toned)
         return PixelPass(settings.compress(uncompressed), uncompressed, planes, exposure, visible)
 
+    def exposure_of(self, image: Array) -> LinearExposure:
+        """Return the exposure of the reference relative to an image, by regression."""
+        xp, planes = namespace(image), self.layout.to_planes(image)
+        visible = xp.isfinite(planes) if self.visible is None else xp.isfinite(planes) & self.visible
+        weights = xp.astype(visible, planes.dtype)
+        weights = weights if self.weights is None else weights * self.weights
+        planes = xp.where(visible, planes, xp.zeros_like(planes))
+        return estimate_exposure(planes, self.masked_reference, weights, "regressed")
+
     def estimate_exposure(self, planes: Array, visible: Array | None) -> LinearExposure | None:
         """Return the exposure of the reference relative to masked planes, shape (N, H, W); None if it is given."""
         if self.settings.exposure == "given":

@@ -88,3 +88,12 @@ def test_a_start_at_the_truth_stays_there(exposure: Any) -> None:
     free = {"positions": Free(GOAL, 0.0, [80.0, 64.0])}
     result = fit(DISKS, LOIObjective(TARGET, exposure=exposure), steps=30, optimise=free)
     np.testing.assert_allclose(result.best_params["positions"], GOAL, atol=0.05)
+
+
+def test_the_result_and_the_verdict_name_the_exposure_of_a_photograph() -> None:
+    result = fit(DISKS, LOIObjective(0.9 * TARGET + 0.03), steps=120, optimise=PLACES)
+    np.testing.assert_allclose(result.exposure.gain, 0.9, atol=0.05)
+    np.testing.assert_allclose(result.exposure.offset, 0.03, atol=0.03)
+    assert result.diagnosis is not None
+    assert result.diagnosis.ok
+    assert "the target is about 0.9" in result.diagnosis.message
