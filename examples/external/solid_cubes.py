@@ -118,14 +118,21 @@ def _rotation(axis: Host, angle: float) -> Host:
 
 
 def _problem(
-    name: str, make: Callable[[int], Start], tolerance: float, source: str, licence: str, *, starts: int
+    name: str,
+    make: Callable[[int], Start],
+    tolerance: float,
+    source: str,
+    licence: str,
+    *,
+    starts: int,
+    steps: int = 200,
 ) -> Problem:
     return Problem(
         name,
         make,
         "degrees",
         tolerance,
-        steps=200,
+        steps=steps,
         renders=300,
         starts=starts,
         source=source,
@@ -142,6 +149,7 @@ CUBES: Final = (
         "NVlabs/nvdiffrast, samples/torch/pose.py",
         "not commercial; facts alone, the colours are others",
         starts=12,
+        steps=120,  # the rest of the budget is for a search
     ),
     *(
         _problem(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Final, Literal, TypeAlias
 
@@ -15,9 +15,9 @@ from loi_core.fitting.history import FitStep, small_parameters
 from loi_core.fitting.optimiser import Memory, Optimiser
 from loi_core.fitting.parameters import Bounds
 from loi_core.fitting.partial_result import with_partial_result
-from loi_core.fitting.rates import measured_rates
+from loi_core.fitting.rates import measured_rates, racing_factors
 from loi_core.fitting.schedule import Schedule
-from loi_core.fitting.starts import search
+from loi_core.fitting.starts import MIN_RACE_STEPS, RACE_ROUNDS, ROUND_STEPS, race, search
 from loi_core.fitting.state import State
 from loi_core.fitting.views import View, Views, mean
 from loi_core.objectives import LOIObjective
@@ -208,15 +208,51 @@ class Descent:
         with with_partial_result(state, "searching for a start"):
             attempt, stage = MAX_RESTARTS - schedule.restarts, schedule.stage
             seed, local = self.seed + state.step, stage > 0
-            best = search(
-                lambda point: self.views.value(point, stage, seed), state.params, self.bounds, attempt, local=local
-            )
+            draws: list[tuple[float, Parameters]] = []
+            raced = self._race(state, draws) if attempt == 0 and self.steps >= MIN_RACE_STEPS else None
+            if raced is not None:
+                memory = self.optimiser.start({name: raced[name] for name in self.bounds.lower}, state.memory)
+                state = replace(state, params=raced, memory=memory, schedule=schedule.found(), latest={})
+                return replace(state, rates=self._higher_rates(state, "measuring rates anew"))
+            best = None if local else min(draws, key=lambda entry: entry[0], default=None)
+            if best is None:
+                best = search(
+                    lambda point: self.views.value(point, stage, seed), state.params, self.bounds, attempt, local=local
+                )
         if best is None or not best[0] < MIN_IMPROVEMENT * schedule.level:
             params = state.params if local or state.best is None else state.best.params
             return replace(state, params=params, schedule=schedule.proceed(), latest={})
         params = best[1]
         memory = self.optimiser.start({name: params[name] for name in self.bounds.lower}, state.memory)
         return replace(state, params=params, memory=memory, schedule=schedule.restart(), latest={})
+
+    def _race(self, state: State, draws: list[tuple[float, Parameters]]) -> Parameters | None:
+        """Return parameters where some steps of the main stage from other points have led, if they are far better.
+
+        The loss of this stage at the points, and the points, are appended to `draws`.
+        """
+        main, stage, seed = self.views.main_stage, state.schedule.stage, self.seed + state.step
+        steps = RACE_ROUNDS * ROUND_STEPS
+        short = replace(self, views=self.views.at_stage(main), decay="none", steps=steps)
+        factors = racing_factors(self.requested_rates, self.steps)
+        rates = {name: factors[name] * rate for name, rate in state.rates.items()}
+
+        def descend(start: Parameters) -> Iterator[tuple[float, Parameters]]:
+            memory = self.optimiser.start({name: start[name] for name in self.bounds.lower})
+            racer = State(start, memory, rates=rates, schedule=Schedule(1, steps))
+            while racer.step < steps:
+                racer, _ = short.step(racer)
+                if racer.best is not None and racer.step % ROUND_STEPS == 0:
+                    yield racer.best.value, racer.best.params
+
+        def evaluate(point: Parameters) -> float:
+            images = self.views.render(point, seed)
+            value = mean(self.views.values(images, stage))
+            if math.isfinite(value):
+                draws.append((value, point))
+            return mean(self.views.values(images, main))
+
+        return race(evaluate, descend, state.params, self.bounds)
 
     def _higher_rates(self, state: State, action: str) -> dict[str, float]:
         """Return the rates measured here where they exceed the earlier ones.

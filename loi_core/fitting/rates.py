@@ -14,7 +14,7 @@ from loi_core.renderers.units import measure_units, pixels_of
 from loi_core.support.arrays import Array
 from loi_core.support.values import real_number
 
-__all__ = ["measured_rates", "named_rates"]
+__all__ = ["measured_rates", "named_rates", "racing_factors"]
 
 CROSSINGS: Final = 2.0  # of the longer side of the image by all steps without decay: one crossing with decay
 MIN_RATE_PX: Final = 0.25
@@ -68,3 +68,9 @@ def _reference_of(objective: Objective) -> Array | None:
     if isinstance(objective, ImageObjective) and objective.channel_axis == -1:
         return objective.reference
     return None
+
+
+def racing_factors(requested: Mapping[str, float | str | None], steps: int) -> dict[str, float]:
+    """Return how much faster each parameter may move in a race than in a fit; rates that were asked for stay."""
+    fastest = max(MAX_RATE_FRACTION / min(CROSSINGS / steps, MAX_RATE_FRACTION), 1.0)
+    return {name: fastest if rate is None else 1.0 for name, rate in requested.items()}

@@ -127,6 +127,13 @@ class Schedule:
         start = self.step if self.stage == self._main else self.stage_start
         return replace(self, stuck=False, restarts=self.restarts - 1, values=(), stage_start=start)
 
+    def found(self) -> Schedule:
+        """Return the schedule in its main stage, once a race has found a better point."""
+        found = replace(
+            self, stage=self._main, stage_start=self.step, values=(), stuck=False, restarts=self.restarts - 1
+        )
+        return found._next_stage() if found._is_over else found
+
     def proceed(self) -> Schedule:
         """Return the schedule with the stuck stage left: the next stage, or the rest of the main stage."""
         if self.stage == self._main and not self._is_over:

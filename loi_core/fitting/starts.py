@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
+from dataclasses import dataclass
 from typing import Final, TypeAlias
 
 import numpy as np
@@ -15,10 +16,14 @@ from loi_core.renderers.contract import Parameters
 from loi_core.support.arrays import from_numpy, to_numpy
 
 __all__ = [
+    "MIN_RACE_STEPS",
+    "RACE_ROUNDS",
+    "ROUND_STEPS",
     "SEARCH_DRAWS",
     "can_search",
     "draw_starts",
     "free_numbers",
+    "race",
     "search",
     "successive_halving",
     "unbounded_parameters",
@@ -30,10 +35,20 @@ AGREEMENT: Final = 0.05  # of the range: finalists within this distance of the b
 SEARCH_DRAWS: Final = 48  # 16 are too few for an object that is out of view
 LOCAL_SEARCH_DRAWS: Final = 32
 LOCAL_RADIUS: Final = 0.15  # of the range, to either side
+RACERS: Final = 16
+RACE_ROUNDS: Final = 3  # after each, the half with the larger losses drops out
+ROUND_STEPS: Final = 4  # at a high rate
+ENOUGH: Final = 0.2  # fraction of the least loss at the start of a race: a racer that reaches it has won
+MIN_LEAD: Final = 0.9  # fraction of the own racer's loss below which another racer counts
+MIN_GAIN: Final = 0.5  # fraction of the own racer's first loss below which that racer counts
+MIN_RACE_STEPS: Final = 100  # of a fit; a race renders about as often
 MAX_SEARCH_NUMBERS: Final = 8  # in more dimensions so few draws cover next to nothing
 
 Evaluate: TypeAlias = Callable[[Parameters], float]
 """Returns the loss of parameters."""
+
+Descend: TypeAlias = Callable[[Parameters], Iterator[tuple[float, Parameters]]]
+"""Descends from parameters; yields the least loss so far, and its parameters, after each round of steps."""
 
 RunRound: TypeAlias = Callable[[Parameters, int, int], tuple[float, Parameters]]
 """Fits from a start for a stage and a number of steps; returns the last objective's value, and the parameters."""
@@ -108,16 +123,61 @@ def search(
     With `local`, every other point lies in a box around the parameters. If there are several parameters, only one of
     them moves at three of four points, each in turn, since the others may be right.
     """
-    best: tuple[float, Parameters] | None = None
-    for point in _local_draws(params, bounds, attempt) if local else _draws(params, bounds, SEARCH_DRAWS, attempt):
+    points = _local_draws(params, bounds, attempt) if local else _draws(params, bounds, SEARCH_DRAWS, attempt)
+    return min(_evaluated(evaluate, points), key=_loss, default=None)
+
+
+def race(evaluate: Evaluate, descend: Descend, params: Parameters, bounds: Bounds) -> Parameters | None:
+    """Return parameters with a far lower loss, some steps from these or from another point within the bounds.
+
+    Of the points that the first :func:`search` draws, those with the least loss start, and the parameters themselves.
+    Several do, since a point near the target may have a larger loss than a point with a wrong side in view, and a few
+    steps tell them apart. None if no racer gains much.
+    """
+    first = evaluate(params)
+    drawn = sorted(_evaluated(evaluate, _draws(params, bounds, SEARCH_DRAWS, 0)), key=_loss)[:RACERS]
+    enough = ENOUGH * min([first, *(value for value, _ in drawn)])
+    own, others = (
+        _Racer(descend(params), (first, params)),
+        [_Racer(descend(point), (value, point)) for value, point in drawn],
+    )
+    for _ in range(RACE_ROUNDS):
+        for racer in (own, *others):
+            racer.run()
+            if racer.reached[0] < enough:
+                return racer.reached[1]
+        others.sort(key=lambda racer: racer.reached[0])
+        others = others[: max(len(others) // 2, 1)]
+    if others and others[0].reached[0] < MIN_LEAD * own.reached[0]:
+        return others[0].reached[1]
+    return own.reached[1] if own.reached[0] < MIN_GAIN * first else None
+
+
+@dataclass
+class _Racer:
+    """A descent, and the least loss that it has reached with its parameters."""
+
+    rounds: Iterator[tuple[float, Parameters]]
+    reached: tuple[float, Parameters]
+
+    def run(self) -> None:
+        """Take the steps of one round."""
+        with suppress(Exception):  # as in a search
+            self.reached = min(self.reached, next(self.rounds), key=_loss)
+
+
+def _loss(entry: tuple[float, Parameters]) -> float:
+    return entry[0]
+
+
+def _evaluated(evaluate: Evaluate, points: Iterable[Parameters]) -> Iterator[tuple[float, Parameters]]:
+    """Yield the finite losses and their points."""
+    for point in points:
         value = math.inf
         with suppress(Exception):  # a renderer need not accept every point within the bounds
             value = evaluate(point)
-        if not math.isfinite(value):
-            continue
-        if best is None or value < best[0]:
-            best = value, point
-    return best
+        if math.isfinite(value):
+            yield value, point
 
 
 def _draws(params: Parameters, bounds: Bounds, count: int, attempt: int) -> list[Parameters]:
