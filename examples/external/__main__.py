@@ -26,7 +26,7 @@ from examples.external.xray import XRAYS
 from loi_core.support.markdown import markdown
 
 QUICK_METHODS: Final = ("loi", "loi, matched", "pixel L2", "Gaussian pyramid", "CMA-ES")
-QUICK_STARTS: Final = 2
+QUICK_STARTS: Final = 1
 
 Named = TypeVar("Named", Problem, Method)
 
