@@ -18,6 +18,7 @@ from loi_mitsuba.geometry.components import ComponentIds
 from loi_mitsuba.geometry.mesh import connected_components
 from tests.helpers import Host
 from tests.mitsuba.scenes import HEIGHT, WIDTH, shadow_scene
+from tests.strategies import thorough
 
 MOVES: dict[str, Any] = {name: Translate("block", axis) for name, axis in zip("xyz", np.eye(3).tolist(), strict=True)}
 SEEDS = 8
@@ -83,7 +84,7 @@ def gradients(renderer: Any, weights: list[Host]) -> Host:
     return np.array(draws, dtype=np.float64)
 
 
-@pytest.mark.parametrize("light", LIGHTS)
+@pytest.mark.parametrize("light", ["lamp", pytest.param("sky", marks=thorough)])
 def test_overlapping_components_have_the_gradient_of_their_union(light: str, tmp_path: Path) -> None:
     """Shared edges used to count twice, or four times, and the crease between the bars not at all.
 
