@@ -212,7 +212,7 @@ class Descent:
             raced = self._race(state, draws) if attempt == 0 and self.steps >= MIN_RACE_STEPS else None
             if raced is not None:
                 memory = self.optimiser.start({name: raced[name] for name in self.bounds.lower}, state.memory)
-                state = replace(state, params=raced, memory=memory, schedule=schedule.found(), latest={})
+                state = replace(state, params=raced, memory=memory, schedule=schedule.in_main_stage(), latest={})
                 return replace(state, rates=self._higher_rates(state, "measuring rates anew"))
             best = None if local else min(draws, key=lambda entry: entry[0], default=None)
             if best is None:

@@ -127,12 +127,12 @@ class Schedule:
         start = self.step if self.stage == self._main else self.stage_start
         return replace(self, stuck=False, restarts=self.restarts - 1, values=(), stage_start=start)
 
-    def found(self) -> Schedule:
-        """Return the schedule in its main stage, once a race has found a better point."""
-        found = replace(
+    def in_main_stage(self) -> Schedule:
+        """Return the schedule at the start of its main stage, after a race; at the next stage if no steps are left."""
+        started = replace(
             self, stage=self._main, stage_start=self.step, values=(), stuck=False, restarts=self.restarts - 1
         )
-        return found._next_stage() if found._is_over else found
+        return started._next_stage() if started._is_over else started
 
     def proceed(self) -> Schedule:
         """Return the schedule with the stuck stage left: the next stage, or the rest of the main stage."""

@@ -38,9 +38,9 @@ LOCAL_RADIUS: Final = 0.15  # of the range, to either side
 RACERS: Final = 16
 RACE_ROUNDS: Final = 3  # after each, the half with the larger losses drops out
 ROUND_STEPS: Final = 4  # at a high rate
-ENOUGH: Final = 0.2  # fraction of the least loss at the start of a race: a racer that reaches it has won
-MIN_LEAD: Final = 0.9  # fraction of the own racer's loss below which another racer counts
-MIN_GAIN: Final = 0.5  # fraction of the own racer's first loss below which that racer counts
+WINNING_FRACTION: Final = 0.2  # of the least loss at the start of a race: a racer that reaches it has won
+LEAD_FRACTION: Final = 0.9  # of the loss of the descent from the current parameters, which another racer must reach
+GAIN_FRACTION: Final = 0.5  # of the loss at the current parameters, which the descent from them must reach
 MIN_RACE_STEPS: Final = 100  # of a fit; a race renders about as often
 MAX_SEARCH_NUMBERS: Final = 8  # in more dimensions so few draws cover next to nothing
 
@@ -128,29 +128,29 @@ def search(
 
 
 def race(evaluate: Evaluate, descend: Descend, params: Parameters, bounds: Bounds) -> Parameters | None:
-    """Return parameters with a far lower loss, some steps from these or from another point within the bounds.
+    """Return parameters with a far lower loss, a few steps from the current ones or from another point.
 
-    Of the points that the first :func:`search` draws, those with the least loss start, and the parameters themselves.
-    Several do, since a point near the target may have a larger loss than a point with a wrong side in view, and a few
-    steps tell them apart. None if no racer gains much.
+    The racers start at the current parameters, and at the 16 points with the least loss among those that the first
+    :func:`search` draws. A point near the target may have a larger loss than a point with a wrong side in view; a few
+    steps distinguish them. The result is None if no racer gains much.
     """
     first = evaluate(params)
     drawn = sorted(_evaluated(evaluate, _draws(params, bounds, SEARCH_DRAWS, 0)), key=_loss)[:RACERS]
-    enough = ENOUGH * min([first, *(value for value, _ in drawn)])
-    own, others = (
+    winning_loss = WINNING_FRACTION * min([first, *(value for value, _ in drawn)])
+    current, others = (
         _Racer(descend(params), (first, params)),
         [_Racer(descend(point), (value, point)) for value, point in drawn],
     )
     for _ in range(RACE_ROUNDS):
-        for racer in (own, *others):
+        for racer in (current, *others):
             racer.run()
-            if racer.reached[0] < enough:
+            if racer.reached[0] < winning_loss:
                 return racer.reached[1]
         others.sort(key=lambda racer: racer.reached[0])
         others = others[: max(len(others) // 2, 1)]
-    if others and others[0].reached[0] < MIN_LEAD * own.reached[0]:
+    if others and others[0].reached[0] < LEAD_FRACTION * current.reached[0]:
         return others[0].reached[1]
-    return own.reached[1] if own.reached[0] < MIN_GAIN * first else None
+    return current.reached[1] if current.reached[0] < GAIN_FRACTION * first else None
 
 
 @dataclass

@@ -124,8 +124,8 @@ def test_the_main_stage_begins_where_a_race_has_ended() -> None:
         schedule = schedule.after(1.0)
         if schedule.stuck:
             break
-    found = schedule.found()
-    assert (found.stage, found.stuck, found.restarts, found.stage_start) == (2, False, 2, schedule.step)
+    started = schedule.in_main_stage()
+    assert (started.stage, started.stuck, started.restarts, started.stage_start) == (2, False, 2, schedule.step)
 
 
 @pytest.mark.parametrize(("steps", "factor"), [(8, 1.0), (32, 1.0), (64, 2.0), (200, 6.25)])
