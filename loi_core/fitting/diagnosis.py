@@ -197,8 +197,8 @@ def exposures_of(views: Views, images: Images) -> dict[str, LinearExposure]:
         objective = views.by_name[name].requested
         if not isinstance(objective, ImageObjective) or tuple(image.shape) != tuple(objective.reference.shape):
             continue
-        exposure = objective.exposure_of(to_numpy(image))
-        exposures[name] = LinearExposure(exposure.gain.reshape(-1), exposure.offset.reshape(-1))
+        exposure = objective.exposure_of(detached(image))
+        exposures[name] = LinearExposure(to_numpy(exposure.gain).reshape(-1), to_numpy(exposure.offset).reshape(-1))
     return exposures
 
 

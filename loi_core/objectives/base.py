@@ -202,8 +202,10 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
         objective's own exposure is. Errors as in :meth:`value`.
         """
         image = widened(as_floating("image", image))
-        pipeline = self._prepare(image, image.shape, ARRAY_API).pipeline
-        return pipeline.exposure_of(image)
+        backend = choose_backend(image) if self.runs_on_numba else ARRAY_API
+        pipeline = self._prepare(image, image.shape, backend).pipeline
+        exposure = pipeline.exposure_of(backend.to_backend(image))
+        return LinearExposure(*(backend.to_library(part, image) for part in (exposure.gain, exposure.offset)))
 
     def prepare(self, shape: tuple[int, ...], like: Array) -> None:
         """Prepare the reference for images of `shape` and arrays like `like`, for :meth:`evaluate_unchecked`."""
