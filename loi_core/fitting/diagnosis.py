@@ -152,7 +152,7 @@ def diagnose_fit(views: Views, start: Parameters, bounds: Bounds, result: FitRes
             views.polishes,
             psnr_of(views, ungrouped(images)),
             exposed,
-            list(exposures_of(views, result.image).values()),
+            () if result.exposure is None else tuple(by_view(result.exposure).values()),
         )
     )
 

@@ -228,10 +228,10 @@ def fit(
         if result is None:  # pragma: no cover - steps >= 1 has evaluated at least one value
             msg = "the fit has no value"
             raise FitError(msg)
-        diagnosis = diagnose_fit(views, params, bounds, result, seed)
         exposures = exposures_of(views, result.image)
         exposure = ungrouped(exposures) if len(exposures) == len(views.by_name) else None
-        result = replace(result, diagnosis=diagnosis, psnr=psnr_of(views, result.image), exposure=exposure)
+        result = replace(result, psnr=psnr_of(views, result.image), exposure=exposure)
+        result = replace(result, diagnosis=diagnose_fit(views, params, bounds, result, seed))
         _release(file)  # here, since Ctrl-C in a `finally` would lose the result
         return result
     except KeyboardInterrupt:

@@ -118,7 +118,7 @@ class Offset(IntEnum):
     STRIP = 2  # rows that are transposed next
     COMPARED = 3  # differences at an extent, some rows at a time
     RETURNED = 4  # rows between the two bands of an extent's adjoint
-    ACCUMULATED = 5  # the difference of CDFs before it is centred; that of pyramid level 0 if it is not centred
+    ACCUMULATED = 5  # the difference of CDFs before it is centred, or pyramid level 0 if it is not centred
 
 
 class Plane(NamedTuple):
