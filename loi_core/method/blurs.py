@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final, Protocol, TypeAlias
+from typing import Protocol, TypeAlias
 
 import numpy as np
 
-from loi_core.method.gaussian import AxisBlur, Matrix
+from loi_core.method.gaussian import MATRICES, AxisBlur, Matrix
 from loi_core.method.plane_blurs import PlaneBlur, PlaneGrid, row_blocks
 from loi_core.method.scales import Boundary
 from loi_core.method.windows import Window
@@ -25,11 +25,9 @@ from loi_core.support.arrays import (
     namespace,
     outlives_its_context,
 )
-from loi_core.support.cache import ARRAY_OVERHEAD, Cache
+from loi_core.support.cache import ARRAY_OVERHEAD
 
 __all__ = ["Blur", "DenseBlur", "GaussianBlur", "blur_about", "gaussian_blur"]
-
-MAX_CACHED_ELEMENTS: Final = 2**24  # 64 MiB in float32, for all devices together
 
 
 class Blur(Protocol):
@@ -123,19 +121,18 @@ class _AxisProduct:
 
 
 _Products: TypeAlias = tuple[_AxisProduct, _AxisProduct]
-_CACHE: Final = Cache[tuple[AxisBlur, str, str, str], _Products](MAX_CACHED_ELEMENTS)
 
 
 def _products(blur: AxisBlur, like: Array) -> _Products:
     """Return the matrix of a blur and its transpose, for arrays like `like`."""
     key = (blur, library_name(like), str(like.dtype), str(device(like)))
-    products = _CACHE.get(key)
+    products: _Products | None = MATRICES.get(key)
     if products is None:
         forward = _AxisProduct.forward(blur, like)
         products = (forward, forward if blur.is_symmetric else _AxisProduct.adjoint(blur, like))
         if outlives_its_context(forward.blocks[0].left):
             elements = forward.elements + (0 if blur.is_symmetric else products[1].elements)
-            _CACHE.put(key, products, elements + 2 * ARRAY_OVERHEAD)
+            MATRICES.put(key, products, elements + 2 * ARRAY_OVERHEAD)
     return products
 
 

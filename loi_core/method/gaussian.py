@@ -10,13 +10,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final, TypeAlias
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
 from loi_core.method.scales import Boundary
+from loi_core.support.cache import Cache
 
 __all__ = [
+    "MATRICES",
     "AxisBlur",
     "AxisGrid",
     "Matrix",
@@ -270,3 +272,7 @@ def blur_matrix(size: int, scale: float, boundary: Boundary, taps: int | None = 
     """
     pixels = AxisGrid(size, size)
     return AxisBlur(pixels, pixels, scale, boundary, taps).matrix()
+
+
+MATRICES: Final = Cache[tuple[AxisBlur, object, object, object], Any](2**24)  # at most 64 MiB in float32
+"""The matrices of blurs that backends have prepared, by blur and kind of array, for all objectives and devices."""

@@ -47,6 +47,10 @@ class Supports:
     differences: tuple[Window, ...]
     cotangents: tuple[Window, ...]
 
+    def image_window(self, *, gradient: bool) -> Window:
+        """Return the pixels that the comparison, or its gradient, depends on."""
+        return self.cotangents[0] if gradient else self.differences[0]
+
     @classmethod
     def of(cls, differing: Window, plan: InnerPlan) -> Supports:
         """Return the supports of a difference that is 0 outside a window."""
@@ -120,7 +124,7 @@ def dependency_of(
 ) -> Dependency:
     """Return the dependency of a comparison of planes that differ in the first support."""
     differing = supports.differences[0]
-    window = supports.cotangents[0] if gradient else differing
+    window = supports.image_window(gradient=gradient)
     if scales.p != 1.0:
         return Dependency(supports, window)  # a small power of a tie is not small
     xp = namespace(intensity)

@@ -14,10 +14,9 @@ from hypothesis import assume, example, given
 from hypothesis import strategies as st
 
 from loi_core import LogTone, LOIObjective, ScaleSpace
-from loi_core.method.blurs import _CACHE
 from loi_core.method.comparison import ComparisonResult
 from loi_core.method.dispatch import ARRAY_API, NUMBA
-from loi_core.method.gaussian import AxisBlur, AxisGrid, coarsest_spacing, equivalent_scale, pyramid_variance
+from loi_core.method.gaussian import MATRICES, AxisBlur, AxisGrid, coarsest_spacing, equivalent_scale, pyramid_variance
 from loi_core.method.plane_blurs import PlaneGrid
 from loi_core.method.planner import make_plan
 from loi_core.method.reference import loss_and_gradient
@@ -265,10 +264,7 @@ def test_caches_of_operators_are_bounded() -> None:
         for backend in (nullcontext, without_numba):
             with backend():
                 LOIObjective(np.zeros((size, size, 1)), ScaleSpace.paper("path")).value(np.zeros((size, size, 1)))
-    from loi_core.method.compiled import bands
-
-    sizes = _CACHE.elements, bands._CACHE.elements
+    elements = MATRICES.elements
     LOIObjective(np.ones((59, 59, 1)), ScaleSpace.paper("path")).value(np.zeros((59, 59, 1)))
-    assert sizes == (_CACHE.elements, bands._CACHE.elements)
-    assert 0 < sizes[0] <= 2**24
-    assert 0 < sizes[1] <= 2**22
+    assert MATRICES.elements == elements
+    assert 0 < elements <= 2**24

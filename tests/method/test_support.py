@@ -20,7 +20,6 @@ from loi_core.method.distance import sum_of_costs
 from loi_core.method.gaussian import AxisBlur, AxisGrid
 from loi_core.method.plane_blurs import PlaneBlur, PlaneGrid
 from loi_core.method.scales import Boundary
-from loi_core.method.support import Dependency
 from loi_core.method.windows import Window, window_of
 from loi_core.support.arrays import Array
 from tests.contents import CONTENTS
@@ -166,8 +165,8 @@ def test_the_schedule_of_the_loops_compares_only_pixels_that_can_differ() -> Non
     schedules: list[Any] = []
     make_schedule = scheduler.schedule
 
-    def recording(self: Any, dependency: Dependency) -> Any:
-        schedules.append(make_schedule(self, dependency))
+    def recording(self: Any, *arguments: Any, **options: Any) -> Any:
+        schedules.append(make_schedule(self, *arguments, **options))
         return schedules[-1]
 
     with pytest.MonkeyPatch.context() as patch:

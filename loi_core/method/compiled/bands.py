@@ -9,13 +9,12 @@ from typing import Any, Final, TypeAlias
 import numpy as np
 
 from loi_core.method.compiled.tables import GROUP_ROWS, PAIRS_PER_STEP, TAPS_PER_STEP, BandColumn, Floats, Table
-from loi_core.method.gaussian import AxisBlur, Matrix
-from loi_core.support.cache import ARRAY_OVERHEAD, Cache
+from loi_core.method.gaussian import MATRICES, AxisBlur, Matrix
+from loi_core.support.cache import ARRAY_OVERHEAD
 
 __all__ = ["Band", "BandTable", "SymmetricGroups", "adjoint_band", "forward_band"]
 
 CHUNK_ROWS: Final = 16 * GROUP_ROWS  # rows of a matrix that are computed together
-MAX_CACHED_ELEMENTS: Final = 2**22
 
 Entries: TypeAlias = Callable[[range], tuple[range, Matrix]]
 """From some rows of a matrix to their nonzero columns, and the entries there."""
@@ -172,9 +171,6 @@ class BandTable:
         return cls(tuple(bands), np.concat(arrays), np.concat([band.starts for band in bands]), table)
 
 
-_CACHE: Final = Cache[tuple[AxisBlur, np.dtype[Any], bool], Band](MAX_CACHED_ELEMENTS)
-
-
 def forward_band(blur: AxisBlur, dtype: np.dtype[Any]) -> Band:
     """Return the matrix of a blur."""
 
@@ -198,10 +194,10 @@ def adjoint_band(blur: AxisBlur, dtype: np.dtype[Any]) -> Band:
 
 
 def _cached(blur: AxisBlur, dtype: np.dtype[Any], entries: Entries, *, adjoint: bool) -> Band:
-    key = (blur, dtype, adjoint)
-    band = _CACHE.get(key)
+    key = (blur, "numba", dtype, adjoint)
+    band: Band | None = MATRICES.get(key)
     if band is None:
         shape = (blur.source.cells, blur.target.cells) if adjoint else (blur.target.cells, blur.source.cells)
         band = Band.of(*shape, entries, dtype)
-        _CACHE.put(key, band, band.weights.size + ARRAY_OVERHEAD)
+        MATRICES.put(key, band, band.weights.size + ARRAY_OVERHEAD)
     return band

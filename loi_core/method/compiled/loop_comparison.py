@@ -164,9 +164,8 @@ class _InnerComparison:
         differing = differing_window(image[None], reference[None], self.scales)
         if differing is None:
             return []
-        supports = self.scheduler.supports_of(differing)
-        dependency = dependency_of(supports, image[None], reference[None], self.scales, gradient=gradient)
-        schedule = self.scheduler.schedule(dependency)
+        schedule = self.scheduler.schedule(differing, gradient=gradient)
+        dependency = dependency_of(schedule.supports, image[None], reference[None], self.scales, gradient=gradient)
         eps = float(np.finfo(image.dtype).eps)
         tasks = []
         for tonal in self.tonal:

@@ -31,7 +31,7 @@ from loi_core.method.compiled.tables import (
 )
 from loi_core.method.plan import InnerPlan
 from loi_core.method.plane_blurs import PlaneBlur
-from loi_core.method.support import Dependency, Supports
+from loi_core.method.support import Supports
 from loi_core.method.windows import Window
 from loi_core.support.cache import Cache
 
@@ -42,8 +42,9 @@ MAX_CACHED_SCHEDULES: Final = 16  # of one inner scale: windows change from step
 
 @dataclass(frozen=True)
 class Schedule:
-    """The tables of one comparison, and the number of elements of its workspace."""
+    """The supports of one comparison, its tables, and the number of elements of its workspace."""
 
+    supports: Supports
     pyramid: Table
     blurs: Table
     offsets: Table
@@ -92,8 +93,7 @@ class Scheduler:
     spacings: Floats  # shape (E, 2): see `loi_core.method.compiled.tables.Tables`
     block_sums_size: int  # the largest of all extents
     centred: bool = False
-    supports: Cache[Window, Supports] = field(default_factory=lambda: Cache(MAX_CACHED_SCHEDULES))
-    schedules: Cache[tuple[Window, Window], Schedule] = field(default_factory=lambda: Cache(MAX_CACHED_SCHEDULES))
+    schedules: Cache[tuple[Window, bool], Schedule] = field(default_factory=lambda: Cache(MAX_CACHED_SCHEDULES))
 
     @classmethod
     def of(cls, plan: InnerPlan, dtype: np.dtype[Any], *, centred: bool = False) -> Scheduler:
@@ -120,21 +120,12 @@ class Scheduler:
         sums = max(block_sums_size(grid.rows.cells, grid.columns.cells) for grid in grids)
         return cls(plan, BandTable.of(bands), tuple(blurs), np.asarray(spacings), sums, centred)
 
-    def supports_of(self, differing: Window) -> Supports:
-        """Return the supports of a difference that is 0 outside a window."""
-        supports = self.supports.get(differing)
-        if supports is None:
-            supports = Supports.of(differing, self.plan)
-            self.supports.put(differing, supports, 1)
-        return supports
-
-    def schedule(self, dependency: Dependency) -> Schedule:
-        """Return the schedule of the comparison of a dependency."""
-        key = dependency.supports.differences[0], dependency.window
-        schedule = self.schedules.get(key)
+    def schedule(self, differing: Window, *, gradient: bool) -> Schedule:
+        """Return the schedule of the comparison of a difference that is 0 outside a window."""
+        schedule = self.schedules.get((differing, gradient))
         if schedule is None:
-            schedule = self._make_schedule(dependency)
-            self.schedules.put(key, schedule, 1)
+            schedule = self._make_schedule(Supports.of(differing, self.plan), gradient=gradient)
+            self.schedules.put((differing, gradient), schedule, 1)
         return schedule
 
     @property
@@ -142,12 +133,13 @@ class Scheduler:
         """Number of blurs that lead to pyramid levels; they come first."""
         return len(self.plan.pyramid)
 
-    def _make_schedule(self, dependency: Dependency) -> Schedule:
-        allocator, bands, supports = Allocator(), self.bands.bands, dependency.supports
+    def _make_schedule(self, supports: Supports, *, gradient: bool) -> Schedule:
+        allocator, bands = Allocator(), self.bands.bands
+        image_window = supports.image_window(gradient=gradient)
         pyramid = np.zeros((self._steps + 1, len(PyramidColumn)), np.int64)
         for index, row in enumerate(pyramid):
             shape = self._level_shape(index)
-            window = _whole_groups(_oriented(supports.cotangents[index], index)) if index else dependency.window
+            window = _whole_groups(_oriented(supports.cotangents[index], index)) if index else image_window
             row[:] = allocator.plane(shape), allocator.plane(shape), row_stride(shape[1]), *_edges(window)
         slope = allocator.plane(self._level_shape(0))
         blurs = np.zeros((len(self.blurs), BlurColumn.ADJOINT + len(PassColumn)), np.int64)
@@ -178,7 +170,7 @@ class Scheduler:
         difference = int(pyramid[0, PyramidColumn.DIFFERENCE])
         accumulated = allocator.plane(self._level_shape(0)) if self.centred else difference
         offsets = np.asarray((slope, transposed, strip, compared, returned_rows, accumulated), np.int64)
-        return Schedule(pyramid, blurs, offsets, allocator.elements)
+        return Schedule(supports, pyramid, blurs, offsets, allocator.elements)
 
     def _level_shape(self, level: int) -> tuple[int, int]:
         """Return the rows to allocate for a pyramid level's planes, and their columns."""
