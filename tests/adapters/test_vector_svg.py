@@ -210,6 +210,64 @@ def test_unsupported_svg_content_is_named_in_one_line(tmp_path: File, content: s
     assert str(caught.value).startswith(str(file))
 
 
+INKSCAPE = """<?xml version="1.0" encoding="UTF-8" standalone="no"?>
+<!-- Created with Inkscape (http://www.inkscape.org/) -->
+<svg width="210mm" height="297mm" viewBox="0 0 210 297" version="1.1" id="svg5" inkscape:version="1.3.2"
+   xmlns:inkscape="http://www.inkscape.org/namespaces/inkscape" xmlns:xlink="http://www.w3.org/1999/xlink"
+   xmlns:sodipodi="http://sodipodi.sourceforge.net/DTD/sodipodi-0.dtd" xmlns="http://www.w3.org/2000/svg">
+  <sodipodi:namedview id="view" pagecolor="#ffffff"><inkscape:grid type="xygrid" id="grid1" /></sodipodi:namedview>
+  <defs id="defs2">
+    <linearGradient inkscape:collect="always" id="ramp"><stop style="stop-color:#f00;stop-opacity:1" /></linearGradient>
+    <clipPath clipPathUnits="userSpaceOnUse" id="clip"><rect width="10" height="10" id="rect9" /></clipPath>
+  </defs>
+  <g inkscape:label="Layer 1" inkscape:groupmode="layer" id="layer1" transform="translate(3.5,-2)">
+    <path style="line-height:normal;letter-spacing:normal;direction:ltr;dominant-baseline:auto;shape-padding:0;
+      clip-rule:nonzero;isolation:auto;mix-blend-mode:normal;color-interpolation-filters:linearRGB;solid-color:#000;
+      vector-effect:none;fill:#00f;marker:none;image-rendering:auto" d="m 9,9 c 10,20 30,20 40,0 z" id="path33" />
+    EXTRA
+  </g>
+</svg>"""
+FIGMA = """<svg width="24" height="24" viewBox="0 0 24 24" fill="none" xmlns="http://www.w3.org/2000/svg">
+<path fill-rule="evenodd" clip-rule="evenodd" d="M12 2C6.48 2 2 6.48 2 12C2 17.52 6.48 22 12 22Z" fill="#1E1E1E"/>
+EXTRA
+<defs>
+<radialGradient id="paint0" cx="0" cy="0" r="1" gradientUnits="userSpaceOnUse"><stop stop-color="red"/></radialGradient>
+<clipPath id="clip0"><rect width="24" height="24" fill="white"/></clipPath>
+<filter id="filter0" x="0" y="0" width="24" height="24"><feFlood flood-opacity="0"/></filter>
+</defs>
+</svg>"""
+
+
+@pytest.mark.parametrize("content", [INKSCAPE, FIGMA])
+@pytest.mark.parametrize(
+    ("extra", "message"),
+    [
+        ("", None),
+        ('<symbol id="s"><circle r="4"/></symbol>', None),
+        ('<rect width="9" height="9" fill="url(#paint0)"/>', "<rect>: `fill` must be none, #rgb, "),
+        ('<path d="M0 0h9" stroke="url(#ramp)"/>', "rgb(...) or a name, got 'url(#ramp)', a gradient or a pattern"),
+        ('<g clip-path="url(#clip0)"></g>', "<g>: `clip-path` = 'url(#clip0)' is not supported"),
+        ('<g filter="url(#filter0)"></g>', "<g>: `filter` = 'url(#filter0)' is not supported"),
+        ('<mask id="m"><circle r="4"/></mask><g mask="url(#m)"></g>', "<g>: `mask` = 'url(#m)' is not supported"),
+        ('<use href="#path33"/>', "<use> is not supported here"),
+        ('<use xlink:href="#path33" xmlns:xlink="http://www.w3.org/1999/xlink"/>', "<use> is not supported here"),
+        ("<defs><style>.a { fill: red }</style></defs>", "<style> is not supported here"),
+    ],
+)
+def test_definitions_of_inkscape_and_figma_are_skipped_and_references_are_refused(
+    tmp_path: File, content: str, extra: str, message: str | None
+) -> None:
+    file = tmp_path / "drawing.svg"
+    file.write_text(content.replace("EXTRA", extra))
+    if message is None:
+        (shape,) = read_svg(file, 24, 24).shapes
+        assert isinstance(shape, Path)
+    else:
+        with pytest.raises(SvgError) as caught:
+            read_svg(file, 24, 24)
+        assert message in str(caught.value)
+
+
 def test_a_missing_svg_file_is_named_in_the_error(tmp_path: File) -> None:
     with pytest.raises(SvgError, match=r"none\.svg: cannot be read"):
         Vector(8, 8, svg=tmp_path / "none.svg")

@@ -21,7 +21,7 @@ CORNERS: Final = "data-loi-corners"
 NUMBER: Final = r"([+-]?(?:[0-9]+(?:\.[0-9]*)?|\.[0-9]+)(?:e[+-]?[0-9]+)?)(%?)"
 COMMAS: Final = re.compile(rf"rgba?\(\s*{NUMBER}\s*,\s*{NUMBER}\s*,\s*{NUMBER}\s*(?:,\s*{NUMBER}\s*)?\)")
 SPACES: Final = re.compile(rf"rgba?\(\s*{NUMBER}\s+{NUMBER}\s+{NUMBER}\s*(?:/\s*{NUMBER}\s*)?\)")
-DIGITS: Final = re.compile(r"#(?:[0-9a-f]{3,4}|[0-9a-f]{6}|[0-9a-f]{8})")
+NAME: Final = re.compile(rf"#[0-9a-f]{{3,8}}|{'|'.join(ImageColor.colormap)}")
 
 
 def read_colour(text: str) -> FloatArray | None:
@@ -30,12 +30,11 @@ def read_colour(text: str) -> FloatArray | None:
     Supports ``#rgb``, ``#rrggbb`` and ``rgb(...)``, each also with an opacity, and the names of CSS.
     """
     text = text.lower()
-    if text in ImageColor.colormap:
-        values = [byte / 255.0 for byte in ImageColor.getrgb(text)]
-    elif DIGITS.fullmatch(text):
-        length = 1 if len(text) < 6 else 2
-        digits = [text[at : at + length] * (3 - length) for at in range(1, len(text), length)]
-        values = [int(pair, 16) / 255.0 for pair in digits]
+    if NAME.fullmatch(text):
+        try:
+            values = [byte / 255.0 for byte in ImageColor.getrgb(text)]
+        except ValueError:
+            return None
     else:
         commas, spaces = COMMAS.fullmatch(text), SPACES.fullmatch(text)
         match = commas or spaces

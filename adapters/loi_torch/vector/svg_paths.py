@@ -12,7 +12,7 @@ import svgelements as svg
 from loi_core.renderers.validation import FloatArray
 from loi_torch.vector.shapes import Outline
 
-__all__ = ["Commands", "has_dot", "moved", "path_outlines", "without_arcs"]
+__all__ = ["Commands", "moved", "path_outlines", "without_arcs"]
 
 MAX_CUBIC_ARC_RADIANS: Final = math.tau / 10
 
@@ -76,11 +76,15 @@ def without_arcs(path: Iterable[Any]) -> Iterator[Any]:
             yield segment
 
 
-def path_outlines(path: Iterable[Any], matrix: FloatArray) -> list[Outline]:
-    """Return the outlines of a path of moves, lines and curves under the affine `matrix`, shape (3, 3)."""
+def path_outlines(path: Iterable[Any], matrix: FloatArray) -> tuple[list[Outline], float]:
+    """Return the outlines of a path of moves, lines and curves under the affine `matrix`, shape (3, 3).
+
+    Also returns the extent of its smallest part, which is 0 for a part whose points coincide.
+    """
     outlines: list[Outline] = []
     points: list[FloatArray] = []
     degrees: list[int] = []
+    extents = [math.inf]
 
     def finish(*, closed: bool) -> None:
         if closed and degrees:
@@ -91,6 +95,8 @@ def path_outlines(path: Iterable[Any], matrix: FloatArray) -> list[Outline]:
                 degrees.append(1)
         if degrees:
             outlines.append(Outline(np.array(points), tuple(degrees), closed))
+        if degrees or closed:
+            extents.append(float(np.ptp(points, axis=0).max()))
 
     for segment in path:
         if isinstance(segment, svg.Move):
@@ -107,28 +113,7 @@ def path_outlines(path: Iterable[Any], matrix: FloatArray) -> list[Outline]:
         points += [_point(getattr(segment, name), matrix) for name in (*inner, "end")]
         degrees.append(len(inner) + 1)
     finish(closed=False)
-    return outlines
-
-
-def has_dot(path: Iterable[Any], tolerance: float) -> bool:
-    """Return whether a part of a path stays within `tolerance`, so that only the caps of its stroke are visible."""
-    is_drawn, first = False, None
-    for segment in path:
-        if isinstance(segment, svg.Move):
-            if is_drawn and first is not None:
-                return True
-            is_drawn, first = False, segment.end
-        elif first is not None:
-            is_drawn = True
-            if any(
-                math.hypot(point.x - first.x, point.y - first.y) > tolerance for point in segment if point is not None
-            ):
-                first = None  # it leaves its start
-        if isinstance(segment, svg.Close):
-            if is_drawn and first is not None:
-                return True
-            is_drawn, first = False, segment.end
-    return is_drawn and first is not None
+    return outlines, min(extents)
 
 
 def _point(point: Any, matrix: FloatArray) -> FloatArray:

@@ -5,13 +5,12 @@ from __future__ import annotations
 import pathlib
 import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, NoReturn
 from xml.parsers import expat
 
 import numpy as np
 
-from loi_core.errors import SvgError
 from loi_core.io.files import read_bytes
 from loi_core.renderers.validation import FloatArray
 from loi_core.support.wording import described, shown
@@ -20,14 +19,17 @@ from loi_torch.vector.shapes import Path, Shape
 from loi_torch.vector.svg_colours import CORNERS, NAMESPACE
 from loi_torch.vector.svg_shapes import GEOMETRY, MAX_POINTS, element_shape
 from loi_torch.vector.svg_transforms import read_transform
-from loi_torch.vector.svg_values import Values
+from loi_torch.vector.svg_values import PIXELS, Element, fail
 
 __all__ = ["Drawing", "read_svg"]
 
 MAX_FILE_BYTES: Final = 8 * 1024 * 1024
 MAX_DEPTH: Final = 64
 
-SILENT: Final = ("title", "desc", "metadata")
+SILENT: Final = (  # not drawn where they stand; references to them are refused
+    *("title", "desc", "metadata", "defs", "symbol", "clipPath", "mask", "marker", "filter"),
+    *("pattern", "linearGradient", "radialGradient"),
+)
 INHERITED: Final = {
     "color": "black",
     "fill": "black",
@@ -53,10 +55,15 @@ HARMLESS: Final = {
     "clip-path": ("none",),
     "mask": ("none",),
     "filter": ("none",),
+    "isolation": ("auto",),
+    "vector-effect": ("none",),
+    **dict.fromkeys(("marker", "marker-start", "marker-mid", "marker-end"), ("none",)),
 }
 UNSEEN: Final = re.compile(
     r"id|version|baseProfile|role|class|focusable|lang|xml:.*|xmlns.*|data-.*|aria-.*|enable-background"
-    r"|shape-rendering|stroke-dashoffset|clip-rule|font-.*|text-.*|-inkscape-.*|.*:.*"
+    r"|.*-rendering|stroke-dashoffset|clip-rule|font-.*|text-.*|stop-.*|solid-.*|color-interpolation-filters"
+    r"|line-height|letter-spacing|word-spacing|writing-mode|direction|white-space|inline-size|shape-(padding|margin)"
+    r"|(dominant-|alignment-)baseline|baseline-shift|-inkscape-.*|.*:.*"
 )
 COMMENT: Final = re.compile(r"/\*.*?(?:\*/|\Z)", re.DOTALL)
 IMPORTANT: Final = re.compile(r"!\s*important", re.IGNORECASE)
@@ -78,15 +85,6 @@ class Drawing:
     background: FloatArray
 
 
-@dataclass(frozen=True)
-class _State:
-    """State that an element passes to its children."""
-
-    tag: str
-    matrix: FloatArray
-    style: Mapping[str, str]
-
-
 def read_svg(path: pathlib.Path, height: int, width: int) -> Drawing:
     """Read shapes from an SVG file.
 
@@ -106,129 +104,116 @@ def read_svg(path: pathlib.Path, height: int, width: int) -> Drawing:
     -----
     Supported are svg, g, path, rect, circle, ellipse, line, polyline and polygon with transforms, plain fills and
     strokes, opacities, fill rules, caps and joins, as attributes or in ``style``. Arcs become cubic curves. Circles and
-    rectangles that are skewed become paths. Elements that SVG does not show are left out.
+    rectangles that are skewed become paths. Elements that SVG does not show, such as the definitions of gradients in
+    ``defs``, are left out; references to them are errors.
     """
     try:
         content = read_bytes(path, MAX_FILE_BYTES)
     except (OSError, ValueError) as error:
-        msg = f"{path}: cannot be read ({described(error)})"
-        raise SvgError(msg) from None
-    values = Values(path)
-    reader = _Reader(values, height, width)
+        fail(path, f"cannot be read ({described(error)})")
+    reader = _Reader(path, height, width)
     parser = expat.ParserCreate(namespace_separator=" ")
     parser.StartDoctypeDeclHandler = reader.document_type
     parser.StartElementHandler = reader.start
     parser.EndElementHandler = reader.end
-    parser.CharacterDataHandler = None
     try:
         parser.Parse(content, True)  # noqa: FBT003 - it takes no keyword
     except expat.ExpatError as error:
-        values.fail(f"not well-formed XML ({described(error)})")
+        fail(path, f"not well-formed XML ({described(error)})")
     if not reader.drawing.shapes:
-        values.fail("there is no shape in it")
+        fail(path, "there is no shape in it")
     return reader.drawing
 
 
 class _Reader:
     """Collects shapes from the elements of a document."""
 
-    def __init__(self, values: Values, height: int, width: int) -> None:
+    def __init__(self, path: pathlib.Path, height: int, width: int) -> None:
         self.drawing = Drawing([], np.ones(3))
-        self._values = values
+        self._path = path
         self._size = height, width
-        self._states: list[_State] = []
+        self._open: list[Element] = []
         self._silent = 0
         self._points_left = MAX_POINTS
 
     def document_type(self, *_: object) -> NoReturn:
-        self._values.fail("has a document type declaration (<!DOCTYPE>), which is not read; delete it")
+        fail(self._path, "has a document type declaration (<!DOCTYPE>), which is not read; delete it")
 
     def end(self, _: str) -> None:
         if self._silent:
             self._silent -= 1
         else:
-            self._states.pop()
+            self._open.pop()
 
     def start(self, name: str, attributes: dict[str, str]) -> None:
         space, _, tag = name.rpartition(" ")
         in_svg_namespace = space in ("", NAMESPACE)
         if self._silent and in_svg_namespace and tag == "style":
-            self._values.fail("<style> is not supported here, since it also holds outside of what is not shown")
-        if self._silent or (self._states and (tag in SILENT or not in_svg_namespace)):
+            fail(self._path, "<style> is not supported here, since it also holds outside of what is not shown")
+        if self._silent or (self._open and (tag in SILENT or not in_svg_namespace)):
             self._silent += 1
             return
-        if len(self._states) >= MAX_DEPTH:
-            self._values.fail(f"elements lie more than {MAX_DEPTH} deep")
-        if (tag == "svg") == bool(self._states) or (tag not in ("svg", "g", *GEOMETRY)):
+        if len(self._open) >= MAX_DEPTH:
+            fail(self._path, f"elements lie more than {MAX_DEPTH} deep")
+        if (tag == "svg") == bool(self._open) or tag not in ("svg", "g", *GEOMETRY):
             names = f"svg (once, outermost), g, {', '.join(GEOMETRY)}"
-            self._values.fail(f"<{tag[:40]}> is not supported here; known are {names}")
-        above = self._states[-1] if self._states else _State("", np.eye(3), INHERITED)
+            fail(self._path, f"<{tag[:40]}> is not supported here; known are {names}")
+        above = self._open[-1] if self._open else Element(self._path, "", {}, INHERITED)
         if above.tag in GEOMETRY:
-            self._values.fail(f"<{tag}> in a <{above.tag}> is not supported; SVG does not show it")
-        element = _attributes(attributes)
-        if tag != "svg" and element.get("display", "").lower() == "none":
+            fail(self._path, f"<{tag}> in a <{above.tag}> is not supported; SVG does not show it")
+        plain = _attributes(attributes)
+        if tag != "svg" and plain.get("display", "").lower() == "none":
             self._silent += 1
             return
-        self._check(tag, element)
-        style = {**above.style, **{key: value for key, value in element.items() if _changes(key, value)}}
-        if tag == "svg":
-            matrix = self._root(element)
-        else:
-            matrix = above.matrix @ read_transform(self._values, tag, element.get("transform", ""))
+        style = {**above.style, **{key: value for key, value in plain.items() if _changes(key, value)}}
+        element = Element(self._path, tag, plain, style)
+        _check(element)
+        matrix = self._root(element) if tag == "svg" else above.matrix @ read_transform(element)
         if not np.all(np.abs(matrix) <= MAX_COORDINATE_PX):
-            self._values.fail(f"<{tag}>: all transforms together must stay within {MAX_COORDINATE_PX:g}")
-        state = _State(tag, matrix, style)
-        self._states.append(state)
-        opacity = self._values.share(tag, "opacity", element.get("opacity", "1"))
+            element.fail(f"all transforms together must stay within {MAX_COORDINATE_PX:g}")
+        element = replace(element, matrix=matrix)
+        self._open.append(element)
         if tag in GEOMETRY:
-            self._shape(tag, element, state, opacity)
-        elif opacity != 1.0:
-            self._values.fail(f"<{tag}> with an `opacity` is not supported; give it to each shape")
+            shape = element_shape(element, self._points_left)
+            if isinstance(shape, Path):
+                self._points_left -= sum(len(outline.points) for outline in shape.outlines)
+            self.drawing.shapes.extend([shape] if shape else [])
+        elif element.share("opacity", element.text("opacity", "1")) != 1.0:
+            fail(self._path, f"<{tag}> with an `opacity` is not supported; give it to each shape")
 
-    def _check(self, tag: str, element: Mapping[str, str]) -> None:
-        """Refuse attributes that are not supported."""
-        allowed = {*INHERITED, *GEOMETRY.get(tag, ()), "opacity", "transform"}
-        if tag == "svg":
-            allowed |= {"width", "height", "viewBox", "background-color", "x", "y"}
-        for key, value in element.items():
-            if key in allowed or key == CORNERS or UNSEEN.fullmatch(key) or value in HARMLESS.get(key, ()):
-                continue
-            self._values.fail(f"<{tag}>: `{key[:40]}` = {shown(value)} is not supported")
-
-    def _root(self, element: Mapping[str, str]) -> FloatArray:
+    def _root(self, element: Element) -> FloatArray:
         height, width = self._size
-        background = element.get("background-color", "transparent")
+        background = element.text("background-color", "transparent")
         if background.lower() != "transparent":
-            colour = self._values.colour("svg", "background-color", background)
+            colour = element.colour("background-color", background)
             if colour[3] != 1.0:
-                self._values.fail(f"<svg>: `background-color` must be opaque, got {shown(background)}")
+                element.fail(f"`background-color` must be opaque, got {shown(background)}")
             self.drawing.background[:] = colour[:3]
-        if "transform" in element:
-            self._values.fail("<svg>: `transform` is not supported here; give it to a <g>")
-        if "viewBox" in element:
-            box = [self._values.number("svg", "viewBox", one) for one in element["viewBox"].replace(",", " ").split()]
+        if "transform" in element.attributes:
+            element.fail("`transform` is not supported here; give it to a <g>")
+        if "viewBox" in element.attributes:
+            box = [element.number("viewBox", text) for text in element.attributes["viewBox"].replace(",", " ").split()]
             allowed = "`viewBox` must be four numbers, the last two more than 0"
         else:
-            lengths = [
-                element.get(key, str(canvas_size)) for key, canvas_size in (("width", width), ("height", height))
-            ]
-            box = [0.0, 0.0, *(self._values.length("svg", "width or height", one) for one in lengths)]
+            sides = {"width": width, "height": height}
+            lengths = [element.number(key, element.text(key, str(side)), PIXELS) for key, side in sides.items()]
+            box = [0.0, 0.0, *lengths]
             allowed = "`width` and `height` must be more than 0"
         if len(box) != 4 or min(box[2:]) <= 0.0:
-            self._values.fail(f"<svg>: {allowed}, got {shown(element.get('viewBox', box[2:]))}")
+            element.fail(f"{allowed}, got {shown(element.attributes.get('viewBox', box[2:]))}")
         scale = min(width / box[2], height / box[3])
         left, top = 0.5 * (width - scale * box[2]), 0.5 * (height - scale * box[3])
         return np.array([[scale, 0.0, left - scale * box[0]], [0.0, scale, top - scale * box[1]], [0.0, 0.0, 1.0]])
 
-    def _shape(self, tag: str, element: Mapping[str, str], state: _State, opacity: float) -> None:
-        shape = element_shape(
-            self._values, tag, element, state.style, state.matrix, opacity=opacity, most_points=self._points_left
-        )
-        if shape is None:
-            return
-        if isinstance(shape, Path):
-            self._points_left -= sum(len(outline.points) for outline in shape.outlines)
-        self.drawing.shapes.append(shape)
+
+def _check(element: Element) -> None:
+    """Refuse attributes that are not supported."""
+    allowed = {*INHERITED, *GEOMETRY.get(element.tag, ()), "opacity", "transform", CORNERS}
+    if element.tag == "svg":
+        allowed |= {"width", "height", "viewBox", "background-color", "x", "y"}
+    for key, value in element.attributes.items():
+        if key not in allowed and not UNSEEN.fullmatch(key) and value not in HARMLESS.get(key, ()):
+            element.fail(f"`{key[:40]}` = {shown(value)} is not supported")
 
 
 def _attributes(attributes: Mapping[str, str]) -> dict[str, str]:
