@@ -15,7 +15,7 @@ from loi_core.errors import ImageFileError
 __all__ = ["read_exr"]
 
 COLOURS: Final = (("R", "G", "B", "A"), ("R", "G", "B"), ("Y",))
-BYTES_PER_PIXEL: Final = 16  # of all parts and channels: four 32-bit channels
+BYTES_PER_PIXEL: Final = 16  # of all parts and channels: four of 32 bits, since headers read by OpenEXR lack the type
 
 
 def read_exr(path: Path, max_pixels: int) -> np.ndarray[Any, Any]:

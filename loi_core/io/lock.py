@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Final
@@ -32,7 +33,10 @@ def exclusive_use(lock: Path, subject: Path) -> Iterator[None]:
     held = FileLock(lock)
     try:
         lock.parent.mkdir(parents=True, exist_ok=True)
-        held.acquire(timeout=0)
+        with warnings.catch_warnings():
+            # On file systems without flock, filelock warns at every call that the existence of the file is the lock.
+            warnings.simplefilter("ignore", UserWarning)
+            held.acquire(timeout=0)
     except Timeout:
         msg = f"{subject} is in use by another fit; wait until it ends, or stop it"
         raise InUseError(msg) from None

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import errno
+import fcntl
 import signal
 import subprocess
 import sys
@@ -41,3 +43,15 @@ def test_a_link_is_not_used_as_a_lock_file(tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to("target")
     with pytest.raises(WriteError, match="link could not be written"):
         exclusive_use(tmp_path / "link", tmp_path).__enter__()
+
+
+def test_a_file_system_without_flock_has_locks_that_do_not_warn(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(descriptor: int, operation: int) -> None:
+        raise OSError(errno.ENOSYS, "Function not implemented")
+
+    monkeypatch.setattr(fcntl, "flock", refuse)
+    with exclusive_use(tmp_path / "lock", tmp_path), pytest.raises(InUseError, match="is in use by another fit"):
+        exclusive_use(tmp_path / "lock", tmp_path).__enter__()
+    assert list(tmp_path.iterdir()) == []

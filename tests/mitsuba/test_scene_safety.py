@@ -65,6 +65,36 @@ def test_a_plugin_in_another_folder_of_the_scene_is_not_loaded(tmp_path: Path, *
         load(write_scene(tmp_path, BALL + body))
 
 
+@pytest.mark.parametrize(
+    "body",
+    [
+        '<include filename="pipe.xml"/>',
+        "<default name='file' value='p&#105;pe.xml'/><include filename='$file'/>",
+        '<include filename="light.xml"/>',
+        '<texture type="bitmap"><string name="filename" value="pipe.xml"/></texture>',
+    ],
+    ids=["include", "parameter", "include of an include", "texture"],
+)
+def test_a_pipe_that_a_scene_names_is_refused_and_not_read(tmp_path: Path, body: str) -> None:
+    os.mkfifo(tmp_path / "pipe.xml")
+    (tmp_path / "light.xml").write_text('<scene version="3.0.0"><include filename="pipe.xml"/></scene>')
+    with pytest.raises(SceneLoadError, match=r"pipe\.xml: not a regular file"):
+        load(write_scene(tmp_path, BALL + body))
+
+
+def test_a_pipe_in_a_dict_is_refused_and_not_read(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "pipe.png")
+    with pytest.raises(SceneLoadError, match=r"pipe\.png: not a regular file"):
+        load({"type": "scene", "map": {"type": "bitmap", "filename": str(tmp_path / "pipe.png")}})
+
+
+def test_entities_of_an_xml_scene_stay_unexpanded(tmp_path: Path) -> None:
+    path = write_scene(tmp_path, f'{BALL}{LIGHT}<shape type="&s;"/>')
+    path.write_text(f'<!DOCTYPE scene [<!ENTITY s "sphere">]>{path.read_text()}')
+    with pytest.raises(SceneLoadError, match="got '&s;'"):
+        load(path)
+
+
 PROGRAM = """
 import sys
 import loi_mitsuba

@@ -1,15 +1,19 @@
-"""Check the names of plugins before Mitsuba loads a scene.
+"""Check the names of plugins and files before Mitsuba loads a scene.
 
 Mitsuba loads an unknown plugin from ``plugins/NAME.so`` and searches the scene's folder before its own. Therefore all
 plugins that Mitsuba ships are loaded from its own folder first, and any other name must be a plain word that no library
 in a searched folder has. This includes plugins that Mitsuba instantiates by default, such as a film's filter.
+
+Mitsuba would wait for the content of a named pipe forever, so a text of a scene that names a pipe or device is refused.
 """
 
 from __future__ import annotations
 
 import contextlib
 import functools
+import html
 import re
+import stat
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -22,6 +26,7 @@ from loi_core.support.wording import printable, shown
 __all__ = ["SceneLoadError", "check_description", "check_scene_file", "file_search_path", "load_shipped_plugins"]
 
 PLUGIN_NAME: Final = re.compile(r"[A-Za-z0-9_]+")
+QUOTED_TEXT: Final = re.compile("\"([^\"]*)\"|'([^']*)'")
 LIBRARY_SUFFIXES: Final = (".so", ".dylib", ".dll")
 
 
@@ -30,16 +35,18 @@ class SceneLoadError(LoiError, ValueError):
 
 
 def check_scene_file(path: Path) -> None:
-    """Check the plugins that an XML scene and the files it includes name.
+    """Check the plugins and files that an XML scene and the files it includes name.
 
     Raises
     ------
     SceneLoadError
-        If the file cannot be parsed, or a plugin is neither Mitsuba's own nor registered.
+        If the file cannot be parsed, a plugin is neither Mitsuba's own nor registered, or a named file is a pipe or
+        device.
     """
     if not path.is_file():
         msg = f"`scene` cannot be loaded: {path}: {'not a regular file' if path.exists() else 'no such file'}"
         raise SceneLoadError(printable(msg))
+    _check_files_of(path, [path.absolute().parent, *_searched_folders()], set())
     with file_search_path([path.parent], extend=True):  # <path> elements add folders, which must not outlive the parser
         try:
             state = mi.parser.parse_file(mi.parser.ParserConfig(mi.variant()), str(path))
@@ -51,28 +58,60 @@ def check_scene_file(path: Path) -> None:
 
 
 def check_description(description: Mapping[str, Any]) -> None:
-    """Check the plugins that a dict for ``mi.load_dict`` names.
+    """Check the plugins and files that a dict for ``mi.load_dict`` names.
 
     Raises
     ------
     SceneLoadError
-        If a plugin is neither Mitsuba's own nor registered.
+        If a plugin is neither Mitsuba's own nor registered, or a named file is a pipe or device.
     """
-    _check_plugins(_plugin_names(description), ())
+    texts = list(_texts(description))
+    _check_files((text for _, text in texts), _searched_folders())
+    _check_plugins((text for key, text in texts if key == "type"), ())
 
 
-def _plugin_names(description: Mapping[str, Any]) -> Iterator[str]:
+def _texts(description: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     for key, value in description.items():
         if isinstance(value, Mapping):
-            yield from _plugin_names(value)
-        elif key == "type" and isinstance(value, str):
-            yield value
+            yield from _texts(value)
+        elif isinstance(value, str):
+            yield key, value
+
+
+def _searched_folders() -> list[Path]:
+    resolver = mi.file_resolver()
+    return [Path.cwd(), *(Path(str(resolver[index])) for index in range(len(resolver)))]
+
+
+def _check_files_of(path: Path, folders: Iterable[Path], checked: set[Path]) -> None:
+    """Check the quoted texts of an XML file, and of the XML files that they name."""
+    checked.add(path)
+    content = path.read_text(encoding="utf-8", errors="replace")
+    texts = {html.unescape(double or single) for double, single in QUOTED_TEXT.findall(content)}
+    for file in _check_files(texts, folders):
+        if file.suffix.lower() == ".xml" and file not in checked:
+            _check_files_of(file, folders, checked)
+
+
+def _check_files(names: Iterable[str], folders: Iterable[Path]) -> list[Path]:
+    """Return the regular files with these names, and raise an error for pipes and devices."""
+    files = []
+    for file in (folder / name for name in names for folder in folders):
+        try:
+            mode = file.stat().st_mode
+        except (OSError, ValueError):  # no such file, or no name of a file
+            continue
+        if stat.S_ISREG(mode):
+            files.append(file)
+        elif not stat.S_ISDIR(mode):
+            msg = f"`scene` cannot be loaded: {file}: not a regular file"
+            raise SceneLoadError(printable(msg))
+    return files
 
 
 def _check_plugins(names: Iterable[str], folders: Iterable[Path]) -> None:
     shipped = load_shipped_plugins()
-    resolver = mi.file_resolver()
-    searched = [Path.cwd(), *folders, *(Path(str(resolver[index])) for index in range(len(resolver)))]
+    searched = [*_searched_folders(), *folders]
     for name in dict.fromkeys(names):
         if not PLUGIN_NAME.fullmatch(name):
             msg = f"a plugin's name must be letters, digits and underscores, got {shown(name)}"
