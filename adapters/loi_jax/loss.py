@@ -10,12 +10,12 @@ import jax.numpy as jnp
 import numpy as np
 
 from loi_core import LogTone, LOIObjective, ScaleSpace
-from loi_core.errors import DerivativeError, ImageTypeError, NonFiniteImageError
+from loi_core.errors import DerivativeError, ImageError, ImageTypeError
 from loi_core.method.dispatch import numba_supports
 from loi_core.pixels.colours import Colours
 from loi_core.pixels.exposure import Exposure
 from loi_core.pixels.nonfinite import NanPolicy
-from loi_core.support.arrays import as_floating, is_traced
+from loi_core.support.arrays import as_floating, held, is_traced
 from loi_jax.primitive import Host, evaluate
 
 __all__ = ["loi_loss"]
@@ -50,14 +50,16 @@ def loi_loss(
     -------
     callable
         Maps an image, shape (*batch, H, W, C), to a scalar. It works under ``jit``, ``grad`` and ``vmap`` in any
-        order, and is traced once for each shape and dtype.
+        order, and is traced once for each shape and dtype. Its keyword `weights`, shape (H, W) or the image's shape
+        without channels, brings the weights of that image, such as the mask of the pixels that a warp covers. They
+        multiply the weights of the reference and get no gradient.
 
     Notes
     -----
     Traced values cannot raise errors: under ``jit`` and ``vmap`` with ``nan_policy="raise"``, value and gradient of a
-    non-finite image are NaN, which ``fit`` and ``jax.debug_nans`` detect. float16 and bfloat16 are compared in
-    float32. Forward mode (``jvp``, ``jacfwd``) raises a DerivativeError; under ``jit`` and in the result of
-    ``linearize``, JAX itself raises a TypeError.
+    non-finite image, or of negative `weights`, are NaN, which ``fit`` and ``jax.debug_nans`` detect. float16 and
+    bfloat16 are compared in float32. Forward mode (``jvp``, ``jacfwd``) raises a DerivativeError; under ``jit`` and in
+    the result of ``linearize``, JAX itself raises a TypeError.
     """
     for name, array in (("reference", reference), ("weights", weights)):
         if is_traced(array):
@@ -89,26 +91,29 @@ class _Loss:
         traceable = _Traceable(objective)
 
         @jax.custom_vjp
-        def loss(image: jax.Array) -> jax.Array:
-            return traceable.value(image)
+        def loss(image: jax.Array, weights: jax.Array | None) -> jax.Array:
+            return traceable.value(image, weights)
 
-        def forward(image: jax.Array) -> tuple[jax.Array, jax.Array]:
-            return traceable.value_and_grad(image)
+        def forward(image: jax.Array, weights: jax.Array | None) -> tuple[jax.Array, jax.Array]:
+            return traceable.value_and_grad(image, weights)
 
-        def backward(gradient: jax.Array, upstream: jax.Array) -> tuple[jax.Array]:
-            return (upstream * gradient,)
+        def backward(gradient: jax.Array, upstream: jax.Array) -> tuple[jax.Array, None]:
+            return upstream * gradient, None
 
         loss.defvjp(forward, backward)
         self._loss = loss
         self.__name__ = "loi_loss"  # its name in compiled programs
 
-    def __call__(self, image: jax.Array) -> jax.Array:
-        """Return the loss of `image`."""
+    def __call__(self, image: jax.Array, *, weights: jax.Array | None = None) -> jax.Array:
+        """Return the loss of `image`, with weights of its pixels."""
         image = as_floating("image", jnp.asarray(image))
         # Convert before the custom derivative, so that JAX scales the gradient before rounding it to 16 bits.
         precise = image.astype(jnp.float32) if image.dtype in HALF_DTYPES else image
+        if weights is not None:
+            self._objective.check_shape(image.shape, weights)
+            weights = held(jnp.asarray(weights, dtype=precise.dtype))
         try:
-            return self._loss(precise)
+            return self._loss(precise, weights)
         except TypeError as error:  # JAX has no specific error type
             if "forward-mode" not in str(error):
                 raise
@@ -128,43 +133,52 @@ class _Traceable:
     def __init__(self, objective: LOIObjective) -> None:
         self._objective = objective
 
-    def value(self, image: jax.Array) -> jax.Array:
-        return self._evaluate(image, gradient=False)[0]
+    def value(self, image: jax.Array, weights: jax.Array | None) -> jax.Array:
+        return self._evaluate(image, weights, gradient=False)[0]
 
-    def value_and_grad(self, image: jax.Array) -> tuple[jax.Array, jax.Array]:
-        value, slope = self._evaluate(image, gradient=True)
+    def value_and_grad(self, image: jax.Array, weights: jax.Array | None) -> tuple[jax.Array, jax.Array]:
+        value, slope = self._evaluate(image, weights, gradient=True)
         return value, slope
 
-    def _evaluate(self, image: jax.Array, *, gradient: bool) -> Sequence[jax.Array]:
-        if not isinstance(image, jax.core.Tracer):
-            return self._evaluate_checked(image, gradient=gradient)
+    def _evaluate(self, image: jax.Array, weights: jax.Array | None, *, gradient: bool) -> Sequence[jax.Array]:
+        if not is_traced(image) and not is_traced(weights):
+            return self._evaluate_checked(image, weights, gradient=gradient)
         if numba_supports(str(image.dtype)) and jax.sharding.get_abstract_mesh().empty:
             # With a mesh, each of several devices would compare its part.
             self._objective.check_shape(image.shape)  # while the caller is on the stack
-            return evaluate(self, image, gradient=gradient)
-        return self.on_arrays(image, gradient=gradient)
+            return evaluate(self, image, weights, gradient=gradient)
+        return self.on_arrays(image, weights, gradient=gradient)
 
-    def _evaluate_checked(self, image: Any, *, gradient: bool) -> tuple[Any, ...]:
+    def _evaluate_checked(self, image: Any, weights: Any, *, gradient: bool) -> tuple[Any, ...]:
         """Evaluate in the core, on arrays of any library, with its checks."""
-        return self._objective.value_and_grad(image) if gradient else (self._objective.value(image),)
+        if gradient:
+            return self._objective.value_and_grad(image, weights=weights)
+        return (self._objective.value(image, weights=weights),)
 
-    def on_numba(self, image: Host, *, gradient: bool) -> tuple[Host, ...]:
+    def on_numba(self, image: Host, weights: Host | None = None, *, gradient: bool) -> tuple[Host, ...]:
         """See :class:`loi_jax.primitive.Evaluation`."""
         try:
-            return self._evaluate_checked(image, gradient=gradient)
-        except NonFiniteImageError:
+            return self._evaluate_checked(image, weights, gradient=gradient)
+        except ImageError:  # a pixel that is not finite, or a negative weight
             nan = np.full_like(image, np.nan)
             return (nan.flat[0], nan) if gradient else (nan.flat[0],)
 
-    def on_arrays(self, image: jax.Array, *, gradient: bool, placement: Any = None) -> tuple[jax.Array, ...]:
+    def on_arrays(
+        self, image: jax.Array, weights: jax.Array | None = None, *, gradient: bool, placement: Any = None
+    ) -> tuple[jax.Array, ...]:
         """See :class:`loi_jax.primitive.Evaluation`."""
         with jax.ensure_compile_time_eval():  # the prepared reference outlives this trace
             like = jnp.zeros((), dtype=image.dtype, device=placement)
-            self._objective.prepare(image.shape, like)
-        value, slope = self._objective.evaluate_unchecked(image, like, gradient=gradient)
+            self._objective.prepare(image.shape, like, weighted=weights is not None)
+        value, slope = self._objective.evaluate_unchecked(image, like, weights, gradient=gradient)
         results = (value,) if slope is None else (value, slope)
+        conditions = []
         if self._objective.nan_policy == "raise":
             # Blurring spreads NaN, but clipping may remove an infinity.
-            poison = jnp.where(jnp.all(jnp.isfinite(self._objective.visible(image))), 0.0, jnp.nan).astype(image.dtype)
+            conditions.append(jnp.all(jnp.isfinite(self._objective.visible(image, weights))))
+        if weights is not None:
+            conditions.append(jnp.all(jnp.isfinite(weights) & (weights >= 0.0)))
+        for condition in conditions:
+            poison = jnp.where(condition, 0.0, jnp.nan).astype(image.dtype)
             results = tuple(result + poison for result in results)
         return results

@@ -32,16 +32,19 @@ Results: TypeAlias = Sequence[Any]
 class Evaluation(Protocol):
     """The loss of an image on both backends: the value, shape (), and on request the gradient, shaped as the image."""
 
-    def on_numba(self, image: Host, *, gradient: bool) -> tuple[Host, ...]:
-        """Evaluate NumPy arrays; non-finite images give NaN instead of an error."""
+    def on_numba(self, image: Host, weights: Host | None = None, *, gradient: bool) -> tuple[Host, ...]:
+        """Evaluate NumPy arrays; non-finite images and negative weights give NaN instead of an error."""
 
-    def on_arrays(self, image: jax.Array, *, gradient: bool, placement: Any = None) -> tuple[jax.Array, ...]:
+    def on_arrays(
+        self, image: jax.Array, weights: jax.Array | None = None, *, gradient: bool, placement: Any = None
+    ) -> tuple[jax.Array, ...]:
         """Evaluate in traceable operations, with the reference on the devices `placement`, JAX's default if None."""
 
 
-def evaluate(evaluation: Evaluation, image: jax.Array, *, gradient: bool) -> list[jax.Array]:
+def evaluate(evaluation: Evaluation, image: jax.Array, weights: jax.Array | None, *, gradient: bool) -> list[jax.Array]:
     """Return the results of `evaluation` for `image`, float32 or float64, under any of JAX's transformations."""
-    results: list[jax.Array] = _loss.bind(image, evaluation=evaluation, gradient=gradient, mapped=0)
+    operands = (image,) if weights is None else (image, weights)
+    results: list[jax.Array] = _loss.bind(*operands, evaluation=evaluation, gradient=gradient, mapped=0)
     return results
 
 
@@ -49,71 +52,80 @@ _loss: Any = Primitive("loi_loss")
 _loss.multiple_results = True
 
 
-def _abstract(image: Any, *, gradient: bool, mapped: int, **_: Any) -> list[ShapedArray]:
-    """Return shapes and dtypes; ``vmap`` added the first `mapped` axes of the image."""
+def _abstract(image: Any, *_weights: Any, gradient: bool, mapped: int, **_: Any) -> list[ShapedArray]:
+    """Return shapes and dtypes; ``vmap`` added the first `mapped` axes of the image and its weights."""
     value = ShapedArray(image.shape[:mapped], image.dtype)
     return [value, ShapedArray(image.shape, image.dtype)] if gradient else [value]
 
 
 def _batch(
-    images: tuple[jax.Array], axes: tuple[int], *, mapped: int, **settings: Any
+    operands: Sequence[jax.Array], axes: Sequence[int | None], *, mapped: int, **settings: Any
 ) -> tuple[Results, tuple[int, ...]]:
     """Evaluate a batch under ``vmap`` in one call."""
-    results = _loss.bind(jnp.moveaxis(images[0], axes[0], 0), mapped=mapped + 1, **settings)
+    (size, *_) = (operand.shape[axis] for operand, axis in zip(operands, axes, strict=True) if axis is not None)
+    fronted = (
+        jnp.broadcast_to(operand, (size, *operand.shape)) if axis is None else jnp.moveaxis(operand, axis, 0)
+        for operand, axis in zip(operands, axes, strict=True)
+    )
+    results = _loss.bind(*fronted, mapped=mapped + 1, **settings)
     return results, (0,) * len(results)
 
 
 def _on_arrays(
-    image: jax.Array, *, evaluation: Evaluation, gradient: bool, mapped: int, placement: Any = None
+    *operands: jax.Array, evaluation: Evaluation, gradient: bool, mapped: int, placement: Any = None
 ) -> Results:
-    compare: Callable[[jax.Array], Results] = partial(evaluation.on_arrays, gradient=gradient, placement=placement)
+    compare: Callable[..., Results] = partial(evaluation.on_arrays, gradient=gradient, placement=placement)
     for _ in range(mapped):
         compare = jax.vmap(compare)
-    return compare(image)
+    return compare(*operands)
 
 
-def _on_numba(image: Host, *, evaluation: Evaluation, gradient: bool, mapped: int) -> list[Host]:
+def _on_numba(*operands: Host, evaluation: Evaluation, gradient: bool, mapped: int) -> list[Host]:
+    image = operands[0]
     results = [np.empty(image.shape[: image.ndim if slope else mapped], image.dtype) for slope in range(1 + gradient)]
     for index in np.ndindex(image.shape[:mapped]):
-        for result, part in zip(results, evaluation.on_numba(image[index], gradient=gradient), strict=True):
+        parts = evaluation.on_numba(*(operand[index] for operand in operands), gradient=gradient)
+        for result, part in zip(results, parts, strict=True):
             result[index] = part
     return results
 
 
-def _run(image: jax.Array, **settings: Any) -> Results:
+def _run(*operands: jax.Array, **settings: Any) -> Results:
     """Evaluate outside of ``jit``."""
-    image = jnp.asarray(image)
-    if not is_read_by_numpy(image):
-        return _on_arrays(image, placement=device(image), **settings)
-    return [from_numpy(result, image) for result in _on_numba(np.asarray(image), **settings)]
+    arrays = [jnp.asarray(operand) for operand in operands]
+    if not all(map(is_read_by_numpy, arrays)):
+        return _on_arrays(*arrays, placement=device(arrays[0]), **settings)
+    return [from_numpy(result, arrays[0]) for result in _on_numba(*map(np.asarray, arrays), **settings)]
 
 
-def _differentiate(images: tuple[jax.Array], tangents: tuple[jax.Array], **settings: Any) -> tuple[Results, Results]:
+def _differentiate(operands: Sequence[jax.Array], tangents: Sequence[Any], **settings: Any) -> tuple[Results, Results]:
     """Differentiate the gradient for second derivatives, through whole-array operations."""
-    results: tuple[Results, Results] = jax.jvp(partial(_on_arrays, **settings), images, tangents)
+    # The tangent of weights, which are constants, is a symbolic zero.
+    primals, numbers = tuple(operands), tuple(map(ad.instantiate_zeros, tangents))
+    results: tuple[Results, Results] = jax.jvp(partial(_on_arrays, **settings), primals, numbers)
     return results
 
 
 _lower_arrays: Any = mlir.lower_fun(_on_arrays, multiple_results=True)
 
 
-def _lower_for_processor(ctx: Any, image: Any, **settings: Any) -> Results:
+def _lower_for_processor(ctx: Any, *operands: Any, **settings: Any) -> Results:
     module = ctx.module_context
     single = len(module.platforms) == 1 and getattr(module.axis_context, "num_devices", 0) == 1
     if not single or module.lowering_parameters.for_export:
-        lowered: Results = _lower_arrays(ctx, image, **settings)
+        lowered: Results = _lower_arrays(ctx, *operands, **settings)
         return lowered
     outputs = ctx.avals_out
     double = outputs[0].dtype == np.float64
     # JAX converts results to the dtypes of the calling thread, which may lack 64 bits. Integers pass unchanged.
     passed = [ShapedArray((*aval.shape, 2), np.dtype(np.int32)) for aval in outputs] if double else outputs
 
-    def call(*images: Host) -> list[Host]:
-        results = _on_numba(images[0], **settings)
+    def call(*arrays: Host) -> list[Host]:
+        results = _on_numba(*arrays, **settings)
         return [result[..., None].view(np.int32) for result in results] if double else results
 
     results, _, _ = mlir.emit_python_callback(
-        ctx.replace(avals_out=passed), call, None, [image], ctx.avals_in, passed, has_side_effect=False
+        ctx.replace(avals_out=passed), call, None, operands, ctx.avals_in, passed, has_side_effect=False
     )
     return _lower_doubles(ctx.replace(avals_in=passed), *results) if double else results
 

@@ -130,13 +130,16 @@ class LOILoss:
         """The array library that computes the loss."""
         return self._backend
 
-    def __call__(self, image: Tensor) -> Float:
+    def __call__(self, image: Tensor, *, weights: Tensor | Array | None = None) -> Float:
         """Return the loss at `image`.
 
         Parameters
         ----------
         image : mi.TensorXf, shape (H, W, C)
             As ``mi.render`` returns it.
+        weights : mi.TensorXf or array, shape (H, W), optional
+            Weight of each pixel of this image, such as the mask of the pixels that a warp covers. The weights of the
+            reference are multiplied by them. They get no gradient.
 
         Returns
         -------
@@ -146,7 +149,7 @@ class LOILoss:
         Raises
         ------
         ImageTypeError, ImageError
-            If the type or shape does not fit the reference.
+            If the type or shape does not fit the reference, or `weights` do not fit the image or are negative.
         NonFiniteImageError
             Under ``nan_policy="raise"``, if a pixel is NaN or infinite.
         OptionError
@@ -155,17 +158,24 @@ class LOILoss:
         _check_not_frozen()
         _check_tensor(image)
         if not dr.grad_enabled(image):
-            return _flat(type(image.array), self._objective.value(EXPORTS[self._backend](image)))
+            export = EXPORTS[self._backend]
+            return _flat(type(image.array), self._objective.value(export(image), weights=self._exported(weights)))
         # Evaluated outside the operation, because Dr.Jit hides errors inside it behind a RuntimeError.
-        return dr.custom(_Loss, image, *self.value_and_grad(image))
+        return dr.custom(_Loss, image, *self.value_and_grad(image, weights=weights))
 
-    def value_and_grad(self, image: Tensor) -> tuple[Float, Tensor]:
-        """Return the detached loss and its gradient with respect to `image`, of the same type. Errors as of a call."""
+    def value_and_grad(self, image: Tensor, *, weights: Tensor | Array | None = None) -> tuple[Float, Tensor]:
+        """Return the detached loss and its gradient with respect to `image`, of the same type; as a call otherwise."""
         _check_not_frozen()
         _check_tensor(image)
-        value, gradient = self._objective.value_and_grad(EXPORTS[self._backend](dr.detach(image)))
+        exported = EXPORTS[self._backend](dr.detach(image))
+        value, gradient = self._objective.value_and_grad(exported, weights=self._exported(weights))
         flat = _flat(type(image.array), gradient)
         return _flat(type(image.array), value), type(image)(flat, shape=image.shape)
+
+    def _exported(self, weights: Any) -> Any:
+        """Convert a Dr.Jit tensor to an array of the backend; return anything else unchanged."""
+        is_tensor = weights is not None and dr.is_tensor_v(weights)
+        return EXPORTS[self._backend](dr.detach(weights)) if is_tensor else weights
 
 
 class _Loss(dr.CustomOp):  # type: ignore[misc]  # Dr.Jit's types are not read, see pyproject.toml

@@ -58,7 +58,7 @@ class LOILoss(torch.nn.Module):
         A tone curve for images of high dynamic range; see :class:`loi_core.LOIObjective`.
     weights : Tensor or NumPy array, shape (H, W), optional
         Weight of each pixel; a mask has weights 0 and 1. See :class:`loi_core.LOIObjective`. Kept in the buffer
-        ``weights``.
+        ``weights``. A call may bring weights of its image, which multiply these.
     exposure : {"given", "matched", "regressed"}
         Treatment of a photograph's exposure; see :class:`loi_core.LOIObjective`.
     colours : {"channels", "differences"}
@@ -121,9 +121,21 @@ class LOILoss(torch.nn.Module):
         return scales
 
     @_without_compilation
-    def forward(self, image: Tensor) -> Tensor:
-        """Return the loss of `image`, shape (); errors as in :meth:`loi_core.ImageObjective.value`."""
-        return _apply(image, self._current())
+    def forward(self, image: Tensor, *, weights: Any = None) -> Tensor:
+        """Return the loss of `image`, shape ().
+
+        Parameters
+        ----------
+        image : Tensor, shape (*batch, H, W, C)
+        weights : Tensor or NumPy array, shape (H, W) or the image's shape without channels, optional
+            Weight of each pixel of this image, such as the mask of the pixels that a warp covers. They get no gradient.
+
+        Raises
+        ------
+        LoiError
+            As :meth:`loi_core.ImageObjective.value`.
+        """
+        return _apply(image, weights, self._current())
 
     def extra_repr(self) -> str:
         """Return the text that ``print`` shows: size and dtype of the reference, scales, accuracy, unusual options."""
@@ -195,22 +207,23 @@ def loi_loss(
     )
 
 
-def _apply(image: Tensor, objective: LOIObjective) -> Tensor:
+def _apply(image: Tensor, weights: Any, objective: LOIObjective) -> Tensor:
     if not isinstance(image, Tensor):
         msg = f"`image` must be a torch tensor, got {type(image).__name__}"
         raise ImageTypeError(msg)
     as_floating("image", image)  # before autocast, which rejects some devices with its own message
     with torch.autocast(image.device.type, enabled=False):
         precise = image.float() if image.dtype in HALF_DTYPES else image
-        return _evaluate(precise, objective, gradient=_is_recorded(precise))[0]
+        return _evaluate(precise, weights, objective, gradient=_is_recorded(precise))[0]
 
 
 def _is_recorded(image: Tensor) -> bool:
     return torch.is_grad_enabled() and image.requires_grad
 
 
-def _evaluate(image: Tensor, objective: LOIObjective, *, gradient: bool) -> tuple[Tensor, Tensor]:
-    results: tuple[Tensor, Tensor] = _Loss.apply(image, objective, gradient)  # type: ignore[no-untyped-call]  # in torch
+def _evaluate(image: Tensor, weights: Any, objective: LOIObjective, *, gradient: bool) -> tuple[Tensor, Tensor]:
+    arguments = image, weights, objective, gradient
+    results: tuple[Tensor, Tensor] = _Loss.apply(*arguments)  # type: ignore[no-untyped-call]  # in torch
     return results
 
 
@@ -220,10 +233,13 @@ class _Loss(torch.autograd.Function):
     @staticmethod
     def forward(
         image: Tensor,
+        weights: Any,
         objective: LOIObjective,
         gradient: bool,  # noqa: FBT001  # torch passes arguments by position
     ) -> tuple[Tensor, Tensor]:
-        return objective.value_and_grad(image) if gradient else (objective.value(image), image.new_empty(0))
+        if gradient:
+            return objective.value_and_grad(image, weights=weights)
+        return objective.value(image, weights=weights), image.new_empty(0)
 
     @staticmethod
     def setup_context(ctx: FunctionCtx, _: tuple[Any, ...], output: tuple[Tensor, Tensor]) -> None:
@@ -231,13 +247,13 @@ class _Loss(torch.autograd.Function):
         ctx.save_for_backward(output[1])
 
     @staticmethod
-    def backward(ctx: Any, upstream: Tensor | None, second: Tensor | None) -> tuple[Tensor | None, None, None]:
+    def backward(ctx: Any, upstream: Tensor | None, second: Tensor | None) -> tuple[Tensor | None, None, None, None]:
         """Scale the gradient. As an output it is no constant to autograd, which may ask for its derivative."""
         if second is not None:
             msg = "loi's loss has no second derivatives on torch"
             raise DerivativeError(msg)
         (gradient,) = ctx.saved_tensors
-        return None if upstream is None else _product(upstream, gradient), None, None
+        return None if upstream is None else _product(upstream, gradient), None, None, None
 
     @staticmethod
     def jvp(*_: Any) -> Any:
@@ -247,16 +263,23 @@ class _Loss(torch.autograd.Function):
 
     @staticmethod
     def vmap(
-        _: Any,
-        axes: tuple[int, None, None],
+        info: Any,
+        axes: tuple[int | None, ...],
         images: Tensor,
+        weights: Any,
         objective: LOIObjective,
         gradient: bool,  # noqa: FBT001  # as above
     ) -> tuple[tuple[Tensor, Tensor], tuple[int, int]]:
         """Evaluate image by image: each has its own value, where a batch has one value for all."""
         # A transformation outside of this vmap may record each image even if this one does not.
-        separate = images.movedim(axes[0], 0)
-        results = [_evaluate(image, objective, gradient=gradient or _is_recorded(image)) for image in separate]
+        separate = (
+            [argument] * info.batch_size if axis is None else argument.movedim(axis, 0)
+            for argument, axis in zip((images, weights), axes, strict=False)
+        )
+        results = [
+            _evaluate(image, image_weights, objective, gradient=gradient or _is_recorded(image))
+            for image, image_weights in zip(*separate, strict=True)
+        ]
         values, gradients = zip(*results, strict=True)
         return (torch.stack(values), torch.stack(gradients)), (0, 0)
 

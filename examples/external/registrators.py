@@ -41,7 +41,7 @@ class _OverCoveredPart(_Counting):
         if coverage < MIN_COVERAGE:
             nothing: Tensor = 0.0 * warped.sum()
             return nothing
-        loss: Tensor = LOILoss(img_dst, channel_axis=-3, weights=covered)(warped) / coverage
+        loss: Tensor = LOILoss(img_dst, channel_axis=-3)(warped, weights=covered) / coverage
         return loss
 
 

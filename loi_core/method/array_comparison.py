@@ -10,7 +10,7 @@ histograms are computed in units of the spacing of two levels (:func:`loi_core.m
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -250,6 +250,10 @@ class ArrayComparison:
     def of(cls, scales: ScaleSpace, plan: Plan, reference: Array, weights: Array | None = None) -> ArrayComparison:
         """Prepare a comparison with a reference: planes within the bounds, and weights, shape (N, H, W)."""
         return cls(tuple(_InnerComparison.of(scales, inner, plan.tonal, reference, weights) for inner in plan.inner))
+
+    def with_weights(self, weights: Array) -> ArrayComparison:
+        """See :class:`loi_core.method.comparison.Comparison`."""
+        return ArrayComparison(tuple(replace(inner, weights=weights) for inner in self.inner))
 
     def compare(self, compressed: Array, *, gradient: bool) -> ComparisonResult:
         """See :class:`loi_core.method.comparison.Comparison`."""

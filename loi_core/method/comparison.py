@@ -47,3 +47,9 @@ class Comparison(Protocol):
 
         A plan with samplings needs readable values (:func:`loi_core.support.arrays.values_may_decide`).
         """
+
+    def with_weights(self, weights: Array) -> Comparison:
+        """Return the comparison with other weights, shape (N, H, W); it shares the prepared reference.
+
+        The plan must be for weighted pixels.
+        """

@@ -6,7 +6,7 @@ import abc
 from collections.abc import Mapping
 from typing import Any, ClassVar, Final, Generic, Protocol, TypeVar, runtime_checkable
 
-from loi_core.errors import ImageError, ImageTypeError, OptionError
+from loi_core.errors import ImageError, ImageTypeError
 from loi_core.method.dispatch import ARRAY_API, Backend, choose_backend
 from loi_core.objectives.evaluation import PlaneComparison, PreparedObjective, ReferencePlanes
 from loi_core.objectives.facts import facts_of_options, facts_of_reference, objective_html, summary_line
@@ -15,7 +15,7 @@ from loi_core.pixels.layout import Layout, check_channel_axis
 from loi_core.pixels.nonfinite import NanPolicy, check_nan_policy, require_finite
 from loi_core.pixels.pipeline import PixelPipeline, PixelSettings
 from loi_core.pixels.tone_curve import LogTone, check_tone
-from loi_core.pixels.weights import PixelWeights
+from loi_core.pixels.weights import CallWeights, PixelWeights, check_call_weights, require_mask, weight_planes
 from loi_core.support.arrays import (
     Array,
     Host,
@@ -73,7 +73,7 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
     weights : array, shape (H, W) or the reference's shape without channels, optional
         Weight of each pixel, 0 or more; a mask is weights of 0 and 1. The contribution of a pixel to every comparison
         is multiplied by its weight, and the mean is still over all pixels. Pixels of weight 0 are treated as equal to
-        the reference, whatever they hold, so that blurs see no edge there.
+        the reference, whatever they hold, so that blurs see no edge there. A call may add weights of its image.
     exposure : {"given", "matched", "regressed"}
         "matched" gives each channel of the image the mean and deviation of the reference before they are compared, at
         every evaluation, and "regressed" the gain and offset of least absolute differences, for images that are nearly
@@ -105,9 +105,8 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
         reference = detached(as_floating("reference", reference))
         self._reference_layout = Layout.of("reference", reference.shape, axis)
         pixel_weights = None if weights is None else PixelWeights.of(weights, self._reference_layout)
-        if pixel_weights is not None and not self.takes_weights and not pixel_weights.is_mask:
-            msg = f"`weights` of {type(self).__name__} must be a mask: 0 and one positive value, no other weights"
-            raise OptionError(msg)
+        if pixel_weights is not None and not self.takes_weights:
+            require_mask(type(self).__name__, pixel_weights)
         self._settings = PixelSettings(axis, policy, tone, pixel_weights, check_exposure(exposure))
         if policy == "raise":
             require_finite("reference", self.visible(reference), axis)
@@ -161,13 +160,17 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
         """Weight of each pixel, shape (*batch, H, W), float64; None if all count alike."""
         return None if self._settings.weights is None else self._settings.weights.values
 
-    def value(self, image: Array) -> Array:
+    def value(self, image: Array, *, weights: Array | None = None) -> Array:
         """Return the value at `image`.
 
         Parameters
         ----------
         image : array, shape (*batch, H, W, C)
             Real floating point, of any library of the array API standard.
+        weights : array, shape (H, W) or the image's shape without channels, optional
+            Weight of each pixel of this image, such as the mask of the pixels that a warp covers. The weights of the
+            reference are multiplied by them, so a pixel that either image lacks counts in neither histogram. The value
+            is 0 where all weights are 0. The gradient takes weights as constants.
 
         Returns
         -------
@@ -177,57 +180,66 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
         Raises
         ------
         ImageTypeError, ImageError
-            If the type or shape does not fit the reference.
+            If the type or shape does not fit the reference, or `weights` do not fit the image or are negative.
         NonFiniteImageError
             Under ``nan_policy="raise"``, if a pixel is NaN or infinite.
         """
-        terms, _ = self._evaluate(image, gradient=False)
+        terms, _ = self._evaluate(image, weights, gradient=False)
         return narrowed(_total(terms), image)
 
-    def value_and_grad(self, image: Array) -> tuple[Array, Array]:
-        """Return the value at `image` and its gradient, an array like `image`. Errors as in :meth:`value`."""
+    def value_and_grad(self, image: Array, *, weights: Array | None = None) -> tuple[Array, Array]:
+        """Return the value at `image` and its gradient, an array like `image`. Arguments as in :meth:`value`."""
         # The gradient is analytic; a framework that recorded the operations would only waste time and memory.
-        terms, gradient = self._evaluate(detached(image), gradient=True)
+        terms, gradient = self._evaluate(detached(image), weights, gradient=True)
         return narrowed(_total(terms), image), narrowed(gradient, image)
 
-    def terms(self, image: Array) -> dict[KeyT, Array]:
-        """Return the terms of the value, which sum to it. Errors as in :meth:`value`."""
-        terms, _ = self._evaluate(image, gradient=False)
+    def terms(self, image: Array, *, weights: Array | None = None) -> dict[KeyT, Array]:
+        """Return the terms of the value, which sum to it. Arguments as in :meth:`value`."""
+        terms, _ = self._evaluate(image, weights, gradient=False)
         return {key: narrowed(term, image) for key, term in terms.items()}
 
-    def exposure_of(self, image: Array) -> LinearExposure:
+    def exposure_of(self, image: Array, *, weights: Array | None = None) -> LinearExposure:
         """Return the exposure of the reference relative to an image that is nearly aligned.
 
         Gain and offset of each channel, of shape (N, 1, 1), by the regression of ``exposure="regressed"`` whatever the
-        objective's own exposure is. Errors as in :meth:`value`.
+        objective's own exposure is. Arguments as in :meth:`value`.
         """
         image = widened(as_floating("image", image))
-        backend = choose_backend(image) if self.runs_on_numba else ARRAY_API
-        pipeline = self._prepare(image, image.shape, backend).pipeline
-        exposure = pipeline.exposure_of(backend.to_backend(image))
+        prepared = self._prepare_call(image, weights, image)
+        backend, exposure = prepared.backend, prepared.pipeline.exposure_of(prepared.backend.to_backend(image))
         return LinearExposure(*(backend.to_library(part, image) for part in (exposure.gain, exposure.offset)))
 
-    def prepare(self, shape: tuple[int, ...], like: Array) -> None:
+    def prepare(self, shape: tuple[int, ...], like: Array, *, weighted: bool = False) -> None:
         """Prepare the reference for images of `shape` and arrays like `like`, for :meth:`evaluate_unchecked`."""
-        self._prepare(widened(like), shape, ARRAY_API)
+        self._prepare(widened(like), shape, ARRAY_API, weighted=weighted)
 
-    def check_shape(self, shape: tuple[int, ...]) -> None:
+    def check_shape(self, shape: tuple[int, ...], weights: Array | None = None) -> None:
         """Raise :class:`ImageError` if images of `shape` cannot be compared; evaluations check this themselves."""
         layout = Layout.of("image", shape, self.channel_axis)
         self._require_same_axes(layout)
         layout.require_fit("image", self._reference_layout)
+        if weights is not None:
+            check_call_weights(weights, layout)
 
-    def visible(self, image: Array) -> Array:
+    def visible(self, image: Array, weights: Array | None = None) -> Array:
         """Return `image`, shape (*batch, H, W, C), with 0 in the pixels of weight 0, which may hold anything."""
-        weights = self._settings.weights
-        if weights is None or not weights.has_zeros:
+        fixed = self._settings.weights
+        if fixed is not None and not fixed.has_zeros:
+            fixed = None
+        if fixed is None and weights is None:
             return image
         layout = Layout.of("image", image.shape, self.channel_axis)
         planes = layout.to_planes(image)
         xp = namespace(planes)
-        return layout.to_image(xp.where(weights.planes(layout, planes) > 0.0, planes, xp.zeros_like(planes)))
+        if fixed is not None:
+            planes = xp.where(fixed.planes(layout, planes) > 0.0, planes, xp.zeros_like(planes))
+        if weights is not None:
+            planes = xp.where(weight_planes(weights, layout) > 0.0, planes, xp.zeros_like(planes))
+        return layout.to_image(planes)
 
-    def evaluate_unchecked(self, image: Array, like: Array, *, gradient: bool) -> tuple[Array, Array | None]:
+    def evaluate_unchecked(
+        self, image: Array, like: Array, weights: Array | None = None, *, gradient: bool
+    ) -> tuple[Array, Array | None]:
         """Return the value, and on request the gradient, of an image without values, such as a JAX tracer.
 
         Parameters
@@ -236,10 +248,12 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
             Its type and shape are checked. Its values are not; under ``nan_policy="raise"`` the caller checks them.
         like : array
             A concrete array of the image's library, dtype and device, for which the reference is prepared.
+        weights : array, optional
+            As in :meth:`value`.
         gradient : bool
             Whether to compute the gradient; None comes in its place otherwise.
         """
-        terms, slope = self._evaluate(image, gradient=gradient, like=like)
+        terms, slope = self._evaluate(image, weights, gradient=gradient, like=like)
         return narrowed(_total(terms), image), None if slope is None else narrowed(slope, image)
 
     @abc.abstractmethod
@@ -249,23 +263,53 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
         Layouts, batches, dtypes, pixels that are not finite, masks and the tone curve are handled by the pipeline.
         """
 
+    def compare_weighted(self, prepared: PlaneComparison[KeyT], reference: ReferencePlanes) -> PlaneComparison[KeyT]:
+        """Return a comparison with other weights, from a prepared comparison with the same planes of the reference.
+
+        Called for each image that comes with weights, if the objective takes weights. By default
+        :meth:`compare_with` prepares everything again; authors of an objective may do better.
+        """
+        del prepared
+        return self.compare_with(reference)
+
     def _evaluate(
-        self, image: Array, *, gradient: bool, like: Array | None = None
+        self, image: Array, weights: Array | None, *, gradient: bool, like: Array | None = None
     ) -> tuple[dict[KeyT, Array], Array | None]:
         image = widened(as_floating("image", image))
-        backend = choose_backend(image) if self.runs_on_numba else ARRAY_API
-        prepared = self._prepare(image if like is None else widened(like), image.shape, backend)
+        prepared = self._prepare_call(image, weights, image if like is None else widened(like))
         return prepared.evaluate(image, gradient=gradient, check_finite=like is None)
 
-    def _prepare(self, like: Array, shape: tuple[int, ...], backend: Backend) -> PreparedObjective[KeyT]:
+    def _prepare_call(self, image: Array, weights: Array | None, like: Array) -> PreparedObjective[KeyT]:
+        """Return the objective prepared for an image, its weights, and arrays like `like`, which has values."""
+        compiles = self.runs_on_numba and not (weights is not None and is_traced(weights))
+        backend = choose_backend(image) if compiles else ARRAY_API
+        if weights is None:
+            return self._prepare(like, image.shape, backend)
+        prepared = self._prepare(like, image.shape, backend, weighted=True)
+        call_weights = CallWeights.of(weights, prepared.pipeline.layout, backend.to_backend(like))
+        if not self.takes_weights:
+            require_mask(type(self).__name__, call_weights)
+        pipeline, comparison = prepared.pipeline.weighted(call_weights), prepared.comparison
+        if self.takes_weights:
+            reference = ReferencePlanes(pipeline.reference, pipeline.weights, backend)
+            comparison = self.compare_weighted(comparison, reference)
+        return PreparedObjective(backend, pipeline, comparison)
+
+    def _prepare(
+        self, like: Array, shape: tuple[int, ...], backend: Backend, *, weighted: bool = False
+    ) -> PreparedObjective[KeyT]:
+        """Return the objective prepared for a kind of images; `weighted` if each image comes with weights."""
         layout = Layout.of("image", shape, self.channel_axis)
         self._require_same_axes(layout)
-        image_kind = (library_name(like), str(like.dtype), str(device(like)), layout.shape, backend)
+        weighted = weighted and self.takes_weights and self._settings.weights is None
+        image_kind = (library_name(like), str(like.dtype), str(device(like)), layout.shape, backend, weighted)
         prepared = self._prepared.get(image_kind)
         if prepared is None:
             planes = layout.broadcast_planes("image", self._reference_like(like), self._reference_layout)
             pipeline = PixelPipeline.of(self._settings, layout, backend.to_backend(planes))
             weights = pipeline.weights if self.takes_weights else None
+            if weighted:
+                weights = namespace(pipeline.reference).ones_like(pipeline.reference)
             comparison = self.compare_with(ReferencePlanes(pipeline.reference, weights, backend))
             prepared = PreparedObjective(backend, pipeline, comparison)
             # Arrays that JAX makes while it traces are invalid once the trace has ended.

@@ -111,4 +111,5 @@ class PreparedObjective(Generic[KeyT]):
 
     def _scaled(self, result: Array, image: Array) -> Array:
         largest = self.pipeline.largest_weight
-        return self.backend.to_library(result if largest == 1.0 else result * largest, image)
+        is_one = isinstance(largest, float) and largest == 1.0
+        return self.backend.to_library(result if is_one else result * largest, image)

@@ -210,9 +210,9 @@ class LOIObjective(ImageObjective[ScaleKey]):
         """The relative error of the gradient that `accuracy` allows."""
         return self._tolerance
 
-    def terms(self, image: Array) -> dict[ScaleKey, Array]:
+    def terms(self, image: Array, *, weights: Array | None = None) -> dict[ScaleKey, Array]:
         """Return the term of each scale, ``{(alpha, beta, sigma): 0-d array}``; they sum to the value."""
-        return super().terms(image)
+        return super().terms(image, weights=weights)
 
     def plan(self, height: int | None = None, width: int | None = None, *, eps: float | None = None) -> Plan:
         """Return the operations of each scale, with their cost and error; ``print`` shows them.
@@ -225,23 +225,30 @@ class LOIObjective(ImageObjective[ScaleKey]):
             Machine epsilon of the images' dtype; the reference's by default.
         """
         layout = self._reference_layout
-        plan = make_plan(
-            self._scales,
-            layout.height if height is None else height,
-            layout.width if width is None else width,
-            tolerance=self._tolerance,
-            eps=epsilon(widened(self._reference)) if eps is None else eps,
-            weighted=self._settings.weights is not None,
-        )
+        size = layout.height if height is None else height, layout.width if width is None else width
+        eps = epsilon(widened(self._reference)) if eps is None else eps
+        plan = self._plan(size, eps, weighted=self._settings.weights is not None)
         return replace(plan, compiled=available())
+
+    def _plan(self, size: tuple[int, ...], eps: float, *, weighted: bool) -> Plan:
+        return make_plan(self._scales, *size, tolerance=self._tolerance, eps=eps, weighted=weighted)
 
     def compare_with(self, reference: ReferencePlanes) -> PlaneComparison[ScaleKey]:
         """See :class:`ImageObjective`."""
-        plan = self.plan(*reference.planes.shape[-2:], eps=epsilon(reference.planes))
+        planes = reference.planes
+        plan = self._plan(planes.shape[-2:], epsilon(planes), weighted=reference.weights is not None)
         comparison = _ScaleComparison(self._scales, plan, reference)
         # Prepared now and not at the first comparison, because JAX may be tracing there.
-        comparison.choose(reference.planes)
+        comparison.choose(planes)
         return comparison
+
+    def compare_weighted(
+        self, prepared: PlaneComparison[ScaleKey], reference: ReferencePlanes
+    ) -> PlaneComparison[ScaleKey]:
+        """See :class:`ImageObjective`. Weights multiply differences, so one prepared reference serves all."""
+        if isinstance(prepared, _ScaleComparison) and reference.weights is not None:
+            return _WeightedScaleComparison(prepared, reference.weights)
+        return self.compare_with(reference)
 
 
 class _ScaleComparison(PlaneComparison[ScaleKey]):
@@ -257,13 +264,11 @@ class _ScaleComparison(PlaneComparison[ScaleKey]):
 
     def compare(self, planes: Array, *, gradient: bool) -> Evaluation[ScaleKey]:
         """See :class:`PlaneComparison`."""
-        compared = self.choose(planes).compare(planes, gradient=gradient)
-        return Evaluation(compared.terms, compared.cotangent, estimated_error(compared.sign_errors))
+        return _evaluation(self.choose(planes), planes, gradient=gradient)
 
     def compare_exactly(self, planes: Array) -> Evaluation[ScaleKey]:
         """See :class:`PlaneComparison`."""
-        compared = self._exactly().compare(planes, gradient=True)
-        return Evaluation(compared.terms, compared.cotangent)
+        return _evaluation(self.exact(), planes, gradient=True)
 
     def choose(self, planes: Array) -> Comparison:
         """Return the comparison by the plan; the exact one where values cannot be read, so no error can be estimated.
@@ -272,12 +277,13 @@ class _ScaleComparison(PlaneComparison[ScaleKey]):
         a forked process never waits for a thread that it does not have.
         """
         if self.tolerance == 0.0 or not values_may_decide(planes):
-            return self._exactly()
+            return self.exact()
         if self._planned is None:
             self._planned = self._prepared(self._plan)
         return self._planned
 
-    def _exactly(self) -> Comparison:
+    def exact(self) -> Comparison:
+        """Return the exact comparison."""
         if self._exact is None:
             plan, weighted = self._plan, self._reference.weights is not None
             if self.tolerance > 0.0:
@@ -288,6 +294,28 @@ class _ScaleComparison(PlaneComparison[ScaleKey]):
     def _prepared(self, plan: Plan) -> Comparison:
         reference = self._reference
         return reference.backend.comparison(self._scales, plan, reference.planes, reference.weights)
+
+
+class _WeightedScaleComparison(PlaneComparison[ScaleKey]):
+    """A prepared comparison with other weights."""
+
+    def __init__(self, prepared: _ScaleComparison, weights: Array) -> None:
+        self.tolerance = prepared.tolerance
+        self._prepared = prepared
+        self._weights = weights
+
+    def compare(self, planes: Array, *, gradient: bool) -> Evaluation[ScaleKey]:
+        """See :class:`PlaneComparison`."""
+        return _evaluation(self._prepared.choose(planes).with_weights(self._weights), planes, gradient=gradient)
+
+    def compare_exactly(self, planes: Array) -> Evaluation[ScaleKey]:
+        """See :class:`PlaneComparison`."""
+        return _evaluation(self._prepared.exact().with_weights(self._weights), planes, gradient=True)
+
+
+def _evaluation(comparison: Comparison, planes: Array, *, gradient: bool) -> Evaluation[ScaleKey]:
+    compared = comparison.compare(planes, gradient=gradient)
+    return Evaluation(compared.terms, compared.cotangent, estimated_error(compared.sign_errors))
 
 
 def gradients_by_scale(objective: LOIObjective, image: Array) -> Iterator[tuple[ScaleKey, Array]]:

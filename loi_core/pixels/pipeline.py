@@ -6,7 +6,7 @@ intensities. Each step has a pullback beside it; :meth:`PixelPipeline.pullback` 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,7 +16,7 @@ from loi_core.pixels.exposure import Exposure, LinearExposure, estimate_exposure
 from loi_core.pixels.layout import Layout
 from loi_core.pixels.nonfinite import NanPolicy, require_finite
 from loi_core.pixels.tone_curve import LogTone
-from loi_core.pixels.weights import PixelWeights
+from loi_core.pixels.weights import CallWeights, PixelWeights
 from loi_core.support.arrays import Array, namespace, to_numpy
 
 __all__ = ["PixelPass", "PixelPipeline", "PixelSettings"]
@@ -107,6 +107,8 @@ class PixelPipeline:
         The pixels of the reference that are compared; None if all are.
     weights : array, shape (N, H, W), optional
         Weights in [0, 1]; None if all pixels count alike.
+    largest_weight : float or array, shape ()
+        The factor of the value and of the gradient that scaling the weights to [0, 1] leaves out.
     """
 
     settings: PixelSettings
@@ -116,6 +118,7 @@ class PixelPipeline:
     toned_reference: Array
     visible: Array | None
     weights: Array | None
+    largest_weight: float | Array = 1.0
 
     @classmethod
     def of(cls, settings: PixelSettings, layout: Layout, reference: Array) -> PixelPipeline:
@@ -135,12 +138,20 @@ class PixelPipeline:
         limits = settings.intensity_range
         if limits is not None:
             warn_if_out_of_range(uncompressed, weights, (limits.low, limits.high))
-        return cls(settings, layout, settings.compress(uncompressed), reference, toned, visible, weights)
+        largest = 1.0 if settings.weights is None else settings.weights.largest
+        return cls(settings, layout, settings.compress(uncompressed), reference, toned, visible, weights, largest)
 
-    @property
-    def largest_weight(self) -> float:
-        """The factor of the value and of the gradient that scaling the weights to [0, 1] leaves out."""
-        return 1.0 if self.settings.weights is None else self.settings.weights.largest
+    def weighted(self, weights: CallWeights) -> PixelPipeline:
+        """Return the pipeline for an image with weights, which multiply the weights of the reference."""
+        planes, largest = weights.planes, weights.largest
+        if self.weights is not None:
+            planes, largest = planes * self.weights, largest * self.largest_weight
+            xp = namespace(planes)
+            shared = xp.max(planes)
+            planes = planes / xp.where(shared > 0.0, shared, xp.ones_like(shared))
+            largest = largest * shared
+        visible = planes > 0.0 if self.visible is None else (planes > 0.0) & self.visible
+        return replace(self, visible=visible, weights=planes, largest_weight=largest)
 
     def forward(self, image: Array, *, check_finite: bool = True) -> PixelPass:
         """Return the planes of an image of the pipeline's shape, library, dtype and device.

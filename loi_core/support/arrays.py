@@ -23,6 +23,7 @@ __all__ = [
     "device",
     "epsilon",
     "from_numpy",
+    "held",
     "is_array_api_obj",
     "is_numpy_array",
     "is_read_by_numpy",
@@ -183,6 +184,13 @@ def to_numpy(array: Array) -> np.ndarray[Any, Any]:
 def detached(array: Array) -> Array:
     """Return `array` without torch's record of its gradient; the same numbers."""
     return array.detach() if is_torch_array(array) else array
+
+
+def held(array: Array) -> Array:
+    """Return `array` as a constant to the automatic differentiation of its library; the same numbers."""
+    if is_traced(array):
+        return sys.modules["jax"].lax.stop_gradient(array)  # JAX is imported, since it traces `array`
+    return detached(array)
 
 
 def as_floating(name: str, array: Array) -> Array:

@@ -93,7 +93,7 @@ def test_a_failure_after_the_last_step_keeps_the_best_result(broken: str, monkey
 
 def test_an_objective_without_a_number_is_named() -> None:
     class Wordy(PixelL2):
-        def value_and_grad(self, image: Any) -> Any:
+        def value_and_grad(self, image: Any, *, weights: Any = None) -> Any:
             return "much", image
 
     with pytest.raises(FitError, match="step 0: the objective failed: ValueError"):

@@ -50,6 +50,24 @@ def test_value_and_gradient_equal_those_of_the_core(backend: Any, scales: ScaleS
     assert relative_error(dr.grad(tensor).numpy(), gradient) < GRADIENT_RTOL
 
 
+@pytest.mark.parametrize("backend", ["numpy", "torch", "jax"])
+def test_a_call_brings_weights_of_its_image(backend: Any) -> None:
+    image, reference = images(SHAPE, 1)
+    covered = image[..., 0] > 0.3
+    value, gradient = LOIObjective(reference, SCALES).value_and_grad(image, weights=covered)
+    loss = LOILoss(reference, SCALES, backend=backend)
+    for weights in (mi.TensorXf(covered.astype(np.float32)), covered):
+        tensor = attached(image)
+        result = loss(tensor, weights=weights)
+        dr.backward(result)
+        assert float(result[0]) == pytest.approx(float(value), rel=VALUE_RTOL)
+        assert relative_error(dr.grad(tensor).numpy(), gradient) < GRADIENT_RTOL
+        detached = loss(dr.detach(tensor), weights=weights)
+        assert float(detached[0]) == pytest.approx(float(value), rel=VALUE_RTOL)
+    with pytest.raises(ImageError, match="`weights` must have shape"):
+        loss(tensor, weights=mi.TensorXf(np.ones((24, 19, 1), np.float32)))
+
+
 def test_the_loss_may_be_part_of_a_larger_expression() -> None:
     image, reference = images(SHAPE, 2)
     objective = LOIObjective(reference, SCALES)

@@ -126,9 +126,9 @@ def test_a_fit_compares_losses_if_the_option_says_so() -> None:
     evaluated = []
 
     class Watched(PixelL2):
-        def value(self, image: Any) -> Any:
+        def value(self, image: Any, *, weights: Any = None) -> Any:
             evaluated.append(image)
-            return super().value(image)
+            return super().value(image, weights=weights)
 
     disks = Disks(16, 16, positions=[[4.0, 4.0]], radii=2.0, colours=[[1.0, 1.0, 1.0]])
     objective = Watched(disks.render({**disks.parameters(), "positions": np.array([[9.0, 9.0]])}))

@@ -12,7 +12,7 @@ import itertools
 import math
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -61,6 +61,10 @@ class LoopComparison:
         if weights is None:
             weights = np.zeros((reference.shape[0], 0, 0), reference.dtype)
         return cls(tuple(_InnerComparison.of(scales, inner, plan.tonal, reference, weights) for inner in plan.inner))
+
+    def with_weights(self, weights: Floats) -> LoopComparison:
+        """See :class:`loi_core.method.comparison.Comparison`."""
+        return LoopComparison(tuple(replace(inner, weights=weights) for inner in self.inner))
 
     def compare(self, compressed: Floats, *, gradient: bool) -> ComparisonResult:
         """Compare planes within the bounds, shape (N, H, W)."""
