@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -118,6 +120,33 @@ def test_a_wide_or_emitting_floor_receives_the_light_of_an_attached_light(change
     np.testing.assert_array_less(
         np.abs(mean - expected), 0.02 * np.abs(expected) + 4.0 * np.hypot(error, expected_error)
     )
+
+
+@pytest.fixture(params=[1, 2], ids=["1 thread", "2 threads"])
+def threads(request: pytest.FixtureRequest) -> Iterator[int]:
+    """Number of threads of Dr.Jit, which selects other instructions for the sums of a gradient with several."""
+    count = dr.thread_count()
+    dr.set_thread_count(request.param)
+    yield request.param
+    dr.set_thread_count(count)
+
+
+@pytest.mark.usefixtures("threads")
+@pytest.mark.parametrize(
+    ("light", "target"),
+    [("point", "lamp.position"), ("point", Translate("lamp")), ("panel", Translate("lamp"))],
+    ids=lambda value: getattr(value, "shape", value),
+)
+def test_the_gradient_of_an_array_contains_shading_and_shadows(light: str, target: str | Translate) -> None:
+    """Elements of one array and single parameters have the same gradient for the same samples."""
+    handles: dict[str, Any] = {"x": Translate("lamp", X), "y": Translate("lamp", Y), "z": Translate("lamp", Z)}
+    single, array = (
+        MitsubaRenderer(lit_scene(light), targets, spp=8, without_gradient=() if light == "panel" else tuple(targets))
+        for targets in (handles, {"place": target})
+    )
+    expected = attached_gradient(single, 8).vjp(single.parameters(), RAMP, names=handles)
+    place = attached_gradient(array, 8).vjp(array.parameters(), RAMP, names=["place"])["place"]
+    np.testing.assert_allclose(place, list(expected.values()), rtol=1e-3)
 
 
 def test_attached_emitter_samples_have_a_fiftieth_of_mitsuba_s_noise() -> None:

@@ -17,7 +17,7 @@ import mitsuba as mi
 import numpy as np
 
 from loi_mitsuba.attached.binding import Binding
-from loi_mitsuba.drjit.arrays import Float32Array, Float64Array
+from loi_mitsuba.drjit.arrays import Float32Array, Float64Array, gather
 from loi_mitsuba.geometry.bounds import bounding_box
 from loi_mitsuba.sensing.film import Film
 from loi_mitsuba.sensing.film_samples import backpropagate, radiance_samples
@@ -180,7 +180,7 @@ def _attached_integrator(variant: str) -> Any:  # noqa: ARG001 - Mitsuba's class
                     visible = ~scene.ray_test(si.spawn_ray_to(ds.p), active)
                 visibility = dr.select(visible, mi.Float(1.0), 0.0)
                 for leaf, index, slope in self.slopes:
-                    value = dr.gather(mi.Float, leaf, mi.UInt32(index))
+                    value = gather(leaf, mi.UInt32(index))
                     visibility += slope * (value - dr.detach(value))
                 radiance = bsdf.eval(mi.BSDFContext(), si, si.to_local(ds.d), active) * weight
                 return dr.select(active, radiance * visibility, 0.0), si.is_valid(), [], None

@@ -1,13 +1,14 @@
-"""NumPy arrays that Dr.Jit reads in place."""
+"""NumPy arrays that Dr.Jit reads in place, and flat arrays of Dr.Jit as vectors."""
 
 from __future__ import annotations
 
 from typing import Any, Final, TypeAlias
 
+import drjit as dr
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["ALIGNMENT_BYTES", "Float32Array", "Float64Array", "HostArray", "aligned_copy"]
+__all__ = ["ALIGNMENT_BYTES", "Float32Array", "Float64Array", "HostArray", "aligned_copy", "gather", "unravel"]
 
 HostArray: TypeAlias = NDArray[Any]
 """A NumPy array of any dtype."""
@@ -30,3 +31,26 @@ def aligned_copy(flat: HostArray) -> HostArray:
     copy: HostArray = memory[offset : offset + flat.nbytes].view(flat.dtype)
     copy[:] = flat
     return copy
+
+
+def unravel(vector: Any, flat: Any) -> Any:
+    """Return a flat array, in C order, as a vector whose gradient adds to other gradients of that array.
+
+    Parameters
+    ----------
+    vector : type
+        Vector type of Dr.Jit, such as ``mi.Point3f``.
+    flat : mi.Float
+    """
+    size = dr.size_v(vector)
+    first = size * dr.arange(dr.uint32_array_t(type(flat)), dr.width(flat) // size)
+    return vector(*(gather(flat, first + offset) for offset in range(size)))
+
+
+def gather(flat: Any, index: Any) -> Any:
+    """Return elements of a flat array of Dr.Jit, whose gradients add to others of that array.
+
+    The gradient of ``dr.unravel`` replaces gradients of other gathers from the array. By default, ``dr.gather`` on
+    several threads loses gradients of small arrays, or refuses to combine them (``dr.ReduceMode.Expand``).
+    """
+    return dr.gather(type(flat), flat, index, mode=dr.ReduceMode.Direct)

@@ -14,7 +14,7 @@ import numpy as np
 
 from loi_core.errors import ParameterError
 from loi_core.support.wording import shown
-from loi_mitsuba.drjit.arrays import Float32Array, aligned_copy
+from loi_mitsuba.drjit.arrays import Float32Array, aligned_copy, gather, unravel
 from loi_mitsuba.scene.load import ParameterTarget
 from loi_mitsuba.scene.parameters import SceneIndex, matrix_or_value
 from loi_mitsuba.scene.poses import Scale, combined_transform
@@ -246,6 +246,6 @@ def _like(current: Any, flat: Any, shape: tuple[int, ...]) -> Any:
         return type(current)(flat, shape=shape)
     if isinstance(current, mi.Transform4f):
         # Gathered: an element of a flat array, such as `flat[3]`, is a plain number without a gradient.
-        rows = [[dr.gather(type(flat), flat, 4 * row + column) for column in range(4)] for row in range(4)]
+        rows = [[gather(flat, 4 * row + column) for column in range(4)] for row in range(4)]
         return mi.Transform4f(mi.Matrix4f(rows))
-    return type(current)(flat) if dr.depth_v(current) == 1 else dr.unravel(type(current), flat, order="C")
+    return type(current)(flat) if dr.depth_v(current) == 1 else unravel(type(current), flat)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, TypeAlias
 
-import drjit as dr
 import mitsuba as mi
 
 from loi_core.renderers.poses import PoseParameter, Rotate, Scale, Translate, in_application_order
+from loi_mitsuba.drjit.arrays import unravel
 
 __all__ = ["PoseParameter", "Rotate", "Scale", "Translate", "combined_transform"]
 
@@ -35,7 +35,7 @@ def combined_transform(handles: Sequence[tuple[PoseParameter, Any]], centre: Vec
     total = mi.Transform4f()
     for handle, value in in_application_order(handles):
         if isinstance(handle, Translate):
-            offset = dr.unravel(mi.Vector3f, value) if handle.axis is None else _vector(handle.axis) * value
+            offset = unravel(mi.Vector3f, value) if handle.axis is None else _vector(handle.axis) * value
             total = mi.Transform4f().translate(offset) @ total
             continue
         pivot = mi.Vector3f(*(centre if handle.pivot is None else handle.pivot))
