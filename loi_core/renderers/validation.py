@@ -63,7 +63,7 @@ def check_image(name: str, value: object, channels: tuple[int, ...]) -> FloatArr
     return image
 
 
-def check_parameters(params: Mapping[str, object], like: Mapping[str, FloatArray]) -> dict[str, FloatArray]:
+def check_parameters(params: Mapping[str, object], like: Mapping[str, np.ndarray[Any, Any]]) -> dict[str, FloatArray]:
     """Return `params` as float64 arrays; raise :class:`ParameterError` if names or shapes differ from `like`."""
     if set(params) != set(like):
         msg = f"`params` must have exactly the names {sorted(like)}, got {sorted(params)}"

@@ -13,7 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 from loi_core.errors import ParameterError
-from loi_core.support.wording import shown
+from loi_core.renderers.validation import check_floats, check_parameters
 from loi_mitsuba.drjit.arrays import Float32Array, aligned_copy, gather, unravel
 from loi_mitsuba.scene.load import ParameterTarget
 from loi_mitsuba.scene.parameters import SceneIndex, matrix_or_value
@@ -115,12 +115,9 @@ class ParameterBinding:
         ParameterError
             If they have not exactly the names and shapes of the parameters, or values that are not finite.
         """
-        if set(params) != set(self.start):
-            msg = f"`params` must have exactly the names {sorted(self.start)}, got {sorted(params)}"
-            raise ParameterError(msg)
         leaves = {}
-        for name, start in self.start.items():
-            value = host_numbers(name, params[name], start.shape)
+        for name, number in check_parameters(params, self.start).items():
+            value = host_numbers(name, number, number.shape)
             if isinstance(self.targets[name], Scale) and value <= 0:
                 msg = f"`{name}` scales a shape and must be more than 0, got {float(value):g}"
                 raise ParameterError(msg)
@@ -218,19 +215,10 @@ def host_numbers(name: str, value: Any, shape: tuple[int, ...]) -> Float32Array:
     ParameterError
         If it is not of that shape, or not finite.
     """
-    try:
-        with np.errstate(over="ignore"):  # values too large for float32 become infinite
-            array = np.array(value, dtype=np.float32, order="C")
-    except (TypeError, ValueError):
-        msg = f"`{name}` must be numbers of shape {shape}, got {shown(value)}"
-        raise ParameterError(msg) from None
-    if array.shape != shape:
-        msg = f"`{name}` must have shape {shape}, got {array.shape}"
-        raise ParameterError(msg)
-    if not np.all(np.isfinite(array)):
-        msg = f"`{name}` must be finite, got {int((~np.isfinite(array)).sum())} values that are not"
-        raise ParameterError(msg)
-    return array
+    with np.errstate(over="ignore"):  # values too large for float32 become infinite
+        single = check_floats(name, value, shape).astype(np.float32, order="C")
+    check_floats(name, single, shape)
+    return single
 
 
 def as_host(value: Any, shape: tuple[int, ...]) -> Float32Array:

@@ -17,10 +17,10 @@ from loi_core.renderers.rasterization import IndexArray
 from loi_core.renderers.validation import FloatArray, check_floats, check_size
 from loi_core.support.arrays import to_numpy
 from loi_core.support.wording import shown
+from loi_torch.compositing import composite_fragments
 from loi_torch.painted import Painted, Tensors
 from loi_torch.vector.coverage import Edges, Painting, check_near, cover
 from loi_torch.vector.outlines import Ring, Rings, ragged_arange, ring_points
-from loi_torch.vector.paint import bilinear, composite
 from loi_torch.vector.shapes import Shape
 from loi_torch.vector.strokes import stroke_points
 from loi_torch.vector.svg_reading import read_svg
@@ -133,7 +133,10 @@ class Vector(Painted):
         painting = cover(points, edges, self._size)
         colours = self._encoded(self._colours(painting, rings, scene))
         # Colours are encoded, not the image: a share of a pixel would be brighter than its area is.
-        image = composite(colours, painting, self._behind, self._size[0] * self._size[1])
+        share = painting.coverage * colours[:, 3]
+        pixels = torch.as_tensor(painting.pixels, device=self._device)
+        count = self._size[0] * self._size[1]
+        image = composite_fragments(share, colours[:, :3], self._behind, pixels, painting.sheets, count)
         return image.reshape(*self._size, 3)
 
     def _encoded(self, colours: Tensor) -> Tensor:
@@ -195,5 +198,10 @@ class Vector(Painted):
         cos, sin = torch.cos(angle), torch.sin(angle)
         local = torch.stack([cos * x + sin * y, cos * y - sin * x], dim=1)
         span = upper - lower
-        u, v = ((local - lower) / torch.where(span > 0.0, span, torch.ones_like(span))).unbind(dim=1)
-        return bilinear(scene["blends"][layer.row], u, v)
+        position = torch.clamp((local - lower) / torch.where(span > 0.0, span, torch.ones_like(span)), 0.0, 1.0)
+        u, v = position[:, :1], position[:, 1:]
+        left_top, right_top, left_bottom, right_bottom = scene["blends"][layer.row]
+        top = left_top + u * (right_top - left_top)
+        bottom = left_bottom + u * (right_bottom - left_bottom)
+        colours: Tensor = top + v * (bottom - top)
+        return colours

@@ -195,9 +195,9 @@ class _Reader:
             box = [element.number("viewBox", text) for text in element.attributes["viewBox"].replace(",", " ").split()]
             allowed = "`viewBox` must be four numbers, the last two more than 0"
         else:
-            sides = {"width": width, "height": height}
-            lengths = [element.number(key, element.text(key, str(side)), PIXELS) for key, side in sides.items()]
-            box = [0.0, 0.0, *lengths]
+            canvas = {"width": width, "height": height}
+            box = [0.0, 0.0]
+            box += [element.number(key, element.text(key, str(length)), PIXELS) for key, length in canvas.items()]
             allowed = "`width` and `height` must be more than 0"
         if len(box) != 4 or min(box[2:]) <= 0.0:
             element.fail(f"{allowed}, got {shown(element.attributes.get('viewBox', box[2:]))}")

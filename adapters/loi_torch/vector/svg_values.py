@@ -85,6 +85,6 @@ class Element:
         """Return a colour as linear RGB and opacity, shape (4,)."""
         colour = read_colour(text)
         if colour is None:
-            kind = ", a gradient or a pattern" if text.startswith("url(") else ""
-            self.fail(f"`{key}` must be none, #rgb, #rrggbb, rgb(...) or a name, got {shown(text)}{kind}")
+            explanation = ", a gradient or a pattern" if text.startswith("url(") else ""
+            self.fail(f"`{key}` must be none, #rgb, #rrggbb, rgb(...) or a name, got {shown(text)}{explanation}")
         return colour

@@ -8,7 +8,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from loi_core.method.compiled.compiling import compiled_as_written
-from loi_torch.mesh.visibility.edge_functions import BIN_MARGIN_PX, Triangles
+from loi_torch.mesh.visibility.edge_functions import BIN_MARGIN_PX, Triangles, covers, depth_at
 
 __all__ = ["QUERY_OFFSET_PX", "Bins", "bin_triangles", "nearest_triangle"]
 
@@ -101,19 +101,15 @@ def bin_triangles(triangles: Triangles, selected: Any, height: int, width: int) 
 @compiled_as_written
 def nearest_triangle(bins: Bins, bin_index: int, x: float, y: float) -> int:
     """Return the nearest triangle at a point (x, y) of the bin's pixel, or -1."""
-    edges, planes = bins.triangles.edges, bins.triangles.planes
+    planes = bins.triangles.planes
     nearest, nearest_depth = -1, -math.inf
     centre_x, centre_y = bins.pixel[bin_index] % bins.width + 0.5, bins.pixel[bin_index] // bins.width + 0.5
     for index in range(bins.first[bin_index], bins.first[bin_index + 1]):
         k = bins.members[index]
         if _depth_bound(planes, k, centre_x, centre_y) < nearest_depth:
             break  # the following triangles are farther still
-        if (
-            edges[k, 0, 0] * x + edges[k, 0, 1] * y + edges[k, 0, 2] >= 0.0
-            and edges[k, 1, 0] * x + edges[k, 1, 1] * y + edges[k, 1, 2] >= 0.0
-            and edges[k, 2, 0] * x + edges[k, 2, 1] * y + edges[k, 2, 2] >= 0.0
-        ):
-            depth = planes[k, 0] * x + planes[k, 1] * y + planes[k, 2]
+        if covers(bins.triangles, k, x, y):
+            depth = depth_at(bins.triangles, k, x, y)
             is_nearer = depth > nearest_depth or (depth == nearest_depth and k < nearest)
             if depth <= bins.triangles.max_depth and is_nearer:
                 nearest, nearest_depth = k, depth

@@ -16,7 +16,7 @@ import numpy as np
 from loi_core.method.compiled.compiling import compiled_as_written
 from loi_torch.mesh.visibility.types import ProjectedScene
 
-__all__ = ["BIN_MARGIN_PX", "Triangles", "depth_at", "depth_buffer", "has_edge_at", "set_up_triangles"]
+__all__ = ["BIN_MARGIN_PX", "Triangles", "covers", "depth_at", "depth_buffer", "has_edge_at", "set_up_triangles"]
 
 BIN_MARGIN_PX: Final = 2e-3  # distance from a pixel of the farthest triangles that are binned to it
 DEGENERATE_AREA_RATIO: Final = 1e-9  # largest volume of a triangle seen edge-on, over its bound
@@ -131,11 +131,29 @@ def _column_range(edges: Any, k: int, y: float, first: int, last: int) -> tuple[
 
 
 @compiled_as_written
+def covers(triangles: Triangles, k: int, x: float, y: float) -> bool:
+    """Return whether (x, y) lies within triangle `k`, or on its outline."""
+    edges = triangles.edges
+    return bool(
+        edges[k, 0, 0] * x + edges[k, 0, 1] * y + edges[k, 0, 2] >= 0.0
+        and edges[k, 1, 0] * x + edges[k, 1, 1] * y + edges[k, 1, 2] >= 0.0
+        and edges[k, 2, 0] * x + edges[k, 2, 1] * y + edges[k, 2, 2] >= 0.0
+    )
+
+
+@compiled_as_written
+def depth_at(triangles: Triangles, k: int, x: float, y: float) -> float:
+    """Return the reversed depth of the plane of triangle `k` at (x, y)."""
+    planes = triangles.planes
+    return float(planes[k, 0] * x + planes[k, 1] * y + planes[k, 2])
+
+
+@compiled_as_written
 def depth_buffer(triangles: Triangles, height: int, width: int) -> Any:
     """Return the nearest triangle at the centre of each pixel, the first of equally near ones, or -1."""
     nearest = np.full(height * width, -1, np.int32)
     buffer = np.full(height * width, -math.inf)
-    in_frame, edges, planes, box = triangles.in_frame, triangles.edges, triangles.planes, triangles.box
+    in_frame, edges, box = triangles.in_frame, triangles.edges, triangles.box
     for k in range(len(in_frame)):
         if not in_frame[k]:
             continue
@@ -144,24 +162,13 @@ def depth_buffer(triangles: Triangles, height: int, width: int) -> Any:
             first, last = _column_range(edges, k, y, box[k, 0], box[k, 1])
             for column in range(first, last + 1):
                 x = column + 0.5
-                if (
-                    edges[k, 0, 0] * x + edges[k, 0, 1] * y + edges[k, 0, 2] >= 0.0
-                    and edges[k, 1, 0] * x + edges[k, 1, 1] * y + edges[k, 1, 2] >= 0.0
-                    and edges[k, 2, 0] * x + edges[k, 2, 1] * y + edges[k, 2, 2] >= 0.0
-                ):
-                    depth = planes[k, 0] * x + planes[k, 1] * y + planes[k, 2]
+                if covers(triangles, k, x, y):
+                    depth = depth_at(triangles, k, x, y)
                     pixel = row * width + column
                     if depth > buffer[pixel] and depth <= triangles.max_depth:
                         buffer[pixel] = depth
                         nearest[pixel] = k
     return nearest
-
-
-@compiled_as_written
-def depth_at(triangles: Triangles, k: int, x: float, y: float) -> float:
-    """Return the reversed depth of the plane of triangle `k` at (x, y)."""
-    planes = triangles.planes
-    return float(planes[k, 0] * x + planes[k, 1] * y + planes[k, 2])
 
 
 @compiled_as_written
