@@ -164,8 +164,7 @@ def weight_planes(weights: Array, layout: Layout) -> Array:
     xp = namespace(weights)
     if layout.channel_axis is not None:
         weights = weights[..., None, :, :]
-    planes = xp.reshape(xp.broadcast_to(weights, layout.planes_shape), (-1, layout.height, layout.width))
-    return xp.asarray(planes, copy=True)  # compiled loops read no broadcast arrays
+    return xp.reshape(xp.broadcast_to(weights, layout.planes_shape), (-1, layout.height, layout.width))
 
 
 def _is_mask(normalised: Array) -> bool:

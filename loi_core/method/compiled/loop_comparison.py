@@ -64,7 +64,8 @@ class LoopComparison:
 
     def with_weights(self, weights: Floats) -> LoopComparison:
         """See :class:`loi_core.method.comparison.Comparison`."""
-        return LoopComparison(tuple(replace(inner, weights=weights) for inner in self.inner))
+        contiguous = np.array(weights, order="C")  # broadcast arrays would be compiled for again, and are slow
+        return LoopComparison(tuple(replace(inner, weights=contiguous) for inner in self.inner))
 
     def compare(self, compressed: Floats, *, gradient: bool) -> ComparisonResult:
         """Compare planes within the bounds, shape (N, H, W)."""
