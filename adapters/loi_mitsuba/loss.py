@@ -60,7 +60,7 @@ class LOILoss:
         A tone curve for images of high dynamic range, as ``mi.render`` gives them; see :class:`loi_core.LOIObjective`.
     weights : mi.TensorXf or array, shape (H, W), optional
         Weights of the pixels; a mask has weights of 0 and 1. See :class:`loi_core.LOIObjective`.
-    exposure : {"given", "matched", "regressed"}
+    exposure : {"given", "matched", "regressed", "detected"}
         Treatment of a photograph's exposure; see :class:`loi_core.LOIObjective`.
     colours : {"channels", "differences"}
         Which colour features are compared; see :class:`loi_core.LOIObjective`.

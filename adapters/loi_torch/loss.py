@@ -59,7 +59,7 @@ class LOILoss(torch.nn.Module):
     weights : Tensor or NumPy array, shape (H, W), optional
         Weight of each pixel; a mask has weights 0 and 1. See :class:`loi_core.LOIObjective`. Kept in the buffer
         ``weights``. A call may bring weights of its image, which multiply these.
-    exposure : {"given", "matched", "regressed"}
+    exposure : {"given", "matched", "regressed", "detected"}
         Treatment of a photograph's exposure; see :class:`loi_core.LOIObjective`.
     colours : {"channels", "differences"}
         Compared quantity; see :class:`loi_core.LOIObjective`.

@@ -16,7 +16,7 @@ from loi_core.fitting.optimiser import Memory, Optimiser
 from loi_core.fitting.parameters import Bounds
 from loi_core.fitting.partial_result import with_partial_result
 from loi_core.fitting.rates import measured_rates, racing_factors
-from loi_core.fitting.schedule import Schedule
+from loi_core.fitting.schedule import MAIN_STUCK_FRACTION, Schedule
 from loi_core.fitting.starts import MIN_RACE_STEPS, RACE_ROUNDS, ROUND_STEPS, race, search
 from loi_core.fitting.state import State
 from loi_core.fitting.views import View, Views, mean
@@ -32,7 +32,6 @@ Decay: TypeAlias = Literal["cosine", "none"]
 FINAL_RATE: Final = 1e-3  # end of the cosine decay, as a fraction of the learning rate
 FINISH_RATE: Final = 0.5  # fraction of the learning rate: the last stage has less far to go
 MAX_RESTARTS: Final = 3
-NOISE_FLOOR: Final = 0.025  # fraction of the initial value that the main stage may leave without being stuck
 MIN_IMPROVEMENT: Final = 0.9  # a restart must start below this fraction of the settled value
 
 
@@ -194,7 +193,7 @@ class Descent:
                     noise[name] = float(detached(objective.with_reference(image).value(images[name])))
                 else:
                     noise[name] = 0.0
-            return NOISE_FLOOR * value + mean(noise)
+            return MAIN_STUCK_FRACTION * value + mean(noise)
 
     def _rate(self, schedule: Schedule, step: int) -> float:
         if self.decay == "none" or self.steps == 1:

@@ -36,7 +36,7 @@ def exposure_is_free(views: Views, params: Parameters, bounds: Bounds, seed: int
 
 def require_visible(views: Views, params: Parameters, bounds: Bounds, seed: int) -> None:
     """Raise :class:`OptionError` if all objectives estimate an exposure that hides all free parameters."""
-    objectives = [view.objectives[-1] for view in views.by_name.values()]
+    objectives = [view.requested for view in views.by_name.values()]
     if any(not isinstance(entry, ImageObjective) or entry.exposure == "given" for entry in objectives):
         return
     shares = _shares(views, params, bounds, seed)

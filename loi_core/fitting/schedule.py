@@ -20,7 +20,7 @@ from loi_core.support.arrays import Array, to_numpy
 from loi_core.support.values import whole_number
 from loi_core.support.wording import shown
 
-__all__ = ["MIN_WINDOW", "WINDOW_FRACTION", "FarToNear", "Schedule", "has_settled"]
+__all__ = ["MAIN_STUCK_FRACTION", "MIN_WINDOW", "WINDOW_FRACTION", "FarToNear", "Schedule", "has_settled"]
 
 FAR_FRACTION: Final = 0.6
 """Fraction of the steps that all stages before the main stage may take together; the rest lets the fit converge."""
@@ -40,7 +40,16 @@ MIN_FALL: Final = 1e-3
 """Fraction of the value by which a loss must fall over the window."""
 
 STUCK_FRACTION: Final = 0.3
-"""Fraction of its first value at which the first stage is stuck if it settles there."""
+"""Fraction of its highest value at which the first stage is stuck if it settles there.
+
+A fit that starts near the target moves away from it first, by the length of its steps: its first value is no measure.
+"""
+
+MAIN_STUCK_FRACTION: Final = 0.025
+"""The same for the main stage."""
+
+UNDECAYED_STUCK_FRACTION: Final = 0.1
+"""The same for a main stage before a finish: its rate does not decay, so that it oscillates around a minimum."""
 
 MAX_RESTART_PROGRESS: Final = 0.5
 """Progress of the main stage beyond which no time is left for a restart, unless a stage follows."""
@@ -92,8 +101,8 @@ class Schedule:
         Number of steps taken, in total and when this stage started.
     values : tuple of float
         The last values of this stage, at most two windows.
-    first_value : float or None
-        The first value of the first stage.
+    highest_value : float
+        The highest value of this stage.
     """
 
     stages: int
@@ -106,14 +115,13 @@ class Schedule:
     step: int = 0
     stage_start: int = 0
     values: tuple[float, ...] = ()
-    first_value: float | None = None
+    highest_value: float = 0.0
 
     def after(self, value: float) -> Schedule:
         """Return the schedule after one more step; `value` is the loss of this stage in that step."""
         window = min(max(MIN_WINDOW, round(WINDOW_FRACTION * self.steps)), MAX_WINDOW)
         values = (*self.values[1 - 2 * window :], value)
-        first = values[0] if self.stage == 0 and self.first_value is None else self.first_value
-        taken = replace(self, step=self.step + 1, values=values, first_value=first)
+        taken = replace(self, step=self.step + 1, values=values, highest_value=max(self.highest_value, value))
         is_last = self.stage == self.stages - 1
         settled = (not is_last or self.restarts > 0) and (value == 0.0 or has_settled(values, window))
         ends = settled or taken._is_over
@@ -129,9 +137,7 @@ class Schedule:
 
     def in_main_stage(self) -> Schedule:
         """Return the schedule at the start of its main stage, after a race; at the next stage if no steps are left."""
-        started = replace(
-            self, stage=self._main, stage_start=self.step, values=(), stuck=False, restarts=self.restarts - 1
-        )
+        started = replace(self, stage=self._main - 1, restarts=self.restarts - 1)._next_stage()
         return started._next_stage() if started._is_over else started
 
     def proceed(self) -> Schedule:
@@ -185,11 +191,12 @@ class Schedule:
     def _is_high(self) -> bool:
         if self.stage == self._main:
             has_time = self.finishes or self._progress < MAX_RESTART_PROGRESS
-            return has_time and self.level > self.noise_floor
-        return self.stage == 0 and self.level > STUCK_FRACTION * (self.first_value or 0.0)
+            fraction = UNDECAYED_STUCK_FRACTION if self.finishes else MAIN_STUCK_FRACTION
+            return has_time and self.level > max(self.noise_floor, fraction * self.highest_value)
+        return self.stage == 0 and self.level > STUCK_FRACTION * self.highest_value
 
     def _next_stage(self) -> Schedule:
-        return replace(self, stage=self.stage + 1, stage_start=self.step, values=(), stuck=False)
+        return replace(self, stage=self.stage + 1, stage_start=self.step, values=(), stuck=False, highest_value=0.0)
 
 
 class FarToNear:

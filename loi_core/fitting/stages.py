@@ -89,8 +89,9 @@ def _far_to_near(objective: LOIObjective, *, exposure_is_free: bool) -> StagedOb
     """Return the stages of an objective with default scales.
 
     Photographs hardly ever have the exposure of their render, and a difference of some per cent outweighs the pull of a
-    distant object. The far stages therefore match the exposure, and they and the main stage compare histograms without
-    the global part. Brightness counts again in the last stage, or in all stages if a free parameter is a brightness.
+    distant object. All but the last stage therefore match the exposure, and compare histograms without the global part.
+    The last stage compares brightness again, but for an exposure that it detects there; all stages do
+    if a free parameter is a brightness.
     """
     height, width = objective.size
     scales = objective.scales
@@ -104,7 +105,8 @@ def _far_to_near(objective: LOIObjective, *, exposure_is_free: bool) -> StagedOb
     far = tuple(objective.with_exposure("matched").with_scales(stage) for stage in far_scales)
     if objective.exposure != "given":
         return StagedObjectives(far, objective.with_exposure("regressed"))
-    return StagedObjectives(far, objective.with_scales(near_scales), objective)
+    main = objective.with_exposure("matched").with_scales(near_scales)
+    return StagedObjectives(far, main, objective.with_exposure("detected"))
 
 
 def _pixels_of(objective: Objective) -> PixelL2:

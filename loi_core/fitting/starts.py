@@ -41,6 +41,7 @@ ROUND_STEPS: Final = 4  # at a high rate
 WINNING_FRACTION: Final = 0.2  # of the least loss at the start of a race: a racer that reaches it has won
 LEAD_FRACTION: Final = 0.9  # of the loss of the descent from the current parameters, which another racer must reach
 GAIN_FRACTION: Final = 0.5  # of the loss at the current parameters, which the descent from them must reach
+LOW_FRACTION: Final = 0.25  # of the least loss of all draws, below which the current parameters need no race
 MIN_RACE_STEPS: Final = 100  # of a fit; a race renders about as often
 MAX_SEARCH_NUMBERS: Final = 8  # in more dimensions so few draws cover next to nothing
 
@@ -136,6 +137,8 @@ def race(evaluate: Evaluate, descend: Descend, params: Parameters, bounds: Bound
     """
     first = evaluate(params)
     drawn = sorted(_evaluated(evaluate, _draws(params, bounds, SEARCH_DRAWS, 0)), key=_loss)[:RACERS]
+    if drawn and first < LOW_FRACTION * drawn[0][0]:
+        return None
     winning_loss = WINNING_FRACTION * min([first, *(value for value, _ in drawn)])
     current, others = (
         _Racer(descend(params), (first, params)),

@@ -74,10 +74,12 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
         Weight of each pixel, 0 or more; a mask is weights of 0 and 1. The contribution of a pixel to every comparison
         is multiplied by its weight, and the mean is still over all pixels. Pixels of weight 0 are treated as equal to
         the reference, whatever they hold, so that blurs see no edge there. A call may add weights of its image.
-    exposure : {"given", "matched", "regressed"}
+    exposure : {"given", "matched", "regressed", "detected"}
         "matched" gives each channel of the image the mean and deviation of the reference before they are compared, at
         every evaluation, and "regressed" the gain and offset of least absolute differences, for images that are nearly
-        aligned. The gradient holds gain and offset. The brightness of the whole image has no effect then.
+        aligned. "detected" regresses them too, and leaves a channel whose intensities in [0, 1] they would change by
+        less than half a step of 8 bits. The gradient holds gain and offset. The brightness of the whole image has no
+        effect then.
 
     Notes
     -----

@@ -100,7 +100,7 @@ class LOIObjective(ImageObjective[ScaleKey]):
         A tone curve for images of high dynamic range. The scales' `bounds` and beta refer to its output.
     weights : array, shape (H, W) or that of the reference without channels, optional
         Weight of each pixel, 0 or more, also in the histograms of its neighbours; see :class:`ImageObjective`.
-    exposure : {"given", "matched", "regressed"}
+    exposure : {"given", "matched", "regressed", "detected"}
         Treatment of a photograph's exposure; see :class:`ImageObjective`.
     colours : {"channels", "differences"}
         "differences" compares half of red - green, green - blue and blue - red, around the middle of the bounds. White

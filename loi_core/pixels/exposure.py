@@ -17,13 +17,15 @@ from loi_core.support.wording import shown
 
 __all__ = ["Exposure", "LinearExposure", "check_exposure", "estimate_exposure"]
 
-Exposure = Literal["given", "matched", "regressed"]
+Exposure = Literal["given", "matched", "regressed", "detected"]
 
 GAIN_RANGE: Final = (0.25, 4.0)  # two stops either way; a render that is nearly constant would need any gain
 SMALL_DEVIATION: Final = 1e-6  # added to both deviations, in units of intensity: two constant images have the gain 1
 REGRESSION_SIGMA: Final = 1.5  # pixels: edges that are not quite aligned would lower the gain
+REGRESSION_STRIDE: Final = 2  # pixels: the blurred images hold no finer detail
 REGRESSION_STEPS: Final = 12  # of reweighted least squares
 MIN_RESIDUAL: Final = 1e-4  # units of intensity: bounds the weight of a pixel in the regression
+MIN_DIFFERENCE: Final = 0.5 / 255.0  # units of intensity: half a step of an 8-bit image is no other exposure
 
 
 @dataclass(frozen=True)
@@ -71,10 +73,11 @@ def estimate_exposure(image: Array, reference: Array, weights: Array | None, exp
         Finite.
     weights : array, shape (N, H, W), optional
         Weights of pixels; None if all count alike.
-    exposure : {"matched", "regressed"}
+    exposure : {"matched", "regressed", "detected"}
         "matched" gives the image the mean and deviation of the reference, which needs no alignment. "regressed"
-        minimises the sum of absolute differences over aligned pixels, blurred by 1.5 pixels. The gain is limited to
-        [1/4, 4].
+        minimises the sum of absolute differences over aligned pixels, blurred by 1.5 pixels. "detected" is the same,
+        and leaves a plane whose intensities in [0, 1] it would change by less than half a step of 8 bits. The gain is
+        limited to [1/4, 4].
     """
     xp = namespace(image)
     ones = xp.ones_like(image) if weights is None else weights
@@ -82,17 +85,27 @@ def estimate_exposure(image: Array, reference: Array, weights: Array | None, exp
         return _matched(image, reference, ones)
     if weights is None:
         image, reference = _blurred(image), _blurred(reference)
+        ones = xp.ones_like(image)
     else:  # pixels of weight 0, which may hold anything, must not reach their neighbours
         seen = xp.astype(weights > 0.0, image.dtype)
         mass = xp.clip(_blurred(seen), min=SMALL_DEVIATION)
         image, reference = _blurred(image * seen) / mass, _blurred(reference * seen) / mass
-    pixel_weights = ones
-    fitted = _least_squares(image, reference, pixel_weights)
+        ones = weights[..., ::REGRESSION_STRIDE, ::REGRESSION_STRIDE]
+    fitted = _least_squares(image, reference, ones)
     for _ in range(REGRESSION_STEPS):
         residual = xp.abs(fitted.apply(image) - reference)
         pixel_weights = ones / xp.clip(residual, min=MIN_RESIDUAL)
         fitted = _least_squares(image, reference, pixel_weights)
-    return fitted
+    return _where_different(fitted) if exposure == "detected" else fitted
+
+
+def _where_different(fitted: LinearExposure) -> LinearExposure:
+    """Return an exposure that is the identity in planes where it would change no intensity in [0, 1] visibly."""
+    xp = namespace(fitted.gain)
+    change = xp.maximum(xp.abs(fitted.offset), xp.abs(fitted.gain - 1.0 + fitted.offset))
+    different = change > MIN_DIFFERENCE
+    gain = xp.where(different, fitted.gain, xp.ones_like(fitted.gain))
+    return LinearExposure(gain, xp.where(different, fitted.offset, xp.zeros_like(fitted.offset)))
 
 
 def _matched(image: Array, reference: Array, weights: Array) -> LinearExposure:
@@ -127,13 +140,14 @@ def _mean(planes: Array, weights: Array) -> Array:
 
 
 def _blurred(planes: Array) -> Array:
-    """Return planes blurred along both axes by a Gaussian of 1.5 pixels; border pixels repeat outside."""
+    """Return every other row and column of planes blurred by a Gaussian of 1.5 pixels; border pixels repeat outside."""
     xp = namespace(planes)
     radius = math.ceil(3.0 * REGRESSION_SIGMA)
     kernel = [math.exp(-0.5 * (offset / REGRESSION_SIGMA) ** 2) for offset in range(-radius, radius + 1)]
     for _ in range(2):
         size = planes.shape[-1]
         padded = xp.concat([planes[..., :1]] * radius + [planes] + [planes[..., -1:]] * radius, axis=-1)
-        blurred = sum(weight * padded[..., start : start + size] for start, weight in enumerate(kernel))
+        windows = (padded[..., start : start + size : REGRESSION_STRIDE] for start in range(len(kernel)))
+        blurred = sum(weight * window for weight, window in zip(kernel, windows, strict=True))
         planes = xp.matrix_transpose(blurred / sum(kernel))
     return planes

@@ -32,7 +32,7 @@ class PixelSettings:
     nan_policy : {"raise", "mask"}
     tone : LogTone, optional
     weights : PixelWeights, optional
-    exposure : {"given", "matched", "regressed"}
+    exposure : {"given", "matched", "regressed", "detected"}
     colours : {"channels", "differences"}
     intensity_range : IntensityRange, optional
         The map of intensities to the range that is compared; None leaves them.

@@ -25,24 +25,24 @@ PLACES = {"positions": Free(START, 0.0, [80.0, 64.0])}
 TARGET: Host = DISKS.render({**DISKS.parameters(), "positions": GOAL})
 
 
+@pytest.mark.parametrize("exposure", ["given", "matched"])
 @pytest.mark.parametrize(("gain", "offset"), [(0.97, 0.0), (0.9, 0.0), (0.7, 0.2)])
-def test_a_fit_finds_disks_in_a_photograph_of_another_exposure(gain: float, offset: float) -> None:
-    objective = LOIObjective(gain * TARGET + offset, exposure="matched")
+def test_a_fit_finds_disks_in_a_photograph_of_another_exposure(gain: float, offset: float, exposure: Any) -> None:
+    objective = LOIObjective(gain * TARGET + offset, exposure=exposure)
     result = fit(DISKS, objective, steps=120, optimise=PLACES)
     np.testing.assert_allclose(result.best_params["positions"], GOAL, atol=0.1)
 
 
-def test_a_fit_by_default_finds_disks_in_a_photograph_that_is_three_per_cent_darker() -> None:
-    result = fit(DISKS, LOIObjective(0.97 * TARGET), steps=120, optimise=PLACES)
-    np.testing.assert_allclose(result.best_params["positions"], GOAL, atol=1.0)
-
-
-def test_the_automatic_stages_end_with_the_requested_objective() -> None:
+def test_the_automatic_stages_end_with_the_objective_and_detect_an_exposure() -> None:
     objective = LOIObjective(TARGET)
     staged = staged_objectives(objective, "auto", None)
-    assert staged.finish is objective
+    assert isinstance(staged.finish, LOIObjective)
+    assert staged.finish.scales == objective.scales
+    image = DISKS.render({**DISKS.parameters(), "positions": GOAL + 0.1})
+    assert float(staged.finish.value(image)) == float(objective.value(image))
+    assert float(staged.finish.value(0.9 * TARGET)) < 0.01 * float(objective.value(0.9 * TARGET))
     assert isinstance(staged.main, LOIObjective)
-    assert staged.main.scales == replace(objective.scales, centred=True)
+    assert (staged.main.scales, staged.main.exposure) == (replace(objective.scales, centred=True), "matched")
     assert [entry.exposure for entry in staged.far if isinstance(entry, LOIObjective)] == ["matched"]
 
 

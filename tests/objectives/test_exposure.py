@@ -79,7 +79,7 @@ def test_an_object_is_pulled_by_a_darker_photograph_when_centred() -> None:
     assert pull(0.9, centred=True) > 0.8 * pull(1.0, centred=False)
 
 
-@pytest.mark.parametrize("exposure", ["matched", "regressed"])
+@pytest.mark.parametrize("exposure", ["matched", "regressed", "detected"])
 @pytest.mark.parametrize("make", [LOIObjective, PixelL2])
 def test_a_photograph_of_another_exposure_equals_its_render(make: Any, exposure: Any) -> None:
     image = smooth(3)
@@ -88,7 +88,7 @@ def test_a_photograph_of_another_exposure_equals_its_render(make: Any, exposure:
     assert float(make(photograph).value(image)) > 5e-4
 
 
-@given(st.integers(0, 2**32 - 1), st.sampled_from(["matched", "regressed"]), st.booleans(), st.booleans())
+@given(st.integers(0, 2**32 - 1), st.sampled_from(["matched", "regressed", "detected"]), st.booleans(), st.booleans())
 def test_the_gradient_is_the_gain_times_the_gradient_with_the_exposure_held(
     seed: int, exposure: Any, weighted: bool, batched: bool
 ) -> None:
@@ -104,6 +104,17 @@ def test_the_gradient_is_the_gain_times_the_gradient_with_the_exposure_held(
     plain, slopes = LOIObjective(reference, weights=weights).value_and_grad(gain * image + offset)
     assert float(value) == pytest.approx(float(plain), rel=1e-12, abs=1e-15)
     np.testing.assert_allclose(gradient, gain * slopes, rtol=1e-9, atol=1e-15)
+
+
+@pytest.mark.parametrize(("gain", "offset", "is_other"), [(0.999, 0.0, False), (0.99, 0.0, True), (1.0, 0.003, True)])
+def test_an_exposure_is_detected_from_half_a_step_of_eight_bits_on(gain: float, offset: float, is_other: bool) -> None:
+    image = smooth(3)
+    photograph = gain * image + offset
+    plain, regressed, detected = (
+        float(LOIObjective(photograph, exposure=exposure).value(image))
+        for exposure in ("given", "regressed", "detected")
+    )
+    assert detected == (regressed if is_other else plain)
 
 
 def test_a_patch_that_only_the_photograph_has_hardly_changes_the_regression() -> None:
@@ -141,7 +152,7 @@ def test_pixels_that_are_masked_do_not_change_the_exposure() -> None:
 
 
 def test_exposures_and_centring_of_other_kinds_are_refused() -> None:
-    with pytest.raises(OptionError, match="`exposure` must be one of 'given', 'matched', 'regressed', got 'auto'"):
+    with pytest.raises(OptionError, match="'given', 'matched', 'regressed', 'detected', got 'auto'"):
         LOIObjective(smooth(0), exposure="auto")  # type: ignore[arg-type]  # on purpose
     with pytest.raises(ScaleError, match="`centred` must be True or False, got 'yes'"):
         ScaleSpace(1.0, 5.0, 0.125, centred="yes")  # type: ignore[arg-type]  # on purpose
