@@ -6,11 +6,12 @@ import atexit
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import pytest
+from filelock import FileLock
 from hypothesis import HealthCheck, settings
 
 from tests.browser import chromium
@@ -47,10 +48,22 @@ for name, examples in (("quick", 10), ("ci", 25), ("thorough", 1000)):
 settings.load_profile(os.environ.get("HYPOTHESIS_PROFILE", "ci"))
 
 
+def built_once(tmp_path_factory: pytest.TempPathFactory, name: str, build: Callable[[Path], Path]) -> Path:
+    """Return the path that `build` makes in a folder; the workers of a run share the result of the first."""
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent
+    result = folder / f"{name}.txt"
+    with FileLock(result.with_suffix(".lock")):
+        if not result.exists():
+            result.write_text(str(build(folder / name)))
+    return Path(result.read_text())
+
+
 @pytest.fixture(scope="session")
 def wheel(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Return the wheel that users install."""
-    return build_wheel(tmp_path_factory.mktemp("dist"))
+    return built_once(tmp_path_factory, "dist", build_wheel)
 
 
 @pytest.fixture(scope="module")  # not "session": while it is open, no other event loop can run
@@ -62,5 +75,5 @@ def browser() -> Iterator[Browser]:
 
 @pytest.fixture(scope="session")
 def fresh(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Return the Python of an environment with only the wheel and its requirements."""
-    return fresh_python(tmp_path_factory.mktemp("fresh"), wheel)
+    """Return the Python of an environment with only the wheel and its requirements, which tests must not change."""
+    return built_once(tmp_path_factory, "fresh", lambda folder: fresh_python(folder, wheel))

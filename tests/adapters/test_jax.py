@@ -112,7 +112,7 @@ def test_the_jax_loss_of_a_low_precision_image_is_float32(loss: Loss, dtype: Any
     assert float(value) == pytest.approx(float(expected), rel=1e-5)
 
 
-@pytest.mark.parametrize("dtype", [jnp.float16, jnp.bfloat16])
+@pytest.mark.parametrize("dtype", [pytest.param(jnp.float16, marks=thorough), jnp.bfloat16])
 @pytest.mark.parametrize("wrap", [pytest.param(lambda f: f, marks=thorough), jax.jit], ids=["eager", "jit"])
 def test_the_jax_gradient_is_scaled_before_it_is_rounded_to_16_bits(loss: Loss, dtype: Any, wrap: Any) -> None:
     batch = jnp.broadcast_to(jnp.asarray(IMAGE, dtype=dtype), (64, *IMAGE.shape))  # the mean has small gradients
@@ -170,7 +170,7 @@ def test_the_objective_conforms_on_jax_arrays() -> None:
     check_objective(lambda reference: LOIObjective(reference, SCALES), asarray=jnp.asarray)
 
 
-@pytest.mark.parametrize("dtype", ["float32", "float64"])
+@pytest.mark.parametrize("dtype", ["float32", pytest.param("float64", marks=thorough)])
 @pytest.mark.parametrize("scales", [SCALES, ScaleSpace(0, (0, 2), 0.02, p=2.0)], ids=["p = 1", "p = 2"])
 def test_the_compiled_jax_loss_of_equal_images_is_exactly_zero(scales: ScaleSpace, dtype: str) -> None:
     loss = loi_jax.loi_loss(REFERENCE.astype(dtype), scales)

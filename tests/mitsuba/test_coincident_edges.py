@@ -22,7 +22,8 @@ from tests.strategies import thorough
 
 MOVES: dict[str, Any] = {name: Translate("block", axis) for name, axis in zip("xyz", np.eye(3).tolist(), strict=True)}
 SEEDS = 8
-PROBES_PX = ((16, 20), (24, 20), (24, 28), (32, 20))  # row and column: silhouette, shared edges, crease, shadow
+INNER_PROBES_PX = ((24, 20), (24, 28))  # row and column: shared edges, and the crease between the bars
+OUTER_PROBES_PX = ((16, 20), (32, 20))  # silhouette and shadow, whose edges the bars share in part
 TRANSFORM = mi.ScalarTransform4f
 # Two opposite corners of a horizontal and a vertical bar that share a corner, and the outline of the L that they form.
 BARS = (((0.0, 0.0), (1.2, 0.3)), ((0.0, 0.0), (0.3, 1.2)))
@@ -85,13 +86,18 @@ def gradients(renderer: Any, weights: list[Host]) -> Host:
 
 
 @pytest.mark.parametrize("light", ["lamp", pytest.param("sky", marks=thorough)])
-def test_overlapping_components_have_the_gradient_of_their_union(light: str, tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "probes_px", [INNER_PROBES_PX, pytest.param(OUTER_PROBES_PX, marks=thorough)], ids=["inner edges", "outer edges"]
+)
+def test_overlapping_components_have_the_gradient_of_their_union(
+    light: str, probes_px: tuple[tuple[int, int], ...], tmp_path: Path
+) -> None:
     """Shared edges used to count twice, or four times, and the crease between the bars not at all.
 
     In light from everywhere, an edge of one bar in a face of the other used to cast a shadow on it.
     """
     rows, columns = np.mgrid[:HEIGHT, :WIDTH]
-    bumps = [np.exp(-((rows - row) ** 2 + (columns - column) ** 2) / 50.0)[..., None] for row, column in PROBES_PX]
+    bumps = [np.exp(-((rows - row) ** 2 + (columns - column) ** 2) / 50.0)[..., None] for row, column in probes_px]
     weights = [np.asarray(bump * np.array([0.1, 0.07, -0.04]), dtype=np.float32) for bump in bumps]
     actual, expected = (
         gradients(renderer_of(mesh, tmp_path / name, light), weights)

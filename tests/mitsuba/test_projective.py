@@ -15,6 +15,7 @@ from loi_mitsuba.boundary.received_shadows import ReceivedShadowBoundary
 from loi_mitsuba.renderer import split_seed
 from tests.helpers import Host
 from tests.mitsuba.scenes import HEIGHT, WIDTH, shadow_scene
+from tests.strategies import thorough
 
 SAMPLES = 8
 CROP = {"crop_offset_x": 8, "crop_offset_y": 4, "crop_width": WIDTH - 16, "crop_height": HEIGHT - 8}
@@ -95,7 +96,7 @@ def test_a_crop_window_has_the_gradient_of_that_region_of_the_film(term: str) ->
     check_same_gradient(term, 6, (ball_in_view(), weight), (ball_in_view(**CROP), weight[rows, columns]))
 
 
-@pytest.mark.parametrize("term", ["sppp", "sppi"])
+@pytest.mark.parametrize("term", [pytest.param("sppp", marks=thorough), "sppi"])
 def test_an_off_centre_camera_has_the_gradient_of_that_region_of_a_wider_film(term: str) -> None:
     """Mitsuba's own gradient lacks the shadows that would be out of view if the principal point were in the centre."""
     offset = WIDTH // 4

@@ -103,7 +103,9 @@ def test_a_proxy_light_is_made_smaller_in_a_shade_and_not_below_a_ceiling() -> N
     assert reasons == [True, False]
 
 
-@pytest.mark.parametrize("light", ["point", "spot", pytest.param("directional", marks=thorough)])
+@pytest.mark.parametrize(
+    "light", ["point", *(pytest.param(light, marks=thorough) for light in ("spot", "directional"))]
+)
 def test_the_gradient_of_a_delta_light_s_shadow_matches_finite_differences(light: str) -> None:
     scene = lit_scene(light)
     planned = PlannedRenderer(scene, AXES, spp=64)

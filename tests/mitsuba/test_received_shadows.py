@@ -12,6 +12,7 @@ from loi_mitsuba import MitsubaRenderer, Translate
 from loi_mitsuba.boundary.received_shadows import ReceivedShadowBoundary
 from tests.helpers import Host
 from tests.mitsuba.scenes import HEIGHT, WIDTH, box, shadow_scene
+from tests.strategies import thorough
 
 MOVES: dict[str, Any] = {"x": Translate("ball", (1, 0, 0)), "z": Translate("ball", (0, 0, 1))}
 START = {name: np.float32(0.0) for name in MOVES}
@@ -38,7 +39,7 @@ def mean_gradient(renderer: MitsubaRenderer, weight: Host, seeds: int) -> tuple[
     return draws.mean(axis=0), draws.std(axis=0, ddof=1) / np.sqrt(seeds)
 
 
-@pytest.mark.parametrize("scene_name", ["under a ball", "under the sky"])
+@pytest.mark.parametrize("scene_name", [pytest.param("under a ball", marks=thorough), "under the sky"])
 def test_a_shadowed_moving_ball_has_the_gradient_of_finite_differences(
     scene_name: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
