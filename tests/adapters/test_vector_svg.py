@@ -158,6 +158,8 @@ CIRCLE = '<circle cx="7" cy="8" r="4"/>'
     ("content", "message"),
     [
         ("<svg", "not well-formed XML"),
+        ('<?xml version="1.0" encoding="utf-9"?><svg/>', "not well-formed XML (LookupError: unknown encoding: utf-9)"),
+        ('<?xml version="1.0" encoding="big5"?><svg/>', "multi-byte encodings are not supported"),
         ("<svg></svg>", "there is no shape in it"),
         ("<html><p/></html>", "<html> is not supported here"),
         (f"<svg><svg>{CIRCLE}</svg></svg>", "<svg> is not supported here"),

@@ -11,6 +11,7 @@ from xml.parsers import expat
 
 import numpy as np
 
+from loi_core.errors import SvgError
 from loi_core.io.files import read_bytes
 from loi_core.renderers.validation import FloatArray
 from loi_core.support.wording import described, shown
@@ -118,7 +119,9 @@ def read_svg(path: pathlib.Path, height: int, width: int) -> Drawing:
     parser.EndElementHandler = reader.end
     try:
         parser.Parse(content, True)  # noqa: FBT003 - it takes no keyword
-    except expat.ExpatError as error:
+    except SvgError:
+        raise
+    except (expat.ExpatError, LookupError, ValueError) as error:  # the last two for encodings that expat cannot read
         fail(path, f"not well-formed XML ({described(error)})")
     if not reader.drawing.shapes:
         fail(path, "there is no shape in it")
