@@ -14,10 +14,10 @@ from typing import Any, Final, TypeAlias
 
 import numpy as np
 
+from examples.plots import new_figure
 from loi_core import FitResult, Free, LOIObjective, ScaleSpace, fit
 from loi_core.io.images import read_image, write_png
 from loi_core.objectives import ImageObjective, PixelL2
-from loi_core.report.plots import new_figure
 from loi_torch.vector import Circle, Rectangle, Shape, Vector
 from loi_torch.vector import Path as Curves
 

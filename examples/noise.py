@@ -14,10 +14,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from examples.plots import new_figure
 from loi_core import Free, GaussianPyramid, LOIObjective, Parameters, PixelL2, Pullback, ScaleSpace, fit
 from loi_core.objectives import ImageObjective
 from loi_core.renderers import Disks
-from loi_core.report.plots import new_figure
 
 Host = np.ndarray[Any, Any]
 

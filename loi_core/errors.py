@@ -20,7 +20,6 @@ __all__ = [
     "InUseError",
     "LoiError",
     "MeshError",
-    "MissingPackageError",
     "NonFiniteImageError",
     "ObjectiveNotFoundError",
     "OptionError",
@@ -194,10 +193,6 @@ class FitError(LoiError, RuntimeError):
 
 class FitDivergedError(FitError, ArithmeticError):
     """An image, loss or gradient of a fit is not finite."""
-
-
-class MissingPackageError(LoiError, ImportError):
-    """A function needs a package that is not installed; the message names the command that installs it."""
 
 
 class ExecutorError(LoiError, RuntimeError):

@@ -15,9 +15,9 @@ import numpy as np
 
 from examples.convergence.__main__ import cases
 from examples.convergence.case import Trial
+from examples.plots import new_figure, png_of
 from loi_core import LOIObjective, ScaleSpace
 from loi_core.io.files import write_bytes
-from loi_core.report.plots import new_figure, png_of
 from loi_core.support.arrays import Host, from_numpy, to_numpy
 
 SCENES: Final = (("warp: picture on checkers", 0), ("vector: ellipse on a photograph", 0), ("Mitsuba: ball on wood", 0))

@@ -16,8 +16,8 @@ from examples.external.disks import DISKS, PHOTOGRAPHS, disks_at
 from examples.external.methods import METHODS
 from examples.external.problem import Method
 from examples.external.running import summary
+from examples.plots import new_figure, png_of
 from loi_core.io.files import write_bytes
-from loi_core.report.plots import new_figure, png_of
 
 DISTANCES_PX: Final = (8.0, 16.0, 24.0, 32.0, 40.0)
 PANELS: Final = ("x 1", "x 0.9")

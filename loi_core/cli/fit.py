@@ -26,6 +26,7 @@ from loi_core.scenes.experiment import plan_scene, run_scene
 from loi_core.scenes.reading import load_scene
 from loi_core.scenes.scene import Scene
 from loi_core.support.markdown import columns
+from loi_core.support.values import formatted
 from loi_core.support.wording import printable
 
 __all__ = ["print_summary", "run", "run_and_write"]
@@ -118,7 +119,7 @@ def print_summary(result: Mapping[str, Any]) -> None:
     for trial in result["trials"]:
         errors = trial.get("parameter_errors", {})
         numbers = [(trial.get("psnr"), ".2f"), (trial.get("seconds"), ".1f"), *((errors.get(n), ".4g") for n in names)]
-        rows.append([objective_label(trial["objective"]), *(_shown(value, spec) for value, spec in numbers)])
+        rows.append([objective_label(trial["objective"]), *(formatted(value, spec) for value, spec in numbers)])
     print("\n".join(columns(rows)))
 
 
@@ -150,7 +151,3 @@ def _explain(path: Path, *, as_json: bool) -> int:
     plan = plan_scene(scene, planner, next(iter(scene.objectives.values())))
     print(json.dumps(asdict(plan), indent=2) if as_json else plan)
     return DONE
-
-
-def _shown(value: Any, spec: str) -> str:
-    return format(value, spec) if isinstance(value, int | float) else "-"

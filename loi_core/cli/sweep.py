@@ -3,18 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
 import math
 import sys
-from collections.abc import Iterator
-from concurrent.futures import Executor
 from typing import Final
 
 from loi_core.cli.codes import DONE, FAILED
 from loi_core.cli.progress import ProgressBar
-from loi_core.errors import OptionError
-from loi_core.runs import DaskExecutor
 from loi_core.support.values import finite_or_none
 from loi_core.support.wording import printable
 from loi_core.sweeps import SweepResult, sweep
@@ -26,9 +21,6 @@ MAX_SETTINGS: Final = 10  # that are printed
 
 def run(options: argparse.Namespace) -> int:
     """Carry out the remaining runs of a sweep and print the best settings; FAILED if a run has failed."""
-    if options.dask is not None and options.processes is not None:
-        msg = "`--dask` and `--processes` exclude each other; a cluster knows how many workers it has"
-        raise OptionError(msg)
     failed = 0
 
     def progress(ended: int, total: int, cause: str) -> None:
@@ -36,12 +28,12 @@ def run(options: argparse.Namespace) -> int:
         failed += bool(cause)
         bar.show(ended, total, f"{failed} failed" if failed else "")
 
-    with ProgressBar() as bar, _executor(options.dask) as executor:
+    with ProgressBar() as bar:
         result = sweep(
             options.sweep,
             output=options.output,
-            executor=executor,
             processes=options.processes,
+            dask=options.dask,
             retry_failed=options.retry_failed,
             progress=progress,
         )
@@ -54,18 +46,6 @@ def run(options: argparse.Namespace) -> int:
     else:
         _print(result)
     return FAILED if result.count("failed") else DONE
-
-
-@contextlib.contextmanager
-def _executor(dask: str | None) -> Iterator[Executor | None]:
-    if dask is None:
-        yield None
-        return
-    executor = DaskExecutor(dask)
-    try:
-        yield executor
-    finally:
-        executor.shutdown(cancel_futures=True)
 
 
 def _print(result: SweepResult) -> None:

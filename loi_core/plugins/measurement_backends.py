@@ -51,7 +51,7 @@ class MeasurementBackend(Protocol):
 
     @property
     def dtypes(self) -> tuple[str, ...]:
-        """Names of its dtypes, or BFLOAT16_PRODUCTS; the default of the library first."""
+        """Names of the backend's dtypes, the default first, and perhaps BFLOAT16_PRODUCTS."""
 
     @property
     def half_dtypes(self) -> tuple[str, ...]:
@@ -59,7 +59,7 @@ class MeasurementBackend(Protocol):
 
     @property
     def compiled(self) -> bool:
-        """Whether it compiles without pixel values, and returns NaN where other backends raise an error."""
+        """Whether the backend traces images without values; non-finite pixels then give NaN instead of an error."""
 
     def device(self) -> str:
         """Return the name of its device, such as "cpu"."""

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import MISSING, dataclass, fields
+from dataclasses import dataclass, fields
 from typing import Any, Final, TypeAlias
 
 import numpy as np
@@ -166,14 +166,10 @@ def _from_table(table: Mapping[str, Any]) -> PoseParameter:
         raise ParameterError(msg)
     pose = POSE_PARAMETERS[classes[0]]
     options = {key: value for key, value in table.items() if key != classes[0]}
-    arguments = {argument.name: argument.default for argument in fields(pose) if argument.name != "shape"}
+    arguments = [argument.name for argument in fields(pose) if argument.name != "shape"]  # all are optional
     for key in options:
         if key not in arguments:
             msg = f"unknown key `{key}`; {pose.__name__} takes {', '.join(arguments)}"
-            raise ParameterError(msg)
-    for key, default in arguments.items():
-        if default is MISSING and key not in options:
-            msg = f"{pose.__name__} needs `{key}`"
             raise ParameterError(msg)
     return pose(table[classes[0]], **options)
 

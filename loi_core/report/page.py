@@ -20,7 +20,7 @@ from loi_core.report.names import objective_label
 from loi_core.report.pictures import Pictures
 from loi_core.report.provenance import provenance
 from loi_core.report.viewer import effects, gradients, viewer
-from loi_core.support.values import real_number
+from loi_core.support.values import formatted, real_number
 
 __all__ = ["html_table", "run_page", "verdict_line", "write_index", "write_page"]
 
@@ -123,7 +123,7 @@ def _contents(results: Sequence[Mapping[str, Any]]) -> str:
     for run, result in enumerate(results):
         trial = result["trials"][0]
         link = f'<a href="#run-{run}">{escape(result["title"])}</a>'
-        first, last = (_number(trial.get(key), ".2f") for key in ("psnr_initial", "psnr"))
+        first, last = (formatted(trial.get(key), ".2f") for key in ("psnr_initial", "psnr"))
         rows.append([link, _label(trial), first, last, escape(_outcome(trial))])
     return html_table("Runs", heads, rows, text_columns=(0, 1, 4))
 
@@ -231,14 +231,8 @@ def _numbers(trials: Sequence[Mapping[str, Any]]) -> str:
     for trial in trials:
         errors = trial.get("parameter_errors", {})
         numbers = [
-            _number(trial.get(key), spec) for key, spec in (("psnr", ".2f"), ("best_step", ".0f"), ("seconds", ".1f"))
+            formatted(trial.get(key), spec) for key, spec in (("psnr", ".2f"), ("best_step", ".0f"), ("seconds", ".1f"))
         ]
-        numbers += [_number(errors.get(name), ".4g") for name in names]
+        numbers += [formatted(errors.get(name), ".4g") for name in names]
         rows.append([_label(trial), *numbers, escape(_outcome(trial))])
     return html_table("Numbers of every objective", heads, rows, text_columns=(0, len(heads) - 1))
-
-
-def _number(value: Any, spec: str) -> str:
-    if not isinstance(value, int | float) or isinstance(value, bool):
-        return "-"
-    return format(real_number(value), spec)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import platform
 from collections.abc import Sequence
 from dataclasses import asdict
@@ -20,7 +19,7 @@ from loi_core.report.pictures import picture_figure
 from loi_core.support.charts import Chart, Line
 from loi_core.support.markdown import markdown
 from loi_core.support.processors import usable_processors
-from loi_core.support.values import finite_or_none
+from loi_core.support.values import finite_or_none, formatted
 from loi_core.tradeoff import MAX_NOISE_FRACTION, Noise, Row, Tradeoff
 
 __all__ = ["RESULT_FILE", "plain", "tradeoff_lines", "write_tradeoff"]
@@ -137,10 +136,13 @@ def _cells(result: Tradeoff) -> list[list[str]]:
         setting = row.setting
         device = f" ({row.device})" if row.device not in ("", "cpu") else ""
         cells = [setting.backend + device, setting.accuracy, setting.dtype, setting.change or "all"]
-        cells += [str(setting.levels), _shown(1e3 * row.seconds, ".4g")]
-        cells += [_shown(None if row.memory is None else row.memory / 2**20, ".1f"), _shown(row.error, ".1e")]
+        cells += [str(setting.levels), formatted(1e3 * row.seconds, ".4g")]
+        cells += [
+            formatted(None if row.memory is None else row.memory / 2**20, ".1f"),
+            formatted(row.error, ".1e"),
+        ]
         if _has_parameters(result):
-            cells.append(_shown(row.parameter_error, ".1e"))
+            cells.append(formatted(row.parameter_error, ".1e"))
         table.append([*cells, "*" if mark else ""])
     return table
 
@@ -151,16 +153,12 @@ def _noise_table(noises: Sequence[Noise]) -> tuple[list[str], list[list[str]]]:
     return heads, [
         [
             "-" if noise.samples is None else str(noise.samples),
-            _shown(1e3 * noise.seconds, ".4g"),
+            formatted(1e3 * noise.seconds, ".4g"),
             str(noise.seeds),
-            *(_shown(noise.parameters.get(name), ".2g") for name in names),
+            *(formatted(noise.parameters.get(name), ".2g") for name in names),
         ]
         for noise in noises
     ]
-
-
-def _shown(value: float | None, spec: str) -> str:
-    return "-" if value is None or not math.isfinite(value) else format(value, spec)
 
 
 def _notes(result: Tradeoff) -> list[str]:

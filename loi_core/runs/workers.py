@@ -1,7 +1,9 @@
-"""Parallel execution of many runs over any executor."""
+"""Parallel execution of many runs, on threads of this process or on a Dask cluster."""
 
 from __future__ import annotations
 
+import contextlib
+import threading
 import uuid
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future, ThreadPoolExecutor
@@ -10,7 +12,7 @@ from types import TracebackType
 from typing import Any, Final
 
 from loi_core.errors import ExecutorError, OptionError
-from loi_core.runs.dask import DaskExecutor
+from loi_core.runs.dask import CONNECT_TIMEOUT_S, connect
 from loi_core.runs.processes import RunResult, RunT, kill_processes, supervise
 from loi_core.support.processors import usable_processors
 from loi_core.support.values import real_number, whole_number
@@ -30,31 +32,35 @@ class Workers:
 
     Parameters
     ----------
-    executor : concurrent.futures.Executor, optional
-        Supervises the processes and thereby decides where and how many run: threads, or the workers of a cluster, see
-        :class:`DaskExecutor`. It stays open. Threads by default.
     processes : int, optional
-        Number of processes without an executor; by default the number of processors.
+        Number of processes; by default the number of processors.
+    dask : str or cluster, optional
+        A Dask cluster, or the address of its scheduler: each thread of its workers supervises one process. The
+        scheduler restarts the runs of a lost worker elsewhere, a few times. The scheduler and all workers need this
+        library, and the files of the runs under the same paths.
 
     Raises
     ------
     OptionError
         If both arguments are given, or a value is not allowed.
+    ExecutorError
+        If Dask is not installed, or no scheduler answers.
     """
 
-    def __init__(self, executor: Executor | None = None, processes: int | None = None) -> None:
-        if executor is not None and processes is not None:
-            msg = "`executor` and `processes` exclude each other; an executor has its own number of workers"
+    def __init__(self, processes: int | None = None, dask: Any = None) -> None:
+        if dask is not None and processes is not None:
+            msg = "`dask` and `processes` exclude each other; a cluster has its own number of workers"
             raise OptionError(msg)
         number = usable_processors() if processes is None else whole_number(processes)
         if number is None or not 1 <= number <= MAX_PROCESSES:
             msg = f"`processes` must be a whole number from 1 to {MAX_PROCESSES}, got {shown(processes)}"
             raise OptionError(msg)
-        if executor is not None and not isinstance(executor, Executor):
-            msg = f"`executor` must be a concurrent.futures.Executor, got {shown(executor)}"
-            raise OptionError(msg)
-        self._threads = ThreadPoolExecutor(number, thread_name_prefix="loi-run") if executor is None else None
-        self._executor: Executor = executor or self._threads  # type: ignore[assignment]  # one of them is not None
+        self._client: Any = None if dask is None else connect(dask)
+        self._executor: Executor = (
+            ThreadPoolExecutor(number, thread_name_prefix="loi-run")
+            if self._client is None
+            else self._client.get_executor(pure=False)
+        )
         self._owner = uuid.uuid4().hex
 
     def __enter__(self) -> Workers:
@@ -62,10 +68,18 @@ class Workers:
 
     def __exit__(self, _: type[BaseException] | None, __: BaseException | None, ___: TracebackType | None) -> None:
         kill_processes(self._owner)
-        if isinstance(self._executor, DaskExecutor):
-            self._executor.call_on_all_workers(kill_processes, self._owner)
-        if self._threads is not None:
-            self._threads.shutdown(cancel_futures=True)
+        if self._client is None:
+            self._executor.shutdown(cancel_futures=True)
+            return
+        thread = threading.Thread(target=self._kill_on_cluster, daemon=True)
+        thread.start()
+        thread.join(CONNECT_TIMEOUT_S)  # a suspended worker would block forever
+        self._executor.shutdown(wait=False)
+        self._client.close()
+
+    def _kill_on_cluster(self) -> None:
+        with contextlib.suppress(Exception):  # the cluster may have shut down
+            self._client.run(kill_processes, self._owner, on_error="ignore")
 
     def map_unordered(
         self, function: Callable[[RunT], Any], runs: Iterable[RunT], *, timeout: float | None = None

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["finite_or_none", "parsed_number", "real_number", "whole_number"]
+__all__ = ["finite_or_none", "formatted", "parsed_number", "real_number", "whole_number"]
 
 
 def real_number(value: object) -> float:
@@ -34,6 +34,12 @@ def whole_number(value: object) -> int | None:
 def finite_or_none(value: Any) -> float | None:
     """Return a number as a float for JSON, which has neither NaN nor infinity; None for those."""
     return float(value) if math.isfinite(value) else None
+
+
+def formatted(value: object, spec: str) -> str:
+    """Return a finite number in a format such as ".2f"; "-" for everything else."""
+    number = real_number(value)
+    return format(number, spec) if math.isfinite(number) else "-"
 
 
 def parsed_number(text: str) -> float:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Mapping
-from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final, TypeAlias
@@ -62,8 +61,8 @@ def sweep(
     path: Path | str,
     *,
     output: Path | str | None = None,
-    executor: Executor | None = None,
     processes: int | None = None,
+    dask: Any = None,
     retry_failed: bool = False,
     progress: Progress | None = None,
 ) -> SweepResult:
@@ -79,10 +78,11 @@ def sweep(
         The sweep file; see ``docs/guide/sweeps.md``.
     output : path, optional
         Overrides the output folder of the file.
-    executor : concurrent.futures.Executor, optional
-        Its workers supervise the processes; :class:`loi_core.runs.DaskExecutor` uses a cluster. It stays open.
     processes : int, optional
-        Number of parallel runs without an executor; by default the number of processors.
+        Number of parallel runs; by default the number of processors.
+    dask : str or cluster, optional
+        A Dask cluster that executes the runs instead, or the address of its scheduler; see
+        :class:`loi_core.runs.Workers`.
     retry_failed : bool
         Whether to execute failed runs again.
     progress : callable, optional
@@ -100,13 +100,13 @@ def sweep(
     OptionError
         If an argument is not allowed, or the output folder does not belong to a sweep.
     ExecutorError
-        If the executor breaks.
+        If the cluster cannot be reached, or breaks.
     KeyboardInterrupt
         On Ctrl-C, with the number of finished runs; their records are kept, and the table and page include them.
     """
     plan = read_sweep(Path(path), output=None if output is None else Path(output))
     folder = SweepFolder(plan.output)
-    with Workers(executor, processes) as workers:
+    with Workers(processes, dask) as workers:
         _check_scenes(plan, folder, workers, _unfinished(plan, _read_records(plan, folder), retry_failed=retry_failed))
         with folder.locked():
             return _execute(plan, folder, workers, progress, retry_failed=retry_failed)

@@ -66,14 +66,8 @@ def check_objective(
 
     Parameters
     ----------
-    make : callable
-        ``make(reference)`` returns an objective for this reference image.
-    asarray : callable
-        Converts a NumPy array to the library of the test.
-    shape, dtype, seed
-        Properties of the random images.
-    rtol : float, optional
-        Largest relative error of slopes against central differences; by default 5e-4 in float64, 5e-3 in float32.
+    make, asarray, shape, dtype, seed, rtol
+        As in :class:`ObjectiveSubject`.
     expected_failures : dict of str, optional
         Names of checks that are known to fail, with the reason. One that passes is an error too.
 

@@ -74,13 +74,9 @@ def check_renderer(
     ----------
     renderer : Renderer
         Small images make the checks fast; parameters should have an effect on the image.
-    seed : int
-        Seed of the renders and of the random directions.
-    rtol : float, optional
-        Largest relative error of slopes against central differences; by default 5e-4 in float64, 5e-3 in float32.
-    seeds : int
-        Number of seeds to average slopes over, for renderers with noise. The check allows for the remaining noise; if
-        that could hide an error of 5 %, the check fails with this finding.
+    seed, rtol, seeds
+        As in :class:`RendererSubject`. The check allows for the noise that remains in the mean over seeds; if that
+        could hide an error of 5 %, the check fails with this finding.
     expected_failures : dict of str, optional
         Names of checks that are known to fail, with the reason. One that passes is an error too.
 

@@ -14,7 +14,7 @@ from typing import Any
 import psutil
 import pytest
 
-from loi_core.runs import DaskExecutor, write_record
+from loi_core.runs import write_record
 from loi_core.sweeps import sweep
 from tests.environments import ROOT
 from tests.sweeps.scenes import lay_out, outcome, outcome_here, records
@@ -104,11 +104,7 @@ def test_every_fit_is_recorded_once_though_a_worker_is_killed_and_a_fit_hangs(
             victims[0].kill()
             cluster.add_worker()
 
-    executor = DaskExecutor(cluster.address)
-    try:
-        result = sweep(path, executor=executor, progress=midway)
-    finally:
-        executor.shutdown(cancel_futures=True)
+    result = sweep(path, dask=cluster.address, progress=midway)
 
     assert (result.count("done"), result.count("failed")) == (5, 1)
     assert set(written) == {row["run"] for row in result.rows}

@@ -19,7 +19,7 @@ import pytest
 from loi_core.cli import main
 from loi_core.errors import ExecutorError, InUseError, LoiError, OptionError, SceneError
 from loi_core.io.images import read_image, write_png
-from loi_core.runs import DaskExecutor, RunResult, processes
+from loi_core.runs import RunResult, Workers, processes
 from loi_core.support.installed import how_to_install
 from loi_core.sweeps import sweep
 from loi_core.sweeps.fit_task import scene_error
@@ -299,7 +299,7 @@ def test_a_missing_or_unreachable_dask_is_reported_on_one_line(
     assert "exclude each other" in capsys.readouterr().err
     monkeypatch.setitem(sys.modules, "distributed", None)
     with pytest.raises(ExecutorError, match=re.escape(f"need the package distributed: {how_to_install('dask')}")):
-        DaskExecutor("tcp://127.0.0.1:1")
+        Workers(dask="tcp://127.0.0.1:1")
 
 
 def test_many_seeds_are_checked_by_few_tasks_and_a_wrong_seed_is_detected(
@@ -313,8 +313,9 @@ def test_many_seeds_are_checked_by_few_tasks_and_a_wrong_seed_is_detected(
             submitted.append(args)
             return super().submit(lambda: RunResult(args[2], "" if args[1] is scene_error else {"cause": ""}))
 
-    with Counted(1) as executor:
-        assert sweep(path, executor=executor).count("done") == 300
+    with monkeypatch.context() as patch:
+        patch.setattr("loi_core.runs.workers.ThreadPoolExecutor", Counted)
+        assert sweep(path, processes=1).count("done") == 300
     assert 300 <= len(submitted) < 320
     path.write_text('scene = "scene.toml"\nseeds = [1, 2, 3, 4611686018427387904123]\n')
     with pytest.raises(SceneError, match="`seed` must be"):

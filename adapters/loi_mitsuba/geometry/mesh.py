@@ -57,7 +57,7 @@ def vertex_positions(shape: Any) -> HostArray:
 
 
 def welded_triangles(shape: Any) -> HostArray:
-    """Return the triangles, shape (m, 3), with the first vertex at the same position in place of each vertex."""
+    """Return the vertex indices of each triangle, shape (m, 3); vertices at equal positions have equal indices."""
     positions = np.array(mi.traverse(shape)["vertex_positions"], dtype=np.float32).reshape(-1, 3)
     rows = np.ascontiguousarray(positions + 0.0).view([("", np.float32)] * 3)  # + 0.0 makes -0.0 equal to 0.0
     _, first, inverse = np.unique(rows, return_index=True, return_inverse=True)

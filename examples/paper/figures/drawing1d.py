@@ -15,8 +15,8 @@ from examples.paper.figures.measure1d import blurred
 from examples.paper.figures.signals import Host
 from examples.paper.lib.methods import METHODS, SIGMAS, sigma_method
 from examples.paper.lib.problems import Problem
+from examples.plots import new_figure
 from loi_core import ScaleSpace, local_histograms
-from loi_core.report.plots import new_figure
 
 __all__ = ["draw_landscapes", "draw_support", "draw_two"]
 

@@ -121,9 +121,13 @@ def supports(problems: Sequence[Problem]) -> Iterator[Support]:
 
 
 def blurred(problem: Problem, sigma: float) -> tuple[Host, Host, Host]:
-    """Return the blurred signal at a problem's start, its derivative by the parameter, and the blurred reference.
+    """Blur the signals of a problem and differentiate the signal at its start.
 
-    Each has shape (W,), the middle row of a picture. The derivative is a central difference.
+    Returns
+    -------
+    signal, derivative, reference : arrays, shape (W,)
+        The signal at the start, its central difference with respect to the first parameter, and the reference: the
+        middle rows of blurred pictures.
     """
     step = 1e-4
     params = np.array([problem.start, [problem.start[0] + step], [problem.start[0] - step]])

@@ -24,8 +24,8 @@ from examples.paper.table2.problem import Column, Problem, images_of, numbers
 from examples.paper.table2.run import VARIANT, Run, carry_out, objective
 from examples.paper.table2.scenes import FloatArray
 from examples.paper.table2.settings import LABELS, PROTOCOLS, Method
+from examples.plots import new_figure
 from loi_core.io.files import write_bytes
-from loi_core.report.plots import new_figure
 
 # isort: split
 import mitsuba as mi

@@ -12,8 +12,8 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from examples.paper.lib.store import Run, load, picture_path
+from examples.plots import new_figure
 from loi_core.io.files import write_bytes
-from loi_core.report.plots import new_figure
 
 __all__ = ["animation", "contact_sheet", "convergence_plot", "moments", "row_of", "shown_as"]
 

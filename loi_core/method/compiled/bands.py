@@ -104,7 +104,10 @@ class Band:
 
     @property
     def height(self) -> int:
-        """Rows to allocate for a plane that the band multiplies, or that its columns replace."""
+        """Number of rows of a plane to allocate as input of the band or output of its transpose.
+
+        Kernels read and write whole groups of rows, also beyond the last column of the band.
+        """
         return max(-(-self.columns // GROUP_ROWS) * GROUP_ROWS, int(self.starts[-1]) + self.taps)
 
     @classmethod
