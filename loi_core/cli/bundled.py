@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from importlib.resources import files
-from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import Final
 
 from loi_core.io.files import write_bytes
 from loi_core.plugins.registry import load_renderer
 
-__all__ = ["BUNDLED_SCENES", "bundled_scene", "copy_scene"]
+__all__ = ["BUNDLED_SCENES", "copy_scene"]
 
 BUNDLED_SCENES: Final = {
     "disks": "disks",
@@ -24,13 +23,6 @@ The targets are stored and not rendered anew. The photograph is the portrait of 
 public domain), moved, turned, darker and with noise. The ball is rendered with 256 samples per pixel; its fit has 8.
 """
 
-SCENE_FILE: Final = "scene.toml"
-
-
-def bundled_scene(name: str) -> str:
-    """Return the text of a scene file of :data:`BUNDLED_SCENES`."""
-    return _folder(name).joinpath(SCENE_FILE).read_text(encoding="utf-8")
-
 
 def copy_scene(name: str, folder: Path) -> Path:
     """Copy a scene of :data:`BUNDLED_SCENES` and the files it needs to `folder`; return the path of its scene file.
@@ -41,10 +33,6 @@ def copy_scene(name: str, folder: Path) -> Path:
         If the scene's renderer is not installed, or does not work; nothing is written then.
     """
     load_renderer(BUNDLED_SCENES[name])
-    for source in _folder(name).iterdir():
+    for source in files("loi_core.cli").joinpath("demo_scenes", name).iterdir():
         write_bytes(folder / source.name, source.read_bytes())
-    return folder / SCENE_FILE
-
-
-def _folder(name: str) -> Traversable:
-    return files("loi_core.cli").joinpath("demo_scenes", name)
+    return folder / "scene.toml"

@@ -63,7 +63,7 @@ def write_results(scene: Scene, trials: Sequence[Trial], *, command: str = "") -
     folder = ResultFolder(scene.output)
     folder.claim()
     folder.remove_unfinished()
-    target, display = scene.montage({name: view.target.image for name, view in scene.views.items()}), _display(scene)
+    target, display = scene.target_montage, scene.display
     gradients: list[dict[str, Any]] = []
     for index, trial in enumerate(trials):
         prefix = "" if index == 0 else f"compare/{trial.objective}/"
@@ -108,7 +108,7 @@ def summary(scene: Scene, trials: Sequence[Trial], *, command: str = "") -> dict
         "output": str(scene.output),
         "steps": scene.fit.steps,
         "views": [name for name in scene.views if name],
-        "notes": [*scene.notes, *filter(None, [_display(scene).note, _stages_note(trials)])],
+        "notes": [*scene.notes, *filter(None, [scene.display.note, _stages_note(trials)])],
         "trials": [_trial_summary(scene, trial) for trial in trials],
         "command": command or None,
         "seed": scene.fit.seed,
@@ -124,7 +124,7 @@ def summary(scene: Scene, trials: Sequence[Trial], *, command: str = "") -> dict
 
 def frame_writer(scene: Scene, folder: ResultFolder) -> FrameWriter:
     """Return a function that writes a recorded step to its folder at once, so that it survives a crash."""
-    display = _display(scene)
+    display = scene.display
 
     def write(step: int, frame: Host) -> None:
         write_png(folder.file(frame_file(step)), display.show(frame))
@@ -175,12 +175,6 @@ def _stages_note(trials: Sequence[Trial]) -> str:
     if not staged or len(staged) == len(trials):
         return ""
     return f"{' and '.join(staged)} went from far to near, with a search where that settled early; the others did not"
-
-
-def _display(scene: Scene) -> Display:
-    """Return the exposure and encoding of all pictures of a scene."""
-    targets = scene.montage({name: view.target.image for name, view in scene.views.items()})
-    return Display.of(targets, scene.first_view.target.encoding)
 
 
 def _host_images(image: Images) -> dict[str, Host]:

@@ -12,7 +12,6 @@ from loi_core.fitting.history import FitStep
 from loi_core.io.files import write_text
 from loi_core.io.images import png_bytes
 from loi_core.io.result_folder import PAGE_FILE, ResultFolder
-from loi_core.pixels.display import Display
 from loi_core.report.curves import chart_figure, convergence_charts
 from loi_core.report.document import asset, document
 from loi_core.report.names import objective_label
@@ -44,9 +43,8 @@ class RunningPage:
         self._announce = announce
         self._scene = scene
         self._folder = folder
-        target = scene.montage({name: view.target.image for name, view in scene.views.items()})
-        self._display = Display.of(target, scene.first_view.target.encoding)
-        self._target = self._figure(target, "target")
+        self._display = scene.display
+        self._target = self._figure(scene.target_montage, "target")
         self._histories: dict[str, dict[str, list[float]]] = {}
         self._due_s = 0.0
 

@@ -14,7 +14,7 @@ from loi_core.fitting.views import Images, ungrouped
 from loi_core.io.images import FloatImage
 from loi_core.method.scales import ScaleSpace
 from loi_core.objectives import Objective
-from loi_core.pixels.display import side_by_side
+from loi_core.pixels.display import Display, side_by_side
 from loi_core.pixels.tone_curve import LogTone
 from loi_core.renderers.contract import Parameters, Renderer
 from loi_core.scenes.target import Target
@@ -141,6 +141,16 @@ class Scene:
     def montage(self, images: Mapping[str, Host]) -> Host:
         """Return the images of all views side by side, in the order of the file."""
         return side_by_side(images[name] for name in self.views)
+
+    @property
+    def target_montage(self) -> Host:
+        """The targets of all views side by side."""
+        return self.montage({name: view.target.image for name, view in self.views.items()})
+
+    @property
+    def display(self) -> Display:
+        """Exposure and encoding of all pictures of the scene."""
+        return Display.of(self.target_montage, self.first_view.target.encoding)
 
     @property
     def notes(self) -> list[str]:

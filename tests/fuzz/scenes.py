@@ -6,12 +6,12 @@ import copy
 import json
 import math
 import random
+from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from loi_core.cli.bundled import bundled_scene
 from loi_core.io.images import write_png
 from loi_core.renderers import Disks
 from loi_core.scenes.experiment import Start
@@ -21,6 +21,10 @@ from tests.fuzz.damage import damaged
 
 __all__ = ["SCENE", "damaged_scenes", "lay_out", "to_toml", "values"]
 
+BUNDLED = [
+    files("loi_core.cli").joinpath("demo_scenes", name, "scene.toml").read_text(encoding="utf-8")
+    for name in ("disks", "photograph")
+]
 SCENE: dict[str, Any] = {
     "target": "target.png",
     "renderer": {
@@ -106,7 +110,7 @@ def _loading(path: Path, content: bytes) -> Call:
 def damaged_scenes(rng: random.Random, folder: Path) -> Call:
     """Scene files with faults in their bytes."""
     lay_out(folder)
-    text = rng.choice((bundled_scene("disks"), bundled_scene("photograph"), to_toml(SCENE)))
+    text = rng.choice((*BUNDLED, to_toml(SCENE)))
     return _loading(folder / "scene.toml", damaged(rng, text.encode(), 3))
 
 
