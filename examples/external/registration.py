@@ -24,7 +24,7 @@ AGREEMENT_PX: Final = 2.0  # between matches of one shift
 SUBPIXELS: Final = 20
 
 Loss = Literal["L1", "loi"]
-Settings = Literal["default", "tuned"]
+Settings = Literal["default", "tuned", "searched"]
 
 
 def _make(share: float, seed: int) -> Start:
@@ -100,6 +100,8 @@ METHODS: Final = (
     Method("kornia", partial(_kornia, "L1", "default"), needs("kornia")),
     Method("kornia, tuned", partial(_kornia, "L1", "tuned"), needs("kornia")),
     Method("kornia, tuned, loi", partial(_kornia, "loi", "tuned"), needs("kornia")),
+    Method("kornia, searched", partial(_kornia, "L1", "searched"), needs("kornia")),
+    Method("kornia, searched, loi", partial(_kornia, "loi", "searched"), needs("kornia")),
     Method("phase correlation", _phase_correlation, needs("skimage")),
     Method("SIFT", _sift, needs("skimage")),
 )

@@ -148,6 +148,9 @@ def _check_weights(check: _Check, subject: ObjectiveSubject) -> None:
         check.fail("the gradient is not 0 in pixels of weight 0")
     if float(value) == float(masked.value(subject.asarray(image))):
         check.fail("the value is the same for all positive weights")
+    called = float(objective.value(subject.asarray(image), weights=weights))
+    if abs(called - float(value)) > 1e2 * float(np.finfo(subject.dtype).eps) * abs(called):
+        check.fail(f"weights of the reference give the value {float(value):.9g}, the same in a call {called:.9g}")
     _check_slopes(check, subject, weighted, image)
 
 

@@ -428,6 +428,11 @@ class UnweightedGradient(PixelL2):
         return UnweightedSlopes(super().compare_with(reference), super().compare_with(unweighted))
 
 
+class IgnoresWeightsOfCalls(PixelL2):
+    def compare_weighted(self, prepared: PlaneComparison[str], reference: ReferencePlanes) -> PlaneComparison[str]:
+        return prepared
+
+
 BROKEN_OBJECTIVES: list[tuple[Callable[[Any], Any], str]] = [
     (PythonFloat, "value"),
     (VectorValue, "value"),
@@ -446,4 +451,5 @@ BROKEN_OBJECTIVES: list[tuple[Callable[[Any], Any], str]] = [
     (NaNIsAKeyError, "non_finite"),
     (IgnoresWeights, "weights"),
     (UnweightedGradient, "weights"),
+    (IgnoresWeightsOfCalls, "weights"),
 ]
