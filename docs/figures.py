@@ -9,10 +9,10 @@ from typing import Any, Final
 
 import numpy as np
 
+from examples.plots import new_figure
 from loi_core import ScaleSpace, inner_images, isophotes, local_histograms
 from loi_core.io.images import read_image
 from loi_core.pixels.encoding import encode_srgb
-from loi_core.report.plots import new_figure
 
 IMAGES: Final = Path(__file__).parent / "images"
 COLUMNS: Final = (
