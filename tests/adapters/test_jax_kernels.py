@@ -120,7 +120,7 @@ def test_errors_of_the_kernels_reach_the_caller_and_later_calls_succeed() -> Non
     expected = pair(image)[0]
     with pytest.MonkeyPatch.context() as patch:
 
-        def raise_memory_error(*_: Any) -> None:
+        def raise_memory_error(*_: Any, **__: Any) -> None:
             msg = "full"
             raise MemoryError(msg)
 
