@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from loi_core.fitting.history import FitStep
+from loi_core.fitting.misfit import Misfit, measure_misfit
 from loi_core.fitting.parameters import Bounds
 from loi_core.fitting.starts import free_numbers, unbounded_parameters
 from loi_core.fitting.state import FitResult
@@ -62,6 +63,12 @@ MAX_PIXEL_RATIO: Final = 0.6
 VISIBLE_DB: Final = 40.0
 """PSNR below which images look different."""
 
+MAX_UNEXPLAINED: Final = 0.3
+"""Share of the contrast of moving pixels that a photograph may have beside its render: noise, blur, a hand in view."""
+
+MAX_MOTION_PX: Final = 0.5
+"""Further motion of a parameter, which pixels ask for, at which it counts as found."""
+
 MANY_NUMBERS: Final = 64
 """Number of free numbers, such as those of a texture or a mesh, from which on pixels find the last digits."""
 
@@ -97,6 +104,8 @@ class FitEvidence:
         does so itself, or cannot.
     exposures : sequence of LinearExposure
         The exposure of the target relative to the last render of each view, with gain and offset of shape (C,).
+    misfit : Misfit, optional
+        Of the best parameters, in the pixels that they move.
     """
 
     start_value: float
@@ -112,6 +121,7 @@ class FitEvidence:
     psnr: float | None = None
     exposed: tuple[float, float] | None = None
     exposures: Sequence[LinearExposure] = ()
+    misfit: Misfit | None = None
 
 
 def diagnose_fit(views: Views, start: Parameters, bounds: Bounds, result: FitResult, seed: int) -> Diagnosis | None:
@@ -136,6 +146,7 @@ def diagnose_fit(views: Views, start: Parameters, bounds: Bounds, result: FitRes
             for name, view in views.by_name.items()
             if isinstance(view.objectives[-1], ImageObjective)
         ]
+        misfit = measure_misfit(views, result.best_params, bounds, seed + result.best_step)
     except Exception:  # noqa: BLE001 - the fit is done, whatever a renderer does afterwards
         return None
     return diagnose(
@@ -153,6 +164,7 @@ def diagnose_fit(views: Views, start: Parameters, bounds: Bounds, result: FitRes
             psnr_of(views, ungrouped(images)),
             exposed,
             () if result.exposure is None else tuple(by_view(result.exposure).values()),
+            misfit,
         )
     )
 
@@ -278,6 +290,10 @@ def diagnose(evidence: FitEvidence) -> Diagnosis:
     ranges = [mismatch for pair in evidence.pairs if (mismatch := _range_mismatch(*pair))]
     if ranges:
         return verdict("other range", f"{summary}; {ranges[0][0]}", ranges[0][1])
+    misfit = evidence.misfit
+    if misfit is not None and misfit.unexplained <= MAX_UNEXPLAINED and misfit.motion <= MAX_MOTION_PX:
+        explained = f"the render explains {1.0 - misfit.unexplained:.0%} of the contrast in the pixels that move"
+        return verdict("converged", f"{summary}, but {explained}")
     if norms[-1] <= FADED_GRADIENT * max(norms):
         bounds = "set bounds" if unbounded_parameters(evidence.bounds) else "narrow the bounds to the field of view"
         return verdict("left the frame", f"{summary}, and the gradient is gone", f"start nearer, or {bounds}")

@@ -26,10 +26,11 @@ class Diagnosis:
     Attributes
     ----------
     verdict : str
-        "converged": little is left of the loss, once noise is averaged away. "stalled": more is left, and the loss no
-        longer falls. "still falling": more steps would help. "at a bound", "no gradient", "left the frame" (the
-        gradient has vanished), "follows noise", "other range" (target and render differ in brightness as if one were
-        encoded): the reason why the fit stopped short.
+        "converged": little is left of the loss, once noise is averaged away, or the pixels that the parameters move
+        agree as well as those of a photograph and its render can. "stalled": more is left, and the loss no longer
+        falls. "still falling": more steps would help. "at a bound", "no gradient", "left the frame" (the gradient has
+        vanished), "follows noise", "other range" (target and render differ in brightness as if one were encoded): the
+        reason why the fit stopped short.
     message : str
         The observation, in one line.
     advice : str

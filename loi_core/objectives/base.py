@@ -211,6 +211,25 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
         backend, exposure = prepared.backend, prepared.pipeline.exposure_of(prepared.backend.to_backend(image))
         return LinearExposure(*(backend.to_library(part, image) for part in (exposure.gain, exposure.offset)))
 
+    def compared_planes(self, image: Array) -> tuple[Array, Array, Array]:
+        """Return the planes of image and reference that are compared, and their weights, shape (N, H, W) each.
+
+        One plane for each channel of each image of the batch, under the exposure of the reference, the tone curve,
+        colours and bounds. Arguments as in :meth:`value`.
+        """
+        image = widened(as_floating("image", image))
+        prepared = self._prepare_call(image, None, image)
+        pipeline, backend = prepared.pipeline, prepared.backend
+        pixels = pipeline.forward(backend.to_backend(image))
+        xp = namespace(pixels.planes)
+        weights = xp.ones_like(pixels.planes) if pipeline.weights is None else pipeline.weights
+        if pixels.visible is not None:
+            weights = xp.where(pixels.visible, weights, xp.zeros_like(weights))
+        planes, reference, weights = (
+            backend.to_library(array, image) for array in (pixels.planes, pipeline.reference, weights)
+        )
+        return planes, reference, weights
+
     def prepare(self, shape: tuple[int, ...], like: Array, *, weighted: bool = False) -> None:
         """Prepare the reference for images of `shape` and arrays like `like`, for :meth:`evaluate_unchecked`."""
         self._prepare(widened(like), shape, ARRAY_API, weighted=weighted)

@@ -156,7 +156,7 @@ def test_an_image_without_a_covered_pixel_has_the_value_0() -> None:
 
 
 @pytest.mark.usefixtures("executor")
-def test_images_of_a_batch_have_separate_or_shared_weights() -> None:
+def test_images_of_a_batch_have_separate_or_shared_weights_in_a_call() -> None:
     batch, separate = np.stack([IMAGE, REFERENCE[::-1]]), np.stack([WEIGHTS, COVERED])
     objective = LOIObjective(REFERENCE, SCALES, weights=FIXED)
     for weights, by_image in ((separate, separate), (WEIGHTS, [WEIGHTS, WEIGHTS])):
@@ -287,7 +287,7 @@ def test_negative_weights_are_nan_while_jax_traces() -> None:
         ([[1.0]], ImageTypeError, "`weights` must be an array, got list"),
     ],
 )
-def test_invalid_weights_are_refused(weights: Any, error: type[Exception], message: str) -> None:
+def test_invalid_weights_of_a_call_are_refused(weights: Any, error: type[Exception], message: str) -> None:
     calls: list[Any] = [
         LOIObjective(REFERENCE).value_and_grad,
         PixelL2(REFERENCE).value,
@@ -300,7 +300,7 @@ def test_invalid_weights_are_refused(weights: Any, error: type[Exception], messa
         assert "\n" not in str(raised.value)
 
 
-def test_an_objective_that_accepts_only_masks_refuses_weights() -> None:
+def test_an_objective_that_accepts_only_masks_refuses_weights_of_a_call() -> None:
     with pytest.raises(OptionError, match="`weights` of MSSSIM must be a mask"):
         MSSSIM(REFERENCE).value(IMAGE, weights=WEIGHTS)
 
