@@ -140,7 +140,8 @@ def diagnose_fit(views: Views, start: Parameters, bounds: Bounds, result: FitRes
         if all(step.gradient_norm == 0.0 for step in result.history):
             units, _ = measure_units(list(views.by_name.values()), start, bounds, bounds.lower, seed=seed)
             visible = {name: math.isfinite(unit) for name, unit in units.items()}
-        exposed = _values_under_exposure(views, images, by_view(result.image))
+        has_converged = mean(end_values) <= CONVERGED_FRACTION * start_value
+        exposed = None if has_converged else _values_under_exposure(views, images, by_view(result.image))
         pairs = [
             (to_numpy(images[name]), to_numpy(view.objectives[-1].reference))
             for name, view in views.by_name.items()
@@ -250,8 +251,12 @@ def diagnose(evidence: FitEvidence) -> Diagnosis:
     )
     norms = [step.gradient_norm for step in evidence.history]
     summary = f"{left:.0%} of the loss at the start is left"
-    if evidence.unmoved:
-        summary += f", {clause(evidence.unmoved, 'had no gradient and has', 'had no gradient and have')} not moved"
+    inert = () if evidence.misfit is None else evidence.misfit.inert
+    if inert:
+        summary += f", {clause(inert, 'leaves no trace in the image', 'leave no trace in the image')}"
+    unmoved = [name for name in evidence.unmoved if name not in inert]
+    if unmoved:
+        summary += f", {clause(unmoved, 'had no gradient and has', 'had no gradient and have')} not moved"
 
     def verdict(name: Verdict, message: str, advice: str = "") -> Diagnosis:
         return Diagnosis(name, message, advice, left, noise)
@@ -284,7 +289,7 @@ def diagnose(evidence: FitEvidence) -> Diagnosis:
             message = (
                 f"{exposed_left:.0%} of the loss at the start is left, but for the exposure: {_described(evidence)}"
             )
-            return verdict("converged", message, 'exposure="matched" of the objective comes nearer')
+            return verdict("converged", message)
     if noise > MAX_NOISE * (1.0 + left):
         return verdict("follows noise", f"{summary}, and noise makes {noise:.0%} of it", "raise the samples")
     ranges = [mismatch for pair in evidence.pairs if (mismatch := _range_mismatch(*pair))]
@@ -300,7 +305,8 @@ def diagnose(evidence: FitEvidence) -> Diagnosis:
     at_bound = _at_bounds(evidence.params, evidence.bounds)
     if at_bound:
         message = f"{summary}, and {listed(at_bound)} ended at a bound"
-        return verdict("at a bound", message, "widen it, or start elsewhere")
+        elsewhere = "start elsewhere" if unbounded_parameters(evidence.bounds) else "let starts=8 begin elsewhere"
+        return verdict("at a bound", message, f"widen it, or {elsewhere}")
     last = [step.value for step in evidence.history if step.stage == evidence.history[-1].stage]
     if _falls(last):
         return verdict("still falling", summary, _or_polish("give it more steps", evidence))

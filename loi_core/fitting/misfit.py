@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -37,10 +37,13 @@ class Misfit:
         Mean absolute difference, as a fraction of the mean absolute contrast of the render there.
     motion : float
         Largest further motion of a parameter, in pixels, that would make the differences smallest to first order.
+    inert : tuple of str
+        Free parameters, or entries of them such as ``positions[1, 0]``, that change no pixel.
     """
 
     unexplained: float
     motion: float
+    inert: tuple[str, ...] = ()
 
 
 def measure_misfit(views: Views, params: Parameters, bounds: Bounds, seed: int) -> Misfit | None:
@@ -53,15 +56,18 @@ def measure_misfit(views: Views, params: Parameters, bounds: Bounds, seed: int) 
     if free_numbers(bounds) > MAX_NUMBERS or len(compared) < len(views.by_name):
         return None
     units, _ = measure_units(list(views.by_name.values()), params, bounds, bounds.lower, seed=seed)
+    points = list(_moved(params, bounds, units))
+    if not points:
+        return None
     residual, contrast, changes = [], [], []
+    effects = np.zeros(len(points))
     for view, objective in compared:
         planes, reference, weights = _planes(view, objective, params, seed)
-        moved = [_planes(view, objective, point, seed)[0] - planes for point in _moved(params, bounds, units)]
-        if not moved:
-            return None
+        moved = [_planes(view, objective, point, seed)[0] - planes for _, _, point in points]
         change = np.stack(moved, axis=-1) * weights[..., None]
         magnitude = np.abs(change)
         largest = magnitude.max(axis=(0, 1, 2), initial=0.0)
+        effects = np.maximum(effects, largest)
         moves = np.any(magnitude > MIN_CHANGE * np.where(largest > 0.0, largest, math.inf), axis=-1)
         counted = np.where(moves, weights, 0.0)
         mean = np.sum(counted * planes, axis=(1, 2), keepdims=True) / np.maximum(
@@ -74,7 +80,8 @@ def measure_misfit(views: Views, params: Parameters, bounds: Bounds, seed: int) 
     scale = float(np.sum(np.abs(np.concatenate(contrast))))
     if scale == 0.0:
         return None
-    return Misfit(float(np.sum(np.abs(difference))) / scale, _motion(slopes, difference))
+    inert = _inert([(name, index) for name, index, _ in points], effects)
+    return Misfit(float(np.sum(np.abs(difference))) / scale, _motion(slopes, difference), inert)
 
 
 def _planes(view: View, objective: ImageObjective[Any], params: Parameters, seed: int) -> tuple[Host, Host, Host]:
@@ -86,18 +93,33 @@ def _planes(view: View, objective: ImageObjective[Any], params: Parameters, seed
     return blur.apply(image), blur.apply(reference), weights
 
 
-def _moved(params: Parameters, bounds: Bounds, units: dict[str, float]) -> Iterator[Parameters]:
-    """Yield the parameters with each free number moved by its unit, away from the nearer bound."""
+def _moved(
+    params: Parameters, bounds: Bounds, units: dict[str, float]
+) -> Iterator[tuple[str, tuple[int, ...], Parameters]]:
+    """Yield each free number, by name and index, and the parameters with it moved by its unit from the nearer bound.
+
+    A number without a unit moves to the farther bound, or by 1.
+    """
     for name, unit in units.items():
         value, lower, upper = (
             np.asarray(to_numpy(array), dtype=np.float64)
             for array in (params[name], bounds.lower[name], bounds.upper[name])
         )
-        for index in np.ndindex(value.shape) if math.isfinite(unit) else ():
+        for index in np.ndindex(value.shape):
             if lower[index] < upper[index]:
-                moved = value.copy()
-                moved[index] += unit if upper[index] - value[index] >= value[index] - lower[index] else -unit
-                yield params | {name: from_numpy(np.clip(moved, lower, upper), params[name])}
+                moved, (below, above) = value.copy(), (value[index] - lower[index], upper[index] - value[index])
+                farther = max(below, above)
+                step = unit if math.isfinite(unit) else farther if math.isfinite(farther) else 1.0
+                moved[index] += step if above >= below else -step
+                yield name, index, params | {name: from_numpy(np.clip(moved, lower, upper), params[name])}
+
+
+def _inert(numbers: Sequence[tuple[str, tuple[int, ...]]], effects: Host) -> tuple[str, ...]:
+    """Return the names of numbers without an effect: of a parameter, if it has none at all, or of its entries."""
+    idle = [number for number, effect in zip(numbers, effects, strict=True) if effect == 0.0]
+    moving = {name for name, index in numbers if (name, index) not in idle}
+    labels = [f"{name}[{', '.join(map(str, index))}]" if name in moving else name for name, index in idle]
+    return tuple(dict.fromkeys(labels))
 
 
 def _motion(slopes: Host, difference: Host) -> float:

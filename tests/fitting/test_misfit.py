@@ -13,7 +13,7 @@ from loi_core import Free, LOIObjective, fit
 from loi_core.fitting.misfit import Misfit, measure_misfit
 from loi_core.fitting.parameters import bounds_of
 from loi_core.fitting.views import Views
-from loi_core.renderers import Warp
+from loi_core.renderers import Disks, Warp
 from tests.contents import photograph
 from tests.helpers import Host
 
@@ -77,3 +77,13 @@ def test_a_fit_that_may_not_reach_the_target_has_not_converged() -> None:
     result = fit(SCENE, LOIObjective(photographed(noise=0.02, blur=1.0)), steps=40, optimise=free)
     assert result.diagnosis is not None
     assert result.diagnosis.verdict == "at a bound"
+
+
+def test_the_misfit_names_the_coordinates_of_a_disk_out_of_view() -> None:
+    disks = Disks(32, 40, [[15.0, 16.0], [300.0, 16.0]], radii=[5.0, 5.0], colours=[[0.9, 0.5, 0.2]] * 2)
+    params = disks.parameters()
+    free = {"positions": Free(None, 0.0, 400.0)}
+    views = Views.of(disks, LOIObjective(disks.render(params)), "auto", None)
+    misfit = measure_misfit(views, params, bounds_of(params, free), 0)
+    assert misfit is not None
+    assert misfit.inert == ("positions[1, 0]", "positions[1, 1]")

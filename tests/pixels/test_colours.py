@@ -139,7 +139,8 @@ def test_default_scales_of_differences_have_half_the_beta_and_a_far_stage() -> N
     staged = staged_objectives(objective, "auto", None)
     assert isinstance(staged.far[0], LOIObjective)
     assert (staged.far[0].colours, staged.far[0].scales.beta) == ("differences", objective.scales.beta)
-    assert staged.finish is objective
+    assert isinstance(staged.finish, LOIObjective)
+    assert (staged.finish.colours, staged.finish.scales) == ("differences", objective.scales)
 
 
 @pytest.mark.parametrize(
