@@ -62,4 +62,4 @@ def test_a_start_half_a_pixel_off_ends_at_the_target_under_a_matched_exposure(sp
 
 @pytest.mark.parametrize("scene", SCENES, ids=["on grey", "on a photograph"])
 def test_a_fit_of_few_steps_ends_no_farther_than_a_good_start(scene: Warp) -> None:
-    assert error_of(darker, scene, "given", OFFSET, steps=15) <= np.hypot(*OFFSET)
+    assert error_of(darker, scene, "given", OFFSET, steps=15) < np.hypot(*OFFSET) + 1e-12
