@@ -1,11 +1,11 @@
-"""Things in Mitsuba that are seen by their light alone: a shadow, an image in a mirror, a highlight, a lens."""
+"""Things in Mitsuba that are seen by their light alone: a shadow, an image in a mirror, a highlight, a lens, a lamp."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import partial
-from typing import Any, Final
+from typing import Any, Final, TypeAlias
 
 import numpy as np
 
@@ -22,6 +22,7 @@ TARGET_SAMPLES: Final = 256
 TARGET_SEED: Final = 10**6
 
 Scene = dict[str, Any]
+Value: TypeAlias = float | tuple[float, float, float]
 
 
 @dataclass(frozen=True)
@@ -34,24 +35,23 @@ class _Thing:
         Returns the dict for ``mi.load_dict``.
     parameters : callable
         Returns the parameters of the renderer.
-    start, goal : dict of float
-    bounds : tuple of float
+    start, goal : dict of float or tuple of float
+    bounds : pair of float or of tuples
     allowed : float
         In the unit of the parameters.
     """
 
     scene: Callable[[], Scene]
     parameters: Callable[[], Mapping[str, Any]]
-    start: Mapping[str, float]
-    goal: Mapping[str, float]
-    bounds: tuple[float, float]
+    start: Mapping[str, Value]
+    goal: Mapping[str, Value]
+    bounds: tuple[Value, Value]
     allowed: float
 
     def error(self, params: Mapping[str, Any]) -> float:
         """Return the distance to the goal in units of the allowed error."""
-        return (
-            float(np.linalg.norm([float(host(params[name])) - goal for name, goal in self.goal.items()])) / self.allowed
-        )
+        offsets = [np.ravel(host(params[name]) - goal) for name, goal in self.goal.items()]
+        return float(np.linalg.norm(np.concatenate(offsets))) / self.allowed
 
 
 def seen(thing: _Thing, gain: float, seed: int) -> Start:
@@ -76,7 +76,7 @@ def _set_variant() -> None:
         mi.set_variant("llvm_ad_rgb")
 
 
-def _moves(shape: str, axes: Mapping[str, tuple[int, int, int]]) -> Mapping[str, Any]:
+def _moves(shape: str, axes: Mapping[str, tuple[int, int, int] | None]) -> Mapping[str, Any]:
     import loi_mitsuba
 
     return {name: loi_mitsuba.Translate(shape, axis) for name, axis in axes.items()}
@@ -166,6 +166,25 @@ def _highlight() -> Scene:
     }
 
 
+def _lit(lamp: Scene) -> Scene:
+    """Return a ball on a floor that a lamp lights."""
+    scene = _shadow() | {"lamp": lamp}
+    scene["ball"] = {"type": "sphere", "center": [0, 1, 0], "radius": 0.7}
+    return scene
+
+
+def _point() -> Scene:
+    return _lit({"type": "point", "position": [-1.5, 5, 1], "intensity": 30.0})
+
+
+def _panel() -> Scene:
+    import mitsuba as mi
+
+    to_world = mi.ScalarTransform4f().translate([-1.5, 5, 1]).rotate([1, 0, 0], 90).scale(0.5)
+    emitter = {"type": "area", "radiance": {"type": "rgb", "value": 30.0}}
+    return _lit({"type": "rectangle", "to_world": to_world, "emitter": emitter})
+
+
 def _lens() -> Scene:
     return {
         "type": "scene",
@@ -186,7 +205,7 @@ SHADOW: Final = _Thing(
     bounds=(-3.0, 3.0),
     allowed=0.05,
 )
-PLANE: Final[dict[str, tuple[int, int, int]]] = {"x": (1, 0, 0), "y": (0, 1, 0)}
+PLANE: Final[dict[str, tuple[int, int, int] | None]] = {"x": (1, 0, 0), "y": (0, 1, 0)}
 MIRROR: Final = _Thing(
     _mirror,
     partial(_moves, "ball", PLANE),
@@ -202,6 +221,22 @@ LENS: Final = _Thing(
     goal={"x": 1.0, "y": 0.7},
     bounds=(-1.5, 1.5),
     allowed=0.07,
+)
+POINT: Final = _Thing(
+    _point,
+    lambda: {"place": "lamp.position"},
+    start={"place": (-1.5, 5.0, 1.0)},
+    goal={"place": (1.5, 4.0, -1.0)},
+    bounds=((-3.0, 2.5, -3.0), (3.0, 6.0, 3.0)),
+    allowed=0.05,
+)
+PANEL: Final = _Thing(
+    _panel,
+    partial(_moves, "lamp", {"place": None}),
+    start={"place": (0.0, 0.0, 0.0)},
+    goal={"place": (3.0, -1.0, -2.0)},
+    bounds=((-1.5, -2.5, -4.0), (4.5, 1.0, 2.0)),
+    allowed=0.05,
 )
 HIGHLIGHT: Final = _Thing(
     _highlight,
@@ -231,5 +266,7 @@ LIGHTS: Final = tuple(
         ("a thing in a mirror alone", MIRROR, 1.0, 2),
         ("roughness of a highlight", HIGHLIGHT, 1.0, 2),
         ("glass ball before a wall", LENS, 1.0, 2),
+        ("point light that moves", POINT, 1.0, 2),
+        ("panel light that moves", PANEL, 1.0, 2),
     )
 )
