@@ -157,7 +157,7 @@ VIEWS: Final = tuple(
         "degrees",
         1.0,
         steps=200,
-        renders=300,
+        renders=500,
         starts=4,
         source="a user of the library",
         licence="none needed",
