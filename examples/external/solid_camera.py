@@ -126,7 +126,7 @@ def _problem(name: str, make: Callable[[int], Start], *, starts: int) -> Problem
         make,
         "degrees",
         2.0,
-        steps=200,
+        steps=100,  # the rest of the budget is for a search
         renders=300,
         starts=starts,
         source="PyTorch3D, tutorial on camera positions; the teapot is a stand-in unless LOI_TEAPOT names a file",

@@ -149,7 +149,7 @@ CUBES: Final = (
         "NVlabs/nvdiffrast, samples/torch/pose.py",
         "not commercial; facts alone, the colours are others",
         starts=12,
-        steps=120,  # the rest of the budget is for a search
+        steps=100,  # the rest of the budget is for a search
     ),
     *(
         _problem(

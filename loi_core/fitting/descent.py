@@ -17,20 +17,22 @@ from loi_core.fitting.parameters import Bounds
 from loi_core.fitting.partial_result import with_partial_result
 from loi_core.fitting.rates import measured_rates, racing_factors
 from loi_core.fitting.schedule import MAIN_STUCK_FRACTION, Schedule
-from loi_core.fitting.starts import MIN_RACE_STEPS, RACE_ROUNDS, ROUND_STEPS, race, search
+from loi_core.fitting.starts import RACE_ROUNDS, ROUND_STEPS, RaceSize, Reached, race, search
 from loi_core.fitting.state import State
 from loi_core.fitting.views import View, Views, mean
 from loi_core.objectives import LOIObjective
 from loi_core.pixels.nonfinite import count_non_finite
 from loi_core.renderers.contract import Parameters
-from loi_core.support.arrays import Array, detached, is_array_api_obj, namespace, to_numpy
+from loi_core.support.arrays import Array, detached, from_numpy, is_array_api_obj, namespace, to_numpy
 
 __all__ = ["MAX_RESTARTS", "Decay", "Descent", "Evaluation"]
 
 Decay: TypeAlias = Literal["cosine", "none"]
 
 FINAL_RATE: Final = 1e-3  # end of the cosine decay, as a fraction of the learning rate
-FINISH_RATE: Final = 0.5  # fraction of the learning rate: the last stage has less far to go
+FINISH_RATE: Final = 0.5  # fraction of the learning rate: a comparison of pixels has less far to go
+SHORTENING: Final = 0.5  # of the steps of a racer after a step that has gained nothing
+RACED_RATE: Final = 8.0  # highest rate after a race, as a multiple of the rate at which its winner still gained
 MAX_RESTARTS: Final = 3
 MIN_IMPROVEMENT: Final = 0.9  # a restart must start below this fraction of the settled value
 
@@ -146,11 +148,13 @@ class Descent:
         if was_stuck:
             state = self._restarted(state)
         schedule = state.schedule
+        if stage < schedule.stage and not was_stuck:
+            state = self._at_best(state, stage)
         if stage < main_stage == schedule.stage and not was_stuck:
             return replace(state, rates=self._higher_rates(state, "measuring rates anew"))
-        if self.views.finishes and stage == main_stage < schedule.stage:
+        if self.views.polishes and stage == main_stage < schedule.stage:
             # A descent of its own: gradients of pixels have another size, which Adam would take 1000 steps to learn.
-            memory = self.optimiser.start({name: state.params[name] for name in self.bounds.lower})
+            memory = self._fresh_memory(state.params)
             rates = self._higher_rates(state, "measuring rates for the last stage")
             return replace(state, memory=memory, rates={name: FINISH_RATE * rate for name, rate in rates.items()})
         return state
@@ -198,7 +202,8 @@ class Descent:
     def _rate(self, schedule: Schedule, step: int) -> float:
         if self.decay == "none" or self.steps == 1:
             return 1.0
-        passed = step / (self.steps - 1) if schedule.stages == 1 else schedule.passed
+        passed = schedule.passed if self.views.polishes else schedule.main_passed
+        passed = step / (self.steps - 1) if schedule.stages == 1 else passed
         return FINAL_RATE + (1.0 - FINAL_RATE) * 0.5 * (1.0 + math.cos(math.pi * passed))
 
     def _restarted(self, state: State) -> State:
@@ -208,11 +213,11 @@ class Descent:
             attempt, stage = MAX_RESTARTS - schedule.restarts, schedule.stage
             seed, local = self.seed + state.step, stage > 0
             draws: list[tuple[float, Parameters]] = []
-            raced = self._race(state, draws) if attempt == 0 and self.steps >= MIN_RACE_STEPS else None
+            raced = self._race(state, draws) if attempt == 0 else None
             if raced is not None:
-                memory = self.optimiser.start({name: raced[name] for name in self.bounds.lower}, state.memory)
-                state = replace(state, params=raced, memory=memory, schedule=schedule.in_main_stage(), latest={})
-                return replace(state, rates=self._higher_rates(state, "measuring rates anew"))
+                return self._after_race(state, raced)
+            if attempt == 0:
+                schedule = replace(schedule, restarts=1)  # the race has rendered as often as the other restarts
             best = None if local else min(draws, key=lambda entry: entry[0], default=None)
             if best is None:
                 best = search(
@@ -225,7 +230,23 @@ class Descent:
         memory = self.optimiser.start({name: params[name] for name in self.bounds.lower}, state.memory)
         return replace(state, params=params, memory=memory, schedule=schedule.restart(), latest={})
 
-    def _race(self, state: State, draws: list[tuple[float, Parameters]]) -> Parameters | None:
+    def _after_race(self, state: State, raced: Reached) -> State:
+        """Return the state at the start of the main stage from the winner of a race."""
+        memory, schedule = self._fresh_memory(raced.params), state.schedule.in_main_stage()
+        state = replace(state, params=raced.params, memory=memory, schedule=schedule, latest={})
+        measured = self._rates_at(state, "measuring rates anew")
+        limits = {name: RACED_RATE * rate for name, rate in raced.rates.items()}
+        return replace(state, rates={name: min(rate, limits.get(name, rate)) for name, rate in measured.items()})
+
+    def _at_best(self, state: State, stage: int) -> State:
+        """Return the state at the best parameters of a stage that has ended, since steps at a full rate oscillate."""
+        best = state.best
+        if best is None or best.stage != stage or best.partial:
+            return state
+        memory = self.optimiser.start({name: best.params[name] for name in self.bounds.lower}, state.memory)
+        return replace(state, params=best.params, memory=memory)
+
+    def _race(self, state: State, draws: list[tuple[float, Parameters]]) -> Reached | None:
         """Return parameters where some steps of the main stage from other points have led, if they are far better.
 
         The loss of this stage at the points, and the points, are appended to `draws`.
@@ -234,15 +255,20 @@ class Descent:
         steps = RACE_ROUNDS * ROUND_STEPS
         short = replace(self, views=self.views.at_stage(main), decay="none", steps=steps)
         factors = racing_factors(self.requested_rates, self.steps)
-        rates = {name: factors[name] * rate for name, rate in state.rates.items()}
+        high_rates = {name: factors[name] * rate for name, rate in state.rates.items()}
 
-        def descend(start: Parameters) -> Iterator[tuple[float, Parameters]]:
-            memory = self.optimiser.start({name: start[name] for name in self.bounds.lower})
-            racer = State(start, memory, rates=rates, schedule=Schedule(1, steps))
+        def descend(start: Parameters, *, fast: bool) -> Iterator[Reached]:
+            rates = high_rates if fast else state.rates
+            racer = State(start, self._fresh_memory(start), rates=rates, schedule=Schedule(1, steps))
+            lowest: Evaluation | None = None
             while racer.step < steps:
-                racer, _ = short.step(racer)
-                if racer.best is not None and racer.step % ROUND_STEPS == 0:
-                    yield racer.best.value, racer.best.params
+                racer, evaluation = short.step(racer)
+                if lowest is None or evaluation.value < lowest.value:
+                    lowest = evaluation
+                else:
+                    racer = short.shortened(racer, lowest)
+                if racer.step % ROUND_STEPS == 0:
+                    yield Reached(lowest.value, lowest.params, racer.rates)
 
         def evaluate(point: Parameters) -> float:
             images = self.views.render(point, seed)
@@ -251,7 +277,18 @@ class Descent:
                 draws.append((value, point))
             return mean(self.views.values(images, main))
 
-        return race(evaluate, descend, state.params, self.bounds)
+        start = {name: from_numpy(value, state.params[name]) for name, value in state.log[0].params.items()}
+        return race(evaluate, descend, state.params, self.bounds, RaceSize.of(self.steps), [state.params | start])
+
+    def shortened(self, state: State, lowest: Evaluation) -> State:
+        """Return the state after a step of a shorter length from the evaluation with the lowest value."""
+        rates = {name: SHORTENING * rate for name, rate in state.rates.items()}
+        back = replace(state, params=lowest.params, memory=self._fresh_memory(lowest.params), rates=rates)
+        params, memory = self.update(back, lowest.gradient, 1.0)
+        return replace(back, params=params, memory=memory)
+
+    def _fresh_memory(self, params: Parameters) -> Memory:
+        return self.optimiser.start({name: params[name] for name in self.bounds.lower})
 
     def _higher_rates(self, state: State, action: str) -> dict[str, float]:
         """Return the rates measured here where they exceed the earlier ones.
@@ -259,11 +296,13 @@ class Descent:
         A parameter that moves the image by a pixel here may have moved it far less at the start, such as a distance or
         a logarithm. A decay makes up for a rate that is too high, and nothing for one that is too low.
         """
+        return {name: max(rate, state.rates[name]) for name, rate in self._rates_at(state, action).items()}
+
+    def _rates_at(self, state: State, action: str) -> dict[str, float]:
         with with_partial_result(state, action):
-            rates = measured_rates(
+            return measured_rates(
                 self.views, state.params, self.bounds, self.requested_rates, self.steps, self.seed + state.step
             )
-        return {name: max(rate, state.rates[name]) for name, rate in rates.items()}
 
     def _evaluate_view(self, view: View, state: State, where: str) -> tuple[Array, float, Parameters]:
         """Return image, value and gradient with respect to the free parameters, checked for shape and finiteness."""

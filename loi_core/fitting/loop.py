@@ -113,15 +113,16 @@ def fit(
     optimise : dict of Free, or names, optional
         The free parameters; all parameters by default.
     decay : {"cosine", "none"}
-        "cosine" lowers the rate to a thousandth of `learning_rate` over the steps of the last stage.
+        "cosine" lowers the rate to a thousandth of `learning_rate` over the steps of the main stage and the last; over
+        those of the last alone if it compares pixels.
     stages : "auto", None, or a sequence of ScaleSpace or Objective
         The stages before `objective`, from far to near; each lasts until its loss no longer falls. "auto" uses
         :meth:`ScaleSpace.far_to_near` if the objective is a :class:`LOIObjective` with default scales, and nothing
         otherwise. All but the last match the exposure and are centred, and the last detects an exposure that differs,
         unless a free parameter is a brightness; ``exposure="matched"`` of the objective regresses it in the last stage.
         A stage that is stuck at a high loss, or runs out of steps there, restarts from a better point within the
-        bounds, up to three times, if the free parameters are few and bounded. In fits of 100 steps or more, several
-        such points take a few steps each first, at most 172 renders.
+        bounds, up to three times, if the free parameters are few and bounded. The first time, shorter steps are tried,
+        and several such points then race for a few steps each, with at most 210 renders.
     polish : "pixels", optional
         "pixels" compares pixels once the loss of `objective` no longer falls, at the latest for the last two fifths of
         the steps, for the last digits of a target that the renderer can reproduce exactly. `best_value` then compares

@@ -49,7 +49,7 @@ MAIN_STUCK_FRACTION: Final = 0.025
 """The same for the main stage."""
 
 UNDECAYED_STUCK_FRACTION: Final = 0.1
-"""The same for a main stage before a finish: its rate does not decay, so that it oscillates around a minimum."""
+"""The same for a main stage before a finish: its rate has hardly decayed, so that it oscillates around a minimum."""
 
 MAX_RESTART_PROGRESS: Final = 0.5
 """Progress of the main stage beyond which no time is left for a restart, unless a stage follows."""
@@ -97,8 +97,8 @@ class Schedule:
     stuck : bool
         Whether the first stage or the main stage has settled, or has ended, at a high value. :meth:`restart` or
         :meth:`proceed` continues.
-    step, stage_start : int
-        Number of steps taken, in total and when this stage started.
+    step, stage_start, main_start : int
+        Number of steps taken, in total, when this stage started, and when the main stage started.
     values : tuple of float
         The last values of this stage, at most two windows.
     highest_value : float
@@ -114,6 +114,7 @@ class Schedule:
     stuck: bool = False
     step: int = 0
     stage_start: int = 0
+    main_start: int = 0
     values: tuple[float, ...] = ()
     highest_value: float = 0.0
 
@@ -125,19 +126,24 @@ class Schedule:
         is_last = self.stage == self.stages - 1
         settled = (not is_last or self.restarts > 0) and (value == 0.0 or has_settled(values, window))
         ends = settled or taken._is_over
-        stuck = ends and self.restarts > 0 and taken._is_high()
+        # A main stage that runs out of steps leaves the rest of the way to the finish.
+        stuck = ends and self.restarts > 0 and taken._is_high() and (settled or self.stage < self._main)
         return taken._next_stage() if ends and not is_last and not stuck else replace(taken, stuck=stuck)
 
     def restart(self) -> Schedule:
         """Return the schedule with the stuck stage restarted; with the next stage if this one has no steps left."""
         if self._is_over:
             return replace(self._next_stage(), restarts=self.restarts - 1)
-        start = self.step if self.stage == self._main else self.stage_start
-        return replace(self, stuck=False, restarts=self.restarts - 1, values=(), stage_start=start)
+        again = replace(self, stuck=False, restarts=self.restarts - 1, values=())
+        is_main = self.stage == self._main
+        return replace(again, stage_start=self.step, main_start=self.step) if is_main else again
 
     def in_main_stage(self) -> Schedule:
-        """Return the schedule at the start of its main stage, after a race; at the next stage if no steps are left."""
-        started = replace(self, stage=self._main - 1, restarts=self.restarts - 1)._next_stage()
+        """Return the schedule at the start of its main stage, after a race; at the next stage if no steps are left.
+
+        The race has rendered as often as all restarts together.
+        """
+        started = replace(self._at_stage(self._main), restarts=0)
         return started._next_stage() if started._is_over else started
 
     def proceed(self) -> Schedule:
@@ -156,6 +162,13 @@ class Schedule:
     def passed(self) -> float:
         """The progress of the last stage, from 0 to 1; 0 before it."""
         return 0.0 if self.stage < self.stages - 1 else self._progress
+
+    @property
+    def main_passed(self) -> float:
+        """The progress of the main stage and the finish together, from 0 to 1; 0 before them."""
+        if self.stage < self._main:
+            return 0.0
+        return (self.step - self.main_start) / max(self.steps - self.main_start - 1, 1)
 
     def to_json(self) -> str:
         """Return the schedule without its options `stages` and `steps` as text."""
@@ -196,7 +209,19 @@ class Schedule:
         return self.stage == 0 and self.level > STUCK_FRACTION * self.highest_value
 
     def _next_stage(self) -> Schedule:
-        return replace(self, stage=self.stage + 1, stage_start=self.step, values=(), stuck=False, highest_value=0.0)
+        return self._at_stage(self.stage + 1)
+
+    def _at_stage(self, stage: int) -> Schedule:
+        main_start = self.step if stage <= self._main else self.main_start
+        return replace(
+            self,
+            stage=stage,
+            stage_start=self.step,
+            main_start=main_start,
+            values=(),
+            stuck=False,
+            highest_value=0.0,
+        )
 
 
 class FarToNear:

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass
-from typing import Final, TypeAlias
+from dataclasses import dataclass, field
+from typing import Final, Protocol, TypeAlias
 
 import numpy as np
 
@@ -16,10 +16,11 @@ from loi_core.renderers.contract import Parameters
 from loi_core.support.arrays import from_numpy, to_numpy
 
 __all__ = [
-    "MIN_RACE_STEPS",
     "RACE_ROUNDS",
     "ROUND_STEPS",
     "SEARCH_DRAWS",
+    "RaceSize",
+    "Reached",
     "can_search",
     "draw_starts",
     "free_numbers",
@@ -35,21 +36,48 @@ AGREEMENT: Final = 0.05  # of the range: finalists within this distance of the b
 SEARCH_DRAWS: Final = 48  # 16 are too few for an object that is out of view
 LOCAL_SEARCH_DRAWS: Final = 32
 LOCAL_RADIUS: Final = 0.15  # of the range, to either side
-RACERS: Final = 16
+DRAWS_PER_STEP: Final = 1.2  # of a race, for each step of the fit
+SHORT_FIT_STEPS: Final = 100  # a shorter fit has no renders to spare
+SHORT_FIT_DRAWS_PER_STEP: Final = 0.3
+MAX_RACE_DRAWS: Final = 128
+DRAWS_PER_RACER: Final = 16  # a point near the target is seldom below the best sixteenth
 RACE_ROUNDS: Final = 3  # after each, the half with the larger losses drops out
 ROUND_STEPS: Final = 4  # at a high rate
-WINNING_FRACTION: Final = 0.2  # of the least loss at the start of a race: a racer that reaches it has won
+WINNING_FRACTION: Final = 0.2  # of the loss at the current parameters: if the descent from them reaches it, it has won
+DECISIVE_FRACTION: Final = 0.1  # of the least loss at the start of a race: another racer that reaches it has won
+NEAR_FRACTION: Final = 0.05  # of the loss at earlier parameters of the fit: a descent below it is near its target
 LEAD_FRACTION: Final = 0.9  # of the loss of the descent from the current parameters, which another racer must reach
-GAIN_FRACTION: Final = 0.5  # of the loss at the current parameters, which the descent from them must reach
-LOW_FRACTION: Final = 0.25  # of the least loss of all draws, below which the current parameters need no race
-MIN_RACE_STEPS: Final = 100  # of a fit; a race renders about as often
+GAIN_FRACTION: Final = 0.7  # of the loss at the current parameters, which the descent from them must reach
+LOW_FRACTION: Final = 0.25  # of the least loss of all draws: a descent that gains below it needs no race
 MAX_SEARCH_NUMBERS: Final = 8  # in more dimensions so few draws cover next to nothing
+
+
+@dataclass(frozen=True)
+class Reached:
+    """The least loss of a descent so far.
+
+    Attributes
+    ----------
+    value : float
+    params : dict of arrays
+    rates : dict of float
+        Learning rates of the last steps; empty before the first.
+    """
+
+    value: float
+    params: Parameters
+    rates: Mapping[str, float] = field(default_factory=dict)
+
 
 Evaluate: TypeAlias = Callable[[Parameters], float]
 """Returns the loss of parameters."""
 
-Descend: TypeAlias = Callable[[Parameters], Iterator[tuple[float, Parameters]]]
-"""Descends from parameters; yields the least loss so far, and its parameters, after each round of steps."""
+
+class Descend(Protocol):
+    """Descends from parameters, at a high rate or not; yields its least loss after each round of steps."""
+
+    def __call__(self, start: Parameters, /, *, fast: bool) -> Iterator[Reached]: ...
+
 
 RunRound: TypeAlias = Callable[[Parameters, int, int], tuple[float, Parameters]]
 """Fits from a start for a stage and a number of steps; returns the last objective's value, and the parameters."""
@@ -128,45 +156,93 @@ def search(
     return min(_evaluated(evaluate, points), key=_loss, default=None)
 
 
-def race(evaluate: Evaluate, descend: Descend, params: Parameters, bounds: Bounds) -> Parameters | None:
+@dataclass(frozen=True)
+class RaceSize:
+    """The size of a race.
+
+    Attributes
+    ----------
+    draws : int
+        Number of points within the bounds whose loss is evaluated.
+    racers : int
+        Number of points, those with the least loss, from which descents start.
+    """
+
+    draws: int
+    racers: int
+
+    @classmethod
+    def of(cls, steps: int) -> RaceSize:
+        """Return the size for a fit of a number of steps; such a race renders at most 1.9 times as often."""
+        density = DRAWS_PER_STEP if steps >= SHORT_FIT_STEPS else SHORT_FIT_DRAWS_PER_STEP
+        draws = min(max(round(density * steps), DRAWS_PER_RACER), MAX_RACE_DRAWS)
+        return cls(draws, draws // DRAWS_PER_RACER)
+
+
+def race(
+    evaluate: Evaluate,
+    descend: Descend,
+    params: Parameters,
+    bounds: Bounds,
+    size: RaceSize,
+    earlier: Iterable[Parameters] = (),
+) -> Reached | None:
     """Return parameters with a far lower loss, a few steps from the current ones or from another point.
 
-    The racers start at the current parameters, and at the 16 points with the least loss among those that the first
-    :func:`search` draws. A point near the target may have a larger loss than a point with a wrong side in view; a few
-    steps distinguish them. The result is None if no racer gains much.
+    The descents from the current parameters, and from earlier ones of the fit with a lower loss, run first, and end the
+    race if they come near the target: a loss often no longer falls because the steps are too long. The other racers
+    start at the other earlier parameters, and at those with the least loss among some points within the bounds. A point
+    near the target may have a larger loss than a point with a wrong side in view; a few steps distinguish them. Only
+    such points descend at a high rate, which would lead far away from the others. The result is None if no racer gains
+    much.
     """
     first = evaluate(params)
-    drawn = sorted(_evaluated(evaluate, _draws(params, bounds, SEARCH_DRAWS, 0)), key=_loss)[:RACERS]
-    if drawn and first < LOW_FRACTION * drawn[0][0]:
-        return None
-    winning_loss = WINNING_FRACTION * min([first, *(value for value, _ in drawn)])
-    current, others = (
-        _Racer(descend(params), (first, params)),
-        [_Racer(descend(point), (value, point)) for value, point in drawn],
-    )
-    for _ in range(RACE_ROUNDS):
-        for racer in (current, *others):
+    tried = list(_evaluated(evaluate, earlier))
+    near = NEAR_FRACTION * max((value for value, _ in tried), default=0.0)
+    leaders = [Reached(first, params), *(Reached(*entry) for entry in tried if entry[0] < first)]
+    tried = [entry for entry in tried if not entry[0] < first]
+    ran = []
+    for leader in leaders:
+        racer = _Racer(descend(leader.params, fast=False), leader)
+        for _ in range(RACE_ROUNDS):
             racer.run()
-            if racer.reached[0] < winning_loss:
-                return racer.reached[1]
-        others.sort(key=lambda racer: racer.reached[0])
+        if racer.reached.value < max(WINNING_FRACTION * leader.value, near):
+            return racer.reached
+        ran.append(racer.reached)
+    current = min(ran, key=lambda reached: reached.value)
+    drawn = sorted(_evaluated(evaluate, _draws(params, bounds, size.draws, 0)), key=_loss)[: size.racers]
+    gained = current if current.value < GAIN_FRACTION * first else None
+    if gained is not None and drawn and current.value < LOW_FRACTION * drawn[0][0]:
+        return gained
+    winning_loss = DECISIVE_FRACTION * min([first, *(value for value, _ in (*tried, *drawn))])
+    others = [
+        _Racer(descend(point, fast=is_drawn), Reached(value, point))
+        for points, is_drawn in ((tried, False), (drawn, True))
+        for value, point in points
+    ]
+    for _ in range(RACE_ROUNDS):
+        for racer in others:
+            racer.run()
+            if racer.reached.value < winning_loss:
+                return racer.reached
+        others.sort(key=lambda racer: racer.reached.value)
         others = others[: max(len(others) // 2, 1)]
-    if others and others[0].reached[0] < LEAD_FRACTION * current.reached[0]:
-        return others[0].reached[1]
-    return current.reached[1] if current.reached[0] < GAIN_FRACTION * first else None
+    if others and others[0].reached.value < LEAD_FRACTION * current.value:
+        return others[0].reached
+    return gained
 
 
 @dataclass
 class _Racer:
-    """A descent, and the least loss that it has reached with its parameters."""
+    """A descent, and the least loss that it has reached."""
 
-    rounds: Iterator[tuple[float, Parameters]]
-    reached: tuple[float, Parameters]
+    rounds: Iterator[Reached]
+    reached: Reached
 
     def run(self) -> None:
         """Take the steps of one round."""
         with suppress(Exception):  # as in a search
-            self.reached = min(self.reached, next(self.rounds), key=_loss)
+            self.reached = min(self.reached, next(self.rounds), key=lambda reached: reached.value)
 
 
 def _loss(entry: tuple[float, Parameters]) -> float:
