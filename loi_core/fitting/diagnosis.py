@@ -16,13 +16,13 @@ from loi_core.fitting.starts import free_numbers, unbounded_parameters
 from loi_core.fitting.state import FitResult
 from loi_core.fitting.verdict import Diagnosis, Verdict
 from loi_core.fitting.views import Images, View, Views, by_view, mean, ungrouped
-from loi_core.objectives import ImageObjective, LOIObjective, Objective
+from loi_core.objectives import ImageObjective, LOIObjective
 from loi_core.pixels.encoding import encode_srgb
 from loi_core.pixels.exposure import LinearExposure
 from loi_core.pixels.psnr import psnr
 from loi_core.renderers.contract import Parameters
 from loi_core.renderers.units import measure_units
-from loi_core.support.arrays import Host, detached, from_numpy, to_numpy
+from loi_core.support.arrays import Array, Host, detached, from_numpy, to_numpy
 from loi_core.support.wording import clause, listed
 
 __all__ = ["FitEvidence", "diagnose", "diagnose_fit", "exposures_of", "psnr_of"]
@@ -68,6 +68,8 @@ MAX_UNEXPLAINED: Final = 0.3
 
 MAX_MOTION_PX: Final = 0.5
 """Further motion of a parameter, which pixels ask for, at which it counts as found."""
+
+MIN_OFFSET: Final = 0.005  # units of intensity, below which a message leaves it out
 
 MANY_NUMBERS: Final = 64
 """Number of free numbers, such as those of a texture or a mesh, from which on pixels find the last digits."""
@@ -132,16 +134,17 @@ def diagnose_fit(views: Views, start: Parameters, bounds: Bounds, result: FitRes
         start_value = mean(
             {name: float(detached(view.requested.value(images[name]))) for name, view in views.by_name.items()}
         )
-        end_values, noises = {}, {}
+        end_values, noises, last_images = {}, {}, {}
         for name, view in views.by_name.items():
             end_seed = seed + result.best_step
-            end_values[name], noises[name] = _end_and_noise(view, view.requested, result.best_params, end_seed)
+            last_images[name], noises[name] = _image_and_noise(view, result.best_params, end_seed)
+            end_values[name] = float(detached(view.requested.value(last_images[name])))
         visible: dict[str, bool] = {}
         if all(step.gradient_norm == 0.0 for step in result.history):
             units, _ = measure_units(list(views.by_name.values()), start, bounds, bounds.lower, seed=seed)
             visible = {name: math.isfinite(unit) for name, unit in units.items()}
         has_converged = mean(end_values) <= CONVERGED_FRACTION * start_value
-        exposed = None if has_converged else _values_under_exposure(views, images, by_view(result.image))
+        exposed = None if has_converged else _values_under_exposure(views, images, last_images)
         pairs = [
             (to_numpy(images[name]), to_numpy(view.objectives[-1].reference))
             for name, view in views.by_name.items()
@@ -230,17 +233,17 @@ def _values_under_exposure(
     return start, end
 
 
-def _end_and_noise(view: View, objective: Objective, params: Parameters, seed: int) -> tuple[float, float]:
-    """Return the objective of the mean of several renders, and between one render and that mean."""
+def _image_and_noise(view: View, params: Parameters, seed: int) -> tuple[Array, float]:
+    """Return the mean of several renders, and the objective between one render and that mean."""
     image, noise = view.render(params, seed=seed), 0.0
     renders = [view.render(params, seed=seed + 1)]
     if not np.array_equal(to_numpy(renders[0]), to_numpy(image)):
         renders += [view.render(params, seed=seed + k) for k in range(2, NOISE_RENDERS + 1)]
         average = np.mean([np.asarray(to_numpy(render), dtype=np.float64) for render in renders], axis=0)
-        if isinstance(objective, LOIObjective):
-            noise = float(detached(objective.with_reference(average).value(to_numpy(image))))
+        if isinstance(view.requested, LOIObjective):
+            noise = float(detached(view.requested.with_reference(average).value(to_numpy(image))))
         image = from_numpy(average, image)
-    return float(detached(objective.value(image))), noise
+    return image, noise
 
 
 def diagnose(evidence: FitEvidence) -> Diagnosis:
@@ -284,8 +287,8 @@ def diagnose(evidence: FitEvidence) -> Diagnosis:
     if left <= CONVERGED_FRACTION + CONVERGED_NOISE * noise:
         return verdict("converged", summary, POLISH_ADVICE if _wants_polish(evidence) else "")
     if evidence.exposed is not None and evidence.exposures and evidence.exposed[0] > 0.0:
-        exposed_left = evidence.exposed[1] / evidence.exposed[0]
-        if exposed_left <= CONVERGED_FRACTION + CONVERGED_NOISE * noise:
+        exposed_left, exposed_noise = (value / evidence.exposed[0] for value in (evidence.exposed[1], evidence.noise))
+        if exposed_left <= CONVERGED_FRACTION + CONVERGED_NOISE * exposed_noise:
             message = (
                 f"{exposed_left:.0%} of the loss at the start is left, but for the exposure: {_described(evidence)}"
             )
@@ -322,7 +325,8 @@ def _described(evidence: FitEvidence) -> str:
         float(np.mean([np.mean(part) for part in parts]))
         for parts in zip(*((entry.gain, entry.offset) for entry in evidence.exposures), strict=True)
     )
-    return f"the target is about {gain:.2f} times the render {'-' if offset < 0.0 else '+'} {abs(offset):.2f}"
+    added = f" {'-' if offset < 0.0 else '+'} {abs(offset):.2f}" if abs(offset) >= MIN_OFFSET else ""
+    return f"the target is about {gain:.2f} times the render{added}"
 
 
 def _falls(values: Sequence[float]) -> bool:

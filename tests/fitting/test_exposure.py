@@ -97,3 +97,18 @@ def test_the_result_and_the_verdict_name_the_exposure_of_a_photograph() -> None:
     assert result.diagnosis is not None
     assert result.diagnosis.ok
     assert "the target is about 0.9" in result.diagnosis.message
+
+
+def test_the_verdict_on_a_noisy_render_of_another_exposure_allows_for_its_noise() -> None:
+    """The noise is a larger share of the loss without the exposure than of the loss with it."""
+
+    class Noisy(Disks):
+        def render(self, params: Any, *, seed: int = 0) -> Host:
+            image: Host = super().render(params, seed=seed)
+            return image + 0.05 * np.random.default_rng(seed).standard_normal(image.shape)
+
+    scene = Noisy(64, 80, GOAL, radii=[7.0, 6.0], colours=[[0.9, 0.6, 0.2], [0.2, 0.7, 0.9]], background=[0.35] * 3)
+    free = {"positions": Free(GOAL + 12.0, 0.0, [80.0, 80.0])}
+    result = fit(scene, LOIObjective(0.9 * TARGET), steps=100, optimise=free)
+    assert result.diagnosis is not None
+    assert result.diagnosis.ok

@@ -98,7 +98,7 @@ def test_pixels_without_weight_may_differ() -> None:
 @pytest.mark.parametrize("gain", [0.3, 0.4])
 def test_another_exposure_is_not_mistaken_for_an_encoding(gain: float) -> None:
     start, truth = OnPicture((12.0, 12.0)), OnPicture((44.0, 30.0))
-    result = fit(start, LOIObjective(gain * truth.render(truth.parameters())), steps=20, optimise=["positions"])
+    result = fit(start, LOIObjective(gain * truth.render(truth.parameters())), steps=3, optimise=["positions"])
     assert result.diagnosis is not None
     assert result.diagnosis.verdict == "other range"
     assert "times as bright as the render" in result.diagnosis.message
