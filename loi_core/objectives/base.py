@@ -64,6 +64,8 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
     channel_axis : int or None
         Axis of the channels, in the reference and in the images; None if there are none, (*batch, H, W).
         Count from the end (-3 for channels first) when reference and images differ in batch axes.
+        Under -1 an image that looks channels first is an error: its last axis has 5 or more entries, as has the
+        second from last, and the third from last has 1, 3 or 4. Say 2 if (3, 64, 48) is 3 x 64 pixels of 48 channels.
     nan_policy : {"raise", "mask"}
         "raise" raises an error if a pixel is NaN or infinite. "mask" treats such pixels, of either image, as equal to
         the reference; they add nothing, their gradient is 0, and the mean is still over all pixels.

@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 from loi_core.errors import ImageError, OptionError
 from loi_core.support.arrays import Array, namespace
 from loi_core.support.values import whole_number
 from loi_core.support.wording import shown
 
-__all__ = ["Layout", "check_channel_axis"]
+__all__ = ["Layout", "check_channel_axis", "guessed_channel_axis"]
+
+CHANNEL_COUNTS: Final = (1, 3, 4)
+"""Usual numbers of channels: grey, RGB, and RGB with alpha."""
 
 
 def check_channel_axis(channel_axis: object) -> int | None:
@@ -21,6 +25,26 @@ def check_channel_axis(channel_axis: object) -> int | None:
         msg = f"`channel_axis` must be an axis number, or None for images without channels, got {shown(channel_axis)}"
         raise OptionError(msg)
     return axis
+
+
+def guessed_channel_axis(shape: tuple[int, ...]) -> int | str | None:
+    """Return -1 or -3, the first of these axes with 1, 3 or 4 entries; None for two axes, "unknown" otherwise."""
+    if len(shape) == 2:
+        return None
+    if len(shape) > 2 and shape[-1] in CHANNEL_COUNTS:
+        return -1
+    if len(shape) > 2 and shape[-3] in CHANNEL_COUNTS:
+        return -3
+    return "unknown"
+
+
+def looks_channels_first(shape: tuple[int, ...]) -> bool:
+    """Return whether an image of this shape has 1, 3 or 4 channels in front of at least 5 rows and 5 columns.
+
+    Images with fewer rows or columns may have their channels last, such as (3, 20, 2): 3 rows of 20 pixels with two
+    channels.
+    """
+    return guessed_channel_axis(shape) == -3 and min(shape[-2:]) > max(CHANNEL_COUNTS)
 
 
 @dataclass(frozen=True)
@@ -45,8 +69,11 @@ class Layout:
         Raises
         ------
         ImageError
-            If the shape has too few axes, no such channel axis, or no pixels.
+            If the shape has too few axes, no such channel axis, or no pixels; or if the channel axis is -1 and the
+            image looks channels first: 1, 3 or 4 entries on the third axis from the end, and 5 or more on the last
+            two. An axis counted from the front, such as 2 for (H, W, C), is taken as it is.
         """
+        last = channel_axis == -1
         min_axes = 2 if channel_axis is None else 3
         axes = "(*batch, H, W)" if channel_axis is None else "(*batch, H, W, C)"
         if len(shape) < min_axes:
@@ -60,6 +87,13 @@ class Layout:
             channel_axis %= len(shape)
         if 0 in shape:
             msg = f"`{name}` must not be empty, got shape {tuple(shape)}"
+            raise ImageError(msg)
+        if last and looks_channels_first(shape):
+            rows, columns, channels = shape[-3:]
+            msg = (
+                f"`{name}` has shape {tuple(shape)}, which looks channels first; pass channel_axis=-3, or "
+                f"channel_axis={len(shape) - 1} if it has {rows} x {columns} pixels of {channels} channels"
+            )
             raise ImageError(msg)
         return cls(tuple(shape), channel_axis)
 

@@ -8,13 +8,13 @@ import numpy as np
 
 from loi_core.io.images import png_bytes
 from loi_core.pixels.display import Display
+from loi_core.pixels.layout import guessed_channel_axis
 from loi_core.support.arrays import Array, Host, to_numpy
 from loi_core.support.repr_html import picture
 
 __all__ = ["thumbnail"]
 
 MAX_SIDE_PX: Final = 160
-CHANNEL_COUNTS: Final = (1, 3, 4)
 
 
 def thumbnail(image: Array, caption: str, channel_axis: int | str | None = "unknown") -> str:
@@ -45,20 +45,10 @@ def thumbnail(image: Array, caption: str, channel_axis: int | str | None = "unkn
 def _as_rgb(image: Array, channel_axis: int | str | None) -> Host | None:
     """Return an image as RGB, shape (H, W, 3), its values unchanged; None if the array cannot be shown."""
     pixels: np.ndarray[Any, Any] = np.asarray(to_numpy(image))
-    axis = _find_channel_axis(pixels.shape) if channel_axis == "unknown" else channel_axis
+    axis = guessed_channel_axis(pixels.shape) if channel_axis == "unknown" else channel_axis
     if axis == "unknown" or pixels.ndim < (2 if axis is None else 3) or not pixels.size:
         return None
     pixels = pixels[..., None] if axis is None else np.moveaxis(pixels, int(axis), -1)
     pixels = pixels[(0,) * (pixels.ndim - 3)]
     # A display has neither two nor many channels: the first is shown.
     return np.repeat(pixels[..., :1], 3, axis=-1) if pixels.shape[-1] < 3 else pixels[..., :3]
-
-
-def _find_channel_axis(shape: tuple[int, ...]) -> int | str | None:
-    if len(shape) == 2:
-        return None
-    if len(shape) > 2 and shape[-1] in CHANNEL_COUNTS:
-        return -1
-    if len(shape) > 2 and shape[-3] in CHANNEL_COUNTS:
-        return -3
-    return "unknown"
