@@ -17,12 +17,14 @@ from examples.paper.table3.problem import Column, FloatArray, Problem, image_of
 from examples.paper.table3.settings import FINISH_RATE, Setting
 from loi_core import fit
 from loi_core.fitting.adam import Adam
+from loi_core.fitting.exposure import exposure_is_free
 from loi_core.fitting.loop import FitStep, Free
 from loi_core.fitting.optimiser import Memory
 from loi_core.fitting.parameters import bounds_of
 from loi_core.fitting.schedule import MIN_WINDOW, WINDOW_FRACTION, has_settled
 from loi_core.fitting.stages import staged_objectives
 from loi_core.fitting.starts import can_search
+from loi_core.fitting.views import Views
 from loi_core.renderers.contract import Parameters
 
 __all__ = ["CURVE_STEPS", "Outcome", "Run", "carry_out"]
@@ -117,7 +119,7 @@ def _fit_stage(
     views = problem.matching_views if matches_pixels else problem.views
     objectives = {name: objective(setting, target) for name, target in problem.targets.items()}
     options: dict[str, Any] = {"steps": steps, "seed": done, "views_per_step": 1}
-    settles = False
+    settles = has_brightness = False
     if setting.name == "published":
         rates = {name: setting.rate * problem.unit(name) for name in start}
         options |= {"decay": "none", "stages": None, "optimiser": _DecayingAdam(done)}
@@ -125,10 +127,12 @@ def _fit_stage(
     else:
         rate = setting.rate if done == 0 else FINISH_RATE * setting.rate
         free = {name: Free(value, *problem.bounds(name)) for name, value in start.items()}
-        settles = setting.method == "loi" and not can_search(bounds_of(start, free))
+        bounds = bounds_of(start, free)
+        settles = setting.method == "loi" and not can_search(bounds)
+        has_brightness = settles and exposure_is_free(Views.of(views, objectives, "auto", 1), start, bounds, done)
         options |= {"learning_rate": f"{rate} px", "decay": "none" if settles else "cosine"}
 
-    staged = staged_objectives(next(iter(objectives.values())), "auto", None)
+    staged = staged_objectives(next(iter(objectives.values())), "auto", None, exposure_is_free=has_brightness)
     last_stage = len(staged.far) + (staged.finish is not None)
     window = max(MIN_WINDOW, round(WINDOW_FRACTION * steps))
     values: list[float] = []  # loss of every step of the last stage
