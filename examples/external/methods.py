@@ -18,7 +18,7 @@ from loi_core.objectives import Evaluation, PlaneComparison, ReferencePlanes
 from loi_core.renderers.contract import Parameters
 from loi_core.support.arrays import Array, Host, detached, from_numpy, namespace, sum_of_all, to_numpy
 
-__all__ = ["L1DSSIM", "METHODS", "descend"]
+__all__ = ["L1DSSIM", "METHODS", "RESTARTS", "descend"]
 
 DSSIM_SHARE: Final = 0.2  # of the loss of 3D Gaussian splatting (Kerbl et al. 2023)
 RESERVED_RENDERS: Final = 5  # of a fit, for its verdict and its last image
