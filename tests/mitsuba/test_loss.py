@@ -172,7 +172,7 @@ def test_gradients_from_numpy_are_aligned_for_dr_jit(offset: int, monkeypatch: p
     first = (-memory.ctypes.data % 64 + offset) // memory.itemsize
     moved = memory[first : first + gradient.size].reshape(gradient.shape)
     moved[...] = gradient
-    monkeypatch.setattr(type(loss.objective), "value_and_grad", lambda *_: (np.float32(0.0), moved))
+    monkeypatch.setattr(type(loss.objective), "value_and_grad", lambda *_, **__: (np.float32(0.0), moved))
     tensor = loss.value_and_grad(attached(image))[1]
     np.testing.assert_array_equal(tensor.numpy(), gradient)
     assert tensor.numpy().ctypes.data % 64 == 0  # NumPy shares the tensor's memory

@@ -333,14 +333,14 @@ def test_a_resumed_fit_does_not_read_the_psnr_of_its_history_file(folder: Path) 
 
 
 def test_ctrl_c_after_a_fit_keeps_the_fit(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    calls, render_vjp = itertools.count(), Disks.render_vjp
+    calls, value_and_grad = itertools.count(), PixelL2.value_and_grad
 
-    def render(self: Disks, params: Any, *, seed: int = 0) -> Any:
-        if next(calls) == 11:  # the start, six steps, the last image, three for the verdict
+    def interrupted(self: PixelL2, image: Any, **options: Any) -> Any:
+        if next(calls) == 2:
             raise KeyboardInterrupt
-        return render_vjp(self, params, seed=seed)
+        return value_and_grad(self, image, **options)
 
-    monkeypatch.setattr(Disks, "render_vjp", render)
+    monkeypatch.setattr(PixelL2, "value_and_grad", interrupted)
     trials = run_scene(load_scene(folder / "scene.toml"))
     assert [(trial.objective, trial.error) for trial in trials] == [("loi", ""), ("pixel_l2", "interrupted")]
     assert trials[0].result is not None
