@@ -9,6 +9,7 @@ import numpy as np
 
 from loi_core.errors import OptionError
 from loi_core.fitting.parameters import Bounds
+from loi_core.fitting.starts import free_numbers
 from loi_core.fitting.views import View, Views
 from loi_core.objectives import ImageObjective
 from loi_core.renderers.contract import Parameters
@@ -21,9 +22,11 @@ FIRST_STEP: Final = 1e-2  # fraction of the range between the bounds, or of the 
 FREE_SHARE: Final = 0.5
 """Share of a parameter's change of the image that is a gain and an offset, from which on the parameter is a brightness.
 
-A motion has a share near 0, the size of an object at most a fifth, and an exposure, a background, or the colour of the
-only object on a plain ground a share near 1.
+A motion has a share near 0, the size of an object at most a fifth, the height of a lamp 0.8, and an exposure, a
+background, or the colour of the only object on a plain ground a share near 1.
 """
+
+MAX_NUMBERS: Final = 16  # each takes a render of each view; of more numbers, all of a parameter change together
 
 HIDDEN_SHARE: Final = 0.98
 """The same share from which on a matched exposure hides a parameter."""
@@ -31,7 +34,7 @@ HIDDEN_SHARE: Final = 0.98
 
 def exposure_is_free(views: Views, params: Parameters, bounds: Bounds, seed: int) -> bool:
     """Return whether any free parameter changes an image mostly as another exposure would."""
-    return any(share > FREE_SHARE for share in _shares(views, params, bounds, seed).values())
+    return any(max(entry) > FREE_SHARE for entry in _shares(views, params, bounds, seed).values())
 
 
 def require_visible(views: Views, params: Parameters, bounds: Bounds, seed: int) -> None:
@@ -40,7 +43,7 @@ def require_visible(views: Views, params: Parameters, bounds: Bounds, seed: int)
     if any(not isinstance(entry, ImageObjective) or entry.exposure == "given" for entry in objectives):
         return
     shares = _shares(views, params, bounds, seed)
-    if shares and all(share > HIDDEN_SHARE for share in shares.values()):
+    if shares and all(min(entry) > HIDDEN_SHARE for entry in shares.values()):
         msg = (
             f"`exposure` of the objective must be 'given' to fit {listed(list(shares))}: the brightness of a whole "
             f"image has no effect under an exposure that is estimated"
@@ -48,18 +51,27 @@ def require_visible(views: Views, params: Parameters, bounds: Bounds, seed: int)
         raise OptionError(msg)
 
 
-def _shares(views: Views, params: Parameters, bounds: Bounds, seed: int) -> dict[str, float]:
-    """Return the share of each free parameter's change of the image that is a gain and an offset of each channel.
+def _shares(views: Views, params: Parameters, bounds: Bounds, seed: int) -> dict[str, list[float]]:
+    """Return the share of each free number's change of the image that is a gain and an offset of each channel.
 
-    All entries of a parameter change alike. With several views, the largest share counts.
+    The height of a lamp changes the image as an exposure does, and its other coordinates do not. With several views,
+    the largest share counts.
     """
-    shares = dict.fromkeys(bounds.lower, 0.0)
-    for view in views.by_name.values():
-        image = _planes(view, params, seed)
-        for name in shares:
-            if name in view.names:
-                moved = params | {name: from_numpy(_moved(params, bounds, name), params[name])}
-                shares[name] = max(shares[name], _explained(_planes(view, moved, seed) - image, image))
+    images = {name: _planes(view, params, seed) for name, view in views.by_name.items()}
+    separate = free_numbers(bounds) <= MAX_NUMBERS
+    shares: dict[str, list[float]] = {}
+    for name in bounds.lower:
+        value, all_moved = np.asarray(to_numpy(params[name]), dtype=np.float64), _moved(params, bounds, name)
+        masks = np.eye(value.size, dtype=bool).reshape(-1, *value.shape) if separate else [np.ones_like(value, bool)]
+        for mask in masks:
+            if np.any(all_moved[mask] != value[mask]):
+                moved = params | {name: from_numpy(np.where(mask, all_moved, value), params[name])}
+                share = max(
+                    _explained(_planes(view, moved, seed) - images[key], images[key])
+                    for key, view in views.by_name.items()
+                    if name in view.names
+                )
+                shares.setdefault(name, []).append(share)
     return shares
 
 
@@ -70,7 +82,7 @@ def _planes(view: View, params: Parameters, seed: int) -> Host:
 
 
 def _moved(params: Parameters, bounds: Bounds, name: str) -> Host:
-    """Return a parameter with all entries changed by the same small step, away from the nearer bound."""
+    """Return a parameter with each entry changed by a small step, away from the nearer bound."""
     value, lower, upper = (
         np.asarray(to_numpy(array), dtype=np.float64)
         for array in (params[name], bounds.lower[name], bounds.upper[name])

@@ -16,6 +16,7 @@ from loi_core.fitting.stages import staged_objectives
 from loi_core.fitting.views import Views
 from loi_core.objectives import PixelL2
 from loi_core.renderers import Disks, Warp
+from tests.contents import photograph
 from tests.helpers import Host
 
 GOAL = np.array([[52.0, 20.0], [20.0, 50.0]])
@@ -54,9 +55,7 @@ def test_a_matched_exposure_is_regressed_in_the_main_stage_and_in_a_polish() -> 
 
 
 def picture() -> Warp:
-    rows, columns = np.mgrid[:40, :40] / 40.0
-    image = np.stack([0.5 + 0.4 * np.sin(9.0 * rows), 0.3 + 0.5 * columns, 0.6 - 0.4 * rows], axis=-1)
-    return Warp(image, np.full((40, 40, 3), 0.3), scale=0.5)
+    return Warp(photograph((40, 40, 3), np.random.default_rng(2)), np.full((40, 40, 3), 0.3), scale=0.5)
 
 
 @pytest.mark.parametrize(
@@ -67,6 +66,28 @@ def test_only_a_brightness_is_taken_for_an_exposure(name: str, is_free: bool) ->
     views = Views.of(warp, LOIObjective(warp.render(warp.parameters())), "auto", None)
     params = warp.parameters()
     assert exposure_is_free(views, params, bounds_of(params, {name: Free()}), 0) == is_free
+
+
+class Dimmed:
+    """Two numbers in one array: the place of a disk, and the brightness of the image."""
+
+    def parameters(self) -> dict[str, Any]:
+        return {"x, brightness": np.array([30.0, 1.0])}
+
+    def render(self, params: dict[str, Any], *, seed: int = 0) -> Any:
+        x, brightness = params["x, brightness"]
+        return brightness * DISKS.render({**DISKS.parameters(), "positions": np.array([[x, 30.0], [60.0, 50.0]])})
+
+    def render_vjp(self, params: dict[str, Any], *, seed: int = 0) -> Any:
+        raise NotImplementedError
+
+
+@pytest.mark.parametrize(("upper", "is_free"), [([80.0, 1.0], False), ([80.0, 2.0], True)])
+def test_each_entry_of_an_array_may_be_a_brightness(upper: list[float], is_free: bool) -> None:
+    scene = Dimmed()
+    views = Views.of(scene, LOIObjective(scene.render(scene.parameters())), "auto", None)
+    bounds = bounds_of(scene.parameters(), {"x, brightness": Free(None, [0.0, 1.0], upper)})
+    assert exposure_is_free(views, scene.parameters(), bounds, 0) == is_free
 
 
 def test_a_uniform_colour_is_compared_from_the_first_step() -> None:
