@@ -67,7 +67,7 @@ class _OverCoveredPart(_Counting):
     def _loss_against(self, target: Tensor) -> LOILoss:
         """Return the loss of a level of the pyramid, which all steps share."""
         if id(target) not in self._losses:
-            self._losses[id(target)] = target, LOILoss(target, channel_axis=-3)  # keeps the tensor, and so its id
+            self._losses[id(target)] = target, LOILoss(target, channel_axis=-3)  # a tensor that is kept keeps its id
         return self._losses[id(target)][1]
 
     def get_single_level_loss(self, img_src: Tensor, img_dst: Tensor, transform_model: Tensor) -> Tensor:

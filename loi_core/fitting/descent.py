@@ -32,7 +32,7 @@ Decay: TypeAlias = Literal["cosine", "none"]
 FINAL_RATE: Final = 1e-3  # end of the cosine decay, as a fraction of the learning rate
 FINISH_RATE: Final = 0.5  # fraction of the learning rate: a comparison of pixels has less far to go
 SHORTENING: Final = 0.5  # of the steps of a racer after a step that has gained nothing
-RACED_RATE: Final = 8.0  # highest rate after a race, as a multiple of the rate at which its winner still gained
+RACED_RATE: Final = 8.0  # highest rate after a race, as a multiple of the last rate of its winner
 MAX_RESTARTS: Final = 3
 MIN_IMPROVEMENT: Final = 0.9  # a restart must start below this fraction of the settled value
 
@@ -154,7 +154,7 @@ class Descent:
             return replace(state, rates=self._higher_rates(state, "measuring rates anew"))
         if self.views.polishes and stage == main_stage < schedule.stage:
             # A descent of its own: gradients of pixels have another size, which Adam would take 1000 steps to learn.
-            memory = self._fresh_memory(state.params)
+            memory = self._memory_at(state.params)
             rates = self._higher_rates(state, "measuring rates for the last stage")
             return replace(state, memory=memory, rates={name: FINISH_RATE * rate for name, rate in rates.items()})
         return state
@@ -227,12 +227,12 @@ class Descent:
             params = state.params if local or state.best is None else state.best.params
             return replace(state, params=params, schedule=schedule.proceed(), latest={})
         params = best[1]
-        memory = self.optimiser.start({name: params[name] for name in self.bounds.lower}, state.memory)
+        memory = self._memory_at(params, state.memory)
         return replace(state, params=params, memory=memory, schedule=schedule.restart(), latest={})
 
     def _after_race(self, state: State, raced: Reached) -> State:
         """Return the state at the start of the main stage from the winner of a race."""
-        memory, schedule = self._fresh_memory(raced.params), state.schedule.in_main_stage()
+        memory, schedule = self._memory_at(raced.params), state.schedule.in_main_stage()
         state = replace(state, params=raced.params, memory=memory, schedule=schedule, latest={})
         measured = self._rates_at(state, "measuring rates anew")
         limits = {name: RACED_RATE * rate for name, rate in raced.rates.items()}
@@ -243,8 +243,7 @@ class Descent:
         best = state.best
         if best is None or best.stage != stage or best.partial:
             return state
-        memory = self.optimiser.start({name: best.params[name] for name in self.bounds.lower}, state.memory)
-        return replace(state, params=best.params, memory=memory)
+        return replace(state, params=best.params, memory=self._memory_at(best.params, state.memory))
 
     def _race(self, state: State, draws: list[tuple[float, Parameters]]) -> Reached | None:
         """Return parameters where some steps of the main stage from other points have led, if they are far better.
@@ -259,7 +258,7 @@ class Descent:
 
         def descend(start: Parameters, *, fast: bool) -> Iterator[Reached]:
             rates = high_rates if fast else state.rates
-            racer = State(start, self._fresh_memory(start), rates=rates, schedule=Schedule(1, steps))
+            racer = State(start, self._memory_at(start), rates=rates, schedule=Schedule(1, steps))
             lowest: Evaluation | None = None
             while racer.step < steps:
                 racer, evaluation = short.step(racer)
@@ -283,12 +282,13 @@ class Descent:
     def shortened(self, state: State, lowest: Evaluation) -> State:
         """Return the state after a step of a shorter length from the evaluation with the lowest value."""
         rates = {name: SHORTENING * rate for name, rate in state.rates.items()}
-        back = replace(state, params=lowest.params, memory=self._fresh_memory(lowest.params), rates=rates)
+        back = replace(state, params=lowest.params, memory=self._memory_at(lowest.params), rates=rates)
         params, memory = self.update(back, lowest.gradient, 1.0)
         return replace(back, params=params, memory=memory)
 
-    def _fresh_memory(self, params: Parameters) -> Memory:
-        return self.optimiser.start({name: params[name] for name in self.bounds.lower})
+    def _memory_at(self, params: Parameters, previous: Memory | None = None) -> Memory:
+        """Return the optimiser's memory for a descent that begins at parameters."""
+        return self.optimiser.start({name: params[name] for name in self.bounds.lower}, previous)
 
     def _higher_rates(self, state: State, action: str) -> dict[str, float]:
         """Return the rates measured here where they exceed the earlier ones.

@@ -62,8 +62,11 @@ def measure_misfit(views: Views, params: Parameters, bounds: Bounds, seed: int) 
     residual, contrast, changes = [], [], []
     effects = np.zeros(len(points))
     for view, objective in compared:
-        planes, reference, weights = _planes(view, objective, params, seed)
-        moved = [_planes(view, objective, point, seed)[0] - planes for _, _, point in points]
+        image, target, weights = _planes(view, objective, params, seed)
+        height, width = image.shape[-2:]
+        blur = gaussian_blur(height, width, BLUR_PX, "reflect", like=image)
+        planes, reference = blur.apply(image), blur.apply(target)
+        moved = [blur.apply(_planes(view, objective, point, seed)[0]) - planes for _, _, point in points]
         change = np.stack(moved, axis=-1) * weights[..., None]
         magnitude = np.abs(change)
         largest = magnitude.max(axis=(0, 1, 2), initial=0.0)
@@ -85,12 +88,10 @@ def measure_misfit(views: Views, params: Parameters, bounds: Bounds, seed: int) 
 
 
 def _planes(view: View, objective: ImageObjective[Any], params: Parameters, seed: int) -> tuple[Host, Host, Host]:
-    """Return the blurred planes of image and reference, and the weights, shape (N, H, W) each."""
+    """Return the planes of image and reference that are compared, and the weights, shape (N, H, W) each."""
     compared = objective.compared_planes(detached(view.render(params, seed=seed)))
     image, reference, weights = (np.asarray(to_numpy(planes), dtype=np.float64) for planes in compared)
-    height, width = image.shape[-2:]
-    blur = gaussian_blur(height, width, BLUR_PX, "reflect", like=image)
-    return blur.apply(image), blur.apply(reference), weights
+    return image, reference, weights
 
 
 def _moved(
@@ -115,7 +116,7 @@ def _moved(
 
 
 def _inert(numbers: Sequence[tuple[str, tuple[int, ...]]], effects: Host) -> tuple[str, ...]:
-    """Return the names of numbers without an effect: of a parameter, if it has none at all, or of its entries."""
+    """Return the names of parameters whose entries all lack an effect, and of single entries that lack one."""
     idle = [number for number, effect in zip(numbers, effects, strict=True) if effect == 0.0]
     moving = {name for name, index in numbers if (name, index) not in idle}
     labels = [f"{name}[{', '.join(map(str, index))}]" if name in moving else name for name, index in idle]

@@ -165,7 +165,7 @@ class RaceSize:
     draws : int
         Number of points within the bounds whose loss is evaluated.
     racers : int
-        Number of points, those with the least loss, from which descents start.
+        Number of descents, which start at the points with the least loss.
     """
 
     draws: int

@@ -223,10 +223,9 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
         prepared = self._prepare_call(image, None, image)
         pipeline, backend = prepared.pipeline, prepared.backend
         pixels = pipeline.forward(backend.to_backend(image))
-        xp = namespace(pixels.planes)
-        weights = xp.ones_like(pixels.planes) if pipeline.weights is None else pipeline.weights
-        if pixels.visible is not None:
-            weights = xp.where(pixels.visible, weights, xp.zeros_like(weights))
+        weights = pipeline.counted_weights(pixels.planes, pixels.visible)
+        if weights is None:
+            weights = namespace(pixels.planes).ones_like(pixels.planes)
         planes, reference, weights = (
             backend.to_library(array, image) for array in (pixels.planes, pipeline.reference, weights)
         )

@@ -184,20 +184,22 @@ class PixelPipeline:
         """Return the exposure of the reference relative to an image, by regression."""
         xp, planes = namespace(image), self.layout.to_planes(image)
         visible = xp.isfinite(planes) if self.visible is None else xp.isfinite(planes) & self.visible
-        weights = xp.astype(visible, planes.dtype)
-        weights = weights if self.weights is None else weights * self.weights
         planes = xp.where(visible, planes, xp.zeros_like(planes))
-        return estimate_exposure(planes, self.masked_reference, weights, "regressed")
+        return estimate_exposure(planes, self.masked_reference, self.counted_weights(planes, visible), "regressed")
 
     def estimate_exposure(self, planes: Array, visible: Array | None) -> LinearExposure | None:
         """Return the exposure of the reference relative to masked planes, shape (N, H, W); None if it is given."""
         if self.settings.exposure == "given":
             return None
-        weights = self.weights
-        if visible is not None:
-            seen = namespace(planes).astype(visible, planes.dtype)
-            weights = seen if weights is None else seen * weights
+        weights = self.counted_weights(planes, visible)
         return estimate_exposure(planes, self.masked_reference, weights, self.settings.exposure)
+
+    def counted_weights(self, planes: Array, visible: Array | None) -> Array | None:
+        """Return the weights of planes, shape (N, H, W), 0 where they are not visible; None if all count alike."""
+        if visible is None:
+            return self.weights
+        seen = namespace(planes).astype(visible, planes.dtype)
+        return seen if self.weights is None else seen * self.weights
 
     def pullback(self, pixels: PixelPass, cotangent: Array) -> Array:
         """Return the gradient with respect to the image, from the cotangent of ``pixels.planes``, shape (N, H, W)."""

@@ -129,7 +129,7 @@ class CallWeights:
         if not is_traced(weights):
             _require_valid(weights)
         largest = xp.max(weights)
-        # Divided before they are rounded to the image's dtype, in which small weights may be 0.
+        # Divided before rounding to the image's dtype, which may round small weights to 0.
         normalised = weights / xp.where(largest > 0.0, largest, xp.ones_like(largest))
         normalised, largest = (_like(array, like) for array in (normalised, largest))
         return cls(weight_planes(normalised, layout), largest)
