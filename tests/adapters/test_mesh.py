@@ -624,3 +624,42 @@ def test_a_view_has_another_camera_unless_a_parameter_sets_the_camera() -> None:
     assert torch.equal(back_renderer.render(params), back_view.render(params))
     with pytest.raises(OptionError, match="`camera` must not replace a camera that the parameter 'eye' sets"):
         MeshRenderer(8, 8, meshes, VIEW, {"eye": "camera.position"}).with_camera(VIEW)
+
+
+@pytest.mark.parametrize("owner", ["mesh", "camera"])
+def test_an_image_is_on_the_device_of_its_mesh_or_else_of_its_camera(owner: str) -> None:
+    mesh, camera = box(), VIEW
+    if owner == "mesh":
+        mesh = replace(replace(mesh, device=torch.device("meta")), colours=(1.0, 0.5, 0.2))
+    else:
+        camera = replace(camera, device=torch.device("meta"))
+    image = draw([mesh], camera, SIZE, SIZE)
+    assert image.device.type == "meta"
+    assert image.shape == (SIZE, SIZE, 3)
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="no CUDA device")
+@pytest.mark.parametrize("on_gpu", [{"vertices"}, {"position"}, {"colour"}, {"vertices", "position", "colour"}])
+def test_gradients_of_a_mixture_of_devices_arrive_on_the_devices_of_the_tensors(on_gpu: set[str]) -> None:
+    def image_and_slopes(on_gpu: set[str]) -> tuple[Tensor, dict[str, Tensor]]:
+        values = {
+            "vertices": box().vertices.detach(),
+            "position": VIEW.position,
+            "colour": torch.tensor([0.9, 0.5, 0.2]),
+        }
+        leaves = {
+            name: value.detach().to("cuda" if name in on_gpu else "cpu").requires_grad_()
+            for name, value in values.items()
+        }
+        meshes = [replace(box(), vertices=leaves["vertices"])]
+        camera = replace(VIEW, position=leaves["position"])
+        image = draw(meshes, camera, SIZE, SIZE, lights=[Light(colour=leaves["colour"])])
+        slopes = torch.autograd.grad((image * image).sum(), list(leaves.values()))
+        return image.detach(), dict(zip(leaves, slopes, strict=True))
+
+    expected, slopes = image_and_slopes(set())
+    image, gpu_slopes = image_and_slopes(on_gpu)
+    assert torch.equal(image.cpu(), expected)
+    for name, slope in gpu_slopes.items():
+        assert slope.device.type == ("cuda" if name in on_gpu else "cpu")
+        torch.testing.assert_close(slope.cpu(), slopes[name])

@@ -12,7 +12,7 @@ from torch import Tensor
 from loi_core.errors import ParameterError
 from loi_core.support.values import real_number
 from loi_core.support.wording import shown
-from loi_torch.mesh.tensors import finite_tensor, unit
+from loi_torch.mesh.tensors import accelerator_of, finite_tensor, unit
 from loi_torch.mesh.visibility.types import Viewport
 
 __all__ = ["Camera"]
@@ -34,6 +34,8 @@ class Camera:
         World units from the image's top to its bottom; makes the camera orthographic.
     near : float
         Distance of the near plane in world units, along the viewing direction; more than 0 for a perspective camera.
+    device : torch.device, optional
+        Device of the images of meshes on the processor; that of the first tensor on a GPU by default.
 
     Raises
     ------
@@ -42,7 +44,8 @@ class Camera:
 
     Notes
     -----
-    All but `near` may be tensors that require gradients.
+    All but `near` and `device` may be tensors that require gradients, on any device. The camera holds them on the
+    processor; gradients arrive on their devices.
     """
 
     position: Any
@@ -51,8 +54,11 @@ class Camera:
     fov: Any = 45.0
     extent: Any = None
     near: float = 0.01
+    device: Any = None
 
     def __post_init__(self) -> None:
+        numbers = self.position, self.target, self.up, self.fov, self.extent
+        object.__setattr__(self, "device", accelerator_of(*numbers) or self.device)
         for name in ("position", "target", "up"):
             object.__setattr__(self, name, finite_tensor(name, getattr(self, name), (3,)))
         object.__setattr__(self, "fov", finite_tensor("fov", self.fov, ()))

@@ -31,7 +31,10 @@ def draw(
     environment: Environment | None = None,
     background: Any = 0.0,
 ) -> Tensor:
-    """Draw meshes with analytically anti-aliased outlines.
+    """Draw meshes with analytically anti-aliased outlines, on the processor.
+
+    Tensors may be on any mixture of devices. They are copied to the processor, the image is copied to a GPU that holds
+    a mesh or else the camera, and gradients arrive on the devices of their tensors.
 
     Parameters
     ----------
@@ -82,13 +85,13 @@ def draw(
         pixels = frame.index_tensor(edges.pixels)
         uncovered, centre = background_colours.index_select(0, pixels), image.index_select(0, pixels)
         left, right = (
-            torch.where(torch.as_tensor(has_centre_colour, device=frame.device)[:, None], centre, uncovered).index_copy(
+            torch.where(torch.as_tensor(has_centre_colour)[:, None], centre, uncovered).index_copy(
                 0, frame.index_tensor(side_rows), colours
             )
             for (_, has_centre_colour), side_rows, colours in zip(sides, rows, side_colours, strict=True)
         )
         image = image.index_add(0, pixels, edges.areas[:, None] * (right - left))
-    return frame.connected(image).reshape(height, width, 3)
+    return frame.finished(image)
 
 
 def draw_positions(
@@ -114,7 +117,7 @@ def draw_positions(
     frame = Frame(meshes, camera, height, width)
     covered = np.flatnonzero(frame.visible.centre_triangle >= 0)
     centres = frame.pixel_centres(np.arange(height * width))
-    size = torch.tensor([width, height], dtype=torch.float64, device=frame.device)
+    size = torch.tensor([width, height], dtype=torch.float64)
     result = torch.cat([frame.background(background), centres / size], dim=1)
     if len(covered):
         rows = frame.index_tensor(covered)
@@ -126,4 +129,4 @@ def draw_positions(
         projected = camera.project(points, height, width)[0]
         positions = projected[:, :2] / projected[:, 2:] / size
         result = result.index_copy(0, rows, torch.cat([colours, positions], dim=1))
-    return frame.connected(result).reshape(height, width, 5)
+    return frame.finished(result)

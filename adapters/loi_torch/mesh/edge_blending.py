@@ -92,7 +92,7 @@ def _edge_points(frame: Frame, segments: EdgeSegments) -> tuple[Tensor, Tensor, 
     """Return the differentiable end points of edge segments, in pixels, and their orientation around the centres."""
     edges = frame.topology.edges[segments.edge]
     a, b = (frame.corners.index_select(0, frame.index_tensor(edges[:, k])) for k in (0, 1))
-    span = torch.as_tensor(segments.span, device=frame.device)
+    span = torch.as_tensor(segments.span)
     normal = _edge_lines(frame, edges)[:, :2].detach()
     points = []
     for k in (0, 1):
@@ -117,7 +117,7 @@ def _intersection_points(frame: Frame) -> tuple[Tensor, Tensor, Tensor]:
     normal = line[:, :2].detach()
     points = []
     for k in (0, 1):
-        fixed = torch.as_tensor(visible.intersection_points[:, 2 * k : 2 * k + 2], device=frame.device)
+        fixed = torch.as_tensor(visible.intersection_points[:, 2 * k : 2 * k + 2])
         moving = fixed + normal * _displacement(line, fixed)[:, None]
         points.append(_constrained(frame, moving, normal, endpoints[:, k]))
     return points[0], points[1], torch.sign(_line_value(line.detach(), frame.pixel_centres(visible.intersection_pixel)))
@@ -133,7 +133,7 @@ def _constrained(frame: Frame, point: Tensor, normal: Tensor, endpoint: Any) -> 
     displacement = ((point - fixed) * normal).sum(dim=1)
     kinds = endpoint[:, 0]
     borders = [kinds == EndpointKind.VERTICAL_BORDER, kinds == EndpointKind.HORIZONTAL_BORDER]
-    end_normal = torch.as_tensor(np.stack(borders, axis=1).astype(float), device=frame.device)
+    end_normal = torch.as_tensor(np.stack(borders, axis=1).astype(float))
     end_displacement = torch.zeros_like(displacement)
     for line_kind, lines in ((EndpointKind.EDGE, _edge_lines), (EndpointKind.INTERSECTION, _intersection_lines)):
         is_kind = np.flatnonzero(kinds == line_kind)

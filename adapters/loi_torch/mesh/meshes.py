@@ -13,7 +13,7 @@ from torch import Tensor
 from loi_core.errors import ParameterError
 from loi_core.support.arrays import to_numpy
 from loi_core.support.wording import shown
-from loi_torch.mesh.tensors import finite_tensor, unit
+from loi_torch.mesh.tensors import accelerator_of, finite_tensor, unit
 from loi_torch.mesh.topology import IndexArray, edge_topology, weld_vertices
 
 __all__ = ["Material", "Mesh", "MeshWarning"]
@@ -66,7 +66,8 @@ class Material:
 class Mesh:
     """A triangle mesh with colours, and optionally a texture.
 
-    All arrays but `faces` may be tensors that require gradients.
+    All arrays but `faces` may be tensors that require gradients, on any device. The mesh holds them on the processor,
+    where it is drawn; gradients arrive on the devices of the tensors.
 
     Parameters
     ----------
@@ -85,6 +86,8 @@ class Mesh:
         Whether normals are interpolated between vertices instead of constant on each triangle.
     per : {"vertex", "triangle"}, optional
         Meaning of the rows of `colours`; needed only if there are as many vertices as triangles.
+    device : torch.device, optional
+        Device of the images of the mesh; that of `vertices` by default, or else of its other tensors.
     welds, topology, discontinuities
         Derived from the other arguments. ``dataclasses.replace`` keeps which vertices coincided at first: they stay
         together, at their mean. With other faces, or another number of vertices, everything is derived anew.
@@ -108,11 +111,13 @@ class Mesh:
     material: Material = field(default_factory=Material)
     smooth: bool = True
     per: str | None = None
+    device: Any = field(default=None, repr=False)
     welds: Any = field(default=None, repr=False)
     topology: Any = field(default=None, repr=False)
     discontinuities: Any = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
+        self._set(device=accelerator_of(self.vertices, self.colours, self.texture, self.uv) or self.device)
         vertices = finite_tensor("vertices", self.vertices, (None, 3))
         count = len(vertices)
         faces = _checked_faces(self.faces, count)

@@ -150,6 +150,7 @@ class SceneParameters:
 
     def scene_of(self, values: Mapping[str, Tensor]) -> MeshScene:
         """Return the scene with parameter values, and their gradients."""
+        values = {name: value.cpu() for name, value in values.items()}
         entries = {target: values[name] for name, target in self.targets.items() if isinstance(target, str)}
         scene = self.scene.with_entries(entries) if entries else self.scene
         handles: dict[str, list[Any]] = {}

@@ -44,7 +44,6 @@ class Frame:
         self.size = height, width
         vertices = [mesh.vertices for mesh in meshes]
         self.vertices = torch.cat(vertices) if meshes else torch.zeros((0, 3), dtype=torch.float64)
-        self.device = self.vertices.device
         counts = [len(mesh.vertices) for mesh in meshes]
         self.first_vertex = np.append(0, np.cumsum(counts)).astype(np.int64)
         self.first_triangle = np.append(0, np.cumsum([len(mesh.faces) for mesh in meshes])).astype(np.int64)
@@ -59,13 +58,13 @@ class Frame:
         self.visible = find_visible(self.scene)
 
     def index_tensor(self, indices: Any) -> Tensor:
-        """Return indices as an int64 tensor on the frame's device."""
-        return torch.as_tensor(indices, dtype=torch.int64, device=self.device)
+        """Return indices as an int64 tensor."""
+        return torch.as_tensor(indices, dtype=torch.int64)
 
     def pixel_centres(self, pixels: Any) -> Tensor:
         """Return the centres (x, y) of pixels, shape (s, 2)."""
         width = self.size[1]
-        return torch.as_tensor(np.stack([pixels % width + 0.5, pixels // width + 0.5], axis=1), device=self.device)
+        return torch.as_tensor(np.stack([pixels % width + 0.5, pixels // width + 0.5], axis=1))
 
     def samples(self, triangle: Any, points: Tensor) -> SurfaceSamples:
         """Return samples of triangles, shape (s,), at points, shape (s, 2)."""
@@ -88,10 +87,16 @@ class Frame:
             centres = self.pixel_centres(np.arange(height * width))
             directions = self.camera.directions(centres, height, width)
             return background.radiance(directions, self.pixel_angle(height * width))
-        colours = background_tensor(background, height, width).to(self.device)
+        colours = background_tensor(background, height, width)
         return colours.reshape(-1, 3) if colours.ndim == 3 else colours.expand(height * width, 3)
 
-    def connected(self, image: Tensor) -> Tensor:
+    def finished(self, image: Tensor) -> Tensor:
+        """Return pixels, shape (H * W, c), as an image on the device of the meshes, or else of the camera."""
+        devices = [mesh.device for mesh in self.meshes if mesh.device is not None]
+        device = devices[0] if devices else self.camera.device
+        return self._connected(image).reshape(*self.size, -1).to(device or "cpu")
+
+    def _connected(self, image: Tensor) -> Tensor:
         """Return the image as part of the graph of meshes and camera, with gradient 0 if none of them is visible."""
         if image.requires_grad:
             return image
@@ -106,4 +111,4 @@ class Frame:
         """Return the approximate angle that a pixel subtends, in radians, shape (count,)."""
         height = self.size[0]
         fov = 0.0 if self.camera.extent is not None else float(self.camera.fov.detach())
-        return torch.full((count,), float(np.radians(fov)) / height, dtype=torch.float64, device=self.device)
+        return torch.full((count,), float(np.radians(fov)) / height, dtype=torch.float64)

@@ -62,7 +62,7 @@ class MeshRenderer(Painted):
     dtype : {"float64", "float32"}
         Of parameters and images; the arithmetic inside is float64.
     device : str
-        Torch device, which must support float64.
+        Torch device of parameters and image, which must support float64. Meshes are drawn on the processor.
 
     Raises
     ------
@@ -165,7 +165,7 @@ class MeshRenderer(Painted):
     def _paint(self, scene: Tensors) -> Tensor:
         mesh_scene = self._scene_parameters.scene_of(scene)
         drawer = draw_positions if self._draws_positions else draw
-        return drawer(
+        image = drawer(
             list(mesh_scene.meshes.values()),
             mesh_scene.camera,
             *self._size,
@@ -173,6 +173,7 @@ class MeshRenderer(Painted):
             environment=mesh_scene.environment,
             background=mesh_scene.background,
         )
+        return image.to(self._device)
 
 
 def _from_table(table_type: type[Any], argument: str, name: str | None, value: Any) -> Any:

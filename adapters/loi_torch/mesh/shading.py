@@ -31,7 +31,7 @@ def shade(
     """
     if len(frame.meshes) == 1:
         return _shade_mesh(frame, 0, samples, lights, environment, attached=attached)
-    result = torch.zeros((len(samples.points), 3), dtype=torch.float64, device=frame.device)
+    result = torch.zeros((len(samples.points), 3), dtype=torch.float64)
     for index in range(len(frame.meshes)):
         rows = torch.nonzero(samples.mesh == index)[:, 0]
         if len(rows):

@@ -11,17 +11,18 @@ from torch import Tensor
 from loi_core.errors import ParameterError
 from loi_core.support.wording import shown
 
-__all__ = ["background_tensor", "finite_tensor", "unit"]
+__all__ = ["accelerator_of", "background_tensor", "finite_tensor", "unit"]
 
 
 def finite_tensor(name: str, value: Any, shape: tuple[int | None, ...] | None = None) -> Tensor:
-    """Return `value` as a finite float64 tensor; a tensor keeps its graph.
+    """Return `value` as a finite float64 tensor on the processor; a tensor keeps its graph.
 
+    Meshes are drawn on the processor, so tensors of all devices may meet; a gradient returns to the tensor's device.
     A ParameterError with `name` is raised if it is not numeric, not finite or of another shape; None allows any length.
     """
     try:
         tensor = value if isinstance(value, Tensor) else torch.as_tensor(_real_array(value))
-        tensor = tensor.to(torch.float64)
+        tensor = tensor.to("cpu", torch.float64)
     except (TypeError, ValueError, RuntimeError) as error:
         msg = f"`{name}` must be numbers, got {shown(value)}"
         raise ParameterError(msg) from error
@@ -38,6 +39,12 @@ def finite_tensor(name: str, value: Any, shape: tuple[int | None, ...] | None = 
         msg = f"`{name}` must be finite, got {int(is_bad.sum())} that are not, the first at {first}"
         raise ParameterError(msg)
     return tensor
+
+
+def accelerator_of(*values: Any) -> torch.device | None:
+    """Return the device of the first tensor that is not on the processor; None if there is none."""
+    devices = (value.device for value in values if isinstance(value, Tensor))
+    return next((device for device in devices if device.type != "cpu"), None)
 
 
 def _real_array(value: Any) -> np.ndarray[Any, Any]:
