@@ -11,8 +11,8 @@ import numpy as np
 
 from loi_core.fitting.history import FitStep
 from loi_core.fitting.misfit import Misfit, measure_misfit
-from loi_core.fitting.parameters import Bounds
-from loi_core.fitting.starts import free_numbers, unbounded_parameters
+from loi_core.fitting.parameters import Bounds, free_numbers
+from loi_core.fitting.starts import unbounded_parameters
 from loi_core.fitting.state import FitResult
 from loi_core.fitting.verdict import Diagnosis, Verdict
 from loi_core.fitting.views import Images, View, Views, by_view, mean, ungrouped

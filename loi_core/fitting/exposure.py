@@ -8,25 +8,22 @@ from typing import Final
 import numpy as np
 
 from loi_core.errors import OptionError
-from loi_core.fitting.parameters import Bounds
-from loi_core.fitting.starts import free_numbers
+from loi_core.fitting.parameters import MAX_MOVED_NUMBERS, Bounds, free_numbers, host_values, moved_numbers
 from loi_core.fitting.views import View, Views
 from loi_core.objectives import ImageObjective
 from loi_core.renderers.contract import Parameters
-from loi_core.support.arrays import Host, from_numpy, to_numpy
+from loi_core.renderers.units import first_step
+from loi_core.support.arrays import Host, to_numpy
 from loi_core.support.wording import listed
 
 __all__ = ["exposure_is_free", "require_visible"]
 
-FIRST_STEP: Final = 1e-2  # fraction of the range between the bounds, or of the magnitude of the values, or of 1
 FREE_SHARE: Final = 0.5
 """Share of a parameter's change of the image that is a gain and an offset, from which on the parameter is a brightness.
 
 A motion has a share near 0, the size of an object at most a fifth, the height of a lamp 0.8, and an exposure, a
 background, or the colour of the only object on a plain ground a share near 1.
 """
-
-MAX_NUMBERS: Final = 16  # each takes a render of each view; of more numbers, all of a parameter change together
 
 HIDDEN_SHARE: Final = 0.98
 """The same share from which on a matched exposure hides a parameter."""
@@ -55,23 +52,18 @@ def _shares(views: Views, params: Parameters, bounds: Bounds, seed: int) -> dict
     """Return the share of each free number's change of the image that is a gain and an offset of each channel.
 
     The height of a lamp changes the image as an exposure does, and its other coordinates do not. With several views,
-    the largest share counts.
+    the largest share counts. Of many numbers, all of a parameter change together.
     """
     images = {name: _planes(view, params, seed) for name, view in views.by_name.items()}
-    separate = free_numbers(bounds) <= MAX_NUMBERS
+    steps = {name: first_step(*host_values(params, bounds, name)) for name in bounds.lower}
     shares: dict[str, list[float]] = {}
-    for name in bounds.lower:
-        value, all_moved = np.asarray(to_numpy(params[name]), dtype=np.float64), _moved(params, bounds, name)
-        masks = np.eye(value.size, dtype=bool).reshape(-1, *value.shape) if separate else [np.ones_like(value, bool)]
-        for mask in masks:
-            if np.any(all_moved[mask] != value[mask]):
-                moved = params | {name: from_numpy(np.where(mask, all_moved, value), params[name])}
-                share = max(
-                    _explained(_planes(view, moved, seed) - images[key], images[key])
-                    for key, view in views.by_name.items()
-                    if name in view.names
-                )
-                shares.setdefault(name, []).append(share)
+    for moved in moved_numbers(params, bounds, steps, together=free_numbers(bounds) > MAX_MOVED_NUMBERS):
+        share = max(
+            _explained(_planes(view, moved.params, seed) - images[key], images[key])
+            for key, view in views.by_name.items()
+            if moved.name in view.names
+        )
+        shares.setdefault(moved.name, []).append(share)
     return shares
 
 
@@ -79,19 +71,6 @@ def _planes(view: View, params: Parameters, seed: int) -> Host:
     """Return the channels of an image as rows, shape (C, H W)."""
     image = np.asarray(to_numpy(view.render(params, seed=seed)), dtype=np.float64)
     return image.reshape(-1, image.shape[-1]).T
-
-
-def _moved(params: Parameters, bounds: Bounds, name: str) -> Host:
-    """Return a parameter with each entry changed by a small step, away from the nearer bound."""
-    value, lower, upper = (
-        np.asarray(to_numpy(array), dtype=np.float64)
-        for array in (params[name], bounds.lower[name], bounds.upper[name])
-    )
-    span = (upper - lower)[np.isfinite(upper - lower)]
-    scale = float(span.max()) if span.size else max(1.0, float(np.abs(value).max(initial=0.0)))
-    step = FIRST_STEP * (scale or 1.0)
-    moved: Host = np.clip(np.where(upper - value >= step, value + step, value - step), lower, upper)
-    return moved
 
 
 def _explained(change: Host, image: Host) -> float:

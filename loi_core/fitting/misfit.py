@@ -3,24 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
 import numpy as np
 
-from loi_core.fitting.parameters import Bounds
-from loi_core.fitting.starts import free_numbers
+from loi_core.fitting.parameters import MAX_MOVED_NUMBERS, Bounds, Moved, free_numbers, moved_numbers
 from loi_core.fitting.views import View, Views
 from loi_core.method.blurs import gaussian_blur
 from loi_core.objectives import ImageObjective
 from loi_core.renderers.contract import Parameters
 from loi_core.renderers.units import measure_units
-from loi_core.support.arrays import Host, detached, from_numpy, to_numpy
+from loi_core.support.arrays import Host, detached, to_numpy
 
 __all__ = ["Misfit", "measure_misfit"]
 
-MAX_NUMBERS: Final = 16  # each takes a render of each view
 BLUR_PX: Final = 1.5  # averages noise, and makes the change of an edge linear in a motion of a pixel
 MIN_CHANGE: Final = 0.1  # fraction of the largest change through a number below which a pixel does not move
 REGRESSION_STEPS: Final = 8  # of reweighted least squares
@@ -53,10 +51,10 @@ def measure_misfit(views: Views, params: Parameters, bounds: Bounds, seed: int) 
         for view in views.by_name.values()
         if isinstance(objective := view.objectives[-1], ImageObjective)
     ]
-    if free_numbers(bounds) > MAX_NUMBERS or len(compared) < len(views.by_name):
+    if free_numbers(bounds) > MAX_MOVED_NUMBERS or len(compared) < len(views.by_name):
         return None
     units, _ = measure_units(list(views.by_name.values()), params, bounds, bounds.lower, seed=seed)
-    points = list(_moved(params, bounds, units))
+    points = list(moved_numbers(params, bounds, units))
     if not points:
         return None
     residual, contrast, changes = [], [], []
@@ -66,7 +64,7 @@ def measure_misfit(views: Views, params: Parameters, bounds: Bounds, seed: int) 
         height, width = image.shape[-2:]
         blur = gaussian_blur(height, width, BLUR_PX, "reflect", like=image)
         planes, reference = blur.apply(image), blur.apply(target)
-        moved = [blur.apply(_planes(view, objective, point, seed)[0]) - planes for _, _, point in points]
+        moved = [blur.apply(_planes(view, objective, point.params, seed)[0]) - planes for point in points]
         change = np.stack(moved, axis=-1) * weights[..., None]
         magnitude = np.abs(change)
         largest = magnitude.max(axis=(0, 1, 2), initial=0.0)
@@ -83,8 +81,7 @@ def measure_misfit(views: Views, params: Parameters, bounds: Bounds, seed: int) 
     scale = float(np.sum(np.abs(np.concatenate(contrast))))
     if scale == 0.0:
         return None
-    inert = _inert([(name, index) for name, index, _ in points], effects)
-    return Misfit(float(np.sum(np.abs(difference))) / scale, _motion(slopes, difference), inert)
+    return Misfit(float(np.sum(np.abs(difference))) / scale, _motion(slopes, difference), _inert(points, effects))
 
 
 def _planes(view: View, objective: ImageObjective[Any], params: Parameters, seed: int) -> tuple[Host, Host, Host]:
@@ -94,32 +91,13 @@ def _planes(view: View, objective: ImageObjective[Any], params: Parameters, seed
     return image, reference, weights
 
 
-def _moved(
-    params: Parameters, bounds: Bounds, units: dict[str, float]
-) -> Iterator[tuple[str, tuple[int, ...], Parameters]]:
-    """Yield each free number, by name and index, and the parameters with it moved by its unit from the nearer bound.
-
-    A number without a unit moves to the farther bound, or by 1.
-    """
-    for name, unit in units.items():
-        value, lower, upper = (
-            np.asarray(to_numpy(array), dtype=np.float64)
-            for array in (params[name], bounds.lower[name], bounds.upper[name])
-        )
-        for index in np.ndindex(value.shape):
-            if lower[index] < upper[index]:
-                moved, (below, above) = value.copy(), (value[index] - lower[index], upper[index] - value[index])
-                farther = max(below, above)
-                step = unit if math.isfinite(unit) else farther if math.isfinite(farther) else 1.0
-                moved[index] += step if above >= below else -step
-                yield name, index, params | {name: from_numpy(np.clip(moved, lower, upper), params[name])}
-
-
-def _inert(numbers: Sequence[tuple[str, tuple[int, ...]]], effects: Host) -> tuple[str, ...]:
+def _inert(points: Sequence[Moved], effects: Host) -> tuple[str, ...]:
     """Return the names of parameters whose entries all lack an effect, and of single entries that lack one."""
-    idle = [number for number, effect in zip(numbers, effects, strict=True) if effect == 0.0]
-    moving = {name for name, index in numbers if (name, index) not in idle}
-    labels = [f"{name}[{', '.join(map(str, index))}]" if name in moving else name for name, index in idle]
+    idle = [point for point, effect in zip(points, effects, strict=True) if effect == 0.0]
+    moving = {point.name for point, effect in zip(points, effects, strict=True) if effect != 0.0}
+    labels = [
+        f"{point.name}[{', '.join(map(str, point.index))}]" if point.name in moving else point.name for point in idle
+    ]
     return tuple(dict.fromkeys(labels))
 
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Hashable, Iterable, Mapping
+from collections.abc import Hashable, Iterable, Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Final, Protocol
 
 import numpy as np
 
@@ -19,17 +19,25 @@ from loi_core.support.values import real_number
 from loi_core.support.wording import shown
 
 __all__ = [
+    "MAX_MOVED_NUMBERS",
     "Bounds",
     "Free",
     "HasParameters",
+    "Moved",
     "SharedParameters",
     "bounds_of",
     "check_rate",
     "fills",
+    "free_numbers",
     "free_parameters",
+    "host_values",
+    "moved_numbers",
     "own_parameters",
     "starting_parameters",
 ]
+
+MAX_MOVED_NUMBERS: Final = 16
+"""Most numbers of a fit that may be moved one by one, since each takes a render of each view."""
 
 
 class HasParameters(Protocol):
@@ -74,6 +82,62 @@ class Bounds:
             # NumPy operations turn arrays of shape () into scalars; a parameter stays an array.
             result[name] = xp.asarray(xp.minimum(xp.maximum(result[name], limit), self.upper[name]))
         return result
+
+
+def free_numbers(bounds: Bounds) -> int:
+    """Return how many numbers may move."""
+    return sum(
+        int(np.sum(np.asarray(to_numpy(lowest)) < np.asarray(to_numpy(bounds.upper[name]))))
+        for name, lowest in bounds.lower.items()
+    )
+
+
+def host_values(params: Parameters, bounds: Bounds, name: str) -> tuple[Host, Host, Host]:
+    """Return the value, lower and upper bound of a free parameter as float64 NumPy arrays."""
+    value, lower, upper = (
+        np.asarray(to_numpy(array), dtype=np.float64)
+        for array in (params[name], bounds.lower[name], bounds.upper[name])
+    )
+    return value, lower, upper
+
+
+@dataclass(frozen=True)
+class Moved:
+    """Parameters of which one free number, or all of one free parameter, have moved.
+
+    Attributes
+    ----------
+    name : str
+        The free parameter.
+    index : tuple of int, or Ellipsis
+        Where its number is; Ellipsis for all.
+    params : dict of arrays
+    """
+
+    name: str
+    index: Any
+    params: Parameters
+
+
+def moved_numbers(
+    params: Parameters, bounds: Bounds, steps: Mapping[str, float], *, together: bool = False
+) -> Iterator[Moved]:
+    """Yield the parameters with each free number in turn moved by the step of its parameter, towards the farther bound.
+
+    Numbers stay within their bounds. With an infinite step, a number moves to the farther bound, or by 1 if that is
+    infinite. With `together`, all numbers of a parameter move at once.
+    """
+    for name, step in steps.items():
+        value, lower, upper = host_values(params, bounds, name)
+        above, below = upper - value, value - lower
+        farther = np.maximum(above, below)
+        size = np.where(math.isfinite(step), step, np.where(np.isfinite(farther), farther, 1.0))
+        end = np.clip(value + np.where(above >= below, size, -size), lower, upper)
+        for index in (...,) if together else np.ndindex(value.shape):
+            if np.any(lower[index] < upper[index]):
+                moved = value.copy()
+                moved[index] = end[index]
+                yield Moved(name, index, params | {name: from_numpy(moved, params[name])})
 
 
 def own_parameters(renderer: HasParameters) -> Parameters:

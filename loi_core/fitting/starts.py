@@ -11,7 +11,7 @@ from typing import Final, Protocol, TypeAlias
 import numpy as np
 
 from loi_core.errors import OptionError
-from loi_core.fitting.parameters import Bounds
+from loi_core.fitting.parameters import Bounds, free_numbers, host_values
 from loi_core.renderers.contract import Parameters
 from loi_core.support.arrays import from_numpy, to_numpy
 
@@ -23,7 +23,6 @@ __all__ = [
     "Reached",
     "can_search",
     "draw_starts",
-    "free_numbers",
     "race",
     "search",
     "successive_halving",
@@ -120,14 +119,6 @@ def draw_starts(params: Parameters, bounds: Bounds, count: int, *, first: int = 
             start[name] = from_numpy(value, params[name])
         starts.append(start)
     return starts
-
-
-def free_numbers(bounds: Bounds) -> int:
-    """Return how many numbers may move."""
-    return sum(
-        int(np.sum(np.asarray(to_numpy(lowest)) < np.asarray(to_numpy(bounds.upper[name]))))
-        for name, lowest in bounds.lower.items()
-    )
 
 
 def unbounded_parameters(bounds: Bounds) -> list[str]:
@@ -278,10 +269,8 @@ def _local_draws(params: Parameters, bounds: Bounds, attempt: int) -> Iterator[P
 
 def _box_around(params: Parameters, bounds: Bounds) -> Bounds:
     lower, upper = {}, {}
-    for name, floor in bounds.lower.items():
-        centre, lowest, highest = (
-            np.asarray(to_numpy(value), dtype=np.float64) for value in (params[name], floor, bounds.upper[name])
-        )
+    for name in bounds.lower:
+        centre, lowest, highest = host_values(params, bounds, name)
         radius = LOCAL_RADIUS * (highest - lowest)
         lower[name] = from_numpy(np.maximum(lowest, centre - radius), params[name])
         upper[name] = from_numpy(np.minimum(highest, centre + radius), params[name])

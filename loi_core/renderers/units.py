@@ -20,7 +20,7 @@ from loi_core.renderers.contract import Parameters
 from loi_core.support.arrays import Array, Host, from_numpy, to_numpy
 from loi_core.support.guards import wrap_errors
 
-__all__ = ["measure_units", "pixels_of"]
+__all__ = ["first_step", "measure_units", "pixels_of"]
 
 BLUR_PX: Final = 2.0  # turns edges into slopes, so that the change is linear in a motion of about a pixel
 MAX_RENDERS: Final = 10  # per parameter
@@ -58,6 +58,14 @@ def pixels_of(value: object) -> float:
         return float(match[1]) if match else math.nan
     except ValueError:
         return math.nan
+
+
+def first_step(value: Host, lower: Host, upper: Host) -> float:
+    """Return a small change of an array: a fraction of its widest finite range, else of its magnitude, at least 1."""
+    span = upper - lower
+    finite = span[np.isfinite(span)]
+    scale = float(finite.max()) if finite.size else max(1.0, float(np.abs(value).max(initial=0.0)))
+    return FIRST_STEP * (scale or 1.0)
 
 
 def measure_units(
@@ -152,10 +160,8 @@ def _unit(views: Sequence[_View], params: Parameters, bounds: Limits | None, nam
     sign = np.where(np.random.default_rng(0).random(value.shape) < 0.5, -1.0, 1.0)
     sign = np.where((sign > 0) & (upper - value < value - lower) & is_bounded, -1.0, sign)
     sign = np.where((sign < 0) & (value - lower < upper - value) & is_bounded, 1.0, sign)
-    span = upper - lower
-    finite = span[np.isfinite(span)]
-    scale = float(finite.max()) if finite.size else max(1.0, float(np.abs(value).max(initial=0.0)))
-    step = FIRST_STEP * scale if scale > 0.0 else FIRST_STEP
+    step = first_step(value, lower, upper)
+    scale = step / FIRST_STEP
     unit, min_error = math.inf, math.inf
     for _ in range(MAX_RENDERS):
         moved = np.clip(value + step * sign, lower, upper)
