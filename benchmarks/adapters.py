@@ -37,11 +37,12 @@ def torch_pair(image: Any, reference: Any, scales: ScaleSpace) -> Pair:
     """The core on torch tensors, and the same through autograd."""
     tensor = torch.tensor(image)
     leaf = torch.tensor(image, requires_grad=True)
-    core, loss = LOIObjective(torch.tensor(reference), scales), loi_torch.LOILoss(reference, scales)
+    target = torch.tensor(reference)
+    core, loss = LOIObjective(target, scales), loi_torch.LOILoss(scales)
 
     def bridge() -> None:
         leaf.grad = None
-        loss(leaf).backward()
+        loss(leaf, target).backward()
 
     return lambda: core.value_and_grad(tensor), bridge
 

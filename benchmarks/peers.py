@@ -151,7 +151,8 @@ def _torch_loi(row: Row, image: Image, reference: Image) -> Prepare:
     image, accuracy = _inputs_of(row, image, reference)
     leaf = torch.tensor(image, device=row.device, requires_grad=True)
     target = torch.tensor(reference, device=row.device)
-    return lambda: _torch_step(leaf, loi_torch.LOILoss(target, PRESETS[row.preset], accuracy))
+    loss = loi_torch.LOILoss(PRESETS[row.preset], accuracy)
+    return lambda: _torch_step(leaf, lambda current: loss(current, target))
 
 
 def _numpy_loi(row: Row, image: Image, reference: Image) -> Prepare:

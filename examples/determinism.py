@@ -119,7 +119,7 @@ def on_torch() -> Results:
     for dtype in ("float32", "float64"):
         image, reference = pictures(dtype)
         leaf = torch.tensor(image, requires_grad=True)
-        value = loi_torch.LOILoss(reference, SCALES)(leaf)
+        value = loi_torch.LOILoss(SCALES)(leaf, reference)
         value.backward()
         assert leaf.grad is not None
         results |= {f"loss, {dtype}": value.detach().numpy(), f"loss gradient, {dtype}": leaf.grad.numpy()}

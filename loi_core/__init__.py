@@ -15,6 +15,7 @@ from loi_core.objectives import (
     LOIObjective,
     Objective,
     PixelL2,
+    loi_loss,
 )
 from loi_core.pixels.tone_curve import LogTone
 from loi_core.plugins.registry import available_renderers, load_renderer
@@ -56,5 +57,6 @@ __all__ = [
     "isophotes",
     "load_renderer",
     "local_histograms",
+    "loi_loss",
     "read_target",
 ]

@@ -45,12 +45,12 @@ class Torch:
             torch.as_tensor(array.astype(host), device=self.device()).to(getattr(torch, dtype))
             for array in (request.reference, request.image)
         )
-        loss = LOILoss(reference, request.scales, request.accuracy, nan_policy=request.nan_policy)
+        loss = LOILoss(request.scales, request.accuracy, nan_policy=request.nan_policy)
         image.requires_grad_()
 
         def evaluate() -> tuple[float, Host]:
             with _precision_of_products(products):
-                value = loss(image)
+                value = loss(image, reference)
                 (gradient,) = torch.autograd.grad(value, image)
             return float(value.detach()), to_numpy(gradient)  # copying from a GPU waits until it is done
 

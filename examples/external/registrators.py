@@ -11,7 +11,7 @@ from torch import Tensor
 
 from examples.external.registration import Loss, Settings
 from loi_core.support.arrays import Host
-from loi_torch import LOILoss
+from loi_torch import loi_loss
 
 __all__ = ["register"]
 
@@ -60,16 +60,6 @@ class _Counting(ImageRegistrator):
 class _OverCoveredPart(_Counting):
     """A registrator that compares the covered part alone by the library's loss: each call brings the mask."""
 
-    def __init__(self, model_type: str) -> None:
-        super().__init__(model_type)
-        self._losses: dict[int, tuple[Tensor, LOILoss]] = {}
-
-    def _loss_against(self, target: Tensor) -> LOILoss:
-        """Return the loss of a level of the pyramid, which all steps share."""
-        if id(target) not in self._losses:
-            self._losses[id(target)] = target, LOILoss(target, channel_axis=-3)  # a tensor that is kept keeps its id
-        return self._losses[id(target)][1]
-
     def get_single_level_loss(self, img_src: Tensor, img_dst: Tensor, transform_model: Tensor) -> Tensor:
         self.images += 1
         warper = self.warper(*img_dst.shape[-2:])
@@ -80,8 +70,7 @@ class _OverCoveredPart(_Counting):
         if coverage < MIN_COVERAGE:
             nothing: Tensor = 0.0 * warped.sum()
             return nothing
-        loss: Tensor = self._loss_against(img_dst)(warped, weights=covered) / coverage
-        return loss
+        return loi_loss(warped, img_dst, channel_axis=-3, weights=covered) / coverage
 
 
 def _translation(column: Tensor) -> Tensor:

@@ -37,13 +37,13 @@ photograph = render(truth)
 steps = 200
 positions = start.clone().requires_grad_()
 optimizer = torch.optim.Adam([positions], lr=1.0)
-losses = [LOILoss(photograph, scales) for scales in ScaleSpace.far_to_near(height, width)]
+losses = [LOILoss(scales) for scales in ScaleSpace.far_to_near(height, width)]
 schedule = FarToNear(len(losses), steps)
 film = Film(photograph)
 for _ in range(steps):
     optimizer.zero_grad()
     image = render(positions)
-    loss = losses[schedule.stage](image)
+    loss = losses[schedule.stage](image, photograph)
     loss.backward()
     optimizer.param_groups[0]["lr"] = 1.0 - 0.98 * schedule.passed
     optimizer.step()

@@ -8,7 +8,6 @@ from dataclasses import replace
 import torch
 
 import loi_torch
-from loi_core import ScaleSpace
 from loi_torch.mesh import Camera, Light, box, draw
 
 height, width = 64, 96
@@ -25,10 +24,10 @@ photograph = render(torch.tensor([2.0, -0.8, 0.0]))
 position = torch.tensor([-2.0, 0.9, 0.0], requires_grad=True)
 optimizer = torch.optim.Adam([position], lr=0.05)
 
-loss = loi_torch.LOILoss(photograph, ScaleSpace.for_image(height, width))
+loss = loi_torch.LOILoss()
 for _ in range(300):
     optimizer.zero_grad()
-    loss(render(position)).backward()
+    loss(render(position), photograph).backward()
     optimizer.step()
 
 print(*(round(value, 1) for value in position.tolist()))

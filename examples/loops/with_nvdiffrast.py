@@ -8,7 +8,6 @@ import nvdiffrast.torch as dr
 import torch
 
 import loi_torch
-from loi_core import ScaleSpace
 
 height, width = 256, 256
 context = dr.RasterizeCudaContext()
@@ -34,10 +33,10 @@ with torch.no_grad():
 position = torch.tensor([-1.0, 0.8, -6.0], device="cuda", requires_grad=True)
 optimizer = torch.optim.Adam([position], lr=0.05)
 
-loss = loi_torch.LOILoss(photograph, ScaleSpace.for_image(height, width))
+loss = loi_torch.LOILoss()
 for _ in range(300):
     optimizer.zero_grad()
-    loss(render(position)).backward()
+    loss(render(position), photograph).backward()
     optimizer.step()
 
 print(*(round(value, 1) for value in position.tolist()))

@@ -3,7 +3,6 @@
 import torch
 
 import loi_torch
-from loi_core import ScaleSpace
 
 height, width = 64, 96
 y, x = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
@@ -19,10 +18,10 @@ photograph = render(torch.tensor([75.0, 45.0]))
 centre = torch.tensor([15.0, 15.0], requires_grad=True)
 optimizer = torch.optim.Adam([centre], lr=1.0)
 
-loss = loi_torch.LOILoss(photograph, ScaleSpace.for_image(height, width))
+loss = loi_torch.LOILoss()
 for _ in range(200):
     optimizer.zero_grad()
-    loss(render(centre)).backward()
+    loss(render(centre), photograph).backward()
     optimizer.step()
 
 print(*(round(coordinate, 1) for coordinate in centre.tolist()))

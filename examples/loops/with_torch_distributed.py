@@ -10,7 +10,6 @@ import torch
 import torch.distributed as dist
 
 import loi_torch
-from loi_core import ScaleSpace
 
 height, width, views = 64, 64, 3
 y, x = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
@@ -27,14 +26,15 @@ def render(centre: torch.Tensor, view: int) -> torch.Tensor:
 dist.init_process_group("gloo", timeout=timedelta(seconds=60))  # "nccl" on GPUs
 own_views = range(dist.get_rank(), views, dist.get_world_size())
 target = torch.tensor([15.0, 45.0, -10.0])
-losses = {view: loi_torch.LOILoss(render(target, view), ScaleSpace.for_image(height, width)) for view in own_views}
+photographs = {view: render(target, view) for view in own_views}
+loss = loi_torch.LOILoss()
 centre = torch.tensor([-15.0, 15.0, 10.0], requires_grad=True)
 optimizer = torch.optim.Adam([centre], lr=1.0)
 
 for _ in range(200):
     optimizer.zero_grad()
-    for view, loss in losses.items():
-        (loss(render(centre, view)) / views).backward()  # a term of the mean over the views of all ranks
+    for view, photograph in photographs.items():
+        (loss(render(centre, view), photograph) / views).backward()  # a term of the mean over the views of all ranks
     dist.all_reduce(centre.grad)
     optimizer.step()
 

@@ -14,6 +14,7 @@ are not compared.
 
 from __future__ import annotations
 
+import functools
 import math
 from dataclasses import dataclass
 from typing import Final
@@ -69,6 +70,8 @@ NEGLIGIBLE_FRACTION: Final = 0.1
 BOUND_MARGIN_BETAS: Final = 16
 """Distance from a bound, in betas, at which levels at or beyond the bound still change an intensity, with a margin."""
 
+MAX_CACHED_PLANS: Final = 64  # a loss of an image and a target plans at every call, for few sizes and scales
+
 MAX_ITERATIONS: Final = 20  # of a fixed point; each at least halves the logarithmic distance to it
 
 MAX_RELATIVE_SPACING: Final = 0.3
@@ -79,6 +82,7 @@ do not change twice between two samples.
 """
 
 
+@functools.lru_cache(maxsize=MAX_CACHED_PLANS)
 def make_plan(
     scales: ScaleSpace, height: int, width: int, *, tolerance: float, eps: float, weighted: bool = False
 ) -> Plan:

@@ -178,7 +178,7 @@ class Planes:
         """Return the planes of an image and of a reference with matching batch axes; `mask` has shape (H, W)."""
         layout = Layout.of("image", image.shape, channel_axis)
         reference_layout = Layout.of("reference", reference.shape, channel_axis)
-        target = layout.broadcast_planes("image", reference.astype(np.float64), reference_layout)
+        target = layout.broadcast_planes(reference.astype(np.float64), reference_layout)
         planes = layout.to_planes(image.astype(np.float64))
         finite = np.isfinite(target)
         target = np.where(finite, target, 0.0)

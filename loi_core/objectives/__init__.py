@@ -3,6 +3,7 @@
 from loi_core.objectives.base import ImageObjective, Objective
 from loi_core.objectives.evaluation import Evaluation, PlaneComparison, ReferencePlanes
 from loi_core.objectives.loi import LOIObjective
+from loi_core.objectives.loss import loi_loss
 from loi_core.objectives.msssim import MSSSIM
 from loi_core.objectives.pixel import PixelL2
 from loi_core.objectives.pyramid import GaussianPyramid
@@ -21,4 +22,5 @@ __all__ = [
     "PlaneComparison",
     "RangeWarning",
     "ReferencePlanes",
+    "loi_loss",
 ]

@@ -6,7 +6,7 @@ import abc
 from collections.abc import Mapping
 from typing import Any, ClassVar, Final, Generic, Protocol, TypeVar, runtime_checkable
 
-from loi_core.errors import ImageError, ImageTypeError
+from loi_core.errors import ImageTypeError
 from loi_core.method.dispatch import ARRAY_API, Backend, choose_backend
 from loi_core.objectives.evaluation import PlaneComparison, PreparedObjective, ReferencePlanes
 from loi_core.objectives.facts import facts_of_options, facts_of_reference, objective_html, summary_line
@@ -31,7 +31,7 @@ from loi_core.support.arrays import (
     widened,
 )
 
-__all__ = ["ImageObjective", "Objective"]
+__all__ = ["ImageObjective", "Objective", "reference_like", "total"]
 
 MAX_PREPARED_KINDS: Final = 4  # prepared references of one objective, by shape, dtype and device of the images
 
@@ -189,13 +189,13 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
             Under ``nan_policy="raise"``, if a pixel is NaN or infinite.
         """
         terms, _ = self._evaluate(image, weights, gradient=False)
-        return narrowed(_total(terms), image)
+        return narrowed(total(terms), image)
 
     def value_and_grad(self, image: Array, *, weights: Array | None = None) -> tuple[Array, Array]:
         """Return the value at `image` and its gradient, an array like `image`. Arguments as in :meth:`value`."""
         # The gradient is analytic; a framework that recorded the operations would only waste time and memory.
         terms, gradient = self._evaluate(detached(image), weights, gradient=True)
-        return narrowed(_total(terms), image), narrowed(gradient, image)
+        return narrowed(total(terms), image), narrowed(gradient, image)
 
     def terms(self, image: Array, *, weights: Array | None = None) -> dict[KeyT, Array]:
         """Return the terms of the value, which sum to it. Arguments as in :meth:`value`."""
@@ -238,8 +238,7 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
     def check_shape(self, shape: tuple[int, ...], weights: Array | None = None) -> None:
         """Raise :class:`ImageError` if images of `shape` cannot be compared; evaluations check this themselves."""
         layout = Layout.of("image", shape, self.channel_axis)
-        self._require_same_axes(layout)
-        layout.require_fit("image", self._reference_layout)
+        layout.require_fit(self._reference_layout)
         if weights is not None:
             check_call_weights(weights, layout)
 
@@ -276,7 +275,7 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
             Whether to compute the gradient; None comes in its place otherwise.
         """
         terms, slope = self._evaluate(image, weights, gradient=gradient, like=like)
-        return narrowed(_total(terms), image), None if slope is None else narrowed(slope, image)
+        return narrowed(total(terms), image), None if slope is None else narrowed(slope, image)
 
     @abc.abstractmethod
     def compare_with(self, reference: ReferencePlanes) -> PlaneComparison[KeyT]:
@@ -322,12 +321,12 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
     ) -> PreparedObjective[KeyT]:
         """Return the objective prepared for a kind of images; `weighted` if each image comes with weights."""
         layout = Layout.of("image", shape, self.channel_axis)
-        self._require_same_axes(layout)
         weighted = weighted and self.takes_weights and self._settings.weights is None
         image_kind = (library_name(like), str(like.dtype), str(device(like)), layout.shape, backend, weighted)
         prepared = self._prepared.get(image_kind)
         if prepared is None:
-            planes = layout.broadcast_planes("image", self._reference_like(like), self._reference_layout)
+            reference = reference_like("reference", self._reference, like)
+            planes = layout.broadcast_planes(reference, self._reference_layout)
             pipeline = PixelPipeline.of(self._settings, layout, backend.to_backend(planes))
             weights = pipeline.weights if self.takes_weights else None
             if weighted:
@@ -341,32 +340,32 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
                 self._prepared = dict([*recent, (image_kind, prepared)])
         return prepared
 
-    def _require_same_axes(self, layout: Layout) -> None:
-        differs = layout.channel_axis is not None and len(layout.shape) != len(self._reference_layout.shape)
-        if differs and (self.channel_axis or 0) >= 0:
-            msg = (
-                f"`channel_axis` must count from the end (-3 for channels first) when batches differ; it is "
-                f"{self.channel_axis}, `image` has shape {layout.shape}, the reference {self._reference_layout.shape}"
-            )
-            raise ImageError(msg)
 
-    def _reference_like(self, image: Array) -> Array:
-        if is_numpy_array(self._reference):
-            return from_numpy(self._reference, image)
-        if library_name(self._reference) != library_name(image):
-            msg = (
-                f"`image` is an array of {library_name(image)}, the reference of {library_name(self._reference)}; "
-                f"pass the reference as NumPy to serve every library"
-            )
-            raise ImageTypeError(msg)
-        if device(self._reference) != device(image):
-            msg = f"`image` is on device {device(image)}, the reference on {device(self._reference)}"
-            raise ImageTypeError(msg)
-        return namespace(image).astype(self._reference, image.dtype)
+def reference_like(name: str, reference: Array, image: Array) -> Array:
+    """Return a reference in the library and dtype of `image`.
+
+    Raises
+    ------
+    ImageTypeError
+        If it is of another library, and not of NumPy, or on another device.
+    """
+    if is_numpy_array(reference):
+        return from_numpy(reference, image)
+    if library_name(reference) != library_name(image):
+        msg = (
+            f"`image` is an array of {library_name(image)}, `{name}` of {library_name(reference)}; "
+            f"pass `{name}` as NumPy to serve every library"
+        )
+        raise ImageTypeError(msg)
+    if device(reference) != device(image):
+        msg = f"`image` is on device {device(image)}, `{name}` on {device(reference)}"
+        raise ImageTypeError(msg)
+    return namespace(image).astype(reference, image.dtype)
 
 
-def _total(terms: Mapping[Any, Array]) -> Array:
-    total, *remaining = terms.values()
+def total(terms: Mapping[Any, Array]) -> Array:
+    """Return the sum of the terms of a value."""
+    value, *remaining = terms.values()
     for term in remaining:
-        total = total + term
-    return total
+        value = value + term
+    return value

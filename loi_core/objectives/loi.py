@@ -237,7 +237,7 @@ class LOIObjective(ImageObjective[ScaleKey]):
         """See :class:`ImageObjective`."""
         planes = reference.planes
         plan = self._plan(planes.shape[-2:], epsilon(planes), weighted=reference.weights is not None)
-        comparison = _ScaleComparison(self._scales, plan, reference)
+        comparison = ScaleComparison(self._scales, plan, reference)
         # Prepared now and not at the first comparison, because JAX may be tracing there.
         comparison.choose(planes)
         return comparison
@@ -246,12 +246,12 @@ class LOIObjective(ImageObjective[ScaleKey]):
         self, prepared: PlaneComparison[ScaleKey], reference: ReferencePlanes
     ) -> PlaneComparison[ScaleKey]:
         """See :class:`ImageObjective`. Weights multiply differences, so one prepared reference serves all."""
-        if isinstance(prepared, _ScaleComparison) and reference.weights is not None:
+        if isinstance(prepared, ScaleComparison) and reference.weights is not None:
             return _WeightedScaleComparison(prepared, reference.weights)
         return self.compare_with(reference)
 
 
-class _ScaleComparison(PlaneComparison[ScaleKey]):
+class ScaleComparison(PlaneComparison[ScaleKey]):
     """Comparison of local histograms: by the plan, and exactly where the plan's error is too large."""
 
     def __init__(self, scales: ScaleSpace, plan: Plan, reference: ReferencePlanes) -> None:
@@ -299,7 +299,7 @@ class _ScaleComparison(PlaneComparison[ScaleKey]):
 class _WeightedScaleComparison(PlaneComparison[ScaleKey]):
     """A prepared comparison with other weights."""
 
-    def __init__(self, prepared: _ScaleComparison, weights: Array) -> None:
+    def __init__(self, prepared: ScaleComparison, weights: Array) -> None:
         self.tolerance = prepared.tolerance
         self._prepared = prepared
         self._weights = weights

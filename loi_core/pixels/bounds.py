@@ -108,7 +108,7 @@ def warn_if_out_of_range(reference: Array, weights: Array | None, bounds: tuple[
     if fraction > MAX_COMPRESSED_FRACTION:
         minimum, maximum = float(xp.min(reference)), float(xp.max(reference))
         msg = (
-            f"{fraction:.0%} of the reference lies beyond the scales' `bounds` ({low:g}, {high:g}), where differences "
+            f"{fraction:.0%} of the target lies beyond the scales' `bounds` ({low:g}, {high:g}), where differences "
             f"count by their logarithm only; it ranges from {minimum:.3g} to {maximum:.3g}: pass "
             f"ScaleSpace.for_image(height, width, bounds=...), or a `tone`"
         )

@@ -9,11 +9,13 @@ from loi_core.errors import OptionError
 from loi_core.support.arrays import Array, namespace
 from loi_core.support.wording import shown
 
-__all__ = ["LARGEST_FACTOR", "Colours", "check_colours", "differences", "differences_pullback"]
+__all__ = ["CHANNELS", "LARGEST_FACTOR", "Colours", "check_colours", "differences", "differences_pullback"]
 
 Colours = Literal["channels", "differences"]
 
 CHANNELS: Final = 3
+"""Number of channels of images whose colours may differ."""
+
 LARGEST_FACTOR: Final = math.sqrt(3.0) / 2.0
 """Largest factor by which :func:`differences_pullback` multiplies the 2-norm of a cotangent."""
 
@@ -29,9 +31,7 @@ def check_colours(colours: object, channels: int | None) -> Colours:
     for name in get_args(Colours):
         if isinstance(colours, str) and colours == name:
             if name == "differences" and channels != CHANNELS:
-                msg = (
-                    f"`colours` may be 'differences' for images of three channels, `reference` has {channels or 'none'}"
-                )
+                msg = f"`colours` may be 'differences' for images of three channels, got images of {channels or 'none'}"
                 raise OptionError(msg)
             checked: Colours = name
             return checked

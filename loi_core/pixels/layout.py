@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 from loi_core.errors import ImageError, OptionError
@@ -57,10 +57,13 @@ class Layout:
         Shape of the image.
     channel_axis : int or None
         Its channel axis, counted from the front; None for images without channels.
+    name : str
+        Name of the image in messages.
     """
 
     shape: tuple[int, ...]
     channel_axis: int | None
+    name: str = field(default="image", compare=False)
 
     @classmethod
     def of(cls, name: str, shape: tuple[int, ...], channel_axis: int | None) -> Layout:
@@ -95,7 +98,7 @@ class Layout:
                 f"channel_axis={len(shape) - 1} if it has {rows} x {columns} pixels of {channels} channels"
             )
             raise ImageError(msg)
-        return cls(tuple(shape), channel_axis)
+        return cls(tuple(shape), channel_axis, name)
 
     @property
     def planes_shape(self) -> tuple[int, ...]:
@@ -117,28 +120,37 @@ class Layout:
         xp = namespace(image)
         return xp.reshape(xp.permute_dims(image, self._order), (-1, self.height, self.width))
 
-    def require_fit(self, name: str, layout: Layout) -> None:
-        """Raise unless images of this layout can be compared with a reference of `layout`.
+    def require_fit(self, reference: Layout) -> None:
+        """Raise unless images of this layout can be compared with a reference of another.
 
         Raises
         ------
         ImageError
-            If rows, columns or channels differ, or the batches do not fit.
+            If rows, columns or channels differ, or the batches do not fit; or if the channel axis counts from the
+            front, where the images have more axes than the reference.
         """
-        shape, reference = self.planes_shape, layout.planes_shape
+        axes, extra = (self.channel_axis, reference.channel_axis), len(self.shape) - len(reference.shape)
+        if extra and axes[0] is not None and axes[1] is not None and axes[0] - axes[1] != extra:
+            msg = (
+                f"`channel_axis` must count from the end (-3 for channels first) when batches differ: `{self.name}` "
+                f"has shape {self.shape}, `{reference.name}` {reference.shape}"
+            )
+            raise ImageError(msg)
+        shape, other = self.planes_shape, reference.planes_shape
         core = 2 if self.channel_axis is None else 3
-        batch = (1,) * (len(shape) - len(reference)) + reference[:-core]
+        batch = (1,) * (len(shape) - len(other)) + other[:-core]
         fits = len(batch) == len(shape) - core and all(n in (1, m) for n, m in zip(batch, shape, strict=False))
-        if shape[-core:] != reference[-core:] or not fits:
-            msg = f"`{name}` has shape {self.shape}, which does not fit the reference's shape {layout.shape}"
+        if shape[-core:] != other[-core:] or not fits:
+            expected = f"`{reference.name}` of shape {reference.shape}"
+            msg = f"`{self.name}` has shape {self.shape}, which does not fit {expected}"
             raise ImageError(msg)
 
-    def broadcast_planes(self, name: str, reference: Array, layout: Layout) -> Array:
+    def broadcast_planes(self, reference: Array, layout: Layout) -> Array:
         """Return `reference`, whose layout is `layout`, as planes of shape (N, H, W) that match this layout's.
 
         Batch axes of length 1, and batch axes that the reference lacks, are repeated. Errors as in :meth:`require_fit`.
         """
-        self.require_fit(name, layout)
+        self.require_fit(layout)
         xp = namespace(reference)
         stack = xp.broadcast_to(xp.permute_dims(reference, layout._order), self.planes_shape)
         return xp.reshape(stack, (-1, self.height, self.width))

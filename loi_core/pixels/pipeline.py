@@ -121,13 +121,21 @@ class PixelPipeline:
     largest_weight: float | Array = 1.0
 
     @classmethod
-    def of(cls, settings: PixelSettings, layout: Layout, reference: Array) -> PixelPipeline:
-        """Prepare the pipeline for a reference, planes of shape (N, H, W) in the library and dtype of the images."""
+    def of(
+        cls, settings: PixelSettings, layout: Layout, reference: Array, call: CallWeights | None = None
+    ) -> PixelPipeline:
+        """Prepare the pipeline for a reference, planes of shape (N, H, W) in the library and dtype of the images.
+
+        Weights of a `call` take the place of weights in the settings.
+        """
         xp = namespace(reference)
         weights = None if settings.weights is None else settings.weights.planes(layout, reference)
+        largest: float | Array = 1.0 if settings.weights is None else settings.weights.largest
         visible = None
         if weights is not None and settings.weights is not None and settings.weights.has_zeros:
             visible = weights > 0.0
+        if call is not None:
+            weights, largest, visible = call.planes, call.largest, call.planes > 0.0
         if settings.nan_policy == "mask":
             visible = xp.isfinite(reference) if visible is None else xp.isfinite(reference) & visible
         if visible is not None:
@@ -138,7 +146,6 @@ class PixelPipeline:
         limits = settings.intensity_range
         if limits is not None:
             warn_if_out_of_range(uncompressed, weights, (limits.low, limits.high))
-        largest = 1.0 if settings.weights is None else settings.weights.largest
         return cls(settings, layout, settings.compress(uncompressed), reference, toned, visible, weights, largest)
 
     def weighted(self, weights: CallWeights) -> PixelPipeline:

@@ -81,7 +81,7 @@ def read_target(
     Examples
     --------
     >>> target = read_target("photo.jpg", to="linear")                        # doctest: +SKIP
-    >>> loss = LOILoss(target.image, weights=target.weights)                  # doctest: +SKIP
+    >>> loss = loi_loss(render(params), target.image, weights=target.weights)  # doctest: +SKIP
     """
     return prepare_target(Path(path), read_stored(path), to=to, encoding=encoding, alpha=alpha, weights=weights)
 

@@ -79,6 +79,8 @@ def epsilon(array: Array) -> float:
 def from_numpy(values: np.ndarray[Any, Any], like: Array) -> Array:
     """Return `values` as an array of the library, dtype and device of `like`."""
     xp = namespace(like)
+    if is_torch_array(like) and not values.flags.writeable:
+        values = values.copy()  # torch warns of memory that must not be written to
     return xp.asarray(values, dtype=like.dtype, device=device(like))
 
 

@@ -41,7 +41,7 @@ def test_losses_of_colour_differences_are_equal_in_every_adapter(seed: int) -> N
     value, gradient = LOIObjective(reference, SCALES, colours="differences").value_and_grad(image)
 
     leaf: Any = torch.tensor(image, requires_grad=True)
-    torch_loss = loi_torch.loi_loss(reference, SCALES, colours="differences")(leaf)
+    torch_loss: Any = loi_torch.loi_loss(leaf, reference, SCALES, colours="differences")
     torch_loss.backward()
     jax_loss, jax_gradient = jax.value_and_grad(loi_jax.loi_loss(reference, SCALES, colours="differences"))(
         jnp.asarray(image)
@@ -61,5 +61,5 @@ def test_losses_of_colour_differences_are_equal_in_every_adapter(seed: int) -> N
 
 
 def test_the_torch_module_prints_its_colours_option() -> None:
-    assert "colours='differences'" in repr(loi_torch.LOILoss(images(0)[1], SCALES, colours="differences"))
-    assert "colours" not in repr(loi_torch.LOILoss(images(0)[1], SCALES))
+    assert "colours='differences'" in repr(loi_torch.LOILoss(SCALES, colours="differences"))
+    assert "colours" not in repr(loi_torch.LOILoss(SCALES))

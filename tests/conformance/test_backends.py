@@ -61,7 +61,7 @@ def torch_core(image: Host, reference: Host, scales: ScaleSpace, tone: LogTone |
 
 def torch_autograd(image: Host, reference: Host, scales: ScaleSpace, tone: LogTone | None) -> Pair:
     leaf: Any = torch.tensor(image, requires_grad=True)
-    value = loi_torch.LOILoss(torch.tensor(reference), scales, tone=tone)(leaf)
+    value = loi_torch.LOILoss(scales, tone=tone)(leaf, torch.tensor(reference))
     value.backward()
     assert leaf.grad is not None
     return value.detach().numpy(), leaf.grad.numpy()

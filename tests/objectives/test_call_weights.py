@@ -184,9 +184,10 @@ def test_every_library_gives_the_same_numbers(name: str, fixed: Host | None) -> 
 
     strict = LOIObjective(REFERENCE, SCALES, weights=fixed)
     check(*strict.value_and_grad(array_api_strict.asarray(IMAGE), weights=array_api_strict.asarray(weights)))
+    combined = weights if fixed is None else fixed * weights
     for convert in (torch.tensor, np.asarray):
         leaf = torch.tensor(IMAGE, requires_grad=True)
-        loss = loi_torch.loi_loss(REFERENCE, SCALES, weights=fixed)(leaf, weights=convert(weights))
+        loss = loi_torch.loi_loss(leaf, REFERENCE, SCALES, weights=convert(combined))
         loss.backward()
         check(loss.detach(), leaf.grad)
 
@@ -207,7 +208,7 @@ def test_traced_weights_give_the_same_numbers() -> None:
 def test_weights_get_no_gradient_from_torch() -> None:
     leaf = torch.tensor(IMAGE, requires_grad=True)
     weights = torch.tensor(WEIGHTS, requires_grad=True)
-    loi_torch.LOILoss(REFERENCE)(leaf, weights=weights).backward()
+    loi_torch.LOILoss()(leaf, REFERENCE, weights).backward()
     assert weights.grad is None
     assert leaf.grad is not None
     assert not LOIObjective(REFERENCE).value(leaf.detach(), weights=weights).requires_grad
@@ -233,13 +234,13 @@ def test_vmap_equals_a_loop_over_images_and_weights(axes: tuple[int | None, int 
     expected = [objective.value_and_grad(image, weights=by) for image, by in pairs]
     values = np.array([float(value) for value, _ in expected])
     slopes = np.stack([slope for _, slope in expected])
-    jax_loss, torch_loss = loi_jax.loi_loss(REFERENCE, SCALES), loi_torch.LOILoss(REFERENCE, SCALES)
+    jax_loss, torch_loss = loi_jax.loi_loss(REFERENCE, SCALES), loi_torch.LOILoss(SCALES)
 
     def of_jax(image: Any, by: Any) -> Any:
         return jax_loss(image, weights=by)
 
     def of_torch(image: Any, by: Any) -> Any:
-        return torch_loss(image, weights=by)
+        return torch_loss(image, REFERENCE, by)
 
     for wrap in (lambda function: function, jax.jit):
         mapped = wrap(jax.vmap(jax.value_and_grad(of_jax), in_axes=axes))
@@ -291,7 +292,7 @@ def test_invalid_weights_of_a_call_are_refused(weights: Any, error: type[Excepti
     calls: list[Any] = [
         LOIObjective(REFERENCE).value_and_grad,
         PixelL2(REFERENCE).value,
-        lambda image, weights: loi_torch.LOILoss(REFERENCE)(torch.tensor(image), weights=weights),
+        lambda image, weights: loi_torch.loi_loss(torch.tensor(image), REFERENCE, weights=weights),
         lambda image, weights: loi_jax.loi_loss(REFERENCE)(jnp.asarray(image), weights=weights),
     ]
     for call in calls:

@@ -29,7 +29,7 @@ REFERENCE = np.full((6, 5, 3), 0.5)
         ([[0.0]], ImageTypeError, "got list"),
         (None, ImageTypeError, "got NoneType"),
         (np.zeros((6, 5)), ImageError, r"at least 3 axes.*got shape \(6, 5\).*channel_axis=None"),
-        (np.zeros((5, 6, 3)), ImageError, r"\(5, 6, 3\).*does not fit the reference's shape \(6, 5, 3\)"),
+        (np.zeros((5, 6, 3)), ImageError, r"\(5, 6, 3\).*does not fit `reference` of shape \(6, 5, 3\)"),
         (np.zeros((6, 5, 1)), ImageError, "does not fit"),
         (np.zeros((0, 6, 5, 3)), ImageError, "must not be empty"),
     ],
@@ -48,7 +48,7 @@ def test_integers_of_another_library_are_refused_by_name() -> None:
 
 def test_a_reference_of_another_library_is_refused_with_the_fix() -> None:
     objective = PixelL2(torch.zeros(6, 5, 3))
-    with pytest.raises(ImageTypeError, match="array of numpy, the reference of torch; pass the reference as NumPy"):
+    with pytest.raises(ImageTypeError, match="array of numpy, `reference` of torch; pass `reference` as NumPy"):
         objective.value(REFERENCE)
 
 

@@ -21,7 +21,7 @@ BRIGHT[8:] = 0.0  # the last two thirds are brighter than 1
 
 
 def test_a_reference_beyond_the_bounds_raises_a_warning_with_its_range() -> None:
-    with pytest.warns(RangeWarning, match=r"67% of the reference lies beyond .* \(0, 1\), .* ranges from 0 to 3"):
+    with pytest.warns(RangeWarning, match=r"67% of the target lies beyond .* \(0, 1\), .* ranges from 0 to 3"):
         LOIObjective(RADIANCE).value(RADIANCE)
 
 

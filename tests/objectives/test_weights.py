@@ -135,20 +135,9 @@ def test_weights_have_the_same_effect_in_every_library(name: str, compiled: bool
         objective = LOIObjective(REFERENCE, SCALES, weights=array_api_strict.asarray(weights))
         check(*objective.value_and_grad(strict))
         leaf = torch.tensor(IMAGE, requires_grad=True)
-        loss = loi_torch.LOILoss(REFERENCE, SCALES, weights=torch.tensor(weights))(leaf)
+        loss = loi_torch.loi_loss(leaf, REFERENCE, SCALES, weights=torch.tensor(weights))
         loss.backward()
         check(loss.detach(), leaf.grad)
-
-
-def test_a_module_saves_its_weights_and_notices_changes() -> None:
-    image, module = torch.tensor(IMAGE), loi_torch.LOILoss(REFERENCE, SCALES, weights=WEIGHTS)
-    before, state = float(module(image)), module.state_dict()
-    with pytest.raises(RuntimeError, match="weights"):
-        loi_torch.LOILoss(REFERENCE, SCALES).load_state_dict(state)
-    masked = loi_torch.LOILoss(REFERENCE, SCALES, weights=MASK)
-    assert float(masked(image)) != before
-    masked.load_state_dict(state)
-    assert float(masked(image)) == before
 
 
 @pytest.mark.parametrize("compiled", ["1", "0"])

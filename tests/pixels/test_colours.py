@@ -146,8 +146,8 @@ def test_default_scales_of_differences_have_half_the_beta_and_a_far_stage() -> N
 @pytest.mark.parametrize(
     ("shape", "axis", "colours", "message"),
     [
-        ((8, 8, 1), -1, "differences", "for images of three channels, `reference` has 1"),
-        ((8, 8), None, "differences", "for images of three channels, `reference` has none"),
+        ((8, 8, 1), -1, "differences", "for images of three channels, got images of 1"),
+        ((8, 8), None, "differences", "for images of three channels, got images of none"),
         ((8, 8, 3), -1, "opponent", "`colours` must be 'channels' or 'differences', got 'opponent'"),
         ((8, 8, 3), -1, 3, "`colours` must be 'channels' or 'differences', got 3"),
     ],
