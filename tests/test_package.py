@@ -17,11 +17,11 @@ from loi_core import __version__
 from tests.environments import ROOT, TEST_PACKAGES, build_sdist, build_wheel, copied_python, run, run_copied_tests
 from tests.strategies import THOROUGH, thorough
 
-PACKAGES = {"loi_core", "loi_torch", "loi_jax", "loi_mitsuba"}
+PACKAGES = {"loi_core", "loi_torch", "loi_jax", "loi_mitsuba", "mitsuba_boundaries"}
 FRAMEWORKS = ("torch", "jax", "mitsuba", "drjit", "numba", "matplotlib", "PIL", "scipy")
 
 
-def test_the_wheel_has_exactly_the_four_packages(wheel: Path) -> None:
+def test_the_wheel_has_exactly_the_packages(wheel: Path) -> None:
     names = zipfile.ZipFile(wheel).namelist()
     assert {name.split("/")[0] for name in names if ".dist-info/" not in name} == PACKAGES
     sources = {

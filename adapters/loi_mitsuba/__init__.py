@@ -6,7 +6,7 @@ Import this package before `mitsuba`: Dr.Jit loads LLVM while it is imported, an
 # ruff: noqa: E402 - LLVM is chosen before Dr.Jit is imported
 import importlib.util
 
-from loi_mitsuba.drjit.llvm import LLVMChoice, LLVMError, prepare
+from mitsuba_boundaries.llvm import LLVMChoice, LLVMError, prepare
 
 # Without this check, the error would be a missing `drjit`.
 if importlib.util.find_spec("mitsuba") is None:

@@ -11,11 +11,16 @@ import mitsuba as mi
 import numpy as np
 
 from loi_core.support.wording import clause, listed
-from loi_mitsuba.geometry.bounds import bounding_box
-from loi_mitsuba.geometry.mesh_checks import has_inward_normals, has_smoothed_edges, is_unwelded, non_manifold_fraction
-from loi_mitsuba.geometry.stepped_textures import has_stepped_texture
 from loi_mitsuba.scene.parameters import SceneIndex
-from loi_mitsuba.sensing.sensor import ray_epsilon
+from mitsuba_boundaries.geometry.bounds import bounding_box
+from mitsuba_boundaries.geometry.mesh_checks import (
+    has_inward_normals,
+    has_smoothed_edges,
+    is_unwelded,
+    non_manifold_fraction,
+)
+from mitsuba_boundaries.geometry.stepped_textures import has_stepped_texture
+from mitsuba_boundaries.sensing.sensor import ray_epsilon
 
 __all__ = [
     "GradientWarning",
@@ -61,7 +66,7 @@ def warn_about_moving_shapes(
     shapes : list of mi.Shape
         The moving shapes.
     edged : container of mi.Shape
-        The shapes whose edges in view are sampled by :mod:`loi_mitsuba.boundary.edge_sampling` instead.
+        The shapes whose edges in view are sampled by :mod:`mitsuba_boundaries.edge_sampling` instead.
     """
     for msg in (*_scene_warnings(scene, integrator, shapes, edged), *_view_warnings(scene, sensor, shapes)):
         warnings.warn(msg, GradientWarning, stacklevel=4)

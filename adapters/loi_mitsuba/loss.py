@@ -18,7 +18,7 @@ from loi_core.pixels.nonfinite import NanPolicy
 from loi_core.support.arrays import Array, namespace
 from loi_core.support.installed import how_to_install
 from loi_core.support.wording import shown
-from loi_mitsuba.drjit.arrays import ALIGNMENT_BYTES, aligned_copy
+from mitsuba_boundaries.drjit.arrays import ALIGNMENT_BYTES, aligned_copy
 
 __all__ = ["Backend", "BackendMissingError", "LOILoss"]
 

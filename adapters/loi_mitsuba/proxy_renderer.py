@@ -10,7 +10,6 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.drjit.arrays import Float32Array
 from loi_mitsuba.proxy.light_size import DELTA_LIGHTS, delta_lights
 from loi_mitsuba.proxy.scene import ProxyScene
 from loi_mitsuba.proxy.substitutions import LIGHT_ID, PROXY_EMITTER_ID
@@ -18,6 +17,7 @@ from loi_mitsuba.renderer import MitsubaRenderer
 from loi_mitsuba.scene.load import LoadedScene, ParameterTarget
 from loi_mitsuba.scene.parameters import SceneIndex, ancestors
 from loi_mitsuba.scene.poses import Translate
+from mitsuba_boundaries.drjit.arrays import Float32Array
 
 __all__ = ["LightTarget", "ProxyGradientRenderer", "ProxyTarget", "light_targets", "proxy_targets"]
 

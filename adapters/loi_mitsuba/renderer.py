@@ -16,14 +16,7 @@ from loi_core.errors import OptionError, ParameterError
 from loi_core.renderers.contract import RendererCapabilities
 from loi_core.support.values import whole_number
 from loi_core.support.wording import shown
-from loi_mitsuba.boundary.edge_sampling import EdgeBoundary
-from loi_mitsuba.boundary.intersections import IntersectionBoundary
-from loi_mitsuba.boundary.projective import ProjectiveBoundary
-from loi_mitsuba.boundary.received_shadows import ReceivedShadowBoundary
-from loi_mitsuba.boundary.terms import BoundarySampler, BoundaryTerm, GradientTerm, InteriorTerm
 from loi_mitsuba.diagnostics import warn_about_entries, warn_about_moving_shapes
-from loi_mitsuba.drjit.arrays import Float32Array
-from loi_mitsuba.geometry.coincident_edges import UniqueEdges
 from loi_mitsuba.scene.binding import ParameterBinding, host_numbers
 from loi_mitsuba.scene.load import (
     ParameterTarget,
@@ -37,7 +30,14 @@ from loi_mitsuba.scene.load import (
 from loi_mitsuba.scene.parameters import Scene, SceneIndex, index_scene
 from loi_mitsuba.scene.safety import SceneLoadError, check_description
 from loi_mitsuba.scene.settings import GRADIENT_TERMS, integrator_of, omits_edges, settings_of, with_sampled_border
-from loi_mitsuba.sensing.film import Film
+from mitsuba_boundaries.drjit.arrays import Float32Array
+from mitsuba_boundaries.edge_sampling import EdgeBoundary
+from mitsuba_boundaries.geometry.coincident_edges import UniqueEdges
+from mitsuba_boundaries.intersections import IntersectionBoundary
+from mitsuba_boundaries.projective import ProjectiveBoundary
+from mitsuba_boundaries.received_shadows import ReceivedShadowBoundary
+from mitsuba_boundaries.sensing.film import Film
+from mitsuba_boundaries.terms import BoundarySampler, BoundaryTerm, GradientTerm, InteriorTerm
 
 __all__ = ["MitsubaRenderer", "split_seed"]
 

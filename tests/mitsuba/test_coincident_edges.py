@@ -13,9 +13,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from loi_mitsuba import PlannedRenderer, Translate
-from loi_mitsuba.geometry.coincident_edges import uncovered_segments
-from loi_mitsuba.geometry.components import ComponentIds
-from loi_mitsuba.geometry.mesh import connected_components
+from mitsuba_boundaries.geometry.coincident_edges import uncovered_segments
+from mitsuba_boundaries.geometry.components import ComponentIds
+from mitsuba_boundaries.geometry.mesh import connected_components
 from tests.helpers import Host
 from tests.mitsuba.scenes import HEIGHT, WIDTH, shadow_scene
 from tests.strategies import thorough

@@ -12,8 +12,8 @@ import pytest
 import trimesh
 
 from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, Rotate, Scale, Translate
-from loi_mitsuba.geometry.mesh import crease_edges, edge_vertices, is_flat_shaded
-from loi_mitsuba.geometry.mesh_checks import has_creases
+from mitsuba_boundaries.geometry.mesh import crease_edges, edge_vertices, is_flat_shaded
+from mitsuba_boundaries.geometry.mesh_checks import has_creases
 from tests.helpers import Host
 from tests.mitsuba.scenes import HEIGHT, WIDTH, box, shadow_scene
 from tests.mitsuba.silhouettes import TRANSFORM, area_light, check_silhouettes, emitting_scene

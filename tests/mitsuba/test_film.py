@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from loi_mitsuba.sensing.film import Film
+from mitsuba_boundaries.sensing.film import Film
 from tests.helpers import Host
 
 WIDTH, HEIGHT = 9, 6

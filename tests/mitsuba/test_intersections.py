@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from loi_mitsuba import GradientWarning, MitsubaRenderer, Translate
-from loi_mitsuba.boundary.intersections import IntersectionBoundary
+from mitsuba_boundaries.intersections import IntersectionBoundary
 from tests.mitsuba.scenes import shadow_scene
 from tests.mitsuba.silhouettes import (
     MOVES,

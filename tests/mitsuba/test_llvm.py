@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 import loi_mitsuba
-from loi_mitsuba.drjit import llvm
+from mitsuba_boundaries import llvm
 
 LLVM_15 = [
     path
@@ -63,7 +63,9 @@ def test_llvm_15_raises_an_error_instead_of_aborting() -> None:
 def test_a_dr_jit_that_has_loaded_llvm_15_already_is_refused() -> None:
     code = f"import os, drjit; os.environ.pop({llvm.VARIABLE!r}); import loi_mitsuba"
     done = run(code, str(LLVM_15[0]))
-    assert "has loaded LLVM 15 (Dr.Jit); import loi_mitsuba before drjit and mitsuba" in done.stderr
+    assert (
+        "has loaded LLVM 15 (Dr.Jit); import loi_mitsuba or mitsuba_boundaries before drjit and mitsuba" in done.stderr
+    )
 
 
 def test_a_second_call_of_prepare_changes_nothing() -> None:

@@ -17,7 +17,7 @@ from loi_core import LOIObjective, ScaleSpace
 from loi_core.errors import ImageError, ImageTypeError, NonFiniteImageError, OptionError
 from loi_core.support.installed import how_to_install
 from loi_mitsuba import LOILoss
-from loi_mitsuba.drjit.arrays import aligned_copy
+from mitsuba_boundaries.drjit.arrays import aligned_copy
 from tests.helpers import Host, images, relative_error
 
 SCALES = ScaleSpace(1, (1, 5), 0.125)

@@ -14,7 +14,12 @@ import trimesh
 from loi_core.errors import OptionError
 from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, Rotate, Translate
 from loi_mitsuba.diagnostics import is_non_manifold
-from loi_mitsuba.geometry.mesh_checks import has_inward_normals, is_sharp_edged, is_unwelded, non_manifold_fraction
+from mitsuba_boundaries.geometry.mesh_checks import (
+    has_inward_normals,
+    is_sharp_edged,
+    is_unwelded,
+    non_manifold_fraction,
+)
 from tests.mitsuba.scenes import HEIGHT, WIDTH, box, random_cotangent, shadow_scene
 from tests.strategies import thorough
 

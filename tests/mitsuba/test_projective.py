@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from loi_mitsuba import MitsubaRenderer, Translate
-from loi_mitsuba.boundary.area_jacobian import clamped_area_jacobian
-from loi_mitsuba.boundary.received_shadows import ReceivedShadowBoundary
 from loi_mitsuba.renderer import split_seed
+from mitsuba_boundaries.area_jacobian import clamped_area_jacobian
+from mitsuba_boundaries.received_shadows import ReceivedShadowBoundary
 from tests.helpers import Host
 from tests.mitsuba.scenes import HEIGHT, WIDTH, shadow_scene
 from tests.strategies import thorough

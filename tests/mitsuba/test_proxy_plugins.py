@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from loi_mitsuba import MitsubaRenderer, PlannedRenderer, Translate
-from loi_mitsuba.plugins.proxy_bsdf import register_proxy_bsdf
-from loi_mitsuba.plugins.proxy_emitter import hittable_proxy_emitters, register_proxy_emitter
+from mitsuba_boundaries.plugins.proxy_bsdf import register_proxy_bsdf
+from mitsuba_boundaries.plugins.proxy_emitter import hittable_proxy_emitters, register_proxy_emitter
 from tests.helpers import Host
 from tests.mitsuba.scenes import shadow_scene
 from tests.strategies import thorough

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from loi_mitsuba import MitsubaRenderer, Translate
-from loi_mitsuba.boundary.received_shadows import ReceivedShadowBoundary
+from mitsuba_boundaries.received_shadows import ReceivedShadowBoundary
 from tests.helpers import Host
 from tests.mitsuba.scenes import HEIGHT, WIDTH, box, shadow_scene
 from tests.strategies import thorough

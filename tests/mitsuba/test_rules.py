@@ -22,7 +22,7 @@ from loi_mitsuba import (
     Translate,
     plan_effects,
 )
-from loi_mitsuba.sensing.frustum import Frustum
+from mitsuba_boundaries.sensing.frustum import Frustum
 from tests.mitsuba.scenes import box, shadow_scene
 
 EDGES = {Effect.PRIMARY, Effect.INDIRECT}

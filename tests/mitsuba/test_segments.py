@@ -7,7 +7,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from loi_mitsuba.boundary.segments import SegmentSampler
+from mitsuba_boundaries.segments import SegmentSampler
 
 TRANSFORM = mi.ScalarTransform4f
 SIDE_PX = 16

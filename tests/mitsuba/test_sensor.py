@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, Translate
-from loi_mitsuba.sensing.sensor import PerspectiveSensor
+from mitsuba_boundaries.sensing.sensor import PerspectiveSensor
 from tests.mitsuba.scenes import HEIGHT, WIDTH, shadow_scene
 from tests.mitsuba.silhouettes import TRANSFORM, area_light, check_silhouettes, emitting_scene
 from tests.strategies import thorough

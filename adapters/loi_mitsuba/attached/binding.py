@@ -6,7 +6,7 @@ from collections.abc import Collection, Iterable, Mapping
 from contextlib import AbstractContextManager
 from typing import Any, Protocol
 
-from loi_mitsuba.drjit.arrays import Float32Array
+from mitsuba_boundaries.drjit.arrays import Float32Array
 
 __all__ = ["Binding"]
 

@@ -16,8 +16,8 @@ import drjit as dr
 import mitsuba as mi
 
 from loi_mitsuba.attached.binding import Binding
-from loi_mitsuba.drjit.arrays import Float32Array
-from loi_mitsuba.sensing.sensor import PerspectiveSensor, make_sampler, ray_epsilon
+from mitsuba_boundaries.drjit.arrays import Float32Array
+from mitsuba_boundaries.sensing.sensor import PerspectiveSensor, make_sampler, ray_epsilon
 
 __all__ = ["AttachedDielectrics", "DielectricSamples", "is_clear_glass"]
 

@@ -17,10 +17,10 @@ import mitsuba as mi
 import numpy as np
 
 from loi_mitsuba.attached.binding import Binding
-from loi_mitsuba.drjit.arrays import Float32Array, Float64Array, gather
-from loi_mitsuba.geometry.bounds import bounding_box
-from loi_mitsuba.sensing.film import Film
-from loi_mitsuba.sensing.film_samples import backpropagate, radiance_samples
+from mitsuba_boundaries.drjit.arrays import Float32Array, Float64Array, gather
+from mitsuba_boundaries.geometry.bounds import bounding_box
+from mitsuba_boundaries.sensing.film import Film
+from mitsuba_boundaries.sensing.film_samples import backpropagate, radiance_samples
 
 __all__ = ["ROTATION_STEP_DEG", "SCALE_STEP", "AttachedEmitters", "translation_step", "visible_points"]
 

@@ -19,10 +19,6 @@ from loi_mitsuba.attached.emitters import (
     translation_step,
     visible_points,
 )
-from loi_mitsuba.drjit.arrays import Float32Array, Float64Array
-from loi_mitsuba.geometry.bounds import bounding_box
-from loi_mitsuba.geometry.mesh import is_closed
-from loi_mitsuba.geometry.mesh_checks import is_sharp_edged
 from loi_mitsuba.proxy.light_size import light_position
 from loi_mitsuba.renderer import MitsubaRenderer, split_seed
 from loi_mitsuba.scene.binding import ParameterBinding
@@ -31,7 +27,11 @@ from loi_mitsuba.scene.parameters import SceneIndex
 from loi_mitsuba.scene.poses import Rotate, Scale
 from loi_mitsuba.scene.queries import group_by_shape, has_medium
 from loi_mitsuba.scene.settings import Settings
-from loi_mitsuba.sensing.frustum import Frustum
+from mitsuba_boundaries.drjit.arrays import Float32Array, Float64Array
+from mitsuba_boundaries.geometry.bounds import bounding_box
+from mitsuba_boundaries.geometry.mesh import is_closed
+from mitsuba_boundaries.geometry.mesh_checks import is_sharp_edged
+from mitsuba_boundaries.sensing.frustum import Frustum
 
 __all__ = ["AttachedGradient", "AttachedParameters", "attachable_emitters"]
 

@@ -9,10 +9,10 @@ from typing import Any, Final
 import numpy as np
 
 from loi_core.effects import EffectPlan
-from loi_mitsuba.drjit.arrays import Float32Array
 from loi_mitsuba.effects.rules import EFFECTS
 from loi_mitsuba.renderer import MitsubaRenderer
 from loi_mitsuba.scene.settings import PROJECTIVE, settings_of
+from mitsuba_boundaries.drjit.arrays import Float32Array
 
 __all__ = ["effect_images"]
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from loi_core.effects import Draws
-from loi_mitsuba.drjit.arrays import Float32Array
 from loi_mitsuba.renderer import MitsubaRenderer
 from loi_mitsuba.scene.settings import Settings
+from mitsuba_boundaries.drjit.arrays import Float32Array
 
 __all__ = ["PILOT_SEED_OFFSET", "GradientProbe"]
 

@@ -26,11 +26,11 @@ from loi_core.effects import (
     total,
 )
 from loi_core.support.wording import listed
-from loi_mitsuba.drjit.arrays import Float32Array
 from loi_mitsuba.effects.gradient_draws import GradientProbe
 from loi_mitsuba.effects.rules import DIRECT_DEPTH, EFFECTS, everything, integrator_for, plan_of
 from loi_mitsuba.effects.traits import Traits
 from loi_mitsuba.scene.settings import GRADIENT_TERMS, SCENE_INTEGRATOR, Settings, settings_of
+from mitsuba_boundaries.drjit.arrays import Float32Array
 
 __all__ = ["MAX_DRAWS", "Pilot", "PilotResult"]
 

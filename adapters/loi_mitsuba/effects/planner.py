@@ -16,7 +16,6 @@ from loi_core.renderers.blurred import BlurredRenderer
 from loi_core.renderers.contract import Loss
 from loi_core.support.arrays import to_numpy
 from loi_core.support.wording import listed
-from loi_mitsuba.drjit.arrays import Float32Array
 from loi_mitsuba.effects.attached_gradient import AttachedGradient
 from loi_mitsuba.effects.blurring import Blurring, legal_values
 from loi_mitsuba.effects.gradient_draws import PILOT_SEED_OFFSET, GradientProbe
@@ -28,7 +27,8 @@ from loi_mitsuba.renderer import MitsubaRenderer
 from loi_mitsuba.scene.load import ParameterTarget
 from loi_mitsuba.scene.queries import group_by_shape
 from loi_mitsuba.scene.settings import settings_of
-from loi_mitsuba.sensing.frustum import Frustum
+from mitsuba_boundaries.drjit.arrays import Float32Array
+from mitsuba_boundaries.sensing.frustum import Frustum
 
 __all__ = ["PlanState", "Planner"]
 

@@ -18,7 +18,6 @@ from loi_core.renderers.contract import Loss, LossPullback, RendererCapabilities
 from loi_core.support.arrays import to_numpy
 from loi_core.support.values import real_number
 from loi_core.support.wording import clause, shown
-from loi_mitsuba.drjit.arrays import Float32Array
 from loi_mitsuba.effects.effect_images import effect_images
 from loi_mitsuba.effects.planner import Planner
 from loi_mitsuba.effects.rules import everything, plan_of
@@ -29,6 +28,7 @@ from loi_mitsuba.renderer import MitsubaRenderer
 from loi_mitsuba.scene.binding import host_numbers
 from loi_mitsuba.scene.load import ParameterTarget
 from loi_mitsuba.scene.parameters import Scene
+from mitsuba_boundaries.drjit.arrays import Float32Array
 
 __all__ = ["FRACTION", "PlannedRenderer"]
 

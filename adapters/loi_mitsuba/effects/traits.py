@@ -10,10 +10,10 @@ from typing import Any, Final
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.geometry.bounds import bounding_box
 from loi_mitsuba.scene.parameters import SceneIndex, ancestors
 from loi_mitsuba.scene.poses import PoseParameter, Translate
 from loi_mitsuba.scene.queries import has_medium
+from mitsuba_boundaries.geometry.bounds import bounding_box
 
 __all__ = ["VOLUME_INTEGRATORS", "Traits", "group_by_unit", "is_known", "kind_of", "traits_of"]
 

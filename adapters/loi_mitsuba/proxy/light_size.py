@@ -11,8 +11,8 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.drjit.arrays import Float64Array
-from loi_mitsuba.geometry.bounds import bounding_box
+from mitsuba_boundaries.drjit.arrays import Float64Array
+from mitsuba_boundaries.geometry.bounds import bounding_box
 
 __all__ = ["DELTA_LIGHTS", "LightContext", "delta_lights", "light_intensity", "light_position"]
 

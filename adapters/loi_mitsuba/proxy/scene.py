@@ -17,7 +17,6 @@ from typing import Any, Final, TypeAlias
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.geometry.mesh import weld_vertices
 from loi_mitsuba.proxy.light_size import DELTA_LIGHTS, LightContext, delta_lights, light_intensity
 from loi_mitsuba.proxy.substitutions import (
     LIGHT_ID,
@@ -30,6 +29,7 @@ from loi_mitsuba.proxy.substitutions import (
     substitute_textures,
     welding,
 )
+from mitsuba_boundaries.geometry.mesh import weld_vertices
 
 __all__ = ["MovingShapes", "ProxyScene", "ProxySettings", "SceneParser", "build_proxy_scene"]
 

@@ -14,10 +14,10 @@ import numpy as np
 
 from loi_core.errors import ParameterError
 from loi_core.renderers.validation import check_floats, check_parameters
-from loi_mitsuba.drjit.arrays import Float32Array, aligned_copy, gather, unravel
 from loi_mitsuba.scene.load import ParameterTarget
 from loi_mitsuba.scene.parameters import SceneIndex, matrix_or_value
 from loi_mitsuba.scene.poses import Scale, combined_transform
+from mitsuba_boundaries.drjit.arrays import Float32Array, aligned_copy, gather, unravel
 
 __all__ = ["ParameterBinding", "as_host", "host_numbers"]
 

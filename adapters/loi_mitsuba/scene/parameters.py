@@ -15,8 +15,8 @@ import mitsuba as mi
 import numpy as np
 
 from loi_core.errors import ParameterError
-from loi_mitsuba.geometry.bounds import bounding_box
 from loi_mitsuba.scene.load import LoadedScene, load_scene, load_with_float_textures, use_variant
+from mitsuba_boundaries.geometry.bounds import bounding_box
 
 __all__ = [
     "INSTANCE_PROBLEM",

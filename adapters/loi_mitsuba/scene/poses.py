@@ -8,7 +8,7 @@ from typing import Any, TypeAlias
 import mitsuba as mi
 
 from loi_core.renderers.poses import PoseParameter, Rotate, Scale, Translate, in_application_order
-from loi_mitsuba.drjit.arrays import unravel
+from mitsuba_boundaries.drjit.arrays import unravel
 
 __all__ = ["PoseParameter", "Rotate", "Scale", "Translate", "combined_transform"]
 

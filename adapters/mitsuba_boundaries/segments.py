@@ -9,9 +9,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.drjit.ragged import hit_shape_index
-from loi_mitsuba.geometry.bounds import bounding_box
-from loi_mitsuba.sensing.sensor import PerspectiveSensor, make_sampler
+from mitsuba_boundaries.drjit.ragged import hit_shape_index
+from mitsuba_boundaries.geometry.bounds import bounding_box
+from mitsuba_boundaries.sensing.sensor import PerspectiveSensor, make_sampler
 
 __all__ = ["DIFFERENCE_STEP_PX", "SegmentSampler", "bisect"]
 

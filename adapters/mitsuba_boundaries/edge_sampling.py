@@ -15,12 +15,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.drjit.arrays import HostArray
-from loi_mitsuba.drjit.ragged import hit_shape_index, shape_index
-from loi_mitsuba.geometry.coincident_edges import uncovered_segments
-from loi_mitsuba.geometry.mesh import crease_edges, edge_vertices
-from loi_mitsuba.geometry.mesh_checks import has_creases
-from loi_mitsuba.sensing.sensor import (
+from mitsuba_boundaries.drjit.arrays import HostArray
+from mitsuba_boundaries.drjit.ragged import hit_shape_index, shape_index
+from mitsuba_boundaries.geometry.coincident_edges import uncovered_segments
+from mitsuba_boundaries.geometry.mesh import crease_edges, edge_vertices
+from mitsuba_boundaries.geometry.mesh_checks import has_creases
+from mitsuba_boundaries.sensing.sensor import (
     DEPTH_TOLERANCE,
     OFFSET_PX,
     PerspectiveSensor,
@@ -90,7 +90,7 @@ class EdgeBoundary:
         return cls(sensor, edged) if edged else None
 
     def sample(self, scene: Any, integrator: Any, samples: int, seed: int) -> tuple[Any, Any]:
-        """Sample the edges; see :class:`loi_mitsuba.boundary.terms.BoundarySampler`."""
+        """Sample the edges; see :class:`mitsuba_boundaries.terms.BoundarySampler`."""
         camera = PerspectiveSensor(self._sensor)  # built here, because the sensor may move between calls
         pixels = int(self._size.x[0] * self._size.y[0])
         count = max(MIN_SAMPLES, samples * pixels // IMAGE_SAMPLES_PER_EDGE_SAMPLE)

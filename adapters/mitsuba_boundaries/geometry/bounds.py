@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from loi_mitsuba.drjit.arrays import HostArray
+from mitsuba_boundaries.drjit.arrays import HostArray
 
 __all__ = ["bounding_box"]
 

@@ -14,11 +14,11 @@ from typing import Any, Final, Literal
 import drjit as dr
 import mitsuba as mi
 
-from loi_mitsuba.geometry.coincident_edges import UniqueEdges
-from loi_mitsuba.plugins.proxy_emitter import hittable_proxy_emitters
-from loi_mitsuba.sensing.film import Film
-from loi_mitsuba.sensing.film_samples import capture_splats, to_rgb
-from loi_mitsuba.sensing.sensor import PerspectiveSensor, is_off_centre, ray_epsilon
+from mitsuba_boundaries.geometry.coincident_edges import UniqueEdges
+from mitsuba_boundaries.plugins.proxy_emitter import hittable_proxy_emitters
+from mitsuba_boundaries.sensing.film import Film
+from mitsuba_boundaries.sensing.film_samples import capture_splats, to_rgb
+from mitsuba_boundaries.sensing.sensor import PerspectiveSensor, is_off_centre, ray_epsilon
 
 __all__ = ["ProjectiveBoundary"]
 
@@ -74,7 +74,7 @@ class ProjectiveBoundary:
     unique_edges: UniqueEdges | None = None
 
     def sample(self, scene: Any, integrator: Any, samples: int, seed: int) -> tuple[Any, Any] | None:
-        """Sample silhouettes; see :class:`loi_mitsuba.boundary.terms.BoundarySampler`.
+        """Sample silhouettes; see :class:`mitsuba_boundaries.terms.BoundarySampler`.
 
         `integrator` is the projective integrator. It takes the same samples in its own
         `render_backward` with this seed.

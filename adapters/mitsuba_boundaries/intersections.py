@@ -16,10 +16,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.boundary.segments import DIFFERENCE_STEP_PX, SegmentSampler, bisect
-from loi_mitsuba.geometry.bounds import bounding_box
-from loi_mitsuba.geometry.components import ComponentIds
-from loi_mitsuba.sensing.sensor import (
+from mitsuba_boundaries.geometry.bounds import bounding_box
+from mitsuba_boundaries.geometry.components import ComponentIds
+from mitsuba_boundaries.segments import DIFFERENCE_STEP_PX, SegmentSampler, bisect
+from mitsuba_boundaries.sensing.sensor import (
     DEPTH_TOLERANCE,
     make_sampler,
     radiance_difference,
@@ -87,7 +87,7 @@ class IntersectionBoundary:
         return cls(sensor, moving, component_ids) if len(in_scene) > 1 or component_ids.may_intersect else None
 
     def sample(self, scene: Any, integrator: Any, samples: int, seed: int) -> tuple[Any, Any] | None:
-        """Sample the curves; see :class:`loi_mitsuba.boundary.terms.BoundarySampler`."""
+        """Sample the curves; see :class:`mitsuba_boundaries.terms.BoundarySampler`."""
         if not self._bounds_overlap(scene):
             return None
         with dr.suspend_grad():

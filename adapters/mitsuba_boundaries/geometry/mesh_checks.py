@@ -12,9 +12,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.drjit.arrays import HostArray
-from loi_mitsuba.geometry.bounds import bounding_box
-from loi_mitsuba.geometry.mesh import (
+from mitsuba_boundaries.drjit.arrays import HostArray
+from mitsuba_boundaries.geometry.bounds import bounding_box
+from mitsuba_boundaries.geometry.mesh import (
     NORMAL_TOLERANCE,
     border_edge_count,
     corner_normals,

@@ -13,7 +13,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.drjit.arrays import HostArray
+from mitsuba_boundaries.drjit.arrays import HostArray
 
 __all__ = [
     "border_edge_count",

@@ -11,10 +11,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.boundary.area_jacobian import clamped_area_jacobian
-from loi_mitsuba.drjit.arrays import Float32Array
-from loi_mitsuba.sensing.film import Film
-from loi_mitsuba.sensing.film_samples import backpropagate, radiance_samples
+from mitsuba_boundaries.area_jacobian import clamped_area_jacobian
+from mitsuba_boundaries.drjit.arrays import Float32Array
+from mitsuba_boundaries.sensing.film import Film
+from mitsuba_boundaries.sensing.film_samples import backpropagate, radiance_samples
 
 __all__ = ["BoundarySampler", "BoundaryTerm", "GradientTerm", "InteriorTerm"]
 

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from loi_mitsuba.geometry.bounds import bounding_box
-from loi_mitsuba.sensing.sensor import principal_point_offset
+from mitsuba_boundaries.geometry.bounds import bounding_box
+from mitsuba_boundaries.sensing.sensor import principal_point_offset
 
 __all__ = ["Frustum"]
 

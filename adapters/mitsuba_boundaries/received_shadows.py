@@ -16,12 +16,12 @@ from typing import Any, Final
 import drjit as dr
 import mitsuba as mi
 
-from loi_mitsuba.boundary.area_jacobian import MIN_COSINE
-from loi_mitsuba.boundary.segments import DIFFERENCE_STEP_PX, SegmentSampler, bisect
-from loi_mitsuba.drjit.ragged import RaggedTable, hit_shape_index, shape_index
-from loi_mitsuba.plugins.proxy_emitter import hittable_proxy_emitters
-from loi_mitsuba.sensing.film_samples import to_rgb
-from loi_mitsuba.sensing.sensor import make_sampler, ray_epsilon, supports_boundary_sampling
+from mitsuba_boundaries.area_jacobian import MIN_COSINE
+from mitsuba_boundaries.drjit.ragged import RaggedTable, hit_shape_index, shape_index
+from mitsuba_boundaries.plugins.proxy_emitter import hittable_proxy_emitters
+from mitsuba_boundaries.segments import DIFFERENCE_STEP_PX, SegmentSampler, bisect
+from mitsuba_boundaries.sensing.film_samples import to_rgb
+from mitsuba_boundaries.sensing.sensor import make_sampler, ray_epsilon, supports_boundary_sampling
 
 __all__ = ["ReceivedShadowBoundary"]
 
@@ -155,7 +155,7 @@ class ReceivedShadowBoundary:
 
     @hittable_proxy_emitters()
     def sample(self, scene: Any, integrator: Any, samples: int, seed: int) -> tuple[Any, Any] | None:  # noqa: ARG002
-        """Sample the shadow edges of direct light; see :class:`loi_mitsuba.boundary.terms.BoundarySampler`.
+        """Sample the shadow edges of direct light; see :class:`mitsuba_boundaries.terms.BoundarySampler`.
 
         `integrator` is not used.
         """

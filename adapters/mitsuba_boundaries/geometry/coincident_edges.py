@@ -9,9 +9,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.drjit.arrays import HostArray
-from loi_mitsuba.drjit.ragged import RaggedTable, hit_shape_index, shape_index
-from loi_mitsuba.geometry.mesh import crease_edges, edge_vertices, has_triangles, vertex_positions
+from mitsuba_boundaries.drjit.arrays import HostArray
+from mitsuba_boundaries.drjit.ragged import RaggedTable, hit_shape_index, shape_index
+from mitsuba_boundaries.geometry.mesh import crease_edges, edge_vertices, has_triangles, vertex_positions
 
 __all__ = ["UniqueEdges", "uncovered_segments"]
 

@@ -11,7 +11,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.drjit.arrays import Float32Array
+from mitsuba_boundaries.drjit.arrays import Float32Array
 
 __all__ = ["Film"]
 

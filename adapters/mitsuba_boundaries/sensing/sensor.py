@@ -12,9 +12,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.drjit.arrays import Float32Array
-from loi_mitsuba.sensing.film import Film
-from loi_mitsuba.sensing.film_samples import to_rgb
+from mitsuba_boundaries.drjit.arrays import Float32Array
+from mitsuba_boundaries.sensing.film import Film
+from mitsuba_boundaries.sensing.film_samples import to_rgb
 
 __all__ = [
     "DEPTH_TOLERANCE",

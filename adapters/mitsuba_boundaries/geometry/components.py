@@ -9,9 +9,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.drjit.arrays import HostArray
-from loi_mitsuba.drjit.ragged import RaggedTable, hit_shape_index, shape_index
-from loi_mitsuba.geometry.mesh import component_bounds, connected_components, has_triangles
+from mitsuba_boundaries.drjit.arrays import HostArray
+from mitsuba_boundaries.drjit.ragged import RaggedTable, hit_shape_index, shape_index
+from mitsuba_boundaries.geometry.mesh import component_bounds, connected_components, has_triangles
 
 __all__ = ["ComponentIds"]
 

@@ -16,8 +16,6 @@ from importlib import metadata
 from pathlib import Path
 from typing import Final
 
-from loi_core.errors import LoiError
-
 __all__ = ["LLVMChoice", "LLVMError", "prepare"]
 
 VARIABLE: Final = "DRJIT_LIBLLVM_PATH"
@@ -26,7 +24,7 @@ WHEEL: Final = "karellen-llvm-core"
 WHEEL_RUNTIME: Final = ("libunwind", "libc++abi", "libc++")  # in the order of their dependencies
 
 
-class LLVMError(LoiError, ImportError):
+class LLVMError(ImportError):
     """The LLVM that Dr.Jit has loaded is too old."""
 
 
@@ -48,7 +46,7 @@ class LLVMChoice:
 
 @functools.cache
 def prepare() -> LLVMChoice:
-    """Import Dr.Jit with an LLVM that it works with. Importing :mod:`loi_mitsuba` calls this; later calls do nothing.
+    """Import Dr.Jit with an LLVM that it works with. Importing the package calls this; later calls do nothing.
 
     If ``DRJIT_LIBLLVM_PATH`` is set, that library is used; else the library of the wheel `karellen-llvm-core` if it is
     installed, and else the one that Dr.Jit finds.
@@ -68,7 +66,7 @@ def prepare() -> LLVMChoice:
 
     version = int(dr.detail.llvm_version()[0])
     if 0 < version < MIN_VERSION:
-        early = "import loi_mitsuba before drjit and mitsuba, " if imported else ""
+        early = "import loi_mitsuba or mitsuba_boundaries before drjit and mitsuba, " if imported else ""
         msg = (
             f"Mitsuba needs LLVM {MIN_VERSION} or later, but Dr.Jit has loaded LLVM {version} ({source}); "
             f"{early}pip install {WHEEL}, or set {VARIABLE} to a newer libLLVM"

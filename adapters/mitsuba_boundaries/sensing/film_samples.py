@@ -13,8 +13,8 @@ from typing import Any, Final
 import drjit as dr
 import mitsuba as mi
 
-from loi_mitsuba.drjit.arrays import Float32Array
-from loi_mitsuba.sensing.film import Film
+from mitsuba_boundaries.drjit.arrays import Float32Array
+from mitsuba_boundaries.sensing.film import Film
 
 __all__ = ["backpropagate", "capture_splats", "radiance_samples", "to_rgb"]
 

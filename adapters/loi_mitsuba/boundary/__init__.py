@@ -1,1 +1,0 @@
-"""Boundary terms of the gradient: one module for each kind of discontinuity."""
