@@ -15,16 +15,13 @@ from examples.paper.table1.run import structure
 from examples.paper.table3.objectives import objective
 from examples.paper.table3.problem import Column, FloatArray, Problem, image_of
 from examples.paper.table3.settings import FINISH_RATE, Setting
-from loi_core import fit
+from loi_core import ScaleSpace, fit
 from loi_core.fitting.adam import Adam
-from loi_core.fitting.exposure import exposure_is_free
 from loi_core.fitting.loop import FitStep, Free
 from loi_core.fitting.optimiser import Memory
 from loi_core.fitting.parameters import bounds_of
 from loi_core.fitting.schedule import MIN_WINDOW, WINDOW_FRACTION, has_settled
-from loi_core.fitting.stages import staged_objectives
 from loi_core.fitting.starts import can_search
-from loi_core.fitting.views import Views
 from loi_core.renderers.contract import Parameters
 
 __all__ = ["CURVE_STEPS", "Outcome", "Run", "carry_out"]
@@ -113,13 +110,14 @@ def _fit_stage(
     """Minimise the objective of a setting; return the parameters and the number of steps.
 
     By our protocol a fit with the LOI objective ends when its loss settles, as a stage of :func:`loi_core.fit` does,
-    unless the fit can search for a start.
+    unless the fit can search for a start. Its far stages take the exposure as given, since the targets are renders
+    of the same renderer.
     """
     matches_pixels = setting.method in ("rgbxy", "rgbxy_finetune")
     views = problem.matching_views if matches_pixels else problem.views
     objectives = {name: objective(setting, target) for name, target in problem.targets.items()}
     options: dict[str, Any] = {"steps": steps, "seed": done, "views_per_step": 1}
-    settles = has_brightness = False
+    settles, far_scales = False, list[ScaleSpace]()
     if setting.name == "published":
         rates = {name: setting.rate * problem.unit(name) for name in start}
         options |= {"decay": "none", "stages": None, "optimiser": _DecayingAdam(done)}
@@ -127,20 +125,20 @@ def _fit_stage(
     else:
         rate = setting.rate if done == 0 else FINISH_RATE * setting.rate
         free = {name: Free(value, *problem.bounds(name)) for name, value in start.items()}
-        bounds = bounds_of(start, free)
-        settles = setting.method == "loi" and not can_search(bounds)
-        has_brightness = settles and exposure_is_free(Views.of(views, objectives, "auto", 1), start, bounds, done)
+        settles = setting.method == "loi" and not can_search(bounds_of(start, free))
         options |= {"learning_rate": f"{rate} px", "decay": "none" if settles else "cosine"}
+        if settles:
+            *far, _, _ = ScaleSpace.far_to_near(problem.column.side, problem.column.side)
+            far_scales = [replace(scales, centred=False) for scales in far]
+            options["stages"] = far_scales
 
-    staged = staged_objectives(next(iter(objectives.values())), "auto", None, exposure_is_free=has_brightness)
-    last_stage = len(staged.far) + (staged.finish is not None)
     window = max(MIN_WINDOW, round(WINDOW_FRACTION * steps))
-    values: list[float] = []  # loss of every step of the last stage
+    values: list[float] = []  # loss of every step of the last stage, if the fit settles
 
     def record(step: FitStep, __: Parameters, images: Any) -> bool:
         name, image = next(iter(images.items()))
         curve.append(_decibels(float(np.mean((image.numpy()[..., :3] - problem.targets[name]) ** 2))))
-        if step.stage == last_stage:
+        if step.stage == len(far_scales):
             values.append(step.value)
         return settles and has_settled(values, window)
 
