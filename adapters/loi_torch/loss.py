@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from contextlib import suppress
-from typing import Any, Final, TypeVar
+from typing import Any, Final
 
 import torch
 from torch import Tensor
@@ -18,6 +17,7 @@ from loi_core.pixels.colours import Colours
 from loi_core.pixels.exposure import Exposure
 from loi_core.pixels.nonfinite import NanPolicy
 from loi_core.support.arrays import as_floating
+from loi_torch.operator import NO_SECOND_DERIVATIVES, evaluate, loss_operator, settings_text
 
 __all__ = ["LOILoss", "loi_loss"]
 
@@ -30,14 +30,6 @@ DEFAULT_OPTIONS: Final[dict[str, Any]] = {
     "colours": "channels",
     "reduction": "mean",
 }
-
-Function = TypeVar("Function", bound=Callable[..., Any])
-
-
-def _without_compilation(function: Function) -> Function:
-    """Exclude `function` from ``torch.compile``, which cannot trace functions compiled by Numba."""
-    disabled: Function = torch.compiler.disable(function)  # type: ignore[no-untyped-call]  # untyped in torch
-    return disabled
 
 
 def loi_loss(
@@ -92,8 +84,9 @@ def loi_loss(
     Notes
     -----
     float16 and bfloat16 images are compared in float32, under autocast as well, and the loss is float32; the gradient
-    has the image's dtype. Under ``torch.compile`` the loss is one graph break. ``torch.func.grad``, ``jacrev`` and
-    ``vmap`` work in any order. Second derivatives and forward mode raise a DerivativeError.
+    has the image's dtype. ``torch.compile`` and ``torch.export`` keep the loss as one operator, without a graph break.
+    ``torch.func.grad``, ``jacrev`` and ``vmap`` work in any order. Second derivatives and forward mode raise a
+    DerivativeError. On a GPU no call waits for it: there, value and gradient of an image that is not finite are NaN.
     """
     settings = LossSettings.of(
         scales,
@@ -158,17 +151,45 @@ class LOILoss(torch.nn.Module):
         return ", ".join(f"{name}={value!r}" for name, value in (passed | unusual | options).items())
 
 
-@_without_compilation
 def _loss(settings: LossSettings, image: Tensor, target: Any, weights: Any) -> Tensor:
+    compare = _compare_traced if torch.compiler.is_compiling() else _compare
+    return compare(settings, image, target, weights)
+
+
+def _compare_traced(settings: LossSettings, image: Tensor, target: Any, weights: Any) -> Tensor:
+    """Compare in a program that ``torch.compile`` or ``torch.export`` traces, with one operator for each value."""
+    precise = image.float() if image.dtype in HALF_DTYPES else image
+    target, weights = (
+        array if array is None else torch.as_tensor(array, device=image.device).detach() for array in (target, weights)
+    )
+    if settings.reduction == "mean":
+        return _mean_traced(settings, precise, target, weights)
+    value: Tensor = reduced(_mean_traced, settings, precise, target, weights)
+    return value
+
+
+def _mean_traced(settings: LossSettings, image: Tensor, target: Any, weights: Any) -> Tensor:
+    value: Tensor = loss_operator(image, target, weights, settings_text(settings), _is_recorded(image))[0]
+    return value
+
+
+def _compare(settings: LossSettings, image: Tensor, target: Any, weights: Any) -> Tensor:
     if not isinstance(image, Tensor):
         msg = f"`image` must be a torch tensor, got {type(image).__name__}"
         raise ImageTypeError(msg)
     as_floating("image", image)  # before autocast, which rejects some devices with its own message
-    target, weights = (array.detach() if isinstance(array, Tensor) else array for array in (target, weights))
+    target, weights = (_constant(array, image.device) for array in (target, weights))
     with torch.autocast(image.device.type, enabled=False):
         precise = image.float() if image.dtype in HALF_DTYPES else image
         value: Tensor = reduced(_mean, settings, precise, target, weights)
     return value
+
+
+def _constant(array: Any, device: torch.device) -> Any:
+    """Return a tensor without its graph, and anything else as a tensor on a GPU, if the image is there."""
+    if isinstance(array, Tensor):
+        return array.detach()
+    return array if array is None or device.type == "cpu" else torch.as_tensor(array, device=device)
 
 
 def _mean(settings: LossSettings, image: Tensor, target: Any, weights: Any) -> Tensor:
@@ -198,8 +219,7 @@ class _Loss(torch.autograd.Function):
         settings: LossSettings,
         gradient: bool,  # noqa: FBT001  # torch passes arguments by position
     ) -> tuple[Tensor, Tensor]:
-        value, slope = settings.evaluate(image, target, weights, gradient=gradient)
-        return value, image.new_empty(0) if slope is None else slope
+        return evaluate(image, target, weights, settings, gradient=gradient)
 
     @staticmethod
     def setup_context(ctx: FunctionCtx, _: tuple[Any, ...], output: tuple[Tensor, Tensor]) -> None:
@@ -212,8 +232,7 @@ class _Loss(torch.autograd.Function):
     ) -> tuple[Tensor | None, None, None, None, None]:
         """Scale the gradient. As an output it is no constant to autograd, which may ask for its derivative."""
         if second is not None:
-            msg = "loi's loss has no second derivatives on torch"
-            raise DerivativeError(msg)
+            raise DerivativeError(NO_SECOND_DERIVATIVES)
         (gradient,) = ctx.saved_tensors
         return None if upstream is None else _product(upstream, gradient), None, None, None, None
 

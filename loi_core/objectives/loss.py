@@ -20,11 +20,12 @@ from loi_core.pixels.layout import Layout, check_channel_axis
 from loi_core.pixels.nonfinite import NanPolicy, check_nan_policy, require_finite
 from loi_core.pixels.pipeline import PixelPipeline, PixelSettings
 from loi_core.pixels.tone_curve import LogTone, check_tone
-from loi_core.pixels.weights import CallWeights, check_call_weights
+from loi_core.pixels.weights import CallWeights, check_call_weights, weight_planes
 from loi_core.support.arrays import (
     Array,
     as_floating,
     detached,
+    device,
     epsilon,
     held,
     is_traced,
@@ -172,12 +173,35 @@ class LossSettings:
         gradient : bool
             Whether to compute the gradient with respect to the image.
         has_values : bool
-            False for arrays that JAX traces: the caller checks whether pixels are finite.
+            Whether values may be read. JAX traces arrays without values, and reading them from a GPU would wait for it.
+            Without, all arrays are of one library and device, and value and gradient are NaN where images or weights
+            would raise an error.
         """
         array = widened(as_floating("image", detached(image) if gradient else image))
         prepared = self._prepare(array, widened(held(as_floating("target", target))), weights, has_values=has_values)
         terms, slope = prepared.evaluate(array, gradient=gradient, check_finite=has_values)
-        return narrowed(total(terms), image), None if slope is None else narrowed(slope, image)
+        value = total(terms)
+        if not has_values:
+            poison = self._poison(array, target, weights)
+            value, slope = value + poison, None if slope is None else slope + poison
+        return narrowed(value, image), None if slope is None else narrowed(slope, image)
+
+    def _poison(self, image: Array, target: Array, weights: Array | None) -> Array:
+        """Return 0 in the dtype of `image`, or NaN if a compared pixel is not finite or a weight is not allowed."""
+        xp = namespace(image)
+        layout = Layout.of("image", image.shape, self.pixels.channel_axis)
+        is_valid = xp.ones((), dtype=xp.bool, device=device(image))
+        seen = None
+        if weights is not None:
+            seen = weight_planes(weights, layout) > 0.0
+            is_valid = is_valid & xp.all(xp.isfinite(weights) & (weights >= 0.0))
+        if self.pixels.nan_policy == "raise":
+            target_layout = Layout.of("target", target.shape, self.pixels.channel_axis)
+            for planes in (layout.to_planes(image), layout.broadcast_planes(target, target_layout)):
+                finite = xp.isfinite(planes)
+                is_valid = is_valid & xp.all(finite if seen is None else finite | ~seen)
+        zero = xp.zeros((), dtype=image.dtype, device=device(image))
+        return xp.where(is_valid, zero, zero + math.nan)
 
     def layouts(self, image: Array, target: Array, weights: Array | None) -> tuple[Layout, Layout]:
         """Return the layouts of image and target. Raise an error if they, or weights, do not fit."""
@@ -199,7 +223,9 @@ class LossSettings:
             scales = default_scales(layout.height, layout.width, self.pixels.colours)
         backend = ARRAY_API if is_traced(target) or is_traced(weights) else choose_backend(image)
         planes = backend.to_backend(layout.broadcast_planes(reference_like("target", target, image), target_layout))
-        call = None if weights is None else CallWeights.of(weights, layout, backend.to_backend(image))
+        call = None
+        if weights is not None:
+            call = CallWeights.of(weights, layout, backend.to_backend(image), has_values=has_values)
         if has_values and self.pixels.nan_policy == "raise":
             visible = target
             if call is not None:

@@ -112,11 +112,11 @@ class CallWeights:
     largest: Array
 
     @classmethod
-    def of(cls, weights: Array, layout: Layout, like: Array) -> CallWeights:
+    def of(cls, weights: Array, layout: Layout, like: Array, *, has_values: bool = True) -> CallWeights:
         """Return checked weights, shape (*batch, H, W), for images of `layout` that are arrays like `like`.
 
-        Gradients take them as constants. Errors as in :meth:`PixelWeights.of`, but all may be 0, and values that JAX
-        traces are not checked.
+        Gradients take them as constants. Errors as in :meth:`PixelWeights.of`, but all may be 0. Values that JAX
+        traces are not checked, and no values without `has_values`.
         """
         check_call_weights(weights, layout)
         weights = held(weights)
@@ -126,7 +126,7 @@ class CallWeights:
         if not xp.isdtype(weights.dtype, "real floating"):
             weights = xp.astype(weights, xp.float32)
         weights = widened(weights)
-        if not is_traced(weights):
+        if has_values and not is_traced(weights):
             _require_valid(weights)
         largest = xp.max(weights)
         # Divided before rounding to the image's dtype, which may round small weights to 0.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import io
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -12,12 +13,20 @@ import numpy as np
 import pytest
 import torch
 from torch.autograd import forward_ad
+from torch.utils._python_dispatch import TorchDispatchMode
 
-from loi_core import LOIObjective, ScaleSpace
+from loi_core import LogTone, LOIObjective, ScaleSpace
 from loi_core.errors import DerivativeError, ImageError, ImageTypeError, NonFiniteImageError
+from loi_core.method import array_comparison
+from loi_core.method.dispatch import ARRAY_API
+from loi_core.objectives import loi as objectives_loi
+from loi_core.objectives import loss as objectives_loss
+from loi_core.pixels.exposure import Exposure
 from loi_core.stability import allowed
+from loi_core.support import arrays
 from loi_core.testing import check_objective
 from loi_torch import LOILoss, loi_loss
+from loi_torch.operator import loss_operator, settings_text
 from tests.helpers import images
 
 SCALES = ScaleSpace.paper("path")
@@ -77,15 +86,85 @@ def test_torch_vmap_equals_a_loop_over_images(axis: int) -> None:
 
 
 @pytest.mark.filterwarnings("ignore:The .grad attribute of a Tensor that is not a leaf")  # raised by torch.compile
-def test_torch_compile_accepts_the_module_and_the_function() -> None:
-    target = torch.tensor(REFERENCE)
-    for loss in (LOILoss(SCALES), partial(loi_loss, scales=SCALES)):
-        compiled = torch.compile(lambda image, loss=loss: 2.0 * loss(1.0 * image, target), backend="aot_eager")
-        image = leaf()
-        compiled(image).backward()
+@pytest.mark.filterwarnings("ignore:Dynamo detected a call to a `functools.lru_cache`")  # of array-api-compat
+@pytest.mark.parametrize("options", [{"tone": LogTone(8.0), "exposure": "matched"}, {"reduction": "none"}], ids=str)
+def test_torch_compile_keeps_the_loss_in_one_graph(options: dict[str, Any]) -> None:
+    torch.compiler.reset()
+    target, weights = torch.tensor(REFERENCE), torch.linspace(0.0, 1.0, IMAGE[0, ..., 0].size).reshape(IMAGE.shape[1:3])
+    for loss in (LOILoss(SCALES, **options), partial(loi_loss, scales=SCALES, **options)):
+
+        def doubled(image: Any, loss: Any = loss) -> Any:
+            return 2.0 * loss(1.0 * image, target, weights=weights)
+
+        expected, image = leaf(), leaf()
+        value = doubled(expected)
+        value.sum().backward()
+        compiled = torch.compile(doubled, fullgraph=True, backend="aot_eager")
+        traced = compiled(image)
+        traced.sum().backward()
+        assert torch.equal(traced, value)
         assert image.grad is not None
-        np.testing.assert_allclose(image.grad, 2.0 * GRADIENT, rtol=1e-12, atol=1e-18)
-        assert compiled(torch.tensor(IMAGE)).item() == pytest.approx(2.0 * float(VALUE), rel=1e-14)
+        assert expected.grad is not None
+        torch.testing.assert_close(image.grad, expected.grad)
+        assert torch.equal(compiled(torch.tensor(IMAGE)), value.detach())
+
+
+def test_the_operator_keeps_the_rules_of_operators() -> None:
+    arguments = leaf(), torch.tensor(REFERENCE), None, settings_text(LOILoss(SCALES)._settings), True
+    torch.library.opcheck(loss_operator, arguments, test_utils=("test_schema", "test_faketensor"))
+
+
+def test_an_exported_program_has_the_loss_as_one_operator() -> None:
+    program = torch.export.export(LOILoss(SCALES), (torch.tensor(IMAGE), torch.tensor(REFERENCE)))
+    operators = [node.target for node in program.graph.nodes if node.op == "call_function"]
+    assert torch.ops.loi.loss.default in operators
+    assert program.module()(torch.tensor(IMAGE), torch.tensor(REFERENCE)).item() == pytest.approx(float(VALUE))
+
+
+class ReadsValue(TorchDispatchMode):  # type: ignore[no-untyped-call]  # untyped in torch
+    """Refuses operations that copy a value to the host, which wait until a GPU is done."""
+
+    def __torch_dispatch__(self, operation: Any, _types: Any, args: Any = (), kwargs: Any = None) -> Any:
+        aten = torch.ops.aten
+        assert operation not in (aten._local_scalar_dense.default, aten.nonzero.default, aten.is_nonzero.default)
+        return operation(*args, **(kwargs or {}))
+
+
+@pytest.mark.parametrize("exposure", ["given", "matched", "detected"])
+@pytest.mark.parametrize("options", [{}, {"nan_policy": "mask", "colours": "differences", "accuracy": "balanced"}])
+def test_the_loss_on_a_gpu_reads_no_value(
+    monkeypatch: pytest.MonkeyPatch, exposure: Exposure, options: dict[str, Any]
+) -> None:
+    for module in (array_comparison, arrays):  # as for tensors on a GPU
+        monkeypatch.setattr(module, "runs_eagerly_on_host", lambda _: False)
+    for module in (array_comparison, arrays, objectives_loi):
+        monkeypatch.setattr(module, "values_may_decide", lambda _: False)
+    monkeypatch.setattr(objectives_loss, "choose_backend", lambda _: ARRAY_API)
+    settings = LOILoss(replace(SCALES, centred=True), exposure=exposure, **options)._settings
+    generator = torch.Generator().manual_seed(0)
+    image, target = torch.rand((2, 12, 10, 3), generator=generator)
+    weights = torch.rand((12, 10), generator=generator)
+    expected = settings.evaluate(image, target, weights, gradient=True)
+    with ReadsValue():  # type: ignore[no-untyped-call]
+        results = settings.evaluate(image, target, weights, gradient=True, has_values=False)
+    for result, array in zip(results, expected, strict=True):
+        assert torch.equal(result, array)
+
+
+@pytest.mark.parametrize("spoilt", ["image", "target", "weights"])
+def test_without_values_to_read_the_loss_of_invalid_pixels_is_nan(spoilt: str) -> None:
+    tensors = {"image": torch.tensor(IMAGE), "target": torch.tensor(REFERENCE), "weights": torch.ones(IMAGE.shape[1:3])}
+    tensors[spoilt].view(-1)[7] = -1.0 if spoilt == "weights" else torch.inf
+    value, gradient = LOILoss(SCALES)._settings.evaluate(**tensors, gradient=True, has_values=False)
+    assert value.isnan()
+    assert gradient is not None
+    assert gradient.isnan().all()
+    if spoilt != "weights":  # a pixel of weight 0 may hold anything
+        seen = torch.isfinite(tensors[spoilt]).all(dim=-1).all(dim=0)
+        value, gradient = LOILoss(SCALES)._settings.evaluate(
+            tensors["image"], tensors["target"], seen.float(), gradient=True, has_values=False
+        )
+        assert value.isfinite()
 
 
 @pytest.mark.filterwarnings("ignore:The .grad attribute of a Tensor that is not a leaf")  # raised by torch.compile
