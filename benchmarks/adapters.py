@@ -49,11 +49,11 @@ def torch_pair(image: Any, reference: Any, scales: ScaleSpace) -> Pair:
 
 def jax_pair(image: Any, reference: Any, scales: ScaleSpace) -> Pair:
     """The core on NumPy arrays, and the same under ``jit`` through ``grad``."""
-    array, target = jnp.asarray(image), jnp.asarray(reference)
+    array = jnp.asarray(image)
     core = LOIObjective(reference, scales)
-    through = jax.jit(jax.value_and_grad(lambda image, target: loi_jax.loi_loss(image, target, scales)))
+    through = jax.jit(jax.value_and_grad(loi_jax.loi_loss(reference, scales)))
     wait: Any = jax.block_until_ready
-    return lambda: core.value_and_grad(image), lambda: wait(through(array, target))
+    return lambda: core.value_and_grad(image), lambda: wait(through(array))
 
 
 def drjit_pair(backend: str) -> Callable[[Any, Any, ScaleSpace], Pair]:

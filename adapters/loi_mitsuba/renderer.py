@@ -196,6 +196,10 @@ class MitsubaRenderer:
         """Return the values of all parameters in the scene as it was loaded, as new float32 arrays."""
         return {name: value.copy() for name, value in self._binding.start.items()}
 
+    def set_parameters(self, params: Mapping[str, Any]) -> None:
+        """Set the parameters in the scene. Errors as of :meth:`render`."""
+        self._binding.set(self._leaves(params))
+
     def render(self, params: Mapping[str, Any], *, seed: int = 0) -> Float32Array:
         """Render the image, shape (H, W, C), float32.
 
@@ -206,7 +210,7 @@ class MitsubaRenderer:
         OptionError
             If `seed` is not allowed, or Mitsuba's variant has changed since the scene was loaded.
         """
-        self._binding.set(self._leaves(params))
+        self.set_parameters(params)
         with dr.suspend_grad():
             image = self._integrator.render(
                 self._scene, self._sensor, split_seed(seed)[0], self._spp, develop=True, evaluate=True

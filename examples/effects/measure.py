@@ -106,12 +106,11 @@ def revisions_in_a_stall(steps: int) -> int:
     """Return the number of revisions in a fit whose loss stalls from the first step."""
     schedule, revisions = Schedule(), 0
     for _ in range(steps):
-        schedule = schedule.after_gradient()
-        if schedule.is_due:
-            schedule, revisions = schedule.after_probe(), revisions + 1
-        schedule = schedule.after_step(1.0)
+        schedule = schedule.after_step(1.0).after_gradient()
         if schedule.is_stalled:
             schedule, revisions = schedule.after_stall().after_probe(), revisions + 1
+        elif schedule.is_due:
+            schedule, revisions = schedule.after_probe(), revisions + 1
     return revisions
 
 
@@ -131,13 +130,14 @@ def measure(case: Case, effort: Effort = FULL) -> Row:
     objective = LOIObjective(target, ScaleSpace.for_image(effort.height, effort.width))
     image = planned.render(start)  # with the plan by the rules, as at the start of a fit
     timings = [_time_planning(planned, objective, start, image) for _ in range(2)]
-    plan = timings[-1][0]
+    started = timings[-1][0]
+    plan = started.plan
 
     def render_with(integrator: Any, **options: Any) -> MitsubaRenderer:
         return MitsubaRenderer(scene(), case.parameters, integrator=integrator, spp=effort.samples, **options)
 
-    full = render_with(planned.everything)
-    groups = planned.groups
+    full = render_with(started.everything)
+    groups = started.groups
     draws = range(effort.draws)
     full_draws = range(effort.draws, 2 * effort.draws)
     with warnings.catch_warnings():
@@ -167,17 +167,18 @@ def measure(case: Case, effort: Effort = FULL) -> Row:
 
 def _time_planning(
     planned: PlannedRenderer, objective: LOIObjective, start: Mapping[str, Any], image: Any
-) -> tuple[EffectPlan, float, float]:
-    """Return the plan, the time of its pilot, and the time of a revision because the loss stalls."""
+) -> tuple[PlannedRenderer, float, float]:
+    """Return the renderer after its pilot, the time of the pilot, and that of a revision because the loss stalls."""
     cotangent = objective.value_and_grad(image)[1]
     begin = time.perf_counter()
-    plan = planned.begin(start, cotangent, optimise=list(start))
+    started = planned.start(start, cotangent)
     planned_at = time.perf_counter()
-    revised_at = planned_at
-    for step in range(STALL_STEPS + 1):  # only the last step causes a revision
-        revised_at = time.perf_counter()
-        planned.at_step(step, STALL_STEPS + 1, 1.0)
-    return plan, planned_at - begin, time.perf_counter() - revised_at
+    stalled = started
+    for step in range(STALL_STEPS):
+        stalled = stalled.revisit(step, STALL_STEPS + 1, 1.0)
+    revised_at = time.perf_counter()
+    stalled.revisit(STALL_STEPS, STALL_STEPS + 1, 1.0, start, cotangent)
+    return started, planned_at - begin, time.perf_counter() - revised_at
 
 
 def _fitted(case: Case, renderer: Renderer, objective: LOIObjective, effort: Effort) -> tuple[float, ...]:
@@ -185,10 +186,6 @@ def _fitted(case: Case, renderer: Renderer, objective: LOIObjective, effort: Eff
     initial = sum(float(np.sum((case.start[name] - case.truth[name]) ** 2)) for name in free)
     errors = []
     for seed in range(0, effort.fits * SEED_STRIDE, SEED_STRIDE):
-        if isinstance(renderer, PlannedRenderer):
-            start = renderer.parameters() | dict(case.start)
-            cotangent = objective.value_and_grad(renderer.render(start, seed=seed))[1]
-            renderer.begin(start, cotangent, optimise=list(free), seed=seed)
         fitted = fit(
             renderer,
             objective,

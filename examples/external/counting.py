@@ -44,21 +44,24 @@ class CountedRenderer:
     def capabilities(self) -> RendererCapabilities:
         """The capabilities of the counted renderer."""
         capabilities = capabilities_of(self._renderer)
-        with_loss, unabridged = capabilities.render_loss_vjp, capabilities.unabridged
+        with_loss = capabilities.render_loss_vjp
 
         def render_loss_vjp(params: Any, /, *, seed: int = 0) -> tuple[Any, LossPullback]:
             assert with_loss is not None
             self._tally.count(params)
             return with_loss(params, seed=seed)
 
-        def whole() -> Renderer:
-            assert unabridged is not None
-            return CountedRenderer(unabridged(), self._tally)
+        def counted(hook: Callable[..., Renderer] | None) -> Callable[..., Renderer] | None:
+            if hook is None:
+                return None
+            return lambda *arguments, **options: CountedRenderer(hook(*arguments, **options), self._tally)
 
         return replace(
             capabilities,
             render_loss_vjp=None if with_loss is None else render_loss_vjp,
-            unabridged=None if unabridged is None else whole,
+            start=counted(capabilities.start),
+            revisit=counted(capabilities.revisit),
+            unabridged=counted(capabilities.unabridged),
         )
 
     def parameters(self) -> Parameters:

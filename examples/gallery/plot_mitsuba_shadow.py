@@ -48,7 +48,7 @@ objective = LOIObjective(photograph, ScaleSpace.for_image(height, width))
 free = {name: Free(value, -2.0, 2.0) for name, value in start.items()}
 film = Film(photograph, linear=True)
 result = fit(renderer, objective, steps=50, learning_rate=0.1, optimise=free, callback=film)
-print(renderer.plan)
+print(result.plan)
 print(result.diagnosis)
 
 # %%

@@ -17,7 +17,6 @@ from loi_core.errors import SceneError, WriteError
 from loi_core.fitting.loop import check_fit_options
 from loi_core.io.lock import exclusive_use
 from loi_core.io.result_folder import CHECKPOINT_FILE, LOCK_FILE, RESULT_FILE, ResultFolder
-from loi_core.renderers.contract import capabilities_of
 from loi_core.report import RunningPage, write_page, write_results
 from loi_core.report.names import objective_label
 from loi_core.report.output import frame_writer, summary
@@ -144,10 +143,9 @@ def _explain(path: Path, *, as_json: bool) -> int:
         If the scene's renderer does not plan its effects.
     """
     scene = load_scene(path)
-    planner = capabilities_of(scene.renderer).planner
-    if planner is None:
+    plan = plan_scene(scene, next(iter(scene.objectives)))
+    if plan is None:
         msg = f"{path}: [renderer] does not plan its effects; renderers that do are named *-planned by `loi renderers`"
         raise SceneError(msg)
-    plan = plan_scene(scene, planner, next(iter(scene.objectives.values())))
     print(json.dumps(asdict(plan), indent=2) if as_json else plan)
     return DONE

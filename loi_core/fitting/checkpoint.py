@@ -261,10 +261,8 @@ def _digest(value: object) -> str:
     return f"sha256 {hashlib.sha256(json.dumps(value).encode()).hexdigest()[:12]}"
 
 
-def resume(
-    saved: Checkpoint, fresh: State, views: Views, optimiser: Optimiser, free: Iterable[str], seed: int
-) -> State:
-    """Return the saved state, with arrays of the library, dtype and device of `fresh`.
+def resume(saved: Checkpoint, fresh: State, optimiser: Optimiser, free: Iterable[str], seed: int) -> State:
+    """Return the saved state, with the views of `fresh`, and arrays of its library, dtype and device.
 
     Raises
     ------
@@ -276,7 +274,7 @@ def resume(
         require_shapes(stored, fresh.params, "parameters than this fit has")
         return {name: from_numpy(value, fresh.params[name]) for name, value in stored.items()}
 
-    params, moving = live(saved.params), list(free)
+    params, moving, views = live(saved.params), list(free), fresh.views
     memory = optimiser.restore({name: params[name] for name in moving}, saved.memory)
     for name, value in fresh.params.items():
         if name not in moving and not np.array_equal(saved.params[name], to_numpy(value)):
@@ -300,6 +298,7 @@ def resume(
     return State(
         params,
         memory,
+        views,
         numbers["step"],
         Best(best, best_value, best_step, images, stage, partial),
         saved.history,

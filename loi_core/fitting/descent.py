@@ -18,14 +18,14 @@ from loi_core.fitting.partial_result import with_partial_result
 from loi_core.fitting.rates import measured_rates, racing_factors
 from loi_core.fitting.schedule import MAIN_STUCK_FRACTION, Schedule
 from loi_core.fitting.starts import RACE_ROUNDS, ROUND_STEPS, RaceSize, Reached, race, search
-from loi_core.fitting.state import State
-from loi_core.fitting.views import View, Views, mean
+from loi_core.fitting.state import Evaluation, State
+from loi_core.fitting.views import View, mean
 from loi_core.objectives import LOIObjective
 from loi_core.pixels.nonfinite import count_non_finite
 from loi_core.renderers.contract import Parameters
 from loi_core.support.arrays import Array, detached, from_numpy, is_array_api_obj, namespace, to_numpy
 
-__all__ = ["MAX_RESTARTS", "Decay", "Descent", "Evaluation"]
+__all__ = ["MAX_RESTARTS", "Decay", "Descent"]
 
 Decay: TypeAlias = Literal["cosine", "none"]
 
@@ -38,44 +38,11 @@ MIN_IMPROVEMENT: Final = 0.9  # a restart must start below this fraction of the 
 
 
 @dataclass(frozen=True)
-class Evaluation:
-    """The value and gradient of the views of one step.
-
-    Attributes
-    ----------
-    params : dict of arrays
-    images : dict of arrays, shape (H, W, C)
-        Of the views that the step rendered.
-    latest : dict of float
-        The last value of each view in this stage.
-    gradient : dict of arrays
-        Of the mean of the rendered views, with respect to the free parameters.
-    """
-
-    params: Parameters
-    images: dict[str, Array]
-    latest: dict[str, float]
-    gradient: Parameters
-
-    @property
-    def value(self) -> float:
-        """The mean of the last values of the views."""
-        return mean(self.latest)
-
-    @property
-    def gradient_norm(self) -> float:
-        """The Euclidean norm, computed in float64, since squares may leave the range of narrower dtypes."""
-        squares = (np.square(to_numpy(slope), dtype=np.float64) for slope in self.gradient.values())
-        return math.sqrt(sum(float(np.sum(square)) for square in squares))
-
-
-@dataclass(frozen=True)
 class Descent:
     """The options of a fit, and its pure steps on a :class:`State`.
 
     Attributes
     ----------
-    views : Views
     bounds : Bounds
         Of the free parameters.
     requested_rates : dict of float, str or None
@@ -87,7 +54,6 @@ class Descent:
     seed : int
     """
 
-    views: Views
     bounds: Bounds
     requested_rates: Mapping[str, float | str | None]
     optimiser: Optimiser
@@ -98,9 +64,11 @@ class Descent:
     def step(self, state: State) -> tuple[State, Evaluation]:
         """Return the state after one more step, and the evaluation that the step started from."""
         started = time.perf_counter()
-        stage, rate = state.schedule.stage, self._rate(state.schedule, state.step)
+        with with_partial_result(state, "revisiting the renderer"):
+            state = state.revisited(self.steps)
+        stage, rate = state.schedule.stage, self._rate(state)
         evaluation = self.evaluate(state)
-        partial = len(evaluation.latest) < len(self.views.by_name)
+        partial = len(evaluation.latest) < len(state.views.by_name)
         state = state.evaluated(evaluation.value, evaluation.images, stage, partial=partial)
         params, memory = self.update(state, evaluation.gradient, rate)
         entry = FitStep(
@@ -112,19 +80,19 @@ class Descent:
             stage,
             small_parameters(evaluation.params, self.bounds.lower),
         )
-        return self.advance(state.stepped(entry, params, memory, evaluation.latest), stage), evaluation
+        return self.advance(state.stepped(entry, params, memory, evaluation), stage), evaluation
 
     def evaluate(self, state: State) -> Evaluation:
         """Return value and gradient at the parameters of a state."""
-        with with_partial_result(state, "announcing the step to the renderer"):
-            self.views.at_step(state.step, self.steps, state.log[state.step - 1].value if state.step else None)
-        names = self.views.names_at(state.step, self.seed)
+        names = state.views.names_at(state.step, self.seed)
         images: dict[str, Array] = {}
+        cotangents: dict[str, Array] = {}
         values: dict[str, float] = {}
         total: Parameters = {}
         for name in names:
             where = f" of view {name!r}" if name else ""
-            images[name], values[name], gradient = self._evaluate_view(self.views.by_name[name], state, where)
+            view = state.views.by_name[name]
+            images[name], cotangents[name], values[name], gradient = self._evaluate_view(view, state, where)
             for key, slope in gradient.items():
                 total[key] = slope if key not in total else total[key] + slope
         if len(names) > 1:
@@ -132,7 +100,8 @@ class Descent:
         for key in self.bounds.lower:
             if key not in total:  # none of these views has the parameter
                 total[key] = namespace(state.params[key]).zeros_like(state.params[key])
-        return Evaluation(state.params, images, {**state.latest, **values}, total)
+        latest = {**state.latest, **values}
+        return Evaluation(state.params, images, cotangents, latest, total, self.seed + state.step)
 
     def update(self, state: State, gradient: Parameters, rate: float) -> tuple[Parameters, Memory]:
         """Return the parameters after a step of the optimiser, legal and within their bounds, and its memory."""
@@ -144,7 +113,7 @@ class Descent:
 
     def advance(self, state: State, stage: int) -> State:
         """Return the state after the changes of stage that a step of `stage` causes: a restart, or other rates."""
-        main_stage, was_stuck = self.views.main_stage, state.schedule.stuck
+        main_stage, was_stuck = state.views.main_stage, state.schedule.stuck
         if was_stuck:
             state = self._restarted(state)
         schedule = state.schedule
@@ -152,7 +121,7 @@ class Descent:
             state = self._at_best(state, stage)
         if stage < main_stage == schedule.stage and not was_stuck:
             return replace(state, rates=self._higher_rates(state, "measuring rates anew"))
-        if self.views.polishes and stage == main_stage < schedule.stage:
+        if state.views.polishes and stage == main_stage < schedule.stage:
             # A descent of its own: gradients of pixels have another size, which Adam would take 1000 steps to learn.
             memory = self._memory_at(state.params)
             rates = self._higher_rates(state, "measuring rates for the last stage")
@@ -164,14 +133,14 @@ class Descent:
 
         All are compared by the last loss, which a short fit may never have used.
         """
-        stage = self.views.stages - 1
+        stage = state.views.stages - 1
         with with_partial_result(state, "measuring the last step"):
             try:
-                images = self.views.render(state.params, self.seed + state.step)
-                value = mean(self.views.values(images, stage))
-                if state.best is not None and not (self.views.all_at_once and state.best.stage == stage):
-                    best_images = self.views.render(state.best.params, self.seed + state.best.step)
-                    best_value = mean(self.views.values(best_images, stage))
+                images = state.views.render(state.params, self.seed + state.step)
+                value = mean(state.views.values(images, stage))
+                if state.best is not None and not (state.views.all_at_once and state.best.stage == stage):
+                    best_images = state.views.render(state.best.params, self.seed + state.best.step)
+                    best_value = mean(state.views.values(best_images, stage))
                     best = replace(state.best, value=best_value, images=best_images, stage=stage, partial=False)
                     state = replace(state, best=best)
             except LoiError:
@@ -179,31 +148,32 @@ class Descent:
             if math.isfinite(value):
                 state = state.evaluated(value, images, stage)
             if stage > 0:
-                first = self.views.render(start, self.seed)
+                first = state.views.render(start, self.seed)
                 at_start = replace(state, params=start, step=0)
-                at_start = at_start.evaluated(mean(self.views.values(first, stage)), first, stage)
+                at_start = at_start.evaluated(mean(state.views.values(first, stage)), first, stage)
                 state = replace(state, best=at_start.best)
         return state
 
     def noise_floor(self, state: State) -> float:
         """Return the main loss at or below which the main stage is not stuck: a fraction of its value, and noise."""
         with with_partial_result(state, "measuring the start"):
-            images, stage = self.views.render(state.params, self.seed), self.views.main_stage
-            value = mean(self.views.values(images, stage))
+            images, stage = state.views.render(state.params, self.seed), state.views.main_stage
+            value = mean(state.views.values(images, stage))
             noise = {}
-            for name, image in self.views.render(state.params, self.seed + 1).items():
-                objective = self.views.by_name[name].objectives[stage]
+            for name, image in state.views.render(state.params, self.seed + 1).items():
+                objective = state.views.by_name[name].objectives[stage]
                 if isinstance(objective, LOIObjective) and not np.array_equal(to_numpy(image), to_numpy(images[name])):
                     noise[name] = float(detached(objective.with_reference(image).value(images[name])))
                 else:
                     noise[name] = 0.0
             return MAIN_STUCK_FRACTION * value + mean(noise)
 
-    def _rate(self, schedule: Schedule, step: int) -> float:
+    def _rate(self, state: State) -> float:
         if self.decay == "none" or self.steps == 1:
             return 1.0
-        passed = schedule.passed if self.views.polishes else schedule.main_passed
-        passed = step / (self.steps - 1) if schedule.stages == 1 else passed
+        schedule = state.schedule
+        passed = schedule.passed if state.views.polishes else schedule.main_passed
+        passed = state.step / (self.steps - 1) if schedule.stages == 1 else passed
         return FINAL_RATE + (1.0 - FINAL_RATE) * 0.5 * (1.0 + math.cos(math.pi * passed))
 
     def _restarted(self, state: State) -> State:
@@ -221,7 +191,7 @@ class Descent:
             best = None if local else min(draws, key=lambda entry: entry[0], default=None)
             if best is None:
                 best = search(
-                    lambda point: self.views.value(point, stage, seed), state.params, self.bounds, attempt, local=local
+                    lambda point: state.views.value(point, stage, seed), state.params, self.bounds, attempt, local=local
                 )
         if best is None or not best[0] < MIN_IMPROVEMENT * schedule.level:
             params = state.params if local or state.best is None else state.best.params
@@ -250,15 +220,15 @@ class Descent:
 
         The loss of this stage at the points, and the points, are appended to `draws`.
         """
-        main, stage, seed = self.views.main_stage, state.schedule.stage, self.seed + state.step
+        main, stage, seed = state.views.main_stage, state.schedule.stage, self.seed + state.step
         steps = RACE_ROUNDS * ROUND_STEPS
-        short = replace(self, views=self.views.at_stage(main), decay="none", steps=steps)
+        short, views = replace(self, decay="none", steps=steps), state.views.at_stage(main)
         factors = racing_factors(self.requested_rates, self.steps)
         high_rates = {name: factors[name] * rate for name, rate in state.rates.items()}
 
         def descend(start: Parameters, *, fast: bool) -> Iterator[Reached]:
             rates = high_rates if fast else state.rates
-            racer = State(start, self._memory_at(start), rates=rates, schedule=Schedule(1, steps))
+            racer = State(start, self._memory_at(start), views, rates=rates, schedule=Schedule(1, steps))
             lowest: Evaluation | None = None
             while racer.step < steps:
                 racer, evaluation = short.step(racer)
@@ -270,11 +240,11 @@ class Descent:
                     yield Reached(lowest.value, lowest.params, racer.rates)
 
         def evaluate(point: Parameters) -> float:
-            images = self.views.render(point, seed)
-            value = mean(self.views.values(images, stage))
+            images = state.views.render(point, seed)
+            value = mean(state.views.values(images, stage))
             if math.isfinite(value):
                 draws.append((value, point))
-            return mean(self.views.values(images, main))
+            return mean(state.views.values(images, main))
 
         start = {name: from_numpy(value, state.params[name]) for name, value in state.log[0].params.items()}
         return race(evaluate, descend, state.params, self.bounds, RaceSize.of(self.steps), [state.params | start])
@@ -301,11 +271,11 @@ class Descent:
     def _rates_at(self, state: State, action: str) -> dict[str, float]:
         with with_partial_result(state, action):
             return measured_rates(
-                self.views, state.params, self.bounds, self.requested_rates, self.steps, self.seed + state.step
+                state.views, state.params, self.bounds, self.requested_rates, self.steps, self.seed + state.step
             )
 
-    def _evaluate_view(self, view: View, state: State, where: str) -> tuple[Array, float, Parameters]:
-        """Return image, value and gradient with respect to the free parameters, checked for shape and finiteness."""
+    def _evaluate_view(self, view: View, state: State, where: str) -> tuple[Array, Array, float, Parameters]:
+        """Return image, cotangent, value and gradient by the free parameters, checked for shape and finiteness."""
         with with_partial_result(state, f"rendering{where}"):
             image, pullback = view.render_vjp(state.params, seed=self.seed + state.step)
         with with_partial_result(state, f"the objective{where}"):
@@ -324,7 +294,7 @@ class Descent:
             if count:
                 msg = f"step {state.step}: the gradient of {name!r} has {count} non-finite values; see `result`"
                 raise FitDivergedError(msg, state.result())
-        return image, number, gradient
+        return image, cotangent, number, gradient
 
     def _legal(self, moved: Parameters, state: State) -> Parameters:
         """Return the free parameters projected by the renderer and within their bounds; the others as they were.
@@ -333,7 +303,7 @@ class Descent:
         """
         moved = self.bounds.clip(moved)
         with with_partial_result(state, "the projection"):
-            legal = self.views.project(moved)
+            legal = state.views.project(moved)
             if legal is None:
                 return moved
             free = {name: _like("value", "projection", name, legal, moved[name]) for name in self.bounds.lower}

@@ -189,21 +189,24 @@ def fit(
     }
     identity = optimiser.identity({name: params[name] for name in free})
     settings = settings_of(steps, seed, decay, named_rates(requested), free, starts, bounds, views, identity)
-    descent = Descent(views, bounds, requested, optimiser, decay, steps, seed)
+    descent = Descent(bounds, requested, optimiser, decay, steps, seed)
     # The state is only ever replaced as a whole, so that Ctrl-C falls before a step or after it, never within.
-    state = called = _initial_state(descent, params, dict.fromkeys(free, 1.0))
+    state = called = _initial_state(descent, views, params, dict.fromkeys(free, 1.0))
     try:
         if file is not None:
             file.acquire(resume=resume)
         saved = file.load(settings) if file is not None and resume else None
+        with with_partial_result(state, "starting the renderer"):
+            views = views.started(params, free, seed)
+        state = called = replace(state, views=views)
         if saved is not None:
-            state = called = resume_state(saved, state, views, optimiser, free, seed)
+            state = called = resume_state(saved, state, optimiser, free, seed)
             if isinstance(callback, RememberingCallback):
                 callback.restore(saved.callback)
         else:
             if starts > 1:
                 best_start, agreeing = successive_halving(
-                    params, bounds, starts, views.main_stage + 1, steps, _round_of(descent)
+                    params, bounds, starts, views.main_stage + 1, steps, _round_of(descent, views)
                 )
                 state = replace(state, params=best_start, agreeing=agreeing)
             state = replace(state, rates=measured_rates(views, state.params, bounds, requested, steps, seed))
@@ -229,6 +232,7 @@ def fit(
         if result is None:  # pragma: no cover - steps >= 1 has evaluated at least one value
             msg = "the fit has no value"
             raise FitError(msg)
+        views = state.views
         exposures = exposures_of(views, result.image)
         exposure = ungrouped(exposures) if len(exposures) == len(views.by_name) else None
         result = replace(result, psnr=psnr_of(views, result.image), exposure=exposure)
@@ -255,25 +259,25 @@ def _copies(params: Parameters, images: Mapping[str, Images]) -> tuple[Parameter
     return {name: copied(value) for name, value in params.items()}, ungrouped(copies)
 
 
-def _initial_state(descent: Descent, params: Parameters, rates: Mapping[str, float]) -> State:
+def _initial_state(descent: Descent, views: Views, params: Parameters, rates: Mapping[str, float]) -> State:
     memory = descent.optimiser.start({name: params[name] for name in descent.bounds.lower})
-    views = descent.views
-    return State(params, memory, rates=rates, schedule=Schedule(views.stages, descent.steps, finishes=views.finishes))
+    schedule = Schedule(views.stages, descent.steps, finishes=views.finishes)
+    return State(params, memory, views, rates=rates, schedule=schedule)
 
 
-def _round_of(descent: Descent) -> RunRound:
+def _round_of(descent: Descent, views: Views) -> RunRound:
     """Return the function that fits one candidate of successive halving for some steps of one stage."""
 
     def run(start: Parameters, stage: int, steps: int) -> tuple[float, Parameters]:
-        short = replace(descent, views=descent.views.at_stage(stage), decay="none")  # early in the fit, not a whole fit
-        rates = measured_rates(short.views, start, descent.bounds, descent.requested_rates, steps, descent.seed)
-        state = _initial_state(short, start, rates)
+        short, at_stage = replace(descent, decay="none"), views.at_stage(stage)  # early in the fit, not a whole fit
+        rates = measured_rates(at_stage, start, descent.bounds, descent.requested_rates, steps, descent.seed)
+        state = _initial_state(short, at_stage, start, rates)
         while state.step < steps:
             state, _ = short.step(state)
         best = short.finished(state, start).best
         if best is None:  # pragma: no cover - a step has evaluated at least one value
             return math.inf, start
-        return descent.views.value(best.params, descent.views.main_stage, descent.seed + best.step), best.params
+        return views.value(best.params, views.main_stage, descent.seed + best.step), best.params
 
     return run
 

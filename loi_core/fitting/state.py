@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any
+
+import numpy as np
 
 from loi_core.fitting.history import FitStep
 from loi_core.fitting.notebook import result_html
 from loi_core.fitting.optimiser import Memory
 from loi_core.fitting.schedule import Schedule
 from loi_core.fitting.verdict import Diagnosis
-from loi_core.fitting.views import Images, ungrouped
+from loi_core.fitting.views import Images, Views, mean, ungrouped
 from loi_core.renderers.contract import Parameters
-from loi_core.support.arrays import Array
+from loi_core.support.arrays import Array, to_numpy
 
-__all__ = ["Best", "FitResult", "State"]
+__all__ = ["Best", "Evaluation", "FitResult", "State"]
 
 
 @dataclass(frozen=True, repr=False)
@@ -47,6 +50,8 @@ class FitResult:
     exposure : LinearExposure, or dict of LinearExposure, optional
         Gain and offset of each channel, shape (C,), by which the reference differs from `image`; a dict by the names of
         several views; None as for `psnr`.
+    plan : EffectPlan, or dict of EffectPlan, optional
+        The last plan of a renderer that plans its effects; a dict by the names of several views; None without any.
     """
 
     params: Parameters
@@ -60,6 +65,7 @@ class FitResult:
     agreeing: int | None = None
     psnr: float | None = None
     exposure: Any = None
+    plan: Any = None
 
     def __repr__(self) -> str:
         verdict = "cut short" if self.diagnosis is None else self.diagnosis.verdict
@@ -92,6 +98,41 @@ class Best:
 
 
 @dataclass(frozen=True)
+class Evaluation:
+    """The value and gradient of the views of one step.
+
+    Attributes
+    ----------
+    params : dict of arrays
+    images, cotangents : dict of arrays, shape (H, W, C)
+        Of the views that the step rendered: the image, and the gradient of the loss with respect to it.
+    latest : dict of float
+        The last value of each view in this stage.
+    gradient : dict of arrays
+        Of the mean of the rendered views, with respect to the free parameters.
+    seed : int
+    """
+
+    params: Parameters
+    images: dict[str, Array]
+    cotangents: dict[str, Array]
+    latest: dict[str, float]
+    gradient: Parameters
+    seed: int
+
+    @property
+    def value(self) -> float:
+        """The mean of the last values of the views."""
+        return mean(self.latest)
+
+    @property
+    def gradient_norm(self) -> float:
+        """The Euclidean norm, computed in float64, since squares may leave the range of narrower dtypes."""
+        squares = (np.square(to_numpy(slope), dtype=np.float64) for slope in self.gradient.values())
+        return math.sqrt(sum(float(np.sum(square)) for square in squares))
+
+
+@dataclass(frozen=True)
 class State:
     """The whole state of a fit. A fit moves from one state to the next in a single assignment.
 
@@ -101,6 +142,8 @@ class State:
         After `step` steps.
     memory : dict of arrays
         Of the optimiser, after `step` steps.
+    views : Views
+        The views, with the renderers of the previous step.
     step : int
         Number of steps taken.
     best : Best or None
@@ -115,10 +158,13 @@ class State:
         The last value of each view in this stage.
     agreeing : int, optional
         Of several starts, how many finalists ended where the best did.
+    last : Evaluation, optional
+        Of the previous step; None before the first step and after a resumption.
     """
 
     params: Parameters
     memory: Memory
+    views: Views
     step: int = 0
     best: Best | None = None
     log: list[FitStep] = field(default_factory=list)
@@ -126,6 +172,7 @@ class State:
     schedule: Schedule = field(default_factory=lambda: Schedule(1, 1))
     latest: Mapping[str, float] = field(default_factory=dict)
     agreeing: int | None = None
+    last: Evaluation | None = None
 
     @property
     def history(self) -> list[FitStep]:
@@ -142,21 +189,38 @@ class State:
             return self
         return replace(self, best=Best(self.params, value, self.step, images, stage, partial))
 
-    def stepped(self, entry: FitStep, params: Parameters, memory: Memory, latest: Mapping[str, float]) -> State:
+    def revisited(self, steps: int) -> State:
+        """Return the state with the renderers of the next of `steps` steps."""
+        value = self.log[self.step - 1].value if self.step else None
+        params, cotangents, seed = (
+            (self.params, {}, 0) if self.last is None else (self.last.params, self.last.cotangents, self.last.seed)
+        )
+        views = self.views.revisited(self.step, steps, value, params, cotangents, seed)
+        return replace(self, views=views)
+
+    def stepped(self, entry: FitStep, params: Parameters, memory: Memory, evaluation: Evaluation) -> State:
         """Return the state after one more step."""
         self.log[self.step :] = [entry]  # beyond the history of this state and of all earlier ones
         schedule = self.schedule.after(entry.value)
-        latest = latest if schedule.stage == self.schedule.stage else {}
-        return replace(self, params=params, memory=memory, step=self.step + 1, schedule=schedule, latest=latest)
+        return replace(
+            self,
+            params=params,
+            memory=memory,
+            step=self.step + 1,
+            schedule=schedule,
+            latest=evaluation.latest if schedule.stage == self.schedule.stage else {},
+            last=evaluation,
+        )
 
     def result(self) -> FitResult | None:
         """Return the result so far; None before the first value."""
         if self.best is None:
             return None
         best = self.best
-        image = ungrouped(best.images)
+        image, plans = ungrouped(best.images), self.views.plans()
         return FitResult(
             *(self.params, best.params, best.value, best.step, image, self.history),
             rates=self.rates,
             agreeing=self.agreeing,
+            plan=ungrouped(plans) if plans else None,
         )

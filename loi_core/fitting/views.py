@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, TypeAlias
 
 import numpy as np
 
-from loi_core.errors import OptionError
+from loi_core.effects import EffectPlan
+from loi_core.errors import OptionError, RendererError
 from loi_core.fitting.parameters import SharedParameters, own_parameters
 from loi_core.fitting.stages import StagedObjectives, staged_objectives
 from loi_core.method.scales import ScaleSpace
@@ -226,13 +227,53 @@ class Views:
             indices = order[position % len(names) :][: self.at_once]
         return tuple(names[index] for index in indices)
 
-    def at_step(self, step: int, steps: int, value: float | None) -> None:
-        """Announce a step to the renderers that depend on it, once to each renderer."""
-        renderers = {id(view.renderer): view.renderer for view in self.by_name.values()}
-        for renderer in renderers.values():
-            at_step = capabilities_of(renderer).at_step
-            if at_step is not None:
-                at_step(step, steps, value)
+    def started(self, params: Parameters, free: Iterable[str], seed: int) -> Views:
+        """Return the views with renderers that are prepared for a fit of the `free` parameters from `params`."""
+        names = tuple(free)
+
+        def started(_: str, view: View) -> Renderer:
+            start, optimise = capabilities_of(view.renderer).start, [name for name in names if name in view.names]
+            if start is None or not optimise:
+                return view.renderer
+            cotangent = view.objectives[0].value_and_grad(view.render(params, seed=seed))[1]
+            return _renderer("start", view, start(view.select(params), cotangent, optimise=optimise, seed=seed))
+
+        return self._with_renderers(started, list(self.by_name))
+
+    def revisited(
+        self,
+        step: int,
+        steps: int,
+        value: float | None,
+        params: Parameters,
+        cotangents: Mapping[str, Array],
+        seed: int,
+    ) -> Views:
+        """Return the views with the renderers of `step`, given the previous step's value and the views it rendered."""
+
+        def revisited(name: str, view: View) -> Renderer:
+            revisit, cotangent = capabilities_of(view.renderer).revisit, cotangents.get(name)
+            if revisit is None:
+                return view.renderer
+            at = None if cotangent is None else view.select(params)
+            return _renderer("revisit", view, revisit(step, steps, value, at, cotangent, seed=seed))
+
+        return self._with_renderers(revisited, [*cotangents, *self.by_name])
+
+    def _with_renderers(self, change: Callable[[str, View], Renderer], order: Sequence[str]) -> Views:
+        """Return the views with changed renderers; a renderer of several views is changed once, in the first."""
+        changed: dict[int, Renderer] = {}
+        for name in order:
+            view = self.by_name[name]
+            if id(view.renderer) not in changed:
+                changed[id(view.renderer)] = change(name, view)
+        views = {name: replace(view, renderer=changed[id(view.renderer)]) for name, view in self.by_name.items()}
+        return replace(self, by_name=views)
+
+    def plans(self) -> dict[str, EffectPlan]:
+        """Return the plans of the renderers that plan their effects, by view."""
+        planners = {name: capabilities_of(view.renderer).planner for name, view in self.by_name.items()}
+        return {name: planner.plan for name, planner in planners.items() if planner is not None}
 
     def render(self, params: Parameters, seed: int) -> dict[str, Array]:
         """Return the images of all views."""
@@ -268,6 +309,14 @@ def _aligned(staged: StagedObjectives, far_stages: int, *, finishes: bool) -> tu
     missing = far[:1] * (far_stages - len(staged.far))
     finish = (staged.main if staged.finish is None else staged.finish,)
     return missing + far + (finish if finishes else ())
+
+
+def _renderer(hook: str, view: View, result: object) -> Renderer:
+    """Return the renderer that a hook has returned, checked."""
+    if isinstance(result, Renderer):
+        return result
+    msg = f"`{hook}` of {type(view.renderer).__name__} must return a renderer, got {shown(result)}"
+    raise RendererError(msg)
 
 
 def mean(values: Mapping[str, float]) -> float:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from copy import copy
 from dataclasses import replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import product
 from typing import Any, Final, Literal, TypeAlias, get_args
 
@@ -79,7 +80,7 @@ class BlurredRenderer:
     without noise. The second has less variance and a longer range: the slope at the sharp image carries no information
     about a bright object that moves by more than its size. "both" is the mean. A :func:`loi_core.fit` passes its loss;
     in your own loop, pass ``(objective.value, cotangent)`` to the pullback of :meth:`render_loss_vjp`. In your own loop
-    `sigma` is constant unless you call `at_step`.
+    `sigma` is constant unless you call :meth:`revisit`.
 
     The offsets of pairs, up to as many as there are scalars, are orthogonal to each other, and each is Gaussian: pairs
     along similar directions are redundant.
@@ -135,7 +136,7 @@ class BlurredRenderer:
         self._pairs = int(pairs)
         count = sum(math.prod(start[name].shape) for name in self.names)
         self._together = count > 1 if together is None else together
-        self._units: dict[str, float] | None = None
+        self._units = _Units(renderer, self.names)
         self._progress = 0.0
 
     @property
@@ -154,18 +155,45 @@ class BlurredRenderer:
         wrapped = capabilities_of(self.renderer)
         return replace(
             wrapped,
-            at_step=self.at_step,
+            start=None if wrapped.start is None else self.start,
+            revisit=self.revisit,
             render_loss_vjp=self.render_loss_vjp,
             unabridged=wrapped.unabridged or (lambda: self.renderer),
             planner=None,
         )
 
-    def at_step(self, step: int, steps: int, value: float | None) -> None:
-        """Set `sigma` to its value at `step` of `steps`; :func:`loi_core.fit` calls this before every step."""
-        self._progress = min(step / max(steps - 1, 1), 1.0)
-        wrapped = capabilities_of(self.renderer).at_step
-        if wrapped is not None:
-            wrapped(step, steps, value)
+    def with_renderer(self, renderer: Renderer) -> BlurredRenderer:
+        """Return the same blur, with the sigmas of this step, of another renderer of the same scene and parameters."""
+        changed = copy(self)
+        changed.renderer = renderer
+        return changed
+
+    def start(self, params: Parameters, cotangent: Array, *, optimise: Iterable[str], seed: int = 0) -> BlurredRenderer:
+        """Return this blur of a renderer that is started for the parameters that are not blurred."""
+        start, names = capabilities_of(self.renderer).start, [name for name in optimise if name not in self.names]
+        if start is None or not names:
+            return self
+        return self.with_renderer(start(params, cotangent, optimise=names, seed=seed))
+
+    def revisit(
+        self,
+        step: int,
+        steps: int,
+        value: float | None = None,
+        params: Parameters | None = None,
+        cotangent: Array | None = None,
+        *,
+        seed: int = 0,
+    ) -> BlurredRenderer:
+        """Return the renderer of `step` of `steps`, with its `sigma`; :func:`loi_core.fit` calls this before each step.
+
+        The other arguments belong to the previous step and are forwarded; see :class:`RendererCapabilities`.
+        """
+        wrapped = capabilities_of(self.renderer).revisit
+        renderer = self.renderer if wrapped is None else wrapped(step, steps, value, params, cotangent, seed=seed)
+        changed = self.with_renderer(renderer)
+        changed._progress = min(step / max(steps - 1, 1), 1.0)
+        return changed
 
     def parameters(self) -> Parameters:
         """Return the parameters of the wrapped renderer."""
@@ -204,13 +232,10 @@ class BlurredRenderer:
         return self._draw_gradient(dict(params), self.sigma, self._loss_difference(loss, cotangent), seed)
 
     def _in_parameter_units(self, option: str, widths: Mapping[str, Width]) -> dict[str, float]:
-        """Return standard deviations in the units of their parameters; pixels are converted by units measured once."""
-        in_pixels = [name for name, width in widths.items() if isinstance(width, str)]
-        if in_pixels and self._units is None:
-            self._units, _ = measure_units([self.renderer], self.parameters(), None, self.names)
-        units, converted = self._units or {}, {}
+        """Return standard deviations in the units of their parameters; pixels are converted by measured units."""
+        converted = {}
         for name, width in widths.items():
-            converted[name] = pixels_of(width) * units[name] if isinstance(width, str) else width
+            converted[name] = pixels_of(width) * self._units.measured[name] if isinstance(width, str) else width
             if not math.isfinite(converted[name]):
                 msg = (
                     f"`{option}` of {name!r} is in pixels, but the image does not change with the parameter; "
@@ -276,6 +301,19 @@ class BlurredRenderer:
                 moved[name] = params[name] + from_numpy(sign * sigma[name] * offset, params[name])
             images.append(self.renderer.render(moved if project is None else project(moved), seed=seed))
         return difference(images[0], images[1])
+
+
+class _Units:
+    """The units of parameters for a motion of one pixel, measured when they are first needed."""
+
+    def __init__(self, renderer: Renderer, names: Sequence[str]) -> None:
+        self._renderer = renderer
+        self._names = names
+
+    @cached_property
+    def measured(self) -> dict[str, float]:
+        """The unit of each parameter."""
+        return measure_units([self._renderer], self._renderer.parameters(), None, self._names)[0]
 
 
 def _orthogonal_offsets(

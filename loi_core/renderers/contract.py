@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Any, Protocol, TypeAlias, runtime_checkable
 
@@ -42,8 +42,8 @@ class Renderer(Protocol):
 
     Every automatic differentiation system can provide it. Arrays may come from any array library, the same for
     parameters and image. Neither method may change the parameters it is given, and the same parameters and seed
-    must give the same image. A renderer that offers more lists it in an attribute ``capabilities``, see
-    :class:`RendererCapabilities`.
+    must give the same image and the same pullback, whatever was called before. A renderer that offers more lists it in
+    an attribute ``capabilities``, see :class:`RendererCapabilities`.
     """
 
     def parameters(self) -> Parameters:
@@ -60,8 +60,14 @@ class _Project(Protocol):
     def __call__(self, params: Any, /) -> Parameters: ...
 
 
-class _AtStep(Protocol):
-    def __call__(self, step: int, steps: int, value: float | None, /) -> None: ...
+class _Start(Protocol):
+    def __call__(self, params: Any, cotangent: Any, /, *, optimise: Iterable[str], seed: int = 0) -> Renderer: ...
+
+
+class _Revisit(Protocol):
+    def __call__(
+        self, step: int, steps: int, value: float | None, params: Any, cotangent: Any, /, *, seed: int = 0
+    ) -> Renderer: ...
 
 
 class _RenderLossVjp(Protocol):
@@ -73,16 +79,22 @@ class RendererCapabilities:
     """Optional capabilities of a renderer beyond :class:`Renderer`; None for a missing capability.
 
     A renderer returns the record from an attribute or property ``capabilities``. A wrapper forwards the record of the
-    wrapped renderer with ``dataclasses.replace``.
+    wrapped renderer with ``dataclasses.replace``, and wraps the renderers that `start` and `revisit` return.
 
     Attributes
     ----------
     project : callable, optional
         ``project(params)`` returns the legal parameters nearest to `params`, which it does not change. A fit calls it
         after every step.
-    at_step : callable, optional
-        ``at_step(step, steps, value)`` announces that the next gradients belong to `step`, counted from 0, of `steps`.
-        `value` is the loss of the previous step; None before the first step and where a fit restarts elsewhere.
+    start : callable, optional
+        ``start(params, cotangent, *, optimise, seed)`` returns a renderer of the same scene that is prepared for a fit
+        of the parameters named in `optimise`, which starts at `params`, where the loss has the gradient `cotangent`
+        with respect to the image. A fit calls it once.
+    revisit : callable, optional
+        ``revisit(step, steps, value, params, cotangent, *, seed)`` returns the renderer of `step`, counted from 0, of
+        `steps`. The other arguments belong to the previous step: its loss, None before the first step and where a fit
+        restarts elsewhere; and its parameters, cotangent and seed, None if this renderer was not part of that step. A
+        fit calls it before every step.
     render_loss_vjp : callable, optional
         ``render_loss_vjp(params, *, seed)`` returns the image and a ``LossPullback``, which may evaluate the loss
         at other images. A fit calls it instead of ``render_vjp``.
@@ -93,11 +105,12 @@ class RendererCapabilities:
         Encoding of the images: "linear" for radiance, "sRGB" for display values. Targets of scene files are converted
         to it.
     planner : EffectPlanner, optional
-        Plans the simulated effects of light transport. Scene files call it before a fit and for ``--explain``.
+        The plan of the simulated effects of light transport, which ``loi fit --explain`` prints.
     """
 
     project: _Project | None = None
-    at_step: _AtStep | None = None
+    start: _Start | None = None
+    revisit: _Revisit | None = None
     render_loss_vjp: _RenderLossVjp | None = None
     unabridged: Callable[[], Renderer] | None = None
     encoding: Encoding | None = None

@@ -7,12 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from loi_core.effects import EffectPlan, EffectPlanner
+from loi_core.effects import EffectPlan
 from loi_core.errors import FitError, SceneError, WriteError
 from loi_core.fitting.loop import FitInterruptedError, FitResult, fit
 from loi_core.fitting.parameters import starting_parameters
-from loi_core.fitting.views import Images
-from loi_core.objectives.base import Objective
+from loi_core.fitting.views import Images, by_view
 from loi_core.renderers.contract import Parameters, capabilities_of
 from loi_core.scenes.recorder import FrameWriter, Progress, Recorder, Trial, Watch, scene_psnr
 from loi_core.scenes.scene import Scene
@@ -96,7 +95,6 @@ def run_scene(
         trials.append(trial)
         started = time.perf_counter()
         try:
-            trial.plan = _plan_views(scene, start, name)
             if is_first:
                 trial.effects = _effect_images(scene, start, name)
             trial.result = fit(
@@ -128,25 +126,26 @@ def run_scene(
             break
         finally:
             trial.elapsed = time.perf_counter() - started
-            planner = capabilities_of(scene.renderer).planner
-            if planner is not None:
-                trial.plan = planner.plan
             if trial.result is not None:
+                trial.plan = next(iter(by_view(trial.result.plan).values()))
                 trial.result = replace(trial.result, image=_images_of_all_views(scene, trial.result, start))
     return trials
 
 
-def plan_scene(scene: Scene, planner: EffectPlanner, objective: Objective) -> EffectPlan:
-    """Plan the effects of a scene's fit with one of its objectives.
+def plan_scene(scene: Scene, objective: str) -> EffectPlan | None:
+    """Return the plan with which the fit of a scene's first view starts; None if its renderer plans nothing.
 
     Raises
     ------
     LoiError
         If the renderer or the objective rejects the initial parameters.
     """
-    start = Start.of(scene)
-    image = next(iter(start.images.values()))
-    return _plan(scene, scene.first_view.parameters(start.params, scene.optimise), planner, objective, image)
+    start = capabilities_of(scene.renderer).start
+    if start is None:
+        return None
+    params, cotangent, optimise = _first_gradient(scene, Start.of(scene), objective)
+    planner = capabilities_of(start(params, cotangent, optimise=optimise, seed=scene.fit.seed)).planner
+    return None if planner is None else planner.plan
 
 
 def _images_of_all_views(scene: Scene, result: FitResult, start: Start) -> Images:
@@ -164,30 +163,19 @@ def _images_of_all_views(scene: Scene, result: FitResult, start: Start) -> Image
     return images
 
 
-def _plan(scene: Scene, params: Parameters, planner: EffectPlanner, objective: Objective, image: Array) -> EffectPlan:
-    cotangent = objective.value_and_grad(image)[1]
-    optimised = [name for name in scene.optimise if name in params]
-    return planner.begin(params, cotangent, optimise=optimised, seed=scene.fit.seed)
-
-
-def _plan_views(scene: Scene, start: Start, objective: str) -> EffectPlan | None:
-    """Plan the effects of every view with a planner; return the first plan."""
-    plans = []
-    for name, view in scene.views.items():
-        planner = capabilities_of(view.renderer).planner
-        if planner is not None:
-            params = view.parameters(start.params, scene.optimise)
-            plans.append(_plan(scene, params, planner, view.objectives[objective], start.images[name]))
-    return plans[0] if plans else None
+def _first_gradient(scene: Scene, start: Start, objective: str) -> tuple[Parameters, Array, list[str]]:
+    """Return the parameters of the first view, the gradient of the loss there, and the names of the free parameters."""
+    name, view = next(iter(scene.views.items()))
+    params = view.parameters(start.params, scene.optimise)
+    cotangent = view.objectives[objective].value_and_grad(start.images[name])[1]
+    return params, cotangent, [free for free in scene.optimise if free in params]
 
 
 def _effect_images(scene: Scene, start: Start, objective: str) -> dict[str, Host]:
     """Return the change of the first view's image through each effect; empty without a planner."""
-    name, view = next(iter(scene.views.items()))
-    planner = capabilities_of(view.renderer).planner
+    planner = capabilities_of(scene.renderer).planner
     if planner is None:
         return {}
-    cotangent = view.objectives[objective].value_and_grad(start.images[name])[1]
-    params = view.parameters(start.params, scene.optimise)
-    images = planner.effect_images(params, cotangent, seed=scene.fit.seed)
+    params, cotangent, optimise = _first_gradient(scene, start, objective)
+    images = planner.effect_images(params, cotangent, optimise=optimise, seed=scene.fit.seed)
     return {effect: to_numpy(image) for effect, image in images.items()}

@@ -162,6 +162,21 @@ def _check_no_memory(check: _Check, subject: RendererSubject) -> None:
         check.fail(f"after a render of other parameters, the image at the first ones is off by up to {worst:.3g}")
 
 
+def _check_no_state(check: _Check, subject: RendererSubject) -> None:
+    renderer, params = subject.renderer, subject.renderer.parameters()
+    image = to_numpy(renderer.render(params, seed=subject.seed)).copy()
+    _, vjp_image, pullback = _rendered(subject)
+    cotangent = _cotangent(vjp_image, subject.seed)
+    first = {name: to_numpy(value).copy() for name, value in pullback(cotangent).items()}
+    _, _, pullback = _rendered(subject)
+    second = pullback(cotangent)
+    repeated = to_numpy(renderer.render(params, seed=subject.seed))
+    if not arrays_equal(image, repeated):
+        worst = float(np.abs(image - repeated).max())
+        check.fail(f"after a pullback, the image at the same parameters is off by up to {worst:.3g}")
+    _expect_same(check, second, first, "after a pullback, another one at the same parameters")
+
+
 def _check_no_mutation(check: _Check, subject: RendererSubject) -> None:
     renderer, params = subject.renderer, subject.renderer.parameters()
     params_copy = {name: to_numpy(value).copy() for name, value in params.items()}
@@ -354,6 +369,7 @@ RENDERER_CHECKS: Final[tuple[_Check, ...]] = (
     Check("image", "render and render_vjp return the same finite image (H, W, C)", _check_image),
     Check("determinism", "the same parameters and seed give the same image", _check_determinism),
     Check("no_memory", "an image depends on its parameters, not on earlier calls", _check_no_memory),
+    Check("no_state", "a pullback changes neither later images nor later gradients", _check_no_state),
     Check("no_mutation", "arguments and results are never written to", _check_no_mutation),
     Check("gradient", "a pullback returns cotangents of the parameters' shapes, dtypes and library", _check_gradient),
     Check("linearity", "a pullback is linear and can be called again", _check_linearity),

@@ -11,7 +11,8 @@ import pytest
 from loi_core import Free, LOIObjective, PixelL2, RendererCapabilities, fit
 from loi_core.errors import FitError
 from loi_core.fitting.loop import FitInterruptedError, FitStep
-from loi_core.fitting.state import State
+from loi_core.fitting.state import Evaluation, State
+from loi_core.fitting.views import Views
 from loi_core.renderers import Disks
 from tests.fitting.fits import REFERENCE, SCALES, SCENE, START, TARGET, Bowl, run
 from tests.frameworks import array_api_strict, jnp, torch
@@ -255,10 +256,11 @@ def test_any_other_return_value_of_a_callback_is_refused_with_a_result(answer: A
 
 
 def test_a_step_does_not_copy_the_history() -> None:
-    state = State({}, {})
+    evaluation = Evaluation({}, {}, {}, {}, {}, 0)
+    state = State({}, {}, Views({}, single=True, at_once=1))
     for step in range(4):
-        earlier, state = state, state.stepped(FitStep(step, 0.0, 0.0, 1.0, 0.0), {}, state.memory, {})
+        earlier, state = state, state.stepped(FitStep(step, 0.0, 0.0, 1.0, 0.0), {}, state.memory, evaluation)
         assert state.log is earlier.log
         assert [entry.step for entry in earlier.history] == list(range(step))
-    rewritten = earlier.stepped(FitStep(9, 0.0, 0.0, 1.0, 0.0), {}, earlier.memory, {})
+    rewritten = earlier.stepped(FitStep(9, 0.0, 0.0, 1.0, 0.0), {}, earlier.memory, evaluation)
     assert [entry.step for entry in rewritten.history] == [0, 1, 2, 9]

@@ -143,7 +143,7 @@ def test_glass_with_a_noisy_attached_gradient_is_not_blurred() -> None:
     """The blurred gradient has ten times the noise, and would be used to the end of the fit."""
     planned = PlannedRenderer(glass_scene(), {"x": Translate("ball", X)}, spp=2)
     noise = np.random.default_rng(0).normal(size=(HEIGHT, WIDTH, 3)).astype(np.float32)
-    plan = planned.begin(planned.parameters(), noise, optimise=["x"])
+    plan = planned.start(planned.parameters(), noise).plan
     assert list(plan.attached) == ["x"]
     assert not plan.blurred
 
@@ -151,9 +151,9 @@ def test_glass_with_a_noisy_attached_gradient_is_not_blurred() -> None:
 def test_glass_that_comes_into_view_is_attached() -> None:
     """It starts far to the side, where it refracts no visible light."""
     planned = PlannedRenderer(glass_scene(), {"x": Translate("ball", X)}, spp=4)
-    planned.begin({"x": np.float32(60.0)}, RAMP, optimise=["x"])
+    planned = planned.start({"x": np.float32(60.0)}, RAMP)
     assert list(planned.plan.blurred) == ["x"]
-    planned.render_vjp(planned.parameters())[1](RAMP)
+    planned = planned.revisit(1, 2, 1.0, planned.parameters(), RAMP)
     assert list(planned.plan.attached) == ["x"]
     assert not planned.plan.blurred
 

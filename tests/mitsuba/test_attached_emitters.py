@@ -183,7 +183,7 @@ def test_a_light_that_comes_into_view_has_the_gradient_of_its_silhouette() -> No
     scene = lit_scene("ball")
     scene["sensor"]["film"]["rfilter"] = {"type": "tent"}
     planned = PlannedRenderer(scene, {"x": Translate("lamp", X), "y": Translate("lamp", Y)}, spp=32)
-    planned.begin(planned.parameters(), RAMP, optimise=["x", "y"])
+    planned = planned.start(planned.parameters(), RAMP)
     assert list(planned.plan.attached) == ["x", "y"]
     params: dict[str, Any] = {"x": np.float32(0.0), "y": np.float32(-4.5)}
     draws = [float(planned.render_vjp(params, seed=seed)[1](RAMP)["x"]) for seed in range(8)]
@@ -202,16 +202,15 @@ def test_a_fit_finds_a_point_light(light: Any, blur: dict[str, Any] | None) -> N
     start = planned.parameters()["light"]
     truth = start + np.array([2.0, 1.0, -1.5], np.float32)
     result = fit(planned, LOIObjective(planned.render({"light": truth}, seed=10**6)), steps=80)
-    assert list(planned.plan.attached) == ["light"]
-    assert not planned.plan.blurred
+    assert list(result.plan.attached) == ["light"]
+    assert not result.plan.blurred
     np.testing.assert_allclose(result.best_params["light"], truth, atol=0.05)
 
 
 def begun(scene: dict[str, Any], targets: dict[str, Any], **options: Any) -> PlannedRenderer:
     """Return a planned renderer after its pilot."""
     planned = PlannedRenderer(scene, targets, **options)
-    planned.begin(planned.parameters(), RAMP, optimise=targets)
-    return planned
+    return planned.start(planned.parameters(), RAMP)
 
 
 def test_a_light_without_visible_direct_light_is_not_attached() -> None:
@@ -252,6 +251,7 @@ def test_a_moving_light_is_attached_and_a_moving_ball_is_not() -> None:
     targets = {"lamp": Translate("lamp", X), "ball": Translate("ball", X)}
     planned = PlannedRenderer(lit_scene("ball"), targets, spp=16)
     start = planned.parameters()
+    planned = planned.start(start, RAMP)
     image, pullback = planned.render_vjp(start)
     first = pullback(RAMP)
     assert list(planned.plan.attached) == ["lamp"]
@@ -261,9 +261,9 @@ def test_a_moving_light_is_attached_and_a_moving_ball_is_not() -> None:
     assert np.all(first["ball"])
     np.testing.assert_allclose(pullback(RAMP)["lamp"], first["lamp"], rtol=1e-4)
     np.testing.assert_array_equal(planned.render(start), image)
-    alone = planned.begin(start, RAMP, optimise=["ball"])
-    assert not alone.attached
-    assert not np.any(planned.render_vjp(start)[1](RAMP)["lamp"])
+    alone = planned.start(start, RAMP, optimise=["ball"])
+    assert not alone.plan.attached
+    assert not np.any(alone.render_vjp(start)[1](RAMP)["lamp"])
 
 
 @pytest.mark.filterwarnings("ignore:mesh 'lamp' stores the vertices:loi_mitsuba.GradientWarning")

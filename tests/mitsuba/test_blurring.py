@@ -88,16 +88,16 @@ def test_a_parameter_with_a_noisy_gradient_is_blurred_by_the_pilot() -> None:
     free = {name: Free(None, -5.0, 5.0) for name in lamp}
     assert not planned.plan.blurred
     result = fit(planned, objective, steps=60, optimise=free)
-    assert not planned.plan.frozen
-    assert list(planned.plan.blurred) == ["x", "y"]
-    assert "cannot be distinguished from noise in 8 draws; the blurred gradient is significant" in str(planned.plan)
+    assert not result.plan.frozen
+    assert list(result.plan.blurred) == ["x", "y"]
+    assert "cannot be distinguished from noise in 8 draws; the blurred gradient is significant" in str(result.plan)
     for name, value in truth.items():
         assert float(result.best_params[name]) == pytest.approx(float(value), abs=0.7)  # a pixel and a half
     start = without_blur.parameters()
     cotangent = objective.value_and_grad(without_blur.render(start))[1]
-    without_blur.begin(start, cotangent, optimise=lamp)
-    assert list(without_blur.plan.frozen) == ["x", "y"]
-    assert not without_blur.plan.blurred
+    plan = without_blur.start(start, cotangent).plan
+    assert list(plan.frozen) == ["x", "y"]
+    assert not plan.blurred
 
 
 def test_a_shape_that_comes_into_view_is_no_longer_blurred(caplog: pytest.LogCaptureFixture) -> None:
@@ -106,13 +106,12 @@ def test_a_shape_that_comes_into_view_is_no_longer_blurred(caplog: pytest.LogCap
     planned = PlannedRenderer(shadow_scene(integrator={"type": "direct"}), {"place": Translate("ball")})
     objective = PixelL2(planned.render({"place": np.array([0.5, 0.0, 0.3])}, seed=10**6))
 
-    def gradient(position: list[float], seed: int) -> Any:
-        image, pullback = planned.render_vjp({"place": np.array(position)}, seed=seed)
-        return pullback(objective.value_and_grad(image)[1])["place"]
+    def gradient(params: dict[str, Any]) -> tuple[dict[str, Any], Any]:
+        return params, objective.value_and_grad(planned.render(params))[1]
 
-    gradient([-0.3, 0.0, 0.0], 0)
+    planned = planned.start(*gradient({"place": np.array([-0.3, 0.0, 0.0])}))
     assert list(planned.plan.blurred) == ["place"]
-    gradient([0.0, -3.5, 0.0], 1)
+    planned = planned.revisit(1, 9, 1.0, *gradient({"place": np.array([0.0, -3.5, 0.0])}), seed=1)
     assert not planned.plan.blurred
     assert planned.plan.measured
     assert Effect.PRIMARY in planned.plan.on
@@ -127,10 +126,14 @@ def test_a_blurred_parameter_is_released_when_its_gradient_becomes_significant()
     """The first loss hardly depends on the shadow of a ball out of view, the second one strongly."""
     scene = shadow_scene(integrator={"type": "direct"})
     planned = PlannedRenderer(scene, {"x": Translate("ball", X)}, spp=4)
-    planned.render_vjp(planned.parameters())[1](random_cotangent())
+    params = planned.parameters()
+    planned = planned.start(params, random_cotangent())
     assert list(planned.plan.blurred) == ["x"]
     ramp = np.linspace(-1.0, 1.0, WIDTH, dtype=np.float32)[None, :, None] * np.ones((HEIGHT, WIDTH, 3), np.float32)
-    pulled = [planned.render_vjp(planned.parameters(), seed=seed)[1](ramp)["x"] for seed in range(1, 22)]
+    pulled = []
+    for step in range(1, 22):
+        pulled.append(planned.render_vjp(params, seed=step)[1](ramp)["x"])
+        planned = planned.revisit(step, 22, 1.0 / step, params, ramp, seed=step)
     assert not planned.plan.blurred
     assert not planned.plan.frozen
     assert pulled[-1] == pytest.approx(np.mean(pulled[:-1]), rel=0.5)
@@ -142,8 +145,9 @@ def test_a_plan_with_all_gradients_blurs_nothing(monkeypatch: pytest.MonkeyPatch
 
     monkeypatch.setattr(BlurredRenderer, "__init__", refuse)
     planned = PlannedRenderer(lit_scene(), {"floor": FLOOR}, spp=4)
-    image, pullback = planned.render_vjp(planned.parameters())
-    assert np.any(pullback(np.ones_like(image))["floor"])
+    image = planned.render(planned.parameters())
+    planned = planned.start(planned.parameters(), np.ones_like(image))
+    assert np.any(planned.render_vjp(planned.parameters())[1](np.ones_like(image))["floor"])
     assert not planned.plan.blurred
     assert "blurred" not in str(planned.plan)
 
@@ -157,10 +161,10 @@ def test_many_noisy_parameters_are_frozen_and_not_blurred(monkeypatch: pytest.Mo
     monkeypatch.setattr(BlurredRenderer, "__init__", refuse)
     shapes = {f"far_{k}": {"type": "sphere", "center": [4.0 * k, 9, 90], "radius": 1} for k in range(6)}
     planned = PlannedRenderer(shadow_scene(**shapes), {name: Translate(name) for name in shapes}, spp=4)
-    image, pullback = planned.render_vjp(planned.parameters())
-    pullback(np.ones_like(image))
-    assert list(planned.plan.frozen) == list(shapes)
-    assert not planned.plan.blurred
+    params = planned.parameters()
+    plan = planned.start(params, np.ones_like(planned.render(params))).plan
+    assert list(plan.frozen) == list(shapes)
+    assert not plan.blurred
 
 
 GLASS: dict[str, Any] = {
@@ -360,7 +364,7 @@ def test_a_plan_with_only_blurred_parameters_has_nothing_to_verify() -> None:
     planned = PlannedRenderer(lit_scene(), lamp, spp=4, blur={"sigma": 0.3}, attached_lights=False)
     image = planned.render(planned.parameters())
     objective = PixelL2(planned.render({"light": np.float32(1.0)}, seed=9))
-    planned.begin(planned.parameters(), objective.value_and_grad(image)[1], optimise=["light"])
+    planned = planned.start(planned.parameters(), objective.value_and_grad(image)[1])
     assert not planned.plan.frozen
     assert np.any(planned.render_vjp(planned.parameters())[1](np.ones_like(image))["light"])
     assert planned.effect_images(planned.parameters(), np.ones_like(image)) == {}
@@ -372,7 +376,7 @@ def test_a_parameter_that_is_not_optimised_is_not_blurred() -> None:
     lights: dict[str, Any] = {"light": Translate("lamp", X), "floor": FLOOR}
     planned = PlannedRenderer(lit_scene(), lights, spp=4, blur={"sigma": {"light": 0.3}})
     image = planned.render(planned.parameters())
-    planned.begin(planned.parameters(), np.ones_like(image), optimise=["floor"])
+    planned = planned.start(planned.parameters(), np.ones_like(image), optimise=["floor"])
     pulled = planned.render_vjp(planned.parameters())[1](np.ones_like(image))
     assert not np.any(pulled["light"])
     assert np.any(pulled["floor"])

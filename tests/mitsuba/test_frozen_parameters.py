@@ -44,10 +44,10 @@ def test_a_fit_does_not_move_an_object_behind_the_camera(caplog: pytest.LogCaptu
     result = fit(renderer, objective, steps=12, learning_rate=0.05)
     np.testing.assert_array_equal(result.params["behind"], NOWHERE)
     assert np.any(result.params["ball"] != 0.0)
-    assert list(renderer.plan.frozen) == ["behind"]
-    assert f"| {'behind'!r}" in str(renderer.plan)
-    assert asdict(renderer.plan)["frozen"] == renderer.plan.frozen  # what --explain --json prints
-    assert json.dumps(asdict(renderer.plan))
+    assert list(result.plan.frozen) == ["behind"]
+    assert f"| {'behind'!r}" in str(result.plan)
+    assert asdict(result.plan)["frozen"] == result.plan.frozen  # what --explain --json prints
+    assert json.dumps(asdict(result.plan))
     (line,) = [record.getMessage() for record in caplog.records if "frozen" in record.getMessage()]
     assert "'behind' frozen (its gradient " in line
     assert "\n" not in line
@@ -58,19 +58,21 @@ def test_a_plan_notes_that_all_parameters_are_frozen() -> None:
     objective = PixelL2(renderer.render(dict(INVISIBLE.truth), seed=10**6))
     result = fit(renderer, objective, steps=12, learning_rate=0.05)
     np.testing.assert_array_equal(result.params["place"], INVISIBLE.start["place"])
-    assert any("no optimised parameter has a significant gradient here" in note for note in renderer.plan.notes)
+    assert any("no optimised parameter has a significant gradient here" in note for note in result.plan.notes)
 
 
-def test_an_object_that_comes_into_view_is_released_in_that_step(caplog: pytest.LogCaptureFixture) -> None:
+def test_an_object_that_comes_into_view_is_released_from_the_next_step(caplog: pytest.LogCaptureFixture) -> None:
     caplog.set_level(logging.INFO, "loi_mitsuba")
     renderer, objective = two_balls()
     out_of_view = {"ball": np.zeros(3), "behind": np.zeros(3)}
-    image, pullback = renderer.render_vjp(out_of_view)
-    assert not np.any(pullback(objective.value_and_grad(image)[1])["behind"])
+    renderer = renderer.start(out_of_view, objective.value_and_grad(renderer.render(out_of_view))[1])
     in_view = {"ball": np.zeros(3), "behind": np.array([1.0, 0.5, -14.0])}
     image, pullback = renderer.render_vjp(in_view, seed=1)
-    assert np.any(pullback(objective.value_and_grad(image)[1])["behind"])
+    cotangent = objective.value_and_grad(image)[1]
+    assert not np.any(pullback(cotangent)["behind"])
+    renderer = renderer.revisit(1, 9, 1.0, in_view, cotangent, seed=1)
     assert not renderer.plan.frozen
+    assert np.any(renderer.render_vjp(in_view, seed=1)[1](cotangent)["behind"])
     (line,) = [record.getMessage() for record in caplog.records if "released" in record.getMessage()]
     assert line == "effects, as it comes into view: 'behind' released"
 
@@ -85,13 +87,16 @@ def test_an_occluded_object_is_released_when_its_gradients_agree() -> None:
     objective = PixelL2(renderer.render({"ball": np.array([0.5, 0.3, 0]), "screen": np.array([9.0, 0, 0])}, seed=10**6))
 
     def gradient(screen: float, seed: int) -> Host:
-        image, pullback = renderer.render_vjp({"ball": NOWHERE, "screen": np.array([screen, 0, 0])}, seed=seed)
+        nonlocal renderer
+        params = {"ball": NOWHERE, "screen": np.array([screen, 0, 0])}
+        image, pullback = renderer.render_vjp(params, seed=seed)
         cotangent = objective.value_and_grad(image)[1]
-        first = pullback(cotangent)["ball"]
-        np.testing.assert_array_equal(
-            pullback(cotangent)["ball"] == 0.0, first == 0.0
-        )  # all gradients of one image agree
-        return first
+        if seed == 0:
+            renderer = renderer.start(params, cotangent)
+            image, pullback = renderer.render_vjp(params, seed=seed)
+        ball: Host = pullback(cotangent)["ball"]
+        renderer = renderer.revisit(seed + 1, 25, 1.0 / (seed + 1), params, cotangent, seed=seed)
+        return ball
 
     assert not any(np.any(gradient(0.0, seed)) for seed in range(5))
     assert "ball" in renderer.plan.frozen

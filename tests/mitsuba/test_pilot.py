@@ -29,13 +29,21 @@ def begun(case: Case, **options: Any) -> tuple[PlannedRenderer, LOIObjective]:
     renderer = PlannedRenderer(case.scene(*SIZE), case.parameters, **options)
     target = renderer.render(dict(case.truth), seed=10**6)
     objective = LOIObjective(target, ScaleSpace.for_image(*target.shape[:2]))
-    start(renderer, objective, dict(case.start))
-    return renderer, objective
+    return start(renderer, objective, dict(case.start)), objective
 
 
-def start(renderer: PlannedRenderer, objective: Any, params: dict[str, Any]) -> None:
-    cotangent = objective.value_and_grad(renderer.render(params))[1]
-    renderer.begin(params, cotangent, optimise=list(params))
+def start(renderer: PlannedRenderer, objective: Any, params: dict[str, Any]) -> PlannedRenderer:
+    return renderer.start(params, objective.value_and_grad(renderer.render(params))[1])
+
+
+def step(
+    renderer: PlannedRenderer, objective: Any, params: dict[str, Any], number: int, value: float = 1.0
+) -> PlannedRenderer:
+    """Return the renderer after a step of a fit at these parameters."""
+    image, pullback = renderer.render_vjp(params, seed=number)
+    cotangent = objective.value_and_grad(image)[1]
+    pullback(cotangent)
+    return renderer.revisit(number + 1, 100, value, params, cotangent, seed=number)
 
 
 def test_a_shadow_alone_needs_no_shading_no_outlines_and_no_bounces() -> None:
@@ -79,19 +87,20 @@ DIRECT: dict[str, Any] = {"type": "direct"}  # no bounces: fewer kernels to comp
 
 
 @thorough
-def test_an_object_that_comes_into_view_has_its_outline_at_once(caplog: pytest.LogCaptureFixture) -> None:
+def test_an_object_that_comes_into_view_has_its_outline_from_the_next_step(caplog: pytest.LogCaptureFixture) -> None:
     """At first only its shadow is in view, and outlines are off; the object itself would be missed."""
     caplog.set_level(logging.INFO, "loi_mitsuba")
     renderer = PlannedRenderer(shadow_scene(integrator=DIRECT), BALL, blur=None)
     objective = PixelL2(renderer.render({"place": np.array([0.5, 0.0, 0.3])}, seed=10**6))
-    start(renderer, objective, {"place": np.array([-0.3, 0.0, 0.0])})
+    renderer = start(renderer, objective, {"place": np.array([-0.3, 0.0, 0.0])})
     assert Effect.PRIMARY not in renderer.plan.on
     in_view = {"place": np.array([0.0, -3.5, 0.0])}
-    image, pullback = renderer.render_vjp(in_view, seed=1)
+    renderer = step(renderer, objective, in_view, 0)
     assert Effect.PRIMARY in renderer.plan.on
     (line,) = [record.getMessage() for record in caplog.records if "comes into view" in record.getMessage()]
     assert "primary visibility on" in line
     assert "\n" not in line
+    image, pullback = renderer.render_vjp(in_view, seed=1)
     cotangent = objective.value_and_grad(image)[1]
     gradient = pullback(cotangent)["place"]
     fixed = MitsubaRenderer(shadow_scene(integrator=DIRECT), BALL, integrator=renderer.plan)
@@ -128,12 +137,12 @@ def test_a_shadow_that_appears_later_is_found_on_schedule(caplog: pytest.LogCapt
     target = {"y": Translate("ball", (0, 1, 0))}
     renderer = PlannedRenderer(wall_scene(), target)
     objective = PixelL2(renderer.render({"y": np.array(-0.4)}, seed=10**6))
-    start(renderer, objective, {"y": np.array(0.0)})
+    renderer = start(renderer, objective, {"y": np.array(0.0)})
     assert Effect.PRIMARY in renderer.plan.on
     assert Effect.INDIRECT not in renderer.plan.on  # there is no shadow in view
-    for step in range(25):
-        image, pullback = renderer.render_vjp({"y": np.array(-3.0)}, seed=step)  # in front of the wall
-        pullback(objective.value_and_grad(image)[1])
+    for number in range(20):
+        assert Effect.INDIRECT not in renderer.plan.on
+        renderer = step(renderer, objective, {"y": np.array(-3.0)}, number, 1.0 / (1 + number))  # in front of the wall
     assert Effect.INDIRECT in renderer.plan.on
     assert renderer.plan[Effect.INDIRECT].reason == "it was exactly 0 when it was turned off, and no longer is"
     (line,) = [record.getMessage() for record in caplog.records if "on schedule" in record.getMessage()]
@@ -144,14 +153,15 @@ def test_a_shadow_that_appears_later_is_found_when_the_loss_stalls() -> None:
     target = {"y": Translate("ball", (0, 1, 0))}
     renderer = PlannedRenderer(wall_scene(), target)
     objective = PixelL2(renderer.render({"y": np.array(-0.4)}, seed=10**6))
-    start(renderer, objective, {"y": np.array(0.0)})
-    image, pullback = renderer.render_vjp({"y": np.array(-3.0)})
-    pullback(objective.value_and_grad(image)[1])
-    for step in range(19):
-        renderer.at_step(step, 100, 1.0 - 0.01 * step)  # it falls
+    renderer = start(renderer, objective, {"y": np.array(0.0)})
+    params = {"y": np.array(-3.0)}
+    cotangent = objective.value_and_grad(renderer.render(params))[1]
+    for number in range(30):
+        renderer = renderer.revisit(number, 100, 1.0 - 0.01 * number)  # it falls
+    for number in range(19):
+        renderer = renderer.revisit(30 + number, 100, 1.0)  # it does not
     assert Effect.INDIRECT not in renderer.plan.on
-    for step in range(20):
-        renderer.at_step(19 + step, 100, 1.0)  # it does not
+    renderer = renderer.revisit(49, 100, 1.0, params, cotangent)
     assert Effect.INDIRECT in renderer.plan.on
 
 
@@ -172,7 +182,7 @@ def test_a_light_behind_glass_keeps_its_paths() -> None:
     target: dict[str, Any] = {"light": "lamp.emitter.radiance.value"}
     renderer = PlannedRenderer(scene, target)
     objective = PixelL2(renderer.render({"light": np.array([20.0, 15.0, 10.0])}, seed=10**6))
-    start(renderer, objective, {"light": np.array([10.0, 10.0, 10.0])})
+    renderer = start(renderer, objective, {"light": np.array([10.0, 10.0, 10.0])})
     assert {Effect.BOUNCES, Effect.SPECULAR} <= renderer.plan.on
     assert not renderer.plan.frozen
     dark = MitsubaRenderer(scene, target, integrator={"type": "prb", "max_depth": 2}).render(renderer.parameters())
@@ -199,7 +209,7 @@ def test_an_object_that_only_reflects_light_into_view_keeps_its_bounces() -> Non
     )
     renderer = PlannedRenderer(scene, {"x": Translate("ball", (1, 0, 0))})
     objective = PixelL2(renderer.render({"x": np.array(0.6)}, seed=10**6))
-    start(renderer, objective, {"x": np.array(0.0)})
+    renderer = start(renderer, objective, {"x": np.array(0.0)})
     assert Effect.BOUNCES in renderer.plan.on
     direct = {"type": "direct_projective", "guiding": "none"}
     blind = MitsubaRenderer(scene, {"x": Translate("ball", (1, 0, 0))}, integrator=direct)
@@ -211,35 +221,55 @@ def test_only_optimised_parameters_are_planned_for_and_have_a_gradient() -> None
     renderer = PlannedRenderer(shadow_scene(), parameters, spp=4)
     assert Effect.INDIRECT in renderer.plan.on
     params = renderer.parameters()
-    image, _ = renderer.render_vjp(params)
-    renderer.begin(params, np.ones_like(image), optimise=["light"])
-    assert not renderer.plan.on & {Effect.INDIRECT, Effect.PRIMARY}
-    gradient = renderer.render_vjp(params)[1](np.ones_like(image))
+    image = renderer.render(params)
+    started = renderer.start(params, np.ones_like(image), optimise=["light"])
+    assert not started.plan.on & {Effect.INDIRECT, Effect.PRIMARY}
+    assert Effect.INDIRECT in renderer.plan.on
+    gradient = started.render_vjp(params)[1](np.ones_like(image))
     assert np.any(gradient["light"])
     assert not np.any(gradient["place"])
     with pytest.raises(ParameterError, match="`optimise` must name parameters of place, light, got 'floor'"):
-        renderer.begin(params, image, optimise=["floor"])
+        renderer.start(params, image, optimise=["floor"])
 
 
-def test_a_fit_is_planned_by_its_first_gradient() -> None:
+def test_a_plan_changes_neither_images_nor_gradients_of_a_renderer() -> None:
+    """All hooks return other renderers; the plan of the first one keeps its depth."""
+    renderer = PlannedRenderer(CASES["emitter colour"].scene(24, 18), CASES["emitter colour"].parameters, spp=4)
+    params = renderer.parameters()
+    image, pullback = renderer.render_vjp(params, seed=3)
+    cotangent = np.random.default_rng(0).standard_normal(image.shape).astype(np.float32)
+    gradient, plan = pullback(cotangent), renderer.plan
+    later = renderer.start(params, cotangent).revisit(1, 9, 1.0, params, cotangent, seed=1)
+    assert later.plan.measured
+    assert later.plan.settings["max_depth"] != plan.settings["max_depth"]
+    assert np.any(later.render(params, seed=3) != image)
+    assert renderer.plan is plan
+    np.testing.assert_array_equal(renderer.render(params, seed=3), image)
+    again = renderer.render_vjp(params, seed=3)[1](cotangent)
+    for name, value in gradient.items():  # threads add their samples in any order
+        np.testing.assert_allclose(again[name], value, rtol=1e-3)
+
+
+def test_a_fit_plans_its_renderer() -> None:
     case = CASES["emitter colour"]
     renderer = PlannedRenderer(case.scene(24, 18), case.parameters, spp=4)
-    capabilities = capabilities_of(renderer)
-    assert capabilities.planner is renderer
-    assert capabilities.at_step == renderer.at_step
+    assert capabilities_of(renderer).planner is renderer
     assert not renderer.plan.measured
     target = MitsubaRenderer(case.scene(24, 18), case.parameters, integrator=renderer.plan, spp=64).render(
         dict(case.truth), seed=10**6
     )
     optimise = {name: Free(value) for name, value in case.start.items()}
-    verification = fit(renderer, PixelL2(target), steps=60, learning_rate=1.0, optimise=optimise)
-    assert renderer.plan.measured
-    np.testing.assert_allclose(verification.best_params["light"], case.truth["light"], rtol=0.1)
+    result = fit(renderer, PixelL2(target), steps=60, learning_rate=1.0, optimise=optimise)
+    assert result.plan.measured
+    assert not renderer.plan.measured
+    np.testing.assert_allclose(result.best_params["light"], case.truth["light"], rtol=0.1)
 
 
 def test_a_planned_renderer_satisfies_the_contract() -> None:
     renderer = PlannedRenderer(CASES["emitter colour"].scene(12, 9), CASES["emitter colour"].parameters, spp=32)
-    check_renderer(renderer, seeds=10)  # as many samples in all as 40 images of 8, in a fourth of the calls
+    image = renderer.render(renderer.parameters())
+    started = renderer.start(renderer.parameters(), np.ones_like(image))
+    check_renderer(started, seeds=10)  # as many samples in all as 40 images of 8, in a fourth of the calls
 
 
 def test_effect_images_show_the_change_by_each_effect() -> None:

@@ -147,7 +147,7 @@ def test_a_plan_whose_pilot_turned_edges_off_causes_no_warning() -> None:
     scene = case.scene(16, 12) | {"integrator": {"type": "direct"}}
     renderer = PlannedRenderer(scene, case.parameters)
     image = renderer.render(dict(case.start))
-    plan = renderer.begin(dict(case.start), np.ones_like(image) * image, optimise=["turn"])
+    plan = renderer.start(dict(case.start), np.ones_like(image) * image).plan
     assert plan.settings["integrator"] == "prb"
     assert MitsubaRenderer(scene, case.parameters, integrator=plan)  # a warning is an error in tests
     with pytest.warns(GradientWarning, match="no gradient of moving silhouettes"):

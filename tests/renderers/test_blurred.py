@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, field
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -211,7 +212,7 @@ def test_sigma_is_constant_for_half_a_fit_and_then_falls_to_its_final_value() ->
     assert blurred.sigma["a"] == 0.5
     sigmas = []
     for step in range(100):
-        blurred.at_step(step, 100, None)
+        blurred = blurred.revisit(step, 100)
         sigmas.append(blurred.sigma["a"])
     assert sigmas[:50] == [0.5] * 50
     assert np.all(np.diff(sigmas[50:]) < 0.0)
@@ -296,22 +297,31 @@ def test_options_of_a_blurred_renderer_are_checked(
 def test_capabilities_of_the_renderer_are_forwarded() -> None:
     @dataclass
     class Capable(Steps):
-        announced: list[Any] = field(default_factory=list)
+        calls: list[Any] = field(default_factory=list)
 
         @property
         def capabilities(self) -> RendererCapabilities:
-            return RendererCapabilities(encoding="sRGB", unabridged=Steps, at_step=self.at_step)
+            return RendererCapabilities(encoding="sRGB", unabridged=Steps, start=self.start, revisit=self.revisit)
 
-        def at_step(self, step: int, steps: int, value: float | None) -> None:
-            self.announced.append((step, steps, value))
+        def start(self, params: Any, cotangent: Any, *, optimise: Iterable[str], seed: int = 0) -> Capable:
+            return replace(self, calls=[*self.calls, tuple(optimise)])
+
+        def revisit(self, *arguments: Any, seed: int = 0) -> Capable:
+            return replace(self, calls=[*self.calls, (*arguments, seed)])
 
     blurred = BlurredRenderer(Capable(), 0.5)
     capabilities = capabilities_of(blurred)
     assert capabilities.encoding == "sRGB"
     assert capabilities.unabridged is Steps
-    blurred.at_step(3, 9, 0.5)
-    assert blurred.renderer.announced == [(3, 9, 0.5)]  # type: ignore[attr-defined]
-    assert capabilities_of(BlurredRenderer(Steps(), 0.5)).encoding is None
+    params, cotangent = blurred.parameters(), np.ones((1, 1, 1))
+    later: Any = blurred.start(params, cotangent, optimise=params).revisit(3, 9, 0.5, params, cotangent, seed=2)
+    assert later.renderer.calls == [(3, 9, 0.5, params, cotangent, 2)]  # all parameters are blurred: it is not started
+    partly: Any = BlurredRenderer(Capable(), 0.5, names=["a"]).start(params, cotangent, optimise=params)
+    assert partly.renderer.calls == [("b",)]
+    assert blurred.renderer.calls == []  # type: ignore[attr-defined]
+    without = capabilities_of(BlurredRenderer(Steps(), 0.5))
+    assert without.encoding is None
+    assert without.start is None
 
 
 def test_blurred_parameters_stay_legal() -> None:
@@ -327,8 +337,8 @@ def test_a_sigma_in_pixels_is_converted_to_the_unit_of_each_parameter() -> None:
     blurred = BlurredRenderer(disks, {"positions": "3 px", "radii": 0.5}, names=["positions", "radii"])
     assert blurred.sigma["positions"] == pytest.approx(3.0, rel=0.3)
     assert blurred.sigma["radii"] == 0.5
-    blurred.at_step(9, 10, None)
-    assert blurred.sigma["radii"] == 0.25  # half
+    assert blurred.revisit(9, 10).sigma["radii"] == 0.25  # half
+    assert blurred.sigma["radii"] == 0.5
 
 
 def test_a_parameter_that_does_not_change_the_image_has_no_unit() -> None:

@@ -242,6 +242,38 @@ class SharedState(Sound):
         return image, lambda g: self.last(g)
 
 
+class PlansInItsPullback(Sound):
+    """The first gradient turns off an effect that carries little of the image."""
+
+    planned = False
+
+    def render_vjp(self, params: Params, *, seed: int = 0) -> Any:
+        image, pullback = super().render_vjp(params)
+
+        def planning(cotangent: Any) -> Any:
+            self.planned = True
+            return pullback(cotangent)
+
+        return image * image.dtype.type(0.999) if self.planned else image, planning
+
+    def render(self, params: Params, *, seed: int = 0) -> Any:
+        return self.render_vjp(params)[0]
+
+
+class FreezesLater(Sound):
+    """Every gradient after the first is 0."""
+
+    gradients = 0
+
+    def render_vjp(self, params: Params, *, seed: int = 0) -> Any:
+        image, pullback = super().render_vjp(params)
+        self.gradients += 1
+        return image, pullback if self.gradients < 2 else lambda g: {k: 0.0 * v for k, v in pullback(g).items()}
+
+    def render(self, params: Params, *, seed: int = 0) -> Any:
+        return Sound.render_vjp(self, params)[0]
+
+
 class SwallowsNaN(Sound):
     def render_vjp(self, params: Params, *, seed: int = 0) -> Any:
         return super().render_vjp({k: np.nan_to_num(v) for k, v in params.items()})
@@ -262,6 +294,8 @@ BROKEN_RENDERERS: list[tuple[type[Sound], str]] = [
     (StaleImage, "no_memory"),
     (SharedImage, "no_memory"),
     (SlowlyForgets, "no_memory"),
+    (PlansInItsPullback, "no_state"),
+    (FreezesLater, "no_state"),
     (MutatesParameters, "no_mutation"),
     (MutatesCotangent, "no_mutation"),
     (OneParameterOnly, "gradient"),

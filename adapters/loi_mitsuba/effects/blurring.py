@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -13,10 +13,12 @@ from loi_core.errors import OptionError
 from loi_core.renderers.blurred import BlurredRenderer
 from loi_core.renderers.contract import Renderer
 from loi_mitsuba.effects.gradient_draws import PILOT_SEED_OFFSET, GradientProbe
+from loi_mitsuba.renderer import MitsubaRenderer
 from loi_mitsuba.scene.load import ParameterTarget
 from loi_mitsuba.scene.poses import Scale
+from mitsuba_boundaries.drjit.arrays import Float32Array
 
-__all__ = ["Blurring", "legal_values"]
+__all__ = ["Blurring", "PlannedImages"]
 
 PAIRS: Final = 4  # of images for a blurred gradient; with a single pair, fits of a glass ball diverged
 DRAWS: Final = 16  # of a blurred gradient, to test its significance; with 8, a highlight's was noise at 48 pixels
@@ -75,7 +77,34 @@ class Blurring:
         }
 
 
-def legal_values(params: Mapping[str, Any], targets: Mapping[str, ParameterTarget]) -> dict[str, Any]:
+@dataclass(frozen=True)
+class PlannedImages:
+    """The images under a plan, for blurred gradients.
+
+    Attributes
+    ----------
+    renderer : MitsubaRenderer
+        The scene under the plan.
+    """
+
+    renderer: MitsubaRenderer
+
+    def parameters(self) -> dict[str, Float32Array]:
+        """Return the parameters of the scene."""
+        return self.renderer.parameters()
+
+    def render(self, params: Mapping[str, Any], *, seed: int = 0) -> Float32Array:
+        """Render the image at the legal values that are nearest to `params`."""
+        return self.renderer.render(_legal_values(params, self.renderer.targets), seed=seed)
+
+    def render_vjp(
+        self, params: Mapping[str, Any], *, seed: int = 0
+    ) -> tuple[Float32Array, Callable[[Any], dict[str, Float32Array]]]:
+        """Render the image and return it with its pullback."""
+        return self.renderer.render_vjp(params, seed=seed)
+
+
+def _legal_values(params: Mapping[str, Any], targets: Mapping[str, ParameterTarget]) -> dict[str, Any]:
     """Return values that can be set: the scale of a shape is positive."""
     return {
         name: np.maximum(value, np.float32(MIN_SCALE)) if isinstance(targets[name], Scale) else value

@@ -71,5 +71,5 @@ def plan_effects(
     if objective is not None:
         values = renderer.parameters() if params is None else dict(params)
         cotangent = objective.value_and_grad(renderer.render(values, seed=seed))[1]
-        renderer.begin(values, cotangent, optimise=list(values), seed=seed)
+        renderer = renderer.start(values, cotangent, seed=seed)
     return renderer.plan

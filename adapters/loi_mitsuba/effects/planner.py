@@ -1,23 +1,19 @@
-"""The planner of a fit: its state, and the events that change the plan."""
+"""The planner of a fit: from one state of a plan to the next."""
 
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Any, Final
 
-import numpy as np
-
 from loi_core.effects import Effect, EffectPlan, Frozen, GradientNorms, Schedule
 from loi_core.errors import ParameterError
 from loi_core.renderers.blurred import BlurredRenderer
-from loi_core.renderers.contract import Loss
-from loi_core.support.arrays import to_numpy
 from loi_core.support.wording import listed
 from loi_mitsuba.effects.attached_gradient import AttachedGradient
-from loi_mitsuba.effects.blurring import Blurring, legal_values
+from loi_mitsuba.effects.blurring import Blurring, PlannedImages
 from loi_mitsuba.effects.gradient_draws import PILOT_SEED_OFFSET, GradientProbe
 from loi_mitsuba.effects.pilot import MAX_DRAWS, Pilot
 from loi_mitsuba.effects.rules import plan_by_rules, plan_with
@@ -63,13 +59,11 @@ class PlanState:
     norms : dict
         Norms of the gradient at the pilot.
     schedule : Schedule
-        When the plan is revisited.
+        When the plan is tested again.
     in_view : frozenset of str
         Parameters whose shape has been in view.
     hidden : dict of mi.Shape
         Shapes out of view whose parameters are blurred, because they have no gradient there.
-    probe : GradientProbe or None
-        Where the gradient was evaluated last.
     started : bool
         Whether the pilot has run.
     """
@@ -89,279 +83,257 @@ class PlanState:
     schedule: Schedule = field(default_factory=Schedule)
     in_view: frozenset[str] = frozenset()
     hidden: Mapping[str, Any] = field(default_factory=dict)
-    probe: GradientProbe | None = None
     started: bool = False
 
+    def without_hidden(self, names: Iterable[str]) -> PlanState:
+        """Return the state that no longer looks for the shapes of these parameters."""
+        found = frozenset(names)
+        return replace(self, hidden={name: shape for name, shape in self.hidden.items() if name not in found})
 
+
+@dataclass(frozen=True)
 class Planner:
     """Decides which effects are simulated, and which parameters are attached, blurred or frozen.
 
-    Parameters
+    Its methods are functions from one state of a plan to the next.
+
+    Attributes
     ----------
     setup : PlanSetup
+    attached : AttachedGradient
     samples : int
         Samples per pixel of each term of the gradient.
     fraction : float
         Effects that carry less of the gradient are turned off.
     blur : mapping or None
         Options of :class:`loi_core.renderers.BlurredRenderer`; None blurs nothing.
-
-    Attributes
-    ----------
-    base : MitsubaRenderer
-        Renderer of the scene by the rules.
-    state : PlanState
-        The current state; replaced, never changed.
     """
 
-    def __init__(self, setup: PlanSetup, *, samples: int, fraction: float, blur: Mapping[str, Any] | None) -> None:
-        self._setup = setup
-        self.base = setup.renderer
-        self._samples = samples
-        self._fraction = fraction
-        self._blur = blur
-        self._attached = AttachedGradient(setup.renderer, setup.attached, samples)
-        optimised, attached = tuple(self.base.targets), setup.attached.without_gradient
-        self.state = PlanState(optimised, attached, **self._fields_by_rules(optimised, attached, NOTHING, None))
-        if attached and setup.unsupported:
-            self._blurring.over(setup.unsupported)  # checks the options now: these parameters may be blurred later
+    setup: PlanSetup
+    attached: AttachedGradient
+    samples: int
+    fraction: float
+    blur: Mapping[str, Any] | None
 
     @property
-    def _blurring(self) -> Blurring:  # not stored: it refers to this planner
-        return Blurring(_PlannedImages(self), self._blur, tuple(self._setup.unsupported))
+    def base(self) -> MitsubaRenderer:
+        """The renderer of the scene by the rules."""
+        return self.setup.renderer
 
-    def begin(self, params: Mapping[str, Any], cotangent: Any, *, optimise: Iterable[str], seed: int) -> EffectPlan:
-        """Plan a fit that starts at `params`; see :meth:`loi_mitsuba.PlannedRenderer.begin`."""
+    def by_rules(self, optimise: Iterable[str]) -> PlanState:
+        """Return the state for a fit of these parameters before any gradient is known.
+
+        Raises
+        ------
+        ParameterError
+            If `optimise` is empty or names an unknown parameter.
+        """
         names = tuple(dict.fromkeys(optimise))
         for name in names or ("",):
             if name not in self.base.targets:
                 msg = f"`optimise` must name parameters of {', '.join(self.base.targets)}, got {name or 'none'!r}"
                 raise ParameterError(msg)
-        self._update(optimised=names, hidden={}, attached=self._setup.attached.without_gradient)
-        self._restart()
-        probe = self._probe_at(params, np.array(to_numpy(cotangent), np.float32), seed)
-        self._blur_vanishing(probe)
-        probe = self._current_probe(probe)
-        self._update(started=True, schedule=Schedule(), in_view=self._visible(self.state.traits.moving))
-        self._run_pilot(probe)
-        self._attach_lights(probe, self.state.names)
-        self._blur_noisy(self._last_probe)
-        return self.state.plan
+        attached = self.setup.attached.without_gradient
+        if attached and self.setup.unsupported:
+            self._blurring(self.base).over(self.setup.unsupported)  # checks the options: these may be blurred later
+        return PlanState(names, attached, **self._fields_by_rules(names, attached, NOTHING, None))
 
-    def attached_vjp(self, params: Mapping[str, Any], cotangent: Any, *, seed: int) -> dict[str, Float32Array]:
-        """Return the gradient of the parameters with attached samples."""
-        names = self.state.plan.attached
-        return self._attached.vjp(params, cotangent, names=names, seed=seed) if names else {}
+    def start(self, point: GradientProbe, *, optimise: Iterable[str]) -> PlanState:
+        """Return the state after the pilot at a point; see :meth:`loi_mitsuba.PlannedRenderer.start`."""
+        state = self._without_vanishing(self.by_rules(optimise), point)
+        state = replace(state, started=True, in_view=self._visible(state.traits.moving, point))
+        state = self._piloted(state, point)
+        state = self._with_attached_lights(state, point, state.names)
+        return self._with_blurred_noise(state, point)
 
-    def blurred_vjp(
-        self, params: Mapping[str, Any], cotangent: Any, *, seed: int, loss: Loss | None
-    ) -> dict[str, Float32Array]:
-        """Return the gradient of the blurred parameters."""
-        blurred = self.state.blurred
-        return {} if blurred is None else blurred.vjp(dict(params), cotangent, seed=seed, loss=loss)
-
-    def observe(
+    def revisit(
         self,
-        params: Mapping[str, Any],
-        cotangent: Float32Array,
-        gradient: Mapping[str, Float32Array],
-        *,
-        seed: int,
-        first: bool,
-        frozen: frozenset[str] | None,
-    ) -> frozenset[str]:
-        """Record a gradient, revisit the plan if it is due, and return the frozen parameters of this gradient.
+        state: PlanState,
+        step: int,
+        steps: int,
+        value: float | None,
+        point: GradientProbe | None,
+        gradient: Callable[[], Mapping[str, Float32Array]],
+    ) -> PlanState:
+        """Return the state of a step, given the loss and the gradient of the previous one.
 
         Parameters
         ----------
-        params, cotangent, gradient, seed
-            The gradient and where it was evaluated.
-        first : bool
-            Whether the pilot ran with this gradient.
-        frozen : frozenset of str or None
-            The frozen parameters of an earlier gradient of the same image. Its noise is the same, and would seem to
-            confirm the gradient, so that it is no evidence for releasing parameters.
+        state : PlanState
+            Of the previous step.
+        step, steps, value
+            As for :meth:`loi_mitsuba.PlannedRenderer.revisit`.
+        point : GradientProbe or None
+            Where the previous step evaluated the gradient.
+        gradient : callable
+            Returns the gradient of the frozen parameters there.
         """
-        probe = self._probe_at(params, np.array(cotangent, dtype=np.float32), seed)
-        self._update(probe=probe, schedule=self.state.schedule.after_gradient())
-        if frozen is None:
-            if not first:
-                self._update(frozen=self.state.frozen.updated(gradient))
-                self._release({}, "as gradients agree")
-            frozen = frozenset(self.state.frozen.reasons)
-        if self.state.schedule.is_due:
-            self._revisit("on schedule")
-        return frozen
+        schedule = state.schedule.after_step(value)
+        state = replace(state, schedule=schedule if point is None else schedule.after_gradient())
+        if point is not None and state.started:
+            state = self._after_gradient(state, step, point, gradient)
+        if state.blurred is not None:
+            state = replace(state, blurred=state.blurred.revisit(step, steps))
+        return state
 
-    def at_step(self, step: int, steps: int, value: float | None) -> None:
-        """Revisit the plan before a step if the loss has stalled."""
-        if self.state.blurred is not None:
-            self.state.blurred.at_step(step, steps, value)
-        self._update(schedule=self.state.schedule.after_step(value))
-        if self.state.schedule.is_stalled:
-            self._update(schedule=self.state.schedule.after_stall())
-            self._revisit(f"before step {step}, where the loss stalls")
-
-    def check_visibility(self) -> None:
-        """When a shape comes into view, sample its silhouette and release the parameters that move it.
-
-        A parameter that was blurred because its gradient was noise has a gradient of its own then; the next gradient
-        starts a new pilot.
-        """
-        state = self.state
-        if not state.started:
-            return
-        revealed = self._visible(state.hidden)
-        if revealed:
-            self._update(hidden={name: shape for name, shape in state.hidden.items() if name not in revealed})
+    def _after_gradient(
+        self, state: PlanState, step: int, point: GradientProbe, gradient: Callable[[], Mapping[str, Float32Array]]
+    ) -> PlanState:
+        revealed = self._visible(state.hidden, point)
+        if revealed:  # a parameter that was blurred because its gradient was noise has a gradient of its own now
             blurred = {name: reason for name, reason in state.plan.blurred.items() if name not in revealed}
-            self._restart_and_log(blurred, "as it comes into view")
-            self._update(started=False)
-            return
+            changes = replace(state.plan, blurred=blurred).changes_from(state.plan)
+            log.info("effects, as it comes into view: %s", changes)
+            return self.start(point, optimise=state.optimised)
+        state = self._in_view(state, point)
+        if state.frozen.groups:
+            state = replace(state, frozen=state.frozen.updated(gradient()))
+            state = self._released(state, {}, "as gradients agree")
+        if state.schedule.is_stalled:
+            state = replace(state, schedule=state.schedule.after_stall())
+            return self._tested(state, point, f"before step {step}, where the loss stalls")
+        return self._tested(state, point, "on schedule") if state.schedule.is_due else state
+
+    def _in_view(self, state: PlanState, point: GradientProbe) -> PlanState:
+        """When a shape comes into view, sample its silhouette and release the parameters that move it."""
         missing = settings_of(state.rules).sppp > 0 and settings_of(state.plan).sppp == 0
         if not (missing or state.frozen.groups):
-            return
-        revealed = self._visible(state.traits.moving) - state.in_view
+            return state
+        revealed = self._visible(state.traits.moving, point) - state.in_view
         if not revealed:
-            return
-        self._update(in_view=state.in_view | revealed, frozen=state.frozen.without(revealed))
+            return state
+        state = replace(state, in_view=state.in_view | revealed, frozen=state.frozen.without(revealed))
         reason = f"a shape that {listed(sorted(revealed))} moves has come into view"
-        self._release({Effect.PRIMARY: reason} if missing else {}, "as it comes into view")
+        return self._released(state, {Effect.PRIMARY: reason} if missing else {}, "as it comes into view")
 
-    def _revisit(self, when: str) -> None:
+    def _tested(self, state: PlanState, point: GradientProbe, when: str) -> PlanState:
         """Test again whether effects that are off, and parameters that are blurred or frozen, should stay so."""
-        self._update(schedule=self.state.schedule.after_probe())
-        if self.state.probe is None:
-            return
-        self._unblur(self.state.probe, when)
-        if not self.state.names or not self.state.plan.understood or not self.state.plan.measured:
-            return
-        if self.state.frozen.groups:
-            self._attach_lights(self._last_probe, self.state.frozen.reasons)
-            self._blur_noisy(self._last_probe)
-        if not self.state.names:
-            return
-        rules = settings_of(self.state.rules)
-        grown = self.state.pilot.grown(rules, self.state.plan, self._last_probe, self.state.norms)
-        self._release(grown, when)
+        state = self._unblurred(replace(state, schedule=state.schedule.after_probe()), point, when)
+        if not state.names or not state.plan.understood or not state.plan.measured:
+            return state
+        if state.frozen.groups:
+            state = self._with_attached_lights(state, point, state.frozen.reasons)
+            state = self._with_blurred_noise(state, point)
+        if not state.names:
+            return state
+        grown = state.pilot.grown(settings_of(state.rules), state.plan, replace(point, names=state.names), state.norms)
+        return self._released(state, grown, when)
 
-    def _run_pilot(self, probe: GradientProbe, released: frozenset[str] = frozenset()) -> None:
+    def _piloted(self, state: PlanState, point: GradientProbe, released: frozenset[str] = frozenset()) -> PlanState:
         """Run the pilot, and freeze the parameters whose gradient is noise, except the `released` ones."""
-        if self.state.names:
-            result = self.state.pilot.run(self.state.plan, probe)
-            self._update(norms=result.norms, frozen=result.frozen.without(released))
-            self._change(replace(result.plan, frozen=self.state.frozen.reasons), "by the pilot")
+        if not state.names:
+            return state
+        result = state.pilot.run(state.plan, replace(point, names=state.names))
+        state = replace(state, norms=result.norms, frozen=result.frozen.without(released))
+        return self._changed(state, replace(result.plan, frozen=state.frozen.reasons), "by the pilot")
 
-    def _attach_lights(self, probe: GradientProbe, names: Iterable[str]) -> None:
+    def _with_attached_lights(self, state: PlanState, point: GradientProbe, names: Iterable[str]) -> PlanState:
         """Use attached samples for the lights among `names` whose attached gradient is preferred to Mitsuba's."""
-        lights = tuple(name for name in names if name in self._setup.attached.lights)
+        lights = tuple(name for name in names if name in self.setup.attached.lights)
         if not lights:
-            return
-        mitsuba = self.base.with_integrator(self.state.plan, wrt=lights)
-        preferred = self._attached.preferred(
-            mitsuba, probe.params, probe.cotangent, names=lights, seed=PILOT_SEED_OFFSET + probe.seed
+            return state
+        mitsuba = self.base.with_integrator(state.plan, wrt=lights)
+        preferred = self.attached.preferred(
+            mitsuba, point.params, point.cotangent, names=lights, seed=PILOT_SEED_OFFSET + point.seed
         )
-        if preferred:
-            self._update(attached=self.state.attached | preferred)
-            self._restart_and_log(self.state.plan.blurred, "by the pilot")
-            self._run_pilot(self._current_probe(probe))
+        if not preferred:
+            return state
+        state = replace(state, attached=state.attached | preferred)
+        return self._piloted(self._restarted(state, state.plan.blurred, "by the pilot"), point)
 
-    def _blur_vanishing(self, probe: GradientProbe) -> None:
+    def _without_vanishing(self, state: PlanState, point: GradientProbe) -> PlanState:
         """Blur parameters whose attached gradient is exactly 0.
 
         A noisy attached gradient is kept: a blurred gradient has ten times the noise.
         """
-        names = tuple(name for name in self.state.plan.attached if name in self._setup.unsupported)
-        vanishing = self._attached.vanishing(
-            probe.params, probe.cotangent, names=names, seed=PILOT_SEED_OFFSET + probe.seed
+        names = tuple(name for name in state.plan.attached if name in self.setup.unsupported)
+        vanishing = self.attached.vanishing(
+            point.params, point.cotangent, names=names, seed=PILOT_SEED_OFFSET + point.seed
         )
         if not vanishing:
-            return
-        glass = {name: shape for name, shape in self._setup.attached.glass.items() if name in vanishing}
-        self._hide(glass)
-        self._update(attached=self.state.attached - vanishing)
-        self._restart()
+            return state
+        glass = {name: shape for name, shape in self.setup.attached.glass.items() if name in vanishing}
+        state = replace(self._hiding(state, glass, point), attached=state.attached - vanishing)
+        return self._restarted(state)
 
-    def _blur_noisy(self, probe: GradientProbe) -> None:
+    def _with_blurred_noise(self, state: PlanState, point: GradientProbe) -> PlanState:
         """Blur frozen parameters whose blurred gradient is significant."""
-        significant = self._blurring.significant(probe, self.state.frozen)
-        if significant:
-            self._hide({name: shape for name, shape in self.state.traits.moving.items() if name in significant})
-            self._restart_and_log({**self.state.plan.blurred, **significant}, "by the pilot")
-            self._run_pilot(self._current_probe(probe))
+        significant = self._blurring(state.renderer).significant(point, state.frozen)
+        if not significant:
+            return state
+        shapes = {name: shape for name, shape in state.traits.moving.items() if name in significant}
+        state = self._hiding(state, shapes, point)
+        return self._piloted(self._restarted(state, {**state.plan.blurred, **significant}, "by the pilot"), point)
 
-    def _unblur(self, probe: GradientProbe, when: str) -> None:
+    def _unblurred(self, state: PlanState, point: GradientProbe, when: str) -> PlanState:
         """Stop blurring parameters that were blurred for their noise and have a significant gradient now."""
-        noisy = self.state.plan.blurred.keys() - self._setup.unsupported.keys()
+        noisy = state.plan.blurred.keys() - self.setup.unsupported.keys()
         if not noisy:
-            return
+            return state
         # With all other parameters, as in a step, because they share samples.
-        targets = {
-            name: target for name, target in self.base.targets.items() if name in noisy or name in self.state.names
-        }
+        targets = {name: target for name, target in self.base.targets.items() if name in noisy or name in state.names}
         traits = self._traits_of(targets)
-        rules = settings_of(plan_by_rules(traits, self._samples))
-        draws = replace(probe, names=tuple(targets)).gradients(rules, range(probe.seed, probe.seed + MAX_DRAWS))
+        rules = settings_of(plan_by_rules(traits, self.samples))
+        draws = replace(point, names=tuple(targets)).gradients(rules, range(point.seed, point.seed + MAX_DRAWS))
         groups = group_by_shape([name for name in targets if name in noisy], traits.moving)
         released = frozenset(noisy) - Frozen.of(draws, groups).reasons.keys()
         if not released:
-            return
-        self._update(hidden={name: shape for name, shape in self.state.hidden.items() if name not in released})
-        blurred = {name: reason for name, reason in self.state.plan.blurred.items() if name not in released}
-        self._restart_and_log(blurred, when)
-        self._run_pilot(self._current_probe(probe), released)
+            return state
+        blurred = {name: reason for name, reason in state.plan.blurred.items() if name not in released}
+        return self._piloted(self._restarted(state.without_hidden(released), blurred, when), point, released)
 
-    def _hide(self, shapes: Mapping[str, Any]) -> None:
-        """Remember shapes that are out of view, to look for them in later images."""
-        visible = self._visible(shapes)
+    def _hiding(self, state: PlanState, shapes: Mapping[str, Any], point: GradientProbe) -> PlanState:
+        """Remember shapes that are out of view, to look for them in later steps."""
+        visible = self._visible(shapes, point)
         hidden = {name: shape for name, shape in shapes.items() if name not in visible}
-        self._update(hidden={**self.state.hidden, **hidden})
+        return replace(state, hidden={**state.hidden, **hidden})
 
-    def _visible(self, shapes: Mapping[str, Any]) -> frozenset[str]:
-        """Return the parameters whose shape may be in view at the scene's current values."""
+    def _visible(self, shapes: Mapping[str, Any], point: GradientProbe) -> frozenset[str]:
+        """Return the parameters whose shape may be in view."""
         if not shapes:
             return frozenset()
+        self.base.set_parameters(point.params)
         frustum = Frustum(self.base.sensor)
         return frozenset(name for name, shape in shapes.items() if frustum.overlaps(shape))
 
-    def _release(self, grown: Mapping[Effect, str], when: str) -> None:
+    def _released(self, state: PlanState, grown: Mapping[Effect, str], when: str) -> PlanState:
         """Turn effects on, and release parameters that are no longer frozen."""
-        state = self.state
         if not grown and len(state.frozen.reasons) == len(state.plan.frozen):
-            return
+            return state
         plan = plan_with(state.traits, state.plan, settings_of(state.rules), grown)
-        self._change(replace(plan, frozen=state.frozen.reasons), when)
+        return self._changed(state, replace(plan, frozen=state.frozen.reasons), when)
 
-    def _change(self, plan: EffectPlan, when: str) -> None:
-        changes = plan.changes_from(self.state.plan)
+    def _changed(self, state: PlanState, plan: EffectPlan, when: str) -> PlanState:
+        """Return the state with another plan, and log the changes."""
+        changes = plan.changes_from(state.plan)
         if changes:
             log.info("effects, %s: %s", when, changes)
-        self._update(plan=plan, renderer=self.base.with_integrator(plan, wrt=self.state.names))
+        renderer = self.base.with_integrator(plan, wrt=state.names)
+        blurred = None if state.blurred is None else state.blurred.with_renderer(PlannedImages(renderer))
+        return replace(state, plan=plan, renderer=renderer, blurred=blurred)
 
-    def _restart_and_log(self, blurred: Mapping[str, str], when: str) -> None:
-        previous = self.state.plan
-        self._restart(blurred)
-        log.info("effects, %s: %s", when, self.state.plan.changes_from(previous))
-
-    def _restart(self, blurred: Mapping[str, str] = NOTHING) -> None:
-        """Start again from the rules, with the unsupported parameters and those in `blurred` blurred."""
-        state = self.state
-        self._update(**self._fields_by_rules(state.optimised, state.attached, blurred, state.blurred))
+    def _restarted(self, state: PlanState, blurred: Mapping[str, str] = NOTHING, when: str = "") -> PlanState:
+        """Start again from the rules, with the unsupported parameters and those in `blurred` blurred; log if `when`."""
+        fields = self._fields_by_rules(state.optimised, state.attached, blurred, state.blurred)
+        restarted = replace(state, **fields)
+        if when:
+            log.info("effects, %s: %s", when, restarted.plan.changes_from(state.plan))
+        return restarted
 
     def _fields_by_rules(
         self,
         optimised: tuple[str, ...],
         attached: frozenset[str],
         blurred: Mapping[str, str],
-        blurred_renderer: BlurredRenderer | None,
+        previous: BlurredRenderer | None,
     ) -> dict[str, Any]:
         """Return the fields of a state that the rules decide."""
         attached_reasons = {
-            name: self._setup.attached.reason_of(name) for name in optimised if name in attached and name not in blurred
+            name: self.setup.attached.reason_of(name) for name in optimised if name in attached and name not in blurred
         }
         unsupported = {
             name: reason
-            for name, reason in {**self._setup.unsupported, **blurred}.items()
+            for name, reason in {**self.setup.unsupported, **blurred}.items()
             if name in optimised and name not in attached_reasons
         }
         excluded = {*unsupported, *attached_reasons}
@@ -370,58 +342,30 @@ class Planner:
         }
         names, groups = tuple(targets), group_by_unit(targets)
         traits = replace(self._traits_of(targets), attached=attached_reasons, blurred=unsupported)
-        rules = plan_by_rules(traits, self._samples)
+        rules = plan_by_rules(traits, self.samples)
+        renderer = self.base.with_integrator(rules, wrt=names)
         if not unsupported:
             blurred_renderer = None
-        elif blurred_renderer is None or blurred_renderer.names != tuple(unsupported):  # otherwise it knows the step
-            blurred_renderer = self._blurring.over(unsupported)
+        elif previous is not None and previous.names == tuple(unsupported):  # it knows the step and its units
+            blurred_renderer = previous.with_renderer(PlannedImages(renderer))
+        else:
+            blurred_renderer = self._blurring(renderer).over(unsupported)
         return {
             "names": names,
             "groups": groups,
             "traits": traits,
-            "pilot": Pilot(traits, self._samples, self._fraction, groups, group_by_shape(names, traits.moving)),
+            "pilot": Pilot(traits, self.samples, self.fraction, groups, group_by_shape(names, traits.moving)),
             "rules": rules,
             "plan": rules,
-            "renderer": self.base.with_integrator(rules, wrt=names),
+            "renderer": renderer,
             "blurred": blurred_renderer,
             "frozen": Frozen(),
         }
 
+    def _blurring(self, renderer: MitsubaRenderer) -> Blurring:
+        return Blurring(PlannedImages(renderer), self.blur, tuple(self.setup.unsupported))
+
     def _traits_of(self, targets: Mapping[str, ParameterTarget]) -> Traits:
         traits = traits_of(self.base.names, targets, self.base.sensor)
-        substitutions = self._setup.substitutions if traits.moving else {}
-        return replace(traits, substitutions=substitutions, has_delta_bsdf=self._setup.has_delta_bsdf)
-
-    def _probe_at(self, params: Mapping[str, Any], cotangent: Float32Array, seed: int) -> GradientProbe:
-        return GradientProbe(self.base, dict(params), cotangent, self.state.names, seed)
-
-    def _current_probe(self, probe: GradientProbe) -> GradientProbe:
-        """Store and return the probe for the parameters whose gradient is Mitsuba's now."""
-        probe = replace(probe, names=self.state.names)
-        self._update(probe=probe)
-        return probe
-
-    @property
-    def _last_probe(self) -> GradientProbe:
-        probe = self.state.probe
-        assert probe is not None  # noqa: S101  # stored before any change of a plan
-        return probe
-
-    def _update(self, **changes: Any) -> None:
-        self.state = replace(self.state, **changes)
-
-
-@dataclass(frozen=True)
-class _PlannedImages:
-    """The images under the current plan, for blurred gradients."""
-
-    planner: Planner
-
-    def parameters(self) -> dict[str, Float32Array]:
-        return self.planner.base.parameters()
-
-    def render(self, params: Mapping[str, Any], *, seed: int = 0) -> Float32Array:
-        return self.planner.state.renderer.render(legal_values(params, self.planner.base.targets), seed=seed)
-
-    def render_vjp(self, params: Mapping[str, Any], *, seed: int = 0) -> Any:
-        return self.planner.state.renderer.render_vjp(params, seed=seed)
+        substitutions = self.setup.substitutions if traits.moving else {}
+        return replace(traits, substitutions=substitutions, has_delta_bsdf=self.setup.has_delta_bsdf)

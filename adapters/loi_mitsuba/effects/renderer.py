@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping
+from copy import copy
+from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from types import MappingProxyType
@@ -18,8 +20,10 @@ from loi_core.renderers.contract import Loss, LossPullback, RendererCapabilities
 from loi_core.support.arrays import to_numpy
 from loi_core.support.values import real_number
 from loi_core.support.wording import clause, shown
+from loi_mitsuba.effects.attached_gradient import AttachedGradient
 from loi_mitsuba.effects.effect_images import effect_images
-from loi_mitsuba.effects.planner import Planner
+from loi_mitsuba.effects.gradient_draws import GradientProbe
+from loi_mitsuba.effects.planner import Planner, PlanState
 from loi_mitsuba.effects.rules import everything, plan_of
 from loi_mitsuba.effects.setup import prepare_renderer
 from loi_mitsuba.effects.verify import Verification, verification
@@ -38,10 +42,11 @@ FRACTION: Final = 0.1  # effects that are off rotate the gradient by less than 6
 class PlannedRenderer:
     """A Mitsuba scene that is rendered by a plan; satisfies the contract of :class:`loi_core.Renderer`.
 
-    The first plan follows sound rules. The first gradient starts a pilot, a few gradients more, which turns off effects
-    that carry less than `fraction` of the gradient. Effects that are off are tested again after 20 gradients, then 40,
-    80 and so on, as soon as a moving shape comes into view, and when the loss of a fit stalls. Effects that appear or
-    grow are turned on and stay on.
+    A plan never changes: images and gradients depend on parameters and seed alone. At first the plan follows sound
+    rules. :meth:`start` returns a renderer with a better plan, by a pilot: a few gradients, which turn off effects that
+    carry less than `fraction` of the gradient. :meth:`revisit` returns the renderer of the next step. It tests effects
+    that are off again after 20 gradients, then 40, 80 and so on, as soon as a moving shape has come into view, and when
+    the loss stalls. Effects that appear or grow are turned on and stay on. :func:`loi_core.fit` calls both.
 
     If the gradient of an object is indistinguishable from noise, its parameters are blurred, provided that the blurred
     gradient is significant. Otherwise they are frozen: their gradient is 0 until the gradients of further steps agree;
@@ -78,7 +83,10 @@ class PlannedRenderer:
     Notes
     -----
     A change of the path depth changes the image, by less than the fraction. Samples are allocated by measured times, so
-    that two runs may differ by noise. A plan that is given to :class:`MitsubaRenderer` as its integrator is fixed.
+    that two runs may differ by noise.
+
+    In your own loop, call :meth:`start` once, and :meth:`revisit` after every step. Otherwise the renderer keeps the
+    plan by the rules, and freezes nothing.
 
     Raises
     ------
@@ -125,13 +133,17 @@ class PlannedRenderer:
         )
         self._base = setup.renderer
         self._samples = int(spp)
-        self._planner = Planner(setup, samples=self._samples, fraction=real_number(fraction), blur=blur)
+        attached = AttachedGradient(setup.renderer, setup.attached, self._samples)
+        self._planner = Planner(setup, attached, self._samples, real_number(fraction), blur)
+        self._state = self._planner.by_rules(self._base.targets)
+        self._frozen_gradient: _FrozenGradient | None = None
 
     @property
     def capabilities(self) -> RendererCapabilities:
-        """Images are radiance; gradients depend on the loss and the step; the effects are planned."""
+        """Images are radiance; gradients depend on the loss; the effects are planned, and planned again."""
         return RendererCapabilities(
-            at_step=self.at_step,
+            start=self.start,
+            revisit=self.revisit,
             render_loss_vjp=self.render_loss_vjp,
             unabridged=lambda: self.unabridged,
             encoding="linear",
@@ -141,18 +153,18 @@ class PlannedRenderer:
     @property
     def plan(self) -> EffectPlan:
         """The current plan."""
-        return self._planner.state.plan
+        return self._state.plan
 
     @property
     def everything(self) -> EffectPlan:
         """The plan with all effects on that Mitsuba can differentiate, without guiding: the reference of `verify`."""
-        traits = self._planner.state.traits
+        traits = self._state.traits
         return plan_of(traits, everything(traits, self._samples))
 
     @property
     def groups(self) -> tuple[tuple[str, ...], ...]:
         """The optimised parameters whose gradient is Mitsuba's, in groups of one unit."""
-        return self._planner.state.groups
+        return self._state.groups
 
     @property
     def targets(self) -> dict[str, ParameterTarget]:
@@ -167,7 +179,7 @@ class PlannedRenderer:
     @property
     def unabridged(self) -> MitsubaRenderer:
         """The same scene with all effects on, which judges the result of a fit."""
-        return self._base.with_integrator(self.everything, wrt=self._planner.state.names)
+        return self._base.with_integrator(self.everything, wrt=self._state.names)
 
     def parameters(self) -> dict[str, Float32Array]:
         """Return the values of the scene as it was loaded; see :meth:`MitsubaRenderer.parameters`."""
@@ -175,61 +187,104 @@ class PlannedRenderer:
 
     def render(self, params: Mapping[str, Any], *, seed: int = 0) -> Float32Array:
         """Render the image, shape (H, W, C), float32; see :meth:`MitsubaRenderer.render`."""
-        return self._planner.state.renderer.render(params, seed=seed)
+        return self._state.renderer.render(params, seed=seed)
 
     def render_vjp(
         self, params: Mapping[str, Any], *, seed: int = 0
     ) -> tuple[Float32Array, Callable[[Any], dict[str, Float32Array]]]:
         """Render the image and return it with its pullback; see :meth:`MitsubaRenderer.render_vjp`.
 
-        The pullback keeps the plan of its image. The gradient of frozen parameters is 0.
+        The gradient of frozen parameters is 0.
         """
         image, pullback = self.render_loss_vjp(params, seed=seed)
         return image, partial(pullback, None)
 
     def render_loss_vjp(self, params: Mapping[str, Any], *, seed: int = 0) -> tuple[Float32Array, LossPullback]:
         """As `render_vjp`, with a pullback of the loss, or None, and the cotangent: blurred gradients use the loss."""
-        planner = self._planner
-        image = planner.state.renderer.render(params, seed=seed)
-        planner.check_visibility()
-        renderer = planner.state.renderer  # the pullback keeps it when the plan changes
-        values = {name: np.array(value, dtype=np.float32) for name, value in params.items()}
-        frozen: frozenset[str] | None = None
+        state = self._state
+        image, values = state.renderer.render(params, seed=seed), _host(params)
 
         def pullback(loss: Loss | None, cotangent: Any) -> dict[str, Float32Array]:
-            nonlocal frozen
             checked = host_numbers("cotangent", cotangent, image.shape)
-            gradient = renderer.vjp(values, checked, seed=seed)
-            first = not planner.state.started
-            if first:
-                planner.begin(values, checked, optimise=planner.state.optimised, seed=seed)
-            gradient |= planner.attached_vjp(values, checked, seed=seed)
-            gradient |= planner.blurred_vjp(values, checked, seed=seed, loss=loss)
-            frozen = planner.observe(values, checked, gradient, seed=seed, first=first, frozen=frozen)
-            return gradient | {name: np.zeros_like(gradient[name]) for name in frozen}
+            gradient = state.renderer.vjp(values, checked, seed=seed)
+            noise = {name: gradient[name] for name in state.frozen.reasons}
+            if noise:
+                self._frozen_gradient = _FrozenGradient(values, np.array(checked), seed, noise)
+            if state.plan.attached:
+                gradient |= self._planner.attached.vjp(values, checked, names=state.plan.attached, seed=seed)
+            if state.blurred is not None:
+                gradient |= state.blurred.vjp(values, checked, seed=seed, loss=loss)
+            return gradient | {name: np.zeros_like(value) for name, value in noise.items()}
 
         return image, pullback
 
-    def begin(self, params: Mapping[str, Any], cotangent: Any, *, optimise: Iterable[str], seed: int = 0) -> EffectPlan:
-        """Plan a fit that starts at `params`, where the loss has the gradient `cotangent`, shape (H, W, C).
+    def start(
+        self, params: Mapping[str, Any], cotangent: Any, *, optimise: Iterable[str] | None = None, seed: int = 0
+    ) -> PlannedRenderer:
+        """Return a renderer with a plan for a fit that starts at `params`.
 
-        From then on the gradient is 0 for parameters that are not in `optimise`, and for frozen ones until they are
-        released.
+        Parameters
+        ----------
+        params : dict of arrays
+        cotangent : array, shape (H, W, C)
+            Gradient of the loss with respect to the image at `params`.
+        optimise : iterable of str, optional
+            The free parameters; all by default. The gradient of the others is 0.
+        seed : int
+            Seed of the pilot.
 
         Raises
         ------
         ParameterError
             If `optimise` is empty or names an unknown parameter.
         """
-        return self._planner.begin(params, cotangent, optimise=optimise, seed=seed)
+        names = self._base.targets if optimise is None else optimise
+        return self._with_state(self._planner.start(self._point(params, cotangent, seed), optimise=names))
 
-    def at_step(self, step: int, steps: int, value: float | None) -> None:
-        """Test effects that are off again if the loss has stalled; :func:`loi_core.fit` calls this before every step.
+    def revisit(
+        self,
+        step: int,
+        steps: int,
+        value: float | None = None,
+        params: Mapping[str, Any] | None = None,
+        cotangent: Any = None,
+        *,
+        seed: int = 0,
+    ) -> PlannedRenderer:
+        """Return the renderer of `step` of `steps`; :func:`loi_core.fit` calls this before every step.
 
-        The loss has stalled if it has reached no new minimum for 20 steps, then for 40, 80, 160 ... more. `value`
-        is the loss of the previous step; None where a fit begins.
+        The loss has stalled if it has reached no new minimum for 20 steps, then for 40, 80, 160 ... more.
+
+        Parameters
+        ----------
+        step, steps : int
+            The next step, counted from 0, and their number.
+        value : float, optional
+            Loss of the previous step; None where a fit begins.
+        params, cotangent, seed
+            Of the previous step; `cotangent` is the gradient of the loss with respect to the image, shape (H, W, C).
+            None if there is none.
         """
-        self._planner.at_step(step, steps, value)
+        point = None if params is None or cotangent is None else self._point(params, cotangent, seed)
+
+        def gradient() -> Mapping[str, Float32Array]:
+            """Return the gradient of the frozen parameters; the pullback of the step has usually evaluated it."""
+            assert point is not None  # noqa: S101  # only the gradient of a step is asked for
+            known = self._frozen_gradient
+            if known is not None and known.is_at(point):
+                return known.gradient
+            return self._state.renderer.vjp(point.params, point.cotangent, seed=point.seed)
+
+        return self._with_state(self._planner.revisit(self._state, step, steps, value, point, gradient))
+
+    def _point(self, params: Mapping[str, Any], cotangent: Any, seed: int) -> GradientProbe:
+        return GradientProbe(self._base, _host(params), np.array(to_numpy(cotangent), np.float32), (), seed)
+
+    def _with_state(self, state: PlanState) -> PlannedRenderer:
+        changed = copy(self)
+        changed._state = state
+        changed._frozen_gradient = None
+        return changed
 
     def verify(
         self, objective: Objective, params: Mapping[str, Any] | None = None, *, draws: int = 16, seed: int = 0
@@ -252,7 +307,7 @@ class PlannedRenderer:
         OptionError
             If all parameters are blurred or have attached gradients.
         """
-        state = self._planner.state
+        state = self._state
         if not state.names:
             names = clause({**state.plan.blurred, **state.plan.attached}, "is", "are")
             msg = f"there is nothing to verify: {names} blurred or attached, and no gradient is Mitsuba's own"
@@ -267,15 +322,38 @@ class PlannedRenderer:
             seed=seed,
         )
 
-    def effect_images(self, params: Mapping[str, Any], cotangent: Any, *, seed: int = 0) -> dict[str, Float32Array]:
+    def effect_images(
+        self, params: Mapping[str, Any], cotangent: Any, *, optimise: Iterable[str] | None = None, seed: int = 0
+    ) -> dict[str, Float32Array]:
         """Return for each effect the change of the image along the descent of the loss, shape (H, W, C).
 
-        Effects that the pilot turned off are included, and those that the rules exclude are not. Empty where Mitsuba
-        has no derivative of images, as in media, or where the gradient is 0.
+        The parameters in `optimise` change, by default those that the plan is for. Effects that the pilot turned off
+        are included, and those that the rules exclude are not. Empty where Mitsuba has no derivative of images, as in
+        media, or where the gradient is 0.
         """
-        state = self._planner.state
+        state = self._state if optimise is None else self._planner.by_rules(optimise)
         if not state.names:
             return {}
         return effect_images(
             self._base, state.rules, state.names, 4 * self._samples, params, to_numpy(cotangent), seed=seed
         )
+
+
+@dataclass(frozen=True)
+class _FrozenGradient:
+    """The last gradient of the frozen parameters, which `revisit` would evaluate again."""
+
+    params: Mapping[str, Float32Array]
+    cotangent: Float32Array
+    seed: int
+    gradient: Mapping[str, Float32Array]
+
+    def is_at(self, point: GradientProbe) -> bool:
+        """Return whether it is the gradient at this point."""
+        same = all(np.array_equal(value, point.params[name]) for name, value in self.params.items())
+        return same and self.seed == point.seed and np.array_equal(self.cotangent, point.cotangent)
+
+
+def _host(params: Mapping[str, Any]) -> dict[str, Float32Array]:
+    """Return copies of the parameters as NumPy arrays."""
+    return {name: np.array(to_numpy(value), dtype=np.float32) for name, value in params.items()}

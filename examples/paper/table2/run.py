@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Sequence
+from copy import copy
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final
@@ -116,7 +117,8 @@ class _RendererWrapper:
     @property
     def capabilities(self) -> RendererCapabilities:
         wrapped = capabilities_of(self._renderer)
-        return replace(wrapped, at_step=self.at_step, render_loss_vjp=self.render_loss_vjp)
+        start = None if wrapped.start is None else self.start
+        return replace(wrapped, start=start, revisit=self.revisit, render_loss_vjp=self.render_loss_vjp)
 
     def parameters(self) -> Parameters:
         return self._renderer.parameters()
@@ -131,17 +133,25 @@ class _RendererWrapper:
     def render_loss_vjp(self, params: Parameters, *, seed: int = 0) -> tuple[Any, LossPullback]:
         return render_loss_vjp(self._renderer, params, seed=seed)
 
-    def at_step(self, step: int, steps: int, value: float | None) -> None:
-        wrapped = capabilities_of(self._renderer).at_step
-        if wrapped is not None:
-            wrapped(step, steps, value)
+    def start(self, *arguments: Any, **options: Any) -> Renderer:
+        start = capabilities_of(self._renderer).start
+        return self if start is None else self._of(start(*arguments, **options))
+
+    def revisit(self, *arguments: Any, **options: Any) -> Renderer:
+        revisit = capabilities_of(self._renderer).revisit
+        return self if revisit is None else self._of(revisit(*arguments, **options))
+
+    def _of(self, renderer: Renderer) -> Renderer:
+        changed = copy(self)
+        changed._renderer = renderer
+        return changed
 
 
 class _NarrowestBlur(_RendererWrapper):
     """Renderer whose blur over parameters, if any, has its final width in every step."""
 
-    def at_step(self, step: int, steps: int, value: float | None) -> None:  # noqa: ARG002  # every step is as the last
-        super().at_step(steps - 1, steps, value)
+    def revisit(self, step: int, steps: int, *arguments: Any, **options: Any) -> Renderer:  # noqa: ARG002
+        return super().revisit(steps - 1, steps, *arguments, **options)  # every step is as the last
 
 
 class _ExactImages(_RendererWrapper):

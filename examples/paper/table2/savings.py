@@ -28,9 +28,9 @@ def savings(columns: Sequence[Column]) -> list[str]:
         built = problem.built
         objective = LOIObjective(problem.target)
         start = numbers(built.start)
-        planned = PlannedRenderer(built.scene, built.parameters, spp=column.samples)
+        by_rules = PlannedRenderer(built.scene, built.parameters, spp=column.samples)
+        planned = by_rules.start(start, objective.value_and_grad(by_rules.render(start))[1])
         step = partial(_step, objective, start)
-        step(planned, 0)  # makes the plan
         plan_seconds, full_seconds = _timed_in_turns(partial(step, planned), partial(step, planned.unabridged))
         effects = ", ".join(sorted(effect.value for effect in planned.plan.on)) or "nothing"
         ratio = full_seconds / plan_seconds

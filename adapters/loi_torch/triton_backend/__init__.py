@@ -1,1 +1,0 @@
-"""The loss on an NVIDIA GPU, in kernels written in Triton."""
