@@ -49,11 +49,11 @@ def torch_pair(image: Any, reference: Any, scales: ScaleSpace) -> Pair:
 
 def jax_pair(image: Any, reference: Any, scales: ScaleSpace) -> Pair:
     """The core on NumPy arrays, and the same under ``jit`` through ``grad``."""
-    array = jnp.asarray(image)
+    array, target = jnp.asarray(image), jnp.asarray(reference)
     core = LOIObjective(reference, scales)
-    through = jax.jit(jax.value_and_grad(loi_jax.loi_loss(reference, scales)))
+    through = jax.jit(jax.value_and_grad(lambda image, target: loi_jax.loi_loss(image, target, scales)))
     wait: Any = jax.block_until_ready
-    return lambda: core.value_and_grad(image), lambda: wait(through(array))
+    return lambda: core.value_and_grad(image), lambda: wait(through(array, target))
 
 
 def drjit_pair(backend: str) -> Callable[[Any, Any, ScaleSpace], Pair]:

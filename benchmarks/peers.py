@@ -10,6 +10,7 @@ import math
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Final, TypeAlias
 
 # Two frameworks share a GPU here; JAX would take three quarters of it to itself.
@@ -17,7 +18,6 @@ os.environ.setdefault("XLA_PYTHON_CLIENT_PREALLOCATE", "false")
 
 # isort: split
 import jax
-import jax.numpy as jnp
 import numpy as np
 import torch
 from torch import Tensor
@@ -167,17 +167,13 @@ def _numpy_loi(row: Row, image: Image, reference: Image) -> Prepare:
 
 def _jax_loi(row: Row, image: Image, reference: Image) -> Prepare:
     device = jax.devices("gpu" if row.device == "cuda" else "cpu")[0]
-    array = jax.device_put(jnp.asarray(image), device)
+    array, target = jax.device_put((image, reference), device)
     wait: Any = jax.block_until_ready
 
     def prepare() -> Call:
-        compiled = jax.jit(jax.value_and_grad(loi_jax.loi_loss(reference, PRESETS[row.preset], row.what)))
-
-        def step() -> None:
-            with jax.default_device(device):  # where the reference is prepared
-                wait(compiled(array))
-
-        return step
+        loss = partial(loi_jax.loi_loss, scales=PRESETS[row.preset], accuracy=row.what)
+        compiled = jax.jit(jax.value_and_grad(loss))
+        return lambda: wait(compiled(array, target))
 
     return prepare
 

@@ -13,6 +13,7 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -138,7 +139,7 @@ def on_jax() -> Results:
     results: Results = {}
     for dtype in ("float32", "float64"):
         image, reference = pictures(dtype)
-        value, gradient = jax.jit(jax.value_and_grad(loi_jax.loi_loss(reference, SCALES)))(jax.numpy.asarray(image))
+        value, gradient = jax.jit(jax.value_and_grad(partial(loi_jax.loi_loss, scales=SCALES)))(image, reference)
         results |= {f"loss, {dtype}": np.asarray(value), f"loss gradient, {dtype}": np.asarray(gradient)}
     results |= rendered("disks", disks(JaxDisks))
     return results | fitted("disks", disks(JaxDisks), "positions", 0.5)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import jax
 import jax.numpy as jnp
 
@@ -29,16 +31,15 @@ class Jax:
 
     def prepare(self, request: Request) -> Evaluate:
         """See :class:`loi_core.plugins.measurement_backends.MeasurementBackend`."""
-        reference = request.reference.astype("float32" if request.dtype in self.half_dtypes else request.dtype)
-        loss = loi_loss(reference, request.scales, request.accuracy, nan_policy=request.nan_policy)
+        loss = partial(loi_loss, scales=request.scales, accuracy=request.accuracy, nan_policy=request.nan_policy)
         value_and_grad = jax.jit(jax.value_and_grad(loss))
         double = request.dtype == "float64"
         with jax.enable_x64(double):
-            image = jnp.asarray(request.image, dtype=request.dtype)
+            image, target = (jnp.asarray(array, dtype=request.dtype) for array in (request.image, request.reference))
 
         def evaluate() -> tuple[float, Host]:
             with jax.enable_x64(double):
-                value, gradient = value_and_grad(image)
+                value, gradient = value_and_grad(image, target)
                 gradient.block_until_ready()  # computed together with the value
             return float(value), to_numpy(gradient)
 

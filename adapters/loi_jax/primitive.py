@@ -22,7 +22,7 @@ from jax.core import ShapedArray
 from jax.extend.core import Primitive
 from jax.interpreters import ad, batching, mlir
 
-from loi_core.support.arrays import Host, device, from_numpy, is_read_by_numpy
+from loi_core.support.arrays import Host, from_numpy, is_read_by_numpy
 
 __all__ = ["Evaluation", "Host", "evaluate"]
 
@@ -32,18 +32,20 @@ Results: TypeAlias = Sequence[Any]
 class Evaluation(Protocol):
     """The loss of an image on both backends: the value, shape (), and on request the gradient, shaped as the image."""
 
-    def on_numba(self, image: Host, weights: Host | None = None, *, gradient: bool) -> tuple[Host, ...]:
-        """Evaluate NumPy arrays; non-finite images and negative weights give NaN instead of an error."""
+    def on_numba(self, image: Host, target: Host, weights: Host | None = None, *, gradient: bool) -> tuple[Host, ...]:
+        """Evaluate NumPy arrays; pixels that are not finite and negative weights give NaN instead of an error."""
 
     def on_arrays(
-        self, image: jax.Array, weights: jax.Array | None = None, *, gradient: bool, placement: Any = None
+        self, image: jax.Array, target: jax.Array, weights: jax.Array | None = None, *, gradient: bool
     ) -> tuple[jax.Array, ...]:
-        """Evaluate in traceable operations, with the reference on the devices `placement`, JAX's default if None."""
+        """Evaluate in traceable operations."""
 
 
-def evaluate(evaluation: Evaluation, image: jax.Array, weights: jax.Array | None, *, gradient: bool) -> list[jax.Array]:
-    """Return the results of `evaluation` for `image`, float32 or float64, under any of JAX's transformations."""
-    operands = (image,) if weights is None else (image, weights)
+def evaluate(
+    evaluation: Evaluation, image: jax.Array, target: jax.Array, weights: jax.Array | None, *, gradient: bool
+) -> list[jax.Array]:
+    """Return the results of `evaluation` for float32 or float64 arrays, under any of JAX's transformations."""
+    operands = (image, target) if weights is None else (image, target, weights)
     results: list[jax.Array] = _loss.bind(*operands, evaluation=evaluation, gradient=gradient, mapped=0)
     return results
 
@@ -52,8 +54,8 @@ _loss: Any = Primitive("loi_loss")
 _loss.multiple_results = True
 
 
-def _abstract(image: Any, *_weights: Any, gradient: bool, mapped: int, **_: Any) -> list[ShapedArray]:
-    """Return shapes and dtypes; ``vmap`` added the first `mapped` axes of the image and its weights."""
+def _abstract(image: Any, *_constants: Any, gradient: bool, mapped: int, **_: Any) -> list[ShapedArray]:
+    """Return shapes and dtypes; ``vmap`` added the first `mapped` axes of all operands."""
     value = ShapedArray(image.shape[:mapped], image.dtype)
     return [value, ShapedArray(image.shape, image.dtype)] if gradient else [value]
 
@@ -71,10 +73,8 @@ def _batch(
     return results, (0,) * len(results)
 
 
-def _on_arrays(
-    *operands: jax.Array, evaluation: Evaluation, gradient: bool, mapped: int, placement: Any = None
-) -> Results:
-    compare: Callable[..., Results] = partial(evaluation.on_arrays, gradient=gradient, placement=placement)
+def _on_arrays(*operands: jax.Array, evaluation: Evaluation, gradient: bool, mapped: int) -> Results:
+    compare: Callable[..., Results] = partial(evaluation.on_arrays, gradient=gradient)
     for _ in range(mapped):
         compare = jax.vmap(compare)
     return compare(*operands)
@@ -94,13 +94,13 @@ def _run(*operands: jax.Array, **settings: Any) -> Results:
     """Evaluate outside of ``jit``."""
     arrays = [jnp.asarray(operand) for operand in operands]
     if not all(map(is_read_by_numpy, arrays)):
-        return _on_arrays(*arrays, placement=device(arrays[0]), **settings)
+        return _on_arrays(*arrays, **settings)
     return [from_numpy(result, arrays[0]) for result in _on_numba(*map(np.asarray, arrays), **settings)]
 
 
 def _differentiate(operands: Sequence[jax.Array], tangents: Sequence[Any], **settings: Any) -> tuple[Results, Results]:
     """Differentiate the gradient for second derivatives, through whole-array operations."""
-    # The tangent of weights, which are constants, is a symbolic zero.
+    # The tangents of target and weights, which are constants, are symbolic zeros.
     primals, numbers = tuple(operands), tuple(map(ad.instantiate_zeros, tangents))
     results: tuple[Results, Results] = jax.jvp(partial(_on_arrays, **settings), primals, numbers)
     return results

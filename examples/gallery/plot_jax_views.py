@@ -10,7 +10,6 @@ import jax
 import jax.numpy as jnp
 import optax
 
-from loi_core import ScaleSpace
 from loi_jax import loi_loss
 from pictures import Film
 
@@ -36,10 +35,9 @@ truth, start = jnp.array([1.3, -0.8, 0.6]), jnp.array([-1.2, 0.9, -0.7])
 photographs = render_all(truth, angles)
 
 # %%
-# The loss is a function of the batch.
+# The loss is the mean over the batch.
 
-loss = loi_loss(photographs, ScaleSpace.for_image(size, size))
-gradient = jax.jit(jax.grad(lambda position: loss(render_all(position, angles))))
+gradient = jax.jit(jax.grad(lambda position: loi_loss(render_all(position, angles), photographs)))
 optimizer = optax.adam(optax.cosine_decay_schedule(0.08, steps))
 position, state = start, optimizer.init(start)
 film = Film(photographs)

@@ -4,7 +4,6 @@ import jax
 import jax.numpy as jnp
 
 import loi_jax
-from loi_core import ScaleSpace
 
 height, width = 64, 96
 x, y = jnp.arange(width) + 0.5, jnp.arange(height)[:, None] + 0.5
@@ -19,8 +18,7 @@ def render(centre: jax.Array) -> jax.Array:
 photograph = render(jnp.array([75.0, 45.0]))
 centre = jnp.array([15.0, 15.0])
 
-loss = loi_jax.loi_loss(photograph, ScaleSpace.for_image(height, width))
-gradient = jax.jit(jax.grad(lambda centre: loss(render(centre))))
+gradient = jax.jit(jax.grad(lambda centre: loi_jax.loi_loss(render(centre), photograph)))
 for step in range(200):
     slope = gradient(centre)
     rate = 1.0 - step / 200  # pixels a step, along the gradient: its length says little far from the target

@@ -5,7 +5,6 @@ import jax.numpy as jnp
 from jax.sharding import AxisType, NamedSharding, PartitionSpec
 
 import loi_jax
-from loi_core import ScaleSpace
 
 # The processor as four devices; leave it out where there are four. Wait then for each step: its threads are few.
 jax.config.update("jax_num_cpu_devices", 4)  # type: ignore[no-untyped-call]  # untyped in JAX
@@ -27,10 +26,9 @@ render_all = jax.jit(jax.vmap(render, in_axes=(None, 0)))
 photographs = render_all(jnp.array([15.0, 45.0, -10.0]), angles)
 centre = jnp.array([-15.0, 15.0, 10.0])
 
-loss = loi_jax.loi_loss(photographs, ScaleSpace.for_image(height, width))
-gradient = jax.jit(jax.grad(lambda centre, angles: loss(render_all(centre, angles))))
+gradient = jax.jit(jax.grad(lambda centre, angles, views: loi_jax.loi_loss(render_all(centre, angles), views)))
 for step in range(200):
-    slope = gradient(centre, angles).block_until_ready()
+    slope = gradient(centre, angles, photographs).block_until_ready()
     rate = 1.0 - step / 200  # pixels a step, along the gradient: its length says little far from the target
     centre = centre - rate * slope / jnp.maximum(jnp.linalg.norm(slope), 1e-12)
 

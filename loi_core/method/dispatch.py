@@ -1,12 +1,13 @@
-"""Choice of the backend that compares an image: Numba's compiled loops or the image's own array library.
+"""Choice of the backend that compares an image: Numba's compiled loops, an adapter's, or the image's own array library.
 
 Every array library can compare images through whole-array operations. On the CPU, loops compiled by Numba are several
 times faster. They take NumPy arrays, so images of other libraries that NumPy can read are passed there and back.
-``LOI_COMPILED=0`` disables the loops.
+Adapters may register faster backends for their library's other devices. ``LOI_COMPILED=0`` disables all of these.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Final, Protocol
 
 import numpy as np
@@ -18,7 +19,7 @@ from loi_core.method.plan import Plan
 from loi_core.method.scales import ScaleSpace
 from loi_core.support.arrays import Array, from_numpy, is_numpy_array, is_read_by_numpy, is_recorded, to_numpy
 
-__all__ = ["ARRAY_API", "NUMBA", "Backend", "choose_backend", "numba_supports"]
+__all__ = ["ARRAY_API", "NUMBA", "Backend", "choose_backend", "numba_supports", "register_backend"]
 
 
 class Backend(Protocol):
@@ -65,6 +66,12 @@ class _Numba:
 
 ARRAY_API: Final[Backend] = _ArrayApi()
 NUMBA: Final[Backend] = _Numba()
+_REGISTERED: Final[list[tuple[Callable[[Array], bool], Backend]]] = []
+
+
+def register_backend(supports: Callable[[Array], bool], backend: Backend) -> None:
+    """Compare by `backend` the images for which `supports` returns True, if Numba cannot read them."""
+    _REGISTERED.append((supports, backend))
 
 
 def numba_supports(dtype: str) -> bool:
@@ -76,10 +83,10 @@ def numba_supports(dtype: str) -> bool:
 
 
 def choose_backend(image: Array) -> Backend:
-    """Return `NUMBA` wherever it can compare `image`, else `ARRAY_API`.
+    """Return `NUMBA` wherever it can compare `image`, else a registered backend that supports it, else `ARRAY_API`.
 
     Numba cannot read arrays on another device or traced arrays, and no framework can differentiate through its loops.
     """
     if is_read_by_numpy(image) and not is_recorded(image) and numba_supports(str(image.dtype).removeprefix("torch.")):
         return NUMBA
-    return ARRAY_API
+    return next((backend for supports, backend in _REGISTERED if supports(image)), ARRAY_API)

@@ -15,7 +15,7 @@ from loi_core.pixels.layout import Layout, check_channel_axis
 from loi_core.pixels.nonfinite import NanPolicy, check_nan_policy, require_finite
 from loi_core.pixels.pipeline import PixelPipeline, PixelSettings
 from loi_core.pixels.tone_curve import LogTone, check_tone
-from loi_core.pixels.weights import CallWeights, PixelWeights, check_call_weights, require_mask, weight_planes
+from loi_core.pixels.weights import CallWeights, PixelWeights, require_mask
 from loi_core.support.arrays import (
     Array,
     Host,
@@ -113,7 +113,7 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
             require_mask(type(self).__name__, pixel_weights)
         self._settings = PixelSettings(axis, policy, tone, pixel_weights, check_exposure(exposure))
         if policy == "raise":
-            require_finite("reference", self.visible(reference), axis)
+            require_finite("reference", _visible(reference, pixel_weights, self._reference_layout), axis)
         self._reference = namespace(reference).asarray(reference, copy=True)
         self._prepared: dict[tuple[Any, ...], PreparedObjective[KeyT]] = {}
 
@@ -209,7 +209,7 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
         objective's own exposure is. Arguments as in :meth:`value`.
         """
         image = widened(as_floating("image", image))
-        prepared = self._prepare_call(image, weights, image)
+        prepared = self._prepare_call(image, weights)
         backend, exposure = prepared.backend, prepared.pipeline.exposure_of(prepared.backend.to_backend(image))
         return LinearExposure(*(backend.to_library(part, image) for part in (exposure.gain, exposure.offset)))
 
@@ -220,7 +220,7 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
         colours and bounds. Arguments as in :meth:`value`.
         """
         image = widened(as_floating("image", image))
-        prepared = self._prepare_call(image, None, image)
+        prepared = self._prepare_call(image, None)
         pipeline, backend = prepared.pipeline, prepared.backend
         pixels = pipeline.forward(backend.to_backend(image))
         weights = pipeline.counted_weights(pixels.planes, pixels.visible)
@@ -230,52 +230,6 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
             backend.to_library(array, image) for array in (pixels.planes, pipeline.reference, weights)
         )
         return planes, reference, weights
-
-    def prepare(self, shape: tuple[int, ...], like: Array, *, weighted: bool = False) -> None:
-        """Prepare the reference for images of `shape` and arrays like `like`, for :meth:`evaluate_unchecked`."""
-        self._prepare(widened(like), shape, ARRAY_API, weighted=weighted)
-
-    def check_shape(self, shape: tuple[int, ...], weights: Array | None = None) -> None:
-        """Raise :class:`ImageError` if images of `shape` cannot be compared; evaluations check this themselves."""
-        layout = Layout.of("image", shape, self.channel_axis)
-        layout.require_fit(self._reference_layout)
-        if weights is not None:
-            check_call_weights(weights, layout)
-
-    def visible(self, image: Array, weights: Array | None = None) -> Array:
-        """Return `image`, shape (*batch, H, W, C), with 0 in the pixels of weight 0, which may hold anything."""
-        fixed = self._settings.weights
-        if fixed is not None and not fixed.has_zeros:
-            fixed = None
-        if fixed is None and weights is None:
-            return image
-        layout = Layout.of("image", image.shape, self.channel_axis)
-        planes = layout.to_planes(image)
-        xp = namespace(planes)
-        if fixed is not None:
-            planes = xp.where(fixed.planes(layout, planes) > 0.0, planes, xp.zeros_like(planes))
-        if weights is not None:
-            planes = xp.where(weight_planes(weights, layout) > 0.0, planes, xp.zeros_like(planes))
-        return layout.to_image(planes)
-
-    def evaluate_unchecked(
-        self, image: Array, like: Array, weights: Array | None = None, *, gradient: bool
-    ) -> tuple[Array, Array | None]:
-        """Return the value, and on request the gradient, of an image without values, such as a JAX tracer.
-
-        Parameters
-        ----------
-        image : array, shape (*batch, H, W, C)
-            Its type and shape are checked. Its values are not; under ``nan_policy="raise"`` the caller checks them.
-        like : array
-            A concrete array of the image's library, dtype and device, for which the reference is prepared.
-        weights : array, optional
-            As in :meth:`value`.
-        gradient : bool
-            Whether to compute the gradient; None comes in its place otherwise.
-        """
-        terms, slope = self._evaluate(image, weights, gradient=gradient, like=like)
-        return narrowed(total(terms), image), None if slope is None else narrowed(slope, image)
 
     @abc.abstractmethod
     def compare_with(self, reference: ReferencePlanes) -> PlaneComparison[KeyT]:
@@ -294,20 +248,19 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
         return self.compare_with(reference)
 
     def _evaluate(
-        self, image: Array, weights: Array | None, *, gradient: bool, like: Array | None = None
+        self, image: Array, weights: Array | None, *, gradient: bool
     ) -> tuple[dict[KeyT, Array], Array | None]:
         image = widened(as_floating("image", image))
-        prepared = self._prepare_call(image, weights, image if like is None else widened(like))
-        return prepared.evaluate(image, gradient=gradient, check_finite=like is None)
+        return self._prepare_call(image, weights).evaluate(image, gradient=gradient)
 
-    def _prepare_call(self, image: Array, weights: Array | None, like: Array) -> PreparedObjective[KeyT]:
-        """Return the objective prepared for an image, its weights, and arrays like `like`, which has values."""
+    def _prepare_call(self, image: Array, weights: Array | None) -> PreparedObjective[KeyT]:
+        """Return the objective prepared for images like `image`, and for its weights."""
         compiles = self.runs_on_numba and not (weights is not None and is_traced(weights))
         backend = choose_backend(image) if compiles else ARRAY_API
         if weights is None:
-            return self._prepare(like, image.shape, backend)
-        prepared = self._prepare(like, image.shape, backend, weighted=True)
-        call_weights = CallWeights.of(weights, prepared.pipeline.layout, backend.to_backend(like))
+            return self._prepare(image, backend)
+        prepared = self._prepare(image, backend, weighted=True)
+        call_weights = CallWeights.of(weights, prepared.pipeline.layout, backend.to_backend(image))
         if not self.takes_weights:
             require_mask(type(self).__name__, call_weights)
         pipeline, comparison = prepared.pipeline.weighted(call_weights), prepared.comparison
@@ -316,16 +269,14 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
             comparison = self.compare_weighted(comparison, reference)
         return PreparedObjective(backend, pipeline, comparison)
 
-    def _prepare(
-        self, like: Array, shape: tuple[int, ...], backend: Backend, *, weighted: bool = False
-    ) -> PreparedObjective[KeyT]:
-        """Return the objective prepared for a kind of images; `weighted` if each image comes with weights."""
-        layout = Layout.of("image", shape, self.channel_axis)
+    def _prepare(self, image: Array, backend: Backend, *, weighted: bool = False) -> PreparedObjective[KeyT]:
+        """Return the objective prepared for images like `image`; `weighted` if each comes with weights."""
+        layout = Layout.of("image", image.shape, self.channel_axis)
         weighted = weighted and self.takes_weights and self._settings.weights is None
-        image_kind = (library_name(like), str(like.dtype), str(device(like)), layout.shape, backend, weighted)
+        image_kind = (library_name(image), str(image.dtype), str(device(image)), layout.shape, backend, weighted)
         prepared = self._prepared.get(image_kind)
         if prepared is None:
-            reference = reference_like("reference", self._reference, like)
+            reference = reference_like("reference", self._reference, image)
             planes = layout.broadcast_planes(reference, self._reference_layout)
             pipeline = PixelPipeline.of(self._settings, layout, backend.to_backend(planes))
             weights = pipeline.weights if self.takes_weights else None
@@ -339,6 +290,15 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
                 recent = list(self._prepared.items())[1 - MAX_PREPARED_KINDS :]
                 self._prepared = dict([*recent, (image_kind, prepared)])
         return prepared
+
+
+def _visible(reference: Array, weights: PixelWeights | None, layout: Layout) -> Array:
+    """Return a reference with 0 in the pixels of weight 0, which may hold anything."""
+    if weights is None or not weights.has_zeros:
+        return reference
+    planes = layout.to_planes(reference)
+    xp = namespace(planes)
+    return layout.to_image(xp.where(weights.planes(layout, planes) > 0.0, planes, xp.zeros_like(planes)))
 
 
 def reference_like(name: str, reference: Array, image: Array) -> Array:
@@ -357,7 +317,7 @@ def reference_like(name: str, reference: Array, image: Array) -> Array:
             f"pass `{name}` as NumPy to serve every library"
         )
         raise ImageTypeError(msg)
-    if device(reference) != device(image):
+    if not (is_traced(image) or is_traced(reference)) and device(reference) != device(image):
         msg = f"`image` is on device {device(image)}, `{name}` on {device(reference)}"
         raise ImageTypeError(msg)
     return namespace(image).astype(reference, image.dtype)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Any
 
 import jax
@@ -43,8 +44,8 @@ def test_losses_of_colour_differences_are_equal_in_every_adapter(seed: int) -> N
     leaf: Any = torch.tensor(image, requires_grad=True)
     torch_loss: Any = loi_torch.loi_loss(leaf, reference, SCALES, colours="differences")
     torch_loss.backward()
-    jax_loss, jax_gradient = jax.value_and_grad(loi_jax.loi_loss(reference, SCALES, colours="differences"))(
-        jnp.asarray(image)
+    jax_loss, jax_gradient = jax.value_and_grad(partial(loi_jax.loi_loss, scales=SCALES, colours="differences"))(
+        jnp.asarray(image), reference
     )
     tensor = mi.TensorXf(image)
     dr.enable_grad(tensor)

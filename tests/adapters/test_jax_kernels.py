@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from functools import partial
 from typing import Any
 
 import jax
@@ -16,6 +17,7 @@ from hypothesis import strategies as st
 import loi_jax
 from loi_core import LogTone, LOIObjective, ScaleSpace
 from loi_core.method import compiled
+from loi_core.objectives.loss import LossSettings
 from loi_core.pixels.nonfinite import NanPolicy
 from tests.conformance.test_backends import TONES
 from tests.helpers import images, without_numba
@@ -33,7 +35,7 @@ IMAGE, REFERENCE = images((9, 7, 2), seed=1)
 
 def value_and_grad(**settings: Any) -> Any:
     """Return the loss's value and gradient as a new function, which JAX has not compiled before."""
-    return jax.value_and_grad(loi_jax.loi_loss(REFERENCE, SCALES, **settings))
+    return jax.value_and_grad(partial(loi_jax.loi_loss, target=REFERENCE, scales=SCALES, **settings))
 
 
 def lowered(function: Any, *platforms: str) -> str:
@@ -53,7 +55,8 @@ def test_every_jax_transformation_gives_the_bits_of_numpy(
     if policy == "mask":
         image[..., 0, 0, :] = np.nan
     value, gradient = LOIObjective(reference, scales, accuracy, nan_policy=policy, tone=tone).value_and_grad(image)
-    loss = loi_jax.loi_loss(reference, scales, accuracy, nan_policy=policy, tone=tone)
+    options: dict[str, Any] = {"nan_policy": policy, "tone": tone}
+    loss: Any = partial(loi_jax.loi_loss, target=reference, scales=scales, accuracy=accuracy, **options)
     pixels, batch = jnp.asarray(image), jnp.stack([jnp.asarray(image)] * 2)
     pair = jax.value_and_grad(loss)
     results = {
@@ -100,7 +103,7 @@ def test_only_jax_programs_for_the_cpu_alone_call_the_kernels() -> None:
 
 def test_the_jax_program_does_not_grow_with_the_image() -> None:
     large = np.zeros((512, 512, 3))
-    traced = jax.jit(jax.value_and_grad(loi_jax.loi_loss(large, SCALES))).trace(jnp.asarray(large))
+    traced = jax.jit(jax.value_and_grad(partial(loi_jax.loi_loss, scales=SCALES))).trace(large, large)
     assert len(traced.lower().as_text()) < 2 * len(lowered(value_and_grad()))
 
 
@@ -124,7 +127,7 @@ def test_errors_of_the_kernels_reach_the_caller_and_later_calls_succeed() -> Non
             msg = "full"
             raise MemoryError(msg)
 
-        patch.setattr(LOIObjective, "value_and_grad", raise_memory_error)
+        patch.setattr(LossSettings, "evaluate", raise_memory_error)
         for _ in range(20):
             with pytest.raises((jax.errors.JaxRuntimeError, ValueError), match="MemoryError: full"):
                 pair(image)[0].block_until_ready()
@@ -150,7 +153,7 @@ size, calls = {size}, {calls}
 image, reference = np.random.default_rng(0).uniform(size=(2, size, size, 3))
 image[24:] = reference[24:]  # equal rows cost almost no time
 value, gradient = LOIObjective(reference, scales).value_and_grad(image)
-loss = loi_jax.loi_loss(reference, scales)
+loss = lambda image: loi_jax.loi_loss(image, reference, scales)
 def work():
     with jax.enable_x64(True):
         start = jnp.asarray(image)
@@ -192,7 +195,7 @@ scales = ScaleSpace(1, 5, 0.25)
 images = np.random.default_rng(0).uniform(size=(5, 8, 7, 3)).astype(np.float32)
 reference, batch = images[0], images[1:]
 expected = [LOIObjective(reference, scales).value_and_grad(image)[1] for image in batch]
-loss = loi_jax.loi_loss(reference, scales)
+loss = lambda image: loi_jax.loi_loss(image, reference, scales)
 gradients = jax.vmap(jax.grad(loss))
 mesh = jax.make_mesh((2,), ("b",), axis_types=(jax.sharding.AxisType.Auto,))
 shards = jax.device_put(batch, NamedSharding(mesh, P("b")))

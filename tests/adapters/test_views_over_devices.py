@@ -24,10 +24,12 @@ rng = np.random.default_rng(0)
 photographs, patterns = rng.uniform(size=(2, views, 16, 12, 3))
 offset = jnp.array([0.3, -0.2, 0.1])
 render = jax.vmap(lambda offset, pattern: jax.nn.sigmoid(pattern + offset), (None, 0))
-def compiled(loss, factor=1.0):
-    return jax.jit(jax.value_and_grad(lambda offset, patterns: factor * loss(render(offset, patterns))))
-step = compiled(loi_jax.loi_loss(photographs, scales))
-expected = step(offset, patterns)
+def compiled(factor=1.0, **options):
+    def loss(offset, patterns, photographs):
+        return factor * loi_jax.loi_loss(render(offset, patterns), photographs, scales, **options)
+    return jax.jit(jax.value_and_grad(loss))
+step = compiled()
+expected = step(offset, patterns, photographs)
 assert expected[0].devices() == {jax.devices()[0]}
 images = np.asarray(render(offset, patterns))
 values = [LOIObjective(photograph, scales).value(image) for photograph, image in zip(photographs, images)]
@@ -41,21 +43,21 @@ def sharded(patterns, devices, kind=AxisType.Auto):
     assert len(shards.devices()) == devices
     return shards
 for kind in (AxisType.Auto, AxisType.Explicit):
-    check(step(offset, sharded(patterns, 3, kind)))
-text = step.lower(offset, sharded(patterns, 3)).compile().as_text()
+    check(step(offset, sharded(patterns, 3, kind), sharded(photographs, 3, kind)))
+text = step.lower(offset, sharded(patterns, 3), sharded(photographs, 3)).compile().as_text()
 assert "all-reduce" in text and "all-gather" not in text and "callback" not in text
 # Views of weight 0 pad the batch to a multiple of the number of devices.
 extra = -views % devices
 photographs, patterns = (np.concatenate([array, array[:extra]]) for array in (photographs, patterns))
 weights = np.ones((views + extra, 16, 12))
 weights[views:] = 0.0
-padded = compiled(loi_jax.loi_loss(photographs, scales, weights=weights), (views + extra) / views)
-check(padded(offset, sharded(patterns, devices)))
+padded = compiled((views + extra) / views, weights=weights)
+check(padded(offset, sharded(patterns, devices), sharded(photographs, devices)))
 # Each of two devices has a separate program for its views, and their weighted results are added.
 value, slope = 0.0, 0.0
 for device, subset in zip(jax.devices(), (slice(0, 4), slice(4, 6))):
-    partial = compiled(loi_jax.loi_loss(photographs[subset], scales), (subset.stop - subset.start) / views)
-    results = partial(*jax.device_put((offset, patterns[subset]), device))
+    partial = compiled((subset.stop - subset.start) / views)
+    results = partial(*jax.device_put((offset, patterns[subset], photographs[subset]), device))
     assert results[1].devices() == {device}
     partial_value, partial_slope = jax.device_put(results, jax.devices()[0])
     value, slope = value + partial_value, slope + partial_slope

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import loi_mitsuba  # before Dr.Jit, so that it gets an LLVM that works
@@ -73,8 +74,8 @@ jax_calls = itertools.count(1)
 def jax_eager(image: Host, reference: Host, scales: ScaleSpace, tone: LogTone | None) -> Pair:
     if next(jax_calls) % PROBLEMS_PER_CACHE == 0:
         jax.clear_caches()  # type: ignore[no-untyped-call]  # untyped in JAX
-    value_and_grad: Any = jax.value_and_grad(loi_jax.loi_loss(reference, scales, tone=tone))
-    value, gradient = value_and_grad(jnp.asarray(image))
+    value_and_grad: Any = jax.value_and_grad(partial(loi_jax.loi_loss, scales=scales, tone=tone))
+    value, gradient = value_and_grad(jnp.asarray(image), reference)
     return np.asarray(value), np.asarray(gradient)
 
 

@@ -6,6 +6,7 @@ import math
 import tracemalloc
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -24,7 +25,7 @@ from loi_core.method.sampling_error import estimated_error
 from loi_core.stability import allowed
 from loi_core.testing import check_objective
 from tests.contents import CONTENTS, HARD
-from tests.frameworks import jax, jnp, loi_jax
+from tests.frameworks import jax, loi_jax
 from tests.helpers import Host, without_numba
 from tests.strategies import SEEDS
 
@@ -142,8 +143,8 @@ def test_traced_arrays_are_compared_exactly_at_every_accuracy() -> None:
     reference, image = CONTENTS["photographs"]((150, 140, 1), np.random.default_rng(0))
     scales = ScaleSpace.paper("path")
     with without_numba():
-        compare = jax.jit(jax.grad(loi_jax.loi_loss(reference.astype(np.float32), scales, "balanced")))
-        gradient = np.asarray(compare(jnp.asarray(image, dtype=jnp.float32)))
+        compare = jax.jit(jax.grad(partial(loi_jax.loi_loss, scales=scales, accuracy="balanced")))
+        gradient = np.asarray(compare(image.astype(np.float32), reference.astype(np.float32)))
         exact = LOIObjective(reference.astype(np.float32), scales).value_and_grad(image.astype(np.float32))[1]
     np.testing.assert_allclose(gradient, exact, rtol=0, atol=2e-3 * np.abs(exact).max())
 

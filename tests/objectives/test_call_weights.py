@@ -195,9 +195,8 @@ def test_every_library_gives_the_same_numbers(name: str, fixed: Host | None) -> 
 @pytest.mark.usefixtures("executor")
 def test_traced_weights_give_the_same_numbers() -> None:
     weights = WEIGHT_MAPS["graded and hidden"]
-    expected, slopes = LOIObjective(REFERENCE, SCALES, weights=FIXED).value_and_grad(IMAGE, weights=weights)
-    loss = loi_jax.loi_loss(REFERENCE, SCALES, weights=FIXED)
-    function = jax.value_and_grad(lambda image, by: loss(image, weights=by))
+    expected, slopes = LOIObjective(REFERENCE, SCALES).value_and_grad(IMAGE, weights=weights)
+    function = jax.value_and_grad(lambda image, by: loi_jax.loi_loss(image, REFERENCE, SCALES, weights=by))
     image, by = jnp.asarray(IMAGE), jnp.asarray(weights)
     for value, slope in (function(image, by), jax.jit(function)(image, by), jax.jit(partial(function, image))(by)):
         assert float(value) == pytest.approx(float(expected), rel=1e-12)
@@ -216,7 +215,7 @@ def test_weights_get_no_gradient_from_torch() -> None:
 
 @pytest.mark.usefixtures("executor")
 def test_weights_get_no_gradient_from_jax() -> None:
-    loss, image = loi_jax.loi_loss(REFERENCE, SCALES), jnp.asarray(IMAGE)
+    loss, image = partial(loi_jax.loi_loss, target=REFERENCE, scales=SCALES), jnp.asarray(IMAGE)
     objective = LOIObjective(REFERENCE, SCALES)
     for call in (lambda by: loss(image, weights=by), jax.jit(lambda by: loss(image, weights=by))):
         assert not np.any(jax.grad(call)(jnp.asarray(WEIGHTS)))
@@ -234,10 +233,10 @@ def test_vmap_equals_a_loop_over_images_and_weights(axes: tuple[int | None, int 
     expected = [objective.value_and_grad(image, weights=by) for image, by in pairs]
     values = np.array([float(value) for value, _ in expected])
     slopes = np.stack([slope for _, slope in expected])
-    jax_loss, torch_loss = loi_jax.loi_loss(REFERENCE, SCALES), loi_torch.LOILoss(SCALES)
+    torch_loss = loi_torch.LOILoss(SCALES)
 
     def of_jax(image: Any, by: Any) -> Any:
-        return jax_loss(image, weights=by)
+        return loi_jax.loi_loss(image, REFERENCE, SCALES, weights=by)
 
     def of_torch(image: Any, by: Any) -> Any:
         return torch_loss(image, REFERENCE, by)
@@ -254,7 +253,7 @@ def test_vmap_equals_a_loop_over_images_and_weights(axes: tuple[int | None, int 
 
 
 def test_second_derivatives_of_jax_take_weights_as_constants() -> None:
-    loss = loi_jax.loi_loss(REFERENCE, SMOOTH_SCALES)
+    loss = partial(loi_jax.loi_loss, target=REFERENCE, scales=SMOOTH_SCALES)
     image, direction = jnp.asarray(IMAGE), jnp.asarray(np.random.default_rng(4).standard_normal(IMAGE.shape))
 
     def slope(step: Any) -> Any:
@@ -266,7 +265,7 @@ def test_second_derivatives_of_jax_take_weights_as_constants() -> None:
 
 @pytest.mark.usefixtures("executor")
 def test_negative_weights_are_nan_while_jax_traces() -> None:
-    loss = loi_jax.loi_loss(REFERENCE, SCALES)
+    loss = partial(loi_jax.loi_loss, target=REFERENCE, scales=SCALES)
     traced = jax.jit(jax.value_and_grad(lambda image, by: loss(image, weights=by)))
     value, gradient = traced(jnp.asarray(IMAGE), jnp.asarray(-WEIGHTS))
     assert np.isnan(float(value))
@@ -293,7 +292,7 @@ def test_invalid_weights_of_a_call_are_refused(weights: Any, error: type[Excepti
         LOIObjective(REFERENCE).value_and_grad,
         PixelL2(REFERENCE).value,
         lambda image, weights: loi_torch.loi_loss(torch.tensor(image), REFERENCE, weights=weights),
-        lambda image, weights: loi_jax.loi_loss(REFERENCE)(jnp.asarray(image), weights=weights),
+        lambda image, weights: loi_jax.loi_loss(jnp.asarray(image), REFERENCE, weights=weights),
     ]
     for call in calls:
         with pytest.raises(error, match=re.escape(message)) as raised:

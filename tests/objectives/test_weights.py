@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -147,8 +148,8 @@ def test_weights_apply_to_traced_images(compiled: str, monkeypatch: pytest.Monke
     monkeypatch.setenv("LOI_COMPILED", compiled)
     value, gradient = LOIObjective(REFERENCE, SCALES, weights=MASK).value_and_grad(IMAGE)
     with_inf = jnp.asarray(np.where(MASK[..., None], IMAGE, np.inf))
-    loss = loi_jax.loi_loss(REFERENCE, SCALES, weights=MASK)
-    traced, slope = jax.jit(jax.value_and_grad(loss))(with_inf)
+    loss = partial(loi_jax.loi_loss, scales=SCALES, weights=MASK)
+    traced, slope = jax.jit(jax.value_and_grad(loss))(with_inf, REFERENCE)
     assert float(traced) == pytest.approx(float(value), rel=1e-12)
     assert relative_error(np.asarray(slope), gradient) <= 1e-10
 

@@ -1,0 +1,1 @@
+"""The loss on an NVIDIA GPU, in kernels written in Triton."""

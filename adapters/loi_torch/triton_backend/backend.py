@@ -1,0 +1,102 @@
+"""When Triton compares images: float32 tensors on NVIDIA GPUs, if its kernels compile there."""
+
+from __future__ import annotations
+
+import functools
+import importlib.util
+import os
+import warnings
+from typing import Any, Final
+
+import torch
+from torch import Tensor
+
+from loi_core.method.comparison import Comparison
+from loi_core.method.compiled import SWITCH
+from loi_core.method.dispatch import Backend
+from loi_core.method.plan import Plan
+from loi_core.method.scales import ScaleSpace
+from loi_core.support.arrays import is_recorded, is_torch_array
+from loi_core.support.wording import described
+
+__all__ = ["TRITON", "TritonWarning", "executor", "supports"]
+
+MIN_CAPABILITY: Final = (8, 0)  # of the GPUs that Triton's kernels are compiled for in the tests
+
+
+class TritonWarning(RuntimeWarning):
+    """Triton cannot compare images on this GPU, so whole-array operations of torch are used, which are slower."""
+
+
+class _Triton:
+    """Kernels written in Triton."""
+
+    def to_backend(self, image: Tensor) -> Tensor:
+        return image
+
+    def to_library(self, result: Tensor, like: Tensor) -> Tensor:  # noqa: ARG002  # it is like that already
+        return result
+
+    def comparison(
+        self, scales: ScaleSpace, plan: Plan, reference: Tensor, weights: Tensor | None = None
+    ) -> Comparison:
+        from loi_torch.triton_backend.comparison import TritonComparison  # imports Triton
+
+        return TritonComparison.of(scales, plan, reference, weights)
+
+
+TRITON: Final[Backend] = _Triton()
+
+
+def supports(image: Any) -> bool:
+    """Return whether Triton compares an image.
+
+    A GPU or dtype that it does not take is named in one warning; ``LOI_COMPILED=0`` disables it without one.
+    """
+    if not is_torch_array(image) or image.device.type != "cuda" or os.environ.get(SWITCH) == "0" or is_recorded(image):
+        return False
+    problem = f"it compares float32, not {image.dtype}" if image.dtype != torch.float32 else _problem(str(image.device))
+    if problem:
+        _warn(problem)
+    return not problem
+
+
+def executor() -> str:
+    """Return what compares float32 images on the first CUDA device, and why."""
+    if not torch.cuda.is_available():
+        return "torch finds no CUDA device"
+    if os.environ.get(SWITCH) == "0":
+        return f"whole-array operations, because of {SWITCH}=0"
+    problem = _problem("cuda:0")
+    return f"whole-array operations: {problem}" if problem else "kernels in Triton, for float32 images"
+
+
+@functools.cache
+def _problem(device: str) -> str:
+    """Return why Triton cannot compare float32 images on a CUDA device; empty if it can."""
+    if torch.version.hip is not None:
+        return "it is used on NVIDIA GPUs only"
+    if importlib.util.find_spec("triton") is None:
+        return "it is not installed"
+    capability = torch.cuda.get_device_capability(device)
+    if capability < MIN_CAPABILITY:
+        return f"{device} has the compute capability {capability[0]}.{capability[1]}, less than 8.0"
+    try:
+        from loi_torch.triton_backend import kernels
+        from loi_torch.triton_backend.launching import Launcher
+
+        run = Launcher(torch.device(device))
+        flags = {"BLOCK": 16, "STEPS": 1, "PLAIN": True, "GRADIENT": False}
+        run.launch(kernels.compare_stack, (1,), run.empty(1), run.empty(1), 1, 1.0, 1.0, 1.0, **flags)
+    except Exception as error:  # noqa: BLE001  # of Triton, of the C compiler that it runs, or of the driver
+        return f"its kernels do not compile ({described(error)})"
+    return ""
+
+
+@functools.cache
+def _warn(problem: str) -> None:
+    msg = (
+        f"loi's Triton kernels do not compare these images ({problem}), so whole-array operations of torch do, which "
+        f"are slower; {SWITCH}=0 silences this"
+    )
+    warnings.warn(msg, TritonWarning, stacklevel=2)

@@ -1,0 +1,127 @@
+"""The Triton kernels compute what whole-array operations do, compile for GPUs, and keep launches and memory low.
+
+All of it runs without a GPU: kernels are interpreted, compiled to machine code, or counted.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from loi_core import ScaleSpace
+from loi_core.method.dispatch import ARRAY_API, choose_backend, register_backend
+from tests.environments import run
+from tests.frameworks import torch
+
+pytest.importorskip("triton")
+
+
+def test_values_and_gradients_are_those_of_whole_array_operations() -> None:
+    run(sys.executable, "-m", "tests.adapters.triton_program", cwd=Path.cwd(), TRITON_INTERPRET="1")
+
+
+COMPILED_SCALES: dict[str, tuple[ScaleSpace, int, int, bool]] = {
+    "default": (ScaleSpace.for_image(192, 256), 192, 256, False),
+    "large": (ScaleSpace.for_image(1080, 1920), 1080, 1920, True),
+    "path": (ScaleSpace.paper("path"), 192, 256, False),
+    "power": (ScaleSpace(1.0, (40.0, 60.0), 0.0625, (1, 2), "zero", p=2.0), 96, 128, False),
+}
+
+
+@pytest.mark.parametrize("capability", [80, 90])
+def test_every_kernel_compiles_without_spilling_registers(capability: int, tmp_path: Path) -> None:
+    import triton
+    from triton.backends.compiler import GPUTarget
+    from triton.backends.nvidia.compiler import get_ptxas
+
+    from loi_torch.triton_backend.cost import cost_of
+
+    used = {}
+    for scales, height, width, weighted in COMPILED_SCALES.values():
+        for launch in cost_of(scales, height, width, weighted=weighted).launches:
+            if not isinstance(launch.kernel, str):
+                used[launch.kernel.__name__, *launch.constants.values()] = launch
+    # A few of each kernel: all take minutes.
+    chosen = {(name, *rest): launch for (name, *rest), launch in used.items() if name != "blur" or rest[0] == 64}
+    assert {name for name, *_ in chosen} == set(kernel_names())
+    for key, launch in chosen.items():
+        target = GPUTarget("cuda", capability, 32)
+        code = triton.compile(_source(launch), target=target, options={**launch.options, "enable_fp_fusion": True}).asm
+        ptx = tmp_path / "kernel.ptx"
+        ptx.write_text(code["ptx"])
+        architecture = re.search(r"\.target (\w+)", code["ptx"])[1]  # type: ignore[index]  # every program has one
+        command = [get_ptxas(capability).path, "-v", f"--gpu-name={architecture}", ptx, "-o", os.devnull]
+        report = subprocess.run(command, capture_output=True, text=True, check=True).stderr
+        assert re.findall(r"(\d+) bytes spill stores", report) == ["0"], f"{key}: {report}"
+
+
+def kernel_names() -> list[str]:
+    from loi_torch.triton_backend import kernels
+
+    return kernels.__all__
+
+
+def _source(launch: Any) -> Any:
+    """Return what Triton compiles for a launch, with the types and divisibilities of its arguments."""
+    from triton.compiler import ASTSource
+
+    names = launch.kernel.arg_names
+    types: dict[str, str] = {}
+    constants: dict[str, Any] = {}
+    attributes = {}
+    for index, name in enumerate(names):
+        value = launch.constants[name] if name in launch.constants else launch.arguments[index]
+        if name in launch.constants or (isinstance(value, int) and value == 1):
+            types[name], constants[name] = "constexpr", value
+        elif isinstance(value, float):
+            types[name] = "fp32"
+        else:
+            types[name] = "i32" if isinstance(value, int) else "*i32" if name == "starts" else "*fp32"
+            if not isinstance(value, int) or value % 16 == 0:
+                attributes[index,] = [["tt.divisibility", 16]]
+    return ASTSource(launch.kernel, types, constexprs=constants, attrs=attributes)
+
+
+@pytest.mark.parametrize("size", [(192, 256), (512, 512), (1080, 1920)])
+def test_a_comparison_in_the_default_scales_takes_30_launches_and_100_mebibytes(size: tuple[int, int]) -> None:
+    from loi_torch.triton_backend.cost import cost_of
+
+    cost = cost_of(ScaleSpace.for_image(*size), *size)
+    assert len(cost.launches) <= 30
+    assert cost.peak_bytes <= 100 * 2**20
+
+
+def test_the_memory_does_not_grow_with_the_levels() -> None:
+    from loi_torch.triton_backend.cost import cost_of
+
+    few, many = (cost_of(ScaleSpace(1, (1, 20), beta), 270, 480) for beta in (1 / 8, 1 / 512))
+    assert many.peak_bytes <= 1.2 * few.peak_bytes
+
+
+def test_images_on_the_processor_and_other_dtypes_are_left_to_other_backends(monkeypatch: pytest.MonkeyPatch) -> None:
+    from loi_torch.triton_backend.backend import TRITON, TritonWarning, supports
+
+    class Image:
+        device = torch.device("cuda", 0)
+        dtype = torch.float64
+
+    assert not supports(torch.zeros(1, 2, 2))
+    monkeypatch.setattr("loi_torch.triton_backend.backend.is_torch_array", lambda image: True)
+    monkeypatch.setattr("loi_torch.triton_backend.backend.is_recorded", lambda image: False)
+    monkeypatch.setattr("loi_torch.triton_backend.backend._problem", lambda device: "")
+    with pytest.warns(TritonWarning, match="float64"):
+        assert not supports(Image())
+    Image.dtype = torch.float32
+    assert supports(Image())
+    monkeypatch.setenv("LOI_COMPILED", "0")
+    assert not supports(Image())
+    monkeypatch.setattr("loi_core.method.dispatch._REGISTERED", [])
+    register_backend(lambda image: image.device.type == "meta", TRITON)
+    assert choose_backend(torch.zeros(1, 2, 2, device="meta")) is TRITON
+    assert choose_backend(torch.zeros(1, 2, 2, dtype=torch.float16)) is ARRAY_API
