@@ -10,7 +10,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, cast
 
 import loi_mitsuba  # before mitsuba, so that Dr.Jit gets an LLVM that works
 
@@ -64,12 +64,12 @@ def drjit_pair(backend: str) -> Callable[[Any, Any, ScaleSpace], Pair]:
         convert = torch.tensor if backend == "torch" else np.array
         core = LOIObjective(convert(reference), scales)
         array = convert(image)
-        loss = loi_mitsuba.LOILoss(reference, scales, backend=backend)  # type: ignore[arg-type]  # one of the two
+        target, options = mi.TensorXf(reference), cast("Any", {"backend": backend})
 
         def bridge() -> None:
             dr.enable_grad(tensor)
             dr.set_grad(tensor, 0.0)
-            dr.backward(loss(tensor))
+            dr.backward(loi_mitsuba.loi_loss(tensor, target, scales, **options))
             dr.eval(dr.grad(tensor))
             dr.sync_thread()
 

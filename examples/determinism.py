@@ -159,7 +159,7 @@ def on_mitsuba() -> Results:
     image, reference = pictures("float32")
     tensor = mi.TensorXf(image)
     dr.enable_grad(tensor)
-    value = loi_mitsuba.LOILoss(reference, SCALES)(tensor)
+    value = loi_mitsuba.loi_loss(tensor, reference, SCALES)
     dr.backward(value)
     results = {"loss, float32": np.array(value), "loss gradient, float32": np.array(dr.grad(tensor))}
     renderer = loi_mitsuba.MitsubaRenderer(_ball(mi), {"place": loi_mitsuba.Translate("ball")}, spp=8)

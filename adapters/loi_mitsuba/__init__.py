@@ -19,7 +19,7 @@ from loi_mitsuba.effects.capabilities import CAPABILITIES
 from loi_mitsuba.effects.plan import plan_effects
 from loi_mitsuba.effects.renderer import PlannedRenderer
 from loi_mitsuba.effects.verify import Verification
-from loi_mitsuba.loss import BackendMissingError, LOILoss
+from loi_mitsuba.loss import BackendMissingError, loi_loss
 from loi_mitsuba.proxy.scene import ProxySettings
 from loi_mitsuba.renderer import MitsubaRenderer
 from loi_mitsuba.scene.load import SceneLoadError
@@ -40,7 +40,6 @@ __all__ = [
     "GradientWarning",
     "LLVMChoice",
     "LLVMError",
-    "LOILoss",
     "MitsubaRenderer",
     "PlannedRenderer",
     "ProxySettings",
@@ -52,6 +51,7 @@ __all__ = [
     "Verification",
     "diagnose",
     "list_parameters",
+    "loi_loss",
     "plan_effects",
     "prepare",
 ]

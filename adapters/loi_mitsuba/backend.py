@@ -10,7 +10,7 @@ import numpy as np
 
 from loi_core.plugins.measurement_backends import Evaluate, Request
 from loi_core.support.arrays import Host, to_numpy
-from loi_mitsuba.loss import LOILoss
+from loi_mitsuba.loss import loi_loss
 
 __all__ = ["Mitsuba"]
 
@@ -34,14 +34,14 @@ class Mitsuba:
     def prepare(self, request: Request) -> Evaluate:
         """Build the loss; see :class:`loi_core.plugins.measurement_backends.MeasurementBackend`."""
         self._variant()
-        reference = request.reference.astype(request.dtype)
-        loss = LOILoss(reference, request.scales, request.accuracy, nan_policy=request.nan_policy)
-        tensor = mi.TensorXf(np.ascontiguousarray(request.image, request.dtype))
+        tensor, target = (
+            mi.TensorXf(np.ascontiguousarray(array, request.dtype)) for array in (request.image, request.reference)
+        )
 
         def evaluate() -> tuple[float, Host]:
             dr.enable_grad(tensor)
             dr.set_grad(tensor, 0.0)
-            value = loss(tensor)
+            value = loi_loss(tensor, target, request.scales, request.accuracy, nan_policy=request.nan_policy)
             dr.backward(value)
             return float(value[0]), to_numpy(dr.grad(tensor).numpy())
 

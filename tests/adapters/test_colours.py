@@ -49,7 +49,7 @@ def test_losses_of_colour_differences_are_equal_in_every_adapter(seed: int) -> N
     )
     tensor = mi.TensorXf(image)
     dr.enable_grad(tensor)
-    mitsuba_loss = loi_mitsuba.LOILoss(reference, SCALES, colours="differences")(tensor)
+    mitsuba_loss = loi_mitsuba.loi_loss(tensor, reference, SCALES, colours="differences")
     dr.backward(mitsuba_loss)
 
     for adapter_value, slopes in (

@@ -88,7 +88,7 @@ def drjit_autodiff(image: Host, reference: Host, scales: ScaleSpace, tone: LogTo
     mi.set_variant("llvm_ad_rgb")
     tensor = mi.TensorXf(image)
     dr.enable_grad(tensor)
-    value = loi_mitsuba.LOILoss(reference, scales, tone=tone)(tensor)
+    value = loi_mitsuba.loi_loss(tensor, reference, scales, tone=tone)
     dr.backward(value)
     return value.numpy()[0], dr.grad(tensor).numpy()
 

@@ -443,16 +443,16 @@ def test_a_changed_variant_raises_an_error_that_names_both(renderer: MitsubaRend
 
 def test_the_loss_works_with_mi_render_without_a_renderer() -> None:
     """The six lines of a typical Mitsuba loop."""
-    from loi_mitsuba import LOILoss
+    from loi_mitsuba import loi_loss
 
     scene = mi.load_dict(shadow_scene(integrator={"type": "prb"}))
     params = mi.traverse(scene)
-    loss = LOILoss(mi.render(scene, spp=64, seed=1))
+    photograph = mi.render(scene, spp=64, seed=1)
     key = "lamp.emitter.radiance.value"
     params[key] = mi.Color3f(60.0)
     dr.enable_grad(params[key])
     params.update()
-    dr.backward(loss(mi.render(scene, params, spp=64, seed=2)))
+    dr.backward(loi_loss(mi.render(scene, params, spp=64, seed=2), photograph))
     assert np.all(np.array(dr.grad(params[key])) < 0.0)  # more light decreases the loss
 
 
