@@ -20,6 +20,7 @@ from loi_core.pixels.exposure import Exposure
 from loi_core.pixels.nonfinite import NanPolicy
 from loi_core.support.arrays import as_floating, device, held, is_traced
 from loi_jax.primitive import Host, evaluate
+from loi_jax.scan_comparison import SCAN
 
 __all__ = ["loi_loss"]
 
@@ -153,5 +154,5 @@ class _Evaluation:
         self, image: jax.Array, target: jax.Array, weights: jax.Array | None = None, *, gradient: bool
     ) -> tuple[jax.Array, ...]:
         """See :class:`loi_jax.primitive.Evaluation`."""
-        value, slope = self.settings.evaluate(image, target, weights, gradient=gradient, has_values=False)
+        value, slope = self.settings.evaluate(image, target, weights, gradient=gradient, has_values=False, backend=SCAN)
         return (value,) if slope is None else (value, slope)

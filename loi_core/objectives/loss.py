@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Literal, get_args
 
 from loi_core.errors import OptionError, ScaleError
-from loi_core.method.dispatch import ARRAY_API, choose_backend
+from loi_core.method.dispatch import ARRAY_API, Backend, choose_backend
 from loi_core.method.planner import make_plan
 from loi_core.method.scales import ScaleSpace
 from loi_core.objectives.base import reference_like, total
@@ -162,7 +162,14 @@ class LossSettings:
         return self.evaluate(image, target, weights, gradient=False)[0]
 
     def evaluate(
-        self, image: Array, target: Array, weights: Array | None = None, *, gradient: bool, has_values: bool = True
+        self,
+        image: Array,
+        target: Array,
+        weights: Array | None = None,
+        *,
+        gradient: bool,
+        has_values: bool = True,
+        backend: Backend | None = None,
     ) -> tuple[Array, Array | None]:
         """Return the value, the mean over all images of the batch, and its gradient, None unless it is requested.
 
@@ -176,9 +183,14 @@ class LossSettings:
             Whether values may be read. JAX traces arrays without values, and reading them from a GPU would wait for it.
             Without, all arrays are of one library and device, and value and gradient are NaN where images or weights
             would raise an error.
+        backend : Backend, optional
+            Implementation of the comparison; by default the fastest that is known to the core.
         """
         array = widened(as_floating("image", detached(image) if gradient else image))
-        prepared = self._prepare(array, widened(held(as_floating("target", target))), weights, has_values=has_values)
+        target = widened(held(as_floating("target", target)))
+        if backend is None:
+            backend = ARRAY_API if is_traced(target) or is_traced(weights) else choose_backend(array)
+        prepared = self._prepare(array, target, weights, backend, has_values=has_values)
         terms, slope = prepared.evaluate(array, gradient=gradient, check_finite=has_values)
         value = total(terms)
         if not has_values:
@@ -214,14 +226,13 @@ class LossSettings:
         return layout, target_layout
 
     def _prepare(
-        self, image: Array, target: Array, weights: Array | None, *, has_values: bool
+        self, image: Array, target: Array, weights: Array | None, backend: Backend, *, has_values: bool
     ) -> PreparedObjective[ScaleKey]:
         """Return the comparison of images of one kind with `target`."""
         layout, target_layout = self.layouts(image, target, weights)
         scales = self.scales
         if scales is None:
             scales = default_scales(layout.height, layout.width, self.pixels.colours)
-        backend = ARRAY_API if is_traced(target) or is_traced(weights) else choose_backend(image)
         planes = backend.to_backend(layout.broadcast_planes(reference_like("target", target, image), target_layout))
         call = None
         if weights is not None:

@@ -155,7 +155,7 @@ def test_the_loss_on_a_gpu_reads_no_value(
 def test_without_values_to_read_the_loss_of_invalid_pixels_is_nan(spoilt: str) -> None:
     tensors = {"image": torch.tensor(IMAGE), "target": torch.tensor(REFERENCE), "weights": torch.ones(IMAGE.shape[1:3])}
     tensors[spoilt].view(-1)[7] = -1.0 if spoilt == "weights" else torch.inf
-    value, gradient = LOILoss(SCALES)._settings.evaluate(**tensors, gradient=True, has_values=False)
+    value, gradient = LOILoss(SCALES)._settings.evaluate(*tensors.values(), gradient=True, has_values=False)
     assert value.isnan()
     assert gradient is not None
     assert gradient.isnan().all()
