@@ -111,9 +111,6 @@ class _RendererWrapper:
     def __init__(self, renderer: Renderer) -> None:
         self._renderer = renderer
 
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._renderer, name)
-
     @property
     def capabilities(self) -> RendererCapabilities:
         wrapped = capabilities_of(self._renderer)
