@@ -16,6 +16,7 @@ import pytest
 
 from loi_core import ScaleSpace
 from loi_core.method.dispatch import ARRAY_API, choose_backend, register_backend
+from loi_core.method.planner import make_plan
 from tests.environments import run
 from tests.frameworks import torch
 
@@ -125,3 +126,17 @@ def test_images_on_the_processor_and_other_dtypes_are_left_to_other_backends(mon
     register_backend(lambda image: image.device.type == "meta", TRITON)
     assert choose_backend(torch.zeros(1, 2, 2, device="meta")) is TRITON
     assert choose_backend(torch.zeros(1, 2, 2, dtype=torch.float16)) is ARRAY_API
+
+
+def test_whole_arrays_take_over_where_kernels_fail() -> None:
+    from loi_torch.triton_backend.backend import TRITON, TritonWarning, _warn
+
+    scales = ScaleSpace.for_image(12, 16)
+    plan = make_plan(scales, 12, 16, tolerance=0.0, eps=float(torch.finfo(torch.float32).eps))
+    image, reference, weights = torch.rand((3, 2, 12, 16), generator=torch.Generator().manual_seed(0))
+    _warn.cache_clear()
+    with pytest.warns(TritonWarning, match="kernels fail"):  # there is no GPU
+        result = TRITON.comparison(scales, plan, reference).with_weights(weights).compare(image, gradient=True)
+    expected = ARRAY_API.comparison(scales, plan, reference, weights).compare(image, gradient=True)
+    assert result.terms == expected.terms
+    assert torch.equal(result.cotangent, expected.cotangent)

@@ -6,12 +6,14 @@ import functools
 import importlib.util
 import os
 import warnings
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import torch
 from torch import Tensor
 
-from loi_core.method.comparison import Comparison
+from loi_core.method.array_comparison import ArrayComparison
+from loi_core.method.comparison import Comparison, ComparisonResult
 from loi_core.method.compiled import SWITCH
 from loi_core.method.dispatch import Backend
 from loi_core.method.plan import Plan
@@ -42,7 +44,43 @@ class _Triton:
     ) -> Comparison:
         from loi_torch.triton_backend.comparison import TritonComparison  # imports Triton
 
-        return TritonComparison.of(scales, plan, reference, weights)
+        try:
+            return _FallbackComparison(TritonComparison.of(scales, plan, reference, weights), scales, plan, reference)
+        except Exception as error:  # noqa: BLE001  # as below
+            return _by_arrays(error, scales, plan, reference, weights)
+
+
+@dataclass(frozen=True)
+class _FallbackComparison:
+    """A comparison by kernels, or by whole arrays if a kernel cannot be compiled or launched on this GPU."""
+
+    kernels: Comparison
+    scales: ScaleSpace
+    plan: Plan
+    reference: Tensor
+    weights: Tensor | None = None
+
+    def compare(self, compressed: Tensor, *, gradient: bool) -> ComparisonResult:
+        """See :class:`loi_core.method.comparison.Comparison`."""
+        try:
+            return self.kernels.compare(compressed, gradient=gradient)
+        except Exception as error:  # noqa: BLE001  # of Triton, of the compilers that it runs, or of the driver
+            by_arrays = _by_arrays(error, self.scales, self.plan, self.reference, self.weights)
+            return by_arrays.compare(compressed, gradient=gradient)
+
+    def with_weights(self, weights: Tensor) -> Comparison:
+        """See :class:`loi_core.method.comparison.Comparison`."""
+        return replace(self, kernels=self.kernels.with_weights(weights), weights=weights)
+
+
+def _by_arrays(
+    error: Exception, scales: ScaleSpace, plan: Plan, reference: Tensor, weights: Tensor | None
+) -> Comparison:
+    """Return the comparison by whole arrays, which raises errors of its own if the cause is not Triton."""
+    if isinstance(error, torch.cuda.OutOfMemoryError):  # whole arrays need more
+        raise error
+    _warn(f"its kernels fail ({described(error)})")
+    return ArrayComparison.of(scales, plan, reference, weights)
 
 
 TRITON: Final[Backend] = _Triton()
