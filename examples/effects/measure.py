@@ -168,7 +168,7 @@ def measure(case: Case, effort: Effort = FULL) -> Row:
 def _time_planning(
     planned: PlannedRenderer, objective: LOIObjective, start: Mapping[str, Any], image: Any
 ) -> tuple[PlannedRenderer, float, float]:
-    """Return the renderer after its pilot, the time of the pilot, and that of a revision because the loss stalls."""
+    """Return the renderer after its pilot, and the times of the pilot and of a revision because the loss stalls."""
     cotangent = objective.value_and_grad(image)[1]
     begin = time.perf_counter()
     started = planned.start(start, cotangent)

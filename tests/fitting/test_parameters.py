@@ -1,4 +1,4 @@
-"""Moves of the free numbers of a fit, one by one, to measure what each changes."""
+"""Moves of the free numbers of a fit, one by one, to measure the effect of each."""
 
 from __future__ import annotations
 

@@ -35,7 +35,7 @@ class Camera:
     near : float
         Distance of the near plane in world units, along the viewing direction; more than 0 for a perspective camera.
     device : torch.device, optional
-        Device of the images of meshes on the processor; that of the first tensor on a GPU by default.
+        Device of the images of meshes on the processor; by default the first tensor's that is not there.
 
     Raises
     ------

@@ -87,7 +87,7 @@ class Mesh:
     per : {"vertex", "triangle"}, optional
         Meaning of the rows of `colours`; needed only if there are as many vertices as triangles.
     device : torch.device, optional
-        Device of the images of the mesh; that of `vertices` by default, or else of its other tensors.
+        Device of the images of the mesh; by default the first tensor's that is not on the processor.
     welds, topology, discontinuities
         Derived from the other arguments. ``dataclasses.replace`` keeps which vertices coincided at first: they stay
         together, at their mean. With other faces, or another number of vertices, everything is derived anew.

@@ -17,7 +17,7 @@ __all__ = ["ComparisonCost", "cost_of"]
 
 @dataclass(frozen=True)
 class ComparisonCost:
-    """What one evaluation of the loss and its gradient does on a GPU.
+    """The cost of one evaluation of the loss and its gradient on a GPU.
 
     Attributes
     ----------
