@@ -1,8 +1,9 @@
-"""The comparison in Triton: few launches, and no CDF at the resolution of the images where a pyramid allows it.
+"""The comparison in Triton: few launches, and no CDF at the resolution of the images where the scales allow it.
 
-A comparison is one of two kinds. If all extents pass through a coarser pyramid level, differences of CDFs are made in
-registers and blurred down along columns by one kernel, and its adjoint ends in registers too (*narrow*). Otherwise a
-stack of differences is written, a few levels at a time (*stacked*).
+A comparison is one of two kinds. If every extent passes through a coarser pyramid level or is very narrow, differences
+of CDFs are made in registers and blurred down along columns by one kernel, and its adjoint ends in registers too
+(*narrow*); a very narrow extent is compared by one kernel from the images to the cotangent. Otherwise a stack of
+differences is written, a few levels at a time.
 """
 
 from __future__ import annotations
@@ -23,7 +24,18 @@ from loi_core.method.scales import ScaleSpace
 from loi_core.method.tonal import ROOT_TWO
 from loi_torch.triton_backend import kernels
 from loi_torch.triton_backend.launching import Launcher
-from loi_torch.triton_backend.tables import DEPTH, Band, band, dense, power_of_two
+from loi_torch.triton_backend.tables import (
+    DEPTH,
+    TILE,
+    WINDOW_ROWS,
+    Band,
+    Tiles,
+    Windows,
+    band,
+    power_of_two,
+    tiles,
+    windows,
+)
 
 __all__ = ["STACK_BYTES", "TritonComparison"]
 
@@ -31,11 +43,10 @@ STACK_BYTES: Final = 2**26
 """Memory for the stacks of levels that are handled at once, beside some planes."""
 
 MAX_LEVELS: Final = 64  # that are handled at once: `difference_columns` holds them all in registers
-MAX_CELLS: Final = 64  # coarse rows that `compare_rows` holds in registers
 LINES: Final = 64
 ELEMENTS: Final = 1024  # of a block of an elementwise kernel
 STEPS: Final = 8
-COMPARED: Final = (32, 32)  # rows and columns of a tile of `compare_rows`
+COLUMNS: Final = 32  # of a tile of `compare_rows`
 PULLED_ROWS: Final = 16
 LEVEL_ROWS: Final = 128  # levels times rows of a tile of `difference_columns`
 
@@ -119,11 +130,15 @@ class _Extent:
     alpha: float
     start: int
     blur: _Blur
+    windows: Windows | None  # if blurred differences can stay in registers
+    tiles: tuple[Tiles, Tiles] | None  # of rows and columns, if everything can
 
-    @property
-    def fused(self) -> bool:
-        """Whether the blurred differences can stay in registers."""
-        return self.blur.plan.rows.source.cells <= MAX_CELLS and not self.blur.plan.is_identity
+    @classmethod
+    def of(cls, alpha: float, start: int, blur: _Blur) -> _Extent:
+        rows = tiles(blur.plan.rows, blur.run.device) if start == 0 else None
+        columns = None if rows is None else tiles(blur.plan.columns, blur.run.device)
+        both = None if rows is None or columns is None else (rows, columns)
+        return cls(alpha, start, blur, windows(blur.plan.rows, blur.run.device), both)
 
     @property
     def height(self) -> int:
@@ -137,15 +152,15 @@ class _Extent:
     def elements(self) -> int:
         """Elements of a plane of the stacks that its comparison writes."""
         source = self.blur.plan.source
-        if self.fused:
-            return source.rows.cells * self.width
+        if self.windows is not None:
+            return source.rows.cells * self.width * (1 if self.windows.count == 1 else 2)
         narrow = max(source.rows.cells * self.width, source.columns.cells * self.height)
         return self.height * self.width + (0 if self.blur.plan.is_identity else narrow)
 
     def programs(self, planes: int) -> int:
         """Return the number of partial sums of costs of a stack of some planes."""
-        if self.fused:
-            return planes * -(-self.width // COMPARED[1])
+        if self.windows is not None:
+            return planes * self.windows.count * -(-self.width // COLUMNS)
         return -(-planes * self.height * self.width // (ELEMENTS * STEPS))
 
 
@@ -180,7 +195,8 @@ class _Inner:
     plan: InnerPlan
     tonal: tuple[TonalPlan, ...]
     run: Launcher
-    reference: Tensor  # its intensity above the padding, blurred
+    reference: Tensor
+    reference_intensity: Tensor | None  # kept if there is one inner scale only, for the sake of memory
     weights: Tensor | None
     pyramid: tuple[_Blur, ...]
     extents: tuple[_Extent, ...]  # by pyramid level
@@ -194,37 +210,57 @@ class _Inner:
         run: Launcher,
         reference: Tensor,
         weights: Tensor | None,
+        *,
+        keep_intensity: bool,
     ) -> _Inner:
-        intensity = _intensity(scales, plan, run, reference)
+        intensity = _intensity(scales, plan, run, reference) if keep_intensity else None
         pyramid = tuple(_Blur(step, run) for step in plan.pyramid)
-        extents = (_Extent(extent.alpha, extent.start, _Blur(extent.blur, run)) for extent in plan.extents)
+        extents = (_Extent.of(extent.alpha, extent.start, _Blur(extent.blur, run)) for extent in plan.extents)
         by_level = tuple(sorted(extents, key=lambda extent: extent.start))
-        return cls(scales, plan, tonal, run, intensity, weights, pyramid, by_level)
+        return cls(scales, plan, tonal, run, reference, intensity, weights, pyramid, by_level)
 
     @property
     def narrow(self) -> bool:
         """Whether no extent needs differences at the resolution of the images."""
-        return bool(self.pyramid) and not self.scales.centred and all(extent.start > 0 for extent in self.extents)
+        return not self.scales.centred and all(extent.start > 0 or extent.tiles for extent in self.extents)
+
+    @property
+    def _chunked(self) -> dict[int, _Extent]:
+        """The extents that need a stack of levels, by index."""
+        return {index: extent for index, extent in enumerate(self.extents) if not self.narrow or extent.start > 0}
 
     def compare(self, compressed: Tensor, total: Tensor | None, *, gradient: bool) -> tuple[Terms, Tensor | None]:
         """Return the terms, and the gradient added to `total`, which is overwritten."""
         intensity = _intensity(self.scales, self.plan, self.run, compressed)
+        reference = self.reference_intensity
+        if reference is None:
+            reference = _intensity(self.scales, self.plan, self.run, self.reference)
         chunks = [
             (beta, planes, levels)
             for beta, tonal in enumerate(self.tonal)
             for planes, levels in self._chunks(tonal.first, tonal.last, intensity.shape[0])
         ]
-        programs = sum(
-            max(extent.programs(len(planes) * len(levels)) for extent in self.extents) for _, planes, levels in chunks
+        near = {index: extent for index, extent in enumerate(self.extents) if index not in self._chunked}
+        programs = max(
+            sum(self._programs(planes, levels) for _, planes, levels in chunks),
+            *(intensity.shape[0] * rows.count * columns.count for rows, columns in map(_tiles, near.values())),
+            0,
         )
         costs = self.run.empty(len(self.tonal), len(self.extents), programs).zero_()
         self.run.count("zero", costs)
-        cotangent: Tensor | None = None
-        written, offset = set(), 0
+        cotangent = self.run.empty(*intensity.shape) if near and gradient else None
+        written: set[int] = set()
+        offset = 0
+        for beta, tonal in enumerate(self.tonal):
+            everything = range(intensity.shape[0]), range(tonal.first, tonal.last)
+            for index, extent in near.items():
+                chunk = self._chunk(tonal, *everything, intensity, reference)
+                self._compare_near(extent, chunk, cotangent, costs[beta, index], add=bool(written))
+                written.update(everything[0])
         for beta, planes, levels in chunks:
-            chunk = self._chunk(self.tonal[beta], planes, levels, intensity)
-            pulled, count = self._compare(chunk, costs[beta, :, offset:], gradient=gradient)
-            offset += count
+            chunk = self._chunk(self.tonal[beta], planes, levels, intensity, reference)
+            pulled = self._compare(chunk, costs[beta, :, offset:], gradient=gradient)
+            offset += self._programs(planes, levels)
             if pulled is None:
                 continue
             # Only now, when most of the stacks are gone.
@@ -233,7 +269,7 @@ class _Inner:
             self._pull(pulled, chunk, cotangent_chunk, add=planes.start in written)
             written.add(planes.start)
             del pulled
-        del intensity, chunk
+        del intensity, reference, chunk
         sums = costs.sum(-1)
         self.run.count("sum", costs)
         terms = {
@@ -253,14 +289,18 @@ class _Inner:
 
     def _chunks(self, first: int, last: int, count: int) -> list[tuple[range, range]]:
         """Return the planes and the levels that are handled at once."""
+        if not self._chunked:
+            return []
         pixels, columns = self.plan.grid.cells, 0
         if self.narrow:
             columns = 2 * self.plan.grid.rows.cells * self.pyramid[0].plan.columns.target.cells
-        level = (columns or 2 * pixels) + max(extent.elements for extent in self.extents)
+        level = (columns or 2 * pixels) + max(extent.elements for extent in self._chunked.values())
         level += 2 * sum(step.plan.target.cells for step in self.pyramid)
         stacks = max(1, STACK_BYTES // (4 * level))
-        planes = min(count, stacks)
-        levels = min(max(1, stacks // planes), MAX_LEVELS)
+        shapes = [
+            (planes, min(stacks // planes, last - first, MAX_LEVELS)) for planes in range(1, min(count, stacks) + 1)
+        ]
+        planes, levels = min(shapes, key=lambda shape: -(-count // shape[0]) * -(-(last - first) // shape[1]))
         groups = -(-(last - first) // levels)
         edges = [first + (last - first) * group // groups for group in range(groups + 1)]
         return [
@@ -269,12 +309,17 @@ class _Inner:
             for group in range(groups)
         ]
 
+    def _programs(self, planes: range, levels: range) -> int:
+        """Return the number of partial sums of costs of a chunk."""
+        return max(extent.programs(len(planes) * len(levels)) for extent in self._chunked.values())
+
     def _chunk(
         self,
         tonal: TonalPlan,
         planes: range,
         levels: range,
         intensity: Tensor,
+        reference: Tensor,
     ) -> _Chunk:
         scales, beta = self.scales, tonal.beta
         spacing = scales.spacing(beta)
@@ -284,7 +329,7 @@ class _Inner:
             levels.start,
             levels.stop,
             intensity[selected],
-            self.reference[selected],
+            reference[selected],
             None if self.weights is None else self.weights[selected],
             (
                 float(scales.levels(beta)[0]) - scales.padding,
@@ -298,8 +343,8 @@ class _Inner:
             scales.scale_weight * scales.level_weight(beta) / intensity.shape[0],
         )
 
-    def _compare(self, chunk: _Chunk, costs: Tensor, *, gradient: bool) -> tuple[Tensor | None, int]:
-        """Write sums of costs, shape (extents, programs); return the argument of :meth:`_pull`, and their number."""
+    def _compare(self, chunk: _Chunk, costs: Tensor, *, gradient: bool) -> Tensor | None:
+        """Write sums of costs, shape (extents, programs); return the argument of :meth:`_pull`."""
         differences: list[Tensor | None] = [None] if self.narrow else [self._differences(chunk)]
         for index, step in enumerate(self.pyramid):
             if index == 0 and self.narrow:
@@ -309,11 +354,11 @@ class _Inner:
             differences.append(stack)
             del stack
         cotangents: list[Tensor | None] = [None] * len(differences)
-        written = 0
-        for index, extent in enumerate(self.extents):
+        chunked = self._chunked
+        for index, extent in chunked.items():
             start = extent.start
             source = _present(differences[start])
-            if not any(later.start == start for later in self.extents[index + 1 :]):
+            if not any(later.start == start for later in self.extents[index + 1 :] if not self.narrow or start > 0):
                 differences[start] = None
             elif extent.blur.plan.is_identity:
                 source = self.run.empty(*source.shape).copy_(source)
@@ -322,9 +367,8 @@ class _Inner:
                 extent, source, costs[index], chunk, cotangents[start], gradient=gradient
             )
             del source
-            written = max(written, extent.programs(chunk.levels * chunk.planes))
         if not gradient:
-            return None, written
+            return None
         for level in range(len(self.pyramid), 0, -1):
             pulled, step = cotangents.pop(), self.pyramid[level - 1]
             if pulled is None:
@@ -334,7 +378,7 @@ class _Inner:
             else:
                 cotangents[level - 1] = step.adjoint(pulled, cotangents[level - 1])
             del pulled
-        return cotangents[0], written
+        return cotangents[0]
 
     def _compare_extent(
         self, extent: _Extent, source: Tensor, costs: Tensor, chunk: _Chunk, total: Tensor | None, *, gradient: bool
@@ -344,28 +388,32 @@ class _Inner:
         weight = chunk.level_weight / (extent.height * extent.width)
         settings = (chunk.tie, weight, power)
         flags = {"PLAIN": self.scales.p == 1.0, "GRADIENT": gradient}
-        if extent.fused:
+        if extent.windows is not None:
             stack = blur.along(source, blur.columns(adjoint=False), -1)
-            matrix, cells = dense(blur.plan.rows, self.run.device), stack.shape[-2]
-            rows, columns = COMPARED
-            planes = chunk.levels * chunk.planes
+            cells, planes = stack.shape[-2], chunk.levels * chunk.planes
+            # A window reads cells that another one writes.
+            pulled = stack if extent.windows.count == 1 or not gradient else self.run.empty(*stack.shape)
+            count, rows, window_cells = extent.windows.matrices.shape
             self.run.launch(
                 kernels.compare_rows,
-                (planes, -(-extent.width // columns)),
+                (planes, count, -(-extent.width // COLUMNS)),
                 stack,
+                pulled,
                 costs,
-                matrix,
-                extent.height,
+                extent.windows.windows,
+                extent.windows.matrices,
+                rows,
                 extent.width,
                 cells,
                 *settings,
-                CELLS=matrix.shape[1],
-                ROWS=rows,
-                COLUMNS=columns,
-                operations=(4.0 if gradient else 2.0) * planes * extent.height * extent.width * matrix.shape[1],
+                CELLS=window_cells,
+                ROWS=WINDOW_ROWS,
+                COLUMNS=COLUMNS,
+                operations=(4.0 if gradient else 2.0) * planes * count * rows * extent.width * window_cells,
                 **flags,
             )
-            return blur.along(stack, blur.columns(adjoint=True), -1, total) if gradient else None
+            del stack
+            return blur.along(pulled, blur.columns(adjoint=True), -1, total) if gradient else None
         stack = source if blur.plan.is_identity else blur.apply(source)
         size = stack.numel()
         grid = (-(-size // (ELEMENTS * STEPS)),)
@@ -380,6 +428,43 @@ class _Inner:
             return stack
         self.run.count("add", total, stack)
         return total.add_(stack)
+
+    def _compare_near(
+        self, extent: _Extent, chunk: _Chunk, cotangent: Tensor | None, costs: Tensor, *, add: bool
+    ) -> None:
+        """Write the sums of costs of an extent with tiles, and write or add to the cotangent of the image."""
+        count, height, width = chunk.image.shape
+        rows, columns = _tiles(extent)
+        products = 4.0 if cotangent is not None else 2.0
+        self.run.launch(
+            kernels.compare_near,
+            (count, rows.count, columns.count),
+            chunk.image,
+            chunk.reference,
+            chunk.image if chunk.weights is None else chunk.weights,
+            chunk.image if cotangent is None else cotangent,
+            costs,
+            rows.matrices,
+            columns.matrices,
+            height,
+            width,
+            rows.radius,
+            columns.radius,
+            chunk.first_level,
+            chunk.last_level,
+            *chunk.tonal,
+            chunk.slope_scale,
+            chunk.tie,
+            chunk.level_weight / (height * width),
+            1.0 / self.scales.p,
+            TILE=TILE,
+            WEIGHTED=chunk.weights is not None,
+            PLAIN=self.scales.p == 1.0,
+            GRADIENT=cotangent is not None,
+            ADD=add,
+            warps=16,  # fewer would spill
+            operations=products * 2.0 * TILE**3 * count * rows.count * columns.count * chunk.levels,
+        )
 
     def _differences(self, chunk: _Chunk) -> Tensor:
         """Return the weighted differences of CDFs, shape (L, N, H, W)."""
@@ -413,7 +498,7 @@ class _Inner:
         count, height, width = chunk.image.shape
         matrix = self.pyramid[0].columns(adjoint=False)
         stack = self.run.empty(chunk.levels, count, height, matrix.cells)
-        levels = power_of_two(chunk.levels)
+        levels = power_of_two(chunk.levels, 1)
         rows = LEVEL_ROWS // levels
         self.run.launch(
             kernels.difference_columns,
@@ -521,6 +606,11 @@ def _intensity(scales: ScaleSpace, plan: InnerPlan, run: Launcher, planes: Tenso
     return torch.sub(planes, scales.padding, out=run.empty(*planes.shape))
 
 
+def _tiles(extent: _Extent) -> tuple[Tiles, Tiles]:
+    assert extent.tiles is not None  # noqa: S101  # only extents with tiles are compared by them
+    return extent.tiles
+
+
 def _present(tensor: Tensor | None) -> Tensor:
     assert tensor is not None  # noqa: S101  # an invariant of the order in which stacks are made
     return tensor
@@ -549,8 +639,13 @@ class TritonComparison:
             plan = make_plan(scales, plan.height, plan.width, tolerance=0.0, eps=plan.eps, weighted=weights is not None)
         run = run or Launcher(reference.device)
         weights = None if weights is None else weights.contiguous()
-        inner = (_Inner.of(scales, inner_plan, plan.tonal, run, reference, weights) for inner_plan in plan.inner)
-        return cls(tuple(inner))
+        keep = len(plan.inner) == 1
+        return cls(
+            tuple(
+                _Inner.of(scales, inner_plan, plan.tonal, run, reference, weights, keep_intensity=keep)
+                for inner_plan in plan.inner
+            )
+        )
 
     def with_weights(self, weights: Tensor) -> TritonComparison:
         """See :class:`loi_core.method.comparison.Comparison`."""

@@ -14,6 +14,7 @@ import triton.language as tl
 
 __all__ = [
     "blur",
+    "compare_near",
     "compare_rows",
     "compare_stack",
     "difference_columns",
@@ -241,9 +242,11 @@ def compare_stack(
 @_kernel
 def compare_rows(
     stack: tl.tensor,
+    target: tl.tensor,
     costs: tl.tensor,
-    matrix: tl.tensor,
-    height: tl.tensor,
+    windows: tl.tensor,
+    matrices: tl.tensor,
+    rows: tl.tensor,
     width: tl.tensor,
     cells: tl.tensor,
     tie: tl.tensor,
@@ -255,29 +258,118 @@ def compare_rows(
     PLAIN: tl.constexpr,
     GRADIENT: tl.constexpr,
 ) -> None:
-    """Blur coarse rows up to the compared ones, and replace them by the adjoint of that blur, applied to the slopes.
+    """Blur coarse rows up to the compared ones, and write the adjoint of that blur, applied to the slopes.
 
-    Neither the blurred differences nor their slopes leave the registers. A program owns some columns of one plane.
+    Neither the blurred differences nor their slopes leave the registers. A program writes the coarse rows of one window
+    and some columns of one plane, from all compared rows that depend on them; it counts the costs of its own rows.
     """
     plane = tl.program_id(0).to(tl.int64)
-    column = tl.program_id(1) * COLUMNS + tl.arange(0, COLUMNS)
-    cell = tl.arange(0, CELLS)
-    inside = (cell < cells)[:, None] & (column < width)[None, :]
-    stack += plane * cells * width + cell[:, None] * width + column[None, :]
-    narrow = tl.load(stack, inside, 0.0)
+    window = tl.program_id(1)
+    column = tl.program_id(2) * COLUMNS + tl.arange(0, COLUMNS)
+    start = tl.load(windows + window * 5)
+    first_own = tl.load(windows + window * 5 + 3)
+    last_own = tl.load(windows + window * 5 + 4)
+    cell = start + tl.arange(0, CELLS)
+    offset = plane * cells * width + cell[:, None] * width + column[None, :]
+    narrow = tl.load(stack + offset, (cell < cells)[:, None] & (column < width)[None, :], 0.0)
+    matrices += window * rows * CELLS
     pulled = tl.zeros((CELLS, COLUMNS), tl.float32)
     total = tl.zeros((COLUMNS,), tl.float32)
-    for step in range(0, height, ROWS):
+    for step in range(0, rows, ROWS):
         row = step + tl.arange(0, ROWS)
-        weights = tl.load(matrix + row[:, None] * CELLS + cell[None, :], (row < height)[:, None], 0.0)
+        weights = tl.load(matrices + row[:, None] * CELLS + tl.arange(0, CELLS)[None, :])
         blurred = tl.dot(weights, narrow, input_precision="ieee")
         cost, slope = _cost_and_slope(blurred, tie, weight, power, PLAIN)
-        total += tl.sum(cost, 0)
+        total += tl.sum(tl.where(((row >= first_own) & (row < last_own))[:, None], cost, 0.0), 0)
         if GRADIENT:
             pulled = tl.dot(tl.trans(weights), slope, pulled, input_precision="ieee")
     if GRADIENT:
-        tl.store(stack, pulled, inside)
-    tl.store(costs + plane * tl.num_programs(1) + tl.program_id(1), tl.sum(total))
+        is_core = (cell >= tl.load(windows + window * 5 + 1)) & (cell < tl.load(windows + window * 5 + 2))
+        tl.store(target + offset, pulled, is_core[:, None] & (column < width)[None, :])
+    program = (plane * tl.num_programs(1) + window) * tl.num_programs(2) + tl.program_id(2)
+    tl.store(costs + program, tl.sum(total))
+
+
+@_kernel
+def compare_near(
+    image: tl.tensor,
+    reference: tl.tensor,
+    weights: tl.tensor,
+    cotangent: tl.tensor,
+    costs: tl.tensor,
+    row_matrices: tl.tensor,
+    column_matrices: tl.tensor,
+    height: tl.tensor,
+    width: tl.tensor,
+    row_radius: tl.tensor,
+    column_radius: tl.tensor,
+    first_level: tl.tensor,
+    last_level: tl.tensor,
+    first: tl.tensor,
+    per_spacing: tl.tensor,
+    count: tl.tensor,
+    per_width: tl.tensor,
+    peak: tl.tensor,
+    scale: tl.tensor,
+    tie: tl.tensor,
+    weight: tl.tensor,
+    power: tl.tensor,
+    TILE: tl.constexpr,
+    WEIGHTED: tl.constexpr,
+    PLAIN: tl.constexpr,
+    GRADIENT: tl.constexpr,
+    ADD: tl.constexpr,
+) -> None:
+    """Compare a narrow extent at all levels in registers, from the images to the cotangent.
+
+    A tile overlaps its neighbours by four radii of the blur: the blurred differences are right one radius within it,
+    and their adjoint two radii within it.
+    """
+    plane = tl.program_id(0).to(tl.int64)
+    inner = tl.arange(0, TILE)
+    row = tl.program_id(1) * (TILE - 4 * row_radius) - 2 * row_radius + inner
+    column = tl.program_id(2) * (TILE - 4 * column_radius) - 2 * column_radius + inner
+    is_row = (row >= 0) & (row < height)
+    is_column = (column >= 0) & (column < width)
+    inside = is_row[:, None] & is_column[None, :]
+    own_row = is_row & (inner >= 2 * row_radius) & (inner < TILE - 2 * row_radius)
+    own_column = is_column & (inner >= 2 * column_radius) & (inner < TILE - 2 * column_radius)
+    own = own_row[:, None] & own_column[None, :]
+    entry = inner[:, None] * TILE + inner[None, :]
+    row_matrix = tl.load(row_matrices + tl.program_id(1) * TILE * TILE + entry)
+    column_matrix = tl.load(column_matrices + tl.program_id(2) * TILE * TILE + entry)
+    pixel = plane * height * width + row[:, None] * width + column[None, :]
+    position = _position(tl.load(image + pixel, inside, 0.0), first, per_spacing, count)
+    reference_position = _position(tl.load(reference + pixel, inside, 0.0), first, per_spacing, count)
+    if WEIGHTED:
+        pixel_weight = tl.load(weights + pixel, inside, 0.0)
+    cdf_difference = tl.zeros((TILE, TILE), tl.float32)
+    slope = tl.zeros((TILE, TILE), tl.float32)
+    pulled = tl.zeros((TILE, TILE), tl.float32)
+    total = tl.zeros((TILE,), tl.float32)
+    for level in range(last_level):
+        cdf_difference += _density_difference(level, position, reference_position, per_width, peak)
+        slope += _slope(level, position, per_width, peak)
+        if level >= first_level:
+            weighted = cdf_difference
+            if WEIGHTED:
+                weighted = cdf_difference * pixel_weight
+            blurred = tl.dot(row_matrix, weighted, input_precision="ieee")
+            blurred = tl.dot(blurred, tl.trans(column_matrix), input_precision="ieee")
+            cost, cost_slope = _cost_and_slope(blurred, tie, weight, power, PLAIN)
+            total += tl.sum(tl.where(own, cost, 0.0), 0)
+            if GRADIENT:
+                adjoint = tl.dot(tl.trans(row_matrix), cost_slope, input_precision="ieee")
+                pulled += slope * tl.dot(adjoint, column_matrix, input_precision="ieee")
+    if GRADIENT:
+        pulled *= scale
+        if WEIGHTED:
+            pulled *= pixel_weight
+        if ADD:
+            pulled += tl.load(cotangent + pixel, own, 0.0)
+        tl.store(cotangent + pixel, pulled, own)
+    program = (plane * tl.num_programs(1) + tl.program_id(1)) * tl.num_programs(2) + tl.program_id(2)
+    tl.store(costs + program, tl.sum(total))
 
 
 @_kernel

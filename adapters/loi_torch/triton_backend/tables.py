@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -13,11 +12,17 @@ from torch import Tensor
 from loi_core.method.gaussian import MATRICES, AxisBlur, Matrix
 from loi_core.support.cache import ARRAY_OVERHEAD
 
-__all__ = ["DEPTH", "Band", "band", "dense", "power_of_two"]
+__all__ = ["DEPTH", "TILE", "WINDOW_ROWS", "Band", "Tiles", "Windows", "band", "power_of_two", "tiles", "windows"]
 
 DEPTH: Final = 16  # columns in one step of a product
 BLOCKS: Final = (16, 32, 64)
 BLOCK_COST: Final = 16.0  # reading a column for a block costs about as much as multiplying it with this many rows
+
+WINDOW_CELLS: Final = 64  # that `compare_rows` holds in registers
+WINDOW_ROWS: Final = 32  # in one step of `compare_rows`
+CORES: Final = (48, 32, 16)  # cells that a window writes, where there is more than one
+TILE: Final = 64
+MIN_CORE: Final = 32  # pixels of a tile that are its own
 
 
 @dataclass(frozen=True)
@@ -65,22 +70,119 @@ def band(blur: AxisBlur, device: torch.device, *, adjoint: bool) -> Band:
     key = (blur, "triton", "adjoint" if adjoint else "forward", str(device))
     prepared: Band | None = MATRICES.get(key)
     if prepared is None:
-        matrix = blur.matrix()
-        prepared = _band(matrix.T if adjoint else matrix, device)
+        prepared = _band(blur, device, adjoint=adjoint)
         MATRICES.put(key, prepared, prepared.table.numel() + ARRAY_OVERHEAD)
     return prepared
 
 
-def dense(blur: AxisBlur, device: torch.device) -> Tensor:
-    """Return the matrix of a blur, shape (target.cells, columns), padded by zeros to a power of two columns."""
-    key = (blur, "triton", "dense", str(device))
-    prepared: Tensor | None = MATRICES.get(key)
+@dataclass(frozen=True)
+class Windows:
+    """A matrix that maps few cells to many rows, in windows of cells, for `compare_rows`.
+
+    Attributes
+    ----------
+    windows : Tensor of int32, shape (count, 5)
+        The first cell of each window; the first and last of the cells that it writes; and the first and last of its own
+        rows, counted from the first that its cells are for.
+    matrices : Tensor, shape (count, rows, columns)
+        For each window, from `columns` cells to `rows` rows, which include all that the written cells are for.
+    """
+
+    windows: Tensor
+    matrices: Tensor
+
+    @property
+    def count(self) -> int:
+        """Number of windows."""
+        return int(self.matrices.shape[0])
+
+
+def windows(blur: AxisBlur, device: torch.device) -> Windows | None:
+    """Return the matrix of a blur in windows of at most WINDOW_CELLS cells; None if they would write too few cells."""
+    if blur.is_identity:
+        return None
+    key = (blur, "triton", "windows", str(device))
+    prepared: Windows | None = MATRICES.get(key)
     if prepared is None:
         matrix = blur.matrix()
-        padded = np.zeros((matrix.shape[0], power_of_two(matrix.shape[1])))
-        padded[:, : matrix.shape[1]] = matrix
-        prepared = _tensor(padded, device)
-        MATRICES.put(key, prepared, prepared.numel() + ARRAY_OVERHEAD)
+        cells = matrix.shape[1]
+        for core in (cells, *CORES) if cells <= WINDOW_CELLS else CORES:
+            prepared = _windows(matrix, core, device)
+            if prepared is not None:
+                MATRICES.put(key, prepared, prepared.matrices.numel() + ARRAY_OVERHEAD)
+                break
+    return prepared
+
+
+def _windows(matrix: Matrix, core: int, device: torch.device) -> Windows | None:
+    """Return the windows of `core` cells that are written, each from at most WINDOW_CELLS; None if that is too few."""
+    height, cells = matrix.shape
+    filled = matrix != 0.0
+    bounds = []
+    for start in range(0, cells, core):
+        stop = min(start + core, cells)
+        first_own, last_own = height * start // cells, height * stop // cells
+        (rows,) = np.nonzero(filled[:, start:stop].any(axis=1))
+        first_row, last_row = int(min([first_own, *rows[:1]])), int(max([last_own, *(rows[-1:] + 1)]))
+        (columns,) = np.nonzero(filled[first_row:last_row].any(axis=0))
+        first, last = int(min([start, *columns[:1]])), int(max([stop, *(columns[-1:] + 1)]))
+        if last - first > WINDOW_CELLS:
+            return None
+        bounds.append((first, last, start, stop, first_row, last_row, first_own, last_own))
+    width = power_of_two(max(last - first for first, last, *_ in bounds))
+    depth = -(-max(bound[5] - bound[4] for bound in bounds) // WINDOW_ROWS) * WINDOW_ROWS
+    matrices = np.zeros((len(bounds), depth, width))
+    for index, (first, last, _, _, first_row, last_row, _, _) in enumerate(bounds):
+        matrices[index, : last_row - first_row, : last - first] = matrix[first_row:last_row, first:last]
+    table = [
+        (first, start, stop, first_own - first_row, last_own - first_row)
+        for first, _, start, stop, first_row, _, first_own, last_own in bounds
+    ]
+    return Windows(torch.as_tensor(np.asarray(table, np.int32), device=device), _tensor(matrices, device))
+
+
+@dataclass(frozen=True)
+class Tiles:
+    """A narrow blur of an axis, as the matrices of overlapping tiles of it, for `compare_near`.
+
+    Attributes
+    ----------
+    radius : int
+        Radius of the kernel; tiles overlap by four of it.
+    matrices : Tensor, shape (count, TILE, TILE)
+        The rows whose kernel lies in the tile; the others are 0.
+    """
+
+    radius: int
+    matrices: Tensor
+
+    @property
+    def count(self) -> int:
+        """Number of tiles."""
+        return int(self.matrices.shape[0])
+
+
+def tiles(blur: AxisBlur, device: torch.device) -> Tiles | None:
+    """Return the tiles of a blur; None if it is too wide for them, or changes the sampling."""
+    if blur.source != blur.target or blur.radius + 1.0 > TILE / 4:
+        return None
+    key = (blur, "triton", "tiles", str(device))
+    prepared: Tiles | None = MATRICES.get(key)
+    if prepared is None:
+        size = blur.source.cells
+        radius = 0 if blur.is_identity else int(blur.radius)
+        core = TILE - 4 * radius
+        if core < MIN_CORE:
+            return None
+        matrices = np.zeros((-(-size // core), TILE, TILE))
+        for index, tile in enumerate(matrices):
+            origin = index * core - 2 * radius
+            first, last = max(origin, 0), min(origin + TILE, size)
+            first_row, last_row = max(origin + radius, 0), min(origin + TILE - radius, size)
+            entries = blur.entries(range(first_row, last_row), range(first, last))
+            tile[first_row - origin : last_row - origin, first - origin : last - origin] = entries
+        prepared = Tiles(radius, _tensor(matrices, device))
+        MATRICES.put(key, prepared, prepared.matrices.numel() + ARRAY_OVERHEAD)
     return prepared
 
 
@@ -89,25 +191,22 @@ def power_of_two(number: int, smallest: int = DEPTH) -> int:
     return max(smallest, 1 << (number - 1).bit_length())
 
 
-def _band(matrix: Matrix, device: torch.device) -> Band:
-    cells, size = matrix.shape
-    filled = matrix != 0.0
-    some = filled.any(axis=1)
-    first = np.where(some, filled.argmax(axis=1), size - 1)
-    stop = np.where(some, size - filled[:, ::-1].argmax(axis=1), 0)
+def _band(blur: AxisBlur, device: torch.device, *, adjoint: bool) -> Band:
+    source, target = (blur.target, blur.source) if adjoint else (blur.source, blur.target)
     layouts = []
     for block in BLOCKS:
-        edges = np.arange(0, cells, block)
-        starts = np.minimum.reduceat(first, edges)
-        widest = int(np.max(np.maximum.reduceat(stop, edges) - starts))
-        depth = max(1, math.ceil(widest / DEPTH)) * DEPTH
-        layouts.append((len(edges) * depth * (block + BLOCK_COST), block, depth, starts))
-    _, block, depth, starts = min(layouts, key=lambda layout: layout[0])
-    table = np.zeros((len(starts), depth, block))
-    for index, start in enumerate(starts):
-        entries = matrix[index * block : (index + 1) * block, start : start + depth]
-        table[index, : entries.shape[1], : entries.shape[0]] = entries.T
-    return Band(size, cells, torch.as_tensor(starts.astype(np.int32), device=device), _tensor(table, device))
+        rows = [range(start, min(start + block, target.cells)) for start in range(0, target.cells, block)]
+        columns = [blur.rows_of(some) if adjoint else blur.columns_of(some) for some in rows]
+        depth = -(-max(map(len, columns)) // DEPTH) * DEPTH
+        layouts.append((len(rows) * depth * (block + BLOCK_COST), block, depth, rows, columns))
+    _, block, depth, rows, columns = min(layouts, key=lambda layout: layout[0])
+    table = np.zeros((len(rows), depth, block))
+    for index, (some, needed) in enumerate(zip(rows, columns, strict=True)):
+        table[index, : len(needed), : len(some)] = (
+            blur.entries(needed, some) if adjoint else blur.entries(some, needed).T
+        )
+    starts = np.asarray([needed.start for needed in columns], np.int32)
+    return Band(source.cells, target.cells, torch.as_tensor(starts, device=device), _tensor(table, device))
 
 
 def _tensor(matrix: Matrix, device: torch.device) -> Tensor:
