@@ -19,6 +19,7 @@ PACKAGES: Final = (
     "loi_torch.vector",
     "loi_jax",
     "loi_mitsuba",
+    "mitsuba_boundaries",
 )
 
 

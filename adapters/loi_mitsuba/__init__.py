@@ -3,16 +3,7 @@
 Import this package before `mitsuba`: Dr.Jit loads LLVM while it is imported, and may need to be given another one.
 """
 
-# ruff: noqa: E402 - LLVM is chosen before Dr.Jit is imported
-import importlib.util
-
-from mitsuba_boundaries.llvm import LLVMChoice, LLVMError, prepare
-
-# Without this check, the error would be a missing `drjit`.
-if importlib.util.find_spec("mitsuba") is None:
-    msg = "No module named 'mitsuba'"
-    raise ModuleNotFoundError(msg, name="mitsuba")
-prepare()
+from mitsuba_boundaries import LLVMChoice, LLVMError, prepare  # isort: skip - chooses LLVM before Dr.Jit is imported
 
 from loi_mitsuba.diagnostics import GradientWarning
 from loi_mitsuba.effects.capabilities import CAPABILITIES

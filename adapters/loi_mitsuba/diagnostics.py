@@ -94,14 +94,12 @@ def _scene_warnings(scene: Any, integrator: Any, shapes: list[Any], edged: Conta
             f"a shape moves under a {kinds}, and the motion of its shadows has no gradient there; use a small sphere "
             f"with an area emitter"
         )
-    for of_shadow, is_edged in (("", False), ("the shadow of ", True)):
-        unwelded = _ids([shape for shape in moving if (shape in edged) == is_edged], is_unwelded)
-        if unwelded:
-            yield (
-                f"{_meshes(unwelded, 'stores', 'store')} the vertices of an edge more than once, and Mitsuba counts "
-                f"the gradient of {of_shadow}such an edge as often; merge equal vertices (and set face_normals for "
-                f"flat shading); PlannedRenderer does where shading is smooth or flat throughout"
-            )
+    if unwelded := _ids([shape for shape in moving if shape not in edged], is_unwelded):
+        yield (
+            f"{_meshes(unwelded, 'stores', 'store')} the vertices of an edge more than once, and Mitsuba counts the "
+            f"gradient of such an edge as often; merge equal vertices (and set face_normals for flat shading); "
+            f"PlannedRenderer does where shading is smooth or flat throughout"
+        )
     if non_manifold := _ids(moving, is_non_manifold):
         yield (
             f"{_meshes(non_manifold, 'has', 'have')} edges at which more than two triangles meet, or that run along "

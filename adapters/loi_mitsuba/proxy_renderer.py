@@ -141,9 +141,9 @@ class ProxyGradientRenderer(MitsubaRenderer):
         self._proxy_shapes = {name: value.shape for name, value in self._proxy.parameters().items()}
         super().__init__(scene, parameters, integrator=integrator, **options)
         if only_shadows:
-            self._proxy._set_terms(self._proxy.wrt, frozenset({"sppc", "sppp"}))
+            self._proxy._set_wrt(self._proxy.wrt, frozenset({"sppc", "sppp"}))
         excluded = frozenset({"sppi"}) if only_shadows else frozenset()
-        self._set_terms(frozenset(self._differentiable) - self._proxy_only, excluded)
+        self._set_wrt(frozenset(self._differentiable) - self._proxy_only, excluded)
 
     @property
     def proxy_scene(self) -> Any:
@@ -162,7 +162,7 @@ class ProxyGradientRenderer(MitsubaRenderer):
         names = set(self._binding.targets if wrt is None else wrt)
         renderer = copy(self)
         renderer._set_integrator(integrator, self._spp if spp is None else spp, spp_grad)
-        renderer._set_terms(names - self._proxy_only)
+        renderer._set_wrt(names - self._proxy_only)
         renderer._proxy = self._proxy.with_integrator(integrator, spp=spp, spp_grad=spp_grad, wrt=names & self._moving)
         return renderer
 
@@ -197,5 +197,5 @@ class ProxyGradientRenderer(MitsubaRenderer):
                 values[name] = np.broadcast_to(offset * np.float32(replaced.factor), self._proxy_shapes[name])
         return values
 
-    def _check_gradients(self, *, is_planned: bool, edged: list[Any]) -> None:
+    def _check_gradients(self, *, is_planned: bool) -> None:
         """Skip the warnings of the scene itself: the proxy has warned about the gradients that are used."""

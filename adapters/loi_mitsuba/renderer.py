@@ -31,20 +31,12 @@ from loi_mitsuba.scene.parameters import Scene, SceneIndex, index_scene
 from loi_mitsuba.scene.safety import SceneLoadError, check_description
 from loi_mitsuba.scene.settings import GRADIENT_TERMS, integrator_of, omits_edges, settings_of, with_sampled_border
 from mitsuba_boundaries.drjit.arrays import Float32Array
-from mitsuba_boundaries.edge_sampling import EdgeBoundary
-from mitsuba_boundaries.geometry.coincident_edges import UniqueEdges
-from mitsuba_boundaries.intersections import IntersectionBoundary
-from mitsuba_boundaries.projective import ProjectiveBoundary
-from mitsuba_boundaries.received_shadows import ReceivedShadowBoundary
-from mitsuba_boundaries.sensing.film import Film
-from mitsuba_boundaries.terms import BoundarySampler, BoundaryTerm, GradientTerm, InteriorTerm
+from mitsuba_boundaries.gradient import ImageGradient
 
 __all__ = ["MitsubaRenderer", "split_seed"]
 
 
 SCENE_INTEGRATOR: Final = "scene"
-DIRECT_DEPTH: Final = 2  # `max_depth` of direct-light integrators, which have no such attribute
-UNLIMITED_DEPTH: Final = 2**31  # `max_depth` of integrators without a limit is at least this
 
 
 class MitsubaRenderer:
@@ -121,18 +113,9 @@ class MitsubaRenderer:
         render_only = frozenset(without_gradient)
         self._binding = ParameterBinding(self._index, targets, render_only)
         self._differentiable = tuple(name for name in targets if name not in render_only)
-        self._film = Film(self._sensor.film())
-        moving = self._binding.moving(self._differentiable)
-        self._edges = EdgeBoundary.from_scene(self._scene, self._sensor, moving)
-        self._intersections = IntersectionBoundary.from_scene(self._scene, self._sensor, moving)
-        self._received_shadows = ReceivedShadowBoundary.from_scene(self._scene, self._sensor, moving)
-        self._unique_edges = UniqueEdges.from_shapes(moving)
-        edged = [] if self._edges is None else self._edges.shapes
-        self._edged = frozenset(
-            name for name in self._differentiable if any(shape in edged for shape in self._binding.moving([name]))
-        )
-        self._set_terms(self._differentiable)
-        self._check_gradients(is_planned=isinstance(integrator, EffectPlan) and omits_edges(integrator), edged=edged)
+        self._gradient = ImageGradient(self._scene, self._sensor, self._binding.moving(self._differentiable))
+        self._set_wrt(self._differentiable)
+        self._check_gradients(is_planned=isinstance(integrator, EffectPlan) and omits_edges(integrator))
 
     @property
     def capabilities(self) -> RendererCapabilities:
@@ -189,7 +172,7 @@ class MitsubaRenderer:
         """
         changed = copy(self)
         changed._set_integrator(integrator, self._spp if spp is None else spp, spp_grad)
-        changed._set_terms(self._wrt if wrt is None else wrt)
+        changed._set_wrt(self._wrt if wrt is None else wrt)
         return changed
 
     def parameters(self) -> dict[str, Float32Array]:
@@ -251,20 +234,10 @@ class MitsubaRenderer:
             self._leaves(params)  # to check them
             return gradient
         self._check_variant()
-        groups: dict[tuple[str, ...], list[GradientTerm]] = {}
-        for term, names in self._terms:
-            groups.setdefault(names, []).append(term)
         cotangent = np.ascontiguousarray(cotangent, dtype=np.float32)
-        for index, (names, terms) in enumerate(groups.items()):
-            with self._binding.attached(params, frozenset(names), settled=index > 0) as leaves:
-                # Isolated, so that no gradient flows on to the leaves before all terms have arrived at the entries:
-                # Mitsuba propagates some of them one after the other.
-                with dr.isolate_grad():
-                    for term in terms:
-                        term.vjp(cotangent, split_seed(seed)[1])
-                contribution = self._binding.gradients(leaves, names)
-            gradient |= {name: gradient[name] + contribution[name] for name in names}
-        return gradient
+        with self._binding.attached(params, self._wrt) as leaves:
+            self._gradient.vjp(self._integrator, cotangent, seed=split_seed(seed)[1], **self._gradient_options)
+            return gradient | self._binding.gradients(leaves, self._wrt)
 
     def jvp(self, params: Mapping[str, Any], tangent: Mapping[str, Any], *, seed: int = 0) -> Float32Array:
         """Return the Jacobian-vector product: the derivative of the image along `tangent`, shape (H, W, C).
@@ -272,73 +245,24 @@ class MitsubaRenderer:
         :meth:`vjp` is its adjoint. Not all integrators of Mitsuba support forward mode. Errors as of `render`.
         """
         self._check_variant()
-        width, height = self._film.size
-        total: Float32Array = np.zeros((height, width, self._film.channels), np.float32)
-        for term, names in self._terms:
-            with self._binding.attached(params, frozenset(names)) as leaves:
-                for name in names:
-                    direction = host_numbers(name, tangent[name], self._binding.start[name].shape)
-                    dr.set_grad(leaves[name], mi.Float(direction.reshape(-1)))
-                    dr.enqueue(dr.ADMode.Forward, leaves[name])
-                # Propagate to the scene's entries now, because Mitsuba's loops traverse no further back than these.
-                dr.traverse(dr.ADMode.Forward, dr.ADFlag.ClearEdges)
-                total = total + term.jvp(*split_seed(seed))
-        return total
+        with self._binding.attached(params, self._wrt) as leaves:
+            for name in self._wrt:
+                direction = host_numbers(name, tangent[name], self._binding.start[name].shape)
+                dr.set_grad(leaves[name], mi.Float(direction.reshape(-1)))
+                dr.enqueue(dr.ADMode.Forward, leaves[name])
+            # Propagate to the scene's entries now, because Mitsuba's loops traverse no further back than these.
+            dr.traverse(dr.ADMode.Forward, dr.ADFlag.ClearEdges)
+            return self._gradient.jvp(self._integrator, seed=split_seed(seed)[1], **self._gradient_options)
 
-    def _set_terms(self, wrt: Iterable[str], excluded: frozenset[str] | None = None) -> None:
-        """Set the parameters to differentiate with respect to and, if given, the excluded terms; build the terms.
+    @property
+    def _gradient_options(self) -> dict[str, Any]:
+        return {"spp": self._spp_grad, "excluded": self._excluded}
 
-        The edges of creased meshes, intersection curves and shadows on moving shapes have terms other than Mitsuba's.
-        """
+    def _set_wrt(self, wrt: Iterable[str], excluded: frozenset[str] | None = None) -> None:
+        """Set the parameters to differentiate with respect to and, if given, the excluded terms."""
         names = frozenset(wrt)
         self._wrt = tuple(name for name in self._differentiable if name in names)
         self._excluded = self._excluded if excluded is None else excluded
-        moving = tuple(name for name in self._wrt if self._binding.moving([name]))
-        edged = tuple(name for name in moving if name in self._edged)
-        smooth = tuple(name for name in moving if name not in self._edged)
-        sppp, sppi = self._sample_count("sppp"), self._sample_count("sppi")
-        boundaries: list[tuple[BoundarySampler, Any, int, tuple[str, ...]]] = []
-        primary = [boundary for boundary in (self._intersections, self._edges if edged else None) if boundary]
-        if primary and sppp:
-            # With respect to all moving shapes: the edge term of a shape without edges is zero.
-            radiance = self._radiance_integrator()
-            boundaries = [(boundary, radiance, sppp, moving) for boundary in primary]
-        projective = self._integrator
-        boundaries += [
-            (ProjectiveBoundary(self._sensor, self._film, "sppp"), projective, sppp, smooth),
-            (ProjectiveBoundary(self._sensor, self._film, "sppi", self._unique_edges), projective, sppi, moving),
-        ]
-        if self._received_shadows is not None:
-            boundaries.append((self._received_shadows, projective, sppi, moving))
-        self._terms: list[tuple[GradientTerm, tuple[str, ...]]] = [
-            (BoundaryTerm(sampler, self._scene, self._film, integrator, samples), names)
-            for sampler, integrator, samples, names in boundaries
-            if samples and names
-        ]
-        if "sppc" not in self._excluded and getattr(self._integrator, "sppc", None) != 0:
-            samples = self._sample_count("sppc") or self._spp_grad
-            interior = InteriorTerm(
-                self._scene, self._binding.entries, self._sensor, self._film, self._integrator, samples
-            )
-            self._terms.append((interior, self._wrt))
-
-    def _sample_count(self, name: str) -> int:
-        """Return the samples per pixel of the term with this count; 0 if the integrator has no such term."""
-        if name in self._excluded or not hasattr(self._integrator, name):
-            return 0
-        default = self._sensor.sampler().sample_count()
-        return int(self._integrator.override_spp(getattr(self._integrator, name), self._spp_grad, default))
-
-    def _radiance_integrator(self) -> Any:
-        """Return a path tracer with the depth of the gradient's integrator."""
-        depth = getattr(self._integrator, "max_depth", DIRECT_DEPTH)
-        return mi.load_dict(
-            {
-                "type": "path",
-                "max_depth": depth if 0 <= depth < UNLIMITED_DEPTH else -1,
-                "hide_emitters": bool(getattr(self._integrator, "hide_emitters", False)),
-            }
-        )
 
     def _set_integrator(self, integrator: Any, spp: int, spp_grad: int | None) -> None:
         """Set the integrator and the sample counts, checked."""
@@ -370,10 +294,11 @@ class MitsubaRenderer:
             )
             raise OptionError(msg)
 
-    def _check_gradients(self, *, is_planned: bool, edged: list[Any]) -> None:
+    def _check_gradients(self, *, is_planned: bool) -> None:
         """Raise or warn where the gradient of moving shapes is missing; a plan has given its reasons already."""
         moving = self._binding.moving(self._differentiable)
         if not is_planned:
+            edged = self._gradient.edged_shapes
             warn_about_moving_shapes(self._scene, self._sensor, self._integrator, moving, edged)
         warn_about_entries(self._index, {name: self._binding.targets[name] for name in self._differentiable})
         sensor_type = self._sensor.class_name()

@@ -23,7 +23,8 @@ MIN_COSINE: Final = 0.01  # smaller ones carry 0.0001 of the light of a spherica
 @contextmanager
 def clamped_area_jacobian(integrator: Any) -> Iterator[None]:
     """Replace the area Jacobian in the module of an integrator by one with a clamped relative derivative."""
-    module = sys.modules.get(type(integrator).__module__)
+    modules = (sys.modules.get(base.__module__) for base in type(integrator).__mro__)
+    module = next((module for module in modules if hasattr(module, FUNCTION)), None)
     original = getattr(module, FUNCTION, None)
     if original is not None:
         setattr(module, FUNCTION, _clamped)

@@ -19,7 +19,7 @@ from mitsuba_boundaries.drjit.arrays import HostArray
 from mitsuba_boundaries.drjit.ragged import hit_shape_index, shape_index
 from mitsuba_boundaries.geometry.coincident_edges import uncovered_segments
 from mitsuba_boundaries.geometry.mesh import crease_edges, edge_vertices
-from mitsuba_boundaries.geometry.mesh_checks import has_creases
+from mitsuba_boundaries.geometry.mesh_checks import has_creases, is_unwelded
 from mitsuba_boundaries.sensing.sensor import (
     DEPTH_TOLERANCE,
     OFFSET_PX,
@@ -78,14 +78,18 @@ class EdgeBoundary:
 
     @classmethod
     def from_scene(cls, scene: Any, sensor: Any, shapes: Iterable[Any]) -> EdgeBoundary | None:
-        """Build from the flat shapes and creased meshes among `shapes`; None if there are none, or no support."""
+        """Build from the flat shapes and the creased or unwelded meshes among `shapes`.
+
+        Projective sampling counts the silhouettes of unwelded meshes twice. None if there is no such shape, or without
+        support for boundary sampling.
+        """
         if not supports_boundary_sampling(scene, sensor):
             return None
         in_scene = scene.shapes()
         edged = [
             shape
             for shape in dict.fromkeys(shapes)
-            if shape in in_scene and (shape.class_name() in OUTLINES or has_creases(shape))
+            if shape in in_scene and (shape.class_name() in OUTLINES or has_creases(shape) or is_unwelded(shape))
         ]
         return cls(sensor, edged) if edged else None
 

@@ -6,8 +6,8 @@ The samples are taken before they reach the film, and sensors with an off-centre
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
-from contextlib import contextmanager, nullcontext
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
@@ -17,7 +17,7 @@ import mitsuba as mi
 from mitsuba_boundaries.geometry.coincident_edges import UniqueEdges
 from mitsuba_boundaries.plugins.proxy_emitter import hittable_proxy_emitters
 from mitsuba_boundaries.sensing.film import Film
-from mitsuba_boundaries.sensing.film_samples import capture_splats, to_rgb
+from mitsuba_boundaries.sensing.film_samples import to_rgb
 from mitsuba_boundaries.sensing.sensor import PerspectiveSensor, is_off_centre, ray_epsilon
 
 __all__ = ["ProjectiveBoundary"]
@@ -54,6 +54,16 @@ class _OffCentreSensor:
 
 
 @dataclass(frozen=True)
+class _SilhouetteShapes:
+    """Some of a scene's silhouette shapes, where Mitsuba asks a scene for all of them."""
+
+    shapes: list[Any]
+
+    def silhouette_shapes(self) -> list[Any]:
+        return self.shapes
+
+
+@dataclass(frozen=True)
 class ProjectiveBoundary:
     """Silhouettes, sampled by a projective integrator of Mitsuba.
 
@@ -66,43 +76,70 @@ class ProjectiveBoundary:
         Primary silhouettes, which the camera sees, or indirect ones, of shadows and reflections.
     unique_edges : UniqueEdges or None
         For indirect silhouettes, the mesh edges that count among coincident ones.
+    excluded : collection of mi.Shape
+        For primary silhouettes, the shapes that are not sampled.
     """
 
     sensor: Any
     film: Film
     term: Literal["sppp", "sppi"]
     unique_edges: UniqueEdges | None = None
+    excluded: Collection[Any] = ()
 
     def sample(self, scene: Any, integrator: Any, samples: int, seed: int) -> tuple[Any, Any] | None:
         """Sample silhouettes; see :class:`mitsuba_boundaries.terms.BoundarySampler`.
 
         `integrator` is the projective integrator. It takes the same samples in its own
-        `render_backward` with this seed.
+        `render_backward` with this seed, if it samples the same shapes.
         """
-        if not scene.silhouette_shapes():
+        silhouettes = [shape for shape in scene.silhouette_shapes() if shape not in self.excluded]
+        if not silhouettes:
             return None
-        sensor = self.sensor
         with dr.suspend_grad():
-            if self.term == "sppp":
-                integrator.proj_detail.init_primarily_visible_silhouette(scene, sensor)
-                render = integrator.render_primarily_visible_silhouette
-            else:
-                sensor = _OffCentreSensor(sensor) if is_off_centre(sensor) else sensor
-                integrator.proj_detail.init_indirect_silhouette(scene, sensor, GUIDING_SEED_MASK ^ seed)
-                render = integrator.render_indirect_silhouette
             sampler, spp = integrator.prepare(
                 self.sensor, SEED_MASKS[self.term] ^ seed, samples, integrator.aov_names()
             )
-        emitters = hittable_proxy_emitters() if self.term == "sppi" else nullcontext()
-        with emitters, self._filtered(integrator), capture_splats() as splats:
-            # With 1 sample per pixel: the number would be compiled into kernels. The values are divided by it below.
-            render(scene, sensor, sampler, 1)
-        if not splats:
-            return None
-        (splat,) = splats
-        value = to_rgb(splat["value"], splat["wavelengths"], active=splat["active"])
-        value = dr.select(splat["active"], value, 0.0) / dr.opaque(mi.Float, spp * self.film.border_oversampling)
-        return value, dr.detach(splat["pos"]) / mi.Point2f(*map(float, self.film.size))
+        if self.term == "sppp":
+            value, wavelengths, uv, active = self._sample_primary(scene, integrator, silhouettes, sampler)
+        else:
+            with hittable_proxy_emitters(), self._filtered(integrator):
+                value, wavelengths, uv, active = self._sample_indirect(scene, integrator, sampler, seed)
+        value = dr.select(active, to_rgb(value, wavelengths, active=active), 0.0)
+        # An opaque number, because a literal would be compiled into kernels.
+        value /= dr.opaque(mi.Float, spp * self.film.border_oversampling)
+        return value, dr.detach(uv) / mi.Point2f(*map(float, self.film.size))
+
+    def _sample_primary(self, scene: Any, integrator: Any, silhouettes: list[Any], sampler: Any) -> tuple[Any, ...]:
+        """Sample visible silhouettes, as Mitsuba's `render_primarily_visible_silhouette` does."""
+        sensor, detail, shapes = self.sensor, integrator.proj_detail, _SilhouetteShapes(silhouettes)
+        with dr.suspend_grad():
+            detail.init_primarily_visible_silhouette(shapes, sensor)
+            position = sensor.world_transform() @ mi.Point3f(0.0)
+            silhouette = detail.sample_primarily_visible_silhouette(shapes, position, sampler.next_2d(), True)  # noqa: FBT003  # as Mitsuba does
+            active = silhouette.is_valid() & (silhouette.pdf > 0.0)
+            jacobian = detail.sensor_jacobian(sensor, silhouette)
+            difference, wavelengths = detail.eval_primary_silhouette_radiance_difference(
+                scene, sampler, silhouette, sensor, active=active
+            )
+            active &= dr.any(difference != 0.0)
+            it = dr.zeros(mi.Interaction3f)
+            it.p = silhouette.p
+            ds, _ = sensor.sample_direction(it, mi.Point2f(0.0))
+        si = dr.zeros(mi.SurfaceInteraction3f)
+        si.p, si.prim_index, si.uv = silhouette.p, silhouette.prim_index, silhouette.uv
+        motion = dr.dot(silhouette.shape.differential_motion(dr.detach(si), active), silhouette.n)
+        return difference * motion * dr.rcp(silhouette.pdf) * jacobian, wavelengths, ds.uv, active
+
+    def _sample_indirect(self, scene: Any, integrator: Any, sampler: Any, seed: int) -> tuple[Any, ...]:
+        """Sample indirect silhouettes, as Mitsuba's `render_indirect_silhouette` does."""
+        sensor = _OffCentreSensor(self.sensor) if is_off_centre(self.sensor) else self.sensor
+        detail = integrator.proj_detail
+        with dr.suspend_grad():
+            detail.init_indirect_silhouette(scene, sensor, GUIDING_SEED_MASK ^ seed)
+        sample, weight = detail.guiding_distr.sample(sampler)
+        value, wavelengths, uv = detail.eval_indirect_integrand(scene, sensor, sample, sampler, preprocess=False)
+        active = dr.any(value != 0.0)
+        return value * weight, wavelengths, uv, active
 
     @contextmanager
     def _filtered(self, integrator: Any) -> Iterator[None]:
@@ -111,15 +148,15 @@ class ProjectiveBoundary:
         An edge that lies in another surface, as where two boxes end in one plane, casts no shadow on it. Rounding puts
         the edge beside that surface, nearer than any other occluder is.
         """
-        if self.term != "sppi":
-            yield
-            return
         original, unique_edges = integrator.sample_importance, self.unique_edges
+        vertex_positions = None if unique_edges is None else unique_edges.vertex_positions()
 
         def sample_importance(scene: Any, sensor: Any, silhouette: Any, *arguments: Any) -> Any:
             *leading, active = arguments
             if unique_edges is not None:
-                active = active & unique_edges.is_representative(silhouette)  # not in place: it is the integrator's
+                active = active & unique_edges.is_representative(
+                    silhouette, vertex_positions
+                )  # not in place: the integrator's
             reverse = mi.SilhouetteSample3f(silhouette)
             reverse.d = -silhouette.d
             ray = reverse.spawn_ray()

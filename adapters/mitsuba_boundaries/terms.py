@@ -27,8 +27,11 @@ class GradientTerm(Protocol):
     def vjp(self, cotangent: Float32Array, seed: int) -> None:
         """Propagate a cotangent of the image, shape (H, W, C), to the entries."""
 
-    def jvp(self, seed: int, seed_grad: int) -> Float32Array:
-        """Return the derivative of the image, shape (H, W, C), along the gradients set on the entries."""
+    def jvp(self, seed: int) -> Float32Array:
+        """Return the derivative of the image, shape (H, W, C), along the gradients set on the entries.
+
+        The entries keep these gradients, for the next term. The interior term may not keep them.
+        """
 
 
 class BoundarySampler(Protocol):
@@ -62,8 +65,6 @@ class InteriorTerm:
     Attributes
     ----------
     scene : mi.Scene
-    entries : mi.SceneParameters
-        Of the scene; some have gradients enabled.
     sensor : mi.Sensor
     film : Film
         Of the sensor.
@@ -73,7 +74,6 @@ class InteriorTerm:
     """
 
     scene: Any
-    entries: Any
     sensor: Any
     film: Film
     integrator: Any
@@ -86,31 +86,29 @@ class InteriorTerm:
             return
         with self._without_silhouettes(), clamped_area_jacobian(self.integrator):
             try:
-                self.integrator.render_backward(
-                    self.scene, self.entries, mi.TensorXf(cotangent), self.sensor, seed, self.samples
+                self._base.render_backward(
+                    self.integrator, self.scene, {}, mi.TensorXf(cotangent), self.sensor, seed, self.samples
                 )
             except RuntimeError as error:
                 if "does not depend on the input" not in str(error):
                     raise  # else the gradient is 0, as of an image of depths with respect to colours
 
-    def jvp(self, seed: int, seed_grad: int) -> Float32Array:
+    def jvp(self, seed: int) -> Float32Array:
         """Return the derivative of the image; see :class:`GradientTerm`."""
         if self._bypasses_film:
-            value, uv = self._radiance_samples(seed_grad, dr.ADMode.Forward)
-            change = dr.forward_to(value) if dr.grad_enabled(value) else mi.Color3f(0.0)
+            value, uv = self._radiance_samples(seed, dr.ADMode.Forward)
+            change = dr.forward_to(value, flags=dr.ADFlag.ClearEdges) if dr.grad_enabled(value) else mi.Color3f(0.0)
             with dr.suspend_grad():
                 return self.film.reconstruct(change, uv)
         with self._without_silhouettes(), clamped_area_jacobian(self.integrator):
-            image = mi.render(
-                self.scene,
-                self.entries,
-                self.sensor,
-                self.integrator,
-                seed=seed,
-                seed_grad=seed_grad,
-                spp_grad=self.samples,
-            )
-            return np.array(dr.forward_to(image), dtype=np.float32, order="C").reshape(image.shape)
+            change = self._base.render_forward(self.integrator, self.scene, {}, self.sensor, seed, self.samples)
+            return np.array(change, dtype=np.float32, order="C")
+
+    @property
+    def _base(self) -> Any:
+        """The class whose methods differentiate the interior: for projective integrators, not a subclass of ours."""
+        base = mi.ad.integrators.common.PSIntegrator
+        return base if isinstance(self.integrator, base) else type(self.integrator)
 
     @property
     def _bypasses_film(self) -> bool:
@@ -169,13 +167,15 @@ class BoundaryTerm:
                 # Not of the sum, which Dr.Jit would evaluate first, tracing all rays twice.
                 dr.backward(weighted, dr.ADFlag.ClearInterior)
 
-    def jvp(self, seed: int, seed_grad: int) -> Float32Array:  # noqa: ARG002  # no primal image is rendered
+    def jvp(self, seed: int) -> Float32Array:
         """Return the derivative of the image; see :class:`GradientTerm`."""
-        sample = self.sampler.sample(self.scene, self.integrator, self.samples, seed_grad)
+        sample = self.sampler.sample(self.scene, self.integrator, self.samples, seed)
         if sample is None:
             width, height = self.film.size
             return np.zeros((height, width, self.film.channels), dtype=np.float32)
         value, uv = sample
-        change = mi.Color3f(dr.forward_to(value)) if dr.grad_enabled(value) else mi.Color3f(0.0)
+        change = (
+            mi.Color3f(dr.forward_to(value, flags=dr.ADFlag.ClearEdges)) if dr.grad_enabled(value) else mi.Color3f(0.0)
+        )
         with dr.suspend_grad():
             return self.film.splat(change, uv)

@@ -16,7 +16,7 @@ scene = mi.load_dict(
     {
         "type": "scene",
         # Follows outlines, which `path` and `prb` do not; no samples for the outlines of shadows, as there are none.
-        "integrator": {"type": "direct_projective", "sppi": 0},
+        "integrator": {"type": "direct_boundaries", "sppi": 0},
         "camera": {"type": "perspective", "fov": 40, "to_world": view, "film": film},
         "light": {"type": "constant"},
         "ball": {"type": "sphere", "radius": 0.5, "bsdf": {"type": "diffuse"}},

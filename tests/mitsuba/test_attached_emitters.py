@@ -73,7 +73,6 @@ def differences(renderer: MitsubaRenderer, params: dict[str, Any], steps: dict[s
     return np.mean(draws, axis=0), np.std(draws, axis=0, ddof=1) / 2.0
 
 
-@pytest.mark.filterwarnings("ignore:mesh 'lamp' stores the vertices:loi_mitsuba.GradientWarning")
 @pytest.mark.parametrize(
     "light",
     [
@@ -266,7 +265,6 @@ def test_a_moving_light_is_attached_and_a_moving_ball_is_not() -> None:
     assert not np.any(alone.render_vjp(start)[1](RAMP)["lamp"])
 
 
-@pytest.mark.filterwarnings("ignore:mesh 'lamp' stores the vertices:loi_mitsuba.GradientWarning")
 def test_the_scale_of_an_emitting_mesh_is_not_attached() -> None:
     """Mitsuba's samples of a mesh do not scale with it."""
     for light, wrt in (("box", ["x"]), ("panel", ["x", "size"])):

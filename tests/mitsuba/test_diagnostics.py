@@ -13,6 +13,8 @@ from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, Trans
 from tests.helpers import Host
 from tests.mitsuba.scenes import PARAMETERS, box, random_cotangent, shadow_scene
 
+SMOKE = {"type": "sphere", "bsdf": {"type": "null"}, "interior": {"type": "homogeneous"}}
+
 
 def gradient_warnings(recwarn: pytest.WarningsRecorder) -> list[str]:
     return [str(warning.message) for warning in recwarn if warning.category is GradientWarning]
@@ -55,16 +57,22 @@ def test_vertex_colours_do_not_count_as_motion() -> None:
     assert renderer.parameters()["colours"].shape == (24,)
 
 
-def test_unwelded_meshes_give_a_warning() -> None:
-    with pytest.warns(GradientWarning, match="mesh 'cube' stores the vertices of an edge more than once"):
-        MitsubaRenderer(shadow_scene(cube={"type": "cube"}), {"place": Translate("cube")})
+def test_unwelded_meshes_give_a_warning_only_where_their_edges_cannot_be_sampled(
+    recwarn: pytest.WarningsRecorder,
+) -> None:
+    cube, moves = {"type": "cube"}, {"place": Translate("cube")}
+    MitsubaRenderer(shadow_scene(cube=cube), moves)
+    assert gradient_warnings(recwarn) == []
+    MitsubaRenderer(shadow_scene(cube=cube, smoke=SMOKE), moves)
+    (message,) = gradient_warnings(recwarn)
+    assert message.startswith("mesh 'cube' stores the vertices of an edge more than once")
 
 
 def test_many_meshes_share_one_warning(recwarn: pytest.WarningsRecorder) -> None:
     """Whatever the number of parameters of each."""
     cubes = {f"cube {k}": {"type": "cube"} for k in range(7)}
     moved = {f"{name} {axis}": Translate(name, axis) for name in cubes for axis in ((1, 0, 0), (0, 1, 0))}
-    MitsubaRenderer(shadow_scene(**cubes), moved)
+    MitsubaRenderer(shadow_scene(**cubes, smoke=SMOKE), moved)
     (message,) = gradient_warnings(recwarn)
     assert message.startswith(
         "meshes 'cube 0', 'cube 1', 'cube 2', 'cube 3' and 3 others store the vertices of an edge"

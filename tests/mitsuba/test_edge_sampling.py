@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, Rotate, Scale, Translate
+from loi_mitsuba import MitsubaRenderer, PlannedRenderer, Rotate, Scale, Translate
 from mitsuba_boundaries.geometry.mesh import crease_edges, edge_vertices, is_flat_shaded
 from mitsuba_boundaries.geometry.mesh_checks import has_creases
 from tests.helpers import Host
@@ -114,7 +114,6 @@ def test_a_box_has_the_gradient_of_finite_differences(light: str, shape_name: st
     np.testing.assert_array_less(deviation, 0.05 * np.abs(expected) + 4.0 * np.hypot(error, expected_error))
 
 
-@pytest.mark.filterwarnings("ignore:mesh 'block' stores the vertices:loi_mitsuba.GradientWarning")
 @pytest.mark.filterwarnings(
     "ignore:a shape moves, and silhouettes have no gradient in the film:loi_mitsuba.GradientWarning"
 )
@@ -141,8 +140,7 @@ def test_every_projective_integrator_samples_edges() -> None:
     scene = lit_scene("lamp", {"type": "cube", "to_world": pose, "emitter": emitter})
     scene["lamp"] = {"type": "constant", "radiance": 0.0}
     scene["floor"]["bsdf"] = {"type": "diffuse", "reflectance": 0.0}
-    with pytest.warns(GradientWarning, match="stores the vertices of an edge more than once"):
-        renderers = [MitsubaRenderer(scene, MOVES, integrator=integrator, spp=64) for integrator in (None, EDGES)]
+    renderers = [MitsubaRenderer(scene, MOVES, integrator=integrator, spp=64) for integrator in (None, EDGES)]
     images = MitsubaRenderer(scene, MOVES, integrator="scene", spp=256, without_gradient=MOVES)
     expected = finite_differences(images, ["x"])[0]
     for renderer in renderers:
@@ -206,7 +204,6 @@ OCCLUDED: dict[str, dict[str, Any]] = {
 }
 
 
-@pytest.mark.filterwarnings("ignore:mesh 'block' stores the vertices:loi_mitsuba.GradientWarning")
 @pytest.mark.parametrize("shape_name", OCCLUDED)
 def test_the_radiance_of_occluders_does_not_enter_the_gradient(shape_name: str) -> None:
     """An occluder may end beside an edge, or beside an intersection curve, that it covers."""
@@ -263,6 +260,5 @@ def test_a_partly_smooth_mesh_keeps_its_split_vertices(tmp_path: Path) -> None:
     can = trimesh.Trimesh(corners, faces, vertex_normals=np.concatenate([radial, vertical]), process=False)
     can.export(tmp_path / "can.ply", vertex_normal=True)
     block = {"type": "ply", "filename": str(tmp_path / "can.ply"), "to_world": TRANSFORM().translate([0, 1.5, 0])}
-    with pytest.warns(GradientWarning, match=r"PlannedRenderer does where shading is smooth or flat throughout"):
-        planned = PlannedRenderer(lit_scene("lamp", block), {"x": MOVES["x"]})
+    planned = PlannedRenderer(lit_scene("lamp", block), {"x": MOVES["x"]})
     assert not planned.plan.substitutions

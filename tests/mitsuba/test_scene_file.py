@@ -107,8 +107,7 @@ def test_the_scene_file_in_the_docs_can_be_loaded(folder: Path) -> None:
         )
     )
     (folder / "guide.toml").write_text(text)
-    with pytest.warns(match="stores the vertices of an edge more than once"):
-        scene = load_scene(folder / "guide.toml")
+    scene = load_scene(folder / "guide.toml")
     assert list(scene.renderer.parameters()) == ["place", "turn", "colour"]
     assert list(scene.optimise) == ["place", "colour"]
 

@@ -125,9 +125,7 @@ class ParameterBinding:
         return leaves
 
     @contextmanager
-    def attached(
-        self, params: Mapping[str, Any], wrt: Collection[str], *, settled: bool = False
-    ) -> Iterator[dict[str, Any]]:
+    def attached(self, params: Mapping[str, Any], wrt: Collection[str]) -> Iterator[dict[str, Any]]:
         """Set `params` in the scene with gradients enabled for `wrt`, and yield their leaves.
 
         On exit no graph is left in the scene, even if Mitsuba raises. Errors as of :meth:`leaves`.
@@ -137,14 +135,12 @@ class ParameterBinding:
         params : mapping of arrays
         wrt : names
             Parameters that have a gradient within the context.
-        settled : bool
-            Whether the scene has the values of `params` already, so that only `wrt` is set.
         """
         leaves = self.leaves(params)
         try:
             with dr.resume_grad():  # the caller may have suspended gradients
                 dr.enable_grad([leaves[name] for name in wrt])
-                self.set(leaves, wrt if settled else None)
+                self.set(leaves)
                 yield leaves
         finally:
             self.set(self.leaves(params), wrt)

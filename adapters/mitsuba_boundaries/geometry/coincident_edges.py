@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -11,7 +11,15 @@ import numpy as np
 
 from mitsuba_boundaries.drjit.arrays import HostArray
 from mitsuba_boundaries.drjit.ragged import RaggedTable, hit_shape_index, shape_index
-from mitsuba_boundaries.geometry.mesh import crease_edges, edge_vertices, has_triangles, vertex_positions
+from mitsuba_boundaries.geometry.mesh import (
+    crease_edges,
+    edge_vertices,
+    half_edge_ends,
+    has_triangles,
+    paired_half_edges,
+    triangles,
+    vertex_positions,
+)
 
 __all__ = ["UniqueEdges", "uncovered_segments"]
 
@@ -19,32 +27,60 @@ LINE_TOLERANCE: Final = 1e-5  # distance of equal lines per extent of the mesh: 
 DIRECTION_TOLERANCE: Final = 1e-4  # distance between the unit directions of equal lines
 CELL_SHIFTS: Final = (0.0, 0.5)  # two grids, so that lines which one grid separates share a cell of the other
 HASH_FACTORS: Final = np.random.default_rng(0).integers(-(2**62), 2**62, 6)  # two cells collide with odds of 2**-63
+EMPTY: Final = (2.0, 2.0)  # an interval beyond the end of any edge
 REFERENCE_DIRECTION: Final = np.array([0.531, 0.797, 0.287])  # orients lines; edges are hardly ever normal to it
+
+
+class _EdgeTable(NamedTuple):
+    """The edges of one mesh as Mitsuba samples them.
+
+    Attributes
+    ----------
+    interval : array (half-edges, 2)
+        The interval of each half-edge that counts, as fractions of its length.
+    opposite : array (half-edges, 2)
+        For a half-edge whose partner has vertices of its own, the vertices opposite to the edge in its triangle and in
+        its partner's; the same vertex twice for all others.
+    """
+
+    interval: HostArray
+    opposite: HostArray
 
 
 class UniqueEdges:
     """Choose one of several coincident mesh edges at each point of a line.
 
+    Mitsuba takes the two half-edges of an edge whose vertices are stored twice for two borders of the surface, which
+    are silhouettes from everywhere. Here one of them is a silhouette where both of its triangles are on one side.
+
     Parameters
     ----------
-    intervals : dict of int to array (half-edges, 2)
-        By shape index, the interval of each half-edge that counts, as fractions of its length.
+    tables : dict of mi.Mesh to _EdgeTable
     """
 
-    def __init__(self, intervals: dict[int, HostArray]) -> None:
-        lower, upper = np.concatenate(list(intervals.values())).astype(np.float32).T
-        self._table = RaggedTable({index: len(rows) for index, rows in intervals.items()})
+    def __init__(self, tables: dict[Any, _EdgeTable]) -> None:
+        self._params = [mi.traverse(mesh) for mesh in tables]
+        self._table = RaggedTable({shape_index(mesh): len(table.interval) for mesh, table in tables.items()})
+        lower, upper = np.concatenate([table.interval for table in tables.values()]).astype(np.float32).T
         self._low, self._high = mi.Float(np.ascontiguousarray(lower)), mi.Float(np.ascontiguousarray(upper))
+        first_vertex = np.cumsum([0, *(mesh.vertex_count() for mesh in tables)])[:-1]
+        opposite = np.concatenate(
+            [table.opposite + first for table, first in zip(tables.values(), first_vertex, strict=True)]
+        )
+        self._opposite = [mi.UInt32(np.ascontiguousarray(column, dtype=np.uint32)) for column in opposite.T]
 
     @classmethod
     def from_shapes(cls, shapes: Iterable[Any]) -> UniqueEdges | None:
-        """Build from the meshes among `shapes` that have coincident edges; None if there are none."""
+        """Build from the meshes among `shapes` with coincident edges or vertices; None if there are none."""
         meshes = filter(has_triangles, dict.fromkeys(shapes))
-        intervals = {shape_index(mesh): _half_edge_intervals(mesh) for mesh in meshes}
-        coincident = {index: rows for index, rows in intervals.items() if rows is not None}
-        return cls(coincident) if coincident else None
+        tables = {mesh: table for mesh in meshes if (table := _edge_table(mesh)) is not None}
+        return cls(tables) if tables else None
 
-    def is_representative(self, sample: Any) -> Any:
+    def vertex_positions(self) -> Any:
+        """Return the positions of all vertices now, mi.Float, for :meth:`is_representative`."""
+        return dr.concat([dr.detach(params["vertex_positions"]) for params in self._params])
+
+    def is_representative(self, sample: Any, vertex_positions: Any) -> Any:
         """Return a mask of the silhouette samples, an ``mi.SilhouetteSample3f``, that lie on an edge that counts."""
         first, in_table = self._table.first_row(hit_shape_index(sample))
         edge = sample.projection_index
@@ -52,21 +88,39 @@ class UniqueEdges:
         lower, upper = (dr.gather(mi.Float, bound, half_edge, in_table) for bound in (self._low, self._high))
         u, v = sample.uv.x, sample.uv.y
         fraction = dr.select(edge == 0, u, dr.select(edge == 1, v, 1.0 - u - v))
-        return ~in_table | ((fraction >= lower) & (fraction <= upper))
+        own_side, partner_side = (
+            dr.dot(sample.n, dr.gather(mi.Point3f, vertex_positions, vertex, in_table) - sample.p)
+            for vertex in (dr.gather(mi.UInt32, column, half_edge, in_table) for column in self._opposite)
+        )
+        is_silhouette = own_side * partner_side > 0.0
+        return ~in_table | (is_silhouette & (fraction >= lower) & (fraction <= upper))
 
 
-def _half_edge_intervals(mesh: Any) -> HostArray | None:
-    """Return the interval of each half-edge that counts, shape (half-edges, 2); None if all edges count wholly."""
+def _edge_table(mesh: Any) -> _EdgeTable | None:
+    """Return the table of a mesh; None if all edges count wholly and are not split."""
     edges = crease_edges(mesh)
     index, interval = uncovered_segments(vertex_positions(mesh), edge_vertices(mesh, edges)[0])
-    if len(index) == len(edges) and np.all(interval == [0.0, 1.0]):
+    split = _split_half_edges(mesh)
+    if len(index) == len(edges) and np.all(interval == [0.0, 1.0]) and not len(split):
         return None
     intervals = np.tile([0.0, 1.0], (3 * mesh.face_count(), 1))
-    intervals[edges] = [2.0, 2.0]  # empty: beyond the end
+    intervals[split] = EMPTY
+    intervals[edges] = EMPTY
     half_edge, partner = edges[index].T
     intervals[partner] = 1.0 - interval[:, ::-1]  # the partner runs in the opposite direction
+    intervals[split[:, 1]] = EMPTY
     intervals[half_edge] = interval
-    return intervals
+    opposite = np.roll(triangles(mesh), -2, axis=1).ravel()
+    opposites = np.stack([opposite, opposite], axis=1)
+    opposites[split[:, 0], 1] = opposite[split[:, 1]]
+    return _EdgeTable(intervals, opposites)
+
+
+def _split_half_edges(mesh: Any) -> HostArray:
+    """Return the pairs of half-edges, shape (n, 2), that belong together but have vertices of their own."""
+    pairs, _ = paired_half_edges(mesh)
+    ends = half_edge_ends(triangles(mesh))
+    return np.asarray(pairs[np.any(ends[pairs[:, 0]] != ends[pairs[:, 1]][:, ::-1], axis=1)])
 
 
 def uncovered_segments(positions: HostArray, edges: HostArray) -> tuple[HostArray, HostArray]:

@@ -6,8 +6,6 @@ forward pass traces all rays again for each pixel in the filter's footprint, 25 
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any, Final
 
 import drjit as dr
@@ -16,7 +14,7 @@ import mitsuba as mi
 from mitsuba_boundaries.drjit.arrays import Float32Array
 from mitsuba_boundaries.sensing.film import Film
 
-__all__ = ["backpropagate", "capture_splats", "radiance_samples", "to_rgb"]
+__all__ = ["backpropagate", "radiance_samples", "to_rgb"]
 
 UNUSED_ARGUMENTS: Final = {"δL": None, "state_in": None, "project": False, "si_shade": None}  # of `Integrator.sample`
 
@@ -73,15 +71,3 @@ def backpropagate(value: Any, uv: Any, film: Film, cotangent: Float32Array) -> N
     if dr.grad_enabled(value):
         weight = film.gather(film.normalised_cotangent(cotangent, uv), uv)
         dr.backward(value * weight, dr.ADFlag.ClearInterior)
-
-
-@contextmanager
-def capture_splats() -> Iterator[list[dict[str, Any]]]:
-    """Collect the keyword arguments of all calls of `mi.ImageBlock.put` instead of changing any film."""
-    splats: list[dict[str, Any]] = []
-    put = mi.ImageBlock.put
-    mi.ImageBlock.put = lambda block, **arguments: splats.append(arguments)  # noqa: ARG005
-    try:
-        yield splats
-    finally:
-        mi.ImageBlock.put = put
