@@ -40,7 +40,7 @@ optimizer["place"] = mi.Point3f(-1.5, 1.0, 0.0)
 scales = ScaleSpace.for_image(height, width, beta=0.25)
 for step in range(300):  # arrives after 80 to 150 steps, depending on the noise, overshoots, and settles
     move(optimizer["place"])
-    dr.backward(loi_mitsuba.loi_loss(mi.render(scene, params, seed=step, spp=16), photograph, scales))
+    dr.backward(loi_mitsuba.loi_loss(mi.render(scene, params, seed=step, spp=32), photograph, scales))
     optimizer.step()
 
 print(*(round(float(coordinate[0]), 1) for coordinate in list(optimizer["place"])[:2]))
