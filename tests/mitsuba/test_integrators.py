@@ -47,7 +47,8 @@ def test_the_integrators_are_registered_with_each_variant() -> None:
         if not variant.startswith("scalar"):  # which have no gradients
             for name, extended in INTEGRATORS.items():
                 integrator, base = (mi.load_dict({"type": kind}) for kind in (name, extended))
-                assert type(base) in type(integrator).__mro__
+                # By name, as Mitsuba may have imported its module a second time, under another name.
+                assert type(base).__name__ in [ancestor.__name__ for ancestor in type(integrator).__mro__]
 
 
 def test_a_renderer_has_the_gradient_of_the_integrator(scene: Any) -> None:
