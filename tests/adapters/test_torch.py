@@ -332,6 +332,7 @@ def test_the_torch_loss_refuses_forward_mode() -> None:
             torch.func.jvp(lambda x, loss=transformed: loss(x, target), (image,), (torch.ones_like(image),))
 
 
+@pytest.mark.filterwarnings("ignore:`torch.jit.script` is deprecated")  # torch calls it at its first forward mode
 def test_the_value_of_the_core_has_torch_derivatives_in_both_modes() -> None:
     objective, image = LOIObjective(REFERENCE, SCALES), leaf()
     objective.value(image).backward()
