@@ -17,7 +17,7 @@ import numpy as np
 from jax import lax
 
 from loi_core.method.comparison import ComparisonResult, Terms
-from loi_core.method.dispatch import Backend
+from loi_core.method.dispatch import Backend, OwnLibrary
 from loi_core.method.distance import cost_slope, sum_of_costs, tie_threshold
 from loi_core.method.gaussian import AxisBlur, Matrix
 from loi_core.method.plan import InnerPlan, Plan, TonalPlan
@@ -41,14 +41,8 @@ class _Sums(NamedTuple):
     slope: jax.Array
 
 
-class _Scan:
+class _Scan(OwnLibrary):
     """The :class:`loi_core.method.dispatch.Backend` of programs without values to read."""
-
-    def to_backend(self, image: jax.Array) -> jax.Array:
-        return image
-
-    def to_library(self, result: jax.Array, like: jax.Array) -> jax.Array:  # noqa: ARG002  # it is like that already
-        return result
 
     def comparison(
         self, scales: ScaleSpace, plan: Plan, reference: jax.Array, weights: jax.Array | None = None

@@ -162,8 +162,6 @@ def _compare_traced(settings: LossSettings, image: Tensor, target: Any, weights:
     target, weights = (
         array if array is None else torch.as_tensor(array, device=image.device).detach() for array in (target, weights)
     )
-    if settings.reduction == "mean":
-        return _mean_traced(settings, precise, target, weights)
     value: Tensor = reduced(_mean_traced, settings, precise, target, weights)
     return value
 

@@ -19,7 +19,7 @@ from loi_core.method.plan import Plan
 from loi_core.method.scales import ScaleSpace
 from loi_core.support.arrays import Array, from_numpy, is_numpy_array, is_read_by_numpy, is_recorded, to_numpy
 
-__all__ = ["ARRAY_API", "NUMBA", "Backend", "choose_backend", "numba_supports", "register_backend"]
+__all__ = ["ARRAY_API", "NUMBA", "Backend", "OwnLibrary", "choose_backend", "numba_supports", "register_backend"]
 
 
 class Backend(Protocol):
@@ -35,14 +35,20 @@ class Backend(Protocol):
         """Prepare a comparison with a reference: planes within the bounds, and weights, shape (N, H, W)."""
 
 
-class _ArrayApi:
-    """Operations on whole arrays, in the image's own library."""
+class OwnLibrary:
+    """Base of backends that compute in the image's own library, so that nothing is converted."""
 
     def to_backend(self, image: Array) -> Array:
+        """See :class:`Backend`."""
         return image
 
     def to_library(self, result: Array, like: Array) -> Array:  # noqa: ARG002  # it is like that already
+        """See :class:`Backend`."""
         return result
+
+
+class _ArrayApi(OwnLibrary):
+    """Operations on whole arrays."""
 
     def comparison(self, scales: ScaleSpace, plan: Plan, reference: Array, weights: Array | None = None) -> Comparison:
         return ArrayComparison.of(scales, plan, reference, weights)

@@ -15,7 +15,7 @@ from torch import Tensor
 from loi_core.method.array_comparison import ArrayComparison
 from loi_core.method.comparison import Comparison, ComparisonResult
 from loi_core.method.compiled import SWITCH
-from loi_core.method.dispatch import Backend
+from loi_core.method.dispatch import Backend, OwnLibrary
 from loi_core.method.plan import Plan
 from loi_core.method.scales import ScaleSpace
 from loi_core.support.arrays import is_recorded, is_torch_array
@@ -26,18 +26,16 @@ __all__ = ["TRITON", "TritonWarning", "executor", "supports"]
 MIN_CAPABILITY: Final = (8, 0)  # of the GPUs that Triton's kernels are compiled for in the tests
 
 
+FAILED_DEVICES: Final[set[str]] = set()
+"""Devices on which a kernel has failed where whole arrays have not."""
+
+
 class TritonWarning(RuntimeWarning):
     """Triton cannot compare images on this GPU, so whole-array operations of torch are used, which are slower."""
 
 
-class _Triton:
+class _Triton(OwnLibrary):
     """Kernels written in Triton."""
-
-    def to_backend(self, image: Tensor) -> Tensor:
-        return image
-
-    def to_library(self, result: Tensor, like: Tensor) -> Tensor:  # noqa: ARG002  # it is like that already
-        return result
 
     def comparison(
         self, scales: ScaleSpace, plan: Plan, reference: Tensor, weights: Tensor | None = None
@@ -66,7 +64,9 @@ class _FallbackComparison:
             return self.kernels.compare(compressed, gradient=gradient)
         except Exception as error:  # noqa: BLE001  # of Triton, of the compilers that it runs, or of the driver
             by_arrays = _by_arrays(error, self.scales, self.plan, self.reference, self.weights)
-            return by_arrays.compare(compressed, gradient=gradient)
+            result = by_arrays.compare(compressed, gradient=gradient)
+            FAILED_DEVICES.add(str(self.reference.device))  # compiling again would take seconds of every step
+            return result
 
     def with_weights(self, weights: Tensor) -> Comparison:
         """See :class:`loi_core.method.comparison.Comparison`."""
@@ -92,6 +92,8 @@ def supports(image: Any) -> bool:
     A GPU or dtype that it does not take is named in one warning; ``LOI_COMPILED=0`` disables it without one.
     """
     if not is_torch_array(image) or image.device.type != "cuda" or os.environ.get(SWITCH) == "0" or is_recorded(image):
+        return False
+    if str(image.device) in FAILED_DEVICES:
         return False
     problem = f"it compares float32, not {image.dtype}" if image.dtype != torch.float32 else _problem(str(image.device))
     if problem:
