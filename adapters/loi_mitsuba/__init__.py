@@ -11,11 +11,11 @@ from loi_mitsuba.effects.plan import plan_effects
 from loi_mitsuba.effects.renderer import PlannedRenderer
 from loi_mitsuba.effects.verify import Verification
 from loi_mitsuba.loss import BackendMissingError, loi_loss
-from loi_mitsuba.proxy.scene import ProxySettings
 from loi_mitsuba.renderer import MitsubaRenderer
 from loi_mitsuba.scene.load import SceneLoadError
 from loi_mitsuba.scene.parameters import SceneParameter, list_parameters
 from loi_mitsuba.scene.poses import Rotate, Scale, Translate
+from mitsuba_boundaries.proxy.scene import ProxySettings
 
 
 def diagnose() -> list[tuple[str, str]]:

@@ -10,14 +10,14 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.proxy.light_size import DELTA_LIGHTS, delta_lights
-from loi_mitsuba.proxy.scene import ProxyScene
-from loi_mitsuba.proxy.substitutions import LIGHT_ID, PROXY_EMITTER_ID
 from loi_mitsuba.renderer import MitsubaRenderer
 from loi_mitsuba.scene.load import LoadedScene, ParameterTarget
 from loi_mitsuba.scene.parameters import SceneIndex, ancestors
 from loi_mitsuba.scene.poses import Translate
 from mitsuba_boundaries.drjit.arrays import Float32Array
+from mitsuba_boundaries.proxy.light_size import DELTA_LIGHTS, delta_lights
+from mitsuba_boundaries.proxy.scene import ProxyScene
+from mitsuba_boundaries.proxy.substitutions import LIGHT_ID, PROXY_EMITTER_ID
 
 __all__ = ["LightTarget", "ProxyGradientRenderer", "ProxyTarget", "light_targets", "proxy_targets"]
 

@@ -11,8 +11,8 @@ import pytest
 from loi_core import LOIObjective, fit
 from loi_core.errors import OptionError
 from loi_mitsuba import MitsubaRenderer, PlannedRenderer, Rotate, Scale, Translate
-from loi_mitsuba.attached.dielectrics import DielectricSamples
 from loi_mitsuba.effects.attached_gradient import AttachedGradient, AttachedParameters
+from mitsuba_boundaries.attached.dielectrics import DielectricSamples
 from tests.helpers import Host
 from tests.mitsuba.scenes import HEIGHT, WIDTH, shadow_scene
 from tests.mitsuba.test_attached_emitters import RAMP, X, Y, Z, begun, differences

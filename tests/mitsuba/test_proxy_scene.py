@@ -13,9 +13,9 @@ import pytest
 from loi_core import PixelL2
 from loi_core.errors import OptionError, ParameterError
 from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, ProxySettings, Translate, list_parameters
-from loi_mitsuba.proxy.light_size import LightContext
-from loi_mitsuba.proxy.scene import build_proxy_scene
 from loi_mitsuba.scene.load import parsed_scene
+from mitsuba_boundaries.proxy.light_size import LightContext
+from mitsuba_boundaries.proxy.scene import build_proxy_scene
 from tests.mitsuba.scenes import shadow_scene
 from tests.strategies import thorough
 

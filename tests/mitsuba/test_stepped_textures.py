@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, Rotate, Translate
-from loi_mitsuba.proxy.substitutions import nodes_of_shape
 from loi_mitsuba.scene.load import parsed_scene
 from mitsuba_boundaries.geometry.stepped_textures import has_stepped_texture, ramp_texture
+from mitsuba_boundaries.proxy.substitutions import nodes_of_shape
 from tests.helpers import Host
 from tests.mitsuba.scenes import HEIGHT, WIDTH, shadow_scene
 from tests.strategies import thorough

@@ -11,15 +11,6 @@ import numpy as np
 
 from loi_core.effects import Draws, Frozen
 from loi_core.effects.frozen import CLEAR_ERRORS
-from loi_mitsuba.attached.dielectrics import AttachedDielectrics, is_clear_glass
-from loi_mitsuba.attached.emitters import (
-    ROTATION_STEP_DEG,
-    SCALE_STEP,
-    AttachedEmitters,
-    translation_step,
-    visible_points,
-)
-from loi_mitsuba.proxy.light_size import light_position
 from loi_mitsuba.renderer import MitsubaRenderer, split_seed
 from loi_mitsuba.scene.binding import ParameterBinding
 from loi_mitsuba.scene.load import ParameterTarget
@@ -27,10 +18,19 @@ from loi_mitsuba.scene.parameters import SceneIndex
 from loi_mitsuba.scene.poses import Rotate, Scale
 from loi_mitsuba.scene.queries import group_by_shape, has_medium
 from loi_mitsuba.scene.settings import Settings
+from mitsuba_boundaries.attached.dielectrics import AttachedDielectrics, is_clear_glass
+from mitsuba_boundaries.attached.emitters import (
+    ROTATION_STEP_DEG,
+    SCALE_STEP,
+    AttachedEmitters,
+    translation_step,
+    visible_points,
+)
 from mitsuba_boundaries.drjit.arrays import Float32Array, Float64Array
 from mitsuba_boundaries.geometry.bounds import bounding_box
 from mitsuba_boundaries.geometry.mesh import is_closed
 from mitsuba_boundaries.geometry.mesh_checks import is_sharp_edged
+from mitsuba_boundaries.proxy.light_size import light_position
 from mitsuba_boundaries.sensing.frustum import Frustum
 
 __all__ = ["AttachedGradient", "AttachedParameters", "attachable_emitters"]

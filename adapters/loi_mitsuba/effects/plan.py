@@ -10,9 +10,9 @@ from typing import Any
 from loi_core.effects import EffectPlan
 from loi_core.objectives.base import Objective
 from loi_mitsuba.effects.renderer import FRACTION, PlannedRenderer
-from loi_mitsuba.proxy.scene import ProxySettings
 from loi_mitsuba.scene.load import ParameterTarget
 from loi_mitsuba.scene.parameters import Scene
+from mitsuba_boundaries.proxy.scene import ProxySettings
 
 __all__ = ["plan_effects"]
 

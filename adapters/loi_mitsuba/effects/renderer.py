@@ -27,12 +27,12 @@ from loi_mitsuba.effects.planner import Planner, PlanState
 from loi_mitsuba.effects.rules import everything, plan_of
 from loi_mitsuba.effects.setup import prepare_renderer
 from loi_mitsuba.effects.verify import Verification, verification
-from loi_mitsuba.proxy.scene import ProxySettings
 from loi_mitsuba.renderer import MitsubaRenderer
 from loi_mitsuba.scene.binding import host_numbers
 from loi_mitsuba.scene.load import ParameterTarget
 from loi_mitsuba.scene.parameters import Scene
 from mitsuba_boundaries.drjit.arrays import Float32Array
+from mitsuba_boundaries.proxy.scene import ProxySettings
 
 __all__ = ["FRACTION", "PlannedRenderer"]
 

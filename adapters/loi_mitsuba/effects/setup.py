@@ -15,8 +15,6 @@ from loi_mitsuba.effects.attached_gradient import AttachedParameters
 from loi_mitsuba.effects.rules import plan_by_rules
 from loi_mitsuba.effects.traits import Traits, traits_of
 from loi_mitsuba.effects.unsupported import unsupported_parameters
-from loi_mitsuba.proxy.light_size import LightContext, delta_lights
-from loi_mitsuba.proxy.scene import MovingShapes, ProxyScene, ProxySettings, build_proxy_scene
 from loi_mitsuba.proxy_renderer import ProxyGradientRenderer, light_targets, proxy_targets
 from loi_mitsuba.renderer import MitsubaRenderer
 from loi_mitsuba.scene.binding import ParameterBinding
@@ -35,6 +33,8 @@ from loi_mitsuba.scene.settings import with_sampled_border
 from mitsuba_boundaries.geometry.mesh import is_flat_shaded
 from mitsuba_boundaries.geometry.mesh_checks import is_sharp_edged, is_unwelded
 from mitsuba_boundaries.geometry.stepped_textures import has_stepped_texture, is_stepped_texture
+from mitsuba_boundaries.proxy.light_size import LightContext, delta_lights
+from mitsuba_boundaries.proxy.scene import MovingShapes, ProxyScene, ProxySettings, build_proxy_scene
 from mitsuba_boundaries.sensing.frustum import Frustum
 
 __all__ = ["PlanSetup", "prepare_renderer"]

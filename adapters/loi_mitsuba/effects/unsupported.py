@@ -7,7 +7,6 @@ from typing import Any
 
 import mitsuba as mi
 
-from loi_mitsuba.attached.dielectrics import is_clear_glass
 from loi_mitsuba.diagnostics import (
     has_inverted_normals,
     is_near_clipped,
@@ -19,6 +18,7 @@ from loi_mitsuba.effects.traits import is_known, kind_of
 from loi_mitsuba.scene.load import ParameterTarget
 from loi_mitsuba.scene.parameters import INSTANCE_PROBLEM, SceneIndex, is_instance
 from loi_mitsuba.scene.queries import has_medium
+from mitsuba_boundaries.attached.dielectrics import is_clear_glass
 
 __all__ = ["unsupported_parameters"]
 

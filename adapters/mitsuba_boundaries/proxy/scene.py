@@ -17,8 +17,9 @@ from typing import Any, Final, TypeAlias
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.proxy.light_size import DELTA_LIGHTS, LightContext, delta_lights, light_intensity
-from loi_mitsuba.proxy.substitutions import (
+from mitsuba_boundaries.geometry.mesh import weld_vertices
+from mitsuba_boundaries.proxy.light_size import DELTA_LIGHTS, LightContext, delta_lights, light_intensity
+from mitsuba_boundaries.proxy.substitutions import (
     LIGHT_ID,
     PROXY_EMITTER_ID,
     ROUGH_BSDFS,
@@ -29,7 +30,6 @@ from loi_mitsuba.proxy.substitutions import (
     substitute_textures,
     welding,
 )
-from mitsuba_boundaries.geometry.mesh import weld_vertices
 
 __all__ = ["MovingShapes", "ProxyScene", "ProxySettings", "SceneParser", "build_proxy_scene"]
 

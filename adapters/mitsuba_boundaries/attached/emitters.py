@@ -16,7 +16,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.attached.binding import Binding
+from mitsuba_boundaries.attached.binding import Binding
 from mitsuba_boundaries.drjit.arrays import Float32Array, Float64Array, gather
 from mitsuba_boundaries.geometry.bounds import bounding_box
 from mitsuba_boundaries.sensing.film import Film

@@ -10,12 +10,12 @@ from typing import Any, Final
 import mitsuba as mi
 import numpy as np
 
-from loi_mitsuba.proxy.light_size import LightContext
 from mitsuba_boundaries.drjit.arrays import Float64Array
 from mitsuba_boundaries.geometry.mesh_checks import has_creases
 from mitsuba_boundaries.geometry.stepped_textures import RAMP, ramp_texture
 from mitsuba_boundaries.plugins.proxy_bsdf import register_proxy_bsdf
 from mitsuba_boundaries.plugins.proxy_emitter import register_proxy_emitter
+from mitsuba_boundaries.proxy.light_size import LightContext
 
 __all__ = [
     "LIGHT_ID",

@@ -15,7 +15,7 @@ from typing import Any, Final, TypeAlias
 import drjit as dr
 import mitsuba as mi
 
-from loi_mitsuba.attached.binding import Binding
+from mitsuba_boundaries.attached.binding import Binding
 from mitsuba_boundaries.drjit.arrays import Float32Array
 from mitsuba_boundaries.sensing.sensor import PerspectiveSensor, make_sampler, ray_epsilon
 
