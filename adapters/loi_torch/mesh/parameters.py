@@ -23,10 +23,10 @@ __all__ = ["MeshScene", "SceneParameters"]
 
 MESH_ENTRIES: Final = ("vertices", "colours", "texture")
 MATERIAL_ENTRIES: Final = ("ambient", "diffuse", "specular", "mirror", "shininess")
-CAMERA_ENTRIES: Final = ("position", "target", "up", "fov", "extent")
+CAMERA_ENTRIES: Final = ("position", "target", "up", "fov", "extent", "focal", "principal_point", "skew")
 LIGHT_ENTRIES: Final = ("position", "direction", "colour")
 NONNEGATIVE_ENTRIES: Final = ("colours", "texture", "image", "colour", "background", *MATERIAL_ENTRIES)
-MIN_POSITIVE: Final = 1e-6  # of scale factors, fields of view, extents and exponents
+MIN_POSITIVE: Final = 1e-6  # of scale factors, fields of view, extents, focal lengths and exponents
 MAX_FOV_DEGREES: Final = 179.0
 MIN_ROW_SINE: Final = 1e-6  # of the angle between the rows of a free rotation
 
@@ -144,7 +144,7 @@ class SceneParameters:
         if isinstance(target, Rotate | Translate):
             return value
         key = target.rpartition(".")[2]
-        if key in ("fov", "extent", "shininess"):
+        if key in ("fov", "extent", "focal", "shininess"):
             return np.clip(value, MIN_POSITIVE, MAX_FOV_DEGREES if key == "fov" else np.inf)
         return np.maximum(value, 0.0) if key in NONNEGATIVE_ENTRIES else value
 

@@ -101,7 +101,9 @@ class Frame:
         if image.requires_grad:
             return image
         leaves = [value for mesh in self.meshes for value in (mesh.vertices, mesh.colours, mesh.texture)]
-        leaves += [self.camera.position, self.camera.target, self.camera.up, self.camera.fov, self.camera.extent]
+        camera = self.camera
+        leaves += [camera.position, camera.target, camera.up, camera.fov, camera.extent]
+        leaves += [camera.focal, camera.principal_point, camera.skew]
         for value in leaves:
             if value is not None and value.requires_grad:
                 image = image + 0.0 * value.sum()
@@ -109,6 +111,4 @@ class Frame:
 
     def pixel_angle(self, count: int) -> Tensor:
         """Return the approximate angle that a pixel subtends, in radians, shape (count,)."""
-        height = self.size[0]
-        fov = 0.0 if self.camera.extent is not None else float(self.camera.fov.detach())
-        return torch.full((count,), float(np.radians(fov)) / height, dtype=torch.float64)
+        return torch.full((count,), self.camera.pixel_angle(self.size[0]), dtype=torch.float64)
