@@ -16,10 +16,16 @@ from loi_mitsuba.scene.parameters import SceneIndex, ancestors
 from loi_mitsuba.scene.poses import Translate
 from mitsuba_boundaries.drjit.arrays import Float32Array
 from mitsuba_boundaries.proxy.light_size import DELTA_LIGHTS, delta_lights
-from mitsuba_boundaries.proxy.scene import ProxyScene
-from mitsuba_boundaries.proxy.substitutions import LIGHT_ID, PROXY_EMITTER_ID
+from mitsuba_boundaries.proxy.substitutions import LIGHT_ID, Substitution
 
-__all__ = ["LightTarget", "ProxyGradientRenderer", "ProxyTarget", "light_targets", "proxy_targets"]
+__all__ = [
+    "LightTarget",
+    "ProxyGradientRenderer",
+    "ProxyTarget",
+    "light_targets",
+    "lights_without_proxy",
+    "proxy_targets",
+]
 
 
 @dataclass(frozen=True)
@@ -72,28 +78,36 @@ def light_targets(index: SceneIndex, targets: Mapping[str, ParameterTarget]) -> 
     return parameters_of_lights
 
 
+def lights_without_proxy(index: SceneIndex, lights: Mapping[str, LightTarget]) -> list[Any]:
+    """Return the delta lights with a parameter that no proxy has."""
+    emitters = delta_lights(index.scene)
+    return [
+        emitters[target.light]
+        for target in lights.values()
+        if not target.has_proxy(emitters[target.light].class_name())
+    ]
+
+
 def proxy_targets(
-    lights: Mapping[str, LightTarget], proxy: ProxyScene, index: SceneIndex, start: Mapping[str, Float32Array]
+    lights: Mapping[str, LightTarget],
+    substitutions: Iterable[Substitution],
+    index: SceneIndex,
+    start: Mapping[str, Float32Array],
 ) -> dict[str, ProxyTarget]:
     """Return the targets of light parameters in the proxy scene, for the initial values `start`."""
-    factors = {
-        substitution.light: substitution.factor
-        for substitution in proxy.substitutions
-        if substitution.light is not None
-    }
-    ids = [light.id() for light in delta_lights(index.scene)]
+    factors = {substitution.light: substitution.factor for substitution in substitutions}
+    ids = [light.id() or f"{LIGHT_ID}{number}" for number, light in enumerate(delta_lights(index.scene))]
     replaced = {}
     for name, parameter in lights.items():
-        number, target = parameter.light, parameter.target
-        emitter, original = f"{PROXY_EMITTER_ID}{number}", ids[number] or f"{LIGHT_ID}{number}"
-        if number in factors and parameter.is_intensity:
-            replaced[name] = ProxyTarget(f"{emitter}.emitter.radiance.value", factors[number])
-        elif number in factors and isinstance(target, str):
-            replaced[name] = ProxyTarget(Translate(emitter), origin=start[name])
-        elif isinstance(target, str):
-            replaced[name] = ProxyTarget(f"{original}.{target}")
+        light, target = ids[parameter.light], parameter.target
+        if not isinstance(target, str):
+            replaced[name] = ProxyTarget(replace(target, shape=light))
+        elif light not in factors:
+            replaced[name] = ProxyTarget(f"{light}.{target}")
+        elif parameter.is_intensity:
+            replaced[name] = ProxyTarget(f"{light}.emitter.radiance.value", factors[light])
         else:
-            replaced[name] = ProxyTarget(replace(target, shape=emitter if number in factors else original))
+            replaced[name] = ProxyTarget(Translate(light), origin=start[name])
     return replaced
 
 

@@ -1,7 +1,8 @@
-"""Integrators of Mitsuba whose gradients have the boundary terms that Mitsuba's projective integrators lack.
+"""Gradients that Mitsuba lacks: integrators with all boundary terms, and scenes that have gradients.
 
 Importing this package registers ``direct_boundaries`` and ``prb_boundaries``. They extend ``direct_projective`` and
-``prb_projective``, and take the same properties.
+``prb_projective``, and take the same properties. :func:`differentiable_scene` replaces the parts of a scene that have
+no gradient in any integrator, such as point lights and mirrors.
 
 Import this package before `mitsuba`: Dr.Jit loads LLVM while it is imported, and may need to be given another one.
 """
@@ -20,8 +21,18 @@ prepare()
 import mitsuba as mi
 
 from mitsuba_boundaries.integrators import INTEGRATORS, register_integrators
+from mitsuba_boundaries.proxy.scene import ProxySettings, differentiable_scene
+from mitsuba_boundaries.proxy.substitutions import Substitution
 
 register_integrators()
 mi.detail.add_variant_callback(register_integrators)
 
-__all__ = ["INTEGRATORS", "LLVMChoice", "LLVMError", "prepare"]
+__all__ = [
+    "INTEGRATORS",
+    "LLVMChoice",
+    "LLVMError",
+    "ProxySettings",
+    "Substitution",
+    "differentiable_scene",
+    "prepare",
+]

@@ -324,7 +324,7 @@ def test_a_proxy_light_moves_with_its_delta_light(light: Any) -> None:
     pulled = planned.unabridged.vjp(params, ramp)
     assert np.any(pulled["x"])
     assert not np.any(pulled["light"])
-    proxy_pose = mi.traverse(planned.unabridged.proxy_scene)["proxy_emitter_0.to_world"]  # type: ignore[attr-defined]
+    proxy_pose = mi.traverse(planned.unabridged.proxy_scene)["lamp.to_world"]  # type: ignore[attr-defined]
     moved = [1.5, 12, 0] if isinstance(light, Translate) and light.axis is not None else [1.5, 13, 1]
     np.testing.assert_allclose(np.array(proxy_pose.matrix).reshape(4, 4)[:3, 3], moved, atol=1e-5)
 

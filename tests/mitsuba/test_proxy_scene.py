@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +12,7 @@ import pytest
 from loi_core import PixelL2
 from loi_core.errors import OptionError, ParameterError
 from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, ProxySettings, Translate, list_parameters
-from loi_mitsuba.scene.load import parsed_scene
-from mitsuba_boundaries.proxy.light_size import LightContext
-from mitsuba_boundaries.proxy.scene import build_proxy_scene
+from mitsuba_boundaries import differentiable_scene
 from tests.mitsuba.scenes import shadow_scene
 from tests.strategies import thorough
 
@@ -73,12 +70,9 @@ def ball_of(scene: Any) -> Any:
 def test_a_proxy_light_is_as_bright_as_its_delta_light(light: str) -> None:
     scene = lit_scene(light)
     loaded = mi.load_dict(scene)
-    context = LightContext.of(loaded, [ball_of(loaded)])
-    parse = partial(parsed_scene, float_textures=False)
-    proxy = build_proxy_scene(scene, ProxySettings(lights=0.02), context, lambda _: False, parse=parse)
-    assert proxy is not None
-    assert [substitution.original for substitution in proxy.substitutions] == [f"{light.split()[0]} light 'lamp'"]
-    image, proxy_image = (mi.render(rendered, spp=256, seed=1).numpy() for rendered in (loaded, proxy.scene))
+    proxy, substitutions = differentiable_scene(scene, ["ball"], settings=ProxySettings(lights=0.02))
+    assert [substitution.original for substitution in substitutions] == [f"{light.split()[0]} light 'lamp'"]
+    image, proxy_image = (mi.render(rendered, spp=256, seed=1).numpy() for rendered in (loaded, proxy))
     blocks, proxy_blocks = (pixels.reshape(6, 8, 8, 8, -1).mean(axis=(1, 3)) for pixels in (image, proxy_image))
     # The rays of the disk in place of a directional light are not quite parallel, and shadows are slightly soft.
     np.testing.assert_allclose(proxy_image.mean(axis=(0, 1)), image.mean(axis=(0, 1)), rtol=0.02)
@@ -241,7 +235,7 @@ def test_a_light_s_parameter_sets_the_same_light_in_the_proxy(tmp_path: Path) ->
         proxy_params = mi.traverse(planned.unabridged.proxy_scene)  # type: ignore[attr-defined]
         (spot,) = (key for key in proxy_params.properties if key.endswith(".intensity.value"))
         np.testing.assert_allclose(np.array(proxy_params[spot]).reshape(-1), 9.0)
-        bright = [np.array(proxy_params[f"proxy_emitter_{k}.emitter.radiance.value"]).reshape(-1)[0] for k in (0, 2)]
+        bright = [np.array(proxy_params[f"delta_light_{k}.emitter.radiance.value"]).reshape(-1)[0] for k in (0, 2)]
         assert bright[0] > 100.0 * bright[1]
 
 
@@ -291,7 +285,7 @@ def test_the_gradient_of_an_intensity_comes_from_the_scene_itself() -> None:
     np.testing.assert_allclose(pulled["brightness"] * params["brightness"], image.sum(axis=(0, 1)), rtol=0.05)
     proxy_params = mi.traverse(planned.unabridged.proxy_scene)  # type: ignore[attr-defined]
     radius = 0.1 * float(np.linalg.norm([0.1, 6.6, 0.0]))  # from the light to the bounding box of the ball
-    radiance = np.array(proxy_params["proxy_emitter_0.emitter.radiance.value"], dtype=np.float64).reshape(-1)
+    radiance = np.array(proxy_params["lamp.emitter.radiance.value"], dtype=np.float64).reshape(-1)
     np.testing.assert_allclose(radiance * np.pi * radius**2, params["brightness"], rtol=1e-3)
 
 
@@ -354,11 +348,14 @@ def test_a_scene_s_dict_with_tensors_can_be_loaded_twice() -> None:
 @pytest.mark.parametrize(
     ("proxy", "says"),
     [
-        ({"lights": 0.6}, r"`proxy\.lights` must be 0 to 0\.5, got 0\.6"),
-        ({"mirrors": float("nan")}, r"`proxy\.mirrors` must be 0 to 0\.5, got nan"),
-        ({"mirrors": "rough"}, r"`proxy\.mirrors` must be 0 to 0\.5, got 'rough'"),
-        ({"lamps": 0.1}, r"`proxy` must be a ProxySettings, None, or a table of lights, mirrors, seams, textures, got"),
-        (0.1, r"`proxy` must be a ProxySettings, None, or a table of lights, mirrors, seams, textures, got 0\.1"),
+        ({"lights": 0.6}, r"`proxy`: `lights` must be 0 to 0\.5, got 0\.6"),
+        ({"mirrors": float("nan")}, r"`proxy`: `mirrors` must be 0 to 0\.5, got nan"),
+        ({"mirrors": "rough"}, r"`proxy`: `mirrors` must be 0 to 0\.5, got 'rough'"),
+        (
+            {"lamps": 0.1},
+            r"`proxy`: must be a ProxySettings, None, or a table of lights, mirrors, seams, textures, got",
+        ),
+        (0.1, r"`proxy`: must be a ProxySettings, None, or a table of lights, mirrors, seams, textures, got 0\.1"),
     ],
 )
 def test_proxy_settings_are_checked(proxy: Any, says: str) -> None:

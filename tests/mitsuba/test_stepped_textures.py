@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, Rotate, Translate
-from loi_mitsuba.scene.load import parsed_scene
 from mitsuba_boundaries.geometry.stepped_textures import has_stepped_texture, ramp_texture
+from mitsuba_boundaries.loading import parsed_scene
 from mitsuba_boundaries.proxy.substitutions import nodes_of_shape
 from tests.helpers import Host
 from tests.mitsuba.scenes import HEIGHT, WIDTH, shadow_scene
@@ -80,7 +80,7 @@ def test_a_ramped_texture_equals_the_stepped_one_away_from_steps(texture_name: s
     rotation = {"to_uv": TRANSFORM().rotate([0, 0, 1], 20).scale([3, 2, 1])}
     stepped = mi.load_dict(TEXTURES[texture_name](tmp_path) | rotation)
     ball = {"type": "sphere", "bsdf": {"type": "diffuse", "reflectance": TEXTURES[texture_name](tmp_path) | rotation}}
-    with parsed_scene({"type": "scene", "ball": ball}, float_textures=False) as (config, state):
+    with parsed_scene({"type": "scene", "ball": ball}) as (config, state):
         (node,) = nodes_of_shape(state, 0, mi.ObjectType.Texture)
         assert ramp_texture(state.nodes[node].props)
         instance = mi.parser.instantiate(config, state)

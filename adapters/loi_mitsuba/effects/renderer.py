@@ -120,7 +120,8 @@ class PlannedRenderer:
         try:
             settings = ProxySettings.of(proxy)
         except ValueError as error:
-            raise OptionError(str(error)) from None
+            msg = f"`proxy`: {error}"
+            raise OptionError(msg) from None
         setup = prepare_renderer(
             scene,
             parameters,

@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-import contextlib
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Final
 
-import drjit as dr
 import mitsuba as mi
 
 from loi_core.errors import OptionError, ParameterError
 from loi_core.renderers.poses import ParameterTarget, Rotate, parse_targets
 from loi_core.support.values import whole_number
 from loi_core.support.wording import shown
-from loi_mitsuba.scene.safety import SceneLoadError, check_description, check_scene_file, file_search_path
+from loi_mitsuba.scene.safety import SceneLoadError, check_description, check_scene_file
+from mitsuba_boundaries.loading import load_unmerged
 
 __all__ = [
     "LoadedScene",
@@ -23,13 +21,10 @@ __all__ = [
     "SceneLoadError",
     "checked_samples",
     "checked_targets",
-    "copied_description",
     "find_sensor",
     "load_scene",
-    "load_with_float_textures",
     "max_samples",
     "one_line",
-    "parsed_scene",
     "use_variant",
 ]
 
@@ -73,10 +68,11 @@ class LoadedScene:
     float_textures: bool = False
 
 
-def load_scene(scene: Any) -> LoadedScene:
+def load_scene(scene: Any, *, float_textures: bool = False) -> LoadedScene:
     """Load a dict or an XML file, or wrap a scene that is loaded already.
 
-    Mitsuba's optimisations are off: a parameter of merged objects would change all of them.
+    Mitsuba's optimisations are off: a parameter of merged objects would change all of them. With `float_textures`,
+    8-bit textures are loaded as floats.
 
     Raises
     ------
@@ -89,70 +85,20 @@ def load_scene(scene: Any) -> LoadedScene:
         return scene
     if isinstance(scene, mi.Scene):
         return LoadedScene(scene, in_order=False)
+    if isinstance(scene, dict):
+        check_description(scene)
+    elif isinstance(scene, str | Path):
+        check_scene_file(Path(scene))
     try:
-        if isinstance(scene, dict):
-            check_description(scene)
-            loaded = mi.load_dict(copied_description(scene), optimize=False)
-        elif isinstance(scene, str | Path):
-            check_scene_file(Path(scene))
-            loaded = mi.load_file(str(scene), optimize=False)
-        else:
-            loaded = scene
+        is_source = isinstance(scene, dict | str | Path)
+        loaded = load_unmerged(scene, float_textures=float_textures) if is_source else scene
     except RuntimeError as error:
         msg = f"`scene` cannot be loaded: {one_line(error)}"
         raise SceneLoadError(msg) from None
     if not isinstance(loaded, mi.Scene):
         msg = f"`scene` must be a dict, the path of an XML file, or an mi.Scene, got a {type(loaded).__name__}"
         raise OptionError(msg)
-    return LoadedScene(loaded, in_order=True)
-
-
-def load_with_float_textures(scene: dict[str, Any] | str | Path) -> LoadedScene:
-    """Load a scene that `load_scene` has checked, with floats in all textures."""
-    with parsed_scene(scene, float_textures=True) as (config, state):
-        loaded = mi.parser.instantiate(config, state)
-    return LoadedScene(loaded[0] if isinstance(loaded, list) else loaded, in_order=True, float_textures=True)
-
-
-@contextlib.contextmanager
-def parsed_scene(scene: dict[str, Any] | str | Path, *, float_textures: bool) -> Iterator[tuple[Any, Any]]:
-    """Parse a scene into the configuration and state that ``mi.parser.instantiate`` takes.
-
-    Change and instantiate the state within the context.
-
-    Raises
-    ------
-    SceneLoadError
-        If Mitsuba cannot parse the scene, or raises within the context.
-    """
-    config = mi.parser.ParserConfig(mi.variant())
-    config.merge_equivalent = config.merge_meshes = False
-    folders = [] if isinstance(scene, dict) else [Path(scene).parent]
-    with file_search_path([Path(mi.__file__).parent, *folders], extend=True):
-        try:
-            if isinstance(scene, dict):
-                state = mi.parser.parse_dict(config, copied_description(scene))
-            else:
-                state = mi.parser.parse_file(config, str(scene))
-            mi.parser.transform_all(config, state)
-            for node in state.nodes if float_textures else ():
-                if node.props.plugin_name() == "bitmap" and node.type == mi.ObjectType.Texture:
-                    node.props["format"] = "variant"
-            yield config, state
-        except RuntimeError as error:
-            msg = f"`scene` cannot be loaded: {one_line(error)}"
-            raise SceneLoadError(msg) from None
-
-
-def copied_description(description: dict[str, Any]) -> dict[str, Any]:
-    """Copy a scene's dict with its tensors, which Mitsuba empties when it loads them."""
-
-    def copied(value: Any) -> Any:
-        if isinstance(value, dict):
-            return copied_description(value)
-        return type(value)(value) if dr.is_tensor_v(value) else value
-
-    return {key: copied(value) for key, value in description.items()}
+    return LoadedScene(loaded, in_order=True, float_textures=float_textures)
 
 
 def checked_targets(parameters: object) -> dict[str, ParameterTarget]:

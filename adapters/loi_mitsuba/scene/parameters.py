@@ -15,7 +15,7 @@ import mitsuba as mi
 import numpy as np
 
 from loi_core.errors import ParameterError
-from loi_mitsuba.scene.load import LoadedScene, load_scene, load_with_float_textures, use_variant
+from loi_mitsuba.scene.load import LoadedScene, load_scene, use_variant
 from mitsuba_boundaries.geometry.bounds import bounding_box
 
 __all__ = [
@@ -99,7 +99,7 @@ def index_scene(scene: dict[str, Any] | str | Path | Scene | LoadedScene, target
     parameters = [index.get(target) for target in targets.values() if isinstance(target, str)]
     eight_bit = any(parameter is not None and parameter.problem == EIGHT_BIT_PROBLEM for parameter in parameters)
     if eight_bit and isinstance(scene, dict | str | Path):
-        return SceneIndex(load_with_float_textures(scene))
+        return SceneIndex(load_scene(scene, float_textures=True))
     return index
 
 

@@ -9,7 +9,6 @@ Mitsuba would wait for the content of a named pipe forever, so a text of a scene
 
 from __future__ import annotations
 
-import contextlib
 import functools
 import html
 import re
@@ -22,8 +21,9 @@ import mitsuba as mi
 
 from loi_core.errors import LoiError
 from loi_core.support.wording import printable, shown
+from mitsuba_boundaries.loading import file_search_path
 
-__all__ = ["SceneLoadError", "check_description", "check_scene_file", "file_search_path", "load_shipped_plugins"]
+__all__ = ["SceneLoadError", "check_description", "check_scene_file", "load_shipped_plugins"]
 
 PLUGIN_NAME: Final = re.compile(r"[A-Za-z0-9_]+")
 QUOTED_TEXT: Final = re.compile("\"([^\"]*)\"|'([^']*)'")
@@ -134,19 +134,3 @@ def load_shipped_plugins() -> frozenset[str]:
         for name in sorted(names):
             mi.PluginManager.instance().plugin_type(name)
     return names
-
-
-@contextlib.contextmanager
-def file_search_path(folders: Iterable[Path], *, extend: bool = False) -> Iterator[None]:
-    """Replace or `extend` Mitsuba's search path for files within the context."""
-    previous = mi.file_resolver()
-    resolver = mi.FileResolver(previous) if extend else mi.FileResolver()
-    if not extend:
-        resolver.clear()
-    for folder in folders:
-        resolver.append(str(folder))
-    mi.set_file_resolver(resolver)
-    try:
-        yield
-    finally:
-        mi.set_file_resolver(previous)

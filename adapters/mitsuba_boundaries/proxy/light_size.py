@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -45,14 +45,11 @@ class LightContext:
     scene: Any
 
     @classmethod
-    def of(cls, scene: Any, moving: Iterable[Any], unchanged: Iterable[int] = ()) -> LightContext:
-        """Describe a loaded scene with these moving shapes; the lights with indices `unchanged` are not replaced."""
+    def of(cls, scene: Any, moving: Iterable[Any], keep: Collection[Any] = ()) -> LightContext:
+        """Describe a loaded scene with these moving shapes; the lights in `keep` are not replaced."""
         boxes = np.array([bounding_box(shape) for shape in moving])
         lower, upper = bounding_box(scene)
-        excluded = set(unchanged)
-        intensities = tuple(
-            None if number in excluded else light_intensity(light) for number, light in enumerate(delta_lights(scene))
-        )
+        intensities = tuple(None if light in keep else light_intensity(light) for light in delta_lights(scene))
         return cls(boxes, 0.5 * (lower + upper), 0.5 * float(np.linalg.norm(upper - lower)), intensities, scene)
 
     @property

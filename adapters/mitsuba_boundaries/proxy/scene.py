@@ -1,27 +1,28 @@
 """Build a proxy scene, which has the gradients that the scene itself lacks.
 
-The image is always rendered from the scene itself; only gradients of moving shapes come from the proxy, which differs
-as little as possible. Rays cannot hit a point light, but they can hit a small sphere, whose visibility from a surface
-changes continuously as an occluder moves. Meshes that store their edges twice are welded, and textures with steps have
-ramps.
+The proxy differs from the scene as little as possible. Rays cannot hit a point light, but they can hit a small sphere,
+whose visibility from a surface changes continuously as an occluder moves. Meshes that store their edges twice are
+welded, and textures with steps have ramps.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from contextlib import AbstractContextManager
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from numbers import Real
-from typing import Any, Final, TypeAlias
+from pathlib import Path
+from typing import Any, Final
 
 import mitsuba as mi
 import numpy as np
 
-from mitsuba_boundaries.geometry.mesh import weld_vertices
+from mitsuba_boundaries.geometry.mesh import is_flat_shaded, weld_vertices
+from mitsuba_boundaries.geometry.mesh_checks import is_sharp_edged, is_unwelded
+from mitsuba_boundaries.geometry.stepped_textures import has_stepped_texture
+from mitsuba_boundaries.loading import load_unmerged, parsed_scene
 from mitsuba_boundaries.proxy.light_size import DELTA_LIGHTS, LightContext, delta_lights, light_intensity
 from mitsuba_boundaries.proxy.substitutions import (
     LIGHT_ID,
-    PROXY_EMITTER_ID,
     ROUGH_BSDFS,
     Substitution,
     nodes_of_shape,
@@ -30,11 +31,9 @@ from mitsuba_boundaries.proxy.substitutions import (
     substitute_textures,
     welding,
 )
+from mitsuba_boundaries.sensing.frustum import Frustum
 
-__all__ = ["MovingShapes", "ProxyScene", "ProxySettings", "SceneParser", "build_proxy_scene"]
-
-SceneParser: TypeAlias = Callable[[Any], AbstractContextManager[tuple[Any, Any]]]
-"""Opens a dict or a path as the configuration and state of Mitsuba's parser; raises ValueError if Mitsuba fails."""
+__all__ = ["ProxySettings", "build_proxy_scene", "differentiable_scene", "has_delta_bsdf"]
 
 MAX_SIZE: Final = 0.5  # of lights and roughness
 
@@ -74,11 +73,11 @@ class ProxySettings:
         for name in ("lights", "mirrors"):
             value = getattr(self, name)
             if not isinstance(value, Real) or isinstance(value, bool) or not 0.0 <= float(value) <= MAX_SIZE:
-                msg = f"`proxy.{name}` must be 0 to {MAX_SIZE:g}, got {value!r}"
+                msg = f"`{name}` must be 0 to {MAX_SIZE:g}, got {value!r}"
                 raise ValueError(msg)
         for name in ("seams", "textures"):
             if not isinstance(getattr(self, name), bool):
-                msg = f"`proxy.{name}` must be true or false, got {getattr(self, name)!r}"
+                msg = f"`{name}` must be true or false, got {getattr(self, name)!r}"
                 raise ValueError(msg)
 
     @classmethod
@@ -90,23 +89,87 @@ class ProxySettings:
             return cls(0.0, 0.0, seams=False, textures=False)
         names = [setting.name for setting in fields(cls)]
         if not isinstance(value, Mapping) or set(value) - set(names):
-            msg = f"`proxy` must be a ProxySettings, None, or a table of {', '.join(names)}, got {value!r}"
+            msg = f"must be a ProxySettings, None, or a table of {', '.join(names)}, got {value!r}"
             raise ValueError(msg)
         return cls(**value)
 
 
+def differentiable_scene(
+    scene: dict[str, Any] | str | Path | Any,
+    moving: Iterable[str] | None = None,
+    *,
+    keep: Iterable[str] = (),
+    sensor: int = 0,
+    settings: ProxySettings = ProxySettings(),
+) -> tuple[Any, tuple[Substitution, ...]]:
+    """Return a scene with gradients in place of one without, and the substitutions that give it these.
+
+    Point, spot and directional lights become small area lights, and their radiance `Substitution.factor` times their
+    intensity. Perfect mirrors, smooth plastic and clear glass become slightly rough. On moving shapes, split vertices
+    are welded, and textures with steps get ramps. A light keeps its id: ``lamp.position`` becomes ``lamp.to_world``,
+    and ``lamp.intensity.value`` becomes ``lamp.emitter.radiance.value``. Render the scene by ``direct_boundaries`` or
+    ``prb_boundaries``.
+
+    Parameters
+    ----------
+    scene : dict, path or mi.Scene
+        Of a scene that is loaded already, only the lights are replaced, and all other objects are shared.
+    moving : iterable of str, optional
+        Ids of the shapes that move, or whose shadow moves because a light does; by default all shapes. Lights are as
+        large as these shapes allow, and the gradient of a small light is noisier.
+    keep : iterable of str
+        Ids of lights and shapes that stay as they are, as a mesh whose vertices move by themselves.
+    sensor : int
+        Index of the sensor. A light that it would see is not replaced, because delta lights are invisible.
+    settings : ProxySettings
+
+    Returns
+    -------
+    scene : mi.Scene
+        The loaded scene itself if nothing is replaced.
+    substitutions : tuple of Substitution
+
+    Raises
+    ------
+    ValueError
+        If `moving` or `keep` has the id of no object.
+    RuntimeError
+        If Mitsuba cannot load the scene.
+
+    Examples
+    --------
+    >>> scene, substitutions = differentiable_scene("scene.xml", ["ball"])          # doctest: +SKIP
+    >>> print([str(substitution) for substitution in substitutions])                # doctest: +SKIP
+    """
+    loaded = scene if isinstance(scene, mi.Scene) else load_unmerged(scene)
+    shapes, sensors = loaded.shapes(), loaded.sensors()
+    moved = shapes if moving is None else _with_ids("moving", moving, shapes)
+    kept = _with_ids("keep", keep, [*shapes, *loaded.emitters()])
+    camera = sensors[sensor] if sensors else None
+    proxy = build_proxy_scene(scene, loaded, moved, keep=kept, sensor=camera, settings=settings)
+    return (loaded, ()) if proxy is None else proxy
+
+
+def _with_ids(argument: str, ids: Iterable[str], objects: Collection[Any]) -> list[Any]:
+    """Return the objects with these ids."""
+    by_id = {node.id(): node for node in objects if node.id()}
+    wanted = list(ids)
+    for name in wanted:
+        if name not in by_id:
+            msg = f"`{argument}` must have ids of {', '.join(by_id) or 'objects, and none has one'}, got {name!r}"
+            raise ValueError(msg)
+    return [by_id[name] for name in wanted]
+
+
+def has_delta_bsdf(scene: Any) -> bool:
+    """Return whether a scene has perfectly smooth surfaces."""
+    delta = int(mi.BSDFFlags.DeltaReflection | mi.BSDFFlags.DeltaTransmission)
+    return any(int(shape.bsdf().flags()) & delta for shape in scene.shapes() if shape.bsdf() is not None)
+
+
 @dataclass(frozen=True)
-class ProxyScene:
-    """A proxy scene, its substitutions, and whether it still has BSDFs with delta lobes."""
-
-    scene: Any
-    substitutions: tuple[Substitution, ...]
-    has_delta_bsdf: bool
-
-
-@dataclass(frozen=True)
-class MovingShapes:
-    """Indices of the moving shapes in the scene. Ignored for scenes that are loaded already.
+class _MovingShapes:
+    """Indices of the moving shapes in a scene.
 
     Attributes
     ----------
@@ -122,79 +185,132 @@ class MovingShapes:
     unwelded: Mapping[int, Any] = field(default_factory=dict)
     stepped: Mapping[int, Any] = field(default_factory=dict)
 
+    @classmethod
+    def of(
+        cls,
+        scene: Any,
+        moving: Iterable[Any],
+        settings: ProxySettings,
+        *,
+        keep: Collection[Any] = (),
+        deforming: Collection[Any] = (),
+    ) -> _MovingShapes:
+        """Find the moving shapes that the settings let change; see :func:`build_proxy_scene`.
+
+        A mesh with both smooth shading and sharp edges is not welded, because it would become smooth throughout.
+        """
+        shapes = list(scene.shapes())
+        index = {shape: shapes.index(shape) for shape in dict.fromkeys(moving) if shape in shapes}
+        free = [shape for shape in index if shape not in keep]
+        unwelded = [shape for shape in free if settings.seams and shape not in deforming and is_unwelded(shape)]
+        stepped = [
+            shape
+            for shape in (free if settings.textures else [])
+            if has_stepped_texture(shape) and not any(node in keep for node in mi.traverse(shape).hierarchy)
+        ]
+        return cls(
+            frozenset(index.values()),
+            {index[shape]: shape for shape in unwelded if is_flat_shaded(shape) or not is_sharp_edged(shape)},
+            {index[shape]: shape for shape in stepped},
+        )
+
 
 def build_proxy_scene(
-    scene: Any,
-    settings: ProxySettings,
-    context: LightContext,
-    is_visible: Callable[[Any], bool],
-    moving: MovingShapes = MovingShapes(),
+    source: Any,
+    loaded: Any,
+    moving: Collection[Any],
     *,
-    parse: SceneParser,
-    unlit: bool = False,
-) -> ProxyScene | None:
+    sensor: Any,
+    keep: Collection[Any] = (),
+    deforming: Collection[Any] = (),
+    settings: ProxySettings = ProxySettings(),
+    float_textures: bool = False,
+) -> tuple[Any, tuple[Substitution, ...]] | None:
     """Build the proxy of a scene; None if nothing needs replacing or can be replaced.
 
     Parameters
     ----------
-    scene : dict, path or mi.Scene
-        A scene that Mitsuba has loaded before. The proxy of a loaded scene shares its shapes, and has only its lights
-        replaced.
+    source : dict, path or mi.Scene
+        As for :func:`differentiable_scene`.
+    loaded : mi.Scene
+        The scene that Mitsuba has loaded from it.
+    moving : collection of mi.Shape
+        Its moving shapes.
+    sensor : mi.Sensor or None
+    keep : collection of objects
+        Lights, shapes and textures that stay as they are.
+    deforming : collection of mi.Mesh
+        Meshes whose vertices move by themselves, which are not welded.
     settings : ProxySettings
-    context : LightContext
-    is_visible : callable
-        Whether the camera may see a shape. A light whose proxy would be in view is not replaced: delta lights are
-        invisible.
-    moving : MovingShapes
-    parse : SceneParser
-    unlit : bool
-        Whether proxy lights must not be seen in the surfaces that replace mirrors.
+    float_textures : bool
+        Whether 8-bit textures are loaded as floats.
     """
-    if isinstance(scene, mi.Scene):
-        description, shared = _describe(scene)
+    lights = delta_lights(loaded)
+    has_mirrors = has_delta_bsdf(loaded)
+    shapes = _MovingShapes.of(loaded, moving, settings, keep=keep, deforming=deforming)
+    if not moving or not (lights or has_mirrors or shapes.unwelded or shapes.stepped):
+        return None
+    context = LightContext.of(loaded, moving, keep)
+    # The surfaces that replace mirrors must not show the lights that mirrors do not show.
+    changes = _Changes(settings, context, shapes, unlit=bool(lights) and has_mirrors, float_textures=float_textures)
+    view = None if sensor is None else Frustum(sensor)
+    if isinstance(source, mi.Scene):
+        description, shared = _describe(source)
         ids = [node.id() for node in shared]
         try:
-            return build_proxy_scene(description, settings, context, is_visible, parse=parse, unlit=unlit)
-        except ValueError:  # a scene with instances cannot be made of the objects of another
+            return _replaced(description, replace(changes, moving=_MovingShapes()), view)
+        except RuntimeError:  # a scene with instances cannot be made of the objects of another
             return None
         finally:  # Mitsuba sets the ids of a dict's objects to their keys
             for node, node_id in zip(shared, ids, strict=True):
                 node.set_id(node_id)
-    unchanged: frozenset[int | None] = frozenset()
+    return _replaced(source, changes, view)
+
+
+@dataclass(frozen=True)
+class _Changes:
+    """The changes that make a proxy of a scene.
+
+    Attributes
+    ----------
+    settings : ProxySettings
+    context : LightContext
+    moving : _MovingShapes
+    unlit : bool
+        Whether proxy lights must not be seen in the surfaces that replace mirrors.
+    float_textures : bool
+    """
+
+    settings: ProxySettings
+    context: LightContext
+    moving: _MovingShapes
+    unlit: bool
+    float_textures: bool
+
+
+def _replaced(scene: Any, changes: _Changes, view: Frustum | None) -> tuple[Any, tuple[Substitution, ...]] | None:
+    """Return a proxy scene and its substitutions, without lights that would be in view; None if nothing is replaced."""
+    unchanged: frozenset[str] = frozenset()
     while True:
-        built = _substitute(scene, settings, context, moving, unchanged, parse, unlit=unlit)
+        built = _substitute(scene, changes, unchanged)
         if built is None:
             return None
         proxy, substitutions = built
-        visible = {
-            shape.id() for shape in proxy.shapes() if shape.id().startswith(PROXY_EMITTER_ID) and is_visible(shape)
-        }
+        lights = {substitution.light for substitution in substitutions if substitution.light}
+        visible = {shape.id() for shape in proxy.shapes() if shape.id() in lights and view and view.overlaps(shape)}
         if not visible:
-            break
-        unchanged |= {
-            substitution.light for substitution in substitutions if f"{PROXY_EMITTER_ID}{substitution.light}" in visible
-        }
-    delta = int(mi.BSDFFlags.DeltaReflection | mi.BSDFFlags.DeltaTransmission)
-    has_delta_bsdf = any(int(shape.bsdf().flags()) & delta for shape in proxy.shapes() if shape.bsdf() is not None)
-    return ProxyScene(proxy, _numbered(substitutions), has_delta_bsdf)
+            return proxy, _numbered(substitutions)
+        unchanged |= visible
 
 
-def _substitute(
-    scene: Any,
-    settings: ProxySettings,
-    context: LightContext,
-    moving: MovingShapes,
-    unchanged: frozenset[int | None],
-    parse: SceneParser,
-    *,
-    unlit: bool,
-) -> tuple[Any, list[Substitution]] | None:
+def _substitute(scene: Any, changes: _Changes, unchanged: Collection[str]) -> tuple[Any, list[Substitution]] | None:
     """Return a proxy scene and its substitutions, without the lights `unchanged`; None if nothing is replaced."""
+    settings, moving, intensities = changes.settings, changes.moving, iter(changes.context.intensities)
     substitutions: list[Substitution] = []
     lights = 0
-    with parse(scene) as (config, state):
+    with parsed_scene(scene, float_textures=changes.float_textures) as (config, state):
         if any(node.props.plugin_name() == "shapegroup" for node in state.nodes):
-            moving = MovingShapes()  # the indices of parsed and loaded shapes differ
+            moving = _MovingShapes()  # the indices of parsed and loaded shapes differ
         moving_bsdfs = {bsdf for shape in moving.shapes for bsdf in nodes_of_shape(state, shape, mi.ObjectType.BSDF)}
         for number, shape in moving.stepped.items():
             substitutions += substitute_textures(state, number, shape)
@@ -203,19 +319,24 @@ def _substitute(
             plugin = node.props.plugin_name()
             if plugin in DELTA_LIGHTS.values() and node.type == mi.ObjectType.Emitter:
                 node.props.set_id(node.props.id() or f"{LIGHT_ID}{lights}")
-                intensity = context.intensities[lights] if lights < len(context.intensities) else None
-                if settings.lights > 0.0 and intensity is not None and lights not in unchanged:
-                    light = substitute_light(state, index, lights, settings.lights, intensity, context, unseen=unlit)
+                intensity = next(intensities, None)
+                if settings.lights > 0.0 and intensity is not None and node.props.id() not in unchanged:
+                    light = substitute_light(
+                        state, index, settings.lights, intensity, changes.context, unseen=changes.unlit
+                    )
                     substitutions += [] if light is None else [light]
                 lights += 1
             elif plugin in ROUGH_BSDFS and node.type == mi.ObjectType.BSDF and settings.mirrors > 0.0:
                 moves = index in moving_bsdfs
-                substitutions.append(substitute_surface(state, index, settings.mirrors, moves=moves, unlit=unlit))
+                substitutions.append(
+                    substitute_surface(state, index, settings.mirrors, moves=moves, unlit=changes.unlit)
+                )
         if not substitutions and not moving.unwelded:
             return None
         loaded = mi.parser.instantiate(config, state)
     proxy = loaded[0] if isinstance(loaded, list) else loaded
-    shapes = [shape for shape in proxy.shapes() if not shape.id().startswith(PROXY_EMITTER_ID)]
+    added = {substitution.light for substitution in substitutions if substitution.light}
+    shapes = [shape for shape in proxy.shapes() if shape.id() not in added]
     for number, shape in moving.unwelded.items():
         if shapes[number] != shape:  # an object in a dict belongs to the scene as well
             weld_vertices(shapes[number])

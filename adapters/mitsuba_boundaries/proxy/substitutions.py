@@ -19,7 +19,6 @@ from mitsuba_boundaries.proxy.light_size import LightContext
 
 __all__ = [
     "LIGHT_ID",
-    "PROXY_EMITTER_ID",
     "ROUGH_BSDFS",
     "Substitution",
     "nodes_of_shape",
@@ -30,7 +29,6 @@ __all__ = [
 ]
 
 ROUGH_BSDFS: Final = {"conductor": "roughconductor", "dielectric": "roughdielectric", "plastic": "roughplastic"}
-PROXY_EMITTER_ID: Final = "proxy_emitter_"  # followed by the number of the delta light that it replaces
 LIGHT_ID: Final = "delta_light_"  # followed by the number of a delta light without an id
 MOVING_ROUGHNESS: Final = 6.0  # relative to a mirror at rest
 MAX_RADIUS: Final = 2.0  # in half sizes of the smallest moving shape: its umbra is then as long as the light is far
@@ -47,13 +45,13 @@ class Substitution:
     Attributes
     ----------
     original : str
-        The object that is replaced.
+        Name of the object that is replaced.
     reason : str
         One line: the replacement, its size, and why.
     only_shadows : bool
         Whether it improves nothing but the gradient of shadows.
-    light : int or None
-        Number of the delta light that is replaced.
+    light : str
+        Id of the delta light that is replaced, and of the shape in its place; empty for other objects.
     factor : float
         Ratio of the replacement's radiance to the light's intensity.
     """
@@ -61,8 +59,12 @@ class Substitution:
     original: str
     reason: str
     only_shadows: bool = False
-    light: int | None = None
+    light: str = ""
     factor: float = 1.0
+
+    def __str__(self) -> str:
+        """Return the substitution in one line."""
+        return f"{self.original}: {self.reason}"
 
 
 @dataclass(frozen=True)
@@ -153,7 +155,7 @@ def welding(shape: Any) -> Substitution:
 
 
 def substitute_light(
-    state: Any, index: int, number: int, size: float, intensity: Any, context: LightContext, *, unseen: bool
+    state: Any, index: int, size: float, intensity: Any, context: LightContext, *, unseen: bool
 ) -> Substitution | None:
     """Replace a delta light by a small area light.
 
@@ -162,8 +164,6 @@ def substitute_light(
     state : parser state
     index : int
         Node of the light.
-    number : int
-        Number of the light among the delta lights.
     size : float
         Radius over distance from the moving shapes; half the angle of a directional light's disk.
     intensity : array, shape (3,)
@@ -203,7 +203,7 @@ def substitute_light(
     for key in list(node.props.keys()):
         del node.props[key]
     node.props.set_plugin_name(area_light.shape)
-    node.props.set_id(f"{PROXY_EMITTER_ID}{number}")
+    node.props.set_id(light_id)
     node.props["to_world"] = area_light.pose @ mi.ScalarTransform4f().scale(area_light.radius)
     for child_index, key in enumerate(children, len(state.nodes) - len(children)):
         node.props[key] = mi.Properties.ResolvedReference(child_index)
@@ -212,7 +212,7 @@ def substitute_light(
     reason = f"{area_light.description}, because the shadow of a delta light has no gradient"
     # The scene itself has all gradients except of shadows, with less noise. Shapes that move in the cone of a spot have
     # no gradient in Mitsuba at all.
-    return Substitution(f"{plugin} light{suffix}", reason, plugin != "spot", number, area_light.factor)
+    return Substitution(f"{plugin} light{suffix}", reason, plugin != "spot", light_id, area_light.factor)
 
 
 def _disk(direction: Float64Array, half_angle: float, context: LightContext) -> _AreaLight:
