@@ -29,6 +29,7 @@ __all__ = [
     "ScaleError",
     "SceneError",
     "SvgError",
+    "UnknownOptionError",
     "WeightsError",
     "WriteError",
 ]
@@ -40,6 +41,10 @@ class LoiError(Exception):
 
 class OptionError(LoiError, ValueError):
     """An option has a value that is not allowed."""
+
+
+class UnknownOptionError(LoiError, TypeError):
+    """A call has a keyword that the function does not take."""
 
 
 class ScaleError(OptionError):

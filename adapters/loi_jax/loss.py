@@ -18,7 +18,9 @@ from loi_core.objectives.loss import LossSettings, Reduction, reduced
 from loi_core.pixels.colours import Colours
 from loi_core.pixels.exposure import Exposure
 from loi_core.pixels.nonfinite import NanPolicy
+from loi_core.pixels.target import image_and_weights
 from loi_core.support.arrays import as_floating, device, held, is_traced
+from loi_core.support.keywords import suggest_keywords
 from loi_jax.primitive import Host, evaluate
 from loi_jax.scan_comparison import SCAN
 
@@ -27,6 +29,7 @@ __all__ = ["loi_loss"]
 HALF_DTYPES: Final = (jnp.float16, jnp.bfloat16)
 
 
+@suggest_keywords
 def loi_loss(
     image: Any,
     target: Any,
@@ -46,7 +49,7 @@ def loi_loss(
     Parameters
     ----------
     image : array, shape (*batch, H, W, C)
-    target : array, shape (*batch, H, W, C)
+    target : array or Target, shape (*batch, H, W, C)
         The image to match; batch axes of length 1, and batch axes that it lacks, are repeated. Its gradient is 0.
     scales : ScaleSpace, optional
         The scales to compare; ``ScaleSpace.for_image(H, W)`` by default, with half its beta for colour differences.
@@ -84,6 +87,7 @@ def loi_loss(
         colours=colours,
         reduction=reduction,
     )
+    target, weights = image_and_weights(target, weights, channel_axis)
     image, target = as_floating("image", jnp.asarray(image)), as_floating("target", jnp.asarray(target))
     settings.layouts(image, target, weights)  # while the caller is on the stack
     # Convert before the custom derivative, so that JAX scales the gradient before rounding it to 16 bits.

@@ -16,12 +16,14 @@ from loi_core.renderers.contract import RendererCapabilities
 from loi_core.renderers.coverage import canvas_coverage
 from loi_core.renderers.validation import FloatArray, check_parameters
 from loi_core.support.arrays import to_numpy
+from loi_core.support.keywords import suggest_keywords
 
 __all__ = ["Disks"]
 
 Arrays: TypeAlias = dict[str, jax.Array]
 
 
+@suggest_keywords
 class Disks:
     """`n` disks over a plain background, the later ones on top: :class:`loi_core.renderers.Disks` on JAX.
 

@@ -15,8 +15,10 @@ from loi_core.objectives.loss import LossSettings
 from loi_core.pixels.colours import Colours
 from loi_core.pixels.exposure import Exposure
 from loi_core.pixels.nonfinite import NanPolicy
+from loi_core.pixels.target import Target, image_and_weights
 from loi_core.support.arrays import Array, is_read_by_numpy, namespace, to_numpy
 from loi_core.support.installed import how_to_install
+from loi_core.support.keywords import suggest_keywords
 from loi_core.support.wording import shown
 from mitsuba_boundaries.drjit.arrays import ALIGNMENT_BYTES, aligned_copy
 
@@ -41,9 +43,10 @@ class BackendMissingError(LoiError, ImportError):
     """The requested array library is not installed."""
 
 
+@suggest_keywords
 def loi_loss(
     image: Tensor,
-    target: Tensor | Array,
+    target: Tensor | Target | Array,
     scales: ScaleSpace | None = None,
     accuracy: str | float = "exact",
     *,
@@ -61,7 +64,7 @@ def loi_loss(
     ----------
     image : mi.TensorXf, shape (H, W, C)
         As ``mi.render`` returns it.
-    target : mi.TensorXf or array, shape (H, W, C)
+    target : mi.TensorXf, array or Target, shape (H, W, C)
         The image to match. It gets no gradient.
     scales : ScaleSpace, optional
         The scales to compare; ``ScaleSpace.for_image(H, W)`` by default, with half its beta for differences of colours.
@@ -128,6 +131,7 @@ def loi_loss(
         export(dr.detach(array)) if array is not None and dr.is_tensor_v(array) else array
         for array in (target, weights)
     )
+    target, weights = image_and_weights(target, weights, channel_axis)
     is_attached: bool = dr.grad_enabled(image)
     value, slope = settings.evaluate(export(dr.detach(image)), target, weights, gradient=is_attached)
     flat = _flat(type(image.array), value)

@@ -14,6 +14,7 @@ import numpy as np
 from loi_core.effects import EffectPlan
 from loi_core.errors import OptionError, ParameterError
 from loi_core.renderers.contract import RendererCapabilities
+from loi_core.support.keywords import suggest_keywords
 from loi_core.support.values import whole_number
 from loi_core.support.wording import shown
 from loi_mitsuba.diagnostics import warn_about_entries, warn_about_moving_shapes
@@ -39,6 +40,7 @@ __all__ = ["MitsubaRenderer", "split_seed"]
 SCENE_INTEGRATOR: Final = "scene"
 
 
+@suggest_keywords
 class MitsubaRenderer:
     """A Mitsuba scene whose named parameters can be fitted; keeps the contract of :class:`loi_core.Renderer`.
 

@@ -16,7 +16,9 @@ from loi_core.objectives.loss import LossSettings, Reduction, reduced
 from loi_core.pixels.colours import Colours
 from loi_core.pixels.exposure import Exposure
 from loi_core.pixels.nonfinite import NanPolicy
+from loi_core.pixels.target import image_and_weights
 from loi_core.support.arrays import as_floating
+from loi_core.support.keywords import suggest_keywords
 from loi_torch.operator import NO_SECOND_DERIVATIVES, evaluate, loss_operator, settings_text
 
 __all__ = ["LOILoss", "loi_loss"]
@@ -32,6 +34,7 @@ DEFAULT_OPTIONS: Final[dict[str, Any]] = {
 }
 
 
+@suggest_keywords
 def loi_loss(
     image: Tensor,
     target: Any,
@@ -51,7 +54,7 @@ def loi_loss(
     Parameters
     ----------
     image : Tensor, shape (*batch, H, W, C)
-    target : Tensor or NumPy array, shape (*batch, H, W, C)
+    target : Tensor, NumPy array or Target, shape (*batch, H, W, C)
         The image to match; batch axes of length 1, and batch axes that it lacks, are repeated. It gets no gradient.
     scales : ScaleSpace, optional
         The scales to compare; ``ScaleSpace.for_image(H, W)`` by default, with half its beta for colour differences.
@@ -101,6 +104,7 @@ def loi_loss(
     return _loss(settings, image, target, weights)
 
 
+@suggest_keywords
 class LOILoss(torch.nn.Module):
     """The locally orderless image loss as a module, called with an image and a target.
 
@@ -152,6 +156,7 @@ class LOILoss(torch.nn.Module):
 
 
 def _loss(settings: LossSettings, image: Tensor, target: Any, weights: Any) -> Tensor:
+    target, weights = image_and_weights(target, weights, settings.pixels.channel_axis)
     compare = _compare_traced if torch.compiler.is_compiling() else _compare
     return compare(settings, image, target, weights)
 

@@ -13,6 +13,7 @@ from loi_core.errors import OptionError
 from loi_core.objectives import Evaluation, PlaneComparison, ReferencePlanes
 from loi_core.pixels.nonfinite import NanPolicy
 from loi_core.support.arrays import Array, from_numpy, to_numpy
+from loi_core.support.keywords import suggest_keywords
 from loi_core.support.wording import shown
 
 __all__ = ["Distance", "TorchObjective"]
@@ -21,6 +22,7 @@ Distance = Callable[[Tensor, Tensor], Tensor]
 """A function or module of an image and a target, both of shape (N, C, H, W)."""
 
 
+@suggest_keywords
 class TorchObjective(ImageObjective[str]):
     """The distance between images that a torch function or module computes, averaged over the batch.
 

@@ -16,12 +16,14 @@ from loi_core.renderers.coverage import disk_coverage
 from loi_core.renderers.rasterization import Fragments, rasterize_disks
 from loi_core.renderers.validation import FloatArray
 from loi_core.support.arrays import to_numpy
+from loi_core.support.keywords import suggest_keywords
 from loi_torch.compositing import composite_fragments
 from loi_torch.painted import Painted, Tensors
 
 __all__ = ["Disks", "Warp"]
 
 
+@suggest_keywords
 class Disks(Painted):
     """`n` disks over a plain background, the later ones on top: :class:`loi_core.renderers.Disks` on torch.
 
@@ -72,6 +74,7 @@ class Disks(Painted):
         return image.reshape(*self._size, 3)
 
 
+@suggest_keywords
 class Warp(Painted):
     """A picture over a background, moved, turned and scaled: :class:`loi_core.renderers.Warp` on torch.
 

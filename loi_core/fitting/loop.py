@@ -38,6 +38,7 @@ from loi_core.io.files import check_writable
 from loi_core.objectives import Objective
 from loi_core.renderers.contract import Parameters, Renderer
 from loi_core.support.arrays import copied
+from loi_core.support.keywords import suggest_keywords
 from loi_core.support.values import whole_number
 from loi_core.support.wording import shown
 
@@ -71,6 +72,7 @@ class FitInterruptedError(KeyboardInterrupt):
         self.result = result
 
 
+@suggest_keywords
 def fit(
     renderer: Renderer | Mapping[str, Renderer],
     objective: Objective | Mapping[str, Objective],

@@ -15,6 +15,7 @@ from loi_core.renderers.contract import Parameters
 from loi_core.renderers.units import pixels_of
 from loi_core.support.arrays import Array, Host, as_floating, detached, from_numpy, library_name, namespace, to_numpy
 from loi_core.support.guards import wrap_errors
+from loi_core.support.keywords import suggest_keywords
 from loi_core.support.values import real_number
 from loi_core.support.wording import shown
 
@@ -47,6 +48,7 @@ class HasParameters(Protocol):
         """Return all parameters by name."""
 
 
+@suggest_keywords
 @dataclass(frozen=True)
 class Free:
     """The options of one free parameter of a fit.

@@ -17,6 +17,7 @@ import numpy as np
 
 from loi_core.errors import OptionError
 from loi_core.support.arrays import Array, to_numpy
+from loi_core.support.keywords import suggest_keywords
 from loi_core.support.values import whole_number
 from loi_core.support.wording import shown
 
@@ -224,6 +225,7 @@ class Schedule:
         )
 
 
+@suggest_keywords
 class FarToNear:
     """Chooses one of several losses, ordered from far to near, for each step of a loop, from the values of the loss.
 
@@ -274,5 +276,14 @@ class FarToNear:
         ----------
         value : float, or array of one number
             From any library; the computation graph of the value is left alone.
+
+        Raises
+        ------
+        OptionError
+            If it is several numbers, as a loss without reduction returns.
         """
-        self._schedule = self._schedule.after(float(to_numpy(value).reshape(())))
+        numbers = to_numpy(value)
+        if numbers.size != 1:
+            msg = f"`value` must be one number, such as the mean of the losses of a batch, got shape {numbers.shape}"
+            raise OptionError(msg)
+        self._schedule = self._schedule.after(float(numbers.reshape(())))

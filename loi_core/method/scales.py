@@ -11,6 +11,7 @@ import numpy as np
 
 from loi_core.errors import ScaleError
 from loi_core.pixels.bounds import IntensityRange
+from loi_core.support.keywords import suggest_keywords
 from loi_core.support.values import real_number, whole_number
 from loi_core.support.wording import shown
 
@@ -52,6 +53,7 @@ BOUNDARIES: Final[dict[str, str]] = {
 }
 
 
+@suggest_keywords
 @dataclass(frozen=True, init=False)
 class ScaleSpace:
     """The scales of a comparison of two images, with bounds, boundary and normalisation.

@@ -14,6 +14,7 @@ from loi_core.pixels.exposure import Exposure, LinearExposure, check_exposure
 from loi_core.pixels.layout import Layout, check_channel_axis
 from loi_core.pixels.nonfinite import NanPolicy, check_nan_policy, require_finite
 from loi_core.pixels.pipeline import PixelPipeline, PixelSettings
+from loi_core.pixels.target import Target, image_and_weights
 from loi_core.pixels.tone_curve import LogTone, check_tone
 from loi_core.pixels.weights import CallWeights, PixelWeights, require_mask
 from loi_core.support.arrays import (
@@ -57,8 +58,9 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
 
     Parameters
     ----------
-    reference : array, shape (*batch, H, W, C)
-        Real floating point. A NumPy array serves images of every library; an array of another library serves
+    reference : array or Target, shape (*batch, H, W, C)
+        Real floating point, or the result of :func:`loi_core.read_target`, whose weights are multiplied by `weights`.
+        A NumPy array serves images of every library; an array of another library serves
         images of that library. Fewer batch axes than the image are broadcast. It is copied; later writes to it
         change nothing.
     channel_axis : int or None
@@ -97,7 +99,7 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
 
     def __init__(
         self,
-        reference: Array,
+        reference: Target | Array,
         *,
         channel_axis: int | None = -1,
         nan_policy: NanPolicy = "raise",
@@ -105,6 +107,7 @@ class ImageObjective(abc.ABC, Generic[KeyT]):
         weights: Array | None = None,
         exposure: Exposure = "given",
     ) -> None:
+        reference, weights = image_and_weights(reference, weights, channel_axis)
         axis, policy, tone = check_channel_axis(channel_axis), check_nan_policy(nan_policy), check_tone(tone)
         reference = detached(as_floating("reference", reference))
         self._reference_layout = Layout.of("reference", reference.shape, axis)

@@ -19,8 +19,10 @@ from loi_core.objectives.facts import facts_of_scales
 from loi_core.pixels.colours import Colours, check_colours
 from loi_core.pixels.exposure import Exposure
 from loi_core.pixels.nonfinite import NanPolicy
+from loi_core.pixels.target import Target
 from loi_core.pixels.tone_curve import LogTone
 from loi_core.support.arrays import Array, epsilon, values_may_decide, widened
+from loi_core.support.keywords import suggest_keywords
 from loi_core.support.values import real_number
 from loi_core.support.wording import shown
 
@@ -74,6 +76,7 @@ def default_scales(
     return scales if colours == "channels" else replace(scales, beta=(scales.beta[0] / 2.0,))
 
 
+@suggest_keywords
 class LOIObjective(ImageObjective[ScaleKey]):
     """The distance between the locally orderless images of a render and a reference (eqs. 1 to 5).
 
@@ -84,7 +87,7 @@ class LOIObjective(ImageObjective[ScaleKey]):
 
     Parameters
     ----------
-    reference : array, shape (*batch, H, W, C)
+    reference : array or Target, shape (*batch, H, W, C)
         The target. Real floating point; see :class:`ImageObjective`.
     scales : ScaleSpace, optional
         The scales to compare; ``ScaleSpace.for_image(H, W)`` by default, with half its beta for differences of colours.
@@ -123,7 +126,7 @@ class LOIObjective(ImageObjective[ScaleKey]):
 
     def __init__(
         self,
-        reference: Array,
+        reference: Target | Array,
         scales: ScaleSpace | None = None,
         accuracy: str | float = "exact",
         *,

@@ -19,6 +19,7 @@ from loi_core.pixels.exposure import Exposure, check_exposure
 from loi_core.pixels.layout import Layout, check_channel_axis
 from loi_core.pixels.nonfinite import NanPolicy, check_nan_policy, require_finite
 from loi_core.pixels.pipeline import PixelPipeline, PixelSettings
+from loi_core.pixels.target import Target, image_and_weights
 from loi_core.pixels.tone_curve import LogTone, check_tone
 from loi_core.pixels.weights import CallWeights, check_call_weights, weight_planes
 from loi_core.support.arrays import (
@@ -33,6 +34,7 @@ from loi_core.support.arrays import (
     narrowed,
     widened,
 )
+from loi_core.support.keywords import suggest_keywords
 from loi_core.support.wording import shown
 
 __all__ = ["LossSettings", "Reduction", "loi_loss", "reduced"]
@@ -40,9 +42,10 @@ __all__ = ["LossSettings", "Reduction", "loi_loss", "reduced"]
 Reduction = Literal["mean", "sum", "none"]
 
 
+@suggest_keywords
 def loi_loss(
     image: Array,
-    target: Array,
+    target: Target | Array,
     scales: ScaleSpace | None = None,
     accuracy: str | float = "exact",
     *,
@@ -63,9 +66,9 @@ def loi_loss(
     ----------
     image : array, shape (*batch, H, W, C)
         Real floating point, of any library of the array API standard.
-    target : array, shape (*batch, H, W, C)
-        The image to match, of the library of `image` or of NumPy. Batch axes of length 1, and batch axes that it lacks,
-        are repeated.
+    target : array or Target, shape (*batch, H, W, C)
+        The image to match, of the library of `image` or of NumPy, or the result of :func:`read_target`. Batch axes of
+        length 1, and batch axes that it lacks, are repeated.
     scales : ScaleSpace, optional
         The scales to compare; ``ScaleSpace.for_image(H, W)`` by default, with half its beta for differences of colours.
     accuracy, channel_axis, nan_policy, tone, exposure, colours
@@ -108,6 +111,7 @@ def loi_loss(
         colours=colours,
         reduction=reduction,
     )
+    target, weights = image_and_weights(target, weights, channel_axis)
     value: Array = reduced(LossSettings.value, settings, image, target, weights)
     return value
 

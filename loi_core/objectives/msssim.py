@@ -17,6 +17,7 @@ from loi_core.objectives.evaluation import Evaluation, PlaneComparison, Referenc
 from loi_core.pixels.nonfinite import NanPolicy
 from loi_core.pixels.tone_curve import LogTone
 from loi_core.support.arrays import Array, from_numpy, namespace
+from loi_core.support.keywords import suggest_keywords
 from loi_core.support.values import real_number, whole_number
 from loi_core.support.wording import shown
 
@@ -28,6 +29,7 @@ WINDOW_SIGMA: Final = 1.5  # standard deviation of the window, in pixels of its 
 STABILISERS: Final = (0.01, 0.03)  # K1 and K2, in units of the range
 
 
+@suggest_keywords
 class MSSSIM(ImageObjective[str]):
     """One minus the multi-scale structural similarity, averaged over channels and batch; 0 for equal images.
 

@@ -9,10 +9,12 @@ from typing import ClassVar
 from loi_core.objectives.base import ImageObjective
 from loi_core.objectives.evaluation import Evaluation, PlaneComparison, ReferencePlanes
 from loi_core.support.arrays import Array, sum_of_all
+from loi_core.support.keywords import suggest_keywords
 
 __all__ = ["PixelL2"]
 
 
+@suggest_keywords
 class PixelL2(ImageObjective[str]):
     """Mean of ``(image - reference)**2`` over pixels, channels and batch.
 

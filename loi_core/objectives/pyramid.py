@@ -14,6 +14,7 @@ from loi_core.objectives.evaluation import Evaluation, PlaneComparison, Referenc
 from loi_core.pixels.nonfinite import NanPolicy
 from loi_core.pixels.tone_curve import LogTone
 from loi_core.support.arrays import Array, from_numpy, sum_of_all
+from loi_core.support.keywords import suggest_keywords
 from loi_core.support.values import whole_number
 from loi_core.support.wording import shown
 
@@ -22,6 +23,7 @@ __all__ = ["GaussianPyramid"]
 REDUCE_SIGMA: Final = 1.0  # pixels: standard deviation of the binomial kernel (1, 4, 6, 4, 1) / 16 of a pyramid
 
 
+@suggest_keywords
 class GaussianPyramid(ImageObjective[int]):
     """Sum over pyramid levels of the mean squared difference at that level.
 

@@ -143,6 +143,11 @@ class Layout:
         if shape[-core:] != other[-core:] or not fits:
             expected = f"`{reference.name}` of shape {reference.shape}"
             msg = f"`{self.name}` has shape {self.shape}, which does not fit {expected}"
+            if core == 3 and {shape[-3], other[-3]} == {3, 4}:
+                msg += (
+                    "; composite the image of four channels over a background, as `read_target(path)` does: "
+                    "rgb * opacity + background * (1 - opacity)"
+                )
             raise ImageError(msg)
 
     def broadcast_planes(self, reference: Array, layout: Layout) -> Array:

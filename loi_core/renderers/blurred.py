@@ -25,6 +25,7 @@ from loi_core.renderers.contract import (
 )
 from loi_core.renderers.units import measure_units, pixels_of
 from loi_core.support.arrays import Array, detached, from_numpy, namespace, to_numpy
+from loi_core.support.keywords import suggest_keywords
 from loi_core.support.values import real_number, whole_number
 from loi_core.support.wording import shown
 
@@ -43,6 +44,7 @@ Sigma: TypeAlias = Width | Mapping[str, Width]
 """A standard deviation in the unit of a parameter or in pixels ("2 px"), or a dict of these by parameter."""
 
 
+@suggest_keywords
 class BlurredRenderer:
     """Renderer with a sharp image and the pullback of the image blurred over the parameters.
 

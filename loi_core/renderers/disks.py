@@ -13,6 +13,7 @@ from loi_core.renderers.coverage import disk_coverage
 from loi_core.renderers.packing import separate_disks
 from loi_core.renderers.rasterization import IndexArray, rasterize_disks
 from loi_core.renderers.validation import FloatArray, check_dtype, check_floats, check_parameters, check_size
+from loi_core.support.keywords import suggest_keywords
 from loi_core.support.wording import shown
 
 __all__ = ["Disks"]
@@ -20,6 +21,7 @@ __all__ = ["Disks"]
 MIN_RADIUS_PX = 0.1
 
 
+@suggest_keywords
 class Disks:
     """Renderer of `n` disks over a plain background, later disks on top.
 

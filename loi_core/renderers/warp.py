@@ -10,12 +10,14 @@ import numpy as np
 from loi_core.errors import ParameterError
 from loi_core.renderers.contract import RendererCapabilities
 from loi_core.renderers.validation import FloatArray, check_dtype, check_floats, check_image, check_parameters
+from loi_core.support.keywords import suggest_keywords
 
 __all__ = ["Warp"]
 
 MIN_SCALE = 0.01
 
 
+@suggest_keywords
 class Warp:
     """Renderer of a picture over a background, translated, rotated and scaled about its centre.
 

@@ -55,6 +55,9 @@ class Start:
             expected = view.target.image.shape
             if shape != expected:
                 msg = f"{location}: the renderer makes images of shape {shape}, the target has {expected}"
+                background = getattr(view.renderer, "background", None)
+                if getattr(background, "shape", None) == shape:
+                    msg += "; its images are as large as its `background`"
                 raise SceneError(msg)
         return cls(params, images)
 

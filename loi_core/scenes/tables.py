@@ -5,12 +5,12 @@ from __future__ import annotations
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, Literal
 
 from loi_core.errors import SceneError
 from loi_core.io.files import check_writable
+from loi_core.support.keywords import guess
 from loi_core.support.wording import shown
 
 __all__ = ["TableReader"]
@@ -36,9 +36,7 @@ class TableReader:
         """Raise :class:`SceneError` if a table has any other key than `keys`."""
         for key in table:
             if key not in keys:
-                matches = get_close_matches(key, keys, 1)
-                hint = f"did you mean `{matches[0]}`?" if matches else f"known are {', '.join(keys)}"
-                raise self.error(heading, f"unknown key `{key}`; {hint}")
+                raise self.error(heading, f"unknown key `{key}`; {guess(key, keys)}")
 
     def table(self, heading: str, parent: Mapping[str, Any], key: str) -> Mapping[str, Any]:
         """Return the table at `key`; an empty one if the key is missing."""

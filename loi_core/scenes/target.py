@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
@@ -12,6 +11,8 @@ import numpy as np
 from loi_core.errors import ImageFileError, OptionError
 from loi_core.io.images import FloatImage, StoredImage, read_stored
 from loi_core.pixels.encoding import Encoding, check_encoding, decode_srgb, encode_srgb
+from loi_core.pixels.target import Target
+from loi_core.support.keywords import suggest_keywords
 from loi_core.support.values import real_number
 from loi_core.support.wording import shown
 
@@ -20,28 +21,7 @@ __all__ = ["BLACK", "Target", "prepare_target", "read_target"]
 BLACK: Final = (0.0, 0.0, 0.0)
 
 
-@dataclass(frozen=True)
-class Target:
-    """An image to match.
-
-    Attributes
-    ----------
-    image : array, shape (H, W, 3), float64
-        Reference of an objective.
-    weights : array, shape (H, W), float64, optional
-        Pixel weights of an objective.
-    encoding : {"linear", "sRGB"}, optional
-        Encoding of the image; None if it is unknown.
-    notes : tuple of str
-        Conversions of the file's values, one line each.
-    """
-
-    image: FloatImage
-    weights: FloatImage | None = None
-    encoding: Encoding | None = None
-    notes: tuple[str, ...] = ()
-
-
+@suggest_keywords
 def read_target(
     path: Path | str,
     *,
@@ -81,7 +61,7 @@ def read_target(
     Examples
     --------
     >>> target = read_target("photo.jpg", to="linear")                        # doctest: +SKIP
-    >>> loss = loi_loss(render(params), target.image, weights=target.weights)  # doctest: +SKIP
+    >>> loss = loi_loss(render(params), target)                               # doctest: +SKIP
     """
     return prepare_target(Path(path), read_stored(path), to=to, encoding=encoding, alpha=alpha, weights=weights)
 

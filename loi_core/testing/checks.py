@@ -163,6 +163,8 @@ class Slopes:
         Noise loosens the test only by its own size. If it could hide an error of one in twenty, the finding is that the
         measurement is too uncertain.
         """
+        if self.error == 0.0:  # a parameter without effect, whose slopes have no size to be uncertain by
+            return ""
         listed = (
             f"central differences give {_listed(self.measured)} along random directions, the gradient "
             f"{_listed(self.claimed)}"

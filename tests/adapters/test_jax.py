@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import loi_jax
-from loi_core import LOIObjective, ScaleSpace
+from loi_core import LOIObjective, ScaleSpace, Target
 from loi_core.errors import DerivativeError, ImageError, NonFiniteImageError
 from loi_core.method.tonal import accumulate
 from loi_core.pixels.nonfinite import NanPolicy
@@ -39,6 +39,15 @@ def backend(request: pytest.FixtureRequest) -> Iterator[None]:
 def loss() -> Loss:
     """Return a new function of the image for each test, because JAX caches compiled functions."""
     return partial(loi_jax.loi_loss, target=REFERENCE, scales=SCALES)
+
+
+@pytest.mark.parametrize("wrap", [lambda f: f, jax.jit], ids=["eager", "jit"])
+def test_the_jax_loss_takes_a_target_with_its_weights(wrap: Any) -> None:
+    opacity = np.linspace(0.0, 1.0, 17 * 23).reshape(17, 23)
+    target = Target(REFERENCE, opacity)
+    expected = loi_jax.loi_loss(jnp.asarray(IMAGE), REFERENCE, SCALES, weights=opacity * 0.5)
+    value = wrap(lambda image, weights: loi_jax.loi_loss(image, target, SCALES, weights=weights))
+    assert value(jnp.asarray(IMAGE), jnp.full((17, 23), 0.5)) == pytest.approx(float(expected), rel=1e-6)
 
 
 @pytest.mark.parametrize("wrap", [lambda f: f, jax.jit], ids=["eager", "jit"])

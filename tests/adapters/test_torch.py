@@ -15,7 +15,7 @@ import torch
 from torch.autograd import forward_ad
 from torch.utils._python_dispatch import TorchDispatchMode
 
-from loi_core import LogTone, LOIObjective, ScaleSpace
+from loi_core import LogTone, LOIObjective, ScaleSpace, Target
 from loi_core.errors import DerivativeError, ImageError, ImageTypeError, NonFiniteImageError
 from loi_core.method import array_comparison
 from loi_core.method.dispatch import ARRAY_API
@@ -168,6 +168,14 @@ def test_without_values_to_read_the_loss_of_invalid_pixels_is_nan(spoilt: str) -
 
 
 @pytest.mark.filterwarnings("ignore:The .grad attribute of a Tensor that is not a leaf")  # raised by torch.compile
+def test_the_torch_losses_take_a_target_with_its_weights() -> None:
+    target = Target(REFERENCE[0], np.linspace(0.0, 1.0, 17 * 23).reshape(17, 23))
+    image = leaf(IMAGE[0])
+    expected = loi_loss(image, target.image, SCALES, weights=target.weights)
+    assert loi_loss(image, target, SCALES) == expected
+    assert LOILoss(SCALES, channel_axis=-3)(image.movedim(-1, -3), target) == expected
+
+
 def test_torch_compile_accepts_the_mask_policy() -> None:
     loss, target = LOILoss(SCALES, nan_policy="mask"), torch.tensor(REFERENCE)
     compiled = torch.compile(lambda image: loss(1.0 * image, target), backend="aot_eager")

@@ -90,6 +90,13 @@ def test_a_schedule_without_stages_or_steps_is_refused(stages: Any, steps: Any) 
         FarToNear(stages, steps)
 
 
+def test_a_schedule_refuses_the_losses_of_a_batch() -> None:
+    schedule = FarToNear(stages=2, steps=100)
+    schedule.step(np.ones((1, 1)))
+    with pytest.raises(OptionError, match=r"`value` must be one number, such as the mean.*, got shape \(3,\)"):
+        schedule.step(np.ones(3))
+
+
 @pytest.mark.parametrize("metres", [1e-3, 1.0, 250.0])
 def test_a_measured_unit_moves_the_image_by_a_pixel_in_any_scale_of_the_parameter(metres: float) -> None:
     class Elsewhere(Disks):

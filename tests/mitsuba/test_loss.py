@@ -13,7 +13,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from loi_core import LOIObjective, ScaleSpace
+from loi_core import LOIObjective, ScaleSpace, Target
 from loi_core.errors import ImageError, ImageTypeError, NonFiniteImageError, OptionError
 from loi_core.support.installed import how_to_install
 from loi_mitsuba import loi_loss
@@ -74,6 +74,15 @@ def test_a_call_brings_weights_of_its_image(backend: Any) -> None:
         assert float(detached[0]) == pytest.approx(float(value), rel=VALUE_RTOL)
     with pytest.raises(ImageError, match="`weights` must have shape"):
         loi_loss(tensor, reference, weights=mi.TensorXf(np.ones((24, 19, 1), np.float32)))
+
+
+def test_the_loss_of_dr_jit_takes_a_target_with_its_weights() -> None:
+    image, reference = images(SHAPE, 1)
+    opacity = np.linspace(0.0, 1.0, 24 * 19).reshape(SHAPE[:2])
+    weights = np.full(SHAPE[:2], 0.5)
+    expected, _ = value_and_grad(image, reference, weights=0.5 * opacity)
+    value, _ = value_and_grad(image, Target(reference, opacity), weights=mi.TensorXf(weights))
+    assert value == pytest.approx(expected, rel=VALUE_RTOL)
 
 
 def test_the_loss_may_be_part_of_a_larger_expression() -> None:

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from loi_core import LogTone, LOIObjective, ScaleSpace, loi_loss
+from loi_core import LogTone, LOIObjective, ScaleSpace, Target, loi_loss
 from loi_core.errors import ImageError, ImageTypeError, LoiError, NonFiniteImageError, OptionError, ScaleError
 from loi_core.objectives import RangeWarning
 from tests.frameworks import array_api_strict, torch
@@ -124,3 +124,27 @@ def test_a_read_only_target_is_no_warning() -> None:
 def test_errors_name_the_image_or_the_target(arguments: Any, error: type[LoiError], message: str) -> None:
     with pytest.raises(error, match=message):
         loi_loss(**{"image": IMAGE, "target": TARGET, **arguments})
+
+
+@pytest.mark.parametrize("make", [np.asarray, torch.tensor], ids=["numpy", "torch"])
+@pytest.mark.parametrize("axis", [-1, -3])
+@pytest.mark.parametrize("call_weights", [None, MASK, MASK * 0.5], ids=["none", "mask", "weights"])
+def test_a_target_stands_for_its_image_and_weights(make: Any, axis: int, call_weights: Any) -> None:
+    opacity = np.random.default_rng(3).uniform(size=MASK.shape)
+    target = Target(TARGET[0], opacity)
+    image, reference = (np.moveaxis(array, -1, axis) for array in (IMAGE, TARGET[0]))
+    weights = opacity if call_weights is None else opacity * call_weights
+    expected = loi_loss(image, reference, SCALES, channel_axis=axis, weights=weights)
+    given_weights = None if call_weights is None else make(call_weights)
+    value = loi_loss(make(image), target, SCALES, channel_axis=axis, weights=given_weights)
+    objective = LOIObjective(target, SCALES, channel_axis=axis)
+    rtol = 1e-6  # weights are of float32 where the call's are a mask
+    np.testing.assert_allclose(float(value), float(expected), rtol=rtol)
+    np.testing.assert_allclose(float(objective.value(make(image), weights=given_weights)), float(expected), rtol=rtol)
+
+
+def test_an_image_with_opacity_and_one_without_are_compared_once_one_is_composited() -> None:
+    with pytest.raises(ImageError, match=r"composite the image of four channels over a background"):
+        loi_loss(IMAGE, np.ones((*SHAPE[:3], 4)))
+    with pytest.raises(ImageError, match=r"does not fit `target` of shape \(2, 12, 15, 2\)$"):
+        loi_loss(IMAGE, np.ones((*SHAPE[:3], 2)))

@@ -24,7 +24,7 @@ from loi_core.testing import (
     check_renderer,
     parametrize_with_checks,
 )
-from tests.testing.zoo import BROKEN_OBJECTIVES, BROKEN_RENDERERS, Params, Scaled, Sound, Wrapped, scaled
+from tests.testing.zoo import BROKEN_OBJECTIVES, BROKEN_RENDERERS, Inert, Params, Scaled, Sound, Wrapped, scaled
 
 
 @pytest.mark.parametrize(
@@ -60,7 +60,14 @@ def test_every_check_has_a_subject_that_breaks_its_rule() -> None:
     assert {name for _, name in BROKEN_OBJECTIVES} == {check.name for check in OBJECTIVE_CHECKS}
 
 
-@parametrize_with_checks([RendererSubject(Sound()), RendererSubject(Sound(dtype="float32")), ObjectiveSubject(Wrapped)])
+@parametrize_with_checks(
+    [
+        RendererSubject(Sound()),
+        RendererSubject(Inert()),
+        RendererSubject(Sound(dtype="float32")),
+        ObjectiveSubject(Wrapped),
+    ]
+)
 def test_a_sound_renderer_and_objective_pass_every_check(check: Any, subject: Any) -> None:
     check(subject)
 

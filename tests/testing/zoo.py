@@ -25,6 +25,18 @@ class Sound(Disks):
         super().__init__(14, 17, positions, [3.2, 2.4], [[1, 0.5, 0.2], [0.1, 0.4, 0.9]], (0.2, 0.3, 0.1), **options)
 
 
+class Inert(Sound):
+    """A sound renderer with a parameter that has no effect."""
+
+    def parameters(self) -> Params:
+        return {**super().parameters(), "inert": np.array([1.0, 2.0])}
+
+    def render_vjp(self, params: Params, *, seed: int = 0) -> Any:
+        image, pullback = super().render_vjp({name: value for name, value in params.items() if name != "inert"})
+        image = image + 0.0 * np.sum(params["inert"])  # a NaN spreads
+        return image, lambda g: {**pullback(g), "inert": np.zeros(2)}
+
+
 class NoParameters(Sound):
     def parameters(self) -> Params:
         return {}

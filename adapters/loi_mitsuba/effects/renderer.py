@@ -18,6 +18,7 @@ from loi_core.objectives.base import Objective
 from loi_core.renderers.blurred import BLUR_KEYS
 from loi_core.renderers.contract import Loss, LossPullback, RendererCapabilities
 from loi_core.support.arrays import to_numpy
+from loi_core.support.keywords import suggest_keywords
 from loi_core.support.values import real_number
 from loi_core.support.wording import clause, shown
 from loi_mitsuba.effects.attached_gradient import AttachedGradient
@@ -39,6 +40,7 @@ __all__ = ["FRACTION", "PlannedRenderer"]
 FRACTION: Final = 0.1  # effects that are off rotate the gradient by less than 6 degrees, whose cosine is 0.995
 
 
+@suggest_keywords
 class PlannedRenderer:
     """A Mitsuba scene that is rendered by a plan; satisfies the contract of :class:`loi_core.Renderer`.
 

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from loi_core.errors import ParameterError
+from loi_core.support.keywords import suggest_keywords
 from loi_core.support.values import real_number
 from loi_core.support.wording import shown
 from loi_torch.mesh.tensors import accelerator_of, finite_tensor, unit
@@ -21,6 +22,7 @@ MIN_UP_SINE: Final = 1e-9  # of the angle between the viewing direction and `up`
 MAX_ROTATION_ERROR: Final = 1e-3  # of an element of R R^T; files have three digits or more
 
 
+@suggest_keywords
 @dataclass(frozen=True, eq=False)
 class Camera:
     """A perspective or orthographic camera.

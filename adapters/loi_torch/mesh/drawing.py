@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from loi_core.errors import ParameterError
+from loi_core.support.keywords import suggest_keywords
 from loi_torch.mesh.barycentric import barycentric_weights, gather_corners, interpolate
 from loi_torch.mesh.cameras import Camera
 from loi_torch.mesh.edge_blending import edge_contributions
@@ -21,6 +22,7 @@ from loi_torch.mesh.shading import shade
 __all__ = ["draw", "draw_positions"]
 
 
+@suggest_keywords
 def draw(
     meshes: Sequence[Mesh],
     camera: Camera,

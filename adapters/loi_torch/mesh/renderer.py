@@ -16,6 +16,7 @@ from loi_core.renderers.contract import RendererCapabilities
 from loi_core.renderers.poses import ParameterTarget, parse_targets
 from loi_core.renderers.validation import check_dtype, check_size
 from loi_core.scenes.target import read_target
+from loi_core.support.keywords import suggest_keywords
 from loi_core.support.wording import shown
 from loi_torch.mesh.cameras import Camera
 from loi_torch.mesh.drawing import draw, draw_positions
@@ -31,6 +32,7 @@ __all__ = ["MeshRenderer"]
 REQUIRED_KEYS: Final[dict[type[Any], tuple[str, ...]]] = {Camera: ("position",), Mesh: ("vertices", "faces")}
 
 
+@suggest_keywords
 class MeshRenderer(Painted):
     """Renderer of triangle meshes with named parameters; implements :class:`loi_core.Renderer`.
 

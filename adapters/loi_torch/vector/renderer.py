@@ -16,6 +16,7 @@ from loi_core.renderers.contract import RendererCapabilities
 from loi_core.renderers.rasterization import IndexArray
 from loi_core.renderers.validation import FloatArray, check_floats, check_size
 from loi_core.support.arrays import to_numpy
+from loi_core.support.keywords import suggest_keywords
 from loi_core.support.wording import shown
 from loi_torch.compositing import composite_fragments
 from loi_torch.painted import Painted, Tensors
@@ -29,6 +30,7 @@ from loi_torch.vector.table import Layer, ShapeParameters
 __all__ = ["Vector"]
 
 
+@suggest_keywords
 class Vector(Painted):
     """Shapes over a background, the later ones on top.
 
