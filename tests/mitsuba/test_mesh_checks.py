@@ -13,7 +13,7 @@ import trimesh
 
 from loi_core.errors import OptionError
 from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer, Rotate, Translate
-from loi_mitsuba.diagnostics import is_non_manifold
+from mitsuba_boundaries.diagnostics import is_non_manifold
 from mitsuba_boundaries.geometry.mesh_checks import (
     has_inward_normals,
     is_sharp_edged,
@@ -199,7 +199,7 @@ def test_a_cutout_gives_a_warning_and_is_blurred() -> None:
 
 
 def test_the_option_seams_must_be_a_bool() -> None:
-    with pytest.raises(OptionError, match=r"`proxy.seams` must be true or false, got 1"):
+    with pytest.raises(OptionError, match=r"`proxy`: `seams` must be true or false, got 1"):
         PlannedRenderer(scene_of({"type": "cube"}), MOVES, proxy={"seams": 1})
 
 

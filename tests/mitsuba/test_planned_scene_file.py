@@ -46,7 +46,7 @@ def test_a_scene_file_sets_and_explains_the_proxy(folder: Path, capsys: pytest.C
     assert "0.05 of its distance from the moving shapes" in reason
     (folder / "scene.toml").write_text(f"{text}\n[renderer.proxy]\nlights = 2\n")
     assert main(["fit", str(folder / "scene.toml"), "--explain"]) == 2
-    assert "`proxy.lights` must be 0 to 0.5, got 2" in capsys.readouterr().err
+    assert "`proxy`: `lights` must be 0 to 0.5, got 2" in capsys.readouterr().err
 
 
 def test_a_fit_uses_the_plan_and_its_page_shows_the_effects(folder: Path) -> None:

@@ -18,25 +18,23 @@ from loi_mitsuba.scene.parameters import SceneIndex
 from loi_mitsuba.scene.poses import Rotate, Scale
 from loi_mitsuba.scene.queries import group_by_shape, has_medium
 from loi_mitsuba.scene.settings import Settings
-from mitsuba_boundaries.attached.dielectrics import AttachedDielectrics, is_clear_glass
+from mitsuba_boundaries.attached.dielectrics import AttachedDielectrics, is_attachable_glass
 from mitsuba_boundaries.attached.emitters import (
     ROTATION_STEP_DEG,
     SCALE_STEP,
     AttachedEmitters,
+    is_attachable_light,
     translation_step,
     visible_points,
 )
 from mitsuba_boundaries.drjit.arrays import Float32Array, Float64Array
 from mitsuba_boundaries.geometry.bounds import bounding_box
-from mitsuba_boundaries.geometry.mesh import is_closed
-from mitsuba_boundaries.geometry.mesh_checks import is_sharp_edged
 from mitsuba_boundaries.proxy.light_size import light_position
 from mitsuba_boundaries.sensing.frustum import Frustum
 
 __all__ = ["AttachedGradient", "AttachedParameters", "attachable_emitters"]
 
 DRAWS: Final = 4
-POSITIONED_LIGHTS: Final = ("PointLight", "SpotLight")
 SILHOUETTE: Final = Settings("direct_projective", max_depth=2, sppc=0)
 GLASS_REASON: Final = "it moves clear glass, and attached samples have its gradient, except for edges seen through it"
 
@@ -82,26 +80,25 @@ class AttachedParameters:
 
 
 def attachable_emitters(index: SceneIndex, targets: Mapping[str, ParameterTarget]) -> dict[str, Any]:
-    """Return the parameters that move a light with attached samples, with the light: area, point and spot lights.
+    """Return the parameters that move a light with attached samples, with the light.
 
-    There are none in a scene with a medium or polarised light. A scaled mesh is left out, because Mitsuba's samples of
-    a mesh do not scale with it.
+    There are none in a scene with a medium or polarised light.
     """
     if mi.is_polarized or has_medium(index.scene):
         return {}
-    lights_by_name = {}
-    for name, target in targets.items():
-        light = index.positioned_light(target) if isinstance(target, str) else index.find_movable(target.shape)[1]
-        if isinstance(target, Scale) and isinstance(light, mi.Mesh) and light.class_name() != "Rectangle":
-            continue
-        has_position = isinstance(light, mi.Emitter) and light.class_name() in POSITIONED_LIGHTS
-        if has_position or (isinstance(light, mi.Shape) and light.is_emitter() and light in index.scene.shapes()):
-            lights_by_name[name] = light
-    return lights_by_name
+    lights = {
+        name: index.positioned_light(target) if isinstance(target, str) else index.find_movable(target.shape)[1]
+        for name, target in targets.items()
+    }
+    return {
+        name: light
+        for name, light in lights.items()
+        if is_attachable_light(light, index.scene, scaled=isinstance(targets[name], Scale))
+    }
 
 
 def _attachable_dielectrics(index: SceneIndex, targets: Mapping[str, ParameterTarget], sensor: Any) -> dict[str, Any]:
-    """Return the parameters that move clear glass with attached samples, with its shape: spheres and smooth meshes.
+    """Return the parameters that move clear glass with attached samples, with its shape.
 
     There are none if colours are not RGB, if there is a medium, or without a perspective camera that sees all emitters.
     """
@@ -117,16 +114,11 @@ def _attachable_dielectrics(index: SceneIndex, targets: Mapping[str, ParameterTa
             shape = None if parameter is None or parameter.problem else index.moved_shape(parameter)
         else:
             shape = index.find_movable(target.shape)[1]
-        if not isinstance(shape, mi.Shape) or shape not in index.scene.shapes() or not is_clear_glass(shape):
+        if not isinstance(shape, mi.Shape) or shape not in index.scene.shapes():
             continue
-        if shape.class_name() == "Sphere" or (_is_smooth(shape) and not isinstance(target, (str, Scale))):
+        if is_attachable_glass(shape, rigid=not isinstance(target, (str, Scale))):
             shapes[name] = shape
     return shapes
-
-
-def _is_smooth(shape: Any) -> bool:
-    """Return whether a mesh is closed with continuous normals, so that its refraction is continuous."""
-    return isinstance(shape, mi.Mesh) and shape.has_vertex_normals() and is_closed(shape) and not is_sharp_edged(shape)
 
 
 class AttachedGradient:

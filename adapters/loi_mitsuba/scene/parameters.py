@@ -16,16 +16,15 @@ import numpy as np
 
 from loi_core.errors import ParameterError
 from loi_mitsuba.scene.load import LoadedScene, load_scene, use_variant
+from mitsuba_boundaries.diagnostics import INSTANCE_PROBLEM, is_instance
 from mitsuba_boundaries.geometry.bounds import bounding_box
 
 __all__ = [
-    "INSTANCE_PROBLEM",
     "Scene",
     "SceneIndex",
     "SceneParameter",
     "ancestors",
     "index_scene",
-    "is_instance",
     "list_parameters",
     "matrix_or_value",
 ]
@@ -34,7 +33,6 @@ Scene: TypeAlias = Any
 SceneParameters: TypeAlias = Any
 
 EIGHT_BIT_PROBLEM: Final = "it is an 8-bit texture, which has no gradient; load the bitmap with format='variant'"
-INSTANCE_PROBLEM: Final = "it moves an instance of a shapegroup, for which Mitsuba has no gradient"
 POSE_ENTRIES: Final = ("to_world", "position")  # of sensors and lights
 BLUR_HINT: Final = "; or use PlannedRenderer, which estimates the gradient from images alone"
 HANDLE_HINT: Final = (
@@ -324,11 +322,6 @@ def _is_merged(node: Any) -> bool:
     if not isinstance(node, mi.Mesh) or node.class_name() != "Mesh" or node.id():
         return False
     return " + " in str(node).partition("bbox")[0]
-
-
-def is_instance(node: Any) -> bool:
-    """Return whether an object is an instance of a shapegroup."""
-    return isinstance(node, mi.Shape) and node.class_name() == "Instance"
 
 
 def _moves_by_images_only(node: Any) -> bool:

@@ -17,9 +17,11 @@ import mitsuba as mi
 
 from mitsuba_boundaries.attached.binding import Binding
 from mitsuba_boundaries.drjit.arrays import Float32Array
+from mitsuba_boundaries.geometry.mesh import is_closed
+from mitsuba_boundaries.geometry.mesh_checks import is_sharp_edged
 from mitsuba_boundaries.sensing.sensor import PerspectiveSensor, make_sampler, ray_epsilon
 
-__all__ = ["AttachedDielectrics", "DielectricSamples", "is_clear_glass"]
+__all__ = ["AttachedDielectrics", "DielectricSamples", "is_attachable_glass", "is_clear_glass"]
 
 Splats: TypeAlias = Iterable[tuple[Any, Any]]
 """Values of pixels and their film positions."""
@@ -35,6 +37,18 @@ def is_clear_glass(shape: Any) -> bool:
     """Return whether light passes a shape in single directions."""
     bsdf = shape.bsdf()
     return bsdf is not None and bool(mi.has_flag(bsdf.flags(), mi.BSDFFlags.DeltaTransmission))
+
+
+def is_attachable_glass(shape: Any, *, rigid: bool) -> bool:
+    """Return whether attached samples follow a moving shape: a sphere or smooth mesh of clear glass.
+
+    The refraction of a mesh is continuous only if it is closed and has continuous normals, and its samples follow it
+    only as long as it is `rigid`: moved or turned as a whole.
+    """
+    if not is_clear_glass(shape) or shape.class_name() == "Sphere":
+        return is_clear_glass(shape)
+    is_smooth = isinstance(shape, mi.Mesh) and shape.has_vertex_normals() and is_closed(shape)
+    return rigid and is_smooth and not is_sharp_edged(shape)
 
 
 class AttachedDielectrics:

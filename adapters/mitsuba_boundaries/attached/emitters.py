@@ -22,13 +22,32 @@ from mitsuba_boundaries.geometry.bounds import bounding_box
 from mitsuba_boundaries.sensing.film import Film
 from mitsuba_boundaries.sensing.film_samples import backpropagate, radiance_samples
 
-__all__ = ["ROTATION_STEP_DEG", "SCALE_STEP", "AttachedEmitters", "translation_step", "visible_points"]
+__all__ = [
+    "ROTATION_STEP_DEG",
+    "SCALE_STEP",
+    "AttachedEmitters",
+    "is_attachable_light",
+    "translation_step",
+    "visible_points",
+]
 
+POSITIONED_LIGHTS: Final = ("PointLight", "SpotLight")
 ROTATION_STEP_DEG: Final = 1.0
 SCALE_STEP: Final = 0.02
 SIZE_STEP: Final = 0.25  # of the light's longest side, so that a step does not exceed the width of its penumbras
 DISTANCE_STEP: Final = 0.02  # of the distance to the visible surfaces, for point lights and small area lights
 DISTANCE_PERCENTILE: Final = 25.0  # of the distances from the light to the visible surfaces
+
+
+def is_attachable_light(light: Any, scene: Any, *, scaled: bool) -> bool:
+    """Return whether attached samples follow a moving light: an area, point or spot light.
+
+    Mitsuba's samples of a mesh do not scale with it.
+    """
+    if isinstance(light, mi.Emitter):
+        return light.class_name() in POSITIONED_LIGHTS
+    follows = not (scaled and isinstance(light, mi.Mesh) and light.class_name() != "Rectangle")
+    return isinstance(light, mi.Shape) and follows and bool(light.is_emitter()) and light in scene.shapes()
 
 
 class AttachedEmitters:
