@@ -126,8 +126,8 @@ def _problem(device: str) -> str:
         from loi_torch.triton_backend.launching import Launcher
 
         run = Launcher(torch.device(device))
-        flags = {"BLOCK": 16, "STEPS": 1, "PLAIN": True, "GRADIENT": False}
-        run.launch(kernels.compare_stack, (1,), run.empty(1), run.empty(1), 1, 1.0, 1.0, 1.0, **flags)
+        plane = run.empty(1)
+        run.launch(kernels.difference_stack, (1, 1), plane, plane, plane, 1, 1, 0, 1, *[1.0] * 5, BLOCK=16)
     except Exception as error:  # noqa: BLE001  # of Triton, of the C compiler that it runs, or of the driver
         return f"its kernels do not compile ({described(error)})"
     return ""

@@ -1,14 +1,18 @@
-"""The comparison in Triton: few launches, and no CDF at the resolution of the images where the scales allow it.
+"""The comparison in Triton: few launches, and no CDF at the resolution of the images.
 
-A comparison is one of two kinds. If every extent passes through a coarser pyramid level or is very narrow, differences
-of CDFs are made in registers and blurred down along columns by one kernel, and its adjoint ends in registers too
-(*narrow*); a very narrow extent is compared by one kernel from the images to the cotangent. Otherwise a stack of
-differences is written, a few levels at a time.
+Extents are compared in chains. One chain holds all extents that start from a pyramid; each of the others is a chain of
+its own. The differences of CDFs are made in registers, and one kernel blurs them along columns, down to those of the
+first pyramid level. Blurred along rows as well, and back up, they are reduced to signs in registers, which are written
+in 2 bits each; and the adjoint of the first kernel ends in the gradient of the image. Only `centred` scales, which need
+means over the image, write the differences. A chain handles some planes and levels at a time, which bounds the memory.
 """
 
 from __future__ import annotations
 
+import functools
+import itertools
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -18,127 +22,39 @@ from torch import Tensor
 from loi_core.method.comparison import ComparisonResult, Terms
 from loi_core.method.distance import tie_threshold
 from loi_core.method.plan import InnerPlan, Plan, TonalPlan
-from loi_core.method.plane_blurs import PlaneBlur
 from loi_core.method.planner import make_plan
 from loi_core.method.scales import ScaleSpace
 from loi_core.method.tonal import ROOT_TWO
 from loi_torch.triton_backend import kernels
-from loi_torch.triton_backend.launching import Launcher
-from loi_torch.triton_backend.tables import (
-    DEPTH,
-    TILE,
-    WINDOW_ROWS,
-    Band,
-    Tiles,
-    Windows,
-    band,
-    power_of_two,
-    tiles,
-    windows,
-)
+from loi_torch.triton_backend.launching import EXPONENTIAL, Launcher
+from loi_torch.triton_backend.stack_blurs import StackBlur
+from loi_torch.triton_backend.tables import DEPTH, aligned_band, power_of_two, tile_band
 
-__all__ = ["STACK_BYTES", "TritonComparison"]
+__all__ = ["TritonComparison"]
 
-STACK_BYTES: Final = 2**26
-"""Memory for the stacks of levels that are handled at once, beside some planes."""
+MEMORY_PLANES: Final = 15
+"""Memory for the planes that are handled at once and their stacks of levels, in planes of the images' size."""
 
-MAX_LEVELS: Final = 64  # that are handled at once: `difference_columns` holds them all in registers
-LINES: Final = 64
+MIN_MEMORY: Final = 2**26
+"""Bytes that they may take in any case."""
+
+MAX_LEVELS: Final = 64  # that are handled at once: `difference_wide_columns` holds them all in registers
 ELEMENTS: Final = 1024  # of a block of an elementwise kernel
-STEPS: Final = 8
-COLUMNS: Final = 32  # of a tile of `compare_rows`
+COLUMNS: Final = 64  # of a tile of `compare_rows` and `pull_signs`
+TILE: Final = 2048  # rows times columns of a tile of `difference_columns`
 PULLED_ROWS: Final = 16
-LEVEL_ROWS: Final = 128  # levels times rows of a tile of `difference_columns`
-
-
-@dataclass(frozen=True)
-class _Blur:
-    """A separable blur of stacks, shape (..., H, W)."""
-
-    plan: PlaneBlur
-    run: Launcher
-
-    def rows(self, *, adjoint: bool) -> Band:
-        return band(self.plan.rows, self.run.device, adjoint=adjoint)
-
-    def columns(self, *, adjoint: bool) -> Band:
-        return band(self.plan.columns, self.run.device, adjoint=adjoint)
-
-    def apply(self, stack: Tensor, *, offset: float = 0.0) -> Tensor:
-        """Return the blurred stack; `offset` is subtracted first."""
-        if self.plan.columns_first:
-            narrow = self.along(stack, self.columns(adjoint=False), -1, offset=offset)
-            return self.along(narrow, self.rows(adjoint=False), -2)
-        narrow = self.along(stack, self.rows(adjoint=False), -2, offset=offset)
-        return self.along(narrow, self.columns(adjoint=False), -1)
-
-    def adjoint(self, stack: Tensor, total: Tensor | None = None, target: Tensor | None = None) -> Tensor:
-        """Return the transposed blur of a stack, added to `total` or written to `target`, which may be the stack."""
-        if self.plan.columns_first:
-            narrow = self.along(stack, self.rows(adjoint=True), -2)
-            return self.along(narrow, self.columns(adjoint=True), -1, total, target)
-        narrow = self.along(stack, self.columns(adjoint=True), -1)
-        return self.along(narrow, self.rows(adjoint=True), -2, total, target)
-
-    def along(
-        self,
-        stack: Tensor,
-        matrix: Band,
-        axis: int,
-        total: Tensor | None = None,
-        target: Tensor | None = None,
-        *,
-        offset: float = 0.0,
-    ) -> Tensor:
-        """Multiply one axis of a stack by a matrix; add the product to `total`, or write it to `target`."""
-        *outer, height, width = stack.shape
-        planes = math.prod(outer)
-        if axis == -1:
-            lines, shape = height, (*outer, height, matrix.cells)
-            strides = (1, width, 1, matrix.cells)
-        else:
-            lines, shape = width, (*outer, matrix.cells, width)
-            strides = (width, 1, width, 1)
-        result = total if total is not None else self.run.empty(*shape) if target is None else target
-        grid = planes, matrix.blocks, -(-lines // LINES)
-        self.run.launch(
-            kernels.blur,
-            grid,
-            stack,
-            result,
-            matrix.starts,
-            matrix.table,
-            matrix.size,
-            matrix.cells,
-            lines,
-            matrix.depth,
-            *strides,
-            offset,
-            BLOCK=matrix.block,
-            LINES=LINES,
-            DEPTH=DEPTH,
-            OFFSET=offset != 0.0,
-            ADD=total is not None,
-            warps=matrix.warps,
-            operations=2.0 * planes * lines * matrix.blocks * matrix.block * matrix.depth,
-        )
-        return result
+LEVEL_ROWS: Final = 128  # levels times rows of a tile of `difference_wide_columns`
 
 
 @dataclass(frozen=True)
 class _Extent:
+    """An extent with the index of its terms, from a pyramid level, or from the images."""
+
+    index: int
     alpha: float
     start: int
-    blur: _Blur
-    windows: Windows | None  # if blurred differences can stay in registers
-    tiles: tuple[Tiles, Tiles] | None  # of rows and columns, if everything can
-
-    @classmethod
-    def of(cls, alpha: float, start: int, blur: _Blur) -> _Extent:
-        rows = tiles(blur.plan.rows, blur.run.device) if start == 0 else None
-        columns = None if rows is None else tiles(blur.plan.columns, blur.run.device)
-        both = None if rows is None or columns is None else (rows, columns)
-        return cls(alpha, start, blur, windows(blur.plan.rows, blur.run.device), both)
+    blur: StackBlur
+    plain: bool  # whether the slopes of costs are signs
 
     @property
     def height(self) -> int:
@@ -149,19 +65,43 @@ class _Extent:
         return self.blur.plan.columns.target.cells
 
     @property
-    def elements(self) -> int:
-        """Elements of a plane of the stacks that its comparison writes."""
-        source = self.blur.plan.source
-        if self.windows is not None:
-            return source.rows.cells * self.width * (1 if self.windows.count == 1 else 2)
-        narrow = max(source.rows.cells * self.width, source.columns.cells * self.height)
-        return self.height * self.width + (0 if self.blur.plan.is_identity else narrow)
+    def narrow(self) -> int:
+        """Elements of a plane that is blurred along columns only."""
+        return self.blur.plan.rows.source.cells * self.width
 
-    def programs(self, planes: int) -> int:
-        """Return the number of partial sums of costs of a stack of some planes."""
-        if self.windows is not None:
-            return planes * self.windows.count * -(-self.width // COLUMNS)
-        return -(-planes * self.height * self.width // (ELEMENTS * STEPS))
+    @property
+    def slopes(self) -> tuple[int, int]:
+        """The shape of a plane of slopes, or of words of 16 signs."""
+        return (-(-self.height // 16) if self.plain else self.height), self.width
+
+
+@dataclass(frozen=True)
+class _Chain:
+    """Extents that share what is blurred: one that starts from the images, or all that start from a pyramid."""
+
+    pyramid: tuple[StackBlur, ...]
+    extents: tuple[_Extent, ...]
+    centred: bool
+
+    @property
+    def first(self) -> StackBlur:
+        """The blur along whose columns differences are blurred as they are made."""
+        return self.pyramid[0] if self.pyramid else self.extents[0].blur
+
+    @functools.cached_property
+    def elements(self) -> int:
+        """About the most elements that a plane of a level takes at once."""
+        cells = [0, *(step.plan.target.cells for step in self.pyramid)]
+        starts = [extent.start for extent in self.extents]
+        shared = sum(cells[start] for start in set(starts) if starts.count(start) > 1)  # beside its cotangent
+        # The stack is freed before the slopes are written, unless another extent needs it.
+        compared = max(
+            extent.narrow + max(0, math.prod(extent.slopes) - cells[extent.start]) for extent in self.extents
+        )
+        plan = self.first.plan
+        narrow = plan.rows.source.cells * plan.columns.target.cells
+        differences = plan.source.cells if self.centred else 0
+        return sum(cells) + shared + max(compared, narrow + differences)
 
 
 @dataclass(frozen=True)
@@ -177,6 +117,8 @@ class _Chunk:
     slope_scale: float
     tie: float
     level_weight: float
+    costs: Tensor  # shape (extents, programs)
+    before: int  # planes of levels in the chunks before
 
     @property
     def levels(self) -> int:
@@ -198,8 +140,7 @@ class _Inner:
     reference: Tensor
     reference_intensity: Tensor | None  # kept if there is one inner scale only, for the sake of memory
     weights: Tensor | None
-    pyramid: tuple[_Blur, ...]
-    extents: tuple[_Extent, ...]  # by pyramid level
+    chains: tuple[_Chain, ...]
 
     @classmethod
     def of(
@@ -214,294 +155,243 @@ class _Inner:
         keep_intensity: bool,
     ) -> _Inner:
         intensity = _intensity(scales, plan, run, reference) if keep_intensity else None
-        pyramid = tuple(_Blur(step, run) for step in plan.pyramid)
-        extents = (_Extent.of(extent.alpha, extent.start, _Blur(extent.blur, run)) for extent in plan.extents)
-        by_level = tuple(sorted(extents, key=lambda extent: extent.start))
-        return cls(scales, plan, tonal, run, reference, intensity, weights, pyramid, by_level)
-
-    @property
-    def narrow(self) -> bool:
-        """Whether no extent needs differences at the resolution of the images."""
-        return not self.scales.centred and all(extent.start > 0 or extent.tiles for extent in self.extents)
-
-    @property
-    def _chunked(self) -> dict[int, _Extent]:
-        """The extents that need a stack of levels, by index."""
-        return {index: extent for index, extent in enumerate(self.extents) if not self.narrow or extent.start > 0}
+        extents = [
+            _Extent(index, extent.alpha, extent.start, StackBlur(extent.blur, run), scales.p == 1.0)
+            for index, extent in enumerate(plan.extents)
+        ]
+        chains = [_Chain((), (extent,), scales.centred) for extent in extents if extent.start == 0]
+        coarse = tuple(sorted((extent for extent in extents if extent.start > 0), key=lambda extent: extent.start))
+        if coarse:
+            pyramid = tuple(StackBlur(step, run) for step in plan.pyramid)
+            chains.append(_Chain(pyramid, coarse, scales.centred))
+        return cls(scales, plan, tonal, run, reference, intensity, weights, tuple(chains))
 
     def compare(self, compressed: Tensor, total: Tensor | None, *, gradient: bool) -> tuple[Terms, Tensor | None]:
         """Return the terms, and the gradient added to `total`, which is overwritten."""
-        intensity = _intensity(self.scales, self.plan, self.run, compressed)
-        reference = self.reference_intensity
-        if reference is None:
-            reference = _intensity(self.scales, self.plan, self.run, self.reference)
-        chunks = [
-            (beta, planes, levels)
-            for beta, tonal in enumerate(self.tonal)
-            for planes, levels in self._chunks(tonal.first, tonal.last, intensity.shape[0])
-        ]
-        near = {index: extent for index, extent in enumerate(self.extents) if index not in self._chunked}
+        count = compressed.shape[0]
+        extents = [extent for chain in self.chains for extent in chain.extents]
         programs = max(
-            sum(self._programs(planes, levels) for _, planes, levels in chunks),
-            *(intensity.shape[0] * rows.count * columns.count for rows, columns in map(_tiles, near.values())),
-            0,
+            count * (tonal.last - tonal.first) * self._programs(extent) for extent in extents for tonal in self.tonal
         )
-        costs = self.run.empty(len(self.tonal), len(self.extents), programs).zero_()
+        costs = self.run.empty(len(self.tonal), len(extents), programs).zero_()
         self.run.count("zero", costs)
-        cotangent = self.run.empty(*intensity.shape) if near and gradient else None
-        written: set[int] = set()
-        offset = 0
-        for beta, tonal in enumerate(self.tonal):
-            everything = range(intensity.shape[0]), range(tonal.first, tonal.last)
-            for index, extent in near.items():
-                chunk = self._chunk(tonal, *everything, intensity, reference)
-                self._compare_near(extent, chunk, cotangent, costs[beta, index], add=bool(written))
-                written.update(everything[0])
-        for beta, planes, levels in chunks:
-            chunk = self._chunk(self.tonal[beta], planes, levels, intensity, reference)
-            pulled = self._compare(chunk, costs[beta, :, offset:], gradient=gradient)
-            offset += self._programs(planes, levels)
-            if pulled is None:
-                continue
-            # Only now, when most of the stacks are gone.
-            cotangent = self.run.empty(*intensity.shape) if cotangent is None else cotangent
-            cotangent_chunk = cotangent[planes.start : planes.stop]
-            self._pull(pulled, chunk, cotangent_chunk, add=planes.start in written)
-            written.add(planes.start)
-            del pulled
-        del intensity, reference, chunk
+        size = self._planes_at_once(count)
+        gradients = total
+        for start in range(0, count, size):
+            planes = slice(start, min(start + size, count))
+            cotangent = None
+            for chain, chunk in self._chunks(compressed, planes, costs):
+                pulled = self._compare(chain, chunk, gradient=gradient)
+                if pulled is None:
+                    continue
+                # Only now, when most of the stacks are gone.
+                gradients = self.run.empty(*compressed.shape) if gradients is None else gradients
+                add = cotangent is not None
+                if cotangent is None:
+                    in_place = total is None and chunk.image.shape[1:] == compressed.shape[1:]
+                    cotangent = gradients[planes] if in_place else self.run.empty(*chunk.image.shape)
+                self._pull(chain, pulled, chunk, cotangent, add=add)
+                del pulled
+            del chunk
+            if cotangent is not None and gradients is not None:
+                self._pull_intensity(cotangent, gradients[planes], add=total is not None)
         sums = costs.sum(-1)
         self.run.count("sum", costs)
         terms = {
-            (extent.alpha, tonal.beta, self.plan.sigma): sums[beta, index]
+            (extent.alpha, tonal.beta, self.plan.sigma): sums[beta, extent.index]
             for beta, tonal in enumerate(self.tonal)
-            for index, extent in enumerate(self.extents)
+            for extent in extents
         }
-        if cotangent is None:
-            return terms, None
-        blur = _Blur(self.plan.blur, self.run)
+        return terms, gradients
+
+    def _pull_intensity(self, cotangent: Tensor, gradient: Tensor, *, add: bool) -> None:
+        """Write or add the gradient of the image, from cotangents of its intensities, which may be the same memory."""
+        blur = StackBlur(self.plan.blur, self.run)
         if not blur.plan.is_identity:
-            return terms, blur.adjoint(cotangent, total, cotangent)
-        if total is not None:
-            self.run.count("add", total, cotangent)
-            return terms, total.add_(cotangent)
-        return terms, cotangent
+            blur.adjoint(cotangent, gradient if add else None, gradient)
+        elif add:
+            self.run.count("add", gradient, cotangent)
+            gradient.add_(cotangent)
 
-    def _chunks(self, first: int, last: int, count: int) -> list[tuple[range, range]]:
-        """Return the planes and the levels that are handled at once."""
-        if not self._chunked:
-            return []
-        pixels, columns = self.plan.grid.cells, 0
-        if self.narrow:
-            columns = 2 * self.plan.grid.rows.cells * self.pyramid[0].plan.columns.target.cells
-        level = (columns or 2 * pixels) + max(extent.elements for extent in self._chunked.values())
-        level += 2 * sum(step.plan.target.cells for step in self.pyramid)
-        stacks = max(1, STACK_BYTES // (4 * level))
-        shapes = [
-            (planes, min(stacks // planes, last - first, MAX_LEVELS)) for planes in range(1, min(count, stacks) + 1)
-        ]
-        planes, levels = min(shapes, key=lambda shape: -(-count // shape[0]) * -(-(last - first) // shape[1]))
-        groups = -(-(last - first) // levels)
-        edges = [first + (last - first) * group // groups for group in range(groups + 1)]
-        return [
-            (range(plane, min(plane + planes, count)), range(edges[group], edges[group + 1]))
-            for plane in range(0, count, planes)
-            for group in range(groups)
-        ]
+    def _planes_at_once(self, count: int) -> int:
+        """Return the number of planes at once that takes the fewest launches."""
 
-    def _programs(self, planes: range, levels: range) -> int:
-        """Return the number of partial sums of costs of a chunk."""
-        return max(extent.programs(len(planes) * len(levels)) for extent in self._chunked.values())
+        def chunks(planes: int) -> int:
+            levels = [self._levels(chain, tonal, planes) for chain in self.chains for tonal in self.tonal]
+            return -(-count // planes) * (1 + sum(map(len, levels)))
 
-    def _chunk(
-        self,
-        tonal: TonalPlan,
-        planes: range,
-        levels: range,
-        intensity: Tensor,
-        reference: Tensor,
-    ) -> _Chunk:
-        scales, beta = self.scales, tonal.beta
-        spacing = scales.spacing(beta)
-        width, mass = beta / spacing, scales.mass(beta) / spacing
-        selected = slice(planes.start, planes.stop)
-        return _Chunk(
-            levels.start,
-            levels.stop,
-            intensity[selected],
-            reference[selected],
-            None if self.weights is None else self.weights[selected],
-            (
-                float(scales.levels(beta)[0]) - scales.padding,
-                1.0 / spacing,
-                float(scales.level_count(beta)),
-                1.0 / (ROOT_TWO * width),
-                math.log(mass / (math.sqrt(2.0 * math.pi) * width)),
-            ),
-            ROOT_TWO / width / spacing,
-            tie_threshold(self.reference, mass),
-            scales.scale_weight * scales.level_weight(beta) / intensity.shape[0],
-        )
+        sizes = {-(-count // groups) for groups in range(1, count + 1)}
+        fitting = [size for size in sizes if all(self._levels_at_once(chain, size) > 0 for chain in self.chains)]
+        return min(fitting or [1], key=chunks)
 
-    def _compare(self, chunk: _Chunk, costs: Tensor, *, gradient: bool) -> Tensor | None:
-        """Write sums of costs, shape (extents, programs); return the argument of :meth:`_pull`."""
-        differences: list[Tensor | None] = [None] if self.narrow else [self._differences(chunk)]
-        for index, step in enumerate(self.pyramid):
-            if index == 0 and self.narrow:
-                stack = step.along(self._narrow_differences(chunk), step.rows(adjoint=False), -2)
-            else:
-                stack = step.apply(_present(differences[index]))
-            differences.append(stack)
-            del stack
-        cotangents: list[Tensor | None] = [None] * len(differences)
-        chunked = self._chunked
-        for index, extent in chunked.items():
-            start = extent.start
-            source = _present(differences[start])
-            if not any(later.start == start for later in self.extents[index + 1 :] if not self.narrow or start > 0):
-                differences[start] = None
-            elif extent.blur.plan.is_identity:
-                source = self.run.empty(*source.shape).copy_(source)
-                self.run.count("copy", source, source)
-            cotangents[start] = self._compare_extent(
-                extent, source, costs[index], chunk, cotangents[start], gradient=gradient
-            )
-            del source
-        if not gradient:
-            return None
-        for level in range(len(self.pyramid), 0, -1):
-            pulled, step = cotangents.pop(), self.pyramid[level - 1]
-            if pulled is None:
+    def _levels_at_once(self, chain: _Chain, planes: int) -> int:
+        """Return how many levels of some planes fit in the memory beside two intensities and a cotangent."""
+        cells = self.plan.grid.cells
+        memory = max(MIN_MEMORY // 4, MEMORY_PLANES * cells) - 3 * planes * cells
+        return min(memory // (planes * chain.elements), MAX_LEVELS)
+
+    def _levels(self, chain: _Chain, tonal: TonalPlan, planes: int) -> list[tuple[int, int]]:
+        """Return the first and last of the levels that are handled at once."""
+        count = tonal.last - tonal.first
+        groups = -(-count // max(1, self._levels_at_once(chain, planes)))
+        edges = [tonal.first + count * group // groups for group in range(groups + 1)]
+        return list(itertools.pairwise(edges))
+
+    def _chunks(self, compressed: Tensor, planes: slice, costs: Tensor) -> Iterator[tuple[_Chain, _Chunk]]:
+        """Yield the chunks of some planes, with the chains that compare them."""
+        scales = self.scales
+        intensity = _intensity(scales, self.plan, self.run, compressed[planes])
+        reference = self.reference_intensity
+        if reference is None:
+            reference = _intensity(scales, self.plan, self.run, self.reference[planes])
+        else:
+            reference = reference[planes]
+        weights = None if self.weights is None else self.weights[planes]
+        for chain, (index, tonal) in itertools.product(self.chains, enumerate(self.tonal)):
+            beta = tonal.beta
+            spacing = scales.spacing(beta)
+            width, mass = beta / spacing, scales.mass(beta) / spacing
+            for first, last in self._levels(chain, tonal, intensity.shape[0]):
+                yield (
+                    chain,
+                    _Chunk(
+                        first,
+                        last,
+                        intensity,
+                        reference,
+                        weights,
+                        (
+                            float(scales.levels(beta)[0]) - scales.padding,
+                            1.0 / spacing,
+                            float(scales.level_count(beta)),
+                            1.0 / (ROOT_TWO * width),
+                            math.log(mass / (math.sqrt(2.0 * math.pi) * width)),
+                        ),
+                        ROOT_TWO / width / spacing,
+                        tie_threshold(self.reference, mass),
+                        scales.scale_weight * scales.level_weight(beta) / compressed.shape[0],
+                        costs[index],
+                        planes.start * (tonal.last - tonal.first) + intensity.shape[0] * (first - tonal.first),
+                    ),
+                )
+
+    def _programs(self, extent: _Extent) -> int:
+        """Return the number of partial sums of costs of a plane of a level."""
+        return extent.blur.rows(adjoint=False).blocks * -(-extent.width // COLUMNS)
+
+    def _compare(self, chain: _Chain, chunk: _Chunk, *, gradient: bool) -> Tensor | None:
+        """Write sums of costs of extents; return cotangents of the differences that are blurred along columns."""
+        narrow = self._narrow_differences(chain, chunk)
+        if not chain.pyramid:
+            (extent,) = chain.extents
+            slopes = self._compare_rows(extent, narrow, chunk, gradient=gradient)
+            del narrow
+            return None if slopes is None else self._pull_rows(extent, slopes, chunk)
+        first = chain.first
+        stacks: list[Tensor | None] = [None, first.along(narrow, first.rows(adjoint=False), -2)]
+        del narrow
+        for step in chain.pyramid[1:]:
+            stacks.append(step.apply(_present(stacks[-1])))
+        cotangents: list[Tensor | None] = [None] * len(stacks)
+        for extent, following in itertools.zip_longest(chain.extents, chain.extents[1:]):
+            level, blur = extent.start, extent.blur
+            narrow = blur.along(_present(stacks[level]), blur.columns(adjoint=False), -1)
+            if following is None or following.start != level:
+                stacks[level] = None
+            slopes = self._compare_rows(extent, narrow, chunk, gradient=gradient)
+            del narrow
+            if slopes is None:
                 continue
-            if level == 1 and self.narrow:
-                cotangents[0] = step.along(pulled, step.rows(adjoint=True), -2)
-            else:
-                cotangents[level - 1] = step.adjoint(pulled, cotangents[level - 1])
-            del pulled
-        return cotangents[0]
-
-    def _compare_extent(
-        self, extent: _Extent, source: Tensor, costs: Tensor, chunk: _Chunk, total: Tensor | None, *, gradient: bool
-    ) -> Tensor | None:
-        """Write the sums of costs of one extent; return the cotangent of `source`, added to `total`."""
-        blur, power = extent.blur, 1.0 / self.scales.p
-        weight = chunk.level_weight / (extent.height * extent.width)
-        settings = (chunk.tie, weight, power)
-        flags = {"PLAIN": self.scales.p == 1.0, "GRADIENT": gradient}
-        if extent.windows is not None:
-            stack = blur.along(source, blur.columns(adjoint=False), -1)
-            cells, planes = stack.shape[-2], chunk.levels * chunk.planes
-            # A window reads cells that another one writes.
-            pulled = stack if extent.windows.count == 1 or not gradient else self.run.empty(*stack.shape)
-            count, rows, window_cells = extent.windows.matrices.shape
-            self.run.launch(
-                kernels.compare_rows,
-                (planes, count, -(-extent.width // COLUMNS)),
-                stack,
-                pulled,
-                costs,
-                extent.windows.windows,
-                extent.windows.matrices,
-                rows,
-                extent.width,
-                cells,
-                *settings,
-                CELLS=window_cells,
-                ROWS=WINDOW_ROWS,
-                COLUMNS=COLUMNS,
-                operations=(4.0 if gradient else 2.0) * planes * count * rows * extent.width * window_cells,
-                **flags,
-            )
-            del stack
-            return blur.along(pulled, blur.columns(adjoint=True), -1, total) if gradient else None
-        stack = source if blur.plan.is_identity else blur.apply(source)
-        size = stack.numel()
-        grid = (-(-size // (ELEMENTS * STEPS)),)
-        self.run.launch(
-            kernels.compare_stack, grid, stack, costs, size, *settings, BLOCK=ELEMENTS, STEPS=STEPS, **flags
-        )
+            narrow = self._pull_rows(extent, slopes, chunk)
+            del slopes
+            cotangents[level] = blur.along(narrow, blur.columns(adjoint=True), -1, cotangents[level])
+            del narrow
         if not gradient:
             return None
-        if not blur.plan.is_identity:
-            return blur.adjoint(stack, total)
-        if total is None:
-            return stack
-        self.run.count("add", total, stack)
-        return total.add_(stack)
+        for level in range(len(chain.pyramid), 1, -1):
+            pulled = cotangents.pop()
+            if pulled is not None:
+                cotangents[level - 1] = chain.pyramid[level - 1].adjoint(pulled, cotangents[level - 1])
+            del pulled
+        return first.along(_present(cotangents.pop()), first.rows(adjoint=True), -2)
 
-    def _compare_near(
-        self, extent: _Extent, chunk: _Chunk, cotangent: Tensor | None, costs: Tensor, *, add: bool
-    ) -> None:
-        """Write the sums of costs of an extent with tiles, and write or add to the cotangent of the image."""
-        count, height, width = chunk.image.shape
-        rows, columns = _tiles(extent)
-        products = 4.0 if cotangent is not None else 2.0
+    def _compare_rows(self, extent: _Extent, narrow: Tensor, chunk: _Chunk, *, gradient: bool) -> Tensor | None:
+        """Write the sums of costs of an extent; return the slopes of costs, or words of signs."""
+        matrix = extent.blur.rows(adjoint=False)
+        slopes = None
+        if gradient:
+            dtype = torch.int32 if extent.plain else torch.float32
+            slopes = self.run.empty(chunk.levels, chunk.planes, *extent.slopes, dtype=dtype)
+        planes = chunk.levels * chunk.planes
+        rows = matrix.blocks * matrix.block
         self.run.launch(
-            kernels.compare_near,
-            (count, rows.count, columns.count),
-            chunk.image,
-            chunk.reference,
-            chunk.image if chunk.weights is None else chunk.weights,
-            chunk.image if cotangent is None else cotangent,
-            costs,
-            rows.matrices,
-            columns.matrices,
-            height,
-            width,
-            rows.radius,
-            columns.radius,
-            chunk.first_level,
-            chunk.last_level,
-            *chunk.tonal,
-            chunk.slope_scale,
+            kernels.compare_rows,
+            (planes, matrix.blocks, -(-extent.width // COLUMNS)),
+            narrow,
+            narrow if slopes is None else slopes,
+            chunk.costs[extent.index, chunk.before * self._programs(extent) :],
+            matrix.starts,
+            matrix.table,
+            matrix.size,
+            matrix.cells,
+            extent.width,
+            matrix.depth,
             chunk.tie,
-            chunk.level_weight / (height * width),
+            chunk.level_weight / (extent.height * extent.width),
             1.0 / self.scales.p,
-            TILE=TILE,
-            WEIGHTED=chunk.weights is not None,
-            PLAIN=self.scales.p == 1.0,
-            GRADIENT=cotangent is not None,
-            ADD=add,
-            warps=16,  # fewer would spill
-            operations=products * 2.0 * TILE**3 * count * rows.count * columns.count * chunk.levels,
+            BLOCK=matrix.block,
+            COLUMNS=COLUMNS,
+            DEPTH=DEPTH,
+            PLAIN=extent.plain,
+            GRADIENT=gradient,
+            warps=matrix.warps,
+            operations=planes * rows * extent.width * (2.0 * matrix.depth + (0.0 if extent.plain else 2 * EXPONENTIAL)),
         )
+        return slopes
 
-    def _differences(self, chunk: _Chunk) -> Tensor:
-        """Return the weighted differences of CDFs, shape (L, N, H, W)."""
-        count, height, width = chunk.image.shape
-        stack = self.run.empty(chunk.levels, count, height, width)
-        weights = None if self.scales.centred else chunk.weights
+    def _pull_rows(self, extent: _Extent, slopes: Tensor, chunk: _Chunk) -> Tensor:
+        """Return the adjoint of the blur along rows of slopes of costs."""
+        if not extent.plain:
+            return extent.blur.along(slopes, extent.blur.rows(adjoint=True), -2)
+        matrix = aligned_band(extent.blur.plan.rows, self.run.device)
+        *outer, words, width = slopes.shape
+        target = self.run.empty(*outer, matrix.cells, width)
+        planes = math.prod(outer)
         self.run.launch(
-            kernels.difference_stack,
-            (count, -(-height * width // ELEMENTS)),
-            chunk.image,
-            chunk.reference,
-            chunk.image if weights is None else weights,
-            stack,
-            height * width,
-            count,
-            chunk.first_level,
-            chunk.last_level,
-            *chunk.tonal,
-            BLOCK=ELEMENTS,
-            WEIGHTED=weights is not None,
+            kernels.pull_signs,
+            (planes, matrix.blocks, -(-width // COLUMNS)),
+            slopes,
+            target,
+            matrix.starts,
+            matrix.table,
+            words,
+            matrix.cells,
+            width,
+            matrix.depth,
+            chunk.level_weight / (extent.height * extent.width),
+            BLOCK=matrix.block,
+            COLUMNS=COLUMNS,
+            warps=matrix.warps,
+            operations=2.0 * planes * width * matrix.blocks * matrix.block * matrix.depth,
         )
-        if self.scales.centred:
-            self._centre(stack, chunk.weights)
-            if chunk.weights is not None:
-                self.run.count("multiply", stack, chunk.weights)
-                stack.mul_(chunk.weights)
-        return stack
+        return target
 
-    def _narrow_differences(self, chunk: _Chunk) -> Tensor:
+    def _narrow_differences(self, chain: _Chain, chunk: _Chunk) -> Tensor:
         """Return the weighted differences of CDFs, blurred along columns, shape (L, N, H, w)."""
+        if self.scales.centred:
+            return chain.first.along(self._differences(chunk), chain.first.columns(adjoint=False), -1)
         count, height, width = chunk.image.shape
-        matrix = self.pyramid[0].columns(adjoint=False)
+        tile = tile_band(chain.first.plan.columns, self.run.device)
+        matrix = chain.first.columns(adjoint=False) if tile is None else tile
         stack = self.run.empty(chunk.levels, count, height, matrix.cells)
         levels = power_of_two(chunk.levels, 1)
-        rows = LEVEL_ROWS // levels
+        rows = LEVEL_ROWS // levels if tile is None else TILE // matrix.depth
+        columns = matrix.blocks * matrix.depth
+        made = levels + chunk.first_level if tile is None else chunk.last_level
+        products = levels if tile is None else chunk.levels
+        constants = {"LEVELS": levels, "DEPTH": DEPTH} if tile is None else {"DEPTH": matrix.depth}
         self.run.launch(
-            kernels.difference_columns,
+            kernels.difference_wide_columns if tile is None else kernels.difference_columns,
             (count, -(-height // rows), matrix.blocks),
             chunk.image,
             chunk.reference,
@@ -512,29 +402,54 @@ class _Inner:
             height,
             width,
             matrix.cells,
-            matrix.depth,
+            matrix.depth if tile is None else matrix.own,
             count,
             chunk.first_level,
             chunk.last_level,
             *chunk.tonal,
-            LEVELS=levels,
             ROWS=rows,
             BLOCK=matrix.block,
-            DEPTH=DEPTH,
             WEIGHTED=chunk.weights is not None,
             warps=matrix.warps,
-            operations=2.0 * count * height * levels * matrix.blocks * matrix.block * matrix.depth,
+            operations=count * height * columns * (2.0 * products * matrix.block + 2 * EXPONENTIAL * made),
+            **constants,
         )
         return stack
 
-    def _pull(self, stack: Tensor, chunk: _Chunk, cotangent: Tensor, *, add: bool) -> None:
-        """Write or add to the cotangent of the image, from cotangents of (narrow or whole) differences of CDFs."""
+    def _differences(self, chunk: _Chunk) -> Tensor:
+        """Return the centred and weighted differences of CDFs, shape (L, N, H, W)."""
+        count, height, width = chunk.image.shape
+        stack = self.run.empty(chunk.levels, count, height, width)
+        self.run.launch(
+            kernels.difference_stack,
+            (count, -(-height * width // ELEMENTS)),
+            chunk.image,
+            chunk.reference,
+            stack,
+            height * width,
+            count,
+            chunk.first_level,
+            chunk.last_level,
+            *chunk.tonal,
+            BLOCK=ELEMENTS,
+            operations=count * height * width * chunk.last_level * 2 * EXPONENTIAL,
+        )
+        self._centre(stack, chunk.weights)
+        if chunk.weights is not None:
+            self.run.count("multiply", stack, chunk.weights)
+            stack.mul_(chunk.weights)
+        return stack
+
+    def _pull(self, chain: _Chain, narrow: Tensor, chunk: _Chunk, cotangent: Tensor, *, add: bool) -> None:
+        """Write or add to the cotangent of the image, from cotangents of differences blurred along columns."""
         count, height, width = chunk.image.shape
         weights = chunk.image if chunk.weights is None else chunk.weights
+        matrix = chain.first.columns(adjoint=True)
+        arguments = (chunk.first_level, chunk.last_level, *chunk.tonal, chunk.slope_scale)
         flags = {"WEIGHTED": chunk.weights is not None, "ADD": add}
-        if not self.narrow:
-            if self.scales.centred:
-                self._centre(stack, chunk.weights)
+        if self.scales.centred:
+            stack = chain.first.along(narrow, matrix, -1)
+            self._centre(stack, chunk.weights)
             self.run.launch(
                 kernels.pull_stack,
                 (count, -(-height * width // ELEMENTS)),
@@ -544,19 +459,18 @@ class _Inner:
                 cotangent,
                 height * width,
                 count,
-                chunk.first_level,
-                chunk.last_level,
-                *chunk.tonal,
-                chunk.slope_scale,
+                *arguments,
                 BLOCK=ELEMENTS,
+                operations=count * height * width * chunk.last_level * EXPONENTIAL,
                 **flags,
             )
             return
-        matrix = self.pyramid[0].columns(adjoint=True)
+        columns = matrix.blocks * matrix.block
+        products = 2.0 * chunk.levels * matrix.depth + chunk.last_level * EXPONENTIAL
         self.run.launch(
             kernels.pull_columns,
             (count, -(-height // PULLED_ROWS), matrix.blocks),
-            stack,
+            narrow,
             chunk.image,
             weights,
             cotangent,
@@ -567,15 +481,12 @@ class _Inner:
             matrix.size,
             matrix.depth,
             count,
-            chunk.first_level,
-            chunk.last_level,
-            *chunk.tonal,
-            chunk.slope_scale,
+            *arguments,
             ROWS=PULLED_ROWS,
             BLOCK=matrix.block,
             DEPTH=DEPTH,
             warps=matrix.warps,
-            operations=2.0 * chunk.levels * count * height * matrix.blocks * matrix.block * matrix.depth,
+            operations=count * height * columns * products,
             **flags,
         )
 
@@ -597,18 +508,13 @@ class _Inner:
 def _intensity(scales: ScaleSpace, plan: InnerPlan, run: Launcher, planes: Tensor) -> Tensor:
     """Return blurred planes, less the padding."""
     planes = planes.contiguous()
-    blur = _Blur(plan.blur, run)
+    blur = StackBlur(plan.blur, run)
     if not blur.plan.is_identity:
         return blur.apply(planes, offset=scales.padding)
     if scales.padding == 0.0:
         return planes
     run.count("subtract", planes)
     return torch.sub(planes, scales.padding, out=run.empty(*planes.shape))
-
-
-def _tiles(extent: _Extent) -> tuple[Tiles, Tiles]:
-    assert extent.tiles is not None  # noqa: S101  # only extents with tiles are compared by them
-    return extent.tiles
 
 
 def _present(tensor: Tensor | None) -> Tensor:

@@ -32,12 +32,12 @@ class ComparisonCost:
 
     @property
     def operations(self) -> float:
-        """Multiplications and additions of the blurs."""
+        """Multiplications and additions; an exponential counts as some (:data:`.launching.EXPONENTIAL`)."""
         return sum(launch.operations for launch in self.launches)
 
-    def seconds(self, bandwidth: float = 3e12, operations: float = 3e13) -> float:
-        """Return a lower bound on the time at a memory bandwidth in bytes, and a rate of operations, per second."""
-        return sum(max(launch.bytes / bandwidth, launch.operations / operations) for launch in self.launches)
+    def seconds(self, bandwidth: float = 3e12, operations: float = 3e13, launch: float = 1.5e-6) -> float:
+        """Return a lower bound on the time, for bytes and operations per second, and seconds per launch."""
+        return sum(launch + max(one.bytes / bandwidth, one.operations / operations) for one in self.launches)
 
 
 def cost_of(

@@ -14,12 +14,12 @@ import triton.language as tl
 
 __all__ = [
     "blur",
-    "compare_near",
     "compare_rows",
-    "compare_stack",
     "difference_columns",
     "difference_stack",
+    "difference_wide_columns",
     "pull_columns",
+    "pull_signs",
     "pull_stack",
 ]
 
@@ -103,7 +103,6 @@ def blur(
 def difference_stack(
     image: tl.tensor,
     reference: tl.tensor,
-    weights: tl.tensor,
     target: tl.tensor,
     pixels: tl.tensor,
     planes: tl.tensor,
@@ -115,9 +114,8 @@ def difference_stack(
     per_width: tl.tensor,
     peak: tl.tensor,
     BLOCK: tl.constexpr,
-    WEIGHTED: tl.constexpr,
 ) -> None:
-    """Write the weighted differences of two images' CDFs at the levels `first_level` to `last_level`."""
+    """Write the differences of two images' CDFs at the levels `first_level` to `last_level`."""
     plane = tl.program_id(0).to(tl.int64)
     index = tl.program_id(1) * BLOCK + tl.arange(0, BLOCK)
     inside = index < pixels
@@ -127,18 +125,70 @@ def difference_stack(
     total = tl.zeros((BLOCK,), tl.float32)
     for level in range(first_level):
         total += _density_difference(level, position, reference_position, per_width, peak)
-    if WEIGHTED:
-        weight = tl.load(weights + pixel, inside, 0.0)
     for level in range(first_level, last_level):
         total += _density_difference(level, position, reference_position, per_width, peak)
-        value = total
-        if WEIGHTED:
-            value = total * weight
-        tl.store(target + ((level - first_level) * planes + plane) * pixels + index, value, inside)
+        tl.store(target + ((level - first_level) * planes + plane) * pixels + index, total, inside)
 
 
 @_kernel
 def difference_columns(
+    image: tl.tensor,
+    reference: tl.tensor,
+    weights: tl.tensor,
+    target: tl.tensor,
+    starts: tl.tensor,
+    table: tl.tensor,
+    height: tl.tensor,
+    width: tl.tensor,
+    cells: tl.tensor,
+    own: tl.tensor,
+    planes: tl.tensor,
+    first_level: tl.tensor,
+    last_level: tl.tensor,
+    first: tl.tensor,
+    per_spacing: tl.tensor,
+    count: tl.tensor,
+    per_width: tl.tensor,
+    peak: tl.tensor,
+    ROWS: tl.constexpr,
+    BLOCK: tl.constexpr,
+    DEPTH: tl.constexpr,
+    WEIGHTED: tl.constexpr,
+) -> None:
+    """Blur the differences of two images' CDFs along columns, without writing them at the resolution of the images.
+
+    All columns of a block of the matrix are in one tile, so the CDFs are summed from level to level.
+    """
+    plane = tl.program_id(0).to(tl.int64)
+    row = tl.program_id(1) * ROWS + tl.arange(0, ROWS)
+    block = tl.program_id(2)
+    inner = tl.arange(0, DEPTH)
+    column = tl.arange(0, BLOCK)
+    cell = block * own + column
+    index = tl.load(starts + block) + inner
+    inside = (row < height)[:, None] & (index < width)[None, :]
+    pixel = plane * height * width + row[:, None] * width + index[None, :]
+    position = _position(tl.load(image + pixel, inside, 0.0), first, per_spacing, count)
+    reference_position = _position(tl.load(reference + pixel, inside, 0.0), first, per_spacing, count)
+    if WEIGHTED:
+        weight = tl.load(weights + pixel, inside, 0.0)
+    matrix = tl.load(table + (block * DEPTH + inner[:, None]) * BLOCK + column[None, :])
+    is_own = (row < height)[:, None] & ((column < own) & (cell < cells))[None, :]
+    difference = tl.zeros((ROWS, DEPTH), tl.float32)
+    for level in range(first_level):
+        difference += _density_difference(level, position, reference_position, per_width, peak)
+    for level in range(first_level, last_level):
+        difference += _density_difference(level, position, reference_position, per_width, peak)
+        weighted = difference
+        if WEIGHTED:
+            weighted = difference * weight
+        blurred = tl.dot(weighted, matrix, input_precision="ieee")
+        line = ((level - first_level) * planes + plane) * height + row
+        tl.store(target + line[:, None] * cells + cell[None, :], blurred, is_own)
+
+
+@_kernel
+def difference_wide_columns(
     image: tl.tensor,
     reference: tl.tensor,
     weights: tl.tensor,
@@ -163,7 +213,7 @@ def difference_columns(
     DEPTH: tl.constexpr,
     WEIGHTED: tl.constexpr,
 ) -> None:
-    """Blur the differences of two images' CDFs along columns, without writing them at the resolution of the images."""
+    """Do as `difference_columns` for a blur too wide for one tile: the sums of all levels stay in registers instead."""
     plane = tl.program_id(0).to(tl.int64)
     row = tl.program_id(1) * ROWS + tl.arange(0, ROWS)
     block = tl.program_id(2)
@@ -214,162 +264,94 @@ def _cost_and_slope(
 
 
 @_kernel
-def compare_stack(
-    stack: tl.tensor,
+def compare_rows(
+    source: tl.tensor,
+    slopes: tl.tensor,
     costs: tl.tensor,
+    starts: tl.tensor,
+    table: tl.tensor,
     size: tl.tensor,
+    cells: tl.tensor,
+    width: tl.tensor,
+    depth: tl.tensor,
     tie: tl.tensor,
     weight: tl.tensor,
     power: tl.tensor,
     BLOCK: tl.constexpr,
-    STEPS: tl.constexpr,
-    PLAIN: tl.constexpr,
-    GRADIENT: tl.constexpr,
-) -> None:
-    """Replace blurred differences by the slopes of their costs, and write each program's sum of costs."""
-    start = tl.program_id(0).to(tl.int64) * BLOCK * STEPS
-    total = tl.zeros((BLOCK,), tl.float32)
-    for step in range(STEPS):
-        index = start + step * BLOCK + tl.arange(0, BLOCK)
-        inside = index < size
-        cost, slope = _cost_and_slope(tl.load(stack + index, inside, 0.0), tie, weight, power, PLAIN)
-        total += cost
-        if GRADIENT:
-            tl.store(stack + index, slope, inside)
-    tl.store(costs + tl.program_id(0), tl.sum(total))
-
-
-@_kernel
-def compare_rows(
-    stack: tl.tensor,
-    target: tl.tensor,
-    costs: tl.tensor,
-    windows: tl.tensor,
-    matrices: tl.tensor,
-    rows: tl.tensor,
-    width: tl.tensor,
-    cells: tl.tensor,
-    tie: tl.tensor,
-    weight: tl.tensor,
-    power: tl.tensor,
-    CELLS: tl.constexpr,
-    ROWS: tl.constexpr,
     COLUMNS: tl.constexpr,
+    DEPTH: tl.constexpr,
     PLAIN: tl.constexpr,
     GRADIENT: tl.constexpr,
 ) -> None:
-    """Blur coarse rows up to the compared ones, and write the adjoint of that blur, applied to the slopes.
+    """Blur differences along rows, and write each program's sum of their costs, and the slopes of the costs.
 
-    Neither the blurred differences nor their slopes leave the registers. A program writes the coarse rows of one window
-    and some columns of one plane, from all compared rows that depend on them; it counts the costs of its own rows.
+    Slopes of a plain distance are signs, which are written in 2 bits each, 16 rows to a word; others are written whole.
     """
     plane = tl.program_id(0).to(tl.int64)
-    window = tl.program_id(1)
+    block = tl.program_id(1)
     column = tl.program_id(2) * COLUMNS + tl.arange(0, COLUMNS)
-    start = tl.load(windows + window * 5)
-    first_own = tl.load(windows + window * 5 + 3)
-    last_own = tl.load(windows + window * 5 + 4)
-    cell = start + tl.arange(0, CELLS)
-    offset = plane * cells * width + cell[:, None] * width + column[None, :]
-    narrow = tl.load(stack + offset, (cell < cells)[:, None] & (column < width)[None, :], 0.0)
-    matrices += window * rows * CELLS
-    pulled = tl.zeros((CELLS, COLUMNS), tl.float32)
-    total = tl.zeros((COLUMNS,), tl.float32)
-    for step in range(0, rows, ROWS):
-        row = step + tl.arange(0, ROWS)
-        weights = tl.load(matrices + row[:, None] * CELLS + tl.arange(0, CELLS)[None, :])
-        blurred = tl.dot(weights, narrow, input_precision="ieee")
-        cost, slope = _cost_and_slope(blurred, tie, weight, power, PLAIN)
-        total += tl.sum(tl.where(((row >= first_own) & (row < last_own))[:, None], cost, 0.0), 0)
-        if GRADIENT:
-            pulled = tl.dot(tl.trans(weights), slope, pulled, input_precision="ieee")
+    inner_row = tl.arange(0, BLOCK)
+    start = tl.load(starts + block)
+    source += plane * size * width
+    blurred = tl.zeros((BLOCK, COLUMNS), tl.float32)
+    for step in range(0, depth, DEPTH):
+        inner = step + tl.arange(0, DEPTH)
+        matrix = tl.load(table + (block * depth + inner[None, :]) * BLOCK + inner_row[:, None])
+        index = start + inner
+        inside = (index < size)[:, None] & (column < width)[None, :]
+        values = tl.load(source + index[:, None] * width + column[None, :], inside, 0.0)
+        blurred = tl.dot(matrix, values, blurred, input_precision="ieee")
+    # Rows and columns outside have the difference 0, and neither cost nor slope.
+    cost, slope = _cost_and_slope(blurred, tie, weight, power, PLAIN)
     if GRADIENT:
-        is_core = (cell >= tl.load(windows + window * 5 + 1)) & (cell < tl.load(windows + window * 5 + 2))
-        tl.store(target + offset, pulled, is_core[:, None] & (column < width)[None, :])
-    program = (plane * tl.num_programs(1) + window) * tl.num_programs(2) + tl.program_id(2)
-    tl.store(costs + program, tl.sum(total))
+        if PLAIN:
+            codes = tl.where(slope > 0.0, 1, tl.where(slope < 0.0, 2, 0))
+            codes = codes << (2 * (inner_row % 16))[:, None]
+            words = tl.sum(tl.reshape(codes, (BLOCK // 16, 16, COLUMNS)), 1)
+            word = block * (BLOCK // 16) + tl.arange(0, BLOCK // 16)
+            count = (cells + 15) // 16
+            inside = (word < count)[:, None] & (column < width)[None, :]
+            tl.store(slopes + (plane * count + word[:, None]) * width + column[None, :], words, inside)
+        else:
+            row = block * BLOCK + inner_row
+            inside = (row < cells)[:, None] & (column < width)[None, :]
+            tl.store(slopes + (plane * cells + row[:, None]) * width + column[None, :], slope, inside)
+    program = (plane * tl.num_programs(1) + block) * tl.num_programs(2) + tl.program_id(2)
+    tl.store(costs + program, tl.sum(cost))
 
 
 @_kernel
-def compare_near(
-    image: tl.tensor,
-    reference: tl.tensor,
-    weights: tl.tensor,
-    cotangent: tl.tensor,
-    costs: tl.tensor,
-    row_matrices: tl.tensor,
-    column_matrices: tl.tensor,
-    height: tl.tensor,
-    width: tl.tensor,
-    row_radius: tl.tensor,
-    column_radius: tl.tensor,
-    first_level: tl.tensor,
-    last_level: tl.tensor,
-    first: tl.tensor,
-    per_spacing: tl.tensor,
+def pull_signs(
+    words: tl.tensor,
+    target: tl.tensor,
+    starts: tl.tensor,
+    table: tl.tensor,
     count: tl.tensor,
-    per_width: tl.tensor,
-    peak: tl.tensor,
-    scale: tl.tensor,
-    tie: tl.tensor,
+    cells: tl.tensor,
+    width: tl.tensor,
+    depth: tl.tensor,
     weight: tl.tensor,
-    power: tl.tensor,
-    TILE: tl.constexpr,
-    WEIGHTED: tl.constexpr,
-    PLAIN: tl.constexpr,
-    GRADIENT: tl.constexpr,
-    ADD: tl.constexpr,
+    BLOCK: tl.constexpr,
+    COLUMNS: tl.constexpr,
 ) -> None:
-    """Compare a narrow extent at all levels in registers, from the images to the cotangent.
-
-    A tile overlaps its neighbours by four radii of the blur: the blurred differences are right one radius within it,
-    and their adjoint two radii within it.
-    """
+    """Multiply rows of signs by a banded matrix whose blocks start at multiples of 16 rows, and by a weight."""
     plane = tl.program_id(0).to(tl.int64)
-    inner = tl.arange(0, TILE)
-    row = tl.program_id(1) * (TILE - 4 * row_radius) - 2 * row_radius + inner
-    column = tl.program_id(2) * (TILE - 4 * column_radius) - 2 * column_radius + inner
-    is_row = (row >= 0) & (row < height)
-    is_column = (column >= 0) & (column < width)
-    inside = is_row[:, None] & is_column[None, :]
-    own_row = is_row & (inner >= 2 * row_radius) & (inner < TILE - 2 * row_radius)
-    own_column = is_column & (inner >= 2 * column_radius) & (inner < TILE - 2 * column_radius)
-    own = own_row[:, None] & own_column[None, :]
-    entry = inner[:, None] * TILE + inner[None, :]
-    row_matrix = tl.load(row_matrices + tl.program_id(1) * TILE * TILE + entry)
-    column_matrix = tl.load(column_matrices + tl.program_id(2) * TILE * TILE + entry)
-    pixel = plane * height * width + row[:, None] * width + column[None, :]
-    position = _position(tl.load(image + pixel, inside, 0.0), first, per_spacing, count)
-    reference_position = _position(tl.load(reference + pixel, inside, 0.0), first, per_spacing, count)
-    if WEIGHTED:
-        pixel_weight = tl.load(weights + pixel, inside, 0.0)
-    cdf_difference = tl.zeros((TILE, TILE), tl.float32)
-    slope = tl.zeros((TILE, TILE), tl.float32)
-    pulled = tl.zeros((TILE, TILE), tl.float32)
-    total = tl.zeros((TILE,), tl.float32)
-    for level in range(last_level):
-        cdf_difference += _density_difference(level, position, reference_position, per_width, peak)
-        slope += _slope(level, position, per_width, peak)
-        if level >= first_level:
-            weighted = cdf_difference
-            if WEIGHTED:
-                weighted = cdf_difference * pixel_weight
-            blurred = tl.dot(row_matrix, weighted, input_precision="ieee")
-            blurred = tl.dot(blurred, tl.trans(column_matrix), input_precision="ieee")
-            cost, cost_slope = _cost_and_slope(blurred, tie, weight, power, PLAIN)
-            total += tl.sum(tl.where(own, cost, 0.0), 0)
-            if GRADIENT:
-                adjoint = tl.dot(tl.trans(row_matrix), cost_slope, input_precision="ieee")
-                pulled += slope * tl.dot(adjoint, column_matrix, input_precision="ieee")
-    if GRADIENT:
-        pulled *= scale
-        if WEIGHTED:
-            pulled *= pixel_weight
-        if ADD:
-            pulled += tl.load(cotangent + pixel, own, 0.0)
-        tl.store(cotangent + pixel, pulled, own)
-    program = (plane * tl.num_programs(1) + tl.program_id(1)) * tl.num_programs(2) + tl.program_id(2)
-    tl.store(costs + program, tl.sum(total))
+    block = tl.program_id(1)
+    column = tl.program_id(2) * COLUMNS + tl.arange(0, COLUMNS)
+    inner_cell = tl.arange(0, BLOCK)
+    bit = tl.arange(0, 16)
+    start = tl.load(starts + block) // 16
+    words += plane * count * width
+    total = tl.zeros((BLOCK, COLUMNS), tl.float32)
+    for step in range(depth // 16):
+        matrix = tl.load(table + (block * depth + step * 16 + bit[None, :]) * BLOCK + inner_cell[:, None])
+        word = tl.load(words + (start + step) * width + column, (column < width) & (start + step < count), 0)
+        codes = word[None, :] >> (2 * bit)[:, None]
+        signs = ((codes & 1) - ((codes >> 1) & 1)).to(tl.float32)
+        total = tl.dot(matrix, signs, total, input_precision="ieee")
+    cell = block * BLOCK + inner_cell
+    inside = (cell < cells)[:, None] & (column < width)[None, :]
+    tl.store(target + (plane * cells + cell[:, None]) * width + column[None, :], total * weight, inside)
 
 
 @_kernel

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import math
 import weakref
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -11,7 +10,9 @@ from typing import Any, Final
 import torch
 from torch import Tensor
 
-__all__ = ["Launch", "Launcher", "Recorder"]
+__all__ = ["EXPONENTIAL", "Launch", "Launcher", "Recorder"]
+
+EXPONENTIAL: Final = 16.0  # multiplications and additions that a GPU does in the time of an exponential
 
 OPTIONS: Final = {"enable_fp_fusion": True}  # the default, which depends on the version of Triton, may warn
 MAX_GRID_AXIS: Final = 65535  # of the second and third axis of a grid
@@ -26,6 +27,7 @@ class Launch:
     kernel : triton.JITFunction or str
         The kernel, or the name of an operation of torch.
     arguments : tuple
+        Numbers, and the dtypes of tensors.
     constants : dict
         The kernel's constexpr parameters.
     options : dict
@@ -33,7 +35,7 @@ class Launch:
     bytes : int
         Memory that the launch reads and writes, each tensor once.
     operations : float
-        Multiplications and additions of its products.
+        Multiplications and additions of its products; an exponential counts as EXPONENTIAL.
     """
 
     kernel: Any
@@ -46,13 +48,13 @@ class Launch:
 
 @dataclass(frozen=True)
 class Launcher:
-    """Allocates float32 tensors on a device, and launches kernels there."""
+    """Allocates tensors on a device, and launches kernels there."""
 
     device: torch.device
 
-    def empty(self, *shape: int) -> Tensor:
+    def empty(self, *shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
         """Return a tensor of undefined values."""
-        return torch.empty(shape, dtype=torch.float32, device=self.device)
+        return torch.empty(shape, dtype=dtype, device=self.device)
 
     def launch(
         self,
@@ -63,7 +65,7 @@ class Launcher:
         warps: int = 4,
         **constants: Any,
     ) -> None:
-        """Launch a kernel of `warps` warps; `operations` are its multiplications and additions."""
+        """Launch a kernel of `warps` warps; `operations` are as in :class:`Launch`."""
         del operations
         with torch.cuda.device(self.device) if self.device.type == "cuda" else contextlib.nullcontext():
             kernel[grid](*arguments, **constants, num_warps=warps, **OPTIONS)
@@ -85,10 +87,10 @@ class Recorder(Launcher):
         """The largest number of bytes that were alive at once."""
         return self._bytes["peak"]
 
-    def empty(self, *shape: int) -> Tensor:
+    def empty(self, *shape: int, dtype: torch.dtype = torch.float32) -> Tensor:
         """See :class:`Launcher`."""
-        tensor = super().empty(*shape)
-        size = 4 * math.prod(shape)
+        tensor = super().empty(*shape, dtype=dtype)
+        size = tensor.numel() * tensor.element_size()
         self._bytes["now"] += size
         self._bytes["peak"] = max(self._bytes["now"], self._bytes["peak"])
         weakref.finalize(tensor, self._free, size)
@@ -107,7 +109,7 @@ class Recorder(Launcher):
         if max(grid[1:], default=1) > MAX_GRID_AXIS:
             msg = f"the grid {grid} is too large for CUDA"
             raise ValueError(msg)
-        described = tuple("tensor" if isinstance(value, Tensor) else value for value in arguments)
+        described = tuple(value.dtype if isinstance(value, Tensor) else value for value in arguments)
         # A weight that is not there is passed as another argument, so count each tensor once.
         tensors = {id(value): value for value in arguments if isinstance(value, Tensor)}
         self.launches.append(
