@@ -115,8 +115,11 @@ class ResultFolder:
             self._write_marker()
 
     def remove_unfinished(self) -> None:
-        """Remove unfinished copies of listed files, left by killed fits; no other process may be writing here."""
-        written = {PurePosixPath(name) for name in self._read_marker() | {MARKER_FILE}}
+        """Remove unfinished copies of listed files and of the page, left by killed fits.
+
+        No other process may be writing here.
+        """
+        written = {PurePosixPath(name) for name in self._read_marker() | {MARKER_FILE, PAGE_FILE}}
         for folder in {path.parent for path in written}:
             complete = {path.name for path in written if path.parent == folder}
             with contextlib.suppress(OSError):  # the folder has not been made yet
