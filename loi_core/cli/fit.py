@@ -9,11 +9,12 @@ import sys
 from collections.abc import Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from loi_core.cli.codes import DONE, FAILED, NOT_FOUND
 from loi_core.cli.progress import ProgressBar
-from loi_core.errors import SceneError, WriteError
+from loi_core.errors import OptionError, SceneError, WriteError
+from loi_core.fitting.checkpoint import recorded_seconds
 from loi_core.fitting.loop import check_fit_options
 from loi_core.io.lock import exclusive_use
 from loi_core.io.result_folder import CHECKPOINT_FILE, LOCK_FILE, RESULT_FILE, ResultFolder
@@ -26,9 +27,11 @@ from loi_core.scenes.reading import load_scene
 from loi_core.scenes.scene import Scene
 from loi_core.support.markdown import columns
 from loi_core.support.values import formatted
-from loi_core.support.wording import printable
+from loi_core.support.wording import printable, shown
 
 __all__ = ["print_summary", "run", "run_and_write"]
+
+MAX_REPLACED_SECONDS: Final = 60.0  # of an earlier fit that a new one replaces without being asked to
 
 
 def run(options: argparse.Namespace) -> int:
@@ -54,6 +57,8 @@ def run(options: argparse.Namespace) -> int:
     # The command in the report leaves out folders, and `--resume`, which changes no result.
     command = shlex.join(["loi", "fit", options.scene.name, *(f"--{name}={value}" for name, value in changes.items())])
     with exclusive_use(scene.output / LOCK_FILE, scene.output):
+        if not (options.resume or options.overwrite):
+            _require_short(scene.output)
         try:
             result = run_and_write(scene, resume=options.resume, command=command, watch=options.watch)
             page = write_page(scene.output)
@@ -70,6 +75,17 @@ def run(options: argparse.Namespace) -> int:
         return FAILED
     diagnosis = result["trials"][0].get("diagnosis")
     return DONE if diagnosis is None or diagnosis["verdict"] == "converged" else NOT_FOUND
+
+
+def _require_short(output: Path) -> None:
+    """Raise :class:`OptionError` if a folder holds an earlier fit that took long."""
+    seconds = recorded_seconds(output / CHECKPOINT_FILE)
+    if seconds > MAX_REPLACED_SECONDS:
+        msg = (
+            f"{shown(str(output))} holds a fit of {seconds / 60.0:.0f} minutes; `--overwrite` replaces it, `--resume` "
+            "continues it, and `--output` writes to another folder"
+        )
+        raise OptionError(msg)
 
 
 def run_and_write(scene: Scene, *, resume: bool = False, command: str = "", watch: bool = False) -> dict[str, Any]:

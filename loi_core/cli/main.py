@@ -72,6 +72,7 @@ def _parser() -> argparse.ArgumentParser:
     fit.add_argument("scene", type=Path, metavar="SCENE.toml", help="the scene file")
     fit.add_argument("--output", type=Path, help="folder for the results, instead of the scene's own")
     fit.add_argument("--resume", action="store_true", help="continue an earlier fit from its checkpoint")
+    fit.add_argument("--overwrite", action="store_true", help="replace the result of an earlier fit of over a minute")
     fit.add_argument("--steps", type=int, help="number of steps, instead of the scene's own")
     fit.add_argument("--starts", type=int, help="number of starting points within the bounds")
     fit.add_argument("--explain", action="store_true", help="only print which effects would be simulated, and why")

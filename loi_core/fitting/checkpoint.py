@@ -28,7 +28,16 @@ from loi_core.support.arrays import Host, from_numpy, to_numpy
 from loi_core.support.guards import wrap_errors
 from loi_core.support.wording import described
 
-__all__ = ["Checkpoint", "CheckpointFile", "is_due", "load_checkpoint", "resume", "save_checkpoint", "settings_of"]
+__all__ = [
+    "Checkpoint",
+    "CheckpointFile",
+    "is_due",
+    "load_checkpoint",
+    "recorded_seconds",
+    "resume",
+    "save_checkpoint",
+    "settings_of",
+]
 
 INTERVAL: Final = 25  # steps
 GROUPS: Final = ("params", "memory", "best_params", "callback")
@@ -197,6 +206,14 @@ def load_checkpoint(path: Path, settings: Mapping[str, str]) -> Checkpoint:
             msg = f"`checkpoint` was made with {change}; start without resume"
             raise ParameterError(msg)
     return checkpoint
+
+
+def recorded_seconds(path: Path) -> float:
+    """Return the duration of the steps in a checkpoint; 0 if the file is missing, damaged or no checkpoint."""
+    try:
+        return sum(step.seconds for step in _load(path).history)
+    except Exception:  # noqa: BLE001 - as above
+        return 0.0
 
 
 def _load(path: Path) -> Checkpoint:

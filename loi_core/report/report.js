@@ -132,6 +132,8 @@ for (const run of document.querySelectorAll("section.run")) {
       toggle();
     });
     show(frames.length - 1);
+    const isStill = document.hidden || matchMedia("(prefers-reduced-motion: reduce)").matches;
+    if (run === document.querySelector("section.run") && !isStill) play();
   }
 }
 

@@ -82,8 +82,8 @@ def _divider(options: Sequence[tuple[str, str]], steps: Sequence[int], run: int)
     if len(options) < 2:
         return ""
     keys = [key for key, _ in options]
-    left = "final-0" if "final-0" in keys else keys[0]
-    right = "target" if "target" in keys and left != "target" else next(key for key in keys if key != left)
+    left = keys[0]  # the start, if the folder has it
+    right = "final-0" if "final-0" in keys[1:] else keys[1]
     return (
         '<figure class="compare panel"><h2>Compare two pictures</h2><div class="choice">'
         f"{_choice('left', left, options, steps, run)}{_choice('right', right, options, steps, run)}</div>"

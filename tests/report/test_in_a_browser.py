@@ -20,9 +20,21 @@ from tests.helpers import FINISHED
 class Visit:
     """An open page, its log messages and its requests."""
 
-    def __init__(self, browser: Any, address: str, *, width: int = 1600, scheme: str = "light", script: bool = True):
+    def __init__(
+        self,
+        browser: Any,
+        address: str,
+        *,
+        width: int = 1600,
+        scheme: str = "light",
+        script: bool = True,
+        motion: str = "reduce",
+    ):
         self.context = browser.new_context(
-            viewport={"width": width, "height": 1000}, color_scheme=scheme, java_script_enabled=script
+            viewport={"width": width, "height": 1000},
+            color_scheme=scheme,
+            java_script_enabled=script,
+            reduced_motion=motion,
         )
         self.tab = self.context.new_page()
         self.logged: list[str] = []
@@ -97,8 +109,19 @@ def test_play_goes_through_the_steps_to_the_last_and_pauses(visit: Visit) -> Non
     expect(visit.tab.get_by_role("button", name="Play")).to_have_count(1)
 
 
+def test_a_page_plays_once_when_it_opens_unless_motion_is_to_be_reduced(browser: Any, address: str) -> None:
+    expect = importlib.import_module("playwright.sync_api").expect
+    page = Visit(browser, address, motion="no-preference")
+    expect(page.tab.get_by_role("button", name="Pause")).to_have_count(1)
+    expect(page.tab.get_by_role("button", name="Play")).to_have_count(1)
+    scrubber = page.tab.get_by_label("Step", exact=True)
+    assert scrubber.input_value() == scrubber.get_attribute("max")
+    page.context.close()
+
+
 def test_any_two_pictures_lie_under_a_divider_that_moves_by_pointer_and_by_keyboard(visit: Visit) -> None:
-    assert visit.source(".compare img.left") == visit.source("img[data-picture='final-0']")
+    assert visit.source(".compare img.left") == visit.source("img[data-picture='initial']")
+    assert visit.source(".compare img.right") == visit.source("img[data-picture='final-0']")
     visit.tab.get_by_label("Left", exact=True).select_option(label="result of pixel L2")
     assert visit.source(".compare img.left") == visit.source("img[data-picture='final-1']")
     visit.tab.get_by_label("Right", exact=True).select_option(label="error of loi (ours)")

@@ -332,6 +332,21 @@ def test_a_resumed_fit_does_not_read_the_psnr_of_its_history_file(folder: Path) 
     assert history.read_text() == text
 
 
+def test_only_overwrite_replaces_a_fit_that_took_long(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    arguments = ["fit", str(folder / "scene.toml"), "--steps", "3"]
+    assert main(arguments) in FINISHED
+    assert main(arguments) in FINISHED
+    monkeypatch.setattr("loi_core.cli.fit.MAX_REPLACED_SECONDS", 0.0)
+    files = {path: path.read_bytes() for path in (folder / "result").rglob("*") if path.is_file()}
+    assert main(arguments) == 2
+    assert "`--overwrite` replaces it, `--resume` continues it" in capsys.readouterr().err
+    assert {path: path.read_bytes() for path in (folder / "result").rglob("*") if path.is_file()} == files
+    for option in ("--resume", "--overwrite"):
+        assert main([*arguments, option]) in FINISHED
+
+
 def test_ctrl_c_after_a_fit_keeps_the_fit(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     calls, value_and_grad = itertools.count(), PixelL2.value_and_grad
 
