@@ -113,7 +113,7 @@ def on_torch() -> Results:
 
     import loi_torch
     from loi_torch.renderers import Disks as TorchDisks
-    from loi_torch.renderers import Warp as TorchWarp
+    from loi_torch.warp import Warp as TorchWarp
 
     torch.set_num_threads(_threads())
     results: Results = {}

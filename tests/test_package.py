@@ -9,15 +9,17 @@ import tarfile
 import tomllib
 import zipfile
 from pathlib import Path
+from typing import Final
 
 import pytest
 from packaging.requirements import Requirement
 
 from loi_core import __version__
+from tests.docs.blocks import blocks_of
 from tests.environments import ROOT, TEST_PACKAGES, build_sdist, build_wheel, copied_python, run, run_copied_tests
 from tests.strategies import THOROUGH, thorough
 
-PACKAGES = {"loi_core", "loi_torch", "loi_jax", "loi_mitsuba", "mitsuba_boundaries"}
+PACKAGES = {"loi", "loi_core", "loi_torch", "loi_jax", "loi_mitsuba", "mitsuba_boundaries"}
 FRAMEWORKS = ("torch", "jax", "mitsuba", "drjit", "numba", "matplotlib", "PIL", "scipy")
 
 
@@ -26,7 +28,7 @@ def test_the_wheel_has_exactly_the_packages(wheel: Path) -> None:
     assert {name.split("/")[0] for name in names if ".dist-info/" not in name} == PACKAGES
     sources = {
         str(path.relative_to(ROOT)).removeprefix("adapters/")
-        for folder in ("loi_core", "adapters")
+        for folder in ("loi", "loi_core", "adapters")
         for path in (ROOT / folder).rglob("*")
         if path.is_file() and path.suffix in (".py", ".typed", ".css", ".js", ".toml", ".png", ".ply", ".xml")
     }
@@ -56,14 +58,27 @@ def test_the_sdist_builds_the_same_wheel(wheel: Path, tmp_path: Path) -> None:
     assert all(first.read(name) == second.read(name) for name in first.namelist())
 
 
-def test_the_wheel_works_in_an_empty_environment(fresh: Path, tmp_path: Path) -> None:
-    code = (
-        "import numpy as np, loi_core as loi\n"
-        "r = np.zeros((16, 16, 3)); r[8:12, 8:12] = 1.0\n"
-        "v, g = loi.LOIObjective(r, loi.ScaleSpace.for_image(16, 16)).value_and_grad(r[::-1, ::-1].copy())\n"
-        "assert float(v) > 0.0 and np.any(g)\n"
-    )
-    run(fresh, "-c", code, LOI_COMPILED="0")
+README_SETUP: Final = """
+import numpy as np
+from loi.renderers import Disks
+height, width = 24, 32
+renderer = Disks(height, width, [[24.0, 16.0]], 3.0, [[1.0, 0.5, 0.2]])
+photograph = renderer.render(renderer.parameters())
+params = {**renderer.parameters(), "positions": np.array([[8.0, 8.0]])}
+def update(params, gradient):
+    slope = gradient["positions"]
+    return {**params, "positions": params["positions"] - 0.2 * slope / max(np.linalg.norm(slope), 1e-12)}
+"""
+
+
+def test_the_first_lines_of_the_readme_find_a_disk_in_an_empty_environment(fresh: Path, tmp_path: Path) -> None:
+    block = next(block for block in blocks_of(ROOT / "README.md") if block.language == "python")
+    assert block.text.startswith("import loi\n")
+    end = "assert np.abs(params['positions'] - [24.0, 16.0]).max() < 0.5, params\n"
+    run(fresh, "-c", f"{README_SETUP}\n{block.text}\n{end}", cwd=tmp_path, LOI_COMPILED="0")
+
+
+def test_the_commands_name_what_an_empty_environment_lacks(fresh: Path) -> None:
     listed = json.loads(run(fresh.parent / "loi", "renderers", "--json"))
     assert {renderer["name"]: renderer["state"] for renderer in listed} == {
         "disks": "ready",
@@ -82,9 +97,9 @@ def test_the_wheel_works_in_an_empty_environment(fresh: Path, tmp_path: Path) ->
         "disks-torch": "pip install 'loi[torch]'",
         "mitsuba": "pip install 'loi[mitsuba]'",
         "mitsuba-planned": "pip install 'loi[mitsuba]'",
-        "vector-torch": "pip install 'loi[torch]'",
-        "mesh-torch": "pip install 'loi[torch]'",
-        "warp-torch": "pip install 'loi[torch]'",
+        "vector-torch": "pip install 'loi[svg]'",
+        "mesh-torch": "pip install 'loi[mesh]'",
+        "warp-torch": "pip install 'loi[kornia]'",
     }
     doctor = json.loads(run(fresh.parent / "loi", "doctor", "--json", LOI_COMPILED="0"))
     states = {check["name"]: check["state"] for check in doctor}
@@ -126,7 +141,7 @@ def test_the_wheel_measures_the_cost_of_accuracy_in_an_empty_environment(fresh: 
 
 def test_numba_is_installed_with_the_wheel_and_used(fresh: Path) -> None:
     code = (
-        "import numpy as np, loi_core as loi\n"
+        "import numpy as np, loi\n"
         "print(loi.LOIObjective(np.zeros((8, 8, 3))).plan())\n"  # compiles nothing
     )
     assert "in loops compiled by Numba" in run(fresh, "-c", code)
@@ -196,6 +211,20 @@ def test_every_pinned_version_is_exact_and_every_requirement_is_pinned() -> None
     requirements = [*project["dependencies"], *(requirement for extra in extras for requirement in extra)]
     names = {re.split(r"[<>=\[; ]", requirement)[0] for requirement in requirements} - {"loi", "mitsuba"}
     assert {re.sub(r"[-_.]+", "-", name).lower() for name in names} <= pinned
+
+
+def test_the_workflows_run_every_python_that_the_package_names() -> None:
+    yaml = pytest.importorskip("yaml")
+    jobs = yaml.safe_load((ROOT / ".github" / "workflows" / "test.yml").read_text())["jobs"]
+    classifiers = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["classifiers"]
+    pythons = [name for line in classifiers if re.fullmatch(r"3\.\d+", name := line.rpartition(" ")[2])]
+    assert jobs["core"]["strategy"]["matrix"]["python"] == pythons
+    ends = [row["python"] for row in jobs["versions"]["strategy"]["matrix"]["include"]]
+    assert ends == [pythons[0], pythons[-1]]
+    commands = [step.get("run", "") for job in jobs.values() for step in job["steps"]]
+    folders = [word for command in commands for word in command.split() if word.startswith("tests/")]
+    assert len(folders) > 3
+    assert all((ROOT / folder).is_dir() for folder in folders)
 
 
 def test_the_citation_names_this_version_and_the_paper() -> None:

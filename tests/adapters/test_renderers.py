@@ -14,6 +14,7 @@ from hypothesis import given, settings
 
 import loi_jax.renderers
 import loi_torch.renderers
+import loi_torch.warp
 from loi_core import LOIObjective, Renderer, ScaleSpace, fit, renderers
 from loi_core.errors import ParameterError
 from loi_core.renderers.contract import capabilities_of
@@ -58,7 +59,7 @@ def torch_disks(seed: int, **options: Any) -> Any:
 
 
 def torch_warp(seed: int, **options: Any) -> Any:
-    return loi_torch.renderers.Warp(**warp_options(seed), **options)
+    return loi_torch.warp.Warp(**warp_options(seed), **options)
 
 
 def jax_disks(seed: int, **options: Any) -> Any:
@@ -131,7 +132,7 @@ def test_adapter_renderers_agree_with_numpy_in_float32(maker: Any) -> None:
 def test_the_torch_warp_has_the_derivative_of_numpy_at_pixel_centres(pose: dict[str, Any]) -> None:
     rng = np.random.default_rng(2)
     scene = rng.uniform(0, 1, (6, 10, 4)), rng.uniform(0, 1, (*SIZE, 3))
-    compare(loi_torch.renderers.Warp(*scene, **pose), renderers.Warp(*scene, **pose), 1e-9)
+    compare(loi_torch.warp.Warp(*scene, **pose), renderers.Warp(*scene, **pose), 1e-9)
 
 
 @pytest.mark.parametrize("maker", [loi_torch.renderers.Disks, loi_jax.renderers.Disks])

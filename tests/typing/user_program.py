@@ -12,8 +12,8 @@ from typing import Any, assert_type
 import numpy as np
 import numpy.typing as npt
 
-import loi_core as loi
-from loi_core.renderers import Disks
+import loi
+from loi.renderers import Disks
 
 Image = npt.NDArray[np.float64]
 

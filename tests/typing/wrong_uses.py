@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-import loi_core as loi
-from loi_core.renderers import Disks
+import loi
+from loi.renderers import Disks
 
 REFERENCE = np.zeros((8, 8, 3))
 DISKS = Disks(8, 8, [[4.0, 4.0]], 2.0, [[1.0, 1.0, 1.0]])
