@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from loi_mitsuba import PlannedRenderer, Translate
 from mitsuba_boundaries.geometry.coincident_edges import uncovered_segments
 from mitsuba_boundaries.geometry.components import ComponentIds
-from mitsuba_boundaries.geometry.mesh import connected_components
+from mitsuba_boundaries.geometry.topology import topology_of
 from tests.helpers import Host
 from tests.mitsuba.scenes import HEIGHT, WIDTH, shadow_scene
 from tests.strategies import thorough
@@ -149,7 +149,7 @@ def test_connected_components_do_not_depend_on_the_order_of_triangles(tmp_path: 
         faces = np.random.default_rng(0).permutation(np.array(mesh.faces))
         trimesh.Trimesh(mesh.vertices, faces, process=False).export(tmp_path / f"{name}.ply")
         shape = mi.load_dict({"type": "ply", "filename": str(tmp_path / f"{name}.ply")})
-        assert sorted(np.bincount(connected_components(shape)).tolist()) == counts
+        assert sorted(np.bincount(topology_of(shape).components).tolist()) == counts
 
 
 def test_rays_that_hit_different_components_get_different_ids(tmp_path: Path) -> None:
@@ -174,7 +174,7 @@ def test_rays_that_hit_different_components_get_different_ids(tmp_path: Path) ->
         triangles = np.array(hit.prim_index)
         hit_count += len(set(triangles.tolist()))  # not all triangles: some are coplanar
         ids = np.array(component_ids.ids(hit))
-        components = connected_components(shape)[triangles]
+        components = topology_of(shape).components[triangles]
         combinations |= {(index, component, id_) for component, id_ in np.stack([components, ids]).T.tolist()}
     assert hit_count > 40
     assert len(combinations) == 4

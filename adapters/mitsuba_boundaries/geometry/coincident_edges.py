@@ -14,12 +14,11 @@ from mitsuba_boundaries.drjit.ragged import RaggedTable, hit_shape_index, shape_
 from mitsuba_boundaries.geometry.mesh import (
     crease_edges,
     edge_vertices,
-    half_edge_ends,
     has_triangles,
-    paired_half_edges,
     triangles,
     vertex_positions,
 )
+from mitsuba_boundaries.geometry.topology import topology_of
 
 __all__ = ["UniqueEdges", "uncovered_segments"]
 
@@ -100,7 +99,7 @@ def _edge_table(mesh: Any) -> _EdgeTable | None:
     """Return the table of a mesh; None if all edges count wholly and are not split."""
     edges = crease_edges(mesh)
     index, interval = uncovered_segments(vertex_positions(mesh), edge_vertices(mesh, edges)[0])
-    split = _split_half_edges(mesh)
+    split = topology_of(mesh).split
     if len(index) == len(edges) and np.all(interval == [0.0, 1.0]) and not len(split):
         return None
     intervals = np.tile([0.0, 1.0], (3 * mesh.face_count(), 1))
@@ -114,13 +113,6 @@ def _edge_table(mesh: Any) -> _EdgeTable | None:
     opposites = np.stack([opposite, opposite], axis=1)
     opposites[split[:, 0], 1] = opposite[split[:, 1]]
     return _EdgeTable(intervals, opposites)
-
-
-def _split_half_edges(mesh: Any) -> HostArray:
-    """Return the pairs of half-edges, shape (n, 2), that belong together but have vertices of their own."""
-    pairs, _ = paired_half_edges(mesh)
-    ends = half_edge_ends(triangles(mesh))
-    return np.asarray(pairs[np.any(ends[pairs[:, 0]] != ends[pairs[:, 1]][:, ::-1], axis=1)])
 
 
 def uncovered_segments(positions: HostArray, edges: HostArray) -> tuple[HostArray, HostArray]:
@@ -152,14 +144,19 @@ def uncovered_segments(positions: HostArray, edges: HostArray) -> tuple[HostArra
     lines = np.concatenate([direction / DIRECTION_TOLERANCE, foot / LINE_TOLERANCE], axis=1)
     for shift in CELL_SHIFTS:
         cells = np.floor(lines[index] + shift).astype(np.int64)
-        _, line = np.unique(cells @ HASH_FACTORS, return_inverse=True)  # much faster than rows of six columns
-        start, size = begin[index], (stop - begin)[index]
-        spans = np.sort(start[:, None] + size[:, None] * interval, axis=1)
-        row, uncovered_from = _uncovered(line.reshape(-1), spans, LINE_TOLERANCE * extent)
+        # Much faster than rows of six columns.
+        _, line, counts = np.unique(cells @ HASH_FACTORS, return_inverse=True, return_counts=True)
+        is_shared = counts[line.reshape(-1)] > 1
+        alone, line, shared = index[~is_shared], line.reshape(-1)[is_shared], index[is_shared]
+        alone_interval, shared_interval = interval[~is_shared], interval[is_shared]
+        start, size = begin[shared], (stop - begin)[shared]
+        spans = np.sort(start[:, None] + size[:, None] * shared_interval, axis=1)
+        row, uncovered_from = _uncovered(line, spans, LINE_TOLERANCE * extent)
         cut = uncovered_from > spans[row, 0]
-        index, interval, start, size = index[row], interval[row], start[row], size[row]
+        shared, shared_interval, start, size = shared[row], shared_interval[row], start[row], size[row]
         fraction = np.clip((uncovered_from - start)[cut] / size[cut], 0.0, 1.0)
-        interval[cut, np.where(size[cut] > 0.0, 0, 1)] = fraction
+        shared_interval[cut, np.where(size[cut] > 0.0, 0, 1)] = fraction
+        index, interval = np.concatenate([alone, shared]), np.concatenate([alone_interval, shared_interval])
     order = np.argsort(index)
     return index[order], interval[order]
 

@@ -11,7 +11,8 @@ import numpy as np
 
 from mitsuba_boundaries.drjit.arrays import HostArray
 from mitsuba_boundaries.drjit.ragged import RaggedTable, hit_shape_index, shape_index
-from mitsuba_boundaries.geometry.mesh import component_bounds, connected_components, has_triangles
+from mitsuba_boundaries.geometry.mesh import component_bounds, has_triangles
+from mitsuba_boundaries.geometry.topology import topology_of
 
 __all__ = ["ComponentIds"]
 
@@ -37,7 +38,7 @@ class ComponentIds:
     def __init__(self, shapes: Sequence[Any], moving: Sequence[Any]) -> None:
         meshes = filter(has_triangles, moving)
         components = {
-            shape_index(mesh): component for mesh in meshes if _overlap(mesh, component := connected_components(mesh))
+            shape_index(mesh): component for mesh in meshes if _overlap(mesh, component := topology_of(mesh).components)
         }
         self.may_intersect = bool(components)
         self._shape_count = 1 + max(map(shape_index, shapes), default=0)

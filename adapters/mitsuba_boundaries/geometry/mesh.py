@@ -1,9 +1,4 @@
-"""Topology and normals of Mitsuba's meshes.
-
-Mitsuba stores the vertices along texture seams and creases once for each incident smoothing group. Vertices at equal
-positions therefore count as one here, and are called welded. Half-edge ``3 * t + k`` of triangle ``t`` leads from its
-corner ``k`` to the next.
-"""
+"""Vertices, creases and normals of Mitsuba's meshes; see :mod:`mitsuba_boundaries.geometry.topology`."""
 
 from __future__ import annotations
 
@@ -14,25 +9,21 @@ import mitsuba as mi
 import numpy as np
 
 from mitsuba_boundaries.drjit.arrays import HostArray
+from mitsuba_boundaries.geometry.topology import half_edge_ends, topology_of
 
 __all__ = [
-    "border_edge_count",
     "component_bounds",
-    "connected_components",
     "corner_normals",
     "crease_edges",
     "edge_vertices",
     "face_normals",
-    "half_edge_ends",
     "has_triangles",
     "is_closed",
     "is_flat_shaded",
     "normal_distance",
-    "paired_half_edges",
     "triangles",
     "vertex_positions",
     "weld_vertices",
-    "welded_triangles",
 ]
 
 MIN_CREASE: Final = (
@@ -56,33 +47,6 @@ def vertex_positions(shape: Any) -> HostArray:
     return np.array(mi.traverse(shape)["vertex_positions"], dtype=np.float64).reshape(-1, 3)
 
 
-def welded_triangles(shape: Any) -> HostArray:
-    """Return the vertex indices of each triangle, shape (m, 3); vertices at equal positions have equal indices."""
-    positions = np.array(mi.traverse(shape)["vertex_positions"], dtype=np.float32).reshape(-1, 3)
-    rows = np.ascontiguousarray(positions + 0.0).view([("", np.float32)] * 3)  # + 0.0 makes -0.0 equal to 0.0
-    _, first, inverse = np.unique(rows, return_index=True, return_inverse=True)
-    return np.asarray(first[inverse.reshape(-1)][triangles(shape)])
-
-
-def half_edge_ends(faces: HostArray) -> HostArray:
-    """Return the two vertices of each half-edge of triangles of shape (m, 3): shape (3 m, 2)."""
-    return np.stack([faces, np.roll(faces, -1, axis=1)], axis=-1).reshape(-1, 2)
-
-
-def paired_half_edges(shape: Any) -> tuple[HostArray, HostArray]:
-    """Return the half-edges that belong together, shape (n, 2), and those without a single partner, shape (k,).
-
-    The second array has border edges and all half-edges of non-manifold edges, where more than two triangles meet.
-    """
-    faces = welded_triangles(shape)
-    edges = np.sort(half_edge_ends(faces), axis=1)
-    keys = edges[:, 0] * (faces.max(initial=0) + 1) + edges[:, 1]
-    _, edge, counts = np.unique(keys, return_inverse=True, return_counts=True)
-    order = np.argsort(edge, kind="stable")
-    is_pair = counts[edge[order]] == 2
-    return order[is_pair].reshape(-1, 2), order[~is_pair]
-
-
 def crease_edges(shape: Any, min_distance: float = MIN_CREASE, *, borders: bool = True) -> HostArray:
     """Return the edges at which a mesh bends or ends, as pairs of half-edges, shape (n, 2).
 
@@ -94,8 +58,8 @@ def crease_edges(shape: Any, min_distance: float = MIN_CREASE, *, borders: bool 
     borders : bool
         Whether to append border and non-manifold edges, whose pair is the same half-edge twice.
     """
-    pairs, unpaired = paired_half_edges(shape)
-    normals = face_normals(shape)
+    topology, normals = topology_of(shape), face_normals(shape)
+    pairs, unpaired = topology.paired, topology.unpaired
     creases = pairs[normal_distance(normals[pairs[:, 0] // 3], normals[pairs[:, 1] // 3]) > min_distance]
     return np.concatenate([creases, np.stack([unpaired, unpaired], axis=1)]) if borders else np.asarray(creases)
 
@@ -109,26 +73,6 @@ def edge_vertices(shape: Any, edges: HostArray) -> tuple[HostArray, HostArray]:
     return np.asarray(half_edge_ends(faces)[edges[:, 0]]), np.asarray(np.roll(faces, -2, axis=1).ravel()[edges])
 
 
-def connected_components(shape: Any) -> HostArray:
-    """Return the index, from 0, of the connected component of each triangle, shape (m,).
-
-    Edges connect triangles where exactly two meet.
-    """
-    pairs, _ = paired_half_edges(shape)
-    first, second = pairs.T // 3
-    label = np.arange(len(triangles(shape)))
-    while True:
-        minimum = np.minimum(label[first], label[second])
-        merged = label.copy()
-        for triangle in (first, second):
-            np.minimum.at(merged, label[triangle], minimum)  # the triangle that gave the component its label
-            np.minimum.at(merged, triangle, minimum)
-        merged = merged[merged]
-        if np.array_equal(merged, label):
-            return np.unique(label, return_inverse=True)[1].reshape(-1)
-        label = merged
-
-
 def component_bounds(shape: Any, component: HostArray) -> tuple[HostArray, HostArray]:
     """Return the lower and upper corners of the bounding box of each component, shape (components, 3) each."""
     corners = vertex_positions(shape)[triangles(shape)]
@@ -138,16 +82,9 @@ def component_bounds(shape: Any, component: HostArray) -> tuple[HostArray, HostA
     return lower, upper
 
 
-def border_edge_count(faces: HostArray) -> int:
-    """Return the number of edges of triangles, shape (m, 3), that belong to one triangle only."""
-    edges = np.sort(half_edge_ends(faces), axis=1)
-    counts = np.unique(edges[:, 0] * (faces.max(initial=0) + 1) + edges[:, 1], return_counts=True)[1]
-    return int(np.count_nonzero(counts == 1))
-
-
 def is_closed(shape: Any) -> bool:
     """Return whether a welded mesh has no border edge; False for Mitsuba's rectangle, which has no triangles."""
-    return "faces" in mi.traverse(shape) and border_edge_count(welded_triangles(shape)) == 0
+    return "faces" in mi.traverse(shape) and topology_of(shape).border_edges == 0
 
 
 def normal_distance(first: HostArray, second: HostArray) -> HostArray:
@@ -184,5 +121,5 @@ def weld_vertices(shape: Any) -> None:
     params = mi.traverse(shape)
     if "vertex_normals" in params and is_flat_shaded(shape):
         params["vertex_normals"] = dr.zeros(mi.Float, 0)
-    params["faces"] = mi.UInt32(welded_triangles(shape).astype(np.uint32).ravel())
+    params["faces"] = mi.UInt32(topology_of(shape).welded.astype(np.uint32).ravel())
     params.update()

@@ -16,19 +16,16 @@ from mitsuba_boundaries.drjit.arrays import HostArray
 from mitsuba_boundaries.geometry.bounds import bounding_box
 from mitsuba_boundaries.geometry.mesh import (
     NORMAL_TOLERANCE,
-    border_edge_count,
     corner_normals,
     crease_edges,
     face_normals,
-    half_edge_ends,
     has_triangles,
     is_closed,
     normal_distance,
-    paired_half_edges,
     triangles,
     vertex_positions,
-    welded_triangles,
 )
+from mitsuba_boundaries.geometry.topology import half_edge_ends, topology_of
 
 __all__ = [
     "has_creases",
@@ -50,17 +47,16 @@ MAX_JUNCTION_DISTANCE: Final = 1e-4  # between a vertex and an edge that it lies
 
 def is_unwelded(shape: Any) -> bool:
     """Return whether a mesh has edges that are borders only because their vertices are stored more than once."""
-    return has_triangles(shape) and border_edge_count(welded_triangles(shape)) < border_edge_count(triangles(shape))
+    return has_triangles(shape) and topology_of(shape).is_unwelded
 
 
 def has_creases(shape: Any) -> bool:
     """Return whether shading normals are discontinuous between adjacent triangles, as between the faces of a box."""
     if not has_triangles(shape):
         return False
-    pairs, _ = paired_half_edges(shape)
     normals = corner_normals(shape).reshape(-1, 3)
     next_corner = np.arange(len(normals)).reshape(-1, 3)[:, [1, 2, 0]].ravel()
-    first, second = pairs.T
+    first, second = topology_of(shape).paired.T
     # The two half-edges run in opposite directions: each begins at the end of its partner.
     bend = np.maximum(
         normal_distance(normals[first], normals[next_corner[second]]),
@@ -77,9 +73,9 @@ def non_manifold_fraction(shape: Any) -> float:
     if not has_triangles(shape):
         return 0.0
     positions = vertex_positions(shape)
-    _, unpaired = paired_half_edges(shape)
-    half_edges = half_edge_ends(welded_triangles(shape))
-    single = np.sort(half_edges[unpaired], axis=1)
+    topology = topology_of(shape)
+    half_edges = half_edge_ends(topology.welded)
+    single = np.sort(half_edges[topology.unpaired], axis=1)
     edges, counts = np.unique(single, axis=0, return_counts=True) if len(single) else (single, np.zeros(0))
     non_manifold, borders = edges[counts > 2], edges[counts == 1]
     if 0 < len(borders) <= MAX_BORDER_EDGES:
@@ -133,7 +129,7 @@ def is_sharp_edged(shape: Any) -> bool:
     finds it only where its vertices are stored twice.
     """
     normals = corner_normals(shape)
-    faces = welded_triangles(shape)
+    faces = topology_of(shape).welded
     count = int(faces.max(initial=-1)) + 1
     reference = np.zeros((count, 3))
     reference[faces] = normals  # at each vertex, the normal of one of its corners
