@@ -12,6 +12,7 @@ from loi_core.errors import FitError, SceneError, WriteError
 from loi_core.fitting.loop import FitInterruptedError, FitResult, fit
 from loi_core.fitting.parameters import starting_parameters
 from loi_core.fitting.views import Images, by_view
+from loi_core.method.dispatch import choose_backend
 from loi_core.renderers.contract import Parameters, capabilities_of
 from loi_core.scenes.recorder import FrameWriter, Progress, Recorder, Trial, Watch, scene_psnr
 from loi_core.scenes.scene import Scene
@@ -91,6 +92,8 @@ def run_scene(
     starts = {name: to_numpy(image).copy() for name, image in start.images.items()}
     initial, psnr_initial = scene.montage(starts), scene_psnr(scene, starts)
     trials: list[Trial] = []
+    for image in start.images.values():
+        choose_backend(image)  # compiles the comparison, if this machine has not yet, before any clock runs
     for index, name in enumerate(scene.objectives):
         is_first = index == 0
         trial = Trial(name, initial=initial, starts=starts, psnr_initial=psnr_initial)

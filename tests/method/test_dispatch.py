@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import os
 import shutil
 from collections.abc import Callable
@@ -137,3 +138,19 @@ def test_a_plan_mentions_numba_only_where_kernels_run(monkeypatch: pytest.Monkey
     monkeypatch.setenv("LOI_COMPILED", "0")
     assert choose_backend(np.zeros((1, 2, 2))) is ARRAY_API
     assert "Numba" not in str(objective.plan())
+
+
+@pytest.mark.parametrize("is_terminal", [True, False])
+def test_the_first_compilation_is_announced_on_a_terminal(is_terminal: bool, monkeypatch: pytest.MonkeyPatch) -> None:
+    numba = pytest.importorskip("numba")
+    from loi_core.method.compiled.compiling import announced_on_terminals
+
+    stream = io.StringIO()
+    monkeypatch.setattr(stream, "isatty", lambda: is_terminal)
+    monkeypatch.setattr("sys.stderr", stream)
+    with announced_on_terminals():
+        for _ in range(2):
+            assert numba.njit(lambda x: x + 1)(1) == 2
+    assert stream.getvalue().count("\n") == int(is_terminal)
+    numba.njit(lambda x: x + 2)(1)
+    assert stream.getvalue().count("compiling") == int(is_terminal)

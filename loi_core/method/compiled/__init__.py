@@ -77,9 +77,11 @@ def compiles(dtype: str) -> bool:
 
 def _try_kernels(dtype: str) -> bool:
     try:
+        from loi_core.method.compiled.compiling import announced_on_terminals
         from loi_core.method.compiled.loop_comparison import compile_kernels
 
-        compile_kernels(dtype)
+        with announced_on_terminals():
+            compile_kernels(dtype)
     except MemoryError:
         raise
     except Exception as error:  # noqa: BLE001  # of Numba, of its cache files, or of their contents

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from typing import Any, TypeVar, cast
 
 import numba
+from numba.core import event
 
-__all__ = ["compiled", "compiled_as_written", "compiled_sums"]
+__all__ = ["announced_on_terminals", "compiled", "compiled_as_written", "compiled_sums"]
 
 F = TypeVar("F", bound=Callable[..., Any])
 
@@ -28,6 +31,27 @@ def compiled_sums(function: F) -> F:
 def compiled_as_written(function: F) -> F:
     """Compile like :func:`compiled`, with every operation rounded as in IEEE 754, so that exact identities hold."""
     return _compiled(function, set())
+
+
+class _Announcement(event.Listener):  # type: ignore[misc]  # Numba's types are not read, see pyproject.toml
+    """Writes a line at the first compilation; kernels that are loaded from disk are none."""
+
+    def __init__(self) -> None:
+        self._is_silent = not sys.stderr.isatty()
+
+    def on_start(self, event: Any) -> None:  # noqa: ARG002
+        if not self._is_silent:
+            sys.stderr.write("loi: compiling the comparison for this machine, once; some ten seconds\n")
+            self._is_silent = True
+
+    def on_end(self, event: Any) -> None:
+        pass
+
+
+def announced_on_terminals() -> AbstractContextManager[Any]:
+    """Return a context in which the first compilation is announced on standard error, if that is a terminal."""
+    installed: AbstractContextManager[Any] = event.install_listener("numba:compile", _Announcement())
+    return installed
 
 
 def _compiled(function: F, fastmath: set[str]) -> F:
