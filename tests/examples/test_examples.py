@@ -109,13 +109,14 @@ SETUPS = {
 
 
 @pytest.mark.parametrize("name", SETUPS)
-def test_the_snippets_of_the_readme_are_six_lines_and_run(name: str) -> None:
+def test_the_snippets_of_the_readme_are_eight_lines_and_run(name: str) -> None:
     text = (ROOT / "README.md").read_text()
     snippets = [block.split("```")[0] for block in text.split("```python\n")[1:]]
     (snippet,) = [snippet for snippet in snippets if name in snippet and "loi_torch.mesh" not in snippet]
-    assert len([line for line in snippet.splitlines() if line and "import" not in line]) <= 6
+    assert len([line for line in snippet.splitlines() if line and "import" not in line]) <= 8
     assert "range(200)" in snippet
-    start = "import numpy as np\nheight, width = 12, 16\nphotograph = np.full((height, width, 3), 0.7)\n"
+    start = "import loi\nimport numpy as np\nheight, width = 12, 16\n"
+    start += "photograph = np.full((height, width, 3), 0.7)\n"
     ending = {
         "LOIObjective(": "assert float(value) > 0.0",
         "loi_torch": "assert (params > 0.2).all()",
@@ -126,13 +127,32 @@ def test_the_snippets_of_the_readme_are_six_lines_and_run(name: str) -> None:
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
+def test_the_first_loop_of_the_readme_finds_a_disk_that_its_render_does_not_overlap() -> None:
+    snippets = [block.split("```")[0] for block in (ROOT / "README.md").read_text().split("```python\n")[1:]]
+    start = """
+        import numpy as np
+        from loi_core.renderers import Disks
+
+        height, width = 48, 64
+        renderer = Disks(height, width, [[50.0, 36.0]], 5.0, [[1.0, 0.5, 0.2]], background=(0.2, 0.2, 0.3))
+        photograph = renderer.render(renderer.parameters())
+        params = {**renderer.parameters(), "positions": np.array([[12.0, 10.0]])}
+
+        def update(params, gradient):
+            slope = gradient["positions"]
+            return {**params, "positions": params["positions"] - 0.5 * slope / np.linalg.norm(slope)}
+    """
+    code = textwrap.dedent(start) + snippets[0] + "assert np.allclose(params['positions'], [[50.0, 36.0]], atol=0.5)"
+    subprocess.run([sys.executable, "-W", "error", "-c", code], check=True)
+
+
 def test_the_far_to_near_loop_of_the_readme_fits_a_spot_on_stripes() -> None:
     snippets = [block.split("```")[0] for block in (ROOT / "README.md").read_text().split("```python\n")[1:]]
-    (snippet,) = [snippet for snippet in snippets if "FarToNear(" in snippet]
+    (snippet,) = [snippet for snippet in snippets if "loi_torch.LOILoss(" in snippet and "mesh" not in snippet]
     start = """
+        import loi
+        import loi_torch
         import torch
-        from loi_core import FarToNear, ScaleSpace
-        from loi_torch import LOILoss
 
         height, width = 48, 64
         y, x = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
