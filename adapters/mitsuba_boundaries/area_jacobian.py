@@ -7,32 +7,25 @@ the gradient is infinite, and a single sample may outweigh all others.
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from typing import Any, Final
 
 import drjit as dr
 
-__all__ = ["MIN_COSINE", "clamped_area_jacobian"]
+from mitsuba_boundaries.integrator_view import with_global
+
+__all__ = ["MIN_COSINE", "clamped_sample"]
 
 FUNCTION: Final = "solid_angle_to_area_jacobian"  # a global of the modules of Mitsuba's integrators
 MIN_COSINE: Final = 0.01  # smaller ones carry 0.0001 of the light of a spherical emitter
 
 
-@contextmanager
-def clamped_area_jacobian(integrator: Any) -> Iterator[None]:
-    """Replace the area Jacobian in the module of an integrator by one with a clamped relative derivative."""
-    modules = (sys.modules.get(base.__module__) for base in type(integrator).__mro__)
-    module = next((module for module in modules if hasattr(module, FUNCTION)), None)
-    original = getattr(module, FUNCTION, None)
-    if original is not None:
-        setattr(module, FUNCTION, _clamped)
-    try:
-        yield
-    finally:
-        if original is not None:
-            setattr(module, FUNCTION, original)
+def clamped_sample(integrator: Any) -> Any:
+    """Return the method `sample` of an integrator, with an area Jacobian whose relative derivative is clamped.
+
+    Mitsuba has no hook for it: the Jacobian is a global function of the modules of its integrators, which their methods
+    call in the middle of a path. The method here has other globals; Mitsuba's own are left alone.
+    """
+    return with_global(integrator.sample, FUNCTION, _clamped)
 
 
 def _clamped(o: Any, p: Any, n: Any, active: Any = True) -> Any:  # noqa: FBT002  # Mitsuba's signature

@@ -6,8 +6,7 @@ The samples are taken before they reach the film, and sensors with an off-centre
 from __future__ import annotations
 
 import math
-from collections.abc import Collection, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from typing import Any, Final, Literal
 
@@ -15,6 +14,7 @@ import drjit as dr
 import mitsuba as mi
 
 from mitsuba_boundaries.geometry.coincident_edges import UniqueEdges
+from mitsuba_boundaries.integrator_view import IntegratorView
 from mitsuba_boundaries.plugins.proxy_emitter import hittable_proxy_emitters
 from mitsuba_boundaries.sensing.film import Film
 from mitsuba_boundaries.sensing.film_samples import to_rgb
@@ -102,7 +102,7 @@ class ProjectiveBoundary:
         if self.term == "sppp":
             value, wavelengths, uv, active = self._sample_primary(scene, integrator, silhouettes, sampler)
         else:
-            with hittable_proxy_emitters(), self._filtered(integrator):
+            with hittable_proxy_emitters():
                 value, wavelengths, uv, active = self._sample_indirect(scene, integrator, sampler, seed)
         value = dr.select(active, to_rgb(value, wavelengths, active=active), 0.0)
         # An opaque number, because a literal would be compiled into kernels.
@@ -111,7 +111,8 @@ class ProjectiveBoundary:
 
     def _sample_primary(self, scene: Any, integrator: Any, silhouettes: list[Any], sampler: Any) -> tuple[Any, ...]:
         """Sample visible silhouettes, as Mitsuba's `render_primarily_visible_silhouette` does."""
-        sensor, detail, shapes = self.sensor, integrator.proj_detail, _SilhouetteShapes(silhouettes)
+        sensor, shapes = self.sensor, _SilhouetteShapes(silhouettes)
+        detail = type(integrator.proj_detail)(integrator)  # it keeps the distribution of one call
         with dr.suspend_grad():
             detail.init_primarily_visible_silhouette(shapes, sensor)
             position = sensor.world_transform() @ mi.Point3f(0.0)
@@ -133,7 +134,8 @@ class ProjectiveBoundary:
     def _sample_indirect(self, scene: Any, integrator: Any, sampler: Any, seed: int) -> tuple[Any, ...]:
         """Sample indirect silhouettes, as Mitsuba's `render_indirect_silhouette` does."""
         sensor = _OffCentreSensor(self.sensor) if is_off_centre(self.sensor) else self.sensor
-        detail = integrator.proj_detail
+        filtered = IntegratorView(integrator, sample_importance=self._filtered_importance(integrator))
+        detail = type(integrator.proj_detail)(filtered)  # it keeps the distribution of one call
         with dr.suspend_grad():
             detail.init_indirect_silhouette(scene, sensor, GUIDING_SEED_MASK ^ seed)
         sample, weight = detail.guiding_distr.sample(sampler)
@@ -141,14 +143,13 @@ class ProjectiveBoundary:
         active = dr.any(value != 0.0)
         return value * weight, wavelengths, uv, active
 
-    @contextmanager
-    def _filtered(self, integrator: Any) -> Iterator[None]:
-        """Make the integrator skip redundant coincident edges, and edges that touch another surface.
+    def _filtered_importance(self, integrator: Any) -> Callable[..., Any]:
+        """Return an integrator's `sample_importance` without redundant coincident edges, and edges on other surfaces.
 
         An edge that lies in another surface, as where two boxes end in one plane, casts no shadow on it. Rounding puts
         the edge beside that surface, nearer than any other occluder is.
         """
-        original, unique_edges = integrator.sample_importance, self.unique_edges
+        unique_edges = self.unique_edges
         vertex_positions = None if unique_edges is None else unique_edges.vertex_positions()
 
         def sample_importance(scene: Any, sensor: Any, silhouette: Any, *arguments: Any) -> Any:
@@ -161,10 +162,7 @@ class ProjectiveBoundary:
             reverse.d = -silhouette.d
             ray = reverse.spawn_ray()
             ray.maxt = CONTACT_EPSILONS * ray_epsilon(silhouette.p)
-            return original(scene, sensor, silhouette, *leading, active & ~scene.ray_test(ray, active=active))
+            active = active & ~scene.ray_test(ray, active=active)
+            return integrator.sample_importance(scene, sensor, silhouette, *leading, active)
 
-        integrator.sample_importance = sample_importance
-        try:
-            yield
-        finally:
-            del integrator.sample_importance
+        return sample_importance

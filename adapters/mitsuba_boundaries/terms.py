@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any, Final, Protocol
 
@@ -11,8 +9,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mitsuba_boundaries.area_jacobian import clamped_area_jacobian
+from mitsuba_boundaries.area_jacobian import clamped_sample
 from mitsuba_boundaries.drjit.arrays import Float32Array
+from mitsuba_boundaries.integrator_view import IntegratorView
 from mitsuba_boundaries.sensing.film import Film
 from mitsuba_boundaries.sensing.film_samples import backpropagate, radiance_samples
 
@@ -84,14 +83,11 @@ class InteriorTerm:
         if self._bypasses_film:
             backpropagate(*self._radiance_samples(seed, dr.ADMode.Backward), self.film, cotangent)
             return
-        with self._without_silhouettes(), clamped_area_jacobian(self.integrator):
-            try:
-                self._base.render_backward(
-                    self.integrator, self.scene, {}, mi.TensorXf(cotangent), self.sensor, seed, self.samples
-                )
-            except RuntimeError as error:
-                if "does not depend on the input" not in str(error):
-                    raise  # else the gradient is 0, as of an image of depths with respect to colours
+        try:
+            self._call("render_backward", self.scene, {}, mi.TensorXf(cotangent), self.sensor, seed, self.samples)
+        except RuntimeError as error:
+            if "does not depend on the input" not in str(error):
+                raise  # else the gradient is 0, as of an image of depths with respect to colours
 
     def jvp(self, seed: int) -> Float32Array:
         """Return the derivative of the image; see :class:`GradientTerm`."""
@@ -100,15 +96,23 @@ class InteriorTerm:
             change = dr.forward_to(value, flags=dr.ADFlag.ClearEdges) if dr.grad_enabled(value) else mi.Color3f(0.0)
             with dr.suspend_grad():
                 return self.film.reconstruct(change, uv)
-        with self._without_silhouettes(), clamped_area_jacobian(self.integrator):
-            change = self._base.render_forward(self.integrator, self.scene, {}, self.sensor, seed, self.samples)
-            return np.array(change, dtype=np.float32, order="C")
+        change = self._call("render_forward", self.scene, {}, self.sensor, seed, self.samples)
+        return np.array(change, dtype=np.float32, order="C")
 
     @property
-    def _base(self) -> Any:
-        """The class whose methods differentiate the interior: for projective integrators, not a subclass of ours."""
-        base = mi.ad.integrators.common.PSIntegrator
-        return base if isinstance(self.integrator, base) else type(self.integrator)
+    def _view(self) -> Any:
+        """The integrator without samples of silhouettes, and with a clamped area Jacobian."""
+        counts = dict.fromkeys(SILHOUETTE_COUNTS, 0)
+        return IntegratorView(self.integrator, sample=clamped_sample(self.integrator), **counts)
+
+    def _call(self, name: str, *arguments: Any) -> Any:
+        """Call the method of Mitsuba that differentiates the interior: of projective integrators, not of a subclass."""
+        common = mi.ad.integrators.common
+        if isinstance(self.integrator, common.PSIntegrator):
+            return getattr(common.PSIntegrator, name)(self._view, *arguments)
+        method = getattr(type(self.integrator), name)
+        takes_views = method in (getattr(base, name) for base in (common.ADIntegrator, common.RBIntegrator))
+        return method(self._view if takes_views else self.integrator, *arguments)
 
     @property
     def _bypasses_film(self) -> bool:
@@ -117,20 +121,7 @@ class InteriorTerm:
         return not is_special and not getattr(self.integrator, "radiative_backprop", True)
 
     def _radiance_samples(self, seed: int, mode: Any) -> tuple[Any, Any]:
-        with clamped_area_jacobian(self.integrator):
-            return radiance_samples(self.integrator, self.scene, self.sensor, self.samples, seed, mode)
-
-    @contextmanager
-    def _without_silhouettes(self) -> Iterator[None]:
-        """Set the integrator's sample counts for silhouettes to 0 within the context."""
-        counts = {name: getattr(self.integrator, name) for name in SILHOUETTE_COUNTS if hasattr(self.integrator, name)}
-        for name in counts:
-            setattr(self.integrator, name, 0)
-        try:
-            yield
-        finally:
-            for name, count in counts.items():
-                setattr(self.integrator, name, count)
+        return radiance_samples(self._view, self.scene, self.sensor, self.samples, seed, mode)
 
 
 @dataclass(frozen=True)

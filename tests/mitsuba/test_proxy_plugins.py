@@ -95,3 +95,6 @@ def test_rays_see_a_proxy_emitter_only_while_it_is_hittable() -> None:
     with hittable_proxy_emitters():
         np.testing.assert_allclose(np.array(si.emitter(scene).eval(si)), 3.0)
     assert not np.any(np.array(si.emitter(scene).eval(si)))
+    with pytest.raises(ZeroDivisionError), hittable_proxy_emitters():
+        raise ZeroDivisionError
+    assert not np.any(np.array(si.emitter(scene).eval(si)))

@@ -11,6 +11,7 @@ import functools
 import math
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from typing import Any, Final
 
 import drjit as dr
@@ -21,17 +22,19 @@ __all__ = ["hittable_proxy_emitters", "register_proxy_emitter"]
 NAME: Final = "proxy_emitter"
 MIN_FALLOFF_ANGLE: Final = 1e-6  # radians, of a spot whose beam fills its cone
 
-_hittable: list[None] = []  # one item for each active `hittable_proxy_emitters`
+# Mitsuba has no hook for it: its boundary samples evaluate emitters by `Emitter.eval(si, active)` in the middle of a
+# path, as its images do. A context variable has another value in each thread, and is reset after an error.
+_hittable: ContextVar[bool] = ContextVar("hittable_proxy_emitters", default=False)
 
 
 @contextmanager
 def hittable_proxy_emitters() -> Iterator[None]:
     """Let rays that hit a proxy emitter see its radiance; otherwise only emitter samples do, as for delta lights."""
-    _hittable.append(None)
+    token = _hittable.set(True)
     try:
         yield
     finally:
-        _hittable.pop()
+        _hittable.reset(token)
 
 
 def register_proxy_emitter() -> str:
@@ -64,7 +67,7 @@ def _register(variant: str) -> None:  # noqa: ARG001  # once for each variant
             callback.put("radiance", self.radiance, mi.ParamFlags.Differentiable)
 
         def eval(self, si: Any, active: Any) -> Any:
-            if not _hittable:
+            if not _hittable.get():
                 return mi.Spectrum(0.0)
             lit = si.p + si.to_world(si.wi) * dr.select(dr.isfinite(si.t), si.t, 0.0)
             return self._radiance_towards(lit, si, active & (mi.Frame3f.cos_theta(si.wi) > 0.0))
@@ -73,12 +76,12 @@ def _register(variant: str) -> None:  # noqa: ARG001  # once for each variant
             ds = self.get_shape().sample_direction(it, sample, active)
             active &= (dr.dot(ds.d, ds.n) < 0.0) & (ds.pdf != 0.0)
             ds.emitter = mi.EmitterPtr(self)
-            ds.delta = mi.Bool(not _hittable)  # then no other strategy samples it
+            ds.delta = mi.Bool(not _hittable.get())  # then no other strategy samples it
             weight = self.eval_direction(it, ds, active) / ds.pdf
             return ds, dr.select(active, weight, 0.0)
 
         def pdf_direction(self, it: Any, ds: Any, active: Any) -> Any:
-            if not _hittable:
+            if not _hittable.get():
                 return mi.Float(0.0)
             pdf = self.get_shape().pdf_direction(it, ds, active)
             return dr.select(dr.dot(ds.d, ds.n) < 0.0, pdf, 0.0)
