@@ -1,5 +1,7 @@
 """`loi`: locally orderless images as a loss for inverse rendering, on any array library and any renderer."""
 
+from loi_core.cameras.posed_image import PosedImage
+from loi_core.cameras.reading import read_posed_images
 from loi_core.errors import FitDivergedError, FitError, LoiError, NonFiniteImageError
 from loi_core.fitting.loop import FitInterruptedError, FitResult, FitStep, fit
 from loi_core.fitting.optimiser import Optimiser
@@ -45,6 +47,7 @@ __all__ = [
     "Optimiser",
     "Parameters",
     "PixelL2",
+    "PosedImage",
     "Pullback",
     "Renderer",
     "RendererCapabilities",
@@ -58,5 +61,6 @@ __all__ = [
     "load_renderer",
     "local_histograms",
     "loi_loss",
+    "read_posed_images",
     "read_target",
 ]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 __all__ = [
     "BackendNotFoundError",
+    "CameraError",
     "CheckpointError",
     "ConformanceError",
     "DerivativeError",
@@ -180,6 +181,10 @@ class SvgError(LoiError, ValueError):
 
 class MeshError(LoiError, ValueError):
     """A mesh file is missing, damaged or too large, of an unsupported format, or has no triangles."""
+
+
+class CameraError(LoiError, ValueError):
+    """A file of cameras is missing or damaged, or has a camera that is no pinhole."""
 
 
 class FitError(LoiError, RuntimeError):

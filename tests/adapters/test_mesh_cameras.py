@@ -11,11 +11,14 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from loi_core import read_posed_images
 from loi_core.errors import ParameterError
 from loi_torch.mesh import Camera, Environment, Light, MeshRenderer, Translate, box, draw, sphere
+from tests.environments import ROOT
 from tests.helpers import Host
 from tests.strategies import FEWER_EXAMPLES, SEEDS
 
+SPARSE = ROOT / "tests" / "data" / "cameras" / "sparse"
 HEIGHT, WIDTH = 20, 30
 SIZE = 16
 EPSILON = float(np.finfo(np.float64).eps)
@@ -116,6 +119,18 @@ def test_an_off_centre_image_is_a_part_of_a_larger_image(sheared: bool) -> None:
     whole, part = draw(meshes, camera, 40, 48), draw(meshes, cropped, 30, 36)
     np.testing.assert_allclose(part.numpy(), whole[3:33, 5:41].numpy(), atol=1e-9)
     assert float(part[..., 2].mean()) > 0.03  # the box is in the image
+
+
+@pytest.mark.parametrize("name", ["front.png", "side/left.png", "top.png"])
+def test_a_mesh_is_drawn_where_the_camera_of_a_photograph_sees_it(name: str) -> None:
+    view = read_posed_images(SPARSE)[name]
+    camera = Camera.from_matrix(view.intrinsics, view.world_to_camera)
+    assert np.array_equal(camera.intrinsics(view.height, view.width).numpy(), view.intrinsics)
+    image = draw([sphere(0.5, colours=(1.0, 1.0, 1.0))], camera, view.height, view.width)[..., 0].numpy()
+    y, x = np.mgrid[: view.height, : view.width] + 0.5
+    centroid = np.array([np.sum(image * x), np.sum(image * y)]) / image.sum()
+    # The ball is at the origin, which the camera looks at; the ball's facets are at most 1 % of its radius off.
+    np.testing.assert_allclose(centroid, view.intrinsics[:2, 2], atol=0.05)
 
 
 def test_a_gradient_reaches_both_matrices() -> None:

@@ -1,0 +1,1 @@
+"""Photographs with their cameras, as COLMAP and NeRF's tools write them."""
