@@ -1,12 +1,13 @@
 """`loi` for PyTorch: the loss as a module and a function, objectives from torch distances, optimisers, renderers."""
 
 from loi_core.method.dispatch import register_backend
+from loi_torch.features import FeatureDistance
 from loi_torch.loss import LOILoss, loi_loss
 from loi_torch.objective import TorchObjective
 from loi_torch.optimisers import TorchOptimiser
 from loi_torch.triton_backend.backend import TRITON, executor, supports
 
-__all__ = ["LOILoss", "TorchObjective", "TorchOptimiser", "loi_loss"]
+__all__ = ["FeatureDistance", "LOILoss", "TorchObjective", "TorchOptimiser", "loi_loss"]
 
 register_backend(supports, TRITON)
 

@@ -120,4 +120,4 @@ def _tensor(planes: Array) -> Tensor:
 
 
 def _like(planes: Array, result: Tensor) -> Array:
-    return result if isinstance(planes, Tensor) else from_numpy(result.numpy(), planes)
+    return result if isinstance(planes, Tensor) else from_numpy(result.detach().numpy(), planes)

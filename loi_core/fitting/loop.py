@@ -28,6 +28,7 @@ from loi_core.fitting.parameters import (
     starting_parameters,
 )
 from loi_core.fitting.partial_result import with_partial_result
+from loi_core.fitting.progress import StepBar
 from loi_core.fitting.rates import measured_rates, named_rates
 from loi_core.fitting.schedule import Schedule
 from loi_core.fitting.stages import Polish, Stages
@@ -90,6 +91,7 @@ def fit(
     checkpoint: Path | str | None = None,
     resume: bool = False,
     callback: Callback | None = None,
+    progress: bool = False,
 ) -> FitResult:
     """Fit the parameters of a renderer so that its image minimises an objective.
 
@@ -148,6 +150,8 @@ def fit(
         ``callback(step, params, image)`` after every step; returning True ends the fit, False or None continues it. For
         several views, `image` is a dict of the rendered ones. The arrays are copies. A checkpoint holds the steps whose
         callback has returned, and the memory of a ``loi_core.fitting.callbacks.RememberingCallback``.
+    progress : bool
+        Whether to show a progress bar, in a terminal or a notebook.
 
     Returns
     -------
@@ -216,18 +220,20 @@ def fit(
                 noise_floor = descent.noise_floor(state)
                 schedule = Schedule(views.stages, steps, MAX_RESTARTS, noise_floor, finishes=views.finishes)
                 state = replace(state, schedule=schedule)
-        while state.step < steps:
-            state, evaluation = descent.step(state)
-            _begin(file, state)
-            entry = state.log[state.step - 1]
-            answer = None if callback is None else callback(entry, *_copies(evaluation.params, evaluation.images))
-            called = state  # only now may a checkpoint hold the step: a callback that was interrupted sees it again
-            with with_partial_result(state, "the callback"):
-                stop = ends_the_fit(answer)
-            if is_due(state.step):
-                _save(file, state, settings, callback)
-            if stop:
-                break
+        with StepBar(steps, state.step, views.stages, is_shown=progress) as bar:
+            while state.step < steps:
+                state, evaluation = descent.step(state)
+                _begin(file, state)
+                entry = state.log[state.step - 1]
+                bar.show(entry)
+                answer = None if callback is None else callback(entry, *_copies(evaluation.params, evaluation.images))
+                called = state  # only now may a checkpoint hold the step: a callback that was interrupted sees it again
+                with with_partial_result(state, "the callback"):
+                    stop = ends_the_fit(answer)
+                if is_due(state.step):
+                    _save(file, state, settings, callback)
+                if stop:
+                    break
         state = called = descent.finished(state, params)
         _save(file, state, settings, callback)
         result = state.result()

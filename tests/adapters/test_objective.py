@@ -14,7 +14,7 @@ from loi_core import Free, LogTone, PixelL2, fit
 from loi_core.errors import OptionError
 from loi_core.renderers import Disks
 from loi_core.testing import check_objective
-from loi_torch import TorchObjective
+from loi_torch import FeatureDistance, TorchObjective
 from tests.helpers import directional_difference, images, relative_error
 
 EPS32 = float(np.finfo(np.float32).eps)
@@ -125,3 +125,48 @@ def test_a_wrong_distance_is_an_error_that_names_it(distance: Any, message: str)
     image, reference = images((8, 8, 3), seed=7)
     with pytest.raises(OptionError, match=message):
         TorchObjective(reference, distance).value_and_grad(image)
+
+
+def layers(kind: str) -> Any:
+    """Return a small network whose features are a tensor, a list, or a dict of two layers."""
+    torch.manual_seed(0)
+    first, second = torch.nn.Conv2d(3, 4, 3), torch.nn.Sequential(torch.nn.Tanh(), torch.nn.Conv2d(4, 2, 3))
+
+    class Layers(torch.nn.Module):
+        def __init__(self) -> None:
+            super().__init__()
+            self.first, self.second = first.double(), second.double()
+
+        def forward(self, images: torch.Tensor) -> Any:
+            one = self.first(images)
+            two = self.second(one)
+            return {"tensor": two, "list": [one, two], "dict": {"first": one, "second": two}, "text": "two"}[kind]
+
+    return Layers()
+
+
+@pytest.mark.parametrize("kind", ["tensor", "list", "dict"])
+def test_features_of_a_network_are_an_objective_with_their_gradient(kind: str) -> None:
+    image, reference = images((2, 12, 14, 3), seed=3)
+    objective = TorchObjective(reference, FeatureDistance(layers(kind)))
+    value, gradient = objective.value_and_grad(image)
+    direction = np.random.default_rng(3).standard_normal((2, 12, 14, 3))
+    slope = directional_difference(objective.value, image, direction, 1e-5)
+    assert float(value) > 0.0
+    assert abs(slope - float(np.sum(gradient * direction))) < 1e-6 * np.linalg.norm(gradient) * np.sqrt(image.size)
+    assert float(objective.value(reference)) == 0.0
+
+
+def test_features_of_several_layers_are_summed() -> None:
+    image, reference = images((12, 14, 3), seed=4)
+    both, second = (
+        TorchObjective(reference, FeatureDistance(layers(kind))).value(image) for kind in ("list", "tensor")
+    )
+    first = TorchObjective(reference, FeatureDistance(lambda batch: layers("list")(batch)[0])).value(image)
+    assert float(both) == pytest.approx(float(first + second), rel=1e-12)
+
+
+def test_a_network_must_return_tensors() -> None:
+    image, reference = images((12, 14, 3), seed=4)
+    with pytest.raises(OptionError, match="`network` must return tensors, or a list or dict of them, got 'two'"):
+        TorchObjective(reference, FeatureDistance(layers("text"))).value(image)

@@ -36,8 +36,8 @@ def has_python(page: Path) -> bool:
 
 
 def skip_without_imports(text: str) -> None:
-    for package in ("torch", "jax", "mitsuba", "optax"):
-        if re.search(rf"^import {package}\b", text, re.MULTILINE):
+    for package in ("torch", "jax", "mitsuba", "optax", "scipy", "cmaes"):
+        if re.search(rf"^(?:import|from) {package}\b", text, re.MULTILINE):
             pytest.importorskip(package)
 
 

@@ -202,3 +202,11 @@ def test_the_loops_of_the_readme_converge_from_starts_without_overlap(
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=True)
     result = [float(word) for word in done.stdout.split()]
     assert result == pytest.approx(target, abs=tolerance)
+
+
+def test_optuna_finds_settings_of_a_fit_that_pixels_confirm() -> None:
+    pytest.importorskip("optuna")
+    command = [sys.executable, "-m", "examples.loops.with_optuna"]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=True)
+    assert float(done.stdout.split()[-1]) < 1e-3  # of 0.1 at the start
+    assert "pruned" in done.stderr

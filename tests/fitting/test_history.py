@@ -9,6 +9,8 @@ from hypothesis import strategies as st
 
 from loi_core import FarToNear
 from loi_core.fitting.history import FitStep, rows_of, steps_of
+from loi_core.fitting.progress import StepBar
+from tests.fitting.fits import run
 
 
 def fit_step(step: int, size: int) -> FitStep:
@@ -27,6 +29,27 @@ def test_steps_are_restored_from_their_rows(count: int, size: int) -> None:
             {name: getattr(actual, name) for name in FitStep.__slots__},
             {name: getattr(expected, name) for name in FitStep.__slots__},
         )
+
+
+@pytest.mark.parametrize("done", [0, 1])
+def test_a_bar_shows_the_steps_the_stage_and_the_objective(done: int, capsys: pytest.CaptureFixture[str]) -> None:
+    with StepBar(3, done, stages=3, is_shown=True) as bar:
+        for step in range(done, 3):
+            bar.show(fit_step(step, 0))
+    written = capsys.readouterr().err
+    assert f"| {done}/3" in written
+    assert "| 3/3" in written
+    assert "stage 3 of 3, objective 0.333" in written
+    with StepBar(3, 0, stages=1, is_shown=False) as bar:
+        bar.show(fit_step(0, 0))
+    assert capsys.readouterr().err == ""
+
+
+def test_a_fit_shows_its_progress_on_request(capsys: pytest.CaptureFixture[str]) -> None:
+    quiet = run(steps=3)
+    assert capsys.readouterr().err == ""
+    assert run(steps=3, progress=True).best_value == quiet.best_value
+    assert "3/3" in capsys.readouterr().err
 
 
 def test_rows_of_other_parameters_are_refused() -> None:
