@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import re
+import struct
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +17,19 @@ import trimesh
 from loi_core.cli import main
 from loi_core.errors import MeshError
 from loi_core.io.images import write_png
-from loi_core.pixels.encoding import encode_srgb
-from loi_torch.mesh import Camera, Light, MeshRenderer, MeshWarning, Translate, box, draw, read_mesh
+from loi_core.pixels.encoding import decode_srgb, encode_srgb
+from loi_torch.mesh import (
+    Camera,
+    Light,
+    MeshRenderer,
+    MeshWarning,
+    Translate,
+    box,
+    draw,
+    read_cameras,
+    read_mesh,
+    read_meshes,
+)
 
 TRIANGLES = trimesh.creation.box((1.0, 2.0, 3.0))
 
@@ -144,10 +157,127 @@ def test_reading_a_mesh_opens_no_other_file(tmp_path: Path, monkeypatch: pytest.
     (tmp_path / "secret.bin").write_bytes(b"\x00" * 4)
     (tmp_path / "a.gltf").write_text(json.dumps(data))
     monkeypatch.setattr(Path, "open", recording_open)
-    assert len(read_mesh(tmp_path / "a.obj").faces) == 1
+    with pytest.warns(MeshWarning, match=r"names files that were not read: 'secret.mtl'; side_files=True opens them"):
+        assert len(read_mesh(tmp_path / "a.obj").faces) == 1
+    assert len(read_mesh(tmp_path / "a.obj", colours=(1.0, 0.0, 0.0)).faces) == 1  # nothing is lacking: no warning
     with pytest.raises(MeshError):
         read_mesh(tmp_path / "a.gltf")
     assert not [name for name in opened if name.startswith("secret")]
+
+
+OBJ = """
+mtllib crate.mtl
+o Crate.001
+v 0 0 0
+v 1 0 0
+v 0 1 0
+v 1 1 0
+vt 0 0
+vt 1 0
+vt 0 1
+usemtl red
+f 1 2 3
+usemtl painted
+f 2/1 4/2 3/3
+o Ball
+v 0 0 2
+v 1 0 2
+v 0 1 2
+usemtl red
+f 5 6 7
+"""
+
+
+def write_obj(folder: Path) -> Path:
+    """Write an OBJ of two objects, with materials and a texture in files beside it."""
+    (folder / "crate.mtl").write_text("newmtl red\nKd 0.8 0.1 0.05\nnewmtl painted\nKd 1 0.5 1\nmap_Kd paint.png\n")
+    write_png(folder / "paint.png", np.full((2, 2, 3), 0.5))
+    (folder / "crate.obj").write_text(OBJ)
+    return folder / "crate.obj"
+
+
+def test_objects_of_an_obj_are_meshes_with_their_materials(tmp_path: Path) -> None:
+    meshes = read_meshes(write_obj(tmp_path), side_files=True)
+    assert sorted(meshes) == ["Ball", "Crate_001_painted", "Crate_001_red"]
+    np.testing.assert_allclose(meshes["Ball"].colours.numpy(), [0.8, 0.1, 0.05])
+    np.testing.assert_allclose(meshes["Ball"].vertices[:, 2].numpy(), 2.0)
+    painted = meshes["Crate_001_painted"]
+    np.testing.assert_allclose(painted.colours.numpy(), [1.0, 0.5, 1.0])
+    np.testing.assert_allclose(painted.texture.numpy(), decode_srgb(np.full((2, 2, 3), 128 / 255)), atol=1e-12)
+    merged = read_mesh(tmp_path / "crate.obj", colours=(0.5, 0.5, 0.5))
+    assert len(merged.faces) == sum(len(mesh.faces) for mesh in meshes.values())
+    renderer = MeshRenderer(8, 8, meshes, Camera((0, 0, 5)), {"position": Translate("Ball")})
+    assert "Crate_001_red.colours" in renderer.entries()
+
+
+def test_named_files_outside_the_folder_are_not_read(tmp_path: Path) -> None:
+    (tmp_path / "inside").mkdir()
+    path = write_obj(tmp_path / "inside")
+    (tmp_path / "crate.mtl").write_text("newmtl red\nKd 0.8 0.1 0.05\n")
+    for name in ("../crate.mtl", "gone.mtl", "."):
+        path.write_text(OBJ.replace("mtllib crate.mtl", f"mtllib {name}"))
+        with pytest.warns(MeshWarning, match=f"names files that were not read: '{re.escape(name)}'$"):
+            read_meshes(path, side_files=True)
+
+
+def test_objects_of_a_glb_are_meshes_in_world_space(tmp_path: Path) -> None:
+    scene = trimesh.Scene()
+    for number, name in enumerate(("Crate", "Lid.001")):
+        shift = trimesh.transformations.translation_matrix([3.0 * number, 0.0, 0.0])  # type: ignore[no-untyped-call]
+        scene.add_geometry(TRIANGLES, node_name=name, geom_name=f"{name}-data", transform=shift)
+    scene.export(tmp_path / "two.glb")  # type: ignore[no-untyped-call]
+    meshes = read_meshes(tmp_path / "two.glb")
+    assert sorted(meshes) == ["Crate", "Lid_001"]
+    offset = meshes["Lid_001"].vertices.mean(dim=0) - meshes["Crate"].vertices.mean(dim=0)
+    np.testing.assert_allclose(offset.numpy(), [3.0, 0.0, 0.0], atol=1e-6)
+    scene.export(tmp_path / "two.gltf")  # type: ignore[no-untyped-call]
+    assert sorted(read_meshes(tmp_path / "two.gltf", side_files=True)) == sorted(meshes)
+
+
+GLTF_NODES: list[dict[str, Any]] = [
+    {"name": "rig", "translation": [1.0, 2.0, 3.0], "rotation": [0.0, 2**-0.5, 0.0, 2**-0.5], "children": [1, 2]},
+    {"name": "Camera.001", "camera": 0, "translation": [0.0, 0.0, 5.0], "scale": [2.0, 2.0, 2.0]},
+    {"camera": 1, "matrix": [1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 7, 1]},
+]
+GLTF_CAMERAS: list[dict[str, Any]] = [
+    {"type": "perspective", "perspective": {"yfov": 0.5, "znear": 0.1}},
+    {"type": "orthographic", "orthographic": {"xmag": 2.0, "ymag": 1.5, "znear": 0.2, "zfar": 9.0}},
+]
+
+
+@pytest.mark.parametrize("binary", [False, True])
+def test_cameras_of_a_gltf_stand_where_its_nodes_put_them(binary: bool, tmp_path: Path) -> None:
+    content = json.dumps({"asset": {"version": "2.0"}, "nodes": GLTF_NODES, "cameras": GLTF_CAMERAS}).encode()
+    if binary:
+        content = struct.pack("<4sIIII", b"glTF", 2, 20 + len(content), len(content), 0x4E4F534A) + content
+    path = tmp_path / "cameras.glb"
+    path.write_bytes(content)
+    first, second = (cameras := read_cameras(path)).values()
+    assert list(cameras) == ["Camera_001", "camera_1"]
+    # A quarter turn about y takes z to x; a camera looks along its -z.
+    np.testing.assert_allclose(first.position.numpy(), [6.0, 2.0, 3.0], atol=1e-12)
+    np.testing.assert_allclose(first.axes().numpy(), [[0, 0, -1], [0, -1, 0], [-1, 0, 0]], atol=1e-12)
+    assert float(first.fov) == pytest.approx(np.degrees(0.5))
+    np.testing.assert_allclose(second.position.numpy(), [8.0, 2.0, 3.0], atol=1e-12)
+    assert float(second.extent) == 3.0
+
+
+@pytest.mark.parametrize(
+    "document",
+    [
+        [],
+        {"nodes": [{"camera": 3}], "cameras": []},
+        {"nodes": [{"camera": 0, "children": [0]}], "cameras": GLTF_CAMERAS},
+        {"nodes": [{"camera": 0, "matrix": [1]}], "cameras": GLTF_CAMERAS},
+        {"nodes": [{"camera": 0, "scale": [0, 0, 0]}], "cameras": GLTF_CAMERAS},
+        {"nodes": [{"camera": 0}], "cameras": [{"type": "perspective", "perspective": {"yfov": 9, "znear": 0.1}}]},
+        {"nodes": [{"camera": 0}], "cameras": [{"type": "perspective", "perspective": {"yfov": "1", "znear": 0.1}}]},
+    ],
+)
+def test_cameras_that_are_not_valid_are_refused(document: Any, tmp_path: Path) -> None:
+    (tmp_path / "a.gltf").write_text(json.dumps(document))
+    with pytest.raises(MeshError, match=r"a\.gltf: its cameras cannot be read as glTF"):
+        read_cameras(tmp_path / "a.gltf")
 
 
 SCENE = """

@@ -3,9 +3,10 @@
 from loi_core.renderers.poses import Rotate, Scale, Translate
 from loi_torch.mesh.cameras import Camera
 from loi_torch.mesh.drawing import draw, draw_positions
+from loi_torch.mesh.gltf_cameras import read_cameras
 from loi_torch.mesh.lighting import Environment, Light
 from loi_torch.mesh.meshes import Material, Mesh, MeshWarning
-from loi_torch.mesh.reading import read_mesh
+from loi_torch.mesh.reading import read_mesh, read_meshes
 from loi_torch.mesh.renderer import MeshRenderer
 from loi_torch.mesh.shapes import box, quad, sphere
 
@@ -24,6 +25,8 @@ __all__ = [
     "draw",
     "draw_positions",
     "quad",
+    "read_cameras",
     "read_mesh",
+    "read_meshes",
     "sphere",
 ]
