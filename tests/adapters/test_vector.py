@@ -185,6 +185,15 @@ def test_opposite_orientation_or_the_evenodd_rule_makes_a_hole() -> None:
         assert painted_area(shape) == pytest.approx(area, rel=1e-12)
 
 
+def test_a_bilinear_fill_is_mixed_in_the_encoding_of_the_image() -> None:
+    corners = np.ones((4, 4)) * np.array([0.0, 1.0, 0.0, 1.0])[:, None]  # black on the left, white on the right
+    corners[:, 3] = 1.0
+    for encoding in ("linear", "sRGB"):
+        renderer = Vector(41, 41, [Rectangle([20.5, 20.5], [41.0, 41.0], Paint(corners))], BLACK, encoding=encoding)
+        row = renderer.render(renderer.parameters())[20, :, 0]
+        np.testing.assert_allclose(row, (np.arange(41) + 0.5) / 41, atol=1e-12)
+
+
 def test_a_bilinear_fill_has_its_colours_at_the_corners_and_their_mean_in_the_middle() -> None:
     corners = np.random.default_rng(3).uniform(0, 1, (4, 4))
     corners[:, 3] = 1.0

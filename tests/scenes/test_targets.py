@@ -245,3 +245,17 @@ def test_psnr_counts_pixels_by_their_weights() -> None:
     assert psnr(np.where(weights[..., None] > 0, IMAGE, np.nan), IMAGE, weights) == np.inf
     assert psnr(image, IMAGE) < 20.0
     assert LOIObjective(IMAGE, weights=weights).value(image) == 0.0
+
+
+def test_a_background_of_another_size_than_the_target_is_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for name, size in (("photo", (24, 32)), ("background", (30, 40)), ("picture", (8, 8))):
+        write_png(tmp_path / f"{name}.png", np.full((*size, 3), 0.5))
+    images = '[renderer]\nname = "warp"\n[renderer.images]\npicture = "picture.png"\nbackground = "background.png"\n'
+    (tmp_path / "scene.toml").write_text(f'target = "photo.png"\n{images}[optimise.translation]\n')
+    assert main(["fit", str(tmp_path / "scene.toml")]) == 2
+    message = (
+        "makes images of shape (30, 40, 3), the target has (24, 32, 3); its images are as large as its `background`"
+    )
+    assert message in capsys.readouterr().err

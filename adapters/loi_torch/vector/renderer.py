@@ -133,8 +133,8 @@ class Vector(Painted):
         check_near(rings.points)
         points, edges = self._edges(rings, scene)
         painting = cover(points, edges, self._size)
-        colours = self._encoded(self._colours(painting, rings, scene))
         # Colours are encoded, not the image: a share of a pixel would be brighter than its area is.
+        colours = self._encoded_colours(painting, rings, scene)
         share = painting.coverage * colours[:, 3]
         pixels = torch.as_tensor(painting.pixels, device=self._device)
         count = self._size[0] * self._size[1]
@@ -173,12 +173,12 @@ class Vector(Painted):
         evenodd = np.array([painted.kind != "stroke" and painted.paint.rule == "evenodd" for painted in layers])
         return points, Edges(first[ring_of] + index_in_ring, first[ring_of] + following, layer[ring_of], evenodd)
 
-    def _colours(self, painting: Painting, rings: Rings, scene: Tensors) -> Tensor:
-        """Linear RGB and opacity of every fragment."""
+    def _encoded_colours(self, painting: Painting, rings: Rings, scene: Tensors) -> Tensor:
+        """RGB in the image's encoding, and opacity, of every fragment."""
         tables = [scene[name] for name in ("fills", "strokes") if name in scene]
         first = {"fill": 0, "stroke": len(scene["fills"]) if "fills" in scene else 0, "blend": 0}
         rows = np.array([first[layer.kind] + layer.row if layer.kind != "blend" else 0 for layer in self._table.layers])
-        plain = torch.cat([*tables, torch.zeros((1, 4), dtype=torch.float64, device=self._device)])
+        plain = self._encoded(torch.cat([*tables, torch.zeros((1, 4), dtype=torch.float64, device=self._device)]))
         colours = plain.index_select(0, torch.as_tensor(rows[painting.layer], device=self._device))
         for index, layer in enumerate(self._table.layers):
             if layer.kind == "blend":
@@ -188,7 +188,7 @@ class Vector(Painted):
         return colours
 
     def _blend(self, layer: Layer, pixels: IndexArray, rings: Rings, scene: Tensors) -> Tensor:
-        """Colours of a bilinear fill at the centres of pixels."""
+        """Colours of a bilinear fill at the centres of pixels; browsers mix encoded corners as well."""
         outline = torch.cat(
             [rings.local[ring.first : ring.beyond] for ring in rings.rings if ring.shape == layer.shape]
         )
@@ -202,7 +202,7 @@ class Vector(Painted):
         span = upper - lower
         position = torch.clamp((local - lower) / torch.where(span > 0.0, span, torch.ones_like(span)), 0.0, 1.0)
         u, v = position[:, :1], position[:, 1:]
-        left_top, right_top, left_bottom, right_bottom = scene["blends"][layer.row]
+        left_top, right_top, left_bottom, right_bottom = self._encoded(scene["blends"][layer.row])
         top = left_top + u * (right_top - left_top)
         bottom = left_bottom + u * (right_bottom - left_bottom)
         colours: Tensor = top + v * (bottom - top)
