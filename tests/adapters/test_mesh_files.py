@@ -14,6 +14,7 @@ import pytest
 import torch
 import trimesh
 
+from loi_core import Free, LOIObjective, fit
 from loi_core.cli import main
 from loi_core.errors import MeshError
 from loi_core.io.images import write_png
@@ -260,6 +261,25 @@ def test_cameras_of_a_gltf_stand_where_its_nodes_put_them(binary: bool, tmp_path
     assert float(first.fov) == pytest.approx(np.degrees(0.5))
     np.testing.assert_allclose(second.position.numpy(), [8.0, 2.0, 3.0], atol=1e-12)
     assert float(second.extent) == 3.0
+
+
+def test_an_exported_scene_is_fitted_as_it_is(tmp_path: Path) -> None:
+    """A glTF with its data beside it, named objects and a camera, as Blender exports a scene."""
+    scene = trimesh.Scene()
+    scene.add_geometry(trimesh.creation.box((1.0, 1.0, 1.0)), node_name="Crate.001", geom_name="box")
+    scene.export(tmp_path / "scene.gltf")  # type: ignore[no-untyped-call]
+    document = json.loads((tmp_path / "scene.gltf").read_text())
+    document["nodes"].append({"name": "Camera", "camera": 0, "translation": [0.0, 0.0, 6.0]})
+    document["scenes"][0]["nodes"].append(len(document["nodes"]) - 1)
+    document["cameras"] = GLTF_CAMERAS[:1]
+    (tmp_path / "scene.gltf").write_text(json.dumps(document))
+    meshes, cameras = read_meshes(tmp_path / "scene.gltf", side_files=True), read_cameras(tmp_path / "scene.gltf")
+    renderer = MeshRenderer(24, 32, meshes, cameras["Camera"], {"position": Translate("Crate_001")})
+    goal = {"position": torch.tensor([0.5, -0.3, 0.0], dtype=torch.float64)}
+    start = Free((-0.5, 0.3, 0.0), (-1.0, -1.0, -0.1), (1.0, 1.0, 0.1))
+    result = fit(renderer, LOIObjective(renderer.render(goal)), steps=60, optimise={"position": start})
+    pixel = 2.0 * 5.5 * np.tan(0.25) / 24  # in world units, at the front of the box
+    assert (result.best_params["position"] - goal["position"]).abs().max() < pixel
 
 
 @pytest.mark.parametrize(
