@@ -37,8 +37,13 @@ COMPILED_SCALES: dict[str, tuple[ScaleSpace, int, int, bool]] = {
 }
 
 
+SHARED_BYTES = 99 * 2**10  # of the GPUs with the least, of compute capability 8.6
+
+
 @pytest.mark.parametrize("capability", [pytest.param(80, marks=thorough), 90])
-def test_every_kernel_compiles_without_spilling_registers(capability: int, tmp_path: Path) -> None:
+def test_every_kernel_compiles_without_spilling_registers_or_much_shared_memory(
+    capability: int, tmp_path: Path
+) -> None:
     import triton
     from triton.backends.compiler import GPUTarget
     from triton.backends.nvidia.compiler import get_ptxas
@@ -56,7 +61,9 @@ def test_every_kernel_compiles_without_spilling_registers(capability: int, tmp_p
     chosen = used if THOROUGH else {key: used[key] for key in largest.values()}
     for key, launch in chosen.items():
         target = GPUTarget("cuda", capability, 32)
-        code = triton.compile(_source(launch), target=target, options={**launch.options, "enable_fp_fusion": True}).asm
+        kernel = triton.compile(_source(launch), target=target, options={**launch.options, "enable_fp_fusion": True})
+        assert kernel.metadata.shared <= SHARED_BYTES
+        code = kernel.asm
         ptx = tmp_path / "kernel.ptx"
         ptx.write_text(code["ptx"])
         architecture = re.search(r"\.target (\w+)", code["ptx"])[1]  # type: ignore[index]  # every program has one
