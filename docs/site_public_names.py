@@ -93,7 +93,7 @@ def _packages() -> list[str]:
 def _comment(package: str, name: str) -> str:
     """Return the comment below an assignment, in any module."""
     thing = _thing(package, name)
-    for module in [module for key, module in sys.modules.items() if key.startswith("loi_")]:
+    for module in [module for key, module in sys.modules.items() if key.startswith(("loi_", "mitsuba_boundaries"))]:
         if vars(module).get(name) is thing:
             comment = ModuleAnalyzer.for_module(module.__name__).find_attr_docs().get(("", name))
             if comment:

@@ -60,7 +60,7 @@ def loi_loss(
     """Return the distance between the locally orderless images of an image and a target.
 
     For gradients, use ``loi_torch.loi_loss``, ``loi_jax.loi_loss`` or ``loi_mitsuba.loi_loss`` under automatic
-    differentiation, or :meth:`LOIObjective.value_and_grad`, which prepares a target once for many images.
+    differentiation, or ``LOIObjective.value_and_grad``, which prepares a target once for many images.
 
     Parameters
     ----------
