@@ -109,6 +109,39 @@ def show_mesh() -> None:
     figure.savefig(IMAGES / "mesh.png", dpi=90)
 
 
+def show_kornia() -> None:
+    """Draw a disk that kornia's registrator moves onto another: source, target, and the results of two losses."""
+    import torch
+    from kornia.geometry import ImageRegistrator
+
+    from loi_torch.kornia import RegistrationLoss
+
+    rows, columns = np.indices((64, 64)) + 0.5
+
+    def disk(x: float, y: float) -> torch.Tensor:
+        return torch.tensor(0.2 + 0.6 * np.clip(5.5 - np.hypot(columns - x, rows - y), 0.0, 1.0))[None, None].float()
+
+    source, target = disk(44.0, 42.0), disk(20.0, 23.0)
+    losses: dict[str, Any] = {"L1": torch.nn.functional.l1_loss, "loi": RegistrationLoss()}
+    pictures = {"source": source, "target": target}
+    shifts = {}
+    for name, loss in losses.items():
+        registrator = ImageRegistrator("translation", loss_fn=loss, lr=0.01)
+        model = registrator.register(source, target)
+        assert isinstance(model, torch.Tensor)
+        shifts[name] = -32.0 * model.detach()[0, :2, 2]
+        # The uncovered border in the grey of the background, so that the disk alone is seen to move.
+        pictures[name] = registrator.warp_src_into_dst(source - 0.2).detach() + 0.2
+    figure = new_figure(11.0, 3.4)
+    for axis, (name, image) in zip(figure.subplots(1, 4), pictures.items(), strict=True):
+        _picture(axis, image[0, 0].numpy())
+        axis.set_title(name, fontweight="bold" if name == "loi" else "normal")
+        axis.plot(20.0 - 0.5, 23.0 - 0.5, "+", color="#c2410c", markersize=14)
+        if name in shifts:
+            axis.set_xlabel("moved by ({:.1f}, {:.1f})".format(*shifts[name].tolist()))
+    figure.savefig(IMAGES / "kornia.png", dpi=90)
+
+
 def _picture(axis: Any, image: Any, cmap: str = "gray", vmax: float = 1.0) -> None:
     axis.imshow(image, cmap=cmap, vmin=0.0, vmax=vmax, interpolation="nearest")
     axis.set(xticks=[], yticks=[])
@@ -118,3 +151,4 @@ if __name__ == "__main__":
     show_demo(Path(sys.argv[1]))
     show_scales(Path(sys.argv[1]))
     show_mesh()
+    show_kornia()

@@ -15,6 +15,8 @@ PACKAGES: Final = (
     "loi_core.sweeps",
     "loi_core.testing",
     "loi_torch",
+    "loi_torch.kornia",
+    "loi_torch.kornia.cameras",
     "loi_torch.mesh",
     "loi_torch.vector",
     "loi_jax",
