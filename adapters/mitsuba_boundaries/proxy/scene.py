@@ -361,7 +361,8 @@ def _describe(scene: Any) -> tuple[dict[str, Any], list[Any]]:
     lights = delta_lights(scene)
     description: dict[str, Any] = {"type": "scene"}
     shared = []
-    for number, node in enumerate([*scene.sensors(), *scene.shapes(), *emitters, scene.integrator()]):
+    integrators = [] if scene.integrator() is None else [scene.integrator()]
+    for number, node in enumerate([*scene.sensors(), *scene.shapes(), *emitters, *integrators]):
         light = _describe_light(node) if node in lights else None
         key = node.id() or (f"{LIGHT_ID}{lights.index(node)}" if node in lights else f"shared_object_{number}")
         description[key] = node if light is None else light
