@@ -17,7 +17,7 @@ from typing import Final
 from tests.environments import RESOLUTIONS, build_wheel, python_with_versions, run_copied_tests
 
 TESTS: Final = {
-    "": ("method", "pixels", "objectives", "renderers", "io", "fitting", "cli/test_completion.py"),
+    "": ("method", "pixels", "objectives", "renderers", "io", "cameras", "fitting", "cli/test_completion.py"),
     "dask": ("sweeps",),
     "jax": ("adapters/test_jax.py",),
     "mitsuba": ("mitsuba/test_renderer.py",),
