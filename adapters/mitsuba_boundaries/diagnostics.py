@@ -18,7 +18,7 @@ from mitsuba_boundaries.geometry.mesh_checks import (
     non_manifold_fraction,
 )
 from mitsuba_boundaries.geometry.stepped_textures import has_stepped_texture
-from mitsuba_boundaries.sensing.sensor import ray_epsilon
+from mitsuba_boundaries.sensing.sensor import ray_epsilon, supports_boundary_sampling
 
 __all__ = [
     "INSTANCE_PROBLEM",
@@ -67,8 +67,9 @@ def diagnoses_of_moving_shapes(
     Integrators without projective sampling differentiate only the interior of silhouettes and shadows, not the motion
     of these. Projective sampling finds rays that graze a shape and evaluates the radiance behind it. It considers the
     scene's own shapes only, not those in groups, and ignores cutouts. Rays hardly ever hit a point, so shadows of
-    point, spot and directional lights have no gradient at all (mitsuba3#1585). Every mesh edge that belongs to one
-    triangle, or to more than two, counts as a border, so an edge whose vertices are stored twice counts twice.
+    point, spot and directional lights have no gradient (mitsuba3#1585) where boundary terms cannot be sampled. Every
+    mesh edge that belongs to one triangle, or to more than two, counts as a border, so an edge whose vertices are
+    stored twice counts twice.
 
     Parameters
     ----------
@@ -101,14 +102,6 @@ def _scene_diagnoses(scene: Any, integrator: Any, moving: Sequence[Any], edged: 
             f"{moves} in a shapegroup, and the motion of its instances' silhouettes and shadows has no gradient",
             "put the shape into the scene itself",
         )
-    delta = [emitter for emitter in scene.emitters() if mi.has_flag(emitter.flags(), mi.EmitterFlags.Delta)]
-    if delta:
-        kinds = " and ".join(sorted({emitter.class_name() for emitter in delta}))
-        yield Diagnosis(
-            f"a shape moves under a {kinds}, and the motion of its shadows has no gradient there",
-            "use a small sphere with an area emitter",
-            "differentiable_scene",
-        )
     if unwelded := _ids([shape for shape in moving if shape not in edged], is_unwelded):
         yield Diagnosis(
             f"{_meshes(unwelded, 'stores', 'store')} the vertices of an edge more than once, and Mitsuba counts the "
@@ -134,6 +127,15 @@ def _scene_diagnoses(scene: Any, integrator: Any, moving: Sequence[Any], edged: 
 def _view_diagnoses(scene: Any, sensor: Any, moving: Sequence[Any]) -> Iterator[Diagnosis]:
     """Yield the diagnoses of shapes in view."""
     in_scene, film = scene.shapes(), sensor.film()
+    delta = [emitter for emitter in scene.emitters() if mi.has_flag(emitter.flags(), mi.EmitterFlags.Delta)]
+    if delta and not supports_boundary_sampling(scene, sensor):
+        kinds = " and ".join(sorted({emitter.class_name() for emitter in delta}))
+        yield Diagnosis(
+            f"a shape moves under a {kinds}, and the motion of its shadows has no gradient for this camera, variant or "
+            f"medium",
+            "use a small sphere with an area emitter",
+            "differentiable_scene",
+        )
     if inverted := _ids(moving, lambda shape: _has_inverted_normals(shape, sensor)):
         yield Diagnosis(
             f"{_clause(inverted, 'has', 'have')} normals that point inwards, and Mitsuba misses the shadow of such a "

@@ -103,8 +103,8 @@ class ImageGradient:
             (ProjectiveBoundary(self._sensor, self._film, "sppp", excluded=self.edged_shapes), integrator, sppp),
             (ProjectiveBoundary(self._sensor, self._film, "sppi", self._unique_edges), integrator, sppi),
         ]
-        if self._received_shadows is not None and moving:
-            boundaries.append((self._received_shadows, integrator, sppi))
+        if moving:
+            boundaries += [(shadows, integrator, sppi) for shadows in self._received_shadows]
         terms: list[GradientTerm] = [
             BoundaryTerm(sampler, self._scene, self._film, integrator, samples)
             for sampler, integrator, samples in boundaries

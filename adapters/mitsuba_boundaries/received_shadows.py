@@ -1,16 +1,17 @@
-"""The boundary term of shadows that fall on moving shapes.
+"""The boundary term of shadows that fall on moving shapes, and of all shadows under delta lights.
 
-Projective sampling follows the silhouettes of moving shapes, and thereby the shadows that they cast. A shape that moves
-under an occluder, or has components that shadow each other, also moves through shadows. The edges of these shadows are
-searched for along segments of the image that see the moving shape: for light from one random point of an emitter, one
-end is lit and the other is not. The plane of light rays that graze the occluder contains the shadow edge, and gives the
-velocity of the edge in the image.
+Projective sampling follows the silhouettes of moving shapes, and thereby the shadows that they cast, unless the light
+is a point, spot or directional one, which no ray hits. A shape that moves under an occluder, or has components that
+shadow each other, also moves through shadows. The edges of these shadows are searched for along segments of the image:
+for light from one random point of an emitter, one end is lit and the other is not. The plane of light rays that graze
+the occluder contains the shadow edge. The motion of the receiver through this plane, and that of the plane with the
+occluder, give the velocity of the edge in the image.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Any, Final
 
 import drjit as dr
@@ -52,6 +53,7 @@ class _EmitterSample:
         Whether the emitter is an area light, whose solid angle depends on its orientation.
     weight : mi.Color3f
         Radiance over the sampling density, per area of a surface or per solid angle.
+    emitter : mi.EmitterPtr
     """
 
     p: Any
@@ -60,28 +62,32 @@ class _EmitterSample:
     is_infinite: Any
     is_surface: Any
     weight: Any
+    emitter: Any
 
     @classmethod
-    def sample(cls, scene: Any, si: Any, uv: Any) -> _EmitterSample:
-        """Sample an emitter for each surface interaction, without testing for occluders."""
-        ds, weight = scene.sample_emitter_direction(si, uv, test_visibility=False, active=si.is_valid())
-        weight = dr.select(ds.pdf > 0.0, to_rgb(weight), 0.0)
-        flags = ds.emitter.flags()
+    def sample(cls, emitters: Any, si: Any, uv: Any) -> _EmitterSample:
+        """Sample one of `emitters`, mi.EmitterPtr, for each surface interaction, without testing for occluders."""
+        count = dr.opaque(mi.UInt32, dr.width(emitters))
+        index = dr.minimum(mi.UInt32(uv.x * count), count - 1)
+        chosen = dr.gather(mi.EmitterPtr, emitters, index)
+        ds, weight = chosen.sample_direction(si, mi.Point2f(uv.x * count - index, uv.y), si.is_valid())
+        weight = dr.select(ds.pdf > 0.0, count * to_rgb(weight), 0.0)
+        flags = chosen.flags()
         is_infinite, is_surface = (
             mi.has_flag(flags, flag) for flag in (mi.EmitterFlags.Infinite, mi.EmitterFlags.Surface)
         )
-        emitter = cls(ds.p, ds.n, ds.d, is_infinite, is_surface, weight)
+        emitter = cls(ds.p, ds.n, ds.d, is_infinite, is_surface, weight, chosen)
         # The other points of the segment may see the emitter at a much larger cosine than this one.
         jacobian = emitter._area_jacobian(si.p, MIN_COSINE)
         return replace(emitter, weight=weight * dr.select(emitter._area_jacobian(si.p) > 0.0, dr.rcp(jacobian), 0.0))
 
     def gather(self, index: Any) -> _EmitterSample:
         """Return the samples of some segments."""
-        fields = (self.p, self.n, self.d, self.is_infinite, self.is_surface, self.weight)
-        return _EmitterSample(*(dr.gather(type(array), array, index) for array in fields))
+        arrays = (getattr(self, field.name) for field in fields(self))
+        return _EmitterSample(*(dr.gather(type(array), array, index) for array in arrays))
 
     def unoccluded(self, point: Any) -> Any:
-        """Return the incident light, mi.Color3f, at points without occluders."""
+        """Return the incident light, mi.Color3f, at points without occluders; of emitters that are not delta lights."""
         return self.weight * self._area_jacobian(point)
 
     def _area_jacobian(self, point: Any, min_cosine: float = 0.0) -> Any:
@@ -131,27 +137,38 @@ class _ShadowCrossing:
 
 
 class ReceivedShadowBoundary:
-    """The edges of shadows that fall on visible moving shapes.
+    """The edges of shadows that fall on visible shapes.
 
     Parameters
     ----------
     sensor : mi.Sensor
         A perspective camera.
-    shapes : list of mi.Shape
-        The moving shapes.
+    receivers : list of mi.Shape
+    emitters : list of mi.Emitter
+        Either all delta lights, or none. With delta lights, the motion of the occluders counts as well.
     """
 
-    def __init__(self, sensor: Any, shapes: list[Any]) -> None:
+    def __init__(self, sensor: Any, receivers: list[Any], emitters: list[Any]) -> None:
         self._segments = SegmentSampler(sensor)
-        self._shapes = shapes
-        self._moving_table = RaggedTable({shape_index(shape): 1 for shape in shapes})
+        self._receivers = receivers
+        self._receiver_table = RaggedTable({shape_index(shape): 1 for shape in receivers})
+        self._emitters = mi.EmitterPtr(emitters)
+        self._is_delta = _is_delta(emitters[0])
 
     @classmethod
-    def from_scene(cls, scene: Any, sensor: Any, shapes: Iterable[Any]) -> ReceivedShadowBoundary | None:
-        """Build for the moving `shapes`; None without any, without emitters or support for boundary sampling."""
-        moving = [shape for shape in dict.fromkeys(shapes) if shape in scene.shapes()]
-        is_supported = moving and scene.emitters() and supports_boundary_sampling(scene, sensor)
-        return cls(sensor, moving) if is_supported else None
+    def from_scene(cls, scene: Any, sensor: Any, shapes: Iterable[Any]) -> list[ReceivedShadowBoundary]:
+        """Build for the moving `shapes` under area lights, and for all shapes under delta lights.
+
+        Empty without moving shapes, or without support for boundary sampling.
+        """
+        in_scene = scene.shapes()
+        moving = [shape for shape in dict.fromkeys(shapes) if shape in in_scene]
+        if not moving or not supports_boundary_sampling(scene, sensor):
+            return []
+        delta = [emitter for emitter in scene.emitters() if _is_delta(emitter)]
+        others = [emitter for emitter in scene.emitters() if not _is_delta(emitter)]
+        receivers = ((moving, others), (in_scene, delta))
+        return [cls(sensor, shapes, emitters) for shapes, emitters in receivers if emitters]
 
     @hittable_proxy_emitters()
     def sample(self, scene: Any, integrator: Any, samples: int, seed: int) -> tuple[Any, Any] | None:  # noqa: ARG002
@@ -167,9 +184,8 @@ class ReceivedShadowBoundary:
             first, second = self._bisect_shadow(scene, crossing.first, crossing.second, emitter, is_first_lit)
             position = dr.lerp(first, second, 0.5)
             next_position, active = self._next_edge_point(scene, position, direction, emitter, is_first_lit)
-        si = scene.ray_intersect(self._segments.ray(position))
-        with dr.suspend_grad():
-            hit = dr.detach(si)
+            ray = self._segments.ray(position)
+            hit = scene.ray_intersect(ray)
             active &= self._is_smooth(scene, first, second, hit, emitter)
             edge = self._on_tangent_plane(hit, next_position) - hit.p
             step = DIFFERENCE_STEP_PX * direction
@@ -178,35 +194,45 @@ class ReceivedShadowBoundary:
                 self._on_tangent_plane(hit, position - step),
             )
             surface_velocity = (forward - backward) / (2.0 * DIFFERENCE_STEP_PX)  # per pixel
-            to_emitter, _ = emitter.direction(hit.p)
+            to_emitter, distance = emitter.direction(hit.p)
             grazing_normal = dr.normalize(dr.cross(to_emitter, edge))  # of the plane of rays that graze the occluder
             speed = dr.dot(grazing_normal, surface_velocity)
             active &= dr.abs(speed) > MIN_RELATIVE_SPEED * dr.norm(surface_velocity)
             bsdf_value = hit.bsdf().eval(mi.BSDFContext(), hit, hit.to_local(to_emitter), active)
-            value = emitter.unoccluded(hit.p) * bsdf_value
-            radiance = to_rgb(value)
+            radiance = self._unoccluded(hit, emitter) * to_rgb(bsdf_value)
             difference = dr.select(is_first_lit, radiance, -radiance) * crossing.weight
             difference = dr.select(active, self._segments.average(difference, samples), 0.0)
+            shadow_ray = self._shadow_ray(scene, dr.select(is_first_lit, second, first), emitter)
+        receiver, occluder = _motions(scene, ray, shadow_ray) if self._is_delta else (_motions(scene, ray)[0], None)
+        with dr.suspend_grad():
+            # At a fixed position of the image, the visible point of the receiver moves along the camera ray.
+            along_ray = hit.n * dr.dot(grazing_normal, ray.d) / dr.dot(hit.n, ray.d)
             scale = dr.select(active, -dr.rcp(speed), 0.0)
-        displacement = scale * dr.dot(grazing_normal, si.p - dr.detach(si.p))
-        return difference * dr.select(active, displacement, 0.0), position / self._segments.size
+        displacement = dr.dot(along_ray, receiver.displacement)
+        if occluder is not None:
+            with dr.suspend_grad():
+                # Light rays diverge from a position, and are parallel from a direction.
+                magnification = dr.select(emitter.is_infinite, 1.0, distance / dr.norm(emitter.p - occluder.p))
+            displacement -= magnification * dr.dot(grazing_normal, occluder.displacement)
+        return difference * dr.select(active, scale * displacement, 0.0), position / self._segments.size
 
     def _find_crossings(self, scene: Any, samples: int, seed: int) -> _ShadowCrossing | None:
         """Return the segments with one end in a shadow."""
-        pixels = self._segments.pixels_covering(self._shapes)
-        if dr.width(pixels) == 0:
+        # The shadow of a moving shape under a delta light may fall anywhere.
+        pixels = None if self._is_delta else self._segments.pixels_covering(self._receivers)
+        if pixels is not None and dr.width(pixels) == 0:
             return None
         first, second, direction = self._segments.sample(scene, samples, seed, pixels)
         first_shape, second_shape = (
             self._segments.visible_shape(scene, first),
             self._segments.visible_shape(scene, second),
         )
-        # A segment that sees two moving shapes is assigned to either with probability one half.
-        sees_two = self._is_moving(first_shape) & self._is_moving(second_shape) & (first_shape != second_shape)
+        # A segment that sees two receivers is assigned to either with probability one half.
+        sees_two = self._is_receiver(first_shape) & self._is_receiver(second_shape) & (first_shape != second_shape)
         coin = make_sampler(seed + 1, dr.width(first_shape)).next_1d() < 0.5
-        at_second = ~self._is_moving(first_shape) | (sees_two & coin)
+        at_second = ~self._is_receiver(first_shape) | (sees_two & coin)
         shape = dr.select(at_second, second_shape, first_shape)
-        index = dr.compress(self._is_moving(shape))
+        index = dr.compress(self._is_receiver(shape))
         if dr.width(index) == 0:
             return None
         weight = dr.select(sees_two, 2.0, 1.0)
@@ -218,7 +244,7 @@ class ReceivedShadowBoundary:
         first, second = self._clip(first, second, at_second, dr.compress(~sees_one), self._sees(scene, shape))
         sampler = make_sampler(seed + 2, dr.width(first))
         si = scene.ray_intersect(self._segments.ray(first))
-        emitter = _EmitterSample.sample(scene, si, sampler.next_2d())
+        emitter = _EmitterSample.sample(self._emitters, si, sampler.next_2d())
         second_si = scene.ray_intersect(self._segments.ray(second))
         # A surface that turns away from the light has no shadow edge there: no light is lost.
         first_faces, second_faces = self._faces(si, emitter), self._faces(second_si, emitter)
@@ -327,15 +353,27 @@ class ReceivedShadowBoundary:
 
     def _is_lit_at(self, scene: Any, position: Any, emitter: _EmitterSample) -> Any:
         """Return whether the emitter sample lights the surface that is visible at positions in pixels."""
+        return ~scene.ray_test(self._shadow_ray(scene, position, emitter))
+
+    def _unoccluded(self, si: Any, emitter: _EmitterSample) -> Any:
+        """Return the incident light, mi.Color3f, at surface interactions without occluders."""
+        if not self._is_delta:
+            return emitter.unoccluded(si.p)
+        _, weight = emitter.emitter.sample_direction(si, mi.Point2f(0.5))  # which delta lights do not use
+        return dr.opaque(mi.Float, dr.width(self._emitters)) * to_rgb(weight)
+
+    def _shadow_ray(self, scene: Any, position: Any, emitter: _EmitterSample) -> Any:
+        """Return the ray to the emitter sample from the surface that is visible at positions in pixels."""
         si = scene.ray_intersect(self._segments.ray(position))
         to_emitter, distance = emitter.spawned_direction(si.p)
         ray = si.spawn_ray(to_emitter)
         ray.maxt = dr.select(emitter.is_infinite, distance, distance * (1.0 - mi.math.ShadowEpsilon))
-        return ~scene.ray_test(ray, active=si.is_valid())
+        ray.maxt = dr.select(si.is_valid(), ray.maxt, 0.0)  # which hits nothing
+        return ray
 
-    def _is_moving(self, shape: Any) -> Any:
-        """Return a mask of the shape indices that are moving shapes."""
-        return self._moving_table.first_row(shape)[1]
+    def _is_receiver(self, shape: Any) -> Any:
+        """Return a mask of the shape indices that are receivers."""
+        return self._receiver_table.first_row(shape)[1]
 
     @staticmethod
     def _faces(si: Any, emitter: _EmitterSample) -> Any:
@@ -343,3 +381,52 @@ class ReceivedShadowBoundary:
         to_emitter, _ = emitter.direction(si.p)
         orientation = dr.sign(dr.dot(si.n, si.to_world(si.wi)))
         return dr.dot(si.n, to_emitter) * orientation > MIN_LIGHT_COSINE
+
+
+@dataclass(frozen=True)
+class _Motion:
+    """The surface points that rays hit.
+
+    Attributes
+    ----------
+    p : mi.Point3f
+        Detached.
+    displacement : mi.Vector3f
+        Zero, with the velocity of the material point as its derivative.
+    """
+
+    p: Any
+    displacement: Any
+
+
+def _motions(scene: Any, *rays: Any) -> list[_Motion]:
+    """Return the motions of the points that several arrays of rays hit, all of the same width.
+
+    All are found by one call: Dr.Jit propagates no forward gradient through two calls on one shape.
+    """
+    width = dr.width(rays[0])
+    ray = (
+        rays[0]
+        if len(rays) == 1
+        else mi.Ray3f(
+            *(
+                type(components[0])(*(dr.concat(list(axes)) for axes in zip(*components, strict=True)))
+                for components in zip(*((ray.o, ray.d) for ray in rays), strict=True)
+            )
+        )
+    )
+    si = scene.ray_intersect(ray, ray_flags=mi.RayFlags.Minimal | mi.RayFlags.FollowShape, coherent=False)
+    displacement = dr.select(si.is_valid(), si.p - dr.detach(si.p), 0.0)
+    count = dr.opaque(mi.UInt32, width)  # a literal would be compiled into kernels
+    slices = [dr.arange(mi.UInt32, width) + k * count for k in range(len(rays))]
+    return [
+        _Motion(
+            dr.gather(mi.Point3f, dr.detach(si.p), rows),
+            dr.gather(type(displacement), displacement, rows, mode=dr.ReduceMode.NoConflicts),
+        )
+        for rows in slices
+    ]
+
+
+def _is_delta(emitter: Any) -> bool:
+    return bool(mi.has_flag(emitter.flags(), mi.EmitterFlags.Delta))

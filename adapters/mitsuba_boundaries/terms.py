@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mitsuba_boundaries.area_jacobian import clamped_sample
+from mitsuba_boundaries.area_jacobian import corrected_sample
 from mitsuba_boundaries.drjit.arrays import Float32Array
 from mitsuba_boundaries.integrator_view import IntegratorView
 from mitsuba_boundaries.sensing.film import Film
@@ -101,9 +101,9 @@ class InteriorTerm:
 
     @property
     def _view(self) -> Any:
-        """The integrator without samples of silhouettes, and with a clamped area Jacobian."""
+        """The integrator without samples of silhouettes, and with a corrected area Jacobian."""
         counts = dict.fromkeys(SILHOUETTE_COUNTS, 0)
-        return IntegratorView(self.integrator, sample=clamped_sample(self.integrator), **counts)
+        return IntegratorView(self.integrator, sample=corrected_sample(self.integrator, self.scene), **counts)
 
     def _call(self, name: str, *arguments: Any) -> Any:
         """Call the method of Mitsuba that differentiates the interior: of projective integrators, not of a subclass."""
@@ -152,9 +152,7 @@ class BoundaryTerm:
         if sample is not None:
             value, uv = sample
             weighted = value * self.film.gather(cotangent, uv)
-            if dr.grad_enabled(
-                weighted
-            ):  # False if Dr.Jit knows the difference to be 0, as for shadows of point lights
+            if dr.grad_enabled(weighted):  # False if Dr.Jit knows the difference to be 0
                 # Not of the sum, which Dr.Jit would evaluate first, tracing all rays twice.
                 dr.backward(weighted, dr.ADFlag.ClearInterior)
 

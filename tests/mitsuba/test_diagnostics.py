@@ -27,12 +27,19 @@ def gradient_warnings(recwarn: pytest.WarningsRecorder) -> list[str]:
         ({"type": "directional", "direction": [0, -1, 0]}, "DirectionalEmitter"),
     ],
 )
-def test_moving_shadows_of_delta_lights_give_a_warning(light: dict[str, Any], type_name: str) -> None:
-    with pytest.warns(GradientWarning, match=f"a shape moves under a {type_name}, .*use a small sphere"):
-        renderer = MitsubaRenderer(shadow_scene(lamp=light), {"place": Translate("ball")})
+def test_moving_shadows_of_delta_lights_give_a_warning_only_to_unsupported_cameras(
+    light: dict[str, Any], type_name: str, recwarn: pytest.WarningsRecorder
+) -> None:
+    renderer = MitsubaRenderer(shadow_scene(lamp=light), {"place": Translate("ball")})
     gradient = renderer.render_vjp(renderer.parameters())[1](random_cotangent())
-    assert not np.any(gradient["place"])  # the warning is true: only the shadow of the ball is in view
-    MitsubaRenderer(shadow_scene(lamp=light), {"floor": PARAMETERS["floor"]})  # nothing moves: no warning
+    assert np.any(gradient["place"])  # only the shadow of the ball is in view
+    assert not gradient_warnings(recwarn)
+    scene = shadow_scene(lamp=light)
+    scene["sensor"] |= {"type": "thinlens", "aperture_radius": 0.1}
+    shadows = {"type": "direct_projective", "guiding": "none", "sppp": 0}
+    with pytest.warns(GradientWarning, match=f"a shape moves under a {type_name}, .*use a small sphere"):
+        MitsubaRenderer(scene, {"place": Translate("ball")}, integrator=shadows)
+    MitsubaRenderer(scene, {"floor": PARAMETERS["floor"]}, integrator=shadows)  # nothing moves: no warning
 
 
 def test_integrators_without_silhouettes_give_a_warning() -> None:

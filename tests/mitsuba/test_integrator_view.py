@@ -10,7 +10,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from mitsuba_boundaries.area_jacobian import FUNCTION, clamped_sample
+from mitsuba_boundaries.area_jacobian import FUNCTION, corrected_sample
 from mitsuba_boundaries.gradient import ImageGradient
 from tests.mitsuba.scenes import HEIGHT, WIDTH, shadow_scene
 
@@ -88,4 +88,4 @@ def test_a_subclass_may_extend_any_method_of_mitsuba_s_integrators() -> None:
 
 def test_an_integrator_without_an_area_jacobian_keeps_its_own_sample() -> None:
     integrator = mi.load_dict({"type": "prbvolpath"})
-    assert clamped_sample(integrator) == integrator.sample
+    assert corrected_sample(integrator, moving_scene()[0]) == integrator.sample

@@ -18,14 +18,19 @@ from tests.mitsuba.scenes import box, random_cotangent, shadow_scene
 from tests.strategies import thorough
 
 DIRECT = {"type": "direct_boundaries", "guiding": "none"}
-FAST = ("flat-sided OBJ over a floor", "two boxes that intersect")
+FAST = ("two boxes that intersect", "ball that moves through a shadow in the sun")
+POINT = {"type": "point", "position": [1.0, 6.0, 2.0], "intensity": 60.0}
+
+
+def box_and_ball() -> dict[str, Any]:
+    """A box and a ball that touch nothing, over a floor."""
+    ball = {"type": "sphere", "center": [-1.5, 1.0, 0.5], "radius": 0.6}
+    return shadow_scene(ball=ball, box=box((1.0, 1.2, 0.0), 0.5))
 
 
 @pytest.fixture
 def scene() -> Any:
-    """A box and a ball that touch nothing, over a floor."""
-    ball = {"type": "sphere", "center": [-1.5, 1.0, 0.5], "radius": 0.6}
-    return mi.load_dict(shadow_scene(ball=ball, box=box((1.0, 1.2, 0.0), 0.5)))
+    return mi.load_dict(box_and_ball())
 
 
 @pytest.mark.parametrize("name", [name if name in FAST else pytest.param(name, marks=thorough) for name in SCENES])
@@ -65,8 +70,16 @@ def test_a_renderer_has_the_gradient_of_the_integrator(scene: Any) -> None:
         np.testing.assert_allclose(_flat(dr.grad(params[key])), expected[name].ravel(), rtol=1e-4, atol=1e-4)
 
 
-@pytest.mark.parametrize("name", ["direct_boundaries", pytest.param("prb_boundaries", marks=thorough)])
-def test_forward_and_backward_mode_are_adjoint(name: str, scene: Any) -> None:
+@pytest.mark.parametrize(
+    ("name", "light"),
+    [
+        ("direct_boundaries", "sphere"),
+        pytest.param("direct_boundaries", "point", marks=thorough),
+        pytest.param("prb_boundaries", "sphere", marks=thorough),
+    ],
+)
+def test_forward_and_backward_mode_are_adjoint(name: str, light: str) -> None:
+    scene = mi.load_dict(box_and_ball() | ({"lamp": POINT} if light == "point" else {}))
     integrator = mi.load_dict({"type": name, "guiding": "none", "max_depth": 3})
     params = mi.traverse(scene)
     start, cotangent = params["box.vertex_positions"], random_cotangent()

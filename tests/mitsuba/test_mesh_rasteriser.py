@@ -95,7 +95,6 @@ def test_the_rasteriser_has_the_finite_difference_of_mitsuba_s_images_of_a_box(t
     assert agrees(slope("box"), estimates, 0.005)
 
 
-@pytest.mark.filterwarnings("ignore:a shape moves under a DirectionalEmitter:loi_mitsuba.GradientWarning")
 def test_both_renderers_have_the_same_gradient_of_a_box(tmp_path: Path) -> None:
     scene = mitsuba_scene("box", tmp_path)
     renderer = MitsubaRenderer(scene, {"x": Translate("shape", (1, 0, 0))}, integrator="scene", spp_grad=256)

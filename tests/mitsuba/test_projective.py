@@ -11,7 +11,7 @@ import pytest
 
 from loi_mitsuba import MitsubaRenderer, Translate
 from loi_mitsuba.renderer import split_seed
-from mitsuba_boundaries.area_jacobian import clamped_sample
+from mitsuba_boundaries.area_jacobian import corrected_sample
 from mitsuba_boundaries.integrator_view import IntegratorView
 from mitsuba_boundaries.received_shadows import ReceivedShadowBoundary
 from tests.helpers import Host
@@ -69,9 +69,9 @@ def test_each_term_of_the_gradient_equals_mitsuba_s(integrator_type: str, term: 
     params["ball.to_world"] = mi.Transform4f().translate(mi.Vector3f(x, 0.0, 0.0)) @ params["ball.to_world"]
     params.update()
     reference = mi.load_dict(description)
-    clamped = IntegratorView(reference, sample=clamped_sample(reference))
+    corrected = IntegratorView(reference, sample=corrected_sample(reference, renderer.scene))
     type(reference).render_backward(
-        clamped, renderer.scene, params, mi.TensorXf(weight), renderer.sensor, split_seed(3)[1], 0
+        corrected, renderer.scene, params, mi.TensorXf(weight), renderer.sensor, split_seed(3)[1], 0
     )
     expected = float(dr.grad(x)[0])
     assert abs(expected) > 1.0
