@@ -5,11 +5,11 @@ Import this package before `mitsuba`: Dr.Jit loads LLVM while it is imported, an
 
 from mitsuba_boundaries import LLVMChoice, LLVMError, prepare  # isort: skip - chooses LLVM before Dr.Jit is imported
 
+from loi_core.renderers.verification import Verification
 from loi_mitsuba.diagnostics import GradientWarning
 from loi_mitsuba.effects.capabilities import CAPABILITIES
 from loi_mitsuba.effects.plan import plan_effects
 from loi_mitsuba.effects.renderer import PlannedRenderer
-from loi_mitsuba.effects.verify import Verification
 from loi_mitsuba.loss import BackendMissingError, loi_loss
 from loi_mitsuba.renderer import MitsubaRenderer
 from loi_mitsuba.scene.load import SceneLoadError

@@ -15,8 +15,8 @@ from examples.effects.scenes import Case
 from loi_core import Free, LOIObjective, Renderer, ScaleSpace, fit
 from loi_core.effects import Comparison, EffectPlan, Schedule, compare
 from loi_core.effects.schedule import STALL_STEPS
+from loi_core.renderers.verification import step_draws, steps_in_turn
 from loi_mitsuba import GradientWarning, MitsubaRenderer, PlannedRenderer
-from loi_mitsuba.effects.verify import step_draws, steps_in_turn
 
 __all__ = ["FULL", "MAX_ERROR", "QUICK", "Effort", "Row", "measure", "revisions_in_a_stall"]
 

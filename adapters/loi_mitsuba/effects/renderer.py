@@ -17,6 +17,7 @@ from loi_core.errors import OptionError
 from loi_core.objectives.base import Objective
 from loi_core.renderers.blurred import BLUR_KEYS
 from loi_core.renderers.contract import Loss, LossPullback, RendererCapabilities
+from loi_core.renderers.verification import Verification, verification
 from loi_core.support.arrays import to_numpy
 from loi_core.support.keywords import suggest_keywords
 from loi_core.support.values import real_number
@@ -27,7 +28,6 @@ from loi_mitsuba.effects.gradient_draws import GradientProbe
 from loi_mitsuba.effects.planner import Planner, PlanState
 from loi_mitsuba.effects.rules import everything, plan_of
 from loi_mitsuba.effects.setup import prepare_renderer
-from loi_mitsuba.effects.verify import Verification, verification
 from loi_mitsuba.renderer import MitsubaRenderer
 from loi_mitsuba.scene.binding import host_numbers
 from loi_mitsuba.scene.load import ParameterTarget

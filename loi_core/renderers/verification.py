@@ -1,4 +1,4 @@
-"""Compare a plan with all effects on: the time of a step, and the gradient of the loss."""
+"""Compare the steps of renderers: a plan of effects with all effects on, by its time and its gradient of the loss."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def verification(
     draws: int,
     seed: int,
 ) -> Verification:
-    """Compare two renderers; see :meth:`loi_mitsuba.PlannedRenderer.verify`.
+    """Compare a plan with all effects on, by the gradients at `draws` seeds of each.
 
     Raises
     ------
