@@ -32,6 +32,15 @@ def _integrator_class(extended: str) -> Any:
     class BoundaryIntegrator(base):  # type: ignore[misc]
         """The integrator `extended`, whose gradient has all boundary terms. Its image is the same."""
 
+        def __init__(self, props: Any) -> None:
+            super().__init__(props)
+            if self.guiding == "grid" and self.sppi != 0:
+                msg = (
+                    '`guiding` is "grid", with which Mitsuba samples hardly any edges of shadows; their gradient is '
+                    'nearly 0; use "none" or "octree"'
+                )
+                raise ValueError(msg)
+
         def render_backward(
             self,
             scene: Any,

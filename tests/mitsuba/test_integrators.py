@@ -18,7 +18,7 @@ from tests.mitsuba.scenes import box, random_cotangent, shadow_scene
 from tests.strategies import thorough
 
 DIRECT = {"type": "direct_boundaries", "guiding": "none"}
-FAST = ("two boxes that intersect", "ball that moves through a shadow in the sun")
+FAST = ("two boxes that intersect", "box and its shadow under a point light")
 POINT = {"type": "point", "position": [1.0, 6.0, 2.0], "intensity": 60.0}
 
 
@@ -54,6 +54,12 @@ def test_the_integrators_are_registered_with_each_variant() -> None:
                 integrator, base = (mi.load_dict({"type": kind}) for kind in (name, extended))
                 # By name, as Mitsuba may have imported its module a second time, under another name.
                 assert type(base).__name__ in [ancestor.__name__ for ancestor in type(integrator).__mro__]
+
+
+def test_grid_guiding_is_refused_because_mitsuba_has_hardly_any_shadows_with_it() -> None:
+    with pytest.raises(RuntimeError, match=r'`guiding` is "grid", .*use "none" or "octree"'):
+        mi.load_dict({"type": "direct_boundaries", "guiding": "grid"})
+    mi.load_dict({"type": "direct_boundaries", "guiding": "grid", "sppi": 0})
 
 
 def test_a_renderer_has_the_gradient_of_the_integrator(scene: Any) -> None:
