@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import json
+import os
 import subprocess
 import sys
 import textwrap
 from pathlib import Path
 
+import numpy as np
 import pytest
 import trimesh
 
@@ -202,6 +205,31 @@ def test_the_loops_of_the_readme_converge_from_starts_without_overlap(
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=True)
     result = [float(word) for word in done.stdout.split()]
     assert result == pytest.approx(target, abs=tolerance)
+
+
+@pytest.mark.parametrize(
+    ("name", "package", "tolerance"),
+    [
+        ("torchreg", "torchreg", 0.3),  # pixels
+        pytest.param("nanodrr", "nanodrr", 1.0, marks=thorough),  # mm; a pixel is 5.8
+        pytest.param("gsplat", None, 0.2, marks=thorough),  # world units; a pixel is 0.1; on a stand-in for gsplat
+        ("roboreg", None, 0.3),  # pixels
+    ],
+)
+def test_loops_of_other_libraries_arrive_where_l2_is_lost(name: str, package: str | None, tolerance: float) -> None:
+    if package:
+        pytest.importorskip(package)
+    truths = {"torchreg": (-24.0, -19.0), "roboreg": (50.0, 34.0)}
+    path = os.pathsep.join([str(Path(__file__).parent / "stubs"), *sys.path])
+    command = [sys.executable, "-m", f"examples.loops.with_{name}"]
+    environment = {**os.environ, "PYTHONPATH": path}
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=True, env=environment)
+    errors = {}
+    for line in done.stdout.splitlines():
+        loss, text = line.split(maxsplit=1)
+        errors[loss] = np.abs(np.subtract(json.loads(text), truths.get(name, 0.0))).max()
+    assert errors["loi"] <= tolerance
+    assert errors["L2"] > 3.0 * tolerance
 
 
 def test_optuna_finds_settings_of_a_fit_that_pixels_confirm() -> None:
