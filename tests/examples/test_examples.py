@@ -213,6 +213,7 @@ def test_the_loops_of_the_readme_converge_from_starts_without_overlap(
         ("torchreg", "torchreg", 0.3),  # pixels
         pytest.param("nanodrr", "nanodrr", 1.0, marks=thorough),  # mm; a pixel is 5.8
         pytest.param("gsplat", None, 0.2, marks=thorough),  # world units; a pixel is 0.1; on a stand-in for gsplat
+        ("pytorch3d", None, 0.1),  # world units; a pixel is 0.09; on a stand-in for PyTorch3D
         ("roboreg", None, 0.3),  # pixels
     ],
 )
