@@ -120,7 +120,7 @@ def test_an_off_centre_camera_has_the_gradient_of_that_region_of_a_wider_film(te
 @pytest.mark.parametrize("term", ["sppp", "sppi"])
 def test_silhouette_rays_are_traced_once_per_vjp_and_per_jvp(term: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """Mitsuba traces them twice, and in forward mode once for each of the 25 pixels of a Gaussian filter."""
-    monkeypatch.setattr(ReceivedShadowBoundary, "from_scene", lambda *_: None)  # a term with rays of its own
+    monkeypatch.setattr(ReceivedShadowBoundary, "from_scene", lambda *_: [])  # a term with rays of its own
     scene = ball_in_view(rfilter={"type": "gaussian"})
     renderer = MitsubaRenderer(scene, MOVES, integrator=integrator("direct_projective", term))
     ray_tracing_kernels()
