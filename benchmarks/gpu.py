@@ -113,7 +113,7 @@ def scales_of(name: str, height: int, width: int) -> ScaleSpace:
 
 
 def modelled(name: str, size: tuple[int, int]) -> Iterator[Result]:
-    """Yield what a comparison launches, allocates and computes."""
+    """Yield the launches, the memory and the operations of a comparison."""
     cost = cost_of(scales_of(name, *size), *size)
     yield Result("launches", len(cost.launches), MAX_LAUNCHES[name])
     yield Result("modelled memory, MiB", cost.peak_bytes / MIB, MAX_MIB[name])

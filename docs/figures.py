@@ -130,7 +130,7 @@ def show_kornia() -> None:
         model = registrator.register(source, target)
         assert isinstance(model, torch.Tensor)
         shifts[name] = -32.0 * model.detach()[0, :2, 2]
-        # The uncovered border in the grey of the background, so that the disk alone is seen to move.
+        # Fill the uncovered border with the grey of the background, so that only the disk appears to move.
         pictures[name] = registrator.warp_src_into_dst(source - 0.2).detach() + 0.2
     figure = new_figure(11.0, 3.4)
     for axis, (name, image) in zip(figure.subplots(1, 4), pictures.items(), strict=True):

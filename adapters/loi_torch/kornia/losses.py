@@ -66,6 +66,9 @@ def loi_loss(
             msg = f"`weights` must have shape {(image.shape[0], 1, *image.shape[2:])}, got {tuple(weights.shape)}"
             raise ImageError(msg)
         weights = weights[:, 0]
+    if target.requires_grad and exposure != "given":
+        msg = "the target has no gradient where its exposure is fitted; detach it, or pass exposure='given'"
+        raise DerivativeError(msg)
     options: dict[str, Any] = {
         "channel_axis": -3,
         "weights": weights,
@@ -76,9 +79,6 @@ def loi_loss(
     value = loi_torch.loss.loi_loss(image, target, scales, accuracy, **options)
     if not target.requires_grad:
         return value
-    if exposure != "given":
-        msg = "the target has no gradient where its exposure is fitted; detach it, or pass exposure='given'"
-        raise DerivativeError(msg)
     mirrored = loi_torch.loss.loi_loss(target, image, scales, accuracy, **options)
     return value + (mirrored - mirrored.detach())
 

@@ -77,7 +77,7 @@ class _Extent:
 
 @dataclass(frozen=True)
 class _Chain:
-    """Extents that share what is blurred: one that starts from the images, or all that start from a pyramid."""
+    """Extents with a common input: an extent that starts from the images, or all extents that start from a pyramid."""
 
     pyramid: tuple[StackBlur, ...]
     extents: tuple[_Extent, ...]
@@ -214,7 +214,7 @@ class _Inner:
             gradient.add_(cotangent)
 
     def _planes_at_once(self, count: int) -> int:
-        """Return the number of planes at once that takes the fewest launches."""
+        """Return the number of planes per chunk with the fewest launches."""
 
         def chunks(planes: int) -> int:
             levels = [self._levels(chain, tonal, planes) for chain in self.chains for tonal in self.tonal]
