@@ -107,11 +107,12 @@ class InteriorTerm:
 
     def _call(self, name: str, *arguments: Any) -> Any:
         """Call the method of Mitsuba that differentiates the interior: of projective integrators, not of a subclass."""
-        common = mi.ad.integrators.common
-        if isinstance(self.integrator, common.PSIntegrator):
-            return getattr(common.PSIntegrator, name)(self._view, *arguments)
+        projective = _mitsuba_base(self.integrator, "PSIntegrator")
+        if projective is not None:
+            return getattr(projective, name)(self._view, *arguments)
         method = getattr(type(self.integrator), name)
-        takes_views = method in (getattr(base, name) for base in (common.ADIntegrator, common.RBIntegrator))
+        bases = (_mitsuba_base(self.integrator, base) for base in ("ADIntegrator", "RBIntegrator"))
+        takes_views = method in [getattr(base, name) for base in bases if base is not None]
         return method(self._view if takes_views else self.integrator, *arguments)
 
     @property
@@ -122,6 +123,16 @@ class InteriorTerm:
 
     def _radiance_samples(self, seed: int, mode: Any) -> tuple[Any, Any]:
         return radiance_samples(self._view, self.scene, self.sensor, self.samples, seed, mode)
+
+
+def _mitsuba_base(integrator: Any, name: str) -> Any:
+    """Return Mitsuba's class with this name among the bases of an integrator, or None.
+
+    Modules are compared by name: Mitsuba's Python integrators may be loaded twice, as `mitsuba.ad` and as
+    `mitsuba.python.ad`, each with classes of its own.
+    """
+    bases = (base for base in type(integrator).__mro__ if base.__module__.startswith("mitsuba."))
+    return next((base for base in bases if base.__name__ == name), None)
 
 
 @dataclass(frozen=True)

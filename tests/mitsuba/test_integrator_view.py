@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import sys
 from typing import Any
 
@@ -89,3 +90,29 @@ def test_a_subclass_may_extend_any_method_of_mitsuba_s_integrators() -> None:
 def test_an_integrator_without_an_area_jacobian_keeps_its_own_sample() -> None:
     integrator = mi.load_dict({"type": "prbvolpath"})
     assert corrected_sample(integrator, moving_scene()[0]) == integrator.sample
+
+
+@pytest.mark.parametrize(
+    "description",
+    [
+        {"type": "direct_projective", "guiding": "none"},
+        {"type": "prb_projective", "guiding": "none"},
+        {"type": "prb"},
+    ],
+)
+def test_a_gradient_is_the_same_after_mitsuba_s_classes_are_loaded_again(description: dict[str, Any]) -> None:
+    """As an import of ``mitsuba.ad.integrators`` does: an integrator then has classes of either copy."""
+    gradients = []
+    common = mi.ad.integrators.common
+    loaded = dict(vars(common))
+    for reload in (False, True):
+        scene, x = moving_scene()
+        integrator = mi.load_dict(description)
+        if reload:
+            importlib.reload(common)
+        gradient_of(scene, integrator)
+        gradients.append(float(dr.grad(x)[0]))
+    for name, value in loaded.items():
+        setattr(common, name, value)
+    assert gradients[0] != 0.0
+    assert gradients[1] == gradients[0]

@@ -157,9 +157,8 @@ def translation_step(light: Any, position: Float64Array, points: Float64Array) -
 @lru_cache
 def _attached_integrator(variant: str) -> Any:  # noqa: ARG001 - Mitsuba's classes depend on the current variant
     """Return the class of an integrator that samples emitters only, at primary hits."""
-    from mitsuba.ad.integrators.common import ADIntegrator
 
-    class AttachedEmitterIntegrator(ADIntegrator):  # type: ignore[misc]  # Mitsuba's integrators have no types
+    class AttachedEmitterIntegrator(mi.ad.integrators.common.ADIntegrator):  # type: ignore[misc]  # has no type
         slopes: tuple[tuple[Any, int, Any], ...] = ()
         area_lights: tuple[Any, ...] = ()
 
