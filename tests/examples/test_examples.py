@@ -215,6 +215,7 @@ def test_the_loops_of_the_readme_converge_from_starts_without_overlap(
         pytest.param("gsplat", None, 0.2, marks=thorough),  # world units; a pixel is 0.1; on a stand-in for gsplat
         ("pytorch3d", None, 0.1),  # world units; a pixel is 0.09; on a stand-in for PyTorch3D
         ("roboreg", None, 0.3),  # pixels
+        pytest.param("bpy", None, 0.1, marks=thorough),  # Blender's units; a pixel is 0.1; on a stand-in for bpy
     ],
 )
 def test_loops_of_other_libraries_arrive_where_l2_is_lost(name: str, package: str | None, tolerance: float) -> None:

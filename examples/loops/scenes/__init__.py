@@ -1,0 +1,1 @@
+"""What the loops find: scenes, each made by the library that renders it."""
