@@ -18,6 +18,7 @@ from loi_core.fitting.descent import MAX_RESTARTS, Decay, Descent
 from loi_core.fitting.diagnosis import diagnose_fit, exposures_of, psnr_of
 from loi_core.fitting.exposure import exposure_is_free, require_visible
 from loi_core.fitting.history import FitStep
+from loi_core.fitting.live_figure import LiveFigure
 from loi_core.fitting.optimiser import Optimiser
 from loi_core.fitting.parameters import (
     Free,
@@ -151,7 +152,7 @@ def fit(
         several views, `image` is a dict of the rendered ones. The arrays are copies. A checkpoint holds the steps whose
         callback has returned, and the memory of a ``loi_core.fitting.callbacks.RememberingCallback``.
     progress : bool
-        Whether to show a progress bar, in a terminal or a notebook.
+        Whether to show a progress bar and, in a notebook, the image of the latest step and the values so far.
 
     Returns
     -------
@@ -220,12 +221,16 @@ def fit(
                 noise_floor = descent.noise_floor(state)
                 schedule = Schedule(views.stages, steps, MAX_RESTARTS, noise_floor, finishes=views.finishes)
                 state = replace(state, schedule=schedule)
-        with StepBar(steps, state.step, views.stages, is_shown=progress) as bar:
+        with (
+            StepBar(steps, state.step, views.stages, is_shown=progress) as bar,
+            LiveFigure(is_shown=progress) as figure,
+        ):
             while state.step < steps:
                 state, evaluation = descent.step(state)
                 _begin(file, state)
                 entry = state.log[state.step - 1]
                 bar.show(entry)
+                figure.show(state.log, evaluation.images)
                 answer = None if callback is None else callback(entry, *_copies(evaluation.params, evaluation.images))
                 called = state  # only now may a checkpoint hold the step: a callback that was interrupted sees it again
                 with with_partial_result(state, "the callback"):

@@ -18,7 +18,7 @@ from loi_core.support.arrays import Host, to_numpy
 from loi_core.support.charts import sparkline
 from loi_core.support.repr_html import card, figure, row, table
 
-__all__ = ["convergence_points", "result_html"]
+__all__ = ["convergence_figure", "convergence_points", "image_pictures", "result_html"]
 
 MAX_PICTURES: Final = 4
 MAX_PARAMETERS: Final = 12
@@ -39,18 +39,26 @@ def result_html(
 ) -> str:
     """Return a result as HTML: the diagnosis, numbers, free parameters, the image and the value by step."""
     verdict = "" if diagnosis is None else f"{'✓' if diagnosis.ok else '✗'} {diagnosis}"
-    pictures = [
-        thumbnail(array, f"result: {view}" if view else "result")
-        for view, array in list(by_view(image).items())[:MAX_PICTURES]
-    ]
-    curve = figure(sparkline(convergence_points(history), CURVE_CAPTION), CURVE_CAPTION)
     return card(
         name,
         escape(verdict).replace("\n", "<br>"),
-        row([*pictures, curve]),
+        row([*image_pictures(by_view(image), "result"), convergence_figure(history)]),
         table(facts.items()),
         table(_parameter_rows(params, free, history), ("parameter", "start", "result")),
     )
+
+
+def image_pictures(images: Mapping[str, Images], caption: str) -> list[str]:
+    """Return small pictures of the images by view, each with a caption; of the first views if there are many."""
+    return [
+        thumbnail(image, f"{caption}: {view}" if view else caption)
+        for view, image in list(images.items())[:MAX_PICTURES]
+    ]
+
+
+def convergence_figure(history: Sequence[FitStep]) -> str:
+    """Return a curve of the values by step, with a caption; empty if there is nothing to draw."""
+    return figure(sparkline(convergence_points(history), CURVE_CAPTION), CURVE_CAPTION)
 
 
 def convergence_points(history: Sequence[FitStep]) -> list[list[tuple[float, float]]]:

@@ -7,6 +7,7 @@ import io
 import re
 import xml.etree.ElementTree as ET
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -205,3 +206,23 @@ def test_a_thumbnail_shows_bytes_as_fractions_and_nan_as_black() -> None:
         pixels = np.asarray(picture)
         assert pixels[0, 0].tolist() == [0, 0, 0]
         assert np.all(np.abs(pixels[1:].astype(int) - 128) <= 1)
+
+
+def test_a_fit_with_progress_shows_its_last_step_in_the_notebook_that_runs_it() -> None:
+    nbclient, nbformat = pytest.importorskip("nbclient"), pytest.importorskip("nbformat")
+    cell = nbformat.v4.new_code_cell("from tests.fitting.fits import run\nrun(steps=3, progress=True)\nNone")
+    kernel_folder = {"metadata": {"path": str(Path(__file__).parents[2])}}
+    nbclient.NotebookClient(nbformat.v4.new_notebook(cells=[cell]), timeout=300, resources=kernel_folder).execute()
+    (live,) = [output.data["text/html"] for output in cell.outputs if output.output_type == "display_data"]
+    assert "step 2" in texts(live)
+    assert [picture.size for picture in pictures(live)] == [(32, 32)]
+    assert len(list(parsed(live).iter("polyline"))) == 1
+
+
+def test_a_fit_with_progress_displays_nothing_in_a_shell_without_a_kernel(monkeypatch: pytest.MonkeyPatch) -> None:
+    ipython = pytest.importorskip("IPython")
+    shell = ipython.core.interactiveshell.InteractiveShell()
+    monkeypatch.setattr(ipython, "get_ipython", lambda: shell)
+    with ipython.utils.capture.capture_output() as captured:
+        run(steps=3, progress=True)
+    assert captured.outputs == []
