@@ -207,6 +207,13 @@ def test_the_loops_of_the_readme_converge_from_starts_without_overlap(
     assert result == pytest.approx(target, abs=tolerance)
 
 
+def output_on_stubs(module: str) -> str:
+    """Return what a program prints, with stand-ins for libraries that need a GPU or a build."""
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent / "stubs"), *sys.path])}
+    command = [sys.executable, "-m", module]
+    return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=True, env=environment).stdout
+
+
 @pytest.mark.parametrize(
     ("name", "package", "tolerance"),
     [
@@ -222,16 +229,21 @@ def test_loops_of_other_libraries_arrive_where_l2_is_lost(name: str, package: st
     if package:
         pytest.importorskip(package)
     truths = {"torchreg": (-24.0, -19.0), "roboreg": (50.0, 34.0)}
-    path = os.pathsep.join([str(Path(__file__).parent / "stubs"), *sys.path])
-    command = [sys.executable, "-m", f"examples.loops.with_{name}"]
-    environment = {**os.environ, "PYTHONPATH": path}
-    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=True, env=environment)
     errors = {}
-    for line in done.stdout.splitlines():
+    for line in output_on_stubs(f"examples.loops.with_{name}").splitlines():
         loss, text = line.split(maxsplit=1)
         errors[loss] = np.abs(np.subtract(json.loads(text), truths.get(name, 0.0))).max()
     assert errors["loi"] <= tolerance
     assert errors["L2"] > 3.0 * tolerance
+
+
+@thorough
+def test_pixel_losses_are_enough_for_gaussians_that_cover_their_image() -> None:
+    lines = output_on_stubs("examples.loops.with_gsplat_image").splitlines()
+    psnr = {name: float(text.removesuffix(" dB")) for name, text in (line.split(": ") for line in lines)}
+    assert list(psnr) == ["L2", "L1 and SSIM", "loi"]
+    assert min(psnr.values()) > 15.0  # 6.8 dB for the photograph's mean colour
+    assert max(psnr.values()) - min(psnr.values()) < 3.0
 
 
 def test_optuna_finds_settings_of_a_fit_that_pixels_confirm() -> None:

@@ -37,8 +37,9 @@ def rasterization(
         slopes = torch.stack([1 / depth, zero, -points[:, 0] / depth**2, zero, 1 / depth, -points[:, 1] / depth**2], -1)
         projected = intrinsics[:2, :2] @ slopes.reshape(-1, 2, 3) @ factor
         precision = torch.linalg.inv(projected @ projected.transpose(1, 2) + eps2d * torch.eye(2))
-        offsets = torch.stack([columns, rows], -1)[None] - pixels[:, None, None]
-        exponent = torch.einsum("nhwi,nij,nhwj->nhw", offsets, precision, offsets)
+        right, down = columns - pixels[:, 0, None, None], rows - pixels[:, 1, None, None]
+        precision = precision[..., None, None]
+        exponent = precision[:, 0, 0] * right**2 + 2 * precision[:, 0, 1] * right * down + precision[:, 1, 1] * down**2
         alpha = opacities[order, None, None] * torch.exp(-0.5 * exponent)
         transmittance = torch.cumprod(1 - alpha, dim=0)
         weights = alpha * torch.cat([torch.ones_like(alpha[:1]), transmittance[:-1]])
