@@ -29,6 +29,7 @@ __all__ = ["ReceivedShadowBoundary"]
 TANGENT_STEP_PX: Final = 0.05  # between the two points of a shadow edge that give its direction
 SEARCH_RADIUS_PX: Final = 0.06  # of the search for the second of them
 SILHOUETTE_MARGIN_PX: Final = 0.01  # from a silhouette, where rounding makes rays hit the unlit back of closed shapes
+SHADOW_MARGIN_PX: Final = 1e-3  # from a shadow's edge, where rounding makes rays miss the occluder that they graze
 MIN_LIGHT_COSINE: Final = 1e-3  # at smaller ones a surface may shadow itself, because rays are spawned off surfaces
 MAX_HIT_DISTANCE_PX: Final = 0.05  # between the ends of a bisected segment; larger ones have a jump in depth
 MIN_RELATIVE_SPEED: Final = 1e-3  # of the surface point across the grazing plane, relative to its whole speed
@@ -202,7 +203,8 @@ class ReceivedShadowBoundary:
             radiance = self._unoccluded(hit, emitter) * to_rgb(bsdf_value)
             difference = dr.select(is_first_lit, radiance, -radiance) * crossing.weight
             difference = dr.select(active, self._segments.average(difference, samples), 0.0)
-            shadow_ray = self._shadow_ray(scene, dr.select(is_first_lit, second, first), emitter)
+            margin = SHADOW_MARGIN_PX * direction
+            shadow_ray = self._shadow_ray(scene, dr.select(is_first_lit, second + margin, first - margin), emitter)
         receiver, occluder = _motions(scene, ray, shadow_ray) if self._is_delta else (_motions(scene, ray)[0], None)
         with dr.suspend_grad():
             # At a fixed position of the image, the visible point of the receiver moves along the camera ray.

@@ -178,6 +178,12 @@ def _box_under_a_point_light(folder: Path) -> dict[str, Any]:
     return _under({"type": "point", "position": [2.0, 6.0, 2.0], "intensity": 60.0}, moving=_obj(folder), ball=ball)
 
 
+def _ball_out_of_view(_: Path) -> dict[str, Any]:
+    """Return a scene where the shadow moves twice as fast as the ball, which is as far from the light as from it."""
+    ball = {"type": "sphere", "to_world": mi.ScalarTransform4f().translate([0.2, 5.0, 0.0]).scale(0.4)}
+    return _under({"type": "point", "position": [0.5, 9.5, 0.3], "intensity": 150.0}, moving=ball)
+
+
 def _ball_in_the_sun(folder: Path) -> dict[str, Any]:
     ball = {"type": "sphere", "to_world": mi.ScalarTransform4f().translate([0.0, 1.2, 0.0]).scale(0.7)}
     occluder = {"type": "sphere", "center": [1.0, 3.0, 0.6], "radius": 0.4, "bsdf": _coloured(0.1, 0.3, 0.6)}
@@ -197,6 +203,7 @@ SCENES: Final = {
     "two boxes that intersect": MovingScene(_interpenetrating_boxes),
     "box that moves through a shadow": MovingScene(_shadowed_box),
     "box and its shadow under a point light": MovingScene(_box_under_a_point_light),
+    "shadow of a ball out of view under a point light": MovingScene(_ball_out_of_view, "moving.to_world"),
     "ball that moves through a shadow in the sun": MovingScene(_ball_in_the_sun, "moving.to_world"),
     "box in the cone of a spot": MovingScene(_box_under_a_spot),
 }

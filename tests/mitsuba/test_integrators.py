@@ -18,7 +18,7 @@ from tests.mitsuba.scenes import box, random_cotangent, shadow_scene
 from tests.strategies import thorough
 
 DIRECT = {"type": "direct_boundaries", "guiding": "none"}
-FAST = ("two boxes that intersect", "box and its shadow under a point light")
+FAST = ("two boxes that intersect", "shadow of a ball out of view under a point light")
 POINT = {"type": "point", "position": [1.0, 6.0, 2.0], "intensity": 60.0}
 
 

@@ -209,7 +209,8 @@ def substitute_light(
         node.props[key] = mi.Properties.ResolvedReference(child_index)
     node.type = mi.ObjectType.Shape
     suffix = "" if light_id.startswith(LIGHT_ID) else f" {light_id!r}"
-    reason = f"{area_light.description}, because the shadow of a delta light has no gradient"
+    lacks = "because the motion of a delta light, and of its shadows seen in other surfaces, has no gradient"
+    reason = f"{area_light.description}, {lacks}"
     # The scene itself has all gradients except of shadows, with less noise. Shapes that move in the cone of a spot have
     # no gradient in Mitsuba at all.
     return Substitution(f"{plugin} light{suffix}", reason, plugin != "spot", light_id, area_light.factor)
