@@ -72,7 +72,7 @@ class _EmitterSample:
         index = dr.minimum(mi.UInt32(uv.x * count), count - 1)
         chosen = dr.gather(mi.EmitterPtr, emitters, index)
         ds, weight = chosen.sample_direction(si, mi.Point2f(uv.x * count - index, uv.y), si.is_valid())
-        weight = dr.select(ds.pdf > 0.0, count * to_rgb(weight), 0.0)
+        weight = dr.select(ds.pdf > 0.0, mi.Float(count) * to_rgb(weight), 0.0)
         flags = chosen.flags()
         is_infinite, is_surface = (
             mi.has_flag(flags, flag) for flag in (mi.EmitterFlags.Infinite, mi.EmitterFlags.Surface)
