@@ -1,4 +1,4 @@
-"""Tests of the speed benchmark: its rows, and the peers that it cannot measure."""
+"""Benchmarks have all their rows, and name the peers that they cannot measure."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from benchmarks import speed, timing
+from benchmarks import first_result, speed, timing
 from tests.environments import ROOT, run
 
 ROWS = ("balanced|path", "plain conv2d|path", "MS-SSIM", "pyramid", "AlexNet")
@@ -44,3 +44,13 @@ def test_the_speed_benchmark_measures_peak_memory_in_a_fresh_process() -> None:
     peak = float(run(sys.executable, "-m", "benchmarks.speed", *arguments, cwd=ROOT).split()[-1])
     stack = 17 * 3 * 96 * 96 * 4
     assert peak > 2 * stack  # autograd keeps histograms at two inner scales
+
+
+@pytest.mark.parametrize("page", first_result.EXTRAS)
+def test_a_first_program_is_timed_only_if_it_prints_the_output_on_its_page(page: str, tmp_path: Path) -> None:
+    program, expected = first_result.first_program(ROOT / "docs" / "guide" / f"{page}.md")
+    assert expected.strip()
+    python = Path(sys.executable)
+    assert first_result.program_seconds(python, f"print({expected!r}, end='')", expected, tmp_path) > 0.0
+    with pytest.raises(ValueError, match="printed '', expected"):
+        first_result.program_seconds(python, f"{program.splitlines()[0]!r}", expected, tmp_path)
