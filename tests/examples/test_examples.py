@@ -238,6 +238,14 @@ def test_loops_of_other_libraries_arrive_where_l2_is_lost(name: str, package: st
 
 
 @thorough
+def test_more_turns_of_a_cube_are_found_than_by_l2_without_random_search() -> None:
+    lines = output_on_stubs("examples.loops.with_nvdiffrast").splitlines()
+    found = {loss: int(text) for loss, text in (line.split() for line in lines)}
+    assert found["loi"] >= 12  # of 16
+    assert found["loi"] > found["L2"]
+
+
+@thorough
 def test_pixel_losses_are_enough_for_gaussians_that_cover_their_image() -> None:
     lines = output_on_stubs("examples.loops.with_gsplat_image").splitlines()
     psnr = {name: float(text.removesuffix(" dB")) for name, text in (line.split(": ") for line in lines)}
