@@ -19,7 +19,7 @@ __all__ = ["REGISTRATIONS"]
 SIDE_PX: Final = 96
 SHORTER_SIDE_PX: Final = 160  # of the photograph that both crops are taken from
 BOUND: Final = 0.7  # of the side
-SHIFTS: Final = (0.1, 0.25, 0.4, 0.5)  # of the side
+SHIFTS: Final = (0.1, 0.25, 0.4, 0.5, 0.6)  # of the side
 AGREEMENT_PX: Final = 2.0  # between matches of one shift
 SUBPIXELS: Final = 20
 

@@ -8,15 +8,14 @@ import numpy as np
 import torch
 from kornia.geometry import ImageRegistrator, pyrdown
 from torch import Tensor
+from torch.nn.functional import l1_loss
 
 from examples.external.registration import Loss, Settings
 from loi_core.support.arrays import Host
-from loi_torch import loi_loss
+from loi_torch.kornia import RegistrationLoss
 
 __all__ = ["register"]
 
-COVERED = 0.9  # kornia's threshold for a pixel that both images cover
-MIN_COVERAGE = 0.01
 TUNED_RATE = 0.01  # of half the side
 SEARCH_SHIFTS = np.arange(-0.75, 0.76, 0.125)  # of the side, along each axis
 SEARCH_COVERAGE = 0.2  # smallest share of the area that the images share
@@ -46,31 +45,15 @@ class _Counting(ImageRegistrator):
         values = {}
         for shift in itertools.product(SEARCH_SHIFTS, repeat=2):
             if np.prod(1.0 - np.abs(shift)) >= SEARCH_COVERAGE:
-                column = 2.0 * torch.tensor(shift)[:, None]
-                with torch.no_grad():
-                    forth = self.get_single_level_loss(source, target, _translation(column))
-                    values[shift] = float(forth + self.get_single_level_loss(target, source, _translation(-column)))
+                column = 2.0 * torch.tensor(shift)[:, None].requires_grad_()  # `RegistrationLoss` needs a graph
+                forth = self.get_single_level_loss(source, target, _translation(column))
+                back = self.get_single_level_loss(target, source, _translation(-column))
+                values[shift] = (forth + back).item()
         return 2.0 * torch.tensor(min(values, key=values.__getitem__))
 
     def get_single_level_loss(self, img_src: Tensor, img_dst: Tensor, transform_model: Tensor) -> Tensor:
         self.images += 1
         return super().get_single_level_loss(img_src, img_dst, transform_model)
-
-
-class _OverCoveredPart(_Counting):
-    """A registrator that compares the covered part alone by the library's loss: each call brings the mask."""
-
-    def get_single_level_loss(self, img_src: Tensor, img_dst: Tensor, transform_model: Tensor) -> Tensor:
-        self.images += 1
-        warper = self.warper(*img_dst.shape[-2:])
-        with torch.no_grad():
-            covered = (warper(torch.ones_like(img_src[:, :1]), transform_model) > COVERED)[:, 0].double()
-        coverage = float(covered.mean())
-        warped = warper(img_src, transform_model)
-        if coverage < MIN_COVERAGE:
-            nothing: Tensor = 0.0 * warped.sum()
-            return nothing
-        return loi_loss(warped, img_dst, channel_axis=-3, weights=covered) / coverage
 
 
 def _translation(column: Tensor) -> Tensor:
@@ -93,8 +76,7 @@ def register(moving: Host, target: Host, loss: Loss, settings: Settings) -> tupl
         stop early. "searched" begins at the best of a grid of shifts, by the loss of images of a quarter of the size,
         and descends on two levels.
     """
-    registrator_class = _Counting if loss == "L1" else _OverCoveredPart
-    registrator = registrator_class("translation")
+    registrator = _Counting("translation", loss_fn=l1_loss if loss == "L1" else RegistrationLoss())
     if settings == "tuned":
         registrator.lr, registrator.tolerance = TUNED_RATE, 0.0
     source, destination = (
