@@ -63,7 +63,13 @@ REQUIRED: Final = {
 }
 # Each is imported by its adapter: loi_mitsuba has to come before mitsuba, to choose the LLVM.
 BACKENDS: Final = {"torch": "loi_torch", "jax": "loi_jax", "mitsuba": "loi_mitsuba"}
-EXTRAS: Final = {"distributed": "dask", "matplotlib": "plots"}
+EXTRAS: Final = {
+    "kornia": "kornia",
+    "trimesh": "mesh",
+    "svgelements": "svg",
+    "distributed": "dask",
+    "matplotlib": "plots",
+}
 
 
 def run(options: argparse.Namespace) -> int:

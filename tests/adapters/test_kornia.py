@@ -19,7 +19,7 @@ from torch.nn import functional
 
 import loi_torch
 from loi_core import ScaleSpace
-from loi_core.errors import DerivativeError, ImageError, ParameterError
+from loi_core.errors import DerivativeError, ImageError, ParameterError, UnknownOptionError
 from loi_core.renderers.poses import PoseParameter
 from loi_torch.kornia import LOILoss, RegistrationLoss, loi_loss
 from loi_torch.kornia.cameras import cameras_from_pinhole, pinhole_from_cameras, pose_from_values, values_from_pose
@@ -86,6 +86,17 @@ def test_images_of_unlike_shapes_are_refused() -> None:
     for other in (target[:1], target[0], target[:, :1]):
         with pytest.raises(ImageError, match="one shape"):
             loi_loss(image, other)
+
+
+@pytest.mark.parametrize(
+    ("function", "keyword", "meaning"),
+    [(loi_loss, "mask", "weights"), (LOILoss, "colors", "colours"), (RegistrationLoss, "scale", "scales")],
+)
+def test_misspelt_keywords_of_kornias_losses_are_answered_by_their_meaning(
+    function: Any, keyword: str, meaning: str
+) -> None:
+    with pytest.raises(UnknownOptionError, match=f"did you mean `{meaning}`"):
+        function(**{keyword: None})
 
 
 def test_the_loss_alone_does_not_import_kornia() -> None:

@@ -12,10 +12,12 @@ from loi_core.errors import DerivativeError, ImageError
 from loi_core.objectives.loss import Reduction
 from loi_core.pixels.colours import Colours
 from loi_core.pixels.exposure import Exposure
+from loi_core.support.keywords import suggest_keywords
 
 __all__ = ["LOILoss", "loi_loss"]
 
 
+@suggest_keywords
 def loi_loss(
     image: Tensor,
     target: Tensor,
@@ -83,6 +85,7 @@ def loi_loss(
     return value + (mirrored - mirrored.detach())
 
 
+@suggest_keywords
 class LOILoss(nn.Module):
     """The locally orderless image loss as a module, called with two images (B, C, H, W).
 

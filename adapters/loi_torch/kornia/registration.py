@@ -11,6 +11,7 @@ from torch.nn import functional
 
 from loi_core import ScaleSpace
 from loi_core.errors import ImageError
+from loi_core.support.keywords import suggest_keywords
 from loi_torch.kornia.losses import loi_loss
 
 __all__ = ["RegistrationLoss"]
@@ -20,6 +21,7 @@ BILINEAR: Final = 0  # torch's number of the interpolation
 ZEROS: Final = 0  # torch's number of the padding
 
 
+@suggest_keywords
 class RegistrationLoss(nn.Module):
     """The locally orderless image loss as ``loss_fn`` of kornia's ``ImageRegistrator``.
 
