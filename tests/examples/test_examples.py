@@ -220,7 +220,7 @@ def output_on_stubs(module: str) -> str:
         ("torchreg", "torchreg", 0.3),  # pixels
         pytest.param("nanodrr", "nanodrr", 1.0, marks=thorough),  # mm; a pixel is 5.8
         pytest.param("gsplat", None, 0.2, marks=thorough),  # world units; a pixel is 0.1; on a stand-in for gsplat
-        ("pytorch3d", None, 0.1),  # world units; a pixel is 0.09; on a stand-in for PyTorch3D
+        pytest.param("pytorch3d", None, 0.1, marks=thorough),  # world units; on a stand-in for PyTorch3D
         ("roboreg", None, 0.3),  # pixels
         pytest.param("bpy", None, 0.1, marks=thorough),  # Blender's units; a pixel is 0.1; on a stand-in for bpy
     ],

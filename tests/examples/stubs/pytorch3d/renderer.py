@@ -59,12 +59,8 @@ class MeshRenderer:
         return image[None][..., [0, 1, 2, 0]].float()
 
 
-def look_at_view_transform(dist: float, elev: float, azim: float, *, device: Any = "cpu") -> tuple[Tensor, Tensor]:
-    """Return the rotation, shape (1, 3, 3), and translation, shape (1, 3), of a camera that looks at the origin."""
-    elevation, azimuth = (torch.deg2rad(torch.tensor(float(angle))) for angle in (elev, azim))
-    horizontal = torch.cos(elevation)
-    eye = dist * torch.stack([horizontal * torch.sin(azimuth), torch.sin(elevation), horizontal * torch.cos(azimuth)])
-    z = -eye / torch.linalg.vector_norm(eye)
-    x = torch.nn.functional.normalize(torch.linalg.cross(torch.tensor([0.0, 1.0, 0.0]), z), dim=0)
-    rotation = torch.stack([x, torch.linalg.cross(z, x), z], dim=1)
-    return rotation[None].to(device), torch.tensor([[0.0, 0.0, dist]], device=device)
+def look_at_rotation(camera_position: Tensor, *, device: Any = "cpu") -> Tensor:
+    """Return the rotation, shape (1, 3, 3), of a camera at a position, shape (1, 3), that looks at the origin."""
+    z = torch.nn.functional.normalize(-camera_position)
+    x = torch.nn.functional.normalize(torch.linalg.cross(torch.tensor([[0.0, 1.0, 0.0]], device=device), z))
+    return torch.stack([x, torch.linalg.cross(z, x), z], dim=2)
