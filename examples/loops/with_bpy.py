@@ -13,7 +13,7 @@ from examples.loops.scenes import brick
 from loi_core import Free, LOIObjective, Objective, PixelL2, fit
 from loi_core.renderers import BlurredRenderer
 
-scene, found = brick.build()
+scene, block = brick.build()
 
 
 class Blender:
@@ -25,7 +25,7 @@ class Blender:
 
     def render(self, params: dict[str, Any], *, seed: int = 0) -> Any:
         """Return the image, shape (48, 64, 3)."""
-        found.location[:2], found.rotation_euler[2] = params["place"], params["turn"]
+        block.location[:2], block.rotation_euler[2] = params["place"], params["turn"]
         scene.cycles.seed = seed
         bpy.ops.render.render(write_still=True)
         return np.asarray(Image.open(scene.render.filepath)) / 255.0

@@ -1,7 +1,7 @@
 """Find turns of a cube with nvdiffrast: ``python -m examples.loops.with_nvdiffrast``.
 
-It needs a CUDA GPU and nvdiffrast, ``pip install git+https://github.com/NVlabs/nvdiffrast``. The scene is that of
-nvdiffrast's own sample of poses, smaller, without its random search.
+It needs a CUDA GPU and nvdiffrast, ``pip install git+https://github.com/NVlabs/nvdiffrast``. It follows
+nvdiffrast's own sample of poses, smaller and without its random search.
 """
 
 import nvdiffrast.torch as dr
@@ -17,9 +17,9 @@ truth, start = cube.turns(16, device)
 context = dr.RasterizeCudaContext()
 
 
-def render(turn: torch.Tensor) -> torch.Tensor:
+def render(quaternions: torch.Tensor) -> torch.Tensor:
     """Render the cube turned by each of N quaternions, shape (N, 48, 48, 3)."""
-    matrix = torch.nn.functional.pad(quaternion_to_rotation_matrix(turn), (0, 1, 0, 1))
+    matrix = torch.nn.functional.pad(quaternion_to_rotation_matrix(quaternions), (0, 1, 0, 1))
     matrix[:, 3, 3] = 1.0
     clip = positions @ (to_clip @ matrix).mT
     raster, _ = dr.rasterize(context, clip, triangles, resolution=[48, 48])
@@ -33,15 +33,15 @@ photographs = render(truth)
 
 def found(loss: torch.nn.Module) -> int:
     """Return the number of turns that Adam finds within 5 degrees."""
-    turn = start.clone().requires_grad_()
-    optimizer = torch.optim.Adam([turn], lr=0.02)
+    quaternions = start.clone().requires_grad_()
+    optimizer = torch.optim.Adam([quaternions], lr=0.02)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, 150)
     for _ in range(150):
         optimizer.zero_grad()
-        loss(render(turn), photographs).backward()
+        loss(render(quaternions), photographs).backward()
         optimizer.step()
         schedule.step()
-    off = 2.0 * torch.acos((torch.nn.functional.normalize(turn.detach()) * truth).sum(1).abs().clamp(max=1.0))
+    off = 2.0 * torch.acos((torch.nn.functional.normalize(quaternions.detach()) * truth).sum(1).abs().clamp(max=1.0))
     return int((torch.rad2deg(off) < 5.0).sum())
 
 

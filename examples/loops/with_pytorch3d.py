@@ -1,6 +1,6 @@
 """Find a camera by a silhouette with PyTorch3D: ``python -m examples.loops.with_pytorch3d``.
 
-It needs PyTorch3D. The model, start, optimiser and steps are those of PyTorch3D's own tutorial of cameras.
+It needs PyTorch3D. It has the model, start, optimiser and steps of PyTorch3D's own tutorial of cameras.
 """
 
 import torch

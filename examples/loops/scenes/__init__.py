@@ -1,1 +1,1 @@
-"""What the loops find: scenes, each made by the library that renders it."""
+"""Scenes of the loops, each made by the library that renders it."""

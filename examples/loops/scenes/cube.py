@@ -9,12 +9,12 @@ TO_CLIP = [[2.5, 0.0, 0.0, 0.0], [0.0, 2.5, 0.0, 0.0], [0.0, 0.0, -1.04, 1.6], [
 def build(device: str) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
     """Return positions, shape (24, 4), triangles (12, 3), colours (24, 3), and the matrix to clip space, (4, 4)."""
     corners = torch.tensor([[x, y, z, 1.0] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
-    sides = torch.tensor([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
+    quads = torch.tensor([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
     triangles = 4 * torch.arange(6)[:, None, None] + torch.tensor([[0, 1, 2], [0, 2, 3]])
     colours = torch.tensor(COLOURS).repeat_interleave(4, 0)
     faces = triangles.reshape(12, 3).int()
     return (
-        corners[sides.flatten()].to(device),
+        corners[quads.flatten()].to(device),
         faces.to(device),
         colours.to(device),
         torch.tensor(TO_CLIP, device=device),
@@ -27,7 +27,7 @@ def turns(count: int, device: str) -> tuple[torch.Tensor, torch.Tensor]:
     truth, axis = (torch.nn.functional.normalize(torch.randn(count, size)) for size in (4, 3))
     half = torch.deg2rad(torch.linspace(10.0, 40.0, count))[:, None]
     scalar, vector = truth[:, :1], truth[:, 1:]
-    # The product of two quaternions, of which the first is the turn by twice the half about the axis.
+    # The product of the turn about the axis, by twice the half, and the truth.
     real = torch.cos(half) * scalar - torch.sin(half) * (axis * vector).sum(1, keepdim=True)
-    rest = torch.cos(half) * vector + torch.sin(half) * (scalar * axis + torch.linalg.cross(axis, vector))
-    return truth.to(device), torch.cat([real, rest], 1).to(device)
+    imaginary = torch.cos(half) * vector + torch.sin(half) * (scalar * axis + torch.linalg.cross(axis, vector))
+    return truth.to(device), torch.cat([real, imaginary], 1).to(device)

@@ -15,7 +15,7 @@ from pytorch3d.structures import Meshes
 
 from loi_torch.mesh import box, sphere
 
-PARTS = (
+SOLIDS = (
     sphere(0.7, subdivisions=2),
     sphere(0.2, (0.0, 0.75, 0.0), subdivisions=1),  # the knob
     box((0.7, 0.2, 0.2), (0.85, 0.15, 0.0)),  # the spout
@@ -27,9 +27,9 @@ PARTS = (
 
 def build(device: torch.device) -> tuple[Meshes, MeshRenderer]:
     """Return the pot, about 2 units wide, and a renderer of its silhouette."""
-    vertices = torch.cat([part.vertices for part in PARTS]).float()
-    firsts = [sum(len(part.vertices) for part in PARTS[:index]) for index in range(len(PARTS))]
-    faces = torch.cat([torch.as_tensor(part.faces) + first for part, first in zip(PARTS, firsts, strict=True)])
+    vertices = torch.cat([solid.vertices for solid in SOLIDS]).float()
+    firsts = [sum(len(solid.vertices) for solid in SOLIDS[:index]) for index in range(len(SOLIDS))]
+    faces = torch.cat([torch.as_tensor(solid.faces) + first for solid, first in zip(SOLIDS, firsts, strict=True)])
     blend = BlendParams(sigma=1e-4, gamma=1e-4)
     blur_radius = math.log(1.0 / 1e-4 - 1.0) * blend.sigma
     settings = RasterizationSettings(image_size=64, blur_radius=blur_radius, faces_per_pixel=10)
