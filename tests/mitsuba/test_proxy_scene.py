@@ -117,7 +117,7 @@ def test_the_gradient_of_a_delta_light_s_shadow_matches_finite_differences(light
 
 
 @pytest.mark.filterwarnings("ignore::loi_mitsuba.GradientWarning")
-@pytest.mark.parametrize("light", ["point", "directional"])
+@pytest.mark.parametrize("light", ["point", "spot", "directional"])
 def test_only_the_gradient_of_shadows_comes_from_the_proxy_of_a_delta_light(light: str) -> None:
     scene = lit_scene(light, ball={"type": "sphere", "center": [0, 1, 0], "radius": 0.6})
     without_shadows = {"type": "direct_projective", "guiding": "none", "sppc": 8, "sppp": 8, "sppi": 0}

@@ -211,9 +211,8 @@ def substitute_light(
     suffix = "" if light_id.startswith(LIGHT_ID) else f" {light_id!r}"
     lacks = "because the motion of a delta light, and of its shadows seen in other surfaces, has no gradient"
     reason = f"{area_light.description}, {lacks}"
-    # The scene itself has all gradients except of shadows, with less noise. Shapes that move in the cone of a spot have
-    # no gradient in Mitsuba at all.
-    return Substitution(f"{plugin} light{suffix}", reason, plugin != "spot", light_id, area_light.factor)
+    # The scene itself has all gradients except of shadows, with less noise.
+    return Substitution(f"{plugin} light{suffix}", reason, only_shadows=True, light=light_id, factor=area_light.factor)
 
 
 def _disk(direction: Float64Array, half_angle: float, context: LightContext) -> _AreaLight:
