@@ -8,20 +8,16 @@ from gsplat import rasterization
 from kornia.geometry.liegroup import Se3, So3
 
 import loi_torch
+from examples.loops.scenes import splat
 
 device = "cuda" if torch.cuda.is_available() else "cpu"
-torch.manual_seed(1)
-means, quats = torch.rand(12, 3, device=device) - 0.5, torch.randn(12, 4, device=device)
-scales, opacities = 0.1 + 0.2 * torch.rand(12, 3, device=device), torch.full((12,), 0.9, device=device)
-colours = torch.rand(12, 3, device=device)
-intrinsics = torch.tensor([[[60.0, 0.0, 32.0], [0.0, 60.0, 24.0], [0.0, 0.0, 1.0]]], device=device)
+gaussians, intrinsics = splat.build(device)
 
 
 def render(shift: torch.Tensor, angles: torch.Tensor) -> torch.Tensor:
     """Render the splat, shifted in world units and rotated about the origin in radians, shape (1, 48, 64, 3)."""
     pose = Se3(So3.exp(angles), shift + torch.tensor([0.0, 0.0, 6.0], device=device))
-    splat = means, quats, scales, opacities, colours
-    images: torch.Tensor = rasterization(*splat, pose.matrix()[None], intrinsics, width=64, height=48)[0]
+    images: torch.Tensor = rasterization(*gaussians, pose.matrix()[None], intrinsics, splat.WIDTH, splat.HEIGHT)[0]
     return images
 
 

@@ -5,19 +5,11 @@ It needs ``pip install nanodrr``, and runs on a processor. nanodrr's images are 
 
 import torch
 from nanodrr.camera import make_rt_inv
-from nanodrr.data import Subject
-from nanodrr.drr import DRR
-from torchio import ScalarImage
 
+from examples.loops.scenes import bone
 from loi_torch.kornia import LOILoss
 
-grid = torch.linspace(-1.0, 1.0, 40)
-x, y, z = torch.meshgrid(grid, grid, grid, indexing="ij")
-bone = ((x / 0.5) ** 2 + (y / 0.3) ** 2 + (z / 0.7) ** 2 < 1.0) | ((x - 0.3) ** 2 + y**2 + (z - 0.5) ** 2 < 0.1)
-hounsfield = torch.where(bone, 1000.0, -1000.0)  # bone in air
-to_mm = torch.diag(torch.tensor([5.0, 5.0, 5.0, 1.0]))
-subject = Subject.from_images(ScalarImage(tensor=hounsfield[None], affine=to_mm))
-drr = DRR.from_carm_intrinsics(1020.0, 7.0, 7.0, 0.0, 0.0, 64, 64)
+subject, drr = bone.build()
 
 
 def render(angles: torch.Tensor, shift: torch.Tensor) -> torch.Tensor:

@@ -19,9 +19,8 @@ context = dr.RasterizeCudaContext()
 
 def render(quaternions: torch.Tensor) -> torch.Tensor:
     """Render the cube turned by each of N quaternions, shape (N, 48, 48, 3)."""
-    matrix = torch.nn.functional.pad(quaternion_to_rotation_matrix(quaternions), (0, 1, 0, 1))
-    matrix[:, 3, 3] = 1.0
-    clip = positions @ (to_clip @ matrix).mT
+    turned = positions @ quaternion_to_rotation_matrix(quaternions).mT
+    clip = torch.nn.functional.pad(turned, (0, 1), value=1.0) @ to_clip.T
     raster, _ = dr.rasterize(context, clip, triangles, resolution=[48, 48])
     image, _ = dr.interpolate(colours[None], raster, triangles)
     blended: torch.Tensor = dr.antialias(image, raster, clip, triangles)

@@ -10,6 +10,7 @@ from typing import Any
 import torch
 
 import loi_torch
+from examples.loops.scenes import mask
 
 
 class LOIObjective:
@@ -34,17 +35,6 @@ class LOIObjective:
         return value
 
 
-rows, columns = torch.meshgrid(torch.arange(48) + 0.5, torch.arange(64) + 0.5, indexing="ij")
-
-
-def render(centre: torch.Tensor) -> torch.Tensor:
-    """Render the soft mask of a disk, shape (1, H, W, 1)."""
-    return torch.sigmoid(6.0 - torch.hypot(columns - centre[0], rows - centre[1]))[None, ..., None]
-
-
-mask = (torch.hypot(columns - 50.0, rows - 34.0) < 6.0)[None]
-
-
 def found(objective: Callable[..., Any], targets: torch.Tensor) -> list[float]:
     """Return the centre that Adam reaches; (50, 34) is right."""
     centre = torch.tensor([12.0, 12.0], requires_grad=True)
@@ -52,14 +42,14 @@ def found(objective: Callable[..., Any], targets: torch.Tensor) -> list[float]:
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, 120)
     for _ in range(120):
         optimizer.zero_grad()
-        objective(targets, render(centre)).backward()
+        objective(targets, mask.render(centre)).backward()
         optimizer.step()
         schedule.step()
     return [round(value, 1) for value in centre.tolist()]
 
 
 objective = LOIObjective()
-objective.validate_targets(mask)
-targets = objective.preprocess_targets(mask)
+objective.validate_targets(mask.measured())
+targets = objective.preprocess_targets(mask.measured())
 print("L2 ", found(torch.nn.functional.mse_loss, targets))
 print("loi", found(objective, targets))

@@ -7,8 +7,8 @@ TO_CLIP = [[2.5, 0.0, 0.0, 0.0], [0.0, 2.5, 0.0, 0.0], [0.0, 0.0, -1.04, 1.6], [
 
 
 def build(device: str) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Return positions, shape (24, 4), triangles (12, 3), colours (24, 3), and the matrix to clip space, (4, 4)."""
-    corners = torch.tensor([[x, y, z, 1.0] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
+    """Return positions, shape (24, 3), triangles (12, 3), colours (24, 3), and the matrix to clip space, (4, 4)."""
+    corners = torch.tensor([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)])
     quads = torch.tensor([[0, 1, 3, 2], [4, 6, 7, 5], [0, 4, 5, 1], [2, 3, 7, 6], [0, 2, 6, 4], [1, 5, 7, 3]])
     triangles = 4 * torch.arange(6)[:, None, None] + torch.tensor([[0, 1, 2], [0, 2, 3]])
     colours = torch.tensor(COLOURS).repeat_interleave(4, 0)
