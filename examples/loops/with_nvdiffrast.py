@@ -30,7 +30,7 @@ def render(quaternions: torch.Tensor) -> torch.Tensor:
 photographs = render(truth)
 
 
-def found(loss: torch.nn.Module) -> int:
+def found_count(loss: torch.nn.Module) -> int:
     """Return the number of turns that Adam finds within 5 degrees."""
     quaternions = start.clone().requires_grad_()
     optimizer = torch.optim.Adam([quaternions], lr=0.02)
@@ -44,5 +44,5 @@ def found(loss: torch.nn.Module) -> int:
     return int((torch.rad2deg(off) < 5.0).sum())
 
 
-print("L2 ", found(torch.nn.MSELoss()))
-print("loi", found(loi_torch.LOILoss()))
+print("L2 ", found_count(torch.nn.MSELoss()))
+print("loi", found_count(loi_torch.LOILoss()))

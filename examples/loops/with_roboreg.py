@@ -35,7 +35,7 @@ class LOIObjective:
         return value
 
 
-def found(objective: Callable[..., Any], targets: torch.Tensor) -> list[float]:
+def fitted_centre(objective: Callable[..., Any], targets: torch.Tensor) -> list[float]:
     """Return the centre that Adam reaches; (50, 34) is right."""
     centre = torch.tensor([12.0, 12.0], requires_grad=True)
     optimizer = torch.optim.Adam([centre], lr=1.0)
@@ -51,5 +51,5 @@ def found(objective: Callable[..., Any], targets: torch.Tensor) -> list[float]:
 objective = LOIObjective()
 objective.validate_targets(mask.measured())
 targets = objective.preprocess_targets(mask.measured())
-print("L2 ", found(torch.nn.functional.mse_loss, targets))
-print("loi", found(objective, targets))
+print("L2 ", fitted_centre(torch.nn.functional.mse_loss, targets))
+print("loi", fitted_centre(objective, targets))
