@@ -89,9 +89,10 @@ def main() -> None:
         wheel = build_wheel(root)
         for page in options.pages or EXTRAS:
             program, expected = first_program(ROOT / "docs" / "guide" / f"{page}.md")
-            install = installed_seconds(page, wheel, root / page)
-            size = size_mb(root / page)
-            first, second = (program_seconds(root / page / "bin" / "python", program, expected, root) for _ in range(2))
+            environment = root / f"{page}-environment"  # a folder `torch` would be importable
+            install = installed_seconds(page, wheel, environment)
+            size = size_mb(environment)
+            first, second = (program_seconds(environment / "bin" / "python", program, expected, root) for _ in range(2))
             numbers = (install, first, install + first, second)
             rows.append((page, f"{size:.0f}", *(f"{seconds:.0f}" for seconds in numbers)))
     print("\n".join(markdown(["page", "MB", "install, s", "first run, s", "together, s", "second run, s"], rows)))
