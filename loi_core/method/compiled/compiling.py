@@ -41,7 +41,7 @@ class _Announcement(event.Listener):  # type: ignore[misc]  # Numba's types are 
 
     def on_start(self, event: Any) -> None:  # noqa: ARG002
         if not self._is_silent:
-            sys.stderr.write("loi: compiling the comparison for this machine, once; some ten seconds\n")
+            sys.stderr.write("loi: compiling the comparison for this machine, once; ten to forty seconds\n")
             self._is_silent = True
 
     def on_end(self, event: Any) -> None:
