@@ -10,7 +10,16 @@ from __future__ import annotations
 from types import FunctionType, MethodType
 from typing import Any
 
-__all__ = ["IntegratorView", "with_global"]
+__all__ = ["IntegratorView", "is_from_mitsuba", "with_global"]
+
+
+def is_from_mitsuba(definition: Any) -> bool:
+    """Return whether Mitsuba's own Python modules define a class or function.
+
+    Modules are compared by name: Mitsuba's Python integrators may be loaded twice, as `mitsuba.ad` and as
+    `mitsuba.python.ad`, each with classes of its own.
+    """
+    return str(definition.__module__).startswith("mitsuba.")
 
 
 class IntegratorView:
@@ -29,7 +38,7 @@ class IntegratorView:
 
     def __getattr__(self, name: str) -> Any:
         value = getattr(self._integrator, name)
-        if isinstance(value, MethodType) and value.__func__.__module__.startswith("mitsuba."):
+        if isinstance(value, MethodType) and is_from_mitsuba(value.__func__):
             return MethodType(value.__func__, self)
         return value
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from types import FunctionType
 from typing import Any, Final, Protocol
 
 import drjit as dr
@@ -11,7 +12,7 @@ import numpy as np
 
 from mitsuba_boundaries.area_jacobian import corrected_sample
 from mitsuba_boundaries.drjit.arrays import Float32Array
-from mitsuba_boundaries.integrator_view import IntegratorView
+from mitsuba_boundaries.integrator_view import IntegratorView, is_from_mitsuba
 from mitsuba_boundaries.sensing.film import Film
 from mitsuba_boundaries.sensing.film_samples import backpropagate, radiance_samples
 
@@ -107,12 +108,10 @@ class InteriorTerm:
 
     def _call(self, name: str, *arguments: Any) -> Any:
         """Call the method of Mitsuba that differentiates the interior: of projective integrators, not of a subclass."""
-        projective = _mitsuba_base(self.integrator, "PSIntegrator")
-        if projective is not None:
-            return getattr(projective, name)(self._view, *arguments)
-        method = getattr(type(self.integrator), name)
-        bases = (_mitsuba_base(self.integrator, base) for base in ("ADIntegrator", "RBIntegrator"))
-        takes_views = method in [getattr(base, name) for base in bases if base is not None]
+        bases = (base for base in type(self.integrator).__mro__ if is_from_mitsuba(base))
+        projective = next((base for base in bases if base.__name__ == "PSIntegrator"), None)
+        method = getattr(projective or type(self.integrator), name)
+        takes_views = isinstance(method, FunctionType) and is_from_mitsuba(method)
         return method(self._view if takes_views else self.integrator, *arguments)
 
     @property
@@ -123,16 +122,6 @@ class InteriorTerm:
 
     def _radiance_samples(self, seed: int, mode: Any) -> tuple[Any, Any]:
         return radiance_samples(self._view, self.scene, self.sensor, self.samples, seed, mode)
-
-
-def _mitsuba_base(integrator: Any, name: str) -> Any:
-    """Return Mitsuba's class with this name among the bases of an integrator, or None.
-
-    Modules are compared by name: Mitsuba's Python integrators may be loaded twice, as `mitsuba.ad` and as
-    `mitsuba.python.ad`, each with classes of its own.
-    """
-    bases = (base for base in type(integrator).__mro__ if base.__module__.startswith("mitsuba."))
-    return next((base for base in bases if base.__name__ == name), None)
 
 
 @dataclass(frozen=True)
