@@ -17,8 +17,8 @@ from loi_core.support.markdown import markdown
 from tests.docs.blocks import blocks_of
 from tests.environments import ROOT, build_wheel, run
 
-EXTRAS: Final = {"torch": "torch", "kornia": "kornia", "jax": "jax", "mitsuba": "mitsuba"}
-"""Extras by page of the guide."""
+PAGES: Final = ("torch", "kornia", "jax", "mitsuba")
+"""Pages of the guide; each extra has the name of its page."""
 
 FURTHER_PACKAGES: Final = {"jax": ("optax",)}
 """Packages that a page installs beside its extra."""
@@ -43,10 +43,10 @@ def first_program(page: Path) -> tuple[str, str]:
 
 
 def installed_seconds(page: str, wheel: Path, folder: Path) -> float:
-    """Install what a page asks for into a new environment, and return the seconds."""
+    """Install the requirements of a page into a new environment, and return the seconds."""
     started = time.perf_counter()
     run(sys.executable, "-m", "venv", folder)
-    requirements = [f"{wheel}[{EXTRAS[page]}]", *FURTHER_PACKAGES.get(page, ())]
+    requirements = [f"{wheel}[{page}]", *FURTHER_PACKAGES.get(page, ())]
     pip = (folder / "bin" / "python", "-m", "pip", "install", "-q", "-c", ROOT / "constraints.txt")
     run(*pip, *requirements)
     return time.perf_counter() - started
@@ -58,14 +58,14 @@ def size_mb(folder: Path) -> float:
 
 
 def program_seconds(python: Path, program: str, expected: str, folder: Path) -> float:
-    """Run a program that must print what is expected, and return the seconds.
+    """Run a program, check its output, and return the seconds.
 
     Raises
     ------
     ValueError
-        If it prints something else.
+        If the program prints something else.
     AssertionError
-        If it fails, with what it has printed.
+        If the program fails, with its output.
     """
     started = time.perf_counter()
     printed = run(python, "-c", program, cwd=folder, PYTHONPATH="")
@@ -79,15 +79,15 @@ def program_seconds(python: Path, program: str, expected: str, folder: Path) -> 
 def main() -> None:
     """Print one table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("pages", nargs="*", metavar="PAGE", help=f"{', '.join(EXTRAS)} (default: all)")
+    parser.add_argument("pages", nargs="*", metavar="PAGE", help=f"{', '.join(PAGES)} (default: all)")
     options = parser.parse_args()
-    if unknown := set(options.pages) - set(EXTRAS):
-        parser.error(f"PAGE must be one of {', '.join(EXTRAS)}, got {', '.join(sorted(unknown))}")
+    if unknown := set(options.pages) - set(PAGES):
+        parser.error(f"PAGE must be one of {', '.join(PAGES)}, got {', '.join(sorted(unknown))}")
     rows = []
     with tempfile.TemporaryDirectory() as name:
         root = Path(name)
         wheel = build_wheel(root)
-        for page in options.pages or EXTRAS:
+        for page in options.pages or PAGES:
             program, expected = first_program(ROOT / "docs" / "guide" / f"{page}.md")
             environment = root / f"{page}-environment"  # a folder `torch` would be importable
             install = installed_seconds(page, wheel, environment)

@@ -46,7 +46,7 @@ def test_the_speed_benchmark_measures_peak_memory_in_a_fresh_process() -> None:
     assert peak > 2 * stack  # autograd keeps histograms at two inner scales
 
 
-@pytest.mark.parametrize("page", first_result.EXTRAS)
+@pytest.mark.parametrize("page", first_result.PAGES)
 def test_a_first_program_is_timed_only_if_it_prints_the_output_on_its_page(page: str, tmp_path: Path) -> None:
     program, expected = first_result.first_program(ROOT / "docs" / "guide" / f"{page}.md")
     assert expected.strip()

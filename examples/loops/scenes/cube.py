@@ -1,6 +1,7 @@
 """The cube of nvdiffrast's own sample, with its camera and turns of it."""
 
 import torch
+from kornia.geometry.quaternion import Quaternion
 
 COLOURS = [[1.0, 1.0, 1.0], [1.0, 1.0, 0.0], [0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [1.0, 0.6, 0.0]]
 TO_CLIP = [[2.5, 0.0, 0.0, 0.0], [0.0, 2.5, 0.0, 0.0], [0.0, 0.0, -1.04, 1.6], [0.0, 0.0, -1.0, 3.5]]
@@ -25,9 +26,6 @@ def turns(count: int, device: str) -> tuple[torch.Tensor, torch.Tensor]:
     """Return random quaternions, shape (count, 4), wxyz, and others 20 to 80 degrees off."""
     torch.manual_seed(0)
     truth, axis = (torch.nn.functional.normalize(torch.randn(count, size)) for size in (4, 3))
-    half = torch.deg2rad(torch.linspace(10.0, 40.0, count))[:, None]
-    scalar, vector = truth[:, :1], truth[:, 1:]
-    # The product of the turn about the axis, by twice the half, and the truth.
-    real = torch.cos(half) * scalar - torch.sin(half) * (axis * vector).sum(1, keepdim=True)
-    imaginary = torch.cos(half) * vector + torch.sin(half) * (scalar * axis + torch.linalg.cross(axis, vector))
-    return truth.to(device), torch.cat([real, imaginary], 1).to(device)
+    angles = torch.deg2rad(torch.linspace(20.0, 80.0, count))[:, None]
+    start = Quaternion.from_axis_angle(angles * axis) * Quaternion(truth)
+    return truth.to(device), start.data.to(device)
