@@ -1,8 +1,8 @@
 """The loss on a GPU: ``python -m benchmarks.gpu``, which takes at most five minutes.
 
-Prints one table of errors against whole-array operations, times beside those of SSIM, memory and launches, each with
-its goal, for torch's Triton kernels, JAX and meshes, and ends with 1 if a goal is missed. Without a GPU it prints what
-the comparison would launch, allocate and compute, and the time that this takes at a bandwidth and a rate of operations.
+Prints one table of errors against whole-array operations, times beside the times of SSIM, memory and launches, each
+with its goal, for torch's Triton kernels, JAX and meshes, and ends with 1 if a goal is missed. Without a GPU it prints
+the launches, the memory and the operations of the comparison, and their time at a bandwidth and a rate of operations.
 """
 
 from __future__ import annotations

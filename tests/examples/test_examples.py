@@ -208,7 +208,7 @@ def test_the_loops_of_the_readme_converge_from_starts_without_overlap(
 
 
 def output_on_stubs(module: str) -> str:
-    """Return what a program prints, with stand-ins for libraries that need a GPU or a build."""
+    """Return the output of a program, with stand-ins for libraries that need a GPU or a build."""
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parent / "stubs"), *sys.path])}
     command = [sys.executable, "-m", module]
     return subprocess.run(command, capture_output=True, text=True, cwd=ROOT, check=True, env=environment).stdout

@@ -1,4 +1,4 @@
-"""Scenes in which one shape moves, the gradient in a loop with ``mi.render``, and central differences."""
+"""Scenes with one moving shape, the gradient in a loop with ``mi.render``, and central differences."""
 
 from __future__ import annotations
 

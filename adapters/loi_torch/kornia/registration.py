@@ -34,7 +34,7 @@ class RegistrationLoss(nn.Module):
 
     Notes
     -----
-    A warp leaves black what it uncovers, which an ``ImageRegistrator`` drops from the map that an elementwise loss
+    A warp leaves uncovered pixels black, and an ``ImageRegistrator`` drops them from the map that an elementwise loss
     returns. Histograms of neighbourhoods have black in them by then. This loss samples a white image at the grid that
     autograd has saved of the warp, and takes the covered pixels alone into the histograms of both images.
 

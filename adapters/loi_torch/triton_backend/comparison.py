@@ -1,10 +1,11 @@
 """The comparison in Triton: few launches, and no CDF at the resolution of the images.
 
 Extents are compared in chains. One chain holds all extents that start from a pyramid; each of the others is a chain of
-its own. The differences of CDFs are made in registers, and one kernel blurs them along columns, down to those of the
-first pyramid level. Blurred along rows as well, and back up, they are reduced to signs in registers, which are written
-in 2 bits each; and the adjoint of the first kernel ends in the gradient of the image. Only `centred` scales, which need
-means over the image, write the differences. A chain handles some planes and levels at a time, which bounds the memory.
+its own. The differences of CDFs are made in registers, and one kernel blurs them along columns, down to the rows of
+the first pyramid level. Blurred along rows as well, and back up, they are reduced to signs in registers, which are
+written in 2 bits each; and the adjoint of the first kernel ends in the gradient of the image. Only `centred` scales,
+which need means over the image, write the differences. A chain handles some planes and levels at a time, which bounds
+the memory.
 """
 
 from __future__ import annotations

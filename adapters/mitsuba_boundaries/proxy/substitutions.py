@@ -209,8 +209,8 @@ def substitute_light(
         node.props[key] = mi.Properties.ResolvedReference(child_index)
     node.type = mi.ObjectType.Shape
     suffix = "" if light_id.startswith(LIGHT_ID) else f" {light_id!r}"
-    lacks = "because the motion of a delta light, and of its shadows seen in other surfaces, has no gradient"
-    reason = f"{area_light.description}, {lacks}"
+    cause = "the motion of a delta light, and of its shadows seen in other surfaces, has no gradient"
+    reason = f"{area_light.description}, because {cause}"
     # The scene itself has all gradients except of shadows, with less noise.
     return Substitution(f"{plugin} light{suffix}", reason, only_shadows=True, light=light_id, factor=area_light.factor)
 

@@ -49,7 +49,7 @@ class _Announcement(event.Listener):  # type: ignore[misc]  # Numba's types are 
 
 
 def announced_on_terminals() -> AbstractContextManager[Any]:
-    """Return a context in which the first compilation is announced on standard error, if that is a terminal."""
+    """Return a context that announces the first compilation on standard error, if standard error is a terminal."""
     installed: AbstractContextManager[Any] = event.install_listener("numba:compile", _Announcement())
     return installed
 
